@@ -1,0 +1,22 @@
+"""Array types, and the one habit they share: what leaves a function is not written to again."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.uint8]  # (rows, cols, 3) RGB
+Floats = NDArray[np.float32]
+Doubles = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Indices = NDArray[np.int32]  # -1 = none
+
+A = TypeVar("A", bound=NDArray[Any])
+
+
+def freeze(array: A) -> A:
+    """The same array, read-only from now on."""
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,19 @@
+"""What every test may ask for."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+_BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """The folder of real recordings; the test is skipped where there is none."""
+    folder = Path(os.environ.get("TACTILE_DATA", _BESIDE))
+    if not folder.is_dir():
+        pytest.skip(f"no real recordings at {folder.name!r} (set TACTILE_DATA)")
+    return folder
