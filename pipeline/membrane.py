@@ -1,7 +1,8 @@
 """The rest surface of a sensor: where its gel or membrane is while nothing touches it.
 
 A membrane is a height field over the sensor's x-y plane, z_mm = h(x_mm, y_mm). That covers flat pads and domes alike,
-and makes the paper's test SDF(p, M_target) <= 0 exact in sign: a point nearer to the camera than the surface has pushed it in.
+and makes the paper's test SDF(p, M_target) <= 0 exact in sign: a point nearer to the camera than the surface has
+pushed it in.
 """
 
 from __future__ import annotations

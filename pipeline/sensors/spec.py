@@ -1,7 +1,7 @@
 """Sensor descriptions: one TOML per sensor, read and checked once.
 
-Every number in a TOML is a table `{ value, unit, from }` with `assumed = true` where no source gives it, so that a reader
-of the file sees where each figure comes from. `extends = "other"` starts from another sensor's file.
+Every number in a TOML is a table `{ value, unit, from }` with `assumed = true` where no source gives it, so that a
+reader of the file sees where each figure comes from. `extends = "other"` starts from another sensor's file.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class Limits:
 
     contact_min_mm: float  # smallest indentation that counts
     indentation_max_mm: float
-    no_touch: float  # largest smoothed change from the reference that is still "untouched": grey levels, or mm for a depth sensor
+    no_touch: float  # largest smoothed change from the reference of an untouched frame: grey levels, or mm of a bubble
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -200,7 +200,7 @@ def _build(name: str, data: dict[str, Any], path: Path) -> SensorSpec:
     kind = data.get("kind")
     if kind not in ("gel", "bubble"):
         raise CalibrationError(f"kind must be 'gel' or 'bubble', got {kind!r}: '{path}'")
-    image, lens, align, limit = section("image"), section("camera"), section("alignment"), section("limits")
+    image, lens, align = section("image"), section("camera"), section("alignment")
     rows, cols = (int(image.number(k, "px", 1, 10_000)) for k in ("rows", "cols"))
     camera = Camera(rows=rows, cols=cols, fx_px=lens.number("fx", "px"), fy_px=lens.number("fy", "px"),
                     cx_px=lens.number("cx", "px"), cy_px=lens.number("cy", "px"))  # fmt: skip
@@ -218,15 +218,30 @@ def _build(name: str, data: dict[str, Any], path: Path) -> SensorSpec:
             bubble.half_width_mm,
             bubble.half_height_mm,
         )
+    pose = rigid.from_parts(align.vector("translation", "mm"), align.vector("rotation_vector", "deg"))
     return SensorSpec(
-        name=name, title=str(data.get("title", name)), kind=kind, camera=camera, membrane=surface,
+        name=name,
+        title=str(data.get("title", name)),
+        kind=kind,
+        camera=camera,
+        membrane=surface,
         rest_depth_mm=surface.rest_depth_mm(camera),
-        alignment_from_sensor=freeze(rigid.from_parts(align.vector("translation", "mm"), align.vector("rotation_vector", "deg"))),
-        limits=Limits(contact_min_mm=limit.number("contact_min", "mm", 0.0), indentation_max_mm=limit.number("indentation_max", "mm", 1e-3),
-                      no_touch=limit.number("no_touch", "grey" if kind == "gel" else "mm", 0.0)),
-        gel=gel, bubble=bubble, optics=optics,
-        markers=_markers(section("markers")) if "markers" in data else None, assumed=tuple(assumed),
-    )  # fmt: skip
+        alignment_from_sensor=freeze(pose),
+        limits=_limits(section("limits"), "grey" if kind == "gel" else "mm"),
+        gel=gel,
+        bubble=bubble,
+        optics=optics,
+        markers=_markers(section("markers")) if "markers" in data else None,
+        assumed=tuple(assumed),
+    )
+
+
+def _limits(s: _Section, touch_unit: str) -> Limits:
+    return Limits(
+        contact_min_mm=s.number("contact_min", "mm", 0.0),
+        indentation_max_mm=s.number("indentation_max", "mm", 1e-3),
+        no_touch=s.number("no_touch", touch_unit, 0.0),
+    )
 
 
 def _gel(s: _Section) -> Gel:
@@ -238,9 +253,14 @@ def _gel(s: _Section) -> Gel:
 
 
 def _bubble(s: _Section) -> Bubble:
-    return Bubble(half_width_mm=s.number("half_width", "mm", 1.0), half_height_mm=s.number("half_height", "mm", 1.0),
-                  height_mm=s.number("height", "mm", 0.0), pressure_kpa=s.number("pressure", "kPa", 0.0),
-                  dead_volume_mm3=s.number("dead_volume", "mm^3", 0.0), depth_noise_mm=s.number("depth_noise", "mm", 0.0))  # fmt: skip
+    return Bubble(
+        half_width_mm=s.number("half_width", "mm", 1.0),
+        half_height_mm=s.number("half_height", "mm", 1.0),
+        height_mm=s.number("height", "mm", 0.0),
+        pressure_kpa=s.number("pressure", "kPa", 0.0),
+        dead_volume_mm3=s.number("dead_volume", "mm^3", 0.0),
+        depth_noise_mm=s.number("depth_noise", "mm", 0.0),
+    )
 
 
 def _optics(s: _Section, data: dict[str, Any], path: Path) -> Optics:
@@ -259,8 +279,14 @@ def _optics(s: _Section, data: dict[str, Any], path: Path) -> Optics:
                 f"each of optics.leds needs azimuth_deg, elevation_deg and rgb, got {led!r}: '{path}'"
             ) from error
     base = s.vector("base", "rgb")
-    return Optics(base_rgb=(base[0], base[1], base[2]), leds=tuple(parsed), falloff=s.number("falloff", "1", 0.0, 1.0),
-                  vignette=s.number("vignette", "1", 0.0, 1.0), blur_px=s.number("blur", "px", 0.0), noise_grey=s.number("noise", "grey", 0.0))  # fmt: skip
+    return Optics(
+        base_rgb=(base[0], base[1], base[2]),
+        leds=tuple(parsed),
+        falloff=s.number("falloff", "1", 0.0, 1.0),
+        vignette=s.number("vignette", "1", 0.0, 1.0),
+        blur_px=s.number("blur", "px", 0.0),
+        noise_grey=s.number("noise", "grey", 0.0),
+    )
 
 
 def _markers(s: _Section) -> Markers:
