@@ -2,7 +2,7 @@
 
 A stage runs only if somebody wants its output, nobody has worked it out before, and the scene needs it. Its key is
 a digest of its name, version, parameters and input contents. Since keys below are made of the *contents* of outputs
-above, a stage that comes out equal after a change stops the recomputation there (early cutoff, as Salsa's backdating does).
+above, a stage that comes out equal after a change stops the recomputation there (early cutoff, Salsa's backdating).
 """
 
 from __future__ import annotations

@@ -1,0 +1,55 @@
+"""`tactoscope ...`: the headless commands, and the window."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from pipeline.cli import build, run
+
+
+def main() -> None:
+    """Entry of the `tactoscope` script."""
+    app = build()
+    app.command(view)
+    sys.exit(run(app))
+
+
+def view(
+    recording: Path | None = None,
+    *,
+    target: str = "",
+    sensor: str = "",
+    reference: Path | None = None,
+    calibration: Path | None = None,
+    mesh: Path | None = None,
+    frame: int | None = None,
+    tour: Path | None = None,
+) -> int:
+    """Open the window, on the sample recording if none is given.
+
+    Parameters
+    ----------
+    recording
+        File or folder of any known format.
+    target
+        Sensor to translate to.
+    sensor
+        The sensor that made the recording, where the file does not say.
+    reference
+        Image of the untouched sensor, where the recording holds none.
+    calibration
+        Look-up made by `tactoscope calibrate balls`.
+    mesh
+        The touched object's mesh, for its pose.
+    frame
+        Frame to begin with.
+    tour
+        Step through the recording by itself, write the window's picture and every stage into this folder, and close.
+    """
+    from app.main import open_window
+
+    return open_window(
+        recording, target=target, source=sensor, reference=reference, calibration=calibration, mesh=mesh,
+        frame=frame, tour=tour,
+    )  # fmt: skip

@@ -1,0 +1,165 @@
+"""The headless commands. Each one's work is imported when it is called, so that `--help` answers at once."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, CycloptsError, Parameter
+
+from pipeline.errors import TouchError
+
+EXIT_USER_ERROR = 2
+EXIT_INTERRUPTED = 130
+
+
+def build(name: str = "tactoscope") -> App:
+    """The command line with all headless commands."""
+    app = App(name=name, help="See one tactile sensor's touch become another's.", version_flags=["--version"])
+    app.version = "0.1.0"
+    app.command(inspect)
+    app.command(translate)
+    app.command(doctor)
+    calibrate = App(name="calibrate", help="Build a sensor's colour-to-slope look-up from presses of a known object.")
+    calibrate.command(balls)
+    app.command(calibrate)
+    return app
+
+
+def main() -> None:
+    """Entry of `python -m pipeline`."""
+    sys.exit(run(build("python -m pipeline")))
+
+
+def run(app: App, tokens: list[str] | None = None) -> int:
+    """Run one command line; a user's mistake is one sentence on stderr and exit code 2, never a traceback."""
+    try:
+        code = app(tokens, exit_on_error=False, print_error=True, result_action="return_value")
+    except CycloptsError:
+        return EXIT_USER_ERROR
+    except TouchError as error:
+        sys.stderr.write(f"tactoscope: {error}\n")
+        return EXIT_USER_ERROR
+    except KeyboardInterrupt:
+        sys.stderr.write("\ntactoscope: interrupted; finished frames are whole\n")
+        return EXIT_INTERRUPTED
+    return code if isinstance(code, int) else 0
+
+
+def inspect(recording: Path, *, sensor: str = "", reference: Path | None = None) -> int:
+    """Say what a recording is: format, frames, sensor, truth, and whether its units and frames make sense.
+
+    Parameters
+    ----------
+    recording
+        File or folder of any known format.
+    sensor
+        The sensor that made it, where the file does not say.
+    reference
+        Image of the untouched sensor, where the recording holds none.
+    """
+    from pipeline.commands.inspect import show
+
+    return show(recording, sensor, reference)
+
+
+def translate(
+    recording: Path,
+    *,
+    target: str,
+    out: Path,
+    sensor: str = "",
+    stream: str = "",
+    reference: Path | None = None,
+    calibration: Path | None = None,
+    route: str = "t2d2",
+    frame: int | None = None,
+    all_frames: Annotated[bool, Parameter(name="--all", negative="")] = False,
+    mesh: Path | None = None,
+    mesh_unit: str = "auto",
+    settings: Annotated[tuple[str, ...], Parameter(name="--set")] = (),
+) -> int:
+    """Turn touches of one sensor into what another would have felt, and write every stage.
+
+    Parameters
+    ----------
+    recording
+        File or folder of any known format.
+    target
+        Sensor to translate to.
+    out
+        Folder for `frame_NNNN/stages.npz`, `frame_NNNN/sheet.png` and `report.json`.
+    sensor
+        The sensor that made the recording, where the file does not say; also chooses one of several streams.
+    stream
+        Name of the stream, where one sensor has several.
+    reference
+        Image of the untouched sensor, where the recording holds none.
+    calibration
+        Look-up made by `tactoscope calibrate balls`; the sensor's built-in one otherwise.
+    route
+        Way through the stages.
+    frame
+        The one frame to translate; the first one that touches if neither this nor --all is given.
+    all_frames
+        Translate every frame.
+    mesh
+        The touched object's mesh, for its pose.
+    mesh_unit
+        Unit of that mesh: mm, m, or auto.
+    settings
+        `stage.parameter=value`, as often as needed.
+    """
+    from pipeline.commands.translate import translate_frames
+    from pipeline.translate import Request
+
+    request = Request(
+        recording=recording, target=target, source=sensor, stream=stream, route=route,
+        reference=reference, calibration=calibration, mesh=mesh, mesh_unit=mesh_unit,
+    )  # fmt: skip
+    return translate_frames(request, out, frame, all_frames, settings)
+
+
+def balls(
+    presses: Path,
+    *,
+    sensor: str,
+    diameter_mm: float,
+    reference: Path,
+    out: Path,
+    pixel_mm: float | None = None,
+    pattern: str = "*",
+    seed: int = 0,
+) -> int:
+    """Fit a sensor's colour-to-slope look-up to presses of a ball, and report how well it fits.
+
+    Parameters
+    ----------
+    presses
+        Folder of images, one press each, anywhere on the gel.
+    sensor
+        The sensor that made them.
+    diameter_mm
+        Diameter of the ball.
+    reference
+        Image of the untouched sensor.
+    out
+        Look-up file to write (.npz).
+    pixel_mm
+        Width of a pixel on the gel; the sensor description's if not given.
+    pattern
+        Which file names of the folder to use, such as `ball_6.310mm_*`.
+    seed
+        Seed of the fit; the same seed gives the same look-up.
+    """
+    from pipeline.commands.calibrate import calibrate_balls_command
+
+    return calibrate_balls_command(presses, sensor, diameter_mm, reference, out, pixel_mm, pattern, seed)
+
+
+def doctor() -> int:
+    """Check that this machine has all that Tactoscope needs, and say what to do where it has not."""
+    from pipeline.commands.doctor import examine
+
+    return examine()

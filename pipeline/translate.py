@@ -1,0 +1,147 @@
+"""One translation as a user asks for it: a recording, two sensors, and what goes with them, opened and checked once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from pipeline import alignment as alignments
+from pipeline import rigid, routes
+from pipeline.alignment import Alignment
+from pipeline.arrays import freeze
+from pipeline.calibration import Calibration
+from pipeline.calibration import load as load_calibration
+from pipeline.errors import SettingProblem
+from pipeline.frames import Recording, Stream, TactileFrame, Truth
+from pipeline.graph import Graph
+from pipeline.meshes import Mesh, load_mesh
+from pipeline.recordings import open_recording
+from pipeline.sensors.spec import SensorSpec, sensor
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """What to translate into what; the empty string and None mean "as the recording says"."""
+
+    recording: Path
+    target: str
+    source: str = ""
+    stream: str = ""
+    route: str = "t2d2"
+    reference: Path | None = None
+    calibration: Path | None = None
+    mesh: Path | None = None
+    mesh_unit: str = "auto"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Translation:
+    """Everything the stages read, for every frame of one stream."""
+
+    request: Request
+    recording: Recording
+    stream: Stream
+    source: SensorSpec
+    target: SensorSpec
+    alignment: Alignment
+    calibration: Calibration | None
+    mesh: Mesh | None
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def n_frames(self) -> int:
+        """How many touches there are."""
+        return self.stream.n_frames
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """The stages of the route, in order."""
+        return routes.route(self.request.route)
+
+    def inputs(self, index: int) -> Mapping[str, object]:
+        """What the graph reads for frame `index`; raises FileProblem if that frame is damaged."""
+        return self.inputs_of(self.stream.frame(self.checked(index)))
+
+    def inputs_of(self, frame: TactileFrame) -> Mapping[str, object]:
+        """What the graph reads for a frame at hand."""
+        return {
+            "frame": frame,
+            "source": self.source,
+            "target": self.target,
+            "calibration": self.calibration,
+            "alignment": _aligned_to_own_reference(self.alignment, frame, self.source),
+            "mesh": self.mesh,
+        }
+
+    def truth_of_source(self, index: int) -> Truth | None:
+        """What is known of frame `index` on the source's side."""
+        return self.stream.truth(index)
+
+    def truth_of_target(self, index: int) -> tuple[TactileFrame, Truth | None] | None:
+        """What the target sensor really recorded of the same touch, None if it took no part."""
+        other = self.recording.stream_of_sensor(self.target.name)
+        if other is None or other.name == self.stream.name or index >= other.n_frames:
+            return None
+        return other.frame(index), other.truth(index)
+
+    def checked(self, index: int) -> int:
+        """`index` if there is such a frame; raises SettingProblem otherwise."""
+        if not 0 <= index < self.n_frames:
+            raise SettingProblem(f"no frame {index}; the recording has frames 0 to {self.n_frames - 1}")
+        return index
+
+
+def open_translation(request: Request) -> Translation:
+    """Open and check all that `request` names; raises TouchError with what is wrong and where."""
+    routes.route(request.route)
+    target = sensor(request.target)
+    recording = open_recording(request.recording, sensor=request.source, reference=request.reference)
+    stream = recording.stream(request.stream or request.source)
+    if not stream.sensor:
+        raise SettingProblem(f"the recording does not say which sensor made it; give --sensor: '{request.recording}'")
+    source = sensor(stream.sensor)
+    mesh = recording.object_mesh
+    if request.mesh is not None:
+        mesh = load_mesh(request.mesh, unit=request.mesh_unit)
+    return Translation(
+        request=request,
+        recording=recording,
+        stream=stream,
+        source=source,
+        target=target,
+        alignment=alignments.between(source, target),
+        calibration=None if request.calibration is None else load_calibration(request.calibration),
+        mesh=mesh,
+        notes=recording.notes,
+    )
+
+
+def new_graph() -> Graph:
+    """A graph of all the stages with an empty cache."""
+    return Graph(routes.STAGES)
+
+
+def _aligned_to_own_reference(alignment: Alignment, frame: TactileFrame, source: SensorSpec) -> Alignment:
+    """The alignment, with a depth camera of another build put where its own untouched membrane meets the description's.
+
+    A depth recording may come from a unit whose camera sits nearer or farther than the description says; what the
+    alignment is about is the membrane, so the two untouched membranes are brought together along the optical axis.
+    """
+    if not frame.is_depth or frame.reference is None or frame.camera is None:
+        return alignment
+    rest = frame.reference
+    rows, cols = rest.shape
+    centre = rest[rows * 2 // 5 : rows * 3 // 5 + 1, cols * 2 // 5 : cols * 3 // 5 + 1]
+    seen = centre[np.isfinite(centre) & (centre > 0)]
+    if not seen.size:
+        return alignment
+    r, c = source.rest_depth_mm.shape
+    told = source.rest_depth_mm[r * 2 // 5 : r * 3 // 5 + 1, c * 2 // 5 : c * 3 // 5 + 1]
+    shift = rigid.translation(0.0, 0.0, float(np.median(told) - np.median(seen)))
+    return Alignment(
+        alignment_from_source=freeze(alignment.alignment_from_source @ shift),
+        target_from_alignment=alignment.target_from_alignment,
+    )
