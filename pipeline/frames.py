@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from pipeline import rigid
 from pipeline.arrays import Doubles, Floats, Image, Mask
 from pipeline.camera import Camera
 from pipeline.errors import SettingProblem
@@ -61,6 +62,15 @@ def _nothing() -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Pairing:
+    """How two streams of one recording stand to each other, where the recording knows it."""
+
+    source: str  # name of a stream
+    target: str
+    target_from_source: Doubles  # (4, 4) mm
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Recording:
     """One or several sensors over the same touches: frame `i` of each stream is the same moment."""
 
@@ -68,6 +78,7 @@ class Recording:
     format: str  # words for the user: "tactoscope recording", "folder of images", ...
     streams: tuple[Stream, ...]
     object_mesh: Mesh | None = None
+    pairings: tuple[Pairing, ...] = ()
     notes: tuple[str, ...] = field(default=())  # plain sentences: what was assumed, converted or left out
     close: Callable[[], None] = _nothing
 
@@ -82,3 +93,12 @@ class Recording:
     def stream_of_sensor(self, sensor: str) -> Stream | None:
         """The stream that `sensor` recorded, None if it took no part."""
         return next((s for s in self.streams if s.sensor == sensor), None)
+
+    def target_from_source(self, source: str, target: str) -> Doubles | None:
+        """The transform between two streams by name, either way round; None where the recording does not know it."""
+        for pair in self.pairings:
+            if (pair.source, pair.target) == (source, target):
+                return pair.target_from_source
+            if (pair.source, pair.target) == (target, source):
+                return rigid.invert(pair.target_from_source)
+        return None

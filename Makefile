@@ -1,0 +1,50 @@
+# Two commands: `make run` shows the whole chain on the sample recording, `make test` passes the tests.
+# Both set up what they need, once.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+SAMPLE := sample_data/recordings/first_touch.h5
+
+.PHONY: run test setup lint slow bench samples clean
+
+run: $(READY)
+	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
+		$(BIN)/tactoscope view $(SAMPLE) --target soft_bubble --sensor gelslim; \
+	else \
+		xvfb-run -a -s "-screen 0 1600x950x24" \
+			$(BIN)/tactoscope view $(SAMPLE) --target soft_bubble --sensor gelslim --tour out; \
+	fi
+
+test: $(READY)
+	$(BIN)/python -m pytest -q -m "not slow"
+
+setup: $(READY)
+
+$(READY): pyproject.toml constraints.txt scripts/system-packages.sh
+	@PYTHON=$(PYTHON) scripts/system-packages.sh
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+		{ echo "Python 3.11 or newer is needed; give it with 'make PYTHON=/path/to/python3.11'" >&2; exit 1; }
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@echo "installing Python packages into $(VENV) (about 3 GB, once)"
+	@$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt torch
+	@$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
+
+lint: $(READY)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/pyright
+	$(BIN)/lint-imports
+
+slow: $(READY)
+	$(BIN)/python -m pytest -q -m slow
+
+bench: $(READY)
+	for question in benchmarks/*.py; do echo "== $$question"; $(BIN)/python $$question || exit 1; done
+
+samples: $(READY)
+	$(BIN)/python -m sample_data.make_samples
+
+clean:
+	rm -rf out build .pytest_cache .ruff_cache .hypothesis

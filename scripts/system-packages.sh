@@ -1,0 +1,38 @@
+#!/usr/bin/env bash
+# The Debian packages that Qt, VTK and open3d need: installed when root, otherwise the exact line to run is printed.
+# Qt's xcb plugin needs the libxcb ones, VTK the GL ones, open3d libusb, and tests without a screen Xvfb.
+set -euo pipefail
+
+packages=(
+  python3-venv
+  xvfb xauth fonts-dejavu-core
+  libgl1 libegl1 libgl1-mesa-dri libglx-mesa0 libegl-mesa0
+  libxcb-cursor0 libxcb-icccm4 libxcb-image0 libxcb-keysyms1 libxcb-randr0 libxcb-render-util0
+  libxcb-shape0 libxcb-sync1 libxcb-xfixes0 libxcb-xkb1 libxkbcommon-x11-0 libxkbcommon0 libx11-xcb1
+  libdbus-1-3 libfontconfig1 libfreetype6 libglib2.0-0 libgomp1 libusb-1.0-0
+)
+
+if ! command -v dpkg-query >/dev/null; then
+  echo "note: not a Debian system; 'tactoscope doctor' says which libraries are missing" >&2
+  exit 0
+fi
+
+missing=()
+for package in "${packages[@]}"; do
+  state=$(dpkg-query -W -f '${Status}' "$package" 2>/dev/null || true)
+  [[ $state == "install ok installed" ]] && continue
+  # A Python that brings venv itself does not need Debian's.
+  if [[ $package == python3-venv ]] && "${PYTHON:-python3}" -c 'import ensurepip, venv' 2>/dev/null; then continue; fi
+  missing+=("$package")
+done
+[[ ${#missing[@]} -eq 0 ]] && exit 0
+
+install=(apt-get install -y --no-install-recommends "${missing[@]}")
+if [[ $(id -u) -ne 0 ]]; then
+  echo "these system packages are missing; run this line, then make again:" >&2
+  echo "  sudo ${install[*]}" >&2
+  exit 1
+fi
+export DEBIAN_FRONTEND=noninteractive
+apt-get update -qq
+"${install[@]}" -qq >/dev/null

@@ -1,0 +1,50 @@
+"""The headless wall and the price of start-up, seen from a fresh interpreter."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = ("PyQt6", "qtpy", "pyvista", "pyvistaqt", "pyqtgraph", "vtk", "vtkmodules", "torch", "open3d", "numba", "matplotlib")
+EVERY_MODULE = """
+import importlib, json, pkgutil, sys
+import pipeline
+for module in pkgutil.walk_packages(pipeline.__path__, "pipeline."):
+    if not module.name.endswith(("_kernels", "__main__")):
+        importlib.import_module(module.name)
+print(json.dumps(sorted({name.partition(".")[0] for name in sys.modules})))
+"""
+HELP = """
+import json, sys
+from app.command import main
+sys.argv = ["tactoscope", "--help"]
+try:
+    main()
+except SystemExit as stop:
+    assert stop.code == 0, stop.code
+print(json.dumps(sorted({name.partition(".")[0] for name in sys.modules})))
+"""
+
+
+def loaded_by(code: str) -> set[str]:
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+def test_importing_every_module_of_the_pipeline_loads_no_gui_and_nothing_heavy():
+    assert loaded_by(EVERY_MODULE).isdisjoint(HEAVY)
+
+
+def test_help_loads_not_even_numpy():
+    assert loaded_by(HELP).isdisjoint((*HEAVY, "numpy", "scipy", "cv2", "h5py"))
+
+
+@pytest.mark.parametrize("name", ["torch", "open3d", "numba", "matplotlib"])
+def test_every_heavy_library_is_really_installed(name):
+    """Otherwise the two tests above would pass for the wrong reason."""
+    import importlib.util
+
+    assert importlib.util.find_spec(name) is not None
