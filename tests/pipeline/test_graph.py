@@ -47,11 +47,13 @@ def ran():
 
 @pytest.fixture
 def graph(ran):
-    return Graph((
-        ran.stage("double", ("x",), lambda x, p: Number(value=2 * x.value * p.amount)),
-        ran.stage("sign", ("double",), lambda d, p: Number(value=float(np.sign(d.value)), notes=("signed",))),
-        ran.stage("last", ("sign", "y"), lambda s, y, p: Number(value=s.value + y.value)),
-    ))
+    return Graph(
+        (
+            ran.stage("double", ("x",), lambda x, p: Number(value=2 * x.value * p.amount)),
+            ran.stage("sign", ("double",), lambda d, p: Number(value=float(np.sign(d.value)), notes=("signed",))),
+            ran.stage("last", ("sign", "y"), lambda s, y, p: Number(value=s.value + y.value)),
+        )
+    )
 
 
 X, Y = Number(value=3.0), Number(value=10.0)
@@ -152,7 +154,20 @@ def test_the_least_recently_used_entry_goes_first():
 def test_digests_tell_apart_what_is_different_and_only_that():
     a = np.arange(6, dtype=np.float32)
     assert digest(a) == digest(a.copy())
-    different = [a, a.astype(np.float64), a.reshape(2, 3), a + 1, 1, 1.0, True, "1", None, (1, 2), (1, (2,)), Number(value=1.0)]
+    different = [
+        a,
+        a.astype(np.float64),
+        a.reshape(2, 3),
+        a + 1,
+        1,
+        1.0,
+        True,
+        "1",
+        None,
+        (1, 2),
+        (1, (2,)),
+        Number(value=1.0),
+    ]
     assert len({digest(v) for v in different}) == len(different)
     with pytest.raises(TypeError):
         digest(object())

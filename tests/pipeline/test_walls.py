@@ -8,7 +8,19 @@ import sys
 
 import pytest
 
-HEAVY = ("PyQt6", "qtpy", "pyvista", "pyvistaqt", "pyqtgraph", "vtk", "vtkmodules", "torch", "open3d", "numba", "matplotlib")
+HEAVY = (
+    "PyQt6",
+    "qtpy",
+    "pyvista",
+    "pyvistaqt",
+    "pyqtgraph",
+    "vtk",
+    "vtkmodules",
+    "torch",
+    "open3d",
+    "numba",
+    "matplotlib",
+)
 EVERY_MODULE = """
 import importlib, json, pkgutil, sys
 import pipeline
