@@ -30,6 +30,7 @@ class Cloud:
     points_mm: Floats  # (n, 3)
     source_index: Indices  # (n,) -> pixel of DepthMap
     grid_shape: tuple[int, int]  # of that DepthMap, so that neighbours can be found again
+    stride: int = 1  # every stride-th row and column of it was looked at: neighbours are this far apart
     notes: tuple[str, ...] = ()
 
 

@@ -1,0 +1,99 @@
+"""Adaptation: the contact pixels as points in the target sensor's frame (paper, depth adaptation stage, eq. P_T)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline import rigid
+from pipeline.alignment import Alignment
+from pipeline.arrays import Doubles, Floats, Mask, freeze
+from pipeline.camera import MIN_DEPTH_MM, Camera
+from pipeline.errors import ShapeError
+from pipeline.params import setting
+from pipeline.progress import SILENT, Progress
+from pipeline.stages.results import Cloud, DepthMap
+
+NO_CONTACT = "no contact: there is nothing to carry over"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AdaptParams:
+    """How densely the source grid is carried over."""
+
+    stride: int = setting(
+        1, "Every n-th pixel", unit="px", low=1, high=16, step=1, help="more than 1 is a faster, coarser preview"
+    )
+
+
+def adapt(depth: DepthMap, alignment: Alignment, params: AdaptParams, progress: Progress = SILENT) -> Cloud:
+    """Contact points (n, 3) in the target frame, mm, in the order of their pixels.
+
+    P_T = { T_S->T (D_S'(u,v) K_S^-1 (u, v, 1)^T) : M_S'(u,v) = 1 }, computed in float64 and rounded to float32 once.
+    Raises ShapeError when the arrays do not fit the camera, CalibrationError when the alignment is not rigid.
+    """
+    progress.step(0.0, "carrying contact pixels to the target frame")
+    if depth.depth_mm.shape != depth.camera.shape or depth.contact.shape != depth.camera.shape:
+        raise ShapeError(
+            f"depth_mm and contact must have the shape {depth.camera.shape} of their camera, "
+            f"got {depth.depth_mm.shape} and {depth.contact.shape}"
+        )
+    target_from_source = rigid.checked(alignment.target_from_source, "the alignment T_S->T")
+    wanted = _every(depth.contact, params.stride)
+    usable = wanted & (depth.depth_mm > MIN_DEPTH_MM) & (depth.depth_mm < np.inf)  # false for NaN as well
+    pixel = np.flatnonzero(usable)
+    points = _points(depth.depth_mm, pixel, depth.camera, target_from_source)
+    progress.step(1.0, "carried over")
+    return Cloud(
+        points_mm=freeze(points),
+        source_index=freeze(pixel.astype(np.int32)),
+        grid_shape=depth.camera.shape,
+        stride=params.stride,
+        notes=_notes(n_wanted=int(np.count_nonzero(wanted)), n_points=pixel.size, stride=params.stride),
+    )
+
+
+def without_contact(depth: DepthMap, alignment: Alignment, params: AdaptParams) -> Cloud | None:  # noqa: ARG001
+    """The empty cloud when no pixel is in contact, else None; same inputs as `adapt`."""
+    if depth.contact.any():
+        return None
+    return Cloud(
+        points_mm=freeze(np.empty((0, 3), dtype=np.float32)),
+        source_index=freeze(np.empty(0, dtype=np.int32)),
+        grid_shape=depth.camera.shape,
+        stride=params.stride,
+        notes=(NO_CONTACT,),
+    )
+
+
+def _every(mask: Mask, stride: int) -> Mask:
+    if stride == 1:
+        return mask
+    kept = np.zeros_like(mask)
+    kept[::stride, ::stride] = mask[::stride, ::stride]
+    return kept
+
+
+def _points(depth_mm: Floats, pixel: NDArray[np.intp], camera: Camera, target_from_source: Doubles) -> Floats:
+    """The points z (R (x/z, y/z, 1)) + t of flat pixels: K^-1 is applied as the ray of a row and a column."""
+    row, col = np.divmod(pixel, camera.cols)
+    ray_x, ray_y = camera.rays()
+    x, y, z = ray_x[col], ray_y[row], depth_mm.ravel()[pixel].astype(np.float64)
+    points = np.empty((pixel.size, 3), dtype=np.float32)
+    for axis in range(3):
+        a, b, c, t = target_from_source[axis]
+        points[:, axis] = z * (a * x + b * y + c) + t
+    return points
+
+
+def _notes(*, n_wanted: int, n_points: int, stride: int) -> tuple[str, ...]:
+    notes: list[str] = []
+    if n_wanted == 0:
+        notes.append(NO_CONTACT if stride == 1 else f"no contact pixel among every {stride}th; lower the stride")
+    elif n_points < n_wanted:
+        notes.append(f"{n_wanted - n_points:,} of {n_wanted:,} contact pixels have no depth and were left out")
+    if stride > 1 and n_points:
+        notes.append(f"preview: every {stride}th row and column")
+    return tuple(notes)
