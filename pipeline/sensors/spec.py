@@ -56,15 +56,27 @@ class Led:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Glow:
+    """A coloured patch of the untouched picture: a Gaussian lobe, in halves of the image from its centre."""
+
+    x: float  # -1 = left edge, 1 = right edge
+    y: float  # -1 = top edge, 1 = bottom edge
+    width: float  # where the lobe has fallen to 1/e
+    height: float
+    rgb: tuple[float, float, float]  # grey levels at its middle
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Optics:
     """How the gel's slope becomes colour."""
 
-    base_rgb: tuple[float, float, float]  # untouched colour at the image centre, grey levels 0..255
+    base_rgb: tuple[float, float, float]  # untouched colour under the glows, grey levels 0..255
     leds: tuple[Led, ...]
     falloff: float  # share of an LED's light lost from its own side to the far side of the image
     vignette: float  # share of light lost in the corners
     blur_px: float
     noise_grey: float
+    glows: tuple[Glow, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,6 +86,7 @@ class Markers:
     pitch_mm: float
     radius_mm: float
     darkness: float  # 1 = black
+    twin_mm: float = 0.0  # distance, across the image, of the two halves of a doubled dot; 0 = a single dot
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -172,6 +185,10 @@ class _Section:
             self._assumed.append(where)
         return entry["value"]
 
+    def has(self, key: str) -> bool:
+        """Whether an optional number is given."""
+        return key in self._items
+
     def number(self, key: str, unit: str, low: float = -np.inf, high: float = np.inf) -> float:
         """A number within [low, high]."""
         value = float(self.raw(key, unit))
@@ -264,24 +281,23 @@ def _bubble(s: _Section) -> Bubble:
 
 
 def _optics(s: _Section, data: dict[str, Any], path: Path) -> Optics:
-    leds = data["optics"].get("leds")
-    if not isinstance(leds, list) or not leds:
+    parsed = tuple(
+        Led(azimuth_deg=v[0], elevation_deg=v[1], rgb=(v[2], v[3], v[4]))
+        for v in _lights(data, "leds", ("azimuth_deg", "elevation_deg"), path)
+    )
+    if not parsed:
         raise CalibrationError(f"optics.leds must list at least one LED: '{path}'")
-    parsed: list[Led] = []
-    for led in cast("list[dict[str, Any]]", leds):
-        try:
-            r, g, b = (float(v) for v in led["rgb"])
-            parsed.append(
-                Led(azimuth_deg=float(led["azimuth_deg"]), elevation_deg=float(led["elevation_deg"]), rgb=(r, g, b))
-            )
-        except (KeyError, TypeError, ValueError) as error:
-            raise CalibrationError(
-                f"each of optics.leds needs azimuth_deg, elevation_deg and rgb, got {led!r}: '{path}'"
-            ) from error
+    glows = tuple(
+        Glow(x=v[0], y=v[1], width=v[2], height=v[3], rgb=(v[4], v[5], v[6]))
+        for v in _lights(data, "glows", ("x", "y", "width", "height"), path)
+    )
+    if any(g.width <= 0 or g.height <= 0 for g in glows):
+        raise CalibrationError(f"optics.glows must have a positive width and height: '{path}'")
     base = s.vector("base", "rgb")
     return Optics(
         base_rgb=(base[0], base[1], base[2]),
-        leds=tuple(parsed),
+        leds=parsed,
+        glows=glows,
         falloff=s.number("falloff", "1", 0.0, 1.0),
         vignette=s.number("vignette", "1", 0.0, 1.0),
         blur_px=s.number("blur", "px", 0.0),
@@ -289,9 +305,29 @@ def _optics(s: _Section, data: dict[str, Any], path: Path) -> Optics:
     )
 
 
+def _lights(data: dict[str, Any], key: str, numbers: tuple[str, ...], path: Path) -> list[tuple[float, ...]]:
+    """The list optics.`key`: of every entry its `numbers`, then r, g, b."""
+    entries = data["optics"].get(key, [])
+    told = f"each of optics.{key} needs {', '.join(numbers)} and rgb"
+    if not isinstance(entries, list):
+        raise CalibrationError(f"{told}, got {entries!r}: '{path}'")
+    values: list[tuple[float, ...]] = []
+    for entry in cast("list[dict[str, Any]]", entries):
+        try:
+            r, g, b = (float(v) for v in entry["rgb"])
+            value = (*(float(entry[name]) for name in numbers), r, g, b)
+        except (KeyError, TypeError, ValueError) as error:
+            raise CalibrationError(f"{told}, got {entry!r}: '{path}'") from error
+        if not np.isfinite(value).all():
+            raise CalibrationError(f"{told} as finite numbers, got {entry!r}: '{path}'")
+        values.append(value)
+    return values
+
+
 def _markers(s: _Section) -> Markers:
     return Markers(
         pitch_mm=s.number("pitch", "mm", 0.1),
         radius_mm=s.number("radius", "mm", 0.0),
         darkness=s.number("darkness", "1", 0.0, 1.0),
+        twin_mm=s.number("twin", "mm", 0.0) if s.has("twin") else 0.0,
     )
