@@ -1,0 +1,213 @@
+"""Depth of a gel: colour change -> slopes -> surface, worked out only around what has moved."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+
+from pipeline import contact, markers, slope_model
+from pipeline.arrays import Floats, Image, Mask, freeze
+from pipeline.calibration import Calibration, check_for
+from pipeline.errors import ShapeError
+from pipeline.frames import TactileFrame
+from pipeline.poisson import Boundary, integrate
+from pipeline.progress import Progress
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.pixel_index import pixel_index
+from pipeline.stages.results import DepthMap
+
+_BLOCK_PX = 8  # changes are looked for in blocks of this width
+_GROWS_FROM = 0.35  # share of the no-touch limit down to which a touched region is followed outward
+_MARGIN_MM = 1.0  # the gel relaxes to nothing within about this distance of the last visible change
+_SATURATED_GREY = 254
+_PRESSURE_BLUR_PX = 1.5
+_SPECK_MM2 = 0.15  # smaller contacts are camera noise
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Window:
+    """The part of the image that is worked on."""
+
+    rows: slice
+    cols: slice
+    moved: Mask  # (rows, cols) of the window: where the picture has changed
+
+
+def largest_change(image: Image, reference: Image) -> float:
+    """Largest mean absolute change of a block of 8 x 8 pixels, in grey levels; infinite if the image is black."""
+    blocks = _block_change(image, reference)
+    return float(blocks.max()) if int(image.max()) > 2 else math.inf
+
+
+def _block_change(image: Image, reference: Image) -> Floats:
+    import cv2
+
+    # Whole blocks only: the last few rows and columns are dropped, which makes the mean ten times as fast.
+    rows, cols = (max(1, n // _BLOCK_PX) for n in image.shape[:2])
+    inside = (slice(0, max(rows * _BLOCK_PX, 1)), slice(0, max(cols * _BLOCK_PX, 1)))
+    change = cv2.absdiff(image[inside], reference[inside])
+    return np.asarray(cv2.resize(change, (cols, rows), interpolation=cv2.INTER_AREA))
+
+
+def depth(
+    frame: TactileFrame,
+    source: SensorSpec,
+    calibration: Calibration,
+    *,
+    no_touch_grey: float,
+    least_mm: float,
+    pressure_share: float,
+    smoothing_px: float,
+    boundary: Boundary,
+    progress: Progress,
+) -> DepthMap:
+    """The depth of one gel picture, see `pipeline.stages.depth.depth`; the frame has been checked there."""
+    image, reference = cast("Image", frame.image), cast("Image | None", frame.reference)
+    if reference is None:
+        raise ShapeError("a gel's depth needs a reference image")
+    check_for(calibration, source.name, image)
+    shape = source.camera.shape
+    indentation, touched = np.zeros(shape, np.float32), np.zeros(shape, np.bool_)
+    notes: list[str] = []
+    window = _window(image, reference, no_touch_grey, calibration.pixel_mm)
+    if window is None:
+        notes.append("nothing touches the sensor")
+    else:
+        here = (window.rows, window.cols)
+        gx, gy, told = _slopes(image, reference, source, calibration, window, smoothing_px)
+        notes += told
+        progress.step(0.5, "integrating slopes")
+        surface = _surface(gx, gy, window, calibration.pixel_mm, boundary, shape)
+        speck = max(4, round(_SPECK_MM2 / calibration.pixel_mm**2))
+        pressed = contact.touched(
+            surface, least_mm=least_mm, pressure_share=pressure_share, smoothing_px=_PRESSURE_BLUR_PX
+        )
+        touched[here] = contact.without_specks(pressed, speck)
+        indentation[here] = surface
+        notes += _limits(indentation, touched, source.limits.indentation_max_mm, least_mm)
+    progress.step(1.0, "depth is ready")
+    return DepthMap(
+        indentation_mm=freeze(indentation),
+        depth_mm=freeze((source.rest_depth_mm - indentation).astype(np.float32)),
+        contact=freeze(touched),
+        camera=source.camera,
+        source_index=pixel_index(shape),
+        notes=tuple(notes),
+    )
+
+
+def _window(image: Image, reference: Image, no_touch_grey: float, pixel_mm: float) -> _Window | None:
+    """The box around everything that has changed, grown by the gel's relaxation; None where nothing has."""
+    import cv2
+
+    blocks = _block_change(image, reference).max(axis=2).astype(np.float32)
+    # What the whole picture does (drift of the light) is no touch.
+    low = max(_GROWS_FROM * no_touch_grey, 2.5 * float(np.median(blocks)))
+    n, regions = cv2.connectedComponents((blocks > low).astype(np.uint8), connectivity=8)
+    strong = np.zeros(n, np.bool_)
+    strong[np.unique(regions[blocks >= max(no_touch_grey, low)])] = True
+    strong[0] = False
+    if not strong.any():
+        return None
+    rows, cols = image.shape[:2]
+    grow = 2 * math.ceil(_MARGIN_MM / pixel_mm / _BLOCK_PX) + 1
+    moved = cv2.dilate(strong[regions].astype(np.uint8), np.ones((grow, grow), np.uint8))
+    tall, wide = moved.shape[0] * _BLOCK_PX, moved.shape[1] * _BLOCK_PX
+    full = cv2.resize(moved, (wide, tall), interpolation=cv2.INTER_NEAREST)[:rows, :cols].astype(np.bool_)
+    full = np.pad(full, ((0, max(0, rows - tall)), (0, max(0, cols - wide))), "edge")
+    r, c = np.flatnonzero(full.any(axis=1)), np.flatnonzero(full.any(axis=0))
+    edge = _BLOCK_PX
+    box = (
+        slice(max(0, int(r[0]) - edge), min(rows, int(r[-1]) + edge + 1)),
+        slice(max(0, int(c[0]) - edge), min(cols, int(c[-1]) + edge + 1)),
+    )
+    return _Window(rows=box[0], cols=box[1], moved=np.ascontiguousarray(full[box]))
+
+
+def _slopes(
+    image: Image,
+    reference: Image,
+    source: SensorSpec,
+    calibration: Calibration,
+    window: _Window,
+    smoothing_px: float,
+) -> tuple[Floats, Floats, list[str]]:
+    import cv2
+
+    part, still = image[window.rows, window.cols], reference[window.rows, window.cols]
+    notes: list[str] = []
+    change = part.astype(np.float32) - still.astype(np.float32)
+    bright = still
+    if source.markers is not None:
+        hidden = markers.marker_mask(part, source.markers, calibration.pixel_mm)
+        printed = markers.marker_mask(still, source.markers, calibration.pixel_mm)
+        reach = max(1.0, source.markers.radius_mm / calibration.pixel_mm / 2)
+        change = markers.inpainted(change, hidden | printed, reach)
+        bright = markers.inpainted(still.astype(np.float32), printed, reach)
+        notes.append("slopes under the printed markers were filled in from around them")
+    if smoothing_px > 0:
+        change = np.asarray(cv2.GaussianBlur(change, (0, 0), smoothing_px), np.float32)
+    clipped = (part >= _SATURATED_GREY).any(axis=2) & window.moved
+    if clipped.sum() > 0.01 * window.moved.sum():
+        notes.append(f"{int(clipped.sum())} pixels are saturated: slopes there are doubtful")
+    u, v = slope_model.position((calibration.rows, calibration.cols))
+    gx, gy = slope_model.evaluate(
+        calibration.model, change * slope_model.gain(bright), u[window.cols], v[window.rows], window.moved
+    )
+    return gx, gy, notes
+
+
+def _surface(
+    gx: Floats, gy: Floats, window: _Window, pixel_mm: float, boundary: Boundary, shape: tuple[int, int]
+) -> Floats:
+    """The integrated indentation of the window, level at its rest outside what has moved.
+
+    A touch at the image border is mirrored there: the gel beyond is not seen, and not known to be at rest.
+    """
+    pad_rows = (gx.shape[0] if window.rows.start == 0 else 0, gx.shape[0] if window.rows.stop >= shape[0] else 0)
+    pad_cols = (gx.shape[1] if window.cols.start == 0 else 0, gx.shape[1] if window.cols.stop >= shape[1] else 0)
+    if boundary == "free" or (all(pad_rows) and all(pad_cols)):
+        z = integrate(gx, gy, pixel_mm, "free")
+    else:
+        widths = (_one(pad_rows), _one(pad_cols))
+        x = np.pad(np.pad(gx, (widths[0], (0, 0)), "symmetric"), ((0, 0), widths[1]), "symmetric")
+        y = np.pad(gy, widths, "symmetric")
+        _negate_mirrored(x, widths[1], 1)
+        _negate_mirrored(y, widths[0], 0)
+        z = integrate(np.ascontiguousarray(x), np.ascontiguousarray(y), pixel_mm, "flat")
+        z = z[widths[0][0] : z.shape[0] - widths[0][1], widths[1][0] : z.shape[1] - widths[1][1]]
+    outside = ~window.moved
+    level = float(np.median(z[outside])) if outside.any() else float(z.min())
+    return np.ascontiguousarray(np.where(window.moved, z - np.float32(level), np.float32(0.0)))
+
+
+def _one(pad: tuple[int, int]) -> tuple[int, int]:
+    return pad if not all(pad) else (pad[0], 0)
+
+
+def _negate_mirrored(g: Floats, width: tuple[int, int], axis: int) -> None:
+    """The slope across a mirror changes its sign behind it."""
+    view = np.moveaxis(g, axis, 0)
+    view[: width[0]] *= -1.0
+    if width[1]:
+        view[-width[1] :] *= -1.0
+
+
+def _limits(indentation: Floats, touched: Mask, largest_mm: float, least_mm: float) -> list[str]:
+    """Bring the indentation within the sensor's reach, and say what was brought."""
+    notes: list[str] = []
+    beyond = indentation > largest_mm
+    if beyond.any():
+        notes.append(f"{int(beyond.sum())} pixels were deeper than the sensor's {largest_mm:g} mm and were cut to that")
+        np.minimum(indentation, np.float32(largest_mm), out=indentation)
+    quiet = (np.abs(indentation) < least_mm) & ~touched
+    indentation[quiet] = 0.0
+    edge = np.concatenate([touched[0], touched[-1], touched[:, 0], touched[:, -1]])
+    if edge.any():
+        notes.append("the contact reaches the image border: what lies beyond is not seen")
+    if not touched.any():
+        notes.append("the picture has changed, but nothing presses hard enough to be a contact")
+    return notes
