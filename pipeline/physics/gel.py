@@ -1,0 +1,196 @@
+"""A gel pad in contact: an elastic layer bonded to a rigid back, pressed without friction or adhesion.
+
+Contact is the complementarity problem p >= 0, u >= overlap, p (u - overlap) = 0 over the layer of `gel_layer`, solved
+by the constrained conjugate gradients of Polonsky and Keer (1999) with one or two FFT convolutions a step.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import Floats, Mask, freeze
+from pipeline.errors import ShapeError
+from pipeline.physics import gel_layer
+from pipeline.sensors.spec import Gel
+
+TOLERANCE_MM = 1e-4  # a tenth of a micrometre: far below what any camera resolves
+MAX_STEPS = 400
+_KPA_TO_N_MM2 = 1e-3
+_BULGE = 0.3  # share of the deepest press by which the gel can rise beside it: what may touch without overlap
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GelContact:
+    """The pressed gel; arrays are (rows, cols)."""
+
+    indentation_mm: Floats  # u: towards the camera; negative where the gel bulges out
+    contact: Mask  # pressure > 0
+    pressure_kpa: Floats
+    force_n: float
+    steps: int
+    residual_mm: float  # largest overlap left, or gap under a pressure
+    converged: bool
+
+
+def press(
+    gel: Gel,
+    pixel_mm: float,
+    overlap_mm: NDArray[np.floating],
+    *,
+    tolerance_mm: float = TOLERANCE_MM,
+    max_steps: int = MAX_STEPS,
+) -> GelContact:
+    """The gel under a rigid object that reaches `overlap_mm` (rows, cols) past its rest surface.
+
+    Not finite or negative overlap: the object is not there, or does not reach the rest surface there.
+    """
+    overlap = _checked(overlap_mm, pixel_mm)
+    deepest = float(overlap.max(initial=-np.inf))
+    if deepest <= 0:
+        return _no_contact(overlap.shape)
+    box = _bounds(overlap > -_BULGE * deepest)
+    while True:
+        pressure, steps, residual = _polonsky_keer(gel, pixel_mm, overlap[box], tolerance_mm, max_steps)
+        whole = np.zeros(overlap.shape, np.float32)
+        whole[box] = pressure
+        u = gel_layer.layer(gel, pixel_mm, overlap.shape).displacement(whole)
+        everywhere = (slice(0, overlap.shape[0]), slice(0, overlap.shape[1]))
+        if box == everywhere or float((overlap - u).max()) <= max(2 * residual, tolerance_mm):
+            return _result(u, whole, pixel_mm, steps, residual, residual <= tolerance_mm)
+        box = everywhere  # the bulge met the object outside the guessed box
+
+
+def relax(
+    gel: Gel,
+    pixel_mm: float,
+    prescribed_mm: NDArray[np.floating],
+    mask: Mask,
+    *,
+    tolerance_mm: float = TOLERANCE_MM,
+    max_steps: int = MAX_STEPS,
+) -> GelContact:
+    """The surface of least elastic energy that equals `prescribed_mm` on `mask`; it may pull as well as push.
+
+    Conjugate gradients on the masked operator, preconditioned with the inverse of the unmasked one.
+    """
+    target = _checked(np.where(mask, prescribed_mm, 0.0), pixel_mm)
+    if not mask.any():
+        return _no_contact(target.shape)
+    box = _bounds(mask)
+    layer, inside = gel_layer.layer(gel, pixel_mm, target[box].shape), mask[box]
+    pressure = np.zeros(inside.shape, np.float32)
+    left = np.where(inside, target[box], np.float32(0))
+    step = np.zeros_like(pressure)
+    energy, steps, worst = 1.0, 0, float(np.abs(left).max())
+    while worst > tolerance_mm and steps < max_steps:
+        preconditioned = np.where(inside, layer.pressure(left), np.float32(0))
+        new_energy = _dot(left, preconditioned)
+        step = preconditioned + np.float32(new_energy / energy if steps else 0.0) * step
+        moved = np.where(inside, layer.displacement(step), np.float32(0))
+        length = np.float32(new_energy / _dot(step, moved))
+        pressure, left, energy = pressure + length * step, left - length * moved, new_energy
+        steps, worst = steps + 1, float(np.abs(left).max())
+    whole = np.zeros(target.shape, np.float32)
+    whole[box] = pressure
+    u = gel_layer.layer(gel, pixel_mm, target.shape).displacement(whole)
+    return _result(u, whole, pixel_mm, steps, worst, worst <= tolerance_mm)
+
+
+def _polonsky_keer(
+    gel: Gel, pixel_mm: float, overlap: Floats, tolerance_mm: float, max_steps: int
+) -> tuple[Floats, int, float]:
+    """(pressure, steps, residual in mm) on the box of `overlap`."""
+    layer = gel_layer.layer(gel, pixel_mm, overlap.shape)
+    stiffness = 1.0 / float(layer.displacement(np.ones(overlap.shape, np.float32)).max())
+    pressure = np.maximum(overlap, 0) * np.float32(stiffness)
+    u = layer.displacement(pressure)
+    direction = np.zeros_like(pressure)
+    norm, conjugate, residual = 1.0, False, np.inf
+    for step in range(max_steps):
+        gap = u - overlap
+        touching = pressure > 0
+        residual = max(float(np.abs(gap[touching]).max(initial=0.0)), float(-gap.min()))
+        if residual <= tolerance_mm:
+            return pressure, step, residual
+        along = np.where(touching, gap, np.float32(0))
+        new_norm = _dot(along, along)
+        direction = along + np.float32(new_norm / norm if conjugate else 0.0) * np.where(
+            touching, direction, np.float32(0)
+        )
+        norm = new_norm
+        moved = layer.displacement(direction)
+        curvature = _dot(direction, moved)
+        if curvature <= 0:  # nothing touches yet: push where it overlaps
+            pressure = np.where(gap < 0, np.float32(-stiffness) * gap, pressure)
+            u, conjugate = layer.displacement(pressure), False
+            continue
+        length = np.float32(_dot(along, direction) / curvature)
+        trial = pressure - length * direction
+        clipped = trial < 0
+        entering = ~touching & (gap < 0)
+        conjugate = not entering.any()
+        if conjugate and not clipped.any():
+            pressure, u = trial, u - length * moved
+            if step % 20 == 19:
+                u = layer.displacement(pressure)  # shed the rounding that the recursion gathers
+            continue
+        trial[clipped] = 0
+        trial[entering] -= length * gap[entering]
+        pressure = trial
+        u = layer.displacement(pressure)
+    return pressure, max_steps, residual
+
+
+def _dot(a: Floats, b: Floats) -> float:
+    return float(np.einsum("ij,ij->", a, b, dtype=np.float64))
+
+
+def _checked(overlap_mm: NDArray[np.floating], pixel_mm: float) -> Floats:
+    if overlap_mm.ndim != 2 or min(overlap_mm.shape) < 2:
+        raise ShapeError(f"a gel needs a grid of at least 2 x 2 pixels, got shape {overlap_mm.shape}")
+    if not (math.isfinite(pixel_mm) and pixel_mm > 0):
+        raise ShapeError(f"the pixel width must be a positive length in mm, got {pixel_mm!r}")
+    overlap = np.asarray(overlap_mm, dtype=np.float32)
+    return np.where(np.isfinite(overlap), overlap, np.float32(-1e6))
+
+
+def _bounds(mask: Mask) -> tuple[slice, slice]:
+    """The box of a mask, grown to at least 2 x 2."""
+    rows, cols = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+
+    def span(found: NDArray[np.intp], n: int) -> slice:
+        low, high = int(found[0]), int(found[-1]) + 1
+        return slice(min(low, n - 2), max(high, min(low, n - 2) + 2))
+
+    return span(rows, mask.shape[0]), span(cols, mask.shape[1])
+
+
+def _no_contact(shape: tuple[int, ...]) -> GelContact:
+    nothing = np.zeros(shape, np.float32)
+    return GelContact(
+        indentation_mm=freeze(nothing),
+        contact=freeze(np.zeros(shape, np.bool_)),
+        pressure_kpa=freeze(nothing.copy()),
+        force_n=0.0,
+        steps=0,
+        residual_mm=0.0,
+        converged=True,
+    )
+
+
+def _result(
+    u: Floats, pressure: Floats, pixel_mm: float, steps: int, residual_mm: float, converged: bool
+) -> GelContact:
+    return GelContact(
+        indentation_mm=freeze(u),
+        contact=freeze(pressure > 0),
+        pressure_kpa=freeze(pressure),
+        force_n=float(pressure.sum(dtype=np.float64)) * pixel_mm**2 * _KPA_TO_N_MM2,
+        steps=steps,
+        residual_mm=residual_mm,
+        converged=converged,
+    )

@@ -1,0 +1,125 @@
+"""The elastic answer of a gel pad: displacement of its surface under a pressure, as an FFT convolution.
+
+A layer bonded to a rigid back answers a pressure of wavenumber q with (Johnson, Contact Mechanics; methods 1.3)
+
+    U(q) = 2 / (E* q) K(q t) P(q),   K(x) = ((3-4v) sinh 2x - 2x) / ((3-4v) cosh 2x + 2x^2 + 5 - 12v + 8v^2)
+
+An infinite thickness is a half-space, whose pixel answers are Love's.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from pipeline.arrays import Doubles, Floats, freeze
+from pipeline.sensors.spec import Gel
+
+_LARGEST_X = 40.0  # K is 1 to double precision long before sinh overflows
+_REACH = 8.0  # thicknesses: there the kernel of a nearly incompressible layer has faded below 1e-4 of its peak
+_REACH_MAX_PX = 1024  # beyond any picture; keeps the table of a very thick pad small
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layer:
+    """The elastic answer of the pad as a convolution over a zero-padded grid: exact, nothing wraps around."""
+
+    shape: tuple[int, int]
+    padded: tuple[int, int]
+    symbol: Doubles | Floats  # mm per kPa of each wave
+    inverse: Floats  # kPa per mm of each wave, always positive
+
+    def displacement(self, pressure_kpa: Floats) -> Floats:
+        """Surface displacement in mm under a pressure, same grid."""
+        return self._filtered(pressure_kpa, self.symbol)
+
+    def pressure(self, displacement_mm: Floats) -> Floats:
+        """Pressure that would make the displacement on a periodic pad: the preconditioner."""
+        return self._filtered(displacement_mm, self.inverse)
+
+    def _filtered(self, field: Floats, symbol: Doubles | Floats) -> Floats:
+        from scipy import fft
+
+        waves: Any = fft.rfft2(field, s=self.padded, workers=2)
+        waves *= symbol
+        back: Any = fft.irfft2(waves, s=self.padded, workers=2, overwrite_x=True)
+        return np.ascontiguousarray(back[: self.shape[0], : self.shape[1]])
+
+
+@lru_cache(maxsize=24)
+def layer(gel: Gel, pixel_mm: float, shape: tuple[int, int]) -> Layer:
+    """The pad's answer over a grid of `shape`; the last few are kept."""
+    # Pixels hear each other over n - 1 steps; in a thin layer no farther than the reach of its kernel.
+    reach = _reach_px(gel, pixel_mm)
+    heard = tuple(min(n - 1, reach) for n in shape)
+    padded = fast_length(shape[0] + heard[0]), fast_length(shape[1] + heard[1])
+    rows, cols = (np.arange(-n, n + 1) for n in heard)
+    around = np.zeros(padded)
+    around[np.ix_(rows, cols)] = _kernel(gel, pixel_mm, heard)
+    inverse = 1.0 / _layer_symbol(gel, pixel_mm, padded)
+    return Layer(
+        shape=shape,
+        padded=padded,
+        symbol=freeze(np.fft.rfft2(around).real.astype(np.float32)),  # even in x and y, so real
+        inverse=freeze(inverse.astype(np.float32)),
+    )
+
+
+def fast_length(n: int) -> int:
+    """The next length that a Fourier transform is quick at."""
+    from scipy import fft
+
+    return int(fft.next_fast_len(n, real=True))  # pyright: ignore[reportArgumentType] (dispatch hides the type)
+
+
+def _reach_px(gel: Gel, pixel_mm: float) -> int:
+    if math.isinf(gel.thickness_mm):
+        return 10**6
+    return min(math.ceil(_REACH * gel.thickness_mm / pixel_mm), _REACH_MAX_PX)
+
+
+def _kernel(gel: Gel, pixel_mm: float, heard: tuple[int, ...]) -> Doubles:
+    """Displacement (2 heard + 1 along each axis) in mm around one pixel under 1 kPa."""
+    if math.isinf(gel.thickness_mm):
+        y, x = (np.arange(-n, n + 1, dtype=np.float64) * pixel_mm for n in heard)
+        return _love(gel, pixel_mm, x[None, :], y[:, None])
+    wide = _layer_kernel(gel, pixel_mm)
+    middle = wide.shape[0] // 2
+    return wide[middle - heard[0] : middle + heard[0] + 1, middle - heard[1] : middle + heard[1] + 1]
+
+
+@lru_cache(maxsize=8)
+def _layer_kernel(gel: Gel, pixel_mm: float) -> Doubles:
+    n = 2 * _reach_px(gel, pixel_mm) + 2
+    symbol = _layer_symbol(gel, pixel_mm, (n, n))
+    return freeze(np.fft.fftshift(np.fft.irfft2(symbol, s=(n, n))))
+
+
+def _layer_symbol(gel: Gel, pixel_mm: float, padded: tuple[int, int]) -> Doubles:
+    v, t = gel.poisson, gel.thickness_mm
+    qy = 2 * np.pi * np.fft.fftfreq(padded[0], pixel_mm)[:, None]
+    qx = 2 * np.pi * np.fft.rfftfreq(padded[1], pixel_mm)[None, :]
+    q = np.hypot(qx, qy)
+    q[0, 0] = 0.5 * q[0, 1]
+    x = np.minimum(q * t, _LARGEST_X)
+    k = ((3 - 4 * v) * np.sinh(2 * x) - 2 * x) / ((3 - 4 * v) * np.cosh(2 * x) + 2 * x * x + 5 - 12 * v + 8 * v * v)
+    symbol = 2.0 * (1 - v * v) / (gel.youngs_kpa * q) * k
+    if math.isfinite(t):
+        # A layer that nothing can compress would not move at all as a whole; a trace keeps the operator definite.
+        symbol[0, 0] = max(t * (1 + v) * (1 - 2 * v) / (1 - v), 1e-6 * t) / gel.youngs_kpa
+    return symbol
+
+
+def _love(gel: Gel, pixel_mm: float, x: Doubles, y: Doubles) -> Doubles:
+    """Love's displacement of a half-space under a uniform pressure on one pixel (Boussinesq over a square)."""
+    h = pixel_mm / 2
+
+    def corner(cx: Doubles, cy: Doubles) -> Doubles:
+        return cx * np.arcsinh(cy / np.abs(cx)) + cy * np.arcsinh(cx / np.abs(cy))
+
+    square = corner(x + h, y + h) + corner(x - h, y - h) - corner(x + h, y - h) - corner(x - h, y + h)
+    return square * (1 - gel.poisson**2) / (np.pi * gel.youngs_kpa)
