@@ -1,0 +1,65 @@
+"""An object's surface as evenly spread points with normals that point out of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.arrays import Doubles, Mask
+from pipeline.errors import MeshProblem
+from pipeline.meshes import Mesh
+
+_GOLDEN = (0.7548776662466927, 0.5698402909980532)  # steps of the plane's most even additive sequence
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Model:
+    """Points on the surface of an object, in its own frame."""
+
+    points_mm: Doubles  # (n, 3)
+    normals: Doubles  # (n, 3)
+    area_mm2: float  # of the surface that they stand for
+
+    @property
+    def spacing_mm(self) -> float:
+        """Side of the square that each point stands for."""
+        return math.sqrt(self.area_mm2 / max(len(self.points_mm), 1))
+
+    def part(self, which: Mask) -> Model:
+        """The points that are marked, standing for their share of the area."""
+        share = float(which.mean()) if which.size else 0.0
+        return Model(points_mm=self.points_mm[which], normals=self.normals[which], area_mm2=self.area_mm2 * share)
+
+    def thinned(self, n: int) -> Model:
+        """About `n` of the points, evenly taken, standing for the same area."""
+        step = max(1, len(self.points_mm) // n)
+        return Model(points_mm=self.points_mm[::step], normals=self.normals[::step], area_mm2=self.area_mm2)
+
+
+def sampled(mesh: Mesh, n_points: int, seed: int) -> Model:
+    """`n_points` spread by area over the triangles; raises MeshProblem for a mesh without surface."""
+    if len(mesh.vertices_mm) == 0 or len(mesh.triangles) == 0 or not np.isfinite(mesh.vertices_mm).all():
+        raise MeshProblem("the object mesh has no triangles, or vertices that are not finite; export it again")
+    a, b, c = (mesh.vertices_mm[mesh.triangles[:, k]].astype(np.float64) for k in range(3))
+    across = np.cross(b - a, c - a)
+    twice_area = np.linalg.norm(across, axis=1)
+    total = float(twice_area.sum())
+    if not total > 0:
+        raise MeshProblem("every triangle of the object mesh has zero area; check its unit")
+    # Triangles of a closed mesh that are wound inwards enclose a negative volume.
+    sign = -1.0 if float(np.einsum("ij,ij->", a - a.mean(axis=0), across)) < 0 else 1.0
+    rng = np.random.default_rng(seed)
+    rank = (np.arange(n_points) + rng.random()) / n_points * total
+    triangle = np.minimum(np.searchsorted(np.cumsum(twice_area), rank), len(twice_area) - 1)
+    u, v = ((np.arange(n_points) * step + rng.random()) % 1.0 for step in _GOLDEN)
+    fold = u + v > 1.0
+    u, v = np.where(fold, 1.0 - u, u)[:, None], np.where(fold, 1.0 - v, v)[:, None]
+    points = a[triangle] + u * (b - a)[triangle] + v * (c - a)[triangle]
+    mixed = rng.permutation(n_points)  # so that every n-th point is spread over the whole object
+    return Model(
+        points_mm=points[mixed],
+        normals=(sign * across[triangle] / twice_area[triangle, None])[mixed],
+        area_mm2=total / 2.0,
+    )

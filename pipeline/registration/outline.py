@@ -1,0 +1,47 @@
+"""Placing an object along directions that its surface does not show, by the outline of the contact."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline import rigid
+from pipeline.arrays import Doubles
+from pipeline.registration.ranking import Judge
+
+_FIRST_STEP_MM, _LAST_STEP_MM = 0.8, 0.02
+_MAX_ROUNDS = 40
+_TRIAL_MM = 0.5  # a shift that an outline must notice to count as showing the place
+_NOTICED_SHARE, _NOTICED_MM = 0.05, 0.01  # growth of the misfit
+
+
+def placed(pose: Doubles, weak_motions: Doubles, about_mm: Doubles, by: Judge) -> Doubles:
+    """`pose` moved along the weak motions (k, 6) to the least misfit: pattern search, the step halved when stuck."""
+    if len(weak_motions) == 0:
+        return pose
+    steps = np.concatenate([weak_motions, -weak_motions])
+    best, least = pose, float(by.misfit_mm([pose])[0])
+    size_mm = _FIRST_STEP_MM
+    for _round in range(_MAX_ROUNDS):
+        tried = [moved(best, step * size_mm, about_mm) for step in steps]
+        misfits = by.misfit_mm(tried)
+        k = int(np.argmin(misfits))
+        if misfits[k] < least:
+            best, least = tried[k], float(misfits[k])
+            continue
+        size_mm /= 2
+        if size_mm < _LAST_STEP_MM:
+            break
+    return best
+
+
+def shows(pose: Doubles, motion: Doubles, about_mm: Doubles, by: Judge) -> bool:
+    """Whether the outline of the contact fixes the place along one motion (6,): shifts either way fit worse."""
+    here, one, other = by.misfit_mm([moved(pose, motion * s, about_mm) for s in (0.0, _TRIAL_MM, -_TRIAL_MM)])
+    return bool(min(one, other) > here * (1 + _NOTICED_SHARE) + _NOTICED_MM)
+
+
+def moved(pose: Doubles, motion: Doubles, about_mm: Doubles) -> Doubles:
+    """`pose` after a motion (rotation rad about a point, translation mm) of the sensor frame."""
+    turned = rigid.rotation(motion[:3])
+    turned[:3, 3] = about_mm - turned[:3, :3] @ about_mm + motion[3:]
+    return turned @ pose

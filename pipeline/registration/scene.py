@@ -1,0 +1,74 @@
+"""What a touch tells a registration: the surface that was felt, and the space in which nothing was."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline import rigid
+from pipeline.arrays import Doubles, Floats, Indices, Mask
+from pipeline.camera import MIN_DEPTH_MM, Camera
+from pipeline.registration.model import Model
+from pipeline.stages.results import Touch
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scene:
+    """Felt points in the sensor frame, and the whole membrane that no object may stick out of."""
+
+    points_mm: Doubles  # (n, 3)
+    normals: Doubles  # (n, 3) out of the object, toward the camera
+    pixel: Indices  # (n,) flat pixel of the touch
+    area_mm2: float  # of the contact, along the surface
+    membrane_mm: Floats  # (rows, cols) z of the membrane
+    camera: Camera
+
+    @property
+    def pixel_mm(self) -> float:
+        """Width of a pixel where the contact is."""
+        return float(np.median(self.points_mm[:, 2])) / self.camera.fx_px
+
+
+def felt_surface(touch: Touch, max_points: int, seed: int) -> Scene:
+    """At most `max_points` contact points of a touch with their normals; a seeded choice where there are more."""
+    usable = touch.contact & (touch.depth_mm > MIN_DEPTH_MM) & np.isfinite(touch.depth_mm)
+    surface = touch.camera.back_project(np.where(usable, touch.depth_mm, np.nan))
+    to_right, down = (_slope(surface, axis) for axis in (1, 0))
+    across = np.cross(down, to_right).reshape(-1, 3)  # y cross x points to -z: toward the camera
+    area = np.linalg.norm(across, axis=1)
+    pixel = np.flatnonzero(np.isfinite(area) & (area > 0))
+    area_mm2 = float(area[pixel].sum())
+    if pixel.size > max_points:
+        pixel = np.sort(np.random.default_rng(seed).choice(pixel, max_points, replace=False))
+    return Scene(
+        points_mm=surface.reshape(-1, 3)[pixel],
+        normals=across[pixel] / area[pixel, None],
+        pixel=pixel.astype(np.int32),
+        area_mm2=area_mm2,
+        membrane_mm=touch.depth_mm,
+        camera=touch.camera,
+    )
+
+
+def _slope(surface: Doubles, axis: int) -> Doubles:
+    """Change per pixel along `axis`, over contact pixels only: the membrane beside a contact is not the object."""
+    step = np.diff(surface, axis=axis)
+    gap = np.full_like(np.take(surface, [0], axis=axis), np.nan)
+    after, before = np.concatenate([step, gap], axis=axis), np.concatenate([gap, step], axis=axis)
+    known_after, known_before = _known(after), _known(before)
+    total = np.where(known_after[..., None], after, 0.0) + np.where(known_before[..., None], before, 0.0)
+    count = known_after.astype(np.float64) + known_before
+    return total / np.where(count > 0, count, np.nan)[..., None]
+
+
+def _known(vectors: Doubles) -> Mask:
+    return np.isfinite(vectors[..., 2])
+
+
+def in_reach(scene: Scene, model: Model, sensor_from_object: Doubles, reach_mm: float) -> Model:
+    """The part of a placed object that can have been felt: near the scene, and not its far side."""
+    points = rigid.apply(sensor_from_object, model.points_mm)
+    low, high = scene.points_mm.min(axis=0) - reach_mm, scene.points_mm.max(axis=0) + reach_mm
+    near = ((points >= low) & (points <= high)).all(axis=1)
+    return model.part(near & (model.normals @ sensor_from_object[:3, :3].T @ scene.normals.mean(axis=0) > 0.0))
