@@ -1,0 +1,158 @@
+"""The bubble in contact: an inflated, pre-stretched membrane under an object, with sealed air behind it.
+
+The membrane's height w over the rim obeys -T lap w = p - lambda with w <= g (the object), lambda >= 0 and
+lambda (g - w) = 0 (methods 1.4). Heights are solved as the deviation from the rest dome, which solves the equation
+at rest exactly. The air follows Boyle: (p_atm + p) (V_dead + V(w)) stays what it was untouched.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import Doubles, Mask, freeze
+from pipeline.errors import SettingProblem, ShapeError
+from pipeline.physics import multigrid
+from pipeline.sensors.spec import Bubble
+
+STEP_MM = 0.5  # below two pixels of the depth cameras in use; a quarter of the work of 0.25 mm
+ATMOSPHERE_KPA = 101.325
+TOLERANCE_MM = 1e-4
+_PRESSURE_TOLERANCE = 1e-4  # of the gauge pressure: moves the free membrane by a few micrometres
+_MAX_PRESSURES = 25
+_KPA_TO_N_MM2 = 1e-3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lattice:
+    """The square x-y grid, in the sensor frame, that a membrane is solved on; the rim lies inside it."""
+
+    x0_mm: float
+    y0_mm: float
+    step_mm: float
+    shape: tuple[int, int]  # (ny, nx)
+
+    def x_mm(self) -> Doubles:
+        """X of every column (nx,)."""
+        return self.x0_mm + self.step_mm * np.arange(self.shape[1], dtype=np.float64)
+
+    def y_mm(self) -> Doubles:
+        """Y of every row (ny,)."""
+        return self.y0_mm + self.step_mm * np.arange(self.shape[0], dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BubbleContact:
+    """The pressed bubble on its lattice."""
+
+    lattice: Lattice
+    deviation_mm: Doubles  # (ny, nx) w minus the rest dome: negative where pushed toward the camera, positive bulges
+    force_kpa: Doubles  # (ny, nx) lambda: what the object presses with
+    contact: Mask  # (ny, nx) lambda > 0
+    pressure_kpa: float  # gauge, inside
+    force_n: float
+    converged: bool
+
+
+@lru_cache(maxsize=8)
+def lattice(bubble: Bubble, step_mm: float = STEP_MM) -> Lattice:
+    """The lattice centred on the optical axis that holds the whole rim; halved again and again it stays a lattice."""
+    halves = 2**multigrid.HALVINGS
+    ny, nx = (halves * math.ceil(2 * a / (step_mm * halves)) + 1 for a in (bubble.half_height_mm, bubble.half_width_mm))
+    return Lattice(x0_mm=-0.5 * (nx - 1) * step_mm, y0_mm=-0.5 * (ny - 1) * step_mm, step_mm=step_mm, shape=(ny, nx))
+
+
+def rest_height_mm(bubble: Bubble, on: Lattice) -> Doubles:
+    """Height (ny, nx) of the untouched dome over the rim plane."""
+    return bubble.height_mm * np.maximum(_dome(bubble, on), 0.0)
+
+
+def tension_n_per_mm(bubble: Bubble) -> float:
+    """The pre-stretch T that makes the stated pressure raise the stated dome."""
+    curvature = 2.0 * bubble.height_mm * (bubble.half_width_mm**-2 + bubble.half_height_mm**-2)
+    if not (curvature > 0 and bubble.pressure_kpa > 0):
+        raise SettingProblem("a bubble needs a positive height and pressure to press against")
+    return bubble.pressure_kpa * _KPA_TO_N_MM2 / curvature
+
+
+def press(
+    bubble: Bubble, ceiling_mm: NDArray[np.floating], on: Lattice, *, tolerance_mm: float = TOLERANCE_MM
+) -> BubbleContact:
+    """The bubble under an object whose surface is `ceiling_mm` (ny, nx) over the rim plane; not finite = no object.
+
+    Raises ShapeError when the ceiling is not on the lattice.
+    """
+    if ceiling_mm.shape != on.shape:
+        raise ShapeError(f"the ceiling must have the shape {on.shape} of the lattice, got {ceiling_mm.shape}")
+    free = _dome(bubble, on) > 0
+    room = np.where(np.isfinite(ceiling_mm), ceiling_mm - rest_height_mm(bubble, on), np.inf)
+    grid = multigrid.Grid(room_mm=room, free=free, step_mm=on.step_mm)
+    tension = tension_n_per_mm(bubble) / _KPA_TO_N_MM2  # kPa mm, so that load = pressure / tension is 1 / mm
+    v, over_kpa, settled = np.zeros(on.shape), 0.0, True
+    if (room < 0).any():
+        half = grid.halved()  # finds the pressure at a quarter of the price
+        rough = _sealed(bubble, half, tension, tolerance_mm, _Sealed(v=np.zeros(half.free.shape)))
+        answer = _sealed(bubble, grid, tension, tolerance_mm, replace(rough, v=multigrid.finer(rough.v)))
+        v, over_kpa, settled = answer.v, answer.over_kpa, answer.converged
+    force = multigrid.held(grid, v, over_kpa / tension) * tension
+    return BubbleContact(
+        lattice=on,
+        deviation_mm=freeze(v),
+        force_kpa=freeze(force),
+        contact=freeze(force > 0),
+        pressure_kpa=bubble.pressure_kpa + over_kpa,
+        force_n=float(force.sum()) * on.step_mm**2 * _KPA_TO_N_MM2,
+        converged=settled,
+    )
+
+
+def volume_mm3(bubble: Bubble) -> float:
+    """Air between the rim plane and the untouched dome."""
+    return 0.5 * math.pi * bubble.half_width_mm * bubble.half_height_mm * bubble.height_mm
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Sealed:
+    v: Doubles  # deviation from the dome
+    over_kpa: float = 0.0  # rise of the pressure
+    slope: float = math.nan  # of the pressure that Boyle asks for beyond the one that is there; NaN = not known yet
+    converged: bool = True
+
+
+def _sealed(bubble: Bubble, grid: multigrid.Grid, tension: float, tolerance_mm: float, start: _Sealed) -> _Sealed:
+    """The shape and pressure at which Boyle's law holds: secant on the pressure, shapes warm-started."""
+    air = bubble.dead_volume_mm3 + volume_mm3(bubble)
+    absolute = ATMOSPHERE_KPA + bubble.pressure_kpa
+    v, settled = start.v, True
+
+    def missing(over_kpa: float) -> float:
+        """How much higher the pressure has to be for the air that this shape leaves."""
+        nonlocal v, settled
+        v, settled = multigrid.solve(grid, v, over_kpa / tension, tolerance_mm)
+        left = max(air + grid.step_mm**2 * float(v.sum()), 1e-3 * air)
+        return absolute * air / left - absolute - over_kpa
+
+    # Blowing the whole membrane up by dp lifts it by V / p; the contact holds part of it back.
+    steepest = -1.0 - absolute / air * volume_mm3(bubble) / bubble.pressure_kpa
+    slope = start.slope if math.isfinite(start.slope) else steepest
+    over, short = start.over_kpa, missing(start.over_kpa)
+    for _ in range(_MAX_PRESSURES):
+        new = min(max(over - short / slope, 0.0), 8.0 * over + bubble.pressure_kpa)
+        if abs(new - over) <= _PRESSURE_TOLERANCE * (bubble.pressure_kpa + over):
+            return _Sealed(v=v, over_kpa=over, slope=slope, converged=settled)
+        new_short = missing(new)
+        secant = (new_short - short) / (new - over)
+        slope = secant if secant < -1.0 else -1.0  # a higher pressure always leaves more air
+        over, short = new, new_short
+    return _Sealed(v=v, over_kpa=over, slope=slope, converged=False)
+
+
+@lru_cache(maxsize=8)
+def _dome(bubble: Bubble, on: Lattice) -> Doubles:
+    return freeze(
+        1.0 - (on.x_mm()[None, :] / bubble.half_width_mm) ** 2 - (on.y_mm()[:, None] / bubble.half_height_mm) ** 2
+    )
