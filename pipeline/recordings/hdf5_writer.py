@@ -1,0 +1,228 @@
+"""Writing tactoscope recordings: frame by frame into a file beside, which takes its place when all is well."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import FileProblem, ShapeError
+from pipeline.frames import Pairing, Recording, TactileFrame, Truth
+from pipeline.meshes import Mesh
+from pipeline.progress import SILENT, Progress
+from pipeline.recordings import hdf5_layout as layout
+from pipeline.recordings.hdf5_layout import Coding
+
+
+class Writer:
+    """A recording being written; what stood at `path` stays until the `with` block ends without an error."""
+
+    def __init__(
+        self,
+        path: Path,
+        *,
+        object_mesh: Mesh | None = None,
+        pairings: Sequence[Pairing] = (),
+        notes: Sequence[str] = (),
+        coding: Coding = "plain",
+        depth_step_mm: float = 0.0,
+    ) -> None:
+        """Start a new recording.
+
+        `coding` "row differences" makes pictures a third smaller; `depth_step_mm` > 0 keeps depth images as 16-bit
+        multiples of that step instead of float32. Raises FileProblem when nothing can be written there.
+        """
+        self._begin(path, coding, depth_step_mm)
+        self._file = _opened(self._beside, "w")
+        self._file.attrs["format"], self._file.attrs["format_version"] = layout.FORMAT, layout.VERSION
+        self._file.attrs["notes"] = "\n".join(notes)
+        self._file.create_group("streams")
+        if object_mesh is not None:
+            group = self._file.create_group("object")
+            group.attrs["name"] = object_mesh.name
+            _whole(group, "vertices", object_mesh.vertices_mm, "mm")
+            _whole(group, "triangles", object_mesh.triangles, "1")
+        for k, pair in enumerate(pairings):
+            dataset = _whole(self._file.require_group("pairings"), str(k), pair.target_from_source, "mm")
+            dataset.attrs["source"], dataset.attrs["target"] = pair.source, pair.target
+
+    @classmethod
+    def appending(cls, path: Path, *, coding: Coding = "plain", depth_step_mm: float = 0.0) -> Writer:
+        """Go on with a recording that exists: on a copy, so that an interrupted append costs nothing.
+
+        `coding` and `depth_step_mm` count only for streams that the recording does not have yet.
+        """
+        from pipeline.recordings import hdf5
+
+        hdf5.read(path).close()  # refuses what is no recording before a copy is made of it
+        writer = cls.__new__(cls)
+        writer._begin(path, coding, depth_step_mm)
+        shutil.copyfile(path, writer._beside)
+        writer._file = _opened(writer._beside, "r+")
+        return writer
+
+    def _begin(self, path: Path, coding: Coding, depth_step_mm: float) -> None:
+        self._path, self._beside = path, path.with_name(path.name + ".part")
+        self._coding: Coding = coding
+        self._depth_step_mm = depth_step_mm
+        self._last_reference: dict[str, NDArray[Any]] = {}
+
+    def __enter__(self) -> Writer:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, _error: BaseException | None, _at: TracebackType | None
+    ) -> None:
+        self._file.close()
+        if kind is not None:
+            self._beside.unlink(missing_ok=True)
+            return
+        with self._beside.open("rb+") as written:
+            os.fsync(written.fileno())
+        self._beside.replace(self._path)
+
+    def append(self, stream: str, frame: TactileFrame, truth: Truth | None = None) -> None:
+        """Add one frame to `stream`, which begins with its first frame; raises ShapeError when they do not agree."""
+        streams = self._file["streams"]
+        group = streams[stream] if stream in streams else self._new_stream(stream, frame)
+        frames = group["frames"]
+        index = frames.shape[0]
+        if frame.image.shape != frames.shape[1:]:
+            raise ShapeError(f"frame {index} of {stream!r} must have shape {frames.shape[1:]}, got {frame.image.shape}")
+        pixels = layout.encoded(frame.image, frames, f"frame {index} of {stream!r}")
+        reference = self._reference_row(stream, group, frame)
+        _add(frames, index, pixels)
+        _add(group["timestamps"], index, frame.time_s)
+        _add(group["reference_index"], index, reference)
+        self._append_truth(group, index, truth)
+        if index == 0:
+            self._file.flush()  # tables get their place before the frames, where a file that is cut short keeps them
+
+    def _new_stream(self, name: str, frame: TactileFrame) -> Any:
+        if "/" in name or name in ("", "."):
+            raise ShapeError(f"a stream needs a name without '/', got {name!r}")
+        group = self._file["streams"].create_group(name)
+        group.attrs["sensor"], group.attrs["order"] = frame.sensor, len(self._file["streams"]) - 1
+        for key in ("frames", "references"):
+            if frame.is_depth:
+                kept, step = (np.uint16, self._depth_step_mm) if self._depth_step_mm > 0 else (np.float32, 0.0)
+                _stack(group, key, frame.image.shape, kept, "mm", coding=self._coding, step_mm=step, nan_code=65535)
+            else:
+                _stack(group, key, frame.image.shape, np.uint8, "rgb", coding=self._coding)
+        _stack(group, "timestamps", (), np.float64, "s", fill=np.nan)
+        _stack(group, "reference_index", (), np.int32, "1", fill=-1)
+        _stack(group, "truth/known", (), np.uint8, "1")
+        if frame.camera is not None:
+            _whole(group, "camera_matrix", frame.camera.matrix, "px")
+        return group
+
+    def _reference_row(self, stream: str, group: Any, frame: TactileFrame) -> int:
+        """The row of this frame's reference, added when it is not the one before."""
+        reference, kept = frame.reference, group["references"]
+        if reference is None:
+            return -1
+        last = self._last_reference.get(stream)
+        if last is not None and (last is reference or np.array_equal(last, reference, equal_nan=frame.is_depth)):
+            return kept.shape[0] - 1
+        if reference.shape != frame.image.shape:
+            raise ShapeError(f"the reference of {stream!r} must have shape {frame.image.shape}, got {reference.shape}")
+        _add(kept, kept.shape[0], layout.encoded(reference, kept, f"the reference of {stream!r}"))
+        self._last_reference[stream] = reference
+        return kept.shape[0] - 1
+
+    def _append_truth(self, group: Any, index: int, truth: Truth | None) -> None:
+        shape, known = group["frames"].shape[1:3], 0
+        truth = truth or Truth()
+        step = layout.BUBBLE_STEP_MM if group["frames"].ndim == 3 else layout.GEL_STEP_MM
+        for key, bit, values in (
+            ("truth/indentation", layout.KNOWN_INDENTATION, truth.indentation_mm),
+            ("truth/contact", layout.KNOWN_CONTACT, truth.contact),
+            ("truth/sensor_from_object", layout.KNOWN_POSE, truth.sensor_from_object),
+        ):
+            if values is None:
+                continue
+            want = (4, 4) if bit == layout.KNOWN_POSE else shape
+            if values.shape != want:
+                raise ShapeError(f"{key} of frame {index} must have shape {want}, got {values.shape}")
+            if key not in group and bit == layout.KNOWN_INDENTATION:
+                coding: Coding = self._coding
+                _stack(group, key, shape, np.int16, "mm", coding=coding, step_mm=step, nan_code=-32768, fill=-32768)
+            elif key not in group:
+                pose = bit == layout.KNOWN_POSE
+                _stack(
+                    group, key, want, np.float64 if pose else np.uint8, layout.UNITS[key], fill=np.nan if pose else 0
+                )
+            _add(group[key], index, layout.encoded(values, group[key], f"{key} of frame {index}"))
+            known |= bit
+        _add(group["truth/known"], index, known)
+
+
+def write(
+    path: Path,
+    recording: Recording,
+    *,
+    coding: Coding = "plain",
+    depth_step_mm: float = 0.0,
+    progress: Progress = SILENT,
+) -> None:
+    """Any recording as one of ours; raises FileProblem when a frame cannot be read, leaving what stood at `path`."""
+    total, done = max(1, sum(s.n_frames for s in recording.streams)), 0
+    with Writer(
+        path, object_mesh=recording.object_mesh, pairings=recording.pairings, notes=recording.notes,
+        coding=coding, depth_step_mm=depth_step_mm,
+    ) as writer:  # fmt: skip
+        for stream in recording.streams:
+            for index in range(stream.n_frames):
+                writer.append(stream.name, stream.frame(index), stream.truth(index))
+                done += 1
+                progress.step(done / total, f"writing frame {index + 1} of {stream.n_frames} of {stream.name}")
+
+
+def _opened(path: Path, mode: str) -> Any:
+    import h5py
+
+    try:
+        return h5py.File(path, mode, libver=("v110", "latest"), meta_block_size=layout.METADATA_BYTES)
+    except OSError as error:
+        raise FileProblem(
+            "nothing can be written there; check that the folder exists and is not protected", path
+        ) from error
+
+
+def _stack(
+    group: Any, key: str, shape: tuple[int, ...], kept: Any, unit: str, *,
+    coding: Coding = "plain", step_mm: float = 0.0, nan_code: int = 0, fill: Any = 0,
+) -> Any:  # fmt: skip
+    """An empty dataset that grows by one `shape` at a time, one compressed chunk each; tables of numbers by 1024.
+
+    Tables are not compressed: a chunk that keeps its size is written again in its place, near the front of the file.
+    """
+    packed: dict[str, Any] = {"compression": "gzip", "compression_opts": 4, "shuffle": True} if shape else {}
+    dataset = group.create_dataset(
+        key, shape=(0, *shape), maxshape=(None, *shape), chunks=(1, *shape) if shape else (1024,), dtype=kept,
+        fletcher32=True, fillvalue=fill, **packed,
+    )  # fmt: skip
+    dataset.attrs["unit"] = unit
+    if step_mm > 0:
+        dataset.attrs["step_mm"], dataset.attrs["nan_code"] = step_mm, nan_code
+    if coding != "plain" and np.issubdtype(np.dtype(kept), np.integer):
+        dataset.attrs["coding"] = coding
+    return dataset
+
+
+def _whole(group: Any, key: str, values: NDArray[Any], unit: str) -> Any:
+    dataset = group.create_dataset(key, data=values, chunks=True, compression="gzip", shuffle=True, fletcher32=True)
+    dataset.attrs["unit"] = unit
+    return dataset
+
+
+def _add(dataset: Any, index: int, value: Any) -> None:
+    """Put `value` at `index`; rows that were never written hold the fill value and take no room."""
+    dataset.resize(index + 1, axis=0)
+    dataset[index] = value
