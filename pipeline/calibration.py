@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import os
 import zipfile
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline import slope_model
-from pipeline.arrays import Floats, Image, Mask, freeze
+from pipeline.arrays import Doubles, Floats, Image, freeze
 from pipeline.camera import Camera
 from pipeline.errors import CalibrationError, FileProblem, ShapeError
-from pipeline.sensors.spec import Optics, SensorSpec
+from pipeline.markers import inpainted, marker_mask
+from pipeline.sensors.spec import Markers, Optics, SensorSpec
 from pipeline.slope_model import Samples, SlopeModel
 
 SMOOTHING_PX = 1.0  # of the colour change, the same when the look-up is fitted and when it is used
@@ -23,6 +23,18 @@ _VERSION = 1
 _N_SLOPES = 96  # slope images that the built-in look-up is fitted to
 _N_PIXELS = 400  # pixels taken from each
 _STEEPEST = 1.2  # mm/mm: about 50 degrees, the rim of a deep ball press
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BallFit:
+    """What the calibration made of one press of the ball."""
+
+    index: int  # of the picture among those given
+    x_px: float  # centre
+    y_px: float
+    radius_px: float  # of the contact
+    residual: float  # rms slope error inside the contact, mm/mm; NaN = not used
+    used: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,19 +47,19 @@ class Calibration:
     pixel_mm: float
     model: SlopeModel
     residual: float  # rms slope error of the samples it was fitted to, mm/mm
-    n_presses: int  # 0 = from the sensor's optical description
     origin: str  # a sentence for the user
+    presses: tuple[BallFit, ...] = ()  # empty = from the sensor's optical description
 
 
 def slopes(
     calibration: Calibration,
-    image: NDArray[np.generic],
-    reference: NDArray[np.generic],
+    image: NDArray[Any],
+    reference: NDArray[Any],
     *,
-    where: Mask | None = None,
+    markers: Markers | None = None,
     smoothing_px: float = SMOOTHING_PX,
 ) -> tuple[Floats, Floats]:
-    """(gx, gy) of the indentation, mm/mm, x right and y down: (rows, cols) float32, zero outside `where`.
+    """(gx, gy) of the indentation, mm/mm, x right and y down: (rows, cols) float32.
 
     Raises ShapeError when the pictures differ from each other or from the calibration in size.
     """
@@ -56,21 +68,35 @@ def slopes(
         raise ShapeError(
             f"image and reference must have the calibrated size {(*shape, 3)}, got {image.shape} and {reference.shape}"
         )
-    area = np.ones(shape, np.bool_) if where is None else where
+    change = relative_change(image, reference, calibration.pixel_mm, markers=markers, smoothing_px=smoothing_px)
     u, v = slope_model.position(shape)
-    return slope_model.evaluate(calibration.model, relative_change(image, reference, smoothing_px), u, v, area)
+    return slope_model.evaluate(calibration.model, change, u, v, np.ones(shape, np.bool_))
 
 
 def relative_change(
-    image: NDArray[np.generic], reference: NDArray[np.generic], smoothing_px: float = SMOOTHING_PX
+    image: NDArray[Any],
+    reference: NDArray[Any],
+    pixel_mm: float,
+    *,
+    markers: Markers | None = None,
+    smoothing_px: float = SMOOTHING_PX,
 ) -> Floats:
-    """The smoothed change of colour relative to the untouched brightness, q of `slope_model`; (rows, cols, 3)."""
+    """The smoothed change of colour relative to the untouched brightness, q of `slope_model`; (rows, cols, 3).
+
+    Printed markers, where they are now and where they were, are filled in from around them.
+    """
     import cv2
 
     change = image.astype(np.float32) - reference.astype(np.float32)
+    bright = reference.astype(np.float32)
+    if markers is not None:
+        printed = marker_mask(reference, markers, pixel_mm)
+        reach = max(1.0, markers.radius_mm / pixel_mm / 2)
+        change = inpainted(change, printed | marker_mask(image, markers, pixel_mm), reach)
+        bright = inpainted(bright, printed, reach)
     if smoothing_px > 0:
         change = cv2.GaussianBlur(change, (0, 0), smoothing_px)
-    return np.asarray(change, np.float32) * slope_model.gain(reference)
+    return np.asarray(change, np.float32) * slope_model.gain(bright)
 
 
 _built_in: dict[tuple[str, Camera, Optics], Calibration] = {}
@@ -116,7 +142,7 @@ def _inverted(sensor: SensorSpec) -> Calibration:
     rms = float(np.sqrt(np.mean((slope_model.predict(model, samples) - g) ** 2)))
     return Calibration(
         sensor=sensor.name, rows=shape[0], cols=shape[1], pixel_mm=sensor.pixel_mm, model=model, residual=rms,
-        n_presses=0, origin="derived from the sensor's optical description",
+        origin="derived from the sensor's optical description",
     )  # fmt: skip
 
 
@@ -135,9 +161,9 @@ def save(calibration: Calibration, path: Path) -> None:
             beside, version=_VERSION, sensor=calibration.sensor, size=(calibration.rows, calibration.cols),
             pixel_mm=calibration.pixel_mm, coefficients=model.coefficients, colour_degree=model.colour_degree,
             position_degree=model.position_degree, slope_max=model.slope_max, residual=calibration.residual,
-            n_presses=calibration.n_presses, origin=calibration.origin,
+            origin=calibration.origin, presses=_table_of(calibration.presses),
         )  # fmt: skip
-        os.replace(beside, path)
+        beside.replace(path)
     except OSError as error:
         beside.unlink(missing_ok=True)
         raise FileProblem(f"cannot write the calibration ({error.strerror})", path) from error
@@ -161,7 +187,7 @@ def load(path: Path) -> Calibration:
         raise FileProblem(f"the calibration is damaged ({error}); calibrate again", path) from error
 
 
-def _from_fields(fields: dict[str, NDArray[np.generic]]) -> Calibration:
+def _from_fields(fields: dict[str, NDArray[Any]]) -> Calibration:
     if int(cast("int", fields["version"])) != _VERSION:
         raise CalibrationError(f"version {fields['version']} is not {_VERSION}")
     colour_degree, position_degree = (int(cast("int", fields[k])) for k in ("colour_degree", "position_degree"))
@@ -179,8 +205,22 @@ def _from_fields(fields: dict[str, NDArray[np.generic]]) -> Calibration:
         sensor=str(fields["sensor"]), rows=rows, cols=cols, pixel_mm=numbers["pixel_mm"],
         model=SlopeModel(colour_degree=colour_degree, position_degree=position_degree, coefficients=freeze(table),
                          slope_max=numbers["slope_max"]),
-        residual=numbers["residual"], n_presses=int(cast("int", fields["n_presses"])), origin=str(fields["origin"]),
+        residual=numbers["residual"], origin=str(fields["origin"]), presses=_presses_of(fields["presses"]),
     )  # fmt: skip
+
+
+def _table_of(presses: tuple[BallFit, ...]) -> Doubles:
+    rows = [(p.index, p.x_px, p.y_px, p.radius_px, p.residual, p.used) for p in presses]
+    return np.array(rows, np.float64).reshape(-1, 6)
+
+
+def _presses_of(table: NDArray[Any]) -> tuple[BallFit, ...]:
+    if table.ndim != 2 or table.shape[1] != 6:
+        raise CalibrationError(f"its table of presses has shape {table.shape}")
+    return tuple(
+        BallFit(index=int(i), x_px=float(x), y_px=float(y), radius_px=float(r), residual=float(e), used=bool(used))
+        for i, x, y, r, e, used in table
+    )
 
 
 def check_for(calibration: Calibration, sensor: str, image: Image) -> None:

@@ -18,6 +18,7 @@ import numpy as np
 from pipeline.arrays import Floats, Mask, freeze
 
 _WORKERS = 2
+_SPECK_SHARE = 0.05  # of the largest region: dust and scratches that the press has shifted
 _ENCLOSED_SHARE = 0.9  # of the depth of its rim: what is enclosed and as deep as that is touched as well
 
 
@@ -65,12 +66,13 @@ def touched(indentation_mm: Floats, *, least_mm: float, pressure_share: float, s
 
 
 def without_specks(mask: Mask, min_pixels: int) -> Mask:
-    """The mask without regions of fewer than `min_pixels` pixels (8-neighbourhood)."""
+    """The mask without regions (8-neighbourhood) of fewer than `min_pixels` pixels or 5 % of the largest region."""
     import cv2
 
     n, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
     keep = np.zeros(n, np.bool_)
-    keep[1:] = stats[1:, cv2.CC_STAT_AREA] >= min_pixels
+    areas = stats[1:, cv2.CC_STAT_AREA]
+    keep[1:] = areas >= max(min_pixels, _SPECK_SHARE * int(areas.max(initial=0)))
     return np.asarray(keep[labels])
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from pipeline.arrays import Doubles, Floats, Mask, freeze
 
 OFFSET_GREY = 15.0  # dark corners: keeps the division from blowing up camera noise
+_STIFFER = 4.0  # how much more each further degree is held back
 SPAN_GREY = 2.5  # brings q to the order of 1 for steep slopes, so that one ridge suits all monomials
 
 
@@ -104,17 +105,20 @@ def fit(
 ) -> SlopeModel:
     """The polynomial nearest to the samples: ridge regression in closed form, three rounds of Huber weights.
 
-    `ridge` is relative to the mean square of the monomials; `huber` is the residual in mm/mm from which a sample's pull
+    `ridge` is relative to the mean square of each monomial, and grows with its degree; `huber` is the residual in mm/mm from which a sample's pull
     no longer grows.
     """
     f = features(samples, colour_degree, position_degree)
     target = samples.slopes
     solution: Doubles = np.zeros((f.shape[1], 2))
     w = weights
+    place = np.array([j + i for j, i in _place_powers(position_degree)])
+    stiffer = (_STIFFER ** (place[:, None] + powers(colour_degree).sum(axis=1)[None, :] - 1.0)).ravel()
     for _ in range(3):
         weighted = f * w[:, None]
         normal = (weighted.T @ f).astype(np.float64)
-        normal[np.diag_indices_from(normal)] += ridge * max(float(np.trace(normal)) / len(normal), 1e-12)
+        diagonal = np.diag(normal)
+        normal[np.diag_indices_from(normal)] += ridge * stiffer * diagonal + 1e-9 * max(float(diagonal.max()), 1e-12)
         solution = np.linalg.solve(normal, (weighted.T @ target).astype(np.float64))
         residual = np.linalg.norm(f @ solution.astype(np.float32) - target, axis=1)
         w = weights * np.minimum(1.0, huber / np.maximum(residual, 1e-6)).astype(np.float32)

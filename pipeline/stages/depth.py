@@ -35,7 +35,7 @@ class DepthParams:
         help="smallest indentation that counts, in units of the sensor's own limit",
     )  # fmt: skip
     pressure_share: float = setting(
-        0.12, "Pressure share", low=0.02, high=0.8, step=0.02,
+        0.25, "Pressure share", low=0.02, high=0.8, step=0.02,
         help="contact is where the pressure exceeds this share of its peak",
     )  # fmt: skip
     smoothing_px: float = setting(1.0, "Smoothing", unit="px", low=0.0, high=5.0, step=0.25,

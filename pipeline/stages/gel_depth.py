@@ -8,9 +8,9 @@ from typing import cast
 
 import numpy as np
 
-from pipeline import contact, markers, slope_model
+from pipeline import contact, slope_model
 from pipeline.arrays import Floats, Image, Mask, freeze
-from pipeline.calibration import Calibration, check_for
+from pipeline.calibration import Calibration, check_for, relative_change
 from pipeline.errors import ShapeError
 from pipeline.frames import TactileFrame
 from pipeline.poisson import Boundary, integrate
@@ -85,8 +85,8 @@ def depth(
         pressed = contact.touched(
             surface, least_mm=least_mm, pressure_share=pressure_share, smoothing_px=_PRESSURE_BLUR_PX
         )
-        touched[here] = contact.without_specks(pressed, speck)
-        indentation[here] = surface
+        touched[here] = contact.without_specks(pressed & window.moved, speck)
+        indentation[here] = _relaxed(surface, touched[here], source, calibration.pixel_mm) * window.moved
         notes += _limits(indentation, touched, source.limits.indentation_max_mm, least_mm)
     progress.step(1.0, "depth is ready")
     return DepthMap(
@@ -135,28 +135,16 @@ def _slopes(
     window: _Window,
     smoothing_px: float,
 ) -> tuple[Floats, Floats, list[str]]:
-    import cv2
-
     part, still = image[window.rows, window.cols], reference[window.rows, window.cols]
+    change = relative_change(part, still, calibration.pixel_mm, markers=source.markers, smoothing_px=smoothing_px)
     notes: list[str] = []
-    change = part.astype(np.float32) - still.astype(np.float32)
-    bright = still
     if source.markers is not None:
-        hidden = markers.marker_mask(part, source.markers, calibration.pixel_mm)
-        printed = markers.marker_mask(still, source.markers, calibration.pixel_mm)
-        reach = max(1.0, source.markers.radius_mm / calibration.pixel_mm / 2)
-        change = markers.inpainted(change, hidden | printed, reach)
-        bright = markers.inpainted(still.astype(np.float32), printed, reach)
         notes.append("slopes under the printed markers were filled in from around them")
-    if smoothing_px > 0:
-        change = np.asarray(cv2.GaussianBlur(change, (0, 0), smoothing_px), np.float32)
     clipped = (part >= _SATURATED_GREY).any(axis=2) & window.moved
     if clipped.sum() > 0.01 * window.moved.sum():
         notes.append(f"{int(clipped.sum())} pixels are saturated: slopes there are doubtful")
     u, v = slope_model.position((calibration.rows, calibration.cols))
-    gx, gy = slope_model.evaluate(
-        calibration.model, change * slope_model.gain(bright), u[window.cols], v[window.rows], window.moved
-    )
+    gx, gy = slope_model.evaluate(calibration.model, change, u[window.cols], v[window.rows], window.moved)
     return gx, gy, notes
 
 
@@ -181,7 +169,24 @@ def _surface(
         z = z[widths[0][0] : z.shape[0] - widths[0][1], widths[1][0] : z.shape[1] - widths[1][1]]
     outside = ~window.moved
     level = float(np.median(z[outside])) if outside.any() else float(z.min())
-    return np.ascontiguousarray(np.where(window.moved, z - np.float32(level), np.float32(0.0)))
+    return np.ascontiguousarray(z - np.float32(level))
+
+
+def _relaxed(surface: Floats, touched: Mask, source: SensorSpec, pixel_mm: float) -> Floats:
+    """The surface without what cannot be the gel's doing.
+
+    Beside a contact a bonded layer comes back to rest over about its own thickness t (waves die out as exp(-r / t)):
+    what is left of it fades out between t and 2 t from the contact, and it is not let out beyond its rest.
+    """
+    import cv2
+
+    if source.gel is None:
+        return surface
+    away = cv2.distanceTransform((~touched).astype(np.uint8), cv2.DIST_L2, 5)
+    keep = np.clip(2.0 - np.asarray(away, np.float32) * np.float32(pixel_mm / source.gel.thickness_mm), 0.0, 1.0)
+    if not touched.any():
+        keep = np.zeros_like(surface)
+    return np.asarray(np.maximum(surface, 0.0) * keep, np.float32)
 
 
 def _one(pad: tuple[int, int]) -> tuple[int, int]:
