@@ -1,3 +1,4 @@
+# pyright: basic
 """Compiled loops of the bubble: projected multigrid for the membrane, and its way to and from a depth image.
 
 The unknown v is the membrane's deviation from its rest shape, 0 where `free` is False (rim and beyond):

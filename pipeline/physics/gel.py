@@ -20,6 +20,7 @@ from pipeline.sensors.spec import Gel
 TOLERANCE_MM = 1e-4  # a tenth of a micrometre: far below what any camera resolves
 MAX_STEPS = 400
 _KPA_TO_N_MM2 = 1e-3
+_BOX_PX = 32
 _BULGE = 0.3  # share of the deepest press by which the gel can rise beside it: what may touch without overlap
 
 
@@ -159,12 +160,14 @@ def _checked(overlap_mm: NDArray[np.floating], pixel_mm: float) -> Floats:
 
 
 def _bounds(mask: Mask) -> tuple[slice, slice]:
-    """The box of a mask, grown to at least 2 x 2."""
+    """The box of a mask, its sides rounded up so that tables made for one box serve many."""
     rows, cols = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
 
     def span(found: NDArray[np.intp], n: int) -> slice:
         low, high = int(found[0]), int(found[-1]) + 1
-        return slice(min(low, n - 2), max(high, min(low, n - 2) + 2))
+        size = min(n, -(-(high - low) // _BOX_PX) * _BOX_PX)
+        start = min(low, n - size)
+        return slice(start, start + size)
 
     return span(rows, mask.shape[0]), span(cols, mask.shape[1])
 

@@ -1,3 +1,4 @@
+# pyright: basic
 """Compiled loops of the optics: one pass over the image, no temporaries."""
 
 import math
