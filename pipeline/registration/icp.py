@@ -16,6 +16,7 @@ from pipeline.stages.results import PoseStep
 
 _CONVERGED = 1e-7  # relative change of fitness and rmse
 _DECIMALS = 9  # the order of Open3D's parallel sums is not fixed; what is kept of them is
+_SETTLED = 1e-6  # largest change of an entry, mm: far below what a depth image can show
 _REACH = 1.5  # model points within this many search distances of the scene can take part
 
 
@@ -67,9 +68,10 @@ def register(
             steps.append(_step(moved, result))
             if watch is not None:
                 watch(k)
-            if before is not None and _settled(object_from_sensor, moved):
-                break
+        settled = before is not None and _settled(object_from_sensor, moved)
         object_from_sensor = moved
+        if settled:
+            break
     return Fit(
         sensor_from_object=rigid.invert(object_from_sensor),
         rmse_mm=float(result.inlier_rmse),
@@ -101,7 +103,7 @@ def _tidy(transformation: Any) -> Doubles:
 
 
 def _settled(a: Doubles, b: Doubles) -> bool:
-    return bool(np.abs(a - b).max() < 1e-6)
+    return bool(np.abs(a - b).max() < _SETTLED)
 
 
 def _step(object_from_sensor: Doubles, result: Any) -> PoseStep:

@@ -13,6 +13,9 @@ from pipeline.registration.model import Model
 from pipeline.stages.results import Touch
 
 
+MOST_TURNED_AWAY = -0.2  # cosine to the felt normal; the wall of a notch is steep, the far side of a plate is at -1
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
     """Felt points in the sensor frame, and the whole membrane that no object may stick out of."""
@@ -71,4 +74,6 @@ def in_reach(scene: Scene, model: Model, sensor_from_object: Doubles, reach_mm: 
     points = rigid.apply(sensor_from_object, model.points_mm)
     low, high = scene.points_mm.min(axis=0) - reach_mm, scene.points_mm.max(axis=0) + reach_mm
     near = ((points >= low) & (points <= high)).all(axis=1)
-    return model.part(near & (model.normals @ sensor_from_object[:3, :3].T @ scene.normals.mean(axis=0) > 0.0))
+    return model.part(
+        near & (model.normals @ sensor_from_object[:3, :3].T @ scene.normals.mean(axis=0) > MOST_TURNED_AWAY)
+    )

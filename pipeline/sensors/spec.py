@@ -140,7 +140,9 @@ def sensor(name_or_file: str) -> SensorSpec:
     return _build(path.stem, _read(path), path)
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read(path: Path, children: tuple[Path, ...] = ()) -> dict[str, Any]:
+    if path in children:
+        raise FileProblem("a sensor description extends itself", path, field="extends")
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -153,7 +155,7 @@ def _read(path: Path) -> dict[str, Any]:
     if not isinstance(parent, str):
         raise FileProblem("extends must be the name of a sensor", path, field="extends")
     beside = path.parent / f"{parent}.toml"
-    merged = _read(beside if beside.is_file() else _FOLDER / f"{parent}.toml")
+    merged = _read(beside if beside.is_file() else _FOLDER / f"{parent}.toml", (*children, path))
     for key, value in data.items():
         merged[key] = {**merged.get(key, {}), **value} if isinstance(value, dict) else value
     for key in data.get("without", ()):
@@ -179,7 +181,13 @@ class _Section:
         entry = cast("dict[str, Any]", entry)
         if entry["unit"] != unit or unit not in _UNITS:
             raise CalibrationError(f"{where} must be given in {unit!r}, got {entry['unit']!r}: '{self._path}'")
-        if not np.isfinite(np.asarray(entry["value"], dtype=np.float64)).all():
+        try:
+            finite = bool(np.isfinite(np.asarray(entry["value"], dtype=np.float64)).all())
+        except (TypeError, ValueError):
+            raise CalibrationError(
+                f"{where} must be a number or a list of numbers, got {entry['value']!r}: '{self._path}'"
+            ) from None
+        if not finite:
             raise CalibrationError(f"{where} must be finite, got {entry['value']!r}: '{self._path}'")
         if entry.get("assumed", False):
             self._assumed.append(where)
@@ -191,7 +199,10 @@ class _Section:
 
     def number(self, key: str, unit: str, low: float = -np.inf, high: float = np.inf) -> float:
         """A number within [low, high]."""
-        value = float(self.raw(key, unit))
+        raw = self.raw(key, unit)
+        if isinstance(raw, list):
+            raise CalibrationError(f"{self._name}.{key} must be one number, got {raw!r}: '{self._path}'")
+        value = float(raw)
         if not low <= value <= high:
             raise CalibrationError(
                 f"{self._name}.{key} must lie within {low:g} and {high:g} {unit}, got {value:g}: '{self._path}'"

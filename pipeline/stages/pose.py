@@ -34,7 +34,8 @@ _COARSE_FELT, _COARSE_MODEL = 80, 1000  # points that rank the first guesses
 _FINE_FELT, _FINE_MODEL = 400, 4000  # points that rank what came out of them
 _N_REGISTERED, _N_POLISHED = 10, 3
 _COARSE_ITERATIONS = 12
-_OUTLINE_REACH_MM = 4.0
+_OUTLINE_REACH_MM = 4.0  # object this far beyond the contact may stick out beside it
+_SAME_SURFACE = 0.5  # cosine of felt and modelled normal from which on both show one surface
 _EQUAL_SHARE, _EQUAL_MM = 0.05, 0.005  # misfits this close are equal
 _SAME_MM, _SAME_DEG = 1.0, 5.0  # poses this close are one
 
@@ -199,12 +200,17 @@ def _determined(scene: Scene, model: Model, fit: Fit) -> Observability:
     from scipy.spatial import KDTree
 
     in_object = rigid.apply(rigid.invert(fit.sensor_from_object), scene.points_mm)
-    near = model.part(model.normals @ fit.sensor_from_object[:3, :3].T @ scene.normals.mean(axis=0) > 0.0)
+    near = in_reach(scene, model, fit.sensor_from_object, _OUTLINE_REACH_MM)
     _distance, index = KDTree(near.points_mm).query(in_object)
     normals = near.normals[index]
     residual = np.einsum("ij,ij->i", in_object - near.points_mm[index], normals)
     noise_mm = 1.4826 * float(np.median(np.abs(residual)))  # robust: the rim of a contact is not noise
-    return observability(scene.points_mm, normals @ fit.sensor_from_object[:3, :3].T, noise_mm)
+    in_sensor = normals @ fit.sensor_from_object[:3, :3].T
+    # On a flat face's rim the nearest sample may lie on the wall beside it, which was not felt and determines nothing.
+    felt = np.einsum("ij,ij->i", in_sensor, scene.normals) > _SAME_SURFACE
+    if felt.sum() < _MIN_POINTS:
+        felt[:] = True
+    return observability(scene.points_mm[felt], in_sensor[felt], noise_mm)
 
 
 def _weak_notes(scene: Scene, fit: Fit, known: Observability, by: Judge) -> tuple[str, ...]:

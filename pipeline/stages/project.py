@@ -145,7 +145,7 @@ def _rasterised(cloud: Cloud, camera: Camera, params: ProjectParams) -> _Drawing
     grid.ravel()[cloud.source_index] = np.arange(pixel.size, dtype=np.int32)
     in_triangle = np.zeros(pixel.size, dtype=np.bool_)
     counts = np.zeros(5, dtype=np.int64)
-    max_edge_mm = params.jump_mm + _spacing_mm(cloud, grid)
+    max_edge_mm = params.jump_mm + _spacing_mm(cloud, grid, screen[:, 2] > 0)
     kernels.rasterise(
         cloud.points_mm, screen, grid, cloud.stride, max_edge_mm,
         math.cos(math.radians(params.grazing_deg)), inverse_z, source, in_triangle, camera.shape, counts,
@@ -176,17 +176,16 @@ def _depth(inverse_z: Doubles) -> Doubles:
     return np.divide(1.0, inverse_z, out=np.zeros_like(inverse_z), where=inverse_z > 0)
 
 
-def _spacing_mm(cloud: Cloud, grid: Indices) -> float:
+def _spacing_mm(cloud: Cloud, grid: Indices, drawable: Mask) -> float:
     """Twice the usual distance of neighbouring points: a diagonal, on a slope."""
-    left, right = (
-        grid[:: cloud.stride, : -cloud.stride : cloud.stride],
-        grid[:: cloud.stride, cloud.stride :: cloud.stride],
-    )
-    both = np.flatnonzero((left >= 0) & (right >= 0))
-    if both.size == 0:
+    n = cloud.stride
+    left, right = grid[::n, :-n:n].ravel(), grid[::n, n::n].ravel()
+    pairs = np.flatnonzero((left >= 0) & (right >= 0))
+    pairs = pairs[:: max(1, pairs.size // _SPACING_SAMPLES)]
+    pairs = pairs[drawable[left[pairs]] & drawable[right[pairs]]]
+    if pairs.size == 0:
         return 0.0
-    some = both[:: max(1, both.size // _SPACING_SAMPLES)]
-    a, b = cloud.points_mm[left.ravel()[some]], cloud.points_mm[right.ravel()[some]]
+    a, b = (cloud.points_mm[side[pairs]].astype(np.float64) for side in (left, right))
     return 2.0 * float(np.median(np.linalg.norm(a - b, axis=1)))
 
 

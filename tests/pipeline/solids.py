@@ -45,7 +45,10 @@ def extruded(outline, convex_parts, low_mm, high_mm, axes=(0, 1, 2)) -> Solid:
         corners = [(a, c, b) for a, b, c in corners]
     vertices = np.array(corners).reshape(-1, 3)
     planes = tuple(_planes(p, low_mm, high_mm, axes) for p in parts)
-    return Solid(pieces=planes, mesh=Mesh(vertices_mm=vertices, triangles=np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)))
+    return Solid(
+        pieces=planes,
+        mesh=Mesh(vertices_mm=vertices, triangles=np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)),
+    )
 
 
 def _planes(part, low_mm, high_mm, axes):

@@ -1,0 +1,230 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pipeline import membrane, rigid
+from pipeline.alignment import Alignment
+from pipeline.camera import Camera
+from pipeline.errors import ShapeError
+from pipeline.sensors.spec import sensor
+from pipeline.stages.adapt import AdaptParams, adapt
+from pipeline.stages.project import ProjectParams, project, without_contact
+from pipeline.stages.results import Cloud
+from tests.pipeline.test_adapt import depth_map
+
+PAPER, SURFACE = ProjectParams(mode="paper"), ProjectParams(mode="surface")
+SOURCE = Camera(rows=120, cols=160, fx_px=400.0, fy_px=400.0, cx_px=79.5, cy_px=59.5)
+CENTRE_MM, RADIUS_MM = np.array([0.0, 0.0, 55.0]), 15.0
+SAG_MM = 6e-4  # a chord of one source diagonal, d^2 / 8 R, seen at up to 65 degrees; and float32 at 50 mm
+
+
+def target_sensor(rows=70, cols=90, fx_px=200.0, rest_mm=45.0):
+    camera = Camera(rows=rows, cols=cols, fx_px=fx_px, fy_px=fx_px, cx_px=(cols - 1) / 2, cy_px=(rows - 1) / 2)
+    pad = membrane.flat(rest_mm, 30.0, 30.0)
+    return replace(sensor("gelslim"), camera=camera, membrane=pad, rest_depth_mm=pad.rest_depth_mm(camera))
+
+
+def sphere_depth_mm(camera):
+    x, y = camera.rays()
+    ray = np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), np.ones(camera.shape)], axis=-1)
+    a, b = (ray**2).sum(-1), ray @ CENTRE_MM
+    root = b**2 - a * (CENTRE_MM @ CENTRE_MM - RADIUS_MM**2)
+    return np.where(root >= 0, (b - np.sqrt(np.maximum(root, 0.0))) / a, np.nan)
+
+
+def sphere_cloud(angle_deg=0.0, stride=1):
+    turn = (
+        rigid.translation(*CENTRE_MM)
+        @ rigid.rotation([0.0, np.deg2rad(angle_deg), 0.0])
+        @ rigid.translation(*-CENTRE_MM)
+    )
+    depth = sphere_depth_mm(SOURCE)
+    alignment = Alignment(alignment_from_source=turn, target_from_alignment=np.eye(4))
+    return adapt(depth_map(depth, depth < 41.0, SOURCE), alignment, AdaptParams(stride=stride))
+
+
+def cloud_of(points, index=None, grid=(50, 50)):
+    points = np.asarray(points, np.float32).reshape(-1, 3)
+    index = np.arange(len(points)) if index is None else index
+    return Cloud(points_mm=points, source_index=np.asarray(index, np.int32), grid_shape=grid)
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 20.0, 45.0])
+@pytest.mark.parametrize("scale", [1, 3])
+def test_the_surface_of_a_sphere_has_no_holes_and_lies_on_the_sphere(angle_deg, scale):
+    target = target_sensor(rows=70 * scale, cols=90 * scale, fx_px=200.0 * scale)
+    view = project(sphere_cloud(angle_deg), target, SURFACE)
+    seen = np.isfinite(view.depth_mm)
+    assert seen.sum() > 500 * scale**2
+    filled = np.stack(
+        [
+            seen[r, np.flatnonzero(seen[r])[0] : np.flatnonzero(seen[r])[-1] + 1].all()
+            for r in np.flatnonzero(seen.any(1))
+        ]
+    )
+    assert filled.all(), "each row of a convex patch is one run"
+    assert np.abs(view.depth_mm - sphere_depth_mm(target.camera))[seen].max() < SAG_MM
+
+
+def test_points_leave_hundreds_of_times_the_error_of_the_surface():
+    target, cloud = target_sensor(), sphere_cloud(20.0)
+    exact = sphere_depth_mm(target.camera)
+    paper, surface = (np.nanmean(np.abs(project(cloud, target, p).depth_mm - exact)) for p in (PAPER, SURFACE))
+    assert paper > 100 * surface  # 1000 at the resolution of benchmarks/reprojection.py
+
+
+points = st.lists(
+    st.tuples(*[st.floats(-12, 12, width=32)] * 2, st.sampled_from([-5.0, 0.0, 30.0, 44.0, 45.0, 50.0])),
+    min_size=1,
+    max_size=60,
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(points, st.randoms(use_true_random=False))
+def test_the_nearest_point_wins_each_pixel_in_any_order(raw, random):
+    target = target_sensor()
+    cloud = cloud_of(raw)
+    view = project(cloud, target, PAPER)
+    x_px, y_px, visible = target.camera.project(cloud.points_mm)
+    expected = np.full(target.camera.shape, np.inf, np.float32)
+    for k in np.flatnonzero(visible):
+        at = int(np.floor(y_px[k] + 0.5)), int(np.floor(x_px[k] + 0.5))
+        expected[at] = min(expected[at], cloud.points_mm[k, 2])
+    np.testing.assert_array_equal(view.depth_mm, np.where(np.isinf(expected), np.nan, expected))
+    order = list(range(len(raw)))
+    random.shuffle(order)
+    again = project(cloud_of(cloud.points_mm[order], index=order), target, PAPER)
+    assert again.depth_mm.tobytes() == view.depth_mm.tobytes()
+    assert again.contact.tobytes() == view.contact.tobytes()
+    won = view.source_index >= 0
+    np.testing.assert_array_equal(np.array(order)[again.source_index[won]], view.source_index[won])
+
+
+def test_shuffled_points_give_the_same_surface():
+    target, cloud = target_sensor(), sphere_cloud(20.0)
+    order = np.random.default_rng(0).permutation(len(cloud.points_mm))
+    shuffled = replace(cloud, points_mm=cloud.points_mm[order], source_index=cloud.source_index[order])
+    one, two = project(cloud, target, SURFACE), project(shuffled, target, SURFACE)
+    assert one.depth_mm.tobytes() == two.depth_mm.tobytes()
+    seen = one.source_index >= 0
+    np.testing.assert_array_equal(order[two.source_index[seen]], one.source_index[seen])
+
+
+def test_pixels_are_half_open_squares():
+    target = target_sensor(rows=1, cols=4, fx_px=1.0, rest_mm=45.0)
+    camera = replace(target.camera, cx_px=0.0, cy_px=0.0)
+    target = replace(target, camera=camera)
+    for x_px, col in ((-0.5, 0), (np.nextafter(np.float32(0.5), np.float32(0.0)), 0), (0.5, 1), (2.5, 3)):
+        view = project(cloud_of([(x_px, 0.0, 1.0)]), target, PAPER)
+        assert np.flatnonzero(view.source_index[0] >= 0).tolist() == [col]
+    for x_px in (-0.5001, 3.5, 1e30):
+        assert (project(cloud_of([(x_px, 0.0, 1.0)]), target, PAPER).source_index == -1).all()
+
+
+def test_contact_is_where_the_surface_is_pushed_through_the_membrane():
+    target = target_sensor(rest_mm=40.5)
+    view = project(sphere_cloud(), target, SURFACE)
+    seen = np.isfinite(view.depth_mm)
+    np.testing.assert_array_equal(view.contact, seen & (view.depth_mm <= 40.5))
+    np.testing.assert_allclose(view.indentation_mm[view.contact], 40.5 - view.depth_mm[view.contact], atol=1e-5)
+    assert (view.indentation_mm[~view.contact] == 0).all()
+    assert 0 < view.contact.sum() < seen.sum()
+
+
+def test_a_touch_that_stays_short_says_by_how_much():
+    view = project(sphere_cloud(), target_sensor(rest_mm=39.7), SURFACE)
+    assert not view.contact.any()
+    assert any("by 0.3 mm; move it closer" in note for note in view.notes)
+
+
+def test_a_touch_that_misses_the_image_says_why():
+    cloud = sphere_cloud()
+    aside = replace(cloud, points_mm=cloud.points_mm + np.float32([500, 0, 0]))
+    behind = replace(cloud, points_mm=-cloud.points_mm)
+    for moved, word in ((aside, "outside"), (behind, "behind")):
+        for params in (PAPER, SURFACE):
+            view = project(moved, target_sensor(), params)
+            assert not np.isfinite(view.depth_mm).any()
+            assert word in view.notes[0]
+
+
+def test_a_depth_jump_is_not_bridged():
+    rows, cols = np.mgrid[:20, :20]
+    z = np.where(cols < 10, 40.0, 44.0)
+    flat = cloud_of(np.stack([(cols - 9.5) * 0.5, (rows - 9.5) * 0.5, z], -1), grid=(20, 20))
+    view = project(flat, target_sensor(), SURFACE)
+    seen = view.depth_mm[np.isfinite(view.depth_mm)]
+    assert set(np.round(seen, 3)) <= {40.0, 44.0}
+    assert any("depth jumps" in note for note in view.notes)
+    bridged = project(flat, target_sensor(), replace(SURFACE, jump_mm=10.0)).depth_mm
+    assert ((bridged > 40.5) & (bridged < 43.5)).any()
+
+
+def test_the_nearer_sheet_hides_the_farther_one():
+    rows, cols = np.mgrid[:20, :40]
+    near = cols < 20
+    x = np.where(near, cols - 9.5, cols - 29.5) * 0.3
+    sheet = np.stack([x, (rows - 9.5) * 0.3, np.where(near, 38.0, 44.0)], -1)
+    view = project(cloud_of(sheet, grid=(20, 40)), target_sensor(), SURFACE)
+    middle = view.depth_mm[25:45, 35:55]
+    np.testing.assert_allclose(middle, 38.0, atol=1e-5)
+    assert any("hide behind" in note for note in view.notes)
+
+
+def test_every_target_pixel_names_a_source_point_within_a_source_pixel():
+    cloud, target = sphere_cloud(20.0), target_sensor()
+    view = project(cloud, target, SURFACE)
+    row, col = np.nonzero(view.source_index >= 0)
+    x_px, y_px, _ = target.camera.project(cloud.points_mm[view.source_index[row, col]])
+    assert np.hypot(x_px - col, y_px - row).max() < 1.0
+
+
+def test_a_coarse_preview_stays_on_the_sphere():
+    view = project(sphere_cloud(stride=4), target_sensor(), SURFACE)
+    seen = np.isfinite(view.depth_mm)
+    assert seen.sum() > 600
+    assert np.abs(view.depth_mm - sphere_depth_mm(target_sensor().camera))[seen].max() < 16 * SAG_MM  # sag ~ pitch^2
+
+
+def test_lonely_points_and_tiny_touches_are_not_lost():
+    lonely = project(cloud_of([(0.0, 0.0, 44.0)]), target_sensor(), SURFACE)
+    assert lonely.contact.sum() == 1
+    tiny = [(0.06 + 0.01 * c, 0.06 + 0.01 * r, 44.0) for r in range(2) for c in range(2)]
+    view = project(cloud_of(tiny, index=[0, 1, 50, 51]), target_sensor(), SURFACE)
+    assert view.contact.sum() == 1
+    assert any("smaller than a target pixel" in note for note in view.notes)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(st.tuples(*[st.sampled_from([0.0, -0.0, 1e-40, 1e-3, 1.0, 40.0, -40.0, 1e30, np.inf, -np.inf, np.nan])] * 3), min_size=4, max_size=16),
+    st.sampled_from([PAPER, SURFACE]),
+)  # fmt: skip
+def test_whatever_the_points_hold_the_view_is_sound(raw, params):
+    view = project(cloud_of(raw, grid=(4, 4)), target_sensor(), params)
+    seen = view.source_index >= 0
+    np.testing.assert_array_equal(seen, np.isfinite(view.depth_mm))
+    assert np.isfinite(view.indentation_mm).all()
+    assert (view.indentation_mm >= 0).all()
+    assert not (view.contact & ~seen).any()
+
+
+def test_an_empty_cloud_gives_the_exact_empty_view():
+    target = target_sensor()
+    view = without_contact(cloud_of([]), target, SURFACE)
+    assert view is not None
+    assert view.depth_mm.shape == target.camera.shape
+    assert not view.contact.any()
+    assert (view.source_index == -1).all()
+    assert without_contact(sphere_cloud(), target, SURFACE) is None
+
+
+def test_a_cloud_that_points_outside_its_grid_is_refused():
+    with pytest.raises(ShapeError, match="outside its grid"):
+        project(cloud_of([(0, 0, 40)], index=[2500]), target_sensor(), SURFACE)
