@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 
@@ -22,19 +23,24 @@ _SPECK_SHARE = 0.05  # of the largest region: dust and scratches that the press 
 _ENCLOSED_SHARE = 0.9  # of the depth of its rim: what is enclosed and as deep as that is touched as well
 
 
-def relative_pressure(indentation_mm: Floats, smoothing_px: float) -> Floats:
-    """Pressure (rows, cols) up to a constant factor, without its longest waves; negative where the gel hangs free.
+def relative_pressure(indentation_mm: Floats, smoothing_px: float, order: Literal[1, 2] = 1) -> Floats:
+    """Pressure (rows, cols) up to a constant factor, without its longest waves; negative where the surface hangs free.
+
+    `order` is the power of the wavenumber: 1 for an elastic gel, 2 for a membrane under tension, which carries a load by
+    its curvature alone.
 
     The image is mirrored at its border (cosine transform), as if the touch went on beyond it.
     """
     from scipy import fft
 
     wave = np.asarray(fft.dctn(indentation_mm, type=2, norm="ortho", workers=_WORKERS))
-    wave = wave * _wavenumbers(*indentation_mm.shape, smoothing_px)
+    wave = wave * _wavenumbers(*indentation_mm.shape, smoothing_px, order)
     return np.asarray(fft.idctn(wave, type=2, norm="ortho", workers=_WORKERS), np.float32)
 
 
-def touched(indentation_mm: Floats, *, least_mm: float, pressure_share: float, smoothing_px: float) -> Mask:
+def touched(
+    indentation_mm: Floats, *, least_mm: float, pressure_share: float, smoothing_px: float, order: Literal[1, 2] = 1
+) -> Mask:
     """The contact (rows, cols): pushed in by `least_mm` or more, and pressed by more than a share of the region's peak.
 
     Each region that is pushed in has its own peak, so that a light touch beside a firm one is kept. A flat face carries
@@ -47,7 +53,7 @@ def touched(indentation_mm: Floats, *, least_mm: float, pressure_share: float, s
     if not deep.any():
         return deep
     n, regions = cv2.connectedComponents(deep.astype(np.uint8), connectivity=8)
-    pressure = relative_pressure(indentation_mm, smoothing_px)
+    pressure = relative_pressure(indentation_mm, smoothing_px, order)
     peaks = np.asarray(ndimage.maximum(pressure, regions, np.arange(n)))
     limit = (np.maximum(peaks, 1e-9) * pressure_share).astype(np.float32)[regions]
     mask = deep & (pressure > limit)
@@ -77,8 +83,8 @@ def without_specks(mask: Mask, min_pixels: int) -> Mask:
 
 
 @lru_cache(maxsize=64)
-def _wavenumbers(rows: int, cols: int, smoothing_px: float) -> Floats:
-    """Wavenumbers (rows, cols) of a cosine transform in radians per pixel, damped as a Gaussian blur would."""
+def _wavenumbers(rows: int, cols: int, smoothing_px: float, order: Literal[1, 2]) -> Floats:
+    """Wavenumbers (rows, cols) of a cosine transform in radians per pixel, to the power of `order`, damped as a Gaussian blur would."""
     ky, kx = (np.arange(n) * (math.pi / n) for n in (rows, cols))
     q_sq = ky[:, None] ** 2 + kx[None, :] ** 2
-    return freeze((np.sqrt(q_sq) * np.exp(-0.5 * smoothing_px**2 * q_sq)).astype(np.float32))
+    return freeze((q_sq ** (0.5 * order) * np.exp(-0.5 * smoothing_px**2 * q_sq)).astype(np.float32))

@@ -19,14 +19,21 @@ from pipeline.stages.results import DepthMap
 _BLOCK_PX = 8
 _FEWEST_READINGS = 0.5  # share of pixels with a reading below which a frame is not called untouched
 _SPECKLE_PX = 5  # of the median that removes single wrong readings
-_SPECK_MM2 = 8.0
+_EDGE_MM = 1.0  # steps of this height survive the blur
+_GAP_PX = 3.0  # reach of the filling
+_FEWEST_AROUND = 0.15  # share of readings, weighted by that reach, from which a gap is filled
+_FARTHEST = 3.0  # times the median rest depth: beyond any membrane
+_CURVATURE_MM = 2.5
+_SPECK_MM2 = 20.0  # a membrane bridges anything smaller
 
 
 def largest_change(image: NDArray[Any], reference: NDArray[Any]) -> float:
     """Largest mean absolute change of a block in mm over the pixels that have a reading; infinite if too few have."""
     import cv2
 
-    seen = ((image > 0) & (reference > 0)).astype(np.float32)
+    with np.errstate(invalid="ignore"):
+        near = _FARTHEST * float(np.median(reference[::_BLOCK_PX, ::_BLOCK_PX][reference[::_BLOCK_PX, ::_BLOCK_PX] > 0]))
+        seen = ((image > 0) & (reference > 0) & (image < near) & (reference < near)).astype(np.float32)
     if float(seen.mean()) < _FEWEST_READINGS:
         return math.inf
     change = np.where(seen > 0, reference - image, 0.0).astype(np.float32)
@@ -39,30 +46,32 @@ def largest_change(image: NDArray[Any], reference: NDArray[Any]) -> float:
 def depth(frame: TactileFrame, source: SensorSpec, *, smoothing_px: float, least_mm: float) -> DepthMap:
     """The depth of one bubble frame, see `pipeline.stages.depth.depth`; the frame has been checked there.
 
-    Rest is the reference depth itself, so that no shape of the bubble is assumed.
+    Rest is the reference depth itself, so that no shape of the bubble is assumed. Small gaps are filled; where there is
+    no reading for more than a few pixels around, indentation and depth are NaN.
     """
     if frame.reference is None:
         raise ShapeError("a bubble's depth needs a reference depth image")
     notes: list[str] = []
-    rest, now = (
-        _filled(a.astype(np.float32), what, notes)
-        for a, what in ((frame.reference, "reference"), (frame.image, "frame"))
-    )
-    raw = rest - now
-    indentation = _denoised(raw, smoothing_px)
-    largest = source.limits.indentation_max_mm
-    beyond = indentation > largest
-    if beyond.any():
-        notes.append(f"{int(beyond.sum())} pixels were deeper than the sensor's {largest:g} mm and were cut to that")
-        indentation = np.minimum(indentation, np.float32(largest))
-    touched = _touched(indentation, least_mm, source.pixel_mm)
+    rest = frame.reference.astype(np.float32)
+    largest = np.float32(source.limits.indentation_max_mm)
+    moved, seen = _difference(rest, frame.image.astype(np.float32), largest, notes)
+    gaps = ~seen
+    if gaps.any():
+        moved, seen = _filled(moved, seen)
+        rest, _ = _filled(np.where(gaps, np.float32(0.0), rest), ~gaps)
+        notes.append(f"{int((gaps & seen).sum())} pixels had no reading and were filled from around them")
+        if not seen.all():
+            notes.append(f"{int((~seen).sum())} pixels have no value: nothing was read there or close by")
+    indentation = _denoised(moved, smoothing_px)
+    touched = _touched(indentation, least_mm, source.pixel_mm) & seen
     if not touched.any():
         notes.append("nothing touches the sensor")
     elif np.concatenate([touched[0], touched[-1], touched[:, 0], touched[:, -1]]).any():
         notes.append("the contact reaches the image border: what lies beyond is not seen")
+    nothing = np.float32(np.nan)
     return DepthMap(
-        indentation_mm=freeze(indentation),
-        depth_mm=freeze(np.asarray(rest - indentation, np.float32)),
+        indentation_mm=freeze(np.where(seen, indentation, nothing)),
+        depth_mm=freeze(np.where(seen, rest - indentation, nothing)),
         contact=freeze(touched),
         camera=source.camera,
         source_index=pixel_index(indentation.shape),
@@ -70,38 +79,49 @@ def depth(frame: TactileFrame, source: SensorSpec, *, smoothing_px: float, least
     )
 
 
-def _filled(depth_mm: Floats, what: str, notes: list[str]) -> Floats:
-    """Pixels without a reading take a Gaussian mean of the readings around; wider means where a narrower sees none."""
+def _difference(rest: Floats, now: Floats, largest: np.float32, notes: list[str]) -> tuple[Floats, Mask]:
+    """(rest - now, where both are readings of the membrane): what jumps farther than the sensor can go is no reading."""
+    with np.errstate(invalid="ignore"):
+        seen = (rest > 0) & (now > 0)
+        # Stereo cameras mark a failed match by an arbitrarily far value.
+        seen &= rest < _FARTHEST * np.median(rest[rest > 0])
+        moved = rest - now
+        wild = seen & ~(np.abs(moved) <= largest)
+    if wild.any():
+        notes.append(
+            f"{int(wild.sum())} pixels jumped farther than the sensor's {largest:g} mm and were taken for no reading"
+        )
+    seen &= ~wild
+    return np.where(seen, moved, np.float32(0.0)), np.asarray(seen, np.bool_)
+
+
+def _filled(values: Floats, seen: Mask) -> tuple[Floats, Mask]:
+    """(values, known): gaps take a Gaussian mean of the readings close by; `values` must be 0 in the gaps."""
     import cv2
 
-    seen = np.isfinite(depth_mm) & (depth_mm > 0)
-    if seen.all():
-        return depth_mm
-    notes.append(f"{int((~seen).sum())} pixels of the {what} have no reading and were filled from around them")
-    out = np.where(seen, depth_mm, np.float32(0.0))
-    values, weight, todo = out.copy(), seen.astype(np.float32), ~seen
-    reach = 2.0
-    while todo.any() and reach < max(depth_mm.shape):
-        mean, total = (np.asarray(cv2.GaussianBlur(a, (0, 0), reach), np.float32) for a in (values, weight))
-        ready = todo & (total > 0.02)
-        out[ready] = mean[ready] / total[ready]
-        todo &= ~ready
-        reach *= 3.0
-    out[todo] = float(np.median(depth_mm[seen]))
-    return out
+    weight = seen.astype(np.float32)
+    mean, total = (np.asarray(cv2.GaussianBlur(a, (0, 0), _GAP_PX), np.float32) for a in (values * weight, weight))
+    ready = ~seen & (total > _FEWEST_AROUND)
+    filled = np.where(ready, mean / np.maximum(total, np.float32(_FEWEST_AROUND)), values)
+    return np.asarray(filled, np.float32), seen | ready
 
 
 def _denoised(raw: Floats, smoothing_px: float) -> Floats:
-    """Speckle out by a median, then a blur that keeps edges (guided by the median itself)."""
+    """Speckle out by a median, then a blur that keeps edges."""
     import cv2
 
     if smoothing_px <= 0:
-        return raw.copy()
+        return raw
     calm = np.asarray(cv2.medianBlur(raw, _SPECKLE_PX), np.float32)
-    radius = math.ceil(3 * smoothing_px)
-    return np.asarray(cv2.bilateralFilter(calm, 2 * radius + 1, 1.0, 1.5 * smoothing_px), np.float32)
+    return np.asarray(cv2.bilateralFilter(calm, 5, _EDGE_MM, 1.5 * smoothing_px), np.float32)
 
 
 def _touched(indentation: Floats, least_mm: float, pixel_mm: float) -> Mask:
-    pressed = contact.touched(indentation, least_mm=least_mm, pressure_share=0.1, smoothing_px=3.0)
+    """Where the membrane follows the object.
+
+    Between the object and the rim a membrane under tension has no load to carry and is curved by the air alone; over a
+    contact it is curved the other way. Curvature is only read at the scale of a few millimetres, above the noise.
+    """
+    smooth = max(1.0, _CURVATURE_MM / pixel_mm)
+    pressed = contact.touched(indentation, least_mm=least_mm, pressure_share=0.15, smoothing_px=smooth, order=2)
     return contact.without_specks(pressed, max(4, round(_SPECK_MM2 / pixel_mm**2)))
