@@ -1,0 +1,281 @@
+"""The session and the background work for it: what was asked last is what is shown."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from PyQt6.QtCore import QObject, QSignalBlocker, QTimer, pyqtSignal
+from PyQt6.QtGui import QUndoStack
+from PyQt6.QtWidgets import QComboBox
+
+from app import dialogs
+from app.bench import Bench, FrameShown, Opened, SourceShown, StageShown, request_of
+from app.jobs import LatestJob
+from app.logs import LogRelay, log, sentence_and_details
+from app.screen import Screen
+from app.session import SUFFIX, Session, load_session, save_session
+from app.stopwatch import Stopwatch
+from app.tracing import Tracer
+from app.undo import SessionChange
+from app.window import Window
+from pipeline.errors import FileProblem, TouchError
+from pipeline.stages.results import PoseStep
+from widgets.layers import Scene
+
+_STALE_AFTER_MS = 150  # a picture that is replaced sooner need not say that it is old
+_PATIENCE_MS = 500  # younger work is let through, so that a drag shows something on its way; older work is stopped
+
+
+class Instrument(QObject):
+    """Holds the session, asks the background for it, and passes on what comes back."""
+
+    frame_shown = pyqtSignal(int)
+    problem_shown = pyqtSignal(str)
+
+    def __init__(self, window: Window) -> None:
+        super().__init__(window)
+        self.window, self.session = window, Session()
+        self.watch, self.relay = Stopwatch(), LogRelay(self)
+        self.job, self.bench = LatestJob("stages", self), Bench()
+        self.undo = QUndoStack(self)
+        self.tracer = Tracer(window)
+        self.screen = Screen(window, self.tracer)
+        self._ticket = self._wanted_since = self._opening = 0
+        self._closed = self._waits = False
+        self.latest: FrameShown | None = None  # the frame on screen
+        self._stale, self._young = QTimer(self), QTimer(self)
+        for timer, ms in ((self._stale, _STALE_AFTER_MS), (self._young, _PATIENCE_MS)):
+            timer.setSingleShot(True)
+            timer.setInterval(ms)
+        self._stale.timeout.connect(self._mark_stale)
+
+    def start(self, session: Session) -> None:
+        """Begin with a session; there is nothing before it to go back to."""
+        self.show_session(session)
+
+    def open_path(self, path: Path) -> None:
+        """Open whatever `path` is: a session, a mesh, a calibration or a recording."""
+        if path.name.endswith(SUFFIX):
+            self.open_session(path)
+        elif path.suffix.lower() in dialogs.MESHES:
+            self.change("open mesh", mesh=path)
+        elif dialogs.is_calibration(path):
+            self.change("open calibration", calibration=path)
+        else:
+            self.change(
+                "open recording", recording=path, frame=0, source="", stream="", reference=None, calibration=None
+            )
+
+    def open_paths(self, paths: list[Path]) -> None:
+        """Open what was dropped: recordings first, then what goes with them."""
+        for path in sorted(paths, key=lambda p: p.suffix.lower() in dialogs.MESHES or dialogs.is_calibration(p)):
+            self.open_path(path)
+
+    def open_reference(self, path: Path) -> None:
+        """Open the image of the untouched sensor."""
+        self.change("open reference", reference=path)
+
+    def open_session(self, path: Path) -> None:
+        """Replace everything by what a session file says."""
+        with self._told():
+            self._push(load_session(path), "open session", "")
+
+    def save_session(self, path: Path) -> None:
+        """Write the session file."""
+        with self._told():
+            save_session(self.session, path)
+            self.undo.setClean()
+            log.info("session saved: '%s'", path)
+
+    def save_picture(self, path: Path) -> None:
+        """Write a picture of the window."""
+        with self._told():
+            if not self.window.grab().save(str(path)):
+                raise FileProblem("cannot write the picture", path)
+
+    def choose_frame(self, frame: int) -> None:
+        """Go to a frame."""
+        self.change("go to another frame", key="frame", frame=frame)
+
+    def choose_params(self, stage: str, params: object) -> None:
+        """Set the parameters of a stage; a drag is one undo step."""
+        self.change(f"change {stage}", key=f"params {stage}", params={**self.session.params, stage: params})
+
+    def change(self, text: str, *, key: str = "", **updates: Any) -> None:
+        """Change the session as one undo step; following changes of the same `key` join it."""
+        new = replace(self.session, **updates)
+        if new != self.session:
+            self._push(new, text, key)
+
+    def show_session(self, session: Session) -> None:
+        """Show a session: controls at once, stages when the background has them."""
+        with self.watch.timed("show_session"):
+            old, self.session = self.session, session
+            self._show_controls()
+            if session.linked != old.linked or session.display != old.display:
+                self.screen.look(session)
+            if session.recording is not None:
+                self._ask(other_request=old.recording is None or request_of(old) != request_of(session))
+
+    def show_only(self, name: str) -> None:
+        """One stage alone, or all again; what is hidden is not worked out."""
+        alone = self.window.visible_columns() == (name,)
+        self.screen.show_only(None if alone else name)
+        if self.session.recording is not None:
+            self._ask(other_request=False)
+
+    def show_step(self, step: PoseStep) -> None:
+        """Put the object where it was at an iteration."""
+        self.screen.show_step(step)
+
+    def show_scene(self, scene: Scene) -> None:
+        """Take up the 3D views."""
+        self.screen.take_scene(scene, self.session)
+
+    def show_problem(self, error: BaseException) -> None:
+        """Say in the banner what went wrong, and log it once."""
+        sentence, details = sentence_and_details(error)
+        log.error("%s", sentence)
+        self.window.banner.show_problem(sentence, details)
+        self.problem_shown.emit(sentence)
+
+    def reset_view(self) -> None:
+        """Fit every picture and 3D view."""
+        for column in self.window.columns.values():
+            column.view.reset_view()
+        self.screen.look(self.session)
+
+    def cancel(self) -> None:
+        """Stop the work, and take the crosshairs away."""
+        self.job.cancel()
+        self.tracer.clear()
+
+    def close(self) -> None:
+        """Stop the background, then everything OpenGL."""
+        if self._closed:
+            return
+        self._closed = True
+        self.window.timeline.play(on=False)
+        self._stale.stop()
+        self.job.close()
+        self.bench.close()
+        self.screen.finish()
+        self.relay.close()
+
+    @property
+    def idle(self) -> bool:
+        """Whether everything asked for is on screen, or has failed."""
+        return not self.job.busy and not self._stale.isActive() and not self._waits
+
+    def take_part(self, ticket: int, part: object) -> None:
+        """Show a part of the result; parts for another recording come too late."""
+        if ticket < self._wanted_since or self._closed:
+            return
+        with self.watch.timed(type(part).__name__):
+            if isinstance(part, Opened):
+                self._opening = 0
+                self.session = replace(
+                    self.session,
+                    target=part.session.target,
+                    frame=min(self.session.frame, part.translation.n_frames - 1),
+                )
+                self.screen.show_opened(replace(part, session=self.session))
+                self._show_controls()
+            elif isinstance(part, SourceShown | StageShown):
+                self.screen.show_part(part)
+                if isinstance(part, SourceShown):
+                    self.window.timeline.show_frame(self.session.frame, part.frame.time_s)
+            if ticket == self._ticket:
+                self.screen.mark_running()
+
+    def take_frame(self, ticket: int, shown: object) -> None:
+        """Show what belongs to a whole frame."""
+        if ticket < self._wanted_since or self._closed or not isinstance(shown, FrameShown):
+            return
+        with self.watch.timed("FrameShown"):
+            self.latest = shown
+            self.screen.show_frame(shown)
+        if ticket == self._ticket:
+            self._rest()
+            self.frame_shown.emit(shown.index)
+
+    def take_failure(self, ticket: int, error: object) -> None:
+        """Say what went wrong; what could not be opened is undone, so that what was open stays usable."""
+        if ticket < self._wanted_since or self._closed or not isinstance(error, BaseException):
+            return
+        if ticket == self._ticket:
+            not_opened = self._opening == ticket
+            self._rest()
+            if not_opened and self.undo.canUndo():
+                self.undo.undo()
+            elif not not_opened:
+                self.screen.mark_failed(error)
+        self.show_problem(error)
+
+    def take_cancel(self, ticket: int) -> None:
+        """Nothing more will come for this ticket."""
+        if ticket == self._ticket and not self._closed:
+            self.screen.mark_cancelled()
+            self._rest()
+
+    def take_progress(self, ticket: int, fraction: float, text: str) -> None:
+        """Show how far the newest work is."""
+        if ticket == self._ticket and self._waits:
+            self.window.show_progress(fraction, text)
+
+    def _push(self, new: Session, text: str, key: str) -> None:
+        self.undo.push(SessionChange(old=self.session, new=new, text=text, key=key, show=self.show_session))
+
+    def _show_controls(self) -> None:
+        window, session = self.window, self.session
+        window.timeline.show_frame(session.frame)
+        window.frames.show_frame(session.frame)
+        for stage, params in session.params.items():
+            window.parameters.show_params(stage, params)
+        _show_choice(window.source, session.source)
+        _show_choice(window.target, session.target)
+        _show_choice(window.route, session.route)
+        window.actions_by_name["link_cameras"].setChecked(session.linked)
+
+    def _ask(self, *, other_request: bool) -> None:
+        session, wanted = self.session, self.window.visible_columns()
+        interrupt = other_request or not self._young.isActive()
+        self._waits = True
+        self._ticket = self.job.submit(lambda report: self.bench.show(session, wanted, report), interrupt=interrupt)
+        if other_request:
+            self._wanted_since = self._opening = self._ticket
+        if interrupt:
+            self._young.start()
+        self.screen.expect_all()
+        self.window.timeline.show_ready(ready=False)
+        if not self._stale.isActive():
+            self._stale.start()
+
+    def _rest(self) -> None:
+        self._waits = False
+        self._opening = 0
+        self._stale.stop()
+        self._young.stop()
+        self.window.show_progress(None)
+        self.window.timeline.show_ready(ready=True)
+
+    def _mark_stale(self) -> None:
+        with self.watch.timed("mark_stale"):
+            self.screen.mark_stale()
+
+    @contextmanager
+    def _told(self) -> Generator[None]:
+        """Errors that are the user's to mend end in the banner."""
+        try:
+            yield
+        except TouchError as error:
+            self.show_problem(error)
+
+
+def _show_choice(box: QComboBox, value: str) -> None:
+    with QSignalBlocker(box):
+        box.setCurrentIndex(max(0, box.findData(value)))

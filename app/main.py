@@ -1,0 +1,112 @@
+"""Starting the window: what must be set before Qt is loaded, and what may come after it is on screen."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from PyQt6.QtWidgets import QApplication
+
+    from app.instrument import Instrument
+    from app.session import Session
+
+SAMPLE = Path(__file__).resolve().parents[1] / "sample_data" / "recordings" / "first_touch.h5"
+_THREADS_LEFT_ALONE = "PASSIVE"  # waiting OpenMP threads that spin would take the processor from the window
+
+
+def open_window(
+    recording: Path | None = None,
+    *,
+    target: str = "",
+    source: str = "",
+    reference: Path | None = None,
+    calibration: Path | None = None,
+    mesh: Path | None = None,
+    frame: int | None = None,
+    tour: Path | None = None,
+) -> int:
+    """Show the window until it is closed, or give the `tour` and close; returns the exit code of the process.
+
+    Without a recording the sample is opened, where there is one. See `app.tour` for what a tour leaves behind.
+    """
+    prepare_environment()
+    from app.session import Session
+
+    application = make_application()
+    session = Session(
+        recording=recording or (SAMPLE if SAMPLE.exists() else None), target=target, source=source,
+        reference=reference, calibration=calibration, mesh=mesh, frame=frame or 0,
+    )  # fmt: skip
+    instrument = show_window(session)
+    code = 0
+    if tour is not None:
+        from app.tour import give_tour
+
+        code = give_tour(instrument, tour, show_frame=frame)
+        instrument.window.close()
+    else:
+        code = application.exec()
+    instrument.close()
+    return code
+
+
+def prepare_environment() -> None:
+    """Say which Qt binding all shall use, and keep idle OpenMP threads from spinning; before any of them loads."""
+    os.environ["QT_API"] = "pyqt6"
+    os.environ["PYQTGRAPH_QT_LIB"] = "PyQt6"
+    os.environ.setdefault("OMP_WAIT_POLICY", _THREADS_LEFT_ALONE)
+
+
+def make_application() -> QApplication:
+    """The one application, in our style; the OpenGL format is set first, since later is too late."""
+    from PyQt6.QtGui import QSurfaceFormat
+    from PyQt6.QtWidgets import QApplication
+
+    running = QApplication.instance()
+    if isinstance(running, QApplication):
+        return running
+    form = QSurfaceFormat()
+    form.setRenderableType(QSurfaceFormat.RenderableType.OpenGL)
+    form.setProfile(QSurfaceFormat.OpenGLContextProfile.CoreProfile)
+    form.setVersion(3, 2)
+    form.setSamples(0)  # VTK smooths in its own buffers
+    QSurfaceFormat.setDefaultFormat(form)
+    application = QApplication([sys.argv[0]])
+    application.setApplicationName("Tactoscope")
+    return application
+
+
+def show_window(session: Session, *, with_scene: bool = True) -> Instrument:
+    """A window on `session`, on screen before the recording is read and before OpenGL is loaded."""
+    from PyQt6.QtCore import QTimer
+    from PyQt6.QtWidgets import QApplication
+
+    from app.connections import connect
+    from app.instrument import Instrument
+    from app.window import Window
+    from pipeline.routes import STAGES
+    from widgets.colours import light_palette
+
+    QApplication.setStyle("Fusion")
+    QApplication.setPalette(light_palette())
+    window = Window([("source", "Source"), *((stage.name, stage.title) for stage in STAGES)])
+    instrument = Instrument(window)
+    connect(instrument)
+    instrument.relay.catch_uncaught()
+    window.show()
+    if with_scene:
+        QTimer.singleShot(0, lambda: _add_scene(instrument))
+    if session.recording is not None:
+        instrument.start(session)
+    logging.getLogger("tactoscope").info("Tactoscope is ready")
+    return instrument
+
+
+def _add_scene(instrument: Instrument) -> None:
+    from widgets.scene import best_scene
+
+    instrument.show_scene(best_scene(len(instrument.window.columns), instrument.window))

@@ -1,0 +1,86 @@
+"""A strip for what went wrong: a sentence, details on demand, never a box that must be clicked away."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import Qt
+from PyQt6.QtGui import QGuiApplication
+from PyQt6.QtWidgets import (
+    QFrame,
+    QHBoxLayout,
+    QLabel,
+    QPlainTextEdit,
+    QPushButton,
+    QStyle,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+
+class Banner(QFrame):
+    """Hidden until `show_problem`."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setObjectName("banner")
+        self.setStyleSheet(
+            "#banner { background: #fdecea; border: 1px solid #d9a09a; } #banner QLabel { color: #5c1a14; }"
+        )
+        self._sign, self._text = QLabel(), QLabel()
+        style = self.style()
+        assert style is not None
+        warning = style.standardIcon(QStyle.StandardPixmap.SP_MessageBoxWarning)
+        self._sign.setPixmap(warning.pixmap(20, 20))
+        self._text.setWordWrap(True)
+        self._text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self._more, self._copy, self._away = QPushButton("Details"), QPushButton("Copy report"), QToolButton()
+        self._more.setCheckable(True)
+        self._away.setText("\N{MULTIPLICATION SIGN}")
+        self._away.setAutoRaise(True)
+        self._away.setToolTip("Dismiss")
+        self._away.setAccessibleName("Dismiss")
+        self._details = QPlainTextEdit()
+        self._details.setReadOnly(True)
+        self._details.setMaximumHeight(160)
+        row = QHBoxLayout()
+        row.addWidget(self._sign)
+        row.addWidget(self._text, 1)
+        for button in (self._more, self._copy, self._away):
+            row.addWidget(button)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(8, 4, 8, 4)
+        layout.addLayout(row)
+        layout.addWidget(self._details)
+        self._more.toggled.connect(self._details.setVisible)
+        self._copy.clicked.connect(self.copy_report)
+        self._away.clicked.connect(self.dismiss)
+        self._details.hide()
+        self.hide()
+
+    @property
+    def text(self) -> str:
+        """The sentence shown."""
+        return self._text.text()
+
+    @property
+    def details(self) -> str:
+        """What `Details` shows."""
+        return self._details.toPlainText()
+
+    def show_problem(self, sentence: str, details: str = "") -> None:
+        """Show one sentence, and what stands behind it on demand."""
+        self._text.setText(sentence[:1].upper() + sentence[1:])
+        self._details.setPlainText(details)
+        self._more.setVisible(bool(details))
+        self._more.setChecked(False)
+        self.show()
+
+    def dismiss(self) -> None:
+        """Take the strip away."""
+        self.hide()
+
+    def copy_report(self) -> None:
+        """Put sentence and details on the clipboard."""
+        clipboard = QGuiApplication.clipboard()
+        if clipboard is not None:
+            clipboard.setText(f"{self.text}\n\n{self.details}".strip() + "\n")

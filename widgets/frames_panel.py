@@ -1,0 +1,134 @@
+"""The list of frames, with what is known of each so far."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from PyQt6.QtCore import QAbstractTableModel, QModelIndex, Qt, pyqtSignal
+from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QVBoxLayout, QWidget
+
+_COLUMNS = ("frame", "depth\nmm", "contact\nmm²", "error\nmm")
+_TIPS = (
+    "number of the frame",
+    "largest indentation of the source sensor, mm",
+    "contact area on the source sensor, mm²",
+    "median error of the generated indentation against truth inside the contact, mm; - where no truth is known",
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameSummary:
+    """What one frame turned out to be."""
+
+    deepest_mm: float
+    contact_mm2: float
+    error_mm: float | None  # None = no truth
+
+    def cells(self) -> tuple[str, str, str]:
+        """As shown."""
+        if self.contact_mm2 <= 0:
+            return "-", "0", ""
+        error = "-" if self.error_mm is None else f"{self.error_mm:.3f}"
+        return f"{self.deepest_mm:.2f}", f"{self.contact_mm2:.1f}", error
+
+
+class FramesModel(QAbstractTableModel):
+    """Frame numbers and their summaries; a frame nobody has looked at costs nothing."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._n_frames = 0
+        self._known: dict[int, FrameSummary] = {}
+
+    def show_frames(self, n_frames: int) -> None:
+        """Start over with this many frames of which nothing is known."""
+        self.beginResetModel()
+        self._n_frames = n_frames
+        self._known = {}
+        self.endResetModel()
+
+    def show_summary(self, frame: int, summary: FrameSummary) -> None:
+        """Fill one row."""
+        if self._known.get(frame) == summary or not 0 <= frame < self._n_frames:
+            return
+        self._known[frame] = summary
+        self.dataChanged.emit(self.index(frame, 1), self.index(frame, len(_COLUMNS) - 1))
+
+    def rowCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
+        """One row a frame."""
+        return 0 if parent.isValid() else self._n_frames
+
+    def columnCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
+        """Frame, depth, contact, error."""
+        return 0 if parent.isValid() else len(_COLUMNS)
+
+    def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
+        """The text of a cell."""
+        if not index.isValid():
+            return None
+        if role == Qt.ItemDataRole.TextAlignmentRole:
+            return int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        if role != Qt.ItemDataRole.DisplayRole:
+            return None
+        if index.column() == 0:
+            return str(index.row())
+        summary = self._known.get(index.row())
+        return "" if summary is None else summary.cells()[index.column() - 1]
+
+    def headerData(  # noqa: N802
+        self, section: int, orientation: Qt.Orientation, role: int = Qt.ItemDataRole.DisplayRole
+    ) -> object:
+        """Column titles and their explanations."""
+        if orientation == Qt.Orientation.Horizontal and 0 <= section < len(_COLUMNS):
+            if role == Qt.ItemDataRole.DisplayRole:
+                return _COLUMNS[section]
+            if role == Qt.ItemDataRole.ToolTipRole:
+                return _TIPS[section]
+        return None
+
+
+class FramesPanel(QWidget):
+    """The table of frames; `frame_chosen` says which row was picked."""
+
+    frame_chosen = pyqtSignal(int)
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.model = FramesModel(self)
+        self._table = QTableView()
+        self._table.setObjectName("frames")
+        self._table.setModel(self.model)
+        self._table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        self._table.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
+        self._table.setShowGrid(False)
+        self._table.setAlternatingRowColors(True)
+        rows, columns = self._table.verticalHeader(), self._table.horizontalHeader()
+        assert rows is not None
+        assert columns is not None
+        rows.hide()
+        rows.setDefaultSectionSize(self.fontMetrics().height() + 5)
+        columns.setMinimumSectionSize(30)
+        columns.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
+        columns.setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.addWidget(self._table)
+        self._table.clicked.connect(self._picked)
+        self._table.activated.connect(self._picked)
+
+    def show_frames(self, n_frames: int) -> None:
+        """List this many frames."""
+        self.model.show_frames(n_frames)
+
+    def show_summary(self, frame: int, summary: FrameSummary) -> None:
+        """Fill in what is known of a frame."""
+        self.model.show_summary(frame, summary)
+
+    def show_frame(self, frame: int) -> None:
+        """Mark the frame that is on screen."""
+        if self._table.currentIndex().row() != frame and 0 <= frame < self.model.rowCount():
+            self._table.setCurrentIndex(self.model.index(frame, 0))
+        self._table.scrollTo(self.model.index(frame, 0))
+
+    def _picked(self, index: QModelIndex) -> None:
+        self.frame_chosen.emit(index.row())

@@ -1,0 +1,94 @@
+"""What 3D views show, as plain values, and what the window asks of whatever shows them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from PyQt6.QtWidgets import QWidget
+
+from pipeline.arrays import Doubles, Floats, Indices
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layer:
+    """Points or a surface in one sub-view; everything that costs time was done where it was made."""
+
+    name: str  # unique in its sub-view: the same name is updated in place
+    points_mm: Floats  # (n, 3)
+    rgb: NDArray[np.uint8]  # (n, 3)
+    triangles: Indices | None = None  # (m, 3); None = a point cloud
+    normals: Floats | None = None  # (n, 3) for smooth shading
+    opacity: float = 1.0
+    point_px: float = 3.0
+    placed: Doubles | None = None  # (4, 4) view_from_layer, moved without touching the points
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sight:
+    """Where a sub-view looks from: `centre` with a sphere of `radius_mm` around it fills the view."""
+
+    centre_mm: tuple[float, float, float]
+    radius_mm: float
+    frame: str  # views of the same frame may share a camera
+
+
+class Scene(Protocol):
+    """What the window asks of 3D, with or without OpenGL on the screen."""
+
+    def show_layers(self, column: int, layers: Sequence[Layer]) -> None:
+        """Show exactly these layers in a sub-view."""
+        ...
+
+    def place(self, column: int, name: str, placed: Doubles) -> None:
+        """Move one layer as a whole."""
+        ...
+
+    def look(self, sights: Mapping[int, Sight], *, linked: bool) -> None:
+        """Set the cameras; views of one frame share theirs when `linked`."""
+        ...
+
+    def mark(self, column: int, place_mm: tuple[float, float, float] | None, radius_mm: float) -> None:
+        """Put the traced pixel's dot into a sub-view, or take it away."""
+        ...
+
+    def show_columns(self, visible: Sequence[int]) -> None:
+        """Give the room to these sub-views, in equal shares."""
+        ...
+
+    def finish(self) -> None:
+        """Let go of everything OpenGL."""
+        ...
+
+    def widget(self) -> QWidget:
+        """What goes into the layout."""
+        ...
+
+
+class EmptyScene:
+    """Stands in until the 3D views are there."""
+
+    def show_layers(self, column: int, layers: Sequence[Layer]) -> None:
+        """Nothing."""
+
+    def place(self, column: int, name: str, placed: Doubles) -> None:
+        """Nothing."""
+
+    def look(self, sights: Mapping[int, Sight], *, linked: bool) -> None:
+        """Nothing."""
+
+    def mark(self, column: int, place_mm: tuple[float, float, float] | None, radius_mm: float) -> None:
+        """Nothing."""
+
+    def show_columns(self, visible: Sequence[int]) -> None:
+        """Nothing."""
+
+    def finish(self) -> None:
+        """Nothing."""
+
+    def widget(self) -> QWidget:
+        """Nothing to see."""
+        return QWidget()

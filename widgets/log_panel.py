@@ -1,0 +1,63 @@
+"""The log, with a filter by level."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+
+from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QPlainTextEdit, QPushButton, QVBoxLayout, QWidget
+
+_KEPT = 5000
+_LEVELS = {"everything": logging.DEBUG, "info": logging.INFO, "warnings": logging.WARNING, "errors": logging.ERROR}
+
+
+class LogPanel(QWidget):
+    """Keeps the newest lines and shows those at or above the chosen level."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._lines: deque[tuple[int, str]] = deque(maxlen=_KEPT)
+        self._level = QComboBox()
+        self._level.setObjectName("log_level")
+        self._level.addItems(list(_LEVELS))
+        self._level.setCurrentText("info")
+        self._level.currentTextChanged.connect(self._fill)
+        clear = QPushButton("Clear")
+        clear.clicked.connect(self.clear)
+        self._text = QPlainTextEdit()
+        self._text.setReadOnly(True)
+        self._text.setMaximumBlockCount(_KEPT)
+        self._text.setLineWrapMode(QPlainTextEdit.LineWrapMode.NoWrap)
+        row = QHBoxLayout()
+        row.addWidget(QLabel("show"))
+        row.addWidget(self._level)
+        row.addStretch(1)
+        row.addWidget(clear)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(4, 2, 4, 2)
+        layout.setSpacing(2)
+        layout.addLayout(row)
+        layout.addWidget(self._text)
+
+    @property
+    def text(self) -> str:
+        """The lines shown."""
+        return self._text.toPlainText()
+
+    def show_line(self, level: int, text: str) -> None:
+        """Add one line of the log."""
+        self._lines.append((level, text))
+        if level >= _LEVELS[self._level.currentText()]:
+            self._text.appendPlainText(text)
+
+    def show_level(self, name: str) -> None:
+        """Filter by "everything", "info", "warnings" or "errors"."""
+        self._level.setCurrentText(name)
+
+    def clear(self) -> None:
+        """Forget all lines."""
+        self._lines.clear()
+        self._text.clear()
+
+    def _fill(self, name: str) -> None:
+        self._text.setPlainText("\n".join(text for level, text in self._lines if level >= _LEVELS[name]))

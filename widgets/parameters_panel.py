@@ -1,0 +1,243 @@
+"""Labelled controls for the parameters of every stage, derived from the parameter types themselves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtWidgets import (
+    QCheckBox,
+    QComboBox,
+    QDoubleSpinBox,
+    QFormLayout,
+    QFrame,
+    QHBoxLayout,
+    QLabel,
+    QLineEdit,
+    QScrollArea,
+    QSizePolicy,
+    QSlider,
+    QSpinBox,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from pipeline.params import Setting, Value, changed, settings
+from widgets.icons import drawn
+
+_SLIDER_STEPS = 400
+_WIDEST = 1e9  # stands for "no limit" in a spin box
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Control:
+    """One parameter on screen: the widget and how a value gets into it."""
+
+    widget: QWidget
+    show: Callable[[Value], None]
+
+
+class ParametersPanel(QScrollArea):
+    """One group per stage; `params_edited(stage, params)` carries the whole new parameter value."""
+
+    params_edited = pyqtSignal(str, object)
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setWidgetResizable(True)
+        self.setFrameShape(QFrame.Shape.NoFrame)
+        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self._body = QWidget()
+        self._layout = QVBoxLayout(self._body)
+        self._layout.setContentsMargins(6, 4, 6, 4)
+        self._layout.addStretch(1)
+        self.setWidget(self._body)
+        self._params: dict[str, object] = {}
+        self._controls: dict[str, dict[str, _Control]] = {}
+        self._groups: dict[str, QWidget] = {}
+
+    def add_stage(self, stage: str, title: str, params: object) -> None:
+        """Add the controls of a stage; nothing is shown for one without parameters."""
+        self._params[stage] = params
+        group, form = self._group(stage, title)
+        self._controls[stage] = {}
+        for name, (value, told) in settings(params).items():
+            control = self._control(stage, name, value, told)
+            self._controls[stage][name] = control
+            label = QLabel(f"{told.label}, {told.unit}" if told.unit and told.unit not in told.label else told.label)
+            label.setWordWrap(True)
+            tip = f"{told.help or told.label} ({stage}.{name})"
+            label.setToolTip(tip)
+            control.widget.setToolTip(tip)
+            control.widget.setAccessibleName(told.label)
+            control.widget.setObjectName(f"{stage}.{name}")
+            form.addRow(label, control.widget)
+        group.setVisible(bool(self._controls[stage]))
+        self._groups[stage] = group
+        self._layout.insertWidget(self._layout.count() - 1, group)
+
+    def show_params(self, stage: str, params: object) -> None:
+        """Show these values without saying so to anybody."""
+        if stage not in self._controls or params == self._params.get(stage):
+            return
+        self._params[stage] = params
+        for name, (value, _) in settings(params).items():
+            self._controls[stage][name].show(value)
+
+    def show_stages(self, stages: tuple[str, ...]) -> None:
+        """Show the groups of these stages only: those of the chosen route."""
+        for name, group in self._groups.items():
+            group.setVisible(name in stages and bool(self._controls[name]))
+
+    def reset(self, stage: str) -> None:
+        """Put a stage back to its defaults."""
+        params = type(self._params[stage])()
+        if params != self._params[stage]:
+            self.show_params(stage, params)
+            self.params_edited.emit(stage, params)
+
+    def values(self) -> Mapping[str, object]:
+        """Stage -> parameters as shown."""
+        return dict(self._params)
+
+    def _group(self, stage: str, title: str) -> tuple[QWidget, QFormLayout]:
+        group = QWidget()
+        outer = QVBoxLayout(group)
+        outer.setContentsMargins(0, 2, 0, 6)
+        outer.setSpacing(3)
+        head = QHBoxLayout()
+        name = QLabel(title)
+        font = name.font()
+        font.setBold(True)
+        name.setFont(font)
+        button = QToolButton()
+        button.setIcon(drawn("reset"))
+        button.setAutoRaise(True)
+        button.setToolTip(f"Reset {title.lower()} to its defaults")
+        button.setAccessibleName(f"reset {stage}")
+        button.setObjectName(f"reset_{stage}")
+        button.clicked.connect(lambda: self.reset(stage))
+        head.addWidget(name, 1)
+        head.addWidget(button)
+        outer.addLayout(head)
+        form = QFormLayout()
+        form.setRowWrapPolicy(QFormLayout.RowWrapPolicy.DontWrapRows)
+        form.setFieldGrowthPolicy(QFormLayout.FieldGrowthPolicy.AllNonFixedFieldsGrow)
+        form.setContentsMargins(4, 0, 0, 0)
+        form.setSpacing(3)
+        outer.addLayout(form)
+        return group, form
+
+    def _edited(self, stage: str, name: str, value: Value) -> None:
+        params = changed(self._params[stage], name, value)
+        if params != self._params[stage]:
+            self._params[stage] = params
+            self.params_edited.emit(stage, params)
+
+    def _control(self, stage: str, name: str, value: Value, told: Setting) -> _Control:
+        def edited(new: Value) -> None:
+            self._edited(stage, name, new)
+
+        if isinstance(value, bool):
+            return _switch(value, edited)
+        if told.choices:
+            return _choice(str(value), told, edited)
+        if isinstance(value, int):
+            return _whole(value, told, edited)
+        if isinstance(value, float):
+            return _number(value, told, edited)
+        return _text(value, edited)
+
+
+def _switch(value: bool, edited: Callable[[Value], None]) -> _Control:
+    box = QCheckBox()
+    box.setChecked(value)
+    box.toggled.connect(edited)
+
+    def show(new: Value) -> None:
+        with QSignalBlocker(box):
+            box.setChecked(bool(new))
+
+    return _Control(widget=box, show=show)
+
+
+def _choice(value: str, told: Setting, edited: Callable[[Value], None]) -> _Control:
+    box = QComboBox()
+    box.addItems(list(told.choices))
+    box.setCurrentText(value)
+    box.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+    box.currentTextChanged.connect(edited)
+
+    def show(new: Value) -> None:
+        with QSignalBlocker(box):
+            box.setCurrentText(str(new))
+
+    return _Control(widget=box, show=show)
+
+
+def _text(value: str, edited: Callable[[Value], None]) -> _Control:
+    line = QLineEdit(value)
+    line.editingFinished.connect(lambda: edited(line.text()))
+    return _Control(widget=line, show=lambda new: line.setText(str(new)))
+
+
+def _whole(value: int, told: Setting, edited: Callable[[Value], None]) -> _Control:
+    box = QSpinBox()
+    box.setRange(int(max(told.low, -_WIDEST)), int(min(told.high, _WIDEST)))
+    box.setSingleStep(max(1, int(told.step)))
+    box.setKeyboardTracking(False)
+    box.setValue(value)
+    box.valueChanged.connect(edited)
+
+    def show(new: Value) -> None:
+        with QSignalBlocker(box):
+            box.setValue(int(new))
+
+    return _Control(widget=box, show=show)
+
+
+def _number(value: float, told: Setting, edited: Callable[[Value], None]) -> _Control:
+    """A spin box, with a slider beside it where the range has two ends."""
+    box = QDoubleSpinBox()
+    low, high = max(told.low, -_WIDEST), min(told.high, _WIDEST)
+    bounded = math.isfinite(told.low) and math.isfinite(told.high)
+    step = told.step or ((high - low) / 10 if bounded else 0.1)
+    box.setDecimals(max(2, min(6, 2 - math.floor(math.log10(step)))))
+    box.setRange(low, high)
+    box.setSingleStep(step)
+    box.setKeyboardTracking(False)
+    box.setValue(value)
+    slider = QSlider(Qt.Orientation.Horizontal)
+    slider.setRange(0, _SLIDER_STEPS)
+    slider.setMinimumWidth(40)
+    slider.setVisible(bounded)
+
+    def place(new: float) -> None:
+        if bounded:
+            with QSignalBlocker(slider):
+                slider.setValue(round((new - low) / (high - low) * _SLIDER_STEPS))
+
+    def typed(new: float) -> None:
+        place(new)
+        edited(new)
+
+    def dragged(at: int) -> None:
+        box.setValue(low + (high - low) * at / _SLIDER_STEPS)
+
+    def show(new: Value) -> None:
+        with QSignalBlocker(box):
+            box.setValue(float(new))
+        place(float(new))
+
+    place(value)
+    box.valueChanged.connect(typed)
+    slider.valueChanged.connect(dragged)
+    both = QWidget()
+    row = QHBoxLayout(both)
+    row.setContentsMargins(0, 0, 0, 0)
+    row.addWidget(slider, 1)
+    row.addWidget(box, 0 if bounded else 1)
+    return _Control(widget=both, show=show)

@@ -1,0 +1,88 @@
+"""A stage's column: header with title, state and time, and its picture below."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
+
+from widgets.icons import state_pixmap
+from widgets.picture import Picture, PictureView
+
+
+class StageColumn(QFrame):
+    """Title, state (sign and word), milliseconds, picture; the pixel under the mouse comes out."""
+
+    pixel_hovered = pyqtSignal(str, int, int)  # stage, row, col; -1, -1 = none
+    pixel_clicked = pyqtSignal(str, int, int)
+
+    def __init__(self, name: str, title: str, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.name = name
+        self.setObjectName(f"column_{name}")
+        self.setFrameShape(QFrame.Shape.StyledPanel)
+        self._title = QLabel(title)
+        font = self._title.font()
+        font.setBold(True)
+        font.setPointSizeF(font.pointSizeF() - 0.5)
+        self._title.setFont(font)
+        self._title.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self._title.setToolTip(title)
+        self._sign, self._word, self._ms = QLabel(), QLabel(), QLabel()
+        self._ms.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        self.view = PictureView()
+        status = QHBoxLayout()
+        status.setSpacing(4)
+        status.addWidget(self._sign)
+        status.addWidget(self._word)
+        status.addWidget(self._ms, 1)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(5, 4, 5, 3)
+        layout.setSpacing(2)
+        layout.addWidget(self._title)
+        layout.addLayout(status)
+        layout.addWidget(self.view, 1)
+        self.setMinimumWidth(90)
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
+        self.state = ""
+        self.view.pixel_hovered.connect(self._hovered)
+        self.view.pixel_clicked.connect(self._clicked)
+        self.show_state("waiting")
+
+    def show_state(self, state: str, ms: float | None = None, notes: tuple[str, ...] = ()) -> None:
+        """Show where the stage stands; notes become the tool tip, and the reason over a skipped picture."""
+        if state != self.state:
+            self.state = state
+            self._sign.setPixmap(state_pixmap(state))
+            self._word.setText(state)
+        self._ms.setText("" if ms is None else _time_text(ms))
+        tip = "\n".join(notes)
+        for label in (self._sign, self._word, self._ms):
+            label.setToolTip(tip)
+        old = state in ("stale", "running", "failed") and self.view.picture is not None
+        self.view.show_dimmed(old)
+        self.view.show_message(self._message(state, notes))
+
+    def show_picture(self, picture: Picture) -> None:
+        """Show what the stage made."""
+        self.view.show_picture(picture)
+
+    def _hovered(self, row: int, col: int) -> None:
+        self.pixel_hovered.emit(self.name, row, col)
+
+    def _clicked(self, row: int, col: int) -> None:
+        self.pixel_clicked.emit(self.name, row, col)
+
+    def _message(self, state: str, notes: tuple[str, ...]) -> str:
+        if state in ("stale", "running"):
+            return "updating" if self.view.picture is not None else "working…"
+        if state == "skipped":
+            return notes[0] if notes else "not needed for this frame"
+        if state == "failed":
+            return notes[0] if notes else "failed"
+        return ""
+
+
+def _time_text(ms: float) -> str:
+    if ms < 10:
+        return f"{ms:.2f} ms"
+    return f"{ms:.0f} ms" if ms < 10_000 else f"{ms / 1e3:.1f} s"

@@ -1,0 +1,150 @@
+"""The timeline: which frame, and playing through them."""
+
+from __future__ import annotations
+
+import math
+
+from PyQt6.QtCore import QSignalBlocker, Qt, QTimer, pyqtSignal
+from PyQt6.QtGui import QAction
+from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSlider, QSpinBox, QToolButton, QWidget
+
+SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0)
+FRAMES_PER_SECOND = 10.0  # at speed 1, when the recording keeps no times
+_TICK_MS = 30
+
+
+class Timeline(QWidget):
+    """Slider, frame number and play; `frame_chosen` says which frame is wanted."""
+
+    frame_chosen = pyqtSignal(int)
+    play_toggled = pyqtSignal(bool)
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._n_frames, self._frame, self._ready = 0, 0, True
+        self._due = 0.0  # share of the next frame that playing has waited for
+        self._clock = QTimer(self)
+        self._clock.setInterval(_TICK_MS)
+        self._clock.timeout.connect(self._tick)
+        self.slider = QSlider(Qt.Orientation.Horizontal)
+        self.slider.setObjectName("frame_slider")
+        self.slider.setAccessibleName("frame")
+        self.number = QSpinBox()
+        self.number.setObjectName("frame_number")
+        self.number.setKeyboardTracking(False)
+        self._of, self._time = QLabel(), QLabel()
+        self._time.setMinimumWidth(self.fontMetrics().horizontalAdvance("t = 0000.00 s"))
+        self.speed = QComboBox()
+        for value in SPEEDS:
+            self.speed.addItem(f"{value:g}\N{MULTIPLICATION SIGN}", value)
+        self.speed.setCurrentIndex(SPEEDS.index(1.0))
+        self.speed.setToolTip(
+            f"playing speed; 1\N{MULTIPLICATION SIGN} shows {FRAMES_PER_SECOND:g} frames a second at most"
+        )
+        self._looping = False
+        self._buttons = QHBoxLayout()
+        self._lay_out()
+        self.slider.valueChanged.connect(self._choose)
+        self.number.valueChanged.connect(self._choose)
+        self.show_frames(0)
+
+    def _lay_out(self) -> None:
+        layout = QHBoxLayout(self)
+        layout.setContentsMargins(6, 2, 6, 2)
+        self._buttons.setSpacing(1)
+        layout.addLayout(self._buttons)
+        layout.addWidget(self.slider, 1)
+        for widget in (QLabel("frame"), self.number, self._of, self._time, QLabel("speed"), self.speed):
+            layout.addWidget(widget)
+
+    def add_command(self, action: QAction) -> None:
+        """Give a command a button at the left of the slider."""
+        button = QToolButton()
+        button.setDefaultAction(action)
+        button.setAutoRaise(True)
+        self._buttons.addWidget(button)
+
+    @property
+    def frame(self) -> int:
+        """The chosen frame."""
+        return self._frame
+
+    @property
+    def playing(self) -> bool:
+        """Whether frames follow each other by themselves."""
+        return self._clock.isActive()
+
+    def show_frames(self, n_frames: int) -> None:
+        """Offer frames 0 to `n_frames` - 1."""
+        self._n_frames = n_frames
+        last = max(0, n_frames - 1)
+        with QSignalBlocker(self.slider), QSignalBlocker(self.number):
+            self.slider.setRange(0, last)
+            self.number.setRange(0, last)
+        self._of.setText(f"of {n_frames}")
+        self.setEnabled(n_frames > 0)
+        if n_frames <= 1:
+            self.play(on=False)
+
+    def show_frame(self, frame: int, time_s: float = math.nan) -> None:
+        """Show where we are; says nothing to anybody."""
+        self._frame = frame
+        with QSignalBlocker(self.slider), QSignalBlocker(self.number):
+            self.slider.setValue(frame)
+            self.number.setValue(frame)
+        self._time.setText(f"t = {time_s:.2f} s" if math.isfinite(time_s) else "")
+
+    def show_ready(self, *, ready: bool) -> None:
+        """Whether the chosen frame is on screen: playing waits for it instead of running ahead."""
+        self._ready = ready
+
+    def play(self, *, on: bool) -> None:
+        """Start or stop playing."""
+        on = on and self._n_frames > 1
+        if on == self._clock.isActive():
+            return
+        if on:
+            if self._frame >= self._n_frames - 1:
+                self.step_to(0)
+            self._due = 0.0
+            self._clock.start()
+        else:
+            self._clock.stop()
+        self.play_toggled.emit(on)
+
+    def set_looping(self, looping: bool) -> None:
+        """Whether playing begins again after the last frame."""
+        self._looping = looping
+
+    def step(self, by: int) -> None:
+        """Go `by` frames on, no further than the ends."""
+        self.step_to(self._frame + by)
+
+    def step_to(self, frame: int) -> None:
+        """Go to a frame, no further than the ends."""
+        self._choose(min(max(frame, 0), max(0, self._n_frames - 1)))
+
+    def step_to_last(self) -> None:
+        """Go to the last frame."""
+        self.step_to(self._n_frames - 1)
+
+    def _choose(self, frame: int) -> None:
+        if frame == self._frame or self._n_frames == 0:
+            return
+        self.show_frame(frame)
+        self.frame_chosen.emit(frame)
+
+    def _tick(self) -> None:
+        self._due = min(self._due + _TICK_MS * 1e-3 * FRAMES_PER_SECOND * float(self.speed.currentData()), 4.0)
+        if self._due < 1.0 or not self._ready:
+            return
+        by = int(self._due)
+        self._due -= by
+        following = self._frame + by
+        if following >= self._n_frames:
+            if not self._looping:
+                self.step_to(self._n_frames - 1)
+                self.play(on=False)
+                return
+            following %= self._n_frames
+        self.step_to(following)
