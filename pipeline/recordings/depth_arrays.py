@@ -1,0 +1,162 @@
+"""Depth images of a bubble as arrays: `.npz` of Punyo and the like, `.npy`, or a folder of 16-bit images.
+
+The unit must be told by the key (or the file's name): depth_mm, depth_m, depth_um, depth_u16_0p1mm. Nothing is guessed.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import Floats, freeze
+from pipeline.camera import Camera, camera_from_matrix
+from pipeline.errors import CalibrationError, FileProblem
+from pipeline.frames import Recording, Stream, TactileFrame
+from pipeline.recordings import pictures
+from pipeline.recordings.indexing import checked_index
+from pipeline.recordings.sensor_guess import named_or_guessed
+
+DepthUnit = Literal["auto", "mm", "m", "0.1mm", "um"]
+_MM_PER_UNIT: Mapping[str, float] = {"mm": 1.0, "m": 1000.0, "0.1mm": 0.1, "um": 0.001}
+_TOLD = re.compile(r"_(?P<unit>0p1mm|mm|um|m)$", re.IGNORECASE)
+_PLAUSIBLE_MM = (5.0, 2000.0)  # a tactile depth camera looks at a membrane some centimetres away
+_N_UNTOUCHED = 5  # first frames whose median is taken as untouched: a fifth of the noise of one
+
+
+def read(path: Path, *, sensor: str = "", reference: Path | None = None, unit: DepthUnit = "auto") -> Recording:
+    """One stream of float32 depth in mm, NaN where there is no reading (0, negative, 65535, not finite).
+
+    Without `reference` (another depth file) the median of the first frames is taken as untouched, and noted. Raises
+    FileProblem when the array cannot be read or its unit is not told.
+    """
+    loaded = _folder(path, unit) if path.is_dir() else _file(path, unit)
+    n, first = loaded.n_frames, loaded.depth_mm(0)
+    name, notes = named_or_guessed(sensor, cast("tuple[int, int]", first.shape), is_depth=True)
+    if reference is not None:
+        untouched, about = read_image(reference, unit), f"{reference.name} shows the untouched sensor"
+    else:
+        n_first = min(_N_UNTOUCHED, max(1, n // 6))
+        untouched = _median(np.stack([loaded.depth_mm(i) for i in range(n_first)]))
+        about = f"the median of the first {n_first} frames is taken as the untouched sensor"
+    if untouched.shape != first.shape:
+        assert reference is not None
+        raise FileProblem(f"the reference has shape {untouched.shape}, the frames {first.shape}", reference)
+
+    def frame(index: int) -> TactileFrame:
+        return TactileFrame(sensor=name, image=loaded.depth_mm(index), reference=untouched, index=index,
+                            time_s=float(loaded.times_s[index]), origin=f"{path} [{loaded.key} {index}]",
+                            camera=loaded.camera)  # fmt: skip
+
+    stream = Stream(name=name, sensor=name, n_frames=n, frame=checked_index(frame, n, path))
+    return Recording(path=path, format="depth arrays", streams=(stream,),
+                     notes=(*notes, f"{loaded.key} is taken as {loaded.unit}", about, *loaded.notes))  # fmt: skip
+
+
+def read_image(path: Path, unit: DepthUnit = "auto") -> Floats:
+    """One depth image in mm: the median over all images of an array file, or one 16-bit picture."""
+    if pictures.is_picture(path):
+        return _in_mm(_sixteen_bit(path), _unit_of(path.stem, unit, path), path.name, path)
+    loaded = _file(path, unit)
+    return _median(np.stack([loaded.depth_mm(i) for i in range(loaded.n_frames)]))
+
+
+class _Loaded:
+    """Depth images behind one face, wherever they come from."""
+
+    def __init__(self, key: str, unit: str, n_frames: int, read_raw: Callable[[int], NDArray[Any]], path: Path) -> None:
+        self.key, self.unit, self.n_frames, self._read_raw, self._path = key, unit, n_frames, read_raw, path
+        self.times_s: NDArray[Any] = np.full(n_frames, np.nan)
+        self.camera: Camera | None = None
+        self.notes: tuple[str, ...] = ()
+
+    def depth_mm(self, index: int) -> Floats:
+        return _in_mm(self._read_raw(index), self.unit, f"{self.key} of frame {index}", self._path)
+
+
+def _file(path: Path, unit: DepthUnit) -> _Loaded:
+    try:
+        opened = np.load(path, allow_pickle=False, mmap_mode="r" if path.suffix == ".npy" else None)
+        arrays = {path.stem: opened} if isinstance(opened, np.ndarray) else {k: opened[k] for k in opened.files}
+    except (OSError, ValueError, EOFError, KeyError) as error:
+        if "allow_pickle" in str(error) or "Object arrays" in str(error):
+            raise FileProblem(
+                "the file holds pickled objects and loading it could run code; it is refused", path
+            ) from error
+        raise FileProblem("the array file is cut short or damaged", path) from error
+    except Exception as error:  # zip and zlib errors have no common root
+        raise FileProblem("the array file is cut short or damaged", path) from error
+    arrays = cast("dict[str, NDArray[Any]]", arrays)
+    key = _depth_key(arrays, path)
+    told, stack = _unit_of(key, unit, path), arrays[key]
+    stack = stack[None] if stack.ndim == 2 else stack
+    stack = stack[..., 0] if stack.ndim == 4 and stack.shape[-1] == 1 else stack
+    if stack.ndim != 3 or not stack.size:
+        raise FileProblem(f"{key} must have shape (frames, rows, cols), got {arrays[key].shape}", path, field=key)
+    loaded = _Loaded(key, told, len(stack), lambda i: stack[i], path)  # pyright: ignore[reportUnknownLambdaType]
+    if "K" in arrays:
+        try:
+            loaded.camera = camera_from_matrix(arrays["K"], stack.shape[1], stack.shape[2], what="K")
+        except CalibrationError as error:
+            raise CalibrationError(f"{error}: '{path}'") from error
+    for name in ("timestamps_s", "time_s", "t_s"):
+        if name in arrays and arrays[name].shape == (len(stack),):
+            loaded.times_s = arrays[name]
+    left = sorted(arrays.keys() - {key, "K", "timestamps_s", "time_s", "t_s", "frame"})
+    loaded.notes = (f"also in the file and left out: {', '.join(left)}",) if left else ()
+    return loaded
+
+
+def _folder(path: Path, unit: DepthUnit) -> _Loaded:
+    files = sorted((p for p in path.iterdir() if pictures.is_picture(p)), key=pictures.natural_key)
+    files = [p for p in files if not pictures.is_reference(p)]
+    return _Loaded(path.name, _unit_of(path.name, unit, path), len(files), lambda i: _sixteen_bit(files[i]), path)
+
+
+def _sixteen_bit(file: Path) -> NDArray[Any]:
+    pixels = pictures.raw_pixels(file)
+    if pixels.ndim != 2 or pixels.dtype != np.uint16:
+        raise FileProblem("a depth image must have one channel of 16 bits", file)
+    return pixels
+
+
+def _depth_key(arrays: Mapping[str, NDArray[Any]], path: Path) -> str:
+    candidates = [k for k, a in arrays.items() if a.ndim >= 2 and a.shape != (3, 3) and k != "K"]
+    named = [k for k in candidates if "depth" in k.lower()] or candidates
+    if len(named) != 1:
+        seen = ", ".join(f"{k} {a.shape}" for k, a in arrays.items()) or "nothing"
+        raise FileProblem(f"cannot tell which array is the depth, looked at {seen}; name one depth_mm or depth_m", path)
+    return named[0]
+
+
+def _unit_of(key: str, said: DepthUnit, path: Path) -> str:
+    if said != "auto":
+        return said
+    match = _TOLD.search(key)
+    if match is None:
+        raise FileProblem(f"cannot tell the unit of {key!r}; name it {key}_mm, {key}_m or {key}_0p1mm", path, field=key)
+    return match["unit"].lower().replace("0p1mm", "0.1mm")
+
+
+def _in_mm(raw: NDArray[Any], unit: str, what: str, path: Path) -> Floats:
+    values = raw.astype(np.float32) * np.float32(_MM_PER_UNIT[unit])
+    gaps = ~np.isfinite(values) | (raw <= 0) | ((raw == 65535) if raw.dtype == np.uint16 else False)
+    values[gaps] = np.nan
+    if not gaps.all():
+        typical = float(np.median(values[~gaps]))
+        if not _PLAUSIBLE_MM[0] <= typical <= _PLAUSIBLE_MM[1]:
+            raise FileProblem(f"{what} would have a median of {typical:.3g} mm when read in {unit}; is that its unit?",
+                              path, field=what)  # fmt: skip
+    return freeze(values)
+
+
+def _median(stack: NDArray[Any]) -> Floats:
+    """Over frames, NaN only where no frame has a reading."""
+    seen = np.isfinite(stack).any(axis=0)
+    median = np.full(stack.shape[1:], np.nan, np.float32)
+    median[seen] = np.nanmedian(stack[:, seen], axis=0)
+    return freeze(median)

@@ -1,0 +1,82 @@
+"""Dictionaries of gelslim_depth: one `.pt` file of many grasps, both fingers side by side in the channels.
+
+Keys and shapes are those of the published data: `tactile_image`, `base_tactile_image` (n, 6, 320, 427) with the left
+finger's RGB before the right one's, `depth_image` (n, 2, 320, 427) in mm, 0 untouched and negative pressed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.arrays import freeze
+from pipeline.errors import FileProblem
+from pipeline.frames import Recording, Stream, TactileFrame, Truth
+from pipeline.recordings import torch_files
+from pipeline.recordings.indexing import checked_index
+
+_SHAPE = (320, 427)
+_FINGERS = ("left", "right")
+_DEEPEST_MM = 10.0  # a gel of 2 mm gives way by less; more means another unit
+_SIGN_TOLERANCE_MM = 0.05  # interpolation leaves a little above zero
+
+
+def is_dictionary(found: Mapping[str, Any]) -> bool:
+    """Whether a dictionary of tensors is of this kind."""
+    return "tactile_image" in found
+
+
+def read(path: Path) -> Recording:
+    """Two streams, `left` and `right`, with indentation_mm = -depth_image as truth where there is a depth image.
+
+    Raises FileProblem when a key is missing or of another shape.
+    """
+    found = torch_files.tensors(path)
+    images = torch_files.numbers(found, "tactile_image", path, (6, *_SHAPE))
+    base = torch_files.numbers(found, "base_tactile_image", path, (6, *_SHAPE))
+    base = base.reshape(-1, 6, *_SHAPE)
+    # The read-me of the data names the key in the plural, the files in the singular.
+    depth_key = next((k for k in ("depth_image", "depth_images") if k in found), "")
+    depth = torch_files.numbers(found, depth_key, path, (2, *_SHAPE)) if depth_key else None
+    n = int(images.shape[0])
+    if len(base) not in (1, n) or (depth is not None and len(depth) != n):
+        raise FileProblem(f"tactile_image has {n} grasps, but base_tactile_image or {depth_key} another number", path)
+
+    def stream(finger: int) -> Stream:
+        channels = slice(3 * finger, 3 * finger + 3)
+
+        def frame(index: int) -> TactileFrame:
+            return TactileFrame(
+                sensor="gelslim", image=torch_files.as_rgb(images[index, channels], "tactile_image", path),
+                reference=torch_files.as_rgb(base[min(index, len(base) - 1), channels], "base_tactile_image", path),
+                index=index, origin=f"{path} [{_FINGERS[finger]}]",
+            )  # fmt: skip
+
+        def truth(index: int) -> Truth | None:
+            return None if depth is None else _truth(depth[index, finger], index, depth_key, path)
+
+        return Stream(name=_FINGERS[finger], sensor="gelslim", n_frames=n, has_truth=depth is not None,
+                      frame=checked_index(frame, n, path), truth=checked_index(truth, n, path))  # fmt: skip
+
+    return Recording(path=path, format="gelslim_depth dictionary", streams=(stream(0), stream(1)), notes=_notes(found))
+
+
+def _truth(depth: Any, index: int, key: str, path: Path) -> Truth:
+    values = depth.float().numpy()
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    field = f"frame {index} {key}"
+    if high > _SIGN_TOLERANCE_MM:
+        raise FileProblem(f"{key} of frame {index} must not be positive, got {high:g} mm", path, field=field)
+    if low < -_DEEPEST_MM:
+        raise FileProblem(f"{key} of frame {index} must be in mm, got {low:g}", path, field=field)
+    return Truth(indentation_mm=freeze(np.maximum(-values, 0.0, dtype=np.float32)))
+
+
+def _notes(found: Mapping[str, Any]) -> tuple[str, ...]:
+    notes = ["depth images are taken as millimetres, negative where pressed"]
+    if "in_hand_pose" in found:
+        notes.append("in_hand_pose is left out: its makers document millimetres and their programs read metres")
+    return tuple(notes)

@@ -1,0 +1,178 @@
+"""Samples of touch2touch: one `.pt` file per grasp and sensor, both fingers in it, lengths in metres.
+
+Keys and shapes are those of the published data set: `bubble_imprint`, `bubble_depth_ref` (2, 1, 140, 175) and `K` of
+the full 224 x 171 image, or `gelslim`, `gelslim_ref` (2, 3, 320, 427). Index 0 is the right finger, 1 the left one.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline import rigid
+from pipeline.arrays import Doubles, freeze
+from pipeline.camera import camera_from_matrix
+from pipeline.errors import CalibrationError, FileProblem
+from pipeline.frames import Recording, Stream, TactileFrame, Truth
+from pipeline.meshes import Mesh, load_mesh
+from pipeline.recordings import torch_files
+from pipeline.recordings.indexing import checked_index
+
+_FINGERS = ("right", "left")
+_FULL_ROWS, _FULL_COLS, _TOP, _LEFT = 171, 224, 20, 25  # the released pairs are a window of the camera's image
+_BUBBLE, _GELSLIM = (140, 175), (320, 427)
+_NAME = re.compile(r"^(?:(?P<tool>.+)_)?data_(?P<id>\d+)$")
+_FOLDER = re.compile(r"^(?:bubble|gelslim)_style_transfer_dataset_(?:bubbles|gelslim)_(?P<tool>.+)$")
+_MM_PER_M = 1000.0
+
+
+def is_sample(found: Mapping[str, Any]) -> bool:
+    """Whether a dictionary of tensors is a grasp of this data set."""
+    return "bubble_imprint" in found or "gelslim" in found
+
+
+def read(path: Path) -> Recording:
+    """One grasp as two streams, one per finger; raises FileProblem when a key is missing or of another shape."""
+    bubble = "bubble_imprint" in torch_files.tensors(path)
+    streams = _streams([path], path, bubble=bubble)
+    return Recording(
+        path=path, format="touch2touch sample", streams=streams, object_mesh=_tool_mesh([path]), notes=_NOTES
+    )
+
+
+def read_folder(path: Path) -> Recording:
+    """All grasps of a folder; where both sensors took part, frame `i` of each stream is the same grasp.
+
+    Knows `bubbles` and `gelslims` folders with one folder per tool (`data/..._<tool>/data_<i>.pt`) or with all grasps
+    side by side (`<tool>_data_<i>.pt`), and a folder of samples of one sensor. Raises FileProblem.
+    """
+    sides: dict[bool, dict[tuple[str, int], Path]] = {True: {}, False: {}}
+    for file in sorted(path.rglob("*.pt")):
+        key = _grasp(file)
+        if key is not None:
+            sides[_is_bubble(file, path)][key] = file
+    bubbles, gelslims = sides[True], sides[False]
+    if not bubbles and not gelslims:
+        raise FileProblem("the folder has no touch2touch samples (names end in data_<number>.pt)", path)
+    both = sorted(bubbles.keys() & gelslims.keys()) if bubbles and gelslims else sorted(bubbles or gelslims)
+    if not both:
+        raise FileProblem("no grasp of this folder was felt by both sensors: names do not match", path)
+    alone = len(bubbles.keys() ^ gelslims.keys()) if bubbles and gelslims else 0
+    notes = (*_NOTES, *((f"{alone} grasps of only one sensor are left out",) if alone else ()))
+    streams = tuple(
+        stream
+        for side, bubble in ((gelslims, False), (bubbles, True))
+        if side
+        for stream in _streams([side[key] for key in both], path, bubble=bubble)
+    )
+    files = [side[key] for side in (bubbles, gelslims) if side for key in both]
+    return Recording(
+        path=path, format="touch2touch folder", streams=streams, object_mesh=_tool_mesh(files), notes=notes
+    )
+
+
+_NOTES = (
+    "lengths in the files are metres and are shown in millimetres",
+    "bubble poses are those the robot recorded; gelslim poses are left out, their axes are not published",
+)
+
+
+def _streams(files: list[Path], path: Path, *, bubble: bool) -> tuple[Stream, ...]:
+    @lru_cache(maxsize=2)
+    def load(index: int) -> Mapping[str, Any]:
+        return torch_files.tensors(files[index])
+
+    build = _bubble_frame if bubble else _gelslim_frame
+    sensor = "soft_bubble" if bubble else "gelslim"
+
+    def named(finger: int) -> Stream:
+        def frame(index: int) -> TactileFrame:
+            return build(load(index), finger, index, files[index])
+
+        def truth(index: int) -> Truth | None:
+            return _pose(load(index), finger, files[index]) if bubble else None
+
+        n = len(files)
+        return Stream(name=f"{sensor} {_FINGERS[finger]}", sensor=sensor, n_frames=n, has_truth=bubble,
+                      frame=checked_index(frame, n, path), truth=checked_index(truth, n, path))  # fmt: skip
+
+    return named(0), named(1)
+
+
+def _bubble_frame(found: Mapping[str, Any], finger: int, index: int, file: Path) -> TactileFrame:
+    imprint = torch_files.numbers(found, "bubble_imprint", file, (2, 1, *_BUBBLE))[finger, 0].double().numpy()
+    rest = torch_files.numbers(found, "bubble_depth_ref", file, (2, 1, *_BUBBLE))[finger, 0].double().numpy()
+    typical = float(np.nanmedian(rest))
+    if not 0.02 < typical < 0.5:
+        raise FileProblem(f"bubble_depth_ref must be in metres, but its median is {typical:g}", file,
+                          field="bubble_depth_ref")  # fmt: skip
+    k = torch_files.numbers(found, "K", file, (3, 3)).double().numpy().reshape(-1, 3, 3)
+    try:
+        full = camera_from_matrix(k[min(finger, len(k) - 1)], _FULL_ROWS, _FULL_COLS, what="K")
+    except CalibrationError as error:
+        raise CalibrationError(f"{error}: '{file}'") from error
+    return TactileFrame(
+        sensor="soft_bubble", image=freeze(((rest - imprint) * _MM_PER_M).astype(np.float32)),
+        reference=freeze((rest * _MM_PER_M).astype(np.float32)), index=index, origin=f"{file} [{_FINGERS[finger]}]",
+        camera=full.cropped(_TOP, _LEFT, *_BUBBLE),
+    )  # fmt: skip
+
+
+def _gelslim_frame(found: Mapping[str, Any], finger: int, index: int, file: Path) -> TactileFrame:
+    images = torch_files.numbers(found, "gelslim", file, (2, 3, *_GELSLIM))
+    references = torch_files.numbers(found, "gelslim_ref", file, (2, 3, *_GELSLIM))
+    return TactileFrame(
+        sensor="gelslim", image=torch_files.as_rgb(images[finger], "gelslim", file),
+        reference=torch_files.as_rgb(references[finger], "gelslim_ref", file), index=index,
+        origin=f"{file} [{_FINGERS[finger]}]",
+    )  # fmt: skip
+
+
+def _pose(found: Mapping[str, Any], finger: int, file: Path) -> Truth | None:
+    """The tool in the bubble camera's frame: both are recorded in the robot's base."""
+    if "bubbles_tr_quat" not in found or "tool_tr_quat" not in found:
+        return None
+    sensors = _transforms(torch_files.numbers(found, "bubbles_tr_quat", file, (7,)))
+    tools = _transforms(torch_files.numbers(found, "tool_tr_quat", file, (7,)))
+    base_from_sensor, base_from_tool = sensors[min(finger, len(sensors) - 1)], tools[0]
+    return Truth(sensor_from_object=freeze(rigid.invert(base_from_sensor) @ base_from_tool))
+
+
+def _transforms(rows: Any) -> list[Doubles]:
+    values = rows.double().numpy().reshape(-1, 7)
+    return [rigid.from_quaternion(row[:3] * _MM_PER_M, row[3:]) for row in values]
+
+
+def _grasp(file: Path) -> tuple[str, int] | None:
+    """(tool, number) of a sample, from its own name or its folder's."""
+    match = _NAME.match(file.stem)
+    if match is None:
+        return None
+    folder = _FOLDER.match(file.parent.name)
+    tool = match["tool"] or (folder["tool"] if folder else "")
+    return tool, int(match["id"])
+
+
+def _is_bubble(file: Path, root: Path) -> bool:
+    for part in reversed(file.relative_to(root.parent).parts[:-1]):
+        if part.startswith("bubble"):
+            return True
+        if part.startswith("gelslim"):
+            return False
+    return "bubble_imprint" in torch_files.tensors(file)
+
+
+def _tool_mesh(files: list[Path]) -> Mesh | None:
+    """The mesh of the only tool, when the data set's `tools_stls` lies above the samples."""
+    tools = {key[0] for key in map(_grasp, files) if key is not None}
+    if len(tools) != 1:
+        return None
+    name = f"{next(iter(tools))}.stl"
+    find: Callable[[Path], Path] = lambda folder: folder / "tools_stls" / name  # noqa: E731
+    file = next((find(p) for p in files[0].resolve().parents if find(p).is_file()), None)
+    return None if file is None else load_mesh(file, unit="m")

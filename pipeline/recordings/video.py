@@ -1,0 +1,77 @@
+"""A video file of one sensor, sought frame by frame."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.arrays import Image, freeze
+from pipeline.errors import FileProblem
+from pipeline.frames import Recording, Stream, TactileFrame
+from pipeline.recordings import pictures
+from pipeline.recordings.indexing import checked_index
+from pipeline.recordings.sensor_guess import named_or_guessed
+
+SUFFIXES = frozenset({".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v"})
+
+
+def read(path: Path, *, sensor: str = "", reference: Path | None = None) -> Recording:
+    """The video as one stream of RGB frames; without `reference` its first frame is taken as untouched, and noted.
+
+    Raises FileProblem when the video or its first frame cannot be decoded.
+    """
+    video = _Video(path)
+    first = video.frame(0)
+    untouched = first if reference is None else pictures.rgb(reference)
+    if untouched.shape != first.shape:
+        video.close()
+        assert reference is not None
+        raise FileProblem(f"the reference has shape {untouched.shape}, the video {first.shape}", reference)
+    name, notes = named_or_guessed(sensor, (first.shape[0], first.shape[1]), is_depth=False)
+    about = (
+        "its first frame is taken as the untouched sensor"
+        if reference is None
+        else f"{reference.name} shows the untouched sensor"
+    )
+
+    def frame(index: int) -> TactileFrame:
+        return TactileFrame(sensor=name, image=video.frame(index), reference=untouched, index=index,
+                            time_s=index / video.rate_hz, origin=f"{path} [frame {index}]")  # fmt: skip
+
+    stream = Stream(name=name or "video", sensor=name, n_frames=video.n_frames,
+                    frame=checked_index(frame, video.n_frames, path))  # fmt: skip
+    return Recording(path=path, format="video", streams=(stream,), close=video.close,
+                     notes=(*notes, about, "times are counted from the frame rate that the file states"))  # fmt: skip
+
+
+class _Video:
+    """A decoder that goes on from where it is when the next frame is asked for, and seeks otherwise."""
+
+    def __init__(self, path: Path) -> None:
+        import cv2
+
+        self._cv2: Any = cv2
+        self._path, self._lock, self._next = path, threading.Lock(), 0
+        self._capture: Any = cv2.VideoCapture(str(path))
+        self.n_frames = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)) if self._capture.isOpened() else 0
+        if self.n_frames < 1:
+            self._capture.release()
+            raise FileProblem("the video cannot be opened; it is damaged or of a kind that cannot be decoded", path)
+        self.rate_hz = float(self._capture.get(cv2.CAP_PROP_FPS)) or float("nan")
+
+    def frame(self, index: int) -> Image:
+        """(rows, cols, 3) RGB."""
+        with self._lock:
+            if index != self._next:
+                self._capture.set(self._cv2.CAP_PROP_POS_FRAMES, index)
+            read, pixels = self._capture.read()
+            self._next = index + 1 if read else -1
+        if not read:
+            raise FileProblem(f"frame {index} of the video cannot be decoded", self._path, field=f"frame {index}")
+        return freeze(np.ascontiguousarray(pixels[:, :, ::-1]))
+
+    def close(self) -> None:
+        self._capture.release()
