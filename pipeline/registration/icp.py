@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -14,7 +13,7 @@ from pipeline.registration.model import Model
 from pipeline.registration.scene import Scene, in_reach
 from pipeline.stages.results import PoseStep
 
-_CONVERGED = 1e-7  # relative change of fitness and rmse
+_CONVERGED = 1e-6  # relative change of fitness and rmse
 _DECIMALS = 9  # the order of Open3D's parallel sums is not fixed; what is kept of them is
 _SETTLED = 1e-6  # largest change of an entry, mm: far below what a depth image can show
 _REACH = 1.5  # model points within this many search distances of the scene can take part
@@ -41,10 +40,8 @@ class Registration:
     keep_steps: bool = False
 
 
-def register(
-    scene: Scene, model: Model, start: Doubles, how: Registration, watch: Callable[[int], None] | None = None
-) -> Fit:
-    """Register felt points to the model from `start` (sensor_from_object); `watch` is told of each kept iteration."""
+def register(scene: Scene, model: Model, start: Doubles, how: Registration) -> Fit:
+    """Register felt points to the model from `start` (sensor_from_object); rmse is over distances to its samples."""
     icp = _open3d().pipelines.registration
     source = _cloud(scene.points_mm[:: max(1, len(scene.points_mm) // how.n_points)])
     target = _cloud_of_model(in_reach(scene, model, start, _REACH * how.max_distance_mm + 0.5))
@@ -60,14 +57,12 @@ def register(
     n_runs, n_each = (how.n_iterations, 1) if how.keep_steps else (1, how.n_iterations)
     criteria = icp.ICPConvergenceCriteria(_CONVERGED, _CONVERGED, n_each)
     result: Any = None
-    for k in range(n_runs):
+    for _run in range(n_runs):
         before = result
         result = icp.registration_icp(source, target, how.max_distance_mm, object_from_sensor, estimation, criteria)
         moved = _tidy(result.transformation)
         if how.keep_steps:
             steps.append(_step(moved, result))
-            if watch is not None:
-                watch(k)
         settled = before is not None and _settled(object_from_sensor, moved)
         object_from_sensor = moved
         if settled:

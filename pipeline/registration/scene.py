@@ -12,7 +12,6 @@ from pipeline.camera import MIN_DEPTH_MM, Camera
 from pipeline.registration.model import Model
 from pipeline.stages.results import Touch
 
-
 MOST_TURNED_AWAY = -0.2  # cosine to the felt normal; the wall of a notch is steep, the far side of a plate is at -1
 
 

@@ -141,17 +141,21 @@ def _registered(
         n_iterations=params.n_iterations,
         max_distance_mm=params.max_distance_mm / 4,
         n_points=params.max_points,
-        keep_steps=params.keep_steps,
     )
     fits: list[Fit] = []
+    placements: list[Doubles] = []
     for k, fit in enumerate(candidates):
-        progress.step(0.7 + 0.25 * k / len(candidates), f"refining {k + 1} of {len(candidates)}")
+        progress.step(0.7 + 0.2 * k / len(candidates), f"refining {k + 1} of {len(candidates)}")
         known = _determined(scene, few, fit)
         nearby = _outline_judge(scene, model, fit, params)
-        start = placed(fit.sensor_from_object, known.weak_motions, scene.points_mm.mean(axis=0), nearby)
-        fits.append(register(scene, model, start, polish))
+        placements.append(placed(fit.sensor_from_object, known.weak_motions, scene.points_mm.mean(axis=0), nearby))
+        fits.append(register(scene, model, placements[-1], polish))
     misfits_mm = by.misfit_mm([f.sensor_from_object for f in fits])
     order = np.argsort(misfits_mm, kind="stable")
+    if params.keep_steps:
+        # One iteration a call costs several times as much: only the winner is run again that way.
+        progress.step(0.9, "keeping the iterations of the best")
+        fits[order[0]] = register(scene, model, placements[order[0]], replace(polish, keep_steps=True))
     return [fits[k] for k in order], misfits_mm[order]
 
 
