@@ -99,10 +99,11 @@ def open_translation(request: Request) -> Translation:
     routes.route(request.route)
     target = sensor(request.target)
     recording = open_recording(request.recording, sensor=request.source, reference=request.reference)
-    stream = recording.stream(request.stream or request.source)
+    said = sensor(request.source) if request.source else None
+    stream = recording.stream(request.stream or (said.name if said else ""))
     if not stream.sensor:
         raise SettingProblem(f"the recording does not say which sensor made it; give --sensor: '{request.recording}'")
-    source = sensor(stream.sensor)
+    source = said or sensor(stream.sensor)
     mesh = recording.object_mesh
     if request.mesh is not None:
         mesh = load_mesh(request.mesh, unit=request.mesh_unit)
