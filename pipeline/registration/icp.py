@@ -45,8 +45,6 @@ def register(scene: Scene, model: Model, start: Doubles, how: Registration) -> F
     icp = _open3d().pipelines.registration
     source = _cloud(scene.points_mm[:: max(1, len(scene.points_mm) // how.n_points)])
     target = _cloud_of_model(in_reach(scene, model, start, _REACH * how.max_distance_mm + 0.5))
-    if len(target.points) < 10:
-        return Fit(sensor_from_object=start, rmse_mm=float("inf"), fitness=0.0)
     estimation = (
         icp.TransformationEstimationPointToPlane()
         if how.method == "point-to-plane"

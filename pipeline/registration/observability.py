@@ -1,6 +1,6 @@
 """How well a contact determines a pose, and which motions it does not see at all.
 
-J_i = [((x_i - c) x n_i)^T, n_i^T] is what a small motion (rotation about the centroid c, translation) changes in the
+J_i = [((x_i - c) x n_i)^T, n_i^T] is what a small motion (rotation about the scene's centroid c, translation) changes in the
 distance of point i along its normal; Cov = sigma^2 (J^T J)^-1 (valid for point-to-plane, Bonnabel 2014).
 """
 
@@ -29,12 +29,12 @@ class Observability:
     weak_motions: Doubles  # (k, 6) of (rotation rad, translation mm) that go with them, each of 1 mm rms
 
 
-def observability(points_mm: Doubles, normals: Doubles, noise_mm: float) -> Observability:
-    """From matched points (n, 3) with the object's normals there, and the spread of the residuals.
+def observability(points_mm: Doubles, normals: Doubles, about_mm: Doubles, noise_mm: float) -> Observability:
+    """From matched points (n, 3) with the object's normals there, the scene's centroid, and the spread of residuals.
 
-    Rotations are scaled by the points' rms radius, so that all six directions are compared in mm (methods 5.3).
+    Rotations are scaled by the points' rms distance from it, so that all six directions are compared in mm (methods 5.3).
     """
-    arms = points_mm - points_mm.mean(axis=0)
+    arms = points_mm - about_mm
     radius_mm = max(float(np.sqrt((arms**2).sum(axis=1).mean())), 1e-6)
     jacobian = np.concatenate([np.cross(arms, normals) / radius_mm, normals], axis=1)
     n = len(points_mm)

@@ -14,6 +14,8 @@ from pipeline.stages.results import Touch
 
 MOST_TURNED_AWAY = -0.2  # cosine to the felt normal; the wall of a notch is steep, the far side of a plate is at -1
 
+_MIN_PART = 10  # points; fewer are no surface
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scene:
@@ -69,10 +71,9 @@ def _known(vectors: Doubles) -> Mask:
 
 
 def in_reach(scene: Scene, model: Model, sensor_from_object: Doubles, reach_mm: float) -> Model:
-    """The part of a placed object that can have been felt: near the scene, and not its far side."""
+    """What of a placed object can have been felt: near the scene and not its far side; all, where nothing is."""
     points = rigid.apply(sensor_from_object, model.points_mm)
     low, high = scene.points_mm.min(axis=0) - reach_mm, scene.points_mm.max(axis=0) + reach_mm
     near = ((points >= low) & (points <= high)).all(axis=1)
-    return model.part(
-        near & (model.normals @ sensor_from_object[:3, :3].T @ scene.normals.mean(axis=0) > MOST_TURNED_AWAY)
-    )
+    near &= model.normals @ sensor_from_object[:3, :3].T @ scene.normals.mean(axis=0) > MOST_TURNED_AWAY
+    return model.part(near) if near.sum() >= _MIN_PART else model

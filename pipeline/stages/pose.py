@@ -35,6 +35,7 @@ _FINE_FELT, _FINE_MODEL = 400, 4000  # points that rank what came out of them
 _N_REGISTERED, _N_POLISHED = 10, 3
 _COARSE_ITERATIONS = 12
 _OUTLINE_REACH_MM = 4.0  # object this far beyond the contact may stick out beside it
+_MIN_FITNESS = 0.05  # share of the contact on the object below which there is no pose to speak of
 _SAME_SURFACE = 0.5  # cosine of felt and modelled normal from which on both show one surface
 _EQUAL_SHARE, _EQUAL_MM = 0.05, 0.005  # misfits this close are equal
 _SAME_MM, _SAME_DEG = 1.0, 5.0  # poses this close are one
@@ -69,7 +70,9 @@ def pose(touch: Touch, mesh: Mesh | None, params: PoseParams, progress: Progress
     _check(params)
     scene = felt_surface(touch, params.max_points, params.seed)
     if len(scene.points_mm) < _MIN_POINTS:
-        return _unknown(f"only {len(scene.points_mm)} contact points; a pose needs at least {_MIN_POINTS}", scene)
+        return _unknown(
+            f"only {len(scene.points_mm)} contact points show a surface; a pose needs at least {_MIN_POINTS}", scene
+        )
     progress.step(0.0, "spreading points over the object")
     model = sampled(mesh, _N_MODEL, params.seed)
     progress.step(0.05, "comparing first guesses")
@@ -77,8 +80,12 @@ def pose(touch: Touch, mesh: Mesh | None, params: PoseParams, progress: Progress
     chosen = _most_promising(tried, judge(scene, model, _COARSE_FELT, _COARSE_MODEL, params.max_distance_mm))
     fine = judge(scene, model, _FINE_FELT, _FINE_MODEL, params.max_distance_mm)
     fits, misfits_mm = _registered(scene, model, chosen, fine, params, progress)
-    if not fits:
-        return _unknown("the object could not be brought near the contact; check the mesh's unit and face", scene)
+    if not fits or fits[0].fitness < _MIN_FITNESS:
+        size_mm = float(np.ptp(mesh.vertices_mm, axis=0).max())
+        return _unknown(
+            f"the object, {size_mm:.3g} mm long, could not be laid on the contact; check the mesh's unit and face",
+            scene,
+        )
     return _answer(scene, model, fits, misfits_mm, len(tried), params)
 
 
@@ -135,20 +142,24 @@ def _registered(
     rough = [fit for fit in rough if fit.fitness > 0]
     if not rough:
         return [], np.empty(0)
-    candidates = _distinct(rough, by, scene)[:_N_POLISHED]
-    polish = replace(
-        coarse,
-        n_iterations=params.n_iterations,
-        max_distance_mm=params.max_distance_mm / 4,
+    return _polished(scene, model, _distinct(rough, by, scene)[:_N_POLISHED], by, params, progress)
+
+
+def _polished(
+    scene: Scene, model: Model, candidates: list[Fit], by: Judge, params: PoseParams, progress: Progress
+) -> tuple[list[Fit], Doubles]:
+    """Each candidate set by the outline where its surface is silent, then registered on all points."""
+    polish = Registration(
+        method=params.method, n_iterations=params.n_iterations, max_distance_mm=params.max_distance_mm / 4,
         n_points=params.max_points,
-    )
+    )  # fmt: skip
+    few, middle = model.thinned(_FINE_MODEL), scene.points_mm.mean(axis=0)
     fits: list[Fit] = []
     placements: list[Doubles] = []
     for k, fit in enumerate(candidates):
         progress.step(0.7 + 0.2 * k / len(candidates), f"refining {k + 1} of {len(candidates)}")
-        known = _determined(scene, few, fit)
-        nearby = _outline_judge(scene, model, fit, params)
-        placements.append(placed(fit.sensor_from_object, known.weak_motions, scene.points_mm.mean(axis=0), nearby))
+        weak = _determined(scene, few, fit).weak_motions
+        placements.append(placed(fit.sensor_from_object, weak, middle, _outline_judge(scene, model, fit, params)))
         fits.append(register(scene, model, placements[-1], polish))
     misfits_mm = by.misfit_mm([f.sensor_from_object for f in fits])
     order = np.argsort(misfits_mm, kind="stable")
@@ -214,7 +225,7 @@ def _determined(scene: Scene, model: Model, fit: Fit) -> Observability:
     felt = np.einsum("ij,ij->i", in_sensor, scene.normals) > _SAME_SURFACE
     if felt.sum() < _MIN_POINTS:
         felt[:] = True
-    return observability(scene.points_mm[felt], in_sensor[felt], noise_mm)
+    return observability(scene.points_mm[felt], in_sensor[felt], scene.points_mm.mean(axis=0), noise_mm)
 
 
 def _weak_notes(scene: Scene, fit: Fit, known: Observability, by: Judge) -> tuple[str, ...]:

@@ -138,6 +138,16 @@ def test_too_few_points_are_told_instead_of_fitted():
     assert "only 9 contact points" in found.notes[0]
 
 
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+def test_a_mesh_in_another_unit_gives_no_pose_but_its_size(scale):
+    bar = l_bar()
+    scaled = Mesh(vertices_mm=bar.mesh.vertices_mm * scale, triangles=bar.mesh.triangles)
+    found = pose(felt(bar, lying(1.0, -0.5, 0.6, 4.0, 20.0, origin_mm=(5.0, 3.5))), scaled, PoseParams(n_starts=12))
+    assert found.sensor_from_object is None
+    assert f"{12 * scale:.3g} mm long" in found.notes[0]
+    assert "unit" in found.notes[0]
+
+
 def test_a_mesh_without_surface_and_an_unknown_face_are_refused():
     touch = felt(slab(), lying(0.0, 0.0, 0.5, 5.0, 0.0))
     empty = Mesh(vertices_mm=np.zeros((3, 3)), triangles=np.zeros((1, 3), np.int32))
@@ -165,7 +175,7 @@ def test_covariance_is_that_of_repeated_noisy_measurements():
     arms = points - points.mean(axis=0)
     jacobian = np.concatenate([np.cross(arms, normals), normals], axis=1)
     solved = np.linalg.lstsq(jacobian, NOISE_MM * rng.standard_normal((400, 4000)), rcond=None)[0]
-    told = observability(points, normals, NOISE_MM)
+    told = observability(points, normals, points.mean(axis=0), NOISE_MM)
     np.testing.assert_allclose(np.sqrt(np.diag(told.covariance)), solved.std(axis=1), rtol=0.06)  # 4000 draws: 1 %
     np.testing.assert_allclose(told.observable, np.eye(6), atol=1e-12)
     assert told.weak == ()
@@ -175,7 +185,7 @@ def test_a_sphere_patch_rolls_in_three_ways():
     rng = np.random.default_rng(4)
     normals = rng.standard_normal((500, 3)) * 0.2 + (0.0, 0.0, -1.0)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    told = observability(5.0 * normals, normals, NOISE_MM)
+    told = observability(5.0 * normals, normals, 5.0 * normals.mean(axis=0), NOISE_MM)
     assert len(told.weak) == 3
     np.testing.assert_allclose(told.observable @ told.observable, told.observable, atol=1e-9)
     turn_about_centre = np.concatenate([np.eye(3)[0], np.cross(np.eye(3)[0], 5.0 * normals.mean(axis=0))])
