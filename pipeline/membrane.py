@@ -19,6 +19,7 @@ from pipeline.meshes import Mesh
 
 REST_DEPTH_TOLERANCE_MM = 1e-9  # far below the float32 rounding of a depth image
 _MAX_ITERATIONS = 60
+_MANY = 6000  # numbers from which on the compiled loop is worth loading
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,6 +41,12 @@ class Membrane:
         First-order distance (z - h) / sqrt(1 + |grad h|^2): the sign is exact, the size good near the surface.
         """
         p = np.asarray(points_mm, dtype=np.float64)
+        if p.size > _MANY:
+            from pipeline import membrane_kernels
+
+            flat_points = np.ascontiguousarray(p.reshape(-1, 3))
+            distance = membrane_kernels.signed_distance(flat_points, self.x0_mm, self.y0_mm, self.step_mm, self.z_mm)
+            return np.asarray(distance.reshape(p.shape[:-1]))
         h, hx, hy = self._sample(p[..., 0], p[..., 1])
         return np.asarray((p[..., 2] - h) / np.sqrt(1.0 + hx * hx + hy * hy))
 

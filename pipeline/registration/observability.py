@@ -1,7 +1,7 @@
 """How well a contact determines a pose, and which motions it does not see at all.
 
-J_i = [((x_i - c) x n_i)^T, n_i^T] is what a small motion (rotation about the scene's centroid c, translation) changes in the
-distance of point i along its normal; Cov = sigma^2 (J^T J)^-1 (valid for point-to-plane, Bonnabel 2014).
+J_i = [((x_i - c) x n_i)^T, n_i^T] is what a small motion (rotation about the scene's centroid c, translation) changes
+in the distance of point i along its normal; Cov = sigma^2 (J^T J)^-1 (valid for point-to-plane, Bonnabel 2014).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Observability:
 def observability(points_mm: Doubles, normals: Doubles, about_mm: Doubles, noise_mm: float) -> Observability:
     """From matched points (n, 3) with the object's normals there, the scene's centroid, and the spread of residuals.
 
-    Rotations are scaled by the points' rms distance from it, so that all six directions are compared in mm (methods 5.3).
+    Rotations are scaled by the points' rms distance from it, so that all six directions are in mm (methods 5.3).
     """
     arms = points_mm - about_mm
     radius_mm = max(float(np.sqrt((arms**2).sum(axis=1).mean())), 1e-6)

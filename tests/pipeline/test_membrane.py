@@ -79,3 +79,12 @@ def test_the_mesh_has_the_vertices_of_the_lattice_and_looks_one_way():
 
 def test_a_point_that_is_not_a_number_has_no_distance():
     assert np.isnan(DOME.signed_distance_mm([np.nan, 0.0, 70.0]))
+
+
+def test_many_points_are_measured_like_few():
+    points = np.random.default_rng(2).uniform(-80, 80, (4000, 3))
+    points[:3] = [[np.nan, 0, 70], [np.inf, -np.inf, 70], [0, 0, np.inf]]
+    few = np.concatenate([DOME.signed_distance_mm(part) for part in np.split(points, 40)])
+    many = DOME.signed_distance_mm(points)
+    np.testing.assert_allclose(many, few, rtol=1e-12)
+    assert DOME.signed_distance_mm(points.reshape(50, 80, 3)).shape == (50, 80)
