@@ -80,8 +80,7 @@ class _Loaded:
 
 def _file(path: Path, unit: DepthUnit) -> _Loaded:
     try:
-        opened = np.load(path, allow_pickle=False, mmap_mode="r" if path.suffix == ".npy" else None)
-        arrays = {path.stem: opened} if isinstance(opened, np.ndarray) else {k: opened[k] for k in opened.files}
+        arrays = _arrays(path)
     except (OSError, ValueError, EOFError, KeyError) as error:
         if "allow_pickle" in str(error) or "Object arrays" in str(error):
             raise FileProblem(
@@ -90,7 +89,6 @@ def _file(path: Path, unit: DepthUnit) -> _Loaded:
         raise FileProblem("the array file is cut short or damaged", path) from error
     except Exception as error:  # zip and zlib errors have no common root
         raise FileProblem("the array file is cut short or damaged", path) from error
-    arrays = cast("dict[str, NDArray[Any]]", arrays)
     key = _depth_key(arrays, path)
     told, stack = _unit_of(key, unit, path), arrays[key]
     stack = stack[None] if stack.ndim == 2 else stack
@@ -109,6 +107,16 @@ def _file(path: Path, unit: DepthUnit) -> _Loaded:
     left = sorted(arrays.keys() - {key, "K", "timestamps_s", "time_s", "t_s", "frame"})
     loaded.notes = (f"also in the file and left out: {', '.join(left)}",) if left else ()
     return loaded
+
+
+def _arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Every array of a file by its key; a `.npy` has one, named as the file, mapped rather than read."""
+    with path.open("rb") as file:
+        if file.read(6) == b"\x93NUMPY":
+            return {path.stem: np.load(path, allow_pickle=False, mmap_mode="r")}
+        file.seek(0)
+        opened: Any = np.load(file, allow_pickle=False)
+        return {key: opened[key] for key in opened.files}
 
 
 def _folder(path: Path, unit: DepthUnit) -> _Loaded:

@@ -21,9 +21,11 @@ def tensors(path: Path) -> Mapping[str, Any]:
     import torch
 
     try:
-        found = torch.load(path, map_location="cpu", weights_only=True, mmap=_is_zip(path))
+        mapped = _is_zip(path)
     except OSError as error:
-        raise FileProblem(f"cannot read the file ({error.strerror or 'damaged'})", path) from error
+        raise FileProblem(f"cannot read the file ({error.strerror})", path) from error
+    try:
+        found = torch.load(path, map_location="cpu", weights_only=True, mmap=mapped)
     except Exception as error:  # torch raises half a dozen unrelated kinds for damaged files
         if "weights_only" in str(error) or "Unsupported" in str(error):
             raise FileProblem(
