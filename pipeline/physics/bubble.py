@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pipeline.arrays import Doubles, Mask, freeze
 from pipeline.errors import SettingProblem, ShapeError
 from pipeline.physics import multigrid
+from pipeline.physics.lattice import Lattice
 from pipeline.sensors.spec import Bubble
 
 STEP_MM = 0.5  # below two pixels of the depth cameras in use; a quarter of the work of 0.25 mm
@@ -25,24 +26,6 @@ TOLERANCE_MM = 1e-4
 _PRESSURE_TOLERANCE = 1e-4  # of the gauge pressure: moves the free membrane by a few micrometres
 _MAX_PRESSURES = 25
 _KPA_TO_N_MM2 = 1e-3
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Lattice:
-    """The square x-y grid, in the sensor frame, that a membrane is solved on; the rim lies inside it."""
-
-    x0_mm: float
-    y0_mm: float
-    step_mm: float
-    shape: tuple[int, int]  # (ny, nx)
-
-    def x_mm(self) -> Doubles:
-        """X of every column (nx,)."""
-        return self.x0_mm + self.step_mm * np.arange(self.shape[1], dtype=np.float64)
-
-    def y_mm(self) -> Doubles:
-        """Y of every row (ny,)."""
-        return self.y0_mm + self.step_mm * np.arange(self.shape[0], dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.arrays import Floats, Image, Indices, Mask, freeze
 from pipeline.errors import SettingProblem, ShapeError
 from pipeline.params import setting
-from pipeline.physics import bubble, bubble_camera, gel, optics
+from pipeline.physics import bubble, bubble_camera, gel, lattice, optics
 from pipeline.progress import SILENT, Progress
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.results import TargetView, Touch
@@ -140,14 +140,10 @@ def _bubble_touch(
     if not answer.converged:
         notes.append("the air pressure of the bubble was not settled; its bulge is doubtful")
     depth = bubble_camera.depth_from_deviation(target, answer.deviation_mm, on)
-    contact = bubble_camera.seen_at_pixels(target, on, answer.contact, depth)
+    contact = lattice.seen_at_pixels(target.camera, answer.contact, on, depth)
     notes.append(f"air pressure {target.bubble.pressure_kpa:.2f} -> {answer.pressure_kpa:.2f} kPa")
-    image: Floats = depth.astype(np.float32)
-    if params.noise:
-        rng = np.random.default_rng(params.seed)
-        grain = rng.standard_normal(depth.shape, np.float32)
-        image = (depth + target.bubble.depth_noise_mm * grain).astype(np.float32)
-    return _touch(view, target, freeze(image), (target.rest_depth_mm - depth).astype(np.float32), contact, notes)
+    image = bubble_camera.reading(target, depth, params.seed if params.noise else None)
+    return _touch(view, target, image, (target.rest_depth_mm - depth).astype(np.float32), contact, notes)
 
 
 def _touch(

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from pipeline.errors import SettingProblem, ShapeError
-from pipeline.physics import bubble, bubble_camera
+from pipeline.physics import bubble, bubble_camera, lattice
 from pipeline.sensors.spec import sensor
 
 SPEC = sensor("soft_bubble")
@@ -142,7 +142,7 @@ def test_rays_meet_the_surface_to_the_nanometre():
 def test_contact_is_seen_where_it_is():
     pressed = bubble.press(BUBBLE, ball(13.0, x_mm=10.0, y_mm=-5.0), ON)
     depth = bubble_camera.depth_from_deviation(SPEC, pressed.deviation_mm, ON)
-    seen = bubble_camera.seen_at_pixels(SPEC, ON, pressed.contact, depth)
+    seen = lattice.seen_at_pixels(SPEC.camera, pressed.contact, ON, depth)
     points = SPEC.camera.back_project(depth)[seen]
     where = pressed.contact.nonzero()
     assert points[:, 0].mean() == pytest.approx(X[0, where[1]].mean(), abs=0.3)  # a third of a lattice step

@@ -1,0 +1,75 @@
+"""Height fields over a sensor's x-y plane: laid down by a mesh or a depth image, and looked at along camera rays.
+
+A contact is solved where the membrane is a height field, on a lattice in millimetres; cameras see along rays. Both
+ways are exact in the sense that nothing is rounded to a pixel: triangles are sampled at the lattice's nodes, and rays
+meet the bilinear surface to a nanometre.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import Doubles, Indices, Mask, freeze
+from pipeline.camera import Camera
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lattice:
+    """A square x-y grid in the sensor frame, on which a membrane is a height field z(x, y)."""
+
+    x0_mm: float
+    y0_mm: float
+    step_mm: float
+    shape: tuple[int, int]  # (ny, nx)
+
+    def x_mm(self) -> Doubles:
+        """X of every column (nx,)."""
+        return self.x0_mm + self.step_mm * np.arange(self.shape[1], dtype=np.float64)
+
+    def y_mm(self) -> Doubles:
+        """Y of every row (ny,)."""
+        return self.y0_mm + self.step_mm * np.arange(self.shape[0], dtype=np.float64)
+
+
+def nearest_of_depth_image(camera: Camera, depth_mm: NDArray[np.floating], on: Lattice) -> Doubles:
+    """Z (ny, nx) of the surface in a depth image (NaN = nothing), the nearest where it folds; +inf where none is."""
+    from pipeline.physics.lattice_kernels import lay_over
+
+    height = np.full(on.shape, np.inf)
+    ray_x, ray_y = camera.rays()
+    lay_over(np.asarray(depth_mm, np.float64), ray_x, ray_y, on.x0_mm, on.y0_mm, on.step_mm, height)
+    return height
+
+
+def nearest_of_mesh(vertices_mm: Doubles, triangles: Indices, on: Lattice) -> Doubles:
+    """Z (ny, nx) of the side of a mesh (in the sensor frame) that faces the camera; +inf beside it."""
+    from pipeline.physics.lattice_kernels import lay_mesh
+
+    height = np.full(on.shape, np.inf)
+    nodes = np.array(vertices_mm, dtype=np.float64)
+    nodes[:, :2] = (nodes[:, :2] - (on.x0_mm, on.y0_mm)) / on.step_mm
+    lay_mesh(nodes, triangles, height)
+    return height
+
+
+def depth_along_rays(camera: Camera, z_mm: Doubles, on: Lattice, guess_mm: NDArray[np.floating]) -> Doubles:
+    """Z (rows, cols) where each camera ray meets the surface `z_mm` (ny, nx), level beyond the lattice."""
+    from pipeline.physics.lattice_kernels import look
+
+    z = np.array(guess_mm, dtype=np.float64)
+    ray_x, ray_y = camera.rays()
+    look(z_mm, on.x0_mm, on.y0_mm, on.step_mm, ray_x, ray_y, 0.0, float(z_mm.max()) + 1.0, z)
+    return freeze(z)
+
+
+def seen_at_pixels(camera: Camera, mask: Mask, on: Lattice, depth_mm: NDArray[np.floating]) -> Mask:
+    """`mask` (ny, nx) at the points that the camera sees at `depth_mm` (rows, cols): the nearest node decides."""
+    ray_x, ray_y = camera.rays()
+    col = np.rint((depth_mm * ray_x[None, :] - on.x0_mm) / on.step_mm).astype(np.intp)
+    row = np.rint((depth_mm * ray_y[:, None] - on.y0_mm) / on.step_mm).astype(np.intp)
+    ny, nx = on.shape
+    inside = (col >= 0) & (col < nx) & (row >= 0) & (row < ny)
+    return freeze(inside & mask[np.clip(row, 0, ny - 1), np.clip(col, 0, nx - 1)])
