@@ -150,8 +150,8 @@ class Bench:
     def _drawing(
         self, result: StageResult, results: Mapping[str, StageResult], translation: Translation, display: DisplayParams
     ) -> StageShown:
-        output, stretch = result.output, display.exaggeration
-        source, target = translation.source, translation.target
+        output, source, target = result.output, translation.source, translation.target
+        stretch = display.stretch(source if result.name == "depth" else target)
         cloud = None
         if result.name == "depth":
             picture = pictures.of_depth(output, source, display)

@@ -159,6 +159,7 @@ class Instrument(QObject):
         if self._closed:
             return
         self._closed = True
+        self.undo.blockSignals(True)  # it outlives the actions that listen to it
         self.window.timeline.play(on=False)
         self._stale.stop()
         self.job.close()

@@ -122,7 +122,7 @@ def of_pose(pose: ObjectPose, touch: Touch, target: SensorSpec, surface: ObjectS
     scale = ColourScale(
         map="CET-D1", low=-RESIDUAL_MM, high=RESIDUAL_MM, unit="mm", quantity="distance to object, + outside it"
     )
-    caption = "no object to register"
+    caption = f"no pose: {pose.notes[0]}" if pose.notes else "no pose"
     if pose.sensor_from_object is not None and surface is not None and seen.any():
         values.flat[at[seen]] = surface.distances_mm(pose.scene_mm[seen], pose.sensor_from_object)
         known = np.isfinite(values)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pipeline import rigid
 from pipeline.arrays import Doubles
-from pipeline.meshes import Mesh
+from pipeline.meshes import Mesh, sample_surface
 
 N_SAMPLES = 30_000  # on a 40 mm object 0.3 mm apart; the plane through each sample closes the rest of the gap
 
@@ -20,15 +20,7 @@ class ObjectSurface:
     def __init__(self, mesh: Mesh) -> None:
         from scipy.spatial import KDTree
 
-        corners = mesh.vertices_mm[mesh.triangles]  # (m, 3, 3)
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        area = np.linalg.norm(normals, axis=1)
-        rng = np.random.default_rng(0)
-        which = rng.choice(len(area), size=N_SAMPLES, p=area / area.sum())
-        u, v = np.sqrt(rng.random(N_SAMPLES)), rng.random(N_SAMPLES)
-        weights = np.stack([1 - u, u * (1 - v), u * v], axis=-1)
-        self.points_mm = np.einsum("nk,nkd->nd", weights, corners[which])
-        self.normals = normals[which] / np.maximum(area[which], 1e-12)[:, None]
+        self.points_mm, self.normals = sample_surface(mesh, N_SAMPLES, seed=0)
         self._tree: Any = KDTree(self.points_mm)
 
     def distances_mm(self, points_mm: ArrayLike, sensor_from_object: Doubles) -> NDArray[np.float32]:

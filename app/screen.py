@@ -44,6 +44,11 @@ class Screen:
         """The recording on screen."""
         return self._opened
 
+    @property
+    def scene(self) -> Scene:
+        """The 3D views."""
+        return self._scene
+
     def take_scene(self, scene: Scene, session: Session) -> None:
         """Take up the 3D views, which come after the window is on screen."""
         self._scene = scene
@@ -134,16 +139,16 @@ class Screen:
         """Set the cameras anew, and say which frame and stretch each 3D view has."""
         if self._opened is None:
             return
-        t, times = self._opened.translation, session.display.exaggeration
+        t, display = self._opened.translation, session.display
         self._scene.look(self._opened.sights, linked=session.linked)
         radius = 0.04 * min(s.radius_mm for s in self._opened.sights.values())
-        self._tracer.show_scene(self._scene, radius, times, t)
+        self._tracer.show_scene(self._scene, radius, display, t)
         for name, text in _LEGENDS.items():
             self._window.legends[name].setText(text)
         for name, caption in self._window.captions.items():
             place = t.source if name in ("source", "depth") else t.target
-            flat = name == "source" or times == 1
-            caption.setText(f"{place.name} frame {_AXES}" + ("" if flat else f", depth {TIMES}{times:g}"))
+            times = 1.0 if name in ("source", "pose") else display.stretch(place)
+            caption.setText(f"{place.name} frame {_AXES}" + ("" if times == 1.0 else f", depth {TIMES}{times:g}"))
 
     def show_step(self, step: PoseStep) -> None:
         """Put the object where it was at an iteration."""

@@ -12,6 +12,7 @@ from typing import Any, cast
 from pipeline.errors import FileProblem, SettingProblem
 from pipeline.params import changed, setting, settings
 from pipeline.routes import ROUTES, default_params
+from pipeline.sensors.spec import SensorSpec
 
 SUFFIX = ".touch.json"
 _VERSION = 1
@@ -29,9 +30,13 @@ class DisplayParams:
     bubble_limit_mm: float = setting(
         10.0, "Bubble indentation up to", unit="mm", low=1.0, high=25.0, step=1.0, help="upper colour limit for bubbles"
     )
-    exaggeration: float = setting(
-        3.0, "Depth in 3D times", low=1.0, high=10.0, step=0.5, help="stretches indentation in the 3D views"
+    gel_stretch: float = setting(
+        3.0, "Gel depth in 3D times", low=1.0, high=10.0, step=0.5, help="stretches indentation of gels in the 3D views"
     )
+
+    def stretch(self, sensor: SensorSpec) -> float:
+        """How many times deeper indentation is drawn than it is; bubbles are deep enough as they are."""
+        return self.gel_stretch if sensor.kind == "gel" else 1.0
 
 
 def initial_params() -> Mapping[str, object]:

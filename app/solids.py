@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from app.session import DisplayParams
 from pipeline import rigid
 from pipeline.alignment import Alignment
 from pipeline.arrays import Doubles, Floats, Image, Mask, freeze
@@ -75,7 +76,7 @@ def of_pose(pose: ObjectPose, mesh: Mesh | None, target: SensorSpec) -> tuple[La
 
 
 def trace_dots(
-    marks: tuple[Mark, ...], translation: Translation, exaggeration: float
+    marks: tuple[Mark, ...], translation: Translation, display: DisplayParams
 ) -> dict[str, tuple[float, float, float]]:
     """Where the traced pixel is in each 3D view, on the surfaces as drawn (stretched); columns it misses are absent."""
     dots: dict[str, tuple[float, float, float]] = {}
@@ -85,9 +86,9 @@ def trace_dots(
             continue
         if mark.stage == "depth":
             dots["source"] = _stretched_point(mark.point_mm, source, 0.0 if source.kind == "gel" else 1.0)
-            dots["depth"] = _stretched_point(mark.point_mm, source, exaggeration)
+            dots["depth"] = _stretched_point(mark.point_mm, source, display.stretch(source))
         elif mark.stage in ("adapt", "project"):
-            dots[mark.stage] = _stretched_point(mark.point_mm, target, exaggeration)
+            dots[mark.stage] = _stretched_point(mark.point_mm, target, display.stretch(target))
             if mark.index >= 0 and mark.stage == "project":
                 dots["generate"] = dots["project"]
         else:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import statistics
 import time
-from collections.abc import Generator
+from collections import defaultdict, deque
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 
 LIMIT_MS = 16.0  # one picture of a 60 Hz screen
+_KEPT = 500
 
 
 class Stopwatch:
-    """Longest and latest durations by name."""
+    """The latest durations by name."""
 
     def __init__(self) -> None:
-        self.longest_ms: dict[str, float] = {}
+        self._ms: defaultdict[str, deque[float]] = defaultdict(lambda: deque(maxlen=_KEPT))
 
     @contextmanager
     def timed(self, name: str) -> Generator[None]:
@@ -22,9 +25,18 @@ class Stopwatch:
         try:
             yield
         finally:
-            ms = 1e3 * (time.perf_counter() - started)
-            self.longest_ms[name] = max(ms, self.longest_ms.get(name, 0.0))
+            self._ms[name].append(1e3 * (time.perf_counter() - started))
+
+    @property
+    def longest_ms(self) -> Mapping[str, float]:
+        """The worst by name, waits for the interpreter's lock and for a busy processor included."""
+        return {name: max(kept) for name, kept in self._ms.items()}
+
+    @property
+    def median_ms(self) -> Mapping[str, float]:
+        """The middle by name, which a busy machine disturbs little."""
+        return {name: statistics.median(kept) for name, kept in self._ms.items()}
 
     def forget(self) -> None:
         """Start over."""
-        self.longest_ms.clear()
+        self._ms.clear()

@@ -9,6 +9,7 @@ from PyQt6.QtCore import QObject, QTimer, pyqtSignal
 
 from app import solids
 from app.pictures import CloudPicture
+from app.session import DisplayParams
 from app.window import Window
 from pipeline import trace
 from pipeline.frames import TactileFrame
@@ -36,7 +37,7 @@ class Tracer(QObject):
         self._at: tuple[str, int, int] | None = None
         self._frozen = False
         self._scene: Scene | None = None
-        self._radius_mm, self._times = 0.5, 1.0
+        self._radius_mm, self._display = 0.5, DisplayParams()
         self._translation: Translation | None = None
         self._marks: tuple[Mark, ...] = ()
         self._dots = QTimer(self)
@@ -55,9 +56,9 @@ class Tracer(QObject):
         if cloud is not None:
             self._cloud = cloud
 
-    def show_scene(self, scene: Scene, radius_mm: float, exaggeration: float, translation: Translation) -> None:
+    def show_scene(self, scene: Scene, radius_mm: float, display: DisplayParams, translation: Translation) -> None:
         """Where the dots go, and how far depth is stretched there."""
-        self._scene, self._radius_mm, self._times, self._translation = scene, radius_mm, exaggeration, translation
+        self._scene, self._radius_mm, self._display, self._translation = scene, radius_mm, display, translation
 
     def hover(self, stage: str, row: int, col: int) -> None:
         """The mouse is over a pixel of a picture, or over none (-1, -1)."""
@@ -144,6 +145,6 @@ class Tracer(QObject):
     def _show_dots(self) -> None:
         if self._scene is None or self._translation is None:
             return
-        dots = solids.trace_dots(self._marks, self._translation, self._times)
+        dots = solids.trace_dots(self._marks, self._translation, self._display)
         for column, name in enumerate(self._window.columns):
             self._scene.mark(column, dots.get(name), self._radius_mm)

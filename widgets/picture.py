@@ -110,6 +110,16 @@ class PictureView(QWidget):
         """What is shown."""
         return self._picture
 
+    @property
+    def message(self) -> str:
+        """The sentence over the picture."""
+        return self._message.text()
+
+    @property
+    def cross(self) -> tuple[int, int] | None:
+        """Where the trace's crosshair is."""
+        return self._cross
+
     def show_picture(self, picture: Picture) -> None:
         """Show a picture; the view moves only when the number of pixels changed."""
         if picture is self._picture:
@@ -142,6 +152,7 @@ class PictureView(QWidget):
 
     def show_cross(self, pixel: tuple[int, int] | None) -> None:
         """Put the trace's crosshair on (row, col), or take it away."""
+        self._cross = pixel
         for line in (self._cross_x, self._cross_y):
             line.setVisible(pixel is not None)
         if pixel is not None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyvista as pv
-from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtCore import Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QImage, QPixmap, QResizeEvent
 from PyQt6.QtWidgets import QLabel, QWidget
 from pyvistaqt import QtInteractor
@@ -15,6 +17,8 @@ from pyvistaqt import QtInteractor
 from pipeline.arrays import Doubles
 from widgets.colours import AXES, BACKDROP, TRACE
 from widgets.layers import Layer, Scene, Sight
+
+_TOGETHER_MS = 30
 
 
 class _Stage:
@@ -191,44 +195,54 @@ def _write_cells(mesh: Any, layer: Layer) -> None:
 
 
 class LiveScene(QtInteractor):  # pyright: ignore[reportUntypedBaseClass]
-    """All sub-views in one OpenGL widget; `update()` only, never `render()` (two renders instead of one)."""
+    """All sub-views in one OpenGL widget; `update()` only, never `render()` (two renders for one)."""
 
     def __init__(self, columns: int, parent: QWidget | None = None) -> None:
-        super().__init__(parent, auto_update=False, shape=(1, columns), border=False)
+        super().__init__(parent, auto_update=False, multi_samples=_samples(), shape=(1, columns), border=False)
         self.suppress_rendering = True
         self.setAcceptDrops(False)  # the window takes them
         for renderer in self.renderers:
             renderer.set_background([c / 255 for c in BACKDROP])
         self._stage = _Stage(self, columns)
+        self._soon = QTimer(self)
+        self._soon.setSingleShot(True)
+        self._soon.setInterval(_TOGETHER_MS)
+        self._soon.timeout.connect(self.update)
 
     def show_layers(self, column: int, layers: Sequence[Layer]) -> None:
         """Show exactly these layers in a sub-view."""
         if self._stage.show(column, layers):
-            self.update()
+            self._draw_soon()
 
     def place(self, column: int, name: str, placed: Doubles) -> None:
         """Move one layer as a whole."""
         self._stage.place(column, name, placed)
-        self.update()
+        self._draw_soon()
 
     def look(self, sights: Mapping[int, Sight], *, linked: bool) -> None:
         """Set the cameras; views of one frame share theirs when `linked`."""
         self._stage.look(sights, linked)
-        self.update()
+        self._draw_soon()
 
     def mark(self, column: int, place_mm: tuple[float, float, float] | None, radius_mm: float) -> None:
         """Put the traced pixel's dot into a sub-view, or take it away."""
         if self._stage.mark(column, place_mm, radius_mm):
-            self.update()
+            self._draw_soon()
 
     def show_columns(self, visible: Sequence[int]) -> None:
         """Give the room to these sub-views, in equal shares."""
         self._stage.show_columns(visible)
-        self.update()
+        self._draw_soon()
 
     def finish(self) -> None:
         """Close the OpenGL widget."""
+        self._soon.stop()
         self.close()
+
+    def _draw_soon(self) -> None:
+        """Stages arrive one by one within a few milliseconds: one picture serves them all."""
+        if not self._soon.isActive():
+            self._soon.start()
 
     def widget(self) -> QWidget:
         """Itself."""
@@ -303,6 +317,12 @@ class PicturedScene(QLabel):
         rows, cols = pixels.shape[:2]
         image = QImage(pixels.tobytes(), cols, rows, 3 * cols, QImage.Format.Format_RGB888)
         self.setPixmap(QPixmap.fromImage(image))
+
+
+def _samples() -> int:
+    """Samples a pixel: smoothing doubles the time of a picture where a processor draws it."""
+    devices = [*Path("/dev").glob("dri/*"), *Path("/dev").glob("nvidia*")]
+    return 0 if sys.platform == "linux" and not devices else 4
 
 
 def best_scene(columns: int, parent: QWidget | None = None) -> Scene:

@@ -50,6 +50,5 @@ class StepsSlider(QWidget):
             return
         step = self._steps[at]
         self._text.setText(f"{at + 1}/{len(self._steps)}: {step.rmse_mm:.2f} mm")
-        self._text.setToolTip(
-            f"iteration {at + 1} of {len(self._steps)}: rms {step.rmse_mm:.3f} mm, {100 * step.fitness:.0f} % of the points matched"
-        )
+        matched = f"{100 * step.fitness:.0f} % of the points matched"
+        self._text.setToolTip(f"iteration {at + 1} of {len(self._steps)}: rms {step.rmse_mm:.3f} mm, {matched}")

@@ -1,0 +1,78 @@
+"""A small recording with a touch in it, and a window on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.main import prepare_environment
+from pipeline.arrays import freeze
+from pipeline.frames import TactileFrame
+from pipeline.recordings.hdf5_writer import Writer
+from pipeline.sensors.spec import sensor
+
+prepare_environment()
+
+from app.instrument import Instrument  # noqa: E402 - the environment comes first
+from app.main import show_window  # noqa: E402
+from app.session import Session  # noqa: E402
+from app.tour import wait_until_shown  # noqa: E402
+
+N_FRAMES = 3
+
+
+def bubble_frames() -> list[TactileFrame]:
+    """A bubble untouched, then pressed by a ball of 15 mm radius, deeper and deeper."""
+    spec = sensor("soft_bubble")
+    rest = spec.rest_depth_mm
+    points = spec.camera.back_project(rest)
+    from_axis_mm = np.hypot(points[..., 0], points[..., 1])
+    frames: list[TactileFrame] = []
+    for index in range(N_FRAMES):
+        ball = float(rest.max()) - 4.0 * index + 15.0 - np.sqrt(np.maximum(15.0**2 - from_axis_mm**2, 0.0))
+        pressed = np.where(from_axis_mm < 15.0, np.minimum(rest, ball), rest) if index else rest
+        frames.append(
+            TactileFrame(
+                sensor="soft_bubble", image=freeze(pressed.astype(np.float32)), reference=freeze(rest.astype(np.float32)),
+                index=index, time_s=0.1 * index,
+            )
+        )  # fmt: skip
+    return frames
+
+
+@pytest.fixture(scope="session")
+def touch_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The recording as a file."""
+    path = tmp_path_factory.mktemp("recording") / "pressed.h5"
+    with Writer(path) as writer:
+        for frame in bubble_frames():
+            writer.append("bubble", frame)
+    return path
+
+
+@pytest.fixture
+def open_window(qtbot) -> Iterator[Callable[..., Instrument]]:
+    """Opens windows without 3D unless asked, and closes them."""
+    made: list[Instrument] = []
+
+    def open_one(recording: Path | None = None, *, gl: bool = False, **session) -> Instrument:
+        instrument = show_window(Session(recording=recording, **session), with_scene=gl)
+        made.append(instrument)
+        qtbot.addWidget(instrument.window)
+        return instrument
+
+    yield open_one
+    for instrument in made:
+        instrument.close()
+        instrument.window.close()
+
+
+@pytest.fixture
+def bubble_window(open_window, touch_file) -> Instrument:
+    """A window on frame 2 of the recording, through all stages."""
+    instrument = open_window(touch_file, target="gelslim", frame=2)
+    assert wait_until_shown(instrument, 60), instrument.window.banner.text
+    return instrument
