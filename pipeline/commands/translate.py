@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -47,7 +48,7 @@ def translate_frames(request: Request, out: Path, frame: int | None, every: bool
     show_table(reports)
     failed = [r for r in reports if r.problem]
     for report in failed:
-        console.print(f"frame {report.index}: {report.problem}", style="red", highlight=False)
+        sys.stderr.write(f"tactoscope: frame {report.index}: {report.problem}\n")
     print_line(f"{len(reports) - len(failed)} of {len(reports)} frames written to {os.fspath(out)}")
     return 2 if failed else 0
 

@@ -33,7 +33,7 @@ def write_sheet(path: Path, frame: TactileFrame, report: FrameReport, translatio
     figure = Figure(figsize=(21, 4.3), dpi=90)
     FigureCanvasAgg(figure)
     # Fixed places: an automatic layout costs more time than all the drawing.
-    axes = [figure.add_axes((0.012 + i / 6.0, 0.2, 0.126, 0.64)) for i in range(6)]
+    axes = [figure.add_axes((0.012 + i / 6.0, 0.2, 0.126, 0.6)) for i in range(6)]
     source, target = translation.source, translation.target
     _picture(figure, axes[0], frame.image, source, f"Source · {source.title}")
     drawers = (_depth, _cloud, _view, _touch, _pose)
@@ -46,7 +46,8 @@ def write_sheet(path: Path, frame: TactileFrame, report: FrameReport, translatio
         draw(figure, ax, result, source if name == "depth" else target)
         _footer(ax, result)
     metrics = "   ".join(f"{k} {v:.3g}" for k, v in report.metrics.items())
-    figure.suptitle(f"frame {report.index}   {source.name} → {target.name}   {metrics}", fontsize=11, y=0.975)
+    figure.suptitle(f"frame {report.index}   {source.name} → {target.name}", fontsize=11, y=0.985)
+    figure.text(0.5, 0.925, metrics, fontsize=8, ha="center", va="top", color="0.3")
     figure.savefig(path)
 
 
