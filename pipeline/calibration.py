@@ -172,7 +172,7 @@ def save(calibration: Calibration, path: Path) -> None:
 def load(path: Path) -> Calibration:
     """Read a look-up back; raises FileProblem naming the field that is missing or damaged."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             fields = {name: file[name] for name in file.files}
     except FileNotFoundError as error:
         raise FileProblem("calibration file does not exist", path) from error

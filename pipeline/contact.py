@@ -1,11 +1,11 @@
 """Where a gel is touched, from how it is pushed in.
 
-A surface moves beyond the contact too (Hertz: at the contact's edge by half of the largest indentation, on a thin bonded
-layer by less), so no limit on depth separates touched from moved. Pressure does: it is zero outside. A pressure wave of
-wavenumber q moves an elastic half-space by U(q) = 2 P(q) / (E* q), hence P(q) ~ q U(q), which is no rougher than a slope.
-A layer bonded to a plate answers alike except to waves longer than its thickness; leaving that out shifts the pressure by
-a smooth amount, which a limit at a share of the peak forgives: Hertz contacts keep their radius within 3 %, and neither
-the thickness of the gel nor its stiffness is needed.
+A surface moves beyond the contact too (Hertz: at the contact's edge by half of the largest indentation, on a thin
+bonded layer by less), so no limit on depth separates touched from moved. Pressure does: it is zero outside. A pressure
+wave of wavenumber q moves an elastic half-space by U(q) = 2 P(q) / (E* q), hence P(q) ~ q U(q), which is no rougher
+than a slope. A layer bonded to a plate answers alike except to waves longer than its thickness; leaving that out shifts
+the pressure by a smooth amount, which a limit at a share of the peak forgives: a share s finds a Hertz contact's radius
+short by 1 - sqrt(1 - s^2), and neither the thickness of the gel nor its stiffness is needed.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ _ENCLOSED_SHARE = 0.9  # of the depth of its rim: what is enclosed and as deep a
 def relative_pressure(indentation_mm: Floats, smoothing_px: float, order: Literal[1, 2] = 1) -> Floats:
     """Pressure (rows, cols) up to a constant factor, without its longest waves; negative where the surface hangs free.
 
-    `order` is the power of the wavenumber: 1 for an elastic gel, 2 for a membrane under tension, which carries a load by
-    its curvature alone.
+    `order` is the power of the wavenumber: 1 for an elastic gel, 2 for a membrane under tension, which carries a
+    load by its curvature alone.
 
     The image is mirrored at its border (cosine transform), as if the touch went on beyond it.
     """
@@ -52,14 +52,16 @@ def touched(
     deep = indentation_mm > least_mm
     if not deep.any():
         return deep
-    n, regions = cv2.connectedComponents(deep.astype(np.uint8), connectivity=8)
+    n, found = cv2.connectedComponents(deep.astype(np.uint8), connectivity=8)
+    regions = np.asarray(found, np.int32)
     pressure = relative_pressure(indentation_mm, smoothing_px, order)
     peaks = np.asarray(ndimage.maximum(pressure, regions, np.arange(n)))
     limit = (np.maximum(peaks, 1e-9) * pressure_share).astype(np.float32)[regions]
     mask = deep & (pressure > limit)
     enclosed = np.asarray(ndimage.binary_fill_holes(mask)) & ~mask
     if enclosed.any():
-        m, holes = cv2.connectedComponents(enclosed.astype(np.uint8), connectivity=4)
+        m, found = cv2.connectedComponents(enclosed.astype(np.uint8), connectivity=4)
+        holes = np.asarray(found, np.int32)
         grown = np.asarray(ndimage.grey_dilation(holes, size=(3, 3)))
         rim = np.where(mask, grown, 0)
         index = np.arange(m)
@@ -72,19 +74,19 @@ def touched(
 
 
 def without_specks(mask: Mask, min_pixels: int) -> Mask:
-    """The mask without regions (8-neighbourhood) of fewer than `min_pixels` pixels or 5 % of the largest region."""
+    """The mask without regions of fewer than `min_pixels` pixels or 5 % of the largest region."""
     import cv2
 
     n, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
     keep = np.zeros(n, np.bool_)
     areas = stats[1:, cv2.CC_STAT_AREA]
     keep[1:] = areas >= max(min_pixels, _SPECK_SHARE * int(areas.max(initial=0)))
-    return np.asarray(keep[labels])
+    return keep[np.asarray(labels, np.int32)]
 
 
 @lru_cache(maxsize=64)
 def _wavenumbers(rows: int, cols: int, smoothing_px: float, order: Literal[1, 2]) -> Floats:
-    """Wavenumbers (rows, cols) of a cosine transform in radians per pixel, to the power of `order`, damped as a Gaussian blur would."""
+    """Wavenumbers (rows, cols) of a cosine transform to the power of `order`, in radians per pixel, damped by a blur."""
     ky, kx = (np.arange(n) * (math.pi / n) for n in (rows, cols))
     q_sq = ky[:, None] ** 2 + kx[None, :] ** 2
     return freeze((q_sq ** (0.5 * order) * np.exp(-0.5 * smoothing_px**2 * q_sq)).astype(np.float32))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -25,7 +26,7 @@ class Circle:
 def contact_circle(change: Floats) -> Circle | None:
     """The first guess from a colour change (rows, cols, 3): centre of the changed patch, radius of its steepest ring.
 
-    At the edge of a contact the slope is largest (Hertz), and so is the change of colour. None where nothing stands out.
+    At the edge of a contact the slope is largest (Hertz), and so is the change of colour. None if nothing stands out.
     """
     import cv2
 
@@ -52,9 +53,7 @@ def ring_profile(values: Floats, circle: Circle, reach_px: float) -> tuple[Doubl
     ring = np.rint(distance[near]).astype(np.intp)
     order = np.argsort(ring, kind="stable")
     ordered, first = values[near][order], np.searchsorted(ring[order], np.arange(ring.max(initial=0) + 2))
-    pairs = [
-        (r, np.median(ordered[a:b])) for r, (a, b) in enumerate(zip(first[:-1], first[1:], strict=True)) if b - a >= 4
-    ]
+    pairs = [(r, np.median(ordered[a:b])) for r, (a, b) in enumerate(pairwise(first)) if b - a >= 4]
     table = np.array(pairs, np.float64).reshape(-1, 2)
     return table[:, 0], table[:, 1]
 

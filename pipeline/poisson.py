@@ -4,7 +4,7 @@ Minimises the sum of |D z - g|^2 over the edges between neighbouring pixels, whe
 its two pixels, g_{i+1/2} = (g_i + g_{i+1}) / 2. The normal equations are a five-point Poisson equation, which the
 DCT-II (nothing known at the border) or the DST-II (zero along the border) makes diagonal:
 
-    z^(k, l) = -div^(k, l) / (4 sin^2(pi k / 2W) + 4 sin^2(pi l / 2H)),   k = 0..W-1 (cosine, z^(0, 0) = 0) or 1..W (sine).
+    z^(k, l) = -div^(k, l) / (4 sin^2(pi k / 2W) + 4 sin^2(pi l / 2H)),   k = 0..W-1 or, for sines, 1..W.
 
 Frankot & Chellappa 1988, Simchony et al. 1990. Two slips are common in public integrators and are avoided here:
 counting k from 1, which damps the long waves, and a divergence without the half of the central difference.
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
 
@@ -28,10 +28,11 @@ _WORKERS = 2
 
 
 def integrate(gx: Floats, gy: Floats, pixel_mm: float, boundary: Boundary = "free") -> Floats:
-    """The surface z_mm (rows, cols) float32 whose slopes dz/dx, dz/dy (mm/mm, x right, y down) are nearest to `gx`, `gy`.
+    """The surface z_mm (rows, cols) float32 whose slopes (mm/mm, x right, y down) are nearest to gx, gy.
 
-    "free" knows nothing at the border and returns the surface with mean zero; "flat" holds it at zero
-    along the outer edge of the border pixels. Raises ShapeError for arrays that differ in shape, are not two-dimensional, or hold a value that is not finite.
+    "free" knows nothing at the border and returns the surface with mean zero; "flat" holds it at zero along the outer
+    edge of the border pixels. Raises ShapeError for arrays that differ in shape, are not two-dimensional, or hold a
+    value that is not finite.
     """
     from scipy import fft
 
@@ -44,16 +45,12 @@ def integrate(gx: Floats, gy: Floats, pixel_mm: float, boundary: Boundary = "fre
     rows, cols = gx.shape
     scale = _inverse_eigenvalues(rows, cols, boundary)
     if boundary == "free":
-        z = fft.dctn(_divergence_free(gx, gy), type=2, norm="ortho", workers=_WORKERS, overwrite_x=True)
-        z *= scale
-        z[0, 0] = 0.0
-        z = fft.idctn(z, type=2, norm="ortho", workers=_WORKERS, overwrite_x=True)
+        wave = np.asarray(fft.dctn(_divergence_free(gx, gy), type=2, norm="ortho", workers=_WORKERS))
+        z = np.asarray(fft.idctn(wave * scale, type=2, norm="ortho", workers=_WORKERS), np.float32)
     else:
-        z = fft.dstn(_divergence_flat(gx, gy), type=2, norm="ortho", workers=_WORKERS, overwrite_x=True)
-        z *= scale
-        z = fft.idstn(z, type=2, norm="ortho", workers=_WORKERS, overwrite_x=True)
-    z *= np.float32(pixel_mm)
-    return freeze(cast("Floats", z))
+        wave = np.asarray(fft.dstn(_divergence_flat(gx, gy), type=2, norm="ortho", workers=_WORKERS))
+        z = np.asarray(fft.idstn(wave * scale, type=2, norm="ortho", workers=_WORKERS), np.float32)
+    return freeze(z * np.float32(pixel_mm))
 
 
 @lru_cache(maxsize=16)

@@ -6,7 +6,8 @@ The change is taken relative to the untouched brightness, so that vignetting and
     q = span * (image - reference) / (blurred reference + offset)                      per colour, offset, span in grey
     slope = sum_ab  C_ab  monomial_a(q_r, q_g, q_b)  monomial_b(u, v),     degree of a in 1..m, degree of b in 0..n
 
-u and v run over the image from -1 to 1 along its longer axis. The sum is cut at `slope_max`, beyond which nothing was seen.
+u and v run over the image from -1 to 1 along its longer axis. The length of the slope
+is cut at `slope_max`, beyond which nothing was seen.
 """
 
 from __future__ import annotations
@@ -105,8 +106,8 @@ def fit(
 ) -> SlopeModel:
     """The polynomial nearest to the samples: ridge regression in closed form, three rounds of Huber weights.
 
-    `ridge` is relative to the mean square of each monomial, and grows with its degree; `huber` is the residual in mm/mm from which a sample's pull
-    no longer grows.
+    `ridge` is relative to the mean square of each monomial, and grows with its degree; `huber` is the residual in mm/mm
+    from which a sample's pull no longer grows.
     """
     f = features(samples, colour_degree, position_degree)
     target = samples.slopes
@@ -119,7 +120,7 @@ def fit(
         normal = (weighted.T @ f).astype(np.float64)
         diagonal = np.diag(normal)
         normal[np.diag_indices_from(normal)] += ridge * stiffer * diagonal + 1e-9 * max(float(diagonal.max()), 1e-12)
-        solution = np.linalg.solve(normal, (weighted.T @ target).astype(np.float64))
+        solution = np.asarray(np.linalg.solve(normal, (weighted.T @ target).astype(np.float64)), np.float64)
         residual = np.linalg.norm(f @ solution.astype(np.float32) - target, axis=1)
         w = weights * np.minimum(1.0, huber / np.maximum(residual, 1e-6)).astype(np.float32)
     table = np.zeros((position_degree + 1, position_degree + 1, len(powers(colour_degree)), 2), np.float32)

@@ -1,4 +1,5 @@
 """Compiled evaluation of the colour-to-slope polynomial."""
+# pyright: basic
 
 import math
 

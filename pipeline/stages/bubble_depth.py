@@ -32,7 +32,9 @@ def largest_change(image: NDArray[Any], reference: NDArray[Any]) -> float:
     import cv2
 
     with np.errstate(invalid="ignore"):
-        near = _FARTHEST * float(np.median(reference[::_BLOCK_PX, ::_BLOCK_PX][reference[::_BLOCK_PX, ::_BLOCK_PX] > 0]))
+        near = _FARTHEST * float(
+            np.median(reference[::_BLOCK_PX, ::_BLOCK_PX][reference[::_BLOCK_PX, ::_BLOCK_PX] > 0])
+        )
         seen = ((image > 0) & (reference > 0) & (image < near) & (reference < near)).astype(np.float32)
     if float(seen.mean()) < _FEWEST_READINGS:
         return math.inf
@@ -80,7 +82,7 @@ def depth(frame: TactileFrame, source: SensorSpec, *, smoothing_px: float, least
 
 
 def _difference(rest: Floats, now: Floats, largest: np.float32, notes: list[str]) -> tuple[Floats, Mask]:
-    """(rest - now, where both are readings of the membrane): what jumps farther than the sensor can go is no reading."""
+    """(rest - now, where both are readings of the membrane); what jumps farther than the sensor can go is none."""
     with np.errstate(invalid="ignore"):
         seen = (rest > 0) & (now > 0)
         # Stereo cameras mark a failed match by an arbitrarily far value.

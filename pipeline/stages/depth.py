@@ -7,6 +7,7 @@ compared with its untouched one (`bubble_depth`).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -59,8 +60,8 @@ def depth(
 ) -> DepthMap:
     """Indentation (mm, positive toward the camera), depth and contact of a frame, in the source sensor's frame.
 
-    `calibration` None stands for the look-up that the sensor's description implies. The frame's own camera is used where
-    it brings one. Raises ShapeError for a frame that cannot be read, CalibrationError for a look-up of another sensor.
+    `calibration` None stands for the look-up that the sensor's description implies. The frame's own camera is used
+    where it brings one. Raises ShapeError for a frame that cannot be read, CalibrationError for one of another sensor.
     """
     progress.step(0.0, "comparing with the untouched frame")
     _check(frame, source)
@@ -90,15 +91,18 @@ def untouched(
     calibration: Calibration | None,  # noqa: ARG001 - every stage's short cut reads what the stage reads
     params: DepthParams,
 ) -> DepthMap | None:
-    """The exact answer for a frame in which nothing touches; None when something may, or the frame needs a closer look."""
+    """The exact answer for a frame in which nothing touches; None when something may, or a closer look is due."""
     reference, image = frame.reference, frame.image
     if reference is None or reference.shape != image.shape or reference.dtype != image.dtype:
         return None
     if frame.is_depth != (source.kind == "bubble") or (image.dtype == np.uint8) == frame.is_depth:
         return None
     limit = source.limits.no_touch / params.sensitivity
-    change = bubble_depth.largest_change if frame.is_depth else gel_depth.largest_change
-    if not change(image, reference) < limit:
+    if frame.is_depth:
+        change = bubble_depth.largest_change(image, reference)
+    else:
+        change = gel_depth.largest_change(cast("Image", image), cast("Image", reference))
+    if not change < limit:
         return None
     seen_by = source if frame.camera is None else _through(source, frame.camera)
     if frame.image.shape[:2] != seen_by.camera.shape:

@@ -21,6 +21,7 @@ from pipeline.stages.results import DepthMap
 
 _BLOCK_PX = 8  # changes are looked for in blocks of this width
 _GROWS_FROM = 0.35  # share of the no-touch limit down to which a touched region is followed outward
+_DRIFT_FACTOR = 2.5  # times the picture's median change, above which a block is part of a touch
 _MARGIN_MM = 1.0  # the gel relaxes to nothing within about this distance of the last visible change
 _SATURATED_GREY = 254
 _PRESSURE_BLUR_PX = 1.5
@@ -42,14 +43,14 @@ def largest_change(image: Image, reference: Image) -> float:
     return float(blocks.max()) if int(image.max()) > 2 else math.inf
 
 
-def _block_change(image: Image, reference: Image) -> Floats:
+def _block_change(image: Image, reference: Image) -> Image:
     import cv2
 
     # Whole blocks only: the last few rows and columns are dropped, which makes the mean ten times as fast.
     rows, cols = (max(1, n // _BLOCK_PX) for n in image.shape[:2])
     inside = (slice(0, max(rows * _BLOCK_PX, 1)), slice(0, max(cols * _BLOCK_PX, 1)))
     change = cv2.absdiff(image[inside], reference[inside])
-    return np.asarray(cv2.resize(change, (cols, rows), interpolation=cv2.INTER_AREA))
+    return np.asarray(cv2.resize(change, (cols, rows), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def depth(
@@ -104,11 +105,11 @@ def _window(image: Image, reference: Image, no_touch_grey: float, pixel_mm: floa
     import cv2
 
     blocks = _block_change(image, reference).max(axis=2).astype(np.float32)
-    # What the whole picture does (drift of the light) is no touch.
-    low = max(_GROWS_FROM * no_touch_grey, 2.5 * float(np.median(blocks)))
+    # A touch is not followed into what the whole picture does (drift of the light).
+    low = min(max(_GROWS_FROM * no_touch_grey, _DRIFT_FACTOR * float(np.median(blocks))), no_touch_grey)
     n, regions = cv2.connectedComponents((blocks > low).astype(np.uint8), connectivity=8)
     strong = np.zeros(n, np.bool_)
-    strong[np.unique(regions[blocks >= max(no_touch_grey, low)])] = True
+    strong[np.unique(regions[blocks >= no_touch_grey])] = True
     strong[0] = False
     if not strong.any():
         return None

@@ -1,0 +1,97 @@
+"""How well does a look-up from presses of one ball measure others? Real GelSight Mini, DIGIT and GelSlim 3.0 pictures.
+
+    python benchmarks/ball_calibration.py DATA_FOLDER
+
+"diameter" is that of the sphere nearest to the depth inside the contact found by the stage, "rms" the distance to it.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy import optimize
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from pipeline.balls import calibrate_balls
+from pipeline.frames import TactileFrame
+from pipeline.sensors.spec import sensor
+from pipeline.stages.depth import DepthParams, depth
+
+_MINI_MM_PER_PX = 0.0634
+_BESIDE_MM = 3.0  # farther from the contact than this the gel is called far
+
+
+def read(path: Path):
+    return np.ascontiguousarray(cv2.imread(str(path))[..., ::-1])
+
+
+def numbered(folder: Path, pattern: str) -> list[Path]:
+    return sorted(folder.glob(pattern), key=lambda p: int("".join(c for c in p.stem.split("_")[-1] if c.isdigit())))
+
+
+def sphere(indentation_mm, contact, pixel_mm):
+    y, x = (pixel_mm * n for n in np.nonzero(contact))
+    z = indentation_mm[contact].astype(np.float64)
+
+    def off(p):
+        return np.sqrt(np.maximum(p[3] ** 2 - (x - p[0]) ** 2 - (y - p[1]) ** 2, 1e-6)) + p[2] - z
+
+    found = optimize.least_squares(off, [x.mean(), y.mean(), z.max() - 4.0, 4.0])
+    return 2 * abs(found.x[3]), np.sqrt(np.mean(found.fun**2))
+
+
+def measure(label, pictures, still, source, look_up, diameter_mm):
+    fits, far, ms, missing = [], [], [], 0
+    for index, picture in enumerate(pictures):
+        frame = TactileFrame(sensor=source.name, image=picture, reference=still, index=index)
+        started = time.perf_counter()
+        result = depth(frame, source, look_up, DepthParams())
+        ms.append(1e3 * (time.perf_counter() - started))
+        away = cv2.distanceTransform((~result.contact).astype(np.uint8), cv2.DIST_L2, 5) * look_up.pixel_mm
+        far.append(float(np.abs(result.indentation_mm[away > _BESIDE_MM]).max(initial=0.0)))
+        if result.contact.sum() < 20:
+            missing += 1
+            continue
+        d, rms = sphere(result.indentation_mm, result.contact, look_up.pixel_mm)
+        fits.append((d / diameter_mm - 1, rms))
+    error, rms = np.array(fits).T
+    print(
+        f"{label:<44}{len(pictures):>4}{missing:>8}"
+        f"{100 * np.median(np.abs(error)):>9.1f}{100 * np.median(error):>+8.1f}"
+        f"{100 * np.percentile(np.abs(error), 90):>7.1f}{np.median(rms):>9.4f}{np.percentile(rms, 90):>8.4f}"
+        f"{max(far):>8.3f}{np.median(ms):>7.1f}"
+    )
+
+
+def main(data: Path) -> None:
+    print(
+        f"{'':<44}{'n':>4}{'missed':>8}{'diam. %':>9}{'bias %':>8}{'p90 %':>7}{'rms mm':>9}{'p90':>8}{'far mm':>8}{'ms':>7}"
+    )
+    mini, folder = sensor("gelsight_mini"), data / "gsmini_balls"
+    still = read(folder / "background.png")
+    small, large = ([read(p) for p in numbered(folder, f"ball_{d}mm_*.png")] for d in ("6.310", "9.500"))
+    whole = calibrate_balls(small, still, mini, 6.31, pixel_mm=_MINI_MM_PER_PX)
+    measure("Mini: 44 of 6.310 mm -> 23 of 9.500 mm", large, still, mini, whole, 9.5)
+    for k in (0, 1):
+        half = calibrate_balls(small[k::2], still, mini, 6.31, pixel_mm=_MINI_MM_PER_PX)
+        measure(f"Mini: half of 6.310 mm -> other half ({k})", small[1 - k :: 2], still, mini, half, 6.31)
+    for name, folder_name, reference, pattern, sizes in (
+        ("digit", "digit_balls", "background.png", "0*.png", ((5.0, None), (6.0, None), (8.0, None))),
+        ("gelslim", "gelslim3_balls", "ref.jpg", "sample_*.jpg", ((7.6, 0.05), (7.6, 0.07), (7.6, 0.10577))),
+    ):
+        source, folder = sensor(name), data / folder_name
+        still = read(folder / reference)
+        pictures = [read(p) for p in numbered(folder, pattern)]
+        for diameter_mm, pixel_mm in sizes:
+            half = calibrate_balls(pictures[::2], still, source, diameter_mm, pixel_mm=pixel_mm)
+            label = f"{name}: {diameter_mm:g} mm at {half.pixel_mm:.4f} mm/px, half -> half"
+            measure(label, pictures[1::2], still, source, half, diameter_mm)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parents[2] / "shared" / "data")
