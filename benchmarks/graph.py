@@ -28,6 +28,11 @@ def ms_of(work, repeats=REPEATS):
     return statistics.median(times), sorted(times)[int(0.95 * len(times))]
 
 
+def copied(inputs):
+    frame = inputs["frame"]
+    return {**inputs, "frame": dataclasses.replace(frame, image=frame.image.copy(), reference=frame.reference.copy())}
+
+
 def main():
     path = Path(sys.argv[1]) if len(sys.argv) > 1 else SAMPLE
     target = sys.argv[2] if len(sys.argv) > 2 else "soft_bubble"
@@ -50,7 +55,10 @@ def main():
         fresh(touched)()  # libraries loaded, kernels compiled
         rows.append(("touched frame, empty cache", *ms_of(fresh(touched), 7)))
         graph.evaluate(everything, touched, params)
-        rows.append(("frame seen before", *ms_of(lambda: graph.evaluate(everything, dict(touched), params))))
+        copies = iter(
+            [copied(touched) for _ in range(REPEATS)]
+        )  # read again, as from a file: nothing known by identity
+        rows.append(("frame seen before", *ms_of(lambda: graph.evaluate(everything, next(copies), params))))
         name, (value, _) = next((n, v) for n, v in settings(params["pose"]).items() if n == "seed")
         changed = {**params, "pose": dataclasses.replace(params["pose"], **{name: value + 1})}
         states = graph.evaluate(everything, touched, changed)

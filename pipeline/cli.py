@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
@@ -77,7 +77,8 @@ def translate(
     frame: int | None = None,
     all_frames: Annotated[bool, Parameter(name="--all", negative="")] = False,
     mesh: Path | None = None,
-    mesh_unit: str = "auto",
+    mesh_unit: Literal["auto", "mm", "cm", "m"] = "auto",
+    depth_unit: Literal["auto", "mm", "m", "0.1mm", "um"] = "auto",
     settings: Annotated[tuple[str, ...], Parameter(name="--set")] = (),
 ) -> int:
     """Turn touches of one sensor into what another would have felt, and write every stage.
@@ -107,7 +108,9 @@ def translate(
     mesh
         The touched object's mesh, for its pose.
     mesh_unit
-        Unit of that mesh: mm, m, or auto.
+        Unit of that mesh.
+    depth_unit
+        Unit of a depth array whose name does not tell.
     settings
         `stage.parameter=value`, as often as needed.
     """
@@ -117,6 +120,7 @@ def translate(
     request = Request(
         recording=recording, target=target, source=sensor, stream=stream, route=route,
         reference=reference, calibration=calibration, mesh=mesh, mesh_unit=mesh_unit,
+        depth_unit=depth_unit,
     )  # fmt: skip
     return translate_frames(request, out, frame, all_frames, settings)
 

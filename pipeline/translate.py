@@ -19,6 +19,7 @@ from pipeline.frames import Recording, Stream, TactileFrame, Truth
 from pipeline.graph import Graph
 from pipeline.meshes import Mesh, load_mesh
 from pipeline.recordings import open_recording
+from pipeline.recordings.depth_arrays import DepthUnit
 from pipeline.sensors.spec import SensorSpec, sensor
 
 
@@ -35,6 +36,7 @@ class Request:
     calibration: Path | None = None
     mesh: Path | None = None
     mesh_unit: str = "auto"
+    depth_unit: DepthUnit = "auto"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,7 +100,9 @@ def open_translation(request: Request) -> Translation:
     """Open and check all that `request` names; raises TouchError with what is wrong and where."""
     routes.route(request.route)
     target = sensor(request.target)
-    recording = open_recording(request.recording, sensor=request.source, reference=request.reference)
+    recording = open_recording(
+        request.recording, sensor=request.source, reference=request.reference, depth_unit=request.depth_unit
+    )
     said = sensor(request.source) if request.source else None
     stream = recording.stream(request.stream or (said.name if said else ""))
     if not stream.sensor:
@@ -113,11 +117,22 @@ def open_translation(request: Request) -> Translation:
         stream=stream,
         source=source,
         target=target,
-        alignment=alignments.between(source, target),
+        alignment=_alignment(recording, stream, source, target),
         calibration=None if request.calibration is None else load_calibration(request.calibration),
         mesh=mesh,
         notes=recording.notes,
     )
+
+
+def _alignment(recording: Recording, stream: Stream, source: SensorSpec, target: SensorSpec) -> Alignment:
+    """What the recording knows of how its two streams stand; otherwise what the sensor descriptions say."""
+    described = alignments.between(source, target)
+    other = recording.stream_of_sensor(target.name)
+    known = None if other is None else recording.target_from_source(stream.name, other.name)
+    if known is None:
+        return described
+    onward = rigid.checked(known, "target_from_source of the recording") @ rigid.invert(described.alignment_from_source)
+    return Alignment(alignment_from_source=described.alignment_from_source, target_from_alignment=freeze(onward))
 
 
 def new_graph() -> Graph:
