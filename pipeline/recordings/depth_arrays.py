@@ -146,7 +146,9 @@ def _unit_of(key: str, said: DepthUnit, path: Path) -> str:
         return said
     match = _TOLD.search(key)
     if match is None:
-        raise FileProblem(f"cannot tell the unit of {key!r}; name it {key}_mm or {key}_m, or give --depth-unit", path, field=key)
+        raise FileProblem(
+            f"cannot tell the unit of {key!r}; name it {key}_mm or {key}_m, or give --depth-unit", path, field=key
+        )
     return match["unit"].lower().replace("0p1mm", "0.1mm")
 
 
