@@ -69,9 +69,8 @@ def measure(label, pictures, still, source, look_up, diameter_mm):
 
 
 def main(data: Path) -> None:
-    print(
-        f"{'':<44}{'n':>4}{'missed':>8}{'diam. %':>9}{'bias %':>8}{'p90 %':>7}{'rms mm':>9}{'p90':>8}{'far mm':>8}{'ms':>7}"
-    )
+    heads = f"{'n':>4}{'missed':>8}{'diam. %':>9}{'bias %':>8}{'p90 %':>7}{'rms mm':>9}{'p90':>8}{'far mm':>8}{'ms':>7}"
+    print(" " * 44 + heads)
     mini, folder = sensor("gelsight_mini"), data / "gsmini_balls"
     still = read(folder / "background.png")
     small, large = ([read(p) for p in numbered(folder, f"ball_{d}mm_*.png")] for d in ("6.310", "9.500"))

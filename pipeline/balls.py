@@ -5,7 +5,7 @@ the load, so only centres have to be known well. They are refined in turns with 
 slope g says where the centre must be, c = p + R g / sqrt(1 + g^2), and the median over the contact is kept. Untouched
 pixels tie zero change to zero slope. Beyond the trusted part of the contact, which lens blur leaves alone, the slope is
 not the ball's, but it is the same to all sides and, in units of the contact's radius, in all presses: the median
-profile of all presses becomes a target too, and stops a centre from drifting together with the look-up of its neighbourhood.
+profile of all presses becomes a target too, and stops a centre from drifting together with the look-up around it.
 """
 
 from __future__ import annotations

@@ -86,7 +86,7 @@ def without_specks(mask: Mask, min_pixels: int) -> Mask:
 
 @lru_cache(maxsize=64)
 def _wavenumbers(rows: int, cols: int, smoothing_px: float, order: Literal[1, 2]) -> Floats:
-    """Wavenumbers (rows, cols) of a cosine transform to the power of `order`, in radians per pixel, damped by a blur."""
+    """Wavenumbers (rows, cols) of a cosine transform to the power of `order`, radians per pixel, damped by a blur."""
     ky, kx = (np.arange(n) * (math.pi / n) for n in (rows, cols))
     q_sq = ky[:, None] ** 2 + kx[None, :] ** 2
     return freeze((q_sq ** (0.5 * order) * np.exp(-0.5 * smoothing_px**2 * q_sq)).astype(np.float32))

@@ -106,10 +106,12 @@ def _window(image: Image, reference: Image, no_touch_grey: float, pixel_mm: floa
 
     blocks = _block_change(image, reference).max(axis=2).astype(np.float32)
     # A touch is not followed into what the whole picture does (drift of the light).
-    low = min(max(_GROWS_FROM * no_touch_grey, _DRIFT_FACTOR * float(np.median(blocks))), no_touch_grey)
+    low = max(_GROWS_FROM * no_touch_grey, _DRIFT_FACTOR * float(np.median(blocks)))
+    if float(blocks.max()) < low:  # all of it has changed alike: a touch larger than the picture
+        low = no_touch_grey
     n, regions = cv2.connectedComponents((blocks > low).astype(np.uint8), connectivity=8)
     strong = np.zeros(n, np.bool_)
-    strong[np.unique(regions[blocks >= no_touch_grey])] = True
+    strong[np.unique(regions[blocks >= max(no_touch_grey, low)])] = True
     strong[0] = False
     if not strong.any():
         return None
