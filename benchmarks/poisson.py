@@ -3,7 +3,8 @@
     python benchmarks/poisson.py
 
 The public algorithm is written down here with its slip of frequencies counted from 1 and its border left out of the
-divergence; that some leave out the half of the central difference as well is not held against it. Times are medians of 25 runs in turn; errors are in pixels after removing the mean.
+divergence; that some leave out the half of the central difference as well is not held against it. Times are medians of
+25 runs in turn; errors are in pixels after removing the mean.
 """
 
 from __future__ import annotations
