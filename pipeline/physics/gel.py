@@ -1,7 +1,8 @@
 """A gel pad in contact: an elastic layer bonded to a rigid back, pressed without friction or adhesion.
 
 Contact is the complementarity problem p >= 0, u >= overlap, p (u - overlap) = 0 over the layer of `gel_layer`, solved
-by the constrained conjugate gradients of Polonsky and Keer (1999) with one or two FFT convolutions a step.
+by the constrained conjugate gradients of Polonsky and Keer (1999), here preconditioned with the inverse of the periodic
+layer: a handful of steps of two or three FFT convolutions, where the plain method needs some twenty.
 """
 
 from __future__ import annotations
@@ -106,8 +107,8 @@ def _polonsky_keer(
 ) -> tuple[Floats, int, float]:
     """(pressure, steps, residual in mm) on the box of `overlap`."""
     layer = gel_layer.layer(gel, pixel_mm, overlap.shape)
-    stiffness = 1.0 / float(layer.displacement(np.ones(overlap.shape, np.float32)).max())
-    pressure = np.maximum(overlap, 0) * np.float32(stiffness)
+    stiffness = np.float32(1.0) / np.float32(layer.displacement(np.ones(overlap.shape, np.float32)).max())
+    pressure = np.maximum(overlap, 0) * stiffness
     u = layer.displacement(pressure)
     direction = np.zeros_like(pressure)
     norm, conjugate, residual = 1.0, False, np.inf
@@ -118,15 +119,16 @@ def _polonsky_keer(
         if residual <= tolerance_mm:
             return pressure, step, residual
         along = np.where(touching, gap, np.float32(0))
-        new_norm = _dot(along, along)
-        direction = along + np.float32(new_norm / norm if conjugate else 0.0) * np.where(
+        steep = np.where(touching, layer.pressure(along), np.float32(0))
+        new_norm = _dot(along, steep)
+        direction = steep + np.float32(new_norm / norm if conjugate else 0.0) * np.where(
             touching, direction, np.float32(0)
         )
         norm = new_norm
         moved = layer.displacement(direction)
         curvature = _dot(direction, moved)
         if curvature <= 0:  # nothing touches yet: push where it overlaps
-            pressure = np.where(gap < 0, np.float32(-stiffness) * gap, pressure)
+            pressure = np.where(gap < 0, -stiffness * gap, pressure)
             u, conjugate = layer.displacement(pressure), False
             continue
         length = np.float32(_dot(along, direction) / curvature)
@@ -140,7 +142,7 @@ def _polonsky_keer(
                 u = layer.displacement(pressure)  # shed the rounding that the recursion gathers
             continue
         trial[clipped] = 0
-        trial[entering] -= length * gap[entering]
+        trial[entering] -= stiffness * gap[entering]
         pressure = trial
         u = layer.displacement(pressure)
     return pressure, max_steps, residual

@@ -86,6 +86,16 @@ def test_every_press_is_complementary(depth, row, col, poisson):
     assert np.abs(gap[pressed.contact]).max(initial=0) < SURFACE_MM * max(1.0, depth)
 
 
+@given(seed=st.integers(0, 10**6), depth=st.floats(1e-3, 10.0), share=st.floats(0.01, 1.0))
+@settings(max_examples=20, deadline=None)
+def test_rough_and_ragged_objects_converge_too(seed, depth, share):
+    rng = np.random.default_rng(seed)
+    overlap = np.where(rng.random((50, 60)) < share, depth * rng.random((50, 60)), -np.inf)
+    pressed = gel.press(PAD, PIXEL_MM, overlap, tolerance_mm=1e-4 * max(1.0, depth))
+    assert pressed.converged
+    assert np.isfinite(pressed.indentation_mm).all()
+
+
 def test_a_mirrored_press_gives_the_mirrored_surface():
     overlap = ball((80, 100), 0.4, row=30, col=37)
     one, other = gel.press(PAD, PIXEL_MM, overlap), gel.press(PAD, PIXEL_MM, overlap[:, ::-1])
