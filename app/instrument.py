@@ -213,7 +213,9 @@ class Instrument(QObject):
             self._rest()
             if not_opened and self.undo.canUndo():
                 self.undo.undo()
-            elif not not_opened:
+            elif not_opened:
+                self.screen.mark_cancelled()
+            else:
                 self.screen.mark_failed(error)
         self.show_problem(error)
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from app.session import Session
 
 SAMPLE = Path(__file__).resolve().parents[1] / "sample_data" / "recordings" / "first_touch.h5"
+_FIRST_PAINT_MS = 60  # loading OpenGL takes the window's thread for a second: let it be seen first
 _THREADS_LEFT_ALONE = "PASSIVE"  # waiting OpenMP threads that spin would take the processor from the window
 
 
@@ -99,7 +100,7 @@ def show_window(session: Session, *, with_scene: bool = True) -> Instrument:
     instrument.relay.catch_uncaught()
     window.show()
     if with_scene:
-        QTimer.singleShot(0, lambda: _add_scene(instrument))
+        QTimer.singleShot(_FIRST_PAINT_MS, lambda: _add_scene(instrument))
     if session.recording is not None:
         instrument.start(session)
     logging.getLogger("tactoscope").info("Tactoscope is ready")

@@ -86,7 +86,7 @@ class Screen:
             if isinstance(part.result.output, ObjectPose):
                 self._window.steps.show_steps(part.result.output.steps)
         else:
-            column.show_state("computed", part.ms)
+            column.show_state("read", part.ms)
         index = self._order.index(name)
         self._layers[index] = part.layers
         self._scene.show_layers(index, part.layers)

@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 
 from PyQt6.QtCore import QCoreApplication, QEventLoop
-from PyQt6.QtWidgets import QWidget
+from PyQt6.QtTest import QTest
 
 from app.instrument import Instrument
 from pipeline.commands.translate import print_line, show_table
@@ -40,7 +40,8 @@ def give_tour(instrument: Instrument, out: Path, *, show_frame: int | None = Non
     write_report(out, translation, reports)
     instrument.choose_frame(_worth_seeing(reports) if show_frame is None else show_frame)
     wait_until_shown(instrument)
-    save_window_picture(instrument.window, out / "window.png")
+    _follow_a_pixel(instrument)
+    save_window_picture(instrument, out / "window.png")
     show_table(reports)
     failed = [r for r in reports if r.problem]
     for report in failed:
@@ -61,12 +62,23 @@ def wait_until_shown(instrument: Instrument, limit_s: float = FRAME_LIMIT_S) -> 
     return False
 
 
-def save_window_picture(window: QWidget, path: Path) -> None:
+def save_window_picture(instrument: Instrument, path: Path) -> None:
     """Write the window as it stands, 3D views included."""
+    instrument.screen.scene.settle()
     for _ in range(3):  # layouts, then paints, then what the paints asked for
         QCoreApplication.processEvents(QEventLoop.ProcessEventsFlag.AllEvents, _BREATH_MS)
     path.parent.mkdir(parents=True, exist_ok=True)
-    window.grab().save(str(path))
+    instrument.window.grab().save(str(path))
+
+
+def _follow_a_pixel(instrument: Instrument) -> None:
+    """Pin the target pixel that is pushed in deepest, so that the picture shows a trace."""
+    project = instrument.latest.results.get("project") if instrument.latest is not None else None
+    if project is not None and project.output.contact.any():
+        view = project.output
+        row, col = divmod(int(view.indentation_mm.argmax()), view.camera.cols)
+        instrument.tracer.click("project", row, col)
+        QTest.qWait(100)  # the dots in 3D follow a little later
 
 
 def _worth_seeing(reports: list[FrameReport]) -> int:

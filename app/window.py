@@ -39,6 +39,7 @@ SIZE = QSize(1600, 950)
 _TOOLS = (
     "open_recording",
     "open_folder",
+    "open_mesh",
     "save_picture",
     "",
     "undo",

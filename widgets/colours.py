@@ -30,6 +30,7 @@ AXES: tuple[Rgb, Rgb, Rgb] = ((204, 60, 60), (50, 150, 70), (50, 90, 200))  # x,
 
 STATES: dict[str, Rgb] = {
     "computed": (0, 128, 96),
+    "read": (0, 128, 96),
     "cached": (40, 105, 180),
     "unchanged": (40, 105, 180),
     "skipped": (110, 115, 125),

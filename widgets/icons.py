@@ -50,7 +50,8 @@ def _dot(p: QPainter) -> None:
 
 
 _MARKS: dict[str, Callable[[QPainter], None]] = {
-    "computed": _tick, "cached": _stack, "unchanged": _equal, "skipped": _dash,
+    "computed": _tick,
+    "read": _tick, "cached": _stack, "unchanged": _equal, "skipped": _dash,
     "running": _arc, "failed": _cross, "stale": _hand, "waiting": _dot,
 }  # fmt: skip
 

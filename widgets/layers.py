@@ -59,6 +59,10 @@ class Scene(Protocol):
         """Give the room to these sub-views, in equal shares."""
         ...
 
+    def settle(self) -> None:
+        """Draw now what was going to be drawn soon."""
+        ...
+
     def finish(self) -> None:
         """Let go of everything OpenGL."""
         ...
@@ -84,6 +88,9 @@ class EmptyScene:
         """Nothing."""
 
     def show_columns(self, visible: Sequence[int]) -> None:
+        """Nothing."""
+
+    def settle(self) -> None:
         """Nothing."""
 
     def finish(self) -> None:

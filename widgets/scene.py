@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pyvista as pv
-from PyQt6.QtCore import Qt, QTimer, pyqtSignal
-from PyQt6.QtGui import QImage, QPixmap, QResizeEvent
-from PyQt6.QtWidgets import QLabel, QWidget
+from PyQt6.QtCore import Qt, QTimer
+from PyQt6.QtGui import QGuiApplication, QImage, QOffscreenSurface, QOpenGLContext, QPixmap, QResizeEvent
+from PyQt6.QtWidgets import QLabel, QSizePolicy, QWidget
 from pyvistaqt import QtInteractor
 
 from pipeline.arrays import Doubles
@@ -30,6 +30,7 @@ class _Stage:
         self._axes = [self._added_axes(column) for column in range(columns)]
         for renderer in plotter.renderers:
             _light(renderer)
+        self._tall = True
         self._marks: dict[int, tuple[tuple[float, float, float] | None, float]] = {}
         self._dots: dict[int, Any] = {}
 
@@ -93,6 +94,13 @@ class _Stage:
             else:
                 renderer.SetViewport(0.0, 0.0, 0.0, 0.0)
 
+    def fit(self, width_px: int, height_px: int) -> None:
+        """Make the view angle hold for the shorter side, so that the same sphere fits tall and wide sub-views."""
+        shown = sum(bool(renderer.GetDraw()) for renderer in self._plotter.renderers)
+        self._tall = width_px < height_px * max(1, shown)
+        for renderer in self._plotter.renderers:
+            renderer.camera.SetUseHorizontalViewAngle(self._tall)
+
     def look(self, sights: Mapping[int, Sight], linked: bool) -> None:
         """Cameras seen from the sensor's side, so that what is pushed in bulges toward the viewer."""
         shared: dict[str, Any] = {}
@@ -101,6 +109,7 @@ class _Stage:
             camera = shared.get(sight.frame) if linked else None
             if camera is None:
                 camera = shared[sight.frame] = _camera(sight)
+                camera.SetUseHorizontalViewAngle(self._tall)
             renderer.camera = camera
             renderer.reset_camera_clipping_range()
             corner = np.array(sight.centre_mm) + sight.radius_mm * np.array([-0.62, 0.72, 0.0])
@@ -147,7 +156,6 @@ def _camera(sight: Sight) -> Any:
     camera.focal_point = sight.centre_mm
     camera.position = tuple(np.array(sight.centre_mm) + 3.7 * sight.radius_mm * direction)
     camera.up = (0.0, -1.0, 0.0)
-    camera.UseHorizontalViewAngleOn()
     camera.view_angle = 28.0
     return camera
 
@@ -232,12 +240,24 @@ class LiveScene(QtInteractor):  # pyright: ignore[reportUntypedBaseClass]
     def show_columns(self, visible: Sequence[int]) -> None:
         """Give the room to these sub-views, in equal shares."""
         self._stage.show_columns(visible)
+        self._stage.fit(self.width(), self.height())
         self._draw_soon()
+
+    def settle(self) -> None:
+        """Draw now what was going to be drawn soon."""
+        self._soon.stop()
+        self.update()
 
     def finish(self) -> None:
         """Close the OpenGL widget."""
         self._soon.stop()
         self.close()
+
+    def resizeEvent(self, e: Any) -> None:  # noqa: N802
+        """Fit the views to the new size."""
+        super().resizeEvent(e)
+        if hasattr(self, "_stage"):  # Qt sizes the widget before it is built
+            self._stage.fit(self.width(), self.height())
 
     def _draw_soon(self) -> None:
         """Stages arrive one by one within a few milliseconds: one picture serves them all."""
@@ -252,13 +272,16 @@ class LiveScene(QtInteractor):  # pyright: ignore[reportUntypedBaseClass]
 class PicturedScene(QLabel):
     """The same sub-views as a picture drawn off screen, for machines where a window gets no OpenGL."""
 
-    failed = pyqtSignal(str)
-
     def __init__(self, columns: int, parent: QWidget | None = None) -> None:
         super().__init__("3D needs OpenGL, which this display does not offer", parent)
         self.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self.setMinimumSize(60, 60)
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored)  # the picture follows the room
         self._plotter: Any = None
+        self._soon = QTimer(self)
+        self._soon.setSingleShot(True)
+        self._soon.setInterval(_TOGETHER_MS)
+        self._soon.timeout.connect(self._draw)
         try:
             self._plotter = pv.Plotter(off_screen=True, shape=(1, columns), border=False)
             self._plotter.background_color = [c / 255 for c in BACKDROP]
@@ -270,33 +293,41 @@ class PicturedScene(QLabel):
     def show_layers(self, column: int, layers: Sequence[Layer]) -> None:
         """Show exactly these layers in a sub-view."""
         if self._plotter is not None and self._stage.show(column, layers):
-            self._draw()
+            self._soon.start()
 
     def place(self, column: int, name: str, placed: Doubles) -> None:
         """Move one layer as a whole."""
         if self._plotter is not None:
             self._stage.place(column, name, placed)
-            self._draw()
+            self._soon.start()
 
     def look(self, sights: Mapping[int, Sight], *, linked: bool) -> None:
         """Set the cameras."""
         if self._plotter is not None:
             self._stage.look(sights, linked)
-            self._draw()
+            self._soon.start()
 
     def mark(self, column: int, place_mm: tuple[float, float, float] | None, radius_mm: float) -> None:
         """Put the traced pixel's dot into a sub-view, or take it away."""
         if self._plotter is not None and self._stage.mark(column, place_mm, radius_mm):
-            self._draw()
+            self._soon.start()
 
     def show_columns(self, visible: Sequence[int]) -> None:
         """Give the room to these sub-views."""
         if self._plotter is not None:
             self._stage.show_columns(visible)
+            self._stage.fit(self.width(), self.height())
+            self._soon.start()
+
+    def settle(self) -> None:
+        """Draw now what was going to be drawn soon."""
+        if self._soon.isActive():
+            self._soon.stop()
             self._draw()
 
     def finish(self) -> None:
         """Close the plotter."""
+        self._soon.stop()
         if self._plotter is not None:
             self._plotter.close()
 
@@ -308,9 +339,11 @@ class PicturedScene(QLabel):
         """Draw at the new size."""
         super().resizeEvent(a0)
         if self._plotter is not None:
-            self._draw()
+            self._stage.fit(self.width(), self.height())
+            self._soon.start()
 
     def _draw(self) -> None:
+        """One picture of everything."""
         size = self.size()
         self._plotter.window_size = [max(60, size.width()), max(60, size.height())]
         pixels = np.ascontiguousarray(self._plotter.screenshot(return_img=True))
@@ -326,8 +359,21 @@ def _samples() -> int:
 
 
 def best_scene(columns: int, parent: QWidget | None = None) -> Scene:
-    """A live scene, or a pictured one where OpenGL fails."""
+    """A live scene, or a pictured one where a window gets no OpenGL."""
+    if not _opengl_works():
+        return PicturedScene(columns, parent)
     try:
         return LiveScene(columns, parent)
     except Exception:  # noqa: BLE001 - drivers fail in their own ways; the rest of the window must work
         return PicturedScene(columns, parent)
+
+
+def _opengl_works() -> bool:
+    """Asked beforehand: a widget without a context stays empty instead of failing."""
+    if QGuiApplication.platformName() in ("offscreen", "minimal"):
+        return False
+    surface, context = QOffscreenSurface(), QOpenGLContext()
+    surface.create()
+    works = context.create() and context.makeCurrent(surface)
+    context.doneCurrent()
+    return bool(works)

@@ -24,7 +24,7 @@ def test_all_six_columns_show_content(bubble_window):
         assert picture is not None, name
         assert picture.frame_name.endswith("frame")
         assert picture.pixel_mm > 0
-    assert {c.state for n, c in window.columns.items() if n != "pose"} <= {"computed", "cached"}
+    assert {c.state for n, c in window.columns.items() if n != "pose"} <= {"read", "computed", "cached"}
     assert window.columns["depth"].view.picture.outline_px.size > 0
 
 
@@ -67,6 +67,21 @@ def test_a_file_that_is_no_recording_is_told_in_one_sentence(open_window, tmp_pa
     assert instrument.window.banner.isVisible()
     assert "bad.h5" in instrument.window.banner.text
     assert instrument.window.banner.details == ""
+
+
+def test_an_error_of_our_own_is_told_briefly_with_the_traceback_behind_it(bubble_window, monkeypatch):
+    def fails(*_args, **_kwargs):
+        raise RuntimeError("out of memory")
+
+    monkeypatch.setattr("pipeline.graph.Graph.evaluate", fails)
+    bubble_window.choose_frame(1)
+    wait_until_shown(bubble_window, LIMIT_S)
+    banner = bubble_window.window.banner
+    assert "out of memory" in banner.text
+    assert "\n" not in banner.text
+    assert "Traceback" in banner.details
+    assert bubble_window.window.columns["depth"].state == "failed"
+    assert bubble_window.window.columns["depth"].view.picture is not None
 
 
 def test_parameters_recompute_from_their_stage_on_and_can_be_undone(bubble_window):
@@ -180,7 +195,7 @@ def test_the_tour_leaves_pictures_stages_and_a_report(open_window, touch_file, t
 def test_3d_views_are_in_the_windows_picture(open_window, touch_file, tmp_path):
     instrument = open_window(touch_file, gl=True, target="gelslim", frame=2)
     assert wait_until_shown(instrument, LIMIT_S)
-    save_window_picture(instrument.window, tmp_path / "w.png")
+    save_window_picture(instrument, tmp_path / "w.png")
     scene = instrument.screen.scene.widget()
     corner = scene.mapTo(instrument.window, QPoint(0, 0))
     image = instrument.window.grab().toImage()

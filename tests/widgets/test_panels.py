@@ -1,0 +1,101 @@
+"""Frames, timings, trace, log, steps and the banner."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+from PyQt6.QtWidgets import QApplication, QPushButton
+
+from pipeline.stages.results import PoseStep
+from widgets.banner import Banner
+from widgets.frames_panel import FramesPanel, FrameSummary
+from widgets.log_panel import LogPanel
+from widgets.steps import StepsSlider
+from widgets.timings_panel import TimingRow, TimingsPanel
+from widgets.trace_panel import TracePanel
+
+
+def test_the_banner_is_hidden_until_there_is_a_problem(qtbot):
+    banner = Banner()
+    qtbot.addWidget(banner)
+    assert banner.isHidden()
+    banner.show_problem("no such file: 'a.h5'")
+    assert not banner.isHidden()
+    assert banner.text == "No such file: 'a.h5'"
+    banner.dismiss()
+    assert banner.isHidden()
+
+
+def test_the_banner_offers_details_only_where_there_are_any(qtbot):
+    banner = Banner()
+    qtbot.addWidget(banner)
+    more = next(b for b in banner.findChildren(QPushButton) if b.text() == "Details")
+    banner.show_problem("a")
+    assert more.isHidden()
+    banner.show_problem("b", "Traceback …")
+    assert not more.isHidden()
+
+
+def test_a_report_can_be_copied(qtbot):
+    banner = Banner()
+    qtbot.addWidget(banner)
+    banner.show_problem("it broke", "line 3")
+    banner.copy_report()
+    assert QApplication.clipboard().text() == "It broke\n\nline 3\n"
+
+
+def test_the_list_of_frames_is_a_sound_model_and_fills_lazily(qtbot, qtmodeltester):
+    panel = FramesPanel()
+    qtbot.addWidget(panel)
+    panel.show_frames(5)
+    qtmodeltester.check(panel.model)
+    panel.show_summary(2, FrameSummary(deepest_mm=0.5, contact_mm2=12.34, error_mm=None))
+    cells = [panel.model.data(panel.model.index(2, c)) for c in range(4)]
+    assert cells == ["2", "0.50", "12.3", "-"]
+    assert panel.model.data(panel.model.index(3, 1)) == ""
+
+
+def test_timings_show_every_stage_and_their_sum(qtbot):
+    panel = TimingsPanel()
+    qtbot.addWidget(panel)
+    panel.show_rows(
+        (
+            TimingRow(title="Depth", state="computed", ms=10.0, notes=("a", "b")),
+            TimingRow(title="Pose", state="skipped", ms=0.5, notes=("no mesh",)),
+        )
+    )
+    assert [panel.item(r, 0).text() for r in range(3)] == ["Depth", "Pose", "all stages"]
+    assert panel.item(2, 2).text() == "10.50"
+    assert panel.item(0, 3).text() == "a · b"
+
+
+def test_the_trace_reads_like_a_sentence(qtbot):
+    panel = TracePanel()
+    qtbot.addWidget(panel)
+    panel.show_steps([("source", "(1, 2)"), ("depth", "0.8 mm")])
+    assert panel.text == "(1, 2) → 0.8 mm"
+    panel.show_steps([])
+    assert panel.text == ""
+
+
+def test_the_log_is_filtered_by_level_and_keeps_what_is_hidden(qtbot):
+    panel = LogPanel()
+    qtbot.addWidget(panel)
+    panel.show_line(logging.INFO, "opened")
+    panel.show_line(logging.ERROR, "failed")
+    panel.show_level("errors")
+    assert panel.text == "failed"
+    panel.show_level("info")
+    assert panel.text == "opened\nfailed"
+
+
+def test_steps_stand_on_the_last_and_tell_which_is_chosen(qtbot):
+    slider = StepsSlider()
+    qtbot.addWidget(slider)
+    steps = tuple(PoseStep(sensor_from_object=np.eye(4), rmse_mm=1.0 / (i + 1), fitness=1.0) for i in range(4))
+    slider.show_steps(steps)
+    assert slider.slider.value() == 3
+    with qtbot.waitSignal(slider.step_chosen) as signal:
+        slider.slider.setValue(1)
+    assert signal.args[0] is steps[1]

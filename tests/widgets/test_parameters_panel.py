@@ -1,0 +1,81 @@
+"""Controls are derived from the parameter types."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+from PyQt6.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QLabel, QSlider, QSpinBox, QToolButton
+
+from pipeline.params import setting
+from pipeline.routes import STAGES
+from widgets.parameters_panel import ParametersPanel
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Some:
+    """One of each kind."""
+
+    depth_mm: float = setting(0.5, "Depth", unit="mm", low=0.0, high=2.0, step=0.1, help="how deep")
+    open_mm: float = setting(1.0, "Open", unit="mm", low=0.0)
+    count: int = setting(3, "Count", low=1, high=9)
+    mode: str = setting("a", "Mode", choices=("a", "b"))
+    keep: bool = setting(True, "Keep")
+
+
+@pytest.fixture
+def panel(qtbot):
+    made = ParametersPanel()
+    qtbot.addWidget(made)
+    made.add_stage("some", "Some stage", Some())
+    made.show()
+    return made
+
+
+def test_every_kind_of_parameter_has_its_control(panel):
+    assert panel.findChild(QComboBox, "some.mode").count() == 2
+    assert panel.findChild(QCheckBox, "some.keep").isChecked()
+    assert panel.findChild(QSpinBox, "some.count").value() == 3
+    assert panel.findChild(QDoubleSpinBox) is not None
+
+
+def test_labels_carry_units_and_tool_tips_the_help(panel):
+    label = next(w for w in panel.findChildren(QLabel) if w.text() == "Depth, mm")
+    assert "how deep" in label.toolTip()
+    assert "some.depth_mm" in label.toolTip()
+
+
+def test_editing_says_the_whole_new_value(panel, qtbot):
+    with qtbot.waitSignal(panel.params_edited) as signal:
+        panel.findChild(QComboBox, "some.mode").setCurrentText("b")
+    assert signal.args == ["some", Some(mode="b")]
+
+
+def test_slider_and_number_move_together(panel, qtbot):
+    both = panel.findChild(QSlider).parentWidget()
+    with qtbot.waitSignal(panel.params_edited) as signal:
+        both.findChild(QSlider).setValue(400)
+    assert signal.args[1].depth_mm == pytest.approx(2.0)
+    assert both.findChild(QDoubleSpinBox).value() == pytest.approx(2.0)
+
+
+def test_showing_values_says_nothing(panel, qtbot):
+    with qtbot.assertNotEmitted(panel.params_edited):
+        panel.show_params("some", Some(depth_mm=1.2, count=5, mode="b", keep=False))
+    assert panel.findChild(QSpinBox, "some.count").value() == 5
+    assert not panel.findChild(QCheckBox, "some.keep").isChecked()
+
+
+def test_reset_brings_the_defaults_back(panel, qtbot):
+    panel.show_params("some", Some(count=5))
+    with qtbot.waitSignal(panel.params_edited) as signal:
+        panel.findChild(QToolButton, "reset_some").click()
+    assert signal.args[1] == Some()
+
+
+def test_every_stage_of_the_pipeline_can_be_shown(qtbot):
+    panel = ParametersPanel()
+    qtbot.addWidget(panel)
+    for stage in STAGES:
+        panel.add_stage(stage.name, stage.title, stage.params())
+    assert panel.values() == {stage.name: stage.params() for stage in STAGES}

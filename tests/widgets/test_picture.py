@@ -1,0 +1,98 @@
+"""Pictures show what they are given and say what a pixel reads."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import QPointF
+
+from widgets.colours import NO_VALUE, ColourScale, coloured, table
+from widgets.picture import Picture, PictureView
+from widgets.stage_column import StageColumn
+
+SCALE = ColourScale(map="viridis", low=0.0, high=2.0, unit="mm", quantity="indentation, + toward camera")
+
+
+def a_picture(rows: int = 30, cols: int = 40) -> Picture:
+    values = np.linspace(0, 2, rows * cols, dtype=np.float32).reshape(rows, cols)
+    values[0, 0] = np.nan
+    places = np.zeros((rows, cols, 3), dtype=np.float32)
+    places[5, 7] = (1.0, 2.0, 3.0)
+    outline = np.array([[1, 1], [5, 1], [5, 5], [np.nan, np.nan]], dtype=np.float32)
+    return Picture(
+        pixels=coloured(values, SCALE), values=values, scale=SCALE, frame_name="digit frame", positions_mm=places,
+        outline_px=outline, pixel_mm=0.5, caption="indentation",
+    )  # fmt: skip
+
+
+@pytest.fixture
+def view(qtbot):
+    made = PictureView()
+    qtbot.addWidget(made)
+    made.resize(300, 300)
+    made.show()
+    qtbot.waitExposed(made)
+    return made
+
+
+def test_colours_run_from_low_to_high_under_fixed_limits():
+    values = np.array([-1.0, 0.0, 2.0, 9.0, np.nan], dtype=np.float32)
+    colours = coloured(values, SCALE)
+    assert (colours[0] == table("viridis")[0]).all()
+    assert (colours[1] == table("viridis")[0]).all()
+    assert (colours[2] == table("viridis")[255]).all()
+    assert (colours[3] == table("viridis")[255]).all()
+    assert tuple(colours[4]) == NO_VALUE
+
+
+def test_a_pixel_reads_value_unit_and_place():
+    text = a_picture().probe(5, 7)
+    assert "indentation" in text
+    assert "mm" in text
+    assert "x 1.00, y 2.00, z 3.00 mm in digit frame" in text
+
+
+def test_a_pixel_without_a_value_says_so():
+    assert "none" in a_picture().probe(0, 0)
+
+
+def test_a_pixel_outside_reads_nothing():
+    assert a_picture().probe(99, 0) == ""
+
+
+def test_the_pixel_under_the_mouse_is_the_pixel_that_is_drawn_there(view, qtbot):
+    view.show_picture(a_picture())
+    qtbot.wait(30)
+    scene = view.box.mapViewToScene(QPointF(7.5, 5.5))
+    place = view._view.mapFromScene(scene)
+    with qtbot.waitSignal(view.pixel_hovered) as signal:
+        view._report_hover(QPointF(place))
+    assert signal.args == [5, 7]
+
+
+def test_another_size_of_picture_is_fitted_and_the_same_size_keeps_the_zoom(view):
+    view.show_picture(a_picture())
+    view.box.setRange(xRange=(0, 10), yRange=(0, 10), padding=0)
+    zoomed = view.box.viewRange()
+    view.show_picture(a_picture())
+    assert view.box.viewRange() == zoomed
+    view.show_picture(a_picture(60, 80))
+    assert view.box.viewRange() != zoomed
+
+
+def test_a_stale_column_keeps_its_picture_and_says_updating(qtbot):
+    column = StageColumn("depth", "Depth")
+    qtbot.addWidget(column)
+    column.show_picture(a_picture())
+    column.show_state("computed", 12.0)
+    assert column.view.message == ""
+    column.show_state("stale")
+    assert column.view.message == "updating"
+    assert column.view.picture is not None
+
+
+def test_a_skipped_column_shows_its_first_note(qtbot):
+    column = StageColumn("pose", "Pose")
+    qtbot.addWidget(column)
+    column.show_state("skipped", 0.1, ("no mesh", "more"))
+    assert column.view.message == "no mesh"

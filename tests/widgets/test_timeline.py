@@ -1,0 +1,76 @@
+"""The timeline chooses frames and waits for them."""
+
+from __future__ import annotations
+
+import pytest
+
+from widgets.timeline import SPEEDS, Timeline
+
+
+@pytest.fixture
+def line(qtbot):
+    made = Timeline()
+    qtbot.addWidget(made)
+    made.show_frames(10)
+    yield made
+    made.play(on=False)
+
+
+def test_moving_the_slider_chooses_a_frame(line, qtbot):
+    with qtbot.waitSignal(line.frame_chosen) as signal:
+        line.slider.setValue(4)
+    assert signal.args == [4]
+    assert line.number.value() == 4
+
+
+def test_showing_a_frame_says_nothing(line, qtbot):
+    with qtbot.assertNotEmitted(line.frame_chosen):
+        line.show_frame(7, 1.5)
+    assert line.slider.value() == 7
+
+
+def test_steps_stop_at_both_ends(line):
+    line.step(-3)
+    assert line.frame == 0
+    line.step(100)
+    assert line.frame == 9
+
+
+def test_playing_goes_through_the_frames_and_stops(line, qtbot):
+    seen: list[int] = []
+    line.frame_chosen.connect(seen.append)
+    line.speed.setCurrentIndex(SPEEDS.index(4.0))
+    with qtbot.waitSignal(line.play_toggled, check_params_cb=lambda on: not on, timeout=5000):
+        line.play(on=True)
+    assert seen == sorted(seen)
+    assert seen[-1] == 9
+
+
+def test_playing_waits_for_a_frame_that_is_not_shown_yet(line, qtbot):
+    seen: list[int] = []
+    line.show_ready(ready=False)
+    line.frame_chosen.connect(seen.append)
+    line.play(on=True)
+    line._tick()  # a tick's worth of time is a fact of the clock, not of the test
+    for _ in range(20):
+        line._tick()
+    assert seen == []
+    line.show_ready(ready=True)
+    qtbot.waitUntil(lambda: bool(seen), timeout=2000)
+
+
+def test_a_loop_begins_again(line, qtbot):
+    line.set_looping(looping=True)
+    line.show_frame(9)
+    seen: list[int] = []
+    line.frame_chosen.connect(seen.append)
+    line._clock.start()
+    qtbot.waitUntil(lambda: bool(seen), timeout=3000)
+    assert seen[0] < 9
+    assert line.playing
+
+
+def test_one_frame_cannot_be_played(line):
+    line.show_frames(1)
+    line.play(on=True)
+    assert not line.playing
