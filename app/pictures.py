@@ -39,7 +39,7 @@ def of_source(frame: TactileFrame, sensor: SensorSpec) -> Picture:
     place = f"{sensor.name} frame"
     if frame.is_depth:
         depth = np.asarray(frame.image, dtype=np.float32)
-        scale = distance_scale(sensor)
+        scale = distance_scale(sensor, frame.reference)
         return Picture(
             pixels=coloured(depth, scale), values=depth, scale=scale, frame_name=place,
             pixel_mm=_pixel_mm(camera, sensor), positions_mm=_positions(camera, depth),
@@ -147,10 +147,13 @@ def indentation_scale(sensor: SensorSpec, display: DisplayParams) -> ColourScale
     return ColourScale(map="viridis", low=0.0, high=limit_mm(sensor, display), unit="mm", quantity=INDENTATION)
 
 
-def distance_scale(sensor: SensorSpec) -> ColourScale:
-    """The fixed scale of distances that a bubble's camera can see."""
+def distance_scale(sensor: SensorSpec, reference: NDArray[np.generic] | None = None) -> ColourScale:
+    """The fixed scale of distances that a bubble's camera can see, wider where the recorded unit is built longer."""
     low = 10.0 * math.floor((float(sensor.rest_depth_mm.min()) - 10.0) / 10.0)
-    high = 10.0 * math.ceil(float(sensor.rest_depth_mm.max()) / 10.0)
+    farthest = float(sensor.rest_depth_mm.max())
+    if reference is not None and np.isfinite(reference).any():
+        farthest = max(farthest, float(np.nanpercentile(reference.astype(np.float64), 99.0)))
+    high = 10.0 * math.ceil(farthest / 10.0)
     return ColourScale(map="viridis", low=low, high=high, unit="mm", quantity="distance z from camera")
 
 
@@ -200,7 +203,7 @@ def _positions(camera: Camera, depth_mm: Floats) -> Floats:
 
 
 def _pixel_mm(camera: Camera, sensor: SensorSpec) -> float:
-    return float(np.median(sensor.rest_depth_mm)) / camera.fx_px
+    return float(np.median(sensor.rest_depth_mm) / camera.fx_px)
 
 
 def _rest_mm(sensor: SensorSpec, camera: Camera) -> NDArray[np.float64]:

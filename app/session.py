@@ -25,7 +25,7 @@ class DisplayParams:
     """How things are drawn; no stage reads them."""
 
     gel_limit_mm: float = setting(
-        1.0, "Gel indentation up to", unit="mm", low=0.1, high=3.0, step=0.1, help="upper colour limit for gels"
+        1.5, "Gel indentation up to", unit="mm", low=0.1, high=3.0, step=0.1, help="upper colour limit for gels"
     )
     bubble_limit_mm: float = setting(
         10.0, "Bubble indentation up to", unit="mm", low=1.0, high=25.0, step=1.0, help="upper colour limit for bubbles"

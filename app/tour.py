@@ -6,7 +6,6 @@ import time
 from pathlib import Path
 
 from PyQt6.QtCore import QCoreApplication, QEventLoop
-from PyQt6.QtTest import QTest
 
 from app.instrument import Instrument
 from pipeline.commands.translate import print_line, show_table
@@ -78,7 +77,7 @@ def _follow_a_pixel(instrument: Instrument) -> None:
         view = project.output
         row, col = divmod(int(view.indentation_mm.argmax()), view.camera.cols)
         instrument.tracer.click("project", row, col)
-        QTest.qWait(100)  # the dots in 3D follow a little later
+        instrument.tracer.settle()
 
 
 def _worth_seeing(reports: list[FrameReport]) -> int:

@@ -80,6 +80,11 @@ class Tracer(QObject):
         if self._at is not None:
             self._trace(*self._at)
 
+    def settle(self) -> None:
+        """Put the dots in 3D now instead of soon."""
+        self._dots.stop()
+        self._show_dots()
+
     def clear(self) -> None:
         """Trace nothing."""
         self._frozen, self._at, self._marks = False, None, ()

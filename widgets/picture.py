@@ -184,7 +184,7 @@ class PictureView(QWidget):
 
     def _place_scale_bar(self, picture: Picture) -> None:
         rows, cols = picture.pixels.shape[:2]
-        shown = math.isfinite(picture.pixel_mm) and picture.pixel_mm > 0
+        shown = bool(math.isfinite(picture.pixel_mm) and picture.pixel_mm > 0)
         self._bar_line.setVisible(shown)
         self._bar_text.setVisible(shown)
         if not shown:

@@ -211,3 +211,15 @@ def test_opening_needs_no_gl(open_window, touch_file):
     instrument = open_window(touch_file, target="gelslim", frame=1)
     assert wait_until_shown(instrument, LIMIT_S)
     assert Path(instrument.session.recording) == touch_file
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize(
+    ("folder", "source", "target"),
+    [("gsmini_balls", "gelsight_mini", "soft_bubble"), ("digit_balls", "digit", "gelslim")],
+)
+def test_real_touches_go_through_all_columns(open_window, real_data, folder, source, target):
+    instrument = open_window(real_data / folder, source=source, target=target, frame=4)
+    assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
+    assert all(column.view.picture is not None for column in instrument.window.columns.values())
+    assert instrument.latest.results["depth"].output.contact.any()
