@@ -20,7 +20,9 @@ from pipeline.arrays import Floats, Mask, freeze
 
 _WORKERS = 2
 _SPECK_SHARE = 0.05  # of the largest region: dust and scratches that the press has shifted
-_ENCLOSED_SHARE = 0.9  # of the depth of its rim: what is enclosed and as deep as that is touched as well
+_FLAT_DEPTH_SHARE = 0.8  # of the depth of the nearest rim: a face that is level with its rim is touched as well
+_PRESSURE_FREE_BLUR_PX = 1.0
+_FLAT_SLOPE_SHARE = 0.3  # of the region's steep slopes: beside a contact the gel falls away, on a face it does not
 
 
 def relative_pressure(indentation_mm: Floats, smoothing_px: float, order: Literal[1, 2] = 1) -> Floats:
@@ -43,8 +45,7 @@ def touched(
 ) -> Mask:
     """The contact (rows, cols): pushed in by `least_mm` or more, and pressed by more than a share of the region's peak.
 
-    Each region that is pushed in has its own peak, so that a light touch beside a firm one is kept. A flat face carries
-    its pressure along its rim; what the rim encloses is touched as well where it is as deep as the rim.
+    Each region that is pushed in has its own peak, so that a light touch beside a firm one is kept.
     """
     import cv2
     from scipy import ndimage
@@ -58,19 +59,38 @@ def touched(
     peaks = np.asarray(ndimage.maximum(pressure, regions, np.arange(n)))
     limit = (np.maximum(peaks, 1e-9) * pressure_share).astype(np.float32)[regions]
     mask = deep & (pressure > limit)
-    enclosed = np.asarray(ndimage.binary_fill_holes(mask)) & ~mask
-    if enclosed.any():
-        m, found = cv2.connectedComponents(enclosed.astype(np.uint8), connectivity=4)
-        holes = np.asarray(found, np.int32)
-        grown = np.asarray(ndimage.grey_dilation(holes, size=(3, 3)))
-        rim = np.where(mask, grown, 0)
-        index = np.arange(m)
-        inside = np.asarray(ndimage.mean(indentation_mm, holes, index))
-        around = np.asarray(ndimage.mean(indentation_mm, rim, index))
-        full = inside >= _ENCLOSED_SHARE * around
-        full[0] = False
-        mask |= full[holes]
-    return mask
+    return mask | _faces(indentation_mm, mask, deep) if order == 1 else np.asarray(ndimage.binary_fill_holes(mask))
+
+
+def _faces(indentation_mm: Floats, pressed: Mask, deep: Mask) -> Mask:
+    """What belongs to the contact though hardly any pressure shows: the inside of flat faces.
+
+    A flat face carries its pressure along its rim. Its inside is as deep as the rim and as level, unlike the gel beside
+    a contact, which falls away at once.
+    """
+    import cv2
+
+    if not pressed.any():
+        return pressed
+    gy, gx = np.gradient(cv2.GaussianBlur(indentation_mm, (0, 0), _PRESSURE_FREE_BLUR_PX))
+    slope = np.hypot(gx, gy)
+    _, labels = cv2.distanceTransformWithLabels(
+        (~pressed).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    labels = np.asarray(labels, np.int32)
+    depth_of = np.zeros(int(labels.max()) + 1, np.float32)
+    depth_of[labels[pressed]] = indentation_mm[pressed]
+    steep = float(np.percentile(slope[deep], 95.0))
+    level = deep & ~pressed & (slope < _FLAT_SLOPE_SHARE * steep)
+    level &= indentation_mm >= _FLAT_DEPTH_SHARE * depth_of[labels]
+    n, regions = cv2.connectedComponents((level | pressed).astype(np.uint8), connectivity=4)
+    with_rim = np.zeros(n, np.bool_)
+    with_rim[np.unique(np.asarray(regions)[pressed])] = True
+    with_rim[0] = False
+    joined = with_rim[np.asarray(regions)].astype(np.uint8)
+    # The rim's pressure ridge and the face meet in a line of pixels that are neither.
+    closed = cv2.morphologyEx(joined, cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
+    return np.asarray(closed, np.bool_) & deep
 
 
 def without_specks(mask: Mask, min_pixels: int) -> Mask:
