@@ -74,7 +74,7 @@ def _picture(touch: Touch, frame: TactileFrame) -> dict[str, float]:
         return {}
     if frame.is_depth:
         everywhere = np.ones(touch.image.shape, dtype=np.bool_)
-        return {"generate.depth_mae_mm": mean_abs_mm(touch.image, np.asarray(frame.image, np.float64), everywhere)}
+        return {"generate.depth_mae_mm": mean_abs_mm(touch.depth_mm, np.asarray(frame.image, np.float64), everywhere)}
     return {"generate.psnr_db": psnr_db(touch.image, frame.image, 255.0)}
 
 

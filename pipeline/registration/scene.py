@@ -25,7 +25,7 @@ class Scene:
     normals: Doubles  # (n, 3) out of the object, toward the camera
     pixel: Indices  # (n,) flat pixel of the touch
     area_mm2: float  # of the contact, along the surface
-    membrane_mm: Floats  # (rows, cols) z of the membrane
+    membrane_mm: Floats  # (rows, cols) z of the membrane; NaN where the source of the touch could not see
     camera: Camera
 
     @property
@@ -50,7 +50,7 @@ def felt_surface(touch: Touch, max_points: int, seed: int) -> Scene:
         normals=across[pixel] / area[pixel, None],
         pixel=pixel.astype(np.int32),
         area_mm2=area_mm2,
-        membrane_mm=touch.depth_mm,
+        membrane_mm=np.where(touch.known, touch.depth_mm, np.float32(np.nan)),
         camera=touch.camera,
     )
 

@@ -49,19 +49,21 @@ def adapt(depth: DepthMap, alignment: Alignment, params: AdaptParams, progress: 
     return Cloud(
         points_mm=freeze(points),
         source_index=freeze(pixel.astype(np.int32)),
+        window_mm=_window(depth, target_from_source),
         grid_shape=depth.camera.shape,
         stride=params.stride,
         notes=_notes(n_wanted=int(np.count_nonzero(wanted)), n_points=pixel.size, stride=params.stride),
     )
 
 
-def without_contact(depth: DepthMap, alignment: Alignment, params: AdaptParams) -> Cloud | None:  # noqa: ARG001
+def without_contact(depth: DepthMap, alignment: Alignment, params: AdaptParams) -> Cloud | None:
     """The empty cloud when no pixel is in contact, else None; same inputs as `adapt`."""
     if depth.contact.any():
         return None
     return Cloud(
         points_mm=freeze(np.empty((0, 3), dtype=np.float32)),
         source_index=freeze(np.empty(0, dtype=np.int32)),
+        window_mm=_window(depth, alignment.target_from_source),
         grid_shape=depth.camera.shape,
         stride=params.stride,
         notes=(NO_CONTACT,),
@@ -86,6 +88,15 @@ def _points(depth_mm: Floats, pixel: NDArray[np.intp], camera: Camera, target_fr
         a, b, c, t = target_from_source[axis]
         points[:, axis] = z * (a * x + b * y + c) + t
     return points
+
+
+def _window(depth: DepthMap, target_from_source: Doubles) -> Floats:
+    """The image's outer corners on a plane at the surface's usual depth, in the target frame."""
+    camera = depth.camera
+    z = np.nan_to_num(np.nanmedian(depth.depth_mm[::8, ::8])) if depth.depth_mm.size else 0.0
+    x = (np.array([-0.5, camera.cols - 0.5, camera.cols - 0.5, -0.5]) - camera.cx_px) / camera.fx_px
+    y = (np.array([-0.5, -0.5, camera.rows - 0.5, camera.rows - 0.5]) - camera.cy_px) / camera.fy_px
+    return freeze(rigid.apply(target_from_source, np.stack([z * x, z * y, z * np.ones(4)], axis=-1)).astype(np.float32))
 
 
 def _notes(*, n_wanted: int, n_points: int, stride: int) -> tuple[str, ...]:

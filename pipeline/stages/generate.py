@@ -7,7 +7,7 @@ camera. Nothing is claimed of the object beyond the points: there the membrane i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,6 +35,10 @@ class GenerateParams:
     )
     noise: bool = setting(False, "Sensor noise", help="add the target sensor's own noise to the reading")
     seed: int = setting(0, "Seed", low=0, high=2**31 - 1, step=1, help="of the noise")
+    contact_gap_mm: float = setting(
+        0.1, "Contact gap", unit="mm", low=0.0, high=2.0, step=0.05,
+        help="a bubble's membrane this close to the object counts as touching it: it bridges the depth's own noise",
+    )  # fmt: skip
     tolerance_um: float = setting(
         0.5, "Solver tolerance", unit="um", low=0.01, high=50.0, step=0.1, help="of the surface where it touches"
     )  # fmt: skip
@@ -66,7 +70,7 @@ def without_contact(view: TargetView, target: SensorSpec, params: GenerateParams
         if len(_UNTOUCHED) >= _KEPT_SENSORS:
             _UNTOUCHED.clear()
         kept = _UNTOUCHED[id(target)] = target, _untouched(target)
-    return kept[1]
+    return replace(kept[1], known=view.known)
 
 
 _UNTOUCHED: dict[int, tuple[SensorSpec, Touch]] = {}  # the sensor is kept with its answer, so that its id stays its own
@@ -82,6 +86,7 @@ def _untouched(target: SensorSpec) -> Touch:
         contact=freeze(np.zeros(shape, np.bool_)),
         camera=target.camera,
         source_index=freeze(np.full(shape, -1, np.int32)),
+        known=freeze(np.ones(shape, np.bool_)),
         notes=(NO_CONTACT,),
     )
 
@@ -140,7 +145,10 @@ def _bubble_touch(
     if not answer.converged:
         notes.append("the air pressure of the bubble was not settled; its bulge is doubtful")
     depth = bubble_camera.depth_from_deviation(target, answer.deviation_mm, on)
-    contact = lattice.seen_at_pixels(target.camera, answer.contact, on, depth)
+    pressed = lattice.seen_at_pixels(target.camera, answer.contact, on, depth)
+    # A membrane bridges every dent of an estimated surface, so that its force sits on the bumps of the noise alone.
+    with np.errstate(invalid="ignore"):
+        contact = pressed | (view.contact & (seen - depth <= params.contact_gap_mm))
     notes.append(f"air pressure {target.bubble.pressure_kpa:.2f} -> {answer.pressure_kpa:.2f} kPa")
     image = bubble_camera.reading(target, depth, params.seed if params.noise else None)
     return _touch(view, target, image, (target.rest_depth_mm - depth).astype(np.float32), contact, notes)
@@ -158,6 +166,7 @@ def _touch(
         contact=freeze(contact),
         camera=target.camera,
         source_index=freeze(source),
+        known=view.known,
         notes=tuple(notes),
     )
 

@@ -79,6 +79,7 @@ def project(cloud: Cloud, target: SensorSpec, params: ProjectParams, progress: P
         indentation_mm=freeze(indentation.astype(np.float32)),
         camera=target.camera,
         source_index=freeze(drawing.source.reshape(shape)),
+        known=_known(cloud, target),
         notes=(
             *_sight_notes(cloud, drawing),
             *drawing.notes,
@@ -98,8 +99,21 @@ def without_contact(cloud: Cloud, target: SensorSpec, params: ProjectParams) -> 
         indentation_mm=freeze(np.zeros(shape, dtype=np.float32)),
         camera=target.camera,
         source_index=freeze(np.full(shape, -1, dtype=np.int32)),
+        known=_known(cloud, target),
         notes=(NO_CONTACT,),
     )
+
+
+def _known(cloud: Cloud, target: SensorSpec) -> Mask:
+    """The target pixels inside the source's window; none of them when the window reaches behind the camera."""
+    import cv2
+
+    known = np.zeros(target.camera.shape, np.uint8)
+    if (cloud.window_mm[:, 2] > MIN_DEPTH_MM).all():
+        x_px, y_px, _ = target.camera.project(cloud.window_mm)
+        corners = np.clip(np.stack([x_px, y_px], axis=-1), -30_000, 30_000)  # OpenCV draws in 16 bits
+        cv2.fillConvexPoly(known, np.rint(corners).astype(np.int32), 1)
+    return freeze(known.astype(np.bool_))
 
 
 def _check(cloud: Cloud, params: ProjectParams) -> None:

@@ -30,6 +30,9 @@ class Cloud:
     points_mm: Floats  # (n, 3)
     source_index: Indices  # (n,) -> pixel of DepthMap
     grid_shape: tuple[int, int]  # of that DepthMap, so that neighbours can be found again
+    window_mm: (
+        Floats  # (4, 3) corners of the source's whole image on its surface, in turn: beyond them nothing is known
+    )
     stride: int = 1  # every stride-th row and column of it was looked at: neighbours are this far apart
     notes: tuple[str, ...] = ()
 
@@ -43,6 +46,7 @@ class TargetView:
     indentation_mm: Floats  # (rows, cols) rest - depth where `contact`, else 0; NaN never
     camera: Camera
     source_index: Indices  # (rows, cols) -> point of Cloud
+    known: Mask  # (rows, cols) inside what the source could see: only here does "no contact" mean anything
     notes: tuple[str, ...] = ()
 
 
@@ -56,6 +60,7 @@ class Touch:
     contact: Mask  # (rows, cols)
     camera: Camera
     source_index: Indices  # (rows, cols) -> pixel of TargetView
+    known: Mask  # (rows, cols) as in TargetView
     notes: tuple[str, ...] = ()
 
 

@@ -96,6 +96,7 @@ def touch_of(surface_mm: np.ndarray, contact: np.ndarray, camera: Camera = CAMER
         contact=contact,
         camera=camera,
         source_index=np.arange(contact.size, dtype=np.int32).reshape(contact.shape),
+        known=np.ones(contact.shape, bool),
     )
 
 

@@ -51,7 +51,12 @@ def sphere_cloud(angle_deg=0.0, stride=1):
 def cloud_of(points, index=None, grid=(50, 50)):
     points = np.asarray(points, np.float32).reshape(-1, 3)
     index = np.arange(len(points)) if index is None else index
-    return Cloud(points_mm=points, source_index=np.asarray(index, np.int32), grid_shape=grid)
+    return Cloud(
+        window_mm=np.array([[-9, -9, 20], [9, -9, 20], [9, 9, 20], [-9, 9, 20]], np.float32),
+        points_mm=points,
+        source_index=np.asarray(index, np.int32),
+        grid_shape=grid,
+    )
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 20.0, 45.0])

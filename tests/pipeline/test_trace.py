@@ -9,6 +9,7 @@ from pipeline.stages.results import Cloud, DepthMap, TargetView
 from pipeline.trace import backward, forward, sentence
 
 CAMERA = Camera(rows=4, cols=5, fx_px=10.0, fy_px=10.0, cx_px=2.0, cy_px=1.5)
+WINDOW = np.zeros((4, 3), np.float32)
 IDENTITY = np.arange(20, dtype=np.int32).reshape(4, 5)
 
 
@@ -29,11 +30,12 @@ def results():
     )
     pixels = np.flatnonzero(contact).astype(np.int32)
     points = CAMERA.back_project(depth_mm).reshape(-1, 3)[pixels].astype(np.float32)
-    cloud = Cloud(points_mm=points, source_index=pixels, grid_shape=(4, 5))
+    cloud = Cloud(points_mm=points, source_index=pixels, grid_shape=(4, 5), window_mm=WINDOW)
     index = np.full(20, -1, np.int32)
     index[pixels] = np.arange(len(pixels))
     seen = index.reshape(4, 5) >= 0
     view = TargetView(
+        known=np.ones((4, 5), bool),
         depth_mm=np.where(seen, depth_mm, np.nan).astype(np.float32),
         contact=seen,
         indentation_mm=np.where(seen, indentation, 0).astype(np.float32),
@@ -58,7 +60,9 @@ def test_a_trace_says_why_it_ends(results):
 
 def test_a_point_outside_the_target_image_says_by_how_much(results):
     moved = results["adapt"].output.points_mm + np.float32((8.0, 0.0, 0.0))
-    cloud = Cloud(points_mm=moved, source_index=results["adapt"].output.source_index, grid_shape=(4, 5))
+    cloud = Cloud(
+        points_mm=moved, source_index=results["adapt"].output.source_index, grid_shape=(4, 5), window_mm=WINDOW
+    )
     last = forward({**results, "adapt": result("adapt", cloud)}, 1, 3)[-1]
     assert last.text == "outside the target image by 3 px"
 
@@ -66,7 +70,9 @@ def test_a_point_outside_the_target_image_says_by_how_much(results):
 def test_a_point_behind_a_nearer_surface_is_called_hidden(results):
     points = results["adapt"].output.points_mm.copy()
     points[0] *= 1.1  # along its own ray, 2 mm farther away
-    cloud = Cloud(points_mm=points, source_index=results["adapt"].output.source_index, grid_shape=(4, 5))
+    cloud = Cloud(
+        points_mm=points, source_index=results["adapt"].output.source_index, grid_shape=(4, 5), window_mm=WINDOW
+    )
     last = forward({**results, "adapt": result("adapt", cloud)}, 1, 1)[-1]
     assert last.text.startswith("hidden in target (1, 1) behind what is 1.95 mm nearer")
 
