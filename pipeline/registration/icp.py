@@ -67,8 +67,8 @@ def register(scene: Scene, model: Model, start: Doubles, how: Registration) -> F
             break
     return Fit(
         sensor_from_object=rigid.invert(object_from_sensor),
-        rmse_mm=float(result.inlier_rmse),
-        fitness=float(result.fitness),
+        rmse_mm=round(float(result.inlier_rmse), _DECIMALS),
+        fitness=round(float(result.fitness), _DECIMALS),
         steps=tuple(steps),
     )
 
@@ -102,6 +102,6 @@ def _settled(a: Doubles, b: Doubles) -> bool:
 def _step(object_from_sensor: Doubles, result: Any) -> PoseStep:
     return PoseStep(
         sensor_from_object=freeze(rigid.invert(object_from_sensor)),
-        rmse_mm=float(result.inlier_rmse),
-        fitness=float(result.fitness),
+        rmse_mm=round(float(result.inlier_rmse), _DECIMALS),
+        fitness=round(float(result.fitness), _DECIMALS),
     )
