@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from pipeline import rigid
 from pipeline.arrays import Doubles, freeze
+from pipeline.meshes import Mesh
 from pipeline.registration.model import Model
 from pipeline.registration.scene import Scene, in_reach
 from pipeline.stages.results import PoseStep
@@ -71,6 +73,30 @@ def register(scene: Scene, model: Model, start: Doubles, how: Registration) -> F
         fitness=round(float(result.fitness), _DECIMALS),
         steps=tuple(steps),
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Surface:
+    """A mesh that distances are measured to exactly, not to its samples."""
+
+    _scene: Any  # Open3D's, which is untyped
+
+    def residual(self, points_mm: Doubles, sensor_from_object: Doubles, within_mm: float) -> tuple[float, float]:
+        """(rms distance in mm of the points within `within_mm` of the placed object, their share of all)."""
+        in_object = rigid.apply(rigid.invert(sensor_from_object), points_mm).astype(np.float32)
+        distance = self._scene.compute_distance(_open3d().core.Tensor(in_object)).numpy()
+        near = distance <= within_mm
+        rms = float(np.sqrt(np.mean(distance[near].astype(np.float64) ** 2))) if near.any() else math.nan
+        return round(rms, _DECIMALS), float(near.mean())
+
+
+def surface(mesh: Mesh) -> Surface:
+    """The mesh, ready to be measured to."""
+    o3d = _open3d()
+    scene = o3d.t.geometry.RaycastingScene()
+    vertices = o3d.core.Tensor(mesh.vertices_mm.astype(np.float32))
+    scene.add_triangles(vertices, o3d.core.Tensor(mesh.triangles.astype(np.uint32)))
+    return Surface(_scene=scene)
 
 
 def _open3d() -> Any:

@@ -1,7 +1,8 @@
 """How well an object at a given place explains a touch: what was felt, and where nothing was.
 
-The misfit adds up two areas: felt surface that lies off the object, and object surface that would stick out through
-the membrane toward the camera, where it would have been felt. The second is what tells slides along a flat face apart.
+The misfit adds up areas: felt surface that lies off the object, and object surface that would have been felt but was
+not, because it sticks out through the membrane toward the camera or rests on it beside the contact. The latter is what
+tells slides along a flat face apart, and notches that a membrane bridges.
 """
 
 from __future__ import annotations
@@ -61,11 +62,15 @@ class Judge:
         x_px, y_px, visible = camera.project(points)
         col = np.where(visible, np.rint(x_px), 0).astype(np.intp).clip(0, camera.cols - 1)
         row = np.where(visible, np.rint(y_px), 0).astype(np.intp).clip(0, camera.rows - 1)
-        before = self.scene.membrane_mm[row, col] - points[..., 2] - max(_FREE_MM, self.scene.pixel_mm / 2)
+        reach = self.scene.membrane_mm[row, col] - points[..., 2]
+        before = reach - max(_FREE_MM, self.scene.pixel_mm / 2)
         # A face turned away is not felt, however near; where the membrane has no reading, nothing is known.
         toward = np.einsum("mi,bi->bm", self.model.normals, poses[:, 2, :3]) < 0
-        counts = visible & toward & (before > 0) & (points[..., 2] > MIN_DEPTH_MM)
-        return np.where(counts, np.minimum(before, self.limit_mm) ** 2, 0.0).mean(axis=1)
+        counts = visible & toward & (points[..., 2] > MIN_DEPTH_MM)
+        # Within two pixels the contact's own outline is not known better.
+        beside = np.where(reach > 0.0, self.scene.off_contact_mm[row, col] - 2.0 * self.scene.pixel_mm, 0.0)
+        wrong = np.minimum(np.maximum(np.maximum(before, beside), 0.0), self.limit_mm)
+        return np.where(counts & (wrong > 0), wrong**2, 0.0).mean(axis=1)
 
 
 def judge(scene: Scene, model: Model, n_felt: int, n_model: int, limit_mm: float) -> Judge:

@@ -26,6 +26,7 @@ class Scene:
     pixel: Indices  # (n,) flat pixel of the touch
     area_mm2: float  # of the contact, along the surface
     membrane_mm: Floats  # (rows, cols) z of the membrane; NaN where the source of the touch could not see
+    off_contact_mm: Floats  # (rows, cols) distance to the nearest contact; 0 where the source could not see
     camera: Camera
 
     @property
@@ -45,12 +46,17 @@ def felt_surface(touch: Touch, max_points: int, seed: int) -> Scene:
     area_mm2 = float(area[pixel].sum())
     if pixel.size > max_points:
         pixel = np.sort(np.random.default_rng(seed).choice(pixel, max_points, replace=False))
+    import cv2
+
+    typical_mm = float(np.median(touch.depth_mm[usable])) / touch.camera.fx_px if usable.any() else 0.0
+    off_px = np.asarray(cv2.distanceTransform((~usable).astype(np.uint8), cv2.DIST_L2, 5), np.float32)
     return Scene(
         points_mm=surface.reshape(-1, 3)[pixel],
         normals=across[pixel] / area[pixel, None],
         pixel=pixel.astype(np.int32),
         area_mm2=area_mm2,
         membrane_mm=np.where(touch.known, touch.depth_mm, np.float32(np.nan)),
+        off_contact_mm=np.where(touch.known, off_px * np.float32(typical_mm), np.float32(0.0)),
         camera=touch.camera,
     )
 

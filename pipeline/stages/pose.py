@@ -17,14 +17,14 @@ from pipeline.errors import SettingProblem
 from pipeline.meshes import Mesh
 from pipeline.params import setting
 from pipeline.progress import SILENT, Progress
-from pipeline.registration.icp import Fit, Registration, register
+from pipeline.registration.icp import Fit, Registration, Surface, register, surface
 from pipeline.registration.model import Model, sampled
 from pipeline.registration.observability import Observability, observability
 from pipeline.registration.outline import placed, shows
 from pipeline.registration.ranking import Judge, apart, judge
 from pipeline.registration.scene import Scene, felt_surface, in_reach
 from pipeline.registration.starts import FACES, Start, starts
-from pipeline.stages.results import ObjectPose, Touch
+from pipeline.stages.results import ObjectPose, PoseStep, Touch
 
 NO_CONTACT = "no contact: nothing was felt to find a pose from"
 NO_MESH = "no object mesh was given; a pose needs one"
@@ -34,6 +34,8 @@ _COARSE_FELT, _COARSE_MODEL = 80, 1000  # points that rank the first guesses
 _FINE_FELT, _FINE_MODEL = 400, 4000  # points that rank what came out of them
 _N_REGISTERED, _N_POLISHED = 10, 3
 _COARSE_ITERATIONS = 12
+_POLISHED_SHARE = 4.0  # the last registration searches this many times nearer
+_STEP_POINTS = 500  # that the residual of a kept iteration is measured on
 _OUTLINE_REACH_MM = 4.0  # object this far beyond the contact may stick out beside it
 _MIN_FITNESS = 0.05  # share of the contact on the object below which there is no pose to speak of
 _SAME_SURFACE = 0.5  # cosine of felt and modelled normal from which on both show one surface
@@ -86,6 +88,7 @@ def pose(touch: Touch, mesh: Mesh | None, params: PoseParams, progress: Progress
             f"the object, {size_mm:.3g} mm long, could not be laid on the contact; check the mesh's unit and face",
             scene,
         )
+    fits[0] = _measured(fits[0], surface(mesh), scene, params)
     return _answer(scene, model, fits, misfits_mm, len(tried), params)
 
 
@@ -150,8 +153,8 @@ def _polished(
 ) -> tuple[list[Fit], Doubles]:
     """Each candidate set by the outline where its surface is silent, then registered on all points."""
     polish = Registration(
-        method=params.method, n_iterations=params.n_iterations, max_distance_mm=params.max_distance_mm / 4,
-        n_points=params.max_points,
+        method=params.method, n_iterations=params.n_iterations,
+        max_distance_mm=params.max_distance_mm / _POLISHED_SHARE, n_points=params.max_points,
     )  # fmt: skip
     few, middle = model.thinned(_FINE_MODEL), scene.points_mm.mean(axis=0)
     fits: list[Fit] = []
@@ -186,6 +189,18 @@ def _distinct(fits: list[Fit], by: Judge, scene: Scene) -> list[Fit]:
         if all(apart(pose_k, other.sensor_from_object, middle, _SAME_MM, _SAME_DEG) for other in kept):
             kept.append(fits[k])
     return kept
+
+
+def _measured(fit: Fit, on: Surface, scene: Scene, params: PoseParams) -> Fit:
+    """The fit with its residuals to the mesh itself: those to samples never come below the samples' spacing."""
+    within_mm = params.max_distance_mm / _POLISHED_SHARE
+    some = scene.points_mm[:: max(1, len(scene.points_mm) // _STEP_POINTS)]
+    steps: list[PoseStep] = []
+    for step in fit.steps:
+        rmse_mm, fitness = on.residual(some, step.sensor_from_object, within_mm)
+        steps.append(replace(step, rmse_mm=rmse_mm, fitness=fitness))
+    rmse_mm, fitness = on.residual(scene.points_mm, fit.sensor_from_object, within_mm)
+    return replace(fit, rmse_mm=rmse_mm, fitness=fitness, steps=tuple(steps))
 
 
 def _answer(
