@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Literal
 
 from pipeline.cli import build, run
 
@@ -23,6 +24,7 @@ def view(
     reference: Path | None = None,
     calibration: Path | None = None,
     mesh: Path | None = None,
+    mesh_unit: Literal["auto", "mm", "cm", "m"] = "auto",
     frame: int | None = None,
     tour: Path | None = None,
 ) -> int:
@@ -42,6 +44,8 @@ def view(
         Look-up made by `tactoscope calibrate balls`.
     mesh
         The touched object's mesh, for its pose.
+    mesh_unit
+        Unit of that mesh.
     frame
         Frame to begin with.
     tour
@@ -51,5 +55,6 @@ def view(
 
     return open_window(
         recording, target=target, source=sensor, reference=reference, calibration=calibration, mesh=mesh,
+        mesh_unit=mesh_unit,
         frame=frame, tour=tour,
     )  # fmt: skip

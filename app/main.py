@@ -27,6 +27,7 @@ def open_window(
     reference: Path | None = None,
     calibration: Path | None = None,
     mesh: Path | None = None,
+    mesh_unit: str = "auto",
     frame: int | None = None,
     tour: Path | None = None,
 ) -> int:
@@ -40,7 +41,8 @@ def open_window(
     application = make_application()
     session = Session(
         recording=recording or (SAMPLE if SAMPLE.exists() else None), target=target, source=source,
-        reference=reference, calibration=calibration, mesh=mesh, frame=frame or 0,
+        reference=reference, calibration=calibration, mesh=mesh, mesh_unit=mesh_unit,
+        frame=frame or 0,
     )  # fmt: skip
     instrument = show_window(session)
     code = 0

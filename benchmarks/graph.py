@@ -70,8 +70,15 @@ def main():
             )
         )
     if untouched is not None:
-        fresh(untouched)()
-        rows.append(("untouched frame, empty cache", *ms_of(fresh(untouched))))
+        # As in a stream: sensors and mesh are known, the frame is new.
+        copies = iter([copied(untouched) for _ in range(REPEATS + 1)])
+
+        def new_frame():
+            graph.cache.clear()
+            graph.evaluate(everything, next(copies), params)
+
+        new_frame()
+        rows.append(("untouched frame, never seen", *ms_of(new_frame)))
     print(f"{'case':58s} {'median ms':>10s} {'p95 ms':>10s}")
     for case, median, p95 in rows:
         print(f"{case:58s} {median:10.3f} {p95:10.3f}")

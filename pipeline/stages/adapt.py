@@ -93,7 +93,7 @@ def _points(depth_mm: Floats, pixel: NDArray[np.intp], camera: Camera, target_fr
 def _window(depth: DepthMap, target_from_source: Doubles) -> Floats:
     """The image's outer corners on a plane at the surface's usual depth, in the target frame."""
     camera = depth.camera
-    z = np.nan_to_num(np.nanmedian(depth.depth_mm[::8, ::8])) if depth.depth_mm.size else 0.0
+    z = np.nan_to_num(np.nanmedian(depth.depth_mm[::16, ::16])) if depth.depth_mm.size else 0.0
     x = (np.array([-0.5, camera.cols - 0.5, camera.cols - 0.5, -0.5]) - camera.cx_px) / camera.fx_px
     y = (np.array([-0.5, -0.5, camera.rows - 0.5, camera.rows - 0.5]) - camera.cy_px) / camera.fy_px
     return freeze(rigid.apply(target_from_source, np.stack([z * x, z * y, z * np.ones(4)], axis=-1)).astype(np.float32))
