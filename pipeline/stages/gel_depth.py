@@ -23,6 +23,7 @@ _BLOCK_PX = 8  # changes are looked for in blocks of this width
 _GROWS_FROM = 0.35  # share of the no-touch limit down to which a touched region is followed outward
 _DRIFT_FACTOR = 2.5  # times the picture's median change, above which a block is part of a touch
 _MARGIN_MM = 1.0  # the gel relaxes to nothing within about this distance of the last visible change
+_FADES_FROM, _GONE_AT = 0.2, 0.6  # thicknesses from the contact, see `_relaxed`
 _SATURATED_GREY = 254
 _PRESSURE_BLUR_PX = 1.5
 _SPECK_MM2 = 0.15  # smaller contacts are camera noise
@@ -178,15 +179,17 @@ def _surface(
 def _relaxed(surface: Floats, touched: Mask, source: SensorSpec, pixel_mm: float) -> Floats:
     """The surface without what cannot be the gel's doing.
 
-    Beside a contact a bonded layer comes back to rest over about its own thickness t (waves die out as exp(-r / t)):
-    what is left of it fades out between t and 2 t from the contact, and it is not let out beyond its rest.
+    Beside a contact a nearly incompressible layer of thickness t, bonded to its back, falls to its rest within about
+    t / 2 and then bulges out a little: what the integration leaves there is drift. It fades out between t / 5 and
+    3 t / 5 from the contact, and it is not let out beyond its rest.
     """
     import cv2
 
     if source.gel is None:
         return surface
     away = cv2.distanceTransform((~touched).astype(np.uint8), cv2.DIST_L2, 5)
-    keep = np.clip(2.0 - np.asarray(away, np.float32) * np.float32(pixel_mm / source.gel.thickness_mm), 0.0, 1.0)
+    thicknesses = np.asarray(away, np.float32) * np.float32(pixel_mm / source.gel.thickness_mm)
+    keep = np.clip((_GONE_AT - thicknesses) / (_GONE_AT - _FADES_FROM), 0.0, 1.0)
     if not touched.any():
         keep = np.zeros_like(surface)
     return np.asarray(np.maximum(surface, 0.0) * keep, np.float32)
