@@ -30,24 +30,17 @@ class Layer:
 
     shape: tuple[int, int]
     padded: tuple[int, int]
+    repeated: tuple[int, int]  # grid of the preconditioner, which may wrap around: it guides, it does not decide
     symbol: Doubles | Floats  # mm per kPa of each wave
     inverse: Floats  # kPa per mm of each wave, always positive
 
     def displacement(self, pressure_kpa: Floats) -> Floats:
         """Surface displacement in mm under a pressure, same grid."""
-        return self._filtered(pressure_kpa, self.symbol)
+        return _filtered(pressure_kpa, self.symbol, self.padded)
 
     def pressure(self, displacement_mm: Floats) -> Floats:
-        """Pressure that would make the displacement on a periodic pad: the preconditioner."""
-        return self._filtered(displacement_mm, self.inverse)
-
-    def _filtered(self, field: Floats, symbol: Doubles | Floats) -> Floats:
-        from scipy import fft
-
-        waves: Any = fft.rfft2(field, s=self.padded, workers=2)
-        waves *= symbol
-        back: Any = fft.irfft2(waves, s=self.padded, workers=2, overwrite_x=True)
-        return np.ascontiguousarray(back[: self.shape[0], : self.shape[1]])
+        """Pressure that would make the displacement on a pad that repeats itself: the preconditioner."""
+        return _filtered(displacement_mm, self.inverse, self.repeated)
 
 
 @lru_cache(maxsize=24)
@@ -60,13 +53,28 @@ def layer(gel: Gel, pixel_mm: float, shape: tuple[int, int]) -> Layer:
     rows, cols = (np.arange(-n, n + 1) for n in heard)
     around = np.zeros(padded)
     around[np.ix_(rows, cols)] = _kernel(gel, pixel_mm, heard)
-    inverse = 1.0 / _layer_symbol(gel, pixel_mm, padded)
+    repeated = fast_length(shape[0]), fast_length(shape[1])
+    inverse = 1.0 / _layer_symbol(gel, pixel_mm, repeated)
     return Layer(
         shape=shape,
         padded=padded,
+        repeated=repeated,
         symbol=freeze(np.fft.rfft2(around).real.astype(np.float32)),  # even in x and y, so real
         inverse=freeze(inverse.astype(np.float32)),
     )
+
+
+def _filtered(field: Floats, symbol: Doubles | Floats, padded: tuple[int, int]) -> Floats:
+    """A convolution, one axis after the other: rows of zeros are not transformed, nor rows brought back for nobody."""
+    from scipy import fft
+
+    rows, cols = field.shape
+    waves: Any = fft.rfft(field, n=padded[1], axis=1, workers=2)
+    waves = fft.fft(waves, n=padded[0], axis=0, workers=2, overwrite_x=True)
+    waves *= symbol
+    waves = fft.ifft(waves, axis=0, workers=2, overwrite_x=True)[:rows]
+    back: Any = fft.irfft(waves, n=padded[1], axis=1, workers=2)
+    return np.ascontiguousarray(back[:, :cols])
 
 
 def fast_length(n: int) -> int:
