@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 from typing import Literal
 
 from pipeline.cli import build, run
+from pipeline.errors import SettingProblem
+
+_SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
 
 
 def main() -> None:
@@ -51,6 +55,8 @@ def view(
     tour
         Step through the recording by itself, write the window's picture and every stage into this folder, and close.
     """
+    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in _SCREENS):
+        raise SettingProblem("there is no display to show a window on; run it under xvfb-run, or use translate")
     from app.main import open_window
 
     return open_window(

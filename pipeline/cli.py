@@ -16,10 +16,16 @@ EXIT_INTERRUPTED = 130
 
 def build(name: str = "tactoscope") -> App:
     """The command line with all headless commands."""
-    app = App(name=name, help="See one tactile sensor's touch become another's.", version_flags=["--version"])
+    app = App(
+        name=name,
+        help="See one tactile sensor's touch become another's.",
+        version_flags=["--version"],
+        suppress_keyboard_interrupt=False,  # `run` says what an interruption leaves behind
+    )
     app.version = "0.1.0"
     app.command(inspect)
     app.command(translate)
+    app.command(simulate)
     app.command(doctor)
     calibrate = App(name="calibrate", help="Build a sensor's colour-to-slope look-up from presses of a known object.")
     calibrate.command(balls)
@@ -123,6 +129,60 @@ def translate(
         depth_unit=depth_unit,
     )  # fmt: skip
     return translate_frames(request, out, frame, all_frames, settings)
+
+
+def simulate(
+    *,
+    sensors: str,
+    tools: str,
+    out: Path,
+    poses: int = 60,
+    seed: int = 0,
+    sequence: Literal["grid", "press", "slide", "twist", "all"] = "grid",
+    vary: float = 0.0,
+    noise: bool = True,
+    jobs: int = 2,
+    mesh_unit: Literal["auto", "mm", "cm", "m"] = "auto",
+) -> int:
+    """Simulate touches that several sensors feel at once, with all that is true of them, as recordings.
+
+    Ctrl-C keeps what is finished; the same command goes on from there. The same seed gives the same readings.
+
+    Parameters
+    ----------
+    sensors
+        Sensors that feel the same presses, such as `gelslim,soft_bubble`.
+    tools
+        Objects, such as `NAME,NAME`; the groups `training`, `unseen`, `task` or `all`; or a mesh file.
+    out
+        One `.h5` file for one object, otherwise a folder that gets one `.h5` for each.
+    poses
+        Single grasps of each object, or frames of each sequence.
+    seed
+        Seed of poses, noise and specimens.
+    sequence
+        `grid` is single grasps over 10 mm x 10 mm and up to 45 degrees; the others are moving touches.
+    vary
+        How far specimens of a sensor differ, 0 to 1; a new specimen is taken every ten moments.
+    noise
+        Whether readings have their camera's noise.
+    jobs
+        Processes that work at once.
+    mesh_unit
+        Unit of a mesh file.
+    """
+    from pipeline.commands.simulate import simulate_recordings
+    from pipeline.physics.datasets import Plan
+
+    like = Plan(
+        sensors=_words(sensors), tool="", poses=poses, seed=seed, sequence=sequence, vary=vary, noise=noise,
+        mesh_unit=mesh_unit,
+    )  # fmt: skip
+    return simulate_recordings(_words(tools), like, out, jobs)
+
+
+def _words(listed: str) -> tuple[str, ...]:
+    return tuple(word for word in (part.strip() for part in listed.split(",")) if word)
 
 
 def balls(
