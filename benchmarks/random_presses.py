@@ -107,21 +107,17 @@ def contradiction(pressed: Press, spec: SensorSpec) -> str:
     moved, contact = pressed.truth.indentation_mm, pressed.truth.contact
     if moved is None or contact is None:
         return "no truth"
-    if not (np.isfinite(moved).all() and np.isfinite(pressed.force_n)):
-        return "a truth that is not finite"
-    if pressed.image.ndim == 2 and np.isinf(pressed.image).any():
-        return "an infinite reading"
-    if pressed.image.shape[:2] != spec.camera.shape or moved.shape != spec.camera.shape:
-        return "an array of another shape"
-    if pressed.force_n < 0:
-        return "a pulling force"
-    if contact.any() and pressed.force_n == 0:
-        return "contact without force"
-    if contact.any() and moved[contact].max() <= 0:
-        return "contact without indentation"
-    if pressed.force_n == 0 and moved.any():
-        return "indentation without force"
-    return ""
+    hit = bool(contact.any())
+    findings = {
+        "a truth that is not finite": not (np.isfinite(moved).all() and np.isfinite(pressed.force_n)),
+        "an infinite reading": bool(pressed.image.ndim == 2 and np.isinf(pressed.image).any()),
+        "an array of another shape": {pressed.image.shape[:2], moved.shape, contact.shape} != {spec.camera.shape},
+        "a pulling force": pressed.force_n < 0,
+        "contact without force": hit and pressed.force_n == 0,
+        "contact without indentation": hit and moved[contact].max() <= 0,
+        "indentation without force": pressed.force_n == 0 and bool(moved.any()),
+    }
+    return next((told for told, found in findings.items() if found), "")
 
 
 def random_press(rng: np.random.Generator) -> tuple[Mesh, np.ndarray, str]:
