@@ -144,7 +144,7 @@ def random_press(rng: np.random.Generator) -> tuple[Mesh, np.ndarray, str]:
 @lru_cache(maxsize=1)
 def catalogue() -> tuple[Mesh, ...]:
     """The shapes that come with the project."""
-    return (shapes.notched_elbow(),)
+    return tuple(shapes.shape(name).mesh for name in shapes.names())
 
 
 def _any_turn(rng: np.random.Generator) -> np.ndarray:

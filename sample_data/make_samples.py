@@ -78,7 +78,7 @@ def _pose(before: Key, after: Key, share: float) -> Doubles:
 
 def first_touch(path: Path) -> None:
     """A moving touch of a notched elbow, felt by all `SENSORS` at once."""
-    thing, felt_by = shapes.notched_elbow(), [sensor(name) for name in SENSORS]
+    thing, felt_by = shapes.shape("notched_elbow").mesh, [sensor(name) for name in SENSORS]
     pairings = [
         Pairing(source=a.name, target=b.name, target_from_source=alignment.between(a, b).target_from_source)
         for a, b in permutations(felt_by, 2)

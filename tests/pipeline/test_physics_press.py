@@ -17,7 +17,7 @@ from pipeline.physics.press import press
 from pipeline.recordings import hdf5
 from pipeline.sensors.spec import sensor
 
-ELBOW = shapes.notched_elbow()
+ELBOW = shapes.shape("notched_elbow").mesh
 SENSORS = ("digit", "gelsight_mini", "soft_bubble")
 SURFACE_MM = 0.005  # bilinear chords between pixels at a chamfer's edge; the solver itself is 50 times finer
 SAMPLE = Path(__file__).resolve().parents[2] / "sample_data" / "recordings" / "first_touch.h5"
