@@ -3,6 +3,7 @@
 A slope (gx, gy) of the indentation tilts the surface normal, seen from the camera, to (-gx, -gy, 1). Each LED adds to
 a pixel what the tilt makes it face the light more (Lambert), and takes what it makes it face away, down to its own
 shadow. Light weakens from the LED's own side to the far side of the image, and towards the corners (vignette).
+Where a dent stands between an LED and a point, that LED's share of the light is missing there (cast shadow).
 """
 
 from __future__ import annotations
@@ -16,10 +17,12 @@ from numpy.typing import NDArray
 from pipeline.arrays import Floats, Image, freeze
 from pipeline.camera import Camera
 from pipeline.errors import SettingProblem, ShapeError
-from pipeline.sensors.spec import Gel, Markers, Optics, SensorSpec
+from pipeline.physics.optics_markers import checked, marker_motion_px, print_on
+from pipeline.sensors.spec import Markers, Optics, SensorSpec
 
-_SHEAR_PER_THICKNESS = 0.15  # how far markers are squeezed out of a dent, per gel thickness and unit of slope
-_COARSE = 4  # the squeeze is smooth: every 4th pixel carries it
+_PENUMBRA_MM = 0.25  # how far below an LED's light a point has to lie to get none of it
+_NO_SHADOW_MM = 0.02  # shallower surfaces cast none that can be seen
+_N_QUANTILES = 4096
 
 
 def colour_change(sensor: SensorSpec, gx: NDArray[np.floating], gy: NDArray[np.floating]) -> Floats:
@@ -33,7 +36,7 @@ def colour_change(sensor: SensorSpec, gx: NDArray[np.floating], gy: NDArray[np.f
     if gx.shape != sensor.camera.shape or gy.shape != gx.shape:
         raise ShapeError(f"slopes must have the shape {sensor.camera.shape} of {sensor.name}, got {gx.shape}")
     leds, strength = _lamps(optics, sensor.camera)
-    out = np.empty((*gx.shape, 3), np.float32)
+    out = np.zeros((*gx.shape, 3), np.float32)
     lambert_change(_single(gx), _single(gy), leds, strength, np.float32(optics.vignette), out)
     return freeze(out)
 
@@ -53,23 +56,27 @@ def untouched(sensor: SensorSpec) -> Image:
     return _untouched(sensor.camera, optics_of(sensor), sensor.markers, sensor.pixel_mm)
 
 
-def render(sensor: SensorSpec, indentation_mm: NDArray[np.floating], *, seed: int | None) -> Image:
+def render(
+    sensor: SensorSpec,
+    indentation_mm: NDArray[np.floating],
+    *,
+    seed: int | None,
+    shear_mm: NDArray[np.floating] | None = None,
+    gain_rgb: tuple[float, float, float] = (1.0, 1.0, 1.0),
+) -> Image:
     """The picture (rows, cols, 3) that a gel sensor takes of its pushed-in surface.
 
-    Slopes -> colour -> markers that move with the surface -> lens blur -> camera noise (none if `seed` is None).
+    Slopes -> colour -> cast shadows -> markers that move with the surface -> lens blur -> camera noise (none if `seed`
+    is None). `shear_mm` (rows, cols, 2): how far, right and down, a tangential load has moved the material seen at each
+    pixel (`shear.drag`). `gain_rgb`: drift of the colours since the untouched picture (`variation.drift`).
     """
     optics = optics_of(sensor)
-    if indentation_mm.shape != sensor.camera.shape:
-        raise ShapeError(
-            f"an indentation of {sensor.name} must have the shape {sensor.camera.shape}, got {indentation_mm.shape}"
-        )
-    if not np.isfinite(indentation_mm).all():
-        raise ShapeError("an indentation to render must be finite; fill its gaps first")
-    light = colour_change(sensor, *slopes(indentation_mm, sensor.pixel_mm)) + _glow(sensor.camera, optics)
+    checked(sensor, indentation_mm, shear_mm)
+    light = _lit(sensor, optics, _single(indentation_mm))
     if sensor.markers is not None and sensor.gel is not None:
-        move = _marker_motion_px(_single(indentation_mm), sensor.camera, sensor.gel, sensor.pixel_mm)
-        _print(light, sensor.markers, sensor.pixel_mm, *move)
-    return freeze(_expose(light, optics, seed))
+        move = marker_motion_px(sensor, indentation_mm, shear_mm)
+        print_on(light, sensor.markers, sensor.pixel_mm, *move)
+    return freeze(_expose(light, optics, seed, gain_rgb))
 
 
 def optics_of(sensor: SensorSpec) -> Optics:
@@ -118,44 +125,52 @@ def _untouched(camera: Camera, optics: Optics, markers: Markers | None, pixel_mm
     light = _glow(camera, optics).copy()
     if markers is not None:
         still = np.zeros(camera.shape, np.float32)
-        _print(light, markers, pixel_mm, still, still)
+        print_on(light, markers, pixel_mm, still, still)
     return freeze(_expose(light, optics, None))
 
 
-def _print(light: Floats, markers: Markers, pixel_mm: float, move_x: Floats, move_y: Floats) -> None:
-    from pipeline.physics.optics_kernels import print_markers
+def _lit(sensor: SensorSpec, optics: Optics, height_mm: Floats) -> Floats:
+    """The light (rows, cols, 3) of a surface before markers and blur."""
+    from pipeline.physics import optics_kernels
 
-    sizes = (markers.pitch_mm / pixel_mm, markers.radius_mm / pixel_mm, 0.5 * markers.twin_mm / pixel_mm)
-    print_markers(light, move_x, move_y, *(np.float32(s) for s in (*sizes, markers.darkness)))
-
-
-def _marker_motion_px(u_mm: Floats, camera: Camera, gel: Gel, pixel_mm: float) -> tuple[Floats, Floats]:
-    """How far (x, y) the surface points now at each pixel have moved in the image.
-
-    A point that comes nearer to the camera moves outward from the optical axis; a dent squeezes its flanks outward.
-    """
-    import cv2
-
-    rest_mm = pixel_mm * camera.fx_px
-    nearer = u_mm / np.float32(rest_mm)
-    x = np.arange(camera.cols, dtype=np.float32) - np.float32(camera.cx_px)
-    y = np.arange(camera.rows, dtype=np.float32) - np.float32(camera.cy_px)
-    small = cv2.resize(u_mm, None, fx=1 / _COARSE, fy=1 / _COARSE, interpolation=cv2.INTER_AREA)
-    small = cv2.GaussianBlur(small, (0, 0), max(0.5 * gel.thickness_mm / (pixel_mm * _COARSE), 0.1))
-    gx, gy = slopes(np.asarray(small, np.float32), pixel_mm * _COARSE)
-    reach = np.float32(-_SHEAR_PER_THICKNESS * gel.thickness_mm / pixel_mm)
-    out_x, out_y = (cv2.resize(reach * g, (camera.cols, camera.rows), interpolation=cv2.INTER_LINEAR) for g in (gx, gy))
-    return _single(nearer * x[None, :] + out_x), _single(nearer * y[:, None] + out_y)
+    light = _glow(sensor.camera, optics).copy()
+    leds, strength = _lamps(optics, sensor.camera)
+    optics_kernels.lambert_change(
+        *slopes(height_mm, sensor.pixel_mm), leds, strength, np.float32(optics.vignette), light
+    )
+    if optics.shadow > 0 and float(height_mm.max()) > _NO_SHADOW_MM:
+        drop = np.float32(sensor.pixel_mm * math.tan(math.radians(optics.shadow_deg)))
+        all_leds = np.maximum(leds[:, 3:].sum(axis=0), 1e-6)
+        for led in leds:
+            length = np.float32(math.hypot(led[0], led[1]) or 1.0)
+            loss = np.float32(optics.shadow) * led[3:] / all_leds
+            to_x, to_y = led[0] / length, led[1] / length
+            optics_kernels.cast_shadow(height_mm, to_x, to_y, drop, np.float32(_PENUMBRA_MM), loss, light)
+    return light
 
 
-def _expose(light: Floats, optics: Optics, seed: int | None) -> Image:
+def _expose(
+    light: Floats, optics: Optics, seed: int | None, gain_rgb: tuple[float, float, float] = (1.0, 1.0, 1.0)
+) -> Image:
     """Lens blur, noise and 8 bits."""
     import cv2
+
+    from pipeline.physics.optics_kernels import develop
 
     picture: Floats = light
     if optics.blur_px > 0:
         picture = np.asarray(cv2.GaussianBlur(light, (0, 0), optics.blur_px), np.float32)
-    if seed is not None and optics.noise_grey > 0:
-        noise = np.random.default_rng(seed).standard_normal(light.shape, np.float32)
-        picture = _single(picture + np.float32(optics.noise_grey) * noise)
-    return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+    out = np.empty(light.shape, np.uint8)
+    noise = np.float32(0.0 if seed is None else optics.noise_grey)
+    counted_from = np.uint64((seed or 0) % 2**64)
+    develop(picture, np.array(gain_rgb, np.float32), _normal_quantiles(), noise, counted_from, out)
+    return out
+
+
+@lru_cache(maxsize=1)
+def _normal_quantiles() -> Floats:
+    """Values that, drawn evenly, are normal with mean 0 and standard deviation 1."""
+    from scipy.special import ndtri
+
+    values = ndtri((np.arange(_N_QUANTILES) + 0.5) / _N_QUANTILES)
+    return freeze((values / values.std()).astype(np.float32))

@@ -77,16 +77,22 @@ class Optics:
     blur_px: float
     noise_grey: float
     glows: tuple[Glow, ...] = ()
+    shadow: float = 0.0  # share of an LED's light that is missing right behind a dent
+    shadow_deg: float = 20.0  # how steeply that light comes in: the lower, the longer the shadow
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Markers:
-    """A regular grid of dark dots printed under the gel surface."""
+    """A grid of dark dots printed under the gel surface."""
 
     pitch_mm: float
     radius_mm: float
     darkness: float  # 1 = black
     twin_mm: float = 0.0  # distance, across the image, of the two halves of a doubled dot; 0 = a single dot
+    jitter_mm: float = 0.0  # how far, at most and along each axis, a dot is printed off its place
+    bend: float = 0.0  # share by which the lens draws the grid's corners outward; below 0 inward
+    turn_deg: float = 0.0
+    phase_mm: tuple[float, float] = (0.0, 0.0)  # of the dot nearest to the image centre, right and down
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -313,6 +319,8 @@ def _optics(s: _Section, data: dict[str, Any], path: Path) -> Optics:
         vignette=s.number("vignette", "1", 0.0, 1.0),
         blur_px=s.number("blur", "px", 0.0),
         noise_grey=s.number("noise", "grey", 0.0),
+        shadow=s.number("shadow", "1", 0.0, 1.0) if s.has("shadow") else 0.0,
+        shadow_deg=s.number("shadow_elevation", "deg", 1.0, 89.0) if s.has("shadow_elevation") else 20.0,
     )
 
 
@@ -341,4 +349,6 @@ def _markers(s: _Section) -> Markers:
         radius_mm=s.number("radius", "mm", 0.0),
         darkness=s.number("darkness", "1", 0.0, 1.0),
         twin_mm=s.number("twin", "mm", 0.0) if s.has("twin") else 0.0,
+        jitter_mm=s.number("jitter", "mm", 0.0) if s.has("jitter") else 0.0,
+        bend=s.number("bend", "1", -0.5, 0.5) if s.has("bend") else 0.0,
     )

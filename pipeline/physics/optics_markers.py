@@ -1,0 +1,84 @@
+"""The dots of a gel in its picture: where they have moved, and how they darken it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import Floats, freeze
+from pipeline.camera import Camera
+from pipeline.errors import SettingProblem, ShapeError
+from pipeline.sensors.spec import Gel, Markers, SensorSpec
+
+_SHEAR_PER_THICKNESS = 0.15  # how far markers are squeezed out of a dent, per gel thickness and unit of slope
+_COARSE = 4  # the squeeze is smooth: every 4th pixel carries it
+
+
+def marker_motion_px(
+    sensor: SensorSpec, indentation_mm: NDArray[np.floating], shear_mm: NDArray[np.floating] | None = None
+) -> tuple[Floats, Floats]:
+    """How far (x, y), in pixels, the surface point seen at each pixel is from where the untouched picture has it."""
+    if sensor.gel is None:
+        raise SettingProblem(f"{sensor.name} has no gel whose markers could move; choose a gel sensor")
+    checked(sensor, indentation_mm, shear_mm)
+    x, y = _marker_motion_px(
+        np.ascontiguousarray(indentation_mm, dtype=np.float32), sensor.camera, sensor.gel, sensor.pixel_mm
+    )
+    if shear_mm is None:
+        return freeze(x), freeze(y)
+    dragged = (shear_mm / sensor.pixel_mm).astype(np.float32)
+    return freeze(x + dragged[..., 0]), freeze(y + dragged[..., 1])
+
+
+def checked(sensor: SensorSpec, indentation_mm: NDArray[np.floating], shear_mm: NDArray[np.floating] | None) -> None:
+    """Raise ShapeError unless both fit the sensor's picture and are finite."""
+    shape = sensor.camera.shape
+    if indentation_mm.shape != shape:
+        raise ShapeError(f"an indentation of {sensor.name} must have the shape {shape}, got {indentation_mm.shape}")
+    if shear_mm is not None and shear_mm.shape != (*shape, 2):
+        raise ShapeError(f"a shear of {sensor.name} must have the shape {(*shape, 2)}, got {shear_mm.shape}")
+    if not np.isfinite(indentation_mm).all() or (shear_mm is not None and not np.isfinite(shear_mm).all()):
+        raise ShapeError("an indentation to render must be finite, and its shear too; fill its gaps first")
+
+
+def print_on(light: Floats, markers: Markers, pixel_mm: float, move_x: Floats, move_y: Floats) -> None:
+    """Darken `light` (rows, cols, 3) where a dot is seen; the moves (rows, cols) are those of `marker_motion_px`."""
+    from pipeline.physics.optics_kernels import print_markers
+
+    turn = math.radians(markers.turn_deg)
+    first = (markers.phase_mm[0] / pixel_mm, markers.phase_mm[1] / pixel_mm)
+    place = np.array((*first, math.cos(turn), math.sin(turn), markers.bend), np.float32)
+    sizes = (markers.pitch_mm / pixel_mm, markers.radius_mm / pixel_mm, 0.5 * markers.twin_mm / pixel_mm)
+    pitch, radius, half_twin, darkness, jitter = (
+        np.float32(n) for n in (*sizes, markers.darkness, markers.jitter_mm / pixel_mm)
+    )
+    print_markers(light, move_x, move_y, pitch, radius, half_twin, darkness, jitter, place)
+
+
+def _marker_motion_px(u_mm: Floats, camera: Camera, gel: Gel, pixel_mm: float) -> tuple[Floats, Floats]:
+    """How far (x, y) the surface points now at each pixel have moved in the image.
+
+    A point that comes nearer to the camera moves outward from the optical axis; a dent squeezes its flanks outward.
+    """
+    import cv2
+
+    from pipeline.physics.optics_kernels import slopes
+
+    rest_mm = pixel_mm * camera.fx_px
+    nearer = u_mm / np.float32(rest_mm)
+    x = np.arange(camera.cols, dtype=np.float32) - np.float32(camera.cx_px)
+    y = np.arange(camera.rows, dtype=np.float32) - np.float32(camera.cy_px)
+    small = cv2.resize(u_mm, None, fx=1 / _COARSE, fy=1 / _COARSE, interpolation=cv2.INTER_AREA)
+    small = cv2.GaussianBlur(small, (0, 0), max(0.5 * gel.thickness_mm / (pixel_mm * _COARSE), 0.1))
+    small = np.ascontiguousarray(small, dtype=np.float32)
+    gx, gy = np.empty_like(small), np.empty_like(small)
+    slopes(small, np.float32(pixel_mm * _COARSE), gx, gy)
+    reach = np.float32(-_SHEAR_PER_THICKNESS * gel.thickness_mm / pixel_mm)
+    size = (camera.cols, camera.rows)
+    out_x, out_y = (
+        np.asarray(cv2.resize(reach * g, size, interpolation=cv2.INTER_LINEAR), np.float32) for g in (gx, gy)
+    )
+    move_x: Floats = np.add(nearer * x[None, :], out_x, dtype=np.float32)
+    return move_x, np.add(nearer * y[:, None], out_y, dtype=np.float32)

@@ -1,0 +1,203 @@
+"""Tangential load: how far a gel's surface, and the markers on it, are dragged along by what is pressed into it.
+
+A layer bonded to a rigid back answers a tangential traction of wavenumber q, split into its part along the wave (L) and
+the part across it (T), with
+
+    U_T(q) = tanh(x) / (G q) T(q),    x = q t,   G = E / 2(1+v)
+    U_L(q) = 2 / (E* q) K(x) L(q),    K(x) = ((3-4v) sinh 2x + 2x) / ((3-4v) cosh 2x + 2x^2 + 5 - 12v + 8v^2)
+
+(plane elasticity of the layer, as in Johnson, Contact Mechanics; the sister of the normal answer in `gel_layer`).
+Both are t / G for long waves. What pressure does to the tangential motion, and traction to the normal one, is left
+out: it vanishes for an incompressible half-space. Where an object drags the surface along, the traction is
+what moves the contact with the object, cut at friction times pressure (Coulomb): the contact slips from its rim inward.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import Doubles, Floats, Mask, freeze
+from pipeline.errors import SettingProblem, ShapeError
+from pipeline.sensors.spec import Gel
+
+_CELL_PER_THICKNESS = 0.075  # a cell of the solve: the drag of a layer is smooth
+_PAD = 4.0  # thicknesses: the drag of a layer dies with exp(-pi r / 2 t)
+_STEPS = 200
+_TOLERANCE = 1e-3  # of the largest drag
+_LARGEST_X = 40.0
+_KPA_TO_N_MM2 = 1e-3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Load:
+    """How the object has moved along the surface since it touched it: right, down, and turned clockwise as seen."""
+
+    tangent_mm: tuple[float, float] = (0.0, 0.0)
+    twist_deg: float = 0.0  # about the centre of pressure
+    friction: float = 0.8  # traction that the contact bears, per pressure
+
+    def __post_init__(self) -> None:
+        """Refuse what no gel can be given."""
+        if not all(math.isfinite(v) for v in (*self.tangent_mm, self.twist_deg)):
+            raise SettingProblem(f"a tangential load must be finite, got {self.tangent_mm} and {self.twist_deg} deg")
+        if not 0.0 <= self.friction <= 10.0:
+            raise SettingProblem(f"friction must lie between 0 and 10, got {self.friction!r}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shear:
+    """The dragged surface; arrays are (rows, cols, ...), right and down in the last axis."""
+
+    move_mm: Floats  # (rows, cols, 2) of the material now at each pixel
+    traction_kpa: Floats  # (rows, cols, 2) on the gel
+    slipping: Mask  # contact whose friction is used up
+    force_n: tuple[float, float]
+    steps: int
+    converged: bool
+
+
+def drag(gel: Gel, pixel_mm: float, pressure_kpa: NDArray[np.floating], load: Load) -> Shear:
+    """The surface under `pressure_kpa` (rows, cols) dragged along by `load`; exact truth of the markers' motion.
+
+    Least energy over tractions within the friction's reach, by accelerated projected gradients.
+    """
+    _check(pressure_kpa, pixel_mm)
+    shape = (int(pressure_kpa.shape[0]), int(pressure_kpa.shape[1]))
+    cell = max(1, round(_CELL_PER_THICKNESS * gel.thickness_mm / pixel_mm)) if math.isfinite(gel.thickness_mm) else 4
+    pressure = _coarse(pressure_kpa, cell)
+    limit = load.friction * pressure
+    answer = _answer(gel, cell * pixel_mm, (int(pressure.shape[0]), int(pressure.shape[1])))
+    target = _dragged_by(load, pressure, cell * pixel_mm)
+    traction, steps, converged = _solved(answer, target, limit)
+    move = answer.motion(traction)
+    size = np.hypot(traction[..., 0], traction[..., 1])
+    force = traction.sum(axis=(0, 1), dtype=np.float64) * (cell * pixel_mm) ** 2 * _KPA_TO_N_MM2
+    return Shear(
+        move_mm=freeze(_fine(move, cell, shape)),
+        traction_kpa=freeze(_fine(traction, cell, shape)),
+        slipping=freeze(_fine(((size >= 0.999 * limit) & (limit > 0)).astype(np.float32), cell, shape) > 0.5),
+        force_n=(float(force[0]), float(force[1])),
+        steps=steps,
+        converged=converged,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """The layer's tangential answer as a filter over a padded grid."""
+
+    shape: tuple[int, int]
+    padded: tuple[int, int]
+    across: Doubles  # mm per kPa of each wave, for traction across it
+    extra: Doubles  # what traction along the wave moves more, over q^2
+    qx: Doubles
+    qy: Doubles
+
+    def motion(self, traction_kpa: Floats) -> Floats:
+        """Surface motion (rows, cols, 2) in mm under a traction of the same shape."""
+        from scipy import fft
+
+        waves: Any = fft.rfft2(traction_kpa, s=self.padded, axes=(0, 1))
+        along = self.extra * (self.qx * waves[..., 0] + self.qy * waves[..., 1])
+        moved = np.stack([self.across * waves[..., 0] + self.qx * along, self.across * waves[..., 1] + self.qy * along])
+        back: Any = fft.irfft2(moved, s=self.padded, axes=(1, 2))
+        return np.moveaxis(back[:, : self.shape[0], : self.shape[1]], 0, -1).astype(np.float32)
+
+
+@lru_cache(maxsize=16)
+def _answer(gel: Gel, cell_mm: float, shape: tuple[int, int]) -> Answer:
+    from scipy import fft
+
+    reach = [n - 1 for n in shape]
+    if math.isfinite(gel.thickness_mm):
+        reach = [min(n, math.ceil(_PAD * gel.thickness_mm / cell_mm)) for n in reach]
+    rows, cols = (int(fft.next_fast_len(n + r, real=True)) for n, r in zip(shape, reach, strict=True))  # pyright: ignore[reportArgumentType] (dispatch hides the type)
+    qy = 2 * np.pi * np.fft.fftfreq(rows, cell_mm)[:, None] + np.zeros((1, cols // 2 + 1))
+    qx = 2 * np.pi * np.fft.rfftfreq(cols, cell_mm)[None, :] + np.zeros((rows, 1))
+    q = np.hypot(qx, qy)
+    q[0, 0] = 0.5 * q[0, 1] if math.isinf(gel.thickness_mm) else 1e-3 / gel.thickness_mm
+    across, along = symbols(gel, q)
+    return Answer(
+        shape=shape, padded=(rows, cols), across=freeze(across), extra=freeze((along - across) / (q * q)),
+        qx=freeze(qx), qy=freeze(qy),
+    )  # fmt: skip
+
+
+def symbols(gel: Gel, q_per_mm: Doubles) -> tuple[Doubles, Doubles]:
+    """Motion in mm per kPa of traction across and along waves of wavenumber `q_per_mm`, which is positive."""
+    v = gel.poisson
+    x = np.minimum(q_per_mm * gel.thickness_mm, _LARGEST_X)
+    across = 2.0 * (1 + v) / gel.youngs_kpa / q_per_mm * np.tanh(x)
+    k = ((3 - 4 * v) * np.sinh(2 * x) + 2 * x) / ((3 - 4 * v) * np.cosh(2 * x) + 2 * x * x + 5 - 12 * v + 8 * v * v)
+    return across, 2.0 * (1 - v * v) / gel.youngs_kpa / q_per_mm * k
+
+
+def _solved(answer: Answer, target: Floats, limit: Floats) -> tuple[Floats, int, bool]:
+    """(traction, steps, converged): motion equals `target` wherever the traction stays below `limit`."""
+    traction: Floats = np.zeros(target.shape, np.float32)
+    largest = float(np.hypot(target[..., 0], target[..., 1])[limit > 0].max(initial=0.0))
+    if largest == 0:
+        return traction, 0, True
+    step = np.float32(1.0 / float((answer.across + np.maximum(answer.extra * (answer.qx**2 + answer.qy**2), 0)).max()))
+    ahead, momentum = traction, 1.0
+    for n in range(1, _STEPS + 1):
+        new = _within(ahead + step * (target - answer.motion(ahead)), limit)
+        change = new - traction
+        if float(np.abs(new - ahead).max()) <= _TOLERANCE * float(step) * largest:
+            return new, n, True
+        if float(np.einsum("ijk,ijk->", ahead - new, change)) > 0:
+            momentum = 1.0  # it overshoots: start its run-up again
+        grown = 0.5 * (1.0 + math.sqrt(1.0 + 4.0 * momentum * momentum))
+        ahead = np.add(new, np.float32((momentum - 1.0) / grown) * change, dtype=np.float32)
+        traction, momentum = new, grown
+    return traction, _STEPS, False
+
+
+def _within(traction: Floats, limit: Floats) -> Floats:
+    size = np.maximum(np.hypot(traction[..., 0], traction[..., 1]), 1e-12)
+    return (traction * np.minimum(1.0, limit / size)[..., None]).astype(np.float32)
+
+
+def _dragged_by(load: Load, pressure: Floats, cell_mm: float) -> Floats:
+    """The object's own motion (rows, cols, 2) in mm at each cell."""
+    rows, cols = pressure.shape
+    total = max(float(pressure.sum(dtype=np.float64)), 1e-12)
+    x0 = float(pressure.sum(axis=0, dtype=np.float64) @ np.arange(cols)) / total
+    y0 = float(pressure.sum(axis=1, dtype=np.float64) @ np.arange(rows)) / total
+    x, y = (np.arange(cols) - x0) * cell_mm, (np.arange(rows) - y0) * cell_mm
+    cos, sin = math.cos(math.radians(load.twist_deg)), math.sin(math.radians(load.twist_deg))
+    out = np.empty((rows, cols, 2), np.float32)
+    # What is now at a point stood where the turn backwards puts it.
+    out[..., 0] = load.tangent_mm[0] + (1 - cos) * x[None, :] - sin * y[:, None]
+    out[..., 1] = load.tangent_mm[1] + sin * x[None, :] + (1 - cos) * y[:, None]
+    return out
+
+
+def _coarse(field: NDArray[np.floating], cell: int) -> Floats:
+    rows, cols = (-(-n // cell) for n in field.shape)
+    padded = np.zeros((rows * cell, cols * cell), np.float32)
+    padded[: field.shape[0], : field.shape[1]] = field
+    return padded.reshape(rows, cell, cols, cell).mean(axis=(1, 3))
+
+
+def _fine(field: Floats, cell: int, shape: tuple[int, int]) -> Floats:
+    import cv2
+
+    rows, cols = field.shape[:2]
+    wide = cv2.resize(field, (cols * cell, rows * cell), interpolation=cv2.INTER_LINEAR)
+    return np.ascontiguousarray(wide[: shape[0], : shape[1]], dtype=np.float32)
+
+
+def _check(pressure_kpa: NDArray[np.floating], pixel_mm: float) -> None:
+    if pressure_kpa.ndim != 2 or min(pressure_kpa.shape) < 2:
+        raise ShapeError(f"a pressure needs a grid of at least 2 x 2 pixels, got shape {pressure_kpa.shape}")
+    if not (np.isfinite(pressure_kpa).all() and (pressure_kpa >= 0).all()):
+        raise ShapeError("a pressure to drag with must be finite and not negative")
+    if not (math.isfinite(pixel_mm) and pixel_mm > 0):
+        raise ShapeError(f"the pixel width must be a positive length in mm, got {pixel_mm!r}")
