@@ -138,7 +138,7 @@ def simulate(
     out: Path,
     poses: int = 60,
     seed: int = 0,
-    sequence: Literal["grid", "press", "slide", "twist", "all"] = "grid",
+    sequence: Literal["grid", "press", "slide", "twist", "release", "all"] = "grid",
     vary: float = 0.0,
     noise: bool = True,
     jobs: int = 2,
@@ -157,11 +157,11 @@ def simulate(
     out
         One `.h5` file for one object, otherwise a folder that gets one `.h5` for each.
     poses
-        Single grasps of each object, or frames of each sequence.
+        Single grasps of each object, or frames of the sequence.
     seed
         Seed of poses, noise and specimens.
     sequence
-        `grid` is single grasps over 10 mm x 10 mm and up to 45 degrees; the others are moving touches.
+        `grid` is single grasps over 10 mm x 10 mm and up to 45 degrees; the others are moving touches, `all` all four.
     vary
         How far specimens of a sensor differ, 0 to 1; a new specimen is taken every ten moments.
     noise

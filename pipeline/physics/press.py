@@ -1,6 +1,9 @@
 """One press: what a sensor records of an object at a pose, and everything that is true of it.
 
-The object's pose is given in the alignment frame, so that several sensors can feel the same press.
+The object's pose is given in the alignment frame, so that several sensors can feel the same press. Soft sensors must
+be pressed deeper than stiff ones to feel as much (paper, dataset section): that is part of where a sensor stands in the
+alignment frame, so that it is in every `target_from_source` too. A gel rests in the plane z = 0, the bubble's apex
+`reach_mm` = 9 mm beyond it, because the gripper closes 10 mm on the bubble where it closes 1 mm on the GelSlim.
 """
 
 from __future__ import annotations
@@ -40,6 +43,15 @@ def press(thing: Mesh, alignment_from_object: Doubles, sensor: SensorSpec, *, se
     truth = Truth(indentation_mm=indentation, contact=contact, sensor_from_object=freeze(sensor_from_object))
     image = photograph(sensor, indentation, depth, seed)
     return Press(image=image, truth=truth, force_n=force_n, converged=converged)
+
+
+def reach_mm(sensor: SensorSpec) -> float:
+    """How far the middle of the untouched sensor stands out of the plane z = 0 of the alignment frame.
+
+    An object whose nearest point is at z = -d presses this sensor by d + reach.
+    """
+    apex = np.array([[0.0, 0.0, float(sensor.membrane.depth_at(0.0, 0.0))]])
+    return float(rigid.apply(sensor.alignment_from_sensor, apex)[0, 2])
 
 
 def photograph(sensor: SensorSpec, indentation_mm: Floats, depth_mm: Doubles, seed: int | None) -> Image | Floats:
