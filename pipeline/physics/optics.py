@@ -155,15 +155,22 @@ def _expose(
     """Lens blur, noise and 8 bits."""
     import cv2
 
-    from pipeline.physics.optics_kernels import develop
-
     picture: Floats = light
     if optics.blur_px > 0:
         picture = np.asarray(cv2.GaussianBlur(light, (0, 0), optics.blur_px), np.float32)
+    return recorded(picture, optics.noise_grey, seed, gain_rgb)
+
+
+def recorded(
+    light: Floats, noise_grey: float, seed: int | None, gain_rgb: tuple[float, float, float] = (1.0, 1.0, 1.0)
+) -> Image:
+    """What 8 bits keep of `light` (rows, cols, 3), times a gain of each colour, with the noise of `seed` if any."""
+    from pipeline.physics.optics_kernels import develop
+
     out = np.empty(light.shape, np.uint8)
-    noise = np.float32(0.0 if seed is None else optics.noise_grey)
+    noise = np.float32(0.0 if seed is None else noise_grey)
     counted_from = np.uint64((seed or 0) % 2**64)
-    develop(picture, np.array(gain_rgb, np.float32), _normal_quantiles(), noise, counted_from, out)
+    develop(light, np.array(gain_rgb, np.float32), _normal_quantiles(), noise, counted_from, out)
     return out
 
 
