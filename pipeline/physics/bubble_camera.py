@@ -1,17 +1,48 @@
-"""Between the bubble's lattice and what its depth camera sees."""
+"""Between the bubble's lattice and what its depth camera sees.
+
+A reading is the exact depth along each ray, plus what depth cameras add: noise that grows with distance and grazing
+incidence, flying pixels where the depth jumps, gaps (NaN) where a surface is too steep, and a coarse step.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Doubles, Floats, freeze
+from pipeline.camera import Camera
 from pipeline.physics import lattice
 from pipeline.physics.lattice import Lattice
 from pipeline.sensors.spec import SensorSpec
 
-_SPECKLE_PX = 0.8  # width of the grain in the paper's bubble pictures
-_SPECKLE_KEEPS = 0.354  # standard deviation of unit noise after that blur
+_LEAST_COSINE = 0.1  # noise stops growing at 84 degrees: the return is gone there
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DepthCamera:
+    """How a depth camera errs; the defaults are those of time of flight. Every error can be turned off with 0.
+
+    The standard deviation of one reading is the sensor's `depth_noise_mm`, as a root mean square over the untouched
+    bubble; over the picture it follows distance ** `distance_power` / cos(incidence) ** `grazing_power`.
+    """
+
+    noise_share: float = 1.0  # of the sensor's own noise
+    distance_power: float = 2.0  # light that comes back falls with the square of the distance
+    grazing_power: float = 0.5  # and with the cosine of the incidence, of which the noise is the root
+    grain_px: float = 0.8  # width of the noise's grain: neighbours share light, or a matching window
+    jump_mm: float = 2.0  # a bend between neighbours beyond this is a jump, where pixels fly
+    flying_share: float = 0.5  # of the pixels at a jump: these read a depth between near and far
+    steepest_deg: float = 80.0  # incidence beyond which nothing comes back
+    gap_share: float = 0.0  # of all pixels, without a reading for no reason
+    step_mm: float = 0.0  # readings are multiples of this
+
+
+TIME_OF_FLIGHT = DepthCamera()
+STEREO = DepthCamera(
+    grazing_power=1.0, grain_px=2.5, flying_share=0.2, steepest_deg=65.0, gap_share=0.01, step_mm=0.1
+)  # matching windows: coarse grain, lost on steep sides, a tenth of a millimetre at a time
 
 
 def ceiling_from_depth(sensor: SensorSpec, depth_mm: NDArray[np.floating], on: Lattice) -> Doubles:
@@ -28,19 +59,72 @@ def depth_from_deviation(sensor: SensorSpec, deviation_mm: NDArray[np.floating],
     )
 
 
-def reading(sensor: SensorSpec, depth_mm: NDArray[np.floating], seed: int | None) -> Floats:
-    """The depth camera's image (rows, cols) float32 of a membrane, with its noise unless `seed` is None."""
+def reading(
+    sensor: SensorSpec, depth_mm: NDArray[np.floating], seed: int | None, errs: DepthCamera = TIME_OF_FLIGHT
+) -> Floats:
+    """The depth camera's image (rows, cols) float32 of a membrane; NaN = no reading.
+
+    With `seed` None the exact depth comes back; else the camera errs as `errs` says, the same for the same seed.
+    """
     if seed is None or sensor.bubble is None:
         return freeze(depth_mm.astype(np.float32))
-    grain = np.random.default_rng(seed).standard_normal(depth_mm.shape, np.float32)
-    return freeze((depth_mm + sensor.bubble.depth_noise_mm * _speckle(grain)).astype(np.float32))
+    rng = np.random.default_rng(seed)
+    noise = _speckle(rng.standard_normal(depth_mm.shape, np.float32), errs.grain_px)
+    exact = np.asarray(depth_mm, np.float64)
+    cosine = incidence_cosine(sensor.camera, exact)
+    sigma = sensor.bubble.depth_noise_mm * errs.noise_share * _relative_noise(exact, cosine, errs)
+    usual = _relative_noise(sensor.rest_depth_mm, incidence_cosine(sensor.camera, sensor.rest_depth_mm), errs)
+    sigma /= np.sqrt(np.mean(usual * usual))
+    seen = _with_flying_pixels(exact, errs, rng) + sigma * noise
+    lost = cosine < np.cos(np.deg2rad(errs.steepest_deg))
+    lost |= rng.random(depth_mm.shape) < errs.gap_share
+    if errs.step_mm > 0:
+        seen = errs.step_mm * np.rint(seen / errs.step_mm)
+    return freeze(np.where(lost, np.nan, seen).astype(np.float32))
 
 
-def _speckle(grain: Floats) -> Floats:
-    """White noise made as coarse as a depth camera's, which shares light between neighbours; its strength is kept."""
+def incidence_cosine(camera: Camera, depth_mm: NDArray[np.floating]) -> Doubles:
+    """Cosine (rows, cols) of the angle between each ray and the normal of the surface that it meets; 1 = head on."""
+    points = camera.back_project(depth_mm)
+    down, right = np.gradient(points, axis=0), np.gradient(points, axis=1)
+    normal = np.cross(right, down)
+    size = np.linalg.norm(normal, axis=2) * np.linalg.norm(points, axis=2)
+    facing = np.abs(np.einsum("rcx,rcx->rc", normal, points))
+    return np.divide(facing, size, out=np.zeros(depth_mm.shape), where=size > 0)
+
+
+def _relative_noise(depth_mm: Doubles, cosine: Doubles, errs: DepthCamera) -> Doubles:
+    """Standard deviation (rows, cols) up to a factor; distance in tenths of a metre, to stay near 1."""
+    distance = np.abs(depth_mm) / 100.0
+    return distance**errs.distance_power / np.maximum(cosine, _LEAST_COSINE) ** errs.grazing_power
+
+
+def _with_flying_pixels(depth_mm: Doubles, errs: DepthCamera, rng: np.random.Generator) -> Doubles:
+    """Where the depth jumps, some pixels read a mixture of what is in front and what is behind."""
     import cv2
 
-    return np.asarray(cv2.GaussianBlur(grain, (0, 0), _SPECKLE_PX) / _SPECKLE_KEEPS, np.float32)
+    flies, share = rng.random(depth_mm.shape) < errs.flying_share, rng.random(depth_mm.shape)
+    framed = np.pad(depth_mm, 1, mode="reflect", reflect_type="odd")  # goes on straight: a border is no jump
+    bend_x = np.abs(framed[1:-1, 2:] - 2 * depth_mm + framed[1:-1, :-2])
+    bend_y = np.abs(framed[2:, 1:-1] - 2 * depth_mm + framed[:-2, 1:-1])
+    jump = np.maximum(bend_x, bend_y) > errs.jump_mm
+    if not jump.any():
+        return depth_mm
+    around = np.ones((3, 3), np.uint8)
+    near, far = (np.asarray(f(depth_mm, around), np.float64) for f in (cv2.erode, cv2.dilate))
+    return np.where(jump & flies, near + share * (far - near), depth_mm)
+
+
+def _speckle(grain: Floats, width_px: float) -> Floats:
+    """White noise made as coarse as a depth camera's; its strength is kept."""
+    import cv2
+
+    if width_px <= 0:
+        return grain
+    reach = max(1, round(4 * width_px))
+    weights = np.asarray(cv2.getGaussianKernel(2 * reach + 1, width_px))[:, 0]
+    keeps = float((weights**2).sum())  # variance left by a blur along both axes, as a standard deviation
+    return np.asarray(cv2.sepFilter2D(grain, cv2.CV_32F, weights, weights) / keeps, np.float32)
 
 
 def rim_z_mm(sensor: SensorSpec) -> float:
