@@ -22,7 +22,7 @@ _LEAST_COSINE = 0.1  # noise stops growing at 84 degrees: the return is gone the
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthCamera:
-    """How a depth camera errs; the defaults are those of time of flight. Every error can be turned off with 0.
+    """How a depth camera errs; the defaults are those of time of flight. A picture of theirs has no gaps.
 
     The standard deviation of one reading is the sensor's `depth_noise_mm`, as a root mean square over the untouched
     bubble; over the picture it follows distance ** `distance_power` / cos(incidence) ** `grazing_power`.
@@ -34,7 +34,7 @@ class DepthCamera:
     grain_px: float = 0.8  # width of the noise's grain: neighbours share light, or a matching window
     jump_mm: float = 2.0  # a bend between neighbours beyond this is a jump, where pixels fly
     flying_share: float = 0.5  # of the pixels at a jump: these read a depth between near and far
-    steepest_deg: float = 80.0  # incidence beyond which nothing comes back
+    steepest_deg: float = 90.0  # incidence beyond which nothing comes back; 90 = always something
     gap_share: float = 0.0  # of all pixels, without a reading for no reason
     step_mm: float = 0.0  # readings are multiples of this
 
@@ -76,8 +76,9 @@ def reading(
     usual = _relative_noise(sensor.rest_depth_mm, incidence_cosine(sensor.camera, sensor.rest_depth_mm), errs)
     sigma /= np.sqrt(np.mean(usual * usual))
     seen = _with_flying_pixels(exact, errs, rng) + sigma * noise
-    lost = cosine < np.cos(np.deg2rad(errs.steepest_deg))
-    lost |= rng.random(depth_mm.shape) < errs.gap_share
+    lost = rng.random(depth_mm.shape) < errs.gap_share
+    if errs.steepest_deg < 90.0:
+        lost |= cosine < np.cos(np.deg2rad(errs.steepest_deg))
     if errs.step_mm > 0:
         seen = errs.step_mm * np.rint(seen / errs.step_mm)
     return freeze(np.where(lost, np.nan, seen).astype(np.float32))

@@ -94,7 +94,7 @@ def test_noise_grows_on_a_surface_seen_at_a_grazing_angle():
 
 def test_pixels_fly_at_a_jump_and_nowhere_else():
     depth = stepped(12.0)
-    seen = bubble_camera.reading(SPEC, depth, 1, replace(QUIET, steepest_deg=90.0))
+    seen = bubble_camera.reading(SPEC, depth, 1, QUIET)
     moved = np.abs(seen - depth) > 1e-3
     middle = SPEC.camera.cols // 2
     assert not np.delete(moved, [middle - 1, middle], axis=1).any()
@@ -111,7 +111,7 @@ def test_nothing_flies_and_nothing_is_lost_on_the_bubble_itself():
 
 
 def test_too_steep_a_surface_is_lost():
-    lost = np.isnan(bubble_camera.reading(SPEC, stepped(12.0), 1, QUIET))
+    lost = np.isnan(bubble_camera.reading(SPEC, stepped(12.0), 1, replace(QUIET, steepest_deg=80.0)))
     assert lost.any()
     assert not np.delete(lost, np.arange(85, 90), axis=1).any()
 
