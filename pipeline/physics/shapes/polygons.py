@@ -20,12 +20,44 @@ def arc_step_rad(radius_mm: float) -> float:
     return 2.0 * math.acos(max(0.0, 1.0 - CHORD_MM / radius_mm))
 
 
-def arc(radius_mm: float, start_deg: float, stop_deg: float, centre_mm: tuple[float, float] = (0.0, 0.0)) -> Doubles:
-    """Points (n, 2) on a circle from one angle to the other, both ends included."""
+def arc(
+    radius_mm: float,
+    start_deg: float,
+    stop_deg: float,
+    centre_mm: tuple[float, float] = (0.0, 0.0),
+    *,
+    beyond_mm: float = 0.0,
+) -> Doubles:
+    """Points (n, 2) on a circle from one angle to the other, both ends included.
+
+    `beyond_mm` is how much farther out a surface reaches that follows the arc, and that the chords are fine enough for.
+    """
     turn = math.radians(stop_deg - start_deg)
-    n = max(1, math.ceil(abs(turn) / arc_step_rad(radius_mm)))
+    n = max(1, math.ceil(abs(turn) / arc_step_rad(radius_mm + beyond_mm)))
     angle = math.radians(start_deg) + turn * np.arange(n + 1) / n
     return np.asarray(centre_mm) + radius_mm * np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def bow(radius_mm: float, turn_deg: float, legs_mm: float, beyond_mm: float) -> Doubles:
+    """An arc (n, 2) that bulges to +x and has its middle in the origin, with straight legs; `beyond_mm` as of `arc`."""
+    half = 0.5 * turn_deg
+    points = arc(radius_mm, -half, half, (-radius_mm, 0.0), beyond_mm=beyond_mm)
+    leg = legs_mm * np.array([math.sin(math.radians(half)), math.cos(math.radians(half))])
+    return np.concatenate([points[:1] - leg, points, points[-1:] + leg * (-1.0, 1.0)])
+
+
+def thinned(dense_mm: Doubles, beyond_mm: float) -> Doubles:
+    """As few points (m, 2) of a densely given smooth curve as keep its chords within `CHORD_MM`, both ends among them.
+
+    A chord over a turn t of radius r strays by r t^2 / 8; what follows the curve `beyond_mm` farther out strays more.
+    """
+    step = np.diff(dense_mm, axis=0)
+    length, heading = np.linalg.norm(step, axis=1), np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
+    bend = np.abs(np.gradient(heading)) / length
+    strays = np.concatenate([[0.0], np.cumsum(np.sqrt((bend + beyond_mm * bend**2) / 8.0) * length)])
+    n = math.ceil(strays[-1] / math.sqrt(CHORD_MM))
+    chosen = np.searchsorted(strays, strays[-1] * np.arange(n) / n)
+    return dense_mm[np.append(chosen, -1)]
 
 
 def counter_clockwise(outline_mm: Outline | Doubles, name: str) -> Doubles:

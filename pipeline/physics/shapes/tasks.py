@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline import rigid
 from pipeline.arrays import Doubles
-from pipeline.physics.shapes.polygons import arc
+from pipeline.physics.shapes.polygons import arc, bow
 from pipeline.physics.shapes.prisms import bar
 from pipeline.physics.shapes.sections import strip
 from pipeline.physics.shapes.shape import Shape
@@ -22,7 +22,7 @@ def hex_key() -> Shape:
     corner_mm = 4.0 / math.sqrt(3.0)
     angle = np.arange(6) * math.pi / 3.0
     section = corner_mm * np.column_stack([np.cos(angle), np.sin(angle)])
-    bend = arc(5.0, -180.0, -90.0, (5.0, 5.0))
+    bend = arc(5.0, -180.0, -90.0, (5.0, 5.0), beyond_mm=corner_mm)
     path = np.concatenate([[(0.0, 20.0)], bend, [(10.0, 0.0)]])
     mesh = moved(swept(path, section, "hex_key"), rigid.translation(-2.0, -4.0, 0.0))
     return Shape(name="hex_key", title="Hex key", group="task", mesh=mesh, symmetry=asymmetric())
@@ -74,8 +74,7 @@ def pencil() -> Shape:
 
 def cup_rim() -> Shape:
     """A piece of 26 mm of a cup's rim: 40 mm radius, 2.4 mm thick, rounded."""
-    half_deg = math.degrees(13.0 / 40.0)
-    path = arc(40.0, -half_deg, half_deg, (-40.0, 0.0))
+    path = bow(40.0, math.degrees(25.0 / 40.0), 0.5, 1.2)
     mesh = swept(path, strip(2.4, 1.2, 9.0), "cup_rim")
     return Shape(name="cup_rim", title="Cup rim", group="task", mesh=mesh, symmetry=asymmetric())
 
@@ -91,7 +90,7 @@ def notched_elbow() -> Shape:
         (-1.75, -1.75), (11.0, -1.75), (11.0, 1.75), (6.2, 1.75), (6.2, 0.2), (4.2, 0.2), (4.2, 1.75),
         (1.75, 1.75), (1.75, 22.0), (-1.75, 22.0),
     ]  # fmt: skip
-    mesh = bar(outline, height_mm=8.0, chamfer_mm=0.5, name="notched elbow")
+    mesh = bar(outline, height_mm=8.0, chamfer_mm=0.5, name="notched_elbow")
     return Shape(name="notched_elbow", title="Notched elbow", group="sample", mesh=mesh, symmetry=asymmetric())
 
 

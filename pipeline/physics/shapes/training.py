@@ -9,7 +9,7 @@ import numpy as np
 from pipeline import rigid
 from pipeline.arrays import Doubles
 from pipeline.meshes import Mesh
-from pipeline.physics.shapes.polygons import arc
+from pipeline.physics.shapes.polygons import arc, bow
 from pipeline.physics.shapes.prisms import bar, rounded
 from pipeline.physics.shapes.sections import apex, strip
 from pipeline.physics.shapes.shape import Shape
@@ -18,6 +18,7 @@ from pipeline.physics.shapes.symmetry import X, Z, asymmetric, cyclic, revolved
 
 _BACK_MM = 8.0  # height of bars: more than a bubble's reach
 _LINE_MM, _LINE_EDGE_MM = 3.0, 1.2  # width of lines, and the radius of their edges
+_FINE_MM = 2.0  # no gel is pressed deeper
 
 
 def square() -> Shape:
@@ -73,7 +74,7 @@ def sphere() -> Shape:
 
 def ring() -> Shape:
     """A ring of 9 mm diameter, its ridge 2 mm wide."""
-    circle = arc(4.5, 0.0, 360.0)[:-1]
+    circle = arc(4.5, 0.0, 360.0, beyond_mm=1.0)[:-1]
     mesh = swept(circle, strip(2.0, 0.5, 6.0), "ring", endless=True)
     return Shape(name="ring", title="Ring", group="training", mesh=mesh, symmetry=revolved())
 
@@ -92,9 +93,8 @@ def peg() -> Shape:
 
 
 def curve() -> Shape:
-    """A ridge bent by 120 degrees of 7 mm radius; its middle is in its frame's origin."""
-    path = arc(7.0, -60.0, 60.0, (-7.0, 0.0))
-    mesh = swept(path, strip(2.6, 1.1, _BACK_MM), "curve")
+    """A ridge bent by 110 degrees of 6 mm radius, with legs of 2 mm; its middle is in its frame's origin."""
+    mesh = swept(bow(6.0, 110.0, 2.0, 1.3), strip(2.6, 1.1, _BACK_MM), "curve")
     return Shape(name="curve", title="Curved line", group="training", mesh=mesh, symmetry=asymmetric())
 
 
@@ -113,12 +113,15 @@ def fork(directions_deg: tuple[float, ...], lengths_mm: tuple[float, ...], width
 
 
 def ball(radius_mm: float, name: str) -> Mesh:
-    """A ball on a shaft of 0.7 of its radius along z, fine within 60 degrees of its lowest point, at z = 0."""
-    cap = arc(radius_mm, -90.0, -30.0, (0.0, radius_mm))
-    rest = arc(radius_mm, -30.0, 90.0 - math.degrees(math.asin(0.7)), (0.0, radius_mm))[8::8]
+    """A ball on a shaft of 0.7 of its radius along z, fine to 2 mm above its lowest point, which is at z = 0."""
+    fine_rad = math.acos(1.0 - _FINE_MM / radius_mm)
+    fine_deg = math.degrees(fine_rad) - 90.0
+    cap = arc(radius_mm, -90.0, fine_deg, (0.0, radius_mm))
+    rest = arc(radius_mm, fine_deg, 90.0 - math.degrees(math.asin(0.7)), (0.0, radius_mm))[8::8]
     shaft = 0.7 * radius_mm
     profile = np.concatenate([[(0.0, 0.0)], cap[1:], rest, [(shaft, 2.0 * radius_mm), (shaft, 2.5 * radius_mm)]])
-    return turned(profile, sides(radius_mm), name)
+    # Chords around the axis are shortest near it, so that fewer do for the cap than for the whole ball.
+    return turned(profile, 4 * math.ceil(0.25 * math.sin(fine_rad) * sides(radius_mm)), name)
 
 
 ALL = (square, edge, corner, lines_45, lines_120, three_lines, cylinder, sphere, ring, hexagon, peg, curve)

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from pipeline.physics.shapes.polygons import arc
+from pipeline.physics.shapes.polygons import arc, thinned
 from pipeline.physics.shapes.prisms import bar, rounded
 from pipeline.physics.shapes.sections import strip
 from pipeline.physics.shapes.shape import Shape
@@ -15,12 +15,13 @@ from pipeline.physics.shapes.symmetry import asymmetric, cyclic, revolved
 from pipeline.physics.shapes.training import fork
 
 _BACK_MM = 8.0
+_DENSE = 4001  # points that a curve is thinned from
 
 
 def ellipse() -> Shape:
     """An elliptic ring of 13 x 8 mm."""
-    angle = np.arange(160) / 160.0 * 2.0 * math.pi
-    path = np.column_stack([5.7 * np.cos(angle), 3.2 * np.sin(angle)])
+    angle = np.linspace(0.0, 2.0 * math.pi, _DENSE)
+    path = thinned(np.column_stack([5.7 * np.cos(angle), 3.2 * np.sin(angle)]), 0.8)[:-1]
     mesh = swept(path, strip(1.6, 0.4, 6.0), "ellipse", endless=True)
     return Shape(name="ellipse", title="Ellipse ring", group="unseen", mesh=mesh, symmetry=cyclic(2))
 
@@ -53,9 +54,11 @@ def cone() -> Shape:
 
 
 def wave() -> Shape:
-    """A ridge along two waves of 8 mm length and 1.5 mm height."""
-    x = np.linspace(-8.0, 8.0, 161)
-    path = np.column_stack([x, 1.5 * np.sin(x * (2.0 * math.pi / 8.0))])
+    """A ridge along one and a half waves of 10 mm length and 1.5 mm height."""
+    x = np.linspace(-7.5, 7.5, _DENSE)
+    crests = thinned(np.column_stack([x, 1.5 * np.sin(x * (2.0 * math.pi / 10.0))]), 0.7)
+    leg = np.array([0.5, 0.0])  # level as the crests are, so that the ends are cut square
+    path = np.concatenate([crests[:1] - leg, crests, crests[-1:] + leg])
     mesh = swept(path, strip(1.4, 0.5, 6.0), "wave")
     return Shape(name="wave", title="Wavy ridge", group="unseen", mesh=mesh, symmetry=cyclic(2))
 
