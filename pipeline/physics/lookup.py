@@ -1,21 +1,24 @@
 """A user's own look-up as the simulator's optics: the picture that a calibrated sensor would take of a surface.
 
-`calibrate balls` gives slopes from colours. Here it is turned round: at nodes of place and slope, the colour change
-nearest to none whose slope is the one asked for (three colours answer two slopes, so one must choose), found by Newton
-steps that lead there from level ground. Between the nodes the table is linear.
+`calibrate balls` gives slopes from colours. Here it is turned round: at nodes of place and slope, a colour change
+whose slope is the one asked for, found by Newton steps. Three colours answer two slopes, so one must choose: the change
+nearest to the usual one where pictures of the sensor tell it (`usual`), else nearest to none. Between the nodes the
+table is linear.
 """
 
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline import slope_model
-from pipeline.arrays import Floats, Image, freeze
-from pipeline.calibration import Calibration
+from pipeline.arrays import Doubles, Floats, Image, freeze
+from pipeline.calibration import Calibration, check_for, relative_change
 from pipeline.errors import CalibrationError, ShapeError
 from pipeline.markers import inpainted, marker_mask
 from pipeline.physics import optics, optics_markers
@@ -24,9 +27,20 @@ from pipeline.sensors.spec import Markers, SensorSpec
 _PLACES = (7, 9)  # nodes down and across; the slope model is a low polynomial of the place
 _SLOPES = 33  # nodes along each slope
 _STEPS = 8
+_SLOPE_DEGREE, _PLACE_DEGREE = 4, 2  # of the usual change
+_TOUCHED = 0.05  # mm/mm: from here on a picture's slopes tell of a touch
+_PIXELS = 3000  # taken from each picture
+_RIDGE = 1e-3
 _KEPT = 4  # tables of the last few calibrations
 
 _tables: OrderedDict[tuple[object, ...], Floats] = OrderedDict()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Usual:
+    """The usual colour change at a slope: a polynomial in slope and place without a constant term."""
+
+    coefficients: Floats  # (place powers, slope powers, 3), powers in the order of `_exponents`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,22 +59,20 @@ def rendered(
     *,
     seed: int | None,
     shear_mm: NDArray[np.floating] | None = None,
+    usual_change: Usual | None = None,
 ) -> Image:
     """The picture (rows, cols, 3) that the sensor whose untouched picture is `reference` takes of its surface.
 
     Blur, noise and the motion of markers are those of `sensor`; markers keep the look they have in `reference`.
     Raises CalibrationError or ShapeError when calibration, reference, surface and sensor do not belong together.
     """
-    from pipeline.calibration import check_for
-
     check_for(calibration, sensor.name, reference)
     if reference.shape != (*sensor.camera.shape, 3):
         raise ShapeError(f"the reference of {sensor.name} must be {(*sensor.camera.shape, 3)}, got {reference.shape}")
     optics_markers.checked(sensor, indentation_mm, shear_mm)
     still = _taken_apart(reference, sensor.markers, calibration.pixel_mm)
-    change = _blurred(
-        colour_change(calibration, still.plain, *optics.slopes(indentation_mm, calibration.pixel_mm)), sensor
-    )
+    gx, gy = optics.slopes(indentation_mm, calibration.pixel_mm)
+    change = _blurred(colour_change(calibration, still.plain, gx, gy, usual_change), sensor)
     light = still.plain + change
     if sensor.markers is not None:
         light *= _moved(still.share, *optics_markers.marker_motion_px(sensor, indentation_mm, shear_mm))
@@ -68,7 +80,11 @@ def rendered(
 
 
 def colour_change(
-    calibration: Calibration, reference: NDArray[np.generic], gx: NDArray[np.floating], gy: NDArray[np.floating]
+    calibration: Calibration,
+    reference: NDArray[np.generic],
+    gx: NDArray[np.floating],
+    gy: NDArray[np.floating],
+    usual_change: Usual | None = None,
 ) -> Floats:
     """Grey levels (rows, cols, 3) that the slopes (rows, cols), mm/mm, add to `reference`; 0 on level ground.
 
@@ -80,25 +96,68 @@ def colour_change(
         raise ShapeError(f"slopes must have the shape {(calibration.rows, calibration.cols)}, got {gx.shape}")
     out = np.empty((*gx.shape, 3), np.float32)
     x, y = (np.ascontiguousarray(g, dtype=np.float32) for g in (gx, gy))
-    look_up(x, y, table(calibration), np.float32(calibration.model.slope_max), out)
+    look_up(x, y, table(calibration, usual_change), np.float32(calibration.model.slope_max), out)
     return out / slope_model.gain(reference)
 
 
-def table(calibration: Calibration) -> Floats:
+def usual(calibration: Calibration, images: Sequence[Image], reference: Image, sensor: SensorSpec) -> Usual:
+    """What colour change goes with each slope in pictures (rows, cols, 3) of this sensor, such as those of the ball.
+
+    Ridge regression of each picture's change on the slopes that the calibration sees in it.
+    Raises CalibrationError when no picture shows a touch.
+    """
+    rng = np.random.default_rng(0)
+    u, v = slope_model.position((calibration.rows, calibration.cols))
+    features: list[Doubles] = []
+    changes: list[Doubles] = []
+    for image in images:
+        change = relative_change(image, reference, calibration.pixel_mm, markers=sensor.markers)
+        gx, gy = slope_model.evaluate(calibration.model, change, u, v, np.ones(change.shape[:2], np.bool_))
+        steep = np.flatnonzero(np.hypot(gx, gy) > _TOUCHED)
+        if len(steep) == 0:
+            continue
+        rows, cols = np.divmod(rng.choice(steep, min(len(steep), _PIXELS), replace=False), calibration.cols)
+        terms = _terms(gx[rows, cols], gy[rows, cols], u[cols], v[rows])
+        features.append(terms.reshape(len(terms), -1))
+        changes.append(change[rows, cols].astype(np.float64))
+    if not features:
+        raise CalibrationError("no touch in any picture; the usual colours need presses")
+    f, q = np.concatenate(features), np.concatenate(changes)
+    normal = f.T @ f
+    normal[np.diag_indices_from(normal)] *= 1.0 + _RIDGE
+    solution = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(len(normal)) / len(normal), f.T @ q)
+    shape = (len(_exponents(_PLACE_DEGREE, 0)), len(_exponents(_SLOPE_DEGREE, 1)), 3)
+    return Usual(coefficients=freeze(solution.reshape(shape).astype(np.float32)))
+
+
+def _exponents(degree: int, lowest: int) -> list[tuple[int, int]]:
+    return [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i) if i + j >= lowest]
+
+
+def _terms(gx: Any, gy: Any, u: Any, v: Any) -> Doubles:
+    """Monomials (n, place powers, slope powers)."""
+    place = np.stack([np.float64(u) ** i * np.float64(v) ** j for i, j in _exponents(_PLACE_DEGREE, 0)], axis=-1)
+    slope = np.stack([np.float64(gx) ** i * np.float64(gy) ** j for i, j in _exponents(_SLOPE_DEGREE, 1)], axis=-1)
+    return place[:, :, None] * slope[:, None, :]
+
+
+def table(calibration: Calibration, usual_change: Usual | None = None) -> Floats:
     """Colour changes (v, u, slopes down, slopes right, 3), relative as in `slope_model`; kept for the last few."""
     model = calibration.model
-    key = (calibration.rows, calibration.cols, model.colour_degree, model.slope_max, model.coefficients.tobytes())
+    start = b"" if usual_change is None else usual_change.coefficients.tobytes()
+    size = (calibration.rows, calibration.cols, model.colour_degree, model.slope_max)
+    key = (*size, model.coefficients.tobytes(), start)
     if key in _tables:
         _tables.move_to_end(key)
         return _tables[key]
-    found = freeze(_inverted(calibration))
+    found = freeze(_inverted(calibration, usual_change))
     _tables[key] = found
     while len(_tables) > _KEPT:
         _tables.popitem(last=False)
     return found
 
 
-def _inverted(calibration: Calibration) -> Floats:
+def _inverted(calibration: Calibration, usual_change: Usual | None) -> Floats:
     from pipeline.physics.lookup_kernels import invert
 
     model = calibration.model
@@ -111,12 +170,22 @@ def _inverted(calibration: Calibration) -> Floats:
     down, across = (np.stack([w**k for k in range(degree)]) for w in (v, u))  # (powers, nodes)
     tables = np.einsum("jv,iu,jims->vums", down, across, model.coefficients.astype(np.float64))
     grid = np.linspace(-model.slope_max, model.slope_max, _SLOPES)
-    out = np.zeros((_PLACES[0] * _PLACES[1], _SLOPES, _SLOPES, 3), np.float32)
+    out = _guess(usual_change, u, v, grid)
+    steps = _STEPS if usual_change is None else 1
     flat = np.ascontiguousarray(tables.reshape(-1, *tables.shape[2:]))
-    invert(flat, slope_model.powers(model.colour_degree), model.colour_degree, grid, _STEPS, out)
+    invert(flat, slope_model.powers(model.colour_degree), model.colour_degree, grid, steps, out)
     if not np.isfinite(out).all():
         raise CalibrationError("the calibration cannot be turned round into colours; calibrate again")
     return out.reshape(*_PLACES, _SLOPES, _SLOPES, 3)
+
+
+def _guess(usual_change: Usual | None, u: Doubles, v: Doubles, grid: Doubles) -> Floats:
+    """Colours (places, n, n, 3) from which the inversion starts."""
+    if usual_change is None:
+        return np.zeros((len(u) * len(v), len(grid), len(grid), 3), np.float32)
+    at_v, at_u, gy, gx = (a.ravel() for a in np.meshgrid(v, u, grid, grid, indexing="ij"))
+    start = np.einsum("nps,psk->nk", _terms(gx, gy, at_u, at_v), usual_change.coefficients.astype(np.float64))
+    return start.reshape(len(u) * len(v), len(grid), len(grid), 3).astype(np.float32)
 
 
 def _blurred(change: Floats, sensor: SensorSpec) -> Floats:

@@ -54,10 +54,10 @@ def _step(q, missing, jacobian, longest):
 
 @njit(cache=True)
 def invert(tables, powers, degree, grid, steps, out):
-    """Colours out (places, n, n, 3) whose slopes are grid[j] right and grid[i] down, and nearest to no change.
+    """Turn `out` (places, n, n, 3) into colours whose slopes are grid[j] right and grid[i] down.
 
-    tables (places, monomials, 2). From no change and no slope, `steps` Newton steps lead along the slope's direction;
-    of what the last ones give, the colour whose slope is nearest is kept.
+    tables (places, monomials, 2). `out` comes as a guess of the colours, or zero. The slopes asked for grow to their
+    full size in `steps` Newton steps; of what the last ones give, the colour whose slope is nearest is kept.
     """
     n = grid.shape[0]
     slope = np.empty(2)
@@ -67,7 +67,8 @@ def invert(tables, powers, degree, grid, steps, out):
     for p in range(tables.shape[0]):
         for i in range(n):
             for j in range(n):
-                q[:] = 0.0
+                for k in range(3):
+                    q[k] = out[p, i, j, k]
                 nearest = 1e30
                 for s in range(1, steps + _POLISH + 1):
                     share = min(s / steps, 1.0)

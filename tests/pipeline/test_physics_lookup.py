@@ -1,4 +1,5 @@
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -52,6 +53,30 @@ def test_a_real_calibration_sees_the_slopes_that_were_rendered_with_it(real_data
     true = np.stack(optics.slopes(u, MINI_MM_PER_PX))
     seen = seen_again(found, spec, reference, u)
     assert rms((seen - true)[:, u > 0.02]) < SLOPE
+
+
+def test_usual_colours_bring_the_picture_nearer_and_keep_the_slopes():
+    spec = sensor("digit")
+    shadowless = replace(spec, optics=replace(spec.optics, shadow=0.0))
+    reference, look_up = optics.untouched(spec), built_in(spec)
+    places = [(0.3, 0.3), (0.7, 0.3), (0.5, 0.5), (0.3, 0.7), (0.7, 0.7)]
+    presses = [optics.render(shadowless, dent(spec, 0.7, 1.5, at), seed=k) for k, at in enumerate(places)]
+    usual = lookup.usual(look_up, presses, reference, spec)
+    u = dent(spec, 0.5, 2.0, (0.45, 0.6))
+    real = optics.render(shadowless, u, seed=None).astype(float)
+    bare, nearer = (
+        lookup.rendered(look_up, reference, u, spec, seed=None, usual_change=known) for known in (None, usual)
+    )
+    touched = u > 0.02
+    assert rms((nearer - real)[touched]) < 0.7 * rms((bare - real)[touched])
+    true = np.stack(optics.slopes(u, spec.pixel_mm))
+    assert rms((np.stack(slopes(look_up, nearer, reference)) - true)[:, touched]) < SLOPE
+
+
+def test_pictures_without_a_touch_tell_no_usual_colours():
+    spec = sensor("digit")
+    with pytest.raises(CalibrationError, match="no touch"):
+        lookup.usual(built_in(spec), [optics.untouched(spec)], optics.untouched(spec), spec)
 
 
 def test_level_ground_leaves_the_reference_to_the_byte():

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -88,6 +90,7 @@ def test_noise_has_the_stated_strength():
 
 def test_markers_are_dark_dots_that_move_outward_as_they_come_nearer():
     spec = sensor("gelslim")
+    spec = replace(spec, markers=replace(spec.markers, jitter_mm=0.0, bend=0.0))
     plain = optics.untouched(sensor("gelslim_dotless")).astype(int)
     lift_mm = 1.0
     lifted = optics.render(spec, np.full(spec.camera.shape, lift_mm, np.float32), seed=None)
@@ -120,3 +123,38 @@ def test_gaps_and_wrong_shapes_are_refused_in_words():
         optics.render(spec, np.zeros((4, 4), np.float32), seed=None)
     with pytest.raises(SettingProblem, match="colour"):
         optics.untouched(sensor("soft_bubble"))
+
+
+def test_markers_are_printed_off_their_places_but_the_same_each_time():
+    spec = sensor("gelslim")
+    straight = replace(spec, markers=replace(spec.markers, jitter_mm=0.0))
+    wavy = optics.untouched(spec)
+    assert not np.array_equal(wavy, optics.untouched(straight))
+    assert np.array_equal(wavy, optics.render(spec, level(spec), seed=None))
+
+
+def test_a_dent_takes_an_led_s_light_from_what_lies_behind_it():
+    spec = sensor("digit")
+    lit = replace(spec, optics=replace(spec.optics, shadow=0.0))
+    u = dent(spec, depth_mm=1.0, width_mm=2.0)
+    lost = optics.render(lit, u, seed=None).astype(int) - optics.render(spec, u, seed=None)
+    green = spec.optics.leds[1]  # from the left, so its shadow lies to the right
+    away = -np.array([np.cos(np.deg2rad(green.azimuth_deg)), np.sin(np.deg2rad(green.azimuth_deg))])
+    behind_px = np.rint([160, 120] + 3.0 / spec.pixel_mm * away[::-1]).astype(int)
+    assert lost[behind_px[0], behind_px[1], 1] > 15  # grey
+    assert lost.min() >= -1  # a shadow brightens nothing
+    assert not lost[:40].any()  # nor reaches the far end of the picture
+
+
+def test_steep_light_casts_no_shadow():
+    spec = sensor("digit")
+    u = dent(spec, depth_mm=0.5, width_mm=2.0)
+    steep, none = (replace(spec, optics=replace(spec.optics, shadow_deg=60.0, shadow=s)) for s in (1.0, 0.0))
+    assert np.array_equal(optics.render(steep, u, seed=None), optics.render(none, u, seed=None))
+
+
+def test_drifted_colours_are_the_picture_times_their_gain():
+    spec = sensor("gelsight_mini")
+    plain = optics.untouched(spec).astype(float)
+    drifted = optics.render(spec, level(spec), seed=None, gain_rgb=(1.1, 1.0, 0.9))
+    assert np.abs(drifted - plain * [1.1, 1.0, 0.9]).max() <= 1.1  # grey level: rounded twice

@@ -1,0 +1,124 @@
+"""How near are simulated pictures to real ones? Presses of a ball on a real GelSight Mini, DIGIT and GelSlim 3.0.
+
+    python benchmarks/real_look.py DATA_FOLDER [SHEET.png]
+
+Every press is simulated again on its own untouched picture: the circle of contact is the calibration's, the depth that
+which gives the circle's area on the layer of the sensor (gel.press), the colours those of a look-up made from the other
+half of the presses ("with usual": with the usual colours of those presses too), or the built-in optics. Errors are in
+grey levels (of 255) over the contact, all three colours;
+"change" is how much the real colours change there, "mean" the mean of simulated less real.
+SHEET.png shows the first few presses of each sensor: real, with the look-up, with the built-in optics.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from pipeline.balls import calibrate_balls
+from pipeline.camera import Camera
+from pipeline.physics import gel, lookup, optics
+from pipeline.sensors.spec import sensor
+
+_MAX_PRESSES = 24  # of each sensor
+_SHOWN = 5
+_SENSORS = (  # sensor, folder, untouched, presses, ball in mm, mm per pixel (None = the sensor's)
+    ("gelsight_mini", "gsmini_balls", "background.png", "ball_6.310mm_*.png", 6.31, 0.0634),
+    ("digit", "digit_balls", "background.png", "0*.png", 6.0, None),
+    ("gelslim", "gelslim3_balls", "ref.jpg", "sample_*.jpg", 7.6, 0.07),
+)
+
+
+def read(path: Path):
+    return np.ascontiguousarray(cv2.imread(str(path))[..., ::-1])
+
+
+def numbered(folder: Path, pattern: str) -> list[Path]:
+    return sorted(folder.glob(pattern), key=lambda p: int("".join(c for c in p.stem.split("_")[-1] if c.isdigit())))
+
+
+def at_scale(source, pixel_mm):
+    """The sensor with pixels of this width, as its unit has them."""
+    c = source.camera
+    focal = float(np.median(source.rest_depth_mm)) / pixel_mm
+    camera = Camera(rows=c.rows, cols=c.cols, fx_px=focal, fy_px=focal, cx_px=c.cx_px, cy_px=c.cy_px)
+    return dataclasses.replace(source, camera=camera)
+
+
+def pressed(source, pixel_mm, fit, radius_mm):
+    """(surface, depth) of the ball pressed until its contact has the area of the circle found."""
+    y, x = np.mgrid[: source.camera.rows, : source.camera.cols]
+    r_sq = ((x - fit.x_px) ** 2 + (y - fit.y_px) ** 2) * pixel_mm**2
+    cap = np.where(r_sq < radius_mm**2, np.sqrt(np.maximum(radius_mm**2 - r_sq, 0.0)) - radius_mm, -9.0)
+    wanted = np.pi * fit.radius_px**2
+    low, high = 0.0, 0.9 * radius_mm
+    for _ in range(9):
+        depth = 0.5 * (low + high)
+        answer = gel.press(source.gel, pixel_mm, depth + cap, tolerance_mm=1e-3)
+        low, high = (depth, high) if answer.contact.sum() < wanted else (low, depth)
+    return answer.indentation_mm, depth
+
+
+def on_reference(source, still, surface):
+    """The built-in optics' change of colour on the real untouched picture."""
+    plain = dataclasses.replace(source, markers=None)
+    change = optics.render(plain, surface, seed=None).astype(np.float32) - optics.untouched(plain)
+    return np.clip(still + change, 0, 255)
+
+
+def measure(name, data, folder_name, reference, pattern, diameter_mm, scale):
+    source, folder = sensor(name), data / folder_name
+    if scale is not None:
+        source = at_scale(source, scale)
+    still = read(folder / reference)
+    pictures = [read(p) for p in numbered(folder, pattern)][:_MAX_PRESSES]
+    pixel_mm = source.pixel_mm
+    everything = calibrate_balls(pictures, still, source, diameter_mm, pixel_mm=pixel_mm)
+    halves = [calibrate_balls(pictures[1 - k :: 2], still, source, diameter_mm, pixel_mm=pixel_mm) for k in (0, 1)]
+    colours = [lookup.usual(h, pictures[1 - k :: 2], still, source) for k, h in enumerate(halves)]
+    rows, shown = [], []
+    for fit in everything.presses:
+        if not fit.used:
+            continue
+        surface, depth = pressed(source, pixel_mm, fit, diameter_mm / 2)
+        real = pictures[fit.index].astype(np.float32)
+        k = fit.index % 2
+        bare = lookup.rendered(halves[k], still, surface, source, seed=fit.index)
+        made = lookup.rendered(halves[k], still, surface, source, seed=fit.index, usual_change=colours[k])
+        built_in = on_reference(source, still, surface)
+        y, x = np.mgrid[: real.shape[0], : real.shape[1]]
+        inside = np.hypot(x - fit.x_px, y - fit.y_px) < fit.radius_px
+        change = (real - still)[inside]
+        off = [(picture - real)[inside] for picture in (made, bare, built_in)]
+        rows.append([depth, np.sqrt(np.mean(change**2)), *(v for o in off for v in (np.sqrt(np.mean(o**2)), o.mean()))])
+        if len(shown) < _SHOWN:
+            shown.append(np.vstack([real, made, built_in]).astype(np.uint8))
+    depth, change, *errors = np.median(rows, axis=0)
+    told = "".join(f"{rms:>12.1f}{mean:>+7.1f}" for rms, mean in zip(errors[::2], errors[1::2], strict=True))
+    print(f"{name:<16}{len(rows):>4}{depth:>9.2f}{change:>9.1f}{told}", flush=True)
+    return shown
+
+
+def main(data: Path, sheet: Path | None) -> None:
+    heads = "".join(f"{what:>12}{'mean':>7}" for what in ("with usual", "look-up", "built-in"))
+    print(f"{'':<16}{'n':>4}{'depth mm':>9}{'change':>9}{heads}")
+    columns = [picture for row in _SENSORS for picture in measure(row[0], data, *row[1:])]
+    if sheet is not None:
+        tall = [
+            cv2.resize(c, (round(c.shape[1] * 720 / c.shape[0]), 720), interpolation=cv2.INTER_AREA) for c in columns
+        ]
+        cv2.imwrite(str(sheet), np.hstack(tall)[..., ::-1])
+
+
+if __name__ == "__main__":
+    given = [Path(a) for a in sys.argv[1:]]
+    main(
+        given[0] if given else Path(__file__).resolve().parents[2] / "shared" / "data",
+        given[1] if len(given) > 1 else None,
+    )
