@@ -23,7 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Doubles, Floats, Mask, freeze
+from pipeline.camera import Camera
 from pipeline.errors import SettingProblem, ShapeError
+from pipeline.physics.lattice import Lattice
 from pipeline.sensors.spec import Gel
 
 _CELL_PER_THICKNESS = 0.075  # a cell of the solve: the drag of a layer is smooth
@@ -86,6 +88,17 @@ def drag(gel: Gel, pixel_mm: float, pressure_kpa: NDArray[np.floating], load: Lo
         steps=steps,
         converged=converged,
     )
+
+
+def seen_by(camera: Camera, on: Lattice, move_mm: Floats, depth_mm: NDArray[np.floating]) -> Floats:
+    """The motion (rows, cols, 2) in mm at the points a camera sees at `depth_mm`, of one on a lattice (ny, nx, 2)."""
+    import cv2
+
+    ray_x, ray_y = camera.rays()
+    col = ((depth_mm * ray_x[None, :] - on.x0_mm) / on.step_mm).astype(np.float32)
+    row = ((depth_mm * ray_y[:, None] - on.y0_mm) / on.step_mm).astype(np.float32)
+    seen = cv2.remap(move_mm, col, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    return freeze(np.asarray(seen, np.float32))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -4,6 +4,7 @@ from scipy.linalg import expm
 
 from pipeline.errors import SettingProblem, ShapeError
 from pipeline.physics import gel, optics, shear
+from pipeline.physics.lattice import Lattice
 from pipeline.physics.shear import Load
 from pipeline.sensors.spec import Gel, sensor
 
@@ -108,6 +109,21 @@ def test_markers_are_drawn_where_the_shear_puts_them():
     assert np.corrcoef(dark_still[:, :-3][inner].ravel(), dark_shifted[:, 3:][inner].ravel())[0, 1] > 0.98
     move_x, _ = optics.marker_motion_px(spec, level, moved)
     assert move_x == pytest.approx(3.0, abs=1e-5)
+
+
+def test_a_camera_sees_the_motion_of_the_points_it_looks_at():
+    spec = sensor("gelslim")
+    margin = 10
+    on = Lattice(
+        x0_mm=-(spec.camera.cx_px + margin) * spec.pixel_mm,
+        y0_mm=-(spec.camera.cy_px + margin) * spec.pixel_mm,
+        step_mm=spec.pixel_mm,
+        shape=(spec.camera.rows + 2 * margin, spec.camera.cols + 2 * margin),
+    )
+    move = np.stack(np.meshgrid(on.x_mm(), on.y_mm()), axis=-1).astype(np.float32)  # each point says where it is
+    lifted = spec.rest_depth_mm - 0.5
+    seen = shear.seen_by(spec.camera, on, move, lifted)
+    assert seen == pytest.approx(spec.camera.back_project(lifted)[..., :2], abs=0.03 * spec.pixel_mm)
 
 
 def test_wrong_loads_are_refused():
