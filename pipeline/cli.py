@@ -143,6 +143,7 @@ def simulate(
     noise: bool = True,
     jobs: int = 2,
     mesh_unit: Literal["auto", "mm", "cm", "m"] = "auto",
+    mesh_face: Literal["-x", "+x", "-y", "+y", "-z", "+z"] = "-z",
 ) -> int:
     """Simulate touches that several sensors feel at once, with all that is true of them, as recordings.
 
@@ -163,20 +164,22 @@ def simulate(
     sequence
         `grid` is single grasps over 10 mm x 10 mm and up to 45 degrees; the others are moving touches, `all` all four.
     vary
-        How far specimens of a sensor differ, 0 to 1; a new specimen is taken every ten moments.
+        How far specimens of a sensor differ, 1 = as much as real ones; a new specimen is taken every ten moments.
     noise
         Whether readings have their camera's noise.
     jobs
         Processes that work at once.
     mesh_unit
         Unit of a mesh file.
+    mesh_face
+        Side of a mesh file that touches, such as `--mesh-face=-x`.
     """
     from pipeline.commands.simulate import simulate_recordings
     from pipeline.physics.datasets import Plan
 
     like = Plan(
         sensors=_words(sensors), tool="", poses=poses, seed=seed, sequence=sequence, vary=vary, noise=noise,
-        mesh_unit=mesh_unit,
+        mesh_unit=mesh_unit, mesh_face=mesh_face,
     )  # fmt: skip
     return simulate_recordings(_words(tools), like, out, jobs)
 

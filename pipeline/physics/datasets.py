@@ -21,12 +21,13 @@ from pipeline.digests import digest
 from pipeline.errors import SettingProblem
 from pipeline.frames import Pairing, TactileFrame, Truth
 from pipeline.meshes import Mesh
-from pipeline.physics import poses, shapes
+from pipeline.physics import poses, shapes, variation
 from pipeline.physics.press import photograph, press
 from pipeline.sensors.spec import SensorSpec
 from pipeline.sensors.spec import sensor as sensor_named
 
 Unit = Literal["auto", "mm", "cm", "m"]
+Face = Literal["-x", "+x", "-y", "+y", "-z", "+z"]
 Sequence = Literal["grid", "press", "slide", "twist", "release", "all"]
 
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
@@ -47,6 +48,7 @@ class Plan:
     vary: float = 0.0  # how far specimens of a sensor differ: 0 = all alike, 1 = as real ones do
     noise: bool = True
     mesh_unit: Unit = "auto"
+    mesh_face: Face = "-z"  # the side of a mesh file that touches
 
     @property
     def thing_name(self) -> str:
@@ -72,8 +74,8 @@ def plans(tools: tuple[str, ...], like: Plan) -> tuple[Plan, ...]:
         raise SettingProblem(f"--poses must be at least {fewest}, got {like.poses}")
     if like.seed < 0:
         raise SettingProblem(f"--seed must not be negative, got {like.seed}")
-    if not 0.0 <= like.vary <= 1.0:
-        raise SettingProblem(f"--vary must lie within 0 and 1, got {like.vary:g}")
+    if not 0.0 <= like.vary <= variation.MAX_STRENGTH:
+        raise SettingProblem(f"--vary must lie within 0 and {variation.MAX_STRENGTH:g}, got {like.vary:g}")
     if not like.sensors or len({sensor_named(name).name for name in like.sensors}) < len(like.sensors):
         raise SettingProblem(f"--sensors must name each sensor once, got {', '.join(like.sensors) or 'none'!r}")
     wanted = tuple(dict.fromkeys(name for tool in tools for name in _names(tool)))
@@ -101,12 +103,12 @@ def is_mesh(tool: str) -> bool:
 
 def thing(plan: Plan) -> Mesh:
     """The plan's object; raises SettingProblem, MeshProblem or FileProblem."""
-    return _thing(plan.tool, plan.mesh_unit)
+    return _thing(plan.tool, plan.mesh_unit, plan.mesh_face)
 
 
 @lru_cache(maxsize=4)
-def _thing(tool: str, unit: Unit) -> Mesh:
-    found = shapes.from_mesh(Path(tool), unit) if is_mesh(tool) else shapes.shape(tool)
+def _thing(tool: str, unit: Unit, face: Face) -> Mesh:
+    found = shapes.from_mesh(Path(tool), unit, face) if is_mesh(tool) else shapes.shape(tool)
     return found.mesh
 
 
@@ -162,8 +164,6 @@ def _specimen(plan: Plan, sensor: str, block: int) -> SensorSpec:
     spec = sensor_named(sensor)
     if not plan.vary:
         return spec
-    from pipeline.physics import variation
-
     return variation.varied(spec, _seed(plan, spec.name, "specimen", block), plan.vary)
 
 

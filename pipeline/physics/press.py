@@ -3,7 +3,7 @@
 The object's pose is given in the alignment frame, so that several sensors can feel the same press. Soft sensors must
 be pressed deeper than stiff ones to feel as much (paper, dataset section): that is part of where a sensor stands in the
 alignment frame, so that it is in every `target_from_source` too. A gel rests in the plane z = 0, the bubble's apex
-`reach_mm` = 9 mm beyond it, because the gripper closes 10 mm on the bubble where it closes 1 mm on the GelSlim.
+stands `reach_mm` out of it; `soft_bubble.toml` says how far and why.
 """
 
 from __future__ import annotations

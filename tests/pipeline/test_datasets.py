@@ -99,7 +99,7 @@ def test_a_group_stands_for_its_objects_each_once():
     [
         ({"poses": 0}, (TOOL,), "--poses"),
         ({"seed": -1}, (TOOL,), "--seed"),
-        ({"vary": 1.5}, (TOOL,), "--vary"),
+        ({"vary": 9.0}, (TOOL,), "--vary"),
         ({"sensors": ("digit", "digit")}, (TOOL,), "--sensors"),
         ({"sensors": ("fingertip",)}, (TOOL,), "fingertip"),
         ({}, (), "--tools"),

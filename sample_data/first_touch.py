@@ -1,0 +1,75 @@
+"""The sample that the window opens with: one moving touch, felt by a GelSlim, a DIGIT and a Soft Bubble at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from pipeline import rigid
+from pipeline.arrays import Doubles
+from pipeline.physics import shapes
+from pipeline.sensors.spec import sensor
+from sample_data.writing import Shot, write
+
+SENSORS = ("gelslim", "digit", "soft_bubble")
+NOTES = (
+    "simulated: exact indentation, contact and object pose are part of the file",
+    "all three sensors feel the same object at the same moment; the bubble reaches 12 mm farther and touches first",
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Key:
+    """Where the object is at one frame; between two of them it moves evenly."""
+
+    frame: int
+    face_z_mm: float  # of the tactile face over the untouched gels; negative = pressed in
+    slide_mm: float = 0.0
+    twist_deg: float = 0.0
+    tilt_deg: float = 0.0
+
+
+# Untouched, approach, press, slide, twist, lean, release, untouched.
+PATH = (
+    Key(frame=0, face_z_mm=17.0),
+    Key(frame=1, face_z_mm=15.0),
+    Key(frame=3, face_z_mm=-0.15),
+    Key(frame=5, face_z_mm=-0.4),
+    Key(frame=8, face_z_mm=-0.4, slide_mm=2.0),
+    Key(frame=11, face_z_mm=-0.4, slide_mm=2.0, twist_deg=24.0),
+    Key(frame=12, face_z_mm=-0.4, slide_mm=2.0, twist_deg=24.0, tilt_deg=1.0),
+    Key(frame=13, face_z_mm=-0.1, slide_mm=2.0, twist_deg=24.0, tilt_deg=1.0),
+    Key(frame=14, face_z_mm=8.0, slide_mm=2.0, twist_deg=24.0),
+    Key(frame=15, face_z_mm=17.0, slide_mm=2.0, twist_deg=24.0),
+)
+
+
+def make(path: Path) -> None:
+    """A moving touch of a notched elbow, felt by all `SENSORS` at once."""
+    felt_by = tuple(sensor(name) for name in SENSORS)
+    shots = [Shot(pose=pose, sensors=felt_by) for pose in poses()]
+    write(path, shapes.shape("notched_elbow").mesh, shots, NOTES)
+
+
+def poses() -> Iterator[Doubles]:
+    """`alignment_from_object` of every frame."""
+    for before, after in pairwise(PATH):
+        for frame in range(before.frame, after.frame):
+            yield _pose(before, after, (frame - before.frame) / (after.frame - before.frame))
+    yield _pose(PATH[-1], PATH[-1], 0.0)
+
+
+def _pose(before: Key, after: Key, share: float) -> Doubles:
+    def between(a: float, b: float) -> float:
+        return a + share * (b - a)
+
+    lean = rigid.rotation((np.deg2rad(between(before.tilt_deg, after.tilt_deg)), 0.0, 0.0))
+    twist = rigid.rotation((0.0, 0.0, np.deg2rad(between(before.twist_deg, after.twist_deg))))
+    place = rigid.translation(
+        -4.0 + between(before.slide_mm, after.slide_mm), -2.5, between(before.face_z_mm, after.face_z_mm)
+    )
+    return place @ lean @ twist
