@@ -71,7 +71,7 @@ def problem(on: Lattice) -> tuple[multigrid.Grid, float]:
     low = _RADIUS_MM**2 - (x - 8.0) ** 2 - (y + 5.0) ** 2
     rest = bubble.rest_height_mm(_BUBBLE, on)
     ceiling = _BUBBLE.height_mm - _REACH_MM + _RADIUS_MM - np.sqrt(np.maximum(low, 0.0))
-    free = (x / _BUBBLE.half_width_mm) ** 2 + (y / _BUBBLE.half_height_mm) ** 2 < 1
+    free = bubble.free_nodes(_BUBBLE, on)
     room = np.where(low > 0, ceiling - rest, np.inf)
     return multigrid.Grid(room_mm=room, free=free, step_mm=on.step_mm), _OVER_KPA * 1e-3 / bubble.tension_n_per_mm(
         _BUBBLE

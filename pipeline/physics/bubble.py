@@ -25,6 +25,7 @@ ATMOSPHERE_KPA = 101.325
 TOLERANCE_MM = 1e-4
 _PRESSURE_TOLERANCE = 1e-4  # of the gauge pressure: moves the free membrane by a few micrometres
 _MAX_PRESSURES = 25
+_RIM_STEPS = 0.36  # how far beyond a curved rim the nearest clamped nodes lie on average, in lattice steps
 _KPA_TO_N_MM2 = 1e-3
 
 
@@ -54,6 +55,16 @@ def rest_height_mm(bubble: Bubble, on: Lattice) -> Doubles:
     return bubble.height_mm * np.maximum(_dome(bubble, on), 0.0)
 
 
+def free_nodes(bubble: Bubble, on: Lattice) -> Mask:
+    """Nodes (ny, nx) that the rim lets move.
+
+    Clamped are the first nodes outside; were the rim not drawn in by their mean distance, the membrane would be wider
+    than it is and rise by 0.7 % too much on a half-millimetre lattice, instead of by less than 0.1 %.
+    """
+    width, height = (a - _RIM_STEPS * on.step_mm for a in (bubble.half_width_mm, bubble.half_height_mm))
+    return freeze((on.x_mm()[None, :] / width) ** 2 + (on.y_mm()[:, None] / height) ** 2 < 1)
+
+
 def tension_n_per_mm(bubble: Bubble) -> float:
     """The pre-stretch T that makes the stated pressure raise the stated dome."""
     curvature = 2.0 * bubble.height_mm * (bubble.half_width_mm**-2 + bubble.half_height_mm**-2)
@@ -71,7 +82,7 @@ def press(
     """
     if ceiling_mm.shape != on.shape:
         raise ShapeError(f"the ceiling must have the shape {on.shape} of the lattice, got {ceiling_mm.shape}")
-    free = _dome(bubble, on) > 0
+    free = free_nodes(bubble, on)
     room = np.where(np.isfinite(ceiling_mm), ceiling_mm - rest_height_mm(bubble, on), np.inf)
     grid = multigrid.Grid(room_mm=room, free=free, step_mm=on.step_mm)
     tension = tension_n_per_mm(bubble) / _KPA_TO_N_MM2  # kPa mm, so that load = pressure / tension is 1 / mm

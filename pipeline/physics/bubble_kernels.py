@@ -214,7 +214,7 @@ def largest_change(a, b):
 
 @njit(cache=True)
 def halve_free(free, careful, coarse):
-    """Coarse nodes that are free; if `careful` only together with their four neighbours, so that none held is lifted."""
+    """Coarse nodes that are free; if `careful` only with their four neighbours, so that none held is lifted."""
     rows, cols = coarse.shape
     coarse[:] = False
     for r in range(1, rows - 1):
