@@ -53,7 +53,7 @@ def main() -> None:
         print(f"  {name:<18}{n:>6} presses{1e3 * seconds / max(n, 1):>9.1f} ms each")
     for outcome, n in counts.most_common():
         print(f"  {outcome:<60}{n:>6}")
-    for text in bad[:20]:
+    for text in sorted(bad, key=lambda line: "FAILED" not in line)[:20]:
         print(f"    {text}")
     print(f"{asked.n} presses in {spent:.0f} s, {sum(n for o, n in counts.items() if o.startswith('FAILED'))} failed")
 
@@ -72,7 +72,7 @@ def run(n: int, seed: int) -> tuple[Counter[str], dict[str, tuple[int, float]], 
         outcome = outcome_of(thing, pose, spec, int(rng.integers(2**31)))
         done, seconds = by_sensor.get(spec.name, (0, 0.0))
         by_sensor[spec.name] = done + 1, seconds + time.perf_counter() - started
-        counts[outcome] += 1
+        counts[f"{outcome} ({kind}, {spec.kind})" if outcome.startswith("not conv") else outcome] += 1
         if outcome.startswith(("FAILED", "not converged")):
             bad.append(f"--seed {seed}, press {k}: {thing.name}, {kind}, {spec.name} {spec.camera.shape}: {outcome}")
     return counts, by_sensor, time.perf_counter() - began, bad
