@@ -162,7 +162,8 @@ def simulate(
     seed
         Seed of poses, noise and specimens.
     sequence
-        `grid` is single grasps over 10 mm x 10 mm and up to 45 degrees; the others are moving touches, `all` all four.
+        `grid` is single grasps over 10 mm x 10 mm and up to 45 degrees; the others are moving touches, and `all` is
+        press, slide, twist and release in a row.
     vary
         How far specimens of a sensor differ, 1 = as much as real ones; a new specimen is taken every ten moments.
     noise
