@@ -20,6 +20,7 @@ from pipeline.slope_model import Samples, SlopeModel
 
 SMOOTHING_PX = 1.0  # of the colour change, the same when the look-up is fitted and when it is used
 _VERSION = 1
+_KEPT = 16  # built-in look-ups
 _N_SLOPES = 96  # slope images that the built-in look-up is fitted to
 _N_PIXELS = 400  # pixels taken from each
 _STEEPEST = 1.2  # mm/mm: about 50 degrees, the rim of a deep ball press
@@ -111,9 +112,12 @@ def built_in(sensor: SensorSpec) -> Calibration:
     if sensor.optics is None:
         raise CalibrationError(f"{sensor.name} has no optics to derive a look-up from; it measures depth itself")
     key = (sensor.name, sensor.camera, sensor.optics)
-    if key not in _built_in:
-        _built_in[key] = _inverted(sensor)
-    return _built_in[key]
+    made = _built_in.get(key)
+    if made is None:
+        if len(_built_in) >= _KEPT:  # simulated variations of a sensor are many
+            _built_in.pop(next(iter(_built_in)))
+        made = _built_in[key] = _inverted(sensor)
+    return made
 
 
 def _inverted(sensor: SensorSpec) -> Calibration:
