@@ -114,7 +114,7 @@ def contradiction(pressed: Press, spec: SensorSpec) -> str:
         "an array of another shape": {pressed.image.shape[:2], moved.shape, contact.shape} != {spec.camera.shape},
         "a pulling force": pressed.force_n < 0,
         "contact without force": hit and pressed.force_n == 0,
-        "contact without indentation": hit and moved[contact].max() <= 0,
+        "contact without any motion": hit and not moved.any(),  # it may be outward: a bulge meets the object too
         "indentation without force": pressed.force_n == 0 and bool(moved.any()),
     }
     return next((told for told, found in findings.items() if found), "")
