@@ -141,6 +141,7 @@ def simulate(
     sequence: Literal["grid", "press", "slide", "twist", "release", "all"] = "grid",
     vary: float = 0.0,
     noise: bool = True,
+    bubble_deeper_mm: float = 8.0,
     jobs: int = 2,
     mesh_unit: Literal["auto", "mm", "cm", "m"] = "auto",
     mesh_face: Literal["-x", "+x", "-y", "+y", "-z", "+z"] = "-z",
@@ -168,6 +169,8 @@ def simulate(
         How far specimens of a sensor differ, 1 = as much as real ones; a new specimen is taken every ten moments.
     noise
         Whether readings have their camera's noise.
+    bubble_deeper_mm
+        How much farther a bubble comes to meet the object than its description says.
     jobs
         Processes that work at once.
     mesh_unit
@@ -180,6 +183,7 @@ def simulate(
 
     like = Plan(
         sensors=_words(sensors), tool="", poses=poses, seed=seed, sequence=sequence, vary=vary, noise=noise,
+        bubble_deeper_mm=bubble_deeper_mm,
         mesh_unit=mesh_unit, mesh_face=mesh_face,
     )  # fmt: skip
     return simulate_recordings(_words(tools), like, out, jobs)

@@ -133,7 +133,7 @@ def _settle(v: Doubles, load: Doubles, grid: Grid, loose: Mask, careful: bool, t
     """
     from pipeline.physics import bubble_kernels as kernels
 
-    left, moved, direction = np.empty_like(v), np.empty_like(v), np.zeros_like(v)
+    left, moved, direction = np.empty_like(v), np.zeros_like(v), np.zeros_like(v)
     kernels.residual_open(v, load, loose, grid.step_mm**2, left)
     energy, length = 1.0, 0.0
     for _ in range(_MAX_STEPS):

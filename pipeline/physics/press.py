@@ -18,8 +18,9 @@ from pipeline.arrays import Doubles, Floats, Image, Mask, freeze
 from pipeline.errors import SettingProblem
 from pipeline.frames import Truth
 from pipeline.meshes import Mesh
-from pipeline.physics import bubble, bubble_camera, gel, lattice, optics
+from pipeline.physics import bubble, bubble_camera, gel, lattice, optics, shear
 from pipeline.physics.lattice import Lattice
+from pipeline.physics.shear import Load
 from pipeline.sensors.spec import SensorSpec
 
 
@@ -30,19 +31,37 @@ class Press:
     image: Image | Floats  # (rows, cols, 3) uint8, or (rows, cols) depth_mm
     truth: Truth
     force_n: float
+    converged: bool  # False: the truth is not to be trusted, also where a gel was pressed deeper than it is thick
+    shear_mm: Floats | None = None  # (rows, cols, 2) how far a tangential load moved the gel's surface along x and y
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Felt:
+    """The surface of a pressed sensor."""
+
+    depth_mm: Doubles  # (rows, cols)
+    contact: Mask
+    force_n: float
     converged: bool
+    shear_mm: Floats | None = None
 
 
-def press(thing: Mesh, alignment_from_object: Doubles, sensor: SensorSpec, *, seed: int | None) -> Press:
-    """What `sensor` records of `thing` at this pose; `seed` is of its noise, None = no noise."""
-    sensor_from_object = rigid.invert(sensor.alignment_from_sensor) @ alignment_from_object
+def press(
+    thing: Mesh, alignment_from_object: Doubles, sensor: SensorSpec, *, seed: int | None, load: Load | None = None
+) -> Press:
+    """What `sensor` records of `thing` at this pose; `seed` is of its noise, None = no noise.
+
+    `load` drags the object along a gel's surface (a bubble does not feel it). Raises CalibrationError for a pose that
+    is no rigid transform.
+    """
+    pose = rigid.checked(alignment_from_object, "the object's pose")
+    sensor_from_object = rigid.invert(sensor.alignment_from_sensor) @ pose
     vertices = rigid.apply(sensor_from_object, thing.vertices_mm)
-    solve = _gel if sensor.kind == "gel" else _bubble
-    depth, contact, force_n, converged = solve(vertices, thing, sensor)
-    indentation: Floats = freeze((sensor.rest_depth_mm - depth).astype(np.float32))
-    truth = Truth(indentation_mm=indentation, contact=contact, sensor_from_object=freeze(sensor_from_object))
-    image = photograph(sensor, indentation, depth, seed)
-    return Press(image=image, truth=truth, force_n=force_n, converged=converged)
+    felt = _gel(vertices, thing, sensor, load) if sensor.kind == "gel" else _bubble(vertices, thing, sensor)
+    indentation: Floats = freeze((sensor.rest_depth_mm - felt.depth_mm).astype(np.float32))
+    truth = Truth(indentation_mm=indentation, contact=felt.contact, sensor_from_object=freeze(sensor_from_object))
+    image = photograph(sensor, indentation, felt.depth_mm, seed, shear_mm=felt.shear_mm)
+    return Press(image=image, truth=truth, force_n=felt.force_n, converged=felt.converged, shear_mm=felt.shear_mm)
 
 
 def reach_mm(sensor: SensorSpec) -> float:
@@ -54,14 +73,16 @@ def reach_mm(sensor: SensorSpec) -> float:
     return float(rigid.apply(sensor.alignment_from_sensor, apex)[0, 2])
 
 
-def photograph(sensor: SensorSpec, indentation_mm: Floats, depth_mm: Doubles, seed: int | None) -> Image | Floats:
+def photograph(
+    sensor: SensorSpec, indentation_mm: Floats, depth_mm: Doubles, seed: int | None, *, shear_mm: Floats | None = None
+) -> Image | Floats:
     """The sensor's reading of a membrane at `depth_mm`, `indentation_mm` from rest, with its noise if seeded."""
     if sensor.kind == "gel":
-        return optics.render(sensor, indentation_mm, seed=seed)
+        return optics.render(sensor, indentation_mm, seed=seed, shear_mm=shear_mm)
     return bubble_camera.reading(sensor, depth_mm, seed)
 
 
-def _gel(vertices_mm: Doubles, thing: Mesh, sensor: SensorSpec) -> tuple[Doubles, Mask, float, bool]:
+def _gel(vertices_mm: Doubles, thing: Mesh, sensor: SensorSpec, load: Load | None) -> _Felt:
     if sensor.gel is None:
         raise SettingProblem(f"{sensor.name} has no gel to press; its description lacks [gel]")
     on = _gel_lattice(sensor)
@@ -69,11 +90,19 @@ def _gel(vertices_mm: Doubles, thing: Mesh, sensor: SensorSpec) -> tuple[Doubles
     overlap = rest_z - lattice.nearest_of_mesh(vertices_mm, thing.triangles, on)
     answer = gel.press(sensor.gel, on.step_mm, overlap)
     if not answer.contact.any():
-        return sensor.rest_depth_mm, freeze(np.zeros(sensor.camera.shape, np.bool_)), 0.0, answer.converged
+        nowhere = freeze(np.zeros(sensor.camera.shape, np.bool_))
+        return _Felt(depth_mm=sensor.rest_depth_mm, contact=nowhere, force_n=0.0, converged=answer.converged)
     surface_z = rest_z - answer.indentation_mm.astype(np.float64)
     depth = lattice.depth_along_rays(sensor.camera, surface_z, on, guess_mm=sensor.rest_depth_mm)
     contact = lattice.seen_at_pixels(sensor.camera, answer.contact, on, depth)
-    return depth, contact, answer.force_n, answer.converged
+    possible = float(answer.indentation_mm.max()) < sensor.gel.thickness_mm
+    moved = None
+    if load is not None:
+        dragged = shear.drag(sensor.gel, on.step_mm, answer.pressure_kpa, load)
+        moved = freeze(shear.seen_by(sensor.camera, on, dragged.move_mm, depth))
+    return _Felt(
+        depth_mm=depth, contact=contact, force_n=answer.force_n, converged=answer.converged and possible, shear_mm=moved
+    )
 
 
 def _gel_lattice(sensor: SensorSpec) -> Lattice:
@@ -89,7 +118,7 @@ def _gel_lattice(sensor: SensorSpec) -> Lattice:
     )
 
 
-def _bubble(vertices_mm: Doubles, thing: Mesh, sensor: SensorSpec) -> tuple[Doubles, Mask, float, bool]:
+def _bubble(vertices_mm: Doubles, thing: Mesh, sensor: SensorSpec) -> _Felt:
     if sensor.bubble is None:
         raise SettingProblem(f"{sensor.name} has no membrane to press; its description lacks [bubble]")
     on = bubble.lattice(sensor.bubble)
@@ -97,4 +126,4 @@ def _bubble(vertices_mm: Doubles, thing: Mesh, sensor: SensorSpec) -> tuple[Doub
     answer = bubble.press(sensor.bubble, ceiling, on)
     depth = bubble_camera.depth_from_deviation(sensor, answer.deviation_mm, on)
     contact = lattice.seen_at_pixels(sensor.camera, answer.contact, on, depth)
-    return depth, contact, answer.force_n, answer.converged
+    return _Felt(depth_mm=depth, contact=contact, force_n=answer.force_n, converged=answer.converged)

@@ -8,12 +8,13 @@ from hypothesis import strategies as st
 
 from pipeline import alignment, rigid
 from pipeline.arrays import freeze
-from pipeline.errors import MeshProblem
+from pipeline.errors import CalibrationError, MeshProblem
 from pipeline.frames import Truth
 from pipeline.meshes import Mesh
 from pipeline.physics import lattice, shapes
 from pipeline.physics.lattice import Lattice
 from pipeline.physics.press import press, reach_mm
+from pipeline.physics.shear import Load
 from pipeline.recordings import hdf5
 from pipeline.sensors.spec import sensor
 
@@ -129,12 +130,35 @@ def test_a_miss_is_the_untouched_reading(name):
     y=st.floats(-12, 12),
 )
 @settings(max_examples=12, deadline=None)
-def test_any_pose_gives_finite_readings_that_converged(depth, twist, lean, x, y):
+def test_any_pose_gives_finite_readings_that_converged_or_went_through_the_pad(depth, twist, lean, x, y):
     for name in ("gelsight_mini", "soft_bubble"):
-        felt = press(ELBOW, pressed_by(depth, twist, lean, x, y), sensor(name), seed=1)
-        assert felt.converged
+        spec = sensor(name)
+        felt = press(ELBOW, pressed_by(depth, twist, lean, x, y), spec, seed=1)
+        through = spec.gel is not None and felt.truth.indentation_mm.max() > 0.8 * spec.gel.thickness_mm
+        assert felt.converged or through
         assert np.isfinite(felt.truth.indentation_mm).all()
         assert np.isfinite(felt.image).all()
+
+
+def test_a_press_deeper_than_the_gel_is_thick_is_not_vouched_for():
+    assert not press(ELBOW, pressed_by(5.0), sensor("gelsight_mini"), seed=None).converged
+
+
+@pytest.mark.parametrize("bad", [np.full((4, 4), np.nan), np.diag([1.0, 1.0, -1.0, 1.0]), np.eye(3)])
+def test_a_pose_that_is_none_is_refused(bad):
+    with pytest.raises(CalibrationError, match="the object's pose"):
+        press(ELBOW, bad, sensor("digit"), seed=None)
+
+
+def test_a_load_drags_the_gel_and_its_markers_and_nothing_else():
+    spec, pose = sensor("gelslim"), pressed_by(0.4)
+    still = press(ELBOW, pose, spec, seed=None)
+    dragged = press(ELBOW, pose, spec, seed=None, load=Load(tangent_mm=(0.2, 0.0)))
+    assert still.shear_mm is None
+    assert dragged.shear_mm is not None
+    assert 0.02 < dragged.shear_mm[..., 0][still.truth.contact].mean() <= 0.2
+    np.testing.assert_array_equal(dragged.truth.indentation_mm, still.truth.indentation_mm)
+    assert (dragged.image != still.image).any()
 
 
 def test_the_same_seed_gives_the_same_bytes():
