@@ -18,7 +18,7 @@ from sample_data.writing import Shot, write
 SENSORS = ("gelslim", "digit", "soft_bubble")
 NOTES = (
     "simulated: exact indentation, contact and object pose are part of the file",
-    "all three sensors feel the same object at the same moment; the bubble reaches 12 mm farther and touches first",
+    "all three sensors feel the same object at the same moment; the bubble reaches 4 mm farther and touches first",
 )
 
 
@@ -35,16 +35,16 @@ class Key:
 
 # Untouched, approach, press, slide, twist, lean, release, untouched.
 PATH = (
-    Key(frame=0, face_z_mm=17.0),
-    Key(frame=1, face_z_mm=15.0),
+    Key(frame=0, face_z_mm=9.0),
+    Key(frame=1, face_z_mm=7.0),
     Key(frame=3, face_z_mm=-0.15),
     Key(frame=5, face_z_mm=-0.3),
     Key(frame=8, face_z_mm=-0.3, slide_mm=2.0),
     Key(frame=11, face_z_mm=-0.3, slide_mm=2.0, twist_deg=24.0),
     Key(frame=12, face_z_mm=-0.3, slide_mm=2.0, twist_deg=24.0, tilt_deg=1.0),
     Key(frame=13, face_z_mm=-0.2, slide_mm=2.0, twist_deg=24.0, tilt_deg=1.0),
-    Key(frame=14, face_z_mm=8.0, slide_mm=2.0, twist_deg=24.0),
-    Key(frame=15, face_z_mm=17.0, slide_mm=2.0, twist_deg=24.0),
+    Key(frame=14, face_z_mm=3.5, slide_mm=2.0, twist_deg=24.0),
+    Key(frame=15, face_z_mm=9.0, slide_mm=2.0, twist_deg=24.0),
 )
 
 
