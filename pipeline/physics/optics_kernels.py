@@ -17,51 +17,55 @@ def lambert_change(gx, gy, leds, strength, vignette, out):
     strength (n, 3): share of light at the first pixel, its change per pixel to the right and per pixel down.
     """
     rows, cols = gx.shape
-    n = leds.shape[0]
-    to_x = np.float32(2.0 / cols)
-    to_y = np.float32(2.0 / rows)
+    one, half = np.float32(1.0), np.float32(0.5)
+    to_x, to_y = np.float32(2.0 / cols), np.float32(2.0 / rows)
+    # A row at a time, in loops without branches, so that they run on whole vectors of pixels.
+    normal, lens = np.empty(cols, np.float32), np.empty(cols, np.float32)
+    red, green, blue = np.empty(cols, np.float32), np.empty(cols, np.float32), np.empty(cols, np.float32)
     for r in range(rows):
-        y = (r + np.float32(0.5)) * to_y - np.float32(1.0)
+        y = (np.float32(r) + half) * to_y - one
+        row_x, row_y = gx[r], gy[r]
         for c in range(cols):
-            sx = gx[r, c]
-            sy = gy[r, c]
-            if sx == 0.0 and sy == 0.0:
-                continue
-            red = np.float32(0.0)
-            green = np.float32(0.0)
-            blue = np.float32(0.0)
-            x = (c + np.float32(0.5)) * to_x - np.float32(1.0)
-            corner = (x * x + y * y) * np.float32(0.5)
-            lens = np.float32(1.0) - vignette * corner * corner
-            normal = np.float32(1.0) / math.sqrt(np.float32(1.0) + sx * sx + sy * sy)
-            for k in range(n):
-                flat = leds[k, 2]
-                facing = (flat - sx * leds[k, 0] - sy * leds[k, 1]) * normal
-                if facing < 0.0:
-                    facing = np.float32(0.0)
-                light = lens * (strength[k, 0] + strength[k, 1] * c + strength[k, 2] * r)
-                gain = light * (facing - flat) / (np.float32(1.0) - flat)
-                red += gain * leds[k, 3]
-                green += gain * leds[k, 4]
-                blue += gain * leds[k, 5]
-            out[r, c, 0] += red
-            out[r, c, 1] += green
-            out[r, c, 2] += blue
+            x = (np.float32(c) + half) * to_x - one
+            corner = (x * x + y * y) * half
+            lens[c] = one - vignette * corner * corner
+            normal[c] = one / np.sqrt(one + row_x[c] * row_x[c] + row_y[c] * row_y[c])
+            red[c] = green[c] = blue[c] = np.float32(0.0)
+        for k in range(leds.shape[0]):
+            lx, ly, flat = leds[k, 0], leds[k, 1], leds[k, 2]
+            at_first = (strength[k, 0] + strength[k, 2] * np.float32(r)) / (one - flat)
+            per_col = strength[k, 1] / (one - flat)
+            to_red, to_green, to_blue = leds[k, 3], leds[k, 4], leds[k, 5]
+            for c in range(cols):
+                facing = (flat - row_x[c] * lx - row_y[c] * ly) * normal[c]
+                facing = np.float32(0.0) if facing < np.float32(0.0) else facing
+                gain = lens[c] * (at_first + per_col * np.float32(c)) * (facing - flat)
+                red[c] += gain * to_red
+                green[c] += gain * to_green
+                blue[c] += gain * to_blue
+        for c in range(cols):
+            out[r, c, 0] += red[c]
+            out[r, c, 1] += green[c]
+            out[r, c, 2] += blue[c]
 
 
 @njit(cache=True, fastmath=_FAST)
 def slopes(height, pixel, gx, gy):
     """d/dx and d/dy of a height by central differences, one-sided at the border."""
     rows, cols = height.shape
+    per_px = np.float32(1.0) / pixel
+    half = np.float32(0.5) * per_px
     for r in range(rows):
-        up = max(r - 1, 0)
-        down = min(r + 1, rows - 1)
-        per_y = np.float32(1.0) / (np.float32(max(down - up, 1)) * pixel)
+        up, down = max(r - 1, 0), min(r + 1, rows - 1)
+        per_y = per_px / np.float32(max(down - up, 1))
+        here, above, below, to_x, to_y = height[r], height[up], height[down], gx[r], gy[r]
         for c in range(cols):
-            left = max(c - 1, 0)
-            right = min(c + 1, cols - 1)
-            gx[r, c] = (height[r, right] - height[r, left]) / (np.float32(max(right - left, 1)) * pixel)
-            gy[r, c] = (height[down, c] - height[up, c]) * per_y
+            to_y[c] = (below[c] - above[c]) * per_y
+        for c in range(1, cols - 1):
+            to_x[c] = (here[c + 1] - here[c - 1]) * half
+        last = cols - 1
+        to_x[0] = (here[min(1, last)] - here[0]) * per_px
+        to_x[last] = (here[last] - here[max(last - 1, 0)]) * per_px
 
 
 @njit(cache=True, fastmath=_FAST)
