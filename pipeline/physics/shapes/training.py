@@ -16,7 +16,7 @@ from pipeline.physics.shapes.shape import Shape
 from pipeline.physics.shapes.solids import moved, sides, swept, turned
 from pipeline.physics.shapes.symmetry import X, Z, asymmetric, cyclic, revolved
 
-_BACK_MM = 8.0  # height of bars: more than a bubble's reach
+_BACK_MM = 16.0  # height of bars: more than a bubble's reach, 12 mm in data sets, and a press
 _LINE_MM, _LINE_EDGE_MM = 3.0, 1.2  # width of lines, and the radius of their edges
 _FINE_MM = 2.0  # no gel is pressed deeper
 
@@ -28,8 +28,8 @@ def square() -> Shape:
 
 
 def edge() -> Shape:
-    """The edge of a roof of 90 degrees, 20 mm long."""
-    mesh = swept(np.array([(-10.0, 0.0), (10.0, 0.0)]), apex(45.0, 0.3, 4.0, _BACK_MM), "edge")
+    """The edge of a roof of 90 degrees, 40 mm long: as the lab's tools, longer than any gel."""
+    mesh = swept(np.array([(-20.0, 0.0), (20.0, 0.0)]), apex(45.0, 0.3, 4.0, _BACK_MM), "edge")
     return Shape(name="edge", title="Edge", group="training", mesh=mesh, symmetry=cyclic(2))
 
 
@@ -43,26 +43,26 @@ def corner() -> Shape:
 
 
 def lines_45() -> Shape:
-    """Two lines of 12 mm that meet at 45 degrees."""
-    mesh = rounded(fork((-22.5, 22.5), (12.0, 12.0), _LINE_MM), _BACK_MM, _LINE_EDGE_MM, "lines_45")
+    """Two lines of 24 mm that meet at 45 degrees."""
+    mesh = rounded(fork((-22.5, 22.5), (24.0, 24.0), _LINE_MM), _BACK_MM, _LINE_EDGE_MM, "lines_45")
     return Shape(name="lines_45", title="Two lines at 45°", group="training", mesh=mesh, symmetry=asymmetric())
 
 
 def lines_120() -> Shape:
-    """Two lines of 11 mm that meet at 120 degrees."""
-    mesh = rounded(fork((-60.0, 60.0), (11.0, 11.0), _LINE_MM), _BACK_MM, _LINE_EDGE_MM, "lines_120")
+    """Two lines of 22 mm that meet at 120 degrees."""
+    mesh = rounded(fork((-60.0, 60.0), (22.0, 22.0), _LINE_MM), _BACK_MM, _LINE_EDGE_MM, "lines_120")
     return Shape(name="lines_120", title="Two lines at 120°", group="training", mesh=mesh, symmetry=asymmetric())
 
 
 def three_lines() -> Shape:
-    """Three lines of 9 mm, a third of a turn apart."""
-    mesh = rounded(fork((-120.0, 0.0, 120.0), (9.0,) * 3, _LINE_MM), _BACK_MM, _LINE_EDGE_MM, "three_lines")
+    """Three lines of 18 mm, a third of a turn apart."""
+    mesh = rounded(fork((-120.0, 0.0, 120.0), (18.0,) * 3, _LINE_MM), _BACK_MM, _LINE_EDGE_MM, "three_lines")
     return Shape(name="three_lines", title="Three lines", group="training", mesh=mesh, symmetry=cyclic(3))
 
 
 def cylinder() -> Shape:
-    """A rod of 5 mm radius and 20 mm length, lying along x; its frame is on its axis."""
-    upright = turned(np.array([(5.0, -10.0), (5.0, 10.0)]), sides(5.0), "cylinder")
+    """A rod of 5 mm radius and 40 mm length, lying along x; its frame is on its axis."""
+    upright = turned(np.array([(5.0, -20.0), (5.0, 20.0)]), sides(5.0), "cylinder")
     mesh = moved(upright, rigid.rotation((0.0, math.pi / 2.0, 0.0)))
     return Shape(name="cylinder", title="Lying cylinder", group="training", mesh=mesh, symmetry=revolved(X, flip=Z))
 
@@ -93,8 +93,8 @@ def peg() -> Shape:
 
 
 def curve() -> Shape:
-    """A ridge bent by 110 degrees of 6 mm radius, with legs of 2 mm; its middle is in its frame's origin."""
-    mesh = swept(bow(6.0, 110.0, 2.0, 1.3), strip(2.6, 1.1, _BACK_MM), "curve")
+    """A ridge bent by 110 degrees of 6 mm radius, with legs of 14 mm; its middle is in its frame's origin."""
+    mesh = swept(bow(6.0, 110.0, 14.0, 1.3), strip(2.6, 1.1, _BACK_MM), "curve")
     return Shape(name="curve", title="Curved line", group="training", mesh=mesh, symmetry=asymmetric())
 
 
