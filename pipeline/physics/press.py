@@ -95,7 +95,8 @@ def _gel(vertices_mm: Doubles, thing: Mesh, sensor: SensorSpec, load: Load | Non
     surface_z = rest_z - answer.indentation_mm.astype(np.float64)
     depth = lattice.depth_along_rays(sensor.camera, surface_z, on, guess_mm=sensor.rest_depth_mm)
     contact = lattice.seen_at_pixels(sensor.camera, answer.contact, on, depth)
-    possible = float(answer.indentation_mm.max()) < sensor.gel.thickness_mm
+    # Beside the view a long tool's end may lie deeper; a linear layer answers for that well enough.
+    possible = float((sensor.rest_depth_mm - depth).max()) < sensor.gel.thickness_mm
     moved = None
     if load is not None:
         dragged = shear.drag(sensor.gel, on.step_mm, answer.pressure_kpa, load)
