@@ -115,7 +115,7 @@ def _entry(dataset: Any, row: int, index: int, stream: str, path: Path) -> NDArr
             return freeze(layout.decoded(dataset[row], dataset))
         except (OSError, RuntimeError):
             pass
-    raise FileProblem(f"{key} of frame {index} of {stream!r} is damaged or cut off; other frames can be read", path,
+    raise FileProblem(f"frame {index} of {stream!r}: its {key} are damaged or cut off; other frames can be read", path,
                       field=f"frame {index} {stream}/{key}")  # fmt: skip
 
 

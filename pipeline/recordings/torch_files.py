@@ -22,6 +22,8 @@ def tensors(path: Path) -> Mapping[str, Any]:
 
     try:
         mapped = _is_zip(path)
+        if not mapped and not _starts_like_a_pickle(path):
+            raise FileProblem("this is not a PyTorch file, or it is cut short", path)
     except OSError as error:
         raise FileProblem(f"cannot read the file ({error.strerror})", path) from error
     try:
@@ -36,6 +38,11 @@ def tensors(path: Path) -> Mapping[str, Any]:
     if not isinstance(found, dict):
         raise FileProblem(f"the file must hold a dictionary of tensors, it holds a {type(found).__name__}", path)
     return cast("Mapping[str, Any]", found)
+
+
+def _starts_like_a_pickle(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(1) == b"\x80"  # every binary pickle names its protocol first
 
 
 def numbers(found: Mapping[str, Any], key: str, path: Path, tail: tuple[int, ...]) -> Any:

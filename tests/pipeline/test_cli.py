@@ -136,7 +136,9 @@ def test_a_truncated_recording_is_one_sentence(tmp_path, said):
 def test_a_pt_that_is_none_is_one_sentence(tmp_path, said):
     path = tmp_path / "fake.pt"
     path.write_bytes(b"not a tensor file" * 10)
-    assert "fake.pt" in said("inspect", path)
+    sentence = said("inspect", path)
+    assert sentence.startswith("this is not a PyTorch file")
+    assert "fake.pt" in sentence
 
 
 def test_a_recording_without_reference_asks_for_one(touches, tmp_path, said):

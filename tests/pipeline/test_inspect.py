@@ -78,7 +78,7 @@ def test_one_damaged_frame_is_listed_and_the_others_are_counted(tmp_path: Path):
     assert not report.passed
     told = state(report, "frames")
     assert told[0] == "fail"
-    assert "frames of frame 2 of 'digit'" in told[1]
+    assert "frame 2 of 'digit': its frames are damaged" in told[1]
     assert "a.h5" in told[1]
 
 

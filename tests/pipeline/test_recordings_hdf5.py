@@ -228,7 +228,9 @@ def test_a_file_that_is_cut_short_keeps_its_earlier_frames(tmp_path: Path, file:
     np.testing.assert_array_equal(frame.reference, gel_frame(0).reference)
     assert opened.stream("gelslim").frame(good[-1]).time_s == pytest.approx(0.1 * good[-1])
     assert opened.stream("gelslim").truth(0).sensor_from_object is not None
-    with pytest.raises(FileProblem, match=rf"frames of frame {len(good)} of 'gelslim' is damaged or cut off.*cut\.h5"):
+    with pytest.raises(
+        FileProblem, match=rf"frame {len(good)} of 'gelslim': its frames are damaged or cut off.*cut\.h5"
+    ):
         opened.stream("gelslim").frame(len(good))
     opened.close()
 
@@ -249,10 +251,10 @@ def test_a_flipped_byte_costs_one_frame_and_is_named(tmp_path: Path, file: Path)
     path.write_bytes(data)
     opened = open_recording(path)
     assert readable(opened, "gelslim") == [i for i in range(N_FRAMES) if i != 4]
-    with pytest.raises(FileProblem, match=r"frames of frame 4 of 'gelslim' is damaged") as caught:
+    with pytest.raises(FileProblem, match=r"frame 4 of 'gelslim': its frames are damaged") as caught:
         opened.stream("gelslim").frame(4)
     assert caught.value.field == "frame 4 gelslim/frames"
-    with pytest.raises(FileProblem, match=r"truth/contact of frame 2"):
+    with pytest.raises(FileProblem, match=r"frame 2 of 'gelslim': its truth/contact"):
         opened.stream("gelslim").truth(2)
     opened.close()
 
