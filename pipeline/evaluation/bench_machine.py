@@ -1,0 +1,62 @@
+"""Which machine, which versions and how many threads a figure comes from."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+THREADS = 2
+THREAD_SETTINGS: Mapping[str, str] = {
+    "OMP_NUM_THREADS": str(THREADS),
+    "OPENBLAS_NUM_THREADS": str(THREADS),
+    "MKL_NUM_THREADS": str(THREADS),
+    "NUMBA_NUM_THREADS": str(THREADS),
+    "TBB_NUM_THREADS": str(THREADS),
+    "OMP_WAIT_POLICY": "PASSIVE",  # a peer's idle threads must not spin on the cores that ours run on
+}
+_PACKAGES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "open3d", "small_gicp", "torch", "taxim")
+
+
+def machine() -> dict[str, Any]:
+    """Processor, cores, load, Python, thread settings and package versions (None = not installed), ready for JSON."""
+    return {
+        "cpu": _cpu(),
+        "cores": os.cpu_count() or 0,
+        "system": platform.platform(),
+        "python": platform.python_version(),
+        "threads": {name: os.environ.get(name) for name in THREAD_SETTINGS},
+        "load": [round(load, 2) for load in os.getloadavg()] if hasattr(os, "getloadavg") else [],
+        "packages": {name: _version(name) for name in _PACKAGES},
+    }
+
+
+def machine_line(about: Mapping[str, Any]) -> str:
+    """The same in one line."""
+    versions = ", ".join(f"{name} {version}" for name, version in about["packages"].items() if version)
+    threads = about["threads"]["OMP_NUM_THREADS"]
+    load = f", load {about['load'][0]:g}" if about["load"] else ""
+    return (
+        f"{about['cpu']}, {about['cores']} cores{load}; {threads or 'any number of'} threads; "
+        f"Python {about['python']}, {versions}"
+    )
+
+
+def _cpu() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass  # only Linux has this file
+    return platform.processor() or platform.machine()
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
