@@ -6,12 +6,16 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pipeline import rigid
 from pipeline.arrays import Doubles, Floats, Image, Mask
 from pipeline.camera import Camera
 from pipeline.errors import SettingProblem
 from pipeline.meshes import Mesh
+
+if TYPE_CHECKING:  # the shapes are many, and a recording needs none of them
+    from pipeline.physics.shapes.symmetry import Symmetry
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,6 +85,7 @@ class Recording:
     pairings: tuple[Pairing, ...] = ()
     notes: tuple[str, ...] = field(default=())  # plain sentences: what was assumed, converted or left out
     close: Callable[[], None] = _nothing
+    symmetry: Symmetry | None = None  # of the object; None = not known, so that no two of its poses count as one
 
     def stream(self, wanted: str = "") -> Stream:
         """The stream with this name or sensor, the first one when `wanted` is empty."""

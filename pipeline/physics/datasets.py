@@ -116,13 +116,17 @@ def is_mesh(tool: str) -> bool:
 
 def thing(plan: Plan) -> Mesh:
     """The plan's object; raises SettingProblem, MeshProblem or FileProblem."""
-    return _thing(plan.tool, plan.mesh_unit, plan.mesh_face)
+    return _thing(plan.tool, plan.mesh_unit, plan.mesh_face).mesh
+
+
+def symmetry(plan: Plan) -> shapes.Symmetry | None:
+    """The turns that map the plan's object onto itself; None for a mesh file, which does not say."""
+    return None if is_mesh(plan.tool) else _thing(plan.tool, plan.mesh_unit, plan.mesh_face).symmetry
 
 
 @lru_cache(maxsize=4)
-def _thing(tool: str, unit: Unit, face: Face) -> Mesh:
-    found = shapes.from_mesh(Path(tool), unit, face) if is_mesh(tool) else shapes.shape(tool)
-    return found.mesh
+def _thing(tool: str, unit: Unit, face: Face) -> shapes.Shape:
+    return shapes.from_mesh(Path(tool), unit, face) if is_mesh(tool) else shapes.shape(tool)
 
 
 def pairings(plan: Plan) -> tuple[Pairing, ...]:

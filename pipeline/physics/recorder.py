@@ -118,8 +118,8 @@ def _writer(plan: Plan, path: Path, start: int) -> Writer:
         return Writer.appending(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     return Writer(
-        path, object_mesh=datasets.thing(plan), pairings=datasets.pairings(plan), notes=(datasets.told(plan),),
-        coding="row differences", depth_step_mm=BUBBLE_STEP_MM,
+        path, object_mesh=datasets.thing(plan), symmetry=datasets.symmetry(plan), pairings=datasets.pairings(plan),
+        notes=(datasets.told(plan),), coding="row differences", depth_step_mm=BUBBLE_STEP_MM,
     )  # fmt: skip
 
 

@@ -17,6 +17,7 @@ from pipeline.errors import CalibrationError, FileProblem
 from pipeline.frames import Pairing, Recording, Stream, TactileFrame, Truth
 from pipeline.meshes import Mesh
 from pipeline.recordings import hdf5_layout as layout
+from pipeline.recordings import hdf5_symmetry
 from pipeline.recordings.hdf5_writer import Writer, write
 from pipeline.recordings.indexing import checked_index
 
@@ -59,9 +60,12 @@ def _recording(file: Any, path: Path, notes: list[str]) -> Recording:
     if not streams:
         raise FileProblem("the recording has no streams", path, field="streams")
     mesh = _tolerated(lambda: _mesh(file["object"], path), None, "the object mesh", notes) if "object" in file else None
+    symmetry = None
+    if mesh is not None:
+        symmetry = _tolerated(lambda: hdf5_symmetry.read(file["object"], path), None, "the object's symmetry", notes)
     pairings = tuple(_pairing(d, path) for d in file["pairings"].values()) if "pairings" in file else ()
     return Recording(path=path, format=layout.FORMAT, streams=streams, object_mesh=mesh, pairings=pairings,
-                     notes=tuple(notes), close=file.close)  # fmt: skip
+                     notes=tuple(notes), close=file.close, symmetry=symmetry)  # fmt: skip
 
 
 def _stream(group: Any, name: str, path: Path, notes: list[str]) -> Stream:

@@ -12,6 +12,8 @@
         truth/contact        (n, rows, cols) 0 or 1
         truth/sensor_from_object  (n, 4, 4) "mm"
     /object                  name; vertices (v, 3) "mm", triangles (t, 3)
+        symmetry/rotations   (n, 3, 3) turns about the object's origin that map it onto itself, the identity first
+        symmetry/axis        (3,) only where any turn about it does so too; no group `symmetry` = not known
     /pairings/<k>            (4, 4) target_from_source "mm"; source, target
 
 Every dataset has the attribute `unit` and a Fletcher-32 checksum per chunk; pictures are compressed. Lengths may be
@@ -42,6 +44,7 @@ Coding = Literal["plain", "row differences"]
 UNITS: Mapping[str, str] = {
     "reference_index": "1", "timestamps": "s", "camera_matrix": "px", "truth/known": "1", "truth/indentation": "mm",
     "truth/contact": "1", "truth/sensor_from_object": "mm", "vertices": "mm", "triangles": "1", "pairing": "mm",
+    "symmetry/rotations": "1", "symmetry/axis": "1",
 }  # fmt: skip
 
 KNOWN_INDENTATION, KNOWN_CONTACT, KNOWN_POSE = 1, 2, 4

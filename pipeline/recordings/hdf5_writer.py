@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,11 @@ from pipeline.frames import Pairing, Recording, TactileFrame, Truth
 from pipeline.meshes import Mesh
 from pipeline.progress import SILENT, Progress
 from pipeline.recordings import hdf5_layout as layout
+from pipeline.recordings import hdf5_symmetry
 from pipeline.recordings.hdf5_layout import Coding
+
+if TYPE_CHECKING:
+    from pipeline.physics.shapes.symmetry import Symmetry
 
 
 class Writer:
@@ -28,6 +32,7 @@ class Writer:
         path: Path,
         *,
         object_mesh: Mesh | None = None,
+        symmetry: Symmetry | None = None,
         pairings: Sequence[Pairing] = (),
         notes: Sequence[str] = (),
         coding: Coding = "plain",
@@ -48,6 +53,8 @@ class Writer:
             group.attrs["name"] = object_mesh.name
             _whole(group, "vertices", object_mesh.vertices_mm, "mm")
             _whole(group, "triangles", object_mesh.triangles, "1")
+            if symmetry is not None:
+                hdf5_symmetry.write(group, symmetry)
         for k, pair in enumerate(pairings):
             dataset = _whole(self._file.require_group("pairings"), str(k), pair.target_from_source, "mm")
             dataset.attrs["source"], dataset.attrs["target"] = pair.source, pair.target
@@ -174,8 +181,8 @@ def write(
     """Any recording as one of ours; raises FileProblem when a frame cannot be read, leaving what stood at `path`."""
     total, done = max(1, sum(s.n_frames for s in recording.streams)), 0
     with Writer(
-        path, object_mesh=recording.object_mesh, pairings=recording.pairings, notes=recording.notes,
-        coding=coding, depth_step_mm=depth_step_mm,
+        path, object_mesh=recording.object_mesh, symmetry=recording.symmetry, pairings=recording.pairings,
+        notes=recording.notes, coding=coding, depth_step_mm=depth_step_mm,
     ) as writer:  # fmt: skip
         for stream in recording.streams:
             for index in range(stream.n_frames):
