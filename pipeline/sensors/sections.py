@@ -1,0 +1,102 @@
+"""Reads the TOML of a sensor and hands out its numbers, each checked for presence, unit, range and finiteness.
+
+Every number is a table `{ value, unit, from }` with `assumed = true` where no source gives it.
+`extends = "other"` starts from another sensor's file.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from pipeline.errors import CalibrationError, FileProblem
+
+FOLDER = Path(__file__).parent  # where the project's own descriptions lie
+_UNITS = {"px", "mm", "px/mm", "kPa", "N/mm", "1", "deg", "grey", "rgb", "grey/px", "mm^3"}
+
+
+def read_description(path: Path, children: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """The sections of a description merged over those it extends; raises FileProblem.
+
+    `children` are the files that extend this one, so that a circle is noticed.
+    """
+    if path in children:
+        raise FileProblem("a sensor description extends itself", path, field="extends")
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FileProblem(f"cannot read the sensor description ({error.strerror})", path) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise FileProblem(f"the sensor description is not valid TOML ({error})", path) from error
+    parent = data.pop("extends", None)
+    if parent is None:
+        return data
+    if not isinstance(parent, str):
+        raise FileProblem("extends must be the name of a sensor", path, field="extends")
+    beside = path.parent / f"{parent}.toml"
+    merged = read_description(beside if beside.is_file() else FOLDER / f"{parent}.toml", (*children, path))
+    for key, value in data.items():
+        merged[key] = {**merged.get(key, {}), **value} if isinstance(value, dict) else value
+    for key in data.get("without", ()):
+        merged.pop(key, None)
+    return merged
+
+
+class Section:
+    """One [section] of a description; every look-up checks presence, unit and finiteness."""
+
+    def __init__(self, data: Mapping[str, Any], name: str, path: Path, assumed: list[str]) -> None:
+        section = data.get(name)
+        if not isinstance(section, dict):
+            raise CalibrationError(f"the sensor description lacks the section [{name}]: '{path}'")
+        self._items, self._name, self._path, self._assumed = cast("dict[str, Any]", section), name, path, assumed
+
+    def raw(self, key: str, unit: str) -> Any:
+        """The value of `key`, which must be given in `unit`."""
+        where = f"{self._name}.{key}"
+        entry = self._items.get(key)
+        if not isinstance(entry, dict) or not {"value", "unit", "from"} <= entry.keys():
+            raise CalibrationError(f"{where} must be a table with value, unit and from: '{self._path}'")
+        entry = cast("dict[str, Any]", entry)
+        if entry["unit"] != unit or unit not in _UNITS:
+            raise CalibrationError(f"{where} must be given in {unit!r}, got {entry['unit']!r}: '{self._path}'")
+        try:
+            finite = bool(np.isfinite(np.asarray(entry["value"], dtype=np.float64)).all())
+        except (TypeError, ValueError):
+            raise CalibrationError(
+                f"{where} must be a number or a list of numbers, got {entry['value']!r}: '{self._path}'"
+            ) from None
+        if not finite:
+            raise CalibrationError(f"{where} must be finite, got {entry['value']!r}: '{self._path}'")
+        if entry.get("assumed", False):
+            self._assumed.append(where)
+        return entry["value"]
+
+    def has(self, key: str) -> bool:
+        """Whether an optional number is given."""
+        return key in self._items
+
+    def number(self, key: str, unit: str, low: float = -np.inf, high: float = np.inf) -> float:
+        """A number within [low, high]."""
+        raw = self.raw(key, unit)
+        if isinstance(raw, list):
+            raise CalibrationError(f"{self._name}.{key} must be one number, got {raw!r}: '{self._path}'")
+        value = float(raw)
+        if not low <= value <= high:
+            raise CalibrationError(
+                f"{self._name}.{key} must lie within {low:g} and {high:g} {unit}, got {value:g}: '{self._path}'"
+            )
+        return value
+
+    def vector(self, key: str, unit: str, length: int = 3) -> tuple[float, ...]:
+        """A list of `length` numbers."""
+        value = self.raw(key, unit)
+        if not isinstance(value, list) or len(cast("list[Any]", value)) != length:
+            raise CalibrationError(
+                f"{self._name}.{key} must be a list of {length} numbers, got {value!r}: '{self._path}'"
+            )
+        return tuple(float(v) for v in cast("list[Any]", value))
