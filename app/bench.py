@@ -188,7 +188,7 @@ def request_of(session: Session) -> Request:
     return Request(
         recording=session.recording, target=session.target, source=session.source, stream=session.stream,
         route=session.route, reference=session.reference, calibration=session.calibration, mesh=session.mesh,
-        mesh_unit=session.mesh_unit,
+        mesh_unit=session.mesh_unit, alignment=session.alignment,
     )  # fmt: skip
 
 

@@ -29,6 +29,7 @@ def view(
     calibration: Path | None = None,
     mesh: Path | None = None,
     mesh_unit: Literal["auto", "mm", "cm", "m"] = "auto",
+    alignment: Path | None = None,
     frame: int | None = None,
     tour: Path | None = None,
 ) -> int:
@@ -50,6 +51,8 @@ def view(
         The touched object's mesh, for its pose.
     mesh_unit
         Unit of that mesh.
+    alignment
+        How the two sensors stand to each other, a .toml as `tactoscope align refine` writes it.
     frame
         Frame to begin with.
     tour
@@ -61,6 +64,6 @@ def view(
 
     return open_window(
         recording, target=target, source=sensor, reference=reference, calibration=calibration, mesh=mesh,
-        mesh_unit=mesh_unit,
+        mesh_unit=mesh_unit, alignment=alignment,
         frame=frame, tour=tour,
     )  # fmt: skip

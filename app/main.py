@@ -28,6 +28,7 @@ def open_window(
     calibration: Path | None = None,
     mesh: Path | None = None,
     mesh_unit: str = "auto",
+    alignment: Path | None = None,
     frame: int | None = None,
     tour: Path | None = None,
 ) -> int:
@@ -42,7 +43,7 @@ def open_window(
     session = Session(
         recording=recording or (SAMPLE if SAMPLE.exists() else None), target=target, source=source,
         reference=reference, calibration=calibration, mesh=mesh, mesh_unit=mesh_unit,
-        frame=frame or 0,
+        alignment=alignment, frame=frame or 0,
     )  # fmt: skip
     instrument = show_window(session)
     code = 0

@@ -16,7 +16,7 @@ from pipeline.sensors.spec import SensorSpec
 
 SUFFIX = ".touch.json"
 _VERSION = 1
-_PATHS = ("recording", "reference", "calibration", "mesh")
+_PATHS = ("recording", "reference", "calibration", "mesh", "alignment")
 _WORDS = ("source", "target", "stream", "route", "mesh_unit")
 
 
@@ -58,6 +58,7 @@ class Session:
     calibration: Path | None = None
     mesh: Path | None = None
     mesh_unit: str = "auto"
+    alignment: Path | None = None  # TOML with T_S->A and T_A->T; None = the recording's or the descriptions'
     linked: bool = True  # 3D views of one frame share their camera
     params: Mapping[str, object] = field(default_factory=initial_params)
 

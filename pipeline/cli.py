@@ -84,6 +84,7 @@ def translate(
     all_frames: Annotated[bool, Parameter(name="--all", negative="")] = False,
     mesh: Path | None = None,
     mesh_unit: Literal["auto", "mm", "cm", "m"] = "auto",
+    alignment: Path | None = None,
     depth_unit: Literal["auto", "mm", "m", "0.1mm", "um"] = "auto",
     settings: Annotated[tuple[str, ...], Parameter(name="--set")] = (),
 ) -> int:
@@ -115,6 +116,8 @@ def translate(
         The touched object's mesh, for its pose.
     mesh_unit
         Unit of that mesh.
+    alignment
+        How the two sensors stand to each other, a .toml as `tactoscope align refine` writes it.
     depth_unit
         Unit of a depth array whose name does not tell.
     settings
@@ -126,7 +129,7 @@ def translate(
     request = Request(
         recording=recording, target=target, source=sensor, stream=stream, route=route,
         reference=reference, calibration=calibration, mesh=mesh, mesh_unit=mesh_unit,
-        depth_unit=depth_unit,
+        depth_unit=depth_unit, alignment=alignment,
     )  # fmt: skip
     return translate_frames(request, out, frame, all_frames, settings)
 

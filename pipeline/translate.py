@@ -11,6 +11,8 @@ import numpy as np
 from pipeline import alignment as alignments
 from pipeline import rigid, routes
 from pipeline.alignment import Alignment
+from pipeline.alignment.files import load as load_alignment
+from pipeline.alignment.transforms import placed
 from pipeline.arrays import freeze
 from pipeline.calibration import Calibration
 from pipeline.calibration import load as load_calibration
@@ -37,6 +39,7 @@ class Request:
     mesh: Path | None = None
     mesh_unit: str = "auto"
     depth_unit: DepthUnit = "auto"
+    alignment: Path | None = None  # TOML with T_S->A and T_A->T
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,7 +77,7 @@ class Translation:
             "source": self.source,
             "target": self.target,
             "calibration": self.calibration,
-            "alignment": _aligned_to_own_reference(self.alignment, frame, self.source),
+            "alignment": placed(self.alignment, source_shift_mm=own_shift_mm(frame, self.source), target_shift_mm=0.0),
             "mesh": self.mesh,
         }
 
@@ -117,15 +120,19 @@ def open_translation(request: Request) -> Translation:
         stream=stream,
         source=source,
         target=target,
-        alignment=_alignment(recording, stream, source, target),
+        alignment=_alignment(request, recording, stream, source, target),
         calibration=None if request.calibration is None else load_calibration(request.calibration),
         mesh=mesh,
         notes=recording.notes,
     )
 
 
-def _alignment(recording: Recording, stream: Stream, source: SensorSpec, target: SensorSpec) -> Alignment:
-    """What the recording knows of how its two streams stand; otherwise what the sensor descriptions say."""
+def _alignment(
+    request: Request, recording: Recording, stream: Stream, source: SensorSpec, target: SensorSpec
+) -> Alignment:
+    """The file's; else what the recording knows of how its two streams stand; else what the descriptions say."""
+    if request.alignment is not None:
+        return load_alignment(request.alignment, source=source.name, target=target.name).alignment
     described = alignments.between(source, target)
     other = recording.stream_of_sensor(target.name)
     known = None if other is None else recording.target_from_source(stream.name, other.name)
@@ -140,24 +147,20 @@ def new_graph() -> Graph:
     return Graph(routes.STAGES)
 
 
-def _aligned_to_own_reference(alignment: Alignment, frame: TactileFrame, source: SensorSpec) -> Alignment:
-    """The alignment, with a depth camera of another build put where its own untouched membrane meets the description's.
+def own_shift_mm(frame: TactileFrame, spec: SensorSpec) -> float:
+    """How much smaller z reads in this frame's own camera than in the description's; 0 where there is no telling.
 
     A depth recording may come from a unit whose camera sits nearer or farther than the description says; what the
     alignment is about is the membrane, so the two untouched membranes are brought together along the optical axis.
     """
     if not frame.is_depth or frame.reference is None or frame.camera is None:
-        return alignment
+        return 0.0
     rest = frame.reference
     rows, cols = rest.shape
     centre = rest[rows * 2 // 5 : rows * 3 // 5 + 1, cols * 2 // 5 : cols * 3 // 5 + 1]
     seen = centre[np.isfinite(centre) & (centre > 0)]
     if not seen.size:
-        return alignment
-    r, c = source.rest_depth_mm.shape
-    told = source.rest_depth_mm[r * 2 // 5 : r * 3 // 5 + 1, c * 2 // 5 : c * 3 // 5 + 1]
-    shift = rigid.translation(0.0, 0.0, float(np.median(told) - np.median(seen)))
-    return Alignment(
-        alignment_from_source=freeze(alignment.alignment_from_source @ shift),
-        target_from_alignment=alignment.target_from_alignment,
-    )
+        return 0.0
+    r, c = spec.rest_depth_mm.shape
+    told = spec.rest_depth_mm[r * 2 // 5 : r * 3 // 5 + 1, c * 2 // 5 : c * 3 // 5 + 1]
+    return float(np.median(told) - np.median(seen))

@@ -1,0 +1,87 @@
+"""Small edits of an alignment, one axis at a time, about a point that stays where it is.
+
+A turn about the camera's origin would carry a touch that is tens of millimetres away from it out of the picture, so
+that every turn would have to be made good by a shift. About the middle of the contact a turn is only a turn.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+
+from pipeline import rigid
+from pipeline.alignment.transforms import Alignment, Side, corrected
+from pipeline.arrays import Doubles, freeze
+from pipeline.errors import SettingProblem
+from pipeline.stages.results import DepthMap
+
+Axis = Literal["x", "y", "z", "rx", "ry", "rz"]
+Frame = Literal["target", "source", "alignment"]
+AXES: tuple[Axis, ...] = ("x", "y", "z", "rx", "ry", "rz")
+FRAMES: tuple[Frame, ...] = ("target", "source", "alignment")
+
+
+def unit_of(axis: Axis) -> str:
+    """`mm` of a shift, `deg` of a turn."""
+    return "deg" if axis.startswith("r") else "mm"
+
+
+def pivot_mm(depth: DepthMap, alignment: Alignment) -> Doubles:
+    """The contact's centroid (3,) in the target frame; of the whole surface in view where nothing touches.
+
+    It is found once, when an edit begins: a pivot that follows the edit would let the touch drift.
+    """
+    known = np.isfinite(depth.depth_mm)
+    where = known & depth.contact
+    if not where.any():
+        where = known
+    if not where.any():
+        return freeze(rigid.apply(alignment.target_from_source, np.zeros(3)))
+    row, col = np.nonzero(where)
+    ray_x, ray_y = depth.camera.rays()
+    z = depth.depth_mm[where].astype(np.float64)
+    centre = np.array([(ray_x[col] * z).mean(), (ray_y[row] * z).mean(), z.mean()])
+    return freeze(rigid.apply(alignment.target_from_source, centre))
+
+
+def nudged(
+    alignment: Alignment,
+    axis: Axis,
+    amount: float,
+    frame: Frame = "target",
+    *,
+    pivot_mm: Doubles,
+    into: Side = "target_from_alignment",
+) -> Alignment:
+    """The alignment with the touch shifted by `amount` mm along an axis, or turned by `amount` deg about it.
+
+    The axis is one of `frame`; turns are about `pivot_mm` (3,), given in the target frame, which stays where it is.
+    Raises SettingProblem for an unknown axis or frame, or an amount that is not finite.
+    """
+    if axis not in AXES:
+        raise SettingProblem(f"an alignment has the axes {', '.join(AXES)}, got {axis!r}")
+    if not math.isfinite(amount):
+        raise SettingProblem(f"an alignment is moved by a finite amount, got {amount!r}")
+    direction = _axes_in_target(alignment, frame)[:, "xyz".index(axis[-1])]
+    if unit_of(axis) == "deg":
+        return corrected(alignment, motion_about(pivot_mm, np.deg2rad(amount) * direction, np.zeros(3)), into)
+    return corrected(alignment, motion_about(pivot_mm, np.zeros(3), amount * direction), into)
+
+
+def motion_about(pivot_mm: Doubles, rotation_rad: Doubles, shift_mm: Doubles) -> Doubles:
+    """The motion (4, 4) that turns about a point by a rotation vector (3,) and then shifts."""
+    motion = rigid.rotation(rotation_rad)
+    motion[:3, 3] = pivot_mm - motion[:3, :3] @ pivot_mm + shift_mm
+    return motion
+
+
+def _axes_in_target(alignment: Alignment, frame: Frame) -> Doubles:
+    if frame == "target":
+        return np.eye(3)
+    if frame == "source":
+        return alignment.target_from_source[:3, :3]
+    if frame == "alignment":
+        return alignment.target_from_alignment[:3, :3]
+    raise SettingProblem(f"an alignment is edited along the axes of {', '.join(FRAMES)}, got {frame!r}")
