@@ -41,7 +41,7 @@ slow: $(READY)
 	$(BIN)/python -m pytest -q -m slow
 
 bench: $(READY)
-	for question in benchmarks/*.py; do echo "== $$question"; $(BIN)/python $$question || exit 1; done
+	$(BIN)/tactoscope bench --json out/bench.json --plots out/plots
 
 samples: $(READY)
 	$(BIN)/python -m sample_data.make_samples

@@ -27,6 +27,7 @@ def build(name: str = "tactoscope") -> App:
     app.command(translate)
     app.command(simulate)
     app.command(doctor)
+    app.command(bench)
     calibrate = App(name="calibrate", help="Build a sensor's colour-to-slope look-up from presses of a known object.")
     calibrate.command(balls)
     app.command(calibrate)
@@ -238,3 +239,31 @@ def doctor() -> int:
     from pipeline.commands.doctor import examine
 
     return examine()
+
+
+def bench(
+    *names: str,
+    json: Path | None = None,
+    plots: Path | None = None,
+    strict: Annotated[bool, Parameter(negative="")] = False,
+    list_questions: Annotated[bool, Parameter(name="--list", negative="")] = False,
+) -> int:
+    """Race our stages against what one can install: run time against error, on this machine.
+
+    Parameters
+    ----------
+    names
+        Questions to answer; all that need neither recorded data nor a display if none is given.
+    json
+        File for the results, one row per claim.
+    plots
+        Folder for a picture of run time against error for each question.
+    strict
+        Exit with 1 if a bar does not hold or a question has no answer.
+    list_questions
+        Only list the questions.
+    """
+    from pipeline.commands.bench import bench as ask
+    from pipeline.commands.bench import list_questions as show
+
+    return show() if list_questions else ask(names, json, plots, strict=strict)

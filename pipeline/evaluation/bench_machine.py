@@ -21,14 +21,14 @@ THREAD_SETTINGS: Mapping[str, str] = {
 _PACKAGES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "open3d", "small_gicp", "torch", "taxim")
 
 
-def machine() -> dict[str, Any]:
+def machine(environment: Mapping[str, str] = os.environ) -> dict[str, Any]:
     """Processor, cores, load, Python, thread settings and package versions (None = not installed), ready for JSON."""
     return {
         "cpu": _cpu(),
         "cores": os.cpu_count() or 0,
         "system": platform.platform(),
         "python": platform.python_version(),
-        "threads": {name: os.environ.get(name) for name in THREAD_SETTINGS},
+        "threads": {name: environment.get(name) for name in THREAD_SETTINGS},
         "load": [round(load, 2) for load in os.getloadavg()] if hasattr(os, "getloadavg") else [],
         "packages": {name: _version(name) for name in _PACKAGES},
     }

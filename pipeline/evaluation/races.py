@@ -45,6 +45,10 @@ class Bar:
         )
         return ", ".join(part for part in parts if part)
 
+    def limits(self, peer: tuple[float, float]) -> tuple[float, float]:
+        """The most (ms, error) of ours that clear the bar against the peer's; NaN where nothing is asked."""
+        return _least(self.ms, self.faster, peer[0]), _least(self.error, self.closer, peer[1])
+
     def holds(self, ours: tuple[float, float], peer: tuple[float, float]) -> bool:
         """Whether (ms, error) of ours clears the bar against (ms, error) of the peer; what is NaN clears nothing."""
         (ms, error), (peer_ms, peer_error) = ours, peer
@@ -72,10 +76,12 @@ class Row:
     holds: bool
     ours_p95_ms: float = math.nan
     peer_p95_ms: float = math.nan
+    limit_ms: float = math.nan  # the most time and error that clear the bar; NaN = not asked
+    limit_error: float = math.nan
 
     def as_json(self) -> dict[str, Any]:
-        """The row for a JSON file, which knows no NaN: null."""
-        return {name: _plain(value) for name, value in asdict(self).items()}
+        """The row for a JSON file, which knows no NaN: null. The limits stay out: `bar` says them."""
+        return {name: _plain(value) for name, value in asdict(self).items() if not name.startswith("limit_")}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,6 +137,7 @@ def row(
 ) -> Row:
     """The row of one claim; without a peer only `Bar.ms` and `Bar.error` can hold."""
     other = peer_timing or Timing(median_ms=math.nan, p95_ms=math.nan)
+    limit_ms, limit_error = bar.limits((other.median_ms, peer_error))
     return Row(
         question=question,
         peer=peer,
@@ -144,7 +151,14 @@ def row(
         holds=bar.holds((ours.median_ms, ours_error), (other.median_ms, peer_error)),
         ours_p95_ms=ours.p95_ms,
         peer_p95_ms=other.p95_ms,
+        limit_ms=limit_ms,
+        limit_error=limit_error,
     )
+
+
+def _least(absolute: float | None, times: float | None, of_peer: float) -> float:
+    limits = ([] if absolute is None else [absolute]) + ([] if times is None else [of_peer / times])
+    return min((v for v in limits if math.isfinite(v)), default=math.nan)
 
 
 def _plain(value: object) -> object:

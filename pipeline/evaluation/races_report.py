@@ -55,7 +55,7 @@ def _ms(median: float, p95: float) -> str:
 
 
 def _point(point: Point, unit: str) -> tuple[str, ...]:
-    return (f"{point.method} (ours)" if point.ours else point.method, number(point.ms), f"{number(point.error)} {unit}")
+    return (point.method, number(point.ms), f"{number(point.error)} {unit}")
 
 
 def _table(lines: Sequence[Sequence[str]], words: frozenset[int] | set[int] = _WORDS) -> str:
