@@ -1,22 +1,39 @@
 """How well a contact determines a pose, and which motions it does not see at all.
 
 J_i = [((x_i - c) x n_i)^T, n_i^T] is what a small motion (rotation about the scene's centroid c, translation) changes
-in the distance of point i along its normal; Cov = sigma^2 (J^T J)^-1 (valid for point-to-plane, Bonnabel 2014).
+in the distance of point i along its normal; Cov = sigma^2 (J^T J)^-1 (valid for point-to-plane, Bonnabel 2014), with
+as many points as are independent of each other, and with an error that no number of points averages away.
+
+What J^T J holds is not all true: a round rod is drawn with facets and a distance grid has crooked gradients, and
+normals that are off by an angle e seem to see e^2 of every motion along the surface. So a direction counts as
+determined only where more is seen of it than that, and enough to place it within a tolerance.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.arrays import Doubles
+from pipeline.registration.screws import in_words
 
-WEAK_SHARE = 0.03  # mm of change along the normals, rms, per mm of motion: less is drowned by compliance and sampling
-WEAK_STD_MM = 0.2  # predicted spread of a direction beyond which the answer says nothing
 MIN_NOISE_MM = 1e-3  # of a tactile depth; keeps a perfect fit from claiming certainty
-_AXES = ("x", "y", "z")
-_PURE = 0.9  # share of a direction that earns it a simple name
+NORMAL_ERROR_DEG = 2.5  # rms, in each of two directions; facets that leave a round part by 2 um at 1 mm are off by 2
+_NOTHING = 1e-9  # share of the information that stands for none, so that no variance is infinite
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tolerances:
+    """What must be known of a motion for it to count as determined."""
+
+    mm: float = 0.2  # predicted standard deviation of a shift of the contact's middle
+    deg: float = 1.0  # of a turn about it
+    normal_error_deg: float = NORMAL_ERROR_DEG  # of the model's normals
+
+
+TOLERANCES = Tolerances()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,67 +44,111 @@ class Observability:
     observable: Doubles  # (6, 6) idempotent: takes a motion to the part that the data determine
     weak: tuple[str, ...]  # what is left, in words
     weak_motions: Doubles  # (k, 6) of (rotation rad, translation mm) that go with them, each of 1 mm rms
+    n_eff: float = math.nan  # independent measurements that the covariance rests on
 
 
-def observability(points_mm: Doubles, normals: Doubles, about_mm: Doubles, noise_mm: float) -> Observability:
+def observability(
+    points_mm: Doubles,
+    normals: Doubles,
+    about_mm: Doubles,
+    noise_mm: float,
+    *,
+    n_eff: float | None = None,
+    bias_mm: float = 0.0,
+    tolerances: Tolerances = TOLERANCES,
+) -> Observability:
     """From matched points (n, 3) with the object's normals there, the scene's centroid, and the spread of residuals.
 
-    Rotations are scaled by the points' rms distance from it, so that all six directions are in mm (methods 5.3).
+    `n_eff` is how many of the points are independent (`effective_count`; None = all), `bias_mm` what all of them may
+    be off by together: calibration, compliance, the mesh. Rotations are scaled by the points' rms distance from the
+    centroid, so that all six directions are in mm (methods 5.3).
     """
     arms = points_mm - about_mm
     radius_mm = max(float(np.sqrt((arms**2).sum(axis=1).mean())), 1e-6)
     jacobian = np.concatenate([np.cross(arms, normals) / radius_mm, normals], axis=1)
-    n = len(points_mm)
-    share_sq, directions = np.linalg.eigh(jacobian.T @ jacobian / n)
-    share_sq = np.maximum(share_sq, 1e-9 * share_sq.sum())
-    sigma_mm = max(noise_mm, MIN_NOISE_MM)
-    variance = sigma_mm**2 / (share_sq * n)
-    weak = (share_sq < WEAK_SHARE**2) | (variance > WEAK_STD_MM**2)
+    information = jacobian.T @ jacobian / len(points_mm)
+    independent = float(len(points_mm)) if n_eff is None else n_eff
+    sigma_mm = math.hypot(max(noise_mm, MIN_NOISE_MM), bias_mm * math.sqrt(independent))
+    fake = _along_surface(arms / radius_mm, information) * math.radians(tolerances.normal_error_deg) ** 2
+    lost = _undetermined(information, fake, _allowed(independent, sigma_mm, radius_mm, tolerances))
     to_mm = np.array([radius_mm] * 3 + [1.0] * 3)  # (rad, mm) -> mm
-    lost = directions[:, weak]
     projector = np.eye(6) - lost @ lost.T
-    named = in_words(lost)
+    named = in_words(lost, np.asarray(about_mm, dtype=np.float64), radius_mm)
     return Observability(
-        covariance=(directions * variance) @ directions.T / np.outer(to_mm, to_mm),
+        covariance=_covariance(information, projector, sigma_mm**2 / independent) / np.outer(to_mm, to_mm),
         observable=projector * to_mm[None, :] / to_mm[:, None],
         weak=tuple(words for words, _ in named),
         weak_motions=np.array([motion / to_mm for _, motion in named]).reshape(-1, 6),
+        n_eff=independent,
     )
 
 
-def in_words(lost: Doubles) -> list[tuple[str, Doubles]]:
-    """Named directions that span the orthonormal columns (6, k): plain axes first, mixtures for what remains."""
-    named: list[tuple[str, Doubles]] = []
-    order = (3, 4, 5, 0, 1, 2)  # slides before turns
-    rest = lost
-    for axis in sorted(order, key=lambda k: (-round(float((lost[k] ** 2).sum()), 3), order.index(k))):
-        if rest.shape[1] and float(np.linalg.norm(rest[axis])) > _PURE:
-            closest = rest @ rest[axis] / np.linalg.norm(rest[axis])
-            named.append((f"slides along {_AXES[axis - 3]}" if axis >= 3 else f"turns about {_AXES[axis]}", closest))
-            rest = _without(rest, axis)
-    return [*named, *((_mixture(rest[:, k]), rest[:, k]) for k in range(rest.shape[1]))]
+def observable_part(
+    information: Doubles, n_eff: float, sigma_mm: float, radius_mm: float, tolerances: Tolerances = TOLERANCES
+) -> tuple[Doubles, Doubles]:
+    """(projector (6, 6), weak directions (6, k) orthonormal) from the normal equations alone, as within an iteration.
+
+    `information` is J^T J / n with J_i = [(arm_i x n_i) / radius_mm, n_i], arms from the centroid and `radius_mm`
+    their rms length; the results are in the same scaled coordinates. Freeze with `projector @ step`. Without points
+    every motion counts as one along the surface for what is not seen of it, which is on the careful side.
+    """
+    hidden = np.eye(6) - information
+    values, vectors = np.linalg.eigh(0.5 * (hidden + hidden.T))
+    hidden = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    fake = hidden * math.radians(tolerances.normal_error_deg) ** 2
+    allowed = _allowed(n_eff, max(sigma_mm, MIN_NOISE_MM), radius_mm, tolerances)
+    lost = _undetermined(information, fake, allowed)
+    return np.eye(6) - lost @ lost.T, lost
 
 
-def _without(basis: Doubles, axis: int) -> Doubles:
-    """The directions of `basis` at right angles to its closest match of one axis."""
-    closest = basis.T @ np.eye(6)[axis]
-    kept = np.linalg.svd(closest[None, :])[2][1:]
-    return basis @ kept.T
+def effective_count(n_points: int, area_mm2: float, correlation_mm: float) -> float:
+    """How many independent measurements `n_points` over an area are worth when their errors are correlated.
+
+    Correlation falls off as exp(-d^2 / (2 l^2)), l = `correlation_mm`: a mean over the area has the variance of
+    n / (1 + 2 pi l^2 n / area) independent ones; at least 1, at most `n_points`.
+    """
+    if n_points <= 1 or not area_mm2 > 0:
+        return float(max(n_points, 1))
+    shared = 2.0 * math.pi * correlation_mm**2 * n_points / area_mm2
+    return max(1.0, n_points / (1.0 + shared))
 
 
-def _mixture(direction: Doubles) -> str:
-    turn, slide = direction[:3], direction[3:]
-    if np.linalg.norm(slide) > _PURE:
-        return f"slides along {_axis(slide)}"
-    if np.linalg.norm(turn) > _PURE:
-        return f"turns about {_axis(turn)}"
-    return f"turns about {_axis(turn)} while sliding along {_axis(slide)}"
+def _along_surface(arms: Doubles, information: Doubles) -> Doubles:
+    """(6, 6) mean square of how far a motion carries the points along the surface: all of it but J^T J."""
+    spread = arms.T @ arms / len(arms)
+    middle = arms.mean(axis=0)
+    carried = np.zeros((6, 6))
+    carried[:3, :3] = np.trace(spread) * np.eye(3) - spread
+    carried[3:, 3:] = np.eye(3)
+    # (w x a) . t = w . (a x t)
+    carried[:3, 3:] = np.array([[0.0, -middle[2], middle[1]], [middle[2], 0.0, -middle[0]], [-middle[1], middle[0], 0]])
+    carried[3:, :3] = carried[:3, 3:].T
+    return carried - information
 
 
-def _axis(vector: Doubles) -> str:
-    unit = vector / np.linalg.norm(vector)
-    k = int(np.argmax(np.abs(unit)))
-    if abs(unit[k]) > _PURE:
-        return _AXES[k]
-    unit = unit * np.sign(unit[k])
-    return "({:.2f}, {:.2f}, {:.2f})".format(*unit)
+def _allowed(n_eff: float, sigma_mm: float, radius_mm: float, tolerances: Tolerances) -> Doubles:
+    """(6, 6) information below which the predicted standard deviation exceeds the tolerances."""
+    turn_mm = math.radians(tolerances.deg) * radius_mm
+    return np.diag([1.0 / turn_mm**2] * 3 + [1.0 / tolerances.mm**2] * 3) * (sigma_mm**2 / n_eff)
+
+
+def _undetermined(information: Doubles, fake: Doubles, allowed: Doubles) -> Doubles:
+    """Orthonormal (6, k): the motions v with v^T information v < v^T (fake + allowed) v.
+
+    Both sides are forms, so that the answer does not depend on how turns are weighed against shifts.
+    """
+    asked = fake + allowed
+    size = 1.0 / np.sqrt(np.diag(asked))  # a contact of almost no extent asks a million times more of turns
+    values, vectors = np.linalg.eigh(asked * np.outer(size, size))
+    whiten = size[:, None] * vectors / np.sqrt(np.maximum(values, _NOTHING))
+    seen, directions = np.linalg.eigh(whiten.T @ information @ whiten)
+    weak = whiten @ directions[:, seen < 1.0]
+    return np.linalg.qr(weak)[0] if weak.shape[1] else np.zeros((6, 0))
+
+
+def _covariance(information: Doubles, projector: Doubles, variance_mm2: float) -> Doubles:
+    """Of a motion in scaled coordinates; what an undetermined direction seems to show does not count."""
+    true = projector @ information @ projector
+    values, vectors = np.linalg.eigh(0.5 * (true + true.T))
+    least = _NOTHING * float(np.trace(information))
+    return (vectors * (variance_mm2 / np.maximum(values, least))) @ vectors.T
