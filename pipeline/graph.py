@@ -15,7 +15,7 @@ from typing import Any, Literal
 import xxhash
 
 from pipeline.cache import Cache, Entry
-from pipeline.digests import digest, size_bytes
+from pipeline.digests import Known, digest, size_bytes
 from pipeline.errors import SettingProblem
 from pipeline.progress import SILENT, Progress
 
@@ -65,7 +65,7 @@ class Graph:
 
     stages: Sequence[Stage]
     cache: Cache = field(default_factory=Cache)
-    _known: dict[int, tuple[object, str]] = field(default_factory=dict[int, tuple[object, str]])
+    _known: Known = field(default_factory=Known)
 
     def evaluate(
         self,
@@ -81,7 +81,7 @@ class Graph:
         Raises SettingProblem for an unknown name, Cancelled when `progress` says so, and whatever a stage raises.
         """
         order = self.needed(wanted)
-        digests = {name: self._digest_of_input(value) for name, value in inputs.items()}
+        digests = {name: self._known.digest(value) for name, value in inputs.items()}
         values: dict[str, object] = dict(inputs)
         results: dict[str, StageResult] = {}
         fresh: set[str] = set()
@@ -136,26 +136,16 @@ class Graph:
         notes = tuple(getattr(entry.output, "notes", ()))
         return StageResult(name=stage.name, output=entry.output, state=state, ms=ms, notes=notes, digest=entry.digest)
 
-    @staticmethod
-    def _work(stage: Stage, reads: Sequence[object], params: object, progress: Progress) -> Entry:
+    def _work(self, stage: Stage, reads: Sequence[object], params: object, progress: Progress) -> Entry:
         output = stage.shortcut(*reads, params)
         was_shortcut = output is not None
         if output is None:
             output = stage.run(*reads, params, progress)
-        return Entry(output=output, digest=digest(output), n_bytes=size_bytes(output), was_shortcut=was_shortcut)
+        # A shortcut may well give the very object that it gave before.
+        made = self._known.digest(output) if was_shortcut else digest(output)
+        return Entry(output=output, digest=made, n_bytes=size_bytes(output), was_shortcut=was_shortcut)
 
     @staticmethod
     def _key(stage: Stage, params: object, reads: Sequence[str]) -> str:
         text = f"{stage.name}|{stage.version}|{params!r}|{'|'.join(reads)}"
         return xxhash.xxh3_128_hexdigest(text.encode())
-
-    def _digest_of_input(self, value: object) -> str:
-        """Digest of an input, remembered by identity: sensors, meshes and calibrations stay the same for hours."""
-        known = self._known.get(id(value))
-        if known is not None and known[0] is value:
-            return known[1]
-        made = digest(value)
-        if len(self._known) >= 64:
-            self._known.pop(next(iter(self._known)))
-        self._known[id(value)] = (value, made)
-        return made

@@ -1,12 +1,13 @@
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
 
 from pipeline.cache import Cache, Entry
-from pipeline.digests import digest
+from pipeline.digests import Known, digest
 from pipeline.errors import SettingProblem
 from pipeline.graph import Graph, Stage
 from pipeline.params import setting
@@ -176,3 +177,45 @@ def test_digests_tell_apart_what_is_different_and_only_that():
 def test_digest_of_a_strided_view_is_that_of_its_contents():
     a = np.arange(24).reshape(4, 6)
     assert digest(a[:, ::2]) == digest(a[:, ::2].copy())
+
+
+def test_known_digests_are_those_of_the_contents_and_the_longest_unused_goes_first():
+    known = Known(most=2)
+    a, b, c = (np.full(3, k) for k in range(3))
+    for value in (a, b, a, c, a, b):
+        assert known.digest(value) == digest(value)
+        assert len(known) <= 2
+    b_before = known.digest(b)
+    b[0] = 7  # nobody may do this; it shows that b is remembered, not read again
+    assert known.digest(b) == b_before
+    known.digest(a)
+    known.digest(c)
+    assert known.digest(b) == digest(b) != b_before
+
+
+def test_known_digests_may_be_asked_for_by_several_threads():
+    known = Known(most=3)
+    values = [np.full(100, k) for k in range(12)]
+    wanted = [digest(v) for v in values]
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(known.digest, values * 20)) == wanted * 20
+
+
+def test_sensors_stay_known_however_many_frames_pass(monkeypatch, ran):
+    graph = Graph((ran.stage("s", ("x", "sensor"), lambda x, s, p: x),))
+    sensor, asked = Number(value=1.0), []
+    monkeypatch.setattr("pipeline.digests.digest", lambda value: asked.append(value) or digest(value))
+    for k in range(100):
+        graph.evaluate(["s"], {"x": Number(value=float(k)), "sensor": sensor}, {})
+    assert sum(value is sensor for value in asked) == 1
+
+
+def test_a_shortcut_that_gives_the_same_object_again_stops_the_recomputation_below_it(ran):
+    rest = Number(value=0.0)
+    first = ran.stage("first", ("x",), lambda x, p: x, shortcut=lambda x, p: rest)
+    graph = Graph((first, ran.stage("last", ("first",), lambda r, p: r)))
+    for k in range(3):
+        results = graph.evaluate(["last"], {"x": Number(value=float(k))}, {})
+        assert results["first"].digest == digest(rest)
+    assert ran.names == ["last"]
+    assert results["last"].state == "unchanged"
