@@ -28,6 +28,7 @@ STAGES: tuple[Stage, ...] = (
         shortcut=adapt.without_contact,
         params=adapt.AdaptParams,
         reads=("depth", "alignment"),
+        version=2,
     ),
     Stage(
         name="project",
@@ -36,6 +37,7 @@ STAGES: tuple[Stage, ...] = (
         shortcut=project.without_contact,
         params=project.ProjectParams,
         reads=("adapt", "target"),
+        version=2,
     ),
     Stage(
         name="generate",

@@ -5,18 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline import rigid
 from pipeline.alignment import Alignment
-from pipeline.arrays import Doubles, Floats, Mask, freeze
-from pipeline.camera import MIN_DEPTH_MM, Camera
+from pipeline.arrays import Doubles, Floats, Indices, freeze
+from pipeline.camera import MIN_DEPTH_MM
 from pipeline.errors import ShapeError
 from pipeline.params import setting
 from pipeline.progress import SILENT, Progress
 from pipeline.stages.results import Cloud, DepthMap
 
 NO_CONTACT = "no contact: there is nothing to carry over"
+FARTHEST_MM = 1e9  # of what may tell the usual depth; beyond a thousand kilometres nothing was felt
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,18 +41,15 @@ def adapt(depth: DepthMap, alignment: Alignment, params: AdaptParams, progress: 
             f"got {depth.depth_mm.shape} and {depth.contact.shape}"
         )
     target_from_source = rigid.checked(alignment.target_from_source, "the alignment T_S->T")
-    wanted = _every(depth.contact, params.stride)
-    usable = wanted & (depth.depth_mm > MIN_DEPTH_MM) & (depth.depth_mm < np.inf)  # false for NaN as well
-    pixel = np.flatnonzero(usable)
-    points = _points(depth.depth_mm, pixel, depth.camera, target_from_source)
+    points, pixel, n_wanted = _points(depth, target_from_source, params.stride)
     progress.step(1.0, "carried over")
     return Cloud(
         points_mm=freeze(points),
-        source_index=freeze(pixel.astype(np.int32)),
+        source_index=freeze(pixel),
         window_mm=_window(depth, target_from_source),
         grid_shape=depth.camera.shape,
         stride=params.stride,
-        notes=_notes(n_wanted=int(np.count_nonzero(wanted)), n_points=pixel.size, stride=params.stride),
+        notes=_notes(n_wanted=n_wanted, n_points=pixel.size, stride=params.stride),
     )
 
 
@@ -70,33 +67,38 @@ def without_contact(depth: DepthMap, alignment: Alignment, params: AdaptParams) 
     )
 
 
-def _every(mask: Mask, stride: int) -> Mask:
-    if stride == 1:
-        return mask
-    kept = np.zeros_like(mask)
-    kept[::stride, ::stride] = mask[::stride, ::stride]
-    return kept
+def _points(depth: DepthMap, target_from_source: Doubles, stride: int) -> tuple[Floats, Indices, int]:
+    """The points z (R (x/z, y/z, 1)) + t, their flat pixels, and how many contact pixels were looked at.
 
+    K^-1 is applied as the ray of a row and a column.
+    """
+    from pipeline.stages import adapt_kernels as kernels
 
-def _points(depth_mm: Floats, pixel: NDArray[np.intp], camera: Camera, target_from_source: Doubles) -> Floats:
-    """The points z (R (x/z, y/z, 1)) + t of flat pixels: K^-1 is applied as the ray of a row and a column."""
-    row, col = np.divmod(pixel, camera.cols)
-    ray_x, ray_y = camera.rays()
-    x, y, z = ray_x[col], ray_y[row], depth_mm.ravel()[pixel].astype(np.float64)
-    points = np.empty((pixel.size, 3), dtype=np.float32)
-    for axis in range(3):
-        a, b, c, t = target_from_source[axis]
-        points[:, axis] = z * (a * x + b * y + c) + t
-    return points
+    contact = np.ascontiguousarray(depth.contact)
+    at_most = int(np.count_nonzero(contact[::stride, ::stride]))
+    points = np.empty((at_most + 1, 3), dtype=np.float32)  # one to spare: a point is written before it is judged
+    pixel = np.empty(at_most + 1, dtype=np.int32)
+    ray_x, ray_y = depth.camera.rays()
+    depth_mm = np.ascontiguousarray(depth.depth_mm)
+    n, n_wanted = kernels.back_project(
+        depth_mm, contact, stride, ray_x, ray_y, target_from_source[:3], MIN_DEPTH_MM, points, pixel
+    )
+    return points[:n], pixel[:n], int(n_wanted)
 
 
 def _window(depth: DepthMap, target_from_source: Doubles) -> Floats:
     """The image's outer corners on a plane at the surface's usual depth, in the target frame."""
     camera = depth.camera
-    z = np.nan_to_num(np.nanmedian(depth.depth_mm[::16, ::16])) if depth.depth_mm.size else 0.0
+    z = _usual(depth.depth_mm[::16, ::16]) or _usual(depth.depth_mm)
     x = (np.array([-0.5, camera.cols - 0.5, camera.cols - 0.5, -0.5]) - camera.cx_px) / camera.fx_px
     y = (np.array([-0.5, -0.5, camera.rows - 0.5, camera.rows - 0.5]) - camera.cy_px) / camera.fy_px
     return freeze(rigid.apply(target_from_source, np.stack([z * x, z * y, z * np.ones(4)], axis=-1)).astype(np.float32))
+
+
+def _usual(depth_mm: Floats) -> float:
+    """Median of what is a depth at all, 0 when nothing is."""
+    sound = depth_mm[(depth_mm > MIN_DEPTH_MM) & (depth_mm < FARTHEST_MM)]
+    return float(np.median(sound)) if sound.size else 0.0
 
 
 def _notes(*, n_wanted: int, n_points: int, stride: int) -> tuple[str, ...]:

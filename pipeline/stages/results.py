@@ -48,6 +48,8 @@ class TargetView:
     source_index: Indices  # (rows, cols) -> point of Cloud
     known: Mask  # (rows, cols) inside what the source could see: only here does "no contact" mean anything
     notes: tuple[str, ...] = ()
+    pixel_of_point: Indices | None = None  # (n,) of Cloud -> the pixel that shows it, -1 = outside, hidden or cut away
+    coverage: Floats | None = None  # (rows, cols) 0..1, share of each pixel in contact; None = not asked for
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
