@@ -71,11 +71,12 @@ def from_parts(translation_mm: ArrayLike, rotation_deg: ArrayLike = (0.0, 0.0, 0
 
 def from_quaternion(translation_mm: ArrayLike, xyzw: ArrayLike) -> Doubles:
     """A transform from a shift and a quaternion in (x, y, z, w) order; raises when it has no length."""
-    x, y, z, w = np.asarray(xyzw, dtype=np.float64)
-    norm_sq = x * x + y * y + z * z + w * w
-    if not norm_sq > 0 or not math.isfinite(norm_sq):
-        raise CalibrationError(f"a rotation quaternion must have a length, got {(x, y, z, w)!r}")
-    s = 2.0 / norm_sq
+    q = np.asarray(xyzw, dtype=np.float64)
+    largest = float(np.abs(q).max())
+    if not 0.0 < largest < math.inf:
+        raise CalibrationError(f"a rotation quaternion must have a length, got {tuple(q.tolist())}")
+    x, y, z, w = q / largest  # only its direction counts, and squares of the rest neither overflow nor vanish
+    s = 2.0 / (x * x + y * y + z * z + w * w)
     matrix = np.eye(4)
     matrix[:3, :3] = [[1 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
                       [s * (x * y + z * w), 1 - s * (x * x + z * z), s * (y * z - x * w)],

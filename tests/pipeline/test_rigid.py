@@ -92,3 +92,9 @@ def test_a_transform_read_from_float32_is_made_orthonormal_again():
 def test_a_quaternion_without_length_is_refused():
     with pytest.raises(CalibrationError, match="length"):
         rigid.from_quaternion([0, 0, 0], [0, 0, 0, 0])
+
+
+@pytest.mark.parametrize("length", [5e-324, 1e-300, 1e-160, 1e160, 1e308])
+def test_a_quaternion_of_any_length_counts_by_its_direction(length):
+    turned = rigid.from_quaternion([0, 0, 0], [0.0, 0.0, length, length])
+    np.testing.assert_allclose(turned, rigid.rotation([0.0, 0.0, np.pi / 2]), atol=COMPOSED)
