@@ -1,0 +1,100 @@
+"""Rows of the stability matrix: how many cases each takes, and what became of them."""
+
+from __future__ import annotations
+
+import functools
+import json
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from hypothesis import HealthCheck, settings
+
+SHORT = 24  # cases a row in the short form: all of the folder within 40 s on two cores
+FEWEST = 3
+
+
+@dataclass(slots=True)
+class Tally:
+    """One row of the table."""
+
+    number: str  # in the list of tests/stability/__init__.py
+    row: str
+    cases: int = 0
+    failures: int = 0  # failing calls, those of the search for the smallest example included
+    slowest_ms: float = 0.0
+    seconds: float = 0.0
+
+
+@dataclass(slots=True)
+class Size:
+    """How much is asked for; set once, before any test module is read."""
+
+    cases: int = SHORT
+    long: bool = False
+
+
+SIZE = Size()
+TALLIES: dict[str, Tally] = {}
+
+
+def cases(share: float) -> int:
+    """Cases of a row that takes this share of the number asked for."""
+    return max(FEWEST, round(SIZE.cases * share))
+
+
+def row(number: int | str, name: str, *, share: float = 1.0):
+    """Count a test's cases under this name; with `@given` below it, draw as many as the size asks for."""
+
+    def counted(test):
+        tally = TALLIES.setdefault(name, Tally(number=str(number), row=name))
+        given = getattr(test, "hypothesis", None)
+        if given is None:
+            return _counting(test, tally)
+        given.inner_test = _counting(given.inner_test, tally)
+        # Building a scene may take longer than the check: what counts is that ten thousand of them hold.
+        return settings(max_examples=cases(share), deadline=None, suppress_health_check=list(HealthCheck))(test)
+
+    return counted
+
+
+def _counting(test, tally: Tally):
+    @functools.wraps(test)
+    def run(*args, **kwargs):
+        began = time.perf_counter()
+        tally.cases += 1
+        try:
+            return test(*args, **kwargs)
+        except AssertionError:
+            tally.failures += 1
+            raise
+        except Exception as error:
+            # Hypothesis leaves a case by exceptions of its own, which are no failures.
+            tally.failures += not type(error).__module__.startswith("hypothesis")
+            raise
+        finally:
+            spent = time.perf_counter() - began
+            tally.seconds += spent
+            tally.slowest_ms = max(tally.slowest_ms, 1e3 * spent)
+
+    return run
+
+
+def table() -> list[str]:
+    """The rows that ran, as lines of text."""
+    done = [t for t in TALLIES.values() if t.cases]
+    lines = [f"{'no.':<5}{'row':<84}{'cases':>7}{'failures':>10}{'slowest':>12}{'all':>9}"]
+    for t in sorted(done, key=lambda t: (float(t.number.split(",")[0]), t.row)):
+        lines.append(f"{t.number:<5}{t.row:<84}{t.cases:>7}{t.failures:>10}{t.slowest_ms:>9.1f} ms{t.seconds:>7.1f} s")
+    total, failed = sum(t.cases for t in done), sum(t.failures for t in done)
+    return [
+        *lines,
+        f"{'':<5}{f'{len(done)} rows':<84}{total:>7}{failed:>10}{'':>12}{sum(t.seconds for t in done):>7.1f} s",
+    ]
+
+
+def write(path: Path) -> None:
+    """The table as JSON."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    told = {"cases_asked_for": SIZE.cases, "rows": [asdict(t) for t in TALLIES.values() if t.cases]}
+    path.write_text(json.dumps(told, indent=1) + "\n")
