@@ -5,28 +5,26 @@
 A ball of 4 mm radius reaches 0.5 mm into a half-space 18.6 mm wide, 320 x 427 pixels; Hertz gives surface, contact and
 force exactly. The pyramid is our own writing of the published recipe: the overlap is blurred six times with Gaussian
 kernels of 201, 101, 51, 21, 11 and 5 pixels (of a 480 x 640 picture, scaled to this one) and put back after each where
-the overlap is more than 0.4 of its depth. Peers answer for no force. Same inputs, in turn, medians of 25 runs.
+the overlap is more than 0.4 of its depth. Peers answer for no force.
 """
 
 from __future__ import annotations
 
 import math
-import os
-import platform
 import sys
-import time
 from pathlib import Path
 
 import cv2
 import numpy as np
-import scipy
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from pipeline.evaluation.races import Answer, Bar, Point, race, row
+from pipeline.evaluation.races_report import show
 from pipeline.physics import gel
 from pipeline.sensors.spec import Gel
 
-_RUNS = 25
+_OURS, _LAYER = "ours, half-space", "ours, 2 mm bonded layer"
 _SHAPE, _WIDTH_MM = (320, 427), 18.6
 _RADIUS_MM, _DEPTH_MM = 4.0, 0.5
 _HALF_SPACE = Gel(thickness_mm=math.inf, youngs_kpa=120.0, poisson=0.48)
@@ -34,61 +32,49 @@ _PAD = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48)
 _PIXEL_MM = _WIDTH_MM / _SHAPE[1]
 
 
-def main() -> None:
-    print(f"{platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}; "
-          f"numpy {np.__version__}, scipy {scipy.__version__}, cv2 {cv2.__version__}; median of {_RUNS}")  # fmt: skip
+def answer() -> Answer:
     r = _radius_mm()
     overlap = (_DEPTH_MM - r * r / (2 * _RADIUS_MM)).astype(np.float32)
     exact, touching = _hertz(r, overlap)
     methods = {
-        "ours, half-space": lambda: _ours(_HALF_SPACE, overlap),
+        _OURS: lambda: _ours(_HALF_SPACE, overlap),
         "geometric overlap": lambda: (np.maximum(overlap, 0), overlap > 0),
         "pyramid of blurs": lambda: _pyramid(overlap),
-        "ours, 2 mm bonded layer": lambda: _ours(_PAD, overlap),
+        _LAYER: lambda: _ours(_PAD, overlap),
     }
-    errors, lines = {}, {}
-    for name, run in methods.items():  # outputs are compared first
-        surface, contact = run()
-        off = 1e3 * np.abs(surface - exact)
-        errors[name] = math.sqrt(float((off * off).mean()))
-        iou = (contact & touching).sum() / (contact | touching).sum()
-        lines[name] = f"{name:<26}{errors[name]:>10.4f}{off.max():>10.3f}{iou:>10.3f}"
-    lines["ours, 2 mm bonded layer"] = f"{'ours, 2 mm bonded layer':<26}{'no closed form':>30}"
-    spent = _timed(methods)
-    print(f"{'method':<26}{'rms um':>10}{'max um':>10}{'mask IoU':>10}{'ms':>10}{'least ms':>10}")
-    for name, line in lines.items():
-        print(f"{line}{np.median(spent[name]):>10.2f}{min(spent[name]):>10.2f}")
-    _rows(errors, {name: float(np.median(t)) for name, t in spent.items()})
+    errors, notes = {}, [_against_hertz(overlap)]
+    for name, run in methods.items():
+        if name != _LAYER:  # which has no closed form
+            surface, contact = run()
+            errors[name] = 1e3 * float(np.sqrt(np.mean((surface - exact) ** 2)))
+            iou = (contact & touching).sum() / (contact | touching).sum()
+            notes.append(f"{name}: mask IoU {iou:.3f}, largest error {1e3 * np.abs(surface - exact).max():.3g} um")
+    times = race(methods, runs=25)
+    rows = [
+        row("surface of a pressed half-space", peer=peer, ours=times[_OURS], ours_error=errors[_OURS], unit="um",
+            peer_timing=times[peer], peer_error=errors[peer], bar=Bar(ms=20, closer=100))
+        for peer in ("geometric overlap", "pyramid of blurs")
+    ]  # fmt: skip
+    rows.append(row("surface of a bonded layer of 2 mm", ours=times[_LAYER], ours_error=math.nan, unit="um",
+                    bar=Bar(ms=20)))  # fmt: skip
+    return Answer(
+        title=f"Contact of a ball with a gel, {_SHAPE[0]} x {_SHAPE[1]} pixels, against Hertz",
+        unit="um",
+        rows=tuple(rows),
+        points=tuple(
+            Point(method=name, ms=times[name].median_ms, error=error, ours=name == _OURS)
+            for name, error in errors.items()
+        ),
+        notes=tuple(notes),
+    )
+
+
+def _against_hertz(overlap) -> str:
     pressed = gel.press(_HALF_SPACE, _PIXEL_MM, overlap)
     radius = math.sqrt(pressed.contact.sum() / math.pi) * _PIXEL_MM
-    print(f"contact radius {100 * (radius / math.sqrt(_RADIUS_MM * _DEPTH_MM) - 1):+.2f} %, "
-          f"force {100 * (pressed.force_n / _hertz_force_n() - 1):+.4f} %, "
-          f"{pressed.steps} steps, residual {1e3 * pressed.residual_mm:.3f} um")  # fmt: skip
-
-
-def _rows(errors: dict[str, float], ms: dict[str, float]) -> None:
-    """Question, peer, times, errors, bar and whether it holds."""
-    ours = "ours, half-space"
-    print(f"{'question':<24}{'peer':<20}{'ours ms':>9}{'peer ms':>9}{'ratio':>8}{'our um':>9}{'peer um':>9}  bar")
-    for peer in ("geometric overlap", "pyramid of blurs"):
-        lower = errors[peer] / errors[ours]
-        print(f"{'surface of a press':<24}{peer:<20}{ms[ours]:>9.2f}{ms[peer]:>9.2f}{ms[peer] / ms[ours]:>8.2f}"
-              f"{errors[ours]:>9.4f}{errors[peer]:>9.2f}  error 100x lower: {lower:.0f}x, "
-              f"{'holds' if lower >= 100 else 'MISSED'}")  # fmt: skip
-    for name in (ours, "ours, 2 mm bonded layer"):
-        print(f"{name:<44}{ms[name]:>9.2f}{'':>44}at most 20 ms: {'holds' if ms[name] <= 20 else 'MISSED'}")
-
-
-def _timed(methods) -> dict[str, list[float]]:
-    """Milliseconds of each, run in turn and in turned-about order."""
-    spent: dict[str, list[float]] = {name: [] for name in methods}
-    for turn in range(_RUNS + 2):
-        for name in list(methods) if turn % 2 else reversed(list(methods)):
-            started = time.perf_counter()
-            methods[name]()
-            if turn > 1:
-                spent[name].append(1e3 * (time.perf_counter() - started))
-    return spent
+    return (f"ours: contact radius {100 * (radius / math.sqrt(_RADIUS_MM * _DEPTH_MM) - 1):+.2f} %, "
+            f"force {100 * (pressed.force_n / _hertz_force_n() - 1):+.4f} %, {pressed.steps} steps, "
+            f"residual {1e3 * pressed.residual_mm:.3f} um")  # fmt: skip
 
 
 def _radius_mm():
@@ -127,4 +113,4 @@ def _pyramid(overlap):
 
 
 if __name__ == "__main__":
-    main()
+    show(answer())

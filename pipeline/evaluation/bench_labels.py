@@ -8,6 +8,7 @@ from typing import Any
 _AWAY_PX = 10.0
 _TRIES = 40
 _SIZE = 8.5
+_Box = tuple[float, float, float, float]
 
 
 def place_labels(axes: Any, canvas: Any, labels: Sequence[tuple[float, float, str, str]]) -> None:
@@ -17,23 +18,23 @@ def place_labels(axes: Any, canvas: Any, labels: Sequence[tuple[float, float, st
     """
     canvas.draw()  # the lay-out decides where the points are on the picture
     renderer = canvas.get_renderer()
+    from matplotlib.patheffects import withStroke
+
     points = [axes.transData.transform((x, y)) for x, y, _, _ in labels]
     taken = [(x - 6, y - 6, x + 6, y + 6) for x, y in points]
-    inside = axes.get_window_extent(renderer)
+    taken += [_corners(text.get_window_extent(renderer)) for text in axes.texts]
+    inside = _corners(axes.get_window_extent(renderer))
     for (x, y, words, colour), (px, py) in zip(labels, points, strict=True):
         text = axes.annotate(words, (x, y), xytext=(0, 0), textcoords="offset pixels", color=colour, fontsize=_SIZE,
                              va="center", annotation_clip=False)  # fmt: skip
         box = text.get_window_extent(renderer)
         wide, tall = box.width, box.height
-        dx, dy = _room(px, py, wide, tall, taken, (inside.x0, inside.y0, inside.x1, inside.y1))
-        text.set_position((dx, dy))
+        dx, dy = _room(px, py, wide, tall, taken, inside)
+        text.set(position=(dx, dy), path_effects=[withStroke(linewidth=2.5, foreground="white")])
         taken.append((px + dx, py + dy - tall / 2, px + dx + wide, py + dy + tall / 2))
         if abs(dy) > 2 * tall:
             axes.annotate("", (x, y), xytext=(dx + (0 if dx > 0 else wide), dy), textcoords="offset pixels",
                           arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.6, "alpha": 0.6})  # fmt: skip
-
-
-_Box = tuple[float, float, float, float]
 
 
 def _room(x: float, y: float, wide: float, tall: float, taken: Sequence[_Box], inside: _Box) -> tuple[float, float]:
@@ -46,6 +47,10 @@ def _room(x: float, y: float, wide: float, tall: float, taken: Sequence[_Box], i
             if within and not any(_meet(box, other) for other in taken):
                 return dx, dy
     return _AWAY_PX, 0.0
+
+
+def _corners(box: Any) -> _Box:
+    return box.x0, box.y0, box.x1, box.y1
 
 
 def _meet(a: _Box, b: _Box) -> bool:

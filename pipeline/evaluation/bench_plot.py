@@ -29,7 +29,7 @@ def plot(answer: Answer, path: Path) -> bool:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=_INCHES, layout="constrained")
+    figure = Figure(figsize=_INCHES, dpi=_DPI, layout="constrained")
     canvas = FigureCanvasAgg(figure)
     axes: Any = figure.add_subplot()
     floor = _floor([p.error for p in points])
@@ -39,7 +39,9 @@ def plot(answer: Answer, path: Path) -> bool:
     heights = [p.error if p.error > 0 else floor for p in points]
     for point, height in zip(points, heights, strict=True):
         colour = _OURS if point.ours else _PEER
-        axes.plot(point.ms, height, "o" if point.ours else "s", color=colour, ms=8 if point.ours else 7, mec="white")
+        axes.plot(
+            point.ms, height, "o" if point.ours else "s", color=colour, ms=8 if point.ours else 7, mec="white", zorder=4
+        )
     _zero_line(axes, points, floor)
     place_labels(
         axes,
@@ -103,40 +105,35 @@ def _axes(axes: Any, answer: Answer, points: Sequence[Point], bars: Sequence[Row
 
 
 def _bars(axes: Any, rows: Sequence[Row]) -> None:
-    """Shade where a point clears the bar, once for each bar that can be told from the others."""
-    right, top = axes.get_xlim()[1], axes.get_ylim()[1]
-    drawn: set[tuple[float, float]] = set()
+    """Shade where each of our points clears all bars that it is held to."""
+    (left, right), (low, top) = axes.get_xlim(), axes.get_ylim()
+    held: dict[tuple[float, float], list[Row]] = {}
     for row in rows:
-        if not (math.isfinite(row.limit_ms) or math.isfinite(row.limit_error)):
-            continue
-        ms = row.limit_ms if math.isfinite(row.limit_ms) else right
-        error = row.limit_error if math.isfinite(row.limit_error) else top
-        corner = (float(f"{ms:.2g}"), float(f"{error:.2g}"))
-        if corner in drawn:
-            continue
-        drawn.add(corner)
-        left, low = axes.get_xlim()[0], axes.get_ylim()[0]
+        if math.isfinite(row.limit_ms) or math.isfinite(row.limit_error):
+            held.setdefault((row.ours_ms, row.ours_error), []).append(row)
+    for claims in held.values():
+        ms = min((row.limit_ms for row in claims if math.isfinite(row.limit_ms)), default=right)
+        error = min((row.limit_error for row in claims if math.isfinite(row.limit_error)), default=top)
         axes.fill_between([left, ms], low, error, color=_BAR, alpha=0.10, lw=0)
         axes.plot([left, ms, ms], [error, error, low], color=_BAR, lw=1.0, ls="--", scalex=False, scaley=False)
-        axes.annotate(
-            f"bar: {row.bar}", (ms, error), xytext=(4, 0), textcoords="offset points", va="center", fontsize=7.5,
-            color=_BAR, annotation_clip=True,
-        )  # fmt: skip
+        words = " and ".join(dict.fromkeys(row.bar for row in claims))
+        axes.annotate(f"bar: {words}", (left, error), xytext=(4, 3), textcoords="offset points", fontsize=7.5,
+                      color=_BAR, annotation_clip=True)  # fmt: skip
 
 
 def _zero_line(axes: Any, points: Sequence[Point], floor: float) -> None:
     if all(p.error > 0 for p in points):
         return
     axes.axhline(floor, color=_BAR, lw=0.8, ls=":")
-    axes.annotate("no error at all (0 has no place on this axis)", (1.0, floor), xycoords=("axes fraction", "data"),
-                  xytext=(-2, 3), textcoords="offset points", ha="right", fontsize=7.5, color=_BAR)  # fmt: skip
+    axes.annotate("no error at all (0 has no place on this axis)", (0.0, floor), xycoords=("axes fraction", "data"),
+                  xytext=(4, 3), textcoords="offset points", fontsize=7.5, color=_BAR)  # fmt: skip
 
 
 def _save(figure: Any, path: Path) -> None:
     part = path.with_name(f".{path.stem}.part.png")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(part, dpi=_DPI)
+        figure.savefig(part)
         part.replace(path)
     except OSError as error:
         part.unlink(missing_ok=True)
