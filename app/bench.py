@@ -99,7 +99,10 @@ class Bench:
 
         stages = tuple(name for name in translation.stages if name in wanted)
         self._graph.evaluate(stages, inputs, session.params, report, on_stage)
-        metrics = frame_metrics(results, translation.truth_of_source(index), translation.truth_of_target(index))
+        metrics = frame_metrics(
+            results, translation.truth_of_source(index), translation.truth_of_target(index), translation.mesh,
+            translation.symmetry,
+        )  # fmt: skip
         return FrameShown(
             index=index, frame=frame, results=results, metrics=metrics, summary=_summary(results, metrics, translation)
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,6 +24,9 @@ from pipeline.meshes import Mesh, load_mesh
 from pipeline.recordings import open_recording
 from pipeline.recordings.depth_arrays import DepthUnit
 from pipeline.sensors.spec import SensorSpec, sensor
+
+if TYPE_CHECKING:
+    from pipeline.physics.shapes.symmetry import Symmetry
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,6 +59,7 @@ class Translation:
     calibration: Calibration | None
     mesh: Mesh | None
     notes: tuple[str, ...] = field(default=())
+    symmetry: Symmetry | None = None  # of `mesh`; None = not known
 
     @property
     def n_frames(self) -> int:
@@ -123,8 +128,16 @@ def open_translation(request: Request) -> Translation:
         alignment=_alignment(request, recording, stream, source, target),
         calibration=None if request.calibration is None else load_calibration(request.calibration),
         mesh=mesh,
-        notes=recording.notes,
+        notes=(*recording.notes, *_about_symmetry(recording, stream, mesh)),
+        symmetry=recording.symmetry if mesh is recording.object_mesh else None,
     )
+
+
+def _about_symmetry(recording: Recording, stream: Stream, mesh: Mesh | None) -> tuple[str, ...]:
+    """What to know about pose errors where nobody says which poses of the object are the same."""
+    if mesh is None or not stream.has_truth or (mesh is recording.object_mesh and recording.symmetry is not None):
+        return ()
+    return ("the object's symmetry is not known; pose errors count every turn as one",)
 
 
 def _alignment(

@@ -57,7 +57,10 @@ def work_out(translation: Translation, graph: Graph, params: Mapping[str, object
     """All stages of one frame and its figures; a damaged frame gives a report with its problem."""
     try:
         results = graph.evaluate(translation.stages, translation.inputs(index), params)
-        metrics = frame_metrics(results, translation.truth_of_source(index), translation.truth_of_target(index))
+        metrics = frame_metrics(
+            results, translation.truth_of_source(index), translation.truth_of_target(index), translation.mesh,
+            translation.symmetry,
+        )  # fmt: skip
     except TouchError as error:
         return FrameReport(index=index, results={}, metrics={}, problem=str(error))
     return FrameReport(index=index, results=results, metrics=metrics)

@@ -4,23 +4,39 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline import rigid
 from pipeline.arrays import Mask
+from pipeline.evaluation.symmetric import symmetric_error
 from pipeline.frames import TactileFrame, Truth
 from pipeline.graph import StageResult
+from pipeline.meshes import Mesh
 from pipeline.stages.results import DepthMap, ObjectPose, Touch
+
+if TYPE_CHECKING:
+    from pipeline.physics.shapes.symmetry import Symmetry
 
 PSNR_CAP_DB = 100.0  # identical images have no finite ratio; published tables cap it too
 
 
 def frame_metrics(
-    results: Mapping[str, StageResult], source: Truth | None, target: tuple[TactileFrame, Truth | None] | None
+    results: Mapping[str, StageResult],
+    source: Truth | None,
+    target: tuple[TactileFrame, Truth | None] | None,
+    mesh: Mesh | None = None,
+    symmetry: Symmetry | None = None,
 ) -> dict[str, float]:
-    """Every figure that the known truth allows for one frame; an empty dictionary where nothing is known."""
+    """Every figure that the known truth allows for one frame; an empty dictionary where nothing is known.
+
+    `mesh` and its `symmetry` (None = not known, taken as none) are those of the object that the true pose is about.
+    `pose.translation_mm` and `pose.rotation_deg` are plain; `pose.mssd_mm`, `pose.se2_mm`, `pose.se2_deg`,
+    `pose.observable_mm` and `pose.observable_deg` are those of `SymmetricError`.
+    """
     figures: dict[str, float] = {}
     depth = results["depth"].output if "depth" in results else None
     if isinstance(depth, DepthMap) and source is not None:
@@ -33,7 +49,7 @@ def frame_metrics(
             figures.update(_surface("generate", touch.indentation_mm, touch.contact, known))
     pose = results["pose"].output if "pose" in results else None
     if isinstance(pose, ObjectPose) and target is not None and target[1] is not None:
-        figures.update(_pose(pose, target[1]))
+        figures.update(_pose(pose, target[1], mesh, symmetry))
     return figures
 
 
@@ -78,7 +94,7 @@ def _picture(touch: Touch, frame: TactileFrame) -> dict[str, float]:
     return {"generate.psnr_db": psnr_db(touch.image, frame.image, 255.0)}
 
 
-def _pose(pose: ObjectPose, truth: Truth) -> dict[str, float]:
+def _pose(pose: ObjectPose, truth: Truth, mesh: Mesh | None, symmetry: Symmetry | None) -> dict[str, float]:
     if pose.sensor_from_object is None or truth.sensor_from_object is None:
         return {}
     centre = pose.scene_mm.astype(np.float64).mean(axis=0)
@@ -86,4 +102,10 @@ def _pose(pose: ObjectPose, truth: Truth) -> dict[str, float]:
     in_object = rigid.apply(rigid.invert(truth.sensor_from_object), centre)
     off = rigid.apply(pose.sensor_from_object, in_object) - centre
     turn = rigid.invert(truth.sensor_from_object) @ pose.sensor_from_object
-    return {"pose.translation_mm": float(np.linalg.norm(off)), "pose.rotation_deg": rigid.angle_deg(turn)}
+    figures = {"pose.translation_mm": float(np.linalg.norm(off)), "pose.rotation_deg": rigid.angle_deg(turn)}
+    if mesh is not None:
+        felt = symmetric_error(
+            pose.sensor_from_object, truth.sensor_from_object, mesh, symmetry, centre, pose.observable
+        )  # fmt: skip
+        figures |= {f"pose.{name}": value for name, value in asdict(felt).items() if math.isfinite(value)}
+    return figures

@@ -12,6 +12,8 @@ from pipeline import rigid
 from pipeline.evaluation.metrics import PSNR_CAP_DB, frame_metrics, iou, mean_abs_mm, psnr_db
 from pipeline.frames import Truth
 from pipeline.graph import StageResult
+from pipeline.meshes import Mesh
+from pipeline.physics.shapes.symmetry import cyclic
 from pipeline.stages.results import ObjectPose
 
 MASKS = hnp.arrays(np.bool_, (4, 5))
@@ -58,3 +60,32 @@ def test_pose_error_is_stated_at_the_contact_not_at_a_far_away_origin():
     figures = frame_metrics({"pose": result}, None, (frame, Truth(sensor_from_object=truth)))
     assert figures["pose.translation_mm"] == pytest.approx(0.0, abs=1e-6)
     assert figures["pose.rotation_deg"] == pytest.approx(math.degrees(0.01), rel=1e-6)
+
+
+def test_pose_errors_after_symmetry_stand_beside_the_plain_ones_once_the_mesh_is_known():
+    scene = np.array([[0.0, 0, 20], [1, 0, 20], [0, 1, 20], [-1, -1, 20]], np.float32)
+    truth, slide = rigid.translation(0, 0, 22), np.diag([1.0, 1, 1, 0, 1, 1])
+    pose = ObjectPose(
+        sensor_from_object=rigid.translation(2, 0.1, 0) @ truth @ rigid.rotation([0, 0, math.pi]),
+        covariance=None,
+        observable=slide,  # all but a slide along x
+        weak=("slides along x",),
+        rmse_mm=0.0,
+        fitness=1.0,
+        scene_mm=scene,
+        source_index=np.arange(4, dtype=np.int32),
+    )
+    result = StageResult(name="pose", output=pose, state="computed", ms=1.0, notes=(), digest="")
+    frame = type("F", (), {"image": np.zeros(1), "is_depth": True})()
+    bar = Mesh(vertices_mm=np.array([[-9.0, 0, 0], [9, 0, 0], [0, 0, 3]]), triangles=np.array([[0, 1, 2]], np.int32))
+    target = (frame, Truth(sensor_from_object=truth))
+    figures = frame_metrics({"pose": result}, None, target, bar, cyclic(2))
+    assert figures["pose.rotation_deg"] == pytest.approx(180.0)
+    assert figures["pose.mssd_mm"] == pytest.approx(math.hypot(2, 0.1))
+    assert figures["pose.se2_mm"] == pytest.approx(math.hypot(2, 0.1))
+    assert figures["pose.se2_deg"] == pytest.approx(0.0, abs=1e-6)
+    assert figures["pose.observable_mm"] == pytest.approx(0.1)
+    assert figures["pose.observable_deg"] == pytest.approx(0.0, abs=1e-6)
+    unknown = frame_metrics({"pose": result}, None, target, bar)
+    assert unknown["pose.mssd_mm"] > 17.0, "the ends of the bar are taken as different"
+    assert "pose.mssd_mm" not in frame_metrics({"pose": result}, None, target)
