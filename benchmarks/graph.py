@@ -1,88 +1,105 @@
-"""What does a frame cost that needs no work: one nobody touched, one seen before, one with another pose setting?
+"""What does a frame cost that needs no work: one seen before, one that nobody touched?
 
-Run: python benchmarks/graph.py [RECORDING] [TARGET]. Peer: the same frame through all stages with an empty cache.
+    python benchmarks/graph.py [RECORDING] [TARGET]
+
+Peer: a touched frame through all stages with an empty cache. Every frame is a new object, as read from a camera;
+sensors, mesh and reference are known, as in a stream. Errors count the stages whose output or course is not as it must
+be: equal to a run with an empty cache, and nothing but the pose recomputed when a setting of the pose changes.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import statistics
+import itertools
 import sys
-import time
 from pathlib import Path
 
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 from pipeline import routes
-from pipeline.params import settings
+from pipeline.evaluation.races import Answer, Bar, race, row, timing
+from pipeline.evaluation.races_report import show
 from pipeline.translate import Request, new_graph, open_translation
 
-SAMPLE = Path(__file__).parents[1] / "sample_data" / "recordings" / "first_touch.h5"
-REPEATS = 41
+_SAMPLE = Path(__file__).resolve().parents[1] / "sample_data" / "recordings" / "first_touch.h5"
+_PEER = "all stages of a touched frame"
+_PARAMS = routes.default_params()
+_STAGES = routes.route("t2d2")
+_RUNS = 41
 
 
-def ms_of(work, repeats=REPEATS):
-    times = []
-    for _ in range(repeats):
-        started = time.perf_counter()
-        work()
-        times.append(1e3 * (time.perf_counter() - started))
-    return statistics.median(times), sorted(times)[int(0.95 * len(times))]
-
-
-def copied(inputs):
-    frame = inputs["frame"]
-    return {**inputs, "frame": dataclasses.replace(frame, image=frame.image.copy(), reference=frame.reference.copy())}
-
-
-def main():
-    path = Path(sys.argv[1]) if len(sys.argv) > 1 else SAMPLE
-    target = sys.argv[2] if len(sys.argv) > 2 else "soft_bubble"
+def answer(path: Path = _SAMPLE, target: str = "soft_bubble") -> Answer:
     translation = open_translation(Request(recording=path, target=target))
-    params = routes.default_params()
-    graph = new_graph()
-    touched, untouched = None, None
+    touched, untouched = first_frames(translation)
+    graph, fresh = new_graph(), new_graph()
+    seen, still = graph.evaluate(_STAGES, touched, _PARAMS), graph.evaluate(_STAGES, untouched, _PARAMS)
+    again, new = copies(touched, vary=False), copies(untouched, vary=True)
+
+    def first_of_all():
+        fresh.cache.clear()
+        return fresh.evaluate(_STAGES, next(new), _PARAMS)
+
+    raced = {
+        "frame seen before": (lambda: graph.evaluate(_STAGES, next(again), _PARAMS), seen, Bar(ms=0.2, error=0)),
+        "new untouched frame of a stream": (
+            lambda: graph.evaluate(_STAGES, next(new), _PARAMS), still, Bar(ms=0.5, error=0)),
+        "first untouched frame, empty cache": (first_of_all, still, Bar(ms=0.5, error=0)),
+    }  # fmt: skip
+    errors = {name: differing(run(), wanted) for name, (run, wanted, _) in raced.items()}
+    times = race({name: run for name, (run, _, _) in raced.items()}, runs=_RUNS)
+    peer = race({_PEER: lambda: new_graph().evaluate(_STAGES, touched, _PARAMS)}, runs=7)[_PEER]
+    rows = [
+        row(name, peer=_PEER, ours=times[name], peer_timing=peer, ours_error=errors[name], unit="stages", bar=bar)
+        for name, (_, _, bar) in raced.items()
+    ]
+    return Answer(
+        title=f"A frame that needs no work, {translation.source.name} to {target}",
+        unit="stages",
+        rows=(*rows, pose_setting_changed(graph, touched, peer)),
+    )
+
+
+def first_frames(translation):
+    """Inputs of the first frame that touches and of the first that does not."""
+    graph, found = new_graph(), {}
     for index in range(translation.n_frames):
         inputs = translation.inputs(index)
-        contact = graph.evaluate(["depth"], inputs, params)["depth"].output.contact.any()
-        touched = inputs if contact and touched is None else touched
-        untouched = inputs if not contact and untouched is None else untouched
-    rows = []
-    everything = translation.stages
+        contact = graph.evaluate(["depth"], inputs, _PARAMS)["depth"].output.contact.any()
+        found.setdefault(bool(contact), inputs)
+        if len(found) == 2:
+            return found[True], found[False]
+    raise SystemExit("the recording needs a touched and an untouched frame")
 
-    def fresh(inputs):
-        return lambda: new_graph().evaluate(everything, inputs, params)
 
-    if touched is not None:
-        fresh(touched)()  # libraries loaded, kernels compiled
-        rows.append(("touched frame, empty cache", *ms_of(fresh(touched), 7)))
-        graph.evaluate(everything, touched, params)
-        copies = iter(
-            [copied(touched) for _ in range(REPEATS)]
-        )  # read again, as from a file: nothing known by identity
-        rows.append(("frame seen before", *ms_of(lambda: graph.evaluate(everything, next(copies), params))))
-        name, (value, _) = next((n, v) for n, v in settings(params["pose"]).items() if n == "seed")
-        changed = {**params, "pose": dataclasses.replace(params["pose"], **{name: value + 1})}
-        states = graph.evaluate(everything, touched, changed)
-        rows.append(
-            (
-                f"pose setting changed: {[n for n, r in states.items() if r.state == 'computed']} ran",
-                states["pose"].ms,
-                states["pose"].ms,
-            )
-        )
-    if untouched is not None:
-        # As in a stream: sensors and mesh are known, the frame is new.
-        copies = iter([copied(untouched) for _ in range(REPEATS + 1)])
+def copies(inputs, *, vary: bool):
+    """The inputs with the frame's picture copied, and with `vary` never the same twice, without end."""
+    frame = inputs["frame"]
+    pictures = [frame.image.copy() for _ in range(8)]
+    for count in itertools.count():
+        picture = pictures[count % len(pictures)]
+        if vary:
+            picture.reshape(-1)[:2] = np.divmod(count, 256)
+        yield {**inputs, "frame": dataclasses.replace(frame, image=picture)}
 
-        def new_frame():
-            graph.cache.clear()
-            graph.evaluate(everything, next(copies), params)
 
-        new_frame()
-        rows.append(("untouched frame, never seen", *ms_of(new_frame)))
-    print(f"{'case':58s} {'median ms':>10s} {'p95 ms':>10s}")
-    for case, median, p95 in rows:
-        print(f"{case:58s} {median:10.3f} {p95:10.3f}")
+def differing(results, wanted) -> float:
+    return float(sum(results[name].digest != wanted[name].digest for name in wanted))
+
+
+def pose_setting_changed(graph, touched, peer):
+    """The row of a changed seed of the pose: all other stages must come from the cache."""
+    taken, wrong = [], 0
+    for seed in range(101, 108):
+        changed = {**_PARAMS, "pose": dataclasses.replace(_PARAMS["pose"], seed=seed)}
+        results = graph.evaluate(_STAGES, touched, changed)
+        taken.append(sum(r.ms for r in results.values()))
+        wrong = max(wrong, sum((r.state == "computed") != (name == "pose") for name, r in results.items()))
+    return row("a setting of the pose changed", peer=_PEER, ours=timing(taken), peer_timing=peer,
+               ours_error=float(wrong), unit="stages", bar=Bar(error=0))  # fmt: skip
 
 
 if __name__ == "__main__":
-    main()
+    given = sys.argv[1:]
+    show(answer(*([Path(given[0])] if given else []), *given[1:2]))

@@ -27,6 +27,7 @@ from pipeline.poisson import integrate
 _SHAPES = ((140, 175), (240, 320), (320, 427), (480, 640))
 _DRAWN = (320, 427)
 _TILT = 0.05
+_BAR = Bar(faster=3.5, ms=3, closer=1000, error=1e-3)
 
 
 def bump(rows: int, cols: int):
@@ -95,7 +96,7 @@ def answer() -> Answer:
         free, _, peer, _ = methods
         rows.append(row(f"integrate slopes, {shape[0]} x {shape[1]}", peer=peer, ours=times[free],
                         peer_timing=times[peer], ours_error=errors[free], peer_error=errors[peer], unit="px",
-                        bar=Bar(faster=3.5 if shape == _DRAWN else None, closer=1000)))  # fmt: skip
+                        bar=_BAR if shape == _DRAWN else Bar(closer=1000)))  # fmt: skip
         if shape == _DRAWN:
             solve = {"sparse least squares": lambda gx=gx, gy=gy: sparse_solve(gx, gy)}
             errors["sparse least squares"] = rmse_px(sparse_solve(gx, gy), z)

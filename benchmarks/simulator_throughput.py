@@ -1,20 +1,23 @@
 """How fast are data sets made: moments a second on disk, with one process and with two?
 
-Run: python benchmarks/simulator_throughput.py [POSES]. Each row simulates and writes POSES (12) grasps of each of three
+Run: python benchmarks/simulator_throughput.py [POSES]. Each row simulates and writes POSES (6) grasps of each of three
 training objects, noise and truth included; a moment is one reading of every sensor named. Warm: each worker has made
-a moment before. Goal: 12 objects x 60 grasps x 3 sensors in minutes.
+a moment before. The bar is ours: 12 objects x 60 grasps x 3 sensors within ten minutes.
 """
 
 from __future__ import annotations
 
 import contextlib
-import os
-import platform
+import math
 import sys
 import tempfile
 import time
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from pipeline.evaluation.races import Answer, Bar, row, timing
+from pipeline.evaluation.races_report import show
 from pipeline.physics import datasets, shapes
 from pipeline.physics.datasets import Plan
 from pipeline.physics.recorder import record, workers
@@ -26,6 +29,8 @@ SENSOR_SETS = (
     ("gelslim", "digit", "soft_bubble"),
 )
 N_OBJECTS = 3
+N_MOMENTS = 12 * 60
+BAR = Bar(ms=10 * 60e3 / N_MOMENTS)
 
 
 def moments_per_s(sensors, n, jobs):
@@ -42,15 +47,16 @@ def moments_per_s(sensors, n, jobs):
     return n * len(plans) / seconds, size / (n * len(plans))
 
 
-def main():
-    n = int(sys.argv[1]) if len(sys.argv) > 1 else 12
-    print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
-    print(f"{'sensors':32s} {'processes':>9s} {'moments/s':>10s} {'kB/moment':>10s} {'12 x 60 in min':>15s}")
+def answer(n: int = 6) -> Answer:
+    rows, notes = [], []
     for sensors in SENSOR_SETS:
-        for jobs in (1, 2):
-            rate, size = moments_per_s(sensors, n, jobs)
-            print(f"{', '.join(sensors):32s} {jobs:9d} {rate:10.2f} {size / 1e3:10.0f} {720 / rate / 60:15.1f}")
+        (alone, size), (two, _) = moments_per_s(sensors, n, 1), moments_per_s(sensors, n, 2)
+        rows.append(row(f"a moment of {', '.join(sensors)}", peer="one process", ours=timing([1e3 / two]),
+                        peer_timing=timing([1e3 / alone]), ours_error=math.nan, unit="", bar=BAR))  # fmt: skip
+        notes.append(f"{', '.join(sensors)}: {two:.2f} moments a second, {size / 1e3:.0f} kB each, "
+                     f"{N_MOMENTS} in {N_MOMENTS / two / 60:.1f} min")  # fmt: skip
+    return Answer(title="Data sets, two processes beside one", unit="", rows=tuple(rows), notes=tuple(notes))
 
 
 if __name__ == "__main__":
-    main()
+    show(answer(*(int(n) for n in sys.argv[1:2])))
