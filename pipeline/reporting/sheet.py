@@ -45,9 +45,12 @@ def write_sheet(path: Path, frame: TactileFrame, report: FrameReport, translatio
             continue
         draw(figure, ax, result, source if name == "depth" else target)
         _footer(ax, result)
-    metrics = "   ".join(f"{k} {v:.3g}" for k, v in report.metrics.items())
+    touch, pose = (
+        "   ".join(f"{k} {v:.3g}" for k, v in report.metrics.items() if k.startswith("pose.") == of_pose)
+        for of_pose in (False, True)
+    )
     figure.suptitle(f"frame {report.index}   {source.name} → {target.name}", fontsize=11, y=0.985)
-    figure.text(0.5, 0.925, metrics, fontsize=8, ha="center", va="top", color="0.3")
+    figure.text(0.5, 0.925, f"{touch}\n{pose}", fontsize=8, ha="center", va="top", color="0.3")
     figure.savefig(path)
 
 
