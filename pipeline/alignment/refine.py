@@ -1,0 +1,214 @@
+"""The alignment that fits many touches at once, what of it the touches do not tell, and how it does on others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline import rigid
+from pipeline.alignment.coarse import JUDGED, JUDGED_SCALE, beginnings
+from pipeline.alignment.normal_equations import (
+    TOLERANCE_DEG,
+    TOLERANCE_MM,
+    UNITS,
+    Noise,
+    Sums,
+    cost,
+    growth_mm,
+    noise_of,
+    seen,
+    sums,
+)
+from pipeline.alignment.nudge import motion_about
+from pipeline.alignment.residuals import Evidence, evidence, thinned
+from pipeline.alignment.touches import PairedTouch
+from pipeline.alignment.transforms import Alignment, Side, corrected
+from pipeline.arrays import Doubles, freeze
+from pipeline.errors import SettingProblem
+from pipeline.progress import SILENT, Progress
+from pipeline.registration.screws import in_words
+
+_START = Noise(surface_mm=2.0, outline_mm=4.0)  # loss scales to begin with: as far off as a start may be
+_START_NEAR = Noise(surface_mm=0.5, outline_mm=1.0)  # once the place is roughly known
+_ROUGH_POINTS = 120  # of each kind and touch, until then
+_NARROWER = 0.75  # a round; wide loss first, so that a start that is far off is not taken for outliers
+_LOSS_SCALE = 3.0  # in standard deviations, once narrow
+_ROUNDS = 60
+_STILL = 0.002  # of a tolerance: 0.4 um, 0.002 deg
+_LONGEST = 10.0  # tolerances in one step: 2 mm, 10 deg
+_TRIES = 8
+_BEGINNINGS = 3  # besides where the user stands
+_RADIUS_MM = TOLERANCE_MM / np.deg2rad(TOLERANCE_DEG)  # makes a turn of the tolerance as long as such a shift
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fit:
+    """How far touches are from agreeing, medians over all points."""
+
+    surface_mm: float  # |distance| to the target's surface along its normal
+    outline_mm: float  # |distance| to the target's outline, each touch's growth taken off
+    met: float  # share of the points that met something to compare with
+    n_touches: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Refinement:
+    """A refined alignment and how far to trust it."""
+
+    alignment: Alignment
+    into: Side  # which of the two transforms took the change
+    motion: Doubles  # (4, 4) mm, target frame: what was put after the old T_S->T
+    pivot_mm: Doubles  # (3,) target frame
+    spread: Doubles  # (6,) predicted standard deviations (deg about the pivot, mm); 0 along frozen directions
+    weak: tuple[str, ...]  # what the touches do not tell, in words; left as it was
+    used: tuple[Fit, Fit]  # before, after
+    held_out: tuple[Fit, Fit] | None
+    rounds: int
+    converged: bool
+    notes: tuple[str, ...] = ()
+
+
+def refine(
+    touches: Sequence[PairedTouch],
+    alignment: Alignment,
+    *,
+    held_out: Sequence[PairedTouch] = (),
+    into: Side = "target_from_alignment",
+    progress: Progress = SILENT,
+) -> Refinement:
+    """Least squares over all `touches` for one rigid correction of T_S->T, stored in `into`.
+
+    Damped Gauss-Newton with a Geman-McClure loss that narrows from millimetres to three standard deviations; see
+    `residuals` for what is compared. Directions whose predicted spread exceeds 0.2 mm or 1 deg are frozen and named.
+    `held_out` touches are only judged, before and after. Raises SettingProblem when no touch is felt by both sensors.
+    """
+    kept = [evidence(t) for t in touches if t.felt_by_both]
+    kept = [e for e in kept if len(e.surface_mm) and len(e.outline_mm)]
+    if not kept:
+        raise SettingProblem("no frame is felt by both sensors; refining needs touches with contact on either side")
+    others = [evidence(t) for t in held_out if t.felt_by_both]
+    start = alignment.target_from_source
+    pivot = np.mean([rigid.apply(start, e.surface_mm).mean(axis=0) for e in kept], axis=0)
+    solver = _Solver(kept, start, pivot, progress)
+    rough = _Solver([thinned(e, _ROUGH_POINTS) for e in kept], start, pivot, progress)
+    motion = rough.best(beginnings(kept, start, pivot, _BEGINNINGS, progress))
+    motion, converged = solver.solve(motion, np.eye(6), _START_NEAR)
+    free, lost = _determined(solver.final(motion).information)
+    if lost.shape[1]:
+        motion, converged = solver.frozen(motion, free)
+    information = free.T @ solver.final(motion).information @ free
+    spread = np.sqrt(np.diag(free @ np.linalg.inv(information) @ free.T)) if free.shape[1] else np.zeros(6)
+    after = motion @ start
+    progress.step(1.0, "refined")
+    return Refinement(
+        alignment=corrected(alignment, motion, into),
+        into=into,
+        motion=freeze(motion),
+        pivot_mm=freeze(pivot),
+        spread=freeze(spread * np.array([TOLERANCE_DEG] * 3 + [TOLERANCE_MM] * 3)),
+        weak=tuple(words for words, _ in in_words(lost, pivot, float(_RADIUS_MM))),
+        used=(fit(kept, start), fit(kept, after)),
+        held_out=(fit(others, start), fit(others, after)) if others else None,
+        rounds=solver.rounds,
+        converged=converged,
+        notes=() if converged else (f"stopped after {solver.rounds} rounds while still moving; begin nearer",),
+    )
+
+
+def fit(touches: Sequence[Evidence], target_from_source: Doubles) -> Fit:
+    """How far `touches` are from agreeing under this T_S->T; NaN where no point met anything."""
+    distances = seen(touches, target_from_source)
+    noise = noise_of(distances)
+    surface = np.concatenate([s.surface.mm for s in distances])
+    outline = np.concatenate(
+        [s.outline.mm - growth_mm(s.outline.mm, noise.outline_mm * _LOSS_SCALE, noise.outline_mm, s.outline.n_asked)[0]
+         for s in distances]
+    )  # fmt: skip
+    asked = sum(s.surface.n_asked + s.outline.n_asked for s in distances)
+    return Fit(
+        surface_mm=float(np.median(np.abs(surface))) if surface.size else float("nan"),
+        outline_mm=float(np.median(np.abs(outline))) if outline.size else float("nan"),
+        met=(surface.size + outline.size) / asked if asked else 0.0,
+        n_touches=len(touches),
+    )
+
+
+class _Solver:
+    """Damped Gauss-Newton from one start, as often as wanted."""
+
+    def __init__(self, touches: Sequence[Evidence], start: Doubles, pivot_mm: Doubles, progress: Progress) -> None:
+        self._touches, self._start, self._pivot, self._progress = touches, start, pivot_mm, progress
+        self.rounds = 0
+
+    def best(self, beginnings: Sequence[Doubles]) -> Doubles:
+        """The solution of least cost from several beginnings."""
+        found = [self.solve(b, np.eye(6))[0] for b in beginnings]
+        costs = [cost(self._touches, motion @ self._start, JUDGED, JUDGED_SCALE) for motion in found]
+        return found[int(np.argmin(costs))]
+
+    def frozen(self, solution: Doubles, free: Doubles) -> tuple[Doubles, bool]:
+        """The solution within the span of `free` (6, k) steps from the start: the others stay as they were."""
+        if not free.shape[1]:
+            return np.eye(4), True
+        step = self._as_step(solution)
+        turn, shift = np.split(free @ (free.T @ step) * UNITS, 2)
+        return self.solve(motion_about(self._pivot, turn, shift), free, _START_NEAR)
+
+    def solve(self, motion: Doubles, free: Doubles, scale: Noise = _START) -> tuple[Doubles, bool]:
+        """The best motion (4, 4) from this one within the span of `free` (6, k), and whether it stands still."""
+        damping = 1e-3
+        for done in range(_ROUNDS):
+            self._progress.step(done / _ROUNDS, f"round {done + 1}: outlines to {scale.outline_mm:.2f} mm")
+            self.rounds += 1
+            distances = seen(self._touches, motion @ self._start)
+            noise = noise_of(distances)
+            wide = Noise(
+                surface_mm=max(scale.surface_mm, _LOSS_SCALE * noise.surface_mm),
+                outline_mm=max(scale.outline_mm, _LOSS_SCALE * noise.outline_mm),
+            )
+            narrow = wide.surface_mm > scale.surface_mm and wide.outline_mm > scale.outline_mm
+            here = sums(distances, self._touches, self._pivot, noise, wide)
+            motion, damping, length = self._step(motion, here, noise, wide, free, damping)
+            if length < _STILL and narrow:
+                return motion, True
+            scale = Noise(surface_mm=scale.surface_mm * _NARROWER, outline_mm=scale.outline_mm * _NARROWER)
+        return motion, False
+
+    def final(self, motion: Doubles) -> Sums:
+        """The quadratic model at the end, with the noise that is left."""
+        distances = seen(self._touches, motion @ self._start)
+        noise = noise_of(distances)
+        narrow = Noise(surface_mm=_LOSS_SCALE * noise.surface_mm, outline_mm=_LOSS_SCALE * noise.outline_mm)
+        return sums(distances, self._touches, self._pivot, noise, narrow)
+
+    def _as_step(self, motion: Doubles) -> Doubles:
+        """The step (6,) in tolerances that `motion_about` makes this motion of."""
+        shift = rigid.apply(motion, self._pivot) - self._pivot
+        return np.concatenate([rigid.rotation_vector_rad(motion), shift]) / UNITS
+
+    def _step(
+        self, motion: Doubles, here: Sums, noise: Noise, scale: Noise, free: Doubles, damping: float
+    ) -> tuple[Doubles, float, float]:
+        """The next motion, damping, and the length of the step in tolerances; 0 when no step makes it better."""
+        information, gradient = free.T @ here.information @ free, free.T @ here.gradient
+        load = np.maximum(np.diag(information), 1e-6 * np.trace(information) + 1e-12)
+        for _ in range(_TRIES):
+            step = -free @ np.linalg.solve(information + damping * np.diag(load), gradient)
+            length = float(np.linalg.norm(step))
+            step *= min(1.0, _LONGEST / max(length, 1e-12))
+            turn, shift = np.split(step * UNITS, 2)
+            moved = motion_about(self._pivot, turn, shift) @ motion
+            there = sums(seen(self._touches, moved @ self._start), self._touches, self._pivot, noise, scale)
+            if there.cost <= here.cost:
+                return moved, max(damping / 3.0, 1e-6), length
+            damping = damping * 5.0
+        return motion, damping, 0.0
+
+
+def _determined(information: Doubles) -> tuple[Doubles, Doubles]:
+    """Orthonormal directions (6, k) that are known to within a tolerance, and those that are not."""
+    certainty, directions = np.linalg.eigh(0.5 * (information + information.T))
+    weak = ~(certainty > 1.0)  # a predicted spread of one tolerance
+    return directions[:, ~weak], directions[:, weak]

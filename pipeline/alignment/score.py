@@ -1,0 +1,120 @@
+"""How well a touch carried over by an alignment agrees with what the target really felt of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.alignment.felt import Felt, distance_px, edge_of
+from pipeline.alignment.touches import PairedTouch
+from pipeline.alignment.transforms import Alignment
+from pipeline.arrays import Mask
+from pipeline.progress import SILENT, Progress
+from pipeline.stages.project import ProjectParams
+from pipeline.stages.reprojection import reproject
+from pipeline.stages.results import TargetView
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Score:
+    """Agreement within what the source could see; None where there is nothing to compare."""
+
+    iou: float  # of the contact masks; 1 where both are empty
+    edge_px: float | None  # mean distance of the outlines, both ways, in pixels of the target's full image
+    depth_mm: float | None  # median |difference| of depth where both are in contact
+    depth_rms_mm: float | None
+    bias_mm: float | None  # median of carried over - felt: positive = too far from the target's camera
+    overlap_px: int  # pixels of the scored grid in contact on both sides
+
+
+def score(view: TargetView, felt: Felt) -> Score:
+    """Compare a view drawn into `felt.spec` with what was felt there.
+
+    An outline where the source's picture ends, or the target's, is no outline of the contact and is left out.
+    """
+    there = felt.contact & view.known
+    both = view.contact & there
+    either = int(np.count_nonzero(view.contact | there))
+    overlap = int(np.count_nonzero(both))
+    gap = (view.depth_mm[both] - felt.depth_mm[both]).astype(np.float64)
+    gap = gap[np.isfinite(gap)]
+    return Score(
+        iou=overlap / either if either else 1.0,
+        edge_px=_edge_px(view, felt),
+        depth_mm=float(np.median(np.abs(gap))) if gap.size else None,
+        depth_rms_mm=float(np.sqrt(np.mean(gap * gap))) if gap.size else None,
+        bias_mm=float(np.median(gap)) if gap.size else None,
+        overlap_px=overlap,
+    )
+
+
+def preview(
+    touch: PairedTouch, alignment: Alignment, felt: Felt, params: ProjectParams | None = None
+) -> tuple[TargetView, Score]:
+    """The touch as the alignment carries it over, on the grid of `felt`, and how well it agrees."""
+    aligned, drawn = touch.placed(alignment), params or ProjectParams()
+    view = reproject(touch.source, aligned, felt.spec, drawn, stride=_stride(touch, felt))
+    return view, score(view, felt)
+
+
+def scores(
+    touches: Sequence[PairedTouch],
+    felts: Sequence[Felt],
+    alignment: Alignment,
+    params: ProjectParams | None = None,
+    progress: Progress = SILENT,
+) -> tuple[Score, ...]:
+    """The score of every touch: what one frame gains at the cost of the others shows here."""
+    found: list[Score] = []
+    for done, (touch, side) in enumerate(zip(touches, felts, strict=True)):
+        progress.step(done / len(touches), f"scoring frame {touch.index}")
+        found.append(preview(touch, alignment, side, params)[1])
+    return tuple(found)
+
+
+def typical(found: Sequence[Score]) -> Score | None:
+    """Medians over frames, of what each can tell; None of no frames at all."""
+    if not found:
+        return None
+
+    def middle(name: str) -> float | None:
+        told = [value for s in found if (value := getattr(s, name)) is not None]
+        return float(np.median(told)) if told else None
+
+    return Score(
+        iou=float(np.median([s.iou for s in found])),
+        edge_px=middle("edge_px"),
+        depth_mm=middle("depth_mm"),
+        depth_rms_mm=middle("depth_rms_mm"),
+        bias_mm=middle("bias_mm"),
+        overlap_px=int(np.median([s.overlap_px for s in found])),
+    )
+
+
+def _stride(touch: PairedTouch, felt: Felt) -> int:
+    """Every how many-th source pixel is enough: at most `felt.factor`, and never sparser than the pixels drawn."""
+    camera, depth = touch.source.camera, touch.source.depth_mm[::16, ::16]
+    seen = depth[np.isfinite(depth)]
+    if felt.factor == 1 or not seen.size:
+        return 1
+    pixel_mm = float(np.median(seen)) / camera.fx_px
+    return int(np.clip(felt.spec.pixel_mm / pixel_mm, 1, felt.factor))
+
+
+def _edge_px(view: TargetView, felt: Felt) -> float | None:
+    inside = _inside(view.known)
+    drawn, there = edge_of(view.contact) & inside, felt.edge & inside
+    if not drawn.any() or not there.any():
+        return None
+    onward = float(felt.to_edge_px[drawn].mean())
+    back = float(distance_px(drawn)[there].mean())
+    return 0.5 * (onward + back) * felt.factor
+
+
+def _inside(known: Mask) -> Mask:
+    """What is known without its outermost two pixels, where a touch is cut off rather than ends."""
+    import cv2
+
+    return cv2.erode(known.view(np.uint8), np.ones((5, 5), np.uint8)).view(np.bool_)

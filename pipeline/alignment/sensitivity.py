@@ -1,0 +1,98 @@
+"""Which axis matters: how much the agreement changes when an alignment is moved a little along each axis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.alignment.felt import Felt
+from pipeline.alignment.nudge import AXES, Axis, Frame, nudged, unit_of
+from pipeline.alignment.score import Score, preview
+from pipeline.alignment.touches import PairedTouch, pivot_of
+from pipeline.alignment.transforms import Alignment
+from pipeline.arrays import Doubles
+from pipeline.progress import SILENT, Progress
+from pipeline.stages.project import ProjectParams
+
+UNIT_STEP = 0.1  # mm or deg: what all changes are stated per
+_STEP_PX = 0.5  # masks change by whole pixels: smaller motions than about this show nothing
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """How one figure of the score answers to one axis, per 0.1 mm or 0.1 deg; None where it cannot be told."""
+
+    slope: float | None  # signed, toward the axis' positive direction: which way is better
+    size: float | None  # mean |change| to either side: how much the axis matters, also at the best place
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sensitivity:
+    """One axis."""
+
+    axis: Axis
+    unit: str  # mm or deg
+    step: float  # how far it was moved to either side to find out
+    iou: Change
+    edge_px: Change
+    depth_mm: Change  # of the rms difference, which is smooth
+
+
+def sensitivities(
+    touch: PairedTouch,
+    alignment: Alignment,
+    felt: Felt,
+    params: ProjectParams | None = None,
+    *,
+    frame: Frame = "target",
+    pivot: Doubles | None = None,
+    progress: Progress = SILENT,
+) -> tuple[Sensitivity, ...]:
+    """For each of the six axes, by differences of previews on the grid of `felt`: thirteen of them.
+
+    Moves by about half a pixel of that grid and states the change per 0.1 mm or 0.1 deg. Turns are about `pivot` (3,)
+    mm in the target frame, by default the contact's centroid.
+    """
+    about = pivot_of(touch, alignment) if pivot is None else pivot
+    here = preview(touch, alignment, felt, params)[1]
+    shift_mm = max(UNIT_STEP, _STEP_PX * felt.spec.pixel_mm)
+    turn_deg = max(UNIT_STEP, float(np.rad2deg(shift_mm / _radius_mm(touch))))
+    told: list[Sensitivity] = []
+    for done, axis in enumerate(AXES):
+        progress.step(done / len(AXES), f"moving along {axis}")
+        step = turn_deg if unit_of(axis) == "deg" else shift_mm
+        down, up = (
+            preview(touch, nudged(alignment, axis, amount, frame, pivot_mm=about), felt, params)[1]
+            for amount in (-step, step)
+        )
+        told.append(
+            Sensitivity(
+                axis=axis,
+                unit=unit_of(axis),
+                step=step,
+                iou=_change(down, here, up, "iou", step),
+                edge_px=_change(down, here, up, "edge_px", step),
+                depth_mm=_change(down, here, up, "depth_rms_mm", step),
+            )
+        )
+    return tuple(told)
+
+
+def _change(down: Score, here: Score, up: Score, name: str, step: float) -> Change:
+    a, b, c = (getattr(s, name) for s in (down, here, up))
+    per = UNIT_STEP / step
+    slope = None if a is None or c is None else 0.5 * (c - a) * per
+    sides = [abs(side - b) for side in (a, c) if side is not None] if b is not None else []
+    return Change(slope=slope, size=per * sum(sides) / len(sides) if sides else None)
+
+
+def _radius_mm(touch: PairedTouch) -> float:
+    """Root mean square distance of the contact from its middle, at least a millimetre."""
+    row, col = np.nonzero(touch.source.contact)
+    if not row.size:
+        return 1.0
+    camera = touch.source.camera
+    z = float(np.nanmedian(touch.source.depth_mm))
+    spread = np.hypot(np.std(col) * z / camera.fx_px, np.std(row) * z / camera.fy_px)
+    return max(float(spread), 1.0)

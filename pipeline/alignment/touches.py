@@ -1,0 +1,116 @@
+"""The same touch as two sensors felt it: what an alignment is judged on and refined with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.alignment.nudge import pivot_mm
+from pipeline.alignment.transforms import Alignment, placed
+from pipeline.arrays import Doubles, freeze
+from pipeline.calibration import Calibration
+from pipeline.errors import SettingProblem
+from pipeline.frames import TactileFrame, Truth
+from pipeline.progress import SILENT, Progress
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.depth import DepthParams, depth, untouched
+from pipeline.stages.pixel_index import pixel_index
+from pipeline.stages.results import DepthMap
+from pipeline.translate import Translation, own_shift_mm
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairedTouch:
+    """One moment: the source's depth map and the target's, each in its own camera frame."""
+
+    index: int
+    source: DepthMap
+    target: DepthMap
+    source_shift_mm: float = 0.0  # `pipeline.translate.own_shift_mm` of either side
+    target_shift_mm: float = 0.0
+
+    def placed(self, alignment: Alignment) -> Alignment:
+        """The alignment between the very units that recorded this touch."""
+        return placed(alignment, source_shift_mm=self.source_shift_mm, target_shift_mm=self.target_shift_mm)
+
+    @property
+    def felt_by_both(self) -> bool:
+        """Whether both sensors say that they were touched."""
+        return bool(self.source.contact.any()) and bool(self.target.contact.any())
+
+
+def pivot_of(touch: PairedTouch, alignment: Alignment) -> Doubles:
+    """The contact's centroid (3,) in the target frame of the descriptions: what turns are about."""
+    return pivot_mm(touch.source, placed(alignment, source_shift_mm=touch.source_shift_mm, target_shift_mm=0.0))
+
+
+def paired_touch(
+    translation: Translation, index: int, params: DepthParams | None = None, *, exact: bool = False
+) -> PairedTouch:
+    """Frame `index` of both sensors through the depth stage, or (`exact`) as the recording's truth has it.
+
+    Raises SettingProblem when the target took no part, or when truth is asked for and there is none; FileProblem for
+    a damaged frame.
+    """
+    params = params or DepthParams()
+    other = translation.truth_of_target(translation.checked(index))
+    if other is None:
+        raise SettingProblem(
+            f"{translation.target.name} recorded no frame {index} here; "
+            f"an alignment is judged on a recording of both sensors"
+        )
+    frame, (target_frame, target_truth) = translation.stream.frame(index), other
+    maps: list[DepthMap] = []
+    for seen, spec, truth, look_up in (
+        (frame, translation.source, translation.truth_of_source(index) if exact else None, translation.calibration),
+        (target_frame, translation.target, target_truth, None),
+    ):
+        maps.append(_exact(seen, spec, truth) if exact else _measured(seen, spec, look_up, params))
+    return PairedTouch(
+        index=index,
+        source=maps[0],
+        target=maps[1],
+        source_shift_mm=own_shift_mm(frame, translation.source),
+        target_shift_mm=own_shift_mm(target_frame, translation.target),
+    )
+
+
+def paired_touches(
+    translation: Translation,
+    indices: Iterable[int],
+    params: DepthParams | None = None,
+    *,
+    exact: bool = False,
+    progress: Progress = SILENT,
+) -> tuple[PairedTouch, ...]:
+    """Those of the frames that both sensors felt, in order; raises like `paired_touch`."""
+    wanted = tuple(indices)
+    felt: list[PairedTouch] = []
+    for done, index in enumerate(wanted):
+        progress.step(done / len(wanted), f"depth of frame {index} on both sides")
+        touch = paired_touch(translation, index, params, exact=exact)
+        if touch.felt_by_both:
+            felt.append(touch)
+    return tuple(felt)
+
+
+def _measured(frame: TactileFrame, spec: SensorSpec, look_up: Calibration | None, params: DepthParams) -> DepthMap:
+    return untouched(frame, spec, look_up, params) or depth(frame, spec, look_up, params)
+
+
+def _exact(frame: TactileFrame, spec: SensorSpec, truth: Truth | None) -> DepthMap:
+    if truth is None or truth.indentation_mm is None or truth.contact is None:
+        raise SettingProblem(f"the truth of frame {frame.index} of {spec.name} is not known; use the depth stage")
+    camera = frame.camera or spec.camera
+    rest = spec.rest_depth_mm if camera == spec.camera else spec.membrane.rest_depth_mm(camera)
+    if frame.is_depth and frame.reference is not None and frame.camera is not None:
+        rest = np.asarray(frame.reference, np.float64)
+    return DepthMap(
+        indentation_mm=truth.indentation_mm,
+        depth_mm=freeze((rest - truth.indentation_mm).astype(np.float32)),
+        contact=truth.contact,
+        camera=camera,
+        source_index=pixel_index(camera.shape),
+    )
