@@ -12,24 +12,36 @@ def back_project(depth, contact, stride, ray_x, ray_y, motion, z_min, points, pi
     """Write point (n, 3) and flat source pixel (n,) of every usable contact pixel; returns (n, contact pixels seen).
 
     z (R (x/z, y/z, 1)) + t with `motion` (3, 4) in float64, rounded once. What has no depth, or lies farther than a
-    float32 can say, is left out.
+    float32 can say, is left out. `points` and `pixel` need room for one more than there are.
     """
     rows, cols = depth.shape
-    n, wanted = 0, 0
+    wanted = np.empty(cols + 1, dtype=np.int32)
+    n, total = 0, 0
     for r in range(0, rows, stride):
+        if not _any(contact[r]):
+            continue
+        found = 0
+        for c in range(0, cols, stride):  # no branch: the mask's border is where guesses fail
+            wanted[found] = c
+            found += contact[r, c]
+        total += found
         y = ray_y[r]
-        for c in range(0, cols, stride):
-            if not contact[r, c]:
-                continue
-            wanted += 1
-            z = np.float64(depth[r, c])
-            if not (z > z_min and z < np.inf):
-                continue
-            x = ray_x[c]
-            for axis in range(3):
-                along = motion[axis, 0] * x + motion[axis, 1] * y + motion[axis, 2]
-                points[n, axis] = z * along + motion[axis, 3]
-            if abs(points[n, 0]) < np.inf and abs(points[n, 1]) < np.inf and abs(points[n, 2]) < np.inf:
-                pixel[n] = r * cols + c
-                n += 1
-    return n, wanted
+        # (a x + b y) + c, in this very order: the sum of the row's share alone would round otherwise.
+        for k in range(found):
+            c = wanted[k]
+            x, z = ray_x[c], np.float64(depth[r, c])
+            px = np.float32(z * (motion[0, 0] * x + motion[0, 1] * y + motion[0, 2]) + motion[0, 3])
+            py = np.float32(z * (motion[1, 0] * x + motion[1, 1] * y + motion[1, 2]) + motion[1, 3])
+            pz = np.float32(z * (motion[2, 0] * x + motion[2, 1] * y + motion[2, 2]) + motion[2, 3])
+            points[n, 0], points[n, 1], points[n, 2] = px, py, pz
+            pixel[n] = r * cols + c
+            n += (z > z_min) & (z < np.inf) & (abs(px) < np.inf) & (abs(py) < np.inf) & (abs(pz) < np.inf)
+    return n, total
+
+
+@njit(cache=True)
+def _any(row):
+    there = False
+    for c in range(row.shape[0]):
+        there |= row[c]
+    return there

@@ -15,15 +15,6 @@ _SPACING_SAMPLES = 4096  # neighbours looked at to learn how far apart source pi
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Grid:
-    """Which point each source pixel became, for the rows and columns that have any."""
-
-    points: Indices  # (rows, cols of the source), -1 = none
-    columns: tuple[int, int]  # first and last in use
-    stride: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Drawing:
     """What the loops saw, all of it flat; nothing is drawn in a pixel whose `source` is -1."""
 
@@ -45,17 +36,6 @@ class Rest:
     y0_mm: float
     per_mm: float
     z_mm: Doubles
-
-
-def grid_of(source_index: Indices, grid_shape: tuple[int, int], stride: int) -> Grid:
-    """The grid of a cloud whose points may come in any order."""
-    from pipeline.stages import surface_kernels as kernels
-
-    cols = grid_shape[1]
-    first, last = int(source_index.min()) // cols, int(source_index.max()) // cols
-    points = np.full((last - first + 1, cols), -1, dtype=np.int32)
-    columns = kernels.to_grid(source_index, first, points)
-    return Grid(points=points, columns=columns, stride=stride)
 
 
 def splatted(points_mm: Floats, source_index: Indices, camera: Camera, rest: Rest) -> Drawing:
@@ -90,7 +70,13 @@ def zbuffer(
 
 
 def rasterised(
-    points_mm: Floats, source_index: Indices, grid: Grid, camera: Camera, rest: Rest, limits: tuple[float, float]
+    points_mm: Floats,
+    source_index: Indices,
+    grid_shape: tuple[int, int],
+    stride: int,
+    camera: Camera,
+    rest: Rest,
+    limits: tuple[float, float],
 ) -> Drawing:
     """The source grid as triangles; points without neighbours as points. The membrane is asked in every pixel.
 
@@ -100,13 +86,14 @@ def rasterised(
 
     n = camera.rows * camera.cols
     inverse_z, source = np.zeros(n, dtype=np.float64), np.full(n, -1, dtype=np.int32)
-    alone, counts = np.ones(len(points_mm), dtype=np.bool_), np.zeros(5, dtype=np.int64)
+    alone, counts = np.zeros(len(points_mm), dtype=np.bool_), np.zeros(5, dtype=np.int64)
     pixel = np.empty(len(points_mm), dtype=np.int32)
     flat = points_mm.reshape(-1)
     n_inside = project_kernels.to_pixels(flat, lens_of(camera), camera.shape, MIN_DEPTH_MM, pixel)
-    longest_mm = limits[0] + 2.0 * _spacing_mm(points_mm, grid)  # a diagonal, on a slope
+    order = _sequence(source_index)
+    longest_mm = limits[0] + 2.0 * _spacing_mm(flat, source_index, order, stride)  # a diagonal, on a slope
     surface_kernels.rasterise(
-        flat, grid.points, grid.columns, grid.stride, lens_of(camera), camera.shape, MIN_DEPTH_MM,
+        flat, source_index, order, grid_shape[1], stride, lens_of(camera), camera.shape, MIN_DEPTH_MM,
         (longest_mm * longest_mm, math.cos(math.radians(limits[1]))), inverse_z, source, alone, counts,
     )  # fmt: skip
     as_points = bool(n_inside and not counts.any() and not (source >= 0).any())
@@ -128,14 +115,22 @@ def lens_of(camera: Camera) -> tuple[float, float, float, float]:
     return float(camera.fx_px), float(camera.fy_px), float(camera.cx_px), float(camera.cy_px)
 
 
-def _spacing_mm(points_mm: Floats, grid: Grid) -> float:
+def _sequence(source_index: Indices) -> Indices:
+    """The points by source pixel; empty when they come so already."""
+    from pipeline.stages import surface_kernels as kernels
+
+    if kernels.is_sorted(source_index):
+        return np.empty(0, dtype=np.int32)
+    return np.argsort(source_index, kind="stable").astype(np.int32)
+
+
+def _spacing_mm(flat: Floats, source_index: Indices, order: Indices, stride: int) -> float:
     """The usual distance of neighbouring points, 0 when none has a neighbour."""
     from pipeline.stages import surface_kernels as kernels
 
-    rows, cols = grid.points.shape[0] // grid.stride + 1, grid.points.shape[1] // grid.stride + 1
     distances = np.empty(_SPACING_SAMPLES, dtype=np.float64)
-    every = max(1, rows // max(1, _SPACING_SAMPLES // cols)) * grid.stride
-    n = kernels.neighbour_distances(points_mm, grid.points, grid.stride, every, MIN_DEPTH_MM, distances)
-    if n == 0 and every > grid.stride:
-        n = kernels.neighbour_distances(points_mm, grid.points, grid.stride, grid.stride, MIN_DEPTH_MM, distances)
+    every = max(1, len(source_index) // _SPACING_SAMPLES)
+    n = kernels.neighbour_distances(flat, source_index, order, stride, every, MIN_DEPTH_MM, distances)
+    if n == 0 and every > 1:
+        n = kernels.neighbour_distances(flat, source_index, order, stride, 1, MIN_DEPTH_MM, distances)
     return float(np.median(distances[:n])) if n else 0.0

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.arrays import Floats, Mask, freeze
-from pipeline.camera import MIN_DEPTH_MM
+from pipeline.camera import MIN_DEPTH_MM, Camera
 from pipeline.errors import SettingProblem, ShapeError
 from pipeline.params import setting
 from pipeline.progress import SILENT, Progress
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages import sight_notes
-from pipeline.stages.drawing import Drawing, Grid, Rest, grid_of, rasterised, splatted
+from pipeline.stages.drawing import Drawing, Rest, rasterised, splatted
 from pipeline.stages.results import Cloud, TargetView
 
 NO_CONTACT = "no contact: the target sees nothing"
@@ -60,23 +60,20 @@ def project(cloud: Cloud, target: SensorSpec, params: ProjectParams, progress: P
         return empty
     _check(cloud, params)
     progress.step(0.0, "drawing the touch in the target image")
-    paper = params.mode == "paper" and not params.coverage
-    grid = None if paper else grid_of(cloud.source_index, cloud.grid_shape, cloud.stride)
-    view = view_of(cloud, grid, target, params)
+    view = view_of(cloud, target, params)
     progress.step(1.0, "drawn")
     return view
 
 
-def view_of(cloud: Cloud, grid: Grid | None, target: SensorSpec, params: ProjectParams) -> TargetView:
-    """As `project`, of a cloud that is sound and has a point; paper mode alone needs no grid."""
+def view_of(cloud: Cloud, target: SensorSpec, params: ProjectParams) -> TargetView:
+    """As `project`, of a cloud that is sound and has a point."""
     from pipeline.stages import project_kernels as kernels
 
     rest = _rest(target)
-    if params.mode == "paper" or grid is None:
+    if params.mode == "paper":
         drawing = splatted(cloud.points_mm, cloud.source_index, target.camera, rest)
     else:
-        limits = (params.jump_mm, params.grazing_deg)
-        drawing = rasterised(cloud.points_mm, cloud.source_index, grid, target.camera, rest, limits)
+        drawing = _surface(cloud, target.camera, rest, params)
     shape = target.camera.shape
     indentation = np.empty(drawing.depth_mm.size, dtype=np.float32)
     n_contact, deepest_mm = kernels.push_in(
@@ -101,7 +98,7 @@ def view_of(cloud: Cloud, grid: Grid | None, target: SensorSpec, params: Project
             ),
         ),
         pixel_of_point=freeze(drawing.pixel),
-        coverage=_coverage(cloud, grid, target, params) if params.coverage and grid is not None else None,
+        coverage=_coverage(cloud, target, params) if params.coverage else None,
     )  # fmt: skip
 
 
@@ -174,9 +171,13 @@ def _drawing_notes(drawing: Drawing, params: ProjectParams, n_hidden: int) -> tu
     return sight_notes.triangles(drawing, params.jump_mm, params.grazing_deg, n_hidden)
 
 
-def _coverage(cloud: Cloud, grid: Grid, target: SensorSpec, params: ProjectParams) -> Floats:
+def _surface(cloud: Cloud, camera: Camera, rest: Rest, params: ProjectParams) -> Drawing:
+    limits = (params.jump_mm, params.grazing_deg)
+    return rasterised(cloud.points_mm, cloud.source_index, cloud.grid_shape, cloud.stride, camera, rest, limits)
+
+
+def _coverage(cloud: Cloud, target: SensorSpec, params: ProjectParams) -> Floats:
     """Share of each pixel (rows, cols) that the surface covers in contact: drawn again with 4 x 4 pixels in each."""
     (rows, cols), fine = target.camera.shape, target.camera.scaled(_FINER)
-    limits = (params.jump_mm, params.grazing_deg)
-    contact = rasterised(cloud.points_mm, cloud.source_index, grid, fine, _rest(target), limits).contact
+    contact = _surface(cloud, fine, _rest(target), params).contact
     return freeze(contact.reshape(rows, _FINER, cols, _FINER).mean(axis=(1, 3), dtype=np.float32))

@@ -19,153 +19,212 @@ _BEHIND = 16  # in the state of a corner; 1 = in front of the lens, 0 = none
 
 
 @njit(cache=True)
-def to_grid(source_index, first_row, grid):
-    """Write the number of each point into `grid` (rows, cols), which starts at `first_row`; returns the columns used.
-
-    The row of the point before usually is that of the next one, which saves a division.
-    """
-    cols = grid.shape[1]
-    row, start = 0, first_row * cols
-    low, high = cols, -1
-    for i in range(source_index.shape[0]):
-        col = source_index[i] - start
-        if not 0 <= col < cols:
-            row = source_index[i] // cols - first_row
-            start = (row + first_row) * cols
-            col = source_index[i] - start
-        grid[row, col] = i
-        low, high = min(low, col), max(high, col)
-    return low, high
+def is_sorted(source_index):
+    """Whether the points come in the order of their source pixels, each of them once."""
+    falls = 0
+    for i in range(1, source_index.shape[0]):
+        falls += source_index[i] <= source_index[i - 1]
+    return falls == 0
 
 
 @njit(cache=True, error_model="numpy")
-def neighbour_distances(points, grid, stride, every, z_min, out):
-    """Write the distances of points that are neighbours in every `every`-th row of the grid; returns how many."""
+def neighbour_distances(flat, source_index, order, stride, every, z_min, out):
+    """Write the distances of every `every`-th pair of points that are neighbours in a row; returns how many."""
     n = 0
-    for r in range(0, grid.shape[0], every):
-        for c in range(0, grid.shape[1] - stride):
-            i, j = grid[r, c], grid[r, c + stride]
-            if i < 0 or j < 0 or n >= out.shape[0] or not (points[i, 2] > z_min and points[j, 2] > z_min):
-                continue
-            d_sq = 0.0
-            for axis in range(3):
-                d = np.float64(points[i, axis]) - np.float64(points[j, axis])
-                d_sq += d * d
-            if d_sq < np.inf:
-                out[n] = math.sqrt(d_sq)
-                n += 1
+    for place in range(0, source_index.shape[0] - 1, every):
+        i, j = (order[place], order[place + 1]) if order.shape[0] > 0 else (np.int64(place), np.int64(place + 1))
+        if source_index[j] - source_index[i] != stride or not (flat[3 * i + 2] > z_min and flat[3 * j + 2] > z_min):
+            continue
+        d_sq = 0.0
+        for axis in range(3):
+            d = np.float64(flat[3 * i + axis]) - np.float64(flat[3 * j + axis])
+            d_sq += d * d
+        if d_sq < np.inf and n < out.shape[0]:
+            out[n] = math.sqrt(d_sq)
+            n += 1
     return n
 
 
 @njit(cache=True, error_model="numpy")
-def rasterise(flat, grid, columns, stride, lens, shape, z_min, limits, inverse_z, source, alone, counts):
-    """Draw the source grid as triangles.
+def rasterise(flat, source_index, order, cols, stride, lens, shape, z_min, limits, inverse_z, source, alone, counts):
+    """Draw the source grid of `cols` columns as triangles.
 
-    `flat` (3 n) holds the points, `grid` (rows, cols) the number of the point of each source pixel, -1 = none; every
-    `stride`-th of the columns from `columns[0]` up to and with `columns[1]` is looked at. `limits` are the longest
-    edge, mm, squared, and the smallest cosine between normal and line of sight. Writes inverse_z and source of the
-    target image, flat; clears in `alone` the points that have neighbours to form a triangle with, drawn or not; and
-    counts, by fate, the triangles that cover a pixel centre.
+    `flat` (3 n) holds the points, `order` their sequence by source pixel, empty when they come so; neighbours are
+    `stride` rows or columns apart. `limits` are the longest edge, mm, squared, and the smallest cosine between normal
+    and line of sight. Writes inverse_z and source of the target image, flat; sets in `alone` the points that have no
+    neighbours to form a triangle with, drawn or not; and counts, by fate, the triangles that cover a pixel centre.
     """
-    n = (columns[1] - columns[0]) // stride + 1
+    n = (cols - 1) // stride + 1
     at = np.full(2 * n, -1, dtype=np.int32)  # two rows in turn: the point of each column,
     x, y, z = np.zeros(2 * n), np.zeros(2 * n), np.zeros(2 * n)  # where it is,
     u, v, w = np.zeros(2 * n), np.zeros(2 * n), np.zeros(2 * n)  # where it is seen, px, and its 1/z
-    state = np.zeros(2 * n, dtype=np.uint8)
-    left, right, top, bottom = (  # the first pixel centre not before it and the last not after it
-        np.zeros(2 * n, dtype=np.int32), np.zeros(2 * n, dtype=np.int32),
-        np.zeros(2 * n, dtype=np.int32), np.zeros(2 * n, dtype=np.int32),
-    )  # fmt: skip
-    busy = np.zeros(n, dtype=np.uint8)
-    for r in range(0, grid.shape[0], stride):
-        turn = (r // stride) % 2 * n
-        _load(flat, grid[r], columns[0], stride, turn, n, at, x, y, z)
-        _see(x, y, z, at, lens, z_min, turn, n, u, v, w, state)
-        _between(u, left, right, shape[1], turn, n)
-        _between(v, top, bottom, shape[0], turn, n)
-        if r == 0:
-            continue
-        _sort_out(state, left, right, top, bottom, n, busy)
-        _draw_row(at, x, y, z, u, v, w, state, busy, n - turn, turn, limits, shape, inverse_z, source, alone, counts)
+    state, linked = np.zeros(2 * n, dtype=np.uint8), np.zeros(2 * n, dtype=np.uint8)
+    left, right = np.zeros(2 * n, dtype=np.int32), np.zeros(2 * n, dtype=np.int32)
+    top, bottom = np.zeros(2 * n, dtype=np.int32), np.zeros(2 * n, dtype=np.int32)
+    busy = np.zeros(n + 1, dtype=np.uint8)  # of the quad to the left of each column
+    low, high, row = n, 0, -stride  # columns in use of the row before
+    old, new = 0, n
+    place = 0
+    while place < source_index.shape[0]:
+        old, new = new, old
+        first = order[place] if order.shape[0] > 0 else np.int64(place)
+        next_row = source_index[first] // cols
+        at[new : new + n] = -1
+        state[new : new + n] = 0
+        linked[new : new + n] = 0
+        start, end, place = _load(
+            flat, source_index, order, place, next_row, cols, stride, at[new : new + n],
+            x[new : new + n], y[new : new + n], z[new : new + n], alone,
+        )  # fmt: skip
+        a, b = new + start, new + end
+        _see(x[a:b], y[a:b], z[a:b], at[a:b], lens, z_min, u[a:b], v[a:b], w[a:b], state[a:b])
+        _between(u[a:b], left[a:b], right[a:b], shape[1])
+        _between(v[a:b], top[a:b], bottom[a:b], shape[0])
+        busy[:] = 0
+        if next_row == row + stride:
+            low, high = min(low, start), max(high, end)
+            a, b, c, d = old + low, old + high, new + low, new + high
+            _sort_out(
+                state[a:b], left[a:b], right[a:b], top[a:b], bottom[a:b],
+                state[c:d], left[c:d], right[c:d], top[c:d], bottom[c:d], busy[low + 1 : high],
+            )  # fmt: skip
+            _draw_row(
+                at, x, y, z, u, v, w, state, left, right, top, bottom, busy[low + 1 : high], a, c,
+                limits, shape, inverse_z, source, counts,
+            )  # fmt: skip
+        _link(busy, at[old : old + n], linked[old : old + n], linked[new : new + n], alone)
+        low, high, row = start, end, next_row
+    busy[:] = 0
+    _link(busy, at[new : new + n], linked[new : new + n], linked[old : old + n], alone)
 
 
 @njit(cache=True)
-def _load(flat, row, first, stride, turn, n, at, x, y, z):
-    for c in range(n):
-        i = row[first + c * stride]
-        at[turn + c] = i
-        if i >= 0:
-            x[turn + c], y[turn + c], z[turn + c] = flat[3 * i], flat[3 * i + 1], flat[3 * i + 2]
+def _load(flat, source_index, order, place, row, cols, stride, at, x, y, z, alone):
+    """Spread the points of one source row over its columns; returns (first column, end, where the next row begins).
+
+    What lies between the columns of a strided cloud, or shares its source pixel, stands alone.
+    """
+    start, end = at.shape[0], 0
+    begin = row * cols
+    while place < source_index.shape[0]:
+        i = order[place] if order.shape[0] > 0 else np.int64(place)
+        column = source_index[i] - begin
+        if column >= cols:
+            break
+        place += 1
+        if stride > 1:
+            if column % stride != 0:
+                alone[i] = True
+                continue
+            column //= stride
+        if at[column] >= 0:
+            alone[at[column]] = True
+        at[column] = i
+        x[column], y[column], z[column] = flat[3 * i], flat[3 * i + 1], flat[3 * i + 2]
+        start, end = min(start, column), max(end, column + 1)
+    return min(start, end), end, place
 
 
 @njit(cache=True, error_model="numpy")
-def _see(x, y, z, at, lens, z_min, turn, n, u, v, w, state):
+def _see(x, y, z, at, lens, z_min, u, v, w, state):
     """Screen coordinates of a row of corners; the image's middle, harmlessly, for those that have none."""
     fx, fy, cx, cy = lens
-    for c in range(turn, turn + n):
+    for c in range(x.shape[0]):
         there = at[c] >= 0
         ok = there & (z[c] > z_min) & (z[c] < np.inf) & (abs(x[c]) < np.inf) & (abs(y[c]) < np.inf)
-        w[c] = 1.0 / (z[c] if ok else 1.0)
-        u[c] = fx * (x[c] if ok else 0.0) * w[c] + cx
-        v[c] = fy * (y[c] if ok else 0.0) * w[c] + cy
+        near = 1.0 / (z[c] if ok else 1.0)
+        w[c] = near
+        u[c] = fx * (x[c] if ok else 0.0) * near + cx
+        v[c] = fy * (y[c] if ok else 0.0) * near + cy
         state[c] = np.uint8(1 if ok else (_BEHIND if there else 0))
 
 
 @njit(cache=True)
-def _between(u, first, last, size, turn, n):
+def _between(u, first, last, size):
     """The pixel centres that lie around each coordinate, clamped as floats to just outside the image."""
-    for c in range(turn, turn + n):
-        near = min(max(u[c], -2.0), size + 1.0)
+    high = size + 1.0
+    for c in range(u.shape[0]):
+        near = u[c] if u[c] > -2.0 else -2.0
+        near = near if near < high else high
         first[c], last[c] = np.int32(np.ceil(near - SLACK)), np.int32(np.floor(near + SLACK))
 
 
 @njit(cache=True)
-def _sort_out(state, left, right, top, bottom, n, busy):
-    """What is to be done with each quad: 0 no quad, 1 no pixel centre near it, 2 draw, _BEHIND a corner behind."""
-    for c in range(n - 1):
-        a, b, d, e = c, c + 1, n + c, n + c + 1
-        total = state[a] + state[b] + state[d] + state[e]
+def _sort_out(state, left, right, top, bottom, state_1, left_1, right_1, top_1, bottom_1, busy):
+    """What is to be done with each quad: 0 no quad, 1 no pixel centre near it, 2 draw, _BEHIND a corner behind.
+
+    What an absent corner left behind may widen the box, which costs a look and no more.
+    """
+    for c in range(busy.shape[0]):
+        total = state[c] + state[c + 1] + state_1[c] + state_1[c + 1]
         corners = (total & 15) + (total >> 4)
-        across = min(left[a], left[b], left[d], left[e]) <= max(right[a], right[b], right[d], right[e])
-        down = min(top[a], top[b], top[d], top[e]) <= max(bottom[a], bottom[b], bottom[d], bottom[e])
-        # With a corner missing its stand-in may widen the box, which costs a look and no more.
+        across = min(left[c], left[c + 1], left_1[c], left_1[c + 1]) <= max(
+            right[c], right[c + 1], right_1[c], right_1[c + 1]
+        )
+        down = min(top[c], top[c + 1], top_1[c], top_1[c + 1]) <= max(
+            bottom[c], bottom[c + 1], bottom_1[c], bottom_1[c + 1]
+        )
         drawn = 2 if across & down else 1
         busy[c] = np.uint8(0 if corners < 3 else (_BEHIND if total >= _BEHIND else drawn))
 
 
+@njit(cache=True)
+def _link(busy, at, linked, linked_1, alone):
+    """Set in `alone` the points of a row that no quad above it, `linked`, or below it, `busy`, has as a corner."""
+    lonely = 0
+    for c in range(at.shape[0]):
+        below = busy[c] | busy[c + 1]
+        linked_1[c] = below
+        linked[c] |= below
+        lonely += (at[c] >= 0) & (linked[c] == 0)
+    if lonely > 0:
+        for c in range(at.shape[0]):
+            if at[c] >= 0 and linked[c] == 0:
+                alone[at[c]] = True
+
+
 @njit(cache=True, error_model="numpy")
-def _draw_row(at, x, y, z, u, v, w, state, busy, before, turn, limits, shape, inverse_z, source, alone, counts):
+def _draw_row(
+    at, x, y, z, u, v, w, state, left, right, top, bottom, busy, above, below, limits, shape, inverse_z, source, counts
+):
     """Draw a row of quads: two triangles along the shorter diagonal, which follows a crease; one if a corner lacks."""
-    for c in range(busy.shape[0] - 1):
-        if busy[c] == 0:
+    for column in range(busy.shape[0]):
+        if busy[column] < 2:
             continue
-        a, b, d, e = before + c, before + c + 1, turn + c, turn + c + 1
-        for k in (a, b, d, e):
-            if at[k] >= 0:
-                alone[at[k]] = False
-        if busy[c] == 1:
-            continue
-        if busy[c] == _BEHIND:
+        if busy[column] == _BEHIND:
             counts[BEHIND] += 1
             continue
-        i, j, k = a, b, d
-        again = False
+        a, b, d, e = above + column, above + column + 1, below + column, below + column + 1
+        i, j, k, o = a, b, d, e
         if state[a] == 0:
-            i, j, k = b, e, d
+            i, j, k, o = b, e, d, -1
         elif state[b] == 0:
-            i, j, k = a, e, d
+            i, j, k, o = a, e, d, -1
         elif state[d] == 0:
-            i, j, k = a, b, e
-        elif state[e] != 0:
-            again = True
-            if _distance_sq(x, y, z, a, e) < _distance_sq(x, y, z, b, d):
-                i, j, k = a, b, e
+            i, j, k, o = a, b, e, -1
+        elif state[e] == 0:
+            o = -1
+        elif _distance_sq(x, y, z, a, e) < _distance_sq(x, y, z, b, d):
+            i, j, k, o = b, e, a, d
+        # The triangles are (i, j, k) and, beyond the edge j-k, (j, o, k).
+        one, other = True, o >= 0
+        if other:
+            col, row = min(left[a], left[b], left[d], left[e]), min(top[a], top[b], top[d], top[e])
+            single = col == max(right[a], right[b], right[d], right[e]) and row == max(
+                bottom[a], bottom[b], bottom[d], bottom[e]
+            )
+            if single:
+                # Most often there is one centre to ask for, and the diagonal says which triangle may have it.
+                across = (u[k] - u[j]) * (row - v[j]) - (v[k] - v[j]) * (col - u[j])
+                side = (u[k] - u[j]) * (v[i] - v[j]) - (v[k] - v[j]) * (u[i] - u[j])
+                near = abs(across) <= 4.0 * SLACK * abs(side)
+                one = near or across * side > 0.0
+                other = near or not one
         for t in range(2):
             if t == 1:
-                if not again:
-                    break
-                i, j, k = (a, e, d) if k == e else (b, e, d)
-            _draw(at, x, y, z, u, v, w, i, j, k, limits, shape, inverse_z, source, counts)
+                i, j = j, o
+            if one if t == 0 else other:
+                _draw(at, x, y, z, u, v, w, i, j, k, limits, shape, inverse_z, source, counts)
 
 
 @njit(cache=True, inline="always")
