@@ -6,8 +6,6 @@ incidence, flying pixels where the depth jumps, gaps (NaN) where a surface is to
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,34 +13,9 @@ from pipeline.arrays import Doubles, Floats, freeze
 from pipeline.camera import Camera
 from pipeline.physics import lattice
 from pipeline.physics.lattice import Lattice
-from pipeline.sensors.spec import SensorSpec
+from pipeline.sensors.spec import DepthCamera, SensorSpec
 
 _LEAST_COSINE = 0.1  # noise stops growing at 84 degrees: the return is gone there
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DepthCamera:
-    """How a depth camera errs; the defaults are those of time of flight. A picture of theirs has no gaps.
-
-    The standard deviation of one reading is the sensor's `depth_noise_mm`, as a root mean square over the untouched
-    bubble; over the picture it follows distance ** `distance_power` / cos(incidence) ** `grazing_power`.
-    """
-
-    noise_share: float = 1.0  # of the sensor's own noise
-    distance_power: float = 2.0  # light that comes back falls with the square of the distance
-    grazing_power: float = 0.5  # and with the cosine of the incidence, of which the noise is the root
-    grain_px: float = 0.8  # width of the noise's grain: neighbours share light, or a matching window
-    jump_mm: float = 2.0  # a bend between neighbours beyond this is a jump, where pixels fly
-    flying_share: float = 0.5  # of the pixels at a jump: these read a depth between near and far
-    steepest_deg: float = 90.0  # incidence beyond which nothing comes back; 90 = always something
-    gap_share: float = 0.0  # of all pixels, without a reading for no reason
-    step_mm: float = 0.0  # readings are multiples of this
-
-
-TIME_OF_FLIGHT = DepthCamera()
-STEREO = DepthCamera(
-    grazing_power=1.0, grain_px=2.5, flying_share=0.2, steepest_deg=65.0, gap_share=0.01, step_mm=0.1
-)  # matching windows: coarse grain, lost on steep sides, a tenth of a millimetre at a time
 
 
 def ceiling_from_depth(sensor: SensorSpec, depth_mm: NDArray[np.floating], on: Lattice) -> Doubles:
@@ -59,20 +32,20 @@ def depth_from_deviation(sensor: SensorSpec, deviation_mm: NDArray[np.floating],
     )
 
 
-def reading(
-    sensor: SensorSpec, depth_mm: NDArray[np.floating], seed: int | None, errs: DepthCamera = TIME_OF_FLIGHT
-) -> Floats:
+def reading(sensor: SensorSpec, depth_mm: NDArray[np.floating], seed: int | None) -> Floats:
     """The depth camera's image (rows, cols) float32 of a membrane; NaN = no reading.
 
-    With `seed` None the exact depth comes back; else the camera errs as `errs` says, the same for the same seed.
+    With `seed` None the exact depth comes back; else the camera errs as `sensor.depth_camera` says, the same for the
+    same seed.
     """
-    if seed is None or sensor.bubble is None:
+    errs = sensor.depth_camera
+    if seed is None or sensor.bubble is None or errs is None:
         return freeze(depth_mm.astype(np.float32))
     rng = np.random.default_rng(seed)
     noise = _speckle(rng.standard_normal(depth_mm.shape, np.float32), errs.grain_px)
     exact = np.asarray(depth_mm, np.float64)
     cosine = incidence_cosine(sensor.camera, exact)
-    sigma = sensor.bubble.depth_noise_mm * errs.noise_share * _relative_noise(exact, cosine, errs)
+    sigma = sensor.bubble.depth_noise_mm * _relative_noise(exact, cosine, errs)
     usual = _relative_noise(sensor.rest_depth_mm, incidence_cosine(sensor.camera, sensor.rest_depth_mm), errs)
     sigma /= np.sqrt(np.mean(usual * usual))
     seen = _with_flying_pixels(exact, errs, rng) + sigma * noise

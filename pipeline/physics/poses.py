@@ -24,7 +24,7 @@ SPREAD_MM = 10.0  # side of the square of the paper's translations, centred on t
 ANGLE_DEG = 45.0  # in the plane, either way
 TILT_DEG = 3.0  # out of the plane, at most: a gripper's misalignment
 DEPTH_MM = (0.3, 1.0)  # of the deepest point over the gels
-CLEAR_MM = 13.5  # above the gels: beyond a bubble that comes 12 mm to meet the object, as in data sets
+CLEAR_MM = 14.5  # above the gels: beyond a bubble that comes 13 mm to meet the object, as in data sets
 SLIDE_MM = (2.0, 4.0)
 TWIST_DEG = (10.0, 25.0)
 

@@ -27,6 +27,24 @@ class Bubble:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class DepthCamera:
+    """How a bubble's depth camera errs; the defaults are those of time of flight, whose pictures have no gaps.
+
+    The standard deviation of one reading is `Bubble.depth_noise_mm`, as a root mean square over the untouched
+    bubble; over the picture it follows distance ** `distance_power` / cos(incidence) ** `grazing_power`.
+    """
+
+    distance_power: float = 2.0  # light that comes back falls with the square of the distance
+    grazing_power: float = 0.5  # and with the cosine of the incidence, of which the noise is the root
+    grain_px: float = 0.8  # width of the noise's grain: neighbours share light, or a matching window
+    jump_mm: float = 2.0  # a bend between neighbours beyond this is a jump, where pixels fly
+    flying_share: float = 0.5  # of the pixels at a jump: these read a depth between near and far
+    steepest_deg: float = 90.0  # incidence beyond which nothing comes back; 90 = always something
+    gap_share: float = 0.0  # of all pixels, without a reading for no reason
+    step_mm: float = 0.0  # readings are multiples of this
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Led:
     """A light at the gel's edge: where it stands (azimuth of the side it shines from) and what it adds."""
 

@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from pipeline.errors import CalibrationError
-from pipeline.sensors.parts import Bubble, Gel, Glow, Led, Limits, Markers, Optics
+from pipeline.sensors.parts import Bubble, DepthCamera, Gel, Glow, Led, Limits, Markers, Optics
 from pipeline.sensors.sections import Section
 
 
@@ -39,6 +39,25 @@ def bubble_in(s: Section) -> Bubble:
         pressure_kpa=s.number("pressure", "kPa", 0.0),
         dead_volume_mm3=s.number("dead_volume", "mm^3", 0.0),
         depth_noise_mm=s.number("depth_noise", "mm", 0.0),
+    )
+
+
+def depth_camera_in(s: Section) -> DepthCamera:
+    """[depth_camera]; what it does not say is as time of flight has it."""
+    usual = DepthCamera()
+
+    def number(key: str, unit: str, otherwise: float, high: float = np.inf) -> float:
+        return s.number(key, unit, 0.0, high) if s.has(key) else otherwise
+
+    return DepthCamera(
+        distance_power=number("distance_power", "1", usual.distance_power, 8.0),
+        grazing_power=number("grazing_power", "1", usual.grazing_power, 8.0),
+        grain_px=number("grain", "px", usual.grain_px, 20.0),
+        jump_mm=number("jump", "mm", usual.jump_mm),
+        flying_share=number("flying_share", "1", usual.flying_share, 1.0),
+        steepest_deg=number("steepest", "deg", usual.steepest_deg, 90.0),
+        gap_share=number("gap_share", "1", usual.gap_share, 1.0),
+        step_mm=number("step", "mm", usual.step_mm),
     )
 
 

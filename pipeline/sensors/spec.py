@@ -18,11 +18,23 @@ from pipeline.arrays import Doubles, freeze
 from pipeline.camera import Camera
 from pipeline.errors import CalibrationError, SettingProblem
 from pipeline.membrane import Membrane
-from pipeline.sensors.parts import Bubble, Gel, Glow, Led, Limits, Markers, Optics
-from pipeline.sensors.reading import bubble_in, gel_in, limits_in, markers_in, optics_in
+from pipeline.sensors.parts import Bubble, DepthCamera, Gel, Glow, Led, Limits, Markers, Optics
+from pipeline.sensors.reading import bubble_in, depth_camera_in, gel_in, limits_in, markers_in, optics_in
 from pipeline.sensors.sections import FOLDER, Section, read_description
 
-__all__ = ["Bubble", "Gel", "Glow", "Led", "Limits", "Markers", "Optics", "SensorSpec", "names", "sensor"]
+__all__ = [
+    "Bubble",
+    "DepthCamera",
+    "Gel",
+    "Glow",
+    "Led",
+    "Limits",
+    "Markers",
+    "Optics",
+    "SensorSpec",
+    "names",
+    "sensor",
+]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,6 +51,7 @@ class SensorSpec:
     limits: Limits
     gel: Gel | None = None
     bubble: Bubble | None = None
+    depth_camera: DepthCamera | None = None  # of a bubble
     optics: Optics | None = None
     markers: Markers | None = None
     assumed: tuple[str, ...] = ()  # keys whose numbers nobody has published
@@ -80,7 +93,7 @@ def _build(name: str, data: dict[str, Any], path: Path) -> SensorSpec:
     rows, cols = (int(image.number(k, "px", 1, 10_000)) for k in ("rows", "cols"))
     camera = Camera(rows=rows, cols=cols, fx_px=lens.number("fx", "px"), fy_px=lens.number("fy", "px"),
                     cx_px=lens.number("cx", "px"), cy_px=lens.number("cy", "px"))  # fmt: skip
-    gel, bubble, optics = None, None, None
+    gel, bubble, eye, optics = None, None, None, None
     if kind == "gel":
         gel = gel_in(section("gel"))
         z = section("rest").number("depth", "mm", 0.1, 1000.0)
@@ -88,6 +101,7 @@ def _build(name: str, data: dict[str, Any], path: Path) -> SensorSpec:
         optics = optics_in(section("optics"), data, path)
     else:
         bubble = bubble_in(section("bubble"))
+        eye = depth_camera_in(section("depth_camera")) if "depth_camera" in data else DepthCamera()
         surface = membrane.dome(
             section("rest").number("rim_depth", "mm", 1.0, 1000.0),
             bubble.height_mm,
@@ -106,6 +120,7 @@ def _build(name: str, data: dict[str, Any], path: Path) -> SensorSpec:
         limits=limits_in(section("limits"), "grey" if kind == "gel" else "mm"),
         gel=gel,
         bubble=bubble,
+        depth_camera=eye,
         optics=optics,
         markers=markers_in(section("markers")) if "markers" in data else None,
         assumed=tuple(assumed),

@@ -5,14 +5,14 @@ import pytest
 
 from pipeline.camera import Camera
 from pipeline.physics import bubble, bubble_camera, lattice
-from pipeline.physics.bubble_camera import STEREO, TIME_OF_FLIGHT, DepthCamera
 from pipeline.physics.lattice import Lattice
-from pipeline.sensors.spec import sensor
+from pipeline.sensors.spec import DepthCamera, sensor
 
 SPEC = sensor("soft_bubble")
 REST = SPEC.rest_depth_mm
 NOISE_MM = SPEC.bubble.depth_noise_mm
-QUIET = DepthCamera(noise_share=0.0)
+QUIET = replace(SPEC, bubble=replace(SPEC.bubble, depth_noise_mm=0.0))
+STEREO = sensor("soft_bubble_stereo")
 
 
 def stepped(jump_mm):
@@ -60,14 +60,14 @@ def test_the_noise_over_the_untouched_bubble_is_what_the_sensor_states():
 
 @pytest.mark.parametrize("grain_px", [0.0, 0.8, 2.5])
 def test_a_coarser_grain_keeps_the_strength(grain_px):
-    errs = DepthCamera(grain_px=grain_px)
-    off = np.stack([bubble_camera.reading(SPEC, REST, seed, errs) - REST for seed in range(6)])
+    errs = replace(SPEC, depth_camera=DepthCamera(grain_px=grain_px))
+    off = np.stack([bubble_camera.reading(errs, REST, seed) - REST for seed in range(6)])
     assert np.sqrt((off**2).mean()) == pytest.approx(NOISE_MM, rel=0.06)
 
 
 def test_the_same_seed_reads_the_same_and_another_differs():
-    for errs in (TIME_OF_FLIGHT, STEREO):
-        one, same, other = (bubble_camera.reading(SPEC, REST, seed, errs) for seed in (7, 7, 8))
+    for spec in (SPEC, STEREO):
+        one, same, other = (bubble_camera.reading(spec, REST, seed) for seed in (7, 7, 8))
         assert one.tobytes() == same.tobytes()
         assert one.tobytes() != other.tobytes()
 
@@ -85,16 +85,16 @@ def test_noise_grows_on_a_surface_seen_at_a_grazing_angle():
     cosine = bubble_camera.incidence_cosine(SPEC.camera, tilted)[middle]
     assert cosine == pytest.approx(1 / np.hypot(1, 1.2), abs=0.02)
     flat = np.full(SPEC.camera.shape, 70.0)
-    errs = DepthCamera(distance_power=0.0, grazing_power=1.0)
-    ratio = (bubble_camera.reading(SPEC, tilted, 5, errs) - tilted)[middle] / (
-        bubble_camera.reading(SPEC, flat, 5, errs) - flat
-    )[middle]
+    errs = replace(SPEC, depth_camera=DepthCamera(distance_power=0.0, grazing_power=1.0))
+    ratio = (bubble_camera.reading(errs, tilted, 5) - tilted)[middle] / (bubble_camera.reading(errs, flat, 5) - flat)[
+        middle
+    ]
     assert np.median(ratio) == pytest.approx(np.hypot(1, 1.2), rel=0.03)
 
 
 def test_pixels_fly_at_a_jump_and_nowhere_else():
     depth = stepped(12.0)
-    seen = bubble_camera.reading(SPEC, depth, 1, QUIET)
+    seen = bubble_camera.reading(QUIET, depth, 1)
     moved = np.abs(seen - depth) > 1e-3
     middle = SPEC.camera.cols // 2
     assert not np.delete(moved, [middle - 1, middle], axis=1).any()
@@ -104,28 +104,30 @@ def test_pixels_fly_at_a_jump_and_nowhere_else():
 
 
 def test_nothing_flies_and_nothing_is_lost_on_the_bubble_itself():
-    assert np.array_equal(bubble_camera.reading(SPEC, REST, 1, QUIET), REST.astype(np.float32))
+    assert np.array_equal(bubble_camera.reading(QUIET, REST, 1), REST.astype(np.float32))
     coarse = SPEC.camera.scaled(0.125)
-    small = replace(SPEC, camera=coarse, rest_depth_mm=SPEC.membrane.rest_depth_mm(coarse))
-    assert np.array_equal(bubble_camera.reading(small, small.rest_depth_mm, 1, QUIET), small.rest_depth_mm.astype("f4"))
+    small = replace(QUIET, camera=coarse, rest_depth_mm=SPEC.membrane.rest_depth_mm(coarse))
+    assert np.array_equal(bubble_camera.reading(small, small.rest_depth_mm, 1), small.rest_depth_mm.astype("f4"))
 
 
 def test_too_steep_a_surface_is_lost():
-    lost = np.isnan(bubble_camera.reading(SPEC, stepped(12.0), 1, replace(QUIET, steepest_deg=80.0)))
+    blinder = replace(QUIET, depth_camera=DepthCamera(steepest_deg=80.0))
+    lost = np.isnan(bubble_camera.reading(blinder, stepped(12.0), 1))
     assert lost.any()
     assert not np.delete(lost, np.arange(85, 90), axis=1).any()
 
 
 def test_stereo_reads_tenths_and_has_gaps():
-    seen = bubble_camera.reading(SPEC, REST, 2, STEREO)
+    seen = bubble_camera.reading(STEREO, REST, 2)
     known = seen[np.isfinite(seen)]
     assert np.abs(known * 10 - np.rint(known * 10)).max() < 1e-3
     assert 0.005 < np.isnan(seen).mean() < 0.05
 
 
 def test_stereo_noise_is_shared_between_neighbours():
-    def shared(errs):
-        off = bubble_camera.reading(SPEC, REST, 4, replace(errs, gap_share=0.0, steepest_deg=90.0)) - REST
+    def shared(spec):
+        whole = replace(spec, depth_camera=replace(spec.depth_camera, gap_share=0.0, steepest_deg=90.0))
+        off = bubble_camera.reading(whole, REST, 4) - REST
         return np.corrcoef(off[:, :-1].ravel(), off[:, 1:].ravel())[0, 1]
 
-    assert shared(STEREO) > 0.9 > shared(TIME_OF_FLIGHT) > 0.5
+    assert shared(STEREO) > 0.9 > shared(SPEC) > 0.5

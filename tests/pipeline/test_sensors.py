@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.errors import CalibrationError, FileProblem, SettingProblem
 from pipeline.sensors import spec
-from pipeline.sensors.spec import names, sensor
+from pipeline.sensors.spec import DepthCamera, names, sensor
 
 FOLDER = Path(spec.__file__).parent
 
@@ -104,3 +104,16 @@ def test_a_list_where_one_number_belongs_is_refused(tmp_path):
     text = (FOLDER / "gelsight_mini.toml").read_text(encoding="utf-8")
     with pytest.raises(CalibrationError, match="number"):
         sensor(own(tmp_path, text.replace("value = 240", "value = [240, 1]")))
+
+
+def test_a_bubble_says_how_its_camera_errs_and_may_watch_with_another(tmp_path):
+    flight, stereo = sensor("soft_bubble"), sensor("soft_bubble_stereo")
+    assert flight.depth_camera == DepthCamera()  # what a description without the section gets
+    assert (stereo.depth_camera.gap_share, stereo.depth_camera.step_mm) == (0.01, 0.1)
+    assert stereo.depth_camera.distance_power == flight.depth_camera.distance_power
+    assert stereo.bubble == flight.bubble
+    assert sensor("gelslim").depth_camera is None
+    some = '[depth_camera]\ngap_share = { value = 0.2, unit = "1", from = "counted" }\n'
+    assert sensor(own(tmp_path, f'extends = "soft_bubble"\n{some}')).depth_camera.gap_share == 0.2
+    with pytest.raises(CalibrationError, match=r"depth_camera\.gap_share.*0 and 1"):
+        sensor(own(tmp_path, f'extends = "soft_bubble"\n{some.replace("0.2", "1.2")}', "other.toml"))

@@ -62,7 +62,7 @@ def test_every_shape_is_one_closed_body_that_faces_outward(name):
     assert np.array_equal(np.sort(there), np.sort(back))
     corners = mesh.vertices_mm[mesh.triangles]
     volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6.0
-    assert 50.0 < volume < 6000.0  # tools of up to 4 cm: neither metres nor inches were meant
+    assert 50.0 < volume < 25_000.0  # tools of up to 6 cm: neither metres nor inches were meant
     assert areas_sq_mm(mesh).min() > SMALLEST_TRIANGLE_SQ_MM
     assert np.array_equal(np.unique(mesh.triangles), np.arange(len(mesh.vertices_mm)))
 
@@ -71,10 +71,10 @@ def test_every_shape_is_one_closed_body_that_faces_outward(name):
 def test_every_shape_is_as_large_as_a_finger_feels_and_over_its_origin(name):
     found = shapes.shape(name)
     low, high = found.mesh.vertices_mm.min(axis=0), found.mesh.vertices_mm.max(axis=0)
-    assert 6.0 <= (high - low).max() <= 40.0
+    assert 6.0 <= (high - low).max() <= 60.1  # the lab's
     assert (low[:2] < 0).all()
     assert (high[:2] > 0).all()
-    assert len(found.mesh.triangles) <= 10_000
+    assert len(found.mesh.triangles) <= 15_000
     assert found.mesh.name == found.name == name
     assert not found.mesh.vertices_mm.flags.writeable
 
@@ -99,7 +99,7 @@ def test_curved_faces_are_within_two_micrometres_of_much_finer_ones(name, monkey
     monkeypatch.setattr(polygons, "CHORD_MM", polygons.CHORD_MM / 9.0)
     fine = made_once.__wrapped__(name).mesh
     assert len(fine.triangles) > 2 * len(mesh.triangles)
-    points, _normals = sample_surface(mesh, 1500, seed=0)
+    points, _normals = sample_surface(mesh, 2500, seed=0)
     tactile = points[points[:, 2] < mesh.vertices_mm[:, 2].min() + 2.0]
     assert len(tactile) > 100
     assert surface_distance_mm(fine, tactile).max() < CHORD_MM

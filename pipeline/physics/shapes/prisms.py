@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from pipeline.arrays import Doubles
@@ -15,7 +17,8 @@ def bar(outline_mm: Outline | Doubles, height_mm: float, chamfer_mm: float, name
 
     Raises MeshProblem when the outline crosses itself or the chamfer is wider than the polygon.
     """
-    return _stacked(outline_mm, np.array([(chamfer_mm, 0.0), (0.0, chamfer_mm), (0.0, height_mm)]), name)
+    outer = counter_clockwise(outline_mm, name)
+    return stacked([level(inset(outer, chamfer_mm), 0.0), level(outer, chamfer_mm), level(outer, height_mm)], name)
 
 
 def rounded(outline_mm: Outline | Doubles, height_mm: float, radius_mm: float, name: str) -> Mesh:
@@ -23,16 +26,24 @@ def rounded(outline_mm: Outline | Doubles, height_mm: float, radius_mm: float, n
 
     Raises MeshProblem when the outline crosses itself or the rounding is wider than the polygon.
     """
-    quarter = arc(radius_mm, -90.0, 0.0, (0.0, radius_mm))
-    quarter[:, 0] = radius_mm - quarter[:, 0]
-    return _stacked(outline_mm, np.concatenate([quarter, [(0.0, height_mm)]]), name)
-
-
-def _stacked(outline_mm: Outline | Doubles, levels_mm: Doubles, name: str) -> Mesh:
-    """The outline inset by `levels_mm` [:, 0] at the heights [:, 1], from the tactile face up."""
     outer = counter_clockwise(outline_mm, name)
-    rings = [np.column_stack([inset(outer, width), np.full(len(outer), z)]) for width, z in levels_mm]
-    n, top = len(outer), (len(rings) - 1) * len(outer)
-    faces: list[Face] = [(c, b, a) for a, b, c in ears(rings[0][:, :2])]  # the tactile face looks to -z
-    faces += [(a + top, b + top, c + top) for a, b, c in ears(outer)]
-    return closed(np.concatenate(rings), [*faces, *walls(len(rings), n)], name)
+    return stacked([*rounding(outer, radius_mm), level(outer, height_mm)], name)
+
+
+def stacked(rings_mm: Sequence[Doubles], name: str) -> Mesh:
+    """A body over level outlines (n, 3) from the tactile face up, all counter-clockwise and with as many points."""
+    n, top = len(rings_mm[0]), (len(rings_mm) - 1) * len(rings_mm[0])
+    faces: list[Face] = [(c, b, a) for a, b, c in ears(rings_mm[0][:, :2])]  # the tactile face looks to -z
+    faces += [(a + top, b + top, c + top) for a, b, c in ears(rings_mm[-1][:, :2])]
+    return closed(np.concatenate(rings_mm), [*faces, *walls(len(rings_mm), n)], name)
+
+
+def level(outline_mm: Doubles, z_mm: float) -> Doubles:
+    """An outline (n, 2) at a height; (n, 3)."""
+    return np.column_stack([outline_mm, np.full(len(outline_mm), z_mm)])
+
+
+def rounding(outline_mm: Doubles, radius_mm: float) -> list[Doubles]:
+    """The level outlines (n, 3) of a tactile face rounded off by a quarter of a circle; it ends upright."""
+    quarter = arc(radius_mm, -90.0, 0.0, (0.0, radius_mm))
+    return [level(inset(outline_mm, radius_mm - float(x)), float(z)) for x, z in quarter]

@@ -1,4 +1,8 @@
-"""The twelve indenters that networks are trained on: flat, curved and angled, sized for a gel of 18 x 13 mm."""
+"""The twelve indenters that networks are trained on: flat, curved and angled, sized for a gel of 18 x 13 mm.
+
+As the lab's tools, they are ridges that stand proud of bodies with rounded shoulders: a gel feels the ridge, a bubble
+the body too. The two that end a shaft, a ball and a peg, are as they are held.
+"""
 
 from __future__ import annotations
 
@@ -10,59 +14,62 @@ from pipeline import rigid
 from pipeline.arrays import Doubles
 from pipeline.meshes import Mesh
 from pipeline.physics.shapes.polygons import arc, bow
-from pipeline.physics.shapes.prisms import bar, rounded
-from pipeline.physics.shapes.sections import apex, strip
+from pipeline.physics.shapes.prisms import level, rounding, stacked
+from pipeline.physics.shapes.sections import FINE_MM, SHOULDER_MM, STAMP_MM, apex, crest, on_shoulders, shoulder, stamp
 from pipeline.physics.shapes.shape import Shape
 from pipeline.physics.shapes.solids import moved, sides, swept, turned
 from pipeline.physics.shapes.symmetry import X, Z, asymmetric, cyclic, revolved
 
-_BACK_MM = 16.0  # height of bars: more than a bubble's reach, 12 mm in data sets, and a press
+_BACK_MM = 18.0  # height of bodies: more than a bubble's reach, 13 mm in data sets, and a press
 _LINE_MM, _LINE_EDGE_MM = 3.0, 1.2  # width of lines, and the radius of their edges
-_FINE_MM = 2.0  # no gel is pressed deeper
+_ARM_MM = 30.0  # length of lines from where they meet: the lab's
+_STRAIGHT_RAD = 1e-6
 
 
 def square() -> Shape:
-    """A flat punch, 8 mm wide."""
-    mesh = bar([(-4, -4), (4, -4), (4, 4), (-4, 4)], _BACK_MM, 0.3, "square")
+    """A flat punch, 8 mm wide, on a square body."""
+    profile = np.concatenate([[(3.7, 0.0), (4.0, 0.3)], stamp(4.0, _BACK_MM)])
+    cornered = turned(profile * (math.sqrt(2.0), 1.0), 4, "square")
+    mesh = moved(cornered, rigid.rotation((0.0, 0.0, 0.25 * math.pi)))
     return Shape(name="square", title="Square punch", group="training", mesh=mesh, symmetry=cyclic(4))
 
 
 def edge() -> Shape:
-    """The edge of a roof of 90 degrees, 40 mm long: as the lab's tools, longer than any gel."""
-    mesh = swept(np.array([(-20.0, 0.0), (20.0, 0.0)]), apex(45.0, 0.3, 4.0, _BACK_MM), "edge")
+    """The edge of a roof of 90 degrees, 60 mm long: as the lab's tools, longer than any gel."""
+    section = apex(45.0, 0.3, SHOULDER_MM, _BACK_MM)
+    mesh = swept(np.array([(-_ARM_MM, 0.0), (_ARM_MM, 0.0)]), section, "edge")
     return Shape(name="edge", title="Edge", group="training", mesh=mesh, symmetry=cyclic(2))
 
 
 def corner() -> Shape:
     """The corner of a cube, on its tip."""
-    reach = 6.0  # of the three edges from the axis
-    profile = np.array([(0.0, 0.0), (reach, reach / math.sqrt(2.0)), (reach, 10.0)])
+    profile = np.array([(0.0, 0.0), (STAMP_MM, STAMP_MM / math.sqrt(2.0)), (STAMP_MM, _BACK_MM)])
     return Shape(
         name="corner", title="Cube corner", group="training", mesh=turned(profile, 3, "corner"), symmetry=cyclic(3)
     )
 
 
 def lines_45() -> Shape:
-    """Two lines of 24 mm that meet at 45 degrees."""
-    mesh = rounded(fork((-22.5, 22.5), (24.0, 24.0), _LINE_MM), _BACK_MM, _LINE_EDGE_MM, "lines_45")
+    """Two lines that meet at 45 degrees."""
+    mesh = _lines((-22.5, 22.5), "lines_45")
     return Shape(name="lines_45", title="Two lines at 45°", group="training", mesh=mesh, symmetry=asymmetric())
 
 
 def lines_120() -> Shape:
-    """Two lines of 22 mm that meet at 120 degrees."""
-    mesh = rounded(fork((-60.0, 60.0), (22.0, 22.0), _LINE_MM), _BACK_MM, _LINE_EDGE_MM, "lines_120")
+    """Two lines that meet at 120 degrees."""
+    mesh = _lines((-60.0, 60.0), "lines_120")
     return Shape(name="lines_120", title="Two lines at 120°", group="training", mesh=mesh, symmetry=asymmetric())
 
 
 def three_lines() -> Shape:
-    """Three lines of 18 mm, a third of a turn apart."""
-    mesh = rounded(fork((-120.0, 0.0, 120.0), (18.0,) * 3, _LINE_MM), _BACK_MM, _LINE_EDGE_MM, "three_lines")
+    """Three lines, a third of a turn apart."""
+    mesh = _lines((-120.0, 0.0, 120.0), "three_lines")
     return Shape(name="three_lines", title="Three lines", group="training", mesh=mesh, symmetry=cyclic(3))
 
 
 def cylinder() -> Shape:
-    """A rod of 5 mm radius and 40 mm length, lying along x; its frame is on its axis."""
-    upright = turned(np.array([(5.0, -20.0), (5.0, 20.0)]), sides(5.0), "cylinder")
+    """A rod of 5 mm radius and 60 mm length, lying along x; its frame is on its axis."""
+    upright = turned(np.array([(5.0, -_ARM_MM), (5.0, _ARM_MM)]), sides(5.0), "cylinder")
     mesh = moved(upright, rigid.rotation((0.0, math.pi / 2.0, 0.0)))
     return Shape(name="cylinder", title="Lying cylinder", group="training", mesh=mesh, symmetry=revolved(X, flip=Z))
 
@@ -73,16 +80,15 @@ def sphere() -> Shape:
 
 
 def ring() -> Shape:
-    """A ring of 9 mm diameter, its ridge 2 mm wide."""
-    circle = arc(4.5, 0.0, 360.0, beyond_mm=1.0)[:-1]
-    mesh = swept(circle, strip(2.0, 0.5, 6.0), "ring", endless=True)
+    """A ring of 9 mm diameter, its ridge 2 mm wide, on a round body."""
+    mesh = turned(_framed(crest(2.0, 0.5), 4.5), sides(5.5), "ring")
     return Shape(name="ring", title="Ring", group="training", mesh=mesh, symmetry=revolved())
 
 
 def hexagon() -> Shape:
-    """The frame of a hexagon, 11 mm over its corners."""
-    corners = 5.5 * np.column_stack([f(np.arange(6) * math.pi / 3.0) for f in (np.cos, np.sin)])
-    mesh = swept(corners, strip(1.8, 0.4, 6.0), "hexagon", endless=True)
+    """The frame of a hexagon, 11 mm over the middle of its corners, on a hexagonal body."""
+    flat = math.cos(math.pi / 6.0)  # of the distance of a side over that of a corner
+    mesh = turned(_framed(crest(1.8, 0.4), 5.5 * flat) * (1.0 / flat, 1.0), 6, "hexagon")
     return Shape(name="hexagon", title="Hexagon frame", group="training", mesh=mesh, symmetry=cyclic(6))
 
 
@@ -93,13 +99,33 @@ def peg() -> Shape:
 
 
 def curve() -> Shape:
-    """A ridge bent by 110 degrees of 6 mm radius, with legs of 14 mm; its middle is in its frame's origin."""
-    mesh = swept(bow(6.0, 110.0, 14.0, 1.3), strip(2.6, 1.1, _BACK_MM), "curve")
+    """A ridge bent by 110 degrees of 10 mm radius, the lab's, with legs of 20 mm; its middle is in its origin."""
+    section = on_shoulders(crest(2.6, 1.1), _BACK_MM)
+    mesh = swept(bow(10.0, 110.0, 20.0, FINE_MM), section, "curve")
     return Shape(name="curve", title="Curved line", group="training", mesh=mesh, symmetry=asymmetric())
 
 
+def _lines(directions_deg: tuple[float, ...], name: str) -> Mesh:
+    """Straight lines from the origin on a body with shoulders, cut square at their ends as the lab's are."""
+    lengths = (_ARM_MM,) * len(directions_deg)
+    rings = rounding(fork(directions_deg, lengths, _LINE_MM), _LINE_EDGE_MM)
+    body = shoulder(0.5 * _LINE_MM, _LINE_EDGE_MM, _BACK_MM)[1:]
+    rings += [level(fork(directions_deg, lengths, 2.0 * float(half)), float(z)) for half, z in body]
+    return stacked(rings, name)
+
+
+def _framed(ridge_mm: Doubles, middle_mm: float) -> Doubles:
+    """The profile (n, 2) of a frame with this ridge, its middle so far from the axis, on a body with a floor inside."""
+    half = float(ridge_mm[-1, 0])
+    floor = [(0.0, FINE_MM), (middle_mm - half, FINE_MM)]
+    return np.concatenate([floor, ridge_mm + np.array([middle_mm, 0.0]), stamp(middle_mm + half, _BACK_MM)])
+
+
 def fork(directions_deg: tuple[float, ...], lengths_mm: tuple[float, ...], width_mm: float) -> Doubles:
-    """The outline (n, 2) of straight lines from the origin, directions ascending; neighbours meet mitred."""
+    """The outline (n, 2) of straight lines from the origin, directions ascending, counter-clockwise.
+
+    Neighbours meet mitred; where they leave more than half a turn between them, two facets round the outer corner.
+    """
     half, points = 0.5 * width_mm, list[Doubles]()
     n = len(directions_deg)
     for k, (direction, length) in enumerate(zip(directions_deg, lengths_mm, strict=True)):
@@ -108,13 +134,18 @@ def fork(directions_deg: tuple[float, ...], lengths_mm: tuple[float, ...], width
         points += [length * along - half * left, length * along + half * left]
         gap = math.radians((directions_deg[(k + 1) % n] - direction) % 360.0)
         middle = turn + 0.5 * gap  # the outlines of two neighbours meet on the line halfway between them
-        points.append(half / math.sin(0.5 * gap) * np.array([math.cos(middle), math.sin(middle)]))
+        outward = np.array([math.cos(middle), math.sin(middle)])
+        if gap > math.pi + _STRAIGHT_RAD:
+            right = turn + gap - 0.5 * math.pi
+            points += [half * left, half * outward, half * np.array([math.cos(right), math.sin(right)])]
+        else:
+            points.append(half / math.sin(0.5 * gap) * outward)
     return np.array(points)
 
 
 def ball(radius_mm: float, name: str) -> Mesh:
     """A ball on a shaft of 0.7 of its radius along z, fine to 2 mm above its lowest point, which is at z = 0."""
-    fine_rad = math.acos(1.0 - _FINE_MM / radius_mm)
+    fine_rad = math.acos(1.0 - FINE_MM / radius_mm)
     fine_deg = math.degrees(fine_rad) - 90.0
     cap = arc(radius_mm, -90.0, fine_deg, (0.0, radius_mm))
     rest = arc(radius_mm, fine_deg, 90.0 - math.degrees(math.asin(0.7)), (0.0, radius_mm))[8::8]
