@@ -1,0 +1,37 @@
+"""Writes the exact alignments of sample recordings: `python -m sample_data.make_alignments`, after `make_samples`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pipeline.alignment.files import AlignmentFile, save
+from pipeline.translate import Request, open_translation
+from sample_data.make_samples import FOLDER as RECORDINGS
+
+FOLDER = Path(__file__).parent / "alignments"
+PAIRS = (("first_touch", "gelslim", "soft_bubble"), ("digit_gelslim", "digit", "gelslim"))
+
+
+def file_of(source: str, target: str) -> Path:
+    """Where the alignment of two sensors is kept."""
+    return FOLDER / f"{source}_to_{target}.toml"
+
+
+def exact(recording: str, source: str, target: str) -> AlignmentFile:
+    """What a sample recording knows of how its two streams stand."""
+    opened = open_translation(Request(recording=RECORDINGS / f"{recording}.h5", source=source, target=target))
+    try:
+        origin = f"exact: what {recording}.h5 was simulated with"
+        return AlignmentFile(alignment=opened.alignment, source=source, target=target, origin=origin)
+    finally:
+        opened.recording.close()
+
+
+def main() -> None:
+    """Write the alignment of every pair."""
+    for recording, source, target in PAIRS:
+        save(file_of(source, target), exact(recording, source, target))
+
+
+if __name__ == "__main__":
+    main()
