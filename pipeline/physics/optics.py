@@ -36,7 +36,7 @@ def colour_change(sensor: SensorSpec, gx: NDArray[np.floating], gy: NDArray[np.f
     if gx.shape != sensor.camera.shape or gy.shape != gx.shape:
         raise ShapeError(f"slopes must have the shape {sensor.camera.shape} of {sensor.name}, got {gx.shape}")
     leds, strength = _lamps(optics, sensor.camera)
-    out = np.zeros((*gx.shape, 3), np.float32)
+    out = np.empty((*gx.shape, 3), np.float32)
     lambert_change(_single(gx), _single(gy), leds, strength, np.float32(optics.vignette), out)
     return freeze(out)
 
@@ -72,7 +72,10 @@ def render(
     """
     optics = optics_of(sensor)
     checked(sensor, indentation_mm, shear_mm)
-    light = _lit(sensor, optics, _single(indentation_mm))
+    height_mm = _single(indentation_mm)
+    if _is_plain(sensor, optics, seed) and not _casts_shadow(optics, height_mm):
+        return freeze(_plain_picture(sensor, height_mm, gain_rgb))
+    light = _lit(sensor, optics, height_mm)
     if sensor.markers is not None and sensor.gel is not None:
         move = marker_motion_px(sensor, indentation_mm, shear_mm)
         print_on(light, sensor.markers, sensor.pixel_mm, *move)
@@ -103,6 +106,9 @@ def _lamps(optics: Optics, camera: Camera) -> tuple[Floats, Floats]:
         per_px = 0.5 * optics.falloff / (half_w * abs(cos_a) + half_h * abs(sin_a))
         first = 1.0 - 0.5 * optics.falloff - per_px * ((half_w - 0.5) * cos_a + (half_h - 0.5) * sin_a)
         strength.append((first, per_px * cos_a, per_px * sin_a))
+    while len(lamps) % 3:  # the kernel takes three at a time
+        lamps.append((0.0,) * 6)
+        strength.append((0.0,) * 3)
     return freeze(np.array(lamps, np.float32)), freeze(np.array(strength, np.float32))
 
 
@@ -133,20 +139,70 @@ def _lit(sensor: SensorSpec, optics: Optics, height_mm: Floats) -> Floats:
     """The light (rows, cols, 3) of a surface before markers and blur."""
     from pipeline.physics import optics_kernels
 
-    light = _glow(sensor.camera, optics).copy()
-    leds, strength = _lamps(optics, sensor.camera)
-    optics_kernels.lambert_change(
-        *slopes(height_mm, sensor.pixel_mm), leds, strength, np.float32(optics.vignette), light
-    )
-    if optics.shadow > 0 and float(height_mm.max()) > _NO_SHADOW_MM:
-        drop = np.float32(sensor.pixel_mm * math.tan(math.radians(optics.shadow_deg)))
-        all_leds = np.maximum(leds[:, 3:].sum(axis=0), 1e-6)
-        for led in leds:
-            length = np.float32(math.hypot(led[0], led[1]) or 1.0)
-            loss = np.float32(optics.shadow) * led[3:] / all_leds
-            to_x, to_y = led[0] / length, led[1] / length
-            optics_kernels.cast_shadow(height_mm, to_x, to_y, drop, np.float32(_PENUMBRA_MM), loss, light)
+    light = np.empty((*height_mm.shape, 3), np.float32)
+    optics_kernels.light_of(height_mm, *_scene(_Same(sensor)), light)
+    if _casts_shadow(optics, height_mm):
+        _shade(light, sensor, optics, height_mm)
     return light
+
+
+def _is_plain(sensor: SensorSpec, optics: Optics, seed: int | None) -> bool:
+    return sensor.markers is None and optics.blur_px <= 0 and (seed is None or optics.noise_grey <= 0)
+
+
+def _plain_picture(sensor: SensorSpec, height_mm: Floats, gain_rgb: tuple[float, float, float]) -> Image:
+    """The picture where light is all there is: no markers, shadows, blur or noise."""
+    from pipeline.physics.optics_kernels import picture_of
+
+    out = np.empty((*height_mm.shape, 3), np.uint8)
+    picture_of(height_mm, *_scene(_Same(sensor)), np.array(gain_rgb, np.float32), out)
+    return out
+
+
+class _Same:
+    """A sensor as a key that is equal to itself only: to hash a whole description takes as long as a picture."""
+
+    __slots__ = ("sensor",)
+
+    def __init__(self, sensor: SensorSpec) -> None:
+        self.sensor = sensor
+
+    def __hash__(self) -> int:
+        return id(self.sensor)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and other.sensor is self.sensor
+
+
+@lru_cache(maxsize=16)
+def _scene(key: _Same) -> tuple[np.float32, Floats, Floats, Floats, np.float32]:
+    """What the kernels need to light a surface of this sensor, after the surface itself."""
+    camera, optics = key.sensor.camera, optics_of(key.sensor)
+    return np.float32(key.sensor.pixel_mm), _glow(camera, optics), *_lamps(optics, camera), np.float32(optics.vignette)
+
+
+def _casts_shadow(optics: Optics, height_mm: Floats) -> bool:
+    return optics.shadow > 0 and float(height_mm.max()) > _NO_SHADOW_MM
+
+
+def _shade(light: Floats, sensor: SensorSpec, optics: Optics, height_mm: Floats) -> None:
+    """Take from `light` (rows, cols, 3) what does not get past the surface, LED by LED."""
+    from pipeline.physics.optics_kernels import cast_shadow, darken
+
+    drop = np.float32(sensor.pixel_mm * math.tan(math.radians(optics.shadow_deg)))
+    leds = _scene(_Same(sensor))[2][: len(optics.leds)]
+    all_leds = np.maximum(leds[:, 3:].sum(axis=0), 1e-6)
+    turned, cover_turned = np.ascontiguousarray(height_mm.T), np.empty(height_mm.shape[::-1], np.float32)
+    cover = np.empty_like(height_mm)
+    for led in leds:
+        length = np.float32(math.hypot(led[0], led[1]) or 1.0)
+        to_x, to_y = led[0] / length, led[1] / length
+        if abs(to_x) >= abs(to_y):
+            cast_shadow(turned, to_y, to_x, drop, np.float32(_PENUMBRA_MM), cover_turned)
+            cover[:] = cover_turned.T
+        else:
+            cast_shadow(height_mm, to_x, to_y, drop, np.float32(_PENUMBRA_MM), cover)
+        darken(light, cover, np.float32(optics.shadow) * led[3:] / all_leds)
 
 
 def _expose(

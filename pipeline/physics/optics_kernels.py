@@ -11,98 +11,192 @@ _FAST = {"contract", "arcp", "nsz", "reassoc"}  # not nnan: a NaN slope has to s
 
 @njit(cache=True, fastmath=_FAST)
 def lambert_change(gx, gy, leds, strength, vignette, out):
-    """Add to `out`, per pixel, what every LED's light gains or loses on a slope (see `optics.colour_change`).
+    """Write to `out`, per pixel, what every LED's light gains or loses on a slope (see `optics.colour_change`).
 
     leds (n, 6): cos(elevation) cos(azimuth), cos(elevation) sin(azimuth), sin(elevation), r, g, b.
     strength (n, 3): share of light at the first pixel, its change per pixel to the right and per pixel down.
+    n is a multiple of three: lamps that are dark fill it up.
     """
     rows, cols = gx.shape
-    one, half = np.float32(1.0), np.float32(0.5)
-    to_x, to_y = np.float32(2.0 / cols), np.float32(2.0 / rows)
-    # A row at a time, in loops without branches, so that they run on whole vectors of pixels.
-    normal, lens = np.empty(cols, np.float32), np.empty(cols, np.float32)
-    red, green, blue = np.empty(cols, np.float32), np.empty(cols, np.float32), np.empty(cols, np.float32)
+    flat = out.reshape(rows, 3 * cols)
     for r in range(rows):
-        y = (np.float32(r) + half) * to_y - one
-        row_x, row_y = gx[r], gy[r]
-        for c in range(cols):
-            x = (np.float32(c) + half) * to_x - one
-            corner = (x * x + y * y) * half
-            lens[c] = one - vignette * corner * corner
-            normal[c] = one / np.sqrt(one + row_x[c] * row_x[c] + row_y[c] * row_y[c])
-            red[c] = green[c] = blue[c] = np.float32(0.0)
-        for k in range(leds.shape[0]):
-            lx, ly, flat = leds[k, 0], leds[k, 1], leds[k, 2]
-            at_first = (strength[k, 0] + strength[k, 2] * np.float32(r)) / (one - flat)
-            per_col = strength[k, 1] / (one - flat)
-            to_red, to_green, to_blue = leds[k, 3], leds[k, 4], leds[k, 5]
-            for c in range(cols):
-                facing = (flat - row_x[c] * lx - row_y[c] * ly) * normal[c]
-                facing = np.float32(0.0) if facing < np.float32(0.0) else facing
-                gain = lens[c] * (at_first + per_col * np.float32(c)) * (facing - flat)
-                red[c] += gain * to_red
-                green[c] += gain * to_green
-                blue[c] += gain * to_blue
-        for c in range(cols):
-            out[r, c, 0] += red[c]
-            out[r, c, 1] += green[c]
-            out[r, c, 2] += blue[c]
+        _row_change(gx[r], gy[r], r, rows, leds, strength, vignette, flat[r])
+
+
+@njit(cache=True, fastmath=_FAST)
+def light_of(height, pixel, glow, leds, strength, vignette, out):
+    """Light `out` (rows, cols, 3) float32 of a surface: the glow (rows, cols, 3) and what its slopes change."""
+    rows, cols = height.shape
+    gx, gy = np.empty(cols, np.float32), np.empty(cols, np.float32)
+    flat, glow_flat = out.reshape(rows, 3 * cols), glow.reshape(rows, 3 * cols)
+    for r in range(rows):
+        _row_slopes(height, r, pixel, gx, gy)
+        _row_change(gx, gy, r, rows, leds, strength, vignette, flat[r])
+        _add(glow_flat[r], flat[r])
+
+
+@njit(cache=True, fastmath=_FAST)
+def picture_of(height, pixel, glow, leds, strength, vignette, gain, out):
+    """`light_of`, developed without blur and noise: `out` (rows, cols, 3) of 8 bits, in one pass."""
+    rows, cols = height.shape
+    gx, gy = np.empty(cols, np.float32), np.empty(cols, np.float32)
+    change, gains = np.empty(3 * cols, np.float32), np.empty(3 * cols, np.float32)
+    for k in range(3):
+        gains[k::3] = gain[k]
+    flat, glow_flat = out.reshape(rows, 3 * cols), glow.reshape(rows, 3 * cols)
+    for r in range(rows):
+        _row_slopes(height, r, pixel, gx, gy)
+        _row_change(gx, gy, r, rows, leds, strength, vignette, change)
+        _row_greys(glow_flat[r], change, gains, flat[r])
+
+
+@njit(cache=True, fastmath=_FAST)
+def _row_change(gx, gy, r, rows, leds, strength, vignette, out):
+    """What all lamps change in row `r`, three lamps at a time: `out` (3 cols,), a pixel's colours beside each other."""
+    y = (np.float32(r) + np.float32(0.5)) * np.float32(2.0 / rows) - np.float32(1.0)
+    to_x = np.float32(2.0 / gx.shape[0])
+    for k in range(0, leds.shape[0], 3):
+        part = out if k == 0 else np.empty_like(out)
+        one = _lamp(leds[k], strength[k], r)
+        two = _lamp(leds[k + 1], strength[k + 1], r)
+        three = _lamp(leds[k + 2], strength[k + 2], r)
+        _row_of_three(gx, gy, y, to_x, vignette, one, two, three, part)
+        if k > 0:
+            _add(part, out)
+
+
+@njit(cache=True, fastmath=_FAST)
+def _lamp(led, strength, r):
+    """Direction (3), its share of light at the row's first pixel, the share's change per pixel, colour (3)."""
+    per_flat = np.float32(1.0) - led[2]
+    first = (strength[0] + strength[2] * np.float32(r)) / per_flat
+    return led[0], led[1], led[2], first, strength[1] / per_flat, led[3], led[4], led[5]
+
+
+# Inner loops run on whole vectors of pixels: no branches, and indices without a sign, as a negative one would count
+# from the end and has to be looked for at every pixel.
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy")  # a check for division by zero is a branch
+def _row_of_three(gx, gy, y, to_x, vignette, one, two, three, out):
+    third, next_one = np.uint64(3), np.uint64(1)
+    nothing, unit, half = np.float32(0.0), np.float32(1.0), np.float32(0.5)
+    ax, ay, az, a_first, a_per, a_red, a_green, a_blue = one
+    bx, by, bz, b_first, b_per, b_red, b_green, b_blue = two
+    cx, cy, cz, c_first, c_per, c_red, c_green, c_blue = three
+    for i in range(gx.shape[0]):
+        c = np.uint64(i)
+        sx, sy, at = gx[c], gy[c], np.float32(np.int32(i))
+        x = (at + half) * to_x - unit
+        corner = (x * x + y * y) * half
+        lens = unit - vignette * corner * corner
+        normal = unit / np.sqrt(unit + sx * sx + sy * sy)
+        facing = (az - sx * ax - sy * ay) * normal
+        a = lens * (a_first + a_per * at) * ((nothing if facing < nothing else facing) - az)
+        facing = (bz - sx * bx - sy * by) * normal
+        b = lens * (b_first + b_per * at) * ((nothing if facing < nothing else facing) - bz)
+        facing = (cz - sx * cx - sy * cy) * normal
+        d = lens * (c_first + c_per * at) * ((nothing if facing < nothing else facing) - cz)
+        out[third * c] = a * a_red + b * b_red + d * c_red
+        out[third * c + next_one] = a * a_green + b * b_green + d * c_green
+        out[third * c + next_one + next_one] = a * a_blue + b * b_blue + d * c_blue
+
+
+@njit(cache=True, fastmath=_FAST)
+def _add(more, out):
+    for i in range(out.shape[0]):
+        n = np.uint64(i)
+        out[n] += more[n]
+
+
+@njit(cache=True, fastmath=_FAST)
+def _row_greys(glow, change, gains, out):
+    for i in range(out.shape[0]):
+        n = np.uint64(i)
+        value = (glow[n] + change[n]) * gains[n] + np.float32(0.5)
+        out[n] = np.uint8(np.int32(min(max(value, np.float32(0.0)), np.float32(255.0))))
 
 
 @njit(cache=True, fastmath=_FAST)
 def slopes(height, pixel, gx, gy):
     """d/dx and d/dy of a height by central differences, one-sided at the border."""
-    rows, cols = height.shape
-    per_px = np.float32(1.0) / pixel
-    half = np.float32(0.5) * per_px
-    for r in range(rows):
-        up, down = max(r - 1, 0), min(r + 1, rows - 1)
-        per_y = per_px / np.float32(max(down - up, 1))
-        here, above, below, to_x, to_y = height[r], height[up], height[down], gx[r], gy[r]
-        for c in range(cols):
-            to_y[c] = (below[c] - above[c]) * per_y
-        for c in range(1, cols - 1):
-            to_x[c] = (here[c + 1] - here[c - 1]) * half
-        last = cols - 1
-        to_x[0] = (here[min(1, last)] - here[0]) * per_px
-        to_x[last] = (here[last] - here[max(last - 1, 0)]) * per_px
+    for r in range(height.shape[0]):
+        _row_slopes(height, r, pixel, gx[r], gy[r])
 
 
 @njit(cache=True, fastmath=_FAST)
-def cast_shadow(height, to_x, to_y, drop, soft, loss, image):
-    """Darken `image` behind what stands in the light of one LED: one sweep away from it, O(pixels).
+def _row_slopes(height, r, pixel, gx, gy):
+    rows, cols = height.shape
+    per_px = np.float32(1.0) / pixel
+    up, down = max(r - 1, 0), min(r + 1, rows - 1)
+    here = height[r]
+    _scaled_difference(height[down], height[up], per_px / np.float32(max(down - up, 1)), gy)
+    _scaled_difference(here[2:], here[:-2], np.float32(0.5) * per_px, gx[1:-1])
+    last = cols - 1
+    gx[0] = (here[min(1, last)] - here[0]) * per_px
+    gx[last] = (here[last] - here[max(last - 1, 0)]) * per_px
 
-    to_x, to_y: unit vector toward the LED, the sweep's axis being the longer part. drop: how far (mm) the light sinks
-    per pixel of its way. soft: by how much (mm) a point must lie below the light to be fully dark. loss (3,): the
-    share that a full shadow takes of each colour.
+
+@njit(cache=True, fastmath=_FAST)
+def _scaled_difference(plus, minus, scale, out):
+    for i in range(out.shape[0]):
+        c = np.uint64(i)
+        out[c] = (plus[c] - minus[c]) * scale
+
+
+@njit(cache=True, fastmath=_FAST)
+def cast_shadow(height, to_x, to_y, drop, soft, cover):
+    """How much of one LED's light is missing, `cover` (rows, cols) from 0 to 1, behind what stands in its way.
+
+    One sweep away from the LED, O(pixels), a row at a time: |to_y| >= |to_x| (an LED at the side wants the picture
+    turned). to_x, to_y: unit vector toward the LED. drop: how far (mm) the light sinks per pixel of its way. soft: by
+    how much (mm) a point must lie below the light to be fully dark.
     """
     rows, cols = height.shape
-    along_x = abs(to_x) >= abs(to_y)
-    n, m = (cols, rows) if along_x else (rows, cols)
-    major, minor = (to_x, to_y) if along_x else (to_y, to_x)
-    lean = minor / abs(major)
-    sink = drop * math.sqrt(np.float32(1.0) + lean * lean)
-    edge = np.full(m, np.float32(-1e9), np.float32)  # the height below which the line before lets no light pass
-    line = np.empty(m, np.float32)
-    for step in range(n):
-        i = n - 1 - step if major > 0 else step
-        for j in range(m):
-            at = j + lean
-            first = math.floor(at)
-            share = at - first
-            low = min(max(first, 0), m - 1)
-            high = min(max(first + 1, 0), m - 1)
-            here = edge[low] * (np.float32(1.0) - share) + edge[high] * share - sink
-            r, c = (j, i) if along_x else (i, j)
-            own = height[r, c]
-            if here > own:
-                cover = min((here - own) / soft, np.float32(1.0))
-                for k in range(3):
-                    image[r, c, k] *= np.float32(1.0) - cover * loss[k]
-                line[j] = here
-            else:
-                line[j] = own
+    lean = to_x / abs(to_y)
+    sink = drop * np.sqrt(np.float32(1.0) + lean * lean)
+    first = math.floor(lean)
+    share = np.float32(lean - np.float32(first))
+    # The height below which the row before lets no light pass, with two more values at either end.
+    edge, line = np.full(cols + 4, np.float32(-1e9), np.float32), np.empty(cols + 4, np.float32)
+    for step in range(rows):
+        r = rows - 1 - step if to_y > 0 else step
+        _shaded_row(edge[2 + first :], edge[3 + first :], share, sink, soft, height[r], line[2:-2], cover[r])
+        line[:2], line[-2:] = line[2], line[-3]
         edge, line = line, edge
+
+
+@njit(cache=True, fastmath=_FAST)
+def _shaded_row(low, high, share, sink, soft, height, line, cover):
+    nothing, one = np.float32(0.0), np.float32(1.0)
+    per_soft = one / soft
+    for i in range(height.shape[0]):
+        c = np.uint64(i)
+        light, own = low[c] * (one - share) + high[c] * share - sink, height[c]
+        depth = (light - own) * per_soft
+        cover[c] = min(max(depth, nothing), one)
+        line[c] = light if light > own else own
+
+
+@njit(cache=True, fastmath=_FAST)
+def darken(image, cover, loss):
+    """Take from `image` (rows, cols, 3) the share `loss` (3,) of each colour where `cover` (rows, cols) is 1."""
+    rows, cols = cover.shape
+    flat = image.reshape(rows, 3 * cols)
+    for r in range(rows):
+        _darken_row(flat[r], cover[r], loss[0], loss[1], loss[2])
+
+
+@njit(cache=True, fastmath=_FAST)
+def _darken_row(out, cover, red, green, blue):
+    three, one = np.uint64(3), np.uint64(1)
+    whole = np.float32(1.0)
+    for i in range(cover.shape[0]):
+        c = np.uint64(i)
+        dark = cover[c]
+        out[three * c] *= whole - dark * red
+        out[three * c + one] *= whole - dark * green
+        out[three * c + one + one] *= whole - dark * blue
 
 
 @njit(cache=True, fastmath=_FAST)
