@@ -149,7 +149,8 @@ def simulate(
     sequence: Literal["grid", "press", "slide", "twist", "release", "all"] = "grid",
     vary: float = 0.0,
     noise: bool = True,
-    bubble_deeper_mm: float = 8.0,
+    bubble_deeper_mm: float = 9.0,
+    drag_mm: float = 0.0,
     jobs: int = 2,
     mesh_unit: Literal["auto", "mm", "cm", "m"] = "auto",
     mesh_face: Literal["-x", "+x", "-y", "+y", "-z", "+z"] = "-z",
@@ -179,6 +180,8 @@ def simulate(
         Whether readings have their camera's noise.
     bubble_deeper_mm
         How much farther a bubble comes to meet the object than its description says.
+    drag_mm
+        How far each object has gone along the gels since it touched them, at a friction of 0.8: markers move with it.
     jobs
         Processes that work at once.
     mesh_unit
@@ -191,7 +194,7 @@ def simulate(
 
     like = Plan(
         sensors=_words(sensors), tool="", poses=poses, seed=seed, sequence=sequence, vary=vary, noise=noise,
-        bubble_deeper_mm=bubble_deeper_mm,
+        bubble_deeper_mm=bubble_deeper_mm, drag_mm=drag_mm,
         mesh_unit=mesh_unit, mesh_face=mesh_face,
     )  # fmt: skip
     return simulate_recordings(_words(tools), like, out, jobs)

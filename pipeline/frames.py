@@ -43,6 +43,7 @@ class Truth:
     indentation_mm: Floats | None = None  # (rows, cols)
     contact: Mask | None = None  # (rows, cols) pressure > 0
     sensor_from_object: Doubles | None = None  # (4, 4) mm
+    force_n: Doubles | None = None  # (3,) on the sensor: right, down, and away from the camera, so that a press is < 0
 
 
 def _no_truth(_index: int) -> Truth | None:

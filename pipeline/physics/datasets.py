@@ -23,6 +23,7 @@ from pipeline.frames import Pairing, TactileFrame, Truth
 from pipeline.meshes import Mesh
 from pipeline.physics import poses, shapes, variation
 from pipeline.physics.press import photograph, press
+from pipeline.physics.shear import Load
 from pipeline.sensors.spec import SensorSpec
 from pipeline.sensors.spec import sensor as sensor_named
 
@@ -32,6 +33,7 @@ Sequence = Literal["grid", "press", "slide", "twist", "release", "all"]
 
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
 MOST_DEEPER_MM = 30.0  # more than any bubble is high
+MOST_DRAG_MM = 5.0  # long before that all of the contact slips
 SPECIMEN_FRAMES = 10  # with varied sensors, a new specimen is taken after so many moments
 BUBBLE_DEEPER_MM = 9.0
 """How much farther a bubble comes to meet the object than its description says, 13 mm over the gels in all.
@@ -42,7 +44,7 @@ and 1.04; with 12 mm it is 0.72 and 0.87, and 1.04 and 0.95 (benchmarks/paired_s
 """
 
 GRASP_S, FRAME_S = 1.0, 0.1  # between single grasps, and between the frames of a sequence
-RULES = 2  # counts up when the same plan would give other readings, so that old recordings are not continued
+RULES = 3  # counts up when the same plan would give other readings, so that old recordings are not continued
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,6 +59,7 @@ class Plan:
     vary: float = 0.0  # how far specimens of a sensor differ: 0 = all alike, 1 = as real ones do
     noise: bool = True
     bubble_deeper_mm: float = BUBBLE_DEEPER_MM
+    drag_mm: float = 0.0  # how far the object has gone along the gels since it touched; each grasp its own way
     mesh_unit: Unit = "auto"
     mesh_face: Face = "-z"  # the side of a mesh file that touches
 
@@ -92,6 +95,8 @@ def plans(tools: tuple[str, ...], like: Plan) -> tuple[Plan, ...]:
         raise SettingProblem(
             f"--bubble-deeper-mm must lie within 0 and {MOST_DEEPER_MM:g} mm, got {like.bubble_deeper_mm:g}"
         )
+    if not 0.0 <= like.drag_mm <= MOST_DRAG_MM:
+        raise SettingProblem(f"--drag-mm must lie within 0 and {MOST_DRAG_MM:g} mm, got {like.drag_mm:g}")
     wanted = tuple(dict.fromkeys(name for tool in tools for name in _names(tool)))
     if not wanted:
         raise SettingProblem("--tools must name at least one object")
@@ -154,13 +159,24 @@ def moment(plan: Plan, index: int) -> Moment:
     time_s = index * (GRASP_S if plan.sequence == "grid" else FRAME_S)
     for name in plan.sensors:
         spec = _specimen(plan, name, index // SPECIMEN_FRAMES)
-        felt = press(thing(plan), pose, spec, seed=_seed(plan, spec.name, "reading", index) if plan.noise else None)
+        seed = _seed(plan, spec.name, "reading", index) if plan.noise else None
+        felt = press(thing(plan), pose, spec, seed=seed, load=_load(plan, spec, index))
         frame = TactileFrame(
             sensor=spec.name, image=felt.image, reference=reference(plan, name, index), index=index, time_s=time_s
         )
         readings.append((frame, felt.truth if felt.converged else None))
         unsolved += not felt.converged
     return Moment(readings=tuple(readings), n_unsolved=unsolved)
+
+
+def _load(plan: Plan, spec: SensorSpec, index: int) -> Load | None:
+    """The drag of moment `index` in the sensor's own axes: one way for all sensors, and for all frames of a motion."""
+    if not plan.drag_mm:
+        return None
+    seed = _seed(plan, "", "drag", index if plan.sequence == "grid" else 0)
+    heading = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi)
+    way = spec.alignment_from_sensor[:3, :3].T @ (np.cos(heading), np.sin(heading), 0.0)
+    return Load(tangent_mm=(plan.drag_mm * float(way[0]), plan.drag_mm * float(way[1])))
 
 
 def reference(plan: Plan, sensor: str, index: int) -> Image | Floats:
@@ -206,5 +222,6 @@ def told(plan: Plan) -> str:
     return (
         f"simulated: sensors {' '.join(s.name for s in specs)}, object {plan.thing_name}, {plan.poses} poses, "
         f"sequence {plan.sequence}, seed {plan.seed}, vary {plan.vary:g}, noise {'on' if plan.noise else 'off'}, "
+        f"{f'dragged by {plan.drag_mm:g} mm, ' if plan.drag_mm else ''}"
         f"inputs {content[:12]}"
     )

@@ -43,6 +43,7 @@ class _Felt:
     contact: Mask
     force_n: float
     converged: bool
+    tangent_n: tuple[float, float] = (0.0, 0.0)  # right and down
     shear_mm: Floats | None = None
 
 
@@ -59,7 +60,10 @@ def press(
     vertices = rigid.apply(sensor_from_object, thing.vertices_mm)
     felt = _gel(vertices, thing, sensor, load) if sensor.kind == "gel" else _bubble(vertices, thing, sensor)
     indentation: Floats = freeze((sensor.rest_depth_mm - felt.depth_mm).astype(np.float32))
-    truth = Truth(indentation_mm=indentation, contact=felt.contact, sensor_from_object=freeze(sensor_from_object))
+    truth = Truth(
+        indentation_mm=indentation, contact=felt.contact, sensor_from_object=freeze(sensor_from_object),
+        force_n=freeze(np.array([*felt.tangent_n, -felt.force_n])),
+    )  # fmt: skip
     image = photograph(sensor, indentation, felt.depth_mm, seed, shear_mm=felt.shear_mm)
     return Press(image=image, truth=truth, force_n=felt.force_n, converged=felt.converged, shear_mm=felt.shear_mm)
 
@@ -97,13 +101,14 @@ def _gel(vertices_mm: Doubles, thing: Mesh, sensor: SensorSpec, load: Load | Non
     contact = lattice.seen_at_pixels(sensor.camera, answer.contact, on, depth)
     # Beside the view a long tool's end may lie deeper; a linear layer answers for that well enough.
     possible = float((sensor.rest_depth_mm - depth).max()) < sensor.gel.thickness_mm
-    moved = None
+    moved, tangent_n = None, (0.0, 0.0)
     if load is not None:
         dragged = shear.drag(sensor.gel, on.step_mm, answer.pressure_kpa, load)
-        moved = freeze(shear.seen_by(sensor.camera, on, dragged.move_mm, depth))
+        tangent_n, moved = dragged.force_n, freeze(shear.seen_by(sensor.camera, on, dragged.move_mm, depth))
     return _Felt(
-        depth_mm=depth, contact=contact, force_n=answer.force_n, converged=answer.converged and possible, shear_mm=moved
-    )
+        depth_mm=depth, contact=contact, force_n=answer.force_n, converged=answer.converged and possible,
+        tangent_n=tangent_n, shear_mm=moved,
+    )  # fmt: skip
 
 
 def _gel_lattice(sensor: SensorSpec) -> Lattice:

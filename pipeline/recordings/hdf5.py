@@ -73,7 +73,7 @@ def _stream(group: Any, name: str, path: Path, notes: list[str]) -> Stream:
     layout.checked_unit(frames, "rgb" if frames.ndim == 4 else "mm", path)
     layout.checked_unit(group["references"], "rgb" if frames.ndim == 4 else "mm", path)
     for key in ("timestamps", "reference_index", "truth/known", "truth/indentation", "truth/contact",
-                "truth/sensor_from_object", "camera_matrix"):  # fmt: skip
+                "truth/sensor_from_object", "truth/force", "camera_matrix"):  # fmt: skip
         if key in group:
             layout.checked_unit(group[key], layout.UNITS[key], path)
     n, sensor = int(frames.shape[0]), str(group.attrs["sensor"])
@@ -105,7 +105,8 @@ def _stream(group: Any, name: str, path: Path, notes: list[str]) -> Stream:
         contact = field(layout.KNOWN_CONTACT, "truth/contact")
         return Truth(indentation_mm=field(layout.KNOWN_INDENTATION, "truth/indentation"),
                      contact=None if contact is None else freeze(contact.astype(np.bool_)),
-                     sensor_from_object=field(layout.KNOWN_POSE, "truth/sensor_from_object"))  # fmt: skip
+                     sensor_from_object=field(layout.KNOWN_POSE, "truth/sensor_from_object"),
+                     force_n=field(layout.KNOWN_FORCE, "truth/force"))  # fmt: skip
 
     return Stream(name=name, sensor=sensor, n_frames=n, frame=checked_index(frame, n, path),
                   truth=checked_index(truth, n, path), has_truth=bool(known.any()))  # fmt: skip

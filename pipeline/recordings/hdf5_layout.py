@@ -7,10 +7,11 @@
         reference_index      (n,) row of `references`, -1 = none
         timestamps           (n,) "s", NaN = not known
         camera_matrix        (3, 3) "px", only where the recording brings its own intrinsics
-        truth/known          (n,) bits: 1 indentation, 2 contact, 4 pose
+        truth/known          (n,) bits: 1 indentation, 2 contact, 4 pose, 8 force
         truth/indentation    (n, rows, cols) "mm"
         truth/contact        (n, rows, cols) 0 or 1
         truth/sensor_from_object  (n, 4, 4) "mm"
+        truth/force          (n, 3) "N" on the sensor: right, down, away from the camera
     /object                  name; vertices (v, 3) "mm", triangles (t, 3)
         symmetry/rotations   (n, 3, 3) turns about the object's origin that map it onto itself, the identity first
         symmetry/axis        (3,) only where any turn about it does so too; no group `symmetry` = not known
@@ -43,11 +44,11 @@ Coding = Literal["plain", "row differences"]
 
 UNITS: Mapping[str, str] = {
     "reference_index": "1", "timestamps": "s", "camera_matrix": "px", "truth/known": "1", "truth/indentation": "mm",
-    "truth/contact": "1", "truth/sensor_from_object": "mm", "vertices": "mm", "triangles": "1", "pairing": "mm",
-    "symmetry/rotations": "1", "symmetry/axis": "1",
+    "truth/contact": "1", "truth/sensor_from_object": "mm", "truth/force": "N", "vertices": "mm", "triangles": "1",
+    "pairing": "mm", "symmetry/rotations": "1", "symmetry/axis": "1",
 }  # fmt: skip
 
-KNOWN_INDENTATION, KNOWN_CONTACT, KNOWN_POSE = 1, 2, 4
+KNOWN_INDENTATION, KNOWN_CONTACT, KNOWN_POSE, KNOWN_FORCE = 1, 2, 4, 8
 
 # 0.1 um holds +-3.2 mm, more than any gel gives way; a bubble moves by centimetres and is read to 0.4 mm.
 GEL_STEP_MM, BUBBLE_STEP_MM = 1e-4, 1e-3

@@ -151,19 +151,20 @@ class Writer:
             ("truth/indentation", layout.KNOWN_INDENTATION, truth.indentation_mm),
             ("truth/contact", layout.KNOWN_CONTACT, truth.contact),
             ("truth/sensor_from_object", layout.KNOWN_POSE, truth.sensor_from_object),
+            ("truth/force", layout.KNOWN_FORCE, truth.force_n),
         ):
             if values is None:
                 continue
-            want = (4, 4) if bit == layout.KNOWN_POSE else shape
+            want = {layout.KNOWN_POSE: (4, 4), layout.KNOWN_FORCE: (3,)}.get(bit, shape)
             if values.shape != want:
                 raise ShapeError(f"{key} of frame {index} must have shape {want}, got {values.shape}")
             if key not in group and bit == layout.KNOWN_INDENTATION:
                 coding: Coding = self._coding
                 _stack(group, key, shape, np.int16, "mm", coding=coding, step_mm=step, nan_code=-32768, fill=-32768)
             elif key not in group:
-                pose = bit == layout.KNOWN_POSE
+                exact = bit in (layout.KNOWN_POSE, layout.KNOWN_FORCE)
                 _stack(
-                    group, key, want, np.float64 if pose else np.uint8, layout.UNITS[key], fill=np.nan if pose else 0
+                    group, key, want, np.float64 if exact else np.uint8, layout.UNITS[key], fill=np.nan if exact else 0
                 )
             _add(group[key], index, layout.encoded(values, group[key], f"{key} of frame {index}"))
             known |= bit

@@ -17,6 +17,7 @@ from pipeline.recordings import hdf5
 
 TOOL = shapes.names("training")[0]
 PLAN = Plan(sensors=("digit", "soft_bubble"), tool=TOOL, poses=3, seed=4)
+FRICTION_ROUNDING = 1.001  # float32 tractions, summed
 POSE_TOLERANCE_MM = 1e-9  # rounding of a few 4x4 products in float64
 
 
@@ -89,6 +90,32 @@ def test_varied_specimens_change_the_untouched_sensor_and_keep_the_true_poses():
     assert datasets.reference(plan, "digit", 0) is datasets.reference(plan, "digit", datasets.SPECIMEN_FRAMES - 1)
 
 
+def test_a_drag_shears_gels_alone_and_the_truth_says_with_what_force():
+    plan = replace(PLAN, sensors=("digit", "gelslim", "soft_bubble"), poses=1, noise=False)
+    still, dragged = (datasets.moment(p, 0).readings for p in (plan, replace(plan, drag_mm=0.3)))
+    for (frame, truth), (dragged_frame, dragged_truth) in zip(still, dragged, strict=True):
+        gel = frame.sensor != "soft_bubble"
+        along, pressed = np.hypot(*dragged_truth.force_n[:2]), -dragged_truth.force_n[2]
+        assert not truth.force_n[:2].any()
+        assert truth.force_n[2] == dragged_truth.force_n[2] < 0
+        assert (0.0 < along <= 0.8 * pressed * FRICTION_ROUNDING) == gel
+        assert np.array_equal(truth.indentation_mm, dragged_truth.indentation_mm)
+        assert np.array_equal(frame.image, dragged_frame.image) == (frame.sensor != "gelslim")  # it alone has markers
+    ways = [t.force_n[:2] / np.hypot(*t.force_n[:2]) for _, t in dragged[:2]]
+    assert ways[0] @ ways[1] > 0.99  # both gels have the axes of the alignment frame
+    assert "dragged by 0.3 mm" in datasets.told(replace(plan, drag_mm=0.3))
+
+
+def test_a_recording_keeps_the_force(tmp_path):
+    plan = replace(PLAN, sensors=("gelslim",), poses=1, drag_mm=0.3)
+    recorder.record(plan, tmp_path / "dragged.h5")
+    recording = hdf5.read(tmp_path / "dragged.h5")
+    try:
+        assert np.array_equal(recording.streams[0].truth(0).force_n, datasets.moment(plan, 0).readings[0][1].force_n)
+    finally:
+        recording.close()
+
+
 def test_a_group_stands_for_its_objects_each_once():
     made = datasets.plans(("training", TOOL), PLAN)
     assert tuple(p.tool for p in made) == shapes.names("training")
@@ -100,6 +127,7 @@ def test_a_group_stands_for_its_objects_each_once():
         ({"poses": 0}, (TOOL,), "--poses"),
         ({"seed": -1}, (TOOL,), "--seed"),
         ({"vary": 9.0}, (TOOL,), "--vary"),
+        ({"drag_mm": 9.0}, (TOOL,), "--drag-mm"),
         ({"sensors": ("digit", "digit")}, (TOOL,), "--sensors"),
         ({"sensors": ("fingertip",)}, (TOOL,), "fingertip"),
         ({}, (), "--tools"),
