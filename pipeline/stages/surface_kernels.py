@@ -92,10 +92,11 @@ def rasterise(flat, source_index, order, cols, stride, lens, shape, z_min, limit
                 at, x, y, z, u, v, w, state, left, right, top, bottom, busy[low + 1 : high], a, c,
                 limits, shape, inverse_z, source, counts,
             )  # fmt: skip
-        _link(busy, at[old : old + n], linked[old : old + n], linked[new : new + n], alone)
+        a, b = old + low, old + high
+        _link(busy[low : high + 1], at[a:b], state[a:b], linked[a:b], linked[new + low : new + high], alone)
         low, high, row = start, end, next_row
     busy[:] = 0
-    _link(busy, at[new : new + n], linked[new : new + n], linked[old : old + n], alone)
+    _link(busy, at[new : new + n], state[new : new + n], linked[new : new + n], linked[old : old + n], alone)
 
 
 @njit(cache=True)
@@ -104,8 +105,10 @@ def _load(flat, source_index, order, place, row, cols, stride, at, x, y, z, alon
 
     What lies between the columns of a strided cloud, or shares its source pixel, stands alone.
     """
-    start, end = at.shape[0], 0
     begin = row * cols
+    if stride == 1 and order.shape[0] == 0:
+        return _load_in_turn(flat, source_index, place, begin, at, x, y, z)
+    start, end = at.shape[0], 0
     while place < source_index.shape[0]:
         i = order[place] if order.shape[0] > 0 else np.int64(place)
         column = source_index[i] - begin
@@ -125,6 +128,28 @@ def _load(flat, source_index, order, place, row, cols, stride, at, x, y, z, alon
     return min(start, end), end, place
 
 
+@njit(cache=True)
+def _load_in_turn(flat, source_index, place, begin, at, x, y, z):
+    start, end = source_index[place] - begin, 0
+    after = place
+    while after < source_index.shape[0] and source_index[after] - begin < at.shape[0]:
+        after += 1
+    mine, points = source_index[place:after], flat[3 * place : 3 * after]
+    if after > place:
+        end = mine[after - place - 1] - begin + 1
+    if end - start == after - place:  # without a gap
+        at, x, y, z = at[start:end], x[start:end], y[start:end], z[start:end]
+        for k in range(at.shape[0]):
+            at[k] = place + k
+            x[k], y[k], z[k] = points[3 * k], points[3 * k + 1], points[3 * k + 2]
+    else:
+        for k in range(mine.shape[0]):
+            c = mine[k] - begin
+            at[c] = place + k
+            x[c], y[c], z[c] = points[3 * k], points[3 * k + 1], points[3 * k + 2]
+    return start, end, after
+
+
 @njit(cache=True, error_model="numpy")
 def _see(x, y, z, at, lens, z_min, u, v, w, state):
     """Screen coordinates of a row of corners; the image's middle, harmlessly, for those that have none."""
@@ -141,10 +166,10 @@ def _see(x, y, z, at, lens, z_min, u, v, w, state):
 
 @njit(cache=True)
 def _between(u, first, last, size):
-    """The pixel centres that lie around each coordinate, clamped as floats to just outside the image."""
-    high = size + 1.0
+    """The pixel centres that lie around each coordinate, clamped as floats to between two centres outside."""
+    high = size + 0.5
     for c in range(u.shape[0]):
-        near = u[c] if u[c] > -2.0 else -2.0
+        near = u[c] if u[c] > -1.5 else -1.5
         near = near if near < high else high
         first[c], last[c] = np.int32(np.ceil(near - SLACK)), np.int32(np.floor(near + SLACK))
 
@@ -169,17 +194,17 @@ def _sort_out(state, left, right, top, bottom, state_1, left_1, right_1, top_1, 
 
 
 @njit(cache=True)
-def _link(busy, at, linked, linked_1, alone):
+def _link(busy, at, state, linked, linked_1, alone):
     """Set in `alone` the points of a row that no quad above it, `linked`, or below it, `busy`, has as a corner."""
-    lonely = 0
     for c in range(at.shape[0]):
-        below = busy[c] | busy[c + 1]
-        linked_1[c] = below
-        linked[c] |= below
-        lonely += (at[c] >= 0) & (linked[c] == 0)
-    if lonely > 0:
+        linked_1[c] = busy[c] | busy[c + 1]
+    lonely = False
+    for c in range(at.shape[0]):
+        linked[c] |= linked_1[c]
+        lonely |= (state[c] != 0) & (linked[c] == 0)
+    if lonely:
         for c in range(at.shape[0]):
-            if at[c] >= 0 and linked[c] == 0:
+            if state[c] != 0 and linked[c] == 0:
                 alone[at[c]] = True
 
 
