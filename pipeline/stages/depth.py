@@ -95,7 +95,8 @@ def untouched(
     reference, image = frame.reference, frame.image
     if reference is None or reference.shape != image.shape or reference.dtype != image.dtype:
         return None
-    if frame.is_depth != (source.kind == "bubble") or (image.dtype == np.uint8) == frame.is_depth:
+    number = np.floating if frame.is_depth else np.uint8  # anything else is for `depth` to refuse in words
+    if frame.is_depth != (source.kind == "bubble") or not np.issubdtype(image.dtype, number):
         return None
     limit = source.limits.no_touch / params.sensitivity
     if frame.is_depth:

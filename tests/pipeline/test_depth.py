@@ -195,6 +195,15 @@ def test_a_bubble_without_any_reading_is_refused():
         depth(replace(frame, image=np.full_like(frame.image, np.nan)), source, None, PARAMS)
 
 
+@pytest.mark.parametrize("kind", [np.bool_, np.uint16, np.int32, np.complex64])
+def test_a_bubbles_depth_in_another_type_of_number_is_refused(kind):
+    source, frame, _, _ = bubble()
+    bad = replace(frame, image=frame.image.astype(kind), reference=frame.reference.astype(kind))
+    assert untouched(bad, source, None, PARAMS) is None
+    with pytest.raises(ShapeError, match="float32 in millimetres"):
+        depth(bad, source, None, PARAMS)
+
+
 def test_a_flat_punch_is_touched_inside_its_rim_too():
     y, x = np.mgrid[:120, :120]
     outside = np.maximum(np.maximum(abs(x - 60) - 20, abs(y - 60) - 20), 0)
