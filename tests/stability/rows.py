@@ -8,7 +8,7 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, Phase, settings
 
 SHORT = 24  # cases a row in the short form: all of the folder within 40 s on two cores
 FEWEST = 3
@@ -52,8 +52,15 @@ def row(number: int | str, name: str, *, share: float = 1.0):
         if given is None:
             return _counting(test, tally)
         given.inner_test = _counting(given.inner_test, tally)
-        # Building a scene may take longer than the check: what counts is that ten thousand of them hold.
-        return settings(max_examples=cases(share), deadline=None, suppress_health_check=list(HealthCheck))(test)
+        # Building a scene may take longer than the check, and a slow failing case is not worth a search for a smaller.
+        phases = [Phase.explicit, Phase.reuse, Phase.generate]
+        return settings(
+            max_examples=cases(share),
+            deadline=None,
+            suppress_health_check=list(HealthCheck),
+            phases=phases if SIZE.long or share < 1.0 else [*phases, Phase.shrink],
+            report_multiple_bugs=False,
+        )(test)
 
     return counted
 

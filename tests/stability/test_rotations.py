@@ -7,7 +7,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pipeline import rigid
-from pipeline.errors import CalibrationError
+from tests.stability.checks import outcome
 from tests.stability.rows import row
 from tests.stability.scenes import rigid_motions, unit_numbers
 
@@ -88,10 +88,8 @@ def test_inverse(a, b, power):
 def test_a_damaged_transform(matrix, entry, value, added):
     damaged = matrix.copy()
     damaged.flat[entry] = value + (damaged.flat[entry] if added else 0.0)
-    try:
-        answer = rigid.checked(damaged, "it")
-    except CalibrationError as error:
-        assert str(error)
+    answer, _ = outcome(rigid.checked, damaged, "it")
+    if answer is None:
         return
     assert np.isfinite(answer).all()
     assert np.abs(answer[:3, :3].T @ answer[:3, :3] - np.eye(3)).max() <= 16 * EPS
@@ -101,9 +99,6 @@ def test_a_damaged_transform(matrix, entry, value, added):
 @row(11, "a quaternion of any length gives a rotation or is refused")
 @given(st.tuples(*[st.one_of(st.floats(allow_nan=True, allow_infinity=True), unit_numbers)] * 4))
 def test_any_quaternion(xyzw):
-    try:
-        matrix = rigid.from_quaternion([1.0, 2.0, 3.0], xyzw)
-    except CalibrationError as error:
-        assert str(error)
-        return
-    assert np.abs(matrix[:3, :3].T @ matrix[:3, :3] - np.eye(3)).max() <= 32 * EPS
+    matrix, _ = outcome(rigid.from_quaternion, [1.0, 2.0, 3.0], xyzw)
+    if matrix is not None:
+        assert np.abs(matrix[:3, :3].T @ matrix[:3, :3] - np.eye(3)).max() <= 32 * EPS

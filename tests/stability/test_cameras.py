@@ -1,0 +1,133 @@
+"""Any focal length from 1 to 1e5 px, any angle, any distance, and a target that looks the other way."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from pipeline import membrane, rigid
+from pipeline.alignment import Alignment
+from pipeline.camera import MIN_DEPTH_MM, Camera
+from pipeline.sensors.spec import sensor
+from pipeline.stages.adapt import AdaptParams, adapt
+from pipeline.stages.project import ProjectParams, project
+from tests.stability.checks import sound
+from tests.stability.rows import row
+from tests.stability.scenes import depth_map, rigid_motions, seeds, unit_numbers
+
+EPS64, EPS32 = np.finfo(np.float64).eps, np.finfo(np.float32).eps
+ROWS, COLS = 24, 32
+MODES = st.sampled_from(["surface", "paper"])
+HERE = Alignment(alignment_from_source=np.eye(4), target_from_alignment=np.eye(4))
+
+focals_px = st.one_of(st.floats(0, 5).map(lambda e: 10**e), st.sampled_from([1.0, 1e5]))
+distances_mm = st.one_of(st.floats(-6, 6).map(lambda e: 10**e), st.sampled_from([1e-6, 1e-3, 1.0, 1e6]))
+
+
+def camera_of(fx_px, fy_px=None, cx_px=(COLS - 1) / 2, cy_px=(ROWS - 1) / 2):
+    return Camera(rows=ROWS, cols=COLS, fx_px=fx_px, fy_px=fx_px if fy_px is None else fy_px, cx_px=cx_px, cy_px=cy_px)
+
+
+def level_sensor(camera, z_mm):
+    """A sensor with a level membrane at this distance, wide enough for its view."""
+    half = 2 * z_mm * (COLS / camera.fx_px + ROWS / camera.fy_px) + 1e-9
+    pad = membrane.flat(z_mm, half, half)
+    return replace(sensor("gelslim"), camera=camera, membrane=pad, rest_depth_mm=np.full(camera.shape, float(z_mm)))
+
+
+def plane_depth(camera, z_mm):
+    spec = level_sensor(camera, z_mm)
+    flat = depth_map(spec, np.zeros(camera.shape))
+    return replace(flat, contact=np.ones(camera.shape, bool))
+
+
+@row(9, "through one camera and back into it, focal lengths 1 to 1e5 px, 1e-6 to 1e6 mm: pixel for pixel")
+@given(focals_px, focals_px, distances_mm, MODES)
+@example(1.0, 1.0, 1e6, "surface")
+@example(1e5, 1e5, 1e-3, "surface")
+@example(1.0, 1e5, 1.0, "paper")
+def test_same_camera(fx, fy, z_mm, mode):
+    camera = camera_of(fx, fy)
+    points = adapt(plane_depth(camera, z_mm), HERE, AdaptParams())
+    sound(points)
+    if np.float32(z_mm) <= MIN_DEPTH_MM:
+        assert len(points.points_mm) == 0, "nearer than a micrometre to the lens nothing has an image"
+        return
+    target = level_sensor(camera, 2 * z_mm)
+    # At one pixel of focal length the picture's edge is seen at 86 degrees, and neighbours lie far apart.
+    seen = project(points, target, ProjectParams(mode=mode, grazing_deg=90.0, jump_mm=1e9 * (1 + z_mm)))
+    sound(seen)
+    # A centre that float32 moves by its last bit may leave its pixel only if a pixel is smaller than that bit.
+    assert seen.contact.all()
+    assert np.abs(seen.depth_mm / np.float32(z_mm) - 1).max() <= 4 * EPS32
+
+
+@row(9, "a camera's rays and its projection undo each other")
+@given(focals_px, focals_px, st.floats(-1e4, 1e4), st.floats(-1e4, 1e4), st.floats(-3 + 1e-9, 6).map(lambda e: 10**e))
+def test_rays(fx, fy, cx, cy, z_mm):
+    camera = camera_of(fx, fy, cx, cy)
+    x_px, y_px, visible = camera.project(camera.back_project(np.full(camera.shape, z_mm)).reshape(-1, 3))
+    row_px, col_px = np.divmod(np.arange(ROWS * COLS), COLS)
+    limit = 8 * EPS64 * (max(abs(cx), abs(cy)) + COLS)
+    assert np.abs(x_px - col_px).max() <= limit
+    assert np.abs(y_px - row_px).max() <= limit
+    assert visible.all() or z_mm <= MIN_DEPTH_MM
+
+
+@row(9, "a target anywhere, turned any way, behind the touch as well: sound, and nothing seen from behind")
+@given(rigid_motions(60.0), focals_px, MODES, seeds)
+def test_target_anywhere(motion, fx, mode, seed):
+    camera = camera_of(60.0)
+    depth = plane_depth(camera, 20.0)
+    way = Alignment(alignment_from_source=motion, target_from_alignment=np.eye(4))
+    points = adapt(depth, way, AdaptParams())
+    sound(points)
+    seen = project(points, level_sensor(camera_of(fx), 200.0), ProjectParams(mode=mode))
+    sound(seen)
+    if (points.points_mm[:, 2] <= MIN_DEPTH_MM).all():
+        assert not (seen.source_index >= 0).any()
+        assert seen.notes
+
+
+@row(9, "a plane seen at 0 to 89.9 degrees: what is drawn lies on it, up to the limit of grazing")
+@given(st.floats(0.0, 89.9), unit_numbers, MODES, st.sampled_from([60.0, 84.0, 89.95]))
+@example(89.9, 0.3, "surface", 89.95)
+@example(0.0, 0.0, "surface", 84.0)
+def test_grazing(angle_deg, around, mode, limit_deg):
+    camera = camera_of(60.0)
+    axis = np.array([np.cos(np.pi * around), np.sin(np.pi * around), 0.0])
+    turn = rigid.translation(0, 0, 20.0) @ rigid.rotation(axis * np.deg2rad(angle_deg)) @ rigid.translation(0, 0, -20.0)
+    way = Alignment(alignment_from_source=turn, target_from_alignment=np.eye(4))
+    points = adapt(plane_depth(camera, 20.0), way, AdaptParams())
+    seen = project(points, level_sensor(camera, 200.0), ProjectParams(mode=mode, grazing_deg=limit_deg, jump_mm=1e6))
+    sound(seen)
+    z = seen.depth_mm.astype(np.float64)
+    on = seen.source_index >= 0
+    if angle_deg < 30:
+        assert on.mean() > 0.5
+    if mode == "surface" and on.any():
+        x, y = camera.rays()
+        p = np.stack([z * x[None, :], z * y[:, None], z], axis=-1)[on]
+        normal = turn[:3, 2]
+        off_mm = np.abs((p - (0, 0, 20.0)) @ normal)
+        # Along a ray that meets the plane at a flat angle a float32 of z is a longer way off than across it.
+        assert off_mm.max() <= 64 * EPS32 * np.abs(p).max() + 1e-6
+
+
+@row(9, "a membrane at any distance through any camera: its rest depth lies on it, or words")
+@given(focals_px, distances_mm, st.booleans())
+def test_rest_depth(fx, z_mm, domed):
+    camera = camera_of(fx)
+    half = 2 * z_mm * (COLS + ROWS) / fx + 1e-9
+    surface = membrane.flat(z_mm, half, half)
+    if domed:
+        surface = membrane.dome(z_mm, 0.2 * min(z_mm, half), half, half, step_mm=half / 20)
+    rest = surface.rest_depth_mm(camera)
+    assert np.isfinite(rest).all()
+    assert (rest > 0).all()
+    x, y = camera.rays()
+    off = surface.depth_at(x[None, :] * rest, y[:, None] * rest) - rest
+    assert np.abs(off).max() <= 1e-6 + 1e-9 * z_mm

@@ -1,0 +1,136 @@
+"""float64, float32 and float16 in: the same answer but for the rounding of what came in, always float32 out.
+
+float16 is widened where a frame or a depth is read; no stage computes in it. Whole numbers count as numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline import rigid
+from pipeline.frames import TactileFrame
+from pipeline.stages.adapt import AdaptParams, adapt
+from pipeline.stages.depth import DepthParams, depth, untouched
+from pipeline.stages.generate import GenerateParams, generate
+from pipeline.stages.pose import PoseParams, pose
+from pipeline.stages.project import ProjectParams, project
+from tests.stability.checks import outcome, sound
+from tests.stability.rows import row
+from tests.stability.scenes import KINDS, aligned, depth_map, frame, indentation_mm, mesh, seeds, small, touch, view
+
+FLOATS = st.sampled_from([np.float64, np.float32, np.float16])
+ANY = st.sampled_from([np.float64, np.float32, np.float16, np.int32, np.int64, np.uint8, np.bool_, np.complex128])
+
+
+def ulp_mm(kind, largest_mm):
+    return float(np.finfo(kind).eps) * largest_mm
+
+
+@row(6, "a bubble's frame of any float type: float32 out, off by no more than its ulp")
+@given(FLOATS, FLOATS, st.integers(0, 3))
+def test_bubble_frame(kind, still_kind, seed):
+    spec, seen = small("soft_bubble"), frame("soft_bubble", seed)
+    other = replace(seen, image=seen.image.astype(kind), reference=seen.reference.astype(still_kind))
+    a, b = (depth(f, spec, None, DepthParams()) for f in (seen, other))
+    sound(b)
+    far_mm = float(np.nanmax(seen.image))
+    off_mm = np.abs(a.indentation_mm - b.indentation_mm)
+    # The frame and its reference are rounded, then smoothed; a reading at a limit may go either way.
+    assert np.nanquantile(off_mm, 0.99) <= 2 * (ulp_mm(kind, far_mm) + ulp_mm(still_kind, far_mm)) + 1e-4
+    early = untouched(other, spec, None, DepthParams())
+    assert early is None
+
+
+@row(6, "a frame of any other type of number: an answer or words")
+@given(st.sampled_from(["digit", "soft_bubble"]), ANY, ANY, st.integers(0, 3))
+def test_any_frame(name, kind, still_kind, seed):
+    spec, seen = small(name), frame(name, seed)
+    with np.errstate(invalid="ignore"):
+        still, image = np.nan_to_num(seen.reference).astype(still_kind), np.nan_to_num(seen.image).astype(kind)
+    other = TactileFrame(sensor=name, image=image, reference=still)
+    for stage in (depth, untouched):
+        result, _ = outcome(stage, other, spec, None, DepthParams())
+        if result is not None:
+            sound(result)
+
+
+@row(6, "depth of any float type: the same cloud but for the ulp, float32 out")
+@given(st.sampled_from(KINDS), FLOATS, seeds)
+def test_adapt(kind, number, seed):
+    source, target = small("gelslim"), small("soft_bubble")
+    given_mm = depth_map(source, indentation_mm(source, kind, np.random.default_rng(seed)))
+    other = replace(given_mm, depth_mm=given_mm.depth_mm.astype(number))
+    a, b = (adapt(d, aligned(source, target), AdaptParams()) for d in (given_mm, other))
+    sound(b)
+    assert np.array_equal(a.source_index, b.source_index)
+    far_mm = float(given_mm.depth_mm.max())
+    # A ray is longer than its z by less than half.
+    assert np.abs(a.points_mm - b.points_mm).max(initial=0) <= 1.5 * ulp_mm(number, far_mm) + 1e-5
+
+
+@row(6, "points of any float type: the same view but for the ulp, or words")
+@given(st.sampled_from(KINDS), FLOATS, st.sampled_from(["surface", "paper"]), seeds)
+def test_project(kind, number, mode, seed):
+    source, target = small("gelslim"), small("soft_bubble", 0.5)
+    points = adapt(
+        depth_map(source, indentation_mm(source, kind, np.random.default_rng(seed))),
+        aligned(source, target),
+        AdaptParams(),
+    )
+    other = replace(points, points_mm=points.points_mm.astype(number))
+    a = project(points, target, ProjectParams(mode=mode))
+    b, told = outcome(project, other, target, ProjectParams(mode=mode))
+    if b is None:
+        assert number is np.float16, told
+        return
+    sound(b)
+    both = (a.source_index >= 0) & (a.source_index == b.source_index)
+    if number is not np.float16:
+        assert both.sum() >= 0.98 * (a.source_index >= 0).sum() - 2
+    assert (
+        np.nanquantile(np.abs(a.depth_mm - b.depth_mm)[both], 0.9) <= 4 * ulp_mm(number, 60.0) if both.any() else True
+    )
+
+
+@row(6, "a view of any float type: the same touch but for the ulp", share=0.1)
+@given(st.sampled_from(["digit", "soft_bubble"]), st.sampled_from(KINDS), FLOATS, seeds)
+def test_generate(name, kind, number, seed):
+    spec = small(name)
+    seen = view(spec, 0.3 * indentation_mm(spec, kind, np.random.default_rng(seed)))
+    other = replace(seen, depth_mm=seen.depth_mm.astype(number), indentation_mm=seen.indentation_mm.astype(number))
+    a, b = (generate(v, spec, GenerateParams()) for v in (seen, other))
+    sound(b)
+    assert b.indentation_mm.dtype == np.float32
+    off_mm = np.abs(a.indentation_mm - b.indentation_mm).max()
+    assert off_mm <= 4 * ulp_mm(number, float(spec.rest_depth_mm.max())) + 2e-3
+
+
+@row(6, "a mesh and a membrane of any float type: the same pose, or words", share=0.01)
+@given(FLOATS, FLOATS, st.sampled_from([np.int32, np.int64, np.uint32]), seeds)
+def test_pose(number, of_mesh, of_index, seed):
+    spec = small("gelslim", 0.25)
+    felt = touch(spec, indentation_mm(spec, "sphere", np.random.default_rng(seed)))
+    other = replace(felt, depth_mm=felt.depth_mm.astype(number))
+    ball = mesh("ball")
+    ball = replace(ball, vertices_mm=ball.vertices_mm.astype(of_mesh), triangles=ball.triangles.astype(of_index))
+    result, told = outcome(pose, other, ball, PoseParams(face="+z", n_starts=6))
+    assert result is not None or np.float16 in (number, of_mesh), told
+    if result is not None:
+        sound(result)
+
+
+@row(6, "a transform of any float type: orthonormal in float64, or words")
+@given(st.sampled_from([np.float64, np.float32, np.float16]), seeds)
+def test_transform(number, seed):
+    rng = np.random.default_rng(seed)
+    moved = rigid.from_parts(rng.uniform(-30, 30, 3), rng.uniform(-180, 180, 3))
+    answer, told = outcome(rigid.checked, moved.astype(number), "it")
+    if answer is None:
+        assert number is np.float16, told
+        return
+    assert answer.dtype == np.float64
+    assert np.abs(answer[:3, :3] - moved[:3, :3]).max() <= 4 * np.finfo(number).eps
