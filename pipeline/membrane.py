@@ -40,15 +40,34 @@ class Membrane:
 
         First-order distance (z - h) / sqrt(1 + |grad h|^2): the sign is exact, the size good near the surface.
         """
-        p = np.asarray(points_mm, dtype=np.float64)
+        p = np.asarray(points_mm)
+        p = p if p.dtype.char in "fd" else p.astype(np.float64)
         if p.size > _MANY:
-            from pipeline import membrane_kernels
-
-            flat_points = np.ascontiguousarray(p.reshape(-1, 3))
-            distance = membrane_kernels.signed_distance(flat_points, self.x0_mm, self.y0_mm, self.step_mm, self.z_mm)
-            return np.asarray(distance.reshape(p.shape[:-1]))
+            return self._many_distances(p)
+        p = p.astype(np.float64)
         h, hx, hy = self._sample(p[..., 0], p[..., 1])
         return np.asarray((p[..., 2] - h) / np.sqrt(1.0 + hx * hx + hy * hy))
+
+    @property
+    def level_mm(self) -> float | None:
+        """The height of a level surface, None for one that is not level."""
+        height = float(self.z_mm[0, 0])
+        middle = self.z_mm[self.z_mm.shape[0] // 2, self.z_mm.shape[1] // 2]  # a dome is told apart by one look
+        return height if middle == height and bool((self.z_mm == height).all()) else None
+
+    def _many_distances(self, points_mm: NDArray[np.floating]) -> Doubles:
+        from pipeline import membrane_kernels
+
+        out = np.empty(points_mm.size // 3, dtype=np.float64)
+        flat_points = np.ascontiguousarray(points_mm).reshape(-1)
+        level_mm = self.level_mm
+        if level_mm is not None:
+            membrane_kernels.level_distance(flat_points, level_mm, out)
+        else:
+            ny, nx = self.z_mm.shape
+            surface = np.ascontiguousarray(self.z_mm).reshape(-1)
+            membrane_kernels.signed_distance(flat_points, self.x0_mm, self.y0_mm, self.step_mm, surface, nx, ny, out)
+        return out.reshape(points_mm.shape[:-1])
 
     def rest_depth_mm(self, camera: Camera) -> Doubles:
         """Z (rows, cols) where each pixel's ray meets the rest surface.
