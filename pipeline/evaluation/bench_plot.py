@@ -35,7 +35,7 @@ def plot(answer: Answer, path: Path) -> bool:
     floor = _floor([p.error for p in points])
     bars = [row for row in answer.rows if _shown(row, points)]
     _axes(axes, answer, points, bars, floor)
-    _bars(axes, bars)
+    _bars(axes, bars, floor)
     heights = [p.error if p.error > 0 else floor for p in points]
     for point, height in zip(points, heights, strict=True):
         colour = _OURS if point.ours else _PEER
@@ -104,19 +104,22 @@ def _axes(axes: Any, answer: Answer, points: Sequence[Point], bars: Sequence[Row
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _bars(axes: Any, rows: Sequence[Row]) -> None:
+def _bars(axes: Any, rows: Sequence[Row], floor: float) -> None:
     """Shade where each of our points clears all bars that it is held to."""
     (left, right), (low, top) = axes.get_xlim(), axes.get_ylim()
     held: dict[tuple[float, float], list[Row]] = {}
     for row in rows:
         if math.isfinite(row.limit_ms) or math.isfinite(row.limit_error):
             held.setdefault((row.ours_ms, row.ours_error), []).append(row)
+    drawn: dict[tuple[float, float], str] = {}
     for claims in held.values():
         ms = min((row.limit_ms for row in claims if math.isfinite(row.limit_ms)), default=right)
         error = min((row.limit_error for row in claims if math.isfinite(row.limit_error)), default=top)
+        # An error of exactly zero is asked for: the line where such errors stand clears it.
+        drawn[ms, error or 1.5 * floor] = " and ".join(dict.fromkeys(row.bar for row in claims))
+    for (ms, error), words in drawn.items():
         axes.fill_between([left, ms], low, error, color=_BAR, alpha=0.10, lw=0)
         axes.plot([left, ms, ms], [error, error, low], color=_BAR, lw=1.0, ls="--", scalex=False, scaley=False)
-        words = " and ".join(dict.fromkeys(row.bar for row in claims))
         axes.annotate(f"bar: {words}", (left, error), xytext=(4, 3), textcoords="offset points", fontsize=7.5,
                       color=_BAR, annotation_clip=True)  # fmt: skip
 
