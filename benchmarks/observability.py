@@ -3,9 +3,10 @@
     python benchmarks/observability.py
 
 Patches of rods, planes, spheres, pegs, edges, cones and of a tool that is fully determined, of random size and pose,
-with 300 to 3000 points and 0 to 0.05 mm of noise. Normals are off by 0 to 2 degrees in each of two directions, and in
-every second patch they are those of facets 4 degrees wide, as a mesh of a round part has them. The truth is geometry's:
-see `pipeline/evaluation/patches.py` and `naming.py`, also for the band that is left out.
+with 300 to 3000 points and 0 to 0.05 mm of noise. Normals are off by 0 to 2 degrees in each of two directions: in every
+second patch point by point, on facets 4 degrees wide as a mesh of a round part has them, in the others cell by cell, as
+the gradients of a distance grid are. The truth is geometry's: see `pipeline/evaluation/patches.py` and `naming.py`,
+also for the band that is left out.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ PATCHES = 250  # of each kind
 DENSE = 8_000  # points that stand for the exact surface
 CORRELATION_MM = 0.15  # of a gel's depth: neighbouring pixels are not independent
 FACET_DEG = 4.0
+CELL_MM = 0.25
 SLID_MM = 1.5  # start of the rod
 UNTOLD_MM = 0.01
 MISSED = 0.01  # share
@@ -41,7 +43,11 @@ def crooked(patch: Patch, rng: np.random.Generator, noise_mm: float, facets: boo
     normals = patch.normals
     if facets and len(patch.free) and np.ptp(normals, axis=0).max() > 0:
         normals = faceted(normals)
-    normals = normals + math.radians(rng.uniform(0.0, 2.0)) * rng.standard_normal(normals.shape)
+    cells = np.arange(len(normals))
+    if not facets:
+        cells = np.unique(np.floor(patch.points_mm / CELL_MM), axis=0, return_inverse=True)[1].ravel()
+    off = math.radians(rng.uniform(0.0, 2.0)) * rng.standard_normal((cells.max() + 1, 3))
+    normals = normals + off[cells]
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     points = patch.points_mm + noise_mm * rng.standard_normal((len(normals), 1)) * patch.normals
     return Patch(points_mm=points, normals=normals, free=patch.free, area_mm2=patch.area_mm2)

@@ -111,6 +111,17 @@ def test_facets_of_a_round_rod_do_not_pass_for_knowledge_of_its_roll(sides):
     assert np.linalg.norm(told.observable @ roll) < 0.05 * np.linalg.norm(roll)
 
 
+@pytest.mark.parametrize("kind", ["rod", "plane", "sphere", "edge"])
+def test_gradients_that_are_wrong_cell_by_cell_do_not_pass_for_knowledge_either(kind):
+    felt = patch(kind, 12)
+    cell = np.unique(np.floor(felt.points_mm / 0.5), axis=0, return_inverse=True)[1].ravel()
+    off = math.radians(NORMAL_NOISE_DEG) * np.random.default_rng(1).standard_normal((cell.max() + 1, 3))
+    normals = felt.normals + off[cell]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    told = observability(felt.points_mm, normals, felt.points_mm.mean(axis=0), 0.0)
+    assert len(told.weak) == len(felt.free)
+
+
 def test_a_hexagonal_rod_knows_its_roll():
     rng = np.random.default_rng(3)
     side, across, along = rng.integers(-1, 2, N), rng.uniform(-0.577, 0.577, N), rng.uniform(-4.0, 4.0, N)
