@@ -1,8 +1,8 @@
 """How well does a look-up from presses of one ball measure others? Real GelSight Mini, DIGIT and GelSlim 3.0 pictures.
 
-    python benchmarks/ball_calibration.py DATA_FOLDER
+    python benchmarks/ball_calibration.py [DATA_FOLDER]
 
-"diameter" is that of the sphere nearest to the depth inside the contact found by the stage, "rms" the distance to it.
+"Diameter" is that of the sphere nearest to the depth inside the contact found by the stage, "rms" the distance to it.
 """
 
 from __future__ import annotations
@@ -18,11 +18,16 @@ from scipy import optimize
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from pipeline.balls import calibrate_balls
+from pipeline.evaluation.bench_data import recorded_data
+from pipeline.evaluation.races import Answer, Bar, row, timing
+from pipeline.evaluation.races_report import show
 from pipeline.frames import TactileFrame
 from pipeline.sensors.spec import sensor
 from pipeline.stages.depth import DepthParams, depth
 
+NEEDS = "recorded data"
 _MINI_MM_PER_PX = 0.0634
+_NO_BARS = (Bar(), Bar())
 _BESIDE_MM = 3.0  # farther from the contact than this the gel is called far
 
 
@@ -45,7 +50,8 @@ def sphere(indentation_mm, contact, pixel_mm):
     return 2 * abs(found.x[3]), np.sqrt(np.mean(found.fun**2))
 
 
-def measure(label, pictures, still, source, look_up, diameter_mm):
+def measured(label, pictures, still, source, look_up, diameter_mm, bars=_NO_BARS):
+    """(row of the diameter's error, row of the rms, note) of presses measured with a look-up."""
     fits, far, ms, missing = [], [], [], 0
     for index, picture in enumerate(pictures):
         frame = TactileFrame(sensor=source.name, image=picture, reference=still, index=index)
@@ -60,25 +66,44 @@ def measure(label, pictures, still, source, look_up, diameter_mm):
         d, rms = sphere(result.indentation_mm, result.contact, look_up.pixel_mm)
         fits.append((d / diameter_mm - 1, rms))
     error, rms = np.array(fits).T
-    print(
-        f"{label:<44}{len(pictures):>4}{missing:>8}"
-        f"{100 * np.median(np.abs(error)):>9.1f}{100 * np.median(error):>+8.1f}"
-        f"{100 * np.percentile(np.abs(error), 90):>7.1f}{np.median(rms):>9.4f}{np.percentile(rms, 90):>8.4f}"
-        f"{max(far):>8.3f}{np.median(ms):>7.1f}"
+    rows = tuple(
+        row(f"{what}, {label}", ours=timing(ms), ours_error=float(value), unit=unit, bar=bar)
+        for what, value, unit, bar in (
+            ("diameter", 100 * np.median(np.abs(error)), "%", bars[0]),
+            ("rms to the sphere", np.median(rms), "mm", bars[1]),
+        )
+    )
+    note = (
+        f"{label}: {len(pictures)} presses, {missing} missed; diameter bias {100 * np.median(error):+.1f} %, "
+        f"p90 {100 * np.percentile(np.abs(error), 90):.1f} %; rms p90 {np.percentile(rms, 90):.4f} mm; "
+        f"largest depth beyond {_BESIDE_MM:g} mm {max(far):.3f} mm"
+    )
+    return rows, note
+
+
+def answer(data: str = "") -> Answer:
+    folder = recorded_data(data)
+    found = [*minis(folder / "gsmini_balls"), *others(folder)]
+    return Answer(
+        title="Balls measured with a look-up from other presses",
+        unit="%",
+        rows=tuple(row for rows, _ in found for row in rows),
+        notes=tuple(note for _, note in found),
     )
 
 
-def main(data: Path) -> None:
-    heads = f"{'n':>4}{'missed':>8}{'diam. %':>9}{'bias %':>8}{'p90 %':>7}{'rms mm':>9}{'p90':>8}{'far mm':>8}{'ms':>7}"
-    print(" " * 44 + heads)
-    mini, folder = sensor("gelsight_mini"), data / "gsmini_balls"
-    still = read(folder / "background.png")
+def minis(folder: Path):
+    mini, still = sensor("gelsight_mini"), read(folder / "background.png")
     small, large = ([read(p) for p in numbered(folder, f"ball_{d}mm_*.png")] for d in ("6.310", "9.500"))
     whole = calibrate_balls(small, still, mini, 6.31, pixel_mm=_MINI_MM_PER_PX)
-    measure("Mini: 44 of 6.310 mm -> 23 of 9.500 mm", large, still, mini, whole, 9.5)
+    label = f"Mini {len(small)} of 6.310 mm -> {len(large)} of 9.500 mm"
+    yield measured(label, large, still, mini, whole, 9.5, (Bar(error=10), Bar(error=0.03)))
     for k in (0, 1):
         half = calibrate_balls(small[k::2], still, mini, 6.31, pixel_mm=_MINI_MM_PER_PX)
-        measure(f"Mini: half of 6.310 mm -> other half ({k})", small[1 - k :: 2], still, mini, half, 6.31)
+        yield measured(f"Mini half of 6.310 mm -> other half ({k})", small[1 - k :: 2], still, mini, half, 6.31)
+
+
+def others(data: Path):
     for name, folder_name, reference, pattern, sizes in (
         ("digit", "digit_balls", "background.png", "0*.png", ((5.0, None), (6.0, None), (8.0, None))),
         ("gelslim", "gelslim3_balls", "ref.jpg", "sample_*.jpg", ((7.6, 0.05), (7.6, 0.07), (7.6, 0.10577))),
@@ -88,9 +113,9 @@ def main(data: Path) -> None:
         pictures = [read(p) for p in numbered(folder, pattern)]
         for diameter_mm, pixel_mm in sizes:
             half = calibrate_balls(pictures[::2], still, source, diameter_mm, pixel_mm=pixel_mm)
-            label = f"{name}: {diameter_mm:g} mm at {half.pixel_mm:.4f} mm/px, half -> half"
-            measure(label, pictures[1::2], still, source, half, diameter_mm)
+            label = f"{name} {diameter_mm:g} mm at {half.pixel_mm:.4f} mm/px, half -> half"
+            yield measured(label, pictures[1::2], still, source, half, diameter_mm)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).resolve().parents[2] / "shared" / "data")
+    show(answer(*sys.argv[1:2]))

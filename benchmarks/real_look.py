@@ -1,12 +1,12 @@
 """How near are simulated pictures to real ones? Presses of a ball on a real GelSight Mini, DIGIT and GelSlim 3.0.
 
-    python benchmarks/real_look.py DATA_FOLDER [SHEET.png]
+    python benchmarks/real_look.py [DATA_FOLDER [SHEET.png]]
 
 Every press is simulated again on its own untouched picture: the circle of contact is the calibration's, the depth that
 which gives the circle's area on the layer of the sensor (gel.press), the colours those of a look-up made from the other
 half of the presses ("with usual": with the usual colours of those presses too), or the built-in optics. Errors are in
-grey levels (of 255) over the contact, all three colours;
-"change" is how much the real colours change there, "mean" the mean of simulated less real.
+grey levels (of 255) over the contact, all three colours. The peer is to change nothing: how much the real colours
+change there. Times are of one picture.
 SHEET.png shows the first few presses of each sensor: real, with the look-up, with the built-in optics.
 """
 
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
+import time
 from pathlib import Path
 
 import cv2
@@ -23,9 +24,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from pipeline.balls import calibrate_balls
 from pipeline.camera import Camera
+from pipeline.evaluation.bench_data import recorded_data
+from pipeline.evaluation.races import Answer, Bar, row, timing
+from pipeline.evaluation.races_report import show
 from pipeline.physics import gel, lookup, optics
 from pipeline.sensors.spec import sensor
 
+NEEDS = "recorded data"
 _MAX_PRESSES = 24  # of each sensor
 _SHOWN = 5
 _SENSORS = (  # sensor, folder, untouched, presses, ball in mm, mm per pixel (None = the sensor's)
@@ -72,7 +77,25 @@ def on_reference(source, still, surface):
     return np.clip(still + change, 0, 255)
 
 
-def measure(name, data, folder_name, reference, pattern, diameter_mm, scale):
+def simulated(source, still, surface, index, half, colours):
+    """(way to simulate -> picture, way -> ms) of one press."""
+    ways = {
+        "look-up with usual colours": lambda: lookup.rendered(
+            half, still, surface, source, seed=index, usual_change=colours
+        ),
+        "look-up": lambda: lookup.rendered(half, still, surface, source, seed=index),
+        "built-in optics": lambda: on_reference(source, still, surface),
+    }
+    pictures, taken = {}, {}
+    for way, made in ways.items():
+        started = time.perf_counter()
+        pictures[way] = made()
+        taken[way] = 1e3 * (time.perf_counter() - started)
+    return pictures, taken
+
+
+def measured(name, data, folder_name, reference, pattern, diameter_mm, scale):
+    """(rows, note, some presses real and simulated) of one sensor."""
     source, folder = sensor(name), data / folder_name
     if scale is not None:
         source = at_scale(source, scale)
@@ -82,43 +105,56 @@ def measure(name, data, folder_name, reference, pattern, diameter_mm, scale):
     everything = calibrate_balls(pictures, still, source, diameter_mm, pixel_mm=pixel_mm)
     halves = [calibrate_balls(pictures[1 - k :: 2], still, source, diameter_mm, pixel_mm=pixel_mm) for k in (0, 1)]
     colours = [lookup.usual(h, pictures[1 - k :: 2], still, source) for k, h in enumerate(halves)]
-    rows, shown = [], []
-    for fit in everything.presses:
-        if not fit.used:
-            continue
+    errors, biases, taken, changes, depths, shown = {}, {}, {}, [], [], []
+    for fit in (fit for fit in everything.presses if fit.used):
         surface, depth = pressed(source, pixel_mm, fit, diameter_mm / 2)
         real = pictures[fit.index].astype(np.float32)
         k = fit.index % 2
-        bare = lookup.rendered(halves[k], still, surface, source, seed=fit.index)
-        made = lookup.rendered(halves[k], still, surface, source, seed=fit.index, usual_change=colours[k])
-        built_in = on_reference(source, still, surface)
+        made, ms = simulated(source, still, surface, fit.index, halves[k], colours[k])
         y, x = np.mgrid[: real.shape[0], : real.shape[1]]
         inside = np.hypot(x - fit.x_px, y - fit.y_px) < fit.radius_px
-        change = (real - still)[inside]
-        off = [(picture - real)[inside] for picture in (made, bare, built_in)]
-        rows.append([depth, np.sqrt(np.mean(change**2)), *(v for o in off for v in (np.sqrt(np.mean(o**2)), o.mean()))])
+        depths.append(depth)
+        changes.append(rms((real - still)[inside]))
+        for way, picture in made.items():
+            off = (picture - real)[inside]
+            errors.setdefault(way, []).append(rms(off))
+            biases.setdefault(way, []).append(float(off.mean()))
+            taken.setdefault(way, []).append(ms[way])
         if len(shown) < _SHOWN:
-            shown.append(np.vstack([real, made, built_in]).astype(np.uint8))
-    depth, change, *errors = np.median(rows, axis=0)
-    told = "".join(f"{rms:>12.1f}{mean:>+7.1f}" for rms, mean in zip(errors[::2], errors[1::2], strict=True))
-    print(f"{name:<16}{len(rows):>4}{depth:>9.2f}{change:>9.1f}{told}", flush=True)
-    return shown
+            shown.append(
+                np.vstack([real, made["look-up with usual colours"], made["built-in optics"]]).astype(np.uint8)
+            )
+    rows = [
+        row(f"{name}, {way}", peer="no change at all", ours=timing(taken[way]), ours_error=float(np.median(off)),
+            peer_error=float(np.median(changes)), unit="grey", bar=Bar())
+        for way, off in errors.items()
+    ]  # fmt: skip
+    told = ", ".join(f"{way} {np.median(bias):+.1f}" for way, bias in biases.items())
+    note = f"{name}: {len(depths)} presses, median depth {np.median(depths):.2f} mm; simulated less real: {told}"
+    return rows, note, shown
 
 
-def main(data: Path, sheet: Path | None) -> None:
-    heads = "".join(f"{what:>12}{'mean':>7}" for what in ("with usual", "look-up", "built-in"))
-    print(f"{'':<16}{'n':>4}{'depth mm':>9}{'change':>9}{heads}")
-    columns = [picture for row in _SENSORS for picture in measure(row[0], data, *row[1:])]
-    if sheet is not None:
-        tall = [
-            cv2.resize(c, (round(c.shape[1] * 720 / c.shape[0]), 720), interpolation=cv2.INTER_AREA) for c in columns
-        ]
-        cv2.imwrite(str(sheet), np.hstack(tall)[..., ::-1])
+def rms(off) -> float:
+    return float(np.sqrt(np.mean(off**2)))
+
+
+def answer(data: str = "", sheet: str = "") -> Answer:
+    folder = recorded_data(data)
+    found = [measured(name, folder, *how) for name, *how in _SENSORS]
+    if sheet:
+        save_sheet([picture for _, _, shown in found for picture in shown], sheet)
+    return Answer(
+        title="Simulated presses of a ball beside real ones, colour error in the contact",
+        unit="grey",
+        rows=tuple(row for rows, _, _ in found for row in rows),
+        notes=tuple(note for _, note, _ in found),
+    )
+
+
+def save_sheet(columns, sheet: str) -> None:
+    tall = [cv2.resize(c, (round(c.shape[1] * 720 / c.shape[0]), 720), interpolation=cv2.INTER_AREA) for c in columns]
+    cv2.imwrite(sheet, np.hstack(tall)[..., ::-1])
 
 
 if __name__ == "__main__":
-    given = [Path(a) for a in sys.argv[1:]]
-    main(
-        given[0] if given else Path(__file__).resolve().parents[2] / "shared" / "data",
-        given[1] if len(given) > 1 else None,
-    )
+    show(answer(*sys.argv[1:3]))
