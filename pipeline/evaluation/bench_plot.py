@@ -117,11 +117,11 @@ def _bars(axes: Any, rows: Sequence[Row], floor: float) -> None:
         error = min((row.limit_error for row in claims if math.isfinite(row.limit_error)), default=top)
         # An error of exactly zero is asked for: the line where such errors stand clears it.
         drawn[ms, error or 1.5 * floor] = " and ".join(dict.fromkeys(row.bar for row in claims))
-    for (ms, error), words in drawn.items():
+    for k, ((ms, error), words) in enumerate(drawn.items()):
         axes.fill_between([left, ms], low, error, color=_BAR, alpha=0.10, lw=0)
         axes.plot([left, ms, ms], [error, error, low], color=_BAR, lw=1.0, ls="--", scalex=False, scaley=False)
-        axes.annotate(f"bar: {words}", (left, error), xytext=(4, 3), textcoords="offset points", fontsize=7.5,
-                      color=_BAR, annotation_clip=True)  # fmt: skip
+        axes.annotate(f"bar: {words}", (left, error), xytext=(4, 3 + 10 * k), textcoords="offset points",
+                      fontsize=7.5, color=_BAR, annotation_clip=True)  # fmt: skip
 
 
 def _zero_line(axes: Any, points: Sequence[Point], floor: float) -> None:
