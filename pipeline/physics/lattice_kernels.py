@@ -49,13 +49,14 @@ def look(height, x0, y0, step, ray_x, ray_y, near, far, out):
 def _triangle(xa, ya, za, xb, yb, zb, xc, yc, zc, height):
     """Lower `height` to one triangle (lattice coordinates) at the nodes that it covers."""
     area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
-    if abs(area) < 1e-12:
+    if not 1e-12 <= abs(area) < np.inf:
         return
     ny, nx = height.shape
-    first_c = max(math.ceil(min(xa, xb, xc) - 1e-9), 0)
-    last_c = min(math.floor(max(xa, xb, xc) + 1e-9), nx - 1)
-    first_r = max(math.ceil(min(ya, yb, yc) - 1e-9), 0)
-    last_r = min(math.floor(max(ya, yb, yc) + 1e-9), ny - 1)
+    # Limits are put on floats, before any cast: what an integer cannot hold would come out as some other number.
+    first_c = math.ceil(min(max(min(xa, xb, xc) - 1e-9, 0.0), nx + 0.0))
+    last_c = math.floor(max(min(max(xa, xb, xc) + 1e-9, nx - 1.0), -1.0))
+    first_r = math.ceil(min(max(min(ya, yb, yc) - 1e-9, 0.0), ny + 0.0))
+    last_r = math.floor(max(min(max(ya, yb, yc) + 1e-9, ny - 1.0), -1.0))
     for r in range(first_r, last_r + 1):
         for c in range(first_c, last_c + 1):
             b = ((c - xa) * (yc - ya) - (xc - xa) * (r - ya)) / area
@@ -91,9 +92,10 @@ def lay_over(depth, ray_x, ray_y, x0, y0, step, height):
         for c in range(cols):
             z = depth[r, c]
             if math.isfinite(z) and not joined[r, c]:
-                i = math.floor((ray_x[c] * z - x0) / step + 0.5)
-                j = math.floor((ray_y[r] * z - y0) / step + 0.5)
-                if 0 <= i < nx and 0 <= j < ny:
+                u = (ray_x[c] * z - x0) / step + 0.5
+                w = (ray_y[r] * z - y0) / step + 0.5
+                if 0.0 <= u < nx and 0.0 <= w < ny:
+                    i, j = int(u), int(w)
                     height[j, i] = min(height[j, i], z)  # a lone reading between the nodes still stops the membrane
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.arrays import Floats, Image, Indices, Mask, freeze
+from pipeline.camera import MIN_DEPTH_MM
 from pipeline.errors import SettingProblem, ShapeError
 from pipeline.params import setting
 from pipeline.physics import bubble, bubble_camera, gel, lattice, optics
@@ -49,10 +50,14 @@ def generate(view: TargetView, target: SensorSpec, params: GenerateParams, progr
     exact = without_contact(view, target, params)
     if exact is not None:
         return exact
+    view, left_out = _without_gaps(view)
+    exact = without_contact(view, target, params)
+    if exact is not None:
+        return replace(exact, notes=(*left_out, *exact.notes))
     progress.step(0.0, "pressing the target's membrane")
-    depth_limited, notes = _within_limits(view, target)
+    depth_limited, cut = _within_limits(view, target)
     make = _gel_touch if target.kind == "gel" else _bubble_touch
-    touch = make(view, depth_limited, target, params, notes)
+    touch = make(view, depth_limited, target, params, [*left_out, *cut])
     progress.step(1.0, "pressed")
     return touch
 
@@ -89,6 +94,19 @@ def _untouched(target: SensorSpec) -> Touch:
         known=freeze(np.ones(shape, np.bool_)),
         notes=(NO_CONTACT,),
     )
+
+
+def _without_gaps(view: TargetView) -> tuple[TargetView, list[str]]:
+    """The view without what is no surface: contact that is not pushed in, depth that no camera sees, no numbers."""
+    usable = view.contact & (view.indentation_mm >= 0) & (view.indentation_mm < np.inf)  # false for NaN as well
+    seen = (view.depth_mm > MIN_DEPTH_MM) & (view.depth_mm < np.inf)
+    n_lost = int(np.count_nonzero(view.contact) - np.count_nonzero(usable))
+    if not n_lost and not (np.isfinite(view.depth_mm) & ~seen).any():
+        return view, []
+    depth: Floats = np.where(seen, view.depth_mm, np.float32(np.nan))
+    indentation: Floats = np.where(usable, view.indentation_mm, np.float32(0.0))
+    notes = [f"{n_lost:,} contact pixels of the target view have no value and were left out"] if n_lost else []
+    return replace(view, contact=usable, depth_mm=freeze(depth), indentation_mm=freeze(indentation)), notes
 
 
 def _within_limits(view: TargetView, target: SensorSpec) -> tuple[Floats, list[str]]:

@@ -130,6 +130,26 @@ def test_an_object_that_leaves_the_picture_goes_on_beyond_it():
     assert along_edge[0] == pytest.approx(along_edge[1], abs=0.03)
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -20.0, 3e38])
+@pytest.mark.parametrize("name", ["digit", "soft_bubble"])
+def test_contact_without_a_value_is_left_out_and_said(name, value):
+    whole = sensor(name)
+    camera = whole.camera.scaled(0.2)
+    spec = replace(whole, camera=camera, rest_depth_mm=whole.membrane.rest_depth_mm(camera))
+    clean = view_of(spec, corner(spec), 0.3)
+    pushed, depth = np.array(clean.indentation_mm), np.array(clean.depth_mm)
+    row, col = (n // 2 for n in camera.shape)
+    pushed[row, col] = np.nan if value == 3e38 else value
+    depth[row, col] = value
+    for surface in ("press", "follow"):
+        bad = replace(clean, indentation_mm=pushed, depth_mm=depth)
+        touch = generate(bad, spec, GenerateParams(surface=surface))
+        near = generate(clean, spec, GenerateParams(surface=surface))
+        assert any("1 contact pixels" in note for note in touch.notes)
+        assert np.isfinite(touch.indentation_mm).all()
+        assert np.abs(touch.indentation_mm - near.indentation_mm).max() < 0.3
+
+
 def test_a_view_of_another_size_is_refused_in_words():
     spec = sensor("digit")
     view = view_of(spec, corner(spec), 0.4)
