@@ -53,7 +53,7 @@ def test_same_camera(fx, fy, z_mm, mode):
     camera = camera_of(fx, fy)
     points = adapt(plane_depth(camera, z_mm), HERE, AdaptParams())
     sound(points)
-    if np.float32(z_mm) <= MIN_DEPTH_MM:
+    if float(np.float32(z_mm)) <= MIN_DEPTH_MM:
         assert len(points.points_mm) == 0, "nearer than a micrometre to the lens nothing has an image"
         return
     target = level_sensor(camera, 2 * z_mm)

@@ -1,0 +1,75 @@
+"""The same input and seed give the same bytes: again, in another process, and on another number of threads."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.digests import digest
+from pipeline.stages.adapt import AdaptParams, adapt
+from pipeline.stages.depth import DepthParams, depth
+from pipeline.stages.generate import GenerateParams, generate
+from pipeline.stages.pose import PoseParams, pose
+from pipeline.stages.project import ProjectParams, project
+from tests.stability.rows import row
+from tests.stability.scenes import aligned, frame, mesh, small
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def chain(name: str, target: str, seed: int, *, posed: bool = False) -> dict[str, str]:
+    """Stage -> digest of what it gives for one simulated frame."""
+    source, other = small(name), small(target)
+    d = depth(frame(name, seed), source, None, DepthParams())
+    c = adapt(d, aligned(source, other), AdaptParams())
+    v = project(c, other, ProjectParams())
+    t = generate(v, other, GenerateParams(noise=True, seed=seed))
+    found = {"depth": d, "adapt": c, "project": v, "generate": t}
+    if posed:
+        found["pose"] = pose(t, mesh("ball"), PoseParams(face="+z", n_starts=6))
+    return {stage: digest(result) for stage, result in found.items()}
+
+
+@row(15, "the chain twice: the same bytes of every stage", share=0.02)
+@given(
+    st.sampled_from([("digit", "soft_bubble"), ("gelslim", "digit"), ("soft_bubble", "gelslim")]), st.integers(0, 20)
+)
+def test_again(pair, seed):
+    assert chain(*pair, seed) == chain(*pair, seed)
+
+
+@row(15, "a pose twice: the same bytes", share=0.001)
+@given(st.integers(0, 20))
+def test_pose_again(seed):
+    assert chain("gelslim", "digit", seed, posed=True) == chain("gelslim", "digit", seed, posed=True)
+
+
+def in_a_process(threads: int, pair: tuple[str, str]) -> str:
+    names = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    told = subprocess.run(
+        [sys.executable, "-m", "tests.stability.test_determinism", *pair],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=ROOT,
+        env={**os.environ, **dict.fromkeys(names, str(threads))},
+    )
+    return told.stdout.strip()
+
+
+@pytest.mark.parametrize("pair", [("gelslim", "soft_bubble"), ("soft_bubble", "digit")])
+@row(15, "the chain and the pose in another process, on one thread and on two: the same bytes")
+def test_on_another_number_of_threads(pair):
+    one, two = (in_a_process(n, pair) for n in (1, 2))
+    assert one
+    assert one == two
+
+
+if __name__ == "__main__":
+    print(chain(sys.argv[1], sys.argv[2], 3, posed=True))  # noqa: T201

@@ -1,0 +1,107 @@
+"""Frame after frame through the whole chain: whatever comes, an answer or a sentence, and the memory stays."""
+
+from __future__ import annotations
+
+import resource
+from dataclasses import replace
+
+import numpy as np
+from hypothesis import given
+
+from pipeline import rigid, routes
+from pipeline.alignment import Alignment
+from pipeline.frames import TactileFrame
+from pipeline.translate import new_graph
+from tests.stability.checks import outcome, sound
+from tests.stability.rows import SIZE, row
+from tests.stability.scenes import aligned, frame, mesh, seeds, small
+
+GROWTH_MB = 200.0  # the cache of results has its own bound; what may come beside it are tables for new sizes
+CACHE_BYTES = 32 * 2**20
+SENSORS = ("digit", "gelslim", "soft_bubble")
+STAGES = ("depth", "adapt", "project", "generate")
+_GRAPH = new_graph()
+_GRAPH.cache.max_bytes = CACHE_BYTES
+
+
+def random_frame(name: str, rng: np.random.Generator) -> TactileFrame:
+    """A press, with now and then what goes wrong in a cable, a file or a room."""
+    seen = frame(name, int(rng.integers(6)))
+    image, kind = np.array(seen.image), int(rng.integers(8))
+    if kind == 0:
+        image = np.array(seen.reference)
+    elif kind == 1:
+        image = rng.integers(0, 256, image.shape).astype(image.dtype)
+    elif kind == 2:
+        rows = slice(int(rng.integers(image.shape[0])), None)
+        image[rows] = 0
+    elif kind == 3 and seen.is_depth:
+        image[rng.random(image.shape) < rng.random()] = rng.choice([np.nan, np.inf, 0.0, 6553.5])
+    elif kind == 3:
+        image = np.clip(image * rng.uniform(0, 3), 0, 255).astype(np.uint8)
+    elif kind == 4:
+        image = np.roll(image, rng.integers(-20, 20, 2), (0, 1))
+    elif kind == 5:
+        image = np.ascontiguousarray(image[: int(rng.integers(1, image.shape[0] + 1))])
+    elif kind == 6:
+        image[:] = rng.choice([0, 255, 20])
+    return replace(seen, image=image, index=int(rng.integers(1000)))
+
+
+def random_inputs(rng: np.random.Generator) -> dict[str, object]:
+    name, other = (str(s) for s in rng.choice(SENSORS, 2))
+    source, target = small(name), small(other)
+    way = aligned(source, target)
+    if rng.random() < 0.5:
+        by = rigid.from_parts(rng.uniform(-5, 5, 3) * rng.choice([1, 1, 100]), rng.uniform(-30, 30, 3))
+        way = Alignment(
+            alignment_from_source=by @ way.alignment_from_source, target_from_alignment=way.target_from_alignment
+        )
+    return {
+        "frame": random_frame(name, rng),
+        "source": source,
+        "target": target,
+        "calibration": None,
+        "alignment": way,
+        "mesh": mesh("ball"),
+    }
+
+
+def resident_mb() -> float:
+    with open("/proc/self/statm") as numbers:  # noqa: PTH123 - a number of the kernel's, not a file
+        return int(numbers.read().split()[1]) * resource.getpagesize() / 2**20
+
+
+@row(16, "random frames from depth to the generated touch: sound or a sentence, memory bounded", share=0.5)
+@given(seeds)
+def test_chain(seed):
+    run(STAGES, np.random.default_rng(seed))
+
+
+@row(16, "random frames from depth to the pose: sound or a sentence", share=0.005)
+@given(seeds)
+def test_chain_with_pose(seed):
+    run((*STAGES, "pose"), np.random.default_rng(seed))
+
+
+def run(stages, rng):
+    params = routes.default_params()
+    for setting in (
+        f"adapt.stride={rng.integers(1, 4)}",
+        f"project.mode={rng.choice(['surface', 'paper'])}",
+        "pose.n_starts=6",
+    ):
+        params = routes.with_setting(params, setting)
+    results, _ = outcome(_GRAPH.evaluate, stages, random_inputs(rng), params)
+    for result in (results or {}).values():
+        sound(result.output)
+
+
+def test_memory_does_not_grow():
+    """After the rows above have filled every table and cache, as many frames again leave the memory as it is."""
+    for seed in range(20):
+        run(STAGES, np.random.default_rng(10**6 + seed))
+    before = resident_mb()
+    for seed in range(SIZE.cases // 10 if SIZE.long else 10):
+        run(STAGES, np.random.default_rng(2 * 10**6 + seed))
+    assert resident_mb() - before <= GROWTH_MB
