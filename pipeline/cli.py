@@ -319,6 +319,7 @@ def align_refine(
     frames: str = "",
     hold_out: float = 0.2,
     into: Literal["alignment_from_source", "target_from_alignment"] = "target_from_alignment",
+    tolerance: float = 1.0,
     truth: Annotated[bool, Parameter(negative="")] = False,
 ) -> int:
     """Fit an alignment to many touches at once, say what they do not tell, and write it.
@@ -341,6 +342,8 @@ def align_refine(
         Share of the touches that are not used, only judged before and after.
     into
         Which of the two transforms takes the change.
+    tolerance
+        Directions that the touches tell to no better than this times 0.2 mm or 1 degree are left as they were.
     truth
         Use the recording's exact depth and contact, not what the depth stage makes of the pictures.
     """
@@ -348,4 +351,4 @@ def align_refine(
     from pipeline.translate import Request
 
     request = Request(recording=recording, target=target, source=sensor, alignment=alignment)
-    return refine_alignment(request, out, frames, hold_out, into, truth)
+    return refine_alignment(request, out, frames, hold_out=hold_out, into=into, tolerance=tolerance, exact=truth)

@@ -76,14 +76,18 @@ def refine(
     *,
     held_out: Sequence[PairedTouch] = (),
     into: Side = "target_from_alignment",
+    tolerance: float = 1.0,
     progress: Progress = SILENT,
 ) -> Refinement:
     """Least squares over all `touches` for one rigid correction of T_S->T, stored in `into`.
 
     Damped Gauss-Newton with a Geman-McClure loss that narrows from millimetres to three standard deviations; see
-    `residuals` for what is compared. Directions whose predicted spread exceeds 0.2 mm or 1 deg are frozen and named.
-    `held_out` touches are only judged, before and after. Raises SettingProblem when no touch is felt by both sensors.
+    `residuals` for what is compared. Directions whose predicted spread exceeds `tolerance` times 0.2 mm or 1 deg are
+    frozen and named. `held_out` touches are only judged, before and after. Raises SettingProblem when no touch is felt
+    by both sensors, or for a tolerance that is not positive.
     """
+    if not 0.0 < tolerance < np.inf:
+        raise SettingProblem(f"the tolerance of a refinement must be positive and finite, got {tolerance:g}")
     kept = [evidence(t) for t in touches if t.felt_by_both]
     kept = [e for e in kept if len(e.surface_mm) and len(e.outline_mm)]
     if not kept:
@@ -95,7 +99,7 @@ def refine(
     rough = _Solver([thinned(e, _ROUGH_POINTS) for e in kept], start, pivot, progress)
     motion = rough.best(beginnings(kept, start, pivot, _BEGINNINGS, progress))
     motion, converged = solver.solve(motion, np.eye(6), _START_NEAR)
-    free, lost = _determined(solver.final(motion).information)
+    free, lost = _determined(solver.final(motion).information, tolerance)
     if lost.shape[1]:
         motion, converged = solver.frozen(motion, free)
     information = free.T @ solver.final(motion).information @ free
@@ -207,8 +211,8 @@ class _Solver:
         return motion, damping, 0.0
 
 
-def _determined(information: Doubles) -> tuple[Doubles, Doubles]:
-    """Orthonormal directions (6, k) that are known to within a tolerance, and those that are not."""
+def _determined(information: Doubles, tolerance: float) -> tuple[Doubles, Doubles]:
+    """Orthonormal directions (6, k) that are known to within `tolerance` units, and those that are not."""
     certainty, directions = np.linalg.eigh(0.5 * (information + information.T))
-    weak = ~(certainty > 1.0)  # a predicted spread of one tolerance
+    weak = ~(certainty * tolerance**2 > 1.0)
     return directions[:, ~weak], directions[:, weak]

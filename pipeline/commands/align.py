@@ -51,7 +51,9 @@ def show_scores(request: Request, frames: str, exact: bool) -> int:
     return 0
 
 
-def refine_alignment(request: Request, out: Path, frames: str, hold_out: float, into: Side, exact: bool) -> int:
+def refine_alignment(
+    request: Request, out: Path, frames: str, *, hold_out: float, into: Side, tolerance: float, exact: bool
+) -> int:
     """Refine over all touches but those held out, print before and after, and write `out`; returns 0.
 
     Raises FileProblem when `out` exists, SettingProblem for a share to hold out that leaves nothing.
@@ -67,7 +69,9 @@ def refine_alignment(request: Request, out: Path, frames: str, hold_out: float, 
         with _bar() as bar:
             touches = _touches(translation, frames, exact, _Bar(bar))
             used, held = split(touches, hold_out)
-            answer = refine(used, translation.alignment, held_out=held, into=into, progress=_Bar(bar))
+            answer = refine(
+                used, translation.alignment, held_out=held, into=into, tolerance=tolerance, progress=_Bar(bar)
+            )
     finally:
         translation.recording.close()
     _print_refinement(answer)
@@ -163,6 +167,8 @@ def _print_refinement(answer: Refinement) -> None:
     print_line(f"moved the contact by {_triple(moved)} mm; predicted spread {_triple(shift)} mm, {_triple(turn)} deg")
     for words in answer.weak:
         print_line(f"not observable: {words}; left as it was")
+    if answer.weak:
+        print_line("a larger --tolerance lets less certain directions move too")
     for note in answer.notes:
         print_line(f"note: {note}")
 

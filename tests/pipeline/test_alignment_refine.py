@@ -147,5 +147,7 @@ def test_without_a_touch_on_both_sides_there_is_nothing_to_refine(touches):
         indentation_mm=nothing.indentation_mm, depth_mm=nothing.depth_mm, camera=nothing.camera,
         contact=freeze(np.zeros_like(nothing.contact)), source_index=nothing.source_index,
     )  # fmt: skip
+    with pytest.raises(SettingProblem, match="tolerance of a refinement must be positive"):
+        refine([touches[0]], ALIGNED, tolerance=0.0)
     with pytest.raises(SettingProblem, match="no frame is felt by both"):
         refine([PairedTouch(index=0, source=empty, target=touches[0].target)], ALIGNED)
