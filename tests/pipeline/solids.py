@@ -9,6 +9,7 @@ import numpy as np
 from pipeline import rigid
 from pipeline.camera import Camera
 from pipeline.meshes import Mesh
+from pipeline.physics.shapes.solids import turned
 from pipeline.stages.results import Touch
 
 CAMERA = Camera(rows=120, cols=160, fx_px=178.0, fy_px=178.0, cx_px=79.5, cy_px=59.5)  # 0.11 mm/px on the gel
@@ -140,3 +141,9 @@ def slab(half_mm: float = 20.0) -> Solid:
 def pressed(rotation_deg, x_mm: float, y_mm: float, outermost_mm: float) -> np.ndarray:
     """sensor_from_object: turned by a rotation vector, then moved so that its origin is at (x, y, outermost)."""
     return rigid.from_parts([x_mm, y_mm, outermost_mm], rotation_deg)
+
+
+def ball(radius_mm: float, sides: int = 128) -> Mesh:
+    """A closed ball about the origin, its triangles within 0.1 % of the radius of it."""
+    angle = np.linspace(0.0, np.pi, sides // 2 + 1)
+    return turned(radius_mm * np.stack([np.sin(angle), -np.cos(angle)], axis=-1), sides, "ball")

@@ -1,0 +1,154 @@
+# pyright: basic
+"""Compiled loops of the distance grid: looking distances up, and telling inside from outside by lattice lines."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+CELLS = 8  # fine cells along a block's edge
+NODES = CELLS + 1
+
+
+@njit(cache=True)
+def _between(v000, v001, v010, v011, v100, v101, v110, v111, a, b, c):
+    """Value and slopes per cell at (a, b, c) of a cell, from its eight corners."""
+    d00, d01, d10, d11 = v100 - v000, v101 - v001, v110 - v010, v111 - v011
+    x00, x01, x10, x11 = v000 + d00 * a, v001 + d01 * a, v010 + d10 * a, v011 + d11 * a
+    f0, f1 = x10 - x00, x11 - x01
+    y0, y1 = x00 + f0 * b, x01 + f1 * b
+    e0, e1 = d00 + (d10 - d00) * b, d01 + (d11 - d01) * b
+    return y0 + (y1 - y0) * c, e0 + (e1 - e0) * c, f0 + (f1 - f0) * c, y1 - y0
+
+
+@njit(cache=True)
+def _cell(v, at, over_y, over_x, a, b, c):
+    """Value and slopes per cell of a flat lattice at its node `at` plus (a, b, c), strides (over_x, over_y, 1)."""
+    # Unsigned places are not tested for counting from the end, which would cost as much as the reading.
+    p00, p01 = np.uint64(at), np.uint64(at + over_y)
+    p10, p11 = np.uint64(at + over_x), np.uint64(at + over_x + over_y)
+    one = np.uint64(1)
+    return _between(
+        float(v[p00]), float(v[p00 + one]), float(v[p01]), float(v[p01 + one]),
+        float(v[p10]), float(v[p10 + one]), float(v[p11]), float(v[p11 + one]), a, b, c,
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def look_up(x, y, z, origin, step, shape, coarse, block, fine, quantum):
+    """Signed distance (mm) and its gradient at one point of the object frame; lattices are flat, C order."""
+    nx, ny, nz = shape
+    per_mm = 1.0 / step
+    u, v, w = (x - origin[0]) * per_mm, (y - origin[1]) * per_mm, (z - origin[2]) * per_mm
+    # Clamped as floats: what an integer cannot hold would come out as some other cell.
+    cu, cv, cw = min(max(u, 0.0), nx - 1.0), min(max(v, 0.0), ny - 1.0), min(max(w, 0.0), nz - 1.0)
+    i, j, k = min(int(cu), nx - 2), min(int(cv), ny - 2), min(int(cw), nz - 2)
+    a, b, c = cu - i, cv - j, cw - k
+    number = np.int64(block[np.uint64((i * (ny - 1) + j) * (nz - 1) + k)])
+    if number >= 0:
+        a, b, c = a * CELLS, b * CELLS, c * CELLS
+        fi, fj, fk = min(int(a), CELLS - 1), min(int(b), CELLS - 1), min(int(c), CELLS - 1)
+        at = ((number * NODES + fi) * NODES + fj) * NODES + fk
+        d, gx, gy, gz = _cell(fine, at, NODES, NODES * NODES, a - fi, b - fj, c - fk)
+        slope = quantum * CELLS * per_mm
+        d, gx, gy, gz = d * quantum, gx * slope, gy * slope, gz * slope
+    else:
+        d, gx, gy, gz = _cell(coarse, (i * ny + j) * nz + k, nz, ny * nz, a, b, c)
+        gx, gy, gz = gx * per_mm, gy * per_mm, gz * per_mm
+    if cu != u or cv != v or cw != w:
+        # Beyond the lattice: from the surface point that belongs to its nearest place, straight on.
+        gx, gy, gz = (u - cu) * step + d * gx, (v - cv) * step + d * gy, (w - cw) * step + d * gz
+        d = math.sqrt(gx * gx + gy * gy + gz * gz)
+        if d > 0.0:
+            gx, gy, gz = gx / d, gy / d, gz / d
+    return d, gx, gy, gz
+
+
+@njit(cache=True)
+def look_up_all(points, origin, step, shape, coarse, block, fine, quantum):
+    """(n, 4) distance and gradient of points (n, 3); NaN where a point is not finite."""
+    out = np.empty((points.shape[0], 4))
+    for n in range(points.shape[0]):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        if math.isfinite(x) and math.isfinite(y) and math.isfinite(z):
+            out[n] = look_up(x, y, z, origin, step, shape, coarse, block, fine, quantum)
+        else:
+            out[n] = np.nan
+    return out
+
+
+@njit(cache=True)
+def _span(low, high, n):
+    return max(0, math.ceil(low)), min(n - 1, math.floor(high))
+
+
+@njit(cache=True)
+def _crossing(a, b, c, p, q, axis):
+    """(hit, where along `axis`, +1 or -1) of the line at (p, q) of the two other axes through a triangle."""
+    s, t = (axis + 1) % 3, (axis + 2) % 3
+    e0 = (b[s] - p) * (c[t] - q) - (b[t] - q) * (c[s] - p)
+    e1 = (c[s] - p) * (a[t] - q) - (c[t] - q) * (a[s] - p)
+    e2 = (a[s] - p) * (b[t] - q) - (a[t] - q) * (b[s] - p)
+    total = e0 + e1 + e2
+    if total == 0.0 or not ((e0 > 0 and e1 > 0 and e2 > 0) or (e0 < 0 and e1 < 0 and e2 < 0)):
+        return False, 0.0, 0
+    return True, (e0 * a[axis] + e1 * b[axis] + e2 * c[axis]) / total, 1 if total > 0 else -1
+
+
+@njit(cache=True)
+def _visit(corners, axis, shape, shift, first, where, sign, filling):
+    """Count (or fill in, after `first`) what triangles (m, 3, 3), in lattice units, cut of the lines along an axis."""
+    s, t = (axis + 1) % 3, (axis + 2) % 3
+    n_s, n_t = shape[s], shape[t]
+    count = np.zeros(n_s * n_t, np.int32)
+    for m in range(corners.shape[0]):
+        a, b, c = corners[m, 0], corners[m, 1], corners[m, 2]
+        i0, i1 = _span(min(a[s], b[s], c[s]) - shift[s], max(a[s], b[s], c[s]) - shift[s], n_s)
+        j0, j1 = _span(min(a[t], b[t], c[t]) - shift[t], max(a[t], b[t], c[t]) - shift[t], n_t)
+        for i in range(i0, i1 + 1):
+            for j in range(j0, j1 + 1):
+                hit, at, way = _crossing(a, b, c, i + shift[s], j + shift[t], axis)
+                if hit:
+                    line = i * n_t + j
+                    if filling:
+                        where[first[line] + count[line]] = at
+                        sign[first[line] + count[line]] = way
+                    count[line] += 1
+    return count
+
+
+@njit(cache=True)
+def crossings(corners, axis, shape, shift):
+    """(first (lines + 1,), where, sign): what lines along `axis` cross, and (lines crossed, unbalanced, odd)."""
+    nothing, no_sign, no_first = np.empty(0, np.float32), np.empty(0, np.int8), np.empty(0, np.int32)
+    count = _visit(corners, axis, shape, shift, no_first, nothing, no_sign, False)
+    first = np.zeros(count.size + 1, np.int32)
+    for line in range(count.size):
+        first[line + 1] = first[line] + count[line]
+    where, sign = np.empty(first[-1], np.float32), np.empty(first[-1], np.int8)
+    _visit(corners, axis, shape, shift, first, where, sign, True)
+    crossed, unbalanced, odd = 0, 0, 0
+    for line in range(count.size):
+        total = 0
+        for n in range(first[line], first[line + 1]):
+            total += sign[n]
+        crossed += count[line] > 0
+        unbalanced += total != 0
+        odd += count[line] % 2
+    return first, where, sign, np.array([crossed, unbalanced, odd])
+
+
+@njit(cache=True)
+def inside(nodes, axis, shape, first, where, sign, by_parity, votes):
+    """Add 1 to `votes` (n,) of each lattice node (n, 3) that its line along `axis` holds to be inside."""
+    s, t = (axis + 1) % 3, (axis + 2) % 3
+    for n in range(nodes.shape[0]):
+        line = nodes[n, s] * shape[t] + nodes[n, t]
+        winding, passed = 0, 0
+        for m in range(first[line], first[line + 1]):
+            if where[m] < nodes[n, axis]:
+                winding += sign[m]
+                passed += 1
+        votes[n] += (passed % 2 == 1) if by_parity else (winding != 0)
