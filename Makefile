@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 SAMPLE := sample_data/recordings/first_touch.h5
 
-.PHONY: run test setup lint slow bench samples clean
+.PHONY: run test setup lint slow stability bench samples clean
 
 run: $(READY)
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
@@ -39,6 +39,11 @@ lint: $(READY)
 
 slow: $(READY)
 	$(BIN)/python -m pytest -q -m slow
+
+# 10,000 cases a row; the table is left in out/stability.json.
+stability: $(READY)
+	$(BIN)/python -m pytest -q tests/stability --cases 10000 -m "not slow" \
+		--timeout 14400 -o faulthandler_timeout=0
 
 bench: $(READY)
 	$(BIN)/tactoscope bench --json out/bench.json --plots out/plots
