@@ -147,6 +147,7 @@ class Writer:
         shape, known = group["frames"].shape[1:3], 0
         truth = truth or Truth()
         step = layout.BUBBLE_STEP_MM if group["frames"].ndim == 3 else layout.GEL_STEP_MM
+        exact: dict[int, tuple[int, ...]] = {layout.KNOWN_POSE: (4, 4), layout.KNOWN_FORCE: (3,)}
         for key, bit, values in (
             ("truth/indentation", layout.KNOWN_INDENTATION, truth.indentation_mm),
             ("truth/contact", layout.KNOWN_CONTACT, truth.contact),
@@ -155,16 +156,20 @@ class Writer:
         ):
             if values is None:
                 continue
-            want = {layout.KNOWN_POSE: (4, 4), layout.KNOWN_FORCE: (3,)}.get(bit, shape)
+            want = exact[bit] if bit in exact else shape
             if values.shape != want:
                 raise ShapeError(f"{key} of frame {index} must have shape {want}, got {values.shape}")
             if key not in group and bit == layout.KNOWN_INDENTATION:
                 coding: Coding = self._coding
                 _stack(group, key, shape, np.int16, "mm", coding=coding, step_mm=step, nan_code=-32768, fill=-32768)
             elif key not in group:
-                exact = bit in (layout.KNOWN_POSE, layout.KNOWN_FORCE)
                 _stack(
-                    group, key, want, np.float64 if exact else np.uint8, layout.UNITS[key], fill=np.nan if exact else 0
+                    group,
+                    key,
+                    want,
+                    np.float64 if bit in exact else np.uint8,
+                    layout.UNITS[key],
+                    fill=np.nan if bit in exact else 0,
                 )
             _add(group[key], index, layout.encoded(values, group[key], f"{key} of frame {index}"))
             known |= bit
