@@ -10,6 +10,7 @@ raises anything but a TouchError, returns a value that is not finite, contradict
 from __future__ import annotations
 
 import argparse
+import math
 import platform
 import sys
 import time
@@ -25,6 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from pipeline import rigid
 from pipeline.arrays import freeze
 from pipeline.errors import TouchError
+from pipeline.evaluation.races import Answer, Bar, Row
 from pipeline.meshes import Mesh
 from pipeline.physics import shapes
 from pipeline.physics.press import Press, press
@@ -56,6 +58,21 @@ def main() -> None:
     for text in sorted(bad, key=lambda line: "FAILED" not in line)[:20]:
         print(f"    {text}")
     print(f"{asked.n} presses in {spent:.0f} s, {sum(n for o, n in counts.items() if o.startswith('FAILED'))} failed")
+
+
+def answer(n: int = 200, seed: int = 1) -> Answer:
+    """Failures among fewer presses than the command line asks for, which none may be."""
+    counts, by_sensor, spent, bad = run(n, seed)
+    failed = sum(count for outcome, count in counts.items() if outcome.startswith("FAILED"))
+    bar = Bar(error=0.0)
+    row = Row(
+        question=f"{n} random presses of every sensor", peer="", ours_ms=1e3 * spent / n, peer_ms=math.nan,
+        ratio=math.nan, ours_error=float(failed), peer_error=math.nan, unit="failed", bar=bar.told("failed"),
+        holds=bar.holds((1e3 * spent / n, float(failed)), (math.nan, math.nan)),
+    )  # fmt: skip
+    told = tuple(f"{outcome}: {count}" for outcome, count in counts.most_common())
+    each = tuple(f"{name}: {done} presses, {1e3 * s / done:.0f} ms each" for name, (done, s) in by_sensor.items())
+    return Answer(title="Random presses", unit="failed", rows=(row,), notes=(*told, *each, *bad[:20]))
 
 
 def run(n: int, seed: int) -> tuple[Counter[str], dict[str, tuple[int, float]], float, list[str]]:
