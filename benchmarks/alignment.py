@@ -4,7 +4,7 @@
 
 A drag is one small edit, adapt, project and score, on the sample recording with its exact depth; the target's side is
 made ready once a frame. Quarter is every fourth pixel of both images. The error of a drag is the median difference in
-depth that is left under the exact alignment. Refining begins from three places 3 mm and 5 degrees off; rows tell the
+depth that is left under the exact alignment. Refining begins from two places 3 mm and 5 degrees off; rows tell the
 worst of them, at the contact. "Exact" uses the simulator's depth and contact, "measured" those of the depth stage.
 """
 
@@ -34,7 +34,7 @@ from pipeline.translate import Request, Translation, open_translation
 RECORDING = Path(__file__).resolve().parents[1] / "sample_data" / "recordings" / "first_touch.h5"
 PAIRS = (("gelslim", "soft_bubble"), ("digit", "gelslim"))
 DRAG = Bar(ms=8, error=0.02)
-FAR_MM, FAR_DEG, STARTS = 3.0, 5.0, 3
+FAR_MM, FAR_DEG, STARTS = 3.0, 5.0, 2
 TOLERANCE = {("gelslim", "soft_bubble", False): 3.0}  # elsewhere 1: what counts as known, in 0.2 mm and 1 deg
 # A bubble's pixel is 0.42 mm wide, a GelSlim's 0.042 mm.
 REFINED = {
@@ -85,7 +85,7 @@ def beginnings(exact: Alignment, pivot: np.ndarray) -> list[Alignment]:
 
 def refined(source: str, target: str, exact_depth: bool) -> tuple[list[Row], list[str]]:
     translation = opened(source, target)
-    touches = paired_touches(translation, range(translation.n_frames), exact=exact_depth)[::2]
+    touches = paired_touches(translation, range(translation.n_frames), exact=exact_depth)
     known = translation.alignment.target_from_source
     tolerance = TOLERANCE.get((source, target, exact_depth), 1.0)
     errors, took_ms, weak = [], [], []
