@@ -15,6 +15,10 @@ from pipeline.arrays import Doubles, Mask
 from pipeline.errors import CalibrationError
 
 MIN_DEPTH_MM = 1e-3  # nearer than a micrometre to the lens plane nothing has an image
+_SHORTEST_PX, _FARTHEST_PX = (
+    1e-3,
+    1e9,
+)  # of focal lengths, and of them and the principal point: float32 holds what follows
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,6 +40,10 @@ class Camera:
         if not (self.fx_px > 0 and self.fy_px > 0):
             raise CalibrationError(
                 f"the camera matrix is singular: focal lengths {self.fx_px:g} and {self.fy_px:g} px must be positive"
+            )
+        if not (min(values[:2]) >= _SHORTEST_PX and max(map(abs, values)) <= _FARTHEST_PX):
+            raise CalibrationError(
+                f"camera intrinsics of {values} px cannot be right; check their unit and that the file is whole"
             )
         if self.rows < 1 or self.cols < 1:
             raise CalibrationError(f"a camera image needs at least one pixel, got {self.rows} x {self.cols}")

@@ -88,3 +88,12 @@ def test_a_k_without_inverse_is_refused(k, words):
 def test_an_image_without_pixels_is_refused():
     with pytest.raises(CalibrationError, match="pixel"):
         Camera(rows=0, cols=30, fx_px=1, fy_px=1, cx_px=0, cy_px=0)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"fx_px": 1e-40}, {"fy_px": 1e-5}, {"fx_px": 3e38}, {"cx_px": -3e38}, {"cy_px": 1e12}]
+)
+def test_intrinsics_of_no_camera_are_refused(wrong):
+    numbers = {"fx_px": 100.0, "fy_px": 100.0, "cx_px": 15.5, "cy_px": 11.5}
+    with pytest.raises(CalibrationError, match="cannot be right"):
+        Camera(rows=24, cols=32, **{**numbers, **wrong})
