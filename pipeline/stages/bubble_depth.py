@@ -33,7 +33,7 @@ def largest_change(image: NDArray[Any], reference: NDArray[Any]) -> float:
     """Largest mean absolute change of a block in mm over the pixels that have a reading; infinite if too few have."""
     import cv2
 
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         near = _FARTHEST * float(
             np.median(reference[::_BLOCK_PX, ::_BLOCK_PX][reference[::_BLOCK_PX, ::_BLOCK_PX] > 0])
         )
@@ -85,7 +85,7 @@ def depth(frame: TactileFrame, source: SensorSpec, *, smoothing_px: float, least
 
 def _difference(rest: Floats, now: Floats, largest: np.float32, notes: list[str]) -> tuple[Floats, Mask]:
     """(rest - now, where both are readings of the membrane); what jumps farther than the sensor can go is none."""
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         seen = (rest > 0) & (now > 0)
         # Stereo cameras mark a failed match by an arbitrarily far value.
         seen &= rest < _FARTHEST * np.median(rest[rest > 0])

@@ -11,7 +11,7 @@ import numpy as np
 from pipeline import contact, slope_model
 from pipeline.arrays import Floats, Image, Mask, freeze
 from pipeline.calibration import Calibration, check_for, relative_change
-from pipeline.errors import ShapeError
+from pipeline.errors import CalibrationError, ShapeError
 from pipeline.frames import TactileFrame
 from pipeline.poisson import Boundary, integrate
 from pipeline.progress import Progress
@@ -86,6 +86,8 @@ def depth(
     else:
         here = (window.rows, window.cols)
         gx, gy, told = _slopes(image, reference, source, calibration, window, smoothing_px)
+        if not math.isfinite(float(gx.sum()) + float(gy.sum())):
+            raise CalibrationError(f"the look-up of {source.name} gives slopes that are no numbers; calibrate again")
         notes += told
         progress.step(0.5, "integrating slopes")
         surface = _surface(gx, gy, window, calibration.pixel_mm, boundary, shape)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pipeline import contact
+from pipeline.calibration import built_in
 from pipeline.camera import Camera
 from pipeline.errors import CalibrationError, ShapeError
 from pipeline.frames import TactileFrame
@@ -202,6 +203,15 @@ def test_a_bubbles_depth_in_another_type_of_number_is_refused(kind):
     assert untouched(bad, source, None, PARAMS) is None
     with pytest.raises(ShapeError, match="float32 in millimetres"):
         depth(bad, source, None, PARAMS)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, 3e38])
+def test_a_look_up_without_numbers_is_refused(wrong):
+    source, frame, _ = press("digit")
+    good = built_in(source)
+    bad = replace(good, model=replace(good.model, coefficients=np.full_like(good.model.coefficients, wrong)))
+    with pytest.raises(CalibrationError, match="no numbers"):
+        depth(frame, source, bad, PARAMS)
 
 
 def test_a_flat_punch_is_touched_inside_its_rim_too():
