@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pipeline.arrays import Doubles, Floats, Indices, Mask
 from pipeline.camera import MIN_DEPTH_MM, Camera
 
-_SPACING_SAMPLES = 4096  # neighbours looked at to learn how far apart source pixels are
+_SPACING_SAMPLES = 1024  # neighbours looked at to learn how far apart source pixels are
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

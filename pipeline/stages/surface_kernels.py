@@ -59,8 +59,7 @@ def rasterise(flat, source_index, order, cols, stride, lens, shape, z_min, limit
     x, y, z = np.zeros(2 * n), np.zeros(2 * n), np.zeros(2 * n)  # where it is,
     u, v, w = np.zeros(2 * n), np.zeros(2 * n), np.zeros(2 * n)  # where it is seen, px, and its 1/z
     state, linked = np.zeros(2 * n, dtype=np.uint8), np.zeros(2 * n, dtype=np.uint8)
-    left, right = np.zeros(2 * n, dtype=np.int32), np.zeros(2 * n, dtype=np.int32)
-    top, bottom = np.zeros(2 * n, dtype=np.int32), np.zeros(2 * n, dtype=np.int32)
+    across, down = np.zeros(2 * n, dtype=np.int32), np.zeros(2 * n, dtype=np.int32)  # between which pixel centres
     busy = np.zeros(n + 1, dtype=np.uint8)  # of the quad to the left of each column
     low, high, row = n, 0, -stride  # columns in use of the row before
     old, new = 0, n
@@ -78,18 +77,15 @@ def rasterise(flat, source_index, order, cols, stride, lens, shape, z_min, limit
         )  # fmt: skip
         a, b = new + start, new + end
         _see(x[a:b], y[a:b], z[a:b], at[a:b], lens, z_min, u[a:b], v[a:b], w[a:b], state[a:b])
-        _between(u[a:b], left[a:b], right[a:b], shape[1])
-        _between(v[a:b], top[a:b], bottom[a:b], shape[0])
+        _between(u[a:b], across[a:b], shape[1])
+        _between(v[a:b], down[a:b], shape[0])
         busy[:] = 0
         if next_row == row + stride:
             low, high = min(low, start), max(high, end)
             a, b, c, d = old + low, old + high, new + low, new + high
-            _sort_out(
-                state[a:b], left[a:b], right[a:b], top[a:b], bottom[a:b],
-                state[c:d], left[c:d], right[c:d], top[c:d], bottom[c:d], busy[low + 1 : high],
-            )  # fmt: skip
+            _sort_out(state[a:b], across[a:b], down[a:b], state[c:d], across[c:d], down[c:d], busy[low + 1 : high])
             _draw_row(
-                at, x, y, z, u, v, w, state, left, right, top, bottom, busy[low + 1 : high], a, c,
+                at, x, y, z, u, v, w, state, across, down, busy[low + 1 : high], a, c,
                 limits, shape, inverse_z, source, counts,
             )  # fmt: skip
         a, b = old + low, old + high
@@ -131,9 +127,7 @@ def _load(flat, source_index, order, place, row, cols, stride, at, x, y, z, alon
 @njit(cache=True)
 def _load_in_turn(flat, source_index, place, begin, at, x, y, z):
     start, end = source_index[place] - begin, 0
-    after = place
-    while after < source_index.shape[0] and source_index[after] - begin < at.shape[0]:
-        after += 1
+    after = place + np.searchsorted(source_index[place : place + at.shape[0]], begin + at.shape[0])
     mine, points = source_index[place:after], flat[3 * place : 3 * after]
     if after > place:
         end = mine[after - place - 1] - begin + 1
@@ -165,17 +159,21 @@ def _see(x, y, z, at, lens, z_min, u, v, w, state):
 
 
 @njit(cache=True)
-def _between(u, first, last, size):
-    """The pixel centres that lie around each coordinate, clamped as floats to between two centres outside."""
+def _between(u, place, size):
+    """The pixel centres that each coordinate lies between, as first not before + last not after.
+
+    That sum is even on a centre, to the slack, and odd between two: half of it, rounded up and down, gives them back.
+    Clamped as floats to between two centres outside the image.
+    """
     high = size + 0.5
     for c in range(u.shape[0]):
         near = u[c] if u[c] > -1.5 else -1.5
         near = near if near < high else high
-        first[c], last[c] = np.int32(np.ceil(near - SLACK)), np.int32(np.floor(near + SLACK))
+        place[c] = np.int32(np.ceil(near - SLACK)) + np.int32(np.floor(near + SLACK))
 
 
 @njit(cache=True)
-def _sort_out(state, left, right, top, bottom, state_1, left_1, right_1, top_1, bottom_1, busy):
+def _sort_out(state, across, down, state_1, across_1, down_1, busy):
     """What is to be done with each quad: 0 no quad, 1 no pixel centre near it, 2 draw, _BEHIND a corner behind.
 
     What an absent corner left behind may widen the box, which costs a look and no more.
@@ -183,13 +181,11 @@ def _sort_out(state, left, right, top, bottom, state_1, left_1, right_1, top_1, 
     for c in range(busy.shape[0]):
         total = state[c] + state[c + 1] + state_1[c] + state_1[c + 1]
         corners = (total & 15) + (total >> 4)
-        across = min(left[c], left[c + 1], left_1[c], left_1[c + 1]) <= max(
-            right[c], right[c + 1], right_1[c], right_1[c + 1]
-        )
-        down = min(top[c], top[c + 1], top_1[c], top_1[c + 1]) <= max(
-            bottom[c], bottom[c + 1], bottom_1[c], bottom_1[c + 1]
-        )
-        drawn = 2 if across & down else 1
+        left = min(across[c], across[c + 1], across_1[c], across_1[c + 1])
+        right = max(across[c], across[c + 1], across_1[c], across_1[c + 1])
+        top = min(down[c], down[c + 1], down_1[c], down_1[c + 1])
+        bottom = max(down[c], down[c + 1], down_1[c], down_1[c + 1])
+        drawn = 2 if ((left + 1) >> 1 <= right >> 1) & ((top + 1) >> 1 <= bottom >> 1) else 1
         busy[c] = np.uint8(0 if corners < 3 else (_BEHIND if total >= _BEHIND else drawn))
 
 
@@ -209,9 +205,7 @@ def _link(busy, at, state, linked, linked_1, alone):
 
 
 @njit(cache=True, error_model="numpy")
-def _draw_row(
-    at, x, y, z, u, v, w, state, left, right, top, bottom, busy, above, below, limits, shape, inverse_z, source, counts
-):
+def _draw_row(at, x, y, z, u, v, w, state, across, down, busy, above, below, limits, shape, inverse_z, source, counts):
     """Draw a row of quads: two triangles along the shorter diagonal, which follows a crease; one if a corner lacks."""
     for column in range(busy.shape[0]):
         if busy[column] < 2:
@@ -234,22 +228,23 @@ def _draw_row(
         # The triangles are (i, j, k) and, beyond the edge j-k, (j, o, k).
         one, other = True, o >= 0
         if other:
-            col, row = min(left[a], left[b], left[d], left[e]), min(top[a], top[b], top[d], top[e])
-            single = col == max(right[a], right[b], right[d], right[e]) and row == max(
-                bottom[a], bottom[b], bottom[d], bottom[e]
-            )
-            if single:
+            col = (min(across[a], across[b], across[d], across[e]) + 1) >> 1
+            row = (min(down[a], down[b], down[d], down[e]) + 1) >> 1
+            if (
+                col == max(across[a], across[b], across[d], across[e]) >> 1
+                and row == max(down[a], down[b], down[d], down[e]) >> 1
+            ):
                 # Most often there is one centre to ask for, and the diagonal says which triangle may have it.
-                across = (u[k] - u[j]) * (row - v[j]) - (v[k] - v[j]) * (col - u[j])
+                beyond = (u[k] - u[j]) * (row - v[j]) - (v[k] - v[j]) * (col - u[j])
                 side = (u[k] - u[j]) * (v[i] - v[j]) - (v[k] - v[j]) * (u[i] - u[j])
-                near = abs(across) <= 4.0 * SLACK * abs(side)
-                one = near or across * side > 0.0
+                near = abs(beyond) <= 4.0 * SLACK * abs(side)
+                one = near or beyond * side > 0.0
                 other = near or not one
         for t in range(2):
             if t == 1:
                 i, j = j, o
             if one if t == 0 else other:
-                _draw(at, x, y, z, u, v, w, i, j, k, limits, shape, inverse_z, source, counts)
+                _draw(at, x, y, z, u, v, w, across, down, i, j, k, limits, shape, inverse_z, source, counts)
 
 
 @njit(cache=True, inline="always")
@@ -279,16 +274,14 @@ def _fate(x, y, z, i, j, k, max_edge_sq, min_cos):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _draw(at, x, y, z, u, v, w, i, j, k, limits, shape, inverse_z, source, counts):
+def _draw(at, x, y, z, u, v, w, across, down, i, j, k, limits, shape, inverse_z, source, counts):
     """Draw one triangle; what it is worth is asked only once it covers a pixel centre."""
     xa, ya, xb, yb, xc, yc = u[i], v[i], u[j], v[j], u[k], v[k]
     area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
-    rows, cols = shape
-    # In float until both ends are inside the image: what an integer cannot hold would come out as something else.
-    first = np.int64(np.ceil(max(min(xa, xb, xc) - SLACK, 0.0)))
-    last = np.int64(np.floor(min(max(xa, xb, xc) + SLACK, cols - 1.0)))
-    top = np.int64(np.ceil(max(min(ya, yb, yc) - SLACK, 0.0)))
-    bottom = np.int64(np.floor(min(max(ya, yb, yc) + SLACK, rows - 1.0)))
+    first = max((min(across[i], across[j], across[k]) + 1) >> 1, 0)
+    last = min(max(across[i], across[j], across[k]) >> 1, shape[1] - 1)
+    top = max((min(down[i], down[j], down[k]) + 1) >> 1, 0)
+    bottom = min(max(down[i], down[j], down[k]) >> 1, shape[0] - 1)
     if area == 0.0 or first > last or top > bottom:
         return
     scale = 1.0 / area
@@ -307,7 +300,7 @@ def _draw(at, x, y, z, u, v, w, i, j, k, limits, shape, inverse_z, source, count
                     return
                 asked = True
             near = a * w[i] + b * w[j] + g * w[k]
-            p = r * cols + c
+            p = r * shape[1] + c
             if near > inverse_z[p]:
                 inverse_z[p] = near
                 # The corner with the largest weight is the nearest one on screen.

@@ -233,3 +233,74 @@ def test_an_empty_cloud_gives_the_exact_empty_view():
 def test_a_cloud_that_points_outside_its_grid_is_refused():
     with pytest.raises(ShapeError, match="outside its grid"):
         project(cloud_of([(0, 0, 40)], index=[2500]), target_sensor(), SURFACE)
+
+
+def test_each_point_names_the_pixel_that_shows_it_and_hidden_ones_name_none():
+    rows, cols = np.mgrid[:20, :40]
+    near = cols < 20
+    x = np.where(near, cols - 9.5, cols - 29.5) * 0.3
+    sheet = cloud_of(np.stack([x, (rows - 9.5) * 0.3, np.where(near, 38.0, 44.0)], -1), grid=(20, 40))
+    target = target_sensor()
+    for params in (PAPER, SURFACE):
+        view = project(sheet, target, params)
+        assert view.pixel_of_point is not None
+        shown = view.pixel_of_point >= 0
+        assert shown[near.ravel()].all()
+        x_px, y_px, _ = target.camera.project(sheet.points_mm)
+        np.testing.assert_array_equal(
+            view.pixel_of_point[shown], (np.rint(y_px) * target.camera.cols + np.rint(x_px))[shown]
+        )
+    hidden = ~near.ravel() & ~shown
+    assert hidden.sum() > 200  # a far sheet is seen around the near one's rim only
+    outside = replace(sheet, points_mm=sheet.points_mm + np.float32([500, 0, 0]))
+    assert (project(outside, target, SURFACE).pixel_of_point == -1).all()
+
+
+def test_the_index_maps_agree_both_ways():
+    cloud, target = sphere_cloud(20.0), target_sensor()
+    view = project(cloud, target, PAPER)
+    shown = np.flatnonzero(view.source_index.ravel() >= 0)
+    assert view.pixel_of_point is not None
+    np.testing.assert_array_equal(view.pixel_of_point[view.source_index.ravel()[shown]], shown)
+    surface = project(cloud, target, SURFACE).pixel_of_point
+    assert (surface >= 0).mean() > 0.95  # all but the points of the rim, which no triangle's pixel centre reaches
+
+
+@pytest.mark.parametrize("rest_mm", [40.2, 40.5])
+def test_coverage_is_that_of_a_disc(rest_mm):
+    """The sphere is cut by a level pad in a disc of known radius, seen at the pad's depth."""
+    target = target_sensor(rest_mm=rest_mm)
+    view = project(sphere_cloud(), target, ProjectParams(coverage=True))
+    radius_px = np.sqrt(RADIUS_MM**2 - (CENTRE_MM[2] - rest_mm) ** 2) / rest_mm * 200.0
+    fine = (np.arange(32) + 0.5) / 32 - 0.5
+    x, y = np.arange(90)[:, None] + fine - 44.5, np.arange(70)[:, None] + fine - 34.5
+    inside = (x.ravel() ** 2)[None, :] + (y.ravel() ** 2)[:, None] <= radius_px**2
+    exact = inside.reshape(70, 32, 90, 32).mean(axis=(1, 3))
+    assert view.coverage is not None
+    # 4 x 4 samples: half a sixteenth's row on an edge that runs along the pixels, and they cancel over the disc.
+    assert np.abs(view.coverage - exact).max() < 0.17
+    assert abs(view.coverage.sum() / (np.pi * radius_px**2) - 1.0) < 5e-3
+    assert project(sphere_cloud(), target, SURFACE).coverage is None
+
+
+def test_a_window_turned_or_wider_than_the_image_is_known_where_it_is():
+    target = target_sensor()
+    rows, cols = target.camera.shape
+    for corners_px in (
+        [(10, 5), (60, 15), (50, 55), (5, 45)],
+        [(5, 45), (50, 55), (60, 15), (10, 5)],
+        [(-1e6, -1e6), (1e6, -1e6), (1e6, 1e6), (-1e6, 1e6)],
+    ):
+        corners = np.array(corners_px, float)
+        window = np.column_stack(
+            [(corners[:, 0] - 44.5) / 200 * 40, (corners[:, 1] - 34.5) / 200 * 40, np.full(4, 40.0)]
+        )
+        known = project(replace(cloud_of([(0, 0, 44.0)]), window_mm=window.astype(np.float32)), target, SURFACE).known
+        x, y = np.meshgrid(np.arange(cols), np.arange(rows))
+        side = [
+            (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])
+            for a, b in zip(corners, np.roll(corners, -1, 0), strict=True)
+        ]
+        clear = np.min(np.abs(side), axis=0) > 1e-2  # float32 corners
+        inside = np.all(np.array(side) > 0, axis=0) | np.all(np.array(side) < 0, axis=0)
+        np.testing.assert_array_equal(known[clear], inside[clear])

@@ -1,0 +1,82 @@
+"""How quick and how right is the membrane test? Ours beside Open3D's signed distance to the membrane's mesh.
+
+    python benchmarks/membrane.py
+
+38,000 points lie around the soft bubble's dome, and around a level pad. An error is a point whose side is not that of
+the exact height field (the mesh's own bilinear surface), counted where it lies more than a micrometre off the surface.
+Open3D's mesh splits each cell into two triangles, which is up to 0.2 um off the bilinear surface here.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from pipeline import membrane
+from pipeline.evaluation.races import Answer, Bar, Point, Row, race, row
+from pipeline.evaluation.races_report import show
+from pipeline.membrane import Membrane
+
+_N, _BAND_MM, _SPREAD_MM = 38_000, 1e-3, 1.0
+
+
+def open3d_distance(surface: Membrane, points_mm: np.ndarray, samples: int):
+    import open3d as o3d
+
+    mesh = surface.mesh()
+    world = o3d.t.geometry.RaycastingScene()
+    world.add_triangles(
+        o3d.core.Tensor(mesh.vertices_mm.astype(np.float32)), o3d.core.Tensor(mesh.triangles.astype(np.uint32))
+    )
+    query = o3d.core.Tensor(points_mm)
+    return lambda: world.compute_signed_distance(query, nsamples=samples).numpy()
+
+
+def around(surface: Membrane, half_x_mm: float, half_y_mm: float) -> tuple[np.ndarray, np.ndarray]:
+    """(points (n, 3) float32, how far each lies behind the surface along z)."""
+    rng = np.random.default_rng(0)
+    x, y = rng.uniform(-half_x_mm, half_x_mm, _N), rng.uniform(-half_y_mm, half_y_mm, _N)
+    points = np.stack([x, y, surface.depth_at(x, y) + rng.normal(0.0, _SPREAD_MM, _N)], axis=-1).astype(np.float32)
+    exact = points.astype(np.float64)
+    return points, exact[:, 2] - surface.depth_at(exact[:, 0], exact[:, 1])
+
+
+def answer() -> Answer:
+    rows: list[Row] = []
+    points: list[Point] = []
+    notes: list[str] = []
+    # 0.34 mm: the dome of 60x50 mm on 175 columns, as a target's own depth image would give it.
+    surfaces = {"dome": membrane.dome(60.0, 20.0, 30.0, 25.0, 0.34), "level pad": membrane.flat(20.0, 12.0, 9.0)}
+    for name, surface in surfaces.items():
+        size = {"dome": (28.0, 23.0), "level pad": (11.0, 8.0)}[name]
+        cloud, behind = around(surface, *size)
+        calls = {
+            "ours": lambda s=surface, p=cloud: s.signed_distance_mm(p),
+            "Open3D, 1 ray": open3d_distance(surface, cloud, 1),
+            "Open3D, 5 rays": open3d_distance(surface, cloud, 5),
+        }
+        wrong = {k: wrong_sides(call(), behind) for k, call in calls.items()}
+        times = race(calls, runs=7)
+        rows.append(row(
+            f"side of a {name}: {_N:,} points", peer="Open3D compute_signed_distance", ours=times["ours"],
+            ours_error=wrong["ours"], peer_timing=times["Open3D, 1 ray"], peer_error=wrong["Open3D, 1 ray"],
+            unit="wrong", bar=Bar(faster=80.0, error=0.0),
+        ))  # fmt: skip
+        points += [Point(method=f"{k}, {name}", ms=times[k].median_ms, error=wrong[k], ours=k == "ours") for k in calls]
+        notes.append(f"{name}: lattice of {surface.z_mm.shape[0]}x{surface.z_mm.shape[1]} nodes")
+    return Answer(title="membrane sign test", unit="wrong", rows=tuple(rows), points=tuple(points), notes=tuple(notes))
+
+
+def wrong_sides(distance_mm: np.ndarray, behind_mm: np.ndarray) -> int:
+    """Points on the wrong side; either sense of Open3D's open sheet is taken as right for all points at once."""
+    asked = np.abs(behind_mm) > _BAND_MM
+    off = int(((distance_mm > 0) != (behind_mm > 0))[asked].sum())
+    return min(off, int(asked.sum()) - off)
+
+
+if __name__ == "__main__":
+    show(answer())

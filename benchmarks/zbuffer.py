@@ -1,0 +1,85 @@
+"""How quick is the z-buffer of a contact cloud? Ours beside Open3D's tensor projection, and beside numpy.
+
+    python benchmarks/zbuffer.py
+
+38,000 points of a sphere are given; the target image is 140x175 and smaller or larger. The values are compared pixel
+by pixel first; the error is the largest difference from a float64 reference by sorting. Open3D works out the pixel in
+float32, so a point within some 1e-5 px of the border of a pixel may go to its neighbour there.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.sphere_scene import open3d_splat, scene
+from pipeline.camera import Camera
+from pipeline.evaluation.races import Answer, Bar, Point, Row, race, row
+from pipeline.evaluation.races_report import show
+from pipeline.stages.adapt import AdaptParams, adapt
+from pipeline.stages.drawing import zbuffer
+from pipeline.stages.project import ProjectParams, project
+
+
+def by_sorting(points_mm: np.ndarray, camera: Camera) -> np.ndarray:
+    x_px, y_px, visible = camera.project(points_mm)
+    pixel = (np.floor(y_px + 0.5) * camera.cols + np.floor(x_px + 0.5))[visible].astype(np.int64)
+    depth = np.full(camera.rows * camera.cols, np.nan, np.float32)
+    far_first = np.argsort(-points_mm[visible, 2], kind="stable")
+    depth[pixel[far_first]] = points_mm[visible, 2][far_first]
+    return depth.reshape(camera.shape)
+
+
+def _differing(one: np.ndarray, other: np.ndarray) -> tuple[float, int]:
+    """Largest difference, 0 = nothing drawn, and the number of pixels that differ."""
+    off = np.abs(np.nan_to_num(one) - np.nan_to_num(other))
+    return float(off.max()), int((off > 0).sum())
+
+
+def answer() -> Answer:
+    rows: list[Row] = []
+    points: list[Point] = []
+    notes: list[str] = []
+    for factor in (0.5, 1.0, 2.0):
+        depth_map, alignment, target, _ = scene(20.0, factor)
+        cloud = adapt(depth_map, alignment, AdaptParams())
+        camera = target.camera
+        peer = open3d_splat(cloud, camera)
+        calls = {
+            "ours": lambda c=cloud, k=camera: zbuffer(c.points_mm, c.source_index, k)[0].reshape(k.shape),
+            "the whole stage": lambda c=cloud, t=target: project(c, t, ProjectParams(mode="paper")).depth_mm,
+            "Open3D": peer,
+            "numpy": lambda c=cloud, k=camera: by_sorting(c.points_mm, k),
+        }
+        exact = by_sorting(cloud.points_mm, camera)
+        off = {name: _differing(call(), exact) for name, call in calls.items()}
+        times = race(calls)
+        size = f"{camera.rows}x{camera.cols}"
+        rows.append(row(
+            f"z-buffer: {len(cloud.points_mm):,} points to {size}", peer="Open3D project_to_depth_image", unit="mm",
+            ours=times["ours"], ours_error=off["ours"][0], peer_timing=times["Open3D"], peer_error=off["Open3D"][0],
+            bar=Bar(faster=5.0, error=0.0),
+        ))  # fmt: skip
+        if factor == 1.0:
+            rows.append(row(
+                f"paper mode with mask and index maps, {size}", peer="Open3D project_to_depth_image", unit="mm",
+                ours=times["the whole stage"], ours_error=off["the whole stage"][0], peer_timing=times["Open3D"],
+                peer_error=off["Open3D"][0], bar=Bar(faster=1.0, error=0.0),
+            ))  # fmt: skip
+        points += [
+            Point(method=f"{name}, {size}", ms=times[name].median_ms, error=off[name][0], ours=name == "ours")
+            for name in ("ours", "Open3D", "numpy")
+        ]
+        notes.append(
+            f"{size}: {off['ours'][1]} pixels of ours and {off['Open3D'][1]} of Open3D's are not as by sorting"
+        )
+    return Answer(title="z-buffer of a contact cloud", unit="mm", rows=tuple(rows), points=tuple(points),
+                  notes=tuple(notes))  # fmt: skip
+
+
+if __name__ == "__main__":
+    show(answer())
