@@ -213,14 +213,15 @@ def fit(points, turn, shift, grid, radius, reach, scale, floor, tolerance, weak_
     last = 1e300
     for n in range(most + 1):
         gather(points, turn, shift, grid, radius, scale, reach, bins, sums)
-        noise = max(spread(bins, reach), floor)
+        noise = max(spread(bins, reach), floor) if sums[29] > 0 else reach
         for k in range(9):
             history[n, k] = turn[k // 3, k % 3]
         for k in range(3):
             history[n, 9 + k] = shift[k]
         history[n, 12] = math.sqrt(sums[28] / sums[29]) if sums[29] > 0 else 0.0
         history[n, 13] = sums[29] / points.shape[0]
-        if sums[29] == 0 or not sums[27] > 0:
+        # A start may lie off by more than the search distance: as long as the weights tell a way, it is gone.
+        if not sums[27] > 0:
             return history[: n + 1], NOTHING_NEAR, noise, h, directions, frozen, scale
         motion, h, _values, directions, frozen = solve(sums, noise if last <= settled else floor, tolerance, weak_share)
         bend = min(scale, max(_BENDS_AT * noise, _SHRINK * scale))
@@ -233,6 +234,8 @@ def fit(points, turn, shift, grid, radius, reach, scale, floor, tolerance, weak_
         scale = bend
         last = move(turn, shift, motion, radius, reach)
         orthonormal(turn)
+    if sums[29] == 0:
+        status = NOTHING_NEAR
     return history[: n + 1], status, noise, h, directions, frozen, scale
 
 
