@@ -15,7 +15,8 @@ from numba import njit
 
 SLACK = 1e-9  # barycentric and px: neighbours share the pixels on their common edge, so that no crack opens
 JUMP, GRAZING, BEHIND, FLIPPED, KEPT = 0, 1, 2, 3, 4  # what becomes of a triangle; from FLIPPED on it is drawn
-_BEHIND = 16  # in the state of a corner; 1 = in front of the lens, 0 = none
+_THERE, _UNSEEN = 1, 2  # bits of a corner: a point, and one behind the lens or not finite
+_BEHIND = 16  # of a quad with such a corner
 
 
 @njit(cache=True)
@@ -56,11 +57,11 @@ def rasterise(flat, source_index, order, cols, stride, lens, shape, z_min, limit
     """
     n = (cols - 1) // stride + 1
     at = np.full(2 * n, -1, dtype=np.int32)  # two rows in turn: the point of each column,
-    x, y, z = np.zeros(2 * n), np.zeros(2 * n), np.zeros(2 * n)  # where it is,
-    u, v, w = np.zeros(2 * n), np.zeros(2 * n), np.zeros(2 * n)  # where it is seen, px, and its 1/z
+    u, v, w = np.zeros(2 * n), np.zeros(2 * n), np.zeros(2 * n)  # where that is seen, px, and its 1/z
     state, linked = np.zeros(2 * n, dtype=np.uint8), np.zeros(2 * n, dtype=np.uint8)
     across, down = np.zeros(2 * n, dtype=np.int32), np.zeros(2 * n, dtype=np.int32)  # between which pixel centres
     busy = np.zeros(n + 1, dtype=np.uint8)  # of the quad to the left of each column
+    spread = np.zeros(3 * n, dtype=np.float32)  # a row with gaps
     low, high, row = n, 0, -stride  # columns in use of the row before
     old, new = 0, n
     place = 0
@@ -71,12 +72,15 @@ def rasterise(flat, source_index, order, cols, stride, lens, shape, z_min, limit
         at[new : new + n] = -1
         state[new : new + n] = 0
         linked[new : new + n] = 0
-        start, end, place = _load(
-            flat, source_index, order, place, next_row, cols, stride, at[new : new + n],
-            x[new : new + n], y[new : new + n], z[new : new + n], alone,
-        )  # fmt: skip
+        here = place
+        start, end, place = _find(source_index, order, place, next_row, cols, stride, at[new : new + n], alone)
         a, b = new + start, new + end
-        _see(x[a:b], y[a:b], z[a:b], at[a:b], lens, z_min, u[a:b], v[a:b], w[a:b], state[a:b])
+        if order.shape[0] == 0 and end - start == place - here:
+            strip = flat[3 * here : 3 * place]
+            _see(strip, at[a:b], lens, z_min, u[a:b], v[a:b], w[a:b], state[a:b])
+        else:
+            _gather(flat, at[a:b], spread)
+            _see(spread, at[a:b], lens, z_min, u[a:b], v[a:b], w[a:b], state[a:b])
         _between(u[a:b], across[a:b], shape[1])
         _between(v[a:b], down[a:b], shape[0])
         busy[:] = 0
@@ -85,7 +89,7 @@ def rasterise(flat, source_index, order, cols, stride, lens, shape, z_min, limit
             a, b, c, d = old + low, old + high, new + low, new + high
             _sort_out(state[a:b], across[a:b], down[a:b], state[c:d], across[c:d], down[c:d], busy[low + 1 : high])
             _draw_row(
-                at, x, y, z, u, v, w, state, across, down, busy[low + 1 : high], a, c,
+                flat, at, u, v, w, state, across, down, busy[low + 1 : high], a, c,
                 limits, shape, inverse_z, source, counts,
             )  # fmt: skip
         a, b = old + low, old + high
@@ -96,14 +100,18 @@ def rasterise(flat, source_index, order, cols, stride, lens, shape, z_min, limit
 
 
 @njit(cache=True)
-def _load(flat, source_index, order, place, row, cols, stride, at, x, y, z, alone):
-    """Spread the points of one source row over its columns; returns (first column, end, where the next row begins).
+def _find(source_index, order, place, row, cols, stride, at, alone):
+    """Write the points of one source row into their columns; returns (first column, end, where the next row begins).
 
     What lies between the columns of a strided cloud, or shares its source pixel, stands alone.
     """
     begin = row * cols
     if stride == 1 and order.shape[0] == 0:
-        return _load_in_turn(flat, source_index, place, begin, at, x, y, z)
+        after = place + np.searchsorted(source_index[place : place + cols], begin + cols)
+        columns = source_index[place:after]
+        for k in range(columns.shape[0]):
+            at[columns[k] - begin] = place + k
+        return columns[0] - begin, columns[columns.shape[0] - 1] - begin + 1, after
     start, end = at.shape[0], 0
     while place < source_index.shape[0]:
         i = order[place] if order.shape[0] > 0 else np.int64(place)
@@ -111,51 +119,37 @@ def _load(flat, source_index, order, place, row, cols, stride, at, x, y, z, alon
         if column >= cols:
             break
         place += 1
-        if stride > 1:
-            if column % stride != 0:
-                alone[i] = True
-                continue
-            column //= stride
+        if column % stride != 0:
+            alone[i] = True
+            continue
+        column //= stride
         if at[column] >= 0:
             alone[at[column]] = True
         at[column] = i
-        x[column], y[column], z[column] = flat[3 * i], flat[3 * i + 1], flat[3 * i + 2]
         start, end = min(start, column), max(end, column + 1)
     return min(start, end), end, place
 
 
 @njit(cache=True)
-def _load_in_turn(flat, source_index, place, begin, at, x, y, z):
-    start, end = source_index[place] - begin, 0
-    after = place + np.searchsorted(source_index[place : place + at.shape[0]], begin + at.shape[0])
-    mine, points = source_index[place:after], flat[3 * place : 3 * after]
-    if after > place:
-        end = mine[after - place - 1] - begin + 1
-    if end - start == after - place:  # without a gap
-        at, x, y, z = at[start:end], x[start:end], y[start:end], z[start:end]
-        for k in range(at.shape[0]):
-            at[k] = place + k
-            x[k], y[k], z[k] = points[3 * k], points[3 * k + 1], points[3 * k + 2]
-    else:
-        for k in range(mine.shape[0]):
-            c = mine[k] - begin
-            at[c] = place + k
-            x[c], y[c], z[c] = points[3 * k], points[3 * k + 1], points[3 * k + 2]
-    return start, end, after
+def _gather(flat, at, spread):
+    for c in range(at.shape[0]):
+        i = 3 * max(at[c], 0)
+        spread[3 * c], spread[3 * c + 1], spread[3 * c + 2] = flat[i], flat[i + 1], flat[i + 2]
 
 
 @njit(cache=True, error_model="numpy")
-def _see(x, y, z, at, lens, z_min, u, v, w, state):
+def _see(strip, at, lens, z_min, u, v, w, state):
     """Screen coordinates of a row of corners; the image's middle, harmlessly, for those that have none."""
     fx, fy, cx, cy = lens
-    for c in range(x.shape[0]):
+    for c in range(at.shape[0]):
+        x, y, z = np.float64(strip[3 * c]), np.float64(strip[3 * c + 1]), np.float64(strip[3 * c + 2])
         there = at[c] >= 0
-        ok = there & (z[c] > z_min) & (z[c] < np.inf) & (abs(x[c]) < np.inf) & (abs(y[c]) < np.inf)
-        near = 1.0 / (z[c] if ok else 1.0)
+        ok = there & (z > z_min) & (z < np.inf) & (abs(x) < np.inf) & (abs(y) < np.inf)
+        near = 1.0 / (z if ok else 1.0)
         w[c] = near
-        u[c] = fx * (x[c] if ok else 0.0) * near + cx
-        v[c] = fy * (y[c] if ok else 0.0) * near + cy
-        state[c] = np.uint8(1 if ok else (_BEHIND if there else 0))
+        u[c] = fx * (x if ok else 0.0) * near + cx
+        v[c] = fy * (y if ok else 0.0) * near + cy
+        state[c] = np.uint8(_THERE if ok else (_THERE | _UNSEEN if there else 0))
 
 
 @njit(cache=True)
@@ -176,17 +170,18 @@ def _between(u, place, size):
 def _sort_out(state, across, down, state_1, across_1, down_1, busy):
     """What is to be done with each quad: 0 no quad, 1 no pixel centre near it, 2 draw, _BEHIND a corner behind.
 
-    What an absent corner left behind may widen the box, which costs a look and no more.
+    Corners have bits _THERE and _UNSEEN in `state`. A box holds no centre if all four lie between the same two, in x
+    or in y; what an absent corner left behind may widen it, which costs a look and no more. All of it in bits, which
+    needs no wider numbers.
     """
     for c in range(busy.shape[0]):
-        total = state[c] + state[c + 1] + state_1[c] + state_1[c + 1]
-        corners = (total & 15) + (total >> 4)
-        left = min(across[c], across[c + 1], across_1[c], across_1[c + 1])
-        right = max(across[c], across[c + 1], across_1[c], across_1[c + 1])
-        top = min(down[c], down[c + 1], down_1[c], down_1[c + 1])
-        bottom = max(down[c], down[c + 1], down_1[c], down_1[c + 1])
-        drawn = 2 if ((left + 1) >> 1 <= right >> 1) & ((top + 1) >> 1 <= bottom >> 1) else 1
-        busy[c] = np.uint8(0 if corners < 3 else (_BEHIND if total >= _BEHIND else drawn))
+        i, j, k, m = state[c], state[c + 1], state_1[c], state_1[c + 1]
+        three = (i & j & (k | m)) | (k & m & (i | j))
+        a, b = across[c], down[c]
+        x = (a ^ across[c + 1]) | (a ^ across_1[c]) | (a ^ across_1[c + 1]) | (~a & 1)
+        y = (b ^ down[c + 1]) | (b ^ down_1[c]) | (b ^ down_1[c + 1]) | (~b & 1)
+        box = 2 if (x != 0) & (y != 0) else 1
+        busy[c] = np.uint8(0 if three & _THERE == 0 else (_BEHIND if (i | j | k | m) & _UNSEEN != 0 else box))
 
 
 @njit(cache=True)
@@ -205,7 +200,7 @@ def _link(busy, at, state, linked, linked_1, alone):
 
 
 @njit(cache=True, error_model="numpy")
-def _draw_row(at, x, y, z, u, v, w, state, across, down, busy, above, below, limits, shape, inverse_z, source, counts):
+def _draw_row(flat, at, u, v, w, state, across, down, busy, above, below, limits, shape, inverse_z, source, counts):
     """Draw a row of quads: two triangles along the shorter diagonal, which follows a crease; one if a corner lacks."""
     for column in range(busy.shape[0]):
         if busy[column] < 2:
@@ -214,20 +209,20 @@ def _draw_row(at, x, y, z, u, v, w, state, across, down, busy, above, below, lim
             counts[BEHIND] += 1
             continue
         a, b, d, e = above + column, above + column + 1, below + column, below + column + 1
-        i, j, k, o = a, b, d, e
+        # The triangles are (i, j, k) and, beyond the edge j-k, (j, o, k). Written as choices of numbers, since a
+        # branch that goes either way costs more than what it saves.
+        crossed = _distance_sq(flat, at[a], at[e]) < _distance_sq(flat, at[b], at[d])
+        i, j, k, o = (b if crossed else a), (e if crossed else b), (a if crossed else d), (d if crossed else e)
+        triangles = 2
         if state[a] == 0:
-            i, j, k, o = b, e, d, -1
+            i, j, k, triangles = b, e, d, 1
         elif state[b] == 0:
-            i, j, k, o = a, e, d, -1
+            i, j, k, triangles = a, e, d, 1
         elif state[d] == 0:
-            i, j, k, o = a, b, e, -1
+            i, j, k, triangles = a, b, e, 1
         elif state[e] == 0:
-            o = -1
-        elif _distance_sq(x, y, z, a, e) < _distance_sq(x, y, z, b, d):
-            i, j, k, o = b, e, a, d
-        # The triangles are (i, j, k) and, beyond the edge j-k, (j, o, k).
-        one, other = True, o >= 0
-        if other:
+            i, j, k, triangles = a, b, d, 1
+        else:
             col = (min(across[a], across[b], across[d], across[e]) + 1) >> 1
             row = (min(down[a], down[b], down[d], down[e]) + 1) >> 1
             if (
@@ -237,35 +232,39 @@ def _draw_row(at, x, y, z, u, v, w, state, across, down, busy, above, below, lim
                 # Most often there is one centre to ask for, and the diagonal says which triangle may have it.
                 beyond = (u[k] - u[j]) * (row - v[j]) - (v[k] - v[j]) * (col - u[j])
                 side = (u[k] - u[j]) * (v[i] - v[j]) - (v[k] - v[j]) * (u[i] - u[j])
-                near = abs(beyond) <= 4.0 * SLACK * abs(side)
-                one = near or beyond * side > 0.0
-                other = near or not one
-        for t in range(2):
+                if abs(beyond) > 4.0 * SLACK * abs(side):
+                    first = beyond * side > 0.0
+                    i, j = (i if first else j), (j if first else o)
+                    triangles = 1
+        for t in range(triangles):
             if t == 1:
                 i, j = j, o
-            if one if t == 0 else other:
-                _draw(at, x, y, z, u, v, w, across, down, i, j, k, limits, shape, inverse_z, source, counts)
+            _draw(flat, at, u, v, w, across, down, i, j, k, limits, shape, inverse_z, source, counts)
 
 
 @njit(cache=True, inline="always")
-def _distance_sq(x, y, z, i, j):
-    dx, dy, dz = x[i] - x[j], y[i] - y[j], z[i] - z[j]
+def _distance_sq(flat, i, j):
+    dx = np.float64(flat[3 * i]) - np.float64(flat[3 * j])
+    dy = np.float64(flat[3 * i + 1]) - np.float64(flat[3 * j + 1])
+    dz = np.float64(flat[3 * i + 2]) - np.float64(flat[3 * j + 2])
     return dx * dx + dy * dy + dz * dz
 
 
 @njit(cache=True, inline="always")
-def _fate(x, y, z, i, j, k, max_edge_sq, min_cos):
+def _fate(flat, i, j, k, max_edge_sq, min_cos):
     """JUMP, GRAZING, FLIPPED or KEPT, by the edges and by the angle between normal and line of sight."""
+    x, y, z = np.float64(flat[3 * i]), np.float64(flat[3 * i + 1]), np.float64(flat[3 * i + 2])
+    bx, by, bz = flat[3 * j] - x, flat[3 * j + 1] - y, flat[3 * j + 2] - z
+    cx, cy, cz = flat[3 * k] - x, flat[3 * k + 1] - y, flat[3 * k + 2] - z
+    dx, dy, dz = cx - bx, cy - by, cz - bz
     if not (
-        _distance_sq(x, y, z, i, j) <= max_edge_sq
-        and _distance_sq(x, y, z, j, k) <= max_edge_sq
-        and _distance_sq(x, y, z, k, i) <= max_edge_sq
+        bx * bx + by * by + bz * bz <= max_edge_sq
+        and cx * cx + cy * cy + cz * cz <= max_edge_sq
+        and dx * dx + dy * dy + dz * dz <= max_edge_sq
     ):
         return JUMP
-    bx, by, bz = x[j] - x[i], y[j] - y[i], z[j] - z[i]
-    cx, cy, cz = x[k] - x[i], y[k] - y[i], z[k] - z[i]
     nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
-    mx, my, mz = x[i] + (bx + cx) / 3.0, y[i] + (by + cy) / 3.0, z[i] + (bz + cz) / 3.0
+    mx, my, mz = x + (bx + cx) / 3.0, y + (by + cy) / 3.0, z + (bz + cz) / 3.0
     along = nx * mx + ny * my + nz * mz
     limit_sq = min_cos * min_cos * (nx * nx + ny * ny + nz * nz) * (mx * mx + my * my + mz * mz)
     if not (along * along >= limit_sq and along != 0.0):
@@ -274,7 +273,7 @@ def _fate(x, y, z, i, j, k, max_edge_sq, min_cos):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def _draw(at, x, y, z, u, v, w, across, down, i, j, k, limits, shape, inverse_z, source, counts):
+def _draw(flat, at, u, v, w, across, down, i, j, k, limits, shape, inverse_z, source, counts):
     """Draw one triangle; what it is worth is asked only once it covers a pixel centre."""
     xa, ya, xb, yb, xc, yc = u[i], v[i], u[j], v[j], u[k], v[k]
     area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
@@ -294,7 +293,7 @@ def _draw(at, x, y, z, u, v, w, across, down, i, j, k, limits, shape, inverse_z,
             if a < -SLACK or b < -SLACK or g < -SLACK:
                 continue
             if not asked:
-                fate = _fate(x, y, z, i, j, k, limits[0], limits[1])
+                fate = _fate(flat, at[i], at[j], at[k], limits[0], limits[1])
                 counts[fate] += 1
                 if fate < FLIPPED:
                     return
