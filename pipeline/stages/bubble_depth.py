@@ -34,9 +34,11 @@ def largest_change(image: NDArray[Any], reference: NDArray[Any]) -> float:
     import cv2
 
     with np.errstate(invalid="ignore", over="ignore"):
-        near = _FARTHEST * float(
-            np.median(reference[::_BLOCK_PX, ::_BLOCK_PX][reference[::_BLOCK_PX, ::_BLOCK_PX] > 0])
-        )
+        some = reference[::_BLOCK_PX, ::_BLOCK_PX]
+        some = some[some > 0]
+        if not some.size:
+            return math.inf
+        near = _FARTHEST * float(np.median(some))
         seen = ((image > 0) & (reference > 0) & (image < near) & (reference < near)).astype(np.float32)
     if float(seen.mean()) < _FEWEST_READINGS:
         return math.inf

@@ -194,6 +194,8 @@ def test_a_bubble_without_any_reading_is_refused():
     source, frame, _, _ = bubble()
     with pytest.raises(ShapeError, match="no depth at all"):
         depth(replace(frame, image=np.full_like(frame.image, np.nan)), source, None, PARAMS)
+    for nothing in (0.0, np.nan, -np.inf):
+        assert untouched(replace(frame, reference=np.full_like(frame.image, nothing)), source, None, PARAMS) is None
 
 
 @pytest.mark.parametrize("kind", [np.bool_, np.uint16, np.int32, np.complex64])
