@@ -20,6 +20,7 @@ from pipeline.errors import CalibrationError, SettingProblem
 from pipeline.membrane import Membrane
 from pipeline.sensors.parts import Bubble, DepthCamera, Gel, Glow, Led, Limits, Markers, Optics
 from pipeline.sensors.reading import bubble_in, depth_camera_in, gel_in, limits_in, markers_in, optics_in
+from pipeline.sensors.rest import mesh_in
 from pipeline.sensors.sections import FOLDER, Section, read_description
 
 __all__ = [
@@ -94,20 +95,23 @@ def _build(name: str, data: dict[str, Any], path: Path) -> SensorSpec:
     camera = Camera(rows=rows, cols=cols, fx_px=lens.number("fx", "px"), fy_px=lens.number("fy", "px"),
                     cx_px=lens.number("cx", "px"), cy_px=lens.number("cy", "px"))  # fmt: skip
     gel, bubble, eye, optics = None, None, None, None
+    surface = mesh_in(data, path)
     if kind == "gel":
         gel = gel_in(section("gel"))
-        z = section("rest").number("depth", "mm", 0.1, 1000.0)
-        surface = membrane.flat(z, camera.cols * z / camera.fx_px, camera.rows * z / camera.fy_px)
+        if surface is None:
+            z = section("rest").number("depth", "mm", 0.1, 1000.0)
+            surface = membrane.flat(z, camera.cols * z / camera.fx_px, camera.rows * z / camera.fy_px)
         optics = optics_in(section("optics"), data, path)
     else:
         bubble = bubble_in(section("bubble"))
         eye = depth_camera_in(section("depth_camera")) if "depth_camera" in data else DepthCamera()
-        surface = membrane.dome(
-            section("rest").number("rim_depth", "mm", 1.0, 1000.0),
-            bubble.height_mm,
-            bubble.half_width_mm,
-            bubble.half_height_mm,
-        )
+        if surface is None:
+            surface = membrane.dome(
+                section("rest").number("rim_depth", "mm", 1.0, 1000.0),
+                bubble.height_mm,
+                bubble.half_width_mm,
+                bubble.half_height_mm,
+            )
     pose = rigid.from_parts(align.vector("translation", "mm"), align.vector("rotation_vector", "deg"))
     return SensorSpec(
         name=name,

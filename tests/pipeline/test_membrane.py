@@ -88,3 +88,19 @@ def test_many_points_are_measured_like_few():
     many = DOME.signed_distance_mm(points)
     np.testing.assert_allclose(many, few, rtol=1e-12)
     assert DOME.signed_distance_mm(points.reshape(50, 80, 3)).shape == (50, 80)
+
+
+def test_a_level_pad_knows_that_it_is_level_and_measures_many_points_so():
+    pad = membrane.flat(20.0, 10.0, 8.0)
+    assert pad.level_mm == 20.0
+    assert DOME.level_mm is None
+    points = np.random.default_rng(3).uniform(-30, 30, (4000, 3))
+    points[0, 0] = np.nan
+    np.testing.assert_array_equal(
+        pad.signed_distance_mm(points), np.where(np.isnan(points[:, 0]), np.nan, points[:, 2] - 20.0)
+    )
+
+
+def test_single_precision_points_are_measured_as_the_doubles_that_they_are():
+    points = np.random.default_rng(4).uniform(-80, 80, (4000, 3)).astype(np.float32)
+    np.testing.assert_array_equal(DOME.signed_distance_mm(points), DOME.signed_distance_mm(points.astype(np.float64)))
