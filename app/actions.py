@@ -59,6 +59,18 @@ FILE = (
         tip="Open the image of the untouched sensor",
         icon=_Std.SP_FileIcon,
     ),
+    Command(
+        name="open_alignment",
+        text="Open alignment…",
+        tip="Open how the two sensors stand to each other, a .toml as `tactoscope align refine` writes it",
+        icon=_Std.SP_DialogOpenButton,
+    ),
+    Command(
+        name="save_alignment",
+        text="Save alignment as…",
+        tip="Save how the two sensors stand to each other, with what was moved, as .toml",
+        icon=_Std.SP_DialogSaveButton,
+    ),
     Command(name="open_session", text="Open session…", tip="Open a saved session", icon=_Std.SP_FileDialogDetailedView),
     Command(
         name="save_session",

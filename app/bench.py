@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from app import pictures, solids
+from app.comparison import Comparison, Comparisons
 from app.jobs import Report
 from app.pictures import CloudPicture
 from app.residuals import ObjectSurface
@@ -19,6 +20,7 @@ from pipeline.evaluation.metrics import frame_metrics
 from pipeline.frames import Recording, TactileFrame
 from pipeline.graph import Graph, StageResult
 from pipeline.recordings import open_recording
+from pipeline.stages.depth import DepthParams
 from pipeline.stages.results import DepthMap
 from pipeline.translate import Request, Translation, new_graph, open_translation
 from widgets.colours import coloured
@@ -78,10 +80,15 @@ class Bench:
         self._translation: Translation | None = None
         self._surface: tuple[Any, ObjectSurface] | None = None
         self._drawn: dict[str, tuple[object, StageShown]] = {}
+        self._comparisons = Comparisons()
 
-    def show(self, session: Session, wanted: tuple[str, ...], report: Report) -> FrameShown:
-        """Work out a session's frame, handing over every part as soon as it is done; raises TouchError."""
-        translation = self._opened(session, report)
+    def show(self, session: Session, wanted: tuple[str, ...], report: Report, *, beside: bool = False) -> FrameShown:
+        """Work out a session's frame, handing over every part as soon as it is done; raises TouchError.
+
+        `beside` also outlines what the target really felt, where the recording holds it.
+        """
+        opened = self._opened(session, report)
+        translation = replace(opened, alignment=session.offsets.applied(opened.alignment))
         index = min(session.frame, translation.n_frames - 1)
         started_s = time.perf_counter()
         inputs = translation.inputs(index)
@@ -95,7 +102,9 @@ class Bench:
 
         def on_stage(result: StageResult) -> None:
             results[result.name] = result
-            report.hand_over(self._draw(result, results, translation, session.display))
+            seen = result.name == "project" and beside
+            other = self._compared(translation, index, results["depth"].output, session) if seen else None
+            report.hand_over(self._draw(result, results, translation, session.display, other))
 
         stages = tuple(name for name in translation.stages if name in wanted)
         self._graph.evaluate(stages, inputs, session.params, report, on_stage)
@@ -106,6 +115,19 @@ class Bench:
         return FrameShown(
             index=index, frame=frame, results=results, metrics=metrics, summary=_summary(results, metrics, translation)
         )
+
+    def comparison(self, session: Session, report: Report) -> tuple[Translation, Comparison]:
+        """The translation as it was opened, without offsets, and the session's frame on both sides."""
+        opened = self._opened(session, report)
+        index = min(session.frame, opened.n_frames - 1)
+        depth = self._graph.evaluate(("depth",), opened.inputs(index), session.params, report)["depth"]
+        return opened, self._compared(opened, index, depth.output, session)
+
+    def _compared(self, translation: Translation, index: int, depth: object, session: Session) -> Comparison:
+        params = session.params["depth"]
+        assert isinstance(depth, DepthMap)
+        assert isinstance(params, DepthParams)
+        return self._comparisons.of(translation, index, depth, params)
 
     def close(self) -> None:
         """Let go of the recording's file."""
@@ -126,6 +148,7 @@ class Bench:
         if translation.n_frames == 0:
             raise ValueError("the recording holds no frame")
         self._translation, self._drawn = translation, {}
+        self._comparisons.forget()
         named = replace(
             session, target=translation.target.name, source=session.source, stream=session.stream,
             frame=min(session.frame, translation.n_frames - 1),
@@ -138,15 +161,22 @@ class Bench:
         return translation
 
     def _draw(
-        self, result: StageResult, results: Mapping[str, StageResult], translation: Translation, display: DisplayParams
+        self,
+        result: StageResult,
+        results: Mapping[str, StageResult],
+        translation: Translation,
+        display: DisplayParams,
+        other: Comparison | None,
     ) -> StageShown:
         """Pictures of an output that was drawn before are used again, so that the window need not touch them."""
-        key = (result.digest, display, results["generate"].digest if result.name == "pose" else "")
+        key = (result.digest, display, results["generate"].digest if result.name == "pose" else "", id(other))
         known = self._drawn.get(result.name)
         if known is not None and known[0] == key:
             shown = replace(known[1], result=result)
         else:
             shown = self._drawing(result, results, translation, display)
+            if other is not None and other.touch is not None:
+                shown = replace(shown, picture=pictures.beside(shown.picture, other.outline_px))
         self._drawn[result.name] = (key, shown)
         return shown
 

@@ -10,6 +10,7 @@ from PyQt6.QtWidgets import QMessageBox, QStyle
 
 from app import dialogs
 from app.actions import key_table
+from app.aligning import Aligning
 from app.instrument import Instrument
 from app.session import DisplayParams, initial_params
 from app.window import Window
@@ -54,7 +55,7 @@ def connect(instrument: Instrument) -> None:
     window.source.activated.connect(choose_source)
     window.target.activated.connect(choose_target)
     window.route.activated.connect(choose_route)
-    _connect_files(instrument)
+    _connect_files(instrument, Aligning(instrument))
     _connect_play(instrument)
     _connect_view(instrument)
     _connect_undo(instrument)
@@ -73,7 +74,7 @@ def _fill(window: Window) -> None:
     window.parameters.add_stage("display", "Display", DisplayParams())
 
 
-def _connect_files(instrument: Instrument) -> None:
+def _connect_files(instrument: Instrument, aligning: Aligning) -> None:
     window = instrument.window
 
     def asks(ask: Callable[[], Path | None], then: Callable[[Path], object]) -> Callable[[], None]:
@@ -87,6 +88,7 @@ def _connect_files(instrument: Instrument) -> None:
     for name, ask in dialogs.OPENERS.items():
         window.on(name, asks(lambda ask=ask: ask(window), instrument.open_path))
     window.on("open_reference", asks(lambda: dialogs.reference(window), instrument.open_reference))
+    window.on("save_alignment", asks(lambda: dialogs.alignment_to_save(window), aligning.save))
     window.on("save_session", asks(lambda: dialogs.session_to_save(window), instrument.save_session))
     window.on("save_picture", asks(lambda: dialogs.picture_to_save(window), instrument.save_picture))
     window.on("quit", window.close)

@@ -10,6 +10,7 @@ from PyQt6.QtWidgets import QFileDialog, QWidget
 
 from app.session import SUFFIX
 
+ALIGNMENT = ".toml"
 MESHES = (".stl", ".obj", ".ply")
 
 
@@ -46,6 +47,17 @@ def calibration(parent: QWidget) -> Path | None:
     return _open(parent, "Open calibration", "Calibrations (*.npz);;All files (*)")
 
 
+def alignment(parent: QWidget) -> Path | None:
+    """Ask for an alignment."""
+    return _open(parent, "Open alignment", f"Alignments (*{ALIGNMENT});;All files (*)")
+
+
+def alignment_to_save(parent: QWidget) -> Path | None:
+    """Ask where an alignment goes."""
+    path = _save(parent, "Save alignment", f"Alignments (*{ALIGNMENT})")
+    return path if path is None or path.suffix else path.with_suffix(ALIGNMENT)
+
+
 def session(parent: QWidget) -> Path | None:
     """Ask for a session."""
     return _open(parent, "Open session", f"Sessions (*{SUFFIX});;All files (*)")
@@ -73,6 +85,7 @@ OPENERS: Mapping[str, Callable[[QWidget], Path | None]] = {
     "open_folder": folder,
     "open_mesh": mesh,
     "open_calibration": calibration,
+    "open_alignment": alignment,
     "open_session": session,
 }
 

@@ -14,7 +14,7 @@ from PyQt6.QtWidgets import QComboBox
 
 from app import dialogs
 from app.bench import Bench, FrameShown, Opened, SourceShown, StageShown, request_of
-from app.jobs import LatestJob
+from app.jobs import LatestJob, Work
 from app.logs import LogRelay, log, sentence_and_details
 from app.screen import Screen
 from app.session import SUFFIX, Session, load_session, save_session
@@ -35,6 +35,8 @@ class Instrument(QObject):
 
     frame_shown = pyqtSignal(int)
     problem_shown = pyqtSignal(str)
+    session_shown = pyqtSignal(object)  # Session
+    closing = pyqtSignal()
 
     def __init__(self, window: Window) -> None:
         super().__init__(window)
@@ -45,7 +47,7 @@ class Instrument(QObject):
         self.tracer = Tracer(window)
         self.screen = Screen(window, self.tracer)
         self._ticket = self._wanted_since = self._opening = 0
-        self._closed = self._waits = False
+        self._closed = self._waits = self._beside = False
         self.latest: FrameShown | None = None  # the frame on screen
         self._stale, self._young = QTimer(self), QTimer(self)
         for timer, ms in ((self._stale, _STALE_AFTER_MS), (self._young, _PATIENCE_MS)):
@@ -63,6 +65,8 @@ class Instrument(QObject):
             self.open_session(path)
         elif path.suffix.lower() in dialogs.MESHES:
             self.change("open mesh", mesh=path)
+        elif path.suffix.lower() == dialogs.ALIGNMENT:
+            self.change("open alignment", alignment=path)
         elif dialogs.is_calibration(path):
             self.change("open calibration", calibration=path)
         else:
@@ -107,7 +111,7 @@ class Instrument(QObject):
 
     def change(self, text: str, *, key: str = "", **updates: Any) -> None:
         """Change the session as one undo step; following changes of the same `key` join it."""
-        new = replace(self.session, **updates)
+        new = self.session.updated(**updates)
         if new != self.session:
             self._push(new, text, key)
 
@@ -120,13 +124,37 @@ class Instrument(QObject):
                 self.screen.look(session)
             if session.recording is not None:
                 self._ask(other_request=old.recording is None or request_of(old) != request_of(session))
+        self.session_shown.emit(session)
+
+    def compare(self, beside: bool) -> None:
+        """Whether to outline what the target really felt."""
+        if beside != self._beside:
+            self._beside = beside
+            self.refresh()
+
+    def refresh(self) -> None:
+        """Ask for the session's frame again."""
+        if self.session.recording is not None and not self._closed:
+            self._ask(other_request=False)
+
+    def ahead(self, work: Work) -> int:
+        """Run something brief on the frame at hand in place of its stages; returns its ticket, 0 if none is open.
+
+        Stages that were on their way are dropped: `refresh` asks for them again.
+        """
+        if self._opening or self._closed or self.screen.opened is None:
+            return 0
+        interrupt = self._waits
+        self._rest()
+        self._ticket = 0  # what is dropped now is not missed
+        self._ticket = self.job.submit(work, interrupt=interrupt)
+        return self._ticket
 
     def show_only(self, name: str) -> None:
         """One stage alone, or all again; what is hidden is not worked out."""
         alone = self.window.visible_columns() == (name,)
         self.screen.show_only(None if alone else name)
-        if self.session.recording is not None:
-            self._ask(other_request=False)
+        self.refresh()
 
     def show_step(self, step: PoseStep) -> None:
         """Put the object where it was at an iteration."""
@@ -162,6 +190,7 @@ class Instrument(QObject):
         self.undo.blockSignals(True)  # it outlives the actions that listen to it
         self.window.timeline.play(on=False)
         self._stale.stop()
+        self.closing.emit()
         self.job.close()
         self.bench.close()
         self.screen.finish()
@@ -245,10 +274,12 @@ class Instrument(QObject):
         window.actions_by_name["link_cameras"].setChecked(session.linked)
 
     def _ask(self, *, other_request: bool) -> None:
-        session, wanted = self.session, self.window.visible_columns()
+        session, wanted, beside = self.session, self.window.visible_columns(), self._beside
         interrupt = other_request or not self._young.isActive()
         self._waits = True
-        self._ticket = self.job.submit(lambda report: self.bench.show(session, wanted, report), interrupt=interrupt)
+        self._ticket = self.job.submit(
+            lambda report: self.bench.show(session, wanted, report, beside=beside), interrupt=interrupt
+        )
         if other_request:
             self._wanted_since = self._opening = self._ticket
         if interrupt:

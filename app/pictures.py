@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -92,6 +92,13 @@ def of_view(view: TargetView, target: SensorSpec, display: DisplayParams) -> Pic
         positions_mm=_positions(view.camera, view.depth_mm), outline_px=outline(view.contact),
         pixel_mm=_pixel_mm(view.camera, target), caption=f"{INDENTATION}; mask outlined",
     )  # fmt: skip
+
+
+def beside(picture: Picture, felt_px: Floats | None) -> Picture:
+    """A view with the border of what the target really felt."""
+    if felt_px is None:
+        return picture
+    return replace(picture, felt_px=felt_px, caption=f"{INDENTATION}; orange: mask, white: felt")
 
 
 def of_touch(touch: Touch, target: SensorSpec) -> Picture:

@@ -14,10 +14,12 @@ from pipeline.routes import STAGES
 from pipeline.stages.results import ObjectPose, PoseStep
 from widgets.colours import AXES
 from widgets.layers import EmptyScene, Layer, Scene
+from widgets.picture import Picture
 from widgets.timings_panel import TimingRow
 
 TIMES = "\N{MULTIPLICATION SIGN}"
 _AXES = " ".join(f"<b style='color:rgb{colour}'>{name}</b>" for name, colour in zip("xyz", AXES, strict=True))
+_OF_ALIGNMENT = ("adapt", "project", "generate", "pose")  # columns that an alignment changes
 _LEGENDS = {
     "source": "reading on its surface",
     "depth": "membrane",
@@ -91,6 +93,18 @@ class Screen:
         self._layers[index] = part.layers
         self._scene.show_layers(index, part.layers)
         self._fresh.add(name)
+
+    def show_preview(self, picture: Picture, layers: tuple[Layer, ...]) -> None:
+        """The target's view of a drag on its way; what rests on it is out of date."""
+        self._fresh -= set(_OF_ALIGNMENT)
+        for name in _OF_ALIGNMENT:
+            column = self._window.columns[name]
+            if name != "project" and column.state != "stale":
+                column.show_state("stale")
+        column = self._window.columns["project"]
+        column.show_picture(picture)
+        column.show_state("preview")
+        self._scene.show_layers(self._order.index("project"), layers)
 
     def show_frame(self, shown: FrameShown) -> None:
         """Timings, summary and trace of a frame that is through."""

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
+from app.offsets import Offsets, from_plain
 from pipeline.errors import FileProblem, SettingProblem
 from pipeline.params import changed, setting, settings
 from pipeline.routes import ROUTES, default_params
@@ -18,6 +19,7 @@ SUFFIX = ".touch.json"
 _VERSION = 1
 _PATHS = ("recording", "reference", "calibration", "mesh", "alignment")
 _WORDS = ("source", "target", "stream", "route", "mesh_unit")
+_FRAMES_OF_OFFSETS = frozenset({"source", "target", "stream", "alignment"})  # another of these is another motion
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,12 +61,25 @@ class Session:
     mesh: Path | None = None
     mesh_unit: str = "auto"
     alignment: Path | None = None  # TOML with T_S->A and T_A->T; None = the recording's or the descriptions'
+    offsets: Offsets = field(default_factory=Offsets)  # how far it was moved by hand or by refining
     linked: bool = True  # 3D views of one frame share their camera
     params: Mapping[str, object] = field(default_factory=initial_params)
 
     def with_params(self, stage: str, params: object) -> Session:
         """The same with other parameters of one stage."""
         return replace(self, params={**self.params, stage: params})
+
+    def updated(self, **updates: Any) -> Session:
+        """The same with other values; offsets from an alignment that is no longer the opened one are taken back.
+
+        Another recording keeps those from a file, which says how its two sensors stand whoever recorded them.
+        """
+        new = replace(self, **updates)
+        if "offsets" in updates:
+            return new
+        other = any(getattr(new, name) != getattr(self, name) for name in _FRAMES_OF_OFFSETS)
+        other = other or (new.recording != self.recording and self.alignment is None)
+        return replace(new, offsets=Offsets()) if other else new
 
     @property
     def display(self) -> DisplayParams:
@@ -79,6 +94,7 @@ def save_session(session: Session, path: Path) -> None:
     for name in _PATHS:
         value: Path | None = getattr(session, name)
         data[name] = None if value is None else _relative(value, path.parent)
+    data["offsets"] = session.offsets.plain()
     data["params"] = {
         stage: {name: value for name, (value, _) in settings(params).items()}
         for stage, params in session.params.items()
@@ -114,6 +130,7 @@ def load_session(path: Path) -> Session:
         **{name: _path(known, name, path) for name in _PATHS},
         **words,
         frame=frame,
+        offsets=_offsets(known, path),
         linked=_typed(known, "linked", bool, path),
         params=_params(known.get("params", {}), path),
     )
@@ -142,6 +159,16 @@ def _path(data: Mapping[str, Any], name: str, path: Path) -> Path | None:
     if data.get(name) is None:
         return None
     return path.parent / str(_typed(data, name, str, path))
+
+
+def _offsets(data: Mapping[str, Any], path: Path) -> Offsets:
+    """None at all in files from before alignments could be moved."""
+    if "offsets" not in data:
+        return Offsets()
+    try:
+        return from_plain(data["offsets"])
+    except ValueError as error:
+        raise FileProblem(f"the session's offsets cannot be used ({error})", path, field="offsets") from error
 
 
 def _params(data: object, path: Path) -> Mapping[str, object]:

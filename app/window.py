@@ -25,6 +25,7 @@ from PyQt6.QtWidgets import (
 )
 
 from app.actions import EDIT, FILE, HELP, PLAY, VIEW, make_actions, stage_commands
+from widgets.alignment_panel import AlignmentPanel
 from widgets.banner import Banner
 from widgets.frames_panel import FramesPanel
 from widgets.log_panel import LogPanel
@@ -69,7 +70,7 @@ class Window(QMainWindow):
         )
         self.columns = {name: StageColumn(name, f"{i + 1} · {title}") for i, (name, title) in enumerate(columns)}
         self.banner, self.timeline, self.steps = Banner(), Timeline(), StepsSlider()
-        self.frames, self.parameters = FramesPanel(), ParametersPanel()
+        self.frames, self.parameters, self.alignment = FramesPanel(), ParametersPanel(), AlignmentPanel()
         self.trace, self.log, self.timings = TracePanel(), LogPanel(), TimingsPanel()
         self.captions = {name: _caption() for name, _ in columns}
         self.legends = {name: _caption() for name, _ in columns}
@@ -119,6 +120,11 @@ class Window(QMainWindow):
         area = Qt.DockWidgetArea
         self.frames_dock = self._dock("Frames", self.frames, area.LeftDockWidgetArea)
         self.parameters_dock = self._dock("Parameters", self.parameters, area.RightDockWidgetArea)
+        self.alignment_dock = self._dock("Alignment", self.alignment, area.RightDockWidgetArea)
+        self.tabifyDockWidget(self.parameters_dock, self.alignment_dock)
+        self.parameters_dock.raise_()
+        for name in ("open_alignment", "save_alignment"):
+            self.alignment.add_command(self.actions_by_name[name])
         tabs = QTabWidget()
         tabs.setObjectName("reading_tabs")
         tabs.setDocumentMode(True)
@@ -128,7 +134,7 @@ class Window(QMainWindow):
         self.reading_dock = self._dock("Trace, log and timings", tabs, area.BottomDockWidgetArea)
         self.setCorner(Qt.Corner.BottomLeftCorner, area.LeftDockWidgetArea)
         self.setCorner(Qt.Corner.BottomRightCorner, area.RightDockWidgetArea)
-        self.resizeDocks([self.frames_dock, self.parameters_dock], [222, 262], Qt.Orientation.Horizontal)
+        self.resizeDocks([self.frames_dock, self.parameters_dock], [222, 290], Qt.Orientation.Horizontal)
         self.resizeDocks([self.reading_dock], [195], Qt.Orientation.Vertical)
 
     def _dock(self, title: str, widget: QWidget, area: Qt.DockWidgetArea) -> QDockWidget:
@@ -156,7 +162,7 @@ class Window(QMainWindow):
                 menu.addAction(self.actions_by_name[name])
             if title == "&View":
                 menu.addSeparator()
-                for dock in (self.frames_dock, self.parameters_dock, self.reading_dock):
+                for dock in (self.frames_dock, self.parameters_dock, self.alignment_dock, self.reading_dock):
                     menu.addAction(dock.toggleViewAction())
 
     def _build_tool_bar(self) -> None:

@@ -21,11 +21,17 @@ Rgb = tuple[int, int, int]
 
 NO_VALUE: Rgb = (224, 226, 230)  # NaN: a grey that no map contains
 CONTACT: Rgb = (230, 85, 13)  # outline of the contact mask
+FELT: Rgb = (255, 255, 255)  # outline of what the target really felt, dark on both sides: seen on every colour
+FELT_CASING: Rgb = (20, 24, 30)
 TRACE: Rgb = (230, 0, 115)  # crosshair of the traced pixel
 SCENE: Rgb = (213, 94, 0)  # registered points, Okabe-Ito vermilion
 OBJECT: Rgb = (86, 140, 190)
 MEMBRANE: Rgb = (150, 160, 175)
 BACKDROP: Rgb = (250, 250, 252)
+GAUGE: Rgb = (86, 140, 190)  # a figure of the score
+GAUGE_ROOM: Rgb = (226, 229, 234)
+GHOST: Rgb = (40, 44, 52)  # where it stood when a drag began
+MATTERS: Rgb = (240, 190, 120)  # how much an axis changes it
 AXES: tuple[Rgb, Rgb, Rgb] = ((204, 60, 60), (50, 150, 70), (50, 90, 200))  # x, y, z
 
 STATES: dict[str, Rgb] = {
@@ -35,6 +41,7 @@ STATES: dict[str, Rgb] = {
     "unchanged": (40, 105, 180),
     "skipped": (110, 115, 125),
     "running": (190, 120, 0),
+    "preview": (190, 120, 0),
     "failed": (190, 40, 40),
     "stale": (150, 110, 30),
     "waiting": (140, 145, 150),

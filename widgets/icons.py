@@ -52,7 +52,7 @@ def _dot(p: QPainter) -> None:
 _MARKS: dict[str, Callable[[QPainter], None]] = {
     "computed": _tick,
     "read": _tick, "cached": _stack, "unchanged": _equal, "skipped": _dash,
-    "running": _arc, "failed": _cross, "stale": _hand, "waiting": _dot,
+    "running": _arc, "preview": _stack, "failed": _cross, "stale": _hand, "waiting": _dot,
 }  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from PyQt6.QtWidgets import QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from pipeline.arrays import Floats, Image
 from widgets.colour_bar import ColourBar
-from widgets.colours import BACKDROP, CONTACT, TRACE, ColourScale, qcolor
+from widgets.colours import BACKDROP, CONTACT, FELT, FELT_CASING, TRACE, ColourScale, qcolor
 
 _BAR_LENGTHS_MM = (50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.5, 0.2)
 
@@ -29,6 +29,7 @@ class Picture:
     scale: ColourScale | None = None  # None = true colours
     positions_mm: Floats | None = None  # (rows, cols, 3) of each pixel, NaN = none
     outline_px: Floats | None = None  # (n, 2) x, y of the contact's border, NaN between pieces
+    felt_px: Floats | None = None  # (n, 2) border of another contact to compare with, as `outline_px`
     pixel_mm: float = math.nan  # width of a pixel on the surface
     caption: str = ""
 
@@ -94,6 +95,8 @@ class PictureView(QWidget):
     def _build_items(self) -> None:
         self._image = pg.ImageItem(axisOrder="row-major")
         self._outline = pg.PlotCurveItem(pen=pg.mkPen(qcolor(CONTACT), width=1.6), connect="finite")
+        self._felt_casing = pg.PlotCurveItem(pen=pg.mkPen(qcolor(FELT_CASING, 190), width=3.4), connect="finite")
+        self._felt = pg.PlotCurveItem(pen=pg.mkPen(qcolor(FELT), width=1.6), connect="finite")
         self._bar_line = pg.PlotCurveItem()
         self._bar_text = pg.TextItem("", anchor=(0.5, 1.0))
         font = QFont()
@@ -101,7 +104,8 @@ class PictureView(QWidget):
         self._bar_text.setFont(font)
         pen = pg.mkPen(qcolor(TRACE), width=1.2)
         self._cross_x, self._cross_y = pg.InfiniteLine(angle=90, pen=pen), pg.InfiniteLine(angle=0, pen=pen)
-        for item in (self._image, self._outline, self._bar_line, self._bar_text, self._cross_x, self._cross_y):
+        lines = (self._felt_casing, self._felt, self._outline, self._bar_line)
+        for item in (self._image, *lines, self._bar_text, self._cross_x, self._cross_y):
             self.box.addItem(item, ignoreBounds=True)
         self.show_cross(None)
 
@@ -126,11 +130,9 @@ class PictureView(QWidget):
             return
         self._picture = picture
         self._image.setImage(picture.pixels, autoLevels=False, levels=(0, 255))
-        outline = picture.outline_px
-        if outline is None or len(outline) == 0:
-            self._outline.setData(x=[], y=[])
-        else:
-            self._outline.setData(x=outline[:, 0], y=outline[:, 1])
+        _draw_border(self._outline, picture.outline_px)
+        for curve in (self._felt_casing, self._felt):
+            _draw_border(curve, picture.felt_px)
         self._bar.show_scale(picture.scale)
         self._caption.setText(picture.caption)
         self._caption.setToolTip(picture.caption)
@@ -215,6 +217,13 @@ class PictureView(QWidget):
         pixel = self._pixel_at(place)
         if pixel is not None:
             self.pixel_clicked.emit(*pixel)
+
+
+def _draw_border(curve: Any, border_px: Floats | None) -> None:
+    if border_px is None or len(border_px) == 0:
+        curve.setData(x=[], y=[])
+    else:
+        curve.setData(x=border_px[:, 0], y=border_px[:, 1])
 
 
 class _Canvas(pg.GraphicsView):  # pyright: ignore[reportUntypedBaseClass]

@@ -1,0 +1,114 @@
+"""Which axis matters: how much each figure of the score changes per 0.1 mm or 0.1 degrees."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from PyQt6.QtCore import QRectF, QSize, Qt
+from PyQt6.QtGui import QPainter, QPaintEvent
+from PyQt6.QtWidgets import QSizePolicy, QWidget
+
+from pipeline.alignment.sensitivity import UNIT_STEP, Change, Sensitivity
+from widgets.colours import GAUGE_ROOM, MATTERS, qcolor
+
+# title, unit, digits, whether more is better
+_FIGURES = (("depth", "mm", 3, False), ("edge", "px", 2, False), ("IoU", "", 3, True))
+_FULL_IOU = 0.02
+_TIP = (
+    "change of the score per {step:g} mm or {step:g}° along each axis, mean of either side; the triangle says whether "
+    "raising or lowering the axis makes it better, none where the best is here; bars are full at {full}"
+)
+
+
+class AxisBars(QWidget):
+    """A row per axis, a column per figure; each a bar with its number and the way that is better."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._axes: tuple[Sensitivity, ...] = ()
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+        font = self.font()
+        font.setPointSizeF(max(7.5, font.pointSizeF() - 0.5))
+        self.setFont(font)
+        self.setAccessibleName("which axis matters")
+        self._full = (UNIT_STEP, 1.0, _FULL_IOU)
+        self.show_pixel(UNIT_STEP)
+
+    @property
+    def axes(self) -> tuple[Sensitivity, ...]:
+        """What is shown."""
+        return self._axes
+
+    def show_pixel(self, pixel_mm: float) -> None:
+        """Set the limits: bars are full where depth or outlines follow a motion in full, on pixels of this width."""
+        self._full = (UNIT_STEP, UNIT_STEP / pixel_mm, _FULL_IOU)
+        names = zip(_FIGURES, self._full, strict=True)
+        full = ", ".join(f"{name} {limit:.2g} {unit}".strip() for (name, unit, *_), limit in names)
+        self.setToolTip(_TIP.format(step=UNIT_STEP, full=full))
+
+    def show_axes(self, axes: Sequence[Sensitivity]) -> None:
+        """Show these axes; none leaves the table empty."""
+        self._axes = tuple(axes)
+        rows = [f"{s.axis}: " + ", ".join(_told(c, i) for i, c in enumerate(_changes(s))) for s in self._axes]
+        self.setAccessibleDescription("; ".join(rows))
+        self.update()
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """A heading and six rows."""
+        return QSize(200, 7 * self._row_px())
+
+    def paintEvent(self, a0: QPaintEvent | None) -> None:  # noqa: N802
+        """Draw heading and rows."""
+        del a0
+        painter, row = QPainter(self), self._row_px()
+        left = self.fontMetrics().horizontalAdvance(f"rx  {UNIT_STEP:g} mm") + 8
+        width = (self.width() - left) / len(_FIGURES)
+        soft, ink = self.palette().placeholderText().color(), self.palette().text().color()
+        painter.setPen(soft)
+        middle = int(Qt.AlignmentFlag.AlignVCenter)
+        painter.drawText(QRectF(0, 0, left, row), middle, "per")
+        for i, (name, unit, *_) in enumerate(_FIGURES):
+            cell = QRectF(left + i * width, 0, width - 4, row)
+            painter.drawText(cell, middle | int(Qt.AlignmentFlag.AlignRight), f"{name} {unit}".strip())
+        for n, axis in enumerate(self._axes):
+            top = (n + 1) * row
+            painter.setPen(ink)
+            painter.drawText(QRectF(0, top, left, row), middle, axis.axis)
+            painter.setPen(soft)
+            unit = "°" if axis.unit == "deg" else " mm"
+            painter.drawText(QRectF(self.fontMetrics().horizontalAdvance("rx  "), top, left, row), middle,
+                             f"{UNIT_STEP:g}{unit}")  # fmt: skip
+            for i, change in enumerate(_changes(axis)):
+                painter.setPen(ink)
+                self._draw_cell(painter, QRectF(left + i * width, top + 1, width - 4, row - 2), change, i)
+
+    def _draw_cell(self, painter: QPainter, cell: QRectF, change: Change, figure: int) -> None:
+        painter.fillRect(cell, qcolor(GAUGE_ROOM))
+        if change.size is not None:
+            share = min(1.0, change.size / self._full[figure])
+            painter.fillRect(QRectF(cell.left(), cell.top(), share * cell.width(), cell.height()), qcolor(MATTERS))
+        right = int(Qt.AlignmentFlag.AlignVCenter | Qt.AlignmentFlag.AlignRight)
+        painter.drawText(cell.adjusted(2, 0, -3, 0), right, _told(change, figure))
+
+    def _row_px(self) -> int:
+        return self.fontMetrics().height() + 4
+
+
+def _changes(axis: Sensitivity) -> tuple[Change, Change, Change]:
+    return axis.depth_mm, axis.edge_px, axis.iou
+
+
+def _told(change: Change, figure: int) -> str:
+    if change.size is None:
+        return "-"
+    *_, digits, more_is_better = _FIGURES[figure]
+    number = f"{change.size:.{digits}f}"
+    return f"{_better_way(change, more_is_better)} {number}".strip() if float(number) else number
+
+
+def _better_way(change: Change, more_is_better: bool) -> str:
+    """Whether raising or lowering the axis helps; none where either side is about as bad."""
+    if change.slope is None or change.size is None or abs(change.slope) < 0.5 * change.size:
+        return ""
+    raising_helps = (change.slope > 0) == more_is_better
+    return "\N{BLACK UP-POINTING TRIANGLE}" if raising_helps else "\N{BLACK DOWN-POINTING TRIANGLE}"

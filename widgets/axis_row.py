@@ -1,0 +1,91 @@
+"""One axis of an alignment: a slider to drag and a box to type into."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import QObject, QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtWidgets import QDoubleSpinBox, QLabel, QSizePolicy, QSlider
+
+from pipeline.alignment.nudge import Axis, unit_of
+from widgets.colours import AXES, qcolor
+
+_PER_UNIT = {"mm": 20, "deg": 10}  # slider positions: 0.05 mm, 0.1 deg
+_REACH = {"mm": 5, "deg": 10}  # of the slider to either side
+_FARTHEST = {"mm": 200.0, "deg": 179.0}  # of the box
+_STEP = {"mm": 0.05, "deg": 0.1}
+_DIGITS = {"mm": 3, "deg": 2}
+_SIGN = {"mm": " mm", "deg": "°"}
+
+
+class AxisRow(QObject):
+    """Label, slider and box of one axis, showing the same number."""
+
+    grabbed = pyqtSignal()  # the slider was taken hold of
+    released = pyqtSignal()
+    moved = pyqtSignal(str, float)  # axis, mm or degrees
+
+    def __init__(self, axis: Axis, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self.axis: Axis = axis
+        unit = unit_of(axis)
+        self._per_unit = _PER_UNIT[unit]
+        self.label = QLabel(axis)
+        colour = qcolor(AXES["xyz".index(axis[-1])]).name()
+        self.label.setStyleSheet(f"color: {colour}; font-weight: bold")
+        self.slider = QSlider(Qt.Orientation.Horizontal)
+        self.slider.setRange(-_REACH[unit] * self._per_unit, _REACH[unit] * self._per_unit)
+        self.slider.setSingleStep(1)
+        self.slider.setPageStep(self._per_unit)
+        self.slider.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self.box = QDoubleSpinBox()
+        self.box.setDecimals(_DIGITS[unit])
+        self.box.setRange(-_FARTHEST[unit], _FARTHEST[unit])
+        self.box.setSingleStep(_STEP[unit])
+        self.box.setSuffix(_SIGN[unit])
+        self.box.setKeyboardTracking(False)
+        self.box.setAlignment(Qt.AlignmentFlag.AlignRight)
+        self._explain(axis, unit)
+        self.slider.sliderPressed.connect(self.grabbed)
+        self.slider.sliderReleased.connect(self.released)
+        self.slider.valueChanged.connect(self._slid)
+        self.box.valueChanged.connect(self._typed)
+
+    def _explain(self, axis: Axis, unit: str) -> None:
+        along = axis[-1]
+        what = f"shift along {along}" if unit == "mm" else f"turn about {along}"
+        self.tell_frame("target")
+        for widget, kind in ((self.slider, "slider"), (self.box, "box")):
+            widget.setObjectName(f"align_{axis}_{kind}")
+            widget.setAccessibleName(f"{what}, {'millimetres' if unit == 'mm' else 'degrees'}")
+
+    def tell_frame(self, frame: str) -> None:
+        """Name the frame whose axes these are."""
+        along = self.axis[-1]
+        if unit_of(self.axis) == "mm":
+            tip = f"Shift the touch along {along} of the {frame} frame, mm"
+        else:
+            tip = (
+                f"Turn the touch about {along} of the {frame} frame, degrees, through the middle of the contact, "
+                f"which stays where it is; together the three are a rotation vector"
+            )
+        tip += f"; an offset from the opened alignment. Wheel and arrow keys go by {_STEP[unit_of(self.axis)]:g}"
+        tip += _SIGN[unit_of(self.axis)]
+        for widget in (self.label, self.slider, self.box):
+            widget.setToolTip(tip)
+
+    def show_value(self, value: float) -> None:
+        """Show a number without saying so to anybody."""
+        with QSignalBlocker(self.slider), QSignalBlocker(self.box):
+            if not self.slider.isSliderDown():
+                self.slider.setValue(round(value * self._per_unit))
+            self.box.setValue(value)
+
+    def _slid(self, position: int) -> None:
+        value = position / self._per_unit
+        with QSignalBlocker(self.box):
+            self.box.setValue(value)
+        self.moved.emit(self.axis, value)
+
+    def _typed(self, value: float) -> None:
+        with QSignalBlocker(self.slider):
+            self.slider.setValue(round(value * self._per_unit))
+        self.moved.emit(self.axis, value)

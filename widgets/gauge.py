@@ -1,0 +1,123 @@
+"""One figure as a bar with fixed limits, and a tick where it stood when a drag began."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from PyQt6.QtCore import QPointF, QRectF, QSize, Qt
+from PyQt6.QtGui import QPainter, QPaintEvent, QPen, QPolygonF
+from PyQt6.QtWidgets import QSizePolicy, QWidget
+
+from widgets.colours import GAUGE, GAUGE_ROOM, GHOST, qcolor
+
+_BAR_PX = 9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GaugeScale:
+    """What a gauge shows; the limits are absolute."""
+
+    name: str
+    unit: str  # "" of a share
+    full: float  # the bar is full here and beyond
+    digits: int
+    higher_is_better: bool
+    help: str
+
+
+class Gauge(QWidget):
+    """Name, bar from 0 to the scale's full value, number with unit, and the ghost tick."""
+
+    def __init__(self, scale: GaugeScale, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._scale = scale
+        self._value: float | None = None
+        self._ghost: float | None = None
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+        self.setAccessibleName(scale.name)
+        better = "higher is better" if scale.higher_is_better else "lower is better"
+        self.setToolTip(
+            f"{scale.help}; {better}; the bar is full at {scale.full:g}{self._unit()}; "
+            f"the tick stays where the last drag began"
+        )
+
+    @property
+    def value(self) -> float | None:
+        """The figure shown, None where there is none."""
+        return self._value
+
+    @property
+    def ghost(self) -> float | None:
+        """Where the tick stands."""
+        return self._ghost
+
+    @property
+    def text(self) -> str:
+        """The figure with its unit."""
+        known = self._value is not None and math.isfinite(self._value)
+        return f"{self._value:.{self._scale.digits}f}{self._unit()}" if known else "-"
+
+    def show_value(self, value: float | None) -> None:
+        """Show a figure, None for none."""
+        if value != self._value:
+            self._value = value
+            self.setAccessibleDescription(self.text)
+            self.update()
+
+    def show_scale(self, scale: GaugeScale) -> None:
+        """The same figure on other limits."""
+        if scale != self._scale:
+            self._scale = scale
+            self.update()
+
+    def mark_ghost(self, value: float | None) -> None:
+        """Put the tick at a figure, or take it away."""
+        if value != self._ghost:
+            self._ghost = value
+            self.update()
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """One line."""
+        return QSize(180, self.fontMetrics().height() + 4)
+
+    def paintEvent(self, a0: QPaintEvent | None) -> None:  # noqa: N802
+        """Draw name, bar, tick and number."""
+        del a0
+        painter, metrics = QPainter(self), self.fontMetrics()
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        left = metrics.horizontalAdvance("mask IoU") + 8
+        right = metrics.horizontalAdvance("00.000 mm") + 6
+        height = self.height()
+        ink = self.palette().text().color()
+        painter.setPen(ink)
+        middle = int(Qt.AlignmentFlag.AlignVCenter)
+        painter.drawText(QRectF(0, 0, left, height), middle | int(Qt.AlignmentFlag.AlignLeft), self._scale.name)
+        number = QRectF(self.width() - right, 0, right, height)
+        painter.drawText(number, middle | int(Qt.AlignmentFlag.AlignRight), self.text)
+        bar = QRectF(left, (height - _BAR_PX) / 2, max(10.0, self.width() - left - right), _BAR_PX)
+        painter.setPen(Qt.PenStyle.NoPen)
+        painter.setBrush(qcolor(GAUGE_ROOM))
+        painter.drawRoundedRect(bar, 2, 2)
+        if self._value is not None and math.isfinite(self._value):
+            painter.setBrush(qcolor(GAUGE))
+            painter.drawRoundedRect(
+                QRectF(bar.left(), bar.top(), bar.width() * self._share(self._value), _BAR_PX), 2, 2
+            )
+        if self._ghost is not None and math.isfinite(self._ghost):
+            self._draw_ghost(painter, bar)
+
+    def _draw_ghost(self, painter: QPainter, bar: QRectF) -> None:
+        x = bar.left() + bar.width() * self._share(self._ghost or 0.0)
+        painter.setPen(QPen(qcolor(GHOST), 1.6))
+        painter.drawLine(QPointF(x, bar.top() - 2), QPointF(x, bar.bottom() + 2))
+        painter.setPen(Qt.PenStyle.NoPen)
+        painter.setBrush(qcolor(GHOST))
+        top = bar.top() - 1
+        painter.drawPolygon(QPolygonF([QPointF(x - 3, top - 3), QPointF(x + 3, top - 3), QPointF(x, top + 1)]))
+
+    def _share(self, value: float) -> float:
+        return min(max(value / self._scale.full, 0.0), 1.0)
+
+    def _unit(self) -> str:
+        return f" {self._scale.unit}" if self._scale.unit else ""

@@ -1,0 +1,138 @@
+"""Refining an alignment: the button, how far it is, what came of it, and whether to take it."""
+
+from __future__ import annotations
+
+import math
+
+from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
+
+from pipeline.alignment.refine import Fit, Refinement
+from pipeline.arrays import Doubles
+
+_IDLE = "least squares over all frames that both sensors feel; a quarter of them only judges"
+
+
+class RefineBox(QWidget):
+    """Signals what is wanted; shows what it is told."""
+
+    refine_wanted = pyqtSignal()
+    cancel_wanted = pyqtSignal()
+    accepted = pyqtSignal()
+    discarded = pyqtSignal()
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.button, self.cancel = _button("Refine on all frames", "refine"), _button("Cancel", "refine_cancel")
+        self.accept, self.discard = _button("Accept", "refine_accept"), _button("Discard", "refine_discard")
+        self.accept.setToolTip("Take the refined alignment; one undo step")
+        self.discard.setToolTip("Keep the alignment as it is")
+        self.button.setToolTip(_IDLE[0].upper() + _IDLE[1:])
+        self.bar, self._text = QProgressBar(), QLabel()
+        self.bar.setRange(0, 1000)
+        self.bar.setTextVisible(False)
+        self.bar.setFixedHeight(8)
+        self._text.setWordWrap(True)
+        self._text.setTextFormat(Qt.TextFormat.RichText)
+        self._text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(4)
+        for pair in ((self.button, self.cancel), (self.accept, self.discard)):
+            row = QHBoxLayout()
+            for one in pair:
+                row.addWidget(one)
+            layout.addLayout(row)
+            if pair[0] is self.button:
+                layout.addWidget(self.bar)
+                layout.addWidget(self._text)
+        self.button.clicked.connect(self.refine_wanted)
+        self.cancel.clicked.connect(self.cancel_wanted)
+        self.accept.clicked.connect(self.accepted)
+        self.discard.clicked.connect(self.discarded)
+        self.show_idle()
+
+    @property
+    def text(self) -> str:
+        """What is said, as rich text."""
+        return self._text.text()
+
+    def show_idle(self, note: str = _IDLE) -> None:
+        """Ready to begin."""
+        self._show(running=False, done=False)
+        self._text.setText(f"<span style='color:#6b7280'>{note}</span>")
+
+    def show_progress(self, fraction: float, text: str) -> None:
+        """On its way."""
+        self._show(running=True, done=False)
+        self.bar.setValue(round(1000 * fraction))
+        self._text.setText(f"<span style='color:#6b7280'>{text}</span>")
+
+    def show_answer(self, answer: Refinement, target: str) -> None:
+        """Before and after, what is not observable, and the choice."""
+        self._show(running=False, done=True)
+        self._text.setText(_table(answer) + _words(answer, target))
+
+    def _show(self, *, running: bool, done: bool) -> None:
+        for widget, seen in (
+            (self.button, not running and not done), (self.cancel, running), (self.bar, running),
+            (self.accept, done), (self.discard, done),
+        ):  # fmt: skip
+            widget.setVisible(seen)
+
+
+def _button(text: str, name: str) -> QPushButton:
+    button = QPushButton(text)
+    button.setObjectName(name)
+    return button
+
+
+def _table(answer: Refinement) -> str:
+    rows = [
+        "<tr><td></td><td align='right'><span style='color:#6b7280'>surface mm</span></td>"
+        "<td align='right'><span style='color:#6b7280'>outline mm</span></td></tr>"
+    ]
+    for name, pair in (("used", answer.used), ("held out", answer.held_out)):
+        if pair is None:
+            continue
+        before, after = pair
+        rows.append(
+            f"<tr><td>{before.n_touches} {name}&nbsp;</td>{_cell(before.surface_mm, after.surface_mm)}"
+            f"{_cell(before.outline_mm, after.outline_mm)}</tr>"
+        )
+    return f"<table width='100%' cellspacing='2'>{''.join(rows)}</table>"
+
+
+def _cell(before: float, after: float) -> str:
+    return f"<td align='right'>{_told(before)} → <b>{_told(after)}</b></td>"
+
+
+def _told(value: float) -> str:
+    return f"{value:.3f}" if math.isfinite(value) else "-"
+
+
+def _words(answer: Refinement, target: str) -> str:
+    turn, shift = answer.spread[:3], answer.spread[3:]
+    said = [
+        f"predicted spread of what is observable, {target} frame: "
+        f"{_named(('x', 'y', 'z'), shift, 3)} mm; {_named(('rx', 'ry', 'rz'), turn, 2)}°",
+        *(f"<span style='color:#96401f'>not observable: {words}; left as it was</span>" for words in answer.weak),
+        *(f"<span style='color:#96401f'>{note}</span>" for note in answer.notes),
+    ]
+    worse = _worse(answer.held_out)
+    if worse:
+        said.append(f"<span style='color:#96401f'>{worse}</span>")
+    return "<br>".join(said)
+
+
+def _worse(held_out: tuple[Fit, Fit] | None) -> str:
+    """A warning where touches that took no part fit less well than before."""
+    if held_out is None:
+        return "no touch was left to be held out"
+    before, after = held_out
+    worse = [n for n in ("surface_mm", "outline_mm") if getattr(after, n) > 1.1 * getattr(before, n) + 0.01]
+    return f"held-out touches fit less well than before ({worse[0].removesuffix('_mm')})" if worse else ""
+
+
+def _named(names: tuple[str, str, str], values: Doubles, digits: int) -> str:
+    return ", ".join(f"{name} {value:.{digits}f}" for name, value in zip(names, values, strict=True))
