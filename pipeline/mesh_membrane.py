@@ -61,7 +61,8 @@ def from_mesh(mesh: Mesh, step_mm: float = 0.5) -> Resampled:
         raise MeshProblem(f"a lattice of {step_mm:g} mm has {nx * ny:,} nodes on this rest surface; use a larger step")
     x, y = low[0] + np.arange(nx) * step_mm, low[1] + np.arange(ny) * step_mm
     # The last nodes may lie beside the mesh by a rounding, or by part of a step: there its border goes on.
-    heights = _heights(mesh, *np.meshgrid(np.minimum(x, high[0]), np.minimum(y, high[1])), step_mm)
+    x_mm, y_mm = np.meshgrid(np.minimum(x, high[0]), np.minimum(y, high[1]))
+    heights = _heights(mesh, x_mm, y_mm, step_mm)
     if not np.isfinite(heights).any():
         raise MeshProblem("the rest surface stands on edge: seen along z it covers nothing; check its axes")
     surface = Membrane(x0_mm=float(x[0]), y0_mm=float(y[0]), step_mm=step_mm, z_mm=freeze(_continued(heights)))
