@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
+from pipeline import cli_align, cli_data
 from pipeline.errors import TouchError
 
 EXIT_USER_ERROR = 2
@@ -25,15 +26,15 @@ def build(name: str = "tactoscope") -> App:
     app.version = "0.1.0"
     app.command(inspect)
     app.command(translate)
-    app.command(simulate)
+    app.command(cli_data.simulate)
     app.command(doctor)
     app.command(bench)
     calibrate = App(name="calibrate", help="Build a sensor's colour-to-slope look-up from presses of a known object.")
-    calibrate.command(balls)
+    calibrate.command(cli_data.balls)
     app.command(calibrate)
     align = App(name="align", help="Judge and refine how two sensors stand to each other.")
-    align.command(align_score, name="score")
-    align.command(align_refine, name="refine")
+    align.command(cli_align.score)
+    align.command(cli_align.refine)
     app.command(align)
     return app
 
@@ -139,108 +140,6 @@ def translate(
     return translate_frames(request, out, frame, all_frames, settings)
 
 
-def simulate(
-    *,
-    sensors: str,
-    tools: str,
-    out: Path,
-    poses: int = 60,
-    seed: int = 0,
-    sequence: Literal["grid", "press", "slide", "twist", "release", "all"] = "grid",
-    vary: float = 0.0,
-    noise: bool = True,
-    bubble_deeper_mm: float = 9.0,
-    drag_mm: float = 0.0,
-    jobs: int = 2,
-    mesh_unit: Literal["auto", "mm", "cm", "m"] = "auto",
-    mesh_face: Literal["-x", "+x", "-y", "+y", "-z", "+z"] = "-z",
-) -> int:
-    """Simulate touches that several sensors feel at once, with all that is true of them, as recordings.
-
-    Ctrl-C keeps what is finished; the same command goes on from there. The same seed gives the same readings.
-
-    Parameters
-    ----------
-    sensors
-        Sensors that feel the same presses, such as `gelslim,soft_bubble`.
-    tools
-        Objects, such as `NAME,NAME`; the groups `training`, `unseen`, `task` or `all`; or a mesh file.
-    out
-        One `.h5` file for one object, otherwise a folder that gets one `.h5` for each.
-    poses
-        Single grasps of each object, or frames of the sequence.
-    seed
-        Seed of poses, noise and specimens.
-    sequence
-        `grid` is single grasps over 10 mm x 10 mm and up to 45 degrees; the others are moving touches, and `all` is
-        press, slide, twist and release in a row.
-    vary
-        How far specimens of a sensor differ, 1 = as much as real ones; a new specimen is taken every ten moments.
-    noise
-        Whether readings have their camera's noise.
-    bubble_deeper_mm
-        How much farther a bubble comes to meet the object than its description says.
-    drag_mm
-        How far each object has gone along the gels since it touched them, at a friction of 0.8: markers move with it.
-    jobs
-        Processes that work at once.
-    mesh_unit
-        Unit of a mesh file.
-    mesh_face
-        Side of a mesh file that touches, such as `--mesh-face=-x`.
-    """
-    from pipeline.commands.simulate import simulate_recordings
-    from pipeline.physics.datasets import Plan
-
-    like = Plan(
-        sensors=_words(sensors), tool="", poses=poses, seed=seed, sequence=sequence, vary=vary, noise=noise,
-        bubble_deeper_mm=bubble_deeper_mm, drag_mm=drag_mm,
-        mesh_unit=mesh_unit, mesh_face=mesh_face,
-    )  # fmt: skip
-    return simulate_recordings(_words(tools), like, out, jobs)
-
-
-def _words(listed: str) -> tuple[str, ...]:
-    return tuple(word for word in (part.strip() for part in listed.split(",")) if word)
-
-
-def balls(
-    presses: Path,
-    *,
-    sensor: str,
-    diameter_mm: float,
-    reference: Path,
-    out: Path,
-    pixel_mm: float | None = None,
-    pattern: str = "*",
-    seed: int = 0,
-) -> int:
-    """Fit a sensor's colour-to-slope look-up to presses of a ball, and report how well it fits.
-
-    Parameters
-    ----------
-    presses
-        Folder of images, one press each, anywhere on the gel.
-    sensor
-        The sensor that made them.
-    diameter_mm
-        Diameter of the ball.
-    reference
-        Image of the untouched sensor.
-    out
-        Look-up file to write (.npz).
-    pixel_mm
-        Width of a pixel on the gel; the sensor description's if not given.
-    pattern
-        Which file names of the folder to use, such as `ball_6.310mm_*`.
-    seed
-        Seed of the fit; the same seed gives the same look-up.
-    """
-    from pipeline.commands.calibrate import calibrate_balls_command
-
-    return calibrate_balls_command(presses, sensor, diameter_mm, reference, out, pixel_mm, pattern, seed)
-
-
 def doctor() -> int:
     """Check that this machine has all that Tactoscope needs, and say what to do where it has not."""
     from pipeline.commands.doctor import examine
@@ -274,81 +173,3 @@ def bench(
     from pipeline.commands.bench import list_questions as show
 
     return show() if list_questions else ask(names, json, plots, strict=strict)
-
-
-def align_score(
-    recording: Path,
-    *,
-    target: str,
-    sensor: str = "",
-    alignment: Path | None = None,
-    frames: str = "",
-    truth: Annotated[bool, Parameter(negative="")] = False,
-) -> int:
-    """Say how well touches agree with what the target really felt of them, and which axis matters.
-
-    Parameters
-    ----------
-    recording
-        A recording in which both sensors took part.
-    target
-        Sensor to carry touches to.
-    sensor
-        The sensor that they come from; the recording's first otherwise.
-    alignment
-        The .toml to judge; what the recording or the sensor descriptions say otherwise.
-    frames
-        Frames such as `0,3-7`; all otherwise.
-    truth
-        Compare the recording's exact depth and contact, not what the depth stage makes of the pictures.
-    """
-    from pipeline.commands.align import show_scores
-    from pipeline.translate import Request
-
-    request = Request(recording=recording, target=target, source=sensor, alignment=alignment)
-    return show_scores(request, frames, truth)
-
-
-def align_refine(
-    recording: Path,
-    *,
-    target: str,
-    out: Path,
-    sensor: str = "",
-    alignment: Path | None = None,
-    frames: str = "",
-    hold_out: float = 0.2,
-    into: Literal["alignment_from_source", "target_from_alignment"] = "target_from_alignment",
-    tolerance: float = 1.0,
-    truth: Annotated[bool, Parameter(negative="")] = False,
-) -> int:
-    """Fit an alignment to many touches at once, say what they do not tell, and write it.
-
-    Parameters
-    ----------
-    recording
-        A recording in which both sensors took part.
-    target
-        Sensor to carry touches to.
-    out
-        The .toml to write.
-    sensor
-        The sensor that touches come from; the recording's first otherwise.
-    alignment
-        The .toml to begin with; what the recording or the sensor descriptions say otherwise.
-    frames
-        Frames such as `0,3-7`; all otherwise.
-    hold_out
-        Share of the touches that are not used, only judged before and after.
-    into
-        Which of the two transforms takes the change.
-    tolerance
-        Directions that the touches tell to no better than this times 0.2 mm or 1 degree are left as they were.
-    truth
-        Use the recording's exact depth and contact, not what the depth stage makes of the pictures.
-    """
-    from pipeline.commands.align import refine_alignment
-    from pipeline.translate import Request
-
-    request = Request(recording=recording, target=target, source=sensor, alignment=alignment)
-    return refine_alignment(request, out, frames, hold_out=hold_out, into=into, tolerance=tolerance, exact=truth)
