@@ -52,7 +52,7 @@ def make(path: Path) -> None:
     """A moving touch of a notched elbow, felt by all `SENSORS` at once."""
     felt_by = tuple(sensor(name) for name in SENSORS)
     shots = [Shot(pose=pose, sensors=felt_by) for pose in poses()]
-    write(path, shapes.shape("notched_elbow").mesh, shots, NOTES)
+    write(path, shapes.shape("notched_elbow"), shots, NOTES)
 
 
 def poses() -> Iterator[Doubles]:

@@ -30,7 +30,7 @@ def no_contact(path: Path) -> None:
     """Three frames of every kind of sensor while an object hovers over them."""
     felt_by = tuple(sensor(name) for name in ("gelslim", "digit", "soft_bubble"))
     shots = [Shot(pose=rigid.translation(0.0, 0.0, HOVER_MM + k), sensors=felt_by) for k in range(3)]
-    write(path, shapes.shape("notched_elbow").mesh, shots, ("simulated: nothing touches in any frame",))
+    write(path, shapes.shape("notched_elbow"), shots, ("simulated: nothing touches in any frame",))
 
 
 def trouble(path: Path) -> None:
@@ -46,7 +46,7 @@ def trouble(path: Path) -> None:
         Shot(pose=_held(-0.6, turn_deg=10.0), sensors=good),
         Shot(pose=_held(-0.6, turn_deg=70.0), sensors=good),
     )
-    write(path, shapes.shape("hexagon").mesh, shots, TROUBLE)
+    write(path, shapes.shape("hexagon"), shots, TROUBLE)
 
 
 def overexposed(spec: SensorSpec) -> SensorSpec:

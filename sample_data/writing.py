@@ -12,9 +12,9 @@ import numpy as np
 from pipeline import alignment
 from pipeline.arrays import Doubles, Floats, Image
 from pipeline.frames import Pairing, TactileFrame
-from pipeline.meshes import Mesh
 from pipeline.physics.press import photograph, press
 from pipeline.physics.recorder import BUBBLE_STEP_MM
+from pipeline.physics.shapes.shape import Shape
 from pipeline.recordings.hdf5_writer import Writer
 from pipeline.sensors.spec import SensorSpec
 
@@ -29,7 +29,7 @@ class Shot:
     sensors: tuple[SensorSpec, ...]
 
 
-def write(path: Path, thing: Mesh, shots: Sequence[Shot], notes: Sequence[str]) -> None:
+def write(path: Path, thing: Shape, shots: Sequence[Shot], notes: Sequence[str]) -> None:
     """Record all shots of `thing`; what stood at `path` is replaced."""
     pairings = [
         Pairing(source=a.name, target=b.name, target_from_source=alignment.between(a, b).target_from_source)
@@ -37,12 +37,13 @@ def write(path: Path, thing: Mesh, shots: Sequence[Shot], notes: Sequence[str]) 
     ]
     references: dict[int, Image | Floats] = {}
     with Writer(
-        path, object_mesh=thing, pairings=pairings, notes=notes, coding="row differences", depth_step_mm=BUBBLE_STEP_MM
-    ) as writer:
+        path, object_mesh=thing.mesh, symmetry=thing.symmetry, pairings=pairings, notes=notes, coding="row differences",
+        depth_step_mm=BUBBLE_STEP_MM,
+    ) as writer:  # fmt: skip
         for index, shot in enumerate(shots):
             for place, spec in enumerate(shot.sensors):
                 seed = (1 + index) * len(shot.sensors) + place  # a noise of its own for every reading
-                felt = press(thing, shot.pose, spec, seed=seed)
+                felt = press(thing.mesh, shot.pose, spec, seed=seed)
                 assert felt.converged, f"frame {index} of {spec.name} did not converge"
                 if id(spec) not in references:
                     still = np.zeros(spec.camera.shape, np.float32)
