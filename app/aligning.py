@@ -79,7 +79,7 @@ class Aligning(QObject):
             if opened is None:
                 raise SettingProblem("there is no alignment to save; open a recording first")
             t = opened.translation
-            origin = f"as moved on {t.request.recording.name}"
+            origin = f"{'opened with' if session.offsets.none else 'moved or refined on'} {t.request.recording.name}"
             alignment = session.offsets.applied(t.alignment)
             save(path, AlignmentFile(alignment=alignment, source=t.source.name, target=t.target.name, origin=origin))
             log.info("alignment saved: '%s'", path)
@@ -105,6 +105,7 @@ class Aligning(QObject):
 
     def _begin(self) -> None:
         self._rest.stop()
+        self._instrument.window.timeline.play(on=False)
         self._panel.mark_ghosts(self._score)
         offsets = self._instrument.session.offsets
         if self._judged is not None and not any(offsets.turn_deg):
@@ -120,6 +121,7 @@ class Aligning(QObject):
             known: Axis = next(a for a in AXES if a == axis)
             self._axis = known if self._axis in ("", known) else "axes"
             self._offsets = self._offsets.moved(known, value)
+            self._show_place()
             session, bench = replace(instrument.session, offsets=self._offsets), instrument.bench
             instrument.ahead(lambda report: judging.preview(bench, session, report))
 

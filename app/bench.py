@@ -169,7 +169,8 @@ class Bench:
         other: Comparison | None,
     ) -> StageShown:
         """Pictures of an output that was drawn before are used again, so that the window need not touch them."""
-        key = (result.digest, display, results["generate"].digest if result.name == "pose" else "", id(other))
+        key = (result.digest, display, results["generate"].digest if result.name == "pose" else "")
+        key += (other and (other.index, id(other)),)
         known = self._drawn.get(result.name)
         if known is not None and known[0] == key:
             shown = replace(known[1], result=result)

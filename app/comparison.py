@@ -27,7 +27,7 @@ from pipeline.stages.results import DepthMap, TargetView
 from pipeline.translate import Translation, own_shift_mm
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)  # no slots: what is asked for is worked out once and kept
 class Comparison:
     """One frame as both sensors felt it; without `touch` there is nothing to compare with, and `reason` says why."""
 

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
-from PyQt6.QtCore import QObject, QSignalBlocker, QTimer, pyqtSignal
-from PyQt6.QtGui import QUndoStack
+from PyQt6.QtCore import QSignalBlocker, QTimer, pyqtSignal
 from PyQt6.QtWidgets import QComboBox
 
-from app import dialogs
 from app.bench import Bench, FrameShown, Opened, SourceShown, StageShown, request_of
+from app.documents import Documents
 from app.jobs import LatestJob, Work
 from app.logs import LogRelay, log, sentence_and_details
 from app.screen import Screen
-from app.session import SUFFIX, Session, load_session, save_session
+from app.session import Session
 from app.stopwatch import Stopwatch
 from app.tracing import Tracer
 from app.undo import SessionChange
 from app.window import Window
-from pipeline.errors import FileProblem, TouchError
 from pipeline.stages.results import PoseStep
 from widgets.layers import Scene
 
@@ -30,7 +25,7 @@ _STALE_AFTER_MS = 150  # a picture that is replaced sooner need not say that it 
 _PATIENCE_MS = 500  # younger work is let through, so that a drag shows something on its way; older work is stopped
 
 
-class Instrument(QObject):
+class Instrument(Documents):
     """Holds the session, asks the background for it, and passes on what comes back."""
 
     frame_shown = pyqtSignal(int)
@@ -39,11 +34,9 @@ class Instrument(QObject):
     closing = pyqtSignal()
 
     def __init__(self, window: Window) -> None:
-        super().__init__(window)
-        self.window, self.session = window, Session()
+        super().__init__(window, Session())
         self.watch, self.relay = Stopwatch(), LogRelay(self)
         self.job, self.bench = LatestJob("stages", self), Bench()
-        self.undo = QUndoStack(self)
         self.tracer = Tracer(window)
         self.screen = Screen(window, self.tracer)
         self._ticket = self._wanted_since = self._opening = 0
@@ -59,48 +52,6 @@ class Instrument(QObject):
         """Begin with a session; there is nothing before it to go back to."""
         self.show_session(session)
 
-    def open_path(self, path: Path) -> None:
-        """Open whatever `path` is: a session, a mesh, a calibration or a recording."""
-        if path.name.endswith(SUFFIX):
-            self.open_session(path)
-        elif path.suffix.lower() in dialogs.MESHES:
-            self.change("open mesh", mesh=path)
-        elif path.suffix.lower() == dialogs.ALIGNMENT:
-            self.change("open alignment", alignment=path)
-        elif dialogs.is_calibration(path):
-            self.change("open calibration", calibration=path)
-        else:
-            self.change(
-                "open recording", recording=path, frame=0, source="", stream="", reference=None, calibration=None
-            )
-
-    def open_paths(self, paths: list[Path]) -> None:
-        """Open what was dropped: recordings first, then what goes with them."""
-        for path in sorted(paths, key=lambda p: p.suffix.lower() in dialogs.MESHES or dialogs.is_calibration(p)):
-            self.open_path(path)
-
-    def open_reference(self, path: Path) -> None:
-        """Open the image of the untouched sensor."""
-        self.change("open reference", reference=path)
-
-    def open_session(self, path: Path) -> None:
-        """Replace everything by what a session file says."""
-        with self._told():
-            self._push(load_session(path), "open session", "")
-
-    def save_session(self, path: Path) -> None:
-        """Write the session file."""
-        with self._told():
-            save_session(self.session, path)
-            self.undo.setClean()
-            log.info("session saved: '%s'", path)
-
-    def save_picture(self, path: Path) -> None:
-        """Write a picture of the window."""
-        with self._told():
-            if not self.window.grab().save(str(path)):
-                raise FileProblem("cannot write the picture", path)
-
     def choose_frame(self, frame: int) -> None:
         """Go to a frame."""
         self.change("go to another frame", key="frame", frame=frame)
@@ -113,7 +64,7 @@ class Instrument(QObject):
         """Change the session as one undo step; following changes of the same `key` join it."""
         new = self.session.updated(**updates)
         if new != self.session:
-            self._push(new, text, key)
+            self.push(new, text, key)
 
     def show_session(self, session: Session) -> None:
         """Show a session: controls at once, stages when the background has them."""
@@ -259,7 +210,8 @@ class Instrument(QObject):
         if ticket == self._ticket and self._waits:
             self.window.show_progress(fraction, text)
 
-    def _push(self, new: Session, text: str, key: str) -> None:
+    def push(self, new: Session, text: str, key: str = "") -> None:
+        """Go to another session as one undo step; see `change`."""
         self.undo.push(SessionChange(old=self.session, new=new, text=text, key=key, show=self.show_session))
 
     def _show_controls(self) -> None:
@@ -300,14 +252,6 @@ class Instrument(QObject):
     def _mark_stale(self) -> None:
         with self.watch.timed("mark_stale"):
             self.screen.mark_stale()
-
-    @contextmanager
-    def _told(self) -> Generator[None]:
-        """Errors that are the user's to mend end in the banner."""
-        try:
-            yield
-        except TouchError as error:
-            self.show_problem(error)
 
 
 def _show_choice(box: QComboBox, value: str) -> None:

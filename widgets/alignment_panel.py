@@ -204,11 +204,13 @@ class AlignmentPanel(QScrollArea):
 
     def show_axes(self, axes: Sequence[Sensitivity]) -> None:
         """Show which axis matters."""
+        self.bars.setEnabled(True)
         self.bars.show_axes(axes)
 
     def _begin(self) -> None:
         if not self._dragging:
             self._dragging = True
+            self.bars.setEnabled(False)  # they tell of the place that is being left
             self.drag_begun.emit()
 
     def _move(self, axis: str, value: float) -> None:

@@ -87,7 +87,7 @@ class PictureView(QWidget):
         small = self._caption.font()
         small.setPointSizeF(max(7.0, small.pointSizeF() - 1.5))
         self._caption.setFont(small)
-        self._caption.setFixedHeight(2 * self._caption.fontMetrics().lineSpacing())
+        self._caption.setFixedHeight(2 * self._caption.fontMetrics().lineSpacing() + 3)
         self._view.mouse_moved.connect(self._report_hover)
         self._view.mouse_left.connect(lambda: self.pixel_hovered.emit(-1, -1))
         self._view.clicked.connect(self._report_click)

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from PyQt6.QtGui import QUndoStack
 
+from app.offsets import Offsets
 from app.session import DisplayParams, Session, load_session, save_session
 from app.undo import SessionChange
 from pipeline.errors import FileProblem
@@ -17,8 +18,9 @@ from pipeline.params import changed
 
 def a_session(folder: Path) -> Session:
     session = Session(
-        recording=folder / "a.h5", target="gelslim", frame=7, mesh=folder / "m" / "ball.stl", linked=False
-    )
+        recording=folder / "a.h5", target="gelslim", frame=7, mesh=folder / "m" / "ball.stl", linked=False,
+        offsets=Offsets(shift_mm=(0.1, 0.0, -2.0), turn_deg=(0.0, 3.0, 0.0), pivot_mm=(1.0, 2.0, 20.0)),
+    )  # fmt: skip
     return session.with_params("display", changed(DisplayParams(), "gel_stretch", 5.0))
 
 
@@ -45,6 +47,7 @@ def test_paths_are_kept_relative_so_that_a_folder_can_be_moved(tmp_path):
         ({"target": 4}, "target"),
         ({"params": {"display": {"gel_stretch": 1000.0}}}, "params.display.gel_stretch"),
         ({"params": {"unheard": {}}}, "params.unheard"),
+        ({"offsets": {"shift_mm": [0, 0]}}, "offsets"),
     ],
 )
 def test_a_damaged_session_names_the_field(tmp_path, change, field):
@@ -54,6 +57,25 @@ def test_a_damaged_session_names_the_field(tmp_path, change, field):
     with pytest.raises(FileProblem, match=field.split(".")[-1]) as caught:
         load_session(path)
     assert caught.value.field == field
+
+
+def test_a_session_from_before_alignments_could_be_moved_still_opens(tmp_path):
+    path = tmp_path / "s.touch.json"
+    save_session(a_session(tmp_path), path)
+    data = json.loads(path.read_text())
+    del data["offsets"]
+    path.write_text(json.dumps(data))
+    assert load_session(path) == replace(a_session(tmp_path), offsets=Offsets())
+
+
+def test_offsets_stay_only_with_the_alignment_they_were_made_from(tmp_path):
+    session = a_session(tmp_path)
+    assert session.updated(frame=3).offsets == session.offsets
+    assert session.updated(recording=tmp_path / "b.h5").offsets.none
+    assert session.updated(target="digit").offsets.none
+    from_file = replace(session, alignment=tmp_path / "a.toml")
+    assert from_file.updated(recording=tmp_path / "b.h5").offsets == session.offsets
+    assert from_file.updated(alignment=None).offsets.none
 
 
 def test_a_file_that_is_no_session_says_so(tmp_path):
