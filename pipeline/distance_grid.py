@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from pipeline.errors import MeshProblem
 from pipeline.meshes import Mesh
 from pipeline.progress import SILENT, Progress
 
-VERSION = 1  # of what is built; kept grids of another version are built again
+VERSION = 2  # of what is built; kept grids of another version are built again
 OPEN = "the mesh is not closed: inside and outside are told by the sides of its triangles"
 _CELLS = 8  # fine cells along a block's edge, as in the kernels
 _SMALLEST_MM = 0.8  # coarse step: 0.1 mm at the surface, where a registration is within 1.2 of what is possible
@@ -26,7 +26,7 @@ _MOST_CELLS, _MOST_BLOCKS = 600_000, 7_000  # 5 MB and 10 MB
 _MARGIN_MM = 3.0  # of lattice around the object
 _BAND = 0.25  # of the coarse step, on both sides of the surface, is fine
 _OPEN_SHARE = 0.01  # of the lattice's lines may miss a wall before the mesh counts as open
-_BATCH = 400_000  # distances between two reports of progress
+_BATCH = 400  # blocks between two reports of progress
 _SHIFT = (0.00137, 0.00219, 0.00311)  # of a fine step: lines beside the lattice pass the edges of aligned meshes
 
 
@@ -62,31 +62,31 @@ class DistanceGrid:
 
 
 def built(mesh: Mesh, progress: Progress = SILENT) -> DistanceGrid:
-    """The grid of a mesh, computed anew (a second or two); MeshProblem when it has no surface.
+    """The grid of a mesh, computed anew (a part of a second); MeshProblem when it has no surface.
 
     Overlapping closed bodies count as their union. An open sheet is told apart by the sides of its triangles.
     """
     corners = _corners(mesh)
     origin, step_mm, cells = _lattice(corners)
-    surface = _Surface.of(mesh, origin, step_mm, cells)
-    nodes = _CELLS * _lattice_nodes((0, 0, 0), tuple(n + 1 for n in cells))
-    coarse = surface.signed_mm(nodes, progress, 0.0, 0.2).reshape([n + 1 for n in cells])
+    progress.step(0.0, "finding inside and outside of the object")
+    surface = _Surface.of((corners - origin) / (step_mm / _CELLS), step_mm, cells)
     progress.step(0.2, "finding the surface's blocks")
-    chosen = surface.near(_lattice_nodes((0, 0, 0), tuple(cells)), coarse)
-    offsets = _lattice_nodes((0, 0, 0), (_CELLS + 1,) * 3)
+    chosen, lists = surface.blocks()
     quantum_mm = step_mm * (math.sqrt(3.0) + _BAND + 0.25) / np.iinfo(np.int16).max
-    fine = np.empty((len(chosen), len(offsets)), dtype=np.int16)
-    at_once = max(1, _BATCH // len(offsets))
-    for k in range(0, len(chosen), at_once):
-        part = (_CELLS * chosen[k : k + at_once, None] + offsets[None]).reshape(-1, 3)
-        lengths = surface.signed_mm(part, progress, 0.2 + 0.8 * k / len(chosen), 0.8 * at_once / len(chosen))
-        fine[k : k + at_once] = np.rint(lengths / quantum_mm).reshape(-1, len(offsets))
-    kept = np.abs(fine).min(axis=1) <= _BAND * step_mm / quantum_mm
+    fine = np.empty((len(chosen), *(_CELLS + 1,) * 3), dtype=np.int16)
+    sweeping = surface.begin_sweep()
+    for k in range(0, len(chosen), _BATCH):
+        progress.step(0.25 + 0.65 * k / len(chosen), "measuring distances to the object")
+        lengths = surface.measured(chosen[k : k + _BATCH], lists, k, sweeping)
+        fine[k : k + _BATCH] = np.rint(lengths / quantum_mm)
+    progress.step(0.9, "measuring distances around the object")
+    coarse = surface.swept(lists, sweeping)
+    kept = np.abs(fine).reshape(len(chosen), -1).min(axis=1) <= _BAND * step_mm / quantum_mm
     block = np.full(cells, -1, dtype=np.int32)
     block[tuple(chosen[kept].T)] = np.arange(int(kept.sum()), dtype=np.int32)
     return DistanceGrid(
         origin_mm=freeze(origin), step_mm=step_mm, coarse_mm=freeze(coarse.astype(np.float32)), block=freeze(block),
-        fine=freeze(fine[kept].reshape(-1, *(_CELLS + 1,) * 3)), quantum_mm=quantum_mm, notes=surface.notes,
+        fine=freeze(fine[kept]), quantum_mm=quantum_mm, notes=surface.notes,
     )  # fmt: skip
 
 
@@ -126,78 +126,83 @@ def _lattice_nodes(first: tuple[int, ...], shape: tuple[int, ...]) -> NDArray[np
 class _Surface:
     """A mesh asked at nodes of the fine lattice, which are integers."""
 
-    _scene: Any  # Open3D's, which is untyped
-    _lines: tuple[tuple[Any, Any, Any], ...]  # what lattice lines along x, y, z cross
-    _by_parity: bool
+    faces: Doubles  # (m, 19) as the kernels want them, in mm from the lattice's origin
+    lines: tuple[tuple[Any, Any, Any], ...]  # what lattice lines along x, y, z cross
+    by_parity: bool
     step_mm: float  # of the coarse lattice
-    shape: tuple[int, int, int]  # nodes of the fine lattice
+    cells: tuple[int, int, int]
     notes: tuple[str, ...]
 
     @classmethod
-    def of(cls, mesh: Mesh, origin: Doubles, step_mm: float, cells: tuple[int, int, int]) -> _Surface:
+    def of(cls, corners: Doubles, step_mm: float, cells: tuple[int, int, int]) -> _Surface:
+        """From triangles (m, 3, 3) in fine steps."""
+        from pipeline.distance_build_kernels import faces
         from pipeline.distance_grid_kernels import crossings
 
-        fine_mm = step_mm / _CELLS
-        vertices = (np.asarray(mesh.vertices_mm, dtype=np.float64) - origin) / fine_mm
-        nx, ny, nz = (_CELLS * n + 1 for n in cells)
-        shape, shift = (nx, ny, nz), np.array(_SHIFT)
-        found = [crossings(vertices[mesh.triangles], axis, np.array(shape), shift) for axis in range(3)]
+        shape, shift = np.array([_CELLS * n + 1 for n in cells]), np.array(_SHIFT)
+        found = [crossings(corners, axis, shape, shift) for axis in range(3)]
         crossed, unbalanced, odd = np.sum([lines[3] for lines in found], axis=0)
         is_open = bool(odd > _OPEN_SHARE * max(int(crossed), 1))
         return cls(
-            _scene=_open3d_scene(vertices * fine_mm, mesh.triangles),
-            _lines=() if is_open else tuple((first, where, sign) for first, where, sign, _ in found),
-            _by_parity=bool(unbalanced > _OPEN_SHARE * max(int(crossed), 1)), step_mm=step_mm, shape=shape,
+            faces=faces(corners * (step_mm / _CELLS)),
+            lines=() if is_open else tuple((first, where, sign) for first, where, sign, _ in found),
+            by_parity=bool(unbalanced > _OPEN_SHARE * max(int(crossed), 1)), step_mm=step_mm, cells=cells,
             notes=(OPEN,) if is_open else (),
         )  # fmt: skip
 
-    def near(self, cells: NDArray[np.int64], coarse: Doubles) -> NDArray[np.int64]:
-        """Those coarse cells (n, 3) that the surface's band can reach."""
-        half_diagonal = self.step_mm * math.sqrt(3.0) / 2
-        at_corner = np.abs(coarse[:-1, :-1, :-1].ravel()) <= 2 * half_diagonal + _BAND * self.step_mm
-        cells = cells[at_corner]
-        middle_mm = self._distances((cells.astype(np.float64) + 0.5) * self.step_mm)
-        return cells[middle_mm <= half_diagonal + _BAND * self.step_mm]
+    def blocks(self) -> tuple[NDArray[np.int64], tuple[Any, Any, Any]]:
+        """Coarse cells (n, 3) that the surface's band can reach, and (number of each cell, first, faces).
 
-    def signed_mm(self, nodes: NDArray[np.int64], progress: Progress, start: float, share: float) -> Doubles:
-        """(n,) signed distances of nodes (n, 3); reports `share` of the progress from `start` on."""
+        The lists hold the faces that can be nearest to some node of a cell.
+        """
+        from pipeline.distance_build_kernels import lists_of_cells, nearest_of_cells
+
+        half_diagonal = self.step_mm * math.sqrt(3.0) / 2
+        middle_mm = nearest_of_cells(self.faces, self.cells, self.step_mm, half_diagonal + _BAND * self.step_mm)
+        which = np.flatnonzero(np.isfinite(middle_mm))
+        number = np.full(middle_mm.size, -1, dtype=np.int32)
+        number[which] = np.arange(which.size, dtype=np.int32)
+        limit_mm = (middle_mm[which] + 2 * half_diagonal) * (1.0 + 1e-9)
+        lists = lists_of_cells(self.faces, self.cells, self.step_mm, number, limit_mm)
+        chosen = np.stack(np.unravel_index(which, self.cells), axis=-1).astype(np.int64)
+        return chosen, (number, *lists)
+
+    def begin_sweep(self) -> tuple[Indices, Doubles]:
+        """(nearest face, squared distance) of every coarse node: none yet."""
+        shape = tuple(n + 1 for n in self.cells)
+        return np.full(shape, -1, dtype=np.int32), np.full(shape, np.inf)
+
+    def measured(
+        self, chosen: NDArray[np.int64], lists: tuple[Any, Any, Any], start: int, sweeping: tuple[Indices, Doubles]
+    ) -> Doubles:
+        """Signed distances (n, 9, 9, 9) of the blocks `chosen`, the first of which has number `start`."""
+        from pipeline.distance_build_kernels import measure_blocks, seed
+
+        size = (len(chosen), *(_CELLS + 1,) * 3)
+        lengths, nearest = np.empty(size), np.empty(size, dtype=np.int32)
+        measure_blocks(self.faces, chosen, lists[1], lists[2], self.step_mm / _CELLS, start, lengths, nearest)
+        seed(chosen, lengths, nearest, *sweeping)
+        nodes = (_CELLS * chosen[:, None] + _lattice_nodes((0, 0, 0), size[1:])[None]).reshape(-1, 3)
+        return np.where(self._inside(nodes, nearest.reshape(-1)).reshape(size), -lengths, lengths)
+
+    def swept(self, lists: tuple[Any, Any, Any], sweeping: tuple[Indices, Doubles]) -> Doubles:
+        """Signed distances of all coarse nodes, from those that were measured on outwards."""
+        from pipeline.distance_build_kernels import settle, sweep
+
+        nearest, square = sweeping
+        sweep(self.faces, self.step_mm, nearest, square)
+        settle(self.faces, self.step_mm, self.cells, *lists, nearest, square)
+        nodes = _CELLS * _lattice_nodes((0, 0, 0), nearest.shape)
+        inside = self._inside(nodes, nearest.reshape(-1)).reshape(nearest.shape)
+        return np.where(inside, -1.0, 1.0) * np.sqrt(square)
+
+    def _inside(self, nodes: NDArray[np.int64], nearest: Indices) -> NDArray[np.bool_]:
+        from pipeline.distance_build_kernels import behind
         from pipeline.distance_grid_kernels import inside
 
-        out = np.empty(len(nodes))
-        for k in range(0, len(nodes), _BATCH):
-            progress.step(start + share * k / len(nodes), "measuring distances to the object")
-            part = nodes[k : k + _BATCH]
-            points_mm = part.astype(np.float64) * (self.step_mm / _CELLS)
-            if not self._lines:
-                out[k : k + _BATCH] = self._by_side(points_mm)
-                continue
-            votes = np.zeros(len(part), dtype=np.int8)
-            for axis, (first, where, sign) in enumerate(self._lines):
-                inside(part, axis, np.array(self.shape), first, where, sign, self._by_parity, votes)
-            out[k : k + _BATCH] = np.where(votes >= 2, -1.0, 1.0) * self._distances(points_mm)
-        return out
-
-    def _distances(self, points_mm: Doubles) -> Doubles:
-        tensor = _open3d().core.Tensor(points_mm.astype(np.float32))
-        return self._scene.compute_distance(tensor).numpy().astype(np.float64)
-
-    def _by_side(self, points_mm: Doubles) -> Doubles:
-        found = self._scene.compute_closest_points(_open3d().core.Tensor(points_mm.astype(np.float32)))
-        away = points_mm - found["points"].numpy()
-        side = np.einsum("ij,ij->i", away, found["primitive_normals"].numpy())
-        return np.where(side < 0, -1.0, 1.0) * np.linalg.norm(away, axis=1)
-
-
-def _open3d() -> Any:
-    import open3d
-
-    return cast("Any", open3d)
-
-
-def _open3d_scene(vertices_mm: Doubles, triangles: Indices) -> Any:
-    o3d = _open3d()
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(
-        o3d.core.Tensor(vertices_mm.astype(np.float32)), o3d.core.Tensor(np.asarray(triangles).astype(np.uint32))
-    )
-    return scene
+        if not self.lines:
+            return np.asarray(behind(self.faces, nodes * (self.step_mm / _CELLS), nearest))
+        votes, shape = np.zeros(len(nodes), dtype=np.int8), np.array([_CELLS * n + 1 for n in self.cells])
+        for axis, (first, where, sign) in enumerate(self.lines):
+            inside(nodes, axis, shape, first, where, sign, self.by_parity, votes)
+        return votes >= 2
