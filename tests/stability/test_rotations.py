@@ -75,7 +75,8 @@ def test_inverse(a, b, power):
     b[:3, 3] *= scale
     left = rigid.invert(a @ b) @ (a @ b) - np.eye(4)
     assert np.abs(left[:3, :3]).max() <= 16 * EPS
-    assert np.abs(left[:3, 3]).max() <= 32 * EPS * (scale + 1.0)
+    # Shifts of up to 2 sqrt(3) of the scale, through rotations that are each orthonormal to 8 eps, and three sums.
+    assert np.abs(left[:3, 3]).max() <= 96 * EPS * (scale + 1.0)
 
 
 @row(11, "what is not rigid is refused in words, what nearly is comes out exactly rigid")
