@@ -49,8 +49,10 @@ class Aligning(QObject):
         instrument.session_shown.connect(self.show_session)
         instrument.frame_shown.connect(self._frame_shown)
         instrument.closing.connect(self._rest.stop)
-        for job_signal in (instrument.job.delivered, instrument.job.finished):
-            job_signal.connect(self._take)
+        instrument.job.delivered.connect(self._take)
+        instrument.job.finished.connect(self._take_last)
+        instrument.job.failed.connect(self._not_judged)
+        instrument.job.cancelled.connect(self._not_judged)
         panel.drag_begun.connect(self._begin)
         panel.moved.connect(self._move)
         panel.drag_ended.connect(self._end)
@@ -62,7 +64,7 @@ class Aligning(QObject):
     @property
     def idle(self) -> bool:
         """Whether the dock shows all that it will show."""
-        return not (self._panel.dragging or self._rest.isActive() or self._instrument.job.busy or self.refining.busy)
+        return not (self._panel.dragging or self._rest.isActive() or self._judging or self.refining.busy)
 
     def show_session(self, session: Session) -> None:
         """Show a session's offsets; one that is undone under a drag ends it."""
@@ -137,6 +139,15 @@ class Aligning(QObject):
         if self._judged is not None:
             offsets = self._instrument.session.offsets.about(self._judged.pivot_mm)
             self._instrument.change("turn about this touch", offsets=offsets)
+
+    def _take_last(self, ticket: int, part: object) -> None:
+        self._take(ticket, part)
+        self._not_judged(ticket)
+
+    def _not_judged(self, ticket: int, _: object = None) -> None:
+        """Nothing more will come for this ticket."""
+        if ticket == self._judging:
+            self._judging = 0
 
     def _take(self, ticket: int, part: object) -> None:
         if isinstance(part, Opened):

@@ -117,17 +117,23 @@ class Bench:
         )
 
     def comparison(self, session: Session, report: Report) -> tuple[Translation, Comparison]:
-        """The translation as it was opened, without offsets, and the session's frame on both sides."""
+        """The translation as it was opened, without offsets, and the session's frame on both sides.
+
+        A drag asks for the same frame again and again: it is neither read nor looked up anew.
+        """
         opened = self._opened(session, report)
         index = min(session.frame, opened.n_frames - 1)
+        known = self._comparisons.known(index, _depth_params(session))
+        if known is not None:
+            return opened, known
         depth = self._graph.evaluate(("depth",), opened.inputs(index), session.params, report)["depth"]
         return opened, self._compared(opened, index, depth.output, session)
 
     def _compared(self, translation: Translation, index: int, depth: object, session: Session) -> Comparison:
-        params = session.params["depth"]
         assert isinstance(depth, DepthMap)
-        assert isinstance(params, DepthParams)
-        return self._comparisons.of(translation, index, depth, params)
+        params = _depth_params(session)
+        known = self._comparisons.known(index, params)
+        return known or self._comparisons.of(translation, index, depth, params)
 
     def close(self) -> None:
         """Let go of the recording's file."""
@@ -224,6 +230,12 @@ def request_of(session: Session) -> Request:
         route=session.route, reference=session.reference, calibration=session.calibration, mesh=session.mesh,
         mesh_unit=session.mesh_unit, alignment=session.alignment,
     )  # fmt: skip
+
+
+def _depth_params(session: Session) -> DepthParams:
+    params = session.params["depth"]
+    assert isinstance(params, DepthParams)
+    return params
 
 
 def _best_target(request: Request) -> str:

@@ -5,9 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-import cv2
-import numpy as np
-
 from app.pictures import outline
 from pipeline.alignment import Alignment
 from pipeline.alignment.felt import Felt, felt, preview_factor
@@ -84,38 +81,24 @@ class Comparison:
 
 
 class Comparisons:
-    """Remembers the last frame's comparison."""
+    """Remembers the last frame's comparison, of what is open."""
 
     def __init__(self) -> None:
-        self._known: tuple[object, Comparison] | None = None
+        self._last: tuple[tuple[int, DepthParams], Comparison] | None = None
+
+    def known(self, index: int, params: DepthParams) -> Comparison | None:
+        """Frame `index` if it was the last one looked at."""
+        return self._last[1] if self._last is not None and self._last[0] == (index, params) else None
 
     def of(self, translation: Translation, index: int, source: DepthMap, params: DepthParams) -> Comparison:
-        """Frame `index` on both sides; the target's depth is worked out at the first asking."""
-        key = (id(translation.recording), translation.target.name, index, id(source), params)
-        if self._known is None or self._known[0] != key:
-            self._known = (key, _compared(translation, index, source, params))
-        return self._known[1]
+        """Frame `index` on both sides, `source` being its depth; the target's is worked out here."""
+        made = _compared(translation, index, source, params)
+        self._last = ((index, params), made)
+        return made
 
     def forget(self) -> None:
-        """Another recording is open."""
-        self._known = None
-
-
-def whole(view: TargetView, target: SensorSpec) -> TargetView:
-    """A coarse view on the pixels of the target's full image, each filled with the nearest coarse one."""
-    camera = target.camera
-    if view.camera.shape == camera.shape:
-        return view
-    size = (camera.cols, camera.rows)
-
-    def grown(values: np.ndarray) -> np.ndarray:
-        return cv2.resize(values, size, interpolation=cv2.INTER_NEAREST)
-
-    return TargetView(
-        depth_mm=grown(view.depth_mm), contact=grown(view.contact.view(np.uint8)).view(np.bool_),
-        indentation_mm=grown(view.indentation_mm), camera=camera, source_index=grown(view.source_index),
-        known=grown(view.known.view(np.uint8)).view(np.bool_), pixel_of_point=view.pixel_of_point, notes=view.notes,
-    )  # fmt: skip
+        """Something else is open."""
+        self._last = None
 
 
 def _compared(translation: Translation, index: int, source: DepthMap, params: DepthParams) -> Comparison:

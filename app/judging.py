@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 from app import pictures, solids
 from app.bench import Bench, request_of
-from app.comparison import whole
 from app.jobs import Report
 from app.offsets import Offsets, of_motion
 from app.session import Session
@@ -60,10 +59,10 @@ def preview(bench: Bench, session: Session, report: Report) -> Previewed:
     opened, frame = bench.comparison(session, report)
     report.step(0.5, "previewing the alignment")
     view, agreement = frame.preview(session.offsets.applied(opened.alignment), project_params(session))
-    view = whole(view, opened.target)
     picture = pictures.of_view(view, opened.target, session.display)
+    whole = pictures.enlarged(picture, opened.target.camera.shape)
     return Previewed(
-        picture=pictures.beside(picture, frame.outline_px),
+        picture=pictures.beside(whole, frame.outline_px),
         layers=solids.of_view(view, opened.target, picture.pixels, session.display.stretch(opened.target)),
         score=agreement,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -99,6 +100,25 @@ def beside(picture: Picture, felt_px: Floats | None) -> Picture:
     if felt_px is None:
         return picture
     return replace(picture, felt_px=felt_px, caption=f"{INDENTATION}; orange: mask, white: felt")
+
+
+def enlarged(picture: Picture, shape: tuple[int, int]) -> Picture:
+    """A coarse picture on as many pixels as the full one has, so that the view stays where it is."""
+    rows, cols = shape
+    old_rows, old_cols = picture.pixels.shape[:2]
+    if (old_rows, old_cols) == shape:
+        return picture
+
+    def grown(values: Any) -> Any:
+        return freeze(cv2.resize(values, (cols, rows), interpolation=cv2.INTER_NEAREST))
+
+    times = np.array([cols / old_cols, rows / old_rows], dtype=np.float32)
+    return replace(
+        picture, pixels=grown(picture.pixels), pixel_mm=picture.pixel_mm / float(times[0]),
+        values=None if picture.values is None else grown(picture.values),
+        positions_mm=None if picture.positions_mm is None else grown(picture.positions_mm),
+        outline_px=None if picture.outline_px is None else freeze(picture.outline_px * times),
+    )  # fmt: skip
 
 
 def of_touch(touch: Touch, target: SensorSpec) -> Picture:

@@ -35,7 +35,7 @@ class Refining(QObject):
     @property
     def busy(self) -> bool:
         """Whether it runs."""
-        return self._job.busy
+        return self._begun is not None and self.answer is None
 
     def start(self) -> None:
         """Refine what is open."""
