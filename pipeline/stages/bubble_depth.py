@@ -3,30 +3,24 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline import contact
 from pipeline.arrays import Floats, Mask, freeze
 from pipeline.errors import ShapeError
 from pipeline.frames import TactileFrame
 from pipeline.sensors.spec import SensorSpec
+from pipeline.stages import bubble_reading
 from pipeline.stages.pixel_index import pixel_index
 from pipeline.stages.results import DepthMap
 
 _BLOCK_PX = 8
 _FEWEST_READINGS = 0.5  # share of pixels with a reading below which a frame is not called untouched
-_SPECKLE_PX = 5  # of the median that removes single wrong readings
-_SMOOTHED_MM = 1.25  # shorter waves of a taut membrane are lower than a depth camera's noise
 _GAP_PX = 3.0  # reach of the filling
 _FEWEST_AROUND = 0.15  # share of readings, weighted by that reach, from which a gap is filled
 _FARTHEST = 3.0  # times the median rest depth: beyond any membrane
-_CURVATURE_MM = 1.5
-_PRESSURE_SHARE = 0.35  # of the peak; with less, the noise joins the contact
-_SPECK_MM2 = 20.0  # a membrane bridges anything smaller
 
 
 def largest_change(image: NDArray[Any], reference: NDArray[Any]) -> float:
@@ -68,8 +62,10 @@ def depth(frame: TactileFrame, source: SensorSpec, *, smoothing_px: float, least
         notes.append(f"{int((gaps & seen).sum())} pixels had no reading and were filled from around them")
         if not seen.all():
             notes.append(f"{int((~seen).sum())} pixels have no value: nothing was read there or close by")
-    indentation = _denoised(moved, smoothing_px * _SMOOTHED_MM / source.pixel_mm)
-    touched = _touched(indentation, least_mm, source.pixel_mm) & seen
+    indentation, touched = bubble_reading.read(
+        moved, seen & ~gaps, source, smoothing_px=smoothing_px, least_mm=least_mm
+    )
+    touched &= seen
     if not touched.any():
         notes.append("nothing touches the sensor")
     elif np.concatenate([touched[0], touched[-1], touched[:, 0], touched[:, -1]]).any():
@@ -110,39 +106,3 @@ def _filled(values: Floats, seen: Mask) -> tuple[Floats, Mask]:
     ready = ~seen & (total > _FEWEST_AROUND)
     filled = np.where(ready, mean / np.maximum(total, np.float32(_FEWEST_AROUND)), values)
     return np.asarray(filled, np.float32), seen | ready
-
-
-def _denoised(raw: Floats, length_px: float) -> Floats:
-    """Single wrong readings out by a median, then the smoothing spline min |u - raw|^2 + length^4 |lap u|^2.
-
-    A membrane under tension has no kinks but at the edge of a contact, so that bending is the right thing to punish;
-    the minimum is a damping of each cosine wave.
-    """
-    import cv2
-    from scipy import fft
-
-    if length_px <= 0:
-        return raw
-    calm = np.asarray(cv2.medianBlur(raw, _SPECKLE_PX), np.float32)
-    wave = np.asarray(fft.dctn(calm, type=2, norm="ortho", workers=2))
-    return np.asarray(fft.idctn(wave * _damping(raw.shape, length_px), type=2, norm="ortho", workers=2), np.float32)
-
-
-@lru_cache(maxsize=8)
-def _damping(shape: tuple[int, int], length_px: float) -> Floats:
-    ky, kx = (np.arange(n) * (math.pi / n) for n in shape)
-    q_sq = ky[:, None] ** 2 + kx[None, :] ** 2
-    return freeze((1.0 / (1.0 + (length_px * length_px * q_sq) ** 2)).astype(np.float32))
-
-
-def _touched(indentation: Floats, least_mm: float, pixel_mm: float) -> Mask:
-    """Where the membrane follows the object.
-
-    Between the object and the rim a membrane under tension has no load to carry and is curved by the air alone; over a
-    contact it is curved the other way. Curvature is only read at the scale of a few millimetres, above the noise.
-    """
-    smooth = max(1.0, _CURVATURE_MM / pixel_mm)
-    pressed = contact.touched(
-        indentation, least_mm=least_mm, pressure_share=_PRESSURE_SHARE, smoothing_px=smooth, order=2
-    )
-    return contact.without_specks(pressed, max(4, round(_SPECK_MM2 / pixel_mm**2)))
