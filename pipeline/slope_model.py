@@ -109,20 +109,25 @@ def fit(
     `ridge` is relative to the mean square of each monomial, and grows with its degree; `huber` is the residual in mm/mm
     from which a sample's pull no longer grows.
     """
+    from threadpoolctl import threadpool_limits
+
     f = features(samples, colour_degree, position_degree)
     target = samples.slopes
     solution: Doubles = np.zeros((f.shape[1], 2))
     w = weights
     place = np.array([j + i for j, i in _place_powers(position_degree)])
     stiffer = (_STIFFER ** (place[:, None] + powers(colour_degree).sum(axis=1)[None, :] - 1.0)).ravel()
-    for _ in range(3):
-        weighted = f * w[:, None]
-        normal = (weighted.T @ f).astype(np.float64)
-        diagonal = np.diag(normal)
-        normal[np.diag_indices_from(normal)] += ridge * stiffer * diagonal + 1e-9 * max(float(diagonal.max()), 1e-12)
-        solution = np.asarray(np.linalg.solve(normal, (weighted.T @ target).astype(np.float64)), np.float64)
-        residual = np.linalg.norm(f @ solution.astype(np.float32) - target, axis=1)
-        w = weights * np.minimum(1.0, huber / np.maximum(residual, 1e-6)).astype(np.float32)
+    # Several threads add up in another order: one gives the same bytes everywhere, in the same time.
+    with threadpool_limits(limits=1, user_api="blas"):
+        for _ in range(3):
+            weighted = f * w[:, None]
+            normal = (weighted.T @ f).astype(np.float64)
+            diagonal = np.diag(normal)
+            least = 1e-9 * max(float(diagonal.max()), 1e-12)
+            normal[np.diag_indices_from(normal)] += ridge * stiffer * diagonal + least
+            solution = np.asarray(np.linalg.solve(normal, (weighted.T @ target).astype(np.float64)), np.float64)
+            residual = np.linalg.norm(f @ solution.astype(np.float32) - target, axis=1)
+            w = weights * np.minimum(1.0, huber / np.maximum(residual, 1e-6)).astype(np.float32)
     table = np.zeros((position_degree + 1, position_degree + 1, len(powers(colour_degree)), 2), np.float32)
     blocks = solution.reshape(-1, table.shape[2], 2)
     for block, (j, i) in zip(blocks, _place_powers(position_degree), strict=True):
