@@ -12,10 +12,12 @@ import pytest
 from app.aligning import Aligning
 from app.instrument import Instrument
 from app.main import SAMPLE
+from app.session import Session
 from app.stopwatch import LIMIT_MS
 from app.tour import wait_until_shown
 from pipeline import rigid
 from pipeline.alignment.files import load
+from widgets.layers import EmptyScene
 
 PAIRED = SAMPLE.with_name("digit_gelslim.h5")
 TOUCHED = 3  # a frame that both sensors feel
@@ -43,9 +45,11 @@ def aligned(open_window, qtbot) -> Instrument:
 
 
 def _window_with_dock(open_window, qtbot, recording: Path, **session) -> Instrument:
-    instrument = open_window(recording, **session)
+    gl = bool(session.pop("gl", False))
+    instrument = open_window(gl=gl)
     instrument.screen.show_only("project")
     instrument.window.alignment_dock.raise_()
+    instrument.start(Session(recording=recording, **session))
     panel = instrument.window.alignment
     qtbot.waitUntil(lambda: bool(panel.reason) or bool(panel.bars.axes), timeout=WAIT_MS)
     return instrument
@@ -142,6 +146,7 @@ def test_offsets_are_in_the_session_file_and_old_files_have_none(aligned, open_w
     path = tmp_path / "s.touch.json"
     aligned.save_session(path)
     other = open_window()
+    other.show_only("project")
     other.open_path(path)
     assert wait_until_shown(other, LIMIT_S)
     assert other.session.offsets == aligned.session.offsets
@@ -224,8 +229,9 @@ def test_an_alignment_of_other_sensors_ends_in_the_banner_and_is_taken_back(alig
 
 
 def test_nothing_is_judged_while_the_dock_is_hidden(open_window, qtbot):
-    instrument = open_window(PAIRED, source="digit", target="gelslim", frame=TOUCHED)
+    instrument = open_window()
     instrument.show_only("project")
+    instrument.start(Session(recording=PAIRED, source="digit", target="gelslim", frame=TOUCHED))
     assert wait_until_shown(instrument, LIMIT_S)
     qtbot.wait(200)
     assert not instrument.job.busy
@@ -245,6 +251,7 @@ def test_offsets_go_with_the_sensors_they_were_made_for(aligned, settled):
 @pytest.mark.gl
 def test_3d_views_follow_a_drag(open_window, qtbot):
     instrument = _window_with_dock(open_window, qtbot, PAIRED, gl=True, source="digit", target="gelslim", frame=TOUCHED)
+    qtbot.waitUntil(lambda: not isinstance(instrument.screen.scene, EmptyScene), timeout=WAIT_MS)
     shown: list[tuple[int, str]] = []
     scene = instrument.screen.scene
     show = scene.show_layers
