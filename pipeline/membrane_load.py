@@ -38,11 +38,12 @@ _RELAXED = np.float32(1.6)
 _RISE = np.float32(0.25)  # of the pressure, at most, under a contact
 _LINE_MM, _LINE_WIDTH_MM, _FACE_MM = 1.3, 0.28, 1.2  # standard deviations of the averages
 _DIRECTIONS = 8
-_FACE_GAIN = 1.5  # a load spread over a face is thinner than one on an edge, and no less likely
+_FACE_GAIN = 2.0  # a load spread over a face is thinner than one on an edge, and no less likely
 _LEAST_SPREAD = np.float32(0.3)
 _FOUND = 1.5  # times the pressure inside
 _BLOCK_PX = 8
 _FEWEST_BLOCKS = 8
+_WHOLE = 0.7  # share of a block's pixels that must be free
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,16 +81,17 @@ def noise_mm2(moved_mm: Floats, free: Mask, pixel_mm: float) -> float:
     """
     rows, cols = (n // _BLOCK_PX * _BLOCK_PX for n in moved_mm.shape)
 
-    def blocks(a: Floats | Mask) -> Floats:
+    def blocks(a: Floats) -> Floats:
         cut = a[:rows, :cols].reshape(rows // _BLOCK_PX, _BLOCK_PX, cols // _BLOCK_PX, _BLOCK_PX)
         return np.asarray(cut.mean(axis=(1, 3)), np.float32)
 
-    mean, share = blocks(moved_mm), blocks(free)
+    share = blocks(free.astype(np.float32))
+    mean = blocks(np.where(free, moved_mm, np.float32(0.0))) / np.maximum(share, np.float32(_WHOLE))
     found: list[Floats] = []
     for m, s in ((mean, share), (mean.T, share.T)):
         if len(m) >= 5:
             bend = m[:-4] - 4 * m[1:-3] + 6 * m[2:-2] - 4 * m[3:-1] + m[4:]
-            whole = np.minimum.reduce([s[i : len(s) - 4 + i] for i in range(5)]) > 0.999
+            whole = np.minimum.reduce([s[i : len(s) - 4 + i] for i in range(5)]) >= _WHOLE
             found.append(np.abs(bend[whole]))
     bends = np.concatenate(found) if found else np.zeros(0, np.float32)
     if bends.size < _FEWEST_BLOCKS:

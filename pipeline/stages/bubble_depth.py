@@ -57,8 +57,8 @@ def depth(frame: TactileFrame, source: SensorSpec, *, smoothing_px: float, least
     moved, seen = _difference(rest, frame.image.astype(np.float32), largest, notes)
     gaps = ~seen
     if gaps.any():
-        moved, seen = _filled(moved, seen)
-        rest, _ = _filled(np.where(gaps, np.float32(0.0), rest), ~gaps)
+        moved, seen = filled(moved, seen)
+        rest, _ = filled(np.where(gaps, np.float32(0.0), rest), ~gaps)
         notes.append(f"{int((gaps & seen).sum())} pixels had no reading and were filled from around them")
         if not seen.all():
             notes.append(f"{int((~seen).sum())} pixels have no value: nothing was read there or close by")
@@ -97,7 +97,7 @@ def _difference(rest: Floats, now: Floats, largest: np.float32, notes: list[str]
     return np.where(seen, moved, np.float32(0.0)), np.asarray(seen, np.bool_)
 
 
-def _filled(values: Floats, seen: Mask) -> tuple[Floats, Mask]:
+def filled(values: Floats, seen: Mask) -> tuple[Floats, Mask]:
     """(values, known): gaps take a Gaussian mean of the readings close by; `values` must be 0 in the gaps."""
     import cv2
 

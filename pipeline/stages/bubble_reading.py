@@ -24,7 +24,7 @@ _STANDS_OUT = 4.0  # times the noise of single readings
 _STANDS_OUT_MM = 0.5
 _USUAL_CURVATURE_PER_MM = 0.027
 _BLUR_MM = 0.28
-_LOADED = 2.5  # times the pressure inside: a flat face bears 1, an edge 10 and more
+_LOADED = 1.0  # times the pressure inside: a flat face bears 1, an edge 10 and more
 _TORN_MM = 1.2
 _ISLAND_MM2 = 2.0
 
@@ -37,7 +37,7 @@ def read(moved: Floats, seen: Mask, source: SensorSpec, *, smoothing_px: float, 
     `smoothing_px` is 1 for the noise as it is; larger distrusts the readings, 0 leaves the indentation as it was read.
     """
     caution = smoothing_px if smoothing_px > 0 else 1.0
-    smooth = _denoised(moved, caution * _SMOOTHED_MM / source.pixel_mm)
+    smooth = denoised(moved, caution * _SMOOTHED_MM / source.pixel_mm)
     candidates = _candidates(smooth, least_mm, source.pixel_mm)
     if candidates.any():
         smooth, touched = _by_load(moved, seen, candidates, smooth, source, caution)
@@ -46,7 +46,7 @@ def read(moved: Floats, seen: Mask, source: SensorSpec, *, smoothing_px: float, 
     return (smooth if smoothing_px > 0 else moved), touched & (smooth > least_mm)
 
 
-def _denoised(raw: Floats, length_px: float) -> Floats:
+def denoised(raw: Floats, length_px: float) -> Floats:
     """Single wrong readings out by a median, then the smoothing spline min |u - raw|^2 + length^4 |lap u|^2.
 
     A membrane under tension has no kinks but at the edge of a contact, so that bending is the right thing to punish;

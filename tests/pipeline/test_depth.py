@@ -182,6 +182,57 @@ def test_a_bubbles_gaps_are_filled_or_left_without_a_value():
     assert any("jumped" in note for note in found.notes)
 
 
+def ring_on_a_bubble(seed):
+    from pipeline.physics import poses, shapes
+    from pipeline.physics.press import press as pressed
+
+    source, thing = sensor("soft_bubble"), shapes.shape("ellipse").mesh
+    felt = pressed(thing, poses.paper_grid(thing, n=12, seed=50)[7], source, seed=seed)
+    rest = source.rest_depth_mm.astype(np.float32)
+    return source, TactileFrame(sensor=source.name, image=felt.image, reference=rest), felt.truth
+
+
+def test_a_bubble_over_a_hollow_object_is_touched_along_the_rim_only():
+    source, frame, truth = ring_on_a_bubble(seed=4)
+    found = depth(frame, source, None, PARAMS)
+    rows, cols = np.nonzero(truth.contact)
+    assert not found.contact[round(rows.mean()), round(cols.mean())]
+    assert (found.contact & truth.contact).sum() > 0.7 * truth.contact.sum()
+    assert found.contact.sum() < 3.5 * truth.contact.sum()  # the rim is two pixels wide: two or three more on each side
+    moved = np.abs(found.indentation_mm - truth.indentation_mm)
+    assert moved[~truth.contact].mean() < 0.06  # mm, an eighth of the noise of a reading
+    assert moved[truth.contact].mean() < 0.2  # mm, half of it
+
+
+def test_a_bubble_read_without_noise_is_read_exactly():
+    source, frame, truth = ring_on_a_bubble(seed=None)
+    found = depth(frame, source, None, PARAMS)
+    assert np.abs(found.indentation_mm - truth.indentation_mm)[truth.contact].mean() < 0.02  # mm
+
+
+@pytest.mark.parametrize("share", [0.5, 2.0])
+def test_a_bubbles_contact_hardly_hangs_on_its_assumed_tension(share):
+    source, frame, _ = ring_on_a_bubble(seed=4)
+    other = replace(source, bubble=replace(source.bubble, height_mm=share * source.bubble.height_mm))
+    usual, found = depth(frame, source, None, PARAMS), depth(frame, other, None, PARAMS)
+    assert (usual.contact & found.contact).sum() > 0.6 * (usual.contact | found.contact).sum()
+    assert np.abs(usual.indentation_mm - found.indentation_mm).mean() < 0.03  # mm
+
+
+def test_a_bubble_seen_by_more_pixels_has_the_same_contact():
+    import cv2
+
+    source, frame, _ = ring_on_a_bubble(seed=4)
+    c, k = source.camera, 2
+    camera = Camera(rows=k * c.rows, cols=k * c.cols, fx_px=k * c.fx_px, fy_px=k * c.fy_px,
+                    cx_px=k * c.cx_px + 0.5, cy_px=k * c.cy_px + 0.5)  # fmt: skip
+    image, rest = (np.kron(a, np.ones((k, k), np.float32)) for a in (frame.image, frame.reference))
+    fine = depth(replace(frame, image=image, reference=rest, camera=camera), source, None, PARAMS)
+    back = cv2.resize(fine.contact.astype(np.float32), (c.cols, c.rows), interpolation=cv2.INTER_AREA) > 0.5
+    usual = depth(frame, source, None, PARAMS).contact
+    assert (back & usual).sum() > 0.8 * (back | usual).sum()
+
+
 def test_a_resting_bubble_is_untouched():
     source, frame, _, _ = bubble()
     rng = np.random.default_rng(7)
