@@ -55,6 +55,7 @@ STAGES: tuple[Stage, ...] = (
         shortcut=pose.without_contact,
         params=pose.PoseParams,
         reads=("generate", "mesh"),
+        version=2,
     ),
 )
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pipeline import rigid
 from pipeline.arrays import Mask
-from pipeline.evaluation.symmetric import symmetric_error
+from pipeline.evaluation.symmetric import ambiguity, symmetric_error
 from pipeline.frames import TactileFrame, Truth
 from pipeline.graph import StageResult
 from pipeline.meshes import Mesh
@@ -21,6 +21,7 @@ from pipeline.stages.results import DepthMap, ObjectPose, Touch
 if TYPE_CHECKING:
     from pipeline.physics.shapes.symmetry import Symmetry
 
+_SAME_MM = 1.0  # answers this close are one
 PSNR_CAP_DB = 100.0  # identical images have no finite ratio; published tables cap it too
 
 
@@ -35,7 +36,8 @@ def frame_metrics(
 
     `mesh` and its `symmetry` (None = not known, taken as none) are those of the object that the true pose is about.
     `pose.translation_mm` and `pose.rotation_deg` are plain; `pose.mssd_mm`, `pose.se2_mm`, `pose.se2_deg`,
-    `pose.observable_mm` and `pose.observable_deg` are those of `SymmetricError`.
+    `pose.observable_mm` and `pose.observable_deg` are those of `SymmetricError`; `pose.answers` counts the poses that
+    fit equally well, up to symmetry, `pose.answers_apart_mm` is the largest MSSD between two of them.
     """
     figures: dict[str, float] = {}
     depth = results["depth"].output if "depth" in results else None
@@ -108,4 +110,6 @@ def _pose(pose: ObjectPose, truth: Truth, mesh: Mesh | None, symmetry: Symmetry 
             pose.sensor_from_object, truth.sensor_from_object, mesh, symmetry, centre, pose.observable
         )  # fmt: skip
         figures |= {f"pose.{name}": value for name, value in asdict(felt).items() if math.isfinite(value)}
+        several = ambiguity((pose.sensor_from_object, *pose.alternatives), mesh, symmetry, _SAME_MM)
+        figures |= {"pose.answers": float(several.n_distinct), "pose.answers_apart_mm": several.spread_mm}
     return figures

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pipeline import rigid
 from pipeline.arrays import Doubles, freeze
 from pipeline.distance_grid import DistanceGrid
+from pipeline.registration.observability import TOLERANCES, Tolerances
 from pipeline.stages.results import PoseStep
 
 FEWEST_POINTS = 6  # as many as there are unknowns
@@ -35,8 +36,8 @@ class How:
 
     max_distance_mm: float = 2.0  # points farther off do not count as on the object
     noise_mm: float = 1e-3  # of the points at least; keeps a perfect fit from claiming certainty
-    tolerance_mm: float = 0.2  # predicted spread beyond which a direction is held
-    weak_share: float = 0.03  # mm of change along the normals, rms, per mm of motion, below which it is held too
+    independent: float = 1.0  # share of the points whose errors are independent of each other
+    tolerances: Tolerances = TOLERANCES  # a direction that is known less well is held
     settled_mm: float = 1e-4  # a smaller motion ends the iterations
     n_iterations: int = 30
     keep_steps: bool = False
@@ -77,7 +78,7 @@ class Points:
     @classmethod
     def of(cls, points_mm: NDArray[np.floating]) -> Points | NotDetermined:
         """The finite ones of points (n, 3)."""
-        from pipeline.registration.gauss_newton_kernels import centre
+        from pipeline.registration.step_kernels import centre
 
         centred, about, radius = centre(np.ascontiguousarray(points_mm, dtype=np.float64).reshape(-1, 3))
         if len(centred) < FEWEST_POINTS:
@@ -117,9 +118,7 @@ def fitted(points: Points, grid: DistanceGrid, start: Doubles, how: How) -> Fit 
         few = points.thinned(_FEW)
         found = kernels.fit(*_arguments(few, turn, shift, grid, replace(how, settled_mm=_ROUGHLY_MM), scale_mm))
         history, scale_mm = found[0], min(_WIDER * found[-1], scale_mm)
-    rest, status, noise_mm, in_object, directions, held, _ = kernels.fit(
-        *_arguments(points, turn, shift, grid, how, scale_mm)
-    )
+    rest, status, noise_mm, in_object, weak, _ = kernels.fit(*_arguments(points, turn, shift, grid, how, scale_mm))
     if status == kernels.NOTHING_NEAR:
         return NotDetermined(why=NOTHING_NEAR)
     to_sensor = np.zeros((6, 6))
@@ -128,7 +127,7 @@ def fitted(points: Points, grid: DistanceGrid, start: Doubles, how: How) -> Fit 
     return Fit(
         sensor_from_object=freeze(_pose(rest[-1], points.about_mm)), rmse_mm=float(rest[-1, 12]),
         fitness=float(rest[-1, 13]), noise_mm=float(noise_mm), hessian=freeze(to_sensor @ in_object @ to_sensor.T),
-        about_mm=freeze(points.about_mm), radius_mm=points.radius_mm, frozen=freeze(to_sensor @ directions[:, held]),
+        about_mm=freeze(points.about_mm), radius_mm=points.radius_mm, frozen=freeze(to_sensor @ weak),
         n_iterations=len(poses) - 1, converged=status == kernels.CONVERGED,
         steps=tuple(_step(row, points.about_mm) for row in poses) if how.keep_steps else (),
     )  # fmt: skip
@@ -138,7 +137,13 @@ def _arguments(
     points: Points, turn: Doubles, shift: Doubles, grid: DistanceGrid, how: How, scale_mm: float
 ) -> tuple[Any, ...]:
     return (points.centred_mm, turn, shift, grid.lattice, points.radius_mm, how.max_distance_mm, scale_mm,
-            how.noise_mm, how.tolerance_mm, how.weak_share, how.settled_mm, how.n_iterations)  # fmt: skip
+            how.noise_mm, rule(how), how.settled_mm, how.n_iterations)  # fmt: skip
+
+
+def rule(how: How) -> tuple[float, float, float, float]:
+    """What a direction must be known to, as the kernels take it: share, mm, rad, rad."""
+    told = how.tolerances
+    return how.independent, told.mm, math.radians(told.deg), math.radians(told.normal_error_deg)
 
 
 def _pose(row: Doubles, about_mm: Doubles) -> Doubles:

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from pipeline.distance_grid_kernels import look_up
+from pipeline.registration.step_kernels import move, orthonormal, step
 
 CONVERGED, OUT_OF_ITERATIONS, NOTHING_NEAR = 0, 1, 2
 N_SUMS = 31  # 21 of H, 6 of g, weight, squares within reach, points within reach, robust cost
@@ -19,39 +20,6 @@ _BINS = 1024
 _SPREAD = 1.4826  # standard deviation of a normal distribution over its median magnitude
 _BENDS_AT = 5.0  # spreads at which a residual counts a quarter: 1.5 % less efficient than least squares
 _SHRINK = 0.3  # smallest factor from one iteration's scale to the next
-_MOST_TURN_RAD = 0.3
-_DAMPING = 1e-9
-
-
-@njit(cache=True)
-def eigen(matrix):
-    """(values (6,), vectors (6, 6) in columns) of a symmetric matrix, by Jacobi's rotations."""
-    a, v = matrix.copy(), np.eye(6)
-    for _sweep in range(30):
-        off, size = 0.0, 0.0
-        for p in range(6):
-            size += a[p, p] * a[p, p]
-            for q in range(p):
-                off += a[p, q] * a[p, q]
-        if off <= 1e-30 * size:
-            break
-        for p in range(5):
-            for q in range(p + 1, 6):
-                if a[p, q] == 0.0:
-                    continue
-                theta = (a[q, q] - a[p, p]) / (2.0 * a[p, q])
-                t = math.copysign(1.0, theta) / (abs(theta) + math.sqrt(theta * theta + 1.0))
-                c = 1.0 / math.sqrt(t * t + 1.0)
-                s = t * c
-                for k in range(6):
-                    x, y = a[k, p], a[k, q]
-                    a[k, p], a[k, q] = c * x - s * y, s * x + c * y
-                for k in range(6):
-                    x, y = a[p, k], a[q, k]
-                    a[p, k], a[q, k] = c * x - s * y, s * x + c * y
-                    x, y = v[k, p], v[k, q]
-                    v[k, p], v[k, q] = c * x - s * y, s * x + c * y
-    return np.diag(a).copy(), v
 
 
 @njit(cache=True)
@@ -123,93 +91,16 @@ def spread(bins, reach):
 
 
 @njit(cache=True)
-def hessian(sums):
-    """(6, 6) from the upper triangle in `sums`."""
-    out = np.empty((6, 6))
-    k = 0
-    for i in range(6):
-        for j in range(i, 6):
-            out[i, j] = out[j, i] = sums[k]
-            k += 1
-    return out
-
-
-@njit(cache=True)
-def solve(sums, noise, tolerance, weak_share):
-    """(motion (6,), hessian, eigenvalues, directions, frozen (6,)): what is weak does not move."""
-    h = hessian(sums)
-    values, directions = eigen(h)
-    total = values.sum()
-    motion, frozen = np.zeros(6), np.zeros(6, np.bool_)
-    for k in range(6):
-        lacks_share = values[k] <= weak_share * weak_share * sums[27]
-        frozen[k] = lacks_share or noise * noise > tolerance * tolerance * values[k]
-        if frozen[k]:
-            continue
-        along = 0.0
-        for i in range(6):
-            along += directions[i, k] * sums[21 + i]
-        along /= values[k] + _DAMPING * total
-        for i in range(6):
-            motion[i] += directions[i, k] * along
-    return motion, h, values, directions, frozen
-
-
-@njit(cache=True)
-def move(turn, shift, motion, radius, most):
-    """Pose (in place) after a motion of the object's axes about the points' middle; returns the motion's size, mm."""
-    wx, wy, wz = motion[0] / radius, motion[1] / radius, motion[2] / radius
-    angle = math.sqrt(wx * wx + wy * wy + wz * wz)
-    slide = math.sqrt(motion[3] ** 2 + motion[4] ** 2 + motion[5] ** 2)
-    factor = min(1.0, _MOST_TURN_RAD / max(angle, 1e-300), most / max(slide, 1e-300))
-    wx, wy, wz, angle = wx * factor, wy * factor, wz * factor, angle * factor
-    a = math.sin(angle) / angle if angle > 1e-4 else 1.0 - angle * angle / 6.0
-    b = (1.0 - math.cos(angle)) / (angle * angle) if angle > 1e-4 else 0.5 - angle * angle / 24.0
-    e = np.empty((3, 3))
-    e[0, 0], e[0, 1], e[0, 2] = 1 - b * (wy * wy + wz * wz), b * wx * wy - a * wz, b * wx * wz + a * wy
-    e[1, 0], e[1, 1], e[1, 2] = b * wx * wy + a * wz, 1 - b * (wx * wx + wz * wz), b * wy * wz - a * wx
-    e[2, 0], e[2, 1], e[2, 2] = b * wx * wz - a * wy, b * wy * wz + a * wx, 1 - b * (wx * wx + wy * wy)
-    # In the object's axes the middle is at -R^T t; the points' new place there is E^T (x - v), so R' = R E.
-    old, middle, new = turn.copy(), np.zeros(3), np.zeros((3, 3))
-    for i in range(3):
-        for k in range(3):
-            middle[i] -= old[k, i] * shift[k]
-            for j in range(3):
-                new[i, j] += old[i, k] * e[k, j]
-    for i in range(3):
-        middle[i] -= factor * motion[3 + i]
-    for i in range(3):
-        shift[i] = 0.0
-        for j in range(3):
-            turn[i, j] = new[i, j]
-            shift[i] -= new[i, j] * middle[j]
-    return math.sqrt((motion**2).sum())
-
-
-@njit(cache=True)
-def orthonormal(turn):
-    """Rows made orthonormal again (in place): products of rotations drift by rounding."""
-    for i in range(3):
-        for j in range(i):
-            dot = turn[i, 0] * turn[j, 0] + turn[i, 1] * turn[j, 1] + turn[i, 2] * turn[j, 2]
-            for k in range(3):
-                turn[i, k] -= dot * turn[j, k]
-        norm = math.sqrt(turn[i, 0] ** 2 + turn[i, 1] ** 2 + turn[i, 2] ** 2)
-        for k in range(3):
-            turn[i, k] /= norm
-
-
-@njit(cache=True)
-def fit(points, turn, shift, grid, radius, reach, scale, floor, tolerance, weak_share, settled, most):
+def fit(points, turn, shift, grid, radius, reach, scale, floor, rule, settled, most):
     """Register points (n, 3) about their middle; `turn` and `shift` move in place.
 
-    Returns (each pose (k, 14) with rmse and share, status, spread, hessian in the object's axes, directions, frozen,
-    scale).
+    Returns (each pose (k, 14) with rmse and share, status, spread, hessian in the object's axes, weak directions
+    (6, k), scale).
     """
     history = np.empty((most + 1, 14))
     sums, bins = np.zeros(N_SUMS), np.zeros(_BINS, np.int64)
     status, n, noise = OUT_OF_ITERATIONS, 0, floor
-    h, directions, frozen = np.zeros((6, 6)), np.eye(6), np.ones(6, np.bool_)
+    h, weak = np.zeros((6, 6)), np.eye(6)
     last = 1e300
     for n in range(most + 1):
         gather(points, turn, shift, grid, radius, scale, reach, bins, sums)
@@ -222,8 +113,8 @@ def fit(points, turn, shift, grid, radius, reach, scale, floor, tolerance, weak_
         history[n, 13] = sums[29] / points.shape[0]
         # A start may lie off by more than the search distance: as long as the weights tell a way, it is gone.
         if not sums[27] > 0:
-            return history[: n + 1], NOTHING_NEAR, noise, h, directions, frozen, scale
-        motion, h, _values, directions, frozen = solve(sums, noise if last <= settled else floor, tolerance, weak_share)
+            return history[: n + 1], NOTHING_NEAR, noise, h, weak, scale
+        motion, h, weak = step(sums, noise if last <= settled else floor, rule[0], radius, rule[1], rule[2], rule[3])
         bend = min(scale, max(_BENDS_AT * noise, _SHRINK * scale))
         if last <= settled and bend > 0.9 * scale:
             status = CONVERGED
@@ -236,41 +127,16 @@ def fit(points, turn, shift, grid, radius, reach, scale, floor, tolerance, weak_
         orthonormal(turn)
     if sums[29] == 0:
         status = NOTHING_NEAR
-    return history[: n + 1], status, noise, h, directions, frozen, scale
+    return history[: n + 1], status, noise, h, weak, scale
 
 
 @njit(cache=True)
-def centre(points):
-    """((n, 3) points about their middle, middle, rms distance from it); those that are not finite are left out."""
-    n, middle = 0, np.zeros(3)
-    first = np.zeros(3)
-    for k in range(points.shape[0]):
-        if math.isfinite(points[k, 0]) and math.isfinite(points[k, 1]) and math.isfinite(points[k, 2]):
-            if n == 0:
-                first[:] = points[k]
-            # Summed from the first point on, so that a frame far away costs no digits.
-            for i in range(3):
-                middle[i] += points[k, i] - first[i]
-            n += 1
-    for i in range(3):
-        middle[i] = first[i] + middle[i] / max(n, 1)
-    out, squares, n = np.empty((n, 3)), 0.0, 0
-    for k in range(points.shape[0]):
-        if math.isfinite(points[k, 0]) and math.isfinite(points[k, 1]) and math.isfinite(points[k, 2]):
-            for i in range(3):
-                out[n, i] = points[k, i] - middle[i]
-                squares += out[n, i] ** 2
-            n += 1
-    return out, middle, math.sqrt(squares / max(n, 1))
-
-
-@njit(cache=True)
-def fit_each(points, turns, shifts, grid, radius, reach, scale, floor, tolerance, weak_share, settled, most, judged):
+def fit_each(points, turns, shifts, grid, radius, reach, scale, floor, rule, settled, most, judged):
     """Register the same few points from each start (in place); (n,) mean robust squares at the scale `judged`."""
     cost = np.empty(turns.shape[0])
     sums, bins = np.zeros(N_SUMS), np.zeros(_BINS, np.int64)
     for k in range(turns.shape[0]):
-        fit(points, turns[k], shifts[k], grid, radius, reach, scale, floor, tolerance, weak_share, settled, most)
+        fit(points, turns[k], shifts[k], grid, radius, reach, scale, floor, rule, settled, most)
         gather(points, turns[k], shifts[k], grid, radius, judged, reach, bins, sums)
         cost[k] = sums[30] / points.shape[0]
     return cost

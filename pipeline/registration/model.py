@@ -35,13 +35,18 @@ class Model:
     def thinned(self, n: int) -> Model:
         """About `n` of the points, evenly taken, standing for the same area."""
         step = max(1, len(self.points_mm) // n)
-        return Model(points_mm=self.points_mm[::step], normals=self.normals[::step], area_mm2=self.area_mm2)
+        return Model(
+            points_mm=np.ascontiguousarray(self.points_mm[::step]), normals=np.ascontiguousarray(self.normals[::step]),
+            area_mm2=self.area_mm2,
+        )  # fmt: skip
 
 
 def sampled(mesh: Mesh, n_points: int, seed: int) -> Model:
     """`n_points` spread by area over the triangles; raises MeshProblem for a mesh without surface."""
     if len(mesh.vertices_mm) == 0 or len(mesh.triangles) == 0 or not np.isfinite(mesh.vertices_mm).all():
         raise MeshProblem("the object mesh has no triangles, or vertices that are not finite; export it again")
+    if mesh.triangles.min() < 0 or mesh.triangles.max() >= len(mesh.vertices_mm):
+        raise MeshProblem("the object mesh names vertices that it does not have; export it again")
     a, b, c = (mesh.vertices_mm[mesh.triangles[:, k]].astype(np.float64) for k in range(3))
     across = np.cross(b - a, c - a)
     twice_area = np.linalg.norm(across, axis=1)

@@ -11,7 +11,16 @@ from numpy.typing import NDArray
 from pipeline import rigid
 from pipeline.arrays import Doubles, freeze
 from pipeline.distance_grid import DistanceGrid
-from pipeline.registration.gauss_newton import FEWEST_POINTS, NOTHING_NEAR, Fit, How, NotDetermined, Points, fitted
+from pipeline.registration.gauss_newton import (
+    FEWEST_POINTS,
+    NOTHING_NEAR,
+    Fit,
+    How,
+    NotDetermined,
+    Points,
+    fitted,
+    rule,
+)
 
 # Steps of the most even additive sequence in six dimensions: powers of the root of x^7 = x + 1.
 _EVEN = 1.1127756842787055 ** -np.arange(1.0, 7.0)
@@ -94,6 +103,15 @@ def misfits(points: Points, grid: DistanceGrid, poses: Sequence[Doubles], judged
     return np.sqrt(_each(points, grid, turns, shifts, How(n_iterations=0), judged_mm))
 
 
+def registered(points: Points, grid: DistanceGrid, starts: Sequence[Doubles] | Doubles, how: How) -> Doubles:
+    """Where each start (n, 4, 4) leads, (n, 4, 4)."""
+    turns, shifts = _apart(starts, points)
+    _each(points, grid, turns, shifts, how, how.max_distance_mm)
+    out = np.zeros((len(turns), 4, 4))
+    out[:, :3, :3], out[:, :3, 3], out[:, 3, 3] = turns, shifts + points.about_mm, 1.0
+    return out
+
+
 def _rough(points: Points, grid: DistanceGrid, starts: Sequence[Doubles], how: How, many: Many) -> list[Doubles]:
     """The best places that a few points find, no two the same."""
     few = points.thinned(max(many.n_points, FEWEST_POINTS))
@@ -116,11 +134,11 @@ def _each(points: Points, grid: DistanceGrid, turns: Doubles, shifts: Doubles, h
 
     return fit_each(
         points.centred_mm, turns, shifts, grid.lattice, points.radius_mm, how.max_distance_mm, how.max_distance_mm,
-        how.noise_mm, how.tolerance_mm, how.weak_share, how.settled_mm, how.n_iterations, judged_mm,
+        how.noise_mm, rule(how), how.settled_mm, how.n_iterations, judged_mm,
     )  # fmt: skip
 
 
-def _apart(poses: Sequence[Doubles], points: Points) -> tuple[Doubles, Doubles]:
+def _apart(poses: Sequence[Doubles] | Doubles, points: Points) -> tuple[Doubles, Doubles]:
     """Rotations (n, 3, 3) and shifts (n, 3) about the points' middle, copied: the kernels move them."""
     stacked = np.array(poses, dtype=np.float64).reshape(-1, 4, 4)
     return np.ascontiguousarray(stacked[:, :3, :3]), np.ascontiguousarray(stacked[:, :3, 3] - points.about_mm)

@@ -7,6 +7,7 @@ tells slides along a flat face apart, and notches that a membrane bridges.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,73 +16,86 @@ import numpy as np
 
 from pipeline import rigid
 from pipeline.arrays import Doubles
-from pipeline.camera import MIN_DEPTH_MM
+from pipeline.distance_grid import DistanceGrid
 from pipeline.registration.model import Model
 from pipeline.registration.scene import Scene
 
 _FREE_MM = 0.05  # an object this much before the membrane is still within the error of its depth
-_FACING = -0.1  # largest cosine, object's normal to felt normal, below which a match is the far side of a thin wall
+_OUTLINE_PX = 2.0  # within so many pixels the contact's own outline is not known better
+CORRELATION_MM = 0.5  # errors of a membrane's shape hang together over this length
+_LEAST_SPREAD_MM = 0.02  # of what a membrane's shape is known to, however well something fits
+_TELLING = 2.0  # standard errors from which one misfit is larger than another
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Judge:
-    """A scene and a model, thinned for comparison, with the model's search tree built once."""
+    """A scene and an object, thinned for comparison."""
 
     scene: Scene
     felt: Doubles  # (k, 3)
     felt_normals: Doubles  # (k, 3)
+    grid: DistanceGrid
     model: Model
-    tree: Any  # scipy's KDTree of the model's points, which is untyped
     limit_mm: float  # distances beyond it count as this much
 
-    def misfit_mm(self, poses: Sequence[Doubles]) -> Doubles:
+    def misfit_mm(self, poses: Sequence[Doubles] | Doubles) -> Doubles:
         """Root mean square misfit (n,) of each sensor_from_object over the contact's area."""
-        sensor_from_object = np.asarray(poses)
-        felt_sq = self._felt_sq(sensor_from_object)
-        out_sq = self._sticking_out_sq(sensor_from_object) * (self.model.area_mm2 / self.scene.area_mm2)
-        return np.sqrt(felt_sq + out_sq)
+        from pipeline.registration.ranking_kernels import sums
 
-    def _felt_sq(self, poses: Doubles) -> Doubles:
-        turns, shifts = poses[:, :3, :3], poses[:, :3, 3]
-        in_object = (self.felt[None] - shifts[:, None]) @ turns  # R^T (p - t), rows
-        _, index = self.tree.query(in_object, distance_upper_bound=self.limit_mm)
-        near = index < len(self.model.points_mm)  # the tree's way of saying none
-        normals = self.model.normals[np.where(near, index, 0)]
-        facing = np.einsum("bki,bki->bk", normals, self.felt_normals[None] @ turns) > _FACING
-        # Between the model's samples lies surface too: along it, only what exceeds their spacing is off the object.
-        offset = in_object - self.model.points_mm[np.where(near, index, 0)]
-        along_normal = np.einsum("bki,bki->bk", normals, offset)
-        along_surface = np.sqrt(np.maximum((offset**2).sum(axis=-1) - along_normal**2, 0.0))
-        beyond = np.maximum(along_surface - self.model.spacing_mm, 0.0)
-        square = np.minimum(along_normal**2 + beyond**2, self.limit_mm**2)
-        return np.where(near & facing, square, self.limit_mm**2).mean(axis=1)
+        stacked = np.array(poses, dtype=np.float64).reshape(-1, 4, 4)
+        found = sums(stacked, self.felt, self.felt_normals, self.grid.lattice, *self._unfelt())
+        return np.sqrt(found[:, 0] + found[:, 1] * (self.model.area_mm2 / self.scene.area_mm2))
 
-    def _sticking_out_sq(self, poses: Doubles) -> Doubles:
-        camera = self.scene.camera
-        points = self.model.points_mm[None] @ poses[:, :3, :3].transpose(0, 2, 1) + poses[:, None, :3, 3]
-        x_px, y_px, visible = camera.project(points)
-        col = np.where(visible, np.rint(x_px), 0).astype(np.intp).clip(0, camera.cols - 1)
-        row = np.where(visible, np.rint(y_px), 0).astype(np.intp).clip(0, camera.rows - 1)
-        reach = self.scene.membrane_mm[row, col] - points[..., 2]
-        before = reach - max(_FREE_MM, self.scene.pixel_mm / 2)
-        # A face turned away is not felt, however near; where the membrane has no reading, nothing is known.
-        toward = np.einsum("mi,bi->bm", self.model.normals, poses[:, 2, :3]) < 0
-        counts = visible & toward & (points[..., 2] > MIN_DEPTH_MM)
-        # Within two pixels the contact's own outline is not known better.
-        beside = np.where(reach > 0.0, self.scene.off_contact_mm[row, col] - 2.0 * self.scene.pixel_mm, 0.0)
-        wrong = np.minimum(np.maximum(np.maximum(before, beside), 0.0), self.limit_mm)
-        return np.where(counts & (wrong > 0), wrong**2, 0.0).mean(axis=1)
+    def tells_apart(self, better: Doubles, other: Doubles) -> bool:
+        """Whether the touch fits one pose better than the other by more than the touch's own error can make up.
+
+        A membrane that is off by e in one independent place (their area: 2 pi l^2) changes the difference of squared
+        distances by 2 e (d - d'); e is what the better pose leaves unexplained.
+        """
+        spread_mm = max(float(self.misfit_mm([better])[0]), _LEAST_SPREAD_MM)
+        patch_mm2 = 2.0 * math.pi * CORRELATION_MM**2
+        share = min(1.0, patch_mm2 / self.scene.area_mm2)
+        felt_a, felt_b = self._felt_squares(better), self._felt_squares(other)
+        unfelt_a, unfelt_b = self._unfelt_places(better, patch_mm2), self._unfelt_places(other, patch_mm2)
+        gap = float((felt_b - felt_a).mean()) + share * float((unfelt_b - unfelt_a).sum())
+        felt_sq = share * float(((np.sqrt(felt_b) - np.sqrt(felt_a)) ** 2).mean())
+        unfelt_sq = share**2 * float(((np.sqrt(unfelt_b) - np.sqrt(unfelt_a)) ** 2).sum())
+        return gap > _TELLING * 2.0 * spread_mm * math.sqrt(felt_sq + unfelt_sq)
+
+    def _felt_squares(self, pose: Doubles) -> Doubles:
+        from pipeline.registration.ranking_kernels import felt_squares
+
+        out = np.empty(len(self.felt))
+        felt_squares(np.array(pose), self.felt, self.felt_normals, self.grid.lattice, self.limit_mm, out)
+        return out
+
+    def _unfelt_places(self, pose: Doubles, patch_mm2: float) -> Doubles:
+        """(tiles,) mean squares over patches of the picture."""
+        from pipeline.registration.ranking_kernels import unfelt_by_place
+
+        side_px = max(1.0, math.sqrt(patch_mm2) / self.scene.pixel_mm)
+        across = int(self.scene.camera.cols / side_px) + 1
+        arguments: tuple[Any, ...] = (np.array(pose), *self._unfelt(), side_px, across)
+        found = unfelt_by_place(*arguments)
+        return found * (self.model.area_mm2 / max(len(self.model.points_mm), 1) / patch_mm2)
+
+    def _unfelt(self) -> tuple[Any, ...]:
+        """The arguments of the kernels that are about the space where nothing was felt."""
+        camera, pixel_mm = self.scene.camera, self.scene.pixel_mm
+        return (
+            self.model.points_mm, self.model.normals, (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px),
+            self.scene.membrane_mm, self.scene.off_contact_mm, max(_FREE_MM, pixel_mm / 2), _OUTLINE_PX * pixel_mm,
+            self.limit_mm,
+        )  # fmt: skip
 
 
-def judge(scene: Scene, model: Model, n_felt: int, n_model: int, limit_mm: float) -> Judge:
+def judge(scene: Scene, grid: DistanceGrid, model: Model, n_felt: int, n_model: int, limit_mm: float) -> Judge:
     """A judge on about `n_felt` felt points and `n_model` model points."""
-    from scipy.spatial import KDTree
-
-    few = model.thinned(n_model)
     step = max(1, len(scene.points_mm) // n_felt)
     return Judge(
-        scene=scene, felt=scene.points_mm[::step], felt_normals=scene.normals[::step],
-        model=few, tree=KDTree(few.points_mm), limit_mm=limit_mm,
+        scene=scene, felt=np.ascontiguousarray(scene.points_mm[::step]),
+        felt_normals=np.ascontiguousarray(scene.normals[::step]), grid=grid, model=model.thinned(n_model),
+        limit_mm=limit_mm,
     )  # fmt: skip
 
 

@@ -6,13 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline import rigid
 from pipeline.arrays import Doubles, Floats, Indices, Mask
 from pipeline.camera import MIN_DEPTH_MM, Camera
 from pipeline.registration.model import Model
 from pipeline.stages.results import Touch
 
 MOST_TURNED_AWAY = -0.2  # cosine to the felt normal; the wall of a notch is steep, the far side of a plate is at -1
+
+# A touch translated from a thin gel says nothing of what lies deeper than that gel reached, which is where the contact
+# ends: a bubble would have wrapped the object's shoulders, the gel never met them.
+_RIM_PERCENT, _RIM_MM = 95.0, 0.25
 
 _MIN_PART = 10  # points; fewer are no surface
 
@@ -25,7 +28,7 @@ class Scene:
     normals: Doubles  # (n, 3) out of the object, toward the camera
     pixel: Indices  # (n,) flat pixel of the touch
     area_mm2: float  # of the contact, along the surface
-    membrane_mm: Floats  # (rows, cols) z of the membrane; NaN where the source of the touch could not see
+    membrane_mm: Floats  # (rows, cols) z that no object comes nearer than unfelt; NaN where the source could not see
     off_contact_mm: Floats  # (rows, cols) distance to the nearest contact; 0 where the source could not see
     camera: Camera
 
@@ -38,27 +41,40 @@ class Scene:
 def felt_surface(touch: Touch, max_points: int, seed: int) -> Scene:
     """At most `max_points` contact points of a touch with their normals; a seeded choice where there are more."""
     usable = touch.contact & (touch.depth_mm > MIN_DEPTH_MM) & np.isfinite(touch.depth_mm)
-    surface = touch.camera.back_project(np.where(usable, touch.depth_mm, np.nan))
+    top, left, rows, cols = _box(usable)
+    part = np.s_[top : top + rows, left : left + cols]
+    seen = touch.camera.cropped(top, left, rows, cols)
+    surface = seen.back_project(np.where(usable[part], touch.depth_mm[part], np.nan))
     to_right, down = (_slope(surface, axis) for axis in (1, 0))
     across = np.cross(down, to_right).reshape(-1, 3)  # y cross x points to -z: toward the camera
     area = np.linalg.norm(across, axis=1)
-    pixel = np.flatnonzero(np.isfinite(area) & (area > 0))
-    area_mm2 = float(area[pixel].sum())
-    if pixel.size > max_points:
-        pixel = np.sort(np.random.default_rng(seed).choice(pixel, max_points, replace=False))
+    chosen = np.flatnonzero(np.isfinite(area) & (area > 0))
+    area_mm2 = float(area[chosen].sum())
+    if chosen.size > max_points:
+        chosen = np.sort(np.random.default_rng(seed).choice(chosen, max_points, replace=False))
+    row, col = np.divmod(chosen, max(cols, 1))
     import cv2
 
     typical_mm = float(np.median(touch.depth_mm[usable])) / touch.camera.fx_px if usable.any() else 0.0
     off_px = np.asarray(cv2.distanceTransform((~usable).astype(np.uint8), cv2.DIST_L2, 5), np.float32)
+    farthest_mm = float(np.percentile(touch.depth_mm[usable], _RIM_PERCENT)) + _RIM_MM if usable.any() else 0.0
     return Scene(
-        points_mm=surface.reshape(-1, 3)[pixel],
-        normals=across[pixel] / area[pixel, None],
-        pixel=pixel.astype(np.int32),
+        points_mm=surface.reshape(-1, 3)[chosen],
+        normals=across[chosen] / area[chosen, None],
+        pixel=((row + top) * touch.camera.cols + col + left).astype(np.int32),
         area_mm2=area_mm2,
-        membrane_mm=np.where(touch.known, touch.depth_mm, np.float32(np.nan)),
+        membrane_mm=np.where(touch.known, np.minimum(touch.depth_mm, np.float32(farthest_mm)), np.float32(np.nan)),
         off_contact_mm=np.where(touch.known, off_px * np.float32(typical_mm), np.float32(0.0)),
         camera=touch.camera,
     )
+
+
+def _box(mask: Mask) -> tuple[int, int, int, int]:
+    """(top, left, rows, cols) around what is marked; at least one pixel."""
+    rows, cols = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    if not rows.size:
+        return 0, 0, 1, 1
+    return int(rows[0]), int(cols[0]), int(rows[-1] - rows[0]) + 1, int(cols[-1] - cols[0]) + 1
 
 
 def _slope(surface: Doubles, axis: int) -> Doubles:
@@ -78,8 +94,11 @@ def _known(vectors: Doubles) -> Mask:
 
 def in_reach(scene: Scene, model: Model, sensor_from_object: Doubles, reach_mm: float) -> Model:
     """What of a placed object can have been felt: near the scene and not its far side; all, where nothing is."""
-    points = rigid.apply(sensor_from_object, model.points_mm)
-    low, high = scene.points_mm.min(axis=0) - reach_mm, scene.points_mm.max(axis=0) + reach_mm
-    near = ((points >= low) & (points <= high)).all(axis=1)
-    near &= model.normals @ sensor_from_object[:3, :3].T @ scene.normals.mean(axis=0) > MOST_TURNED_AWAY
+    from pipeline.registration import ranking_kernels
+
+    near = ranking_kernels.in_reach(
+        np.array(sensor_from_object), model.points_mm, model.normals,
+        scene.points_mm.min(axis=0) - reach_mm, scene.points_mm.max(axis=0) + reach_mm,
+        scene.normals.mean(axis=0), MOST_TURNED_AWAY,
+    )  # fmt: skip
     return model.part(near) if near.sum() >= _MIN_PART else model

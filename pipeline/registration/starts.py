@@ -15,6 +15,9 @@ FACES: dict[str, tuple[float, float, float]] = {
     "+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1),
 }  # fmt: skip
 _ANCHORS = 5  # places of a face that are tried at the middle of the contact
+_MOST_ALONG = 24  # more of them on a face that is larger than the contact
+_N_MODEL = 4000  # points that tell where a face is
+_SAME_MM = 0.3  # places this close are one
 _MIN_LAYER_MM = 0.3  # how deep below the outermost point a face still counts as touched
 
 
@@ -34,10 +37,12 @@ def starts(scene: Scene, model: Model, face: str, n_starts: int) -> list[Start]:
     normal /= np.linalg.norm(normal)
     middle = scene.points_mm.mean(axis=0)
     layer_mm = max(_MIN_LAYER_MM, float(np.ptp(scene.points_mm @ normal)))
+    extent_mm = float(np.sqrt(((scene.points_mm - middle) ** 2).sum(axis=1).mean()))
+    few = model.thinned(_N_MODEL)
     found: list[Start] = []
     for name in faces:
         outward = np.array(FACES[name], dtype=np.float64)
-        anchors = _anchors(model, outward, layer_mm)
+        anchors = _anchors(few, outward, layer_mm, extent_mm)
         onto = _turn_onto(outward, normal)
         for k in range(n_angles):
             turn = rigid.rotation(normal * (2 * np.pi * k / n_angles)) @ onto
@@ -48,19 +53,36 @@ def starts(scene: Scene, model: Model, face: str, n_starts: int) -> list[Start]:
     return found
 
 
-def _anchors(model: Model, outward: Doubles, layer_mm: float) -> Doubles:
-    """The middle of the outermost layer of a face, and points of it far from one another."""
+def _anchors(model: Model, outward: Doubles, layer_mm: float, extent_mm: float) -> Doubles:
+    """Places (n, 3) of a face that may lie in the middle of a contact whose rms radius is `extent_mm`.
+
+    The middle of the outermost layer; points half the way to its far ends; and, where the layer is larger than the
+    contact, the middles of pieces of the contact's size all over it.
+    """
     height = model.points_mm @ outward
     layer = model.points_mm[height > height.max() - layer_mm]
-    chosen = [layer.mean(axis=0)]
-    distance = np.linalg.norm(layer - chosen[0], axis=1)
-    while len(chosen) < _ANCHORS:
-        # Half the way out: a corner itself is rarely what lies in the middle of a contact.
-        far = layer[int(np.argmax(distance))]
-        chosen.append(far)
-        distance = np.minimum(distance, np.linalg.norm(layer - far, axis=1))
-    middle = chosen[0]
-    return np.array([middle, *((p + middle) / 2 for p in chosen[1:])])
+    middle = layer.mean(axis=0)
+    far = _spread(layer, middle, max(_ANCHORS - 1, _MOST_ALONG), extent_mm, _ANCHORS - 1)
+    # Half the way out: a corner itself is rarely what lies in the middle of a contact.
+    places = [middle, *((p + middle) / 2 for p in far[: _ANCHORS - 1])]
+    for place in far:
+        piece = layer[((layer - place) ** 2).sum(axis=1) < (2.0 * extent_mm) ** 2].mean(axis=0)
+        if min(float(np.linalg.norm(piece - other)) for other in places) > _SAME_MM:
+            places.append(piece)
+    return np.array(places)
+
+
+def _spread(layer: Doubles, middle: Doubles, most: int, apart_mm: float, least: int) -> list[Doubles]:
+    """Points far from the middle and from one another: `least` of them, then on while they are `apart_mm` apart."""
+    chosen: list[Doubles] = []
+    distance = np.linalg.norm(layer - middle, axis=1)
+    while len(chosen) < most:
+        k = int(np.argmax(distance))
+        if len(chosen) >= least and distance[k] < apart_mm:
+            break
+        chosen.append(layer[k])
+        distance = np.minimum(distance, np.linalg.norm(layer - layer[k], axis=1))
+    return chosen
 
 
 def _turn_onto(source: Doubles, target: Doubles) -> Doubles:

@@ -1,13 +1,15 @@
 """Pose: where the touched object is in the target sensor's frame (paper: ICP against the object's mesh).
 
-A contact is a one-sided, partial view of the object, so a single ICP ends in some minimum, confidently. Here many first
-guesses are compared by what was felt and by what was not, the best are registered, and what is left open is said.
+A contact is a one-sided, partial view of the object, so a single registration ends in some minimum, confidently. Here
+many first guesses are compared by what was felt and by what was not, the best are registered on the object's signed
+distances, and what is left open is said: directions that nothing shows, and other poses that fit as well.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,45 +19,42 @@ from pipeline.errors import SettingProblem
 from pipeline.meshes import Mesh
 from pipeline.params import setting
 from pipeline.progress import SILENT, Progress
-from pipeline.registration.icp import Fit, Registration, Surface, register, surface
-from pipeline.registration.model import Model, sampled
-from pipeline.registration.observability import Observability, observability
-from pipeline.registration.outline import placed, shows
-from pipeline.registration.ranking import Judge, apart, judge
-from pipeline.registration.scene import Scene, felt_surface, in_reach
-from pipeline.registration.starts import FACES, Start, starts
-from pipeline.stages.results import ObjectPose, PoseStep, Touch
+from pipeline.registration.answer import Answered, answered
+from pipeline.registration.gauss_newton import NotDetermined, Points
+from pipeline.registration.planar_pose import planar_pose
+from pipeline.registration.prepared import prepared
+from pipeline.registration.scene import Scene, felt_surface
+from pipeline.registration.search import Minimum, Search
+from pipeline.registration.starts import FACES, starts
+from pipeline.stages.results import ObjectPose, Touch
 
 NO_CONTACT = "no contact: nothing was felt to find a pose from"
 NO_MESH = "no object mesh was given; a pose needs one"
+SURFACE, PAPER = "surface", "paper 2D"
+_FORMER = {"point-to-plane": SURFACE, "point-to-point": PAPER}
 _MIN_POINTS = 20  # six unknowns, three times over
-_N_MODEL = 30_000  # points on the whole object
-_COARSE_FELT, _COARSE_MODEL = 80, 1000  # points that rank the first guesses
-_FINE_FELT, _FINE_MODEL = 400, 4000  # points that rank what came out of them
-_N_REGISTERED, _N_POLISHED = 16, 6
-_COARSE_ITERATIONS = 12
-_POLISHED_SHARE = 4.0  # the last registration searches this many times nearer
-_STEP_POINTS = 500  # that the residual of a kept iteration is measured on
-_OUTLINE_REACH_MM = 4.0  # object this far beyond the contact may stick out beside it
 _MIN_FITNESS = 0.05  # share of the contact on the object below which there is no pose to speak of
-_SAME_SURFACE = 0.5  # cosine of felt and modelled normal from which on both show one surface
-_EQUAL_SHARE, _EQUAL_MM = 0.05, 0.005  # misfits this close are equal
-_SAME_MM, _SAME_DEG = 1.0, 5.0  # poses this close are one
+_LARGEST = 100.0  # times the contact's size: a larger object's surface would be one plane
+_FOLLOWED_FITNESS, _FOLLOWED_MM = 0.8, 0.15  # a pose followed from the last touch fits at least this well
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseParams:
     """How the registration is done."""
 
-    method: str = setting("point-to-plane", "Method", choices=("point-to-plane", "point-to-point"))
+    method: str = setting(
+        SURFACE, "Method", choices=(SURFACE, PAPER),
+        help="surface: signed distance to the mesh in 3D; paper 2D: the paper's released evaluation, for comparison",
+    )  # fmt: skip
     face: str = setting(
         "auto", "Face toward the sensor", choices=("auto", *FACES), help="axis of the object that points at the sensor"
     )
     n_starts: int = setting(72, "Starts", low=1, high=1000, step=6, help="orientations that are tried")
-    n_iterations: int = setting(30, "Iterations", low=1, high=500, step=5)
+    n_iterations: int = setting(30, "Iterations", low=1, high=200, step=5)
     max_distance_mm: float = setting(
-        2.0, "Search distance", unit="mm", low=0.05, high=50.0, step=0.1, help="farther points are no partners"
-    )
+        2.0, "Search distance", unit="mm", low=0.05, high=20.0, step=0.1,
+        help="points farther from the object do not count as on it",
+    )  # fmt: skip
     max_points: int = setting(1500, "Points", low=50, high=100_000, step=100, help="contact points that are used")
     keep_steps: bool = setting(True, "Keep iterations")
     seed: int = setting(0, "Seed", low=0, high=2**31 - 1, step=1)
@@ -66,30 +65,46 @@ def pose(touch: Touch, mesh: Mesh | None, params: PoseParams, progress: Progress
 
     Raises MeshProblem when the mesh has no surface, SettingProblem for an unknown face or method.
     """
-    early = without_contact(touch, mesh, params)
-    if early is not None or mesh is None:
-        return early or _unknown(NO_MESH)
-    _check(params)
-    scene = felt_surface(touch, params.max_points, params.seed)
-    if len(scene.points_mm) < _MIN_POINTS:
-        return _unknown(
-            f"only {len(scene.points_mm)} contact points show a surface; a pose needs at least {_MIN_POINTS}", scene
-        )
-    progress.step(0.0, "spreading points over the object")
-    model = sampled(mesh, _N_MODEL, params.seed)
-    progress.step(0.05, "comparing first guesses")
-    tried = starts(scene, model, params.face, params.n_starts)
-    chosen = _most_promising(tried, judge(scene, model, _COARSE_FELT, _COARSE_MODEL, params.max_distance_mm))
-    fine = judge(scene, model, _FINE_FELT, _FINE_MODEL, params.max_distance_mm)
-    fits, misfits_mm = _registered(scene, model, chosen, fine, params, progress)
-    if not fits or fits[0].fitness < _MIN_FITNESS:
-        size_mm = float(np.ptp(mesh.vertices_mm, axis=0).max())
-        return _unknown(
-            f"the object, {size_mm:.3g} mm long, could not be laid on the contact; check the mesh's unit and face",
-            scene,
-        )
-    fits[0] = _measured(fits[0], surface(mesh), scene, params)
-    return _answer(scene, model, fits, misfits_mm, len(tried), params)
+    begun = _begun(touch, mesh, params, progress)
+    if isinstance(begun, ObjectPose):
+        return begun
+    search, checked = begun
+    if params.method == PAPER:
+        return planar_pose(search.scene, checked, search.object.model, params.face, params.n_iterations,
+                           keep_steps=params.keep_steps, progress=progress)  # fmt: skip
+    progress.step(0.2, "comparing first guesses")
+    tried = starts(search.scene, search.object.model, params.face, params.n_starts)
+    progress.step(0.21, "registering the most promising")
+    found = search.best(search.promising(tried), _Share(progress, 0.3, 0.7))
+    return _told(search, checked, found, len(tried), ())
+
+
+def pose_from(
+    touch: Touch,
+    mesh: Mesh | None,
+    params: PoseParams,
+    previous: Doubles,
+    progress: Progress = SILENT,
+    *,
+    others: Sequence[Doubles] = (),
+) -> ObjectPose:
+    """`pose` of the next touch of a sequence: followed from the `previous` sensor_from_object (4, 4) where that fits.
+
+    `others` are the poses that fitted the last touch as well (`ObjectPose.alternatives`): they are followed too, so
+    that a touch that tells them apart does. Where the contact does not lie on the object within 0.15 mm, or for the
+    method of the paper, everything is searched anew. Raises what `pose` does, CalibrationError when `previous` is no
+    rigid transform.
+    """
+    if params.method == SURFACE:
+        begun = _begun(touch, mesh, params, progress)
+        if isinstance(begun, ObjectPose):
+            return begun
+        search, checked = begun
+        found = search.best([rigid.checked(start, "the previous pose") for start in (previous, *others)])
+        best = found[0] if found else None
+        if best is not None and best.fit.fitness >= _FOLLOWED_FITNESS and best.misfit_mm <= _FOLLOWED_MM:
+            return _told(search, checked, found, 0, ("followed from the touch before",))
+    return pose(touch, mesh, params, progress)
 
 
 def without_contact(touch: Touch, mesh: Mesh | None, params: PoseParams) -> ObjectPose | None:  # noqa: ARG001
@@ -99,11 +114,71 @@ def without_contact(touch: Touch, mesh: Mesh | None, params: PoseParams) -> Obje
     return _unknown(NO_MESH) if mesh is None else None
 
 
+def _begun(
+    touch: Touch, mesh: Mesh | None, params: PoseParams, progress: Progress
+) -> ObjectPose | tuple[Search, Mesh]:  # fmt: skip
+    """What a search needs, or the answer where there is nothing to search."""
+    early = without_contact(touch, mesh, params)
+    if early is not None or mesh is None:
+        return early or _unknown(NO_MESH)
+    _check(params)
+    scene = felt_surface(touch, params.max_points, params.seed)
+    few = f"only {len(scene.points_mm)} contact points show a surface; a pose needs at least {_MIN_POINTS}"
+    if len(scene.points_mm) < _MIN_POINTS:
+        return _unknown(few, scene)
+    points = Points.of(scene.points_mm)
+    if isinstance(points, NotDetermined):
+        return _unknown(points.why, scene)
+    if len(mesh.vertices_mm) and _size_mm(mesh) > _LARGEST * points.radius_mm:
+        return _unknown(_not_laid(mesh), scene)
+    progress.step(0.0, "measuring the object")
+    ready = prepared(mesh, params.seed, _Share(progress, 0.0, 0.2))
+    return Search(
+        scene=scene, points=points, object=ready, max_distance_mm=params.max_distance_mm,
+        n_iterations=params.n_iterations, keep_steps=params.keep_steps,
+    ), mesh  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class _Share:
+    """A part of a longer progress."""
+
+    whole: Progress
+    start: float
+    share: float
+
+    def step(self, fraction: float, text: str) -> None:
+        """Pass on as a fraction of the whole."""
+        self.whole.step(self.start + self.share * fraction, text)
+
+
 def _check(params: PoseParams) -> None:
     if params.face not in ("auto", *FACES):
         raise SettingProblem(f"pose.face must be one of auto, {', '.join(FACES)}, got {params.face!r}")
-    if params.method not in ("point-to-plane", "point-to-point"):
-        raise SettingProblem(f"pose.method must be 'point-to-plane' or 'point-to-point', got {params.method!r}")
+    if params.method in _FORMER:
+        now = _FORMER[params.method]
+        raise SettingProblem(f"pose.method {params.method!r} is gone; {now!r} does what it was for")
+    if params.method not in (SURFACE, PAPER):
+        raise SettingProblem(f"pose.method must be {SURFACE!r} or {PAPER!r}, got {params.method!r}")
+
+
+def _told(search: Search, mesh: Mesh, found: list[Minimum], n_tried: int, notes: tuple[str, ...]) -> ObjectPose:
+    """The best of the minima, the others that fit as well, and what is not known."""
+    best = answered(search, found)
+    if best is None or best.minimum.fit.fitness < _MIN_FITNESS:
+        return _unknown(_not_laid(mesh), search.scene)
+    return _pose_of(search, best, n_tried, notes)
+
+
+def _pose_of(search: Search, best: Answered, n_tried: int, notes: tuple[str, ...]) -> ObjectPose:
+    fit, known = best.minimum.fit, best.known
+    points, pixel = _frozen(search.scene)
+    return ObjectPose(
+        sensor_from_object=freeze(fit.sensor_from_object), covariance=freeze(known.covariance),
+        observable=freeze(known.observable), weak=known.weak, rmse_mm=fit.rmse_mm, fitness=fit.fitness,
+        scene_mm=points, source_index=pixel, steps=fit.steps, starts_tried=n_tried,
+        notes=(*best.notes, *search.object.grid.notes, *notes), alternatives=best.alternatives,
+    )  # fmt: skip
 
 
 def _unknown(why: str, scene: Scene | None = None) -> ObjectPose:
@@ -114,155 +189,15 @@ def _unknown(why: str, scene: Scene | None = None) -> ObjectPose:
     )  # fmt: skip
 
 
+def _not_laid(mesh: Mesh) -> str:
+    return f"the object, {_size_mm(mesh):.3g} mm long, could not be laid on the contact; check the mesh's unit and face"
+
+
+def _size_mm(mesh: Mesh) -> float:
+    return float(np.ptp(mesh.vertices_mm, axis=0).max())
+
+
 def _frozen(scene: Scene | None) -> tuple[Floats, Indices]:
     if scene is None:
         return freeze(np.empty((0, 3), dtype=np.float32)), freeze(np.empty(0, dtype=np.int32))
     return freeze(scene.points_mm.astype(np.float32)), freeze(scene.pixel)
-
-
-def _most_promising(tried: list[Start], by: Judge) -> list[Start]:
-    """The best place of each orientation, the best orientations first."""
-    misfits_mm = by.misfit_mm([s.sensor_from_object for s in tried])
-    best: dict[tuple[str, int], Start] = {}
-    for k in np.argsort(misfits_mm, kind="stable"):
-        best.setdefault(tried[k].group, tried[k])
-    return list(best.values())[:_N_REGISTERED]
-
-
-def _registered(
-    scene: Scene, model: Model, chosen: list[Start], by: Judge, params: PoseParams, progress: Progress
-) -> tuple[list[Fit], Doubles]:
-    """Polished fits, best first, and their misfits: all starts on a thinned scene, then the best on all of it."""
-    coarse = Registration(
-        method=params.method, n_iterations=_COARSE_ITERATIONS, max_distance_mm=params.max_distance_mm,
-        n_points=_COARSE_FELT * 3,
-    )  # fmt: skip
-    few = model.thinned(_FINE_MODEL)
-    rough: list[Fit] = []
-    for k, start in enumerate(chosen):
-        progress.step(0.1 + 0.6 * k / len(chosen), f"start {k + 1} of {len(chosen)}")
-        rough.append(register(scene, few, start.sensor_from_object, coarse))
-    rough = [fit for fit in rough if fit.fitness > 0]
-    if not rough:
-        return [], np.empty(0)
-    return _polished(scene, model, _distinct(rough, by, scene)[:_N_POLISHED], by, params, progress)
-
-
-def _polished(
-    scene: Scene, model: Model, candidates: list[Fit], by: Judge, params: PoseParams, progress: Progress
-) -> tuple[list[Fit], Doubles]:
-    """Each candidate set by the outline where its surface is silent, then registered on all points."""
-    polish = Registration(
-        method=params.method, n_iterations=params.n_iterations,
-        max_distance_mm=params.max_distance_mm / _POLISHED_SHARE, n_points=params.max_points,
-    )  # fmt: skip
-    few, middle = model.thinned(_FINE_MODEL), scene.points_mm.mean(axis=0)
-    fits: list[Fit] = []
-    placements: list[Doubles] = []
-    for k, fit in enumerate(candidates):
-        progress.step(0.7 + 0.2 * k / len(candidates), f"refining {k + 1} of {len(candidates)}")
-        weak = _determined(scene, few, fit).weak_motions
-        placements.append(placed(fit.sensor_from_object, weak, middle, _outline_judge(scene, model, fit, params)))
-        fits.append(register(scene, model, placements[-1], polish))
-    misfits_mm = by.misfit_mm([f.sensor_from_object for f in fits])
-    order = np.argsort(misfits_mm, kind="stable")
-    if params.keep_steps:
-        # One iteration a call costs several times as much: only the winner is run again that way.
-        progress.step(0.9, "keeping the iterations of the best")
-        fits[order[0]] = register(scene, model, placements[order[0]], replace(polish, keep_steps=True))
-    return [fits[k] for k in order], misfits_mm[order]
-
-
-def _outline_judge(scene: Scene, model: Model, fit: Fit, params: PoseParams) -> Judge:
-    """A judge on the part of the object around the contact, so that its points lie dense there."""
-    part = in_reach(scene, model, fit.sensor_from_object, _OUTLINE_REACH_MM)
-    return judge(scene, part, _FINE_FELT, _FINE_MODEL, params.max_distance_mm)
-
-
-def _distinct(fits: list[Fit], by: Judge, scene: Scene) -> list[Fit]:
-    """The fits from the best misfit on, without those that ended in the same place as a better one."""
-    misfits_mm = by.misfit_mm([f.sensor_from_object for f in fits])
-    middle = scene.points_mm.mean(axis=0)
-    kept: list[Fit] = []
-    for k in np.argsort(misfits_mm, kind="stable"):
-        pose_k = fits[k].sensor_from_object
-        if all(apart(pose_k, other.sensor_from_object, middle, _SAME_MM, _SAME_DEG) for other in kept):
-            kept.append(fits[k])
-    return kept
-
-
-def _measured(fit: Fit, on: Surface, scene: Scene, params: PoseParams) -> Fit:
-    """The fit with its residuals to the mesh itself: those to samples never come below the samples' spacing."""
-    within_mm = params.max_distance_mm / _POLISHED_SHARE
-    some = scene.points_mm[:: max(1, len(scene.points_mm) // _STEP_POINTS)]
-    steps: list[PoseStep] = []
-    for step in fit.steps:
-        rmse_mm, fitness = on.residual(some, step.sensor_from_object, within_mm)
-        steps.append(replace(step, rmse_mm=rmse_mm, fitness=fitness))
-    rmse_mm, fitness = on.residual(scene.points_mm, fit.sensor_from_object, within_mm)
-    return replace(fit, rmse_mm=rmse_mm, fitness=fitness, steps=tuple(steps))
-
-
-def _answer(
-    scene: Scene, model: Model, fits: list[Fit], misfits_mm: Doubles, n_tried: int, params: PoseParams
-) -> ObjectPose:
-    best = fits[0]
-    known = _determined(scene, model, best)
-    outline = _outline_judge(scene, model, best, params)
-    points, pixel = _frozen(scene)
-    return ObjectPose(
-        sensor_from_object=freeze(best.sensor_from_object),
-        covariance=freeze(known.covariance),
-        observable=freeze(known.observable),
-        weak=known.weak,
-        rmse_mm=best.rmse_mm,
-        fitness=best.fitness,
-        scene_mm=points,
-        source_index=pixel,
-        steps=best.steps,
-        starts_tried=n_tried,
-        notes=(*_weak_notes(scene, best, known, outline), *_fit_notes(scene, fits, misfits_mm)),
-    )
-
-
-def _determined(scene: Scene, model: Model, fit: Fit) -> Observability:
-    """From the object's normals where the scene lies on it, turned into the sensor frame."""
-    from scipy.spatial import KDTree
-
-    in_object = rigid.apply(rigid.invert(fit.sensor_from_object), scene.points_mm)
-    near = in_reach(scene, model, fit.sensor_from_object, _OUTLINE_REACH_MM)
-    _distance, index = KDTree(near.points_mm).query(in_object)
-    normals = near.normals[index]
-    residual = np.einsum("ij,ij->i", in_object - near.points_mm[index], normals)
-    noise_mm = 1.4826 * float(np.median(np.abs(residual)))  # robust: the rim of a contact is not noise
-    in_sensor = normals @ fit.sensor_from_object[:3, :3].T
-    # On a flat face's rim the nearest sample may lie on the wall beside it, which was not felt and determines nothing.
-    felt = np.einsum("ij,ij->i", in_sensor, scene.normals) > _SAME_SURFACE
-    if felt.sum() < _MIN_POINTS:
-        felt[:] = True
-    return observability(scene.points_mm[felt], in_sensor[felt], scene.points_mm.mean(axis=0), noise_mm)
-
-
-def _weak_notes(scene: Scene, fit: Fit, known: Observability, by: Judge) -> tuple[str, ...]:
-    middle = scene.points_mm.mean(axis=0)
-    return tuple(
-        f"{words}: seen only by the outline of the contact"
-        if shows(fit.sensor_from_object, motion, middle, by)
-        else f"{words}: not observable"
-        for words, motion in zip(known.weak, known.weak_motions, strict=True)
-    )
-
-
-def _fit_notes(scene: Scene, fits: list[Fit], misfits_mm: Doubles) -> tuple[str, ...]:
-    notes: list[str] = []
-    middle, best = scene.points_mm.mean(axis=0), fits[0].sensor_from_object
-    limit_mm = misfits_mm[0] * (1 + _EQUAL_SHARE) + _EQUAL_MM
-    equal = 1 + sum(
-        bool(misfit <= limit_mm) and apart(fit.sensor_from_object, best, middle, _SAME_MM, _SAME_DEG)
-        for fit, misfit in zip(fits[1:], misfits_mm[1:], strict=True)
-    )
-    if equal > 1:
-        notes.append(f"{equal} poses fit equally well within {_EQUAL_SHARE:.0%}; the object may be symmetric")
-    if fits[0].fitness < 0.5:
-        notes.append(f"only {fits[0].fitness:.0%} of the contact lies on the object; the pose is doubtful")
-    return tuple(notes)

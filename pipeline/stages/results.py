@@ -90,3 +90,4 @@ class ObjectPose:
     steps: tuple[PoseStep, ...] = ()
     starts_tried: int = 0
     notes: tuple[str, ...] = field(default=())
+    alternatives: tuple[Doubles, ...] = ()  # (4, 4) each, best first: other poses that this touch fits as well

@@ -8,7 +8,7 @@ from pipeline.errors import MeshProblem, SettingProblem
 from pipeline.meshes import Mesh
 from pipeline.progress import Cancelled
 from pipeline.registration.observability import observability
-from pipeline.stages.pose import PoseParams, pose, without_contact
+from pipeline.stages.pose import PoseParams, pose, pose_from, without_contact
 from tests.pipeline.solids import (
     CAMERA,
     REST_MM,
@@ -68,8 +68,9 @@ def test_a_rod_slides_along_its_axis_and_says_so():
     found = pose(felt(rod(), lying(1.0, 0.5, 0.8, 3.0, 0.0)), rod().mesh, PoseParams())
     assert "slides along x" in found.weak
     assert len(found.weak) == 2, "it also rolls about itself"
-    assert "slides along x: not observable" in found.notes
+    assert "slides along x: not observable, kept where the contact's middle is" in found.notes
     assert found.sensor_from_object is not None
+    assert abs(found.sensor_from_object[0, 3] - found.scene_mm[:, 0].mean()) < POSITION_TOLERANCE_MM
     axis = found.sensor_from_object[:3, 0]
     assert np.degrees(np.arccos(abs(axis[0]))) < TURN_TOLERANCE_DEG
     assert abs(found.sensor_from_object[1, 3] - 0.5) < POSITION_TOLERANCE_MM
@@ -190,3 +191,60 @@ def test_a_sphere_patch_rolls_in_three_ways():
     np.testing.assert_allclose(told.observable @ told.observable, told.observable, atol=1e-9)
     turn_about_centre = np.concatenate([np.eye(3)[0], np.cross(np.eye(3)[0], 5.0 * normals.mean(axis=0))])
     assert np.abs(told.observable @ turn_about_centre).max() < 0.05
+
+
+def test_a_pose_that_fits_as_well_turned_is_said():
+    corners = [(-4, -2), (4, -2), (4, 2), (-4, 2)]
+    box = extruded(corners, [corners], 0.0, 6.0)
+    found = pose(felt(box, lying(1.3, -0.9, 0.5, 6.0, 17.0)), box.mesh, PoseParams(face="+z"))
+    assert len(found.alternatives) == 1
+    between = found.alternatives[0] @ rigid.invert(found.sensor_from_object)
+    assert rigid.angle_deg(between) == pytest.approx(180.0, abs=2 * TURN_TOLERANCE_DEG)
+    assert any(note.startswith("2 poses fit equally well: turned by") and "about z" in note for note in found.notes)
+
+
+def test_a_pose_that_only_one_place_explains_has_no_alternative():
+    truth = lying(1.0, -0.5, 0.6, 4.0, 20.0, tilt_deg=(1.5, -2.0), origin_mm=(5.0, 3.5))
+    assert pose(felt(l_bar(), truth), l_bar().mesh, PoseParams()).alternatives == ()
+
+
+def test_the_next_touch_is_followed_and_a_far_one_is_searched():
+    bar = notched_wedge()
+    before = pose(felt(bar, lying(0.3, 0.2, 0.8, 2.0, 30.0)), bar.mesh, PoseParams())
+    for angle_deg, is_followed in ((33.0, True), (150.0, False)):
+        truth = lying(0.5, 0.1, 0.8, 2.0, angle_deg)
+        found = pose_from(felt(bar, truth), bar.mesh, PoseParams(), before.sensor_from_object)
+        mm, deg = error(found, truth)
+        assert mm < POSITION_TOLERANCE_MM
+        assert deg < TURN_TOLERANCE_DEG
+        assert ("followed from the touch before" in found.notes) == is_followed
+        assert (found.starts_tried == 0) == is_followed
+
+
+def test_what_fitted_as_well_before_is_followed_too():
+    bar = l_bar()
+    truth = lying(1.0, -0.5, 0.6, 4.0, 20.0, tilt_deg=(1.5, -2.0), origin_mm=(5.0, 3.5))
+    wrong = lying(1.0, -0.5, 0.6, 4.0, 200.0, tilt_deg=(1.5, -2.0), origin_mm=(5.0, 3.5))
+    mm, _ = error(pose_from(felt(bar, truth), bar.mesh, PoseParams(), wrong, others=(truth,)), truth)
+    assert mm < POSITION_TOLERANCE_MM
+
+
+def test_the_method_of_the_paper_moves_in_the_plane_only():
+    truth = lying(1.0, -0.5, 0.6, 4.0, 10.0, origin_mm=(5.0, 3.5))
+    found = pose(felt(l_bar(), truth), l_bar().mesh, PoseParams(method="paper 2D", face="+z"))
+    assert found.sensor_from_object is not None
+    assert found.covariance is None
+    assert found.notes[0].startswith("paper 2D: in-plane turn and shift only")
+    assert len(found.steps) >= 1
+
+
+@pytest.mark.parametrize(("old", "now"), [("point-to-plane", "surface"), ("point-to-point", "paper 2D")])
+def test_a_method_of_former_times_names_its_successor(old, now):
+    with pytest.raises(SettingProblem, match=f"{now!r} does what it was for"):
+        pose(felt(slab(), lying(0.0, 0.0, 0.5, 5.0, 0.0)), slab().mesh, PoseParams(method=old))
+
+
+def test_a_mesh_that_names_missing_vertices_is_refused():
+    broken = Mesh(vertices_mm=slab().mesh.vertices_mm, triangles=np.array([[0, 1, 999]], np.int32))
+    with pytest.raises(MeshProblem, match="does not have"):
+        pose(felt(slab(), lying(0.0, 0.0, 0.5, 5.0, 0.0)), broken, PoseParams())

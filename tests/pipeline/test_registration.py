@@ -11,6 +11,7 @@ from pipeline.errors import CalibrationError
 from pipeline.meshes import sample_surface
 from pipeline.registration.gauss_newton import Fit, How, NotDetermined, register
 from pipeline.registration.multistart import Found, around, around_in_plane, register_many
+from pipeline.registration.observability import observable_part
 from tests.pipeline.solids import ball, l_bar, notched_wedge, rod, slab
 
 POSITION_TOLERANCE_MM = 0.01  # the wedge has edges, which the grid rounds within its step of 0.1 mm
@@ -165,3 +166,22 @@ def test_starts_in_a_plane_keep_their_height_and_tilt():
         assert pose[2, 3] == pytest.approx(30.0)
         assert np.linalg.norm(pose[:2, 3] - start[:2, 3]) <= 4.0
         np.testing.assert_allclose(pose[2, :3], start[2, :3], atol=1e-12)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**31), flatness=st.sampled_from([0.0, 0.01, 0.05, 0.2, 1.0]))
+def test_the_iterations_hold_what_observability_calls_weak(seed, flatness):
+    from pipeline.registration.step_kernels import weak_directions
+
+    rng = np.random.default_rng(seed)
+    arms = rng.uniform(-4, 4, (200, 3)) * (1.0, 1.0, flatness)
+    arms -= arms.mean(axis=0)
+    normals = rng.standard_normal((200, 3)) * flatness + (0.0, 0.0, -1.0)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    radius_mm = np.sqrt((arms**2).sum(axis=1).mean())
+    rows = np.hstack([np.cross(arms, normals) / radius_mm, normals])
+    information, variance = rows.T @ rows / 200, 0.03**2 / 50.0
+    turn, shift = variance / (np.deg2rad(1.0) * radius_mm) ** 2, variance / 0.2**2
+    found = weak_directions(information, np.deg2rad(3.0) ** 2, turn, shift)
+    _, weak = observable_part(information, 50.0, 0.03, radius_mm)
+    np.testing.assert_allclose(found @ found.T, weak @ weak.T, atol=1e-6)

@@ -144,7 +144,6 @@ def test_pose_under_another_origin(power, seed):
     assert_found_from_another_origin(power, seed)
 
 
-@pytest.mark.xfail(strict=True, reason="the registration turns about the mesh's own origin, which may be a metre away")
 @pytest.mark.parametrize("power", [4, 6])
 @row("2,5", "the mesh's own origin moved by 1e4 and 1e6 mm: the object is found in the same place")
 def test_pose_under_a_far_origin(power):

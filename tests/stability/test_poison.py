@@ -203,7 +203,6 @@ def test_mesh(poison, share, seed):
     assert_mesh_is_sound(poison, share, seed)
 
 
-@pytest.mark.xfail(strict=True, raises=ValueError, reason="the size of a mesh made in memory is not checked yet")
 @row(7, "pose: a mesh beyond any size")
 def test_an_enormous_mesh():
     assert_mesh_is_sound("-huge", "most", 4_294_967_294)
@@ -219,7 +218,6 @@ def assert_mesh_is_sound(poison, share, seed):
         sound(result)
 
 
-@pytest.mark.xfail(strict=True, raises=IndexError, reason="meshes made in memory are not checked for their indices yet")
 @row(7, "pose: a mesh that names vertices which it does not have", share=0.002)
 @given(st.sampled_from([1200, 2**31 - 1, -1201]), seeds)
 def test_mesh_indices(index, seed):

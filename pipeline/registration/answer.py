@@ -1,0 +1,142 @@
+"""From minima to an answer: the best, those that fit equally well, and in words what nothing shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline import rigid
+from pipeline.arrays import Doubles, freeze
+from pipeline.registration.observability import Observability
+from pipeline.registration.outline import shows
+from pipeline.registration.ranking import Judge, apart
+from pipeline.registration.screws import told
+from pipeline.registration.search import SAME_DEG, SAME_MM, Minimum, Search
+from pipeline.stages.results import PoseStep
+
+OUTLINE_ONLY = "seen only by the outline of the contact"
+_SLIDE = 0.05  # share of turning below which a motion is a slide
+_ONE_PLACE = 0.1  # of the way a turn carries the contact's middle: so short a shift is not worth a word
+_DOUBTFUL = 0.5  # share of the contact on the object
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answered:
+    """The chosen minimum and what goes with it."""
+
+    minimum: Minimum
+    known: Observability
+    alternatives: tuple[Doubles, ...]  # (4, 4) each, best first
+    notes: tuple[str, ...]
+
+
+def answered(search: Search, found: Sequence[Minimum]) -> Answered | None:
+    """The first of the minima found, which are in order; None where there are none."""
+    if not found:
+        return None
+    first = found[0].fit.sensor_from_object
+    known = search.determined(first)
+    shown = _shown(search, first, known)
+    unseen = known.weak_motions[[not s for s in shown]]
+    by = search.fine()
+    equal = [m.fit.sensor_from_object for m in found[1:] if not by.tells_apart(first, m.fit.sensor_from_object)]
+    chosen = _in_the_middle(search, found[0], unseen, by)
+    others = _others(search, chosen, equal, _span(unseen, search.points.radius_mm))
+    notes = tuple(
+        f"{words}: {OUTLINE_ONLY if seen else _kept(words)}" for words, seen in zip(known.weak, shown, strict=True)
+    )
+    return Answered(
+        minimum=chosen, known=known, alternatives=tuple(freeze(pose) for pose in others),
+        notes=(*notes, *_about_others(search, chosen, others), *_about_fit(chosen)),
+    )  # fmt: skip
+
+
+def _kept(words: str) -> str:
+    """What was done about a motion that nothing shows."""
+    done = "where the contact's middle is" if words.startswith("slides") else "as first guessed"
+    return f"not observable, kept {done}"
+
+
+def _shown(search: Search, pose: Doubles, known: Observability) -> list[bool]:
+    """Which of the weak motions the outline of the contact shows after all."""
+    if not known.weak:
+        return []
+    by = search.outline(pose)
+    return [shows(pose, motion, search.middle_mm, by) for motion in known.weak_motions]
+
+
+def _in_the_middle(search: Search, minimum: Minimum, unseen: Doubles, by: Judge) -> Minimum:
+    """Slid along what nothing shows, as far as nothing speaks against it: the object's middle to the contact's."""
+    pose, before = minimum.fit.sensor_from_object, minimum.fit
+    for motion in unseen:
+        length = float(np.linalg.norm(motion[3:]))
+        if np.linalg.norm(motion[:3]) * search.points.radius_mm > _SLIDE * length:
+            continue
+        along = motion[3:] / length
+        far_mm = float(along @ (search.middle_mm - rigid.apply(pose, search.object.middle_mm)))
+        slid = rigid.translation(*(far_mm * along)) @ pose
+        if not by.tells_apart(pose, slid):
+            pose = slid
+    if pose is before.sensor_from_object:
+        return minimum
+    last = PoseStep(sensor_from_object=freeze(pose), rmse_mm=before.rmse_mm, fitness=before.fitness)
+    steps = (*before.steps, last) if before.steps else ()
+    return replace(minimum, fit=replace(before, sensor_from_object=freeze(pose), steps=steps))
+
+
+def _others(search: Search, chosen: Minimum, equal: Sequence[Doubles], free: Doubles) -> list[Doubles]:
+    kept: list[Doubles] = [chosen.fit.sensor_from_object]
+    for pose in equal:
+        if all(_differ(search, other, pose, free) for other in kept):
+            kept.append(pose)
+    return kept[1:]
+
+
+def _span(motions: Doubles, radius_mm: float) -> Doubles:
+    """Orthonormal columns (6, k) of motions (k, 6), rotations times `radius_mm`."""
+    if not len(motions):
+        return np.zeros((6, 0))
+    return np.linalg.qr((motions * ([radius_mm] * 3 + [1.0] * 3)).T)[0]
+
+
+def _differ(search: Search, a: Doubles, b: Doubles, free: Doubles) -> bool:
+    """Whether two poses differ by more than motions that nothing shows."""
+    middle, radius_mm = search.middle_mm, search.points.radius_mm
+    if not apart(a, b, middle, SAME_MM, SAME_DEG):
+        return False
+    relative = b @ rigid.invert(a)
+    motion = np.concatenate(
+        [radius_mm * rigid.rotation_vector_rad(relative), rigid.apply(relative, middle) - middle]
+    )  # fmt: skip
+    left = motion - free @ (free.T @ motion)
+    turned_deg = float(np.rad2deg(np.linalg.norm(left[:3]) / radius_mm))
+    return bool(np.linalg.norm(left[3:]) > SAME_MM or turned_deg > SAME_DEG)
+
+
+def _about_others(search: Search, chosen: Minimum, others: Sequence[Doubles]) -> tuple[str, ...]:
+    if not others:
+        return ()
+    how = _in_words(search, chosen.fit.sensor_from_object, others[0])
+    which = how if len(others) == 1 else f"the next one {how}"
+    return (f"{len(others) + 1} poses fit equally well: {which}",)
+
+
+def _in_words(search: Search, a: Doubles, b: Doubles) -> str:
+    relative = b @ rigid.invert(a)
+    turn = rigid.rotation_vector_rad(relative)
+    shift = rigid.apply(relative, search.middle_mm) - search.middle_mm
+    angle_deg, far_mm = float(np.rad2deg(np.linalg.norm(turn))), float(np.linalg.norm(shift))
+    words: list[str] = []
+    if angle_deg > SAME_DEG:
+        words.append(f"turned by {angle_deg:.0f} deg about {told(turn)}")
+    if far_mm > max(SAME_MM, _ONE_PLACE * np.linalg.norm(turn) * search.points.radius_mm):
+        words.append(f"shifted by {far_mm:.1f} mm along {told(shift)}")
+    return " and ".join(words)
+
+
+def _about_fit(chosen: Minimum) -> tuple[str, ...]:
+    if chosen.fit.fitness >= _DOUBTFUL:
+        return ()
+    return (f"only {chosen.fit.fitness:.0%} of the contact lies on the object; the pose is doubtful",)

@@ -1,0 +1,47 @@
+"""An object made ready to be registered to, kept for as long as the program runs: its distances and its points."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.arrays import Doubles
+from pipeline.digests import digest
+from pipeline.distance_grid import DistanceGrid
+from pipeline.distance_grid_store import distance_grid
+from pipeline.meshes import Mesh
+from pipeline.progress import SILENT, Progress
+from pipeline.registration.model import Model, sampled
+
+N_MODEL = 30_000  # points on the whole object
+_KEPT = 4  # objects
+_kept: dict[str, Prepared] = {}
+_guard = threading.Lock()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Prepared:
+    """What a registration asks of an object."""
+
+    grid: DistanceGrid
+    model: Model
+    middle_mm: Doubles  # (3,) of its box
+
+
+def prepared(mesh: Mesh, seed: int, progress: Progress = SILENT) -> Prepared:
+    """The object of a mesh, made or remembered; raises MeshProblem when it has no surface."""
+    key = digest((seed, np.asarray(mesh.vertices_mm, np.float64), np.asarray(mesh.triangles, np.int32)))
+    with _guard:
+        known = _kept.get(key)
+    if known is not None:
+        return known
+    model = sampled(mesh, N_MODEL, seed)
+    middle_mm = (mesh.vertices_mm.min(axis=0) + mesh.vertices_mm.max(axis=0)).astype(np.float64) / 2
+    made = Prepared(grid=distance_grid(mesh, progress), model=model, middle_mm=middle_mm)
+    with _guard:
+        _kept[key] = made
+        while len(_kept) > _KEPT:
+            _kept.pop(next(iter(_kept)))
+    return made
