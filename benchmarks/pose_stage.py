@@ -1,0 +1,81 @@
+"""How long does the pose of a usual touch take, searched anew and followed from the touch before?
+
+    python benchmarks/pose_stage.py
+
+The touches of the sample recording, translated from DIGIT to GelSlim; the object's grid is cached, as it is from the
+second touch on. Errors are the largest displacement of a vertex of the object (MSSD), medians over the touches.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from pipeline.evaluation.races import Answer, Bar, Point, Timing, race, row
+from pipeline.evaluation.races_report import show
+from pipeline.evaluation.symmetric import mssd_mm
+from pipeline.stages.pose import PoseParams, pose, pose_from
+from pipeline.stages.results import ObjectPose, Touch
+from pipeline.translate import Request, new_graph, open_translation
+
+ROOT = Path(__file__).resolve().parents[1]
+_FRAMES = tuple(range(4, 13))
+_SEARCHED, _FOLLOWED = "searched anew", "followed"
+_MOST_MM = 0.5  # MSSD, of an object 24 mm long
+
+
+def touches() -> tuple[object, list[tuple[Touch, np.ndarray]]]:
+    """(the object's mesh, generated touches with their true sensor_from_object)."""
+    recording = ROOT / "sample_data/recordings/first_touch.h5"
+    opened = open_translation(Request(recording=recording, source="digit", target="gelslim"))
+    graph, found = new_graph(), []
+    for index in _FRAMES:
+        touch = graph.evaluate(["generate"], opened.inputs(index), {})["generate"].output
+        _, truth = opened.truth_of_target(index)
+        found.append((touch, truth.sensor_from_object))
+    return opened.mesh, found
+
+
+def answer() -> Answer:
+    mesh, felt = touches()
+    params = PoseParams()
+    searched = [pose(touch, mesh, params) for touch, _ in felt]
+    calls = {
+        _SEARCHED: lambda k: pose(felt[k][0], mesh, params),
+        _FOLLOWED: lambda k: pose_from(felt[k][0], mesh, params, searched[k - 1].sensor_from_object,
+                                       others=searched[k - 1].alternatives),
+    }  # fmt: skip
+    after = range(1, len(felt))
+    errors = {n: float(np.median([_off(call(k), felt[k][1], mesh) for k in after])) for n, call in calls.items()}
+    times = _timed(calls, after)
+    n_followed = sum("followed from the touch before" in calls[_FOLLOWED](k).notes for k in after)
+    return Answer(
+        title="Pose of the touches of a recording", unit="mm",
+        rows=tuple(
+            row(f"pose stage, {name}", ours=times[name], ours_error=errors[name], unit="mm",
+                bar=Bar(ms=60.0, error=_MOST_MM))
+            for name in calls
+        ),
+        points=tuple(Point(method=n, ms=times[n].median_ms, error=errors[n], ours=True) for n in calls),
+        notes=(f"{n_followed} of {len(after)} touches were followed, the others searched",),
+    )  # fmt: skip
+
+
+def _off(found: ObjectPose, truth: np.ndarray, mesh: object) -> float:
+    return np.inf if found.sensor_from_object is None else mssd_mm(found.sensor_from_object, truth, mesh, None)
+
+
+def _timed(calls, frames: range) -> dict[str, Timing]:
+    raced = [race({n: (lambda c=c, k=k: c(k)) for n, c in calls.items()}, runs=5) for k in frames]
+    return {
+        n: Timing(median_ms=float(np.median([r[n].median_ms for r in raced])), p95_ms=max(r[n].p95_ms for r in raced))
+        for n in calls
+    }
+
+
+if __name__ == "__main__":
+    show(answer())
