@@ -25,8 +25,9 @@ from pipeline.registration.starts import Start
 _COARSE_FELT, _COARSE_MODEL = 50, (500, 4000)  # points that rank the first guesses: at least, at most
 _COARSE_MM2 = 1.0  # of the object's surface for each of them
 _MIDDLE_FELT, _MIDDLE_MODEL = 150, 1500  # points that rank where these lead
-_FINE_FELT, _FINE_MODEL = 750, 30_000  # points that rank what came out of them
+_FINE_FELT, _FINE_MODEL = 750, 15_000  # points that rank what came out of them
 _OUTLINE_FELT, _OUTLINE_MODEL = 200, 1000  # points that place it where its surface is silent,
+_POLISH_POINTS = 500  # that it is registered with, all of them once more
 _DENSE_FELT, _DENSE_MODEL = 400, 4000  # and once more the best
 _PER_GROUP, _N_REGISTERED, _N_POLISHED, _N_DENSE = 2, 96, 6, 2
 _QUICK_POINTS, _QUICK_ITERATIONS, _QUICK_SETTLED_MM = 100, 10, 0.02
@@ -98,7 +99,7 @@ class Search:
             max_distance_mm=self.max_distance_mm / _POLISHED_SHARE, n_iterations=self.n_iterations,
             keep_steps=self.keep_steps,
         )  # fmt: skip
-        fit = fitted(self.points, self.object.grid, pose, how)
+        fit = fitted(self.points if dense else self.points.thinned(_POLISH_POINTS), self.object.grid, pose, how)
         if isinstance(fit, NotDetermined):
             return None
         return Minimum(fit=fit, misfit_mm=float(self.fine().misfit_mm([fit.sensor_from_object])[0]))
@@ -112,12 +113,12 @@ class Search:
         found: list[Minimum] = []
         for k, start in enumerate(starts):
             progress.step(k / len(starts), f"refining {k + 1} of {len(starts)}")
-            minimum = self.polished(start)
+            minimum = self.polished(start, dense=len(starts) <= _N_DENSE)
             found += [] if minimum is None else [minimum]
         found.sort(key=lambda m: m.misfit_mm)
-        for k, minimum in enumerate(found[:_N_DENSE]):
+        for k, minimum in enumerate(found[: _N_DENSE if len(starts) > _N_DENSE else 0]):
             again = self.polished(minimum.fit.sensor_from_object, dense=True)
-            if again is not None and again.misfit_mm < minimum.misfit_mm:
+            if again is not None:
                 found[k] = again
         return sorted(found, key=lambda m: m.misfit_mm)
 
