@@ -38,7 +38,7 @@ STAGES: tuple[Stage, ...] = (
         shortcut=project.without_contact,
         params=project.ProjectParams,
         reads=("adapt", "target"),
-        version=2,
+        version=3,
     ),
     Stage(
         name="generate",

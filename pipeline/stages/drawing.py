@@ -47,7 +47,7 @@ def splatted(points_mm: Floats, source_index: Indices, camera: Camera, rest: Res
     kernels.touching_points(points_mm, pixel, rest.x0_mm, rest.y0_mm, rest.per_mm, rest.z_mm, contact)
     return Drawing(
         depth_mm=depth_mm, source=source, contact=contact, pixel=pixel, n_inside=n_inside, n_drawn=n_drawn,
-        counts=np.zeros(5, dtype=np.int64),
+        counts=np.zeros(7, dtype=np.int64),
     )  # fmt: skip
 
 
@@ -86,7 +86,7 @@ def rasterised(
 
     n = camera.rows * camera.cols
     inverse_z, source = np.zeros(n, dtype=np.float64), np.full(n, -1, dtype=np.int32)
-    alone, counts = np.zeros(len(points_mm), dtype=np.bool_), np.zeros(5, dtype=np.int64)
+    alone, counts = np.zeros(len(points_mm), dtype=np.bool_), np.zeros(7, dtype=np.int64)
     pixel = np.empty(len(points_mm), dtype=np.int32)
     flat = points_mm.reshape(-1)
     n_inside = project_kernels.to_pixels(flat, lens_of(camera), camera.shape, MIN_DEPTH_MM, pixel)
@@ -133,4 +133,7 @@ def _spacing_mm(flat: Floats, source_index: Indices, order: Indices, stride: int
     n = kernels.neighbour_distances(flat, source_index, order, stride, every, MIN_DEPTH_MM, distances)
     if n == 0 and every > 1:
         n = kernels.neighbour_distances(flat, source_index, order, stride, 1, MIN_DEPTH_MM, distances)
-    return float(np.median(distances[:n])) if n else 0.0
+    if n == 0:
+        return 0.0
+    low, high = (n - 1) // 2, n // 2  # as np.median, at a third of its time
+    return float(sum(np.partition(distances[:n], (low, high))[[low, high]]) / 2.0)

@@ -30,7 +30,7 @@ def points(drawing: Drawing) -> tuple[str, ...]:
 
 def triangles(drawing: Drawing, jump_mm: float, grazing_deg: float, n_hidden: int) -> tuple[str, ...]:
     """What the surface left out."""
-    from pipeline.stages import surface_kernels as kernels
+    from pipeline.stages import triangle_kernels as kernels
 
     counts = drawing.counts
     jump, grazing, behind = (int(counts[k]) for k in (kernels.JUMP, kernels.GRAZING, kernels.BEHIND))
@@ -41,6 +41,11 @@ def triangles(drawing: Drawing, jump_mm: float, grazing_deg: float, n_hidden: in
         notes.append(f"{grazing:,} triangles seen at more than {grazing_deg:g} degrees were left out")
     if behind:
         notes.append(f"{behind:,} triangles reach behind the target's camera and were left out")
+    if counts[kernels.CROWDED]:
+        notes.append(
+            f"the touch lies over itself more than {kernels.LAYERS} times: {int(counts[kernels.CROWDED]):,} triangles "
+            "were left out; check the depth and the alignment"
+        )
     if counts[kernels.FLIPPED] > counts[kernels.KEPT]:
         notes.append("the touch is seen from behind; check the rotation of the alignment")
     if drawing.as_points:
