@@ -137,3 +137,17 @@ def test_a_folder_that_cannot_be_written_is_done_without(block, grid, tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("in the way")
     assert same(distance_grid(block, folder=blocked / "grids"), grid)
+
+
+@pytest.mark.parametrize("turn_rad", [(0.0, 0.0, 0.0), (0.4, -0.7, 1.1)], ids=["along the lattice", "askew"])
+def test_distances_far_and_near_are_those_to_the_nearest_of_many_points(block, turn_rad):
+    from scipy.spatial import KDTree
+
+    turned = solids.moved(block, rigid.rotation(turn_rad))
+    grid = built(turned)
+    nodes = np.stack(np.meshgrid(*(np.arange(n) for n in grid.coarse_mm.shape), indexing="ij"), axis=-1)
+    places = grid.origin_mm + grid.step_mm * nodes.reshape(-1, 3)
+    to_points = KDTree(sample_surface(turned, 100_000, 0)[0]).query(places)[0]
+    above_mm = to_points - np.abs(grid.coarse_mm.ravel())
+    assert above_mm.min() > -QUANTUM_MM, "no point of the surface is nearer"
+    assert above_mm.max() < 0.15, "100,000 points on 200 mm2 leave gaps of that size"
