@@ -88,6 +88,7 @@ def translate(
     route: str = "t2d2",
     frame: int | None = None,
     all_frames: Annotated[bool, Parameter(name="--all", negative="")] = False,
+    follow: Annotated[bool, Parameter(negative="")] = False,
     mesh: Path | None = None,
     mesh_unit: Literal["auto", "mm", "cm", "m"] = "auto",
     alignment: Path | None = None,
@@ -118,6 +119,8 @@ def translate(
         The one frame to translate; the first one that touches if neither this nor --all is given.
     all_frames
         Translate every frame.
+    follow
+        With --all, begin each pose where the touch before ended: several times as quick, for moving sequences.
     mesh
         The touched object's mesh, for its pose.
     mesh_unit
@@ -137,7 +140,7 @@ def translate(
         reference=reference, calibration=calibration, mesh=mesh, mesh_unit=mesh_unit,
         depth_unit=depth_unit, alignment=alignment,
     )  # fmt: skip
-    return translate_frames(request, out, frame, all_frames, settings)
+    return translate_frames(request, out, frame, all_frames, settings, follow=follow)
 
 
 def doctor() -> int:

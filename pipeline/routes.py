@@ -51,10 +51,10 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="pose",
         title="Object pose",
-        run=pose.pose,
-        shortcut=pose.without_contact,
+        run=pose.posed,
+        shortcut=pose.nothing_to_pose,
         params=pose.PoseParams,
-        reads=("generate", "mesh"),
+        reads=("generate", "mesh", "previous"),
         version=2,
     ),
 )

@@ -24,6 +24,7 @@ from pipeline.meshes import Mesh, load_mesh
 from pipeline.recordings import open_recording
 from pipeline.recordings.depth_arrays import DepthUnit
 from pipeline.sensors.spec import SensorSpec, sensor
+from pipeline.stages.results import ObjectPose
 
 if TYPE_CHECKING:
     from pipeline.physics.shapes.symmetry import Symmetry
@@ -71,11 +72,14 @@ class Translation:
         """The stages of the route, in order."""
         return routes.route(self.request.route)
 
-    def inputs(self, index: int) -> Mapping[str, object]:
-        """What the graph reads for frame `index`; raises FileProblem if that frame is damaged."""
-        return self.inputs_of(self.stream.frame(self.checked(index)))
+    def inputs(self, index: int, previous: ObjectPose | None = None) -> Mapping[str, object]:
+        """What the graph reads for frame `index`; raises FileProblem if that frame is damaged.
 
-    def inputs_of(self, frame: TactileFrame) -> Mapping[str, object]:
+        `previous` is the pose of the touch before, where a sequence is to be followed.
+        """
+        return self.inputs_of(self.stream.frame(self.checked(index)), previous)
+
+    def inputs_of(self, frame: TactileFrame, previous: ObjectPose | None = None) -> Mapping[str, object]:
         """What the graph reads for a frame at hand."""
         return {
             "frame": frame,
@@ -84,6 +88,7 @@ class Translation:
             "calibration": self.calibration,
             "alignment": placed(self.alignment, source_shift_mm=own_shift_mm(frame, self.source), target_shift_mm=0.0),
             "mesh": self.mesh,
+            "previous": previous,
         }
 
     def truth_of_source(self, index: int) -> Truth | None:

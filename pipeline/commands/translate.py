@@ -16,14 +16,18 @@ from pipeline.errors import SettingProblem, TouchError
 from pipeline.evaluation.metrics import frame_metrics
 from pipeline.graph import Graph
 from pipeline.reporting.report import FrameReport, write_frame, write_report
-from pipeline.stages.results import DepthMap
+from pipeline.stages.results import DepthMap, ObjectPose
 from pipeline.translate import Request, Translation, new_graph, open_translation
 
 
-def translate_frames(request: Request, out: Path, frame: int | None, every: bool, settings: Sequence[str]) -> int:
+def translate_frames(
+    request: Request, out: Path, frame: int | None, every: bool, settings: Sequence[str], *, follow: bool = False
+) -> int:
     """Translate and write; returns 0, or 2 if some frame could not be translated (its sentence is in the report)."""
     if frame is not None and every:
         raise SettingProblem("give either --frame or --all, not both")
+    if follow and not every:
+        raise SettingProblem("--follow goes from touch to touch; give it with --all")
     params: Mapping[str, object] = routes.default_params()
     for assignment in settings:
         params = routes.with_setting(params, assignment)
@@ -40,7 +44,7 @@ def translate_frames(request: Request, out: Path, frame: int | None, every: bool
             task = bar.add_task("translating", total=len(indices))
             for index in indices:
                 bar.update(task, description=f"frame {index}")
-                reports.append(_one(translation, graph, params, index, out))
+                reports.append(_one(translation, graph, params, index, out, _pose_of(reports) if follow else None))
                 bar.advance(task)
     finally:  # also on Ctrl-C: what is finished is whole and listed
         if reports:
@@ -53,10 +57,16 @@ def translate_frames(request: Request, out: Path, frame: int | None, every: bool
     return 2 if failed else 0
 
 
-def work_out(translation: Translation, graph: Graph, params: Mapping[str, object], index: int) -> FrameReport:
+def work_out(
+    translation: Translation,
+    graph: Graph,
+    params: Mapping[str, object],
+    index: int,
+    previous: ObjectPose | None = None,
+) -> FrameReport:
     """All stages of one frame and its figures; a damaged frame gives a report with its problem."""
     try:
-        results = graph.evaluate(translation.stages, translation.inputs(index), params)
+        results = graph.evaluate(translation.stages, translation.inputs(index, previous), params)
         metrics = frame_metrics(
             results, translation.truth_of_source(index), translation.truth_of_target(index), translation.mesh,
             translation.symmetry,
@@ -85,11 +95,25 @@ def print_line(text: str) -> None:
     Console(soft_wrap=True, highlight=False).print(text, markup=False)
 
 
-def _one(translation: Translation, graph: Graph, params: Mapping[str, object], index: int, out: Path) -> FrameReport:
-    report = work_out(translation, graph, params, index)
+def _one(
+    translation: Translation,
+    graph: Graph,
+    params: Mapping[str, object],
+    index: int,
+    out: Path,
+    previous: ObjectPose | None,
+) -> FrameReport:
+    report = work_out(translation, graph, params, index, previous)
     if not report.problem:
         write_frame(out, translation.stream.frame(index), report, translation)
     return report
+
+
+def _pose_of(reports: Sequence[FrameReport]) -> ObjectPose | None:
+    """The pose of the last frame, None where it had none: across a gap nothing is followed."""
+    result = reports[-1].results.get("pose") if reports else None
+    output = None if result is None else result.output
+    return output if isinstance(output, ObjectPose) and output.sensor_from_object is not None else None
 
 
 def _chosen(translation: Translation, graph: Graph, params: Mapping[str, object], frame: int | None) -> int:

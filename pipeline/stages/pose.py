@@ -107,6 +107,25 @@ def pose_from(
     return pose(touch, mesh, params, progress)
 
 
+def posed(
+    touch: Touch, mesh: Mesh | None, previous: ObjectPose | None, params: PoseParams, progress: Progress = SILENT
+) -> ObjectPose:
+    """The stage: `pose_from` where the touch before is given and has a pose, else `pose`."""
+    if previous is None or previous.sensor_from_object is None:
+        return pose(touch, mesh, params, progress)
+    return pose_from(touch, mesh, params, previous.sensor_from_object, progress, others=previous.alternatives)
+
+
+def nothing_to_pose(
+    touch: Touch,
+    mesh: Mesh | None,
+    previous: ObjectPose | None,  # noqa: ARG001 - a shortcut takes what its stage takes
+    params: PoseParams,
+) -> ObjectPose | None:
+    """`without_contact` with the inputs of `posed`."""
+    return without_contact(touch, mesh, params)
+
+
 def without_contact(touch: Touch, mesh: Mesh | None, params: PoseParams) -> ObjectPose | None:  # noqa: ARG001
     """The answer "unknown" when there is no mesh or no contact, else None; same inputs as `pose`."""
     if not touch.contact.any():

@@ -155,6 +155,11 @@ def test_an_image_of_the_wrong_size_is_named_with_both_sizes(touches, tmp_path, 
     assert "240" in sentence
 
 
+def test_following_takes_all_frames(touches, tmp_path, said):
+    asked = ("translate", touches, "--target", "gelslim", "--sensor", "gelsight_mini", "--out", tmp_path / "out")
+    assert "give it with --all" in said(*asked, "--follow")
+
+
 def test_an_all_black_frame_is_refused(touches, tmp_path, said):
     save(touches / "touch_2.png", np.zeros((*MINI.camera.shape, 3), np.uint8))
     assert "black" in said_by_frame(touches, tmp_path, said)

@@ -8,7 +8,7 @@ from pipeline.errors import MeshProblem, SettingProblem
 from pipeline.meshes import Mesh
 from pipeline.progress import Cancelled
 from pipeline.registration.observability import observability
-from pipeline.stages.pose import PoseParams, pose, pose_from, without_contact
+from pipeline.stages.pose import PoseParams, pose, pose_from, posed, without_contact
 from tests.pipeline.solids import (
     CAMERA,
     REST_MM,
@@ -219,6 +219,16 @@ def test_the_next_touch_is_followed_and_a_far_one_is_searched():
         assert deg < TURN_TOLERANCE_DEG
         assert ("followed from the touch before" in found.notes) == is_followed
         assert (found.starts_tried == 0) == is_followed
+
+
+def test_the_stage_follows_a_touch_that_had_a_pose_and_searches_after_one_that_had_none():
+    bar = l_bar()
+    touch, params = felt(bar, lying(0.3, 0.2, 0.8, 2.0, 30.0)), PoseParams()
+    before = posed(touch, bar.mesh, None, params)
+    assert before.starts_tried > 0
+    assert posed(touch, bar.mesh, before, params).starts_tried == 0
+    lost = pose(touch, None, params)
+    assert posed(touch, bar.mesh, lost, params).starts_tried == before.starts_tried
 
 
 def test_what_fitted_as_well_before_is_followed_too():

@@ -64,6 +64,7 @@ def random_inputs(rng: np.random.Generator) -> dict[str, object]:
         "calibration": None,
         "alignment": way,
         "mesh": mesh("ball"),
+        "previous": None,
     }
 
 
