@@ -60,7 +60,7 @@ def answer() -> Answer:
             "Open3D, 5 rays": open3d_distance(surface, cloud, 5),
         }
         wrong = {k: wrong_sides(call(), behind) for k, call in calls.items()}
-        times = race(calls, runs=7)
+        times = race(calls, runs=7, calls=5)
         rows.append(row(
             f"side of a {name}: {_N:,} points", peer="Open3D compute_signed_distance", ours=times["ours"],
             ours_error=wrong["ours"], peer_timing=times["Open3D, 1 ray"], peer_error=wrong["Open3D, 1 ray"],

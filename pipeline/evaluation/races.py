@@ -105,10 +105,11 @@ class Answer:
     notes: tuple[str, ...] = ()  # data, and what could not be raced
 
 
-def race(methods: Mapping[str, Callable[[], object]], runs: int = RUNS) -> dict[str, Timing]:
+def race(methods: Mapping[str, Callable[[], object]], runs: int = RUNS, calls: int = 1) -> dict[str, Timing]:
     """Timings of methods that take turns, forward and backward (A B B A), so that drift hits all alike.
 
-    Compare the methods' outputs before their times.
+    In its turn a method is called `calls` times and each call counts for the mean of them: with more than one, a short
+    call is not mostly the cold caches that a long one of another method left. Compare the outputs before the times.
     """
     for call in methods.values():
         for _ in range(_WARM_UP):
@@ -116,9 +117,11 @@ def race(methods: Mapping[str, Callable[[], object]], runs: int = RUNS) -> dict[
     taken: dict[str, list[float]] = {name: [] for name in methods}
     for turn in range(runs):
         for name in tuple(methods)[:: 1 if turn % 2 == 0 else -1]:
+            call = methods[name]
             started = time.perf_counter()
-            methods[name]()
-            taken[name].append(1e3 * (time.perf_counter() - started))
+            for _ in range(calls):
+                call()
+            taken[name].append(1e3 * (time.perf_counter() - started) / calls)
     return {name: timing(ms) for name, ms in taken.items()}
 
 
