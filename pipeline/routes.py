@@ -20,7 +20,7 @@ STAGES: tuple[Stage, ...] = (
         shortcut=depth.untouched,
         params=depth.DepthParams,
         reads=("frame", "source", "calibration"),
-        version=2,
+        version=3,
     ),
     Stage(
         name="adapt",

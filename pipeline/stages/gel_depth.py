@@ -1,4 +1,7 @@
-"""Depth of a gel: colour change -> slopes -> surface, worked out only around what has moved."""
+"""Depth of a gel: colour change -> slopes -> surface, worked out only around what has moved.
+
+Where the sensor's description says what casts shadows, the surface is then corrected by it (`gel_light`).
+"""
 
 from __future__ import annotations
 
@@ -16,17 +19,30 @@ from pipeline.frames import TactileFrame
 from pipeline.poisson import Boundary, integrate
 from pipeline.progress import Progress
 from pipeline.sensors.spec import SensorSpec
+from pipeline.stages import gel_light
 from pipeline.stages.pixel_index import pixel_index
 from pipeline.stages.results import DepthMap
 
 _BLOCK_PX = 8  # changes are looked for in blocks of this width
 _GROWS_FROM = 0.35  # share of the no-touch limit down to which a touched region is followed outward
-_DRIFT_FACTOR = 2.5  # times the picture's median change, above which a block is part of a touch
-_MARGIN_MM = 1.0  # the gel relaxes to nothing within about this distance of the last visible change
+_DRIFT_FACTOR = 2.5  # times the picture's typical change, above which a block is part of a touch
 _FADES_FROM, _GONE_AT = 0.2, 0.6  # thicknesses from the contact, see `_relaxed`
 _SATURATED_GREY = 254
 _PRESSURE_BLUR_PX = 1.5
 _SPECK_MM2 = 0.15  # smaller contacts are camera noise
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Reach:
+    """How far a touch is followed."""
+
+    margin_mm: float  # beyond the last visible change: the gel relaxes to nothing within about this distance
+    typical: float  # quantile of the blocks' changes that stands for what the whole picture does
+
+
+_NEAR = _Reach(margin_mm=1.0, typical=0.5)
+# With the light modelled, the bulge around a touch is measured too, and a touch may fill most of the picture.
+_FAR = _Reach(margin_mm=2.0, typical=0.25)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,22 +96,34 @@ def depth(
     shape = source.camera.shape
     indentation, touched = np.zeros(shape, np.float32), np.zeros(shape, np.bool_)
     notes: list[str] = []
-    window = _window(image, reference, no_touch_grey, calibration.pixel_mm)
+    modelled = gel_light.applies(source, calibration)
+    window = _window(image, reference, no_touch_grey, calibration.pixel_mm, _FAR if modelled else _NEAR)
     if window is None:
         notes.append("nothing touches the sensor")
     else:
         here = (window.rows, window.cols)
-        gx, gy, told = _slopes(image, reference, source, calibration, window, smoothing_px)
+        notes += _doubts(image[here], source, window)
+        picture = gel_light.seen(image, reference, *here, window.moved, smoothing_px) if modelled else None
+        if picture is not None:
+            gx, gy = gel_light.rough_slopes(picture, calibration)
+        else:
+            gx, gy = _slopes(image[here], reference[here], source, calibration, window, smoothing_px)
         if not math.isfinite(float(gx.sum()) + float(gy.sum())):
             raise CalibrationError(f"the look-up of {source.name} gives slopes that are no numbers; calibrate again")
-        notes += told
         progress.step(0.5, "integrating slopes")
-        surface = _surface(gx, gy, window, calibration.pixel_mm, boundary, shape)
+
+        def integrated(x: Floats, y: Floats) -> Floats:
+            return _surface(x, y, window, calibration.pixel_mm, boundary, shape)
+
+        surface = integrated(gx, gy)
+        if picture is not None:
+            surface = gel_light.corrected(surface, picture, source, integrated)
         speck = max(4, round(_SPECK_MM2 / calibration.pixel_mm**2))
         pressed = contact.touched(
             surface, least_mm=least_mm, pressure_share=pressure_share, smoothing_px=_PRESSURE_BLUR_PX
         )
-        touched[here] = contact.without_specks(pressed & window.moved, speck)
+        pressed = contact.without_specks(pressed & window.moved, speck)
+        touched[here] = gel_light.pressed_in(pressed, surface, calibration.pixel_mm) if modelled else pressed
         indentation[here] = _relaxed(surface, touched[here], source, calibration.pixel_mm) * window.moved
         notes += _limits(indentation, touched, source.limits.indentation_max_mm, least_mm)
     progress.step(1.0, "depth is ready")
@@ -109,13 +137,13 @@ def depth(
     )
 
 
-def _window(image: Image, reference: Image, no_touch_grey: float, pixel_mm: float) -> _Window | None:
+def _window(image: Image, reference: Image, no_touch_grey: float, pixel_mm: float, reach: _Reach) -> _Window | None:
     """The box around everything that has changed, grown by the gel's relaxation; None where nothing has."""
     import cv2
 
     blocks = _block_change(image, reference).max(axis=2).astype(np.float32)
     # A touch is not followed into what the whole picture does (drift of the light).
-    low = max(_GROWS_FROM * no_touch_grey, _DRIFT_FACTOR * float(np.median(blocks)))
+    low = max(_GROWS_FROM * no_touch_grey, _DRIFT_FACTOR * float(np.quantile(blocks, reach.typical)))
     if float(blocks.max()) < low:  # all of it has changed alike: a touch larger than the picture
         low = no_touch_grey
     n, regions = cv2.connectedComponents((blocks > low).astype(np.uint8), connectivity=8)
@@ -125,7 +153,7 @@ def _window(image: Image, reference: Image, no_touch_grey: float, pixel_mm: floa
     if not strong.any():
         return None
     rows, cols = image.shape[:2]
-    grow = 2 * math.ceil(_MARGIN_MM / pixel_mm / _BLOCK_PX) + 1
+    grow = 2 * math.ceil(reach.margin_mm / pixel_mm / _BLOCK_PX) + 1
     moved = cv2.dilate(strong[regions].astype(np.uint8), np.ones((grow, grow), np.uint8))
     tall, wide = moved.shape[0] * _BLOCK_PX, moved.shape[1] * _BLOCK_PX
     full = cv2.resize(moved, (wide, tall), interpolation=cv2.INTER_NEAREST)[:rows, :cols].astype(np.bool_)
@@ -139,25 +167,23 @@ def _window(image: Image, reference: Image, no_touch_grey: float, pixel_mm: floa
     return _Window(rows=box[0], cols=box[1], moved=np.ascontiguousarray(full[box]))
 
 
-def _slopes(
-    image: Image,
-    reference: Image,
-    source: SensorSpec,
-    calibration: Calibration,
-    window: _Window,
-    smoothing_px: float,
-) -> tuple[Floats, Floats, list[str]]:
-    part, still = image[window.rows, window.cols], reference[window.rows, window.cols]
-    change = relative_change(part, still, calibration.pixel_mm, markers=source.markers, smoothing_px=smoothing_px)
+def _doubts(part: Image, source: SensorSpec, window: _Window) -> list[str]:
+    """What is said about slopes that the picture does not show."""
     notes: list[str] = []
     if source.markers is not None:
         notes.append("slopes under the printed markers were filled in from around them")
     clipped = (part >= _SATURATED_GREY).any(axis=2) & window.moved
     if clipped.sum() > 0.01 * window.moved.sum():
         notes.append(f"{int(clipped.sum())} pixels are saturated: slopes there are doubtful")
+    return notes
+
+
+def _slopes(
+    part: Image, still: Image, source: SensorSpec, calibration: Calibration, window: _Window, smoothing_px: float
+) -> tuple[Floats, Floats]:
+    change = relative_change(part, still, calibration.pixel_mm, markers=source.markers, smoothing_px=smoothing_px)
     u, v = slope_model.position((calibration.rows, calibration.cols))
-    gx, gy = slope_model.evaluate(calibration.model, change, u[window.cols], v[window.rows], window.moved)
-    return gx, gy, notes
+    return slope_model.evaluate(calibration.model, change, u[window.cols], v[window.rows], window.moved)
 
 
 def _surface(
