@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline import rigid
 from pipeline.alignment import Alignment
-from pipeline.arrays import Doubles, Floats, Indices, freeze
+from pipeline.arrays import Doubles, Floats, Indices, for_geometry, freeze
 from pipeline.camera import MIN_DEPTH_MM
 from pipeline.errors import ShapeError
 from pipeline.params import setting
@@ -79,7 +79,7 @@ def _points(depth: DepthMap, target_from_source: Doubles, stride: int) -> tuple[
     points = np.empty((at_most + 1, 3), dtype=np.float32)  # one to spare: a point is written before it is judged
     pixel = np.empty(at_most + 1, dtype=np.int32)
     ray_x, ray_y = depth.camera.rays()
-    depth_mm = np.ascontiguousarray(depth.depth_mm)
+    depth_mm = np.ascontiguousarray(for_geometry(depth.depth_mm))
     n, n_wanted = kernels.back_project(
         depth_mm, contact, stride, ray_x, ray_y, target_from_source[:3], MIN_DEPTH_MM, points, pixel
     )

@@ -6,11 +6,11 @@ with 1/Z interpolated linearly in screen space: no holes, and hundreds of times 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.arrays import Floats, Mask, freeze
+from pipeline.arrays import Floats, Mask, for_geometry, freeze
 from pipeline.camera import MIN_DEPTH_MM, Camera
 from pipeline.errors import SettingProblem, ShapeError
 from pipeline.params import setting
@@ -60,7 +60,7 @@ def project(cloud: Cloud, target: SensorSpec, params: ProjectParams, progress: P
         return empty
     _check(cloud, params)
     progress.step(0.0, "drawing the touch in the target image")
-    view = view_of(cloud, target, params)
+    view = view_of(replace(cloud, points_mm=for_geometry(cloud.points_mm)), target, params)
     progress.step(1.0, "drawn")
     return view
 

@@ -95,7 +95,6 @@ def test_project(kind, number, mode, seed):
     )
 
 
-@pytest.mark.xfail(strict=True, raises=NotImplementedError, reason="the compiled loops know no float16 yet")
 @pytest.mark.parametrize("stage", ["adapt", "project"])
 @row(6, "adapt and project of float16: an answer or words")
 def test_half_precision(stage):
