@@ -38,11 +38,12 @@ class _Reach:
 
     margin_mm: float  # beyond the last visible change: the gel relaxes to nothing within about this distance
     typical: float  # quantile of the blocks' changes that stands for what the whole picture does
+    fills: bool  # what a touch encloses belongs to it: a flat face changes no colours, but it is not at rest
 
 
-_NEAR = _Reach(margin_mm=1.0, typical=0.5)
+_NEAR = _Reach(margin_mm=1.0, typical=0.5, fills=False)
 # With the light modelled, the bulge around a touch is measured too, and a touch may fill most of the picture.
-_FAR = _Reach(margin_mm=2.0, typical=0.25)
+_FAR = _Reach(margin_mm=2.0, typical=0.25, fills=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,6 +141,7 @@ def depth(
 def _window(image: Image, reference: Image, no_touch_grey: float, pixel_mm: float, reach: _Reach) -> _Window | None:
     """The box around everything that has changed, grown by the gel's relaxation; None where nothing has."""
     import cv2
+    from scipy import ndimage
 
     blocks = _block_change(image, reference).max(axis=2).astype(np.float32)
     # A touch is not followed into what the whole picture does (drift of the light).
@@ -155,6 +157,8 @@ def _window(image: Image, reference: Image, no_touch_grey: float, pixel_mm: floa
     rows, cols = image.shape[:2]
     grow = 2 * math.ceil(reach.margin_mm / pixel_mm / _BLOCK_PX) + 1
     moved = cv2.dilate(strong[regions].astype(np.uint8), np.ones((grow, grow), np.uint8))
+    if reach.fills:
+        moved = np.asarray(ndimage.binary_fill_holes(moved), np.uint8)
     tall, wide = moved.shape[0] * _BLOCK_PX, moved.shape[1] * _BLOCK_PX
     full = cv2.resize(moved, (wide, tall), interpolation=cv2.INTER_NEAREST)[:rows, :cols].astype(np.bool_)
     full = np.pad(full, ((0, max(0, rows - tall)), (0, max(0, cols - wide))), "edge")

@@ -1,0 +1,95 @@
+"""How exact is a DIGIT's depth beside its cast shadows? The look-up corrected by the optics beside the look-up alone.
+
+    python benchmarks/gel_depth.py
+
+Training and unseen objects are pressed on the simulated DIGIT, in every other press on a unit whose lights, shadows and
+gel differ from what the depth is told. Errors are mean absolute errors of the depth in the contact, over presses of one
+depth. Rows of GelSlim and GelSight Mini, which cast no shadows that are described, are the same both ways.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from pipeline import rigid
+from pipeline.calibration import built_in
+from pipeline.evaluation.races import Answer, Bar, row, timing
+from pipeline.evaluation.races_report import show
+from pipeline.frames import TactileFrame
+from pipeline.physics import optics, shapes
+from pipeline.physics.press import press
+from pipeline.physics.variation import varied
+from pipeline.sensors.spec import sensor
+from pipeline.stages.depth import DepthParams, depth
+
+_DEPTHS_MM = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+_OTHERS_MM = 0.5
+_UNITS = (1, 2, 3)
+_GOAL = Bar(ms=15, closer=1.0, error=0.05)  # of a DIGIT; the others must stay as they are
+_PARAMS = DepthParams()
+
+
+def objects() -> tuple[str, ...]:
+    return (*shapes.names("training")[::2], *shapes.names("unseen"))
+
+
+def presses(name: str, depth_mm: float):
+    """Frames and truths of every object at one depth."""
+    rng = np.random.default_rng(round(100 * depth_mm))
+    for index, thing in enumerate(shapes.shape(n).mesh for n in objects()):
+        told = sensor(name)
+        unit = told if index % 2 == 0 else varied(told, _UNITS[index // 2 % len(_UNITS)])
+        pose = rigid.translation(*rng.uniform(-3.0, 3.0, 2), 0.0) @ rigid.rotation((0, 0, rng.uniform(-0.7, 0.7)))
+        pose[2, 3] = -depth_mm - rigid.apply(pose, thing.vertices_mm)[:, 2].min()
+        felt = press(thing, pose, unit, seed=index)
+        if felt.converged and felt.truth.contact.any():
+            yield TactileFrame(sensor=name, image=felt.image, reference=optics.untouched(unit)), felt.truth
+
+
+def compared(name: str, depth_mm: float):
+    """(errors, times, IoUs, biases, errors outside) of ours and of the look-up alone, press by press."""
+    told = sensor(name)
+    plain = replace(told, optics=replace(told.optics, shadow=0.0))  # describes no shadow: the look-up alone is used
+    look_up = built_in(told)
+    found = {"ours": [], "plain": []}
+    for frame, truth in presses(name, depth_mm):
+        inside = truth.contact
+        for way, source in (("ours", told), ("plain", plain)):
+            depth(frame, source, look_up, _PARAMS)
+            started = time.perf_counter()
+            answer = depth(frame, source, look_up, _PARAMS)
+            taken = 1e3 * (time.perf_counter() - started)
+            off = answer.indentation_mm - truth.indentation_mm
+            iou = (answer.contact & inside).sum() / (answer.contact | inside).sum()
+            found[way].append((np.abs(off[inside]).mean(), taken, iou, off[inside].mean(), np.abs(off[~inside]).mean()))
+    return tuple(np.array(found[way]).T for way in ("ours", "plain"))
+
+
+def answer() -> Answer:
+    rows, notes = [], []
+    for name, depths in (("digit", _DEPTHS_MM), ("gelslim", (_OTHERS_MM,)), ("gelsight_mini", (_OTHERS_MM,))):
+        for depth_mm in depths:
+            ours, plain = compared(name, depth_mm)
+            bar = _GOAL if name == "digit" else Bar(closer=1.0)
+            rows.append(row(
+                f"{name}, pressed by {depth_mm:g} mm", peer="look-up alone", ours=timing(ours[1]),
+                peer_timing=timing(plain[1]), ours_error=float(ours[0].mean()), peer_error=float(plain[0].mean()),
+                unit="mm", bar=bar,
+            ))  # fmt: skip
+            told = " and ".join(
+                f"IoU {iou.mean():.3f}, bias {bias.mean():+.3f}, outside {outside.mean():.3f} mm"
+                for _, _, iou, bias, outside in (ours, plain)
+            )
+            notes.append(f"{name} {depth_mm:g} mm: {told} (look-up alone)")
+    return Answer(title="Depth in the contact of a gel", unit="mm", rows=tuple(rows), notes=tuple(notes))
+
+
+if __name__ == "__main__":
+    show(answer())
