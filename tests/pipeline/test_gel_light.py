@@ -18,14 +18,15 @@ from tests.pipeline.test_balls import hertz
 
 PARAMS = DepthParams()
 TIMES_CLOSER = 2.0  # than the look-up alone; three to four are usual where shadows are long
+FLAT_SHARE = 0.75  # of the depth of a flat face: the blur loses some of a steep flank
 CONTACT_MM = 0.06  # a flat face of 0.6 mm: vertical flanks, of which the blur keeps nine tenths
 
 
 @lru_cache
-def pressed(depth_mm, *, unit=None):
-    """A star pressed on a DIGIT: (sensor, frame, truth)."""
+def pressed(depth_mm, *, unit=None, name="star"):
+    """An object pressed on a DIGIT: (sensor, frame, truth)."""
     source = sensor("digit") if unit is None else variation.varied(sensor("digit"), unit)
-    thing = shapes.shape("star").mesh
+    thing = shapes.shape(name).mesh
     lowest = thing.vertices_mm[:, 2].min()
     felt = press(thing, translation(0.3, -0.4, -depth_mm - lowest), source, seed=2)
     frame = TactileFrame(sensor="digit", image=felt.image, reference=optics.untouched(source))
@@ -49,6 +50,12 @@ def test_a_deep_press_is_measured_through_its_shadows(unit):
     plain = depth(frame, without_shadows(known), built_in(known), PARAMS)
     assert TIMES_CLOSER * error_mm(found, truth) < error_mm(plain, truth)
     assert error_mm(found, truth) < CONTACT_MM
+
+
+def test_the_unchanged_inside_of_a_flat_face_is_not_taken_for_rest():
+    source, frame, truth = pressed(0.7, name="square")
+    found = depth(frame, source, None, PARAMS)
+    assert found.indentation_mm[truth.contact].mean() > FLAT_SHARE * 0.7
 
 
 def test_a_light_press_does_not_get_worse():
