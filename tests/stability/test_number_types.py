@@ -148,4 +148,5 @@ def test_transform(number, seed):
         assert number is np.float16, told
         return
     assert answer.dtype == np.float64
-    assert np.abs(answer[:3, :3] - moved[:3, :3]).max() <= 4 * np.finfo(number).eps
+    # Exponential, singular value decomposition and product of three columns each round a few times: 16 in all.
+    assert np.abs(answer[:3, :3] - moved[:3, :3]).max() <= 16 * np.finfo(number).eps
