@@ -67,7 +67,7 @@ def _row(question: str, spec: SensorSpec, surface, peer, name: str = "table look
     truth = np.clip(optics._lit(spec, optics.optics_of(spec), surface), 0, 255)
     methods = {"ours": lambda: optics.render(spec, surface, seed=None), name: lambda: peer(surface)}
     errors = {method: _rms(call(), truth) for method, call in methods.items()}  # outputs are compared first
-    times: dict[str, Timing] = race(methods, 25)
+    times: dict[str, Timing] = race(methods, 25, calls=5)
     return row(
         question, ours=times["ours"], ours_error=errors["ours"], unit="grey levels", bar=_BAR,
         peer=name, peer_timing=times[name], peer_error=errors[name],
