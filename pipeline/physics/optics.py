@@ -142,7 +142,7 @@ def _lit(sensor: SensorSpec, optics: Optics, height_mm: Floats) -> Floats:
     light = np.empty((*height_mm.shape, 3), np.float32)
     optics_kernels.light_of(height_mm, *_scene(_Same(sensor)), light)
     if _casts_shadow(optics, height_mm):
-        _shade(light, sensor, optics, height_mm)
+        shade(light, sensor, height_mm)
     return light
 
 
@@ -185,10 +185,11 @@ def _casts_shadow(optics: Optics, height_mm: Floats) -> bool:
     return optics.shadow > 0 and float(height_mm.max()) > _NO_SHADOW_MM
 
 
-def _shade(light: Floats, sensor: SensorSpec, optics: Optics, height_mm: Floats) -> None:
-    """Take from `light` (rows, cols, 3) what does not get past the surface, LED by LED."""
+def shade(light: Floats, sensor: SensorSpec, height_mm: Floats) -> None:
+    """Take from `light` (rows, cols, 3) what does not get past a surface pressed in by `height_mm`, LED by LED."""
     from pipeline.physics.optics_kernels import cast_shadow, darken
 
+    optics = optics_of(sensor)
     drop = np.float32(sensor.pixel_mm * math.tan(math.radians(optics.shadow_deg)))
     leds = _scene(_Same(sensor))[2][: len(optics.leds)]
     all_leds = np.maximum(leds[:, 3:].sum(axis=0), 1e-6)

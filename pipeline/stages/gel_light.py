@@ -35,7 +35,6 @@ _PULL = 5000.0  # grey levels squared per unit slope squared: a colour in full l
 _HUBER_GREY = 20.0  # larger misfits are dust, a reflection, or an optical description that is not this unit's
 _STEEPEST = np.float32(1.43)  # mm/mm, 55 degrees: the light hardly changes beyond
 _STEP = np.float32(0.01)  # mm/mm, of the difference quotients
-_PENUMBRA_MM = 0.25  # as `physics.optics` has it
 _LEAST_MM = -0.5  # no gel bulges out farther
 _QUIET_SHARE = 0.4  # of the picture: a firm touch changes the light far from it too, which is no drift
 _DRIFT = 0.06  # more is no drift
@@ -155,22 +154,8 @@ def _colours(source: SensorSpec, gx: Floats, gy: Floats, picture: Seen) -> tuple
 
 def _passed(source: SensorSpec, surface_mm: Floats) -> Floats:
     """The share of every colour's light (rows, cols, 3) that no dent keeps from a pixel."""
-    from pipeline.physics.optics_kernels import cast_shadow, darken
-
-    lamps = optics.optics_of(source)
-    drop = np.float32(source.pixel_mm * math.tan(math.radians(lamps.shadow_deg)))
-    whole = np.maximum(np.sum([led.rgb for led in lamps.leds], axis=0), 1e-6)
     share = np.ones((*surface_mm.shape, 3), np.float32)
-    cover, turned = np.empty_like(surface_mm), np.ascontiguousarray(surface_mm.T)
-    turned_cover = np.empty_like(turned)
-    for led in lamps.leds:
-        x, y = (np.float32(f(math.radians(led.azimuth_deg))) for f in (math.cos, math.sin))
-        if abs(x) >= abs(y):
-            cast_shadow(turned, y, x, drop, np.float32(_PENUMBRA_MM), turned_cover)
-            cover[:] = turned_cover.T
-        else:
-            cast_shadow(surface_mm, x, y, drop, np.float32(_PENUMBRA_MM), cover)
-        darken(share, cover, (lamps.shadow * np.array(led.rgb) / whole).astype(np.float32))
+    optics.shade(share, source, np.ascontiguousarray(surface_mm, np.float32))
     return share
 
 
