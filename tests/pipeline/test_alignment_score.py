@@ -70,7 +70,9 @@ def test_sensitivity_says_which_axis_matters_and_which_way_is_better(touch):
     off = nudged(ALIGNED, "z", -0.3, pivot_mm=pivot_of(touch, ALIGNED))
     told = {s.axis: s for s in sensitivities(touch, off, side)}
     assert tuple(told) == AXES
-    assert told["z"].depth_mm.slope == pytest.approx(-UNIT_STEP, rel=0.2)  # too near: 0.1 mm farther is better by as much
+    assert told["z"].depth_mm.slope == pytest.approx(
+        -UNIT_STEP, rel=0.2
+    )  # too near: 0.1 mm farther is better by as much
     assert told["z"].depth_mm.size > 3.0 * told["x"].depth_mm.size
     at_best = {s.axis: s for s in sensitivities(touch, ALIGNED, side)}
     assert at_best["x"].iou.size > 0.0
