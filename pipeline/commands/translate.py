@@ -12,9 +12,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from pipeline import routes
+from pipeline.commands.stopping import stoppable
 from pipeline.errors import SettingProblem, TouchError
 from pipeline.evaluation.metrics import frame_metrics
 from pipeline.graph import Graph
+from pipeline.progress import SILENT
+from pipeline.progress import Progress as StageProgress
 from pipeline.reporting.report import FrameReport, write_frame, write_report
 from pipeline.stages.results import DepthMap, ObjectPose
 from pipeline.translate import Request, Translation, new_graph, open_translation
@@ -40,11 +43,13 @@ def translate_frames(
     reports: list[FrameReport] = []
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     try:
-        with Progress(*columns, console=console, transient=True) as bar:
+        with stoppable() as work, Progress(*columns, console=console, transient=True) as bar:
             task = bar.add_task("translating", total=len(indices))
             for index in indices:
                 bar.update(task, description=f"frame {index}")
-                reports.append(_one(translation, graph, params, index, out, _pose_of(reports) if follow else None))
+                work.step(0.0, "")
+                before = _pose_of(reports) if follow else None
+                reports.append(_one(translation, graph, params, index, out, before, work))
                 bar.advance(task)
     finally:  # also on Ctrl-C: what is finished is whole and listed
         if reports:
@@ -63,10 +68,11 @@ def work_out(
     params: Mapping[str, object],
     index: int,
     previous: ObjectPose | None = None,
+    progress: StageProgress = SILENT,
 ) -> FrameReport:
     """All stages of one frame and its figures; a damaged frame gives a report with its problem."""
     try:
-        results = graph.evaluate(translation.stages, translation.inputs(index, previous), params)
+        results = graph.evaluate(translation.stages, translation.inputs(index, previous), params, progress)
         metrics = frame_metrics(
             results, translation.truth_of_source(index), translation.truth_of_target(index), translation.mesh,
             translation.symmetry,
@@ -102,8 +108,9 @@ def _one(
     index: int,
     out: Path,
     previous: ObjectPose | None,
+    progress: StageProgress,
 ) -> FrameReport:
-    report = work_out(translation, graph, params, index, previous)
+    report = work_out(translation, graph, params, index, previous, progress)
     if not report.problem:
         write_frame(out, translation.stream.frame(index), report, translation)
     return report

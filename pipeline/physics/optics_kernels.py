@@ -6,10 +6,12 @@ import math
 import numpy as np
 from numba import njit
 
+# What is called is inlined before it is compiled: as functions of their own, with sums free to be contracted, they come
+# out different in the last bit in a process that compiles them and in one that loads them from the cache.
 _FAST = {"contract", "arcp", "nsz", "reassoc"}  # not nnan: a NaN slope has to stay one
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
 def lambert_change(gx, gy, leds, strength, vignette, out):
     """Write to `out`, per pixel, what every LED's light gains or loses on a slope (see `optics.colour_change`).
 
@@ -23,7 +25,7 @@ def lambert_change(gx, gy, leds, strength, vignette, out):
         _row_change(gx[r], gy[r], r, rows, leds, strength, vignette, flat[r])
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
 def light_of(height, pixel, glow, leds, strength, vignette, out):
     """Light `out` (rows, cols, 3) float32 of a surface: the glow (rows, cols, 3) and what its slopes change."""
     rows, cols = height.shape
@@ -35,7 +37,7 @@ def light_of(height, pixel, glow, leds, strength, vignette, out):
         _add(glow_flat[r], flat[r])
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
 def picture_of(height, pixel, glow, leds, strength, vignette, gain, out):
     """`light_of`, developed without blur and noise: `out` (rows, cols, 3) of 8 bits, in one pass."""
     rows, cols = height.shape
@@ -50,7 +52,7 @@ def picture_of(height, pixel, glow, leds, strength, vignette, gain, out):
         _row_greys(glow_flat[r], change, gains, flat[r])
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(inline="always")
 def _row_change(gx, gy, r, rows, leds, strength, vignette, out):
     """What all lamps change in row `r`, three lamps at a time: `out` (3 cols,), a pixel's colours beside each other."""
     y = (np.float32(r) + np.float32(0.5)) * np.float32(2.0 / rows) - np.float32(1.0)
@@ -65,7 +67,7 @@ def _row_change(gx, gy, r, rows, leds, strength, vignette, out):
             _add(part, out)
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(inline="always")
 def _lamp(led, strength, r):
     """Direction (3), its share of light at the row's first pixel, the share's change per pixel, colour (3)."""
     per_flat = np.float32(1.0) - led[2]
@@ -77,7 +79,7 @@ def _lamp(led, strength, r):
 # from the end and has to be looked for at every pixel.
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")  # a check for division by zero is a branch
+@njit(inline="always")
 def _row_of_three(gx, gy, y, to_x, vignette, one, two, three, out):
     third, next_one = np.uint64(3), np.uint64(1)
     nothing, unit, half = np.float32(0.0), np.float32(1.0), np.float32(0.5)
@@ -102,14 +104,14 @@ def _row_of_three(gx, gy, y, to_x, vignette, one, two, three, out):
         out[third * c + next_one + next_one] = a * a_blue + b * b_blue + d * c_blue
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(inline="always")
 def _add(more, out):
     for i in range(out.shape[0]):
         n = np.uint64(i)
         out[n] += more[n]
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(inline="always")
 def _row_greys(glow, change, gains, out):
     for i in range(out.shape[0]):
         n = np.uint64(i)
@@ -117,14 +119,14 @@ def _row_greys(glow, change, gains, out):
         out[n] = np.uint8(np.int32(min(max(value, np.float32(0.0)), np.float32(255.0))))
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
 def slopes(height, pixel, gx, gy):
     """d/dx and d/dy of a height by central differences, one-sided at the border."""
     for r in range(height.shape[0]):
         _row_slopes(height, r, pixel, gx[r], gy[r])
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(inline="always")
 def _row_slopes(height, r, pixel, gx, gy):
     rows, cols = height.shape
     per_px = np.float32(1.0) / pixel
@@ -137,14 +139,14 @@ def _row_slopes(height, r, pixel, gx, gy):
     gx[last] = (here[last] - here[max(last - 1, 0)]) * per_px
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(inline="always")
 def _scaled_difference(plus, minus, scale, out):
     for i in range(out.shape[0]):
         c = np.uint64(i)
         out[c] = (plus[c] - minus[c]) * scale
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
 def cast_shadow(height, to_x, to_y, drop, soft, cover):
     """How much of one LED's light is missing, `cover` (rows, cols) from 0 to 1, behind what stands in its way.
 
@@ -166,7 +168,7 @@ def cast_shadow(height, to_x, to_y, drop, soft, cover):
         edge, line = line, edge
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(inline="always")
 def _shaded_row(low, high, share, sink, soft, height, line, cover):
     nothing, one = np.float32(0.0), np.float32(1.0)
     per_soft = one / soft
@@ -178,7 +180,7 @@ def _shaded_row(low, high, share, sink, soft, height, line, cover):
         line[c] = light if light > own else own
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
 def darken(image, cover, loss):
     """Take from `image` (rows, cols, 3) the share `loss` (3,) of each colour where `cover` (rows, cols) is 1."""
     rows, cols = cover.shape
@@ -187,7 +189,7 @@ def darken(image, cover, loss):
         _darken_row(flat[r], cover[r], loss[0], loss[1], loss[2])
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(inline="always")
 def _darken_row(out, cover, red, green, blue):
     three, one = np.uint64(3), np.uint64(1)
     whole = np.float32(1.0)
@@ -199,7 +201,7 @@ def _darken_row(out, cover, red, green, blue):
         out[three * c + one + one] *= whole - dark * blue
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
 def print_markers(image, move_x, move_y, pitch, radius, half_twin, darkness, jitter, place):
     """Darken `image` where a marker is; lengths in pixels.
 
@@ -241,7 +243,7 @@ def print_markers(image, move_x, move_y, pitch, radius, half_twin, darkness, jit
                     image[r, c, k] *= share
 
 
-@njit(cache=True)
+@njit(inline="always")
 def _mixed(n):
     """Sixty-four well-mixed bits of a number (the finaliser of splitmix64)."""
     n = (n ^ (n >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -249,7 +251,7 @@ def _mixed(n):
     return n ^ (n >> np.uint64(31))
 
 
-@njit(cache=True, fastmath=_FAST)
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
 def develop(light, gain, quantiles, noise, seed, out):
     """Grey levels of 8 bits: light times gain per colour, plus normal noise of standard deviation `noise`.
 

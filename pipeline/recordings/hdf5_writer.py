@@ -144,7 +144,8 @@ class Writer:
         return kept.shape[0] - 1
 
     def _append_truth(self, group: Any, index: int, truth: Truth | None) -> None:
-        shape, known = group["frames"].shape[1:3], 0
+        shape: tuple[int, ...] = group["frames"].shape[1:3]
+        known = 0
         truth = truth or Truth()
         step = layout.BUBBLE_STEP_MM if group["frames"].ndim == 3 else layout.GEL_STEP_MM
         exact: dict[int, tuple[int, ...]] = {layout.KNOWN_POSE: (4, 4), layout.KNOWN_FORCE: (3,)}
@@ -156,7 +157,7 @@ class Writer:
         ):
             if values is None:
                 continue
-            want = exact[bit] if bit in exact else shape
+            want = exact.get(bit, shape)
             if values.shape != want:
                 raise ShapeError(f"{key} of frame {index} must have shape {want}, got {values.shape}")
             if key not in group and bit == layout.KNOWN_INDENTATION:
