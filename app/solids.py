@@ -162,11 +162,22 @@ def _mesh_arrays(mesh: Mesh) -> tuple[Floats, NDArray[np.int32], Floats]:
 
 
 def _grid(name: str, points: NDArray[np.floating], pixels: Image) -> Layer:
+    here = _seen_part(points)
+    points, pixels = points[here], pixels[here]
     rows, cols = points.shape[:2]
     stride = max(1, math.ceil(math.sqrt(rows * cols / MOST_POINTS)))
     xyz, triangles, normals = _surface(points, stride)
     colours = freeze(pixels[::stride, ::stride].reshape(-1, 3).copy())
     return Layer(name=name, points_mm=xyz, rgb=colours, triangles=triangles, normals=normals)
+
+
+def _seen_part(points: NDArray[np.floating]) -> tuple[slice, slice]:
+    """The box of rows and columns with a point: a small touch is not thinned because its picture is large."""
+    seen = np.isfinite(points[..., 2])
+    row, col = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
+    if row.size < 2 or col.size < 2:
+        return slice(None), slice(None)
+    return slice(int(row[0]), int(row[-1]) + 1), slice(int(col[0]), int(col[-1]) + 1)
 
 
 def _surface(points: NDArray[np.floating], stride: int) -> tuple[Floats, NDArray[np.int32], Floats]:
