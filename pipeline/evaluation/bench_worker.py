@@ -5,7 +5,7 @@ Between our own two processes numbers that are not finite travel as Python's JSO
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import json
 import sys
 from dataclasses import asdict
@@ -24,13 +24,9 @@ def main(question: str, out: str) -> None:
 
 
 def _module(path: Path) -> Any:
-    spec = importlib.util.spec_from_file_location(f"question_{path.stem}", path)
-    if spec is None or spec.loader is None:
-        raise ImportError(f"{path.name} is no module")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    """The module by its plain name, as when it is run alone: processes that it starts have to find it again."""
+    sys.path.insert(0, str(path.parent))
+    return importlib.import_module(path.stem)
 
 
 def _number(value: object) -> object:
