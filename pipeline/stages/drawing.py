@@ -102,7 +102,7 @@ def rasterised(
         project_kernels.splat(points_mm, alone | as_points, source_index, pixel, inverse_z, source)
     depth_mm, contact = np.empty(n, dtype=np.float32), np.empty(n, dtype=np.bool_)
     n_drawn = project_kernels.touching_pixels(
-        inverse_z, *camera.rays(), rest.x0_mm, rest.y0_mm, rest.per_mm, rest.z_mm, depth_mm, contact
+        inverse_z, *camera.rays(), rest.x0_mm, rest.y0_mm, rest.per_mm, rest.z_mm, source, depth_mm, contact
     )
     return Drawing(
         depth_mm=depth_mm, source=source, contact=contact, pixel=pixel, n_inside=int(n_inside), n_drawn=int(n_drawn),

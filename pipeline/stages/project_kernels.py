@@ -12,6 +12,8 @@ import math
 import numpy as np
 from numba import njit
 
+LEAST_INVERSE_Z = 1.0 / float(np.finfo(np.float32).max)  # 1/mm
+
 
 @njit(cache=True, error_model="numpy")
 def to_pixels(flat, lens, shape, z_min, pixel):
@@ -129,17 +131,21 @@ def touching_points(points, pixel, x0, y0, per_mm, surface, contact):
 
 
 @njit(cache=True, error_model="numpy")
-def touching_pixels(inverse_z, ray_x, ray_y, x0, y0, per_mm, surface, depth, contact):
-    """Depth of every drawn pixel from its 1/z, and whether what it sees reaches the membrane; returns how many drew."""
+def touching_pixels(inverse_z, ray_x, ray_y, x0, y0, per_mm, surface, source, depth, contact):
+    """Depth of every drawn pixel from its 1/z, and whether what it sees reaches the membrane; returns how many drew.
+
+    What lies beyond any length that float32 holds (a rim drawn on from points almost there) is taken back.
+    """
     seen = 0
     cols = ray_x.shape[0]
     for row in range(ray_y.shape[0]):
         for col in range(cols):
             p = row * cols + col
             w = inverse_z[p]
-            if not w > 0.0:
+            if not w > LEAST_INVERSE_Z:
                 depth[p] = np.nan
                 contact[p] = False
+                source[p] = -1
                 continue
             z = 1.0 / w
             depth[p] = z
