@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 from typing import Literal
 
-from pipeline.cli import build, run
-from pipeline.errors import SettingProblem
+from pipeline.base.errors import SettingProblem
+from pipeline.cli.main import build, run
 
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from PyQt6.QtWidgets import QApplication
 
-    from app.instrument import Instrument
-    from app.session import Session
+    from app.frame.instrument import Instrument
+    from app.session.state import Session
 
 SAMPLE = Path(__file__).resolve().parents[1] / "sample_data" / "recordings" / "first_touch.h5"
 _FIRST_PAINT_MS = 60  # loading OpenGL takes the window's thread for a second: let it be seen first
@@ -37,7 +37,7 @@ def open_window(
     Without a recording the sample is opened, where there is one. See `app.tour` for what a tour leaves behind.
     """
     prepare_environment()
-    from app.session import Session
+    from app.session.state import Session
 
     application = make_application()
     session = Session(
@@ -48,7 +48,7 @@ def open_window(
     instrument = show_window(session)
     code = 0
     if tour is not None:
-        from app.tour import give_tour
+        from app.frame.tour import give_tour
 
         code = give_tour(instrument, tour, show_frame=frame)
         instrument.window.close()
@@ -89,10 +89,10 @@ def show_window(session: Session, *, with_scene: bool = True) -> Instrument:
     from PyQt6.QtCore import QTimer
     from PyQt6.QtWidgets import QApplication
 
-    from app.connections import connect
-    from app.instrument import Instrument
-    from app.window import Window
-    from pipeline.routes import STAGES
+    from app.frame.connections import connect
+    from app.frame.instrument import Instrument
+    from app.frame.window import Window
+    from pipeline.translation.routes import STAGES
     from widgets.colours import light_palette
 
     QApplication.setStyle("Fusion")

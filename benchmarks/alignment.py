@@ -19,17 +19,16 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline import rigid
-from pipeline.alignment import Alignment
 from pipeline.alignment.felt import PREVIEW, felt
 from pipeline.alignment.nudge import AXES, motion_about, nudged
 from pipeline.alignment.refine import refine
 from pipeline.alignment.score import preview
 from pipeline.alignment.touches import PairedTouch, paired_touches, pivot_of
-from pipeline.alignment.transforms import corrected
-from pipeline.evaluation.races import Answer, Bar, Point, Row, Timing, race, row, timing
-from pipeline.evaluation.races_report import show
-from pipeline.translate import Request, Translation, open_translation
+from pipeline.geometry import rigid
+from pipeline.racing.races import Answer, Bar, Point, Row, Timing, race, row, timing
+from pipeline.racing.report import show
+from pipeline.sensors.alignment import Alignment, corrected
+from pipeline.translation.translate import Request, Translation, open_translation
 
 RECORDING = Path(__file__).resolve().parents[1] / "sample_data" / "recordings" / "first_touch.h5"
 PAIRS = (("gelslim", "soft_bubble"), ("digit", "gelslim"))

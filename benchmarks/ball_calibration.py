@@ -17,13 +17,13 @@ from scipy import optimize
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.balls import calibrate_balls
-from pipeline.evaluation.bench_data import recorded_data
-from pipeline.evaluation.races import Answer, Bar, row, timing
-from pipeline.evaluation.races_report import show
-from pipeline.frames import TactileFrame
+from pipeline.calibration.balls import calibrate_balls
+from pipeline.racing.data import recorded_data
+from pipeline.racing.races import Answer, Bar, row, timing
+from pipeline.racing.report import show
 from pipeline.sensors.spec import sensor
-from pipeline.stages.depth import DepthParams, depth
+from pipeline.stages.depth.stage import DepthParams, depth
+from pipeline.values.frames import TactileFrame
 
 NEEDS = "recorded data"
 _MINI_MM_PER_PX = 0.0634

@@ -20,19 +20,20 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline import contact
-from pipeline.arrays import freeze
+from pipeline.base.arrays import freeze
 from pipeline.evaluation.metrics import iou, mean_abs_mm
-from pipeline.evaluation.races import Answer, Bar, Point, Timing, race, row
-from pipeline.evaluation.races_report import show
-from pipeline.frames import TactileFrame
-from pipeline.physics import bubble_camera, poses, shapes
-from pipeline.physics.datasets import BUBBLE_DEEPER_MM
-from pipeline.physics.press import press
+from pipeline.physics import bubble_camera
+from pipeline.racing.races import Answer, Bar, Point, Timing, race, row
+from pipeline.racing.report import show
 from pipeline.sensors.spec import sensor
-from pipeline.stages.bubble_depth import filled
-from pipeline.stages.bubble_reading import denoised
-from pipeline.stages.depth import DepthParams, depth
+from pipeline.simulation import poses, shapes
+from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
+from pipeline.simulation.press import press
+from pipeline.stages.depth import contact
+from pipeline.stages.depth.bubble_depth import filled
+from pipeline.stages.depth.bubble_reading import denoised
+from pipeline.stages.depth.stage import DepthParams, depth
+from pipeline.values.frames import TactileFrame
 
 _FLIGHT, _STEREO = sensor("soft_bubble"), sensor("soft_bubble_stereo")
 _GRASPS = (1, 7)  # of each tool's grid

@@ -19,9 +19,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.evaluation.races import Answer, Bar, Point, race, row
-from pipeline.evaluation.races_report import show
 from pipeline.physics import gel
+from pipeline.racing.races import Answer, Bar, Point, race, row
+from pipeline.racing.report import show
 from pipeline.sensors.spec import Gel
 
 _OURS, _LAYER = "ours, half-space", "ours, 2 mm bonded layer"

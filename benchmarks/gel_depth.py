@@ -18,16 +18,17 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline import rigid
-from pipeline.calibration import built_in
-from pipeline.evaluation.races import Answer, Bar, row, timing
-from pipeline.evaluation.races_report import show
-from pipeline.frames import TactileFrame
-from pipeline.physics import optics, shapes
-from pipeline.physics.press import press
-from pipeline.physics.variation import varied
+from pipeline.calibration.lookup import built_in
+from pipeline.geometry import rigid
+from pipeline.physics import optics
+from pipeline.racing.races import Answer, Bar, row, timing
+from pipeline.racing.report import show
 from pipeline.sensors.spec import sensor
-from pipeline.stages.depth import DepthParams, depth
+from pipeline.simulation import shapes
+from pipeline.simulation.press import press
+from pipeline.simulation.variation import varied
+from pipeline.stages.depth.stage import DepthParams, depth
+from pipeline.values.frames import TactileFrame
 
 _DEPTHS_MM = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 _OTHERS_MM = 0.5

@@ -18,10 +18,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline import routes
-from pipeline.evaluation.races import Answer, Bar, race, row, timing
-from pipeline.evaluation.races_report import show
-from pipeline.translate import Request, new_graph, open_translation
+from pipeline.racing.races import Answer, Bar, race, row, timing
+from pipeline.racing.report import show
+from pipeline.translation import routes
+from pipeline.translation.translate import Request, new_graph, open_translation
 
 _SAMPLE = Path(__file__).resolve().parents[1] / "sample_data" / "recordings" / "first_touch.h5"
 _PEER = "all stages of a touched frame"

@@ -19,12 +19,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline import rigid
-from pipeline.evaluation import naming
-from pipeline.evaluation.naming import Tally
-from pipeline.evaluation.patches import KINDS, Patch, drawn
-from pipeline.evaluation.races import Answer, Bar, Row, Timing, race, row
-from pipeline.evaluation.races_report import show
+from pipeline.geometry import rigid
+from pipeline.racing import naming
+from pipeline.racing.naming import Tally
+from pipeline.racing.patches import KINDS, Patch, drawn
+from pipeline.racing.races import Answer, Bar, Row, Timing, race, row
+from pipeline.racing.report import show
 from pipeline.registration.observability import Observability, Tolerances, effective_count, observability
 
 PATCHES = 250  # of each kind

@@ -22,8 +22,8 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.evaluation.races import Answer, Bar, Point, Row, Timing, race, row
 from pipeline.physics import gel, optics
+from pipeline.racing.races import Answer, Bar, Point, Row, Timing, race, row
 from pipeline.sensors.spec import SensorSpec, sensor
 
 _BINS = 125
@@ -213,6 +213,6 @@ def _rms(picture, truth) -> float:
 
 
 if __name__ == "__main__":
-    from pipeline.evaluation.races_report import show
+    from pipeline.racing.report import show
 
     show(answer())

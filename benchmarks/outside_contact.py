@@ -13,11 +13,11 @@ from scipy import ndimage
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline import routes
-from pipeline.evaluation.bench_data import recorded_data
-from pipeline.evaluation.races import Answer, Bar, row, timing
-from pipeline.evaluation.races_report import show
-from pipeline.translate import Request, new_graph, open_translation
+from pipeline.racing.data import recorded_data
+from pipeline.racing.races import Answer, Bar, row, timing
+from pipeline.racing.report import show
+from pipeline.translation import routes
+from pipeline.translation.translate import Request, new_graph, open_translation
 
 NEEDS = "recorded data"
 DISTANCES_MM = (0.5, 1.0, 1.25, 2.0, 3.0)

@@ -21,11 +21,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.evaluation.races import Answer, Bar, Row
-from pipeline.evaluation.races_report import show
-from pipeline.physics import datasets
-from pipeline.physics.datasets import Plan
-from pipeline.physics.recorder import workers
+from pipeline.racing.races import Answer, Bar, Row
+from pipeline.racing.report import show
+from pipeline.simulation import datasets
+from pipeline.simulation.datasets import Plan
+from pipeline.simulation.recorder import workers
 
 WITHIN = 0.25
 LAB_TOOLS = ("01", "02", "03", "04", "06", "31", "32", "33", "37")  # those of the published training pairs

@@ -20,9 +20,9 @@ from scipy.sparse import linalg
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.evaluation.races import Answer, Bar, Point, race, row
-from pipeline.evaluation.races_report import show
-from pipeline.poisson import integrate
+from pipeline.racing.races import Answer, Bar, Point, race, row
+from pipeline.racing.report import show
+from pipeline.stages.depth.poisson import integrate
 
 _SHAPES = ((140, 175), (240, 320), (320, 427), (480, 640))
 _DRAWN = (320, 427)

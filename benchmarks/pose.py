@@ -26,13 +26,13 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline import rigid
-from pipeline.distance_grid import DistanceGrid, built
-from pipeline.evaluation.races import Answer, Bar, Point, Timing, race, row
-from pipeline.evaluation.races_report import show
-from pipeline.meshes import Mesh, sample_surface
-from pipeline.physics.shapes import prisms, solids
+from pipeline.geometry import rigid
+from pipeline.geometry.distance_grid import DistanceGrid, built
+from pipeline.geometry.meshes import Mesh, sample_surface
+from pipeline.racing.races import Answer, Bar, Point, Timing, race, row
+from pipeline.racing.report import show
 from pipeline.registration.gauss_newton import Fit, How, register
+from pipeline.simulation.shapes import prisms, solids
 
 NOISE_MM, N_MODEL, N_FELT, REACH_MM, TRIALS = 0.03, 20_000, 4_000, 2.0, 96
 _DEEP_MM, _TURN_DEG, _SHIFT_MM = 2.0, 5.0, 0.7

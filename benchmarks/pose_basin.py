@@ -17,8 +17,8 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks import pose
-from pipeline.evaluation.races import Answer, Bar, Point, Timing, race, row
-from pipeline.evaluation.races_report import show
+from pipeline.racing.races import Answer, Bar, Point, Timing, race, row
+from pipeline.racing.report import show
 from pipeline.registration.gauss_newton import How
 from pipeline.registration.multistart import Found, Many, around, register_many
 

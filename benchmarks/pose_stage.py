@@ -15,12 +15,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.evaluation.races import Answer, Bar, Point, Timing, race, row
-from pipeline.evaluation.races_report import show
 from pipeline.evaluation.symmetric import mssd_mm
-from pipeline.stages.pose import PoseParams, pose, pose_from
-from pipeline.stages.results import ObjectPose, Touch
-from pipeline.translate import Request, new_graph, open_translation
+from pipeline.racing.races import Answer, Bar, Point, Timing, race, row
+from pipeline.racing.report import show
+from pipeline.stages.pose.stage import PoseParams, pose, pose_from
+from pipeline.translation.translate import Request, new_graph, open_translation
+from pipeline.values.results import ObjectPose, Touch
 
 ROOT = Path(__file__).resolve().parents[1]
 _FRAMES = tuple(range(4, 13))

@@ -23,14 +23,14 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline import rigid
-from pipeline.arrays import freeze
-from pipeline.errors import TouchError
-from pipeline.evaluation.races import Answer, Bar, Row
-from pipeline.meshes import Mesh
-from pipeline.physics import shapes
-from pipeline.physics.press import Press, press
+from pipeline.base.arrays import freeze
+from pipeline.base.errors import TouchError
+from pipeline.geometry import rigid
+from pipeline.geometry.meshes import Mesh
+from pipeline.racing.races import Answer, Bar, Row
 from pipeline.sensors.spec import SensorSpec, names, sensor
+from pipeline.simulation import shapes
+from pipeline.simulation.press import Press, press
 
 _SHARES = (0.125, 0.2, 0.33)  # of the sensor's own pixels along each side
 DEPTHS_MM = {

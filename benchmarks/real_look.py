@@ -22,12 +22,13 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.balls import calibrate_balls
-from pipeline.camera import Camera
-from pipeline.evaluation.bench_data import recorded_data
-from pipeline.evaluation.races import Answer, Bar, row, timing
-from pipeline.evaluation.races_report import show
-from pipeline.physics import gel, lookup, optics
+from pipeline.calibration import rendering as lookup
+from pipeline.calibration.balls import calibrate_balls
+from pipeline.geometry.camera import Camera
+from pipeline.physics import gel, optics
+from pipeline.racing.data import recorded_data
+from pipeline.racing.races import Answer, Bar, row, timing
+from pipeline.racing.report import show
 from pipeline.sensors.spec import sensor
 
 NEEDS = "recorded data"

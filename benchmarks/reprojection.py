@@ -20,14 +20,14 @@ from scipy import ndimage
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.sphere_scene import open3d_splat, scene
-from pipeline.evaluation.races import Answer, Bar, Point, Row, race, row
-from pipeline.evaluation.races_report import show
+from pipeline.alignment.reprojection import reproject, scaled
+from pipeline.racing.races import Answer, Bar, Point, Row, race, row
+from pipeline.racing.report import show
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.adapt import AdaptParams, adapt
-from pipeline.stages.drawing import Rest, rasterised
-from pipeline.stages.project import ProjectParams, project
-from pipeline.stages.reprojection import reproject, scaled
-from pipeline.stages.results import Cloud
+from pipeline.stages.adapt.stage import AdaptParams, adapt
+from pipeline.stages.project.drawing import Rest, rasterised
+from pipeline.stages.project.stage import ProjectParams, project
+from pipeline.values.results import Cloud
 
 SURFACE, PAPER = ProjectParams(mode="surface"), ProjectParams(mode="paper")
 _SCENES = ((0, 1), (20, 1), (45, 1), (20, 3))  # degrees aside, target resolution

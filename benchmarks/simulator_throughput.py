@@ -16,11 +16,11 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.evaluation.races import Answer, Bar, row, timing
-from pipeline.evaluation.races_report import show
-from pipeline.physics import datasets, shapes
-from pipeline.physics.datasets import Plan
-from pipeline.physics.recorder import record, workers
+from pipeline.racing.races import Answer, Bar, row, timing
+from pipeline.racing.report import show
+from pipeline.simulation import datasets, shapes
+from pipeline.simulation.datasets import Plan
+from pipeline.simulation.recorder import record, workers
 
 SENSOR_SETS = (
     ("gelslim", "soft_bubble"),

@@ -10,11 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline import rigid
-from pipeline.alignment import Alignment
-from pipeline.camera import Camera
+from pipeline.geometry import rigid
+from pipeline.geometry.camera import Camera
+from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec, sensor
-from pipeline.stages.results import Cloud, DepthMap
+from pipeline.values.results import Cloud, DepthMap
 
 RADIUS_MM, DISTANCE_MM, N_CONTACT = 15.0, 40.0, 38_000
 SOURCE = Camera(rows=320, cols=427, fx_px=949.0, fy_px=949.0, cx_px=213.0, cy_px=159.5)

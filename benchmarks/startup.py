@@ -15,8 +15,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.evaluation.races import Answer, Bar, row, timing
-from pipeline.evaluation.races_report import show
+from pipeline.racing.races import Answer, Bar, row, timing
+from pipeline.racing.report import show
 
 NEEDS = "a display"
 REPEATS = 5

@@ -13,8 +13,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.evaluation.races import Answer, Bar, Timing, row
-from pipeline.evaluation.races_report import show
+from pipeline.racing.races import Answer, Bar, Timing, row
+from pipeline.racing.report import show
 
 NEEDS = "a display"
 PLAYED_S = 20.0
@@ -24,8 +24,8 @@ def answer(*given: str) -> Answer:
     from app import main as app_main
 
     app_main.prepare_environment()
-    from app.session import Session
-    from app.tour import wait_until_shown
+    from app.frame.tour import wait_until_shown
+    from app.session.state import Session
 
     given = given or (str(app_main.SAMPLE), "soft_bubble", "gelslim")
     application = app_main.make_application()

@@ -17,12 +17,12 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.sphere_scene import open3d_splat, scene
-from pipeline.camera import Camera
-from pipeline.evaluation.races import Answer, Bar, Point, Row, race, row
-from pipeline.evaluation.races_report import show
-from pipeline.stages.adapt import AdaptParams, adapt
-from pipeline.stages.drawing import zbuffer
-from pipeline.stages.project import ProjectParams, project
+from pipeline.geometry.camera import Camera
+from pipeline.racing.races import Answer, Bar, Point, Row, race, row
+from pipeline.racing.report import show
+from pipeline.stages.adapt.stage import AdaptParams, adapt
+from pipeline.stages.project.drawing import zbuffer
+from pipeline.stages.project.stage import ProjectParams, project
 
 
 def by_sorting(points_mm: np.ndarray, camera: Camera) -> np.ndarray:

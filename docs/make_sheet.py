@@ -16,11 +16,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline import rigid
-from pipeline.meshes import Mesh
-from pipeline.physics import optics, shapes
-from pipeline.physics.press import press
+from pipeline.geometry import rigid
+from pipeline.geometry.meshes import Mesh
+from pipeline.physics import optics
 from pipeline.sensors.spec import SensorSpec, sensor
+from pipeline.simulation import shapes
+from pipeline.simulation.press import press
 
 SENSORS = ("gelslim", "gelslim_dotless", "digit", "gelsight_mini", "soft_bubble")
 SHAPES = ("sphere", "edge", "ring", "three_lines", "lines_45", "hexagon", "letters", "star")

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline import rigid
-from pipeline.arrays import Doubles
-from pipeline.physics import shapes
+from pipeline.base.arrays import Doubles
+from pipeline.geometry import rigid
 from pipeline.sensors.spec import sensor
+from pipeline.simulation import shapes
 from sample_data.writing import Shot, write
 
 SENSORS = ("gelslim", "digit", "soft_bubble")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pipeline.alignment.files import AlignmentFile, save
-from pipeline.translate import Request, open_translation
+from pipeline.sensors.alignment_files import AlignmentFile, save
+from pipeline.translation.translate import Request, open_translation
 from sample_data.make_samples import FOLDER as RECORDINGS
 
 FOLDER = Path(__file__).parent / "alignments"

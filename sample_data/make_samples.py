@@ -10,8 +10,8 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from pipeline.physics.datasets import Plan
-from pipeline.physics.recorder import record
+from pipeline.simulation.datasets import Plan
+from pipeline.simulation.recorder import record
 from sample_data import first_touch, special
 
 FOLDER = Path(__file__).parent / "recordings"

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline import rigid
-from pipeline.arrays import Doubles
-from pipeline.physics import shapes
+from pipeline.base.arrays import Doubles
+from pipeline.geometry import rigid
 from pipeline.sensors.spec import Glow, SensorSpec, sensor
+from pipeline.simulation import shapes
 from sample_data.writing import Shot, write
 
 HOVER_MM = 20.0  # over the gels, out of reach of the bubble too

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline import alignment
-from pipeline.arrays import Doubles, Floats, Image
-from pipeline.frames import Pairing, TactileFrame
-from pipeline.physics.press import photograph, press
-from pipeline.physics.recorder import BUBBLE_STEP_MM
-from pipeline.physics.shapes.shape import Shape
+from pipeline.base.arrays import Doubles, Floats, Image
 from pipeline.recordings.hdf5_writer import Writer
+from pipeline.sensors import alignment
 from pipeline.sensors.spec import SensorSpec
+from pipeline.simulation.press import photograph, press
+from pipeline.simulation.recorder import BUBBLE_STEP_MM
+from pipeline.simulation.shapes.shape import Shape
+from pipeline.values.frames import Pairing, TactileFrame
 
 FRAMES_PER_S = 10.0
 

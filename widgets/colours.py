@@ -14,7 +14,7 @@ import pyqtgraph as pg
 from numpy.typing import NDArray
 from PyQt6.QtGui import QColor, QPalette
 
-from pipeline.arrays import Floats, Image, freeze
+from pipeline.base.arrays import Floats, Image, freeze
 
 MapName = Literal["viridis", "CET-D1", "CET-L1"]
 Rgb = tuple[int, int, int]

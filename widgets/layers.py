@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PyQt6.QtWidgets import QWidget
 
-from pipeline.arrays import Doubles, Floats, Indices
+from pipeline.base.arrays import Doubles, Floats, Indices
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

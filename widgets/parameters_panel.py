@@ -25,7 +25,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from pipeline.params import Setting, Value, changed, settings
+from pipeline.base.params import Setting, Value, changed, settings
 from widgets.icons import drawn
 
 _SLIDER_STEPS = 400

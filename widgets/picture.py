@@ -12,7 +12,7 @@ from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QFont
 from PyQt6.QtWidgets import QLabel, QSizePolicy, QVBoxLayout, QWidget
 
-from pipeline.arrays import Floats, Image
+from pipeline.base.arrays import Floats, Image
 from widgets.colour_bar import ColourBar
 from widgets.colours import BACKDROP, CONTACT, FELT, FELT_CASING, TRACE, ColourScale, qcolor
 

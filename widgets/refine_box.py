@@ -8,7 +8,7 @@ from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
 from pipeline.alignment.refine import Fit, Refinement
-from pipeline.arrays import Doubles
+from pipeline.base.arrays import Doubles
 
 _IDLE = "least squares over all frames that both sensors feel; a quarter of them only judges"
 

@@ -14,7 +14,7 @@ from PyQt6.QtGui import QGuiApplication, QImage, QOffscreenSurface, QOpenGLConte
 from PyQt6.QtWidgets import QLabel, QSizePolicy, QWidget
 from pyvistaqt import QtInteractor
 
-from pipeline.arrays import Doubles
+from pipeline.base.arrays import Doubles
 from widgets.colours import BACKDROP
 from widgets.layers import Layer, Scene, Sight
 from widgets.sub_views import SubViews

@@ -5,7 +5,7 @@ from __future__ import annotations
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QSlider, QWidget
 
-from pipeline.stages.results import PoseStep
+from pipeline.values.results import PoseStep
 
 
 class StepsSlider(QWidget):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pyvista as pv
 
-from pipeline.arrays import Doubles
+from pipeline.base.arrays import Doubles
 from widgets.colours import AXES, TRACE
 from widgets.layers import Layer, Sight
 

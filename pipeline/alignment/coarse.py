@@ -6,12 +6,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from pipeline import rigid
 from pipeline.alignment.normal_equations import Noise, cost, seen
 from pipeline.alignment.nudge import motion_about
 from pipeline.alignment.residuals import Evidence, thinned
-from pipeline.arrays import Doubles
-from pipeline.progress import Progress
+from pipeline.base.arrays import Doubles
+from pipeline.base.progress import Progress
+from pipeline.geometry import rigid
 
 JUDGED = Noise(surface_mm=0.2, outline_mm=0.4)  # fixed, so that costs of different places compare
 JUDGED_SCALE = Noise(surface_mm=1.0, outline_mm=2.0)

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.arrays import Floats, Mask, freeze
-from pipeline.camera import Camera
-from pipeline.errors import SettingProblem
+from pipeline.alignment.reprojection import scaled
+from pipeline.base.arrays import Floats, Mask, freeze
+from pipeline.base.errors import SettingProblem
+from pipeline.geometry.camera import Camera
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.reprojection import scaled
-from pipeline.stages.results import DepthMap
+from pipeline.values.results import DepthMap
 
 PREVIEW = 4  # every n-th pixel along each side while a handle is dragged
 _FEWEST_ROWS = 64  # of a preview: a coarse image is fast as it is, and shows nothing at a quarter

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline import rigid
 from pipeline.alignment.residuals import Distances, Evidence, outline_distances, surface_distances
-from pipeline.arrays import Doubles
+from pipeline.base.arrays import Doubles
+from pipeline.geometry import rigid
 
 TOLERANCE_MM = 0.2  # a direction whose predicted spread is wider than this says nothing
 TOLERANCE_DEG = 1.0

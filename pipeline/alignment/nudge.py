@@ -11,11 +11,11 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline import rigid
-from pipeline.alignment.transforms import Alignment, Side, corrected
-from pipeline.arrays import Doubles, freeze
-from pipeline.errors import SettingProblem
-from pipeline.stages.results import DepthMap
+from pipeline.base.arrays import Doubles, freeze
+from pipeline.base.errors import SettingProblem
+from pipeline.geometry import rigid
+from pipeline.sensors.alignment import Alignment, Side, corrected
+from pipeline.values.results import DepthMap
 
 Axis = Literal["x", "y", "z", "rx", "ry", "rz"]
 Frame = Literal["target", "source", "alignment"]

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline import rigid
 from pipeline.alignment.coarse import JUDGED, JUDGED_SCALE, beginnings
 from pipeline.alignment.normal_equations import (
     TOLERANCE_DEG,
@@ -24,11 +23,12 @@ from pipeline.alignment.normal_equations import (
 from pipeline.alignment.nudge import motion_about
 from pipeline.alignment.residuals import Evidence, evidence, thinned
 from pipeline.alignment.touches import PairedTouch
-from pipeline.alignment.transforms import Alignment, Side, corrected
-from pipeline.arrays import Doubles, freeze
-from pipeline.errors import SettingProblem
-from pipeline.progress import SILENT, Progress
-from pipeline.registration.screws import in_words
+from pipeline.base.arrays import Doubles, freeze
+from pipeline.base.errors import SettingProblem
+from pipeline.base.progress import SILENT, Progress
+from pipeline.geometry import rigid
+from pipeline.geometry.screws import in_words
+from pipeline.sensors.alignment import Alignment, Side, corrected
 
 _START = Noise(surface_mm=2.0, outline_mm=4.0)  # loss scales to begin with: as far off as a start may be
 _START_NEAR = Noise(surface_mm=0.5, outline_mm=1.0)  # once the place is roughly known

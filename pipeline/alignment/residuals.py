@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.alignment.touches import PairedTouch
-from pipeline.arrays import Doubles, Mask
-from pipeline.camera import MIN_DEPTH_MM, Camera
-from pipeline.stages.results import DepthMap
+from pipeline.base.arrays import Doubles, Mask
+from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
+from pipeline.values.results import DepthMap
 
 SURFACE_POINTS = 600  # of a touch; more tell the same again
 OUTLINE_POINTS = 300

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.alignment.felt import Felt, distance_px, edge_of
+from pipeline.alignment.reprojection import reproject
 from pipeline.alignment.touches import PairedTouch
-from pipeline.alignment.transforms import Alignment
-from pipeline.arrays import Mask
-from pipeline.progress import SILENT, Progress
-from pipeline.stages.project import ProjectParams
-from pipeline.stages.reprojection import reproject
-from pipeline.stages.results import TargetView
+from pipeline.base.arrays import Mask
+from pipeline.base.progress import SILENT, Progress
+from pipeline.sensors.alignment import Alignment
+from pipeline.stages.project.stage import ProjectParams
+from pipeline.values.results import TargetView
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

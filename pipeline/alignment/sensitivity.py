@@ -10,10 +10,10 @@ from pipeline.alignment.felt import Felt
 from pipeline.alignment.nudge import AXES, Axis, Frame, nudged, unit_of
 from pipeline.alignment.score import Score, preview
 from pipeline.alignment.touches import PairedTouch, pivot_of
-from pipeline.alignment.transforms import Alignment
-from pipeline.arrays import Doubles
-from pipeline.progress import SILENT, Progress
-from pipeline.stages.project import ProjectParams
+from pipeline.base.arrays import Doubles
+from pipeline.base.progress import SILENT, Progress
+from pipeline.sensors.alignment import Alignment
+from pipeline.stages.project.stage import ProjectParams
 
 UNIT_STEP = 0.1  # mm or deg: what all changes are stated per
 _STEP_PX = 0.5  # masks change by whole pixels: smaller motions than about this show nothing

@@ -8,17 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.alignment.nudge import pivot_mm
-from pipeline.alignment.transforms import Alignment, placed
-from pipeline.arrays import Doubles, freeze
-from pipeline.calibration import Calibration
-from pipeline.errors import SettingProblem
-from pipeline.frames import TactileFrame, Truth
-from pipeline.progress import SILENT, Progress
+from pipeline.base.arrays import Doubles, freeze
+from pipeline.base.errors import SettingProblem
+from pipeline.base.progress import SILENT, Progress
+from pipeline.calibration.lookup import Calibration
+from pipeline.sensors.alignment import Alignment, placed
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import DepthParams, depth, untouched
-from pipeline.stages.pixel_index import pixel_index
-from pipeline.stages.results import DepthMap
-from pipeline.translate import Translation, own_shift_mm
+from pipeline.stages.depth.stage import DepthParams, depth, untouched
+from pipeline.translation.translate import Translation, own_shift_mm
+from pipeline.values.frames import TactileFrame, Truth
+from pipeline.values.pixel_index import pixel_index
+from pipeline.values.results import DepthMap
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline import rigid
-from pipeline.arrays import Mask
+from pipeline.base.arrays import Mask
+from pipeline.engine.graph import StageResult
 from pipeline.evaluation.symmetric import ambiguity, symmetric_error
-from pipeline.frames import TactileFrame, Truth
-from pipeline.graph import StageResult
-from pipeline.meshes import Mesh
-from pipeline.stages.results import DepthMap, ObjectPose, Touch
+from pipeline.geometry import rigid
+from pipeline.geometry.meshes import Mesh
+from pipeline.values.frames import TactileFrame, Truth
+from pipeline.values.results import DepthMap, ObjectPose, Touch
 
 if TYPE_CHECKING:
-    from pipeline.physics.shapes.symmetry import Symmetry
+    from pipeline.geometry.symmetry import Symmetry
 
 _SAME_MM = 1.0  # answers this close are one
 PSNR_CAP_DB = 100.0  # identical images have no finite ratio; published tables cap it too

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline import rigid
-from pipeline.arrays import Doubles, freeze
-from pipeline.meshes import Mesh
+from pipeline.base.arrays import Doubles, freeze
+from pipeline.geometry import rigid
+from pipeline.geometry.meshes import Mesh
 
 if TYPE_CHECKING:
-    from pipeline.physics.shapes.symmetry import Symmetry
+    from pipeline.geometry.symmetry import Symmetry
 
 STEP = 0.01  # of the diameter, between neighbouring turns about an axis
 _FEW = 500  # vertices below which their convex hull is not worth its time

@@ -14,8 +14,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import Doubles, Mask, freeze
-from pipeline.errors import SettingProblem, ShapeError
+from pipeline.base.arrays import Doubles, Mask, freeze
+from pipeline.base.errors import SettingProblem, ShapeError
 from pipeline.physics import multigrid
 from pipeline.physics.lattice import Lattice
 from pipeline.sensors.spec import Bubble

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import Doubles, Floats, freeze
-from pipeline.camera import Camera
+from pipeline.base.arrays import Doubles, Floats, freeze
+from pipeline.geometry.camera import Camera
 from pipeline.physics import lattice
 from pipeline.physics.lattice import Lattice
 from pipeline.sensors.spec import DepthCamera, SensorSpec

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import Floats, Mask, freeze
-from pipeline.errors import ShapeError
+from pipeline.base.arrays import Floats, Mask, freeze
+from pipeline.base.errors import ShapeError
 from pipeline.physics import gel_layer
 from pipeline.sensors.spec import Gel
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.arrays import Doubles, Floats, freeze
+from pipeline.base.arrays import Doubles, Floats, freeze
 from pipeline.sensors.spec import Gel
 
 _LARGEST_X = 40.0  # K is 1 to double precision long before sinh overflows

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import Doubles, Indices, Mask, freeze
-from pipeline.camera import Camera
+from pipeline.base.arrays import Doubles, Indices, Mask, freeze
+from pipeline.geometry.camera import Camera
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.arrays import Doubles, Mask
+from pipeline.base.arrays import Doubles, Mask
 
 HALVINGS = 4  # every lattice side is a multiple of 2^4 steps, so that it can be halved this often
 MAX_CYCLES = 160

@@ -14,9 +14,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import Floats, Image, freeze
-from pipeline.camera import Camera
-from pipeline.errors import SettingProblem, ShapeError
+from pipeline.base.arrays import Floats, Image, freeze
+from pipeline.base.errors import SettingProblem, ShapeError
+from pipeline.geometry.camera import Camera
 from pipeline.physics.optics_markers import checked, marker_motion_px, print_on
 from pipeline.sensors.spec import Markers, Optics, SensorSpec
 

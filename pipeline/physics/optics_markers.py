@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import Floats, freeze
-from pipeline.camera import Camera
-from pipeline.errors import SettingProblem, ShapeError
+from pipeline.base.arrays import Floats, freeze
+from pipeline.base.errors import SettingProblem, ShapeError
+from pipeline.geometry.camera import Camera
 from pipeline.sensors.spec import Gel, Markers, SensorSpec
 
 _SHEAR_PER_THICKNESS = 0.15  # how far markers are squeezed out of a dent, per gel thickness and unit of slope

@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import Doubles, Floats, Mask, freeze
-from pipeline.camera import Camera
-from pipeline.errors import SettingProblem, ShapeError
+from pipeline.base.arrays import Doubles, Floats, Mask, freeze
+from pipeline.base.errors import SettingProblem, ShapeError
+from pipeline.geometry.camera import Camera
 from pipeline.physics.lattice import Lattice
 from pipeline.sensors.spec import Gel
 

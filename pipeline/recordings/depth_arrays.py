@@ -13,13 +13,13 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import Floats, freeze
-from pipeline.camera import Camera, camera_from_matrix
-from pipeline.errors import CalibrationError, FileProblem
-from pipeline.frames import Recording, Stream, TactileFrame
+from pipeline.base.arrays import Floats, freeze
+from pipeline.base.errors import CalibrationError, FileProblem
+from pipeline.geometry.camera import Camera, camera_from_matrix
 from pipeline.recordings import pictures
 from pipeline.recordings.indexing import checked_index
 from pipeline.recordings.sensor_guess import named_or_guessed
+from pipeline.values.frames import Recording, Stream, TactileFrame
 
 DepthUnit = Literal["auto", "mm", "m", "0.1mm", "um"]
 _MM_PER_UNIT: Mapping[str, float] = {"mm": 1.0, "m": 1000.0, "0.1mm": 0.1, "um": 0.001}

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.arrays import freeze
-from pipeline.errors import FileProblem
-from pipeline.frames import Recording, Stream, TactileFrame, Truth
+from pipeline.base.arrays import freeze
+from pipeline.base.errors import FileProblem
 from pipeline.recordings import torch_files
 from pipeline.recordings.indexing import checked_index
+from pipeline.values.frames import Recording, Stream, TactileFrame, Truth
 
 _SHAPE = (320, 427)
 _FINGERS = ("left", "right")

@@ -10,18 +10,15 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline import rigid
-from pipeline.arrays import freeze
-from pipeline.camera import Camera, camera_from_matrix
-from pipeline.errors import CalibrationError, FileProblem
-from pipeline.frames import Pairing, Recording, Stream, TactileFrame, Truth
-from pipeline.meshes import Mesh
+from pipeline.base.arrays import freeze
+from pipeline.base.errors import CalibrationError, FileProblem
+from pipeline.geometry import rigid
+from pipeline.geometry.camera import Camera, camera_from_matrix
+from pipeline.geometry.meshes import Mesh
 from pipeline.recordings import hdf5_layout as layout
 from pipeline.recordings import hdf5_symmetry
-from pipeline.recordings.hdf5_writer import Writer, write
 from pipeline.recordings.indexing import checked_index
-
-__all__ = ["Writer", "read", "write"]
+from pipeline.values.frames import Pairing, Recording, Stream, TactileFrame, Truth
 
 T = TypeVar("T")
 

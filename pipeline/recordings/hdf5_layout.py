@@ -32,8 +32,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import Floats
-from pipeline.errors import FileProblem, ShapeError
+from pipeline.base.arrays import Floats
+from pipeline.base.errors import FileProblem, ShapeError
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 FORMAT = "tactoscope recording"

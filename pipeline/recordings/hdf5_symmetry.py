@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.arrays import freeze
-from pipeline.errors import FileProblem
+from pipeline.base.arrays import freeze
+from pipeline.base.errors import FileProblem
 from pipeline.recordings import hdf5_layout as layout
 
 if TYPE_CHECKING:  # the shapes are many, and a reader needs none of them
-    from pipeline.physics.shapes.symmetry import Symmetry
+    from pipeline.geometry.symmetry import Symmetry
 
 _EXACT = 1e-6  # largest entry of R^T R - 1, and of |axis| - 1
 
@@ -33,7 +33,7 @@ def read(group: Any, path: Path) -> Symmetry | None:
     """
     if "symmetry" not in group:
         return None
-    from pipeline.physics.shapes.symmetry import Symmetry
+    from pipeline.geometry.symmetry import Symmetry
 
     inside = group["symmetry"]
     rotations = layout.checked_unit(inside["rotations"], "1", path)[()].astype(np.float64)

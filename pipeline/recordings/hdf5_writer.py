@@ -12,16 +12,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import FileProblem, ShapeError
-from pipeline.frames import Pairing, Recording, TactileFrame, Truth
-from pipeline.meshes import Mesh
-from pipeline.progress import SILENT, Progress
+from pipeline.base.errors import FileProblem, ShapeError
+from pipeline.base.progress import SILENT, Progress
+from pipeline.geometry.meshes import Mesh
 from pipeline.recordings import hdf5_layout as layout
 from pipeline.recordings import hdf5_symmetry
 from pipeline.recordings.hdf5_layout import Coding
+from pipeline.values.frames import Pairing, Recording, TactileFrame, Truth
 
 if TYPE_CHECKING:
-    from pipeline.physics.shapes.symmetry import Symmetry
+    from pipeline.geometry.symmetry import Symmetry
 
 
 class Writer:

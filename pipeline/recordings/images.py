@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pipeline.arrays import Image
-from pipeline.errors import FileProblem
-from pipeline.frames import Recording, Stream, TactileFrame
+from pipeline.base.arrays import Image
+from pipeline.base.errors import FileProblem
 from pipeline.recordings import pictures
 from pipeline.recordings.indexing import checked_index
 from pipeline.recordings.sensor_guess import named_or_guessed
+from pipeline.values.frames import Recording, Stream, TactileFrame
 
 
 def read(path: Path, *, sensor: str = "", reference: Path | None = None) -> Recording:

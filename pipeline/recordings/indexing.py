@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from pipeline.errors import FileProblem
+from pipeline.base.errors import FileProblem
 
 T = TypeVar("T")
 

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.errors import FileProblem
-from pipeline.frames import Recording
+from pipeline.base.errors import FileProblem
 from pipeline.recordings import (
     depth_arrays,
     gelslim_depth,
@@ -22,6 +21,7 @@ from pipeline.recordings import (
 )
 from pipeline.recordings.depth_arrays import DepthUnit
 from pipeline.recordings.hdf5_layout import SIGNATURE
+from pipeline.values.frames import Recording
 
 _KINDS = "a tactoscope .h5, a folder of images, a video, .pt of touch2touch or gelslim_depth, or depth .npz or .npy"
 

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from pipeline.arrays import Floats, Image
-from pipeline.errors import SettingProblem, ShapeError
-from pipeline.frames import Recording, Stream, TactileFrame
+from pipeline.base.arrays import Floats, Image
+from pipeline.base.errors import SettingProblem, ShapeError
 from pipeline.sensors.spec import sensor as sensor_spec
+from pipeline.values.frames import Recording, Stream, TactileFrame
 
 
 def with_sensor(recording: Recording, sensor: str) -> Recording:

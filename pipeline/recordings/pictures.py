@@ -9,8 +9,8 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import Image, freeze
-from pipeline.errors import FileProblem
+from pipeline.base.arrays import Image, freeze
+from pipeline.base.errors import FileProblem
 
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
 _REFERENCE = re.compile(r"^(background|bg|ref|reference|untouched|undeformed)([\W_\d].*)?$", re.IGNORECASE)

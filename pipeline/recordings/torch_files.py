@@ -9,8 +9,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import Image, freeze
-from pipeline.errors import FileProblem
+from pipeline.base.arrays import Image, freeze
+from pipeline.base.errors import FileProblem
 
 
 def tensors(path: Path) -> Mapping[str, Any]:

@@ -14,14 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import rigid
-from pipeline.arrays import Doubles, freeze
-from pipeline.camera import camera_from_matrix
-from pipeline.errors import CalibrationError, FileProblem
-from pipeline.frames import Recording, Stream, TactileFrame, Truth
-from pipeline.meshes import Mesh, load_mesh
+from pipeline.base.arrays import Doubles, freeze
+from pipeline.base.errors import CalibrationError, FileProblem
+from pipeline.geometry import rigid
+from pipeline.geometry.camera import camera_from_matrix
+from pipeline.geometry.meshes import Mesh, load_mesh
 from pipeline.recordings import torch_files
 from pipeline.recordings.indexing import checked_index
+from pipeline.values.frames import Recording, Stream, TactileFrame, Truth
 
 _FINGERS = ("right", "left")
 _FULL_ROWS, _FULL_COLS, _TOP, _LEFT = 171, 224, 20, 25  # the released pairs are a window of the camera's image

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.arrays import Image, freeze
-from pipeline.errors import FileProblem
-from pipeline.frames import Recording, Stream, TactileFrame
+from pipeline.base.arrays import Image, freeze
+from pipeline.base.errors import FileProblem
 from pipeline.recordings import pictures
 from pipeline.recordings.indexing import checked_index
 from pipeline.recordings.sensor_guess import named_or_guessed
+from pipeline.values.frames import Recording, Stream, TactileFrame
 
 SUFFIXES = frozenset({".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v"})
 

@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline import rigid
-from pipeline.arrays import Doubles, freeze
+from pipeline.base.arrays import Doubles, freeze
+from pipeline.geometry import rigid
+from pipeline.geometry.screws import told
 from pipeline.registration.observability import Observability
 from pipeline.registration.outline import shows
 from pipeline.registration.ranking import Judge, apart
-from pipeline.registration.screws import told
 from pipeline.registration.search import SAME_DEG, SAME_MM, Minimum, Search
-from pipeline.stages.results import PoseStep
+from pipeline.values.results import PoseStep
 
 OUTLINE_ONLY = "seen only by the outline of the contact"
 _SLIDE = 0.05  # share of turning below which a motion is a slide

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline import rigid
-from pipeline.arrays import Doubles, freeze
-from pipeline.distance_grid import DistanceGrid
+from pipeline.base.arrays import Doubles, freeze
+from pipeline.geometry import rigid
+from pipeline.geometry.distance_grid import DistanceGrid
 from pipeline.registration.observability import TOLERANCES, Tolerances
-from pipeline.stages.results import PoseStep
+from pipeline.values.results import PoseStep
 
 FEWEST_POINTS = 6  # as many as there are unknowns
 TOO_FEW = "fewer than 6 points are finite; a pose has six unknowns"

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
-from pipeline.distance_grid_kernels import look_up
+from pipeline.geometry.distance_grid_kernels import look_up
 from pipeline.registration.step_kernels import move, orthonormal, step
 
 CONVERGED, OUT_OF_ITERATIONS, NOTHING_NEAR = 0, 1, 2

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.arrays import Doubles, Mask
-from pipeline.errors import MeshProblem
-from pipeline.meshes import Mesh
+from pipeline.base.arrays import Doubles, Mask
+from pipeline.base.errors import MeshProblem
+from pipeline.geometry.meshes import Mesh
 
 _GOLDEN = (0.7548776662466927, 0.5698402909980532)  # steps of the plane's most even additive sequence
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline import rigid
-from pipeline.arrays import Doubles, freeze
-from pipeline.distance_grid import DistanceGrid
+from pipeline.base.arrays import Doubles, freeze
+from pipeline.geometry import rigid
+from pipeline.geometry.distance_grid import DistanceGrid
 from pipeline.registration.gauss_newton import (
     FEWEST_POINTS,
     NOTHING_NEAR,

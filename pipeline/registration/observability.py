@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.arrays import Doubles
-from pipeline.registration.screws import in_words
+from pipeline.base.arrays import Doubles
+from pipeline.geometry.screws import in_words
 
 MIN_NOISE_MM = 1e-3  # of a tactile depth; keeps a perfect fit from claiming certainty
 NORMAL_ERROR_DEG = 3.0

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline import rigid
-from pipeline.arrays import Doubles
+from pipeline.base.arrays import Doubles
+from pipeline.geometry import rigid
 from pipeline.registration.ranking import Judge
 
 _FIRST_STEP_MM, _LAST_STEP_MM = 0.8, 0.02

@@ -13,11 +13,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pipeline import rigid
-from pipeline.arrays import Doubles, freeze
-from pipeline.errors import SettingProblem, ShapeError
-from pipeline.meshes import Mesh, sample_surface
-from pipeline.progress import SILENT, Progress
+from pipeline.base.arrays import Doubles, freeze
+from pipeline.base.errors import SettingProblem, ShapeError
+from pipeline.base.progress import SILENT, Progress
+from pipeline.geometry import rigid
+from pipeline.geometry.meshes import Mesh, sample_surface
 
 N_MODEL = 5000  # points that the model's surface is sampled at
 FEWEST = 4  # felt points; with fewer the start is the answer

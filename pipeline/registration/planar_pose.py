@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.arrays import freeze
-from pipeline.meshes import Mesh
-from pipeline.progress import SILENT, Progress
+from pipeline.base.arrays import freeze
+from pipeline.base.progress import SILENT, Progress
+from pipeline.geometry.meshes import Mesh
 from pipeline.registration.model import Model
 from pipeline.registration.planar import Planar, PlanarFit, model_cloud, planar_registration
 from pipeline.registration.scene import Scene
 from pipeline.registration.starts import starts
-from pipeline.stages.results import ObjectPose, PoseStep
+from pipeline.values.results import ObjectPose, PoseStep
 
 NOTE = "paper 2D: in-plane turn and shift only; height and tilt are those of the first guess, nothing says what is open"
 _FACE = "+z"  # where none is chosen

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.arrays import Doubles
-from pipeline.digests import digest
-from pipeline.distance_grid import DistanceGrid
-from pipeline.distance_grid_store import distance_grid
-from pipeline.meshes import Mesh
-from pipeline.progress import SILENT, Progress
+from pipeline.base.arrays import Doubles
+from pipeline.base.progress import SILENT, Progress
+from pipeline.engine.digests import digest
+from pipeline.geometry.distance_grid import DistanceGrid
+from pipeline.geometry.distance_grid_store import distance_grid
+from pipeline.geometry.meshes import Mesh
 from pipeline.registration.model import Model, sampled
 
 N_MODEL = 30_000  # points on the whole object

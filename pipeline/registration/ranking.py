@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline import rigid
-from pipeline.arrays import Doubles
-from pipeline.distance_grid import DistanceGrid
+from pipeline.base.arrays import Doubles
+from pipeline.geometry import rigid
+from pipeline.geometry.distance_grid import DistanceGrid
 from pipeline.registration.model import Model
 from pipeline.registration.scene import Scene
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from pipeline.distance_grid_kernels import look_up
+from pipeline.geometry.distance_grid_kernels import look_up
 
 _FACING = -0.1  # largest cosine, object's normal to felt normal, below which a match is the far side of a thin wall
 _NEAREST_MM = 1e-6  # before the camera

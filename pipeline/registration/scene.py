@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.arrays import Doubles, Floats, Indices, Mask
-from pipeline.camera import MIN_DEPTH_MM, Camera
+from pipeline.base.arrays import Doubles, Floats, Indices, Mask
+from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.registration.model import Model
-from pipeline.stages.results import Touch
+from pipeline.values.results import Touch
 
 MOST_TURNED_AWAY = -0.2  # cosine to the felt normal; the wall of a notch is steep, the far side of a plate is at -1
 

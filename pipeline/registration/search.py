@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline import rigid
-from pipeline.arrays import Doubles
-from pipeline.progress import SILENT, Progress
+from pipeline.base.arrays import Doubles
+from pipeline.base.progress import SILENT, Progress
+from pipeline.geometry import rigid
 from pipeline.registration.gauss_newton import Fit, How, NotDetermined, Points, fitted
 from pipeline.registration.multistart import registered
 from pipeline.registration.observability import Observability, effective_count, observability

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline import rigid
-from pipeline.arrays import Doubles
+from pipeline.base.arrays import Doubles
+from pipeline.geometry import rigid
 from pipeline.registration.model import Model
 from pipeline.registration.scene import Scene
 

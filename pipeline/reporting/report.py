@@ -3,28 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.camera import Camera
-from pipeline.frames import TactileFrame
-from pipeline.graph import StageResult
-from pipeline.reporting.files import write_arrays, write_folder, write_json
-from pipeline.translate import Translation
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FrameReport:
-    """One frame's stages and figures; `problem` is the sentence that says why there are none."""
-
-    index: int
-    results: Mapping[str, StageResult]
-    metrics: Mapping[str, float]
-    problem: str = ""
+from pipeline.base.files import write_arrays, write_folder, write_json
+from pipeline.engine.graph import StageResult
+from pipeline.geometry.camera import Camera
+from pipeline.reporting.frame_report import FrameReport
+from pipeline.translation.translate import Translation
+from pipeline.values.frames import TactileFrame
 
 
 def stage_arrays(frame: TactileFrame, results: Mapping[str, StageResult]) -> dict[str, NDArray[Any]]:

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import Mask
-from pipeline.frames import TactileFrame
-from pipeline.graph import StageResult
-from pipeline.reporting.report import FrameReport
+from pipeline.base.arrays import Mask
+from pipeline.engine.graph import StageResult
+from pipeline.reporting.frame_report import FrameReport
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.results import Cloud, DepthMap, ObjectPose, TargetView, Touch
-from pipeline.translate import Translation
+from pipeline.translation.translate import Translation
+from pipeline.values.frames import TactileFrame
+from pipeline.values.results import Cloud, DepthMap, ObjectPose, TargetView, Touch
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from pipeline.errors import CalibrationError
+from pipeline.base.errors import CalibrationError
 from pipeline.sensors.parts import Bubble, DepthCamera, Gel, Glow, Led, Limits, Markers, Optics
 from pipeline.sensors.sections import Section
 

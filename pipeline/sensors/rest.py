@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
-from pipeline.errors import CalibrationError
-from pipeline.membrane import Membrane
+from pipeline.base.errors import CalibrationError
+from pipeline.geometry.membrane import Membrane
 
 _STEP_MM, _FINEST_MM, _COARSEST_MM = 0.5, 0.01, 10.0
 
@@ -37,6 +37,6 @@ def mesh_in(data: Mapping[str, Any], path: Path) -> Membrane | None:
         raise CalibrationError(
             f"rest.step must lie within {_FINEST_MM:g} and {_COARSEST_MM:g} mm, got {step_mm!r}: '{path}'"
         )
-    from pipeline.mesh_membrane import load_membrane
+    from pipeline.geometry.mesh_membrane import load_membrane
 
     return load_membrane(path.parent / file, unit, float(step_mm)).membrane

@@ -13,7 +13,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from pipeline.errors import CalibrationError, FileProblem
+from pipeline.base.errors import CalibrationError, FileProblem
 
 FOLDER = Path(__file__).parent  # where the project's own descriptions lie
 _UNITS = {"px", "mm", "px/mm", "kPa", "N/mm", "1", "deg", "grey", "rgb", "grey/px", "mm^3"}

@@ -13,11 +13,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pipeline import membrane, rigid
-from pipeline.arrays import Doubles, freeze
-from pipeline.camera import Camera
-from pipeline.errors import CalibrationError, SettingProblem
-from pipeline.membrane import Membrane
+from pipeline.base.arrays import Doubles, freeze
+from pipeline.base.errors import CalibrationError, SettingProblem
+from pipeline.geometry import membrane, rigid
+from pipeline.geometry.camera import Camera
+from pipeline.geometry.membrane import Membrane
 from pipeline.sensors.parts import Bubble, DepthCamera, Gel, Glow, Led, Limits, Markers, Optics
 from pipeline.sensors.reading import bubble_in, depth_camera_in, gel_in, limits_in, markers_in, optics_in
 from pipeline.sensors.rest import mesh_in

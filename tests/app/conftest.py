@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from app.main import prepare_environment
-from pipeline.arrays import freeze
-from pipeline.frames import TactileFrame
+from pipeline.base.arrays import freeze
 from pipeline.recordings.hdf5_writer import Writer
 from pipeline.sensors.spec import sensor
+from pipeline.values.frames import TactileFrame
 
 prepare_environment()
 
-from app.instrument import Instrument  # noqa: E402 - the environment comes first
+from app.frame.instrument import Instrument  # noqa: E402 - the environment comes first
+from app.frame.tour import wait_until_shown  # noqa: E402
 from app.main import show_window  # noqa: E402
-from app.session import Session  # noqa: E402
-from app.tour import wait_until_shown  # noqa: E402
+from app.session.state import Session  # noqa: E402
 
 N_FRAMES = 3
 

@@ -6,8 +6,8 @@ import warnings
 
 import numpy as np
 
-from pipeline import rigid
-from pipeline.errors import TouchError
+from pipeline.base.errors import TouchError
+from pipeline.geometry import rigid
 
 
 def outcome(stage, *inputs):

@@ -8,16 +8,17 @@ from functools import lru_cache
 import numpy as np
 from hypothesis import strategies as st
 
-from pipeline import rigid
-from pipeline.alignment import Alignment, between
-from pipeline.camera import Camera
-from pipeline.frames import TactileFrame
-from pipeline.meshes import Mesh
-from pipeline.physics import optics, shapes
-from pipeline.physics.press import press
+from pipeline.geometry import rigid
+from pipeline.geometry.camera import Camera
+from pipeline.geometry.meshes import Mesh
+from pipeline.physics import optics
+from pipeline.sensors.alignment import Alignment, between
 from pipeline.sensors.spec import SensorSpec, sensor
-from pipeline.stages.pixel_index import pixel_index
-from pipeline.stages.results import Cloud, DepthMap, TargetView, Touch
+from pipeline.simulation import shapes
+from pipeline.simulation.press import press
+from pipeline.values.frames import TactileFrame
+from pipeline.values.pixel_index import pixel_index
+from pipeline.values.results import Cloud, DepthMap, TargetView, Touch
 
 GELS, BUBBLES = ("digit", "gelslim"), ("soft_bubble",)
 _SHARE = {"digit": 0.2, "gelslim": 0.15, "gelsight_mini": 0.15, "soft_bubble": 0.25}

@@ -8,12 +8,12 @@ import numpy as np
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from pipeline import membrane, rigid
-from pipeline.alignment import Alignment
-from pipeline.camera import MIN_DEPTH_MM, Camera
+from pipeline.geometry import membrane, rigid
+from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
+from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import sensor
-from pipeline.stages.adapt import AdaptParams, adapt
-from pipeline.stages.project import ProjectParams, project
+from pipeline.stages.adapt.stage import AdaptParams, adapt
+from pipeline.stages.project.stage import ProjectParams, project
 from tests.stability.checks import sound
 from tests.stability.rows import row
 from tests.stability.scenes import depth_map, rigid_motions, seeds, unit_numbers

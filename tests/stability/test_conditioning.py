@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline import rigid
+from pipeline.geometry import rigid
 from pipeline.registration.observability import TOLERANCES, Tolerances, observability, observable_part
 from tests.stability.rows import row
 from tests.stability.scenes import rigid_motions, seeds

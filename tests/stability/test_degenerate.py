@@ -8,12 +8,12 @@ import numpy as np
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from pipeline.meshes import Mesh
+from pipeline.geometry.meshes import Mesh
 from pipeline.registration.observability import observability
-from pipeline.stages.adapt import AdaptParams, adapt
-from pipeline.stages.generate import GenerateParams, generate
-from pipeline.stages.pose import PoseParams, pose
-from pipeline.stages.project import ProjectParams, project
+from pipeline.stages.adapt.stage import AdaptParams, adapt
+from pipeline.stages.generate.stage import GenerateParams, generate
+from pipeline.stages.pose.stage import PoseParams, pose
+from pipeline.stages.project.stage import ProjectParams, project
 from tests.stability.checks import outcome, sound
 from tests.stability.rows import row
 from tests.stability.scenes import aligned, cloud, depth_map, mesh, seeds, small, touch, view

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.digests import digest
-from pipeline.stages.adapt import AdaptParams, adapt
-from pipeline.stages.depth import DepthParams, depth
-from pipeline.stages.generate import GenerateParams, generate
-from pipeline.stages.pose import PoseParams, pose
-from pipeline.stages.project import ProjectParams, project
+from pipeline.engine.digests import digest
+from pipeline.stages.adapt.stage import AdaptParams, adapt
+from pipeline.stages.depth.stage import DepthParams, depth
+from pipeline.stages.generate.stage import GenerateParams, generate
+from pipeline.stages.pose.stage import PoseParams, pose
+from pipeline.stages.project.stage import ProjectParams, project
 from tests.stability.rows import row
 from tests.stability.scenes import aligned, frame, mesh, small
 

@@ -15,16 +15,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline import rigid
-from pipeline.alignment import Alignment
-from pipeline.membrane import Membrane
-from pipeline.meshes import Mesh
-from pipeline.physics.press import press
+from pipeline.geometry import rigid
+from pipeline.geometry.membrane import Membrane
+from pipeline.geometry.meshes import Mesh
 from pipeline.registration.observability import observability
-from pipeline.stages.adapt import AdaptParams, adapt
-from pipeline.stages.pose import PoseParams, pose
-from pipeline.stages.project import ProjectParams, project
-from tests.pipeline.solids import REST_MM, felt, notched_wedge
+from pipeline.sensors.alignment import Alignment
+from pipeline.simulation.press import press
+from pipeline.stages.adapt.stage import AdaptParams, adapt
+from pipeline.stages.pose.stage import PoseParams, pose
+from pipeline.stages.project.stage import ProjectParams, project
+from tests.pipeline.registration.solids import REST_MM, felt, notched_wedge
 from tests.stability.rows import row
 from tests.stability.scenes import KINDS, aligned, depth_map, indentation_mm, mesh, rigid_motions, seeds, small
 

@@ -12,13 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline import rigid
-from pipeline.frames import TactileFrame
-from pipeline.stages.adapt import AdaptParams, adapt
-from pipeline.stages.depth import DepthParams, depth, untouched
-from pipeline.stages.generate import GenerateParams, generate
-from pipeline.stages.pose import PoseParams, pose
-from pipeline.stages.project import ProjectParams, project
+from pipeline.geometry import rigid
+from pipeline.stages.adapt.stage import AdaptParams, adapt
+from pipeline.stages.depth.stage import DepthParams, depth, untouched
+from pipeline.stages.generate.stage import GenerateParams, generate
+from pipeline.stages.pose.stage import PoseParams, pose
+from pipeline.stages.project.stage import ProjectParams, project
+from pipeline.values.frames import TactileFrame
 from tests.stability.checks import outcome, sound
 from tests.stability.rows import row
 from tests.stability.scenes import KINDS, aligned, depth_map, frame, indentation_mm, mesh, seeds, small, touch, view

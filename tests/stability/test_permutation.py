@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.registration.observability import observability
-from pipeline.stages.adapt import AdaptParams, adapt
-from pipeline.stages.project import ProjectParams, project
+from pipeline.stages.adapt.stage import AdaptParams, adapt
+from pipeline.stages.project.stage import ProjectParams, project
 from tests.stability.rows import row
 from tests.stability.scenes import KINDS, aligned, cloud, depth_map, indentation_mm, seeds, small
 

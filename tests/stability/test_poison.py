@@ -14,16 +14,16 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from pipeline import rigid
-from pipeline.alignment import Alignment
-from pipeline.calibration import built_in
-from pipeline.camera import Camera
-from pipeline.meshes import Mesh
-from pipeline.stages.adapt import AdaptParams, adapt
-from pipeline.stages.depth import DepthParams, depth, untouched
-from pipeline.stages.generate import GenerateParams, generate
-from pipeline.stages.pose import PoseParams, pose
-from pipeline.stages.project import ProjectParams, project
+from pipeline.calibration.lookup import built_in
+from pipeline.geometry import rigid
+from pipeline.geometry.camera import Camera
+from pipeline.geometry.meshes import Mesh
+from pipeline.sensors.alignment import Alignment
+from pipeline.stages.adapt.stage import AdaptParams, adapt
+from pipeline.stages.depth.stage import DepthParams, depth, untouched
+from pipeline.stages.generate.stage import GenerateParams, generate
+from pipeline.stages.pose.stage import PoseParams, pose
+from pipeline.stages.project.stage import ProjectParams, project
 from tests.stability.checks import outcome, sound
 from tests.stability.rows import SIZE, row
 from tests.stability.scenes import aligned, depth_map, frame, indentation_mm, mesh, seeds, small, touch, view

@@ -8,14 +8,14 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline import membrane, rigid
-from pipeline.alignment import Alignment
-from pipeline.camera import Camera
 from pipeline.evaluation.metrics import iou
+from pipeline.geometry import membrane, rigid
+from pipeline.geometry.camera import Camera
+from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import sensor
-from pipeline.stages.adapt import AdaptParams, adapt
-from pipeline.stages.project import ProjectParams, project
-from pipeline.stages.results import DepthMap
+from pipeline.stages.adapt.stage import AdaptParams, adapt
+from pipeline.stages.project.stage import ProjectParams, project
+from pipeline.values.results import DepthMap
 from tests.stability.rows import row
 from tests.stability.scenes import depth_map, rigid_motions, seeds
 

@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import given
 
-from pipeline import rigid, routes
-from pipeline.alignment import Alignment
-from pipeline.frames import TactileFrame
-from pipeline.translate import new_graph
+from pipeline.geometry import rigid
+from pipeline.sensors.alignment import Alignment
+from pipeline.translation import routes
+from pipeline.translation.translate import new_graph
+from pipeline.values.frames import TactileFrame
 from tests.stability.checks import outcome, sound
 from tests.stability.rows import SIZE, row
 from tests.stability.scenes import aligned, frame, mesh, seeds, small

@@ -11,13 +11,13 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline import rigid
-from pipeline.alignment import Alignment
-from pipeline.membrane import Membrane
+from pipeline.geometry import rigid
+from pipeline.geometry.membrane import Membrane
 from pipeline.physics import bubble, gel
 from pipeline.registration.observability import Tolerances, observability
-from pipeline.stages.adapt import AdaptParams, adapt
-from pipeline.stages.project import ProjectParams, project
+from pipeline.sensors.alignment import Alignment
+from pipeline.stages.adapt.stage import AdaptParams, adapt
+from pipeline.stages.project.stage import ProjectParams, project
 from tests.stability.rows import row
 from tests.stability.scenes import KINDS, aligned, depth_map, indentation_mm, seeds, small
 

@@ -7,7 +7,7 @@ import logging
 import numpy as np
 from PyQt6.QtWidgets import QApplication, QPushButton
 
-from pipeline.stages.results import PoseStep
+from pipeline.values.results import PoseStep
 from widgets.banner import Banner
 from widgets.frames_panel import FramesPanel, FrameSummary
 from widgets.log_panel import LogPanel

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import pytest
 from PyQt6.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QLabel, QSlider, QSpinBox, QToolButton
 
-from pipeline.params import setting
-from pipeline.routes import STAGES
+from pipeline.base.params import setting
+from pipeline.translation.routes import STAGES
 from widgets.parameters_panel import ParametersPanel
 
 

@@ -1,0 +1,190 @@
+"""The alignment dock at work: a drag previews, rest is judged, refining runs beside it all."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from PyQt6.QtCore import QObject, QTimer
+
+from app.frame.instrument import Instrument
+from app.frame.logs import log
+from app.session.offsets import Offsets
+from app.session.state import Session
+from app.work import judging
+from app.work.judging import Judged, Previewed
+from app.work.refining import Refining
+from app.work.work import Opened
+from pipeline.alignment.nudge import AXES, Axis
+from pipeline.alignment.score import Score
+from pipeline.base.errors import SettingProblem, TouchError
+from pipeline.sensors.alignment_files import AlignmentFile, save
+
+_AT_REST_MS = 120  # a frame on screen for less than this is not judged: it is being played or searched through
+_DEPTH_FULL_MM = {"gel": 0.5, "bubble": 2.0}  # where the gauge of depth is full
+_SAME_PLACE_MM = 1e-6
+
+
+class Aligning(QObject):
+    """Between the dock and the instrument: nothing runs while nobody sees the dock."""
+
+    def __init__(self, instrument: Instrument) -> None:
+        super().__init__(instrument)
+        self._instrument, self._panel = instrument, instrument.window.alignment
+        self.refining = Refining(instrument)
+        self._offsets = Offsets()  # as the handles stand
+        self._axis = ""
+        self._judged: Judged | None = None
+        self._score: Score | None = None
+        self._judging = 0
+        self._seen = False
+        self._rest = QTimer(self)
+        self._rest.setSingleShot(True)
+        self._rest.setInterval(_AT_REST_MS)
+        self._rest.timeout.connect(self._judge)
+        self._connect()
+
+    def _connect(self) -> None:
+        instrument, panel = self._instrument, self._panel
+        instrument.session_shown.connect(self.show_session)
+        instrument.frame_shown.connect(self._frame_shown)
+        instrument.closing.connect(self._rest.stop)
+        instrument.job.delivered.connect(self._take)
+        instrument.job.finished.connect(self._take_last)
+        instrument.job.failed.connect(self._not_judged)
+        instrument.job.cancelled.connect(self._not_judged)
+        panel.drag_begun.connect(self._begin)
+        panel.moved.connect(self._move)
+        panel.drag_ended.connect(self._end)
+        panel.reset_wanted.connect(lambda: instrument.change("reset the alignment", offsets=Offsets()))
+        panel.pivot_wanted.connect(self._turn_about_this_touch)
+        panel.original_wanted.connect(lambda: instrument.change("go back to the recorded alignment", alignment=None))
+        instrument.window.alignment_dock.visibilityChanged.connect(self._show_seen)
+
+    @property
+    def idle(self) -> bool:
+        """Whether the dock shows all that it will show."""
+        return not (self._panel.dragging or self._rest.isActive() or self._judging or self.refining.busy)
+
+    def show_session(self, session: Session) -> None:
+        """Show a session's offsets; one that is undone under a drag ends it."""
+        if not self._panel.dragging:
+            self._offsets = session.offsets
+            self._panel.show_values(session.offsets.values)
+            self._show_place()
+        self.refining.show_session(session)
+
+    def save(self, path: Path) -> None:
+        """Write the alignment with its offsets as TOML; errors end in the banner."""
+        opened, session = self._instrument.screen.opened, self._instrument.session
+        try:
+            if opened is None:
+                raise SettingProblem("there is no alignment to save; open a recording first")
+            t = opened.translation
+            origin = f"{'opened with' if session.offsets.none else 'moved or refined on'} {t.request.recording.name}"
+            alignment = session.offsets.applied(t.alignment)
+            save(path, AlignmentFile(alignment=alignment, source=t.source.name, target=t.target.name, origin=origin))
+            log.info("alignment saved: '%s'", path)
+        except TouchError as error:
+            self._instrument.show_problem(error)
+
+    def _show_seen(self, seen: bool) -> None:
+        self._seen = seen
+        self._instrument.compare(seen)
+        if not seen:
+            self._rest.stop()
+
+    def _frame_shown(self, _: int) -> None:
+        if self._seen and not self._panel.dragging:
+            self._rest.start()
+
+    def _judge(self) -> None:
+        instrument = self._instrument
+        if not self._seen or instrument.window.timeline.playing or not instrument.idle:
+            return
+        session, bench = instrument.session, instrument.bench
+        self._judging = instrument.ahead(lambda report: judging.judge(bench, session, report))
+
+    def _begin(self) -> None:
+        self._rest.stop()
+        self._instrument.window.timeline.play(on=False)
+        self._panel.mark_ghosts(self._score)
+        offsets = self._instrument.session.offsets
+        if self._judged is not None and not any(offsets.turn_deg):
+            x, y, z = (float(v) for v in self._judged.pivot_mm)
+            offsets = replace(offsets, pivot_mm=(x, y, z))  # of a mere shift it may be anywhere
+        self._offsets = offsets
+        self._axis = ""
+        self._show_place()
+
+    def _move(self, axis: str, value: float) -> None:
+        instrument = self._instrument
+        with instrument.watch.timed("alignment moved"):
+            known: Axis = next(a for a in AXES if a == axis)
+            self._axis = known if self._axis in ("", known) else "axes"
+            self._offsets = self._offsets.moved(known, value)
+            self._show_place()
+            session, bench = replace(instrument.session, offsets=self._offsets), instrument.bench
+            instrument.ahead(lambda report: judging.preview(bench, session, report))
+
+    def _end(self) -> None:
+        """The whole drag is one change; the stages run again even if it ended where it began."""
+        instrument = self._instrument
+        if self._offsets.values == instrument.session.offsets.values:
+            instrument.refresh()
+            return
+        instrument.change(f"move the alignment ({self._axis})", offsets=self._offsets)
+
+    def _turn_about_this_touch(self) -> None:
+        if self._judged is not None:
+            offsets = self._instrument.session.offsets.about(self._judged.pivot_mm)
+            self._instrument.change("turn about this touch", offsets=offsets)
+
+    def _take_last(self, ticket: int, part: object) -> None:
+        self._take(ticket, part)
+        self._not_judged(ticket)
+
+    def _not_judged(self, ticket: int, _: object = None) -> None:
+        """Nothing more will come for this ticket."""
+        if ticket == self._judging:
+            self._judging = 0
+
+    def _take(self, ticket: int, part: object) -> None:
+        if isinstance(part, Opened):
+            self._judged = self._score = None
+            self._panel.show_nothing()
+        elif isinstance(part, Previewed) and self._panel.dragging:
+            with self._instrument.watch.timed("Previewed"):
+                self._instrument.screen.show_preview(part.picture, part.layers)
+                self._show_score(part.score)
+        elif isinstance(part, Judged) and ticket == self._judging and not self._panel.dragging:
+            with self._instrument.watch.timed("Judged"):
+                self._show_judged(part)
+
+    def _show_judged(self, judged: Judged) -> None:
+        self._judged = judged
+        opened = self._instrument.screen.opened
+        if opened is not None:
+            target = opened.translation.target
+            self._panel.show_ready(target.name, _DEPTH_FULL_MM[target.kind], target.pixel_mm)
+        self._panel.show_score(judged.score, judged.reason)
+        self._score = judged.score
+        if judged.axes or judged.score is None:
+            self._panel.show_axes(judged.axes)
+        self._show_place()
+
+    def _show_score(self, score: Score | None) -> None:
+        self._score = score
+        self._panel.show_score(score, self._panel.reason)
+
+    def _show_place(self) -> None:
+        """Whose alignment it is, and where turns are about."""
+        opened, judged, offsets = self._instrument.screen.opened, self._judged, self._offsets
+        if opened is None or judged is None:
+            return
+        here = tuple(float(v) for v in judged.pivot_mm)
+        about = offsets.pivot_mm if any(offsets.turn_deg) else here
+        elsewhere = max(abs(a - b) for a, b in zip(about, here, strict=True)) > _SAME_PLACE_MM
+        self._panel.show_pivot(about, opened.translation.target.name, elsewhere=elsewhere)
+        file = self._instrument.session.alignment
+        self._panel.show_origin(judged.origin, edited=not offsets.none, from_file=file is not None)

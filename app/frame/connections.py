@@ -1,0 +1,150 @@
+"""Who listens to whom, readable from top to bottom."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from PyQt6.QtGui import QAction
+from PyQt6.QtWidgets import QMessageBox, QStyle
+
+from app.frame import dialogs
+from app.frame.actions import key_table
+from app.frame.aligning import Aligning
+from app.frame.instrument import Instrument
+from app.frame.window import Window
+from app.session.state import DisplayParams, initial_params
+from pipeline.sensors.spec import names
+from pipeline.translation.routes import ROUTES, STAGES
+
+
+def connect(instrument: Instrument) -> None:
+    """Fill the window's choices and connect everything."""
+    window, job, tracer = instrument.window, instrument.job, instrument.tracer
+    _fill(window)
+
+    job.delivered.connect(instrument.take_part)
+    job.finished.connect(instrument.take_frame)
+    job.failed.connect(instrument.take_failure)
+    job.cancelled.connect(instrument.take_cancel)
+    job.progressed.connect(instrument.take_progress)
+
+    instrument.relay.line.connect(window.log.show_line)
+    instrument.relay.uncaught.connect(instrument.show_problem)
+
+    window.timeline.frame_chosen.connect(instrument.choose_frame)
+    window.frames.frame_chosen.connect(instrument.choose_frame)
+    window.parameters.params_edited.connect(instrument.choose_params)
+    window.steps.step_chosen.connect(instrument.show_step)
+    for column in window.columns.values():
+        column.pixel_hovered.connect(tracer.hover)
+        column.pixel_clicked.connect(tracer.click)
+    window.paths_dropped.connect(instrument.open_paths)
+    window.stop.clicked.connect(job.cancel)
+    window.closing.connect(instrument.close)
+
+    def choose_source(_: int) -> None:
+        instrument.change("choose source", source=window.source.currentData(), stream="")
+
+    def choose_target(_: int) -> None:
+        instrument.change("choose target", target=window.target.currentData())
+
+    def choose_route(_: int) -> None:
+        instrument.change("choose route", route=window.route.currentData())
+
+    window.source.activated.connect(choose_source)
+    window.target.activated.connect(choose_target)
+    window.route.activated.connect(choose_route)
+    _connect_files(instrument, Aligning(instrument))
+    _connect_play(instrument)
+    _connect_view(instrument)
+    _connect_undo(instrument)
+
+
+def _fill(window: Window) -> None:
+    window.source.addItem("as recorded", "")
+    for name in names():
+        window.source.addItem(name, name)
+        window.target.addItem(name, name)
+    for name in ROUTES:
+        window.route.addItem(name, name)
+    window.route.setEnabled(len(ROUTES) > 1)
+    for stage in STAGES:
+        window.parameters.add_stage(stage.name, stage.title, stage.params())
+    window.parameters.add_stage("display", "Display", DisplayParams())
+
+
+def _connect_files(instrument: Instrument, aligning: Aligning) -> None:
+    window = instrument.window
+
+    def asks(ask: Callable[[], Path | None], then: Callable[[Path], object]) -> Callable[[], None]:
+        def run() -> None:
+            path = ask()
+            if path is not None:
+                then(path)
+
+        return run
+
+    for name, ask in dialogs.OPENERS.items():
+        window.on(name, asks(lambda ask=ask: ask(window), instrument.open_path))
+    window.on("open_reference", asks(lambda: dialogs.reference(window), instrument.open_reference))
+    window.on("save_alignment", asks(lambda: dialogs.alignment_to_save(window), aligning.save))
+    window.on("save_session", asks(lambda: dialogs.session_to_save(window), instrument.save_session))
+    window.on("save_picture", asks(lambda: dialogs.picture_to_save(window), instrument.save_picture))
+    window.on("quit", window.close)
+    window.on("keys", lambda: QMessageBox.information(window, "Keys", key_table(window.actions_by_name)))
+
+
+def _connect_play(instrument: Instrument) -> None:
+    window, line = instrument.window, instrument.window.timeline
+    play = window.actions_by_name["play"]
+
+    def show_playing(playing: bool) -> None:
+        play.setChecked(playing)
+        play.setText("Pause" if playing else "Play")
+        style = window.style()
+        if style is not None:
+            icon = QStyle.StandardPixmap.SP_MediaPause if playing else QStyle.StandardPixmap.SP_MediaPlay
+            play.setIcon(style.standardIcon(icon))
+
+    line.play_toggled.connect(show_playing)
+    window.on("play", lambda: line.play(on=not line.playing))
+    window.on("first", lambda: line.step_to(0))
+    window.on("last", line.step_to_last)
+    window.on("previous", lambda: line.step(-1))
+    window.on("next", lambda: line.step(1))
+    window.on("ten_back", lambda: line.step(-10))
+    window.on("ten_on", lambda: line.step(10))
+    window.actions_by_name["loop"].toggled.connect(line.set_looping)
+
+
+def _connect_view(instrument: Instrument) -> None:
+    window, tracer = instrument.window, instrument.tracer
+    freeze = window.actions_by_name["freeze_trace"]
+    freeze.toggled.connect(tracer.freeze)
+    tracer.pinned.connect(freeze.setChecked)
+    link = window.actions_by_name["link_cameras"]
+    link.setChecked(instrument.session.linked)
+    window.on("link_cameras", lambda: instrument.change("link cameras", linked=link.isChecked()))
+    window.on("reset_view", instrument.reset_view)
+    window.on("cancel", instrument.cancel)
+    for i, name in enumerate(window.columns):
+        window.on(f"only_{i + 1}", lambda name=name: instrument.show_only(name))
+
+
+def _connect_undo(instrument: Instrument) -> None:
+    stack, actions = instrument.undo, instrument.window.actions_by_name
+
+    def names_itself(action: QAction, word: str) -> Callable[[str], None]:
+        return lambda text: action.setText(f"{word} {text}".strip())
+
+    for name, word, offered, told in (
+        ("undo", "Undo", stack.canUndoChanged, stack.undoTextChanged),
+        ("redo", "Redo", stack.canRedoChanged, stack.redoTextChanged),
+    ):
+        actions[name].setEnabled(False)
+        offered.connect(actions[name].setEnabled)
+        told.connect(names_itself(actions[name], word))
+    instrument.window.on("undo", stack.undo)
+    instrument.window.on("redo", stack.redo)
+    instrument.window.on("reset_all", lambda: instrument.change("reset all parameters", params=initial_params()))

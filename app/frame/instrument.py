@@ -1,0 +1,259 @@
+"""The session and the background work for it: what was asked last is what is shown."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from PyQt6.QtCore import QSignalBlocker, QTimer, pyqtSignal
+from PyQt6.QtWidgets import QComboBox
+
+from app.frame.logs import LogRelay, log, sentence_and_details
+from app.frame.screen import Screen
+from app.frame.tracing import Tracer
+from app.frame.window import Window
+from app.session.documents import Documents
+from app.session.state import Session
+from app.session.undo import SessionChange
+from app.work.jobs import LatestJob, Work
+from app.work.stopwatch import Stopwatch
+from app.work.work import Bench, FrameShown, Opened, SourceShown, StageShown, request_of
+from pipeline.values.results import PoseStep
+from widgets.layers import Scene
+
+_STALE_AFTER_MS = 150  # a picture that is replaced sooner need not say that it is old
+_PATIENCE_MS = 500  # younger work is let through, so that a drag shows something on its way; older work is stopped
+
+
+class Instrument(Documents):
+    """Holds the session, asks the background for it, and passes on what comes back."""
+
+    frame_shown = pyqtSignal(int)
+    problem_shown = pyqtSignal(str)
+    session_shown = pyqtSignal(object)  # Session
+    closing = pyqtSignal()
+
+    def __init__(self, window: Window) -> None:
+        super().__init__(window, Session())
+        self.watch, self.relay = Stopwatch(), LogRelay(self)
+        self.job, self.bench = LatestJob("stages", self), Bench()
+        self.tracer = Tracer(window)
+        self.screen = Screen(window, self.tracer)
+        self._ticket = self._wanted_since = self._opening = 0
+        self._closed = self._waits = self._beside = False
+        self.latest: FrameShown | None = None  # the frame on screen
+        self._stale, self._young = QTimer(self), QTimer(self)
+        for timer, ms in ((self._stale, _STALE_AFTER_MS), (self._young, _PATIENCE_MS)):
+            timer.setSingleShot(True)
+            timer.setInterval(ms)
+        self._stale.timeout.connect(self._mark_stale)
+
+    def start(self, session: Session) -> None:
+        """Begin with a session; there is nothing before it to go back to."""
+        self.show_session(session)
+
+    def choose_frame(self, frame: int) -> None:
+        """Go to a frame."""
+        self.change("go to another frame", key="frame", frame=frame)
+
+    def choose_params(self, stage: str, params: object) -> None:
+        """Set the parameters of a stage; a drag is one undo step."""
+        self.change(f"change {stage}", key=f"params {stage}", params={**self.session.params, stage: params})
+
+    def change(self, text: str, *, key: str = "", **updates: Any) -> None:
+        """Change the session as one undo step; following changes of the same `key` join it."""
+        new = self.session.updated(**updates)
+        if new != self.session:
+            self.push(new, text, key)
+
+    def show_session(self, session: Session) -> None:
+        """Show a session: controls at once, stages when the background has them."""
+        with self.watch.timed("show_session"):
+            old, self.session = self.session, session
+            self._show_controls()
+            if session.linked != old.linked or session.display != old.display:
+                self.screen.look(session)
+            if session.recording is not None:
+                self._ask(other_request=old.recording is None or request_of(old) != request_of(session))
+        self.session_shown.emit(session)
+
+    def compare(self, beside: bool) -> None:
+        """Whether to outline what the target really felt."""
+        if beside != self._beside:
+            self._beside = beside
+            self.refresh()
+
+    def refresh(self) -> None:
+        """Ask for the session's frame again."""
+        if self.session.recording is not None and not self._closed:
+            self._ask(other_request=False)
+
+    def ahead(self, work: Work) -> int:
+        """Run something brief on the frame at hand in place of its stages; returns its ticket, 0 if none is open.
+
+        Stages that were on their way are dropped: `refresh` asks for them again.
+        """
+        if self._opening or self._closed or self.screen.opened is None:
+            return 0
+        interrupt = self._waits
+        self._rest()
+        self._ticket = 0  # what is dropped now is not missed
+        self._ticket = self.job.submit(work, interrupt=interrupt)
+        return self._ticket
+
+    def show_only(self, name: str) -> None:
+        """One stage alone, or all again; what is hidden is not worked out."""
+        alone = self.window.visible_columns() == (name,)
+        self.screen.show_only(None if alone else name)
+        self.refresh()
+
+    def show_step(self, step: PoseStep) -> None:
+        """Put the object where it was at an iteration."""
+        self.screen.show_step(step)
+
+    def show_scene(self, scene: Scene) -> None:
+        """Take up the 3D views."""
+        self.screen.take_scene(scene, self.session)
+
+    def show_problem(self, error: BaseException) -> None:
+        """Say in the banner what went wrong, and log it once."""
+        sentence, details = sentence_and_details(error)
+        log.error("%s", sentence)
+        self.window.banner.show_problem(sentence, details)
+        self.problem_shown.emit(sentence)
+
+    def reset_view(self) -> None:
+        """Fit every picture and 3D view."""
+        for column in self.window.columns.values():
+            column.view.reset_view()
+        self.screen.look(self.session)
+
+    def cancel(self) -> None:
+        """Stop the work, and take the crosshairs away."""
+        self.job.cancel()
+        self.tracer.clear()
+
+    def close(self) -> None:
+        """Stop the background, then everything OpenGL."""
+        if self._closed:
+            return
+        self._closed = True
+        self.undo.blockSignals(True)  # it outlives the actions that listen to it
+        self.window.timeline.play(on=False)
+        self._stale.stop()
+        self.closing.emit()
+        self.job.close()
+        self.bench.close()
+        self.screen.finish()
+        self.relay.close()
+
+    @property
+    def idle(self) -> bool:
+        """Whether everything asked for is on screen, or has failed."""
+        return not self.job.busy and not self._stale.isActive() and not self._waits
+
+    def take_part(self, ticket: int, part: object) -> None:
+        """Show a part of the result; parts for another recording come too late."""
+        if ticket < self._wanted_since or self._closed:
+            return
+        with self.watch.timed(type(part).__name__):
+            if isinstance(part, Opened):
+                self._opening = 0
+                self.session = replace(
+                    self.session,
+                    target=part.session.target,
+                    frame=min(self.session.frame, part.translation.n_frames - 1),
+                )
+                self.screen.show_opened(replace(part, session=self.session))
+                self._show_controls()
+            elif isinstance(part, SourceShown | StageShown):
+                self.screen.show_part(part)
+                if isinstance(part, SourceShown):
+                    self.window.timeline.show_frame(self.session.frame, part.frame.time_s)
+            if ticket == self._ticket:
+                self.screen.mark_running()
+
+    def take_frame(self, ticket: int, shown: object) -> None:
+        """Show what belongs to a whole frame."""
+        if ticket < self._wanted_since or self._closed or not isinstance(shown, FrameShown):
+            return
+        with self.watch.timed("FrameShown"):
+            self.latest = shown
+            self.screen.show_frame(shown)
+        if ticket == self._ticket:
+            self._rest()
+            self.frame_shown.emit(shown.index)
+
+    def take_failure(self, ticket: int, error: object) -> None:
+        """Say what went wrong; what could not be opened is undone, so that what was open stays usable."""
+        if ticket < self._wanted_since or self._closed or not isinstance(error, BaseException):
+            return
+        if ticket == self._ticket:
+            not_opened = self._opening == ticket
+            self._rest()
+            if not_opened and self.undo.canUndo():
+                self.undo.undo()
+            elif not_opened:
+                self.screen.mark_cancelled()
+            else:
+                self.screen.mark_failed(error)
+        self.show_problem(error)
+
+    def take_cancel(self, ticket: int) -> None:
+        """Nothing more will come for this ticket."""
+        if ticket == self._ticket and not self._closed:
+            self.screen.mark_cancelled()
+            self._rest()
+
+    def take_progress(self, ticket: int, fraction: float, text: str) -> None:
+        """Show how far the newest work is."""
+        if ticket == self._ticket and self._waits:
+            self.window.show_progress(fraction, text)
+
+    def push(self, new: Session, text: str, key: str = "") -> None:
+        """Go to another session as one undo step; see `change`."""
+        self.undo.push(SessionChange(old=self.session, new=new, text=text, key=key, show=self.show_session))
+
+    def _show_controls(self) -> None:
+        window, session = self.window, self.session
+        window.timeline.show_frame(session.frame)
+        window.frames.show_frame(session.frame)
+        for stage, params in session.params.items():
+            window.parameters.show_params(stage, params)
+        _show_choice(window.source, session.source)
+        _show_choice(window.target, session.target)
+        _show_choice(window.route, session.route)
+        window.actions_by_name["link_cameras"].setChecked(session.linked)
+
+    def _ask(self, *, other_request: bool) -> None:
+        session, wanted, beside = self.session, self.window.visible_columns(), self._beside
+        interrupt = other_request or not self._young.isActive()
+        self._waits = True
+        self._ticket = self.job.submit(
+            lambda report: self.bench.show(session, wanted, report, beside=beside), interrupt=interrupt
+        )
+        if other_request:
+            self._wanted_since = self._opening = self._ticket
+        if interrupt:
+            self._young.start()
+        self.screen.expect_all()
+        self.window.timeline.show_ready(ready=False)
+        if not self._stale.isActive():
+            self._stale.start()
+
+    def _rest(self) -> None:
+        self._waits = False
+        self._opening = 0
+        self._stale.stop()
+        self._young.stop()
+        self.window.show_progress(None)
+        self.window.timeline.show_ready(ready=True)
+
+    def _mark_stale(self) -> None:
+        with self.watch.timed("mark_stale"):
+            self.screen.mark_stale()
+
+
+def _show_choice(box: QComboBox, value: str) -> None:
+    with QSignalBlocker(box):
+        box.setCurrentIndex(max(0, box.findData(value)))

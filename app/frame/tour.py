@@ -1,0 +1,90 @@
+"""The tour: steps through the recording by itself and leaves the window's picture and every stage behind."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from PyQt6.QtCore import QCoreApplication, QEventLoop
+
+from app.frame.instrument import Instrument
+from pipeline.cli.translate import print_line, show_table
+from pipeline.reporting.frame_report import FrameReport
+from pipeline.reporting.report import write_frame, write_report
+
+FRAME_LIMIT_S = 120.0  # a frame that takes longer has hung
+_BREATH_MS = 20
+
+
+def give_tour(instrument: Instrument, out: Path, *, show_frame: int | None = None) -> int:
+    """Show every frame, write `window.png`, `frame_NNNN/` and `report.json` under `out`, print the table.
+
+    Returns 0, or 2 if some frame could not be shown; the picture shows `show_frame`, by default the deepest touch.
+    """
+    if not wait_until_shown(instrument) or instrument.screen.opened is None:
+        print_line(f"the recording could not be shown: {instrument.window.banner.text}")
+        return 2
+    translation = instrument.screen.opened.translation
+    reports: list[FrameReport] = []
+    for index in range(translation.n_frames):
+        instrument.choose_frame(index)
+        shown = wait_until_shown(instrument)
+        latest = instrument.latest
+        if not shown or latest is None or latest.index != index:
+            problem = instrument.window.banner.text or "not shown in time"
+            reports.append(FrameReport(index=index, results={}, metrics={}, problem=problem))
+            continue
+        report = FrameReport(index=index, results=latest.results, metrics=latest.metrics)
+        reports.append(report)
+        write_frame(out, latest.frame, report, translation)
+    write_report(out, translation, reports)
+    instrument.choose_frame(_worth_seeing(reports) if show_frame is None else show_frame)
+    wait_until_shown(instrument)
+    _follow_a_pixel(instrument)
+    save_window_picture(instrument, out / "window.png")
+    show_table(reports)
+    failed = [r for r in reports if r.problem]
+    for report in failed:
+        print_line(f"frame {report.index}: {report.problem}")
+    print_line(f"{len(reports) - len(failed)} of {len(reports)} frames shown and written to {out}")
+    return 2 if failed else 0
+
+
+def wait_until_shown(instrument: Instrument, limit_s: float = FRAME_LIMIT_S) -> bool:
+    """Let the window work until everything asked for is on screen; False if that takes too long or failed."""
+    end_s = time.monotonic() + limit_s
+    while time.monotonic() < end_s:
+        QCoreApplication.processEvents(QEventLoop.ProcessEventsFlag.AllEvents, _BREATH_MS)
+        if instrument.idle:
+            QCoreApplication.processEvents()
+            return not instrument.window.banner.isVisible()
+        time.sleep(0.001)
+    return False
+
+
+def save_window_picture(instrument: Instrument, path: Path) -> None:
+    """Write the window as it stands, 3D views included."""
+    instrument.screen.scene.settle()
+    for _ in range(3):  # layouts, then paints, then what the paints asked for
+        QCoreApplication.processEvents(QEventLoop.ProcessEventsFlag.AllEvents, _BREATH_MS)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    instrument.window.grab().save(str(path))
+
+
+def _follow_a_pixel(instrument: Instrument) -> None:
+    """Pin the target pixel that is pushed in deepest, so that the picture shows a trace."""
+    project = instrument.latest.results.get("project") if instrument.latest is not None else None
+    if project is not None and project.output.contact.any():
+        view = project.output
+        row, col = divmod(int(view.indentation_mm.argmax()), view.camera.cols)
+        instrument.tracer.click("project", row, col)
+        instrument.tracer.settle()
+
+
+def _worth_seeing(reports: list[FrameReport]) -> int:
+    """The frame with the largest contact."""
+    return max(
+        (r for r in reports if "depth" in r.results),
+        key=lambda r: int(r.results["depth"].output.contact.sum()),
+        default=FrameReport(index=0, results={}, metrics={}),
+    ).index

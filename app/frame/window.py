@@ -1,0 +1,268 @@
+"""The window: where everything stands. It lays widgets out and knows nothing of the pipeline's work."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from PyQt6.QtCore import QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QAction, QCloseEvent, QDragEnterEvent, QDropEvent
+from PyQt6.QtWidgets import (
+    QComboBox,
+    QDockWidget,
+    QHBoxLayout,
+    QLabel,
+    QMainWindow,
+    QProgressBar,
+    QPushButton,
+    QSizePolicy,
+    QSplitter,
+    QTabWidget,
+    QToolBar,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from app.frame.actions import EDIT, FILE, HELP, PLAY, VIEW, make_actions, stage_commands
+from widgets.alignment_panel import AlignmentPanel
+from widgets.banner import Banner
+from widgets.frames_panel import FramesPanel
+from widgets.log_panel import LogPanel
+from widgets.parameters_panel import ParametersPanel
+from widgets.stage_column import StageColumn
+from widgets.steps import StepsSlider
+from widgets.timeline import Timeline
+from widgets.timings_panel import TimingsPanel
+from widgets.trace_panel import TracePanel
+
+SIZE = QSize(1600, 950)
+_TOOLS = (
+    "open_recording",
+    "open_folder",
+    "open_mesh",
+    "save_picture",
+    "",
+    "undo",
+    "redo",
+    "",
+    "link_cameras",
+    "reset_view",
+    "freeze_trace",
+)
+
+
+class Window(QMainWindow):
+    """Stage columns over 3D views over the timeline, with docks around them."""
+
+    paths_dropped = pyqtSignal(list)  # of Path
+    closing = pyqtSignal()
+
+    def __init__(self, columns: Sequence[tuple[str, str]]) -> None:
+        super().__init__()
+        self.setWindowTitle("Tactoscope")
+        self.resize(SIZE)
+        self.setAcceptDrops(True)
+        self.setDockNestingEnabled(True)
+        titles = tuple(title for _, title in columns)
+        self.actions_by_name: Mapping[str, QAction] = make_actions(
+            self, FILE + EDIT + PLAY + VIEW + stage_commands(titles) + HELP
+        )
+        self.columns = {name: StageColumn(name, f"{i + 1} · {title}") for i, (name, title) in enumerate(columns)}
+        self.banner, self.timeline, self.steps = Banner(), Timeline(), StepsSlider()
+        self.frames, self.parameters, self.alignment = FramesPanel(), ParametersPanel(), AlignmentPanel()
+        self.trace, self.log, self.timings = TracePanel(), LogPanel(), TimingsPanel()
+        self.captions = {name: _caption() for name, _ in columns}
+        self.legends = {name: _caption() for name, _ in columns}
+        self.scene_place = QVBoxLayout()
+        self.source, self.target, self.route = (self._chooser(n) for n in ("source", "target", "route"))
+        self._build_centre()
+        self._build_docks()
+        self._build_menus()
+        self._build_tool_bar()
+        self._build_status()
+
+    def _build_centre(self) -> None:
+        above, below = QWidget(), QWidget()
+        row = QHBoxLayout(above)
+        row.setContentsMargins(0, 0, 0, 0)
+        row.setSpacing(3)
+        for column in self.columns.values():
+            row.addWidget(column, 1)
+        under = QVBoxLayout(below)
+        under.setContentsMargins(0, 0, 0, 0)
+        under.setSpacing(1)
+        under.addLayout(self.scene_place, 1)
+        captions = QHBoxLayout()
+        captions.setSpacing(3)
+        for name, caption in self.captions.items():
+            cell = QVBoxLayout()
+            cell.setSpacing(0)
+            cell.addWidget(self.steps if name == "pose" else self.legends[name])
+            cell.addWidget(caption)
+            captions.addLayout(cell, 1)
+        under.addLayout(captions)
+        split = QSplitter(Qt.Orientation.Vertical)
+        split.addWidget(above)
+        split.addWidget(below)
+        split.setSizes([330, 330])
+        split.setChildrenCollapsible(False)
+        centre = QWidget()
+        layout = QVBoxLayout(centre)
+        layout.setContentsMargins(4, 4, 4, 0)
+        layout.setSpacing(3)
+        layout.addWidget(self.banner)
+        layout.addWidget(split, 1)
+        layout.addWidget(self.timeline)
+        self.setCentralWidget(centre)
+
+    def _build_docks(self) -> None:
+        area = Qt.DockWidgetArea
+        self.frames_dock = self._dock("Frames", self.frames, area.LeftDockWidgetArea)
+        self.parameters_dock = self._dock("Parameters", self.parameters, area.RightDockWidgetArea)
+        self.alignment_dock = self._dock("Alignment", self.alignment, area.RightDockWidgetArea)
+        self.tabifyDockWidget(self.parameters_dock, self.alignment_dock)
+        self.parameters_dock.raise_()
+        for name in ("open_alignment", "save_alignment"):
+            self.alignment.add_command(self.actions_by_name[name])
+        tabs = QTabWidget()
+        tabs.setObjectName("reading_tabs")
+        tabs.setDocumentMode(True)
+        for widget, title in ((self.trace, "Trace"), (self.log, "Log"), (self.timings, "Timings")):
+            tabs.addTab(widget, title)
+        self.tabs = tabs
+        self.reading_dock = self._dock("Trace, log and timings", tabs, area.BottomDockWidgetArea)
+        self.setCorner(Qt.Corner.BottomLeftCorner, area.LeftDockWidgetArea)
+        self.setCorner(Qt.Corner.BottomRightCorner, area.RightDockWidgetArea)
+        self.resizeDocks([self.frames_dock, self.parameters_dock], [222, 290], Qt.Orientation.Horizontal)
+        self.resizeDocks([self.reading_dock], [195], Qt.Orientation.Vertical)
+
+    def _dock(self, title: str, widget: QWidget, area: Qt.DockWidgetArea) -> QDockWidget:
+        dock = QDockWidget(title, self)
+        dock.setObjectName(f"dock_{title.partition(',')[0].lower()}")
+        dock.setWidget(widget)
+        self.addDockWidget(area, dock)
+        return dock
+
+    def _build_menus(self) -> None:
+        bar = self.menuBar()
+        assert bar is not None
+        for title, names in (
+            ("&File", [c.name for c in FILE]),
+            ("&Edit", [c.name for c in EDIT]),
+            ("&Play", [c.name for c in PLAY]),
+            ("&View", [c.name for c in VIEW] + [f"only_{i + 1}" for i in range(len(self.columns))]),
+            ("&Help", [c.name for c in HELP]),
+        ):
+            menu = bar.addMenu(title)
+            assert menu is not None
+            for name in names:
+                if name in ("open_mesh", "save_session", "quit", "reset_all", "ten_back", "only_1"):
+                    menu.addSeparator()
+                menu.addAction(self.actions_by_name[name])
+            if title == "&View":
+                menu.addSeparator()
+                for dock in (self.frames_dock, self.parameters_dock, self.alignment_dock, self.reading_dock):
+                    menu.addAction(dock.toggleViewAction())
+
+    def _build_tool_bar(self) -> None:
+        bar = QToolBar("Commands", self)
+        bar.setObjectName("tool_bar")
+        bar.setMovable(False)
+        bar.setIconSize(QSize(20, 20))
+        self.addToolBar(bar)
+        for name in _TOOLS:
+            if name:
+                bar.addAction(self.actions_by_name[name])
+            else:
+                bar.addSeparator()
+        bar.addSeparator()
+        for label, box in (("source", self.source), ("target", self.target), ("route", self.route)):
+            word = QLabel(f"  {label} ")
+            word.setBuddy(box)
+            bar.addWidget(word)
+            bar.addWidget(box)
+        bar.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
+        for name in ("undo", "redo"):
+            button = bar.widgetForAction(self.actions_by_name[name])
+            if isinstance(button, QToolButton):
+                button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonIconOnly)
+        for name in ("first", "previous", "play", "next", "last"):
+            self.timeline.add_command(self.actions_by_name[name])
+        self.timeline.add_command(self.actions_by_name["loop"])
+
+    def _chooser(self, name: str) -> QComboBox:
+        box = QComboBox()
+        box.setObjectName(f"choose_{name}")
+        box.setAccessibleName(f"{name} sensor" if name != "route" else "route")
+        box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
+        return box
+
+    def _build_status(self) -> None:
+        self.probe, self.doing, self.bar, self.stop = QLabel(), QLabel(), QProgressBar(), QPushButton("Cancel")
+        self.probe.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self.probe.setObjectName("probe")
+        self.bar.setRange(0, 1000)
+        self.bar.setFixedWidth(140)
+        self.bar.setTextVisible(False)
+        self.stop.setObjectName("cancel_button")
+        status = self.statusBar()
+        assert status is not None
+        status.addWidget(self.probe, 1)
+        for widget in (self.doing, self.bar, self.stop):
+            status.addPermanentWidget(widget)
+        self.show_progress(None)
+
+    def show_progress(self, fraction: float | None, text: str = "") -> None:
+        """What the background does, None when it rests."""
+        for widget in (self.bar, self.stop):
+            widget.setVisible(fraction is not None)
+        self.doing.setText(text if fraction is not None else "ready")
+        if fraction is not None:
+            self.bar.setValue(round(1000 * fraction))
+
+    def show_only(self, name: str | None) -> None:
+        """Show one stage's column alone, or all of them for None."""
+        for key, column in self.columns.items():
+            column.setVisible(name in (None, key))
+            (self.steps if key == "pose" else self.legends[key]).setVisible(name in (None, key))
+            self.captions[key].setVisible(name in (None, key))
+        for i, key in enumerate(self.columns):
+            self.actions_by_name[f"only_{i + 1}"].setChecked(key == name)
+
+    def visible_columns(self) -> tuple[str, ...]:
+        """The stages that somebody can see."""
+        return tuple(name for name, column in self.columns.items() if not column.isHidden())
+
+    def on(self, name: str, what: Callable[[], object]) -> None:
+        """Connect a command."""
+        self.actions_by_name[name].triggered.connect(lambda _checked=False: what())
+
+    def dragEnterEvent(self, a0: QDragEnterEvent | None) -> None:  # noqa: N802
+        """Take files and folders."""
+        if a0 is not None and (mime := a0.mimeData()) is not None and mime.hasUrls():
+            a0.acceptProposedAction()
+
+    def dropEvent(self, a0: QDropEvent | None) -> None:  # noqa: N802
+        """Say what was dropped."""
+        if a0 is None or (mime := a0.mimeData()) is None:
+            return
+        paths = [Path(url.toLocalFile()) for url in mime.urls() if url.isLocalFile()]
+        if paths:
+            a0.acceptProposedAction()
+            self.paths_dropped.emit(paths)
+
+    def closeEvent(self, a0: QCloseEvent | None) -> None:  # noqa: N802
+        """Let the background come to rest first."""
+        self.closing.emit()
+        super().closeEvent(a0)
+
+
+def _caption() -> QLabel:
+    label = QLabel()
+    font = label.font()
+    font.setPointSizeF(max(7.0, font.pointSizeF() - 1.5))
+    label.setFont(font)
+    label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+    label.setAlignment(Qt.AlignmentFlag.AlignHCenter)
+    return label

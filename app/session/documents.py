@@ -1,0 +1,88 @@
+"""Opening and saving: what a path is, and what becomes of the session."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from PyQt6.QtCore import QObject
+from PyQt6.QtGui import QUndoStack
+
+from app.frame import dialogs
+from app.frame.logs import log
+from app.frame.window import Window
+from app.session.state import SUFFIX, Session, load_session, save_session
+from pipeline.base.errors import FileProblem, TouchError
+
+
+class Documents(QObject):
+    """Holds the session and its undo stack; knows how files change it, but not how it is shown."""
+
+    def __init__(self, window: Window, session: Session) -> None:
+        super().__init__(window)
+        self.window, self.session, self.undo = window, session, QUndoStack(self)
+
+    @abstractmethod
+    def change(self, text: str, *, key: str = "", **updates: Any) -> None:
+        """Change the session as one undo step; following changes of the same `key` join it."""
+
+    @abstractmethod
+    def push(self, new: Session, text: str, key: str = "") -> None:
+        """Go to another session as one undo step; see `change`."""
+
+    @abstractmethod
+    def show_problem(self, error: BaseException) -> None:
+        """Say in the banner what went wrong."""
+
+    def open_path(self, path: Path) -> None:
+        """Open whatever `path` is: a session, a mesh, a calibration or a recording."""
+        if path.name.endswith(SUFFIX):
+            self.open_session(path)
+        elif path.suffix.lower() in dialogs.MESHES:
+            self.change("open mesh", mesh=path)
+        elif path.suffix.lower() == dialogs.ALIGNMENT:
+            self.change("open alignment", alignment=path)
+        elif dialogs.is_calibration(path):
+            self.change("open calibration", calibration=path)
+        else:
+            self.change(
+                "open recording", recording=path, frame=0, source="", stream="", reference=None, calibration=None
+            )
+
+    def open_paths(self, paths: list[Path]) -> None:
+        """Open what was dropped: recordings first, then what goes with them."""
+        for path in sorted(paths, key=lambda p: p.suffix.lower() in dialogs.MESHES or dialogs.is_calibration(p)):
+            self.open_path(path)
+
+    def open_reference(self, path: Path) -> None:
+        """Open the image of the untouched sensor."""
+        self.change("open reference", reference=path)
+
+    def open_session(self, path: Path) -> None:
+        """Replace everything by what a session file says."""
+        with self._told():
+            self.push(load_session(path), "open session")
+
+    def save_session(self, path: Path) -> None:
+        """Write the session file."""
+        with self._told():
+            save_session(self.session, path)
+            self.undo.setClean()
+            log.info("session saved: '%s'", path)
+
+    def save_picture(self, path: Path) -> None:
+        """Write a picture of the window."""
+        with self._told():
+            if not self.window.grab().save(str(path)):
+                raise FileProblem("cannot write the picture", path)
+
+    @contextmanager
+    def _told(self) -> Generator[None]:
+        """Errors that are the user's to mend end in the banner."""
+        try:
+            yield
+        except TouchError as error:
+            self.show_problem(error)

@@ -1,0 +1,95 @@
+"""How far the user has moved an alignment from the one that was opened: six numbers about a point."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+
+from pipeline.alignment.nudge import AXES, Axis, motion_about
+from pipeline.base.arrays import Doubles
+from pipeline.geometry import rigid
+from pipeline.sensors.alignment import Alignment, corrected
+
+Triple = tuple[float, float, float]
+ZERO: Triple = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Offsets:
+    """A motion in the target frame, put after the opened T_S->T: a turn about a point, then a shift.
+
+    The point is where the middle of the contact is under the opened alignment, so that turns are about the contact
+    wherever it has been shifted to.
+    """
+
+    shift_mm: Triple = ZERO
+    turn_deg: Triple = ZERO  # rotation vector: axis times angle
+    pivot_mm: Triple = ZERO  # target frame
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """The six numbers in the order of `AXES`: x y z in mm, rx ry rz in degrees."""
+        return (*self.shift_mm, *self.turn_deg)
+
+    @property
+    def none(self) -> bool:
+        """Whether the alignment is as it was opened."""
+        return not any(self.values)
+
+    def motion(self) -> Doubles:
+        """The motion (4, 4) in mm."""
+        pivot, turn, shift = (np.array(v) for v in (self.pivot_mm, np.deg2rad(self.turn_deg), self.shift_mm))
+        return motion_about(pivot, turn, shift)
+
+    def applied(self, opened: Alignment) -> Alignment:
+        """The opened alignment with these offsets, stored in T_A->T."""
+        return opened if self.none else corrected(opened, self.motion())
+
+    def moved(self, axis: Axis, value: float) -> Offsets:
+        """The same with another number for one axis, mm or degrees."""
+        values = list(self.values)
+        values[AXES.index(axis)] = value
+        return replace(self, shift_mm=_triple(values[:3]), turn_deg=_triple(values[3:]))
+
+    def about(self, pivot_mm: Sequence[float] | Doubles) -> Offsets:
+        """The very same motion, told about another point."""
+        return of_motion(self.motion(), pivot_mm)
+
+    def plain(self) -> dict[str, list[float]]:
+        """As a session file holds them."""
+        return {"shift_mm": list(self.shift_mm), "turn_deg": list(self.turn_deg), "pivot_mm": list(self.pivot_mm)}
+
+
+def of_motion(motion: Doubles, pivot_mm: Sequence[float] | Doubles) -> Offsets:
+    """The offsets that make a motion (4, 4) in the target frame, told about a point (3,) mm."""
+    pivot = np.asarray(pivot_mm, dtype=np.float64)
+    turn_deg = np.rad2deg(rigid.rotation_vector_rad(motion))
+    return Offsets(
+        shift_mm=_triple(rigid.apply(motion, pivot) - pivot), turn_deg=_triple(turn_deg), pivot_mm=_triple(pivot)
+    )
+
+
+def from_plain(data: object) -> Offsets:
+    """Of what a session file holds; raises ValueError that says which entry is wrong."""
+    if not isinstance(data, dict):
+        raise ValueError("must be a table of shift_mm, turn_deg and pivot_mm")
+    table = cast("Mapping[str, Any]", data)
+    return Offsets(**{name: _three(table, name) for name in ("shift_mm", "turn_deg", "pivot_mm")})
+
+
+def _three(table: Mapping[str, Any], name: str) -> Triple:
+    value: object = table.get(name)
+    numbers = cast("list[object]", value) if isinstance(value, list) else []
+    plain = [float(n) for n in numbers if isinstance(n, (int, float)) and not isinstance(n, bool)]
+    if len(plain) != 3 or len(numbers) != 3 or not all(map(math.isfinite, plain)):
+        raise ValueError(f"{name} must be three finite numbers, got {value!r}")
+    return _triple(plain)
+
+
+def _triple(values: Sequence[float] | Doubles) -> Triple:
+    x, y, z = (float(v) + 0.0 for v in values)
+    return x, y, z

@@ -1,0 +1,187 @@
+"""Everything that a user chose, as one immutable value, and the file it is kept in."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, cast
+
+from app.session.offsets import Offsets, from_plain
+from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.base.params import changed, setting, settings
+from pipeline.sensors.spec import SensorSpec
+from pipeline.translation.routes import ROUTES, default_params
+
+SUFFIX = ".touch.json"
+_VERSION = 1
+_PATHS = ("recording", "reference", "calibration", "mesh", "alignment")
+_WORDS = ("source", "target", "stream", "route", "mesh_unit")
+_FRAMES_OF_OFFSETS = frozenset({"source", "target", "stream", "alignment"})  # another of these is another motion
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DisplayParams:
+    """How things are drawn; no stage reads them."""
+
+    gel_limit_mm: float = setting(
+        1.5, "Gel indentation up to", unit="mm", low=0.1, high=3.0, step=0.1, help="upper colour limit for gels"
+    )
+    bubble_limit_mm: float = setting(
+        10.0, "Bubble indentation up to", unit="mm", low=1.0, high=25.0, step=1.0, help="upper colour limit for bubbles"
+    )
+    gel_stretch: float = setting(
+        3.0, "Gel depth in 3D times", low=1.0, high=10.0, step=0.5, help="stretches indentation of gels in the 3D views"
+    )
+
+    def stretch(self, sensor: SensorSpec) -> float:
+        """How many times deeper indentation is drawn than it is; bubbles are deep enough as they are."""
+        return self.gel_stretch if sensor.kind == "gel" else 1.0
+
+
+def initial_params() -> Mapping[str, object]:
+    """Stage -> its defaults, with those of the display."""
+    return {**default_params(), "display": DisplayParams()}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Session:
+    """What is open, what is shown of it, and every parameter. Undo is a stack of these."""
+
+    recording: Path | None = None
+    source: str = ""  # "" = as the recording says
+    target: str = ""  # "" = the first sensor that is not the source
+    stream: str = ""
+    route: str = "t2d2"
+    frame: int = 0
+    reference: Path | None = None
+    calibration: Path | None = None
+    mesh: Path | None = None
+    mesh_unit: str = "auto"
+    alignment: Path | None = None  # TOML with T_S->A and T_A->T; None = the recording's or the descriptions'
+    offsets: Offsets = field(default_factory=Offsets)  # how far it was moved by hand or by refining
+    linked: bool = True  # 3D views of one frame share their camera
+    params: Mapping[str, object] = field(default_factory=initial_params)
+
+    def with_params(self, stage: str, params: object) -> Session:
+        """The same with other parameters of one stage."""
+        return replace(self, params={**self.params, stage: params})
+
+    def updated(self, **updates: Any) -> Session:
+        """The same with other values; offsets from an alignment that is no longer the opened one are taken back.
+
+        Another recording keeps those from a file, which says how its two sensors stand whoever recorded them.
+        """
+        new = replace(self, **updates)
+        if "offsets" in updates:
+            return new
+        other = any(getattr(new, name) != getattr(self, name) for name in _FRAMES_OF_OFFSETS)
+        other = other or (new.recording != self.recording and self.alignment is None)
+        return replace(new, offsets=Offsets()) if other else new
+
+    @property
+    def display(self) -> DisplayParams:
+        """How things are drawn."""
+        return cast("DisplayParams", self.params["display"])
+
+
+def save_session(session: Session, path: Path) -> None:
+    """Write `session`, beside the old file first so that a crash leaves one of the two whole."""
+    data: dict[str, Any] = {"tactoscope session": _VERSION, "frame": session.frame, "linked": session.linked}
+    data |= {name: getattr(session, name) for name in _WORDS}
+    for name in _PATHS:
+        value: Path | None = getattr(session, name)
+        data[name] = None if value is None else _relative(value, path.parent)
+    data["offsets"] = session.offsets.plain()
+    data["params"] = {
+        stage: {name: value for name, (value, _) in settings(params).items()}
+        for stage, params in session.params.items()
+    }
+    beside = path.with_name(path.name + ".new")
+    try:
+        beside.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
+        beside.replace(path)
+    except OSError as error:
+        raise FileProblem(f"cannot write the session ({error.strerror})", path) from error
+
+
+def load_session(path: Path) -> Session:
+    """Read a session; raises FileProblem naming the field that is wrong."""
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FileProblem(f"cannot read the session ({error.strerror})", path) from error
+    except ValueError as error:
+        raise FileProblem(f"the session is not valid JSON ({error})", path) from error
+    if not isinstance(data, dict) or "tactoscope session" not in data:
+        raise FileProblem("this is not a session file", path)
+    if data["tactoscope session"] != _VERSION:
+        raise FileProblem(f"the session has version {data['tactoscope session']!r}, this program reads 1", path)
+    known = cast("dict[str, Any]", data)
+    words = {name: _typed(known, name, str, path) for name in _WORDS}
+    if words["route"] not in ROUTES:
+        raise FileProblem(f"route must be one of {', '.join(ROUTES)}, got {words['route']!r}", path, field="route")
+    frame = _typed(known, "frame", int, path)
+    if frame < 0:
+        raise FileProblem(f"frame must not be negative, got {frame}", path, field="frame")
+    return Session(
+        **{name: _path(known, name, path) for name in _PATHS},
+        **words,
+        frame=frame,
+        offsets=_offsets(known, path),
+        linked=_typed(known, "linked", bool, path),
+        params=_params(known.get("params", {}), path),
+    )
+
+
+def _relative(value: Path, folder: Path) -> str:
+    """Relative to the session file if that is no long climb, so that a folder can be moved as a whole."""
+    full = os.path.abspath(value)  # noqa: PTH100 - resolve() would follow links the user meant to keep
+    try:
+        relative = os.path.relpath(full, os.path.abspath(folder))  # noqa: PTH100 - as above
+    except ValueError:  # another drive
+        return full
+    return relative if relative.count("..") <= 3 else full
+
+
+def _typed(data: Mapping[str, Any], name: str, kind: type, path: Path) -> Any:
+    if name not in data:
+        raise FileProblem(f"the session lacks {name}", path, field=name)
+    value = data[name]
+    if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
+        raise FileProblem(f"{name} must be of type {kind.__name__}, got {value!r}", path, field=name)
+    return value
+
+
+def _path(data: Mapping[str, Any], name: str, path: Path) -> Path | None:
+    if data.get(name) is None:
+        return None
+    return path.parent / str(_typed(data, name, str, path))
+
+
+def _offsets(data: Mapping[str, Any], path: Path) -> Offsets:
+    """None at all in files from before alignments could be moved."""
+    if "offsets" not in data:
+        return Offsets()
+    try:
+        return from_plain(data["offsets"])
+    except ValueError as error:
+        raise FileProblem(f"the session's offsets cannot be used ({error})", path, field="offsets") from error
+
+
+def _params(data: object, path: Path) -> Mapping[str, object]:
+    params = dict(initial_params())
+    if not isinstance(data, dict):
+        raise FileProblem("params must map stages to their parameters", path, field="params")
+    for stage, values in cast("dict[str, Any]", data).items():
+        if stage not in params or not isinstance(values, dict):
+            raise FileProblem(f"params.{stage} is not a stage with parameters", path, field=f"params.{stage}")
+        for name, value in cast("dict[str, Any]", values).items():
+            try:
+                params[stage] = changed(params[stage], name, value)
+            except (SettingProblem, TypeError) as error:
+                where = f"params.{stage}.{name}"
+                raise FileProblem(f"{where} cannot be used ({error})", path, field=where) from error
+    return params

@@ -1,0 +1,119 @@
+"""Background work around an alignment: the preview of a drag, its figures when still, and refining on all frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from app.session.offsets import Offsets, of_motion
+from app.session.state import Session
+from app.views import pictures, solids
+from app.work.jobs import Report
+from app.work.work import Bench, request_of
+from pipeline.alignment.refine import Refinement, refine
+from pipeline.alignment.score import Score
+from pipeline.alignment.sensitivity import Sensitivity
+from pipeline.alignment.touches import paired_touches
+from pipeline.base.arrays import Doubles
+from pipeline.base.errors import SettingProblem
+from pipeline.stages.depth.stage import DepthParams
+from pipeline.stages.project.stage import ProjectParams
+from pipeline.translation.translate import Translation, open_translation
+from widgets.layers import Layer
+from widgets.picture import Picture
+
+HELD_OUT = 0.25  # of the touches judge a refinement without having taken part in it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Previewed:
+    """A drag on its way: what the target would see, coarse."""
+
+    picture: Picture
+    layers: tuple[Layer, ...]
+    score: Score | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judged:
+    """A frame at rest: how well it agrees, and which axis matters once that is known."""
+
+    index: int
+    score: Score | None
+    axes: tuple[Sensitivity, ...]
+    reason: str  # why there is no score
+    origin: str  # whose alignment it is without offsets, in words
+    pivot_mm: Doubles  # (3,) target frame
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Refined:
+    """A refinement, and the offsets from the opened alignment that accept it."""
+
+    answer: Refinement
+    offsets: Offsets
+    begun: Session
+
+
+def preview(bench: Bench, session: Session, report: Report) -> Previewed:
+    """The session's frame under its offsets, coarse; raises TouchError."""
+    opened, frame = bench.comparison(session, report)
+    report.step(0.5, "previewing the alignment")
+    view, agreement = frame.preview(session.offsets.applied(opened.alignment), project_params(session))
+    picture = pictures.of_view(view, opened.target, session.display)
+    whole = pictures.enlarged(picture, opened.target.camera.shape)
+    return Previewed(
+        picture=pictures.beside(whole, frame.outline_px),
+        layers=solids.of_view(view, opened.target, picture.pixels, session.display.stretch(opened.target)),
+        score=agreement,
+    )
+
+
+def judge(bench: Bench, session: Session, report: Report) -> Judged:
+    """The session's frame judged at full size; the score is handed over ahead of the axes. Raises TouchError."""
+    opened, frame = bench.comparison(session, report)
+    alignment, params = session.offsets.applied(opened.alignment), project_params(session)
+    first = Judged(
+        index=frame.index, score=frame.scored(alignment, params), axes=(), reason=frame.reason,
+        origin=_origin(opened), pivot_mm=frame.pivot_mm(opened.alignment),
+    )  # fmt: skip
+    report.hand_over(first)
+    return replace(first, axes=frame.axes(alignment, params, frame.pivot_mm(alignment), report))
+
+
+def refined(session: Session, report: Report) -> Refined:
+    """The session's alignment refined on all frames that both sensors feel, with a recording of its own.
+
+    Every fourth touch is held out where there are enough. Raises TouchError.
+    """
+    from pipeline.cli.align import split
+
+    translation = open_translation(request_of(session))
+    try:
+        params = session.params["depth"]
+        assert isinstance(params, DepthParams)
+        touches = paired_touches(translation, range(translation.n_frames), params, progress=report)
+        if not touches:
+            pair = f"{translation.source.name} and {translation.target.name}"
+            raise SettingProblem(f"no frame is felt by both {pair}; an alignment is refined on touches of both sensors")
+        used, held = split(touches, HELD_OUT)
+        begun = session.offsets.applied(translation.alignment)
+        answer = refine(used, begun, held_out=held, progress=report)
+    finally:
+        translation.recording.close()
+    about = session.offsets.pivot_mm if any(session.offsets.pivot_mm) else answer.pivot_mm
+    return Refined(answer=answer, offsets=of_motion(answer.motion @ session.offsets.motion(), about), begun=session)
+
+
+def project_params(session: Session) -> ProjectParams:
+    """How the projection is drawn."""
+    params = session.params["project"]
+    assert isinstance(params, ProjectParams)
+    return params
+
+
+def _origin(opened: Translation) -> str:
+    if opened.request.alignment is not None:
+        return opened.request.alignment.name
+    other = opened.recording.stream_of_sensor(opened.target.name)
+    known = None if other is None else opened.recording.target_from_source(opened.stream.name, other.name)
+    return "as described by the sensors" if known is None else "as recorded"

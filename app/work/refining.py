@@ -1,0 +1,86 @@
+"""Refining in a thread of its own, so that one may look around meanwhile; its answer waits to be taken."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import QObject
+
+from app.frame.instrument import Instrument
+from app.session.state import Session
+from app.work import judging
+from app.work.jobs import LatestJob
+from app.work.judging import Refined
+from app.work.work import request_of
+
+
+class Refining(QObject):
+    """Starts, shows, cancels, accepts. An answer for another alignment than the opened one is dropped."""
+
+    def __init__(self, instrument: Instrument) -> None:
+        super().__init__(instrument)
+        self._instrument, self._box = instrument, instrument.window.alignment.refine
+        self._job = LatestJob("refine", self)
+        self._begun: Session | None = None
+        self._ticket = 0
+        self.answer: Refined | None = None
+        self._job.progressed.connect(self._progressed)
+        self._job.finished.connect(self._finished)
+        self._job.failed.connect(self._failed)
+        self._job.cancelled.connect(self._cancelled)
+        self._box.refine_wanted.connect(self.start)
+        self._box.cancel_wanted.connect(self._job.cancel)
+        self._box.accepted.connect(self.accept)
+        self._box.discarded.connect(self.discard)
+        instrument.closing.connect(self._job.close)
+
+    @property
+    def busy(self) -> bool:
+        """Whether it runs."""
+        return self._begun is not None and self.answer is None
+
+    def start(self) -> None:
+        """Refine what is open."""
+        opened, session = self._instrument.screen.opened, self._instrument.session
+        if opened is None:
+            return
+        self._begun, self.answer = session, None
+        self._box.show_progress(0.0, "opening the recording")
+        self._ticket = self._job.submit(lambda report: judging.refined(session, report))
+
+    def accept(self) -> None:
+        """Take the answer as one change."""
+        answer = self.answer
+        self.discard()
+        if answer is not None:
+            self._instrument.change("refine the alignment", offsets=answer.offsets)
+
+    def discard(self) -> None:
+        """Forget the answer."""
+        self._begun = self.answer = None
+        self._box.show_idle()
+
+    def show_session(self, session: Session) -> None:
+        """Another recording or alignment is open: what was begun is of no use."""
+        if self._begun is not None and request_of(session) != request_of(self._begun):
+            self._job.cancel()
+            self.discard()
+
+    def _progressed(self, ticket: int, fraction: float, text: str) -> None:
+        if ticket == self._ticket and self._begun is not None:
+            self._box.show_progress(fraction, text)
+
+    def _finished(self, ticket: int, answer: object) -> None:
+        if ticket != self._ticket or self._begun is None or not isinstance(answer, Refined):
+            return
+        self.answer = answer
+        opened = self._instrument.screen.opened
+        self._box.show_answer(answer.answer, "" if opened is None else opened.translation.target.name)
+
+    def _failed(self, ticket: int, error: object) -> None:
+        if ticket == self._ticket and isinstance(error, BaseException):
+            self.discard()
+            self._instrument.show_problem(error)
+
+    def _cancelled(self, ticket: int) -> None:
+        if ticket == self._ticket and self._begun is not None:
+            self._begun = self.answer = None
+            self._box.show_idle("cancelled; nothing was changed")

@@ -1,0 +1,94 @@
+"""Stage parameters: frozen dataclasses whose fields carry what a person needs to set them.
+
+The command line's `--set stage.field=value` and the app's labelled controls are both derived from here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, TypeVar, cast
+
+from pipeline.base.errors import SettingProblem
+
+P = TypeVar("P")
+Value = bool | int | float | str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setting:
+    """How one parameter is shown and what it may be."""
+
+    label: str
+    unit: str = ""
+    low: float = -math.inf
+    high: float = math.inf
+    step: float = 0.0  # of a spin box; 0 = a tenth of the range
+    choices: tuple[str, ...] = ()
+    help: str = ""
+
+
+def setting(
+    default: Value,
+    label: str,
+    *,
+    unit: str = "",
+    low: float = -math.inf,
+    high: float = math.inf,
+    step: float = 0.0,
+    choices: tuple[str, ...] = (),
+    help: str = "",  # noqa: A002 - the word users know
+) -> Any:
+    """A dataclass field with a default and its `Setting`."""
+    told = Setting(label=label, unit=unit, low=low, high=high, step=step, choices=choices, help=help)
+    return field(default=default, metadata={"setting": told})
+
+
+def settings(params: object) -> Mapping[str, tuple[Value, Setting]]:
+    """Name -> (value, how to show it) of every parameter, in the order of definition."""
+    return {
+        f.name: (getattr(params, f.name), f.metadata["setting"])
+        for f in fields(cast("Any", params))
+        if "setting" in f.metadata
+    }
+
+
+def changed(params: P, name: str, value: Value) -> P:
+    """`params` with one value replaced, after checking its type and range; raises SettingProblem."""
+    known = settings(params)
+    if name not in known:
+        raise SettingProblem(f"no parameter {name!r}; there are {', '.join(known)}")
+    old, told = known[name]
+    try:
+        new = _converted(value, type(old))
+    except ValueError:
+        raise SettingProblem(f"{name} must be a {type(old).__name__}, got {value!r}") from None
+    if told.choices and new not in told.choices:
+        raise SettingProblem(f"{name} must be one of {', '.join(told.choices)}, got {value!r}")
+    if isinstance(new, (int, float)) and not isinstance(new, bool) and not told.low <= new <= told.high:
+        unit = f" {told.unit}" if told.unit else ""
+        raise SettingProblem(f"{name} must lie within {told.low:g} and {told.high:g}{unit}, got {new:g}")
+    return cast("P", replace(cast("Any", params), **{name: new}))
+
+
+def _converted(value: Value, kind: type) -> Value:
+    if kind is bool:
+        if isinstance(value, bool):
+            return value
+        words = {
+            "true": True,
+            "on": True,
+            "yes": True,
+            "1": True,
+            "false": False,
+            "off": False,
+            "no": False,
+            "0": False,
+        }
+        if str(value).lower() not in words:
+            raise ValueError(value)
+        return words[str(value).lower()]
+    if kind is int and isinstance(value, float) and not value.is_integer():
+        raise ValueError(value)
+    return cast("Value", kind(value))

@@ -1,0 +1,143 @@
+"""The slopes that one press of a ball leaves, and the circle that fits slopes seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles, Floats
+from pipeline.calibration import slope_model
+from pipeline.calibration.contact_circles import Circle, ring_profile
+from pipeline.calibration.slope_model import SlopeModel
+
+TRUSTED_SHARE = 0.85  # of the contact's radius: inside it the blurred rim is not felt
+RINGS = np.arange(0.0, 2.001, 0.05)  # r / contact radius at which the slope's profile is tabulated
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Press:
+    """One picture of the ball."""
+
+    index: int
+    change: Floats  # (rows, cols, 3)
+    circle: Circle
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ball:
+    """The slope that a press leaves at a distance from its centre: the sphere's, times what the rim makes of it."""
+
+    radius_px: float
+    share: Doubles | None  # of the sphere's slope, at `RINGS`; None = not known beyond the trusted contact
+
+    def slope(self, distance_px: Doubles, contact_px: float) -> Doubles:
+        """Slope toward the centre, mm/mm."""
+        r = np.minimum(distance_px, 0.95 * self.radius_px)
+        sphere = r / np.sqrt(self.radius_px**2 - r * r)
+        t = distance_px / contact_px
+        if self.share is None:
+            return np.where(t < TRUSTED_SHARE, sphere, 0.0)
+        return sphere * np.where(t < TRUSTED_SHARE, 1.0, np.interp(t, RINGS, self.share, right=0.0))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Around:
+    """What the look-up sees around one press."""
+
+    x: Doubles  # (1, cols) of the image
+    y: Doubles  # (rows, 1)
+    gx: Floats  # (rows, cols)
+    gy: Floats
+
+
+def _around(model: SlopeModel, press: Press) -> _Around:
+    c = press.circle
+    rows, cols = press.change.shape[:2]
+    reach = RINGS[-1] * c.radius_px + 4.0
+    r0, r1 = (min(max(0, round(c.y_px + d * reach)), rows) for d in (-1, 1))
+    c0, c1 = (min(max(0, round(c.x_px + d * reach)), cols) for d in (-1, 1))
+    u, v = slope_model.position((rows, cols))
+    part = np.ascontiguousarray(press.change[r0:r1, c0:c1])
+    gx, gy = slope_model.evaluate(model, part, u[c0:c1], v[r0:r1], np.ones(part.shape[:2], np.bool_))
+    return _Around(
+        x=np.arange(c0, c1, dtype=np.float64)[None, :], y=np.arange(r0, r1, dtype=np.float64)[:, None], gx=gx, gy=gy
+    )
+
+
+def _radial(around: _Around, circle: Circle) -> tuple[Floats, Doubles]:
+    """(slope toward the centre, distance from it) of every pixel around a press."""
+    dx, dy = around.x - circle.x_px, around.y - circle.y_px
+    distance = np.maximum(np.hypot(dx, dy), 1e-6)
+    return (-(around.gx * dx + around.gy * dy) / distance).astype(np.float32), distance
+
+
+def refined(model: SlopeModel, press: Press, ball: Ball) -> Circle:
+    """The circle that the look-up's own slopes speak for."""
+    c, around = press.circle, _around(model, press)
+    x, y, gx, gy = around.x, around.y, around.gx, around.gy
+    if ball.share is not None:
+        return _aligned(around, c, ball)
+    inside = np.hypot(x - c.x_px, y - c.y_px) < TRUSTED_SHARE * c.radius_px
+    if inside.sum() < 12:
+        return c
+    along = ball.radius_px / np.sqrt(1.0 + gx * gx + gy * gy)
+    moved = replace(c, x_px=float(np.median((x + along * gx)[inside])), y_px=float(np.median((y + along * gy)[inside])))
+    radial, _ = _radial(around, moved)
+    local = replace(moved, x_px=moved.x_px - float(x[0, 0]), y_px=moved.y_px - float(y[0, 0]))
+    radii, profile = ring_profile(radial, local, 1.7 * c.radius_px)
+    far = radii >= max(4.0, 0.4 * c.radius_px)
+    if not far.any():
+        return moved
+    return replace(moved, radius_px=min(float(radii[far][int(np.argmax(profile[far]))]), 0.95 * ball.radius_px))
+
+
+def _aligned(around: _Around, circle: Circle, ball: Ball) -> Circle:
+    """The circle whose ball leaves the slopes seen: two robust Gauss-Newton steps over centre and radius."""
+    c = circle
+    for _ in range(2):
+        now = _field(around, c, ball)
+        columns = [
+            (_field(around, replace(c, x_px=c.x_px + 1.0), ball) - now).ravel(),
+            (_field(around, replace(c, y_px=c.y_px + 1.0), ball) - now).ravel(),
+            (_field(around, replace(c, radius_px=c.radius_px + 1.0), ball) - now).ravel(),
+        ]
+        off = (np.stack([around.gx, around.gy]) - now).ravel()
+        near = np.hypot(around.x - c.x_px, around.y - c.y_px) < RINGS[-1] * c.radius_px
+        weight = np.tile(near.ravel(), 2) * np.minimum(1.0, 0.1 / np.maximum(np.abs(off), 1e-6))
+        jacobian = np.stack(columns, axis=1)
+        normal = jacobian.T @ (jacobian * weight[:, None])
+        step = np.linalg.solve(
+            normal + 1e-6 * np.trace(normal) * np.eye(3) + 1e-12 * np.eye(3), jacobian.T @ (weight * off)
+        )
+        step = np.clip(step, -3.0, 3.0)
+        radius = min(max(c.radius_px + float(step[2]), 0.6 * circle.radius_px, 3.0), 0.95 * ball.radius_px)
+        c = Circle(x_px=c.x_px + float(step[0]), y_px=c.y_px + float(step[1]), radius_px=radius)
+    return c
+
+
+def _field(around: _Around, circle: Circle, ball: Ball) -> Doubles:
+    """Slopes (2, rows, cols) that the ball leaves."""
+    dx, dy = around.x - circle.x_px, around.y - circle.y_px
+    r = np.maximum(np.hypot(dx, dy), 1e-6)
+    fall = ball.slope(r, circle.radius_px) / r
+    return np.stack([-dx * fall, -dy * fall])
+
+
+def common_profile(model: SlopeModel, presses: Sequence[Press], ball_px: float) -> Ball:
+    """The share of the sphere's slope that is seen at each ring, the median of all presses: the same to all sides."""
+    shares: list[Doubles] = []
+    for press in presses:
+        radial, distance = _radial(_around(model, press), press.circle)
+        r = np.minimum(distance, 0.95 * ball_px)
+        share = radial * np.sqrt(ball_px**2 - r * r) / r
+        ring = np.rint(distance / press.circle.radius_px / RINGS[1]).astype(np.intp)
+        shares.append(
+            np.array([np.median(share[ring == k]) if (ring == k).sum() >= 4 else np.nan for k in range(len(RINGS))])
+        )
+    table = np.array(shares)
+    known = np.isfinite(table).any(axis=0)
+    common = np.zeros(len(RINGS))
+    common[known] = np.nanmedian(table[:, known], axis=0)
+    return Ball(radius_px=ball_px, share=np.clip(common, 0.0, 1.0))

@@ -1,0 +1,91 @@
+"""Finding the contact circle of a ball in a picture of its press, without knowing anything but the colour change."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles, Floats, Mask
+
+_ABOVE_NOISE = 6.0  # times the median change of the picture: certainly touched
+_SHARE_OF_PEAK = 0.35
+_FEWEST_PX = 60  # of a patch that can be a ball
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Circle:
+    """A circle in the image."""
+
+    x_px: float
+    y_px: float
+    radius_px: float
+
+
+def contact_circle(change: Floats) -> Circle | None:
+    """The first guess from a colour change (rows, cols, 3): centre of the changed patch, radius of its steepest ring.
+
+    At the edge of a contact the slope is largest (Hertz), and so is the change of colour. None if nothing stands out.
+    """
+    import cv2
+
+    strength = np.linalg.norm(np.asarray(cv2.GaussianBlur(change, (0, 0), 2.0)), axis=2).astype(np.float32)
+    limit = max(_ABOVE_NOISE * float(np.median(strength)), _SHARE_OF_PEAK * float(np.percentile(strength, 99.8)))
+    patch = _largest_patch(strength > limit)
+    if patch is None:
+        return None
+    outline = _outline_circle(patch)
+    radii, profile = ring_profile(strength, outline, 1.3 * outline.radius_px)
+    # Next to the centre a ball's own brightness can outdo its rim: look from half of the patch outward.
+    outer = radii >= 0.4 * outline.radius_px
+    if not outer.any():
+        return None
+    return Circle(x_px=outline.x_px, y_px=outline.y_px, radius_px=float(radii[outer][int(np.argmax(profile[outer]))]))
+
+
+def ring_profile(values: Floats, circle: Circle, reach_px: float) -> tuple[Doubles, Doubles]:
+    """Median of `values` (rows, cols) on rings one pixel wide about the circle's centre: (radii, medians)."""
+    rows, cols = values.shape
+    dx, dy = np.arange(cols) - circle.x_px, np.arange(rows) - circle.y_px
+    distance = np.hypot(dx[None, :], dy[:, None])
+    near = distance < reach_px
+    ring = np.rint(distance[near]).astype(np.intp)
+    order = np.argsort(ring, kind="stable")
+    ordered, first = values[near][order], np.searchsorted(ring[order], np.arange(ring.max(initial=0) + 2))
+    pairs = [(r, np.median(ordered[a:b])) for r, (a, b) in enumerate(pairwise(first)) if b - a >= 4]
+    table = np.array(pairs, np.float64).reshape(-1, 2)
+    return table[:, 0], table[:, 1]
+
+
+def _largest_patch(mask: Mask) -> Mask | None:
+    import cv2
+    from scipy import ndimage
+
+    closed = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((9, 9), np.uint8))
+    filled = np.asarray(ndimage.binary_fill_holes(closed)).astype(np.uint8)
+    n, labels, stats, _ = cv2.connectedComponentsWithStats(filled, connectivity=8)
+    if n < 2:
+        return None
+    largest = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
+    return labels == largest if int(stats[largest, cv2.CC_STAT_AREA]) >= _FEWEST_PX else None
+
+
+def _outline_circle(patch: Mask) -> Circle:
+    """The circle through the patch's outline, image border left out, robust to dents (algebraic fit, reweighted)."""
+    rows, cols = patch.shape
+    padded = np.pad(patch, 1, "edge")
+    inner = patch & padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
+    y, x = np.nonzero(patch & ~inner)
+    if len(x) < 8:
+        y, x = np.nonzero(patch)
+    design = np.stack([2.0 * x, 2.0 * y, np.ones(len(x))], axis=1)
+    target, weight = (x * x + y * y).astype(np.float64), np.ones(len(x))
+    solution = np.zeros(3)
+    for _ in range(20):
+        solution = np.linalg.lstsq(design * weight[:, None], target * weight, rcond=None)[0]
+        radius = np.sqrt(max(solution[2] + solution[0] ** 2 + solution[1] ** 2, 1.0))
+        off = np.abs(np.hypot(x - solution[0], y - solution[1]) - radius)
+        weight = 1.0 / np.sqrt(np.maximum(off, 1.0))
+    radius = float(np.sqrt(max(solution[2] + solution[0] ** 2 + solution[1] ** 2, 1.0)))
+    return Circle(x_px=float(solution[0]), y_px=float(solution[1]), radius_px=min(radius, float(max(rows, cols))))

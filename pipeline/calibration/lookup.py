@@ -1,0 +1,240 @@
+"""The colour-to-slope look-up of one sensor: where it came from, how good it is, and its file."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.base.arrays import Doubles, Floats, Image, freeze
+from pipeline.base.errors import CalibrationError, FileProblem, ShapeError
+from pipeline.calibration import slope_model
+from pipeline.calibration.markers import inpainted, marker_mask
+from pipeline.calibration.slope_model import Samples, SlopeModel
+from pipeline.geometry.camera import Camera
+from pipeline.sensors.spec import Markers, Optics, SensorSpec
+
+SMOOTHING_PX = 1.0  # of the colour change, the same when the look-up is fitted and when it is used
+_VERSION = 1
+_KEPT = 16  # built-in look-ups
+_N_SLOPES = 96  # slope images that the built-in look-up is fitted to
+_N_PIXELS = 400  # pixels taken from each
+_STEEPEST = 1.2  # mm/mm: about 50 degrees, the rim of a deep ball press
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BallFit:
+    """What the calibration made of one press of the ball."""
+
+    index: int  # of the picture among those given
+    x_px: float  # centre
+    y_px: float
+    radius_px: float  # of the contact
+    residual: float  # rms slope error inside the contact, mm/mm; NaN = not used
+    used: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Calibration:
+    """What turns this sensor's colours into slopes."""
+
+    sensor: str
+    rows: int
+    cols: int
+    pixel_mm: float
+    model: SlopeModel
+    residual: float  # rms slope error of the samples it was fitted to, mm/mm
+    origin: str  # a sentence for the user
+    presses: tuple[BallFit, ...] = ()  # empty = from the sensor's optical description
+
+
+def slopes(
+    calibration: Calibration,
+    image: NDArray[Any],
+    reference: NDArray[Any],
+    *,
+    markers: Markers | None = None,
+    smoothing_px: float = SMOOTHING_PX,
+) -> tuple[Floats, Floats]:
+    """(gx, gy) of the indentation, mm/mm, x right and y down: (rows, cols) float32.
+
+    Raises ShapeError when the pictures differ from each other or from the calibration in size.
+    """
+    shape = (calibration.rows, calibration.cols)
+    if image.shape != (*shape, 3) or reference.shape != image.shape:
+        raise ShapeError(
+            f"image and reference must have the calibrated size {(*shape, 3)}, got {image.shape} and {reference.shape}"
+        )
+    change = relative_change(image, reference, calibration.pixel_mm, markers=markers, smoothing_px=smoothing_px)
+    u, v = slope_model.position(shape)
+    return slope_model.evaluate(calibration.model, change, u, v, np.ones(shape, np.bool_))
+
+
+def relative_change(
+    image: NDArray[Any],
+    reference: NDArray[Any],
+    pixel_mm: float,
+    *,
+    markers: Markers | None = None,
+    smoothing_px: float = SMOOTHING_PX,
+) -> Floats:
+    """The smoothed change of colour relative to the untouched brightness, q of `slope_model`; (rows, cols, 3).
+
+    Printed markers, where they are now and where they were, are filled in from around them.
+    """
+    import cv2
+
+    change = image.astype(np.float32) - reference.astype(np.float32)
+    bright = reference.astype(np.float32)
+    if markers is not None:
+        printed = marker_mask(reference, markers, pixel_mm)
+        reach = max(1.0, markers.radius_mm / pixel_mm / 2)
+        change = inpainted(change, printed | marker_mask(image, markers, pixel_mm), reach)
+        bright = inpainted(bright, printed, reach)
+    if smoothing_px > 0:
+        change = cv2.GaussianBlur(change, (0, 0), smoothing_px)
+    return np.asarray(change, np.float32) * slope_model.gain(bright)
+
+
+_built_in: dict[tuple[str, Camera, Optics], Calibration] = {}
+
+
+def built_in(sensor: SensorSpec) -> Calibration:
+    """The look-up that the sensor's optical description implies, made once per sensor.
+
+    The forward model is sampled over the whole image and all slopes up to 50 degrees, and inverted by regression.
+    Raises CalibrationError for a sensor without optics.
+    """
+    if sensor.optics is None:
+        raise CalibrationError(f"{sensor.name} has no optics to derive a look-up from; it measures depth itself")
+    key = (sensor.name, sensor.camera, sensor.optics)
+    made = _built_in.get(key)
+    if made is None:
+        if len(_built_in) >= _KEPT:  # simulated variations of a sensor are many
+            _built_in.pop(next(iter(_built_in)))
+        made = _built_in[key] = _inverted(sensor)
+    return made
+
+
+def _inverted(sensor: SensorSpec) -> Calibration:
+    from pipeline.physics import optics
+
+    rng = np.random.default_rng(0)
+    shape = sensor.camera.shape
+    plain = optics.untouched(_without_markers(sensor))
+    scale = slope_model.gain(plain)
+    u, v = slope_model.position(shape)
+    parts: list[tuple[Floats, ...]] = []
+    for index in range(_N_SLOPES):
+        steep = _STEEPEST * index / (_N_SLOPES - 1)
+        angle = rng.uniform(0.0, 2.0 * np.pi, shape).astype(np.float32)
+        gx, gy = steep * np.cos(angle), steep * np.sin(angle)
+        row, col = rng.integers(0, shape[0], _N_PIXELS), rng.integers(0, shape[1], _N_PIXELS)
+        seen = optics.colour_change(sensor, gx, gy)[row, col]
+        # Eight bits end somewhere: what the camera cannot record must not be expected here.
+        seen = np.clip(seen + plain[row, col], 0.0, 255.0) - plain[row, col]
+        parts.append((seen * scale[row, col], u[col], v[row], np.stack([gx[row, col], gy[row, col]], axis=-1)))
+    change, u_all, v_all, g = (np.concatenate(p).astype(np.float32) for p in zip(*parts, strict=True))
+    samples = Samples(change=change, u=u_all, v=v_all, slopes=g)
+    model = slope_model.fit(
+        samples, np.ones(len(g), np.float32), colour_degree=4, position_degree=2, ridge=1e-7, huber=0.1
+    )
+    rms = float(np.sqrt(np.mean((slope_model.predict(model, samples) - g) ** 2)))
+    return Calibration(
+        sensor=sensor.name, rows=shape[0], cols=shape[1], pixel_mm=sensor.pixel_mm, model=model, residual=rms,
+        origin="derived from the sensor's optical description",
+    )  # fmt: skip
+
+
+def _without_markers(sensor: SensorSpec) -> SensorSpec:
+    return sensor if sensor.markers is None else replace(sensor, markers=None)
+
+
+def save(calibration: Calibration, path: Path) -> None:
+    """Write the look-up as .npz, beside its place first, so that no half-written file is ever found there."""
+    path = path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
+    beside = path.with_name(f".{path.name}.part.npz")
+    model = calibration.model
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.savez_compressed(
+            beside, version=_VERSION, sensor=calibration.sensor, size=(calibration.rows, calibration.cols),
+            pixel_mm=calibration.pixel_mm, coefficients=model.coefficients, colour_degree=model.colour_degree,
+            position_degree=model.position_degree, slope_max=model.slope_max, residual=calibration.residual,
+            origin=calibration.origin, presses=_table_of(calibration.presses),
+        )  # fmt: skip
+        beside.replace(path)
+    except OSError as error:
+        beside.unlink(missing_ok=True)
+        raise FileProblem(f"cannot write the calibration ({error.strerror})", path) from error
+
+
+def load(path: Path) -> Calibration:
+    """Read a look-up back; raises FileProblem naming the field that is missing or damaged."""
+    try:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            fields = {name: file[name] for name in file.files}
+    except FileNotFoundError as error:
+        raise FileProblem("calibration file does not exist", path) from error
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, NotImplementedError) as error:
+        raise FileProblem("not a calibration file, or a damaged one; calibrate again", path) from error
+    try:
+        return _from_fields(fields)
+    except KeyError as error:
+        field = str(error.args[0])
+        raise FileProblem(f"the calibration lacks {field!r}; calibrate again", path, field=field) from error
+    except (CalibrationError, ValueError, TypeError) as error:
+        raise FileProblem(f"the calibration is damaged ({error}); calibrate again", path) from error
+
+
+def _from_fields(fields: dict[str, NDArray[Any]]) -> Calibration:
+    if int(cast("int", fields["version"])) != _VERSION:
+        raise CalibrationError(f"version {fields['version']} is not {_VERSION}")
+    colour_degree, position_degree = (int(cast("int", fields[k])) for k in ("colour_degree", "position_degree"))
+    if not (1 <= colour_degree <= 6 and 0 <= position_degree <= 6):
+        raise CalibrationError("its degrees are out of range")
+    table = np.ascontiguousarray(fields["coefficients"], np.float32)
+    side = position_degree + 1
+    if table.shape != (side, side, len(slope_model.powers(colour_degree)), 2) or not np.isfinite(table).all():
+        raise CalibrationError("its coefficients do not fit its degrees or are not finite")
+    numbers = {k: float(cast("float", fields[k])) for k in ("pixel_mm", "slope_max", "residual")}
+    if not all(np.isfinite(v) for v in numbers.values()) or min(numbers["pixel_mm"], numbers["slope_max"]) <= 0:
+        raise CalibrationError("pixel_mm and slope_max must be positive")
+    rows, cols = (int(cast("int", n)) for n in fields["size"])
+    return Calibration(
+        sensor=str(fields["sensor"]), rows=rows, cols=cols, pixel_mm=numbers["pixel_mm"],
+        model=SlopeModel(colour_degree=colour_degree, position_degree=position_degree, coefficients=freeze(table),
+                         slope_max=numbers["slope_max"]),
+        residual=numbers["residual"], origin=str(fields["origin"]), presses=_presses_of(fields["presses"]),
+    )  # fmt: skip
+
+
+def _table_of(presses: tuple[BallFit, ...]) -> Doubles:
+    rows = [(p.index, p.x_px, p.y_px, p.radius_px, p.residual, p.used) for p in presses]
+    return np.array(rows, np.float64).reshape(-1, 6)
+
+
+def _presses_of(table: NDArray[Any]) -> tuple[BallFit, ...]:
+    if table.ndim != 2 or table.shape[1] != 6:
+        raise CalibrationError(f"its table of presses has shape {table.shape}")
+    return tuple(
+        BallFit(index=int(i), x_px=float(x), y_px=float(y), radius_px=float(r), residual=float(e), used=bool(used))
+        for i, x, y, r, e, used in table
+    )
+
+
+def check_for(calibration: Calibration, sensor: str, image: Image) -> None:
+    """Raise CalibrationError unless the look-up was made for this sensor and image size."""
+    if calibration.sensor != sensor:
+        raise CalibrationError(
+            f"the calibration was made for {calibration.sensor!r}, the frame comes from {sensor!r}; calibrate that one"
+        )
+    if image.shape[:2] != (calibration.rows, calibration.cols):
+        raise CalibrationError(
+            f"the calibration was made for pictures of {calibration.rows} x {calibration.cols} pixels, "
+            f"the frame has {image.shape[0]} x {image.shape[1]}"
+        )

@@ -1,0 +1,160 @@
+"""From colour change to slope: one polynomial in the change and the place, without a constant term.
+
+Where the colour has not changed the slope is exactly zero, whatever the coefficients: an untouched gel stays flat.
+The change is taken relative to the untouched brightness, so that vignetting and fading light cancel to first order:
+
+    q = span * (image - reference) / (blurred reference + offset)                      per colour, offset, span in grey
+    slope = sum_ab  C_ab  monomial_a(q_r, q_g, q_b)  monomial_b(u, v),     degree of a in 1..m, degree of b in 0..n
+
+u and v run over the image from -1 to 1 along its longer axis. The length of the slope
+is cut at `slope_max`, beyond which nothing was seen.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.base.arrays import Doubles, Floats, Mask, freeze
+
+OFFSET_GREY = 15.0  # dark corners: keeps the division from blowing up camera noise
+_STIFFER = 4.0  # how much more each further degree is held back
+SPAN_GREY = 2.5  # brings q to the order of 1 for steep slopes, so that one ridge suits all monomials
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlopeModel:
+    """Coefficients of the polynomial, and how far it may be trusted."""
+
+    colour_degree: int
+    position_degree: int
+    coefficients: Floats  # (v powers, u powers, colour monomials, 2), zero where u + v exceed the degree
+    slope_max: float  # mm/mm
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Samples:
+    """Pixels whose slope is known."""
+
+    change: Floats  # (n, 3) q of the formula above
+    u: Floats  # (n,)
+    v: Floats  # (n,)
+    slopes: Floats  # (n, 2) mm/mm
+
+    def picked(self, which: NDArray[np.intp] | Mask) -> Samples:
+        """Some of the samples."""
+        return Samples(change=self.change[which], u=self.u[which], v=self.v[which], slopes=self.slopes[which])
+
+
+def position(shape: tuple[int, int]) -> tuple[Floats, Floats]:
+    """U of every column (cols,) and v of every row (rows,)."""
+    rows, cols = shape
+    half = max(rows, cols) / 2
+    u = (np.arange(cols) - (cols - 1) / 2) / half
+    v = (np.arange(rows) - (rows - 1) / 2) / half
+    return u.astype(np.float32), v.astype(np.float32)
+
+
+def powers(degree: int) -> NDArray[np.int64]:
+    """Exponents (m, 3) of red, green and blue in the order of the coefficients: degrees 1 to `degree`."""
+    n = range(degree + 1)
+    return np.array([(i, j, k) for i in n for j in n for k in n if 1 <= i + j + k <= degree], np.int64)
+
+
+def gain(reference: NDArray[np.generic]) -> Floats:
+    """What a change in grey levels is multiplied with to become q; (rows, cols, 3) from the untouched picture."""
+    import cv2
+
+    smooth = cv2.GaussianBlur(reference.astype(np.float32), (0, 0), 3.0)
+    return np.asarray(SPAN_GREY / (smooth + np.float32(OFFSET_GREY)), np.float32)
+
+
+def evaluate(model: SlopeModel, change: Floats, u: Floats, v: Floats, where: Mask) -> tuple[Floats, Floats]:
+    """(gx, gy) of an image of q (rows, cols, 3) at the columns `u` and rows `v`; zero outside `where`."""
+    from pipeline.calibration.slope_model_kernels import polynomial
+
+    gx, gy = np.zeros(where.shape, np.float32), np.zeros(where.shape, np.float32)
+    polynomial(
+        change,
+        u,
+        v,
+        where,
+        powers(model.colour_degree),
+        model.coefficients,
+        model.colour_degree,
+        np.float32(model.slope_max),
+        gx,
+        gy,
+    )
+    return gx, gy
+
+
+def features(samples: Samples, colour_degree: int, position_degree: int) -> Floats:
+    """The monomials (n, position x colour) of the formula, position slowest."""
+    q, e = samples.change, powers(colour_degree)
+    ladder = np.stack([q**k for k in range(colour_degree + 1)])  # (degree + 1, n, 3)
+    colour = ladder[e[:, 0], :, 0] * ladder[e[:, 1], :, 1] * ladder[e[:, 2], :, 2]  # (m, n)
+    place = np.stack([samples.u**i * samples.v**j for j, i in _place_powers(position_degree)])  # (p, n)
+    return np.ascontiguousarray((place[:, None, :] * colour[None, :, :]).reshape(-1, len(q)).T, np.float32)
+
+
+def fit(
+    samples: Samples, weights: Floats, *, colour_degree: int, position_degree: int, ridge: float, huber: float = 0.05
+) -> SlopeModel:
+    """The polynomial nearest to the samples: ridge regression in closed form, three rounds of Huber weights.
+
+    `ridge` is relative to the mean square of each monomial, and grows with its degree; `huber` is the residual in mm/mm
+    from which a sample's pull no longer grows.
+    """
+    from threadpoolctl import threadpool_limits
+
+    f = features(samples, colour_degree, position_degree)
+    target = samples.slopes
+    solution: Doubles = np.zeros((f.shape[1], 2))
+    w = weights
+    place = np.array([j + i for j, i in _place_powers(position_degree)])
+    stiffer = (_STIFFER ** (place[:, None] + powers(colour_degree).sum(axis=1)[None, :] - 1.0)).ravel()
+    # Several threads add up in another order: one gives the same bytes everywhere, in the same time.
+    with threadpool_limits(limits=1, user_api="blas"):
+        for _ in range(3):
+            weighted = f * w[:, None]
+            normal = (weighted.T @ f).astype(np.float64)
+            diagonal = np.diag(normal)
+            least = 1e-9 * max(float(diagonal.max()), 1e-12)
+            normal[np.diag_indices_from(normal)] += ridge * stiffer * diagonal + least
+            solution = np.asarray(np.linalg.solve(normal, (weighted.T @ target).astype(np.float64)), np.float64)
+            residual = np.linalg.norm(f @ solution.astype(np.float32) - target, axis=1)
+            w = weights * np.minimum(1.0, huber / np.maximum(residual, 1e-6)).astype(np.float32)
+    table = np.zeros((position_degree + 1, position_degree + 1, len(powers(colour_degree)), 2), np.float32)
+    blocks = solution.reshape(-1, table.shape[2], 2)
+    for block, (j, i) in zip(blocks, _place_powers(position_degree), strict=True):
+        table[j, i] = block
+    steepest = float(np.linalg.norm(samples.slopes, axis=1).max(initial=0.0))
+    return SlopeModel(
+        colour_degree=colour_degree,
+        position_degree=position_degree,
+        coefficients=freeze(table),
+        slope_max=max(1.2 * steepest, 1e-3),
+    )
+
+
+def predict(model: SlopeModel, samples: Samples) -> Floats:
+    """Slopes (n, 2) that the polynomial gives the samples."""
+    f = features(samples, model.colour_degree, model.position_degree)
+    place = _place_powers(model.position_degree)
+    flat = np.stack([model.coefficients[j, i] for j, i in place]).reshape(-1, 2)
+    g = f @ flat
+    length = np.linalg.norm(g, axis=1, keepdims=True)
+    return np.asarray(g * np.minimum(1.0, model.slope_max / np.maximum(length, 1e-9)), np.float32)
+
+
+def n_terms(colour_degree: int, position_degree: int) -> int:
+    """How many coefficients each slope has."""
+    return (math.comb(colour_degree + 3, 3) - 1) * math.comb(position_degree + 2, 2)
+
+
+def _place_powers(degree: int) -> list[tuple[int, int]]:
+    return [(j, i) for j in range(degree + 1) for i in range(degree + 1 - j)]

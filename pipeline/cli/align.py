@@ -1,0 +1,185 @@
+"""`tactoscope align score` and `align refine`: how two sensors stand to each other, judged and mended."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+from rich.table import Table
+
+from pipeline.alignment.felt import felt
+from pipeline.alignment.refine import Fit, Refinement, refine
+from pipeline.alignment.score import Score, scores, typical
+from pipeline.alignment.sensitivity import UNIT_STEP, Change, Sensitivity, sensitivities
+from pipeline.alignment.touches import PairedTouch, paired_touches
+from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.cli.translate import print_line
+from pipeline.sensors.alignment import Side
+from pipeline.sensors.alignment_files import SUFFIX, AlignmentFile, save
+from pipeline.translation.translate import Request, Translation, open_translation
+
+
+class _Bar:
+    """A pipeline's progress on the terminal."""
+
+    def __init__(self, bar: Progress) -> None:
+        self._bar, self._task = bar, bar.add_task("", total=1.0)
+
+    def step(self, fraction: float, text: str) -> None:
+        """Show how far it is."""
+        self._bar.update(self._task, completed=fraction, description=text)
+
+
+def show_scores(request: Request, frames: str, exact: bool) -> int:
+    """Print how well every frame agrees under the alignment, and which axis matters; returns 0."""
+    translation = open_translation(request)
+    try:
+        with _bar() as bar:
+            touches = _touches(translation, frames, exact, _Bar(bar))
+            sides = [felt(t.target, translation.target) for t in touches]
+            found = scores(touches, sides, translation.alignment, progress=_Bar(bar))
+            most = int(np.argmax([s.overlap_px for s in found]))
+            axes = sensitivities(touches[most], translation.alignment, sides[most], progress=_Bar(bar))
+    finally:
+        translation.recording.close()
+    _print_scores(touches, found)
+    _print_axes(axes, touches[most].index)
+    return 0
+
+
+def refine_alignment(
+    request: Request, out: Path, frames: str, *, hold_out: float, into: Side, tolerance: float, exact: bool
+) -> int:
+    """Refine over all touches but those held out, print before and after, and write `out`; returns 0.
+
+    Raises FileProblem when `out` exists, SettingProblem for a share to hold out that leaves nothing.
+    """
+    if out.suffix != SUFFIX:
+        raise FileProblem("an alignment is written as TOML; give --out a name that ends in .toml", out)
+    if out.exists():
+        raise FileProblem("this alignment exists already and is kept; choose another --out", out)
+    if not 0.0 <= hold_out < 1.0:
+        raise SettingProblem(f"--hold-out is a share of the frames, at least 0 and below 1, got {hold_out:g}")
+    translation = open_translation(request)
+    try:
+        with _bar() as bar:
+            touches = _touches(translation, frames, exact, _Bar(bar))
+            used, held = split(touches, hold_out)
+            answer = refine(
+                used, translation.alignment, held_out=held, into=into, tolerance=tolerance, progress=_Bar(bar)
+            )
+    finally:
+        translation.recording.close()
+    _print_refinement(answer)
+    kept = AlignmentFile(
+        alignment=answer.alignment,
+        source=translation.source.name,
+        target=translation.target.name,
+        origin=f"refined on {len(used)} touches of {request.recording.name}, change stored in {into}",
+    )
+    save(out, kept)
+    print_line(f"alignment written to {os.fspath(out)}")
+    return 0
+
+
+def split(touches: Sequence[PairedTouch], hold_out: float) -> tuple[list[PairedTouch], list[PairedTouch]]:
+    """The touches to use and those held out, evenly spread; at least one is used."""
+    n = min(round(hold_out * len(touches)), len(touches) - 1)
+    out = {int((k + 0.5) * len(touches) / n) for k in range(n)} if n > 0 else set[int]()
+    return [t for k, t in enumerate(touches) if k not in out], [t for k, t in enumerate(touches) if k in out]
+
+
+def frames_of(listed: str, n_frames: int) -> list[int]:
+    """Frame numbers of a text such as `0,3-7`; all of them if it is empty. Raises SettingProblem."""
+    if not listed.strip():
+        return list(range(n_frames))
+    chosen: list[int] = []
+    for part in listed.split(","):
+        first, dash, last = part.strip().partition("-")
+        if not first.isdigit() or (dash and not last.isdigit()):
+            raise SettingProblem(f"frames are given as numbers and ranges such as 0,3-7, got {listed!r}")
+        chosen += range(int(first), int(last if dash else first) + 1)
+    missing = [index for index in chosen if index >= n_frames]
+    if missing:
+        raise SettingProblem(f"no frame {missing[0]}; the recording has frames 0 to {n_frames - 1}")
+    return sorted(set(chosen))
+
+
+def _touches(translation: Translation, frames: str, exact: bool, progress: _Bar) -> tuple[PairedTouch, ...]:
+    chosen = frames_of(frames, translation.n_frames)
+    touches = paired_touches(translation, chosen, exact=exact, progress=progress)
+    if not touches:
+        pair = f"{translation.source.name} and {translation.target.name}"
+        raise SettingProblem(
+            f"none of the {len(chosen)} frames is felt by both {pair}; choose frames with contact on either side"
+        )
+    return touches
+
+
+def _bar() -> Progress:
+    return Progress(TextColumn("{task.description}"), BarColumn(), console=Console(stderr=True), transient=True)
+
+
+def _print_scores(touches: Sequence[PairedTouch], found: Sequence[Score]) -> None:
+    table = Table("frame", "mask IoU", "edge px", "depth mm", "depth rms mm", "too far by mm")
+    rows = [(str(t.index), s) for t, s in zip(touches, found, strict=True)]
+    middle = typical(found)
+    if middle is not None and len(found) > 1:
+        rows.append(("median", middle))
+    for name, s in rows:
+        table.add_row(
+            name,
+            f"{s.iou:.3f}",
+            _told(s.edge_px, 2),
+            _told(s.depth_mm, 3),
+            _told(s.depth_rms_mm, 3),
+            _told(s.bias_mm, 3),
+        )
+    Console().print(table)
+
+
+def _print_axes(axes: Sequence[Sensitivity], frame: int) -> None:
+    table = Table(
+        "axis", "mask IoU", "edge px", "depth rms mm", title=f"change per {UNIT_STEP:g} mm or deg, frame {frame}"
+    )
+    for one in axes:
+        cells = (_change(one.iou, 4), _change(one.edge_px, 3), _change(one.depth_mm, 4))
+        table.add_row(f"{one.axis} ({one.unit})", *cells)
+    Console().print(table)
+    print_line("size of the change to either side, and in brackets the slope along the axis")
+
+
+def _print_refinement(answer: Refinement) -> None:
+    table = Table("touches", "n", "surface mm", "outline mm", "compared")
+    parts: list[tuple[str, tuple[Fit, Fit] | None]] = [("used", answer.used), ("held out", answer.held_out)]
+    for name, pair in parts:
+        for when, f in zip(("before", "after"), pair or (), strict=False):
+            table.add_row(
+                f"{name}, {when}", str(f.n_touches), f"{f.surface_mm:.3f}", f"{f.outline_mm:.3f}", f"{f.met:.0%}"
+            )
+    Console().print(table)
+    turn, shift = answer.spread[:3], answer.spread[3:]
+    moved = answer.motion[:3, :3] @ answer.pivot_mm + answer.motion[:3, 3] - answer.pivot_mm
+    print_line(f"moved the contact by {_triple(moved)} mm; predicted spread {_triple(shift)} mm, {_triple(turn)} deg")
+    for words in answer.weak:
+        print_line(f"not observable: {words}; left as it was")
+    if answer.weak:
+        print_line("a larger --tolerance lets less certain directions move too")
+    for note in answer.notes:
+        print_line(f"note: {note}")
+
+
+def _told(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def _change(change: Change, digits: int) -> str:
+    return f"{_told(change.size, digits)} ({_told(change.slope, digits)})"
+
+
+def _triple(values: np.ndarray) -> str:
+    return "(" + ", ".join(f"{v:.3f}" for v in values) + ")"

@@ -1,0 +1,89 @@
+"""`tactoscope bench`: run time against error, ours and peers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pipeline.base.files import write_json
+from pipeline.cli.translate import print_line
+from pipeline.racing.machine import THREAD_SETTINGS, machine, machine_line
+from pipeline.racing.plot import plot
+from pipeline.racing.questions import Answered, ask, chosen, questions
+from pipeline.racing.report import text
+
+
+def list_questions() -> int:
+    """Print every question and what it needs."""
+    known = questions()
+    width = max((len(question.name) for question in known), default=0)
+    for question in known:
+        needs = f" (by name only: needs {question.needs})" if question.needs else ""
+        print_line(f"{question.name:<{width}}  {question.about}{needs}")
+    return 0
+
+
+def bench(names: Sequence[str], json_file: Path | None, plots: Path | None, *, strict: bool) -> int:
+    """Ask the questions in turn and print, write and draw each answer as it comes.
+
+    Returns 0; with `strict` 1 if a bar does not hold or a question has no answer. Raises SettingProblem for an unknown
+    name and FileProblem where the questions are not there or a result cannot be written.
+    """
+    asked = chosen(names)
+    about = machine(THREAD_SETTINGS)
+    print_line(machine_line(about))
+    done: list[Answered] = []
+    for question in asked:
+        print_line(f"\n{question.name}")
+        done.append(ask(question))
+        _tell(done[-1], plots)
+        if json_file is not None:
+            write_json(json_file, as_json(about, done))
+    missed = _missed(done)
+    print_line("\n" + (f"{len(missed)} missed: {'; '.join(missed)}" if missed else "every bar holds"))
+    return 1 if strict and missed else 0
+
+
+def as_json(about: dict[str, Any], done: Sequence[Answered]) -> dict[str, Any]:
+    """The machine, one row per claim, and what each question said beside its rows."""
+    return {
+        "machine": about,
+        "rows": [row.as_json() for each in done if each.answer for row in each.answer.rows],
+        "questions": [_question_json(each) for each in done],
+    }
+
+
+def _question_json(each: Answered) -> dict[str, Any]:
+    answer = each.answer
+    return {
+        "name": each.question.name,
+        "title": answer.title if answer else each.question.about,
+        "n_rows": len(answer.rows) if answer else 0,
+        "unit": answer.unit if answer else "",
+        "points": [{"method": p.method, "ms": p.ms, "error": p.error, "ours": p.ours} for p in answer.points]
+        if answer
+        else [],
+        "notes": answer.notes if answer else (),
+        "problem": each.problem or None,
+        "seconds": round(each.seconds, 1),
+    }
+
+
+def _tell(each: Answered, plots: Path | None) -> None:
+    if each.answer is None:
+        print_line(f"  no answer: {each.problem}")
+        return
+    print_line(text(each.answer))
+    if plots is not None and plot(each.answer, plots / f"{each.question.name}.png"):
+        print_line(f"  drawn as {plots / each.question.name}.png")
+
+
+def _missed(done: Sequence[Answered]) -> list[str]:
+    missed: list[str] = []
+    for each in done:
+        if each.answer is None:
+            missed.append(f"{each.question.name} (no answer)")
+        else:
+            missed += [f"{row.question} ({row.bar})" for row in each.answer.rows if not row.holds]
+    return missed

@@ -1,0 +1,84 @@
+"""`tactoscope calibrate balls`: presses of a ball become a look-up, with its residuals said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn
+from rich.table import Table
+
+from pipeline.base.arrays import Image
+from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.calibration.balls import calibrate_balls
+from pipeline.calibration.lookup import Calibration, save
+from pipeline.cli.translate import print_line
+from pipeline.recordings import open_recording
+from pipeline.sensors.spec import SensorSpec
+from pipeline.sensors.spec import sensor as sensor_named
+
+
+class _Bar:
+    """Shows a progress as a bar on the terminal."""
+
+    def __init__(self, bar: Progress) -> None:
+        self._bar, self._task = bar, bar.add_task("reading presses", total=1.0)
+
+    def step(self, fraction: float, text: str) -> None:
+        """Move the bar; Ctrl-C cancels."""
+        self._bar.update(self._task, completed=fraction, description=text or "fitting")
+
+
+def calibrate_balls_command(
+    presses: Path,
+    sensor: str,
+    diameter_mm: float,
+    reference: Path,
+    out: Path,
+    pixel_mm: float | None,
+    pattern: str,
+    seed: int,
+) -> int:
+    """Fit, save and report; raises TouchError for what is wrong with the presses."""
+    if not diameter_mm > 0:
+        raise SettingProblem(f"--diameter-mm must be positive, got {diameter_mm:g}")
+    if pixel_mm is not None and not pixel_mm > 0:
+        raise SettingProblem(f"--pixel-mm must be positive, got {pixel_mm:g}")
+    spec = sensor_named(sensor)
+    images, untouched = _pictures(presses, spec, reference, pattern)
+    console = Console(stderr=True)
+    with Progress(TextColumn("{task.description}"), BarColumn(), console=console, transient=True) as bar:
+        fitted = calibrate_balls(images, untouched, spec, diameter_mm, pixel_mm=pixel_mm, progress=_Bar(bar), seed=seed)
+    save(fitted, out)
+    _report(fitted)
+    print_line(f"look-up written to {out}; use it with --calibration")
+    return 0
+
+
+def _pictures(folder: Path, spec: SensorSpec, reference: Path, pattern: str) -> tuple[list[Image], Image]:
+    recording = open_recording(folder, sensor=spec.name, reference=reference)
+    stream = recording.stream()
+    frames = [stream.frame(i) for i in range(stream.n_frames)]
+    frames = [f for f in frames if Path(f.origin).match(pattern)]
+    if not frames:
+        raise FileProblem(f"no picture matches {pattern!r}", folder)
+    untouched = frames[0].reference
+    if untouched is None or untouched.ndim != 3:
+        raise FileProblem("the reference must be a colour picture of the untouched sensor", reference)
+    return [cast("Image", f.image) for f in frames], cast("Image", untouched)
+
+
+def _report(fitted: Calibration) -> None:
+    used = [p for p in fitted.presses if p.used]
+    table = Table("press", "centre (px)", "contact radius (px)", "slope residual (mm/mm)")
+    for p in fitted.presses:
+        residual = f"{p.residual:.3f}" if p.used else "not used"
+        table.add_row(str(p.index), f"{p.x_px:.1f}, {p.y_px:.1f}", f"{p.radius_px:.1f}", residual)
+    Console().print(table)
+    median = float(np.median([p.residual for p in used])) if used else float("nan")
+    print_line(
+        f"{len(used)} of {len(fitted.presses)} presses used; slope residual {fitted.residual:.3f} mm/mm over all, "
+        f"median press {median:.3f}; a pixel is {fitted.pixel_mm:.4f} mm"
+    )

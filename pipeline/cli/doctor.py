@@ -1,0 +1,110 @@
+"""`tactoscope doctor`: is everything here that is needed?"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+import shutil
+import sys
+from collections.abc import Iterator
+from ctypes.util import find_library
+from pathlib import Path
+
+from pipeline.base.errors import TouchError
+from pipeline.cli.translate import print_line
+from pipeline.recordings import open_recording
+from pipeline.sensors.spec import names, sensor
+
+_PACKAGES = (
+    "numpy",
+    "scipy",
+    "numba",
+    "opencv-contrib-python-headless",
+    "open3d",
+    "torch",
+    "h5py",
+    "PyQt6",
+    "pyvista",
+    "vtk",
+    "pyqtgraph",
+)
+_LIBRARIES = {
+    "GL": "libgl1",
+    "EGL": "libegl1",
+    "xcb-cursor": "libxcb-cursor0",
+    "xcb-icccm": "libxcb-icccm4",
+    "usb-1.0": "libusb-1.0-0",
+}
+_SAMPLES = Path(__file__).parents[2] / "sample_data" / "recordings"
+
+
+def examine() -> int:
+    """Print one line per finding; returns 1 if something needed is missing."""
+    bad = 0
+    for good, line in (*_machine(), *_packages(), *_system_libraries(), *_display(), *_project()):
+        bad += not good
+        print_line(f"{'ok     ' if good else 'MISSING'}  {line}")
+    print_line("everything needed is here" if not bad else f"{bad} things are missing; each line says what to do")
+    return 1 if bad else 0
+
+
+def _machine() -> Iterator[tuple[bool, str]]:
+    good = sys.version_info >= (3, 11)
+    yield (
+        good,
+        f"Python {platform.python_version()} on {platform.platform()}" + ("" if good else "; 3.11 or newer is needed"),
+    )
+    yield True, f"{os.cpu_count()} cores"
+
+
+def _packages() -> Iterator[tuple[bool, str]]:
+    for name in _PACKAGES:
+        try:
+            yield True, f"{name} {importlib.metadata.version(name)}"
+        except importlib.metadata.PackageNotFoundError:
+            yield False, f"{name}; run 'make setup'"
+
+
+def _system_libraries() -> Iterator[tuple[bool, str]]:
+    if not sys.platform.startswith("linux"):
+        return
+    for library, package in _LIBRARIES.items():
+        found = find_library(library)
+        yield found is not None, f"lib{library}" + ("" if found else f"; run 'apt-get install {package}'")
+
+
+def _display() -> Iterator[tuple[bool, str]]:
+    if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or not sys.platform.startswith("linux"):
+        yield True, "a display"
+        return
+    virtual = shutil.which("xvfb-run")
+    yield (
+        virtual is not None,
+        "no display; a virtual screen is used" if virtual else "a display; run 'apt-get install xvfb xauth'",
+    )
+
+
+def _project() -> Iterator[tuple[bool, str]]:
+    for name in names():
+        try:
+            spec = sensor(name)
+            yield (
+                True,
+                f"sensor {name}: {spec.camera.cols} x {spec.camera.rows} px, {len(spec.assumed)} numbers assumed",
+            )
+        except TouchError as error:
+            yield False, str(error)
+    samples = sorted(_SAMPLES.glob("*.h5"))
+    if not samples:
+        yield False, "the sample recordings; clone the project again"
+    for path in samples:
+        try:
+            recording = open_recording(path)
+            yield (
+                True,
+                f"sample {path.name}: " + ", ".join(f"{s.n_frames} frames of {s.sensor}" for s in recording.streams),
+            )
+            recording.close()
+        except TouchError as error:
+            yield False, str(error)

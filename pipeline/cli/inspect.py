@@ -1,0 +1,16 @@
+"""`tactoscope inspect`: what a recording is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pipeline.cli.translate import print_line
+from pipeline.inspection.recording import inspect, lines
+
+
+def show(recording: Path, sensor: str, reference: Path | None) -> int:
+    """Print the report; returns 0 if every check passed or could not be made, 1 if one failed."""
+    report = inspect(recording, sensor=sensor, reference=reference)
+    for line in lines(report):
+        print_line(line)
+    return 1 if any(check.state == "fail" for check in report.checks) else 0

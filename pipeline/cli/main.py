@@ -1,0 +1,179 @@
+"""The headless commands. Each one's work is imported when it is called, so that `--help` answers at once."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import App, CycloptsError, Parameter
+
+from pipeline.base.errors import TouchError
+from pipeline.cli import align_options as cli_align
+from pipeline.cli import data_options as cli_data
+
+EXIT_USER_ERROR = 2
+EXIT_INTERRUPTED = 130
+
+
+def build(name: str = "tactoscope") -> App:
+    """The command line with all headless commands."""
+    app = App(
+        name=name,
+        help="See one tactile sensor's touch become another's.",
+        version_flags=["--version"],
+        suppress_keyboard_interrupt=False,  # `run` says what an interruption leaves behind
+    )
+    app.version = "0.1.0"
+    app.command(inspect)
+    app.command(translate)
+    app.command(cli_data.simulate)
+    app.command(doctor)
+    app.command(bench)
+    calibrate = App(name="calibrate", help="Build a sensor's colour-to-slope look-up from presses of a known object.")
+    calibrate.command(cli_data.balls)
+    app.command(calibrate)
+    align = App(name="align", help="Judge and refine how two sensors stand to each other.")
+    align.command(cli_align.score)
+    align.command(cli_align.refine)
+    app.command(align)
+    return app
+
+
+def main() -> None:
+    """Entry of `python -m pipeline`."""
+    sys.exit(run(build("python -m pipeline")))
+
+
+def run(app: App, tokens: list[str] | None = None) -> int:
+    """Run one command line; a user's mistake is one sentence on stderr and exit code 2, never a traceback."""
+    try:
+        code = app(tokens, exit_on_error=False, print_error=True, result_action="return_value")
+    except CycloptsError:
+        return EXIT_USER_ERROR
+    except TouchError as error:
+        sys.stderr.write(f"tactoscope: {error}\n")
+        return EXIT_USER_ERROR
+    except KeyboardInterrupt:
+        sys.stderr.write("\ntactoscope: interrupted; finished frames are whole\n")
+        return EXIT_INTERRUPTED
+    return code if isinstance(code, int) else 0
+
+
+def inspect(recording: Path, *, sensor: str = "", reference: Path | None = None) -> int:
+    """Say what a recording is: format, frames, sensor, truth, and whether its units and frames make sense.
+
+    Parameters
+    ----------
+    recording
+        File or folder of any known format.
+    sensor
+        The sensor that made it, where the file does not say.
+    reference
+        Image of the untouched sensor, where the recording holds none.
+    """
+    from pipeline.cli.inspect import show
+
+    return show(recording, sensor, reference)
+
+
+def translate(
+    recording: Path,
+    *,
+    target: str,
+    out: Path,
+    sensor: str = "",
+    stream: str = "",
+    reference: Path | None = None,
+    calibration: Path | None = None,
+    route: str = "t2d2",
+    frame: int | None = None,
+    all_frames: Annotated[bool, Parameter(name="--all", negative="")] = False,
+    follow: Annotated[bool, Parameter(negative="")] = False,
+    mesh: Path | None = None,
+    mesh_unit: Literal["auto", "mm", "cm", "m"] = "auto",
+    alignment: Path | None = None,
+    depth_unit: Literal["auto", "mm", "m", "0.1mm", "um"] = "auto",
+    settings: Annotated[tuple[str, ...], Parameter(name="--set")] = (),
+) -> int:
+    """Turn touches of one sensor into what another would have felt, and write every stage.
+
+    Parameters
+    ----------
+    recording
+        File or folder of any known format.
+    target
+        Sensor to translate to.
+    out
+        Folder for `frame_NNNN/stages.npz`, `frame_NNNN/sheet.png` and `report.json`.
+    sensor
+        The sensor that made the recording, where the file does not say; also chooses one of several streams.
+    stream
+        Name of the stream, where one sensor has several.
+    reference
+        Image of the untouched sensor, where the recording holds none.
+    calibration
+        Look-up made by `tactoscope calibrate balls`; the sensor's built-in one otherwise.
+    route
+        Way through the stages.
+    frame
+        The one frame to translate; the first one that touches if neither this nor --all is given.
+    all_frames
+        Translate every frame.
+    follow
+        With --all, begin each pose where the touch before ended: several times as quick, for moving sequences.
+    mesh
+        The touched object's mesh, for its pose.
+    mesh_unit
+        Unit of that mesh.
+    alignment
+        How the two sensors stand to each other, a .toml as `tactoscope align refine` writes it.
+    depth_unit
+        Unit of a depth array whose name does not tell.
+    settings
+        `stage.parameter=value`, as often as needed.
+    """
+    from pipeline.cli.translate import translate_frames
+    from pipeline.translation.translate import Request
+
+    request = Request(
+        recording=recording, target=target, source=sensor, stream=stream, route=route,
+        reference=reference, calibration=calibration, mesh=mesh, mesh_unit=mesh_unit,
+        depth_unit=depth_unit, alignment=alignment,
+    )  # fmt: skip
+    return translate_frames(request, out, frame, all_frames, settings, follow=follow)
+
+
+def doctor() -> int:
+    """Check that this machine has all that Tactoscope needs, and say what to do where it has not."""
+    from pipeline.cli.doctor import examine
+
+    return examine()
+
+
+def bench(
+    *names: str,
+    json: Path | None = None,
+    plots: Path | None = None,
+    strict: Annotated[bool, Parameter(negative="")] = False,
+    list_questions: Annotated[bool, Parameter(name="--list", negative="")] = False,
+) -> int:
+    """Race our stages against what one can install: run time against error, on this machine.
+
+    Parameters
+    ----------
+    names
+        Questions to answer; all that need neither recorded data nor a display if none is given.
+    json
+        File for the results, one row per claim.
+    plots
+        Folder for a picture of run time against error for each question.
+    strict
+        Exit with 1 if a bar does not hold or a question has no answer.
+    list_questions
+        Only list the questions.
+    """
+    from pipeline.cli.bench import bench as ask
+    from pipeline.cli.bench import list_questions as show
+
+    return show() if list_questions else ask(names, json, plots, strict=strict)

@@ -1,0 +1,72 @@
+"""`tactoscope simulate`: recordings from physics, one per object, resumable."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+
+from pipeline.base.errors import FileProblem
+from pipeline.base.progress import Cancelled
+from pipeline.cli.translate import print_line
+from pipeline.simulation import datasets, recorder
+from pipeline.simulation.datasets import Plan
+
+
+class _Bar:
+    """Shows finished moments on the terminal; stops the work between two moments once asked to."""
+
+    def __init__(self, bar: Progress, task: TaskID) -> None:
+        self._bar, self._task, self._stop = bar, task, False
+
+    def stop(self, *_signal: object) -> None:
+        """Ask the work to stop."""
+        self._stop = True
+        self._bar.update(self._task, description="stopping")
+
+    def step(self, fraction: float, text: str) -> None:  # noqa: ARG002 - the bar counts moments of all objects
+        """One more moment is whole on its way to disk."""
+        self._bar.update(self._task, advance=1, description=text)
+        if self._stop:
+            raise Cancelled
+
+
+def simulate_recordings(tools: tuple[str, ...], like: Plan, out: Path, jobs: int) -> int:
+    """Simulate and write what is missing at `out`; on Ctrl-C raises KeyboardInterrupt with finished moments kept."""
+    plans = datasets.plans(tools, like)
+    files = [recorder.file_of(plan, out, len(plans)) for plan in plans]
+    had = [recorder.finished(plan, path) for plan, path in zip(plans, files, strict=True)]
+    total = sum(plan.poses for plan in plans)
+    if sum(had) == total:
+        raise FileProblem("all of this is simulated already and is kept; choose another --out or --seed", out)
+    left = total - sum(had)
+    pool = recorder.workers(jobs)  # checks the number; starts no process before there is work
+    unsolved = 0
+    with pool, _bar(total, sum(had)) as bar:
+        try:
+            for plan, path in zip(plans, files, strict=True):
+                shared = pool if jobs > 1 and left >= recorder.WORTH_A_POOL else None
+                unsolved += recorder.record(plan, path, pool=shared, progress=bar).n_unsolved
+        except Cancelled:
+            raise KeyboardInterrupt from None
+    print_line(f"{total} moments of {len(plans)} objects for {', '.join(like.sensors)} in {os.fspath(out)}")
+    if unsolved:
+        print_line(f"{unsolved} readings did not converge; they are kept without a truth")
+    return 0
+
+
+@contextmanager
+def _bar(total: int, had: int) -> Generator[_Bar, None, None]:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as shown:
+        bar = _Bar(shown, shown.add_task("simulating", total=total, completed=had))
+        before = signal.signal(signal.SIGINT, bar.stop)
+        try:
+            yield bar
+        finally:
+            signal.signal(signal.SIGINT, before)

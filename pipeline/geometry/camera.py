@@ -1,0 +1,107 @@
+"""The pinhole camera: x right, y down, z out along the optical axis (OpenCV).
+
+Pixel centres are at integer coordinates: pixel (row, col) is the point (x_px=col, y_px=row).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pipeline.base.arrays import Doubles, Mask
+from pipeline.base.errors import CalibrationError
+
+MIN_DEPTH_MM = 1e-3  # nearer than a micrometre to the lens plane nothing has an image
+_SHORTEST_PX, _FARTHEST_PX = (
+    1e-3,
+    1e9,
+)  # of focal lengths, and of them and the principal point: float32 holds what follows
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Camera:
+    """Intrinsics K of an image of `rows` x `cols` pixels; no lens distortion (files are rectified where read)."""
+
+    rows: int
+    cols: int
+    fx_px: float
+    fy_px: float
+    cx_px: float
+    cy_px: float
+
+    def __post_init__(self) -> None:
+        """Refuse intrinsics that have no inverse."""
+        values = (self.fx_px, self.fy_px, self.cx_px, self.cy_px)
+        if not all(map(math.isfinite, values)):
+            raise CalibrationError(f"camera intrinsics must be finite, got {values}")
+        if not (self.fx_px > 0 and self.fy_px > 0):
+            raise CalibrationError(
+                f"the camera matrix is singular: focal lengths {self.fx_px:g} and {self.fy_px:g} px must be positive"
+            )
+        if not (min(values[:2]) >= _SHORTEST_PX and max(map(abs, values)) <= _FARTHEST_PX):
+            raise CalibrationError(
+                f"camera intrinsics of {values} px cannot be right; check their unit and that the file is whole"
+            )
+        if self.rows < 1 or self.cols < 1:
+            raise CalibrationError(f"a camera image needs at least one pixel, got {self.rows} x {self.cols}")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, cols)."""
+        return self.rows, self.cols
+
+    @property
+    def matrix(self) -> Doubles:
+        """K (3, 3)."""
+        return np.array([[self.fx_px, 0.0, self.cx_px], [0.0, self.fy_px, self.cy_px], [0.0, 0.0, 1.0]])
+
+    def rays(self) -> tuple[Doubles, Doubles]:
+        """x/z of every column (cols,) and y/z of every row (rows,): K^-1 (u, v, 1) without a matrix inverse."""
+        x = (np.arange(self.cols, dtype=np.float64) - self.cx_px) / self.fx_px
+        y = (np.arange(self.rows, dtype=np.float64) - self.cy_px) / self.fy_px
+        return x, y
+
+    def back_project(self, depth_mm: NDArray[np.floating]) -> Doubles:
+        """Points (rows, cols, 3) in the sensor frame of a depth image; NaN stays NaN."""
+        x, y = self.rays()
+        z = np.asarray(depth_mm, dtype=np.float64)
+        return np.stack([z * x[None, :], z * y[:, None], z], axis=-1)
+
+    def project(self, points_mm: ArrayLike) -> tuple[Doubles, Doubles, Mask]:
+        """(x_px, y_px, visible) of points (n, 3); what is behind the lens or outside the image is not visible."""
+        p = np.asarray(points_mm, dtype=np.float64)
+        in_front = p[..., 2] > MIN_DEPTH_MM
+        z = np.where(in_front, p[..., 2], 1.0)
+        x_px = self.fx_px * p[..., 0] / z + self.cx_px
+        y_px = self.fy_px * p[..., 1] / z + self.cy_px
+        inside = (x_px >= -0.5) & (x_px < self.cols - 0.5) & (y_px >= -0.5) & (y_px < self.rows - 0.5)
+        return x_px, y_px, in_front & inside
+
+    def scaled(self, factor: float) -> Camera:
+        """The same view with `factor` times as many pixels along each side, pixel areas kept aligned."""
+        rows, cols = max(1, round(self.rows * factor)), max(1, round(self.cols * factor))
+        sy, sx = rows / self.rows, cols / self.cols
+        return Camera(rows=rows, cols=cols, fx_px=self.fx_px * sx, fy_px=self.fy_px * sy,
+                      cx_px=(self.cx_px + 0.5) * sx - 0.5, cy_px=(self.cy_px + 0.5) * sy - 0.5)  # fmt: skip
+
+    def cropped(self, top: int, left: int, rows: int, cols: int) -> Camera:
+        """The window of `rows` x `cols` pixels whose first pixel is (top, left)."""
+        return replace(self, rows=rows, cols=cols, cx_px=self.cx_px - left, cy_px=self.cy_px - top)
+
+
+def camera_from_matrix(k: ArrayLike, rows: int, cols: int, what: str = "the camera matrix K") -> Camera:
+    """A camera from K (3, 3); raises CalibrationError when K is singular, skewed or not finite."""
+    m = np.asarray(k, dtype=np.float64)
+    if m.shape != (3, 3):
+        raise CalibrationError(f"{what} must be 3x3, got shape {m.shape}")
+    if not np.isfinite(m).all():
+        raise CalibrationError(f"{what} holds a value that is not finite")
+    if m[2, 2] == 0 or m[0, 0] == 0 or m[1, 1] == 0:
+        raise CalibrationError(f"{what} is singular: its diagonal is {np.diag(m).tolist()}")
+    m = m / m[2, 2]
+    if abs(m[0, 1]) > 1e-6 * abs(m[0, 0]) or np.abs(m[[1, 2, 2], [0, 0, 1]]).max() > 0:
+        raise CalibrationError(f"{what} must be upper triangular without skew, got {m.tolist()}")
+    return Camera(rows=rows, cols=cols, fx_px=m[0, 0], fy_px=m[1, 1], cx_px=m[0, 2], cy_px=m[1, 2])

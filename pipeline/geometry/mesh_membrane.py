@@ -1,0 +1,144 @@
+"""A sensor's rest surface given as a mesh: where it is a height field over x-y, it becomes a `Membrane`.
+
+The mesh is an open sheet, or a closed body whose nearest side faces the camera, in the sensor's frame. Its height is
+read off exactly at the nodes of a lattice; between them the lattice is bilinear, and how far that is from the mesh is
+reported. A sheet that folds over itself has no height field; `side_distance_mm` measures to it all the same.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pipeline.base.arrays import Doubles, freeze
+from pipeline.base.errors import MeshProblem
+from pipeline.geometry.camera import MIN_DEPTH_MM
+from pipeline.geometry.membrane import Membrane
+from pipeline.geometry.meshes import Mesh, load_mesh
+
+MOST_ERROR_MM = 0.05  # of a lattice against its mesh: far below the noise of a bubble's depth reading
+_USUAL = 95  # percent of the cells that must be followed so well; creases, such as a rim, take the rest
+_MOST_NODES = 1_000_000
+_SAME = 1e-5  # of a step: vertices of a float32 file lie beside the lattice that made them
+_FOLD_MM = 1e-3  # two heights at one (x, y) this far apart are a fold
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Resampled:
+    """A mesh as a height field, and what that costs."""
+
+    membrane: Membrane
+    error_mm: float  # difference along z that 95 % of its cells stay within, at their middles
+    worst_mm: float  # the largest one: a crease through a cell
+    notes: tuple[str, ...] = ()
+
+
+def load_membrane(path: Path, unit: str = "auto", step_mm: float = 0.5) -> Resampled:
+    """The rest surface of an STL, PLY or OBJ file; raises FileProblem or MeshProblem in one sentence."""
+    mesh = load_mesh(path, unit)
+    try:
+        return from_mesh(mesh, step_mm)
+    except MeshProblem as error:
+        raise MeshProblem(f"{error}: '{path}'") from error
+
+
+def from_mesh(mesh: Mesh, step_mm: float = 0.5) -> Resampled:
+    """The mesh's nearest surface, seen along z, on a lattice of `step_mm`; level beyond the mesh's outline.
+
+    Raises MeshProblem when the mesh reaches behind the camera, folds over itself, or is not followed to MOST_ERROR_MM
+    (creases such as a rim aside) by a lattice of that step.
+    """
+    low, high = mesh.vertices_mm.min(axis=0), mesh.vertices_mm.max(axis=0)
+    if not low[2] > MIN_DEPTH_MM:
+        raise MeshProblem(f"the rest surface reaches to z = {low[2]:.3g} mm, behind the camera; move it to z > 0")
+    nx, ny = (max(2, math.ceil((high[k] - low[k]) / step_mm - _SAME) + 1) for k in (0, 1))
+    if nx * ny > _MOST_NODES:
+        raise MeshProblem(f"a lattice of {step_mm:g} mm has {nx * ny:,} nodes on this rest surface; use a larger step")
+    x, y = low[0] + np.arange(nx) * step_mm, low[1] + np.arange(ny) * step_mm
+    # The last nodes may lie beside the mesh by a rounding, or by part of a step: there its border goes on.
+    x_mm, y_mm = np.meshgrid(np.minimum(x, high[0]), np.minimum(y, high[1]))
+    heights = _heights(mesh, x_mm, y_mm, step_mm)
+    if not np.isfinite(heights).any():
+        raise MeshProblem("the rest surface stands on edge: seen along z it covers nothing; check its axes")
+    surface = Membrane(x0_mm=float(x[0]), y0_mm=float(y[0]), step_mm=step_mm, z_mm=freeze(_continued(heights)))
+    error_mm, worst_mm = _errors_mm(mesh, surface)
+    if error_mm > MOST_ERROR_MM:
+        raise MeshProblem(
+            f"a lattice of {step_mm:g} mm follows the rest surface to {error_mm:.2g} mm only; use a smaller step"
+        )
+    notes = (
+        f"the rest surface is a mesh on a lattice of {step_mm:g} mm: {error_mm:.1e} mm off, "
+        f"{worst_mm:.1e} mm at creases",
+    )
+    return Resampled(membrane=surface, error_mm=error_mm, worst_mm=worst_mm, notes=notes)
+
+
+def side_distance_mm(mesh: Mesh, points_mm: ArrayLike) -> Doubles:
+    """Distance (n,) of points (n, 3) to any mesh, folded or not, negative on the camera's side; NaN stays NaN.
+
+    The size is that to the closest triangle. A point is on the camera's side when its own ray from the lens meets the
+    mesh an even number of times on the way to it.
+    """
+    import open3d
+
+    o3d: Any = open3d  # its tensors are typed more narrowly than they are
+    points = np.asarray(points_mm, dtype=np.float64).reshape(-1, 3)
+    sound = np.isfinite(points).all(axis=1)
+    distance = np.full(len(points), np.nan)
+    if not sound.any():
+        return distance
+    world = o3d.t.geometry.RaycastingScene()
+    world.add_triangles(
+        o3d.core.Tensor(mesh.vertices_mm.astype(np.float32)), o3d.core.Tensor(mesh.triangles.astype(np.uint32))
+    )
+    asked = points[sound].astype(np.float32)
+    size = world.compute_distance(o3d.core.Tensor(asked)).numpy().astype(np.float64)
+    # From the lens to the point itself, so that what lies behind the point is not counted.
+    rays = o3d.core.Tensor(np.concatenate([np.zeros_like(asked), asked], axis=1))
+    hits = world.list_intersections(rays)
+    before = np.bincount(hits["ray_ids"].numpy()[hits["t_hit"].numpy() < 1.0], minlength=len(asked))
+    distance[sound] = np.where(before % 2 == 1, size, -size)
+    return distance
+
+
+def _heights(mesh: Mesh, x_mm: Doubles, y_mm: Doubles, step_mm: float) -> Doubles:
+    """Z of the mesh's nearest surface at each (x, y), NaN where there is none; raises MeshProblem where it folds."""
+    from pipeline.geometry.mesh_membrane_kernels import heights
+
+    nearest, folded = heights(
+        np.ascontiguousarray(mesh.vertices_mm), np.ascontiguousarray(mesh.triangles), x_mm.ravel(), y_mm.ravel(),
+        (float(x_mm[0, 0]), float(y_mm[0, 0])), step_mm, x_mm.shape, _FOLD_MM,
+    )  # fmt: skip
+    if folded:
+        raise MeshProblem(
+            f"the rest surface folds over itself at {folded:,} places seen along z; "
+            "keep the sheet that the camera sees, without walls or a back"
+        )
+    return nearest.reshape(x_mm.shape)
+
+
+def _continued(heights: Doubles) -> Doubles:
+    """The height of the nearest known node where the mesh ends."""
+    from scipy.ndimage import distance_transform_edt
+
+    missing = ~np.isfinite(heights)
+    if not missing.any():
+        return heights
+    nearest: Any = distance_transform_edt(missing, return_distances=False, return_indices=True)
+    return heights[tuple(nearest)]
+
+
+def _errors_mm(mesh: Mesh, surface: Membrane) -> tuple[float, float]:
+    """What the middles of 95 % of the cells stay within, and the largest."""
+    ny, nx = surface.z_mm.shape
+    x_mm, y_mm = np.meshgrid(
+        surface.x0_mm + (np.arange(nx) + 0.5) * surface.step_mm, surface.y0_mm + (np.arange(ny) + 0.5) * surface.step_mm
+    )
+    off = np.abs(_heights(mesh, x_mm, y_mm, surface.step_mm) - surface.depth_at(x_mm, y_mm))
+    known = off[np.isfinite(off)]
+    return (float(np.percentile(known, _USUAL)), float(known.max())) if known.size else (0.0, 0.0)

@@ -1,0 +1,136 @@
+"""Object meshes: read, checked for their unit, and kept in millimetres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.base.arrays import Doubles, Indices, freeze
+from pipeline.base.errors import FileProblem, MeshProblem, SettingProblem
+
+SMALLEST_MM, LARGEST_MM = 1.0, 400.0  # extents of what is felt with a fingertip: a screw to a long tool
+_UNIT_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+_SAME_VERTEX_MM = 1e-6  # STL repeats each vertex in float32; true neighbours lie micrometres apart
+_HEADER, _TRIANGLE = 84, 50  # bytes of a binary STL
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mesh:
+    """A triangle mesh in its own (object) frame."""
+
+    vertices_mm: Doubles  # (n, 3)
+    triangles: Indices  # (m, 3)
+    name: str = ""
+
+
+def load_mesh(path: Path, unit: str = "auto") -> Mesh:
+    """The mesh of an STL, PLY or OBJ file in mm, duplicate vertices merged and triangles without area dropped.
+
+    `unit` is what the file is in: "mm", "cm", "m", or "auto", which takes mm when the largest extent then lies within
+    1 and 400 mm and refuses anything else, since no mesh file says its unit. Raises FileProblem when the file cannot
+    be read, MeshProblem when it is empty, damaged or in a unit that cannot be right.
+    """
+    path = Path(path)
+    if unit != "auto" and unit not in _UNIT_MM:
+        raise SettingProblem(f"unknown mesh unit {unit!r}; there are auto, {', '.join(_UNIT_MM)}")
+    vertices, triangles = _stl(path) if path.suffix.lower() == ".stl" else _other(path)
+    if not triangles.size:
+        raise MeshProblem(f"the mesh has no triangles: '{path}'")
+    if triangles.min() < 0 or triangles.max() >= len(vertices):
+        raise MeshProblem(f"the mesh names vertices that it does not have: '{path}'")
+    if not np.isfinite(vertices).all():
+        raise MeshProblem(f"the mesh has vertices that are not finite: '{path}'")
+    scale = _scale(vertices[triangles.ravel()], unit, path)
+    return _tidied(vertices * scale, triangles, path)
+
+
+def sample_surface(mesh: Mesh, n: int, seed: int) -> tuple[Doubles, Doubles]:
+    """(points (n, 3) in mm, unit normals (n, 3)), uniform over the area; the same seed gives the same bytes."""
+    corners = mesh.vertices_mm[mesh.triangles]  # (m, 3, 3)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    doubled = np.linalg.norm(normals, axis=1)
+    if not doubled.sum() > 0:
+        raise MeshProblem(f"the mesh {mesh.name!r} has no surface to sample")
+    rng = np.random.default_rng(seed)
+    chosen = rng.choice(len(corners), size=n, p=doubled / doubled.sum())
+    u, v = rng.random((2, n))
+    folded = u + v > 1.0  # the far half of the parallelogram is turned back onto the triangle
+    u, v = np.where(folded, 1.0 - u, u)[:, None], np.where(folded, 1.0 - v, v)[:, None]
+    a, b, c = (corners[chosen, k] for k in range(3))
+    return freeze(a + u * (b - a) + v * (c - a)), freeze(normals[chosen] / doubled[chosen, None])
+
+
+def _scale(corners: Doubles, unit: str, path: Path) -> float:
+    """Millimetres per unit of the file."""
+    extent = float((corners.max(axis=0) - corners.min(axis=0)).max())
+    scale = _UNIT_MM.get(unit, 1.0)
+    if SMALLEST_MM <= extent * scale <= LARGEST_MM:
+        return scale
+    fits = [u for u in ("m", "cm", "mm") if SMALLEST_MM <= extent * _UNIT_MM[u] <= LARGEST_MM]
+    read_as = "mm" if unit == "auto" else unit
+    hint = f"try --mesh-unit {fits[0]}" if fits else "scale it to a touchable size of 1 to 400 mm"
+    raise MeshProblem(f"the mesh is {extent * scale:.3g} mm large when read in {read_as}; {hint}: '{path}'")
+
+
+def _tidied(vertices: Doubles, triangles: Indices, path: Path) -> Mesh:
+    rounded = np.rint(vertices / _SAME_VERTEX_MM).astype(np.int64)
+    _, first, same = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+    kept, joined = vertices[first], same.reshape(-1)[triangles]
+    a, b, c = (kept[joined[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    joined = joined[area > 0]
+    if not joined.size:
+        raise MeshProblem(f"no triangle of the mesh has an area: '{path}'")
+    used, renumbered = np.unique(joined, return_inverse=True)
+    return Mesh(vertices_mm=freeze(kept[used]), triangles=freeze(renumbered.reshape(-1, 3).astype(np.int32)),
+                name=path.stem)  # fmt: skip
+
+
+def _stl(path: Path) -> tuple[Doubles, Indices]:
+    """Corners of a binary or text STL; each triangle has its own three."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise FileProblem(f"cannot read the mesh ({error.strerror})", path) from error
+    n = int.from_bytes(data[80:_HEADER], "little") if len(data) >= _HEADER else 0
+    # Some binary files begin with "solid" as text ones do, so the size decides; text never has it by chance.
+    if len(data) == _HEADER + n * _TRIANGLE and len(data) >= _HEADER:
+        facets = np.frombuffer(data, np.uint8, offset=_HEADER).reshape(n, _TRIANGLE)
+        corners = np.ascontiguousarray(facets[:, 12:48]).view("<f4")  # after the normal, before the colour
+        vertices = corners.reshape(-1, 3).astype(np.float64)
+    elif data.lstrip()[:5].lower() == b"solid":
+        vertices = _text_corners(data, path)
+    else:
+        raise FileProblem(f"the STL file is cut short or damaged: {n} triangles do not make {len(data)} bytes", path)
+    return vertices, np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+
+
+def _text_corners(data: bytes, path: Path) -> Doubles:
+    lines = [line.split() for line in data.decode("ascii", errors="replace").splitlines()]
+    try:
+        vertices = np.array([[float(v) for v in w[1:4]] for w in lines if w[:1] == ["vertex"]], dtype=np.float64)
+    except ValueError as error:
+        raise FileProblem("the text STL has a vertex that is not three numbers", path) from error
+    ended = any(w[:1] == ["endsolid"] for w in lines)
+    if not ended or len(vertices) % 3 or (len(vertices) and vertices.shape[1:] != (3,)):
+        raise FileProblem("the text STL is cut short: a facet or the end is missing", path)
+    return vertices.reshape(-1, 3)
+
+
+def _other(path: Path) -> tuple[Doubles, Indices]:
+    if path.suffix.lower() not in (".ply", ".obj"):
+        raise FileProblem(f"meshes are read from STL, PLY and OBJ files, not from {path.suffix or 'this'!r}", path)
+    if not path.is_file():
+        raise FileProblem("cannot read the mesh (no such file)", path)
+    import open3d as o3d
+
+    library: Any = o3d
+    with library.utility.VerbosityContextManager(library.utility.VerbosityLevel.Error):
+        mesh = library.io.read_triangle_mesh(str(path))
+    vertices: NDArray[Any] = np.array(mesh.vertices, dtype=np.float64)
+    triangles: NDArray[Any] = np.array(mesh.triangles, dtype=np.int32)
+    return vertices.reshape(-1, 3), triangles.reshape(-1, 3)

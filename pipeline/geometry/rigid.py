@@ -1,0 +1,127 @@
+"""Rigid transforms SE(3) as 4x4 matrices in millimetres, composed in float64.
+
+`target_from_source` maps points given in the source frame to the target frame, so that
+`target_from_source = target_from_alignment @ alignment_from_source` reads by itself.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pipeline.base.arrays import Doubles
+from pipeline.base.errors import CalibrationError
+
+ORTHONORMAL_TOLERANCE = 1e-5  # largest entry of R^T R - I; float32 files keep 1e-6, hand-typed ones less
+_SMALL_ANGLE_RAD = 1e-4  # below it the series is exact to double precision
+
+
+def identity() -> Doubles:
+    """The transform that moves nothing."""
+    return np.eye(4)
+
+
+def translation(x_mm: float, y_mm: float, z_mm: float) -> Doubles:
+    """A pure shift."""
+    matrix = np.eye(4)
+    matrix[:3, 3] = (x_mm, y_mm, z_mm)
+    return matrix
+
+
+def rotation(rotation_vector_rad: ArrayLike) -> Doubles:
+    """The rotation about a vector by its length in radians (exponential map, Rodrigues)."""
+    w = np.asarray(rotation_vector_rad, dtype=np.float64)
+    angle = float(np.linalg.norm(w))
+    k = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
+    if angle < _SMALL_ANGLE_RAD:
+        a, b = 1.0 - angle**2 / 6.0, 0.5 - angle**2 / 24.0
+    else:
+        a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle**2
+    matrix = np.eye(4)
+    matrix[:3, :3] += a * k + b * (k @ k)
+    return matrix
+
+
+def rotation_vector_rad(matrix: ArrayLike) -> Doubles:
+    """The rotation vector (3,) of a transform: logarithm by way of the quaternion, exact at 0 and at pi."""
+    r = np.asarray(matrix, dtype=np.float64)[:3, :3]
+    # The largest of the four squared quaternion parts is taken first, so that nothing is divided by ~0.
+    q_sq = np.array([1 + r[0, 0] + r[1, 1] + r[2, 2], 1 + r[0, 0] - r[1, 1] - r[2, 2],
+                     1 - r[0, 0] + r[1, 1] - r[2, 2], 1 - r[0, 0] - r[1, 1] + r[2, 2]])  # fmt: skip
+    wx, wy, wz = r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
+    xy, xz, yz = r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1]
+    rows = ((q_sq[0], wx, wy, wz), (wx, q_sq[1], xy, xz), (wy, xy, q_sq[2], yz), (wz, xz, yz, q_sq[3]))
+    q = np.array(rows[int(np.argmax(q_sq))])
+    q /= np.linalg.norm(q)
+    if q[0] < 0:
+        q = -q
+    sine = float(np.linalg.norm(q[1:]))
+    scale = 2.0 if sine < _SMALL_ANGLE_RAD**2 else 2.0 * math.atan2(sine, q[0]) / sine
+    return np.asarray(q[1:] * scale)
+
+
+def from_parts(translation_mm: ArrayLike, rotation_deg: ArrayLike = (0.0, 0.0, 0.0)) -> Doubles:
+    """A transform from a shift and a rotation vector in degrees, as alignments are written in files."""
+    matrix = rotation(np.deg2rad(np.asarray(rotation_deg, dtype=np.float64)))
+    matrix[:3, 3] = np.asarray(translation_mm, dtype=np.float64)
+    return matrix
+
+
+def from_quaternion(translation_mm: ArrayLike, xyzw: ArrayLike) -> Doubles:
+    """A transform from a shift and a quaternion in (x, y, z, w) order; raises when it has no length."""
+    q = np.asarray(xyzw, dtype=np.float64)
+    largest = float(np.abs(q).max())
+    if not 0.0 < largest < math.inf:
+        raise CalibrationError(f"a rotation quaternion must have a length, got {tuple(q.tolist())}")
+    x, y, z, w = q / largest  # only its direction counts, and squares of the rest neither overflow nor vanish
+    s = 2.0 / (x * x + y * y + z * z + w * w)
+    matrix = np.eye(4)
+    matrix[:3, :3] = [[1 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
+                      [s * (x * y + z * w), 1 - s * (x * x + z * z), s * (y * z - x * w)],
+                      [s * (x * z - y * w), s * (y * z + x * w), 1 - s * (x * x + y * y)]]  # fmt: skip
+    matrix[:3, 3] = np.asarray(translation_mm, dtype=np.float64)
+    return matrix
+
+
+def invert(matrix: Doubles) -> Doubles:
+    """The way back, from the transposed rotation rather than a general inverse."""
+    inverse = np.eye(4)
+    inverse[:3, :3] = matrix[:3, :3].T
+    inverse[:3, 3] = -matrix[:3, :3].T @ matrix[:3, 3]
+    return inverse
+
+
+def apply(target_from_source: Doubles, points_mm: ArrayLike) -> Doubles:
+    """Points (..., 3) given in the source frame, in the target frame (float64)."""
+    points = np.asarray(points_mm, dtype=np.float64)
+    return np.asarray(points @ target_from_source[:3, :3].T + target_from_source[:3, 3])
+
+
+def angle_deg(matrix: Doubles) -> float:
+    """How far a transform turns, in degrees."""
+    return math.degrees(float(np.linalg.norm(rotation_vector_rad(matrix))))
+
+
+def checked(matrix: ArrayLike, what: str) -> Doubles:
+    """`matrix` as a proper rigid transform, its rotation made exactly orthonormal; `what` names it in errors.
+
+    Raises CalibrationError when it is not 4x4, not finite, mirrored, scaled or sheared.
+    """
+    m = np.array(matrix, dtype=np.float64)
+    if m.shape != (4, 4):
+        raise CalibrationError(f"{what} must be a 4x4 matrix, got shape {m.shape}")
+    if not np.isfinite(m).all():
+        raise CalibrationError(f"{what} holds a value that is not finite")
+    if np.abs(m[3] - (0.0, 0.0, 0.0, 1.0)).max() > ORTHONORMAL_TOLERANCE:
+        raise CalibrationError(f"the last row of {what} must be 0 0 0 1, got {m[3].tolist()}")
+    u, s, vt = np.linalg.svd(m[:3, :3])
+    determinant = float(np.linalg.det(m[:3, :3]))
+    if determinant < 0:
+        raise CalibrationError(f"{what} mirrors space (determinant {determinant:.3f}); swap or flip one axis")
+    if np.abs(s - 1.0).max() > ORTHONORMAL_TOLERANCE:
+        raise CalibrationError(f"{what} must not scale or shear (singular values {np.round(s, 6).tolist()})")
+    m[:3, :3] = u @ vt
+    m[3] = (0.0, 0.0, 0.0, 1.0)
+    return m

@@ -1,0 +1,100 @@
+"""Motions that a contact does not show, named one by one: slides, turns about an axis, and what couples the two."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles
+
+_SLIDE = 0.05  # share of turning in a motion of unit size below which it is a slide
+_PURE = 0.995  # cosine, 6 degrees, from which a direction earns the name of an axis
+_OFF_AXIS = 0.15  # share of sliding in a turn that is not worth a word
+_MOVED = 1e-3  # change of a motion, in radii per radius that its axis is shifted, that is more than rounding
+_CENTRAL = 0.1  # an axis this near the middle of the contact, in radii of it, goes through the middle
+_AXES = ("x", "y", "z")
+
+
+def in_words(lost: Doubles, about_mm: Doubles, radius_mm: float) -> list[tuple[str, Doubles]]:
+    """Names of the motions that span the orthonormal columns (6, k), each with its motion (6,) of unit size.
+
+    Columns are (rotation times `radius_mm`, translation at `about_mm`). Slides come first, then turns, about one
+    common centre where there is one. Axes of the sensor are preferred; any other direction is told by its components,
+    an axis that misses the middle of the contact by the point on it that is nearest to the middle, in mm.
+    """
+    if lost.shape[1] == 0:
+        return []
+    _, turning, mix = np.linalg.svd(lost[:3], full_matrices=True)
+    turning = np.concatenate([turning, np.zeros(mix.shape[0] - len(turning))])
+    basis = lost @ mix.T
+    sliding, rest = basis[:, turning <= _SLIDE], basis[:, turning > _SLIDE]
+    slides, _ = np.linalg.qr(sliding[3:])
+    named = [(f"slides along {told(a)}", _closest(sliding, 3, a)) for a in _axes_in(slides)]
+    turns = _turns(rest, slides)
+    centre_mm = _common_centre(turns, slides, radius_mm)
+    return named + [(_turn_in_words(t, centre_mm, about_mm, radius_mm), t) for t in turns]
+
+
+def told(vector: Doubles) -> str:
+    """A direction in words: an axis of the sensor, or components."""
+    unit = vector / np.linalg.norm(vector)
+    k = int(np.argmax(np.abs(unit)))
+    if abs(unit[k]) > _PURE:
+        return _AXES[k]
+    return "({:.2f}, {:.2f}, {:.2f})".format(*(np.round(unit * np.sign(unit[k]), 2) + 0.0))
+
+
+def _axes_in(span: Doubles) -> Iterator[Doubles]:
+    """Orthonormal directions that span the columns (3, k), along the sensor's axes as far as possible."""
+    while span.shape[1]:
+        length = np.linalg.norm(span, axis=1)
+        axis = int(np.argmax(np.round(length, 3)))
+        direction = span @ span[axis] / length[axis]
+        yield direction
+        kept = np.linalg.svd((span.T @ direction)[None, :])[2][1:]
+        span = span @ kept.T
+
+
+def _closest(basis: Doubles, first: int, direction: Doubles) -> Doubles:
+    """The motion of unit size in `basis` whose rotation (`first` 0) or translation (3) is along `direction`."""
+    weights = np.linalg.lstsq(basis[first : first + 3], direction, rcond=None)[0]
+    motion = basis @ weights
+    return np.asarray(motion / np.linalg.norm(motion), dtype=np.float64)
+
+
+def _turns(basis: Doubles, slides: Doubles) -> list[Doubles]:
+    """Motions whose rotations are along preferred axes, without what the slides can undo."""
+    axes, _ = np.linalg.qr(basis[:3])
+    found: list[Doubles] = []
+    for axis in _axes_in(axes):
+        motion = _closest(basis, 0, axis)
+        motion[3:] -= slides @ (slides.T @ motion[3:])
+        found.append(motion / np.linalg.norm(motion))
+    return found
+
+
+def _common_centre(turns: list[Doubles], slides: Doubles, radius_mm: float) -> Doubles:
+    """The point (3,) mm from the middle that the turns leave in place, as nearly as can be; the nearest of such."""
+    if not turns:
+        return np.zeros(3)
+    free = np.eye(3) - slides @ slides.T
+    rows = np.concatenate([free @ _cross(turn[:3] / radius_mm) for turn in turns])
+    wanted = np.concatenate([-free @ turn[3:] for turn in turns])
+    u, size, vt = np.linalg.svd(rows, full_matrices=False)
+    told = size > _MOVED / radius_mm  # where the slides undo every shift of the axis, it goes through the middle
+    return vt[told].T @ ((u[:, told].T @ wanted) / size[told])
+
+
+def _turn_in_words(turn: Doubles, centre_mm: Doubles, about_mm: Doubles, radius_mm: float) -> str:
+    words = f"turns about {told(turn[:3])}"
+    left = turn[3:] + np.cross(turn[:3] / radius_mm, centre_mm)
+    if np.linalg.norm(left) > _OFF_AXIS:
+        return f"{words} while sliding along {told(turn[3:])}"
+    if np.linalg.norm(centre_mm) <= _CENTRAL * radius_mm:
+        return words
+    return words + " through ({:.1f}, {:.1f}, {:.1f}) mm".format(*(np.round(about_mm + centre_mm, 1) + 0.0))
+
+
+def _cross(w: Doubles) -> Doubles:
+    return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])

@@ -1,0 +1,245 @@
+"""The checks of a recording: each gives pass, fail or unknown, and one sentence naming file and field."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.base.arrays import Doubles
+from pipeline.base.errors import CalibrationError
+from pipeline.geometry import rigid
+from pipeline.physics.optics import untouched
+from pipeline.sensors.spec import SensorSpec
+from pipeline.values.frames import Recording, TactileFrame, Truth
+
+State = Literal["pass", "fail", "unknown"]
+
+_DEPTH_MM = (5.0, 1000.0)  # a depth camera looks at a membrane some centimetres away; metres would read 0.08
+_MOVED_MM = 1.0  # beyond the noise of a bubble's depth
+_PRESSED_IN = 0.5  # share of the moved pixels that must have come nearer
+_NAN_LIMIT = 0.5  # share of pixels without a reading beyond which a depth frame is of no use
+_COLOUR_MARGIN = 0.2  # how much better a changed picture must fit before the recording is doubted
+_BLOCK_PX = 8  # colours are compared on a coarse grid, below the grain of noise and markers
+_EDGE_SHARE = 0.01  # contact pixels at the very edge whose indentation is rounded to 0
+_FAR_MM = 500.0  # an object that is felt lies within this distance of the sensor
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Check:
+    """One question put to a recording."""
+
+    name: str
+    state: State
+    text: str  # one sentence, naming file and field when something is wrong
+
+
+class Tally:
+    """Gathers what the checks of one stream need, frame by frame, without keeping the frames."""
+
+    def __init__(self, stream: str, path: str, spec: SensorSpec | None) -> None:
+        """A tally for `stream` of the recording at `path`, whose sensor is `spec` if known."""
+        self._stream, self._path, self._spec = stream, path, spec
+        self._problems: list[str] = []
+        self._without_reference: list[int] = []
+        self._odd_sizes: list[int] = []
+        self._depths_mm: list[float] = []
+        self._gaps: list[int] = []
+        self._n_frames, self._n_gaps, self._n_pixels, self._n_nearer, self._n_moved = 0, 0, 0, 0, 0
+        self._reference: TactileFrame | None = None
+        self._bad_truth: list[str] = []
+        self._bad_poses: list[str] = []
+        self._n_truth, self._n_poses = 0, 0
+
+    def problem(self, text: str) -> None:
+        """A frame that cannot be read, in the reader's words."""
+        self._problems.append(text)
+
+    def frame(self, frame: TactileFrame) -> None:
+        """Count one frame."""
+        self._n_frames += 1
+        if frame.reference is None:
+            self._without_reference.append(frame.index)
+        elif self._reference is None:
+            self._reference = frame
+        want = frame.camera.shape if frame.camera is not None else (self._spec.camera.shape if self._spec else None)
+        if want is not None and frame.image.shape[:2] != want:
+            self._odd_sizes.append(frame.index)
+        if frame.is_depth:
+            self._depth(frame)
+
+    def _depth(self, frame: TactileFrame) -> None:
+        seen = np.isfinite(frame.image)
+        self._n_pixels += seen.size
+        self._n_gaps += int(seen.size - seen.sum())
+        if seen.mean() < 1.0 - _NAN_LIMIT:
+            self._gaps.append(frame.index)
+        if seen.any():
+            self._depths_mm.append(float(np.median(frame.image[seen])))
+        if frame.reference is not None and frame.reference.shape == frame.image.shape:
+            pressed = np.nan_to_num(frame.reference - frame.image)  # no reading has not moved
+            self._n_nearer += int((pressed > _MOVED_MM).sum())
+            self._n_moved += int((np.abs(pressed) > _MOVED_MM).sum())
+
+    def truth(self, index: int, truth: Truth) -> None:
+        """Check what is said to be true of frame `index`."""
+        if truth.sensor_from_object is not None:
+            self._n_poses += 1
+            self._pose(index, truth.sensor_from_object)
+        if truth.indentation_mm is None:
+            return
+        self._n_truth += 1
+        pressed, limit = truth.indentation_mm, self._spec.limits.indentation_max_mm if self._spec else math.inf
+        if not np.isfinite(pressed).any():
+            self._bad_truth.append(f"indentation_mm of frame {index} has no value")
+            return
+        deepest = float(np.nanmax(pressed))
+        if deepest > 2 * limit:
+            self._bad_truth.append(
+                f"indentation_mm of frame {index} reaches {deepest:.3g} mm, the limit is {limit:g} mm"
+            )
+        if truth.contact is not None and (truth.contact & ~(pressed > 0)).sum() > _EDGE_SHARE * truth.contact.sum():
+            self._bad_truth.append(f"contact of frame {index} holds pixels whose indentation_mm is not positive")
+
+    def _pose(self, index: int, sensor_from_object: Doubles) -> None:
+        try:
+            pose = rigid.checked(sensor_from_object, f"sensor_from_object of frame {index}")
+        except CalibrationError as error:
+            self._bad_poses.append(str(error))
+            return
+        far = float(np.linalg.norm(pose[:3, 3]))
+        if far > _FAR_MM:
+            self._bad_poses.append(f"sensor_from_object of frame {index} puts the object {far:.3g} mm away")
+
+    def checks(self, times_s: Sequence[float]) -> list[Check]:
+        """The answers, once all frames have been counted."""
+        found = [self._check("frames", self._problems, "every frame can be read"), self._sizes(), self._references()]
+        if self._depths_mm or self._gaps:
+            found += [self._depth_unit(), self._depth_sign(), self._readings()]
+        elif self._n_frames:
+            found.append(self._colours())
+        found.append(self._times(times_s))
+        if self._n_truth:
+            found.append(
+                self._check("truth", self._bad_truth, "contact lies within the indentation, depths within limits")
+            )
+        if self._n_poses:
+            found.append(self._check("poses", self._bad_poses, "every rotation has determinant +1 and mm fit"))
+        return found
+
+    def _check(self, name: str, bad: Sequence[str], good: str) -> Check:
+        if not bad:
+            return self._said(name, "pass", good)
+        more = f" (and {len(bad) - 1} more)" if len(bad) > 1 else ""
+        return self._said(name, "fail", f"{bad[0]}{more}")
+
+    def _said(self, name: str, state: State, text: str) -> Check:
+        if state == "fail" and self._path not in text:
+            text = f"{text}: '{self._path}'"
+        return Check(name=f"{self._stream} {name}", state=state, text=text)
+
+    def _sizes(self) -> Check:
+        if self._spec is None:
+            return self._said("image size", "unknown", "the sensor is not known, so its image size is not either")
+        shape = self._spec.camera.shape
+        bad = [f"frame {i} does not have the size of {self._spec.name}, {shape[1]} x {shape[0]} px"
+               for i in self._odd_sizes]  # fmt: skip
+        return self._check("image size", bad, "as the sensor's camera")
+
+    def _references(self) -> Check:
+        if len(self._without_reference) == self._n_frames:
+            return self._said("reference", "unknown", "no untouched reading; name one with --reference")
+        bad = [f"frame {i} has no reference, others do" for i in self._without_reference]
+        return self._check("reference", bad, "every frame has an untouched reading")
+
+    def _depth_unit(self) -> Check:
+        odd = [d for d in self._depths_mm if not _DEPTH_MM[0] <= d <= _DEPTH_MM[1]]
+        bad = [f"frames has a median depth of {d:.3g} mm; is it in another unit?" for d in odd]
+        return self._check("depth unit", bad, f"median depth {np.median(self._depths_mm or [np.nan]):.1f} mm fits mm")
+
+    def _depth_sign(self) -> Check:
+        if not self._n_moved:
+            return self._said(
+                "depth sign", "unknown", f"nothing moves by more than {_MOVED_MM:g} mm from the reference"
+            )
+        share = self._n_nearer / self._n_moved
+        text = f"{share:.0%} of what moves comes nearer to the camera"
+        if share < _PRESSED_IN:
+            return self._said(
+                "depth sign", "fail", f"frames: only {text}; a touch should, is the depth's sign flipped?"
+            )
+        return self._said("depth sign", "pass", text)
+
+    def _readings(self) -> Check:
+        bad = [f"frame {i} has no reading in more than half of its pixels" for i in self._gaps]
+        share = self._n_gaps / max(1, self._n_pixels)
+        return self._check("readings", bad, f"{share:.1%} of the pixels have no reading (NaN)")
+
+    def _times(self, times_s: Sequence[float]) -> Check:
+        known = np.asarray([t for t in times_s if math.isfinite(t)])
+        if len(known) < 2:
+            return self._said("times", "unknown", "no times are recorded")
+        back = np.nonzero(np.diff(known) <= 0)[0]
+        return self._check("times", [f"timestamps do not rise after frame {i}" for i in back], "timestamps rise")
+
+    def _colours(self) -> Check:
+        """Whether the untouched picture looks like the sensor's, or more so with red and blue swapped, or mirrored."""
+        frame, spec = self._reference, self._spec
+        if frame is None or frame.reference is None or spec is None or spec.optics is None:
+            return self._said("colours", "unknown", "needs an untouched picture and a sensor with described lights")
+        seen, want = frame.reference, untouched(spec)
+        if seen.shape != want.shape:
+            return self._said("colours", "unknown", "the picture does not have the sensor's size")
+        plain = _likeness(seen, want)
+        others = {
+            "red and blue look swapped": _likeness(seen[:, :, ::-1], want),
+            "it looks mirrored": _likeness(seen[:, ::-1], want),
+            "it looks turned by 180 degrees": _likeness(seen[::-1, ::-1], want),
+        }
+        what, best = max(others.items(), key=lambda item: item[1])
+        text = f"its colours lie as those of an untouched {spec.name} by {plain:.2f} (1 = the same, 0 = unrelated)"
+        if best > plain + _COLOUR_MARGIN:
+            return self._said("colours", "fail", f"the reference: {what}; {text}, so changed by {best:.2f}")
+        return self._said("colours", "pass" if plain > _COLOUR_MARGIN else "unknown", text)
+
+
+def pairings(recording: Recording) -> list[Check]:
+    """Whether every known transform between two streams is rigid and names streams that exist."""
+    names, found = {s.name for s in recording.streams}, list[Check]()
+    for pair in recording.pairings:
+        name = f"{pair.source} to {pair.target}"
+        missing = {pair.source, pair.target} - names
+        try:
+            rigid.checked(pair.target_from_source, f"target_from_source of {name}")
+        except CalibrationError as error:
+            found.append(Check(name=name, state="fail", text=f"{error}: '{recording.path}'"))
+            continue
+        if missing:
+            text = f"target_from_source names {', '.join(sorted(missing))}, which is no stream: '{recording.path}'"
+            found.append(Check(name=name, state="fail", text=text))
+        else:
+            found.append(Check(name=name, state="pass", text="rotation has determinant +1"))
+    return found
+
+
+def _likeness(seen: NDArray[np.number], want: NDArray[np.number]) -> float:
+    """Cosine (-1..1) between where the colours of two pictures lie.
+
+    What all three colours share (brightness, vignette, markers) and their means are taken out, so that neither a
+    brighter camera nor another white balance counts.
+    """
+
+    def colours(picture: NDArray[np.number]) -> Doubles:
+        rows, cols = (n // _BLOCK_PX * _BLOCK_PX for n in picture.shape[:2])
+        blocks = picture[:rows, :cols].reshape(rows // _BLOCK_PX, _BLOCK_PX, cols // _BLOCK_PX, _BLOCK_PX, 3)
+        coarse = blocks.mean(axis=(1, 3), dtype=np.float64)
+        coarse -= coarse.mean(axis=2, keepdims=True)
+        return coarse - coarse.mean(axis=(0, 1))
+
+    a, b = colours(seen), colours(want)
+    size = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return float((a * b).sum() / size) if size > 0 else 0.0

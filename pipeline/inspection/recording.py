@@ -1,0 +1,141 @@
+"""What a recording is, and whether its units, frames and colours make sense."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.base.errors import TouchError
+from pipeline.base.progress import SILENT, Progress
+from pipeline.inspection import checks as inspection
+from pipeline.inspection.checks import Check
+from pipeline.recordings import open_recording
+from pipeline.sensors.spec import sensor as sensor_spec
+from pipeline.values.frames import Recording, Stream, TactileFrame, Truth
+
+_MARKS = {"pass": "ok  ", "fail": "FAIL", "unknown": "?   "}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StreamReport:
+    """One stream in figures."""
+
+    name: str
+    sensor: str  # "" = not known
+    n_frames: int
+    rows: int  # 0 = no frame could be read
+    cols: int
+    dtype: str
+    duration_s: float  # NaN = no times
+    rate_hz: float
+    truth: tuple[str, ...]  # fields known of some frame
+    damaged: tuple[int, ...]  # frames that cannot be read
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Report:
+    """What was found; `checks` are in the order of the streams."""
+
+    path: Path
+    format: str
+    streams: tuple[StreamReport, ...]
+    has_mesh: bool
+    checks: tuple[Check, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether no check failed; what could not be checked does not count."""
+        return all(check.state != "fail" for check in self.checks)
+
+
+def inspect(path: Path, *, sensor: str = "", reference: Path | None = None, progress: Progress = SILENT) -> Report:
+    """Read every frame once and say what is there; damaged frames are listed, not raised.
+
+    Raises TouchError only when the recording as a whole cannot be opened.
+    """
+    recording = open_recording(path, sensor=sensor, reference=reference)
+    try:
+        found = [_stream(recording, s, progress) for s in recording.streams]
+        checks = [check for _, several in found for check in several]
+        checks += inspection.pairings(recording)
+        return Report(
+            path=recording.path,
+            format=recording.format,
+            streams=tuple(report for report, _ in found),
+            has_mesh=recording.object_mesh is not None,
+            checks=tuple(checks),
+            notes=recording.notes,
+        )
+    finally:
+        recording.close()
+
+
+def lines(report: Report) -> list[str]:
+    """The report as lines for a terminal."""
+    out = [f"{report.path}: {report.format}" + (", with the mesh of the object" if report.has_mesh else "")]
+    for s in report.streams:
+        size = f"{s.cols} x {s.rows} px {s.dtype}" if s.rows else "no readable frame"
+        timing = "no times" if math.isnan(s.duration_s) else f"{s.duration_s:.2f} s at {s.rate_hz:.1f} Hz"
+        truth = f"truth: {', '.join(s.truth)}" if s.truth else "no truth"
+        out.append(f"  {s.name}: {s.sensor or 'unknown sensor'}, {s.n_frames} frames, {size}, {timing}, {truth}")
+    out += [f"  {_MARKS[c.state]} {c.name}: {c.text}" for c in report.checks]
+    return out + [f"  note: {note}" for note in report.notes]
+
+
+def _stream(recording: Recording, stream: Stream, progress: Progress) -> tuple[StreamReport, list[Check]]:
+    spec = sensor_spec(stream.sensor) if stream.sensor else None
+    tally = inspection.Tally(stream.name, str(recording.path), spec)
+    times: list[float] = []
+    known: set[str] = set()
+    damaged: list[int] = []
+    first: TactileFrame | None = None
+    for index in range(stream.n_frames):
+        progress.step(index / stream.n_frames, f"frame {index + 1} of {stream.n_frames} of {stream.name}")
+        frame, truth, problem = _read(stream, index)
+        if problem:
+            damaged.append(index)
+            tally.problem(problem)
+        if frame is not None:
+            first = first or frame
+            times.append(frame.time_s)
+            tally.frame(frame)
+        if truth is not None:
+            known |= {n for n in ("indentation_mm", "contact", "sensor_from_object") if getattr(truth, n) is not None}
+            tally.truth(index, truth)
+    duration_s, rate_hz = _timing(times)
+    rows, cols = first.image.shape[:2] if first is not None else (0, 0)
+    report = StreamReport(
+        name=stream.name, sensor=stream.sensor, n_frames=stream.n_frames, rows=rows, cols=cols,
+        dtype="" if first is None else ("float32 depth in mm" if first.is_depth else "uint8 RGB"),
+        duration_s=duration_s, rate_hz=rate_hz, truth=tuple(sorted(known)), damaged=tuple(damaged),
+    )  # fmt: skip
+    return report, tally.checks(times)
+
+
+def _read(stream: Stream, index: int) -> tuple[TactileFrame | None, Truth | None, str]:
+    """A frame and its truth as far as they can be read, and what was wrong."""
+    problems: list[str] = []
+    frame: TactileFrame | None = None
+    truth: Truth | None = None
+    try:
+        frame = stream.frame(index)
+    except TouchError as error:
+        problems.append(str(error))
+    try:
+        truth = stream.truth(index)
+    except TouchError as error:
+        problems.append(str(error))
+    return frame, truth, "; ".join(problems)
+
+
+def _timing(times: Sequence[float]) -> tuple[float, float]:
+    known = np.asarray([t for t in times if math.isfinite(t)])
+    if len(known) < 2 or known[-1] <= known[0]:
+        return math.nan, math.nan
+    duration_s = float(known[-1] - known[0])
+    return duration_s, (len(known) - 1) / duration_s

@@ -1,0 +1,143 @@
+"""One question as a picture: run time across, error up, both logarithmic, every method labelled where it stands."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pipeline.base.errors import FileProblem
+from pipeline.racing.labels import place_labels
+from pipeline.racing.races import Answer, Point, Row
+
+_OURS, _PEER, _BAR = "#0b6e99", "#8a4b12", "#6b7280"
+_INCHES, _DPI = (8.4, 5.2), 120
+_MARGIN = 3.0  # factor of empty space around the points
+
+
+def plot(answer: Answer, path: Path) -> bool:
+    """Draw the answer as a PNG; False, and no file, where no method has both a time and an error.
+
+    The points are the answer's own, or else those of its rows in its unit. Shaded is where a point clears a row's bar.
+    An error of exactly zero has no place on a logarithmic axis: it stands on the lowest line, which says so.
+    Raises FileProblem where the picture cannot be written.
+    """
+    points = [p for p in answer.points or points_of(answer) if _drawable(p)]
+    if not points:
+        return False
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=_INCHES, dpi=_DPI, layout="constrained")
+    canvas = FigureCanvasAgg(figure)
+    axes: Any = figure.add_subplot()
+    floor = _floor([p.error for p in points])
+    bars = [row for row in answer.rows if _shown(row, points)]
+    _axes(axes, answer, points, bars, floor)
+    _bars(axes, bars, floor)
+    heights = [p.error if p.error > 0 else floor for p in points]
+    for point, height in zip(points, heights, strict=True):
+        colour = _OURS if point.ours else _PEER
+        axes.plot(
+            point.ms, height, "o" if point.ours else "s", color=colour, ms=8 if point.ours else 7, mec="white", zorder=4
+        )
+    _zero_line(axes, points, floor)
+    place_labels(
+        axes,
+        canvas,
+        [(p.ms, h, p.method, _OURS if p.ours else _PEER) for p, h in zip(points, heights, strict=True)],
+    )
+    _save(figure, path)
+    return True
+
+
+def points_of(answer: Answer) -> tuple[Point, ...]:
+    """The methods of an answer's rows whose errors are in its unit: each peer once, ours once per question."""
+    found: dict[tuple[str, float, float], Point] = {}
+    for row in answer.rows:
+        if row.unit != answer.unit:
+            continue
+        ours = Point(method=f"ours: {row.question}", ms=row.ours_ms, error=row.ours_error, ours=True)
+        found.setdefault((ours.method, 0.0, 0.0), ours)
+        if row.peer:
+            found.setdefault((row.peer, row.peer_ms, row.peer_error), _peer(row))
+    return tuple(found.values())
+
+
+def _peer(row: Row) -> Point:
+    return Point(method=row.peer, ms=row.peer_ms, error=row.peer_error)
+
+
+def _drawable(point: Point) -> bool:
+    return math.isfinite(point.ms) and point.ms > 0 and math.isfinite(point.error) and point.error >= 0
+
+
+def _shown(row: Row, points: Sequence[Point]) -> bool:
+    """Whether the row's own method is among the points; only then does its bar belong in the picture."""
+    return any(p.ours and (p.ms, p.error) == (row.ours_ms, row.ours_error) for p in points)
+
+
+def _floor(errors: Sequence[float]) -> float:
+    """Where an error of zero is drawn: a power of ten below all others."""
+    least = min((e for e in errors if e > 0), default=1.0)
+    return 10.0 ** (math.floor(math.log10(least)) - 1)
+
+
+def _axes(axes: Any, answer: Answer, points: Sequence[Point], bars: Sequence[Row], floor: float) -> None:
+    errors = [p.error for p in points if p.error > 0] or [10 * floor]
+    errors += [row.limit_error for row in bars if row.limit_error > 0]
+    times = [p.ms for p in points] + [row.limit_ms for row in bars if row.limit_ms > 0]
+    zero = any(p.error == 0 for p in points)
+    axes.set(
+        xscale="log",
+        yscale="log",
+        title=answer.title,
+        xlabel="run time [ms], median",
+        ylabel=f"error [{answer.unit}]" if answer.unit else "error",
+        xlim=(min(times) / _MARGIN, max(times) * _MARGIN**2),
+        ylim=(floor / 2 if zero else min(errors) / _MARGIN, max(errors) * _MARGIN),
+    )
+    axes.title.set(fontsize=11, fontweight="bold", ha="left", x=0.0, wrap=True)
+    axes.grid(visible=True, which="major", color="#e5e7eb", lw=0.8)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def _bars(axes: Any, rows: Sequence[Row], floor: float) -> None:
+    """Shade where each of our points clears all bars that it is held to."""
+    (left, right), (low, top) = axes.get_xlim(), axes.get_ylim()
+    held: dict[tuple[float, float], list[Row]] = {}
+    for row in rows:
+        if math.isfinite(row.limit_ms) or math.isfinite(row.limit_error):
+            held.setdefault((row.ours_ms, row.ours_error), []).append(row)
+    drawn: dict[tuple[float, float], str] = {}
+    for claims in held.values():
+        ms = min((row.limit_ms for row in claims if math.isfinite(row.limit_ms)), default=right)
+        error = min((row.limit_error for row in claims if math.isfinite(row.limit_error)), default=top)
+        # An error of exactly zero is asked for: the line where such errors stand clears it.
+        drawn[ms, error or 1.5 * floor] = " and ".join(dict.fromkeys(row.bar for row in claims))
+    for k, ((ms, error), words) in enumerate(drawn.items()):
+        axes.fill_between([left, ms], low, error, color=_BAR, alpha=0.10, lw=0)
+        axes.plot([left, ms, ms], [error, error, low], color=_BAR, lw=1.0, ls="--", scalex=False, scaley=False)
+        axes.annotate(f"bar: {words}", (left, error), xytext=(4, 3 + 10 * k), textcoords="offset points",
+                      fontsize=7.5, color=_BAR, annotation_clip=True)  # fmt: skip
+
+
+def _zero_line(axes: Any, points: Sequence[Point], floor: float) -> None:
+    if all(p.error > 0 for p in points):
+        return
+    axes.axhline(floor, color=_BAR, lw=0.8, ls=":")
+    axes.annotate("no error at all (0 has no place on this axis)", (0.0, floor), xycoords=("axes fraction", "data"),
+                  xytext=(4, 3), textcoords="offset points", fontsize=7.5, color=_BAR)  # fmt: skip
+
+
+def _save(figure: Any, path: Path) -> None:
+    part = path.with_name(f".{path.stem}.part.png")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(part)
+        part.replace(path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise FileProblem(f"cannot write the plot ({error.strerror})", path) from error

@@ -1,0 +1,132 @@
+"""The questions of `benchmarks/`: which there are, what each needs, and its answer from a process of its own.
+
+A question is a module with a function `answer() -> Answer`. A constant `NEEDS = "..."` says in words what it needs
+beside the project (recorded data, a display); such a question is answered only when asked for by name.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.racing.machine import THREAD_SETTINGS
+from pipeline.racing.races import Answer, Point, Row
+
+FOLDER = Path(__file__).parents[2] / "benchmarks"
+LONGEST_S = 1800.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Question:
+    """A module that answers, read but not imported."""
+
+    name: str
+    about: str  # first line of its docstring
+    needs: str  # "" = nothing beside the project
+    path: Path
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answered:
+    """What asking a question came to: an answer, or the reason why there is none."""
+
+    question: Question
+    answer: Answer | None
+    problem: str
+    seconds: float
+
+
+def questions(folder: Path = FOLDER) -> tuple[Question, ...]:
+    """All questions, by name; raises FileProblem where the project's folder is not there."""
+    if not folder.is_dir():
+        raise FileProblem(
+            "the questions are not part of the installed package; run bench in the project's folder", folder
+        )
+    read = (_read(path) for path in sorted(folder.glob("*.py")))
+    return tuple(question for question in read if question is not None)
+
+
+def chosen(names: Sequence[str], folder: Path = FOLDER) -> tuple[Question, ...]:
+    """The questions named, in that order, or all that need nothing; raises SettingProblem for one that is unknown."""
+    known = {question.name: question for question in questions(folder)}
+    for name in names:
+        if name not in known:
+            raise SettingProblem(f"no question {name!r}; there are {', '.join(known)}")
+    return tuple(known[name] for name in dict.fromkeys(names)) or tuple(q for q in known.values() if not q.needs)
+
+
+def ask(question: Question, longest_s: float = LONGEST_S) -> Answered:
+    """Run the question in a process of its own with fixed threads; what goes wrong there is told, not raised."""
+    started = time.monotonic()
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "answer.json"
+        answer, problem = None, _run(question, out, longest_s)
+        if not problem:
+            answer = _answer(json.loads(out.read_text(encoding="utf-8")))
+    return Answered(question=question, answer=answer, problem=problem, seconds=time.monotonic() - started)
+
+
+def _run(question: Question, out: Path, longest_s: float) -> str:
+    """Why the process left no answer in `out`; "" if it did."""
+    command = [sys.executable, "-m", "pipeline.racing.worker", str(question.path), str(out)]
+    try:
+        done = subprocess.run(  # noqa: S603 (our own interpreter and module)
+            command,
+            cwd=Path(__file__).parents[2],
+            env={**os.environ, **THREAD_SETTINGS},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
+            timeout=longest_s,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return f"no answer within {longest_s:g} s"
+    if done.returncode < 0:
+        return f"its process was ended by {signal.Signals(-done.returncode).name}"
+    if done.returncode or not out.exists():
+        lines = done.stderr.strip().splitlines()
+        return lines[-1].strip() if lines else f"its process ended with status {done.returncode} and no answer"
+    return ""
+
+
+def _read(path: Path) -> Question | None:
+    """What a module says of itself; None if it answers nothing."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    if not any(isinstance(node, ast.FunctionDef) and node.name == "answer" for node in tree.body):
+        return None
+    about = (ast.get_docstring(tree) or path.stem).splitlines()[0]
+    return Question(name=path.stem, about=about, needs=_needs(tree), path=path)
+
+
+def _needs(tree: ast.Module) -> str:
+    for node in tree.body:
+        if (
+            isinstance(node, ast.Assign)
+            and isinstance(node.value, ast.Constant)
+            and any(isinstance(target, ast.Name) and target.id == "NEEDS" for target in node.targets)
+        ):
+            return str(node.value.value)
+    return ""
+
+
+def _answer(said: dict[str, Any]) -> Answer:
+    return Answer(
+        title=said["title"],
+        unit=said["unit"],
+        rows=tuple(Row(**row) for row in said["rows"]),
+        points=tuple(Point(**point) for point in said["points"]),
+        notes=tuple(said["notes"]),
+    )

@@ -1,0 +1,56 @@
+"""How two sensors that feel the same touch stand to each other, by way of the alignment frame A."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from pipeline.base.arrays import Doubles, freeze
+from pipeline.geometry import rigid
+from pipeline.sensors.spec import SensorSpec
+
+Side = Literal["alignment_from_source", "target_from_alignment"]  # which of the two transforms takes a change
+SIDES: tuple[Side, ...] = ("alignment_from_source", "target_from_alignment")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Alignment:
+    """The paper's T_S->A and T_A->T."""
+
+    alignment_from_source: Doubles  # (4, 4) mm
+    target_from_alignment: Doubles  # (4, 4) mm
+
+    @property
+    def target_from_source(self) -> Doubles:
+        """The paper's T_S->T = T_A->T o T_S->A, composed in float64."""
+        return self.target_from_alignment @ self.alignment_from_source
+
+
+def between(source: SensorSpec, target: SensorSpec) -> Alignment:
+    """The alignment that the two sensor descriptions state."""
+    return Alignment(
+        alignment_from_source=source.alignment_from_sensor,
+        target_from_alignment=freeze(rigid.invert(target.alignment_from_sensor)),
+    )
+
+
+def corrected(alignment: Alignment, motion: Doubles, into: Side = "target_from_alignment") -> Alignment:
+    """The alignment whose T_S->T is `motion` (4, 4; in the target frame, mm) after the old one.
+
+    The change is stored in one of the two transforms, `into`; the other stays as it is. Both come out orthonormal.
+    """
+    onward, inward = alignment.target_from_alignment, alignment.alignment_from_source
+    if into == "target_from_alignment":
+        onward = freeze(rigid.checked(motion @ onward, "T_A->T"))
+    else:
+        inward = freeze(rigid.checked(rigid.invert(onward) @ motion @ onward @ inward, "T_S->A"))
+    return Alignment(alignment_from_source=inward, target_from_alignment=onward)
+
+
+def placed(alignment: Alignment, *, source_shift_mm: float, target_shift_mm: float) -> Alignment:
+    """The alignment between two units whose own cameras read z smaller by these shifts than the descriptions say."""
+    if source_shift_mm == 0.0 and target_shift_mm == 0.0:
+        return alignment
+    inward = alignment.alignment_from_source @ rigid.translation(0.0, 0.0, source_shift_mm)
+    onward = rigid.translation(0.0, 0.0, -target_shift_mm) @ alignment.target_from_alignment
+    return Alignment(alignment_from_source=freeze(inward), target_from_alignment=freeze(onward))

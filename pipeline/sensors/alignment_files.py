@@ -1,0 +1,144 @@
+"""Alignments as TOML files that a person can read and edit.
+
+Two tables, [alignment_from_source] and [target_from_alignment], each a shift in mm and a rotation vector in degrees;
+the names of the two sensors above them, so that a file is not used for others by mistake.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles, freeze
+from pipeline.base.errors import FileProblem
+from pipeline.geometry import rigid
+from pipeline.sensors.alignment import SIDES, Alignment
+
+SUFFIX = ".toml"
+_WHAT = {
+    "alignment_from_source": "the paper's T_S->A: maps points of the source's camera frame to the alignment frame",
+    "target_from_alignment": "the paper's T_A->T: maps points of the alignment frame to the target's camera frame",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AlignmentFile:
+    """An alignment with what its file says of it."""
+
+    alignment: Alignment
+    source: str  # names of sensors
+    target: str
+    origin: str = ""  # where the numbers come from, in words
+
+
+def save(path: Path, kept: AlignmentFile) -> None:
+    """Write the file, beside an old one first so that a crash leaves one of the two whole.
+
+    What is read back differs from what was written by rounding alone, below 1e-12. Raises FileProblem.
+    """
+    beside = path.with_name(f".{path.name}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        beside.write_text(text_of(kept), encoding="utf-8")
+        beside.replace(path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            beside.unlink(missing_ok=True)
+        raise FileProblem(f"cannot write the alignment ({error.strerror})", path) from error
+
+
+def text_of(kept: AlignmentFile) -> str:
+    """The file as text."""
+    lines = [
+        f"# How {_plain(kept.source)} and {_plain(kept.target)} stand to each other when they feel the same touch.",
+        "# Shifts in mm, rotation vectors in degrees (axis times angle).",
+        "# A sensor's frame is its camera's: x right, y down, z out along the optical axis.",
+        f"source = {json.dumps(kept.source)}",
+        f"target = {json.dumps(kept.target)}",
+        f"from = {json.dumps(kept.origin)}",
+    ]
+    for side in SIDES:
+        matrix: Doubles = getattr(kept.alignment, side)
+        lines += [
+            "",
+            f"[{side}]  # {_WHAT[side]}",
+            f"translation_mm = {_numbers(matrix[:3, 3])}",
+            f"rotation_deg = {_numbers(np.rad2deg(rigid.rotation_vector_rad(matrix)))}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def load(path: Path, *, source: str, target: str) -> AlignmentFile:
+    """The alignment of a file, for these two sensors; raises FileProblem that names the key and what to try."""
+    data = _parsed(path)
+    told = {key: _word(data, key, path) for key in ("source", "target")}
+    if (told["source"], told["target"]) == (target, source) != (source, target):
+        raise FileProblem(
+            f"this alignment is for {target} to {source}, the other way round; swap source and target", path
+        )
+    for key, wanted in (("source", source), ("target", target)):
+        if told[key] != wanted:
+            raise FileProblem(
+                f"this alignment has the {key} {told[key]!r}, not {wanted!r}; choose the file of these two sensors",
+                path,
+                field=key,
+            )
+    return AlignmentFile(
+        alignment=Alignment(**{side: _transform(data, side, path) for side in SIDES}),
+        origin=_word(data, "from", path) if "from" in data else "",
+        **told,
+    )
+
+
+def _parsed(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FileProblem(f"cannot read the alignment ({error.strerror})", path) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise FileProblem(f"the alignment is not valid TOML ({error})", path) from error
+
+
+def _word(data: dict[str, Any], key: str, path: Path) -> str:
+    value = data.get(key)
+    if not isinstance(value, str) or (not value and key != "from"):
+        raise FileProblem(f'{key} of the alignment must be a text such as {key} = "gelslim"', path, field=key)
+    return value
+
+
+def _transform(data: dict[str, Any], side: str, path: Path) -> Doubles:
+    table = data.get(side)
+    if not isinstance(table, dict):
+        raise FileProblem(
+            f"the alignment lacks the table [{side}] with translation_mm and rotation_deg", path, field=side
+        )
+    values = cast("dict[str, Any]", table)
+    return freeze(rigid.from_parts(*(_three(values, side, key, path) for key in ("translation_mm", "rotation_deg"))))
+
+
+def _three(table: dict[str, Any], side: str, key: str, path: Path) -> list[float]:
+    where = f"{side}.{key}"
+    value: object = table.get(key)
+    numbers = cast("list[object]", value) if isinstance(value, list) else []
+    plain = [float(n) for n in numbers if isinstance(n, (int, float)) and not isinstance(n, bool)]
+    if len(plain) != 3 or len(numbers) != 3:
+        raise FileProblem(f"{where} must be a list of three numbers, got {value!r}", path, field=where)
+    if not all(map(math.isfinite, plain)):
+        raise FileProblem(f"{where} must be three finite numbers, got {value!r}", path, field=where)
+    return plain
+
+
+def _numbers(values: Doubles) -> str:
+    """Three numbers that read back as they were; + 0.0 takes the sign from a negative zero."""
+    return "[" + ", ".join(repr(round(float(v), 12) + 0.0) for v in values) + "]"
+
+
+def _plain(name: str) -> str:
+    return " ".join(name.split())

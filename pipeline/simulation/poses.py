@@ -1,0 +1,138 @@
+"""Where an object is held over the sensors: the paper's grid of still presses, and moving touches.
+
+All poses are `alignment_from_object`. The untouched gels are the plane z = 0 of the alignment frame, z pointing away
+from the sensors, so a face at -0.5 mm is pressed in by 0.5 mm. What counts is the object's deepest point over the
+square that every gel sees: a long tool's far end, tilted below it, presses on nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles, freeze
+from pipeline.base.errors import SettingProblem
+from pipeline.geometry import rigid
+from pipeline.geometry.meshes import Mesh
+from pipeline.simulation.overhang import lowest_mm
+
+SPREAD_MM = 10.0  # side of the square of the paper's translations, centred on the alignment frame
+ANGLE_DEG = 45.0  # in the plane, either way
+TILT_DEG = 3.0  # out of the plane, at most: a gripper's misalignment
+DEPTH_MM = (0.3, 1.0)  # of the deepest point over the gels
+CLEAR_MM = 14.5  # above the gels: beyond a bubble that comes 13 mm to meet the object, as in data sets
+SLIDE_MM = (2.0, 4.0)
+TWIST_DEG = (10.0, 25.0)
+
+Kind = Literal["press", "slide", "twist", "release", "full"]
+Phase = Literal["clear", "press", "slide", "twist", "release"]
+KINDS: tuple[Kind, ...] = ("press", "slide", "twist", "release", "full")
+_PLASTIC = 1.32471795724474602596  # root of x^3 = x + 1: its powers spread points over a square most evenly (Roberts)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Motion:
+    """A moving touch, frame by frame."""
+
+    poses: tuple[Doubles, ...]  # alignment_from_object (4, 4) mm
+    phases: tuple[Phase, ...]  # "clear" = above the gels
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Held:
+    """How an object is held, before its depth is made exact."""
+
+    x_mm: float
+    y_mm: float
+    angle_rad: float
+    tilt_rad: tuple[float, float]  # rotation vector in the alignment frame's plane
+    depth_mm: float  # negative = above the gels
+
+
+def paper_grid(thing: Mesh, *, n: int = 60, seed: int) -> tuple[Doubles, ...]:
+    """`n` presses: 10 mm x 10 mm evenly covered, angles within 45 degrees, small tilts, depths of 0.3 to 1 mm.
+
+    Angles, tilts and depths are each drawn from n equal shares of their range, in an order of their own. The same seed
+    gives the same bytes. Raises SettingProblem when `n` is below 1.
+    """
+    if n < 1:
+        raise SettingProblem(f"a grid needs at least one pose, got {n}")
+    rng = np.random.default_rng(seed)
+    spread = (rng.random(2) + np.arange(1, n + 1)[:, None] / (_PLASTIC, _PLASTIC**2)) % 1.0 - 0.5
+    angle, heading, tilt, depth = ((rng.permutation(n) + rng.random(n)) / n for _ in range(4))
+    lean = math.radians(TILT_DEG) * np.sqrt(tilt)  # even over the disc of tilts
+    turn = 2.0 * math.pi * heading
+    return tuple(
+        _pose(thing, _Held(
+            x_mm=SPREAD_MM * float(spread[k, 0]), y_mm=SPREAD_MM * float(spread[k, 1]),
+            angle_rad=math.radians(ANGLE_DEG) * (2.0 * float(angle[k]) - 1.0),
+            tilt_rad=(float(lean[k] * np.cos(turn[k])), float(lean[k] * np.sin(turn[k]))),
+            depth_mm=DEPTH_MM[0] + (DEPTH_MM[1] - DEPTH_MM[0]) * float(depth[k]),
+        ))
+        for k in range(n)
+    )  # fmt: skip
+
+
+def sequence(thing: Mesh, kind: Kind, *, n: int, seed: int) -> Motion:
+    """A smooth motion of `n` frames: one phase that starts and ends at rest, or with "full" all four in a row.
+
+    A press comes from clear of every sensor, a slide and a twist keep their depth, a release goes back. The seed draws
+    the place, depth, direction and way. Raises SettingProblem for an unknown kind or fewer than two frames.
+    """
+    if kind not in KINDS:
+        raise SettingProblem(f"unknown motion {kind!r}; there are {', '.join(KINDS)}")
+    if n < 2:
+        raise SettingProblem(f"a motion needs at least two frames, got {n}")
+    at = _motion(kind, np.random.default_rng(seed))
+    held, phases = [], list[Phase]()
+    for share in np.arange(n) / (n - 1):
+        where, phase = at(float(share))
+        held.append(where)
+        phases.append(phase if where.depth_mm >= 0 else "clear")
+    return Motion(poses=tuple(_pose(thing, where) for where in held), phases=tuple(phases))
+
+
+def _motion(kind: Kind, rng: np.random.Generator) -> Callable[[float], tuple[_Held, Phase]]:
+    """How the object is held at each share 0..1 of the motion."""
+    start_x, start_y = rng.uniform(-0.25 * SPREAD_MM, 0.25 * SPREAD_MM, 2)
+    start = math.radians(ANGLE_DEG) * rng.uniform(-1.0, 1.0)
+    heading, tilt_heading = rng.uniform(0.0, 2.0 * math.pi, 2)
+    lean = math.radians(TILT_DEG) * math.sqrt(rng.random())
+    depth, slide = rng.uniform(*DEPTH_MM), rng.uniform(*SLIDE_MM)
+    twist = math.radians(rng.uniform(*TWIST_DEG)) * rng.choice((-1.0, 1.0))
+    order: tuple[Phase, ...] = ("press", "slide", "twist", "release") if kind == "full" else (kind,)
+
+    def at(share: float) -> tuple[_Held, Phase]:
+        index = min(int(share * len(order)), len(order) - 1)
+        now = _eased(share * len(order) - index)
+
+        def done(phase: Phase) -> float:
+            if phase not in order:
+                return 1.0 if phase == "press" else 0.0  # a slide alone begins pressed in
+            return now if order[index] == phase else float(order.index(phase) < index)
+
+        way, lift = slide * done("slide"), 1.0 - done("press") + done("release")
+        return _Held(
+            x_mm=float(start_x + way * math.cos(heading)), y_mm=float(start_y + way * math.sin(heading)),
+            angle_rad=float(start + twist * done("twist")),
+            tilt_rad=(lean * math.cos(tilt_heading), lean * math.sin(tilt_heading)),
+            depth_mm=float(depth - (depth + CLEAR_MM) * lift),
+        ), order[index]  # fmt: skip
+
+    return at
+
+
+def _eased(share: float) -> float:
+    """From 0 to 1 with least jerk: at rest, and not accelerated, at both ends."""
+    return share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+
+
+def _pose(thing: Mesh, held: _Held) -> Doubles:
+    turn = rigid.rotation((*held.tilt_rad, 0.0)) @ rigid.rotation((0.0, 0.0, held.angle_rad))
+    level = rigid.translation(held.x_mm, held.y_mm, 0.0) @ turn
+    level[2, 3] = -held.depth_mm - lowest_mm(rigid.apply(level, thing.vertices_mm), thing.triangles)
+    return freeze(level)

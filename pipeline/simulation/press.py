@@ -1,0 +1,135 @@
+"""One press: what a sensor records of an object at a pose, and everything that is true of it.
+
+The object's pose is given in the alignment frame, so that several sensors can feel the same press. Soft sensors must
+be pressed deeper than stiff ones to feel as much (paper, dataset section): that is part of where a sensor stands in the
+alignment frame, so that it is in every `target_from_source` too. A gel rests in the plane z = 0, the bubble's apex
+stands `reach_mm` out of it; `soft_bubble.toml` says how far and why.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles, Floats, Image, Mask, freeze
+from pipeline.base.errors import SettingProblem
+from pipeline.geometry import rigid
+from pipeline.geometry.meshes import Mesh
+from pipeline.physics import bubble, bubble_camera, gel, lattice, optics, shear
+from pipeline.physics.lattice import Lattice
+from pipeline.physics.shear import Load
+from pipeline.sensors.spec import SensorSpec
+from pipeline.values.frames import Truth
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Press:
+    """A simulated reading with its truth."""
+
+    image: Image | Floats  # (rows, cols, 3) uint8, or (rows, cols) depth_mm
+    truth: Truth
+    force_n: float
+    converged: bool  # False: the truth is not to be trusted, also where a gel was pressed deeper than it is thick
+    shear_mm: Floats | None = None  # (rows, cols, 2) how far a tangential load moved the gel's surface along x and y
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Felt:
+    """The surface of a pressed sensor."""
+
+    depth_mm: Doubles  # (rows, cols)
+    contact: Mask
+    force_n: float
+    converged: bool
+    tangent_n: tuple[float, float] = (0.0, 0.0)  # right and down
+    shear_mm: Floats | None = None
+
+
+def press(
+    thing: Mesh, alignment_from_object: Doubles, sensor: SensorSpec, *, seed: int | None, load: Load | None = None
+) -> Press:
+    """What `sensor` records of `thing` at this pose; `seed` is of its noise, None = no noise.
+
+    `load` drags the object along a gel's surface (a bubble does not feel it). Raises CalibrationError for a pose that
+    is no rigid transform.
+    """
+    pose = rigid.checked(alignment_from_object, "the object's pose")
+    sensor_from_object = rigid.invert(sensor.alignment_from_sensor) @ pose
+    vertices = rigid.apply(sensor_from_object, thing.vertices_mm)
+    felt = _gel(vertices, thing, sensor, load) if sensor.kind == "gel" else _bubble(vertices, thing, sensor)
+    indentation: Floats = freeze((sensor.rest_depth_mm - felt.depth_mm).astype(np.float32))
+    truth = Truth(
+        indentation_mm=indentation, contact=felt.contact, sensor_from_object=freeze(sensor_from_object),
+        force_n=freeze(np.array([*felt.tangent_n, -felt.force_n])),
+    )  # fmt: skip
+    image = photograph(sensor, indentation, felt.depth_mm, seed, shear_mm=felt.shear_mm)
+    return Press(image=image, truth=truth, force_n=felt.force_n, converged=felt.converged, shear_mm=felt.shear_mm)
+
+
+def reach_mm(sensor: SensorSpec) -> float:
+    """How far the middle of the untouched sensor stands out of the plane z = 0 of the alignment frame.
+
+    An object whose nearest point is at z = -d presses this sensor by d + reach.
+    """
+    apex = np.array([[0.0, 0.0, float(sensor.membrane.depth_at(0.0, 0.0))]])
+    return float(rigid.apply(sensor.alignment_from_sensor, apex)[0, 2])
+
+
+def photograph(
+    sensor: SensorSpec, indentation_mm: Floats, depth_mm: Doubles, seed: int | None, *, shear_mm: Floats | None = None
+) -> Image | Floats:
+    """The sensor's reading of a membrane at `depth_mm`, `indentation_mm` from rest, with its noise if seeded."""
+    if sensor.kind == "gel":
+        return optics.render(sensor, indentation_mm, seed=seed, shear_mm=shear_mm)
+    return bubble_camera.reading(sensor, depth_mm, seed)
+
+
+def _gel(vertices_mm: Doubles, thing: Mesh, sensor: SensorSpec, load: Load | None) -> _Felt:
+    if sensor.gel is None:
+        raise SettingProblem(f"{sensor.name} has no gel to press; its description lacks [gel]")
+    on = _gel_lattice(sensor)
+    rest_z = float(np.median(sensor.rest_depth_mm))
+    overlap = rest_z - lattice.nearest_of_mesh(vertices_mm, thing.triangles, on)
+    answer = gel.press(sensor.gel, on.step_mm, overlap)
+    if not answer.contact.any():
+        nowhere = freeze(np.zeros(sensor.camera.shape, np.bool_))
+        return _Felt(depth_mm=sensor.rest_depth_mm, contact=nowhere, force_n=0.0, converged=answer.converged)
+    surface_z = rest_z - answer.indentation_mm.astype(np.float64)
+    depth = lattice.depth_along_rays(sensor.camera, surface_z, on, guess_mm=sensor.rest_depth_mm)
+    contact = lattice.seen_at_pixels(sensor.camera, answer.contact, on, depth)
+    # Beside the view a long tool's end may lie deeper; a linear layer answers for that well enough.
+    possible = float((sensor.rest_depth_mm - depth).max()) < sensor.gel.thickness_mm
+    moved, tangent_n = None, (0.0, 0.0)
+    if load is not None:
+        dragged = shear.drag(sensor.gel, on.step_mm, answer.pressure_kpa, load)
+        tangent_n, moved = dragged.force_n, freeze(shear.seen_by(sensor.camera, on, dragged.move_mm, depth))
+    return _Felt(
+        depth_mm=depth, contact=contact, force_n=answer.force_n, converged=answer.converged and possible,
+        tangent_n=tangent_n, shear_mm=moved,
+    )  # fmt: skip
+
+
+def _gel_lattice(sensor: SensorSpec) -> Lattice:
+    """The pad on the picture's own grid at rest, and a thickness more on every side."""
+    assert sensor.gel is not None
+    step, camera = sensor.pixel_mm, sensor.camera
+    margin = math.ceil(sensor.gel.thickness_mm / step)
+    return Lattice(
+        x0_mm=-(camera.cx_px + margin) * step,
+        y0_mm=-(camera.cy_px + margin) * step,
+        step_mm=step,
+        shape=(camera.rows + 2 * margin, camera.cols + 2 * margin),
+    )
+
+
+def _bubble(vertices_mm: Doubles, thing: Mesh, sensor: SensorSpec) -> _Felt:
+    if sensor.bubble is None:
+        raise SettingProblem(f"{sensor.name} has no membrane to press; its description lacks [bubble]")
+    on = bubble.lattice(sensor.bubble)
+    ceiling = lattice.nearest_of_mesh(vertices_mm, thing.triangles, on) - bubble_camera.rim_z_mm(sensor)
+    answer = bubble.press(sensor.bubble, ceiling, on)
+    depth = bubble_camera.depth_from_deviation(sensor, answer.deviation_mm, on)
+    contact = lattice.seen_at_pixels(sensor.camera, answer.contact, on, depth)
+    return _Felt(depth_mm=depth, contact=contact, force_n=answer.force_n, converged=answer.converged)

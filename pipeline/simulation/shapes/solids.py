@@ -1,0 +1,107 @@
+"""Closed bodies from rings of points: stacked and lidded, turned on a lathe, or swept along a path.
+
+Triangles run counter-clockwise seen from outside.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles, freeze
+from pipeline.base.errors import MeshProblem
+from pipeline.geometry import rigid
+from pipeline.geometry.meshes import Mesh
+from pipeline.simulation.shapes.polygons import arc_step_rad, ears
+
+Face = tuple[int, int, int]
+_POLE_MM = 1e-9  # a ring narrower than this is a point
+
+
+def closed(vertices_mm: Doubles, faces: Sequence[Face], name: str) -> Mesh:
+    """The mesh of these vertices (n, 3) and faces."""
+    return Mesh(vertices_mm=freeze(vertices_mm), triangles=freeze(np.array(faces, dtype=np.int32)), name=name)
+
+
+def walls(n_rings: int, n: int, *, endless: bool = False) -> list[Face]:
+    """Faces between rings of `n` vertices, ring after ring; each runs counter-clockwise seen from the last ring.
+
+    `endless` joins the last ring to the first.
+    """
+    faces: list[Face] = []
+    for ring in range(n_rings if endless else n_rings - 1):
+        low, high = ring * n, (ring + 1) % n_rings * n
+        for k in range(n):
+            after = (k + 1) % n
+            faces += [(low + k, low + after, high + after), (low + k, high + after, high + k)]
+    return faces
+
+
+def loft(rings_mm: Doubles, name: str, *, first_mm: Doubles | None = None, last_mm: Doubles | None = None) -> Mesh:
+    """A body over rings (k, n, 3) that each end sees its middle from; `first_mm` and `last_mm` are tips beyond them.
+
+    The rings run counter-clockwise seen from the last one.
+    """
+    k, n, _ = rings_mm.shape
+    first = rings_mm[0].mean(axis=0) if first_mm is None else first_mm
+    last = rings_mm[-1].mean(axis=0) if last_mm is None else last_mm
+    faces, top = walls(k, n), (k - 1) * n
+    for i in range(n):
+        after = (i + 1) % n
+        faces += [(k * n, after, i), (k * n + 1, top + i, top + after)]
+    return closed(np.concatenate([rings_mm.reshape(-1, 3), first[None], last[None]]), faces, name)
+
+
+def turned(profile_mm: Doubles, n_sides: int, name: str) -> Mesh:
+    """A body of revolution about z from a profile (n, 2) of radius and z, from the tactile end up.
+
+    A profile that starts or ends at radius 0 ends in a tip there, any other in a flat disc.
+    """
+    angle = 2.0 * math.pi * np.arange(n_sides) / n_sides
+    ends = [np.array([0.0, 0.0, profile_mm[end, 1]]) for end in (0, -1)]
+    wide = profile_mm[profile_mm[:, 0] > _POLE_MM]
+    around = np.column_stack([np.cos(angle), np.sin(angle), np.ones(n_sides)])
+    rings = around[None] * wide[:, None, [0, 0, 1]]
+    return loft(rings, name, first_mm=ends[0], last_mm=ends[1])
+
+
+def sides(radius_mm: float) -> int:
+    """How many sides a circle needs, a multiple of four so that it is as wide as high."""
+    return 4 * math.ceil(math.pi / (2.0 * arc_step_rad(radius_mm)))
+
+
+def swept(path_mm: Doubles, section_mm: Doubles, name: str, *, endless: bool = False) -> Mesh:
+    """A section (m, 2) of offset to the left and z, carried along a plane path (n, 2), corners mitred.
+
+    The section runs counter-clockwise. An endless path returns to its start and has no ends; others are cut square.
+    Raises MeshProblem when the section is wider than the path's bends allow.
+    """
+    along = np.roll(path_mm, -1, axis=0) - path_mm
+    if not endless:
+        along[-1] = along[-2]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    left = np.column_stack([-along[:, 1], along[:, 0]])
+    before = np.roll(left, 1, axis=0)
+    if not endless:
+        before[0] = left[0]
+    mitre = (left + before) / (1.0 + (left * before).sum(axis=1, keepdims=True))
+    plane = path_mm[:, None] + section_mm[None, :, :1] * mitre[:, None]  # (n, m, 2)
+    forward = (np.roll(plane, -1, axis=0) - plane) @ along[:, :, None]
+    if (forward[: None if endless else -1] <= 0).any():
+        raise MeshProblem(f"the section of {name!r} is wider than the bends of its path allow")
+    rings = np.concatenate([plane, np.broadcast_to(section_mm[None, :, 1:], (*plane.shape[:2], 1))], axis=2)
+    k, n = rings.shape[:2]
+    faces, last = walls(k, n, endless=endless), (k - 1) * n
+    if not endless:
+        lid = ears(section_mm)
+        faces += [(c, b, a) for a, b, c in lid]
+        faces += [(a + last, b + last, c + last) for a, b, c in lid]
+    return closed(rings.reshape(-1, 3), faces, name)
+
+
+def moved(mesh: Mesh, object_from_mesh: Doubles) -> Mesh:
+    """The same body elsewhere in its frame."""
+    vertices = rigid.apply(object_from_mesh, mesh.vertices_mm)
+    return Mesh(vertices_mm=freeze(vertices), triangles=mesh.triangles, name=mesh.name)

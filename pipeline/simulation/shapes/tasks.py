@@ -1,0 +1,116 @@
+"""The objects of the downstream tasks: three tools, a pencil, a cup's rim and a marble; and the sample's elbow."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles
+from pipeline.geometry import rigid
+from pipeline.geometry.symmetry import X, asymmetric, cyclic, revolved
+from pipeline.simulation.shapes.polygons import arc, bow
+from pipeline.simulation.shapes.prisms import bar
+from pipeline.simulation.shapes.sections import strip
+from pipeline.simulation.shapes.shape import Shape
+from pipeline.simulation.shapes.solids import loft, moved, swept
+from pipeline.simulation.shapes.training import ball
+
+
+def hex_key() -> Shape:
+    """A bent hexagonal key of 4 mm over its flats, lying on a flat: arms of 10 and 20 mm; its frame is on its axis."""
+    corner_mm = 4.0 / math.sqrt(3.0)
+    angle = np.arange(6) * math.pi / 3.0
+    section = corner_mm * np.column_stack([np.cos(angle), np.sin(angle)])
+    bend = arc(5.0, -180.0, -90.0, (5.0, 5.0), beyond_mm=corner_mm)
+    path = np.concatenate([[(0.0, 20.0)], bend, [(10.0, 0.0)]])
+    mesh = moved(swept(path, section, "hex_key"), rigid.translation(-2.0, -4.0, 0.0))
+    return Shape(name="hex_key", title="Hex key", group="task", mesh=mesh, symmetry=asymmetric())
+
+
+def screwdriver() -> Shape:
+    """The end of a flat screwdriver: a blade of 6 x 1 mm that widens to a round shaft."""
+    angle = 2.0 * math.pi * np.arange(64) / 64.0
+    round_ = np.column_stack([np.cos(angle), np.sin(angle)])
+    rings = [
+        _level(_boxed(round_, 2.9, 0.4), 0.0), _level(_boxed(round_, 3.0, 0.5), 0.1),
+        _level(_boxed(round_, 3.2, 1.4), 6.0), _level(3.0 * round_, 11.0), _level(3.0 * round_, 20.0),
+    ]  # fmt: skip
+    mesh = loft(np.stack(rings), "screwdriver")
+    return Shape(name="screwdriver", title="Screwdriver blade", group="task", mesh=mesh, symmetry=cyclic(2))
+
+
+def spanner() -> Shape:
+    """The open mouth of a spanner for 8 mm, turned by 15 degrees from its handle, lying flat."""
+    mouth, depth, head, handle = 4.0, -2.0, 9.0, 3.0  # half widths, the mouth's floor, the head's radius
+    lip = math.degrees(math.asin(mouth / head))
+    neck = math.degrees(math.asin(handle / head))
+    near = arc(head, lip + 10.0, 195.0 - neck)
+    tail = _turned(np.array([(24.0, -handle), (24.0, handle)]), 195.0)
+    far = arc(head, 195.0 + neck, 350.0 - lip)
+    floor = [(7.6, -mouth), (depth + 2.0, -mouth), (depth, -2.0), (depth, 2.0), (depth + 2.0, mouth), (7.6, mouth)]
+    mesh = bar(np.concatenate([near, tail, far, floor]), 5.0, 0.4, "spanner")
+    return Shape(name="spanner", title="Spanner mouth", group="task", mesh=mesh, symmetry=asymmetric())
+
+
+def pencil() -> Shape:
+    """A hexagonal pencil of 7 mm over its flats, lying on a flat, with its sharpened end; its frame is on its axis."""
+    tip_x, end_x, half_flat, half_angle = 13.0, -11.0, 3.5, math.radians(15.0)
+    angle = np.linspace(0.0, 2.0 * math.pi, 121)[:-1]
+    within = (angle + math.pi / 6.0) % (math.pi / 3.0) - math.pi / 6.0
+    radius = half_flat / np.cos(within)  # flats at 0, 60, ... degrees
+    wood = tip_x - radius / math.tan(half_angle)  # where the cone leaves the hexagon: nearer the tip on the flats
+    lead = 0.3  # radius of the worn tip
+    rings = [
+        _around(angle, radius, np.full(120, end_x)),
+        _around(angle, radius, wood),
+        _around(angle, np.full(120, lead), np.full(120, tip_x - lead / math.tan(half_angle))),
+    ]
+    upright = loft(np.stack(rings), "pencil")
+    # The axis to x; a flat, not an edge, is lowest.
+    mesh = moved(upright, rigid.rotation((0.0, math.pi / 2.0, 0.0)))
+    return Shape(name="pencil", title="Pencil", group="task", mesh=mesh, symmetry=cyclic(6, X))
+
+
+def cup_rim() -> Shape:
+    """A piece of 26 mm of a cup's rim: 40 mm radius, 2.4 mm thick, rounded."""
+    path = bow(40.0, math.degrees(25.0 / 40.0), 0.5, 1.2)
+    mesh = swept(path, strip(2.4, 1.2, 9.0), "cup_rim")
+    return Shape(name="cup_rim", title="Cup rim", group="task", mesh=mesh, symmetry=asymmetric())
+
+
+def marble() -> Shape:
+    """A marble of 16 mm diameter on a shaft."""
+    return Shape(name="marble", title="Marble", group="task", mesh=ball(8.0, "marble"), symmetry=revolved())
+
+
+def notched_elbow() -> Shape:
+    """An angle piece: arms of 24 and 13 mm, 3.5 mm wide, a notch near the bend; no turn or flip maps it to itself."""
+    outline = [
+        (-1.75, -1.75), (11.0, -1.75), (11.0, 1.75), (6.2, 1.75), (6.2, 0.2), (4.2, 0.2), (4.2, 1.75),
+        (1.75, 1.75), (1.75, 22.0), (-1.75, 22.0),
+    ]  # fmt: skip
+    mesh = bar(outline, height_mm=8.0, chamfer_mm=0.5, name="notched_elbow")
+    return Shape(name="notched_elbow", title="Notched elbow", group="sample", mesh=mesh, symmetry=asymmetric())
+
+
+def _level(ring: Doubles, z_mm: float) -> Doubles:
+    return np.column_stack([ring, np.full(len(ring), z_mm)])
+
+
+def _boxed(round_: Doubles, half_x_mm: float, half_y_mm: float) -> Doubles:
+    """A rectangle's outline with one point for each of a circle, its corners among them."""
+    scale = np.maximum(np.abs(round_[:, 0]), np.abs(round_[:, 1]))[:, None]
+    return round_ / scale * (half_x_mm, half_y_mm)
+
+
+def _turned(points: Doubles, angle_deg: float) -> Doubles:
+    turn = rigid.rotation((0.0, 0.0, math.radians(angle_deg)))[:2, :2]
+    return points @ turn.T
+
+
+def _around(angle: Doubles, radius_mm: Doubles, z_mm: Doubles) -> Doubles:
+    return np.column_stack([radius_mm * np.cos(angle), radius_mm * np.sin(angle), z_mm])
+
+
+ALL = (hex_key, screwdriver, spanner, pencil, cup_rim, marble)

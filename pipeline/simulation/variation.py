@@ -1,0 +1,189 @@
+"""Other units of a sensor, and other days of one: seeded changes of what differs between them.
+
+No two sensors of a kind are alike: LEDs sit askew and age, gels are cast softer or thicker, markers are printed off,
+dust lies on the lens. `varied` gives the description of another unit; strength 1 spans what units of a lab differ by.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from pipeline.base.errors import SettingProblem
+from pipeline.sensors.spec import Bubble, Gel, Glow, Led, Markers, Optics, SensorSpec
+
+MAX_STRENGTH = 3.0
+_LED_AZIMUTH_DEG = 8.0  # standard deviations at strength 1, as all that follow
+_LED_ELEVATION_DEG = 3.0
+_LED_POWER = 0.12  # of the logarithm, as every share below
+_LED_COLOUR = 0.08
+_GLOW_POWER = 0.10
+_GLOW_COLOUR = 0.05
+_GLOW_PLACE = 0.06  # halves of the image
+_BASE = 0.05
+_FALLOFF = 0.05
+_VIGNETTE = 0.08
+_BLUR = 0.15
+_NOISE = 0.20
+_SHADOW = 0.25
+_STIFFNESS = 0.20
+_THICKNESS = 0.08
+_PITCH = 0.02
+_DOT = 0.08
+_TURN_DEG = 0.8
+_BEND = 0.01
+_DUST = 3  # specks at strength 1, at most
+_DUST_HALVES = 0.012  # their size in halves of the image
+_DUST_GREY = 14.0
+_PRESSURE = 0.10
+_DRIFT = 0.012  # how far a colour wanders over minutes
+_DRIFT_PERIODS_S = (17.0, 71.0, 307.0)
+
+
+def varied(sensor: SensorSpec, seed: int, strength: float = 1.0) -> SensorSpec:
+    """Another unit of `sensor`: the same for the same seed, `sensor` itself at strength 0; camera and frames stay.
+
+    Every draw is cut at two and a half standard deviations and kept within what a sensor description may hold.
+    Raises SettingProblem for a strength outside 0 to `MAX_STRENGTH`.
+    """
+    if not 0.0 <= strength <= MAX_STRENGTH:  # not finite neither
+        raise SettingProblem(f"the strength of variation must lie between 0 and {MAX_STRENGTH:g}, got {strength!r}")
+    if strength == 0.0:
+        return sensor
+    # One stream each, so that a part keeps its draws whatever the other parts have.
+    optics, gel, markers, bubble = (_Draw(s, strength) for s in np.random.SeedSequence(_entropy(seed)).spawn(4))
+    return replace(
+        sensor,
+        optics=None if sensor.optics is None else _optics(sensor.optics, optics),
+        gel=None if sensor.gel is None else _gel(sensor.gel, gel),
+        markers=None if sensor.markers is None else _markers(sensor.markers, markers),
+        bubble=None if sensor.bubble is None else _bubble(sensor.bubble, bubble),
+    )
+
+
+def drift(seed: int, time_s: float, strength: float = 1.0) -> tuple[float, float, float]:
+    """Gains of red, green and blue after `time_s`, 1 at time 0: for `optics.render`'s `gain_rgb`.
+
+    Each colour wanders by about one percent over minutes, as LEDs warm up and a camera follows its exposure.
+    """
+    if not (math.isfinite(time_s) and math.isfinite(strength)):
+        raise SettingProblem(f"a drift needs a finite time and strength, got {time_s!r} s and {strength!r}")
+    rng = np.random.default_rng(_entropy(seed))
+    size = rng.normal(0.0, _DRIFT, (3, len(_DRIFT_PERIODS_S)))
+    phase = rng.uniform(0.0, 2.0 * np.pi, size.shape)
+    angle = 2.0 * np.pi * time_s / np.array(_DRIFT_PERIODS_S)
+    wander = (size * (np.sin(phase + angle) - np.sin(phase))).sum(axis=1)
+    red, green, blue = (float(g) for g in np.exp(strength * np.clip(wander, -0.05, 0.05)))
+    return red, green, blue
+
+
+def _entropy(seed: int) -> int:
+    return seed % 2**64
+
+
+class _Draw:
+    """Bounded normal draws of one part of a sensor."""
+
+    def __init__(self, seed: np.random.SeedSequence, strength: float) -> None:
+        self._rng, self._strength = np.random.default_rng(seed), strength
+
+    def off(self, deviation: float) -> float:
+        """A step to either side."""
+        return float(np.clip(self._rng.normal(), -2.5, 2.5)) * deviation * self._strength
+
+    def times(self, deviation: float) -> float:
+        """A factor about 1."""
+        return math.exp(self.off(deviation))
+
+    def evenly(self, low: float, high: float) -> float:
+        """Anything between, whatever the strength."""
+        return float(self._rng.uniform(low, high))
+
+    def tinted(self, rgb: tuple[float, float, float], power: float, colour: float) -> tuple[float, float, float]:
+        """A colour made brighter or darker, and each of its parts a little more so."""
+        whole = self.times(power)
+        red, green, blue = (v * whole * self.times(colour) for v in rgb)
+        return red, green, blue
+
+
+def _optics(o: Optics, draw: _Draw) -> Optics:
+    leds = tuple(
+        Led(
+            azimuth_deg=(led.azimuth_deg + draw.off(_LED_AZIMUTH_DEG)) % 360.0,
+            elevation_deg=min(max(led.elevation_deg + draw.off(_LED_ELEVATION_DEG), 5.0), 80.0),
+            rgb=draw.tinted(led.rgb, _LED_POWER, _LED_COLOUR),
+        )
+        for led in o.leds
+    )
+    glows = tuple(
+        Glow(
+            x=g.x + draw.off(_GLOW_PLACE),
+            y=g.y + draw.off(_GLOW_PLACE),
+            width=g.width * draw.times(_GLOW_PLACE),
+            height=g.height * draw.times(_GLOW_PLACE),
+            rgb=draw.tinted(g.rgb, _GLOW_POWER, _GLOW_COLOUR),
+        )
+        for g in o.glows
+    )
+    return Optics(
+        base_rgb=draw.tinted(o.base_rgb, _BASE, _BASE),
+        leds=leds,
+        falloff=_share(o.falloff + draw.off(_FALLOFF)),
+        vignette=_share(o.vignette + draw.off(_VIGNETTE)),
+        blur_px=o.blur_px * draw.times(_BLUR),
+        noise_grey=o.noise_grey * draw.times(_NOISE),
+        glows=glows + _dust(draw),
+        shadow=_share(o.shadow * draw.times(_SHADOW)),
+        shadow_deg=min(max(o.shadow_deg + draw.off(_LED_ELEVATION_DEG), 5.0), 80.0),
+    )
+
+
+def _dust(draw: _Draw) -> tuple[Glow, ...]:
+    """A few bright or dark specks that neither move nor change."""
+    count = max(0, min(_DUST, round(abs(draw.off(0.5 * _DUST)))))
+    specks: list[Glow] = []
+    for _ in range(count):
+        size, grey = _DUST_HALVES * draw.times(0.3), draw.off(_DUST_GREY)
+        x, y = draw.evenly(-1.0, 1.0), draw.evenly(-1.0, 1.0)
+        specks.append(Glow(x=x, y=y, width=size, height=size, rgb=(grey, grey, grey)))
+    return tuple(specks)
+
+
+def _gel(g: Gel, draw: _Draw) -> Gel:
+    return Gel(
+        thickness_mm=g.thickness_mm * draw.times(_THICKNESS),
+        youngs_kpa=g.youngs_kpa * draw.times(_STIFFNESS),
+        poisson=g.poisson,
+    )
+
+
+def _markers(m: Markers, draw: _Draw) -> Markers:
+    pitch = m.pitch_mm * draw.times(_PITCH)
+    # The grid's phase is anything at all between two units; a weak variation moves it little.
+    half = 0.5 * pitch
+    phase = tuple(min(max(p + draw.off(half), -half), half) for p in m.phase_mm)
+    return Markers(
+        pitch_mm=pitch,
+        radius_mm=min(m.radius_mm * draw.times(_DOT), 0.3 * pitch),
+        darkness=_share(m.darkness + draw.off(0.5 * _DOT)),
+        twin_mm=min(m.twin_mm * draw.times(_DOT), 0.3 * pitch),
+        jitter_mm=min(m.jitter_mm * draw.times(2 * _DOT), 0.15 * pitch),
+        bend=min(max(m.bend + draw.off(_BEND), -0.2), 0.2),
+        turn_deg=m.turn_deg + draw.off(_TURN_DEG),
+        phase_mm=(phase[0], phase[1]),
+    )
+
+
+def _bubble(b: Bubble, draw: _Draw) -> Bubble:
+    return replace(
+        b,
+        pressure_kpa=b.pressure_kpa * draw.times(_PRESSURE),
+        dead_volume_mm3=b.dead_volume_mm3 * draw.times(_PRESSURE),
+        depth_noise_mm=b.depth_noise_mm * draw.times(_NOISE),
+    )
+
+
+def _share(value: float) -> float:
+    return min(max(value, 0.0), 1.0)

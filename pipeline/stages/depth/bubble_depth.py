@@ -1,0 +1,108 @@
+"""Depth of a bubble: its depth image itself, filled, denoised, and compared with the untouched one."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.base.arrays import Floats, Mask, freeze
+from pipeline.base.errors import ShapeError
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.depth import bubble_reading
+from pipeline.values.frames import TactileFrame
+from pipeline.values.pixel_index import pixel_index
+from pipeline.values.results import DepthMap
+
+_BLOCK_PX = 8
+_FEWEST_READINGS = 0.5  # share of pixels with a reading below which a frame is not called untouched
+_GAP_PX = 3.0  # reach of the filling
+_FEWEST_AROUND = 0.15  # share of readings, weighted by that reach, from which a gap is filled
+_FARTHEST = 3.0  # times the median rest depth: beyond any membrane
+
+
+def largest_change(image: NDArray[Any], reference: NDArray[Any]) -> float:
+    """Largest mean absolute change of a block in mm over the pixels that have a reading; infinite if too few have."""
+    import cv2
+
+    with np.errstate(invalid="ignore", over="ignore"):
+        some = reference[::_BLOCK_PX, ::_BLOCK_PX]
+        some = some[some > 0]
+        if not some.size:
+            return math.inf
+        near = _FARTHEST * float(np.median(some))
+        seen = ((image > 0) & (reference > 0) & (image < near) & (reference < near)).astype(np.float32)
+    if float(seen.mean()) < _FEWEST_READINGS:
+        return math.inf
+    change = np.where(seen > 0, reference - image, 0.0).astype(np.float32)
+    size = (max(1, image.shape[1] // _BLOCK_PX), max(1, image.shape[0] // _BLOCK_PX))
+    total = np.asarray(cv2.resize(change, size, interpolation=cv2.INTER_AREA))
+    share = np.asarray(cv2.resize(seen, size, interpolation=cv2.INTER_AREA))
+    return float(np.abs(total / np.maximum(share, 0.25)).max())
+
+
+def depth(frame: TactileFrame, source: SensorSpec, *, smoothing_px: float, least_mm: float) -> DepthMap:
+    """The depth of one bubble frame, see `pipeline.stages.depth.depth`; the frame has been checked there.
+
+    Rest is the reference depth itself, so that no shape of the bubble is assumed. Small gaps are filled; where there is
+    no reading for more than a few pixels around, indentation and depth are NaN.
+    """
+    if frame.reference is None:
+        raise ShapeError("a bubble's depth needs a reference depth image")
+    notes: list[str] = []
+    rest = frame.reference.astype(np.float32)
+    largest = np.float32(source.limits.indentation_max_mm)
+    moved, seen = _difference(rest, frame.image.astype(np.float32), largest, notes)
+    gaps = ~seen
+    if gaps.any():
+        moved, seen = filled(moved, seen)
+        rest, _ = filled(np.where(gaps, np.float32(0.0), rest), ~gaps)
+        notes.append(f"{int((gaps & seen).sum())} pixels had no reading and were filled from around them")
+        if not seen.all():
+            notes.append(f"{int((~seen).sum())} pixels have no value: nothing was read there or close by")
+    indentation, touched = bubble_reading.read(
+        moved, seen & ~gaps, source, smoothing_px=smoothing_px, least_mm=least_mm
+    )
+    touched &= seen
+    if not touched.any():
+        notes.append("nothing touches the sensor")
+    elif np.concatenate([touched[0], touched[-1], touched[:, 0], touched[:, -1]]).any():
+        notes.append("the contact reaches the image border: what lies beyond is not seen")
+    nothing = np.float32(np.nan)
+    return DepthMap(
+        indentation_mm=freeze(np.where(seen, indentation, nothing)),
+        depth_mm=freeze(np.where(seen, rest - indentation, nothing)),
+        contact=freeze(touched),
+        camera=source.camera,
+        source_index=pixel_index(indentation.shape),
+        notes=tuple(notes),
+    )
+
+
+def _difference(rest: Floats, now: Floats, largest: np.float32, notes: list[str]) -> tuple[Floats, Mask]:
+    """(rest - now, where both are readings of the membrane); what jumps farther than the sensor can go is none."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        seen = (rest > 0) & (now > 0)
+        # Stereo cameras mark a failed match by an arbitrarily far value.
+        seen &= rest < _FARTHEST * np.median(rest[rest > 0])
+        moved = rest - now
+        wild = seen & ~(np.abs(moved) <= largest)
+    if wild.any():
+        notes.append(
+            f"{int(wild.sum())} pixels jumped farther than the sensor's {largest:g} mm and were taken for no reading"
+        )
+    seen &= ~wild
+    return np.where(seen, moved, np.float32(0.0)), np.asarray(seen, np.bool_)
+
+
+def filled(values: Floats, seen: Mask) -> tuple[Floats, Mask]:
+    """(values, known): gaps take a Gaussian mean of the readings close by; `values` must be 0 in the gaps."""
+    import cv2
+
+    weight = seen.astype(np.float32)
+    mean, total = (np.asarray(cv2.GaussianBlur(a, (0, 0), _GAP_PX), np.float32) for a in (values * weight, weight))
+    ready = ~seen & (total > _FEWEST_AROUND)
+    filled = np.where(ready, mean / np.maximum(total, np.float32(_FEWEST_AROUND)), values)
+    return np.asarray(filled, np.float32), seen | ready

@@ -1,0 +1,112 @@
+"""Where a gel is touched, from how it is pushed in.
+
+A surface moves beyond the contact too (Hertz: at the contact's edge by half of the largest indentation, on a thin
+bonded layer by less), so no limit on depth separates touched from moved. Pressure does: it is zero outside. A pressure
+wave of wavenumber q moves an elastic half-space by U(q) = 2 P(q) / (E* q), hence P(q) ~ q U(q), which is no rougher
+than a slope. A layer bonded to a plate answers alike except to waves longer than its thickness; leaving that out shifts
+the pressure by a smooth amount, which a limit at a share of the peak forgives: a share s finds a Hertz contact's radius
+short by 1 - sqrt(1 - s^2), and neither the thickness of the gel nor its stiffness is needed.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+
+from pipeline.base.arrays import Floats, Mask, freeze
+
+_WORKERS = 2
+_SPECK_SHARE = 0.05  # of the largest region: dust and scratches that the press has shifted
+_FLAT_DEPTH_SHARE = 0.8  # of the depth of the nearest rim: a face that is level with its rim is touched as well
+_PRESSURE_FREE_BLUR_PX = 1.0
+_FLAT_SLOPE_SHARE = 0.3  # of the region's steep slopes: beside a contact the gel falls away, on a face it does not
+
+
+def relative_pressure(indentation_mm: Floats, smoothing_px: float, order: Literal[1, 2] = 1) -> Floats:
+    """Pressure (rows, cols) up to a constant factor, without its longest waves; negative where the surface hangs free.
+
+    `order` is the power of the wavenumber: 1 for an elastic gel, 2 for a membrane under tension, which carries a
+    load by its curvature alone.
+
+    The image is mirrored at its border (cosine transform), as if the touch went on beyond it.
+    """
+    from scipy import fft
+
+    wave = np.asarray(fft.dctn(indentation_mm, type=2, norm="ortho", workers=_WORKERS))
+    wave = wave * _wavenumbers(*indentation_mm.shape, smoothing_px, order)
+    return np.asarray(fft.idctn(wave, type=2, norm="ortho", workers=_WORKERS), np.float32)
+
+
+def touched(
+    indentation_mm: Floats, *, least_mm: float, pressure_share: float, smoothing_px: float, order: Literal[1, 2] = 1
+) -> Mask:
+    """The contact (rows, cols): pushed in by `least_mm` or more, and pressed by more than a share of the region's peak.
+
+    Each region that is pushed in has its own peak, so that a light touch beside a firm one is kept.
+    """
+    import cv2
+    from scipy import ndimage
+
+    deep = indentation_mm > least_mm
+    if not deep.any():
+        return deep
+    n, found = cv2.connectedComponents(deep.astype(np.uint8), connectivity=8)
+    regions = np.asarray(found, np.int32)
+    pressure = relative_pressure(indentation_mm, smoothing_px, order)
+    peaks = np.asarray(ndimage.maximum(pressure, regions, np.arange(n)))
+    limit = (np.maximum(peaks, 1e-9) * pressure_share).astype(np.float32)[regions]
+    mask = deep & (pressure > limit)
+    return mask | _faces(indentation_mm, mask, deep) if order == 1 else np.asarray(ndimage.binary_fill_holes(mask))
+
+
+def _faces(indentation_mm: Floats, pressed: Mask, deep: Mask) -> Mask:
+    """What belongs to the contact though hardly any pressure shows: the inside of flat faces.
+
+    A flat face carries its pressure along its rim. Its inside is as deep as the rim and as level, unlike the gel beside
+    a contact, which falls away at once.
+    """
+    import cv2
+
+    if not pressed.any():
+        return pressed
+    gy, gx = np.gradient(cv2.GaussianBlur(indentation_mm, (0, 0), _PRESSURE_FREE_BLUR_PX))
+    slope = np.hypot(gx, gy)
+    _, labels = cv2.distanceTransformWithLabels(
+        (~pressed).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    labels = np.asarray(labels, np.int32)
+    depth_of = np.zeros(int(labels.max()) + 1, np.float32)
+    depth_of[labels[pressed]] = indentation_mm[pressed]
+    steep = float(np.percentile(slope[deep], 95.0))
+    level = deep & ~pressed & (slope < _FLAT_SLOPE_SHARE * steep)
+    level &= indentation_mm >= _FLAT_DEPTH_SHARE * depth_of[labels]
+    n, regions = cv2.connectedComponents((level | pressed).astype(np.uint8), connectivity=4)
+    with_rim = np.zeros(n, np.bool_)
+    with_rim[np.unique(np.asarray(regions)[pressed])] = True
+    with_rim[0] = False
+    joined = with_rim[np.asarray(regions)].astype(np.uint8)
+    # The rim's pressure ridge and the face meet in a line of pixels that are neither.
+    closed = cv2.morphologyEx(joined, cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
+    return np.asarray(closed, np.bool_) & deep
+
+
+def without_specks(mask: Mask, min_pixels: int) -> Mask:
+    """The mask without regions of fewer than `min_pixels` pixels or 5 % of the largest region."""
+    import cv2
+
+    n, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+    keep = np.zeros(n, np.bool_)
+    areas = stats[1:, cv2.CC_STAT_AREA]
+    keep[1:] = areas >= max(min_pixels, _SPECK_SHARE * int(areas.max(initial=0)))
+    return keep[np.asarray(labels, np.int32)]
+
+
+@lru_cache(maxsize=64)
+def _wavenumbers(rows: int, cols: int, smoothing_px: float, order: Literal[1, 2]) -> Floats:
+    """Wavenumbers (rows, cols) of a cosine transform to the power of `order`, radians per pixel, damped by a blur."""
+    ky, kx = (np.arange(n) * (math.pi / n) for n in (rows, cols))
+    q_sq = ky[:, None] ** 2 + kx[None, :] ** 2
+    return freeze((q_sq ** (0.5 * order) * np.exp(-0.5 * smoothing_px**2 * q_sq)).astype(np.float32))

@@ -1,0 +1,223 @@
+"""What presses on a membrane, and the membrane without its noise, from a noisy image of how far it moved.
+
+A membrane under tension T moves by u with -T lap u = lambda - dp: lambda >= 0 is the contact's pressure, dp the rise of
+the air's, one number. Sought are the two that explain the image best (after Kuppuswamy et al. 2019, who invert a
+bubble's finite elements as a sparse convex program):
+
+    minimise  1/2 |image - u|^2 + a sum r + b/2 sum r^2 / spread^3,   lap u = -r + rise,   r >= 0,
+
+where r is lambda over the pressure inside, so that neither T nor the pressure need be known: both together are the
+curvature of the untouched membrane. The first penalty keeps noise from becoming contact; the second makes a contact
+hang together: `spread` is the load found so far, averaged along its best direction or around it, and a load that stands
+alone costs more than one in a line or on a face. Loads are sought around `candidates` only; elsewhere the membrane is
+as smooth as a uniform load leaves it, which is where most of the noise goes. Beyond the image any load may act.
+
+Solved by the alternating direction method of multipliers (Boyd et al. 2011, over-relaxed); the Laplacian is diagonal in
+cosines, so that an iteration is one transform and its inverse, and a pixel without a reading is read off the estimate.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from pipeline.base.arrays import Floats, Mask, freeze
+
+_BORDER_MM = 5.0  # around the image, where unknown loads may act
+_NOISE = 0.45  # mm per root of a sample a square mm, for which all weights below were found
+_SINGLE, _LONE = 0.045, 1.0  # the weights a and b in mm^2 at that noise
+_STEP_MM = 3.0  # the fourth root of ADMM's penalty at that noise: membrane waves that long settle first
+_STEPS_PX = (2.1, 18.0)
+_ITERATIONS = 60
+_SPREADS = (12, 24, 36)  # the iterations that look again at what hangs together
+_FREED = 46  # from here on, what was found is fitted without penalties, which had made it too weak
+_RELAXED = np.float32(1.6)
+_RISE = np.float32(0.25)  # of the pressure, at most, under a contact
+_LINE_MM, _LINE_WIDTH_MM, _FACE_MM = 1.3, 0.28, 1.2  # standard deviations of the averages
+_DIRECTIONS = 8
+_FACE_GAIN = 2.0  # a load spread over a face is thinner than one on an edge, and no less likely
+_LEAST_SPREAD = np.float32(0.3)
+_FOUND = 1.5  # times the pressure inside
+_BLOCK_PX = 8
+_FEWEST_BLOCKS = 8
+_WHOLE = 0.7  # share of a block's pixels that must be free
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MembraneLoad:
+    """A membrane's move and what causes it."""
+
+    moved_mm: Floats  # (rows, cols)
+    load: Floats  # (rows, cols) pressure of the contact over the pressure inside, >= 0
+
+
+def estimate(
+    moved_mm: Floats, seen: Mask, candidates: Mask, start_mm: Floats, *,
+    pixel_mm: float, curvature_per_mm: float, caution: float = 1.0,
+) -> MembraneLoad:  # fmt: skip
+    """The load (rows, cols) behind a noisy move, and the move that it makes.
+
+    `moved_mm` must be finite; where `seen` is False it is not used. `start_mm` is a smooth guess of the move.
+    `curvature_per_mm` is the untouched membrane's -lap: pressure over tension. `caution` multiplies the noise that is
+    measured in the image.
+    """
+    kappa = np.float32(curvature_per_mm * pixel_mm**2)
+    noise = caution * noise_mm2(moved_mm, seen & ~candidates, pixel_mm) / _NOISE
+    problem = _Problem.framed(moved_mm, seen, candidates, max(1, round(_BORDER_MM / pixel_mm)))
+    step_px = min(max(_STEP_MM * noise**0.25 / pixel_mm, _STEPS_PX[0]), _STEPS_PX[1])
+    u, load = _solved(problem, problem.wide(start_mm), kappa, np.float32(step_px**4), noise, pixel_mm)
+    inner = problem.inner
+    return MembraneLoad(moved_mm=freeze(u[inner].copy()), load=freeze(load[inner] / kappa))
+
+
+def noise_mm2(moved_mm: Floats, free: Mask, pixel_mm: float) -> float:
+    """Standard deviation of a mean over one square mm, from blocks of pixels: also right where noise is coarse.
+
+    The membrane's own shape is taken out by the fourth difference of five blocks in a row, all in `free`; what is
+    typical of depth cameras where there are too few.
+    """
+    rows, cols = (n // _BLOCK_PX * _BLOCK_PX for n in moved_mm.shape)
+
+    def blocks(a: Floats) -> Floats:
+        cut = a[:rows, :cols].reshape(rows // _BLOCK_PX, _BLOCK_PX, cols // _BLOCK_PX, _BLOCK_PX)
+        return np.asarray(cut.mean(axis=(1, 3)), np.float32)
+
+    share = blocks(free.astype(np.float32))
+    mean = blocks(np.where(free, moved_mm, np.float32(0.0))) / np.maximum(share, np.float32(_WHOLE))
+    found: list[Floats] = []
+    for m, s in ((mean, share), (mean.T, share.T)):
+        if len(m) >= 5:
+            bend = m[:-4] - 4 * m[1:-3] + 6 * m[2:-2] - 4 * m[3:-1] + m[4:]
+            whole = np.minimum.reduce([s[i : len(s) - 4 + i] for i in range(5)]) >= _WHOLE
+            found.append(np.abs(bend[whole]))
+    bends = np.concatenate(found) if found else np.zeros(0, np.float32)
+    if bends.size < _FEWEST_BLOCKS:
+        return _NOISE
+    return 1.4826 * float(np.median(bends)) / math.sqrt(70.0) * _BLOCK_PX * pixel_mm
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Problem:
+    """An image within a wider frame; masks are 0 and 1, since products are quicker than choices."""
+
+    image: Floats
+    seen: Floats
+    sought: Floats  # where a load is sought
+    free: Floats  # the rest of the image: a uniform load
+    beyond: Floats  # the frame: any load
+    inner: tuple[slice, slice]
+
+    @classmethod
+    def framed(cls, image: Floats, seen: Mask, candidates: Mask, border: int) -> _Problem:
+        from scipy import fft
+
+        shape = tuple(int(fft.next_fast_len(n + 2 * border, real=True) or 0) for n in image.shape)
+        inner = (slice(border, border + image.shape[0]), slice(border, border + image.shape[1]))
+        ends = [(border, big - border - n) for big, n in zip(shape, image.shape, strict=True)]
+        sought, free = (np.pad(mask.astype(np.float32), ends) for mask in (candidates, ~candidates))
+        return cls(image=np.pad(image, ends), seen=np.pad(seen.astype(np.float32), ends), sought=sought, free=free,
+                   beyond=1 - sought - free, inner=inner)  # fmt: skip
+
+    def wide(self, image: Floats) -> Floats:
+        """An image of the inner size carried on to the frame."""
+        ends = [(s.start, big - s.stop) for s, big in zip(self.inner, self.image.shape, strict=True)]
+        return np.pad(image, ends, mode="edge").astype(np.float32)
+
+    def filled(self, u: Floats) -> Floats:
+        """The image, with the estimate where nothing was read."""
+        return np.asarray(u + self.seen * (self.image - u), np.float32)
+
+
+def _solved(
+    problem: _Problem, u: Floats, kappa: np.float32, penalty: np.float32, noise: float, pixel_mm: float
+) -> tuple[Floats, Floats]:
+    """(move, load) on the frame after all iterations; `u` is where they start."""
+    inner, sought, free = problem.inner, problem.sought, problem.free
+    lowest, threshold = -_RISE * kappa, np.float32(_SINGLE * noise / (kappa * penalty))
+    damping, kept = _damping(u.shape, float(penalty)), problem.beyond * np.float32(penalty / (penalty + 1))
+    n_free, shrink = max(float(free.sum(dtype=np.float64)), 1.0), np.ones(u.shape, np.float32)
+    z = sought * np.maximum(-_laplacian(u), lowest)
+    y, load = np.zeros_like(z), np.zeros_like(z)
+    for k in range(_ITERATIONS):
+        u = _smoothed(problem.filled(u), penalty * _laplacian(z - y), damping)
+        v = y + (1 - _RELAXED) * z - _RELAXED * _laplacian(u)
+        uniform = np.float32(min(max(float((v * free).sum(dtype=np.float64)) / n_free, -float(kappa)), 0.0))
+        z = sought * (lowest + np.maximum(v - (threshold + lowest), 0) * shrink) + kept * v + uniform * free
+        y = v - z
+        if k in _SPREADS:
+            spread = np.maximum(_spread((sought * (z - lowest))[inner] / kappa, pixel_mm), _LEAST_SPREAD)
+            shrink[inner] = 1 / (1 + np.float32(_LONE * noise * noise) / (spread**3 * (penalty * kappa * kappa)))
+        if k == _FREED:
+            load = sought * np.maximum(z - lowest, 0)
+            shrink[inner], threshold = _found(load[inner] / kappa), np.float32(0.0)
+    return u, load
+
+
+def _smoothed(target: Floats, pull: Floats, damping: Floats) -> Floats:
+    """What lies between the image and the load's own shape."""
+    from scipy import fft
+
+    wave = np.asarray(fft.dctn(target - pull, norm="ortho"), np.float32) * damping
+    return np.asarray(fft.idctn(wave, norm="ortho", overwrite_x=True), np.float32)
+
+
+def _laplacian(a: Floats) -> Floats:
+    """Of five points, mirrored at the border as cosines are."""
+    import cv2
+
+    return np.asarray(cv2.Laplacian(a, cv2.CV_32F, ksize=1, borderType=cv2.BORDER_REFLECT), np.float32)
+
+
+def _spread(load: Floats, pixel_mm: float) -> Floats:
+    """How much load there is along the best line through each pixel, or on the face around it."""
+    around = math.ceil(3 * max(_LINE_MM, _FACE_MM) / pixel_mm)
+    box = tuple(slice(max(0, int(i.min()) - around), int(i.max()) + around + 1) for i in np.nonzero(load > 0) if i.size)
+    spread = np.zeros_like(load)
+    if box:
+        spread[box] = _spread_within(np.ascontiguousarray(load[box]), pixel_mm)
+    return spread
+
+
+def _spread_within(load: Floats, pixel_mm: float) -> Floats:
+    import cv2
+
+    best = _FACE_GAIN * np.asarray(cv2.GaussianBlur(load, (0, 0), _FACE_MM / pixel_mm), np.float32)
+    for line in _lines(_LINE_MM / pixel_mm, max(_LINE_WIDTH_MM / pixel_mm, 0.5)):
+        best = np.maximum(best, cv2.filter2D(load, cv2.CV_32F, line, borderType=cv2.BORDER_REFLECT))
+    return np.asarray(best, np.float32)
+
+
+def _found(load: Floats) -> Floats:
+    """1 on the load and the pixels beside it, 0 elsewhere."""
+    import cv2
+
+    strong = np.asarray(cv2.GaussianBlur(load, (0, 0), 0.7)) > _FOUND
+    return np.asarray(cv2.dilate(strong.astype(np.uint8), np.ones((3, 3), np.uint8)), np.float32)
+
+
+@lru_cache(maxsize=8)
+def _lines(length_px: float, width_px: float) -> tuple[Floats, ...]:
+    """Gaussians stretched along each direction; their sums are 1."""
+    reach = max(1, round(2 * length_px))
+    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1].astype(np.float64)
+    lines: list[Floats] = []
+    for angle in np.arange(_DIRECTIONS) * (math.pi / _DIRECTIONS):
+        along, across = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
+        line = np.exp(-0.5 * (along / length_px) ** 2 - 0.5 * (across / width_px) ** 2)
+        lines.append(freeze((line / line.sum()).astype(np.float32)))
+    return tuple(lines)
+
+
+@lru_cache(maxsize=8)
+def _eigenvalues_sq(shape: tuple[int, int]) -> Floats:
+    """Squares of the five-point Laplacian's eigenvalues (rows, cols) in cosines."""
+    ky, kx = (np.arange(n) * (math.pi / n) for n in shape)
+    return freeze(((2 * np.cos(ky) - 2)[:, None] + (2 * np.cos(kx) - 2)[None, :]) ** 2)
+
+
+def _damping(shape: tuple[int, ...], penalty: float) -> Floats:
+    rows, cols = shape
+    return (1.0 / (1.0 + penalty * _eigenvalues_sq((rows, cols)))).astype(np.float32)

@@ -1,0 +1,186 @@
+"""Stage one: how far the source sensor's surface is pushed in, and where it is touched.
+
+A gel's picture goes through a colour-to-slope look-up and an exact integration (`gel_depth`); a bubble's depth image is
+compared with its untouched one (`bubble_depth`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles, Floats, Image, freeze
+from pipeline.base.errors import ShapeError
+from pipeline.base.params import setting
+from pipeline.base.progress import SILENT, Progress
+from pipeline.calibration.lookup import Calibration, built_in
+from pipeline.geometry.camera import Camera
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.depth import bubble_depth, gel_depth
+from pipeline.values.frames import TactileFrame
+from pipeline.values.pixel_index import pixel_index
+from pipeline.values.results import DepthMap
+
+_KEPT = 16  # views and references remembered
+_BLACK_GREY = 2  # no lit gel is this dark everywhere
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DepthParams:
+    """How the depth stage looks at a frame."""
+
+    contact_limit: float = setting(
+        1.0, "Contact limit", unit="x", low=0.2, high=10.0, step=0.1,
+        help="smallest indentation that counts, in units of the sensor's own limit",
+    )  # fmt: skip
+    pressure_share: float = setting(
+        0.25, "Pressure share", low=0.02, high=0.8, step=0.02,
+        help="contact is where the pressure exceeds this share of its peak",
+    )  # fmt: skip
+    smoothing_px: float = setting(1.0, "Smoothing", unit="px", low=0.0, high=5.0, step=0.25,
+                                  help="blur of the colour change, or of a bubble's depth")  # fmt: skip
+    boundary: str = setting(
+        "flat", "Integration border", choices=("flat", "free"),
+        help="flat: the gel is at rest around the touched part; free: nothing is known there",
+    )  # fmt: skip
+    sensitivity: float = setting(
+        1.0, "Sensitivity", unit="x", low=0.2, high=5.0, step=0.1,
+        help="larger sees weaker touches: divides the sensor's limit of an untouched picture",
+    )  # fmt: skip
+
+
+def depth(
+    frame: TactileFrame,
+    source: SensorSpec,
+    calibration: Calibration | None,
+    params: DepthParams,
+    progress: Progress = SILENT,
+) -> DepthMap:
+    """Indentation (mm, positive toward the camera), depth and contact of a frame, in the source sensor's frame.
+
+    `calibration` None stands for the look-up that the sensor's description implies. The frame's own camera is used
+    where it brings one. Raises ShapeError for a frame that cannot be read, CalibrationError for one of another sensor.
+    """
+    progress.step(0.0, "comparing with the untouched frame")
+    _check(frame, source)
+    seen_by = source if frame.camera is None else _through(source, frame.camera)
+    if frame.is_depth:
+        return bubble_depth.depth(
+            frame,
+            seen_by,
+            smoothing_px=params.smoothing_px,
+            least_mm=params.contact_limit * source.limits.contact_min_mm,
+        )
+    look_up = calibration if calibration is not None else built_in(seen_by)
+    return gel_depth.depth(
+        frame, seen_by, look_up,
+        no_touch_grey=source.limits.no_touch / params.sensitivity,
+        least_mm=params.contact_limit * source.limits.contact_min_mm,
+        pressure_share=params.pressure_share,
+        smoothing_px=params.smoothing_px,
+        boundary="flat" if params.boundary == "flat" else "free",
+        progress=progress,
+    )  # fmt: skip
+
+
+def untouched(
+    frame: TactileFrame,
+    source: SensorSpec,
+    calibration: Calibration | None,  # noqa: ARG001 - every stage's short cut reads what the stage reads
+    params: DepthParams,
+) -> DepthMap | None:
+    """The exact answer for a frame in which nothing touches; None when something may, or a closer look is due."""
+    reference, image = frame.reference, frame.image
+    if reference is None or reference.shape != image.shape or reference.dtype != image.dtype:
+        return None
+    number = np.floating if frame.is_depth else np.uint8  # anything else is for `depth` to refuse in words
+    if frame.is_depth != (source.kind == "bubble") or not np.issubdtype(image.dtype, number):
+        return None
+    limit = source.limits.no_touch / params.sensitivity
+    if frame.is_depth:
+        change = bubble_depth.largest_change(image, reference)
+    else:
+        change = gel_depth.largest_change(cast("Image", image), cast("Image", reference))
+    if not change < limit:
+        return None
+    seen_by = source if frame.camera is None else _through(source, frame.camera)
+    if frame.image.shape[:2] != seen_by.camera.shape:
+        return None
+    return _rests.of(frame, seen_by)
+
+
+def _check(frame: TactileFrame, source: SensorSpec) -> None:
+    where = f"frame {frame.index} of {frame.sensor or source.name}"
+    image, reference = frame.image, frame.reference
+    if reference is None:
+        raise ShapeError(f"no reference image for {where}; record one untouched frame or give --reference")
+    camera = frame.camera or source.camera
+    wanted = camera.shape if source.kind == "bubble" else (*camera.shape, 3)
+    for what, array in (("image", image), ("reference", reference)):
+        if array.shape != wanted:
+            raise ShapeError(
+                f"the {what} of {where} must have shape {wanted}, got {array.shape}; choose the right sensor"
+            )
+        if source.kind == "gel" and array.dtype != np.uint8:
+            bad = np.issubdtype(array.dtype, np.floating) and not np.isfinite(array).all()
+            told = "holds values that are not numbers (NaN)" if bad else f"is {array.dtype}"
+            raise ShapeError(f"the {what} of {where} {told}; a gel's picture is RGB of 8 bits")
+        if source.kind == "bubble" and not np.issubdtype(array.dtype, np.floating):
+            raise ShapeError(f"the {what} of {where} is {array.dtype}; a bubble's depth is float32 in millimetres")
+        if source.kind == "bubble" and not (array > 0).any():
+            raise ShapeError(
+                f"the {what} of {where} holds no depth at all (NaN or zero everywhere); leave this frame out"
+            )
+        if source.kind == "gel" and int(array.max()) <= _BLACK_GREY:
+            raise ShapeError(f"the {what} of {where} is black; check the light and the camera, or leave this frame out")
+
+
+_cameras: dict[tuple[str, int, Camera], SensorSpec] = {}
+
+
+def _through(source: SensorSpec, camera: Camera) -> SensorSpec:
+    """The sensor as a recording's own camera sees it; the last few are kept."""
+    if camera == source.camera:
+        return source
+    key = (source.name, id(source.membrane), camera)
+    if key not in _cameras:
+        if len(_cameras) >= _KEPT:
+            _cameras.pop(next(iter(_cameras)))
+        _cameras[key] = replace(source, camera=camera, rest_depth_mm=source.membrane.rest_depth_mm(camera))
+    return _cameras[key]
+
+
+class _Rests:
+    """Results for untouched frames: one per view of a gel and per reference of a bubble, the last few kept."""
+
+    def __init__(self) -> None:
+        self._kept: dict[int, tuple[object, DepthMap]] = {}
+
+    def of(self, frame: TactileFrame, source: SensorSpec) -> DepthMap:
+        """The result whose rest depth is this very array."""
+        rest = frame.reference if frame.is_depth and frame.reference is not None else source.rest_depth_mm
+        known = self._kept.get(id(rest))
+        if known is not None and known[0] is rest and known[1].camera == source.camera:
+            return known[1]
+        if len(self._kept) >= _KEPT:
+            self._kept.pop(next(iter(self._kept)))
+        made = _at_rest(rest, source)
+        self._kept[id(rest)] = (rest, made)
+        return made
+
+
+_rests = _Rests()
+
+
+def _at_rest(rest: Floats | Doubles | Image, source: SensorSpec) -> DepthMap:
+    shape = source.camera.shape
+    return DepthMap(
+        indentation_mm=freeze(np.zeros(shape, np.float32)),
+        depth_mm=freeze(np.where(rest > 0, rest, np.nan).astype(np.float32)),
+        contact=freeze(np.zeros(shape, np.bool_)),
+        camera=source.camera,
+        source_index=pixel_index(shape),
+        notes=("nothing touches the sensor",),
+    )

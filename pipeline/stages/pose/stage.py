@@ -1,0 +1,222 @@
+"""Pose: where the touched object is in the target sensor's frame (paper: ICP against the object's mesh).
+
+A contact is a one-sided, partial view of the object, so a single registration ends in some minimum, confidently. Here
+many first guesses are compared by what was felt and by what was not, the best are registered on the object's signed
+distances, and what is left open is said: directions that nothing shows, and other poses that fit as well.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles, Floats, Indices, freeze
+from pipeline.base.errors import SettingProblem
+from pipeline.base.params import setting
+from pipeline.base.progress import SILENT, Progress
+from pipeline.geometry import rigid
+from pipeline.geometry.meshes import Mesh
+from pipeline.registration.answer import Answered, answered
+from pipeline.registration.gauss_newton import NotDetermined, Points
+from pipeline.registration.planar_pose import planar_pose
+from pipeline.registration.prepared import prepared
+from pipeline.registration.scene import Scene, felt_surface
+from pipeline.registration.search import Minimum, Search
+from pipeline.registration.starts import FACES, starts
+from pipeline.values.results import ObjectPose, Touch
+
+NO_CONTACT = "no contact: nothing was felt to find a pose from"
+NO_MESH = "no object mesh was given; a pose needs one"
+SURFACE, PAPER = "surface", "paper 2D"
+_FORMER = {"point-to-plane": SURFACE, "point-to-point": PAPER}
+_MIN_POINTS = 20  # six unknowns, three times over
+_MIN_FITNESS = 0.05  # share of the contact on the object below which there is no pose to speak of
+_LARGEST = 100.0  # times the contact's size: a larger object's surface would be one plane
+_FOLLOWED_FITNESS, _FOLLOWED_MM = 0.8, 0.15  # a pose followed from the last touch fits at least this well
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseParams:
+    """How the registration is done."""
+
+    method: str = setting(
+        SURFACE, "Method", choices=(SURFACE, PAPER),
+        help="surface: signed distance to the mesh in 3D; paper 2D: the paper's released evaluation, for comparison",
+    )  # fmt: skip
+    face: str = setting(
+        "auto", "Face toward the sensor", choices=("auto", *FACES), help="axis of the object that points at the sensor"
+    )
+    n_starts: int = setting(72, "Starts", low=1, high=1000, step=6, help="orientations that are tried")
+    n_iterations: int = setting(30, "Iterations", low=1, high=200, step=5)
+    max_distance_mm: float = setting(
+        2.0, "Search distance", unit="mm", low=0.05, high=20.0, step=0.1,
+        help="points farther from the object do not count as on it",
+    )  # fmt: skip
+    max_points: int = setting(1500, "Points", low=50, high=100_000, step=100, help="contact points that are used")
+    keep_steps: bool = setting(True, "Keep iterations")
+    seed: int = setting(0, "Seed", low=0, high=2**31 - 1, step=1)
+
+
+def pose(touch: Touch, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT) -> ObjectPose:
+    """sensor_from_object (4, 4) in mm with its covariance and what it leaves open; None where it cannot be said.
+
+    Raises MeshProblem when the mesh has no surface, SettingProblem for an unknown face or method.
+    """
+    begun = _begun(touch, mesh, params, progress)
+    if isinstance(begun, ObjectPose):
+        return begun
+    search, checked = begun
+    if params.method == PAPER:
+        return planar_pose(search.scene, checked, search.object.model, params.face, params.n_iterations,
+                           keep_steps=params.keep_steps, progress=progress)  # fmt: skip
+    progress.step(0.2, "comparing first guesses")
+    tried = starts(search.scene, search.object.model, params.face, params.n_starts)
+    progress.step(0.21, "registering the most promising")
+    found = search.best(search.promising(tried), _Share(progress, 0.3, 0.7))
+    return _told(search, checked, found, len(tried), ())
+
+
+def pose_from(
+    touch: Touch,
+    mesh: Mesh | None,
+    params: PoseParams,
+    previous: Doubles,
+    progress: Progress = SILENT,
+    *,
+    others: Sequence[Doubles] = (),
+) -> ObjectPose:
+    """`pose` of the next touch of a sequence: followed from the `previous` sensor_from_object (4, 4) where that fits.
+
+    `others` are the poses that fitted the last touch as well (`ObjectPose.alternatives`): they are followed too, so
+    that a touch that tells them apart does. Where the contact does not lie on the object within 0.15 mm, or for the
+    method of the paper, everything is searched anew. Raises what `pose` does, CalibrationError when `previous` is no
+    rigid transform.
+    """
+    if params.method == SURFACE:
+        begun = _begun(touch, mesh, params, progress)
+        if isinstance(begun, ObjectPose):
+            return begun
+        search, checked = begun
+        found = search.best([rigid.checked(start, "the previous pose") for start in (previous, *others)])
+        best = found[0] if found else None
+        if best is not None and best.fit.fitness >= _FOLLOWED_FITNESS and best.misfit_mm <= _FOLLOWED_MM:
+            return _told(search, checked, found, 0, ("followed from the touch before",))
+    return pose(touch, mesh, params, progress)
+
+
+def posed(
+    touch: Touch, mesh: Mesh | None, previous: ObjectPose | None, params: PoseParams, progress: Progress = SILENT
+) -> ObjectPose:
+    """The stage: `pose_from` where the touch before is given and has a pose, else `pose`."""
+    if previous is None or previous.sensor_from_object is None:
+        return pose(touch, mesh, params, progress)
+    return pose_from(touch, mesh, params, previous.sensor_from_object, progress, others=previous.alternatives)
+
+
+def nothing_to_pose(
+    touch: Touch,
+    mesh: Mesh | None,
+    previous: ObjectPose | None,  # noqa: ARG001 - a shortcut takes what its stage takes
+    params: PoseParams,
+) -> ObjectPose | None:
+    """`without_contact` with the inputs of `posed`."""
+    return without_contact(touch, mesh, params)
+
+
+def without_contact(touch: Touch, mesh: Mesh | None, params: PoseParams) -> ObjectPose | None:  # noqa: ARG001
+    """The answer "unknown" when there is no mesh or no contact, else None; same inputs as `pose`."""
+    if not touch.contact.any():
+        return _unknown(NO_CONTACT)
+    return _unknown(NO_MESH) if mesh is None else None
+
+
+def _begun(
+    touch: Touch, mesh: Mesh | None, params: PoseParams, progress: Progress
+) -> ObjectPose | tuple[Search, Mesh]:  # fmt: skip
+    """What a search needs, or the answer where there is nothing to search."""
+    early = without_contact(touch, mesh, params)
+    if early is not None or mesh is None:
+        return early or _unknown(NO_MESH)
+    _check(params)
+    scene = felt_surface(touch, params.max_points, params.seed)
+    few = f"only {len(scene.points_mm)} contact points show a surface; a pose needs at least {_MIN_POINTS}"
+    if len(scene.points_mm) < _MIN_POINTS:
+        return _unknown(few, scene)
+    points = Points.of(scene.points_mm)
+    if isinstance(points, NotDetermined):
+        return _unknown(points.why, scene)
+    if len(mesh.vertices_mm) and _size_mm(mesh) > _LARGEST * points.radius_mm:
+        return _unknown(_not_laid(mesh), scene)
+    progress.step(0.0, "measuring the object")
+    ready = prepared(mesh, params.seed, _Share(progress, 0.0, 0.2))
+    return Search(
+        scene=scene, points=points, object=ready, max_distance_mm=params.max_distance_mm,
+        n_iterations=params.n_iterations, keep_steps=params.keep_steps,
+    ), mesh  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class _Share:
+    """A part of a longer progress."""
+
+    whole: Progress
+    start: float
+    share: float
+
+    def step(self, fraction: float, text: str) -> None:
+        """Pass on as a fraction of the whole."""
+        self.whole.step(self.start + self.share * fraction, text)
+
+
+def _check(params: PoseParams) -> None:
+    if params.face not in ("auto", *FACES):
+        raise SettingProblem(f"pose.face must be one of auto, {', '.join(FACES)}, got {params.face!r}")
+    if params.method in _FORMER:
+        now = _FORMER[params.method]
+        raise SettingProblem(f"pose.method {params.method!r} is gone; {now!r} does what it was for")
+    if params.method not in (SURFACE, PAPER):
+        raise SettingProblem(f"pose.method must be {SURFACE!r} or {PAPER!r}, got {params.method!r}")
+
+
+def _told(search: Search, mesh: Mesh, found: list[Minimum], n_tried: int, notes: tuple[str, ...]) -> ObjectPose:
+    """The best of the minima, the others that fit as well, and what is not known."""
+    best = answered(search, found)
+    if best is None or best.minimum.fit.fitness < _MIN_FITNESS:
+        return _unknown(_not_laid(mesh), search.scene)
+    return _pose_of(search, best, n_tried, notes)
+
+
+def _pose_of(search: Search, best: Answered, n_tried: int, notes: tuple[str, ...]) -> ObjectPose:
+    fit, known = best.minimum.fit, best.known
+    points, pixel = _frozen(search.scene)
+    return ObjectPose(
+        sensor_from_object=freeze(fit.sensor_from_object), covariance=freeze(known.covariance),
+        observable=freeze(known.observable), weak=known.weak, rmse_mm=fit.rmse_mm, fitness=fit.fitness,
+        scene_mm=points, source_index=pixel, steps=fit.steps, starts_tried=n_tried,
+        notes=(*best.notes, *search.object.grid.notes, *notes), alternatives=best.alternatives,
+    )  # fmt: skip
+
+
+def _unknown(why: str, scene: Scene | None = None) -> ObjectPose:
+    points, pixel = _frozen(scene)
+    return ObjectPose(
+        sensor_from_object=None, covariance=None, observable=None, weak=(), rmse_mm=math.nan, fitness=0.0,
+        scene_mm=points, source_index=pixel, notes=(why,),
+    )  # fmt: skip
+
+
+def _not_laid(mesh: Mesh) -> str:
+    return f"the object, {_size_mm(mesh):.3g} mm long, could not be laid on the contact; check the mesh's unit and face"
+
+
+def _size_mm(mesh: Mesh) -> float:
+    return float(np.ptp(mesh.vertices_mm, axis=0).max())
+
+
+def _frozen(scene: Scene | None) -> tuple[Floats, Indices]:
+    if scene is None:
+        return freeze(np.empty((0, 3), dtype=np.float32)), freeze(np.empty(0, dtype=np.int32))
+    return freeze(scene.points_mm.astype(np.float32)), freeze(scene.pixel)

@@ -1,0 +1,184 @@
+"""One translation as a user asks for it: a recording, two sensors, and what goes with them, opened and checked once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.base.arrays import freeze
+from pipeline.base.errors import SettingProblem
+from pipeline.calibration.lookup import Calibration
+from pipeline.calibration.lookup import load as load_calibration
+from pipeline.engine.graph import Graph
+from pipeline.geometry import rigid
+from pipeline.geometry.meshes import Mesh, load_mesh
+from pipeline.recordings import open_recording
+from pipeline.recordings.depth_arrays import DepthUnit
+from pipeline.sensors import alignment as alignments
+from pipeline.sensors.alignment import Alignment, placed
+from pipeline.sensors.alignment_files import load as load_alignment
+from pipeline.sensors.spec import SensorSpec, sensor
+from pipeline.translation import routes
+from pipeline.values.frames import Recording, Stream, TactileFrame, Truth
+from pipeline.values.results import ObjectPose
+
+if TYPE_CHECKING:
+    from pipeline.geometry.symmetry import Symmetry
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """What to translate into what; the empty string and None mean "as the recording says"."""
+
+    recording: Path
+    target: str
+    source: str = ""
+    stream: str = ""
+    route: str = "t2d2"
+    reference: Path | None = None
+    calibration: Path | None = None
+    mesh: Path | None = None
+    mesh_unit: str = "auto"
+    depth_unit: DepthUnit = "auto"
+    alignment: Path | None = None  # TOML with T_S->A and T_A->T
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Translation:
+    """Everything the stages read, for every frame of one stream."""
+
+    request: Request
+    recording: Recording
+    stream: Stream
+    source: SensorSpec
+    target: SensorSpec
+    alignment: Alignment
+    calibration: Calibration | None
+    mesh: Mesh | None
+    notes: tuple[str, ...] = field(default=())
+    symmetry: Symmetry | None = None  # of `mesh`; None = not known
+
+    @property
+    def n_frames(self) -> int:
+        """How many touches there are."""
+        return self.stream.n_frames
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """The stages of the route, in order."""
+        return routes.route(self.request.route)
+
+    def inputs(self, index: int, previous: ObjectPose | None = None) -> Mapping[str, object]:
+        """What the graph reads for frame `index`; raises FileProblem if that frame is damaged.
+
+        `previous` is the pose of the touch before, where a sequence is to be followed.
+        """
+        return self.inputs_of(self.stream.frame(self.checked(index)), previous)
+
+    def inputs_of(self, frame: TactileFrame, previous: ObjectPose | None = None) -> Mapping[str, object]:
+        """What the graph reads for a frame at hand."""
+        return {
+            "frame": frame,
+            "source": self.source,
+            "target": self.target,
+            "calibration": self.calibration,
+            "alignment": placed(self.alignment, source_shift_mm=own_shift_mm(frame, self.source), target_shift_mm=0.0),
+            "mesh": self.mesh,
+            "previous": previous,
+        }
+
+    def truth_of_source(self, index: int) -> Truth | None:
+        """What is known of frame `index` on the source's side."""
+        return self.stream.truth(index)
+
+    def truth_of_target(self, index: int) -> tuple[TactileFrame, Truth | None] | None:
+        """What the target sensor really recorded of the same touch, None if it took no part."""
+        other = self.recording.stream_of_sensor(self.target.name)
+        if other is None or other.name == self.stream.name or index >= other.n_frames:
+            return None
+        return other.frame(index), other.truth(index)
+
+    def checked(self, index: int) -> int:
+        """`index` if there is such a frame; raises SettingProblem otherwise."""
+        if not 0 <= index < self.n_frames:
+            raise SettingProblem(f"no frame {index}; the recording has frames 0 to {self.n_frames - 1}")
+        return index
+
+
+def open_translation(request: Request) -> Translation:
+    """Open and check all that `request` names; raises TouchError with what is wrong and where."""
+    routes.route(request.route)
+    target = sensor(request.target)
+    recording = open_recording(
+        request.recording, sensor=request.source, reference=request.reference, depth_unit=request.depth_unit
+    )
+    said = sensor(request.source) if request.source else None
+    stream = recording.stream(request.stream or (said.name if said else ""))
+    if not stream.sensor:
+        raise SettingProblem(f"the recording does not say which sensor made it; give --sensor: '{request.recording}'")
+    source = said or sensor(stream.sensor)
+    mesh = recording.object_mesh
+    if request.mesh is not None:
+        mesh = load_mesh(request.mesh, unit=request.mesh_unit)
+    return Translation(
+        request=request,
+        recording=recording,
+        stream=stream,
+        source=source,
+        target=target,
+        alignment=_alignment(request, recording, stream, source, target),
+        calibration=None if request.calibration is None else load_calibration(request.calibration),
+        mesh=mesh,
+        notes=(*recording.notes, *_about_symmetry(recording, stream, mesh)),
+        symmetry=recording.symmetry if mesh is recording.object_mesh else None,
+    )
+
+
+def _about_symmetry(recording: Recording, stream: Stream, mesh: Mesh | None) -> tuple[str, ...]:
+    """What to know about pose errors where nobody says which poses of the object are the same."""
+    if mesh is None or not stream.has_truth or (mesh is recording.object_mesh and recording.symmetry is not None):
+        return ()
+    return ("the object's symmetry is not known; pose errors count every turn as one",)
+
+
+def _alignment(
+    request: Request, recording: Recording, stream: Stream, source: SensorSpec, target: SensorSpec
+) -> Alignment:
+    """The file's; else what the recording knows of how its two streams stand; else what the descriptions say."""
+    if request.alignment is not None:
+        return load_alignment(request.alignment, source=source.name, target=target.name).alignment
+    described = alignments.between(source, target)
+    other = recording.stream_of_sensor(target.name)
+    known = None if other is None else recording.target_from_source(stream.name, other.name)
+    if known is None:
+        return described
+    onward = rigid.checked(known, "target_from_source of the recording") @ rigid.invert(described.alignment_from_source)
+    return Alignment(alignment_from_source=described.alignment_from_source, target_from_alignment=freeze(onward))
+
+
+def new_graph() -> Graph:
+    """A graph of all the stages with an empty cache."""
+    return Graph(routes.STAGES)
+
+
+def own_shift_mm(frame: TactileFrame, spec: SensorSpec) -> float:
+    """How much smaller z reads in this frame's own camera than in the description's; 0 where there is no telling.
+
+    A depth recording may come from a unit whose camera sits nearer or farther than the description says; what the
+    alignment is about is the membrane, so the two untouched membranes are brought together along the optical axis.
+    """
+    if not frame.is_depth or frame.reference is None or frame.camera is None:
+        return 0.0
+    rest = frame.reference
+    rows, cols = rest.shape
+    centre = rest[rows * 2 // 5 : rows * 3 // 5 + 1, cols * 2 // 5 : cols * 3 // 5 + 1]
+    seen = centre[np.isfinite(centre) & (centre > 0)]
+    if not seen.size:
+        return 0.0
+    r, c = spec.rest_depth_mm.shape
+    told = spec.rest_depth_mm[r * 2 // 5 : r * 3 // 5 + 1, c * 2 // 5 : c * 3 // 5 + 1]
+    return float(np.median(told) - np.median(seen))

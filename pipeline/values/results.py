@@ -1,0 +1,93 @@
+"""What each stage hands on. Arrays are read-only; `notes` are plain sentences that the app shows as they are.
+
+`source_index` always points one stage back (flat, C order; -1 = none): chains of look-ups follow a pixel both ways.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from pipeline.base.arrays import Doubles, Floats, Image, Indices, Mask
+from pipeline.geometry.camera import Camera
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DepthMap:
+    """How far the source sensor's membrane is pushed in, and where it is, in the source sensor's frame."""
+
+    indentation_mm: Floats  # (rows, cols) rest - depth: 0 untouched, positive toward the camera; NaN = no value
+    depth_mm: Floats  # (rows, cols) z of the membrane surface; NaN = no value
+    contact: Mask  # (rows, cols) membrane touches the object (paper's M_S')
+    camera: Camera  # of this very grid
+    source_index: Indices  # (rows, cols) -> pixel of the frame
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cloud:
+    """The contact pixels as points in the target sensor's frame (paper's P_T)."""
+
+    points_mm: Floats  # (n, 3)
+    source_index: Indices  # (n,) -> pixel of DepthMap
+    grid_shape: tuple[int, int]  # of that DepthMap, so that neighbours can be found again
+    window_mm: (
+        Floats  # (4, 3) corners of the source's whole image on its surface, in turn: beyond them nothing is known
+    )
+    stride: int = 1  # every stride-th row and column of it was looked at: neighbours are this far apart
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TargetView:
+    """The cloud as the target sensor's camera would see it (paper's D_T'' and M_T'')."""
+
+    depth_mm: Floats  # (rows, cols) z in the target frame; NaN = nothing there
+    contact: Mask  # (rows, cols) seen and pushed through the target's rest surface: SDF <= 0
+    indentation_mm: Floats  # (rows, cols) rest - depth where `contact`, else 0; NaN never
+    camera: Camera
+    source_index: Indices  # (rows, cols) -> point of Cloud
+    known: Mask  # (rows, cols) inside what the source could see: only here does "no contact" mean anything
+    notes: tuple[str, ...] = ()
+    pixel_of_point: Indices | None = None  # (n,) of Cloud -> the pixel that shows it, -1 = outside, hidden or cut away
+    coverage: Floats | None = None  # (rows, cols) 0..1, share of each pixel in contact; None = not asked for
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Touch:
+    """What the target sensor would have recorded, and the membrane shape behind that picture."""
+
+    image: Image | Floats  # (rows, cols, 3) uint8 RGB, or (rows, cols) float32 depth_mm for a bubble
+    indentation_mm: Floats  # (rows, cols) of the whole membrane, contact or not
+    depth_mm: Floats  # (rows, cols) z of the membrane surface in the target frame
+    contact: Mask  # (rows, cols)
+    camera: Camera
+    source_index: Indices  # (rows, cols) -> pixel of TargetView
+    known: Mask  # (rows, cols) as in TargetView
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PoseStep:
+    """One kept iteration of the registration."""
+
+    sensor_from_object: Doubles  # (4, 4) mm
+    rmse_mm: float
+    fitness: float  # share of scene points with a partner within the distance limit
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObjectPose:
+    """Where the object is in the target sensor's frame; `sensor_from_object` is None when that cannot be said."""
+
+    sensor_from_object: Doubles | None  # (4, 4) mm
+    covariance: Doubles | None  # (6, 6) of (rotation rad, translation mm) about the scene centroid
+    observable: Doubles | None  # (6, 6) projector onto the directions the data determine
+    weak: tuple[str, ...]  # the other directions in words, such as "slides along y"
+    rmse_mm: float
+    fitness: float
+    scene_mm: Floats  # (n, 3) the points that were registered, target frame
+    source_index: Indices  # (n,) -> pixel of Touch
+    steps: tuple[PoseStep, ...] = ()
+    starts_tried: int = 0
+    notes: tuple[str, ...] = field(default=())
+    alternatives: tuple[Doubles, ...] = ()  # (4, 4) each, best first: other poses that this touch fits as well

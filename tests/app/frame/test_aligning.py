@@ -1,0 +1,261 @@
+"""The alignment dock in a real window: drags preview and are one undo step, refining is offered and accepted."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.frame.aligning import Aligning
+from app.frame.instrument import Instrument
+from app.frame.tour import wait_until_shown
+from app.main import SAMPLE
+from app.session.state import Session
+from app.work.stopwatch import LIMIT_MS
+from pipeline.geometry import rigid
+from pipeline.sensors.alignment_files import load
+from widgets.layers import EmptyScene
+
+PAIRED = SAMPLE.with_name("digit_gelslim.h5")
+TOUCHED = 3  # a frame that both sensors feel
+LIMIT_S = 60
+WAIT_MS = 60_000
+ROUNDING_MM = 1e-4  # depth is kept in single precision
+TRUE_TO_MM = 0.25  # how near refining on two small touches comes to a truth that it did not begin from
+
+
+@pytest.fixture
+def settled(qtbot) -> Callable[[Instrument], None]:
+    """Waits until stages and dock are through."""
+
+    def wait(instrument: Instrument) -> None:
+        aligning = instrument.findChild(Aligning)
+        qtbot.waitUntil(lambda: instrument.idle and aligning.idle, timeout=WAIT_MS)
+
+    return wait
+
+
+@pytest.fixture
+def aligned(open_window, qtbot) -> Instrument:
+    """A window on a touch of both sensors, its alignment dock in front; only what the dock needs is worked out."""
+    return _window_with_dock(open_window, qtbot, PAIRED, source="digit", target="gelslim", frame=TOUCHED)
+
+
+def _window_with_dock(open_window, qtbot, recording: Path, **session) -> Instrument:
+    gl = bool(session.pop("gl", False))
+    instrument = open_window(gl=gl)
+    instrument.screen.show_only("project")
+    instrument.window.alignment_dock.raise_()
+    instrument.start(Session(recording=recording, **session))
+    panel = instrument.window.alignment
+    qtbot.waitUntil(lambda: bool(panel.reason) or bool(panel.bars.axes), timeout=WAIT_MS)
+    return instrument
+
+
+def _drag(instrument: Instrument, axis: str, to: float, qtbot) -> None:
+    """Take hold of a slider and pull it, without letting go."""
+    slider = instrument.window.alignment.rows[axis].slider
+    slider.setSliderDown(True)
+    for position in np.linspace(0, to * (20 if axis in "xyz" else 10), 6)[1:]:
+        slider.setValue(round(position))
+        instrument.window.repaint()
+        qtbot.wait(5)
+
+
+def _let_go(instrument: Instrument, axis: str) -> None:
+    instrument.window.alignment.rows[axis].slider.setSliderDown(False)
+
+
+def test_a_drag_changes_the_view_and_the_gauges_before_it_ends(aligned, qtbot):
+    panel, column = aligned.window.alignment, aligned.window.columns["project"]
+    before, gauge = column.view.picture, panel.gauges["iou"]
+    good = gauge.value
+    assert before.felt_px.size > 0
+    aligned.watch.forget()
+    _drag(aligned, "x", 2.0, qtbot)
+    qtbot.waitUntil(lambda: column.state == "preview" and gauge.value < good - 0.1, timeout=WAIT_MS)
+    assert column.view.picture.pixels.shape == before.pixels.shape
+    assert np.mean(column.view.picture.pixels != before.pixels) > 0.01
+    assert column.view.picture.felt_px.shape == before.felt_px.shape
+    assert gauge.ghost == good
+    assert panel.gauges["edge_px"].value > panel.gauges["edge_px"].ghost
+    assert aligned.session.offsets.none
+    medians = aligned.watch.median_ms
+    assert max(medians["alignment moved"], medians["Previewed"]) < LIMIT_MS, medians
+
+
+def test_a_drag_is_one_undo_step_and_ends_at_full_size(aligned, qtbot, settled):
+    panel, steps = aligned.window.alignment, aligned.undo.count()
+    good = panel.gauges["iou"].value
+    _drag(aligned, "x", 1.0, qtbot)
+    _let_go(aligned, "x")
+    settled(aligned)
+    assert aligned.undo.count() == steps + 1
+    assert "x" in aligned.undo.undoText()
+    assert aligned.session.offsets.values == (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert aligned.window.columns["project"].state == "computed"
+    assert panel.gauges["iou"].value < good
+    assert "moved" in panel.origin
+    aligned.undo.undo()
+    settled(aligned)
+    assert aligned.session.offsets.none
+    assert panel.rows["x"].box.value() == 0.0
+    assert panel.gauges["iou"].value == good
+
+
+def test_turns_are_about_the_middle_of_the_contact(aligned, qtbot, settled):
+    depth = aligned.latest.results["depth"].output
+    middle = depth.camera.back_project(depth.depth_mm)[depth.contact].mean(axis=0)
+    opened = aligned.screen.opened.translation.alignment
+    before = rigid.apply(opened.target_from_source, middle)
+    _drag(aligned, "rz", 5.0, qtbot)
+    _let_go(aligned, "rz")
+    settled(aligned)
+    offsets = aligned.session.offsets
+    assert offsets.turn_deg == (0.0, 0.0, 5.0)
+    assert np.allclose(rigid.apply(offsets.applied(opened).target_from_source, middle), before, atol=ROUNDING_MM)
+    assert np.hypot(*offsets.pivot_mm[:2]) > 1.0  # so that turning about the camera's axis would have moved it
+
+
+def test_typing_a_number_is_one_change_once_it_is_still(aligned, settled):
+    box, steps = aligned.window.alignment.rows["z"].box, aligned.undo.count()
+    box.stepUp()
+    box.stepUp()
+    settled(aligned)
+    assert aligned.undo.count() == steps + 1
+    assert aligned.session.offsets.shift_mm == (0.0, 0.0, 0.1)
+
+
+def test_a_drag_that_comes_back_leaves_no_trace(aligned, qtbot, settled):
+    steps = aligned.undo.count()
+    _drag(aligned, "y", 1.0, qtbot)
+    aligned.window.alignment.rows["y"].slider.setValue(0)
+    _let_go(aligned, "y")
+    settled(aligned)
+    assert aligned.undo.count() == steps
+    assert aligned.window.columns["project"].state == "cached"
+
+
+def test_offsets_are_in_the_session_file_and_old_files_have_none(aligned, open_window, tmp_path, settled):
+    aligned.window.alignment.rows["x"].box.setValue(0.4)
+    aligned.window.alignment.rows["ry"].box.setValue(-2.0)
+    settled(aligned)
+    path = tmp_path / "s.touch.json"
+    aligned.save_session(path)
+    other = open_window()
+    other.show_only("project")
+    other.open_path(path)
+    assert wait_until_shown(other, LIMIT_S)
+    assert other.session.offsets == aligned.session.offsets
+    assert other.window.alignment.rows["ry"].box.value() == -2.0
+    data = json.loads(path.read_text())
+    del data["offsets"]
+    path.write_text(json.dumps(data))
+    other.open_path(path)
+    assert other.session.offsets.none
+
+
+def test_refining_shows_before_and_after_and_accepting_is_one_step(aligned, qtbot, settled):
+    panel = aligned.window.alignment
+    refining = aligned.findChild(Aligning).refining
+    panel.rows["x"].box.setValue(1.0)
+    settled(aligned)
+    steps, bad = aligned.undo.count(), panel.gauges["iou"].value
+    panel.refine.button.click()
+    assert panel.refine.cancel.isVisible()
+    qtbot.waitUntil(lambda: refining.answer is not None, timeout=WAIT_MS)
+    assert "→" in panel.refine.text
+    assert "surface mm" in panel.refine.text
+    before, after = refining.answer.answer.used
+    assert after.outline_mm < before.outline_mm
+    assert aligned.undo.count() == steps
+    panel.refine.accept.click()
+    settled(aligned)
+    assert aligned.undo.count() == steps + 1
+    assert abs(aligned.session.offsets.shift_mm[0]) < TRUE_TO_MM
+    assert panel.gauges["iou"].value > bad
+    assert not panel.refine.accept.isVisible()
+
+
+def test_refining_can_be_cancelled_and_changes_nothing(aligned, qtbot):
+    refining = aligned.findChild(Aligning).refining
+    aligned.window.alignment.refine.button.click()
+    aligned.window.alignment.refine.cancel.click()
+    qtbot.waitUntil(aligned.window.alignment.refine.button.isVisible, timeout=WAIT_MS)
+    assert refining.answer is None
+    assert "cancelled" in aligned.window.alignment.refine.text
+    assert aligned.session.offsets.none
+
+
+def test_a_recording_without_the_targets_touch_says_so_and_still_previews(open_window, touch_file, qtbot):
+    instrument = _window_with_dock(open_window, qtbot, touch_file, target="gelslim", frame=2)
+    panel = instrument.window.alignment
+    assert panel.reason == "the recording has no gelslim touch to compare with"
+    assert panel.gauges["iou"].text == "-"
+    before = instrument.window.columns["project"].view.picture
+    assert before.felt_px is None
+    _drag(instrument, "x", 2.0, qtbot)
+    qtbot.waitUntil(lambda: instrument.window.columns["project"].state == "preview", timeout=WAIT_MS)
+    assert instrument.window.columns["project"].view.picture is not before
+    panel.refine.button.click()
+    qtbot.waitUntil(instrument.window.banner.isVisible, timeout=WAIT_MS)
+    assert "both sensors" in instrument.window.banner.text
+
+
+def test_a_saved_alignment_opens_again_as_it_was_seen(aligned, tmp_path, settled):
+    aligned.window.alignment.rows["x"].box.setValue(0.5)
+    settled(aligned)
+    opened = aligned.screen.opened.translation.alignment
+    expected = aligned.session.offsets.applied(opened).target_from_source
+    path = tmp_path / "mine.toml"
+    aligned.findChild(Aligning).save(path)
+    kept = load(path, source="digit", target="gelslim").alignment
+    assert np.allclose(kept.target_from_source, expected, rtol=0, atol=1e-9)
+    aligned.open_path(path)
+    settled(aligned)
+    assert aligned.session.offsets.none
+    assert "mine.toml" in aligned.window.alignment.origin
+    assert np.allclose(aligned.screen.opened.translation.alignment.target_from_source, expected, rtol=0, atol=1e-9)
+
+
+def test_an_alignment_of_other_sensors_ends_in_the_banner_and_is_taken_back(aligned, qtbot):
+    aligned.open_path(SAMPLE.parents[1] / "alignments" / "gelslim_to_soft_bubble.toml")
+    qtbot.waitUntil(aligned.window.banner.isVisible, timeout=WAIT_MS)
+    assert "gelslim" in aligned.window.banner.text
+    assert aligned.session.alignment is None
+
+
+def test_nothing_is_judged_while_the_dock_is_hidden(open_window, qtbot):
+    instrument = open_window()
+    instrument.show_only("project")
+    instrument.start(Session(recording=PAIRED, source="digit", target="gelslim", frame=TOUCHED))
+    assert wait_until_shown(instrument, LIMIT_S)
+    qtbot.wait(200)
+    assert not instrument.job.busy
+    assert instrument.window.alignment.bars.axes == ()
+    assert instrument.window.columns["project"].view.picture.felt_px is None
+
+
+def test_offsets_go_with_the_sensors_they_were_made_for(aligned, settled):
+    aligned.window.alignment.rows["x"].box.setValue(0.5)
+    settled(aligned)
+    aligned.change("choose target", target="soft_bubble")
+    assert aligned.session.offsets.none
+    aligned.undo.undo()
+    assert aligned.session.offsets.shift_mm[0] == 0.5
+
+
+@pytest.mark.gl
+def test_3d_views_follow_a_drag(open_window, qtbot):
+    instrument = _window_with_dock(open_window, qtbot, PAIRED, gl=True, source="digit", target="gelslim", frame=TOUCHED)
+    qtbot.waitUntil(lambda: not isinstance(instrument.screen.scene, EmptyScene), timeout=WAIT_MS)
+    shown: list[tuple[int, str]] = []
+    scene = instrument.screen.scene
+    show = scene.show_layers
+    scene.show_layers = lambda column, layers: (shown.append((column, layers[0].name)), show(column, layers))
+    _drag(instrument, "x", 1.0, qtbot)
+    qtbot.waitUntil(lambda: (3, "view") in shown, timeout=WAIT_MS)
+    _let_go(instrument, "x")

@@ -1,0 +1,225 @@
+"""The window on a small recording: opens, fills its columns, plays, undoes, and survives bad files."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+from PyQt6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
+from PyQt6.QtGui import QDropEvent
+
+from app.frame.tour import give_tour, save_window_picture, wait_until_shown
+from app.work.stopwatch import LIMIT_MS
+from pipeline.base.params import changed
+
+LIMIT_S = 60
+
+
+def test_all_six_columns_show_content(bubble_window):
+    window = bubble_window.window
+    assert list(window.columns) == ["source", "depth", "adapt", "project", "generate", "pose"]
+    for name, column in window.columns.items():
+        picture = column.view.picture
+        assert picture is not None, name
+        assert picture.frame_name.endswith("frame")
+        assert picture.pixel_mm > 0
+    assert {c.state for n, c in window.columns.items() if n != "pose"} <= {"read", "computed", "cached"}
+    assert window.columns["depth"].view.picture.outline_px.size > 0
+
+
+def test_a_skipped_column_says_why(bubble_window, qtbot):
+    column = bubble_window.window.columns["pose"]
+    assert column.state == "skipped"
+    assert "mesh" in column.view.message
+
+
+def test_an_untouched_frame_skips_and_a_seen_frame_is_cached(bubble_window):
+    bubble_window.choose_frame(0)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.latest.results["generate"].state == "skipped"
+    bubble_window.choose_frame(2)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.latest.results["depth"].state == "cached"
+    assert bubble_window.window.columns["depth"].state == "cached"
+
+
+def test_a_missing_file_ends_in_the_banner_and_what_was_open_stays(bubble_window, tmp_path):
+    before = bubble_window.session
+    bubble_window.open_path(tmp_path / "missing.h5")
+    wait_until_shown(bubble_window, LIMIT_S)
+    banner = bubble_window.window.banner
+    assert banner.isVisible()
+    assert "missing.h5" in banner.text
+    assert "Traceback" not in banner.text + banner.details
+    assert bubble_window.session.recording == before.recording
+    bubble_window.choose_frame(1)
+    bubble_window.window.banner.dismiss()
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.latest.index == 1
+
+
+def test_a_file_that_is_no_recording_is_told_in_one_sentence(open_window, tmp_path):
+    bad = tmp_path / "bad.h5"
+    bad.write_bytes(b"no recording at all")
+    instrument = open_window(bad)
+    wait_until_shown(instrument, LIMIT_S)
+    assert instrument.window.banner.isVisible()
+    assert "bad.h5" in instrument.window.banner.text
+    assert instrument.window.banner.details == ""
+
+
+def test_an_error_of_our_own_is_told_briefly_with_the_traceback_behind_it(bubble_window, monkeypatch):
+    def fails(*_args, **_kwargs):
+        raise RuntimeError("out of memory")
+
+    monkeypatch.setattr("pipeline.engine.graph.Graph.evaluate", fails)
+    bubble_window.choose_frame(1)
+    wait_until_shown(bubble_window, LIMIT_S)
+    banner = bubble_window.window.banner
+    assert "out of memory" in banner.text
+    assert "\n" not in banner.text
+    assert "Traceback" in banner.details
+    assert bubble_window.window.columns["depth"].state == "failed"
+    assert bubble_window.window.columns["depth"].view.picture is not None
+
+
+def test_parameters_recompute_from_their_stage_on_and_can_be_undone(bubble_window):
+    before = bubble_window.session
+    params = changed(before.params["adapt"], "stride", 2)
+    bubble_window.choose_params("adapt", params)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    results = bubble_window.latest.results
+    assert results["depth"].state == "cached"
+    assert results["adapt"].state == "computed"
+    bubble_window.undo.undo()
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.session == before
+    assert bubble_window.latest.results["adapt"].state == "cached"
+
+
+def test_another_target_is_one_change(bubble_window):
+    bubble_window.change("choose target", target="digit")
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.screen.opened.translation.target.name == "digit"
+    rows, cols = bubble_window.window.columns["generate"].view.picture.pixels.shape[:2]
+    assert (rows, cols) == bubble_window.screen.opened.translation.target.camera.shape
+
+
+def test_hovering_a_pixel_marks_it_everywhere_and_reads_its_value(bubble_window):
+    depth = bubble_window.latest.results["depth"].output
+    row, col = (int(i) for i in divmod(int(depth.indentation_mm.argmax()), depth.contact.shape[1]))
+    bubble_window.tracer.hover("depth", row, col)
+    assert "mm in soft_bubble frame" in bubble_window.window.probe.text()
+    assert " → " in bubble_window.window.trace.text
+    assert bubble_window.window.columns["source"].view.cross == (row, col)
+    assert bubble_window.window.columns["project"].view.cross is not None
+    bubble_window.tracer.clear()
+    assert bubble_window.window.columns["source"].view.cross is None
+
+
+def test_a_pinned_pixel_stays_while_the_mouse_moves_on(bubble_window):
+    bubble_window.tracer.click("depth", 70, 86)
+    bubble_window.tracer.hover("depth", 10, 10)
+    assert bubble_window.window.columns["depth"].view.cross == (70, 86)
+
+
+def test_a_dropped_file_is_opened(open_window, touch_file):
+    instrument = open_window()
+    mime = QMimeData()
+    mime.setUrls([QUrl.fromLocalFile(str(touch_file))])
+    buttons, keys = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
+    instrument.window.dropEvent(QDropEvent(QPointF(5, 5), Qt.DropAction.CopyAction, mime, buttons, keys))
+    assert wait_until_shown(instrument, LIMIT_S)
+    assert instrument.session.recording == touch_file
+
+
+def test_a_session_file_brings_everything_back(bubble_window, open_window, tmp_path):
+    path = tmp_path / "s.touch.json"
+    bubble_window.save_session(path)
+    other = open_window()
+    other.open_path(path)
+    assert wait_until_shown(other, LIMIT_S)
+    assert other.session.frame == bubble_window.session.frame
+    assert other.session.target == bubble_window.session.target
+
+
+def test_one_stage_alone_works_out_no_more_than_it_needs(bubble_window):
+    bubble_window.show_only("depth")
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert set(bubble_window.latest.results) == {"depth"}
+    bubble_window.show_only("depth")
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert set(bubble_window.latest.results) >= {"depth", "pose"}
+
+
+def test_playing_shows_frames_without_ever_blocking_the_window(bubble_window):
+    """Our slots only: painting and OpenGL are not ours to speed up."""
+    seen: list[int] = []
+    bubble_window.frame_shown.connect(seen.append)
+    bubble_window.choose_frame(0)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    bubble_window.watch.forget()
+    bubble_window.window.timeline.speed.setCurrentIndex(4)
+    bubble_window.window.timeline.play(on=True)
+    end_s = time.monotonic() + LIMIT_S
+    while bubble_window.window.timeline.playing and time.monotonic() < end_s:
+        wait_until_shown(bubble_window, 1)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert seen[-1] == 2
+    medians = bubble_window.watch.median_ms
+    assert medians
+    assert max(medians.values()) < LIMIT_MS, medians
+
+
+def test_every_command_can_be_found_and_explains_itself(open_window):
+    window = open_window().window
+    for name, action in window.actions_by_name.items():
+        assert action.objectName() == name
+        assert action.text()
+        assert action.toolTip()
+    keys = [s.toString() for a in window.actions_by_name.values() for s in a.shortcuts()]
+    assert len(keys) == len(set(keys))
+
+
+@pytest.mark.gl
+def test_the_tour_leaves_pictures_stages_and_a_report(open_window, touch_file, tmp_path):
+    instrument = open_window(touch_file, gl=True, target="gelslim")
+    assert give_tour(instrument, tmp_path / "out") == 0
+    assert sorted(p.name for p in (tmp_path / "out").glob("frame_*")) == ["frame_0000", "frame_0001", "frame_0002"]
+    assert (tmp_path / "out" / "report.json").exists()
+    assert (tmp_path / "out" / "window.png").stat().st_size > 20_000
+
+
+@pytest.mark.gl
+def test_3d_views_are_in_the_windows_picture(open_window, touch_file, tmp_path):
+    instrument = open_window(touch_file, gl=True, target="gelslim", frame=2)
+    assert wait_until_shown(instrument, LIMIT_S)
+    save_window_picture(instrument, tmp_path / "w.png")
+    scene = instrument.screen.scene.widget()
+    corner = scene.mapTo(instrument.window, QPoint(0, 0))
+    image = instrument.window.grab().toImage()
+    colours = {
+        image.pixelColor(corner.x() + x, corner.y() + y).rgb()
+        for x in range(4, scene.width() - 4, 7)
+        for y in range(4, scene.height() - 4, 7)
+    }
+    assert len(colours) > 50  # a blank view has one
+
+
+def test_opening_needs_no_gl(open_window, touch_file):
+    instrument = open_window(touch_file, target="gelslim", frame=1)
+    assert wait_until_shown(instrument, LIMIT_S)
+    assert Path(instrument.session.recording) == touch_file
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize(
+    ("folder", "source", "target"),
+    [("gsmini_balls", "gelsight_mini", "soft_bubble"), ("digit_balls", "digit", "gelslim")],
+)
+def test_real_touches_go_through_all_columns(open_window, real_data, folder, source, target):
+    instrument = open_window(real_data / folder, source=source, target=target, frame=4)
+    assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
+    assert all(column.view.picture is not None for column in instrument.window.columns.values())
+    assert instrument.latest.results["depth"].output.contact.any()

@@ -1,0 +1,110 @@
+"""Sessions survive their file, and damaged files say where."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from PyQt6.QtGui import QUndoStack
+
+from app.session.offsets import Offsets
+from app.session.state import DisplayParams, Session, load_session, save_session
+from app.session.undo import SessionChange
+from pipeline.base.errors import FileProblem
+from pipeline.base.params import changed
+
+
+def a_session(folder: Path) -> Session:
+    session = Session(
+        recording=folder / "a.h5", target="gelslim", frame=7, mesh=folder / "m" / "ball.stl", linked=False,
+        offsets=Offsets(shift_mm=(0.1, 0.0, -2.0), turn_deg=(0.0, 3.0, 0.0), pivot_mm=(1.0, 2.0, 20.0)),
+    )  # fmt: skip
+    return session.with_params("display", changed(DisplayParams(), "gel_stretch", 5.0))
+
+
+def test_a_session_comes_back_as_it_was_saved(tmp_path):
+    session = a_session(tmp_path)
+    save_session(session, tmp_path / "s.touch.json")
+    assert load_session(tmp_path / "s.touch.json") == session
+
+
+def test_paths_are_kept_relative_so_that_a_folder_can_be_moved(tmp_path):
+    old, new = tmp_path / "old", tmp_path / "new"
+    old.mkdir()
+    save_session(a_session(old), old / "s.touch.json")
+    old.rename(new)
+    assert load_session(new / "s.touch.json").recording == new / "a.h5"
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"frame": "three"}, "frame"),
+        ({"frame": -1}, "frame"),
+        ({"route": "sideways"}, "route"),
+        ({"target": 4}, "target"),
+        ({"params": {"display": {"gel_stretch": 1000.0}}}, "params.display.gel_stretch"),
+        ({"params": {"unheard": {}}}, "params.unheard"),
+        ({"offsets": {"shift_mm": [0, 0]}}, "offsets"),
+    ],
+)
+def test_a_damaged_session_names_the_field(tmp_path, change, field):
+    path = tmp_path / "s.touch.json"
+    save_session(a_session(tmp_path), path)
+    path.write_text(json.dumps({**json.loads(path.read_text()), **change}))
+    with pytest.raises(FileProblem, match=field.split(".")[-1]) as caught:
+        load_session(path)
+    assert caught.value.field == field
+
+
+def test_a_session_from_before_alignments_could_be_moved_still_opens(tmp_path):
+    path = tmp_path / "s.touch.json"
+    save_session(a_session(tmp_path), path)
+    data = json.loads(path.read_text())
+    del data["offsets"]
+    path.write_text(json.dumps(data))
+    assert load_session(path) == replace(a_session(tmp_path), offsets=Offsets())
+
+
+def test_offsets_stay_only_with_the_alignment_they_were_made_from(tmp_path):
+    session = a_session(tmp_path)
+    assert session.updated(frame=3).offsets == session.offsets
+    assert session.updated(recording=tmp_path / "b.h5").offsets.none
+    assert session.updated(target="digit").offsets.none
+    from_file = replace(session, alignment=tmp_path / "a.toml")
+    assert from_file.updated(recording=tmp_path / "b.h5").offsets == session.offsets
+    assert from_file.updated(alignment=None).offsets.none
+
+
+def test_a_file_that_is_no_session_says_so(tmp_path):
+    path = tmp_path / "s.touch.json"
+    path.write_text("{}")
+    with pytest.raises(FileProblem, match="not a session"):
+        load_session(path)
+    path.write_text("not json")
+    with pytest.raises(FileProblem, match="JSON"):
+        load_session(path)
+
+
+def test_a_drag_is_one_undo_step(qapp):
+    shown: list[Session] = []
+    stack, start = QUndoStack(), Session()
+    session = start
+    for frame in range(1, 50):
+        new = replace(session, frame=frame)
+        stack.push(SessionChange(old=session, new=new, text="go", key="frame", show=shown.append))
+        session = new
+    assert stack.count() == 1
+    stack.undo()
+    assert shown[-1] == start
+    stack.redo()
+    assert shown[-1].frame == 49
+
+
+def test_changes_of_different_kinds_stay_apart(qapp):
+    stack = QUndoStack()
+    for key in ("frame", "params depth", ""):
+        stack.push(SessionChange(old=Session(), new=Session(frame=1), text=key, key=key, show=lambda _s: None))
+    assert stack.count() == 3

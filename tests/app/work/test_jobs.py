@@ -1,0 +1,111 @@
+"""Background work: newest wins, nothing gets lost."""
+
+from __future__ import annotations
+
+import threading
+
+import pytest
+
+from app.work.jobs import LatestJob, Report
+
+SOON_MS = 5000
+
+
+@pytest.fixture
+def job(qtbot):
+    made = LatestJob("test")
+    yield made
+    assert made.close()
+
+
+def test_the_last_of_a_burst_is_always_delivered(job, qtbot):
+    got: list[int] = []
+    job.finished.connect(lambda _ticket, value: got.append(value))
+    for i in range(500):
+        job.submit(lambda _report, i=i: i)
+    qtbot.waitUntil(lambda: bool(got) and got[-1] == 499, timeout=SOON_MS)
+    assert got == sorted(got)
+
+
+def test_a_runtime_error_is_delivered_like_any_other(job, qtbot):
+    def fails(_report: Report) -> None:
+        raise RuntimeError("out of memory")
+
+    with qtbot.waitSignal(job.failed, timeout=SOON_MS) as signal:
+        job.submit(fails)
+    assert isinstance(signal.args[1], RuntimeError)
+
+
+def test_the_lane_goes_on_after_an_error(job, qtbot):
+    with qtbot.waitSignal(job.failed, timeout=SOON_MS):
+        job.submit(lambda _report: 1 // 0)
+    with qtbot.waitSignal(job.finished, timeout=SOON_MS) as signal:
+        job.submit(lambda _report: 7)
+    assert signal.args[1] == 7
+
+
+def test_cancelling_stops_the_work_at_its_next_step(job, qtbot):
+    begun = threading.Event()
+
+    def endless(report: Report) -> None:
+        while True:
+            begun.set()
+            report.step(0.5, "turning")
+
+    ticket = job.submit(endless)
+    assert begun.wait(5)
+    with qtbot.waitSignal(job.cancelled, timeout=SOON_MS) as signal:
+        job.cancel()
+    assert signal.args[0] == ticket
+
+
+def test_newer_work_interrupts_older_work(job, qtbot):
+    begun = threading.Event()
+
+    def endless(report: Report) -> None:
+        while True:
+            begun.set()
+            report.step(0.5, "turning")
+
+    job.submit(endless)
+    assert begun.wait(5)
+    with qtbot.waitSignal(job.finished, timeout=SOON_MS) as signal:
+        job.submit(lambda _report: "new")
+    assert signal.args[1] == "new"
+
+
+def test_patient_work_lets_the_running_one_finish(job, qtbot):
+    begun, go = threading.Event(), threading.Event()
+    got: list[str] = []
+    job.finished.connect(lambda _ticket, value: got.append(value))
+
+    def first(_report: Report) -> str:
+        begun.set()
+        go.wait(5)
+        return "first"
+
+    job.submit(first)
+    assert begun.wait(5)
+    job.submit(lambda _report: "second", interrupt=False)
+    go.set()
+    qtbot.waitUntil(lambda: got == ["first", "second"], timeout=SOON_MS)
+
+
+def test_parts_arrive_before_the_whole(job, qtbot):
+    order: list[object] = []
+    job.delivered.connect(lambda _ticket, part: order.append(part))
+    job.finished.connect(lambda _ticket, value: order.append(value))
+
+    def work(report: Report) -> str:
+        report.hand_over("part")
+        return "whole"
+
+    job.submit(work)
+    qtbot.waitUntil(lambda: order == ["part", "whole"], timeout=SOON_MS)
+
+
+def test_nothing_runs_after_closing(qtbot):
+    job = LatestJob("test")
+    assert job.close()
+    assert job.submit(lambda _report: 1) == 0
+    assert not job.busy

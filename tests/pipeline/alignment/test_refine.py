@@ -1,0 +1,152 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.alignment.nudge import motion_about
+from pipeline.alignment.refine import refine
+from pipeline.alignment.residuals import evidence, outline_distances, surface_distances
+from pipeline.alignment.touches import PairedTouch, pivot_of
+from pipeline.base.arrays import freeze
+from pipeline.base.errors import SettingProblem
+from pipeline.base.progress import Cancelled
+from pipeline.geometry import rigid
+from pipeline.sensors.alignment import between, corrected
+from pipeline.sensors.spec import sensor
+from pipeline.simulation import shapes
+from pipeline.simulation.press import press
+from pipeline.values.pixel_index import pixel_index
+from pipeline.values.results import DepthMap
+
+SOURCE, TARGET = sensor("digit"), sensor("gelslim")
+ALIGNED = between(SOURCE, TARGET)
+NEAR_MM = 0.05  # of the exact transform at the contact: one GelSlim pixel
+NEAR_DEG = 0.5  # of turning: a pixel at the end of a contact of a few millimetres
+
+
+def exact_map(spec, truth):
+    return DepthMap(
+        indentation_mm=truth.indentation_mm,
+        depth_mm=freeze((spec.rest_depth_mm - truth.indentation_mm).astype(np.float32)),
+        contact=truth.contact,
+        camera=spec.camera,
+        source_index=pixel_index(spec.camera.shape),
+    )
+
+
+def pressed(mesh, pose, index):
+    source, target = (press(mesh, pose, s, seed=None) for s in (SOURCE, TARGET))
+    return PairedTouch(index=index, source=exact_map(SOURCE, source.truth), target=exact_map(TARGET, target.truth))
+
+
+@pytest.fixture(scope="module")
+def touches():
+    mesh = shapes.shape("notched_elbow").mesh
+    poses = ((-3.0, -2.0, 0.0, 0.8), (1.0, 0.5, 60.0, -0.8), (-2.0, 1.0, 150.0, 0.5))
+    return [
+        pressed(mesh, rigid.from_parts((x, y, -0.35)) @ rigid.from_parts((0, 0, 0), (tilt, tilt, turn)), i)
+        for i, (x, y, turn, tilt) in enumerate(poses)
+    ]
+
+
+def disturbed(touch, turn_deg, shift_mm):
+    motion = motion_about(pivot_of(touch, ALIGNED), np.deg2rad(turn_deg), np.asarray(shift_mm, np.float64))
+    return corrected(ALIGNED, motion)
+
+
+def error(answer):
+    off = answer.alignment.target_from_source @ rigid.invert(ALIGNED.target_from_source)
+    return float(np.linalg.norm(rigid.apply(off, answer.pivot_mm) - answer.pivot_mm)), rigid.angle_deg(off)
+
+
+def test_under_the_exact_alignment_surfaces_meet_and_outlines_are_the_gels_growth_apart(touches):
+    for touch in touches:
+        made = evidence(touch)
+        on = rigid.apply(ALIGNED.target_from_source, made.surface_mm)
+        surface = surface_distances(made, on)
+        assert len(surface.mm) > 0.5 * surface.n_asked
+        assert np.median(np.abs(surface.mm)) < 0.005  # both gels lie on one rigid object; what is left is sampling
+        outline = outline_distances(made, rigid.apply(ALIGNED.target_from_source, made.outline_mm))
+        assert np.median(np.abs(outline.mm)) < NEAR_MM
+
+
+@pytest.mark.parametrize("kind", [surface_distances, outline_distances])
+def test_jacobians_are_those_of_finite_differences(touches, kind):
+    made = evidence(touches[0])
+    points = rigid.apply(ALIGNED.target_from_source, made.surface_mm if kind is surface_distances else made.outline_mm)
+    points = points + np.array([0.3, 0.2, 0.05])
+    here = kind(made, points)
+    for axis in range(3):
+        step = np.zeros(3)
+        step[axis] = 0.02
+        up, down = kind(made, here.points_mm + step), kind(made, here.points_mm - step)
+        if len(up.mm) != len(here.mm) or len(down.mm) != len(here.mm):
+            continue
+        slope = (up.mm - down.mm) / 0.04
+        assert np.median(np.abs(slope - here.jacobian[:, axis])) < 0.05  # of 1: fields are bilinear and have kinks
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "shift_mm"), [((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), ((2.0, -2.0, 4.0), (2.0, -1.8, 1.2))]
+)
+def test_refining_finds_the_exact_alignment_again(touches, turn_deg, shift_mm):
+    start = disturbed(touches[0], turn_deg, shift_mm)
+    answer = refine(touches[:2], start, held_out=touches[2:])
+    mm, deg = error(answer)
+    assert mm < NEAR_MM
+    assert deg < NEAR_DEG
+    assert answer.converged
+    assert answer.weak == ()
+    np.testing.assert_array_equal(answer.alignment.alignment_from_source, start.alignment_from_source)
+    before, after = answer.held_out
+    assert after.surface_mm < 0.01  # mm, on a touch that it has never seen
+    assert after.outline_mm < NEAR_MM
+    if any(shift_mm):
+        assert before.outline_mm > 3.0 * after.outline_mm
+
+
+def test_the_other_transform_can_take_the_change(touches):
+    start = disturbed(touches[0], (0.0, 0.0, 2.0), (0.5, 0.0, 0.2))
+    answer = refine(touches, start, into="alignment_from_source")
+    np.testing.assert_array_equal(answer.alignment.target_from_alignment, start.target_from_alignment)
+    assert error(answer)[0] < NEAR_MM
+
+
+def test_what_a_bar_does_not_show_is_named_and_left_as_it_was():
+    outline = np.array([[-25.0, -1.5], [25.0, -1.5], [25.0, 1.5], [-25.0, 1.5]])
+    across = pressed(shapes.bar(outline, 5.0, 0.1, "bar"), rigid.from_parts((0.0, 0.0, -0.35)), 0)
+    start = disturbed(across, (0.0, 0.0, 2.0), (0.7, 0.5, 0.1))
+    answer = refine([across], start)
+    assert "slides along x" in answer.weak
+    off = answer.alignment.target_from_source @ rigid.invert(ALIGNED.target_from_source)
+    shift = rigid.apply(off, answer.pivot_mm) - answer.pivot_mm
+    assert abs(shift[0] - 0.7) < 0.1  # nothing moved it along the bar: what was off stays off
+    assert abs(shift[1]) < NEAR_MM
+    assert abs(shift[2]) < NEAR_MM
+
+
+def test_the_same_touches_give_the_same_bytes(touches):
+    start = disturbed(touches[0], (1.0, 0.0, 3.0), (1.0, 0.5, 0.1))
+    a, b = refine(touches[:2], start), refine(touches[:2], start)
+    assert a.motion.tobytes() == b.motion.tobytes()
+
+
+def test_refining_stops_when_nobody_wants_it(touches):
+    class Impatient:
+        def step(self, fraction, text):
+            raise Cancelled
+
+    with pytest.raises(Cancelled):
+        refine(touches, ALIGNED, progress=Impatient())
+
+
+def test_without_a_touch_on_both_sides_there_is_nothing_to_refine(touches):
+    nothing = touches[0].source
+    empty = DepthMap(
+        indentation_mm=nothing.indentation_mm, depth_mm=nothing.depth_mm, camera=nothing.camera,
+        contact=freeze(np.zeros_like(nothing.contact)), source_index=nothing.source_index,
+    )  # fmt: skip
+    with pytest.raises(SettingProblem, match="tolerance of a refinement must be positive"):
+        refine([touches[0]], ALIGNED, tolerance=0.0)
+    with pytest.raises(SettingProblem, match="no frame is felt by both"):
+        refine([PairedTouch(index=0, source=empty, target=touches[0].target)], ALIGNED)

@@ -1,0 +1,151 @@
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pipeline.alignment.reprojection import reproject, scaled
+from pipeline.base.errors import CalibrationError, SettingProblem
+from pipeline.geometry import rigid
+from pipeline.geometry.camera import Camera
+from pipeline.sensors.alignment import Alignment
+from pipeline.stages.adapt.stage import AdaptParams, adapt
+from pipeline.stages.project.stage import ProjectParams, project
+from tests.pipeline.stages.test_adapt import by, depth_map
+from tests.pipeline.stages.test_project import CENTRE_MM, PAPER, SOURCE, SURFACE, sphere_depth_mm, target_sensor
+
+ROUND_TRIP_MM = 2e-4  # two interpolations between pixels of 0.045 mm on a sphere of 15 mm: 2e-5 each, and float32
+FLOAT32_ULP = 2.0**-23  # relative
+DEPTH = sphere_depth_mm(SOURCE)
+TOUCH = depth_map(DEPTH, DEPTH < 41.0, SOURCE)
+
+
+def turned(angle_deg):
+    return by(
+        rigid.translation(*CENTRE_MM)
+        @ rigid.rotation([0.0, np.deg2rad(angle_deg), 0.0])
+        @ rigid.translation(*-CENTRE_MM)
+    )
+
+
+def same_bytes(one, two):
+    for f in fields(one):
+        a, b = getattr(one, f.name), getattr(two, f.name)
+        same = a.tobytes() == b.tobytes() if isinstance(a, np.ndarray) else a == b
+        assert same, f.name
+
+
+@pytest.mark.parametrize("params", [PAPER, SURFACE, ProjectParams(coverage=True)])
+@pytest.mark.parametrize("stride", [1, 4])
+def test_in_one_go_is_the_same_as_stage_by_stage(params, stride):
+    alignment, target = turned(20.0), target_sensor()
+    apart = project(adapt(TOUCH, alignment, AdaptParams(stride=stride)), target, params)
+    same_bytes(reproject(TOUCH, alignment, target, params, stride=stride), apart)
+
+
+def test_a_preview_is_the_same_picture_smaller():
+    target = target_sensor(rows=72, cols=92)
+    small = scaled(target, 0.25)
+    assert small.camera.shape == (18, 23)
+    assert scaled(target, 0.25) is small
+    view = reproject(TOUCH, turned(20.0), small, SURFACE, stride=2)
+    seen = np.isfinite(view.depth_mm)
+    assert seen.sum() > 30
+    assert np.abs(view.depth_mm - sphere_depth_mm(small.camera))[seen].max() < 3e-3  # sag of twice the pitch, sideways
+
+
+@pytest.mark.parametrize("factor", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_sensor_is_not_scaled_to_nothing(factor):
+    with pytest.raises(SettingProblem, match="positive"):
+        scaled(target_sensor(), factor)
+
+
+def test_there_and_back_again_is_where_it_was():
+    fine = Camera(rows=180, cols=240, fx_px=900.0, fy_px=900.0, cx_px=119.5, cy_px=89.5)
+    there, depth = turned(10.0), sphere_depth_mm(fine)
+    target = target_sensor(rows=240, cols=320, fx_px=900.0)
+    view = reproject(depth_map(depth, depth < 40.5, fine), there, target, SURFACE)
+    seen = depth_map(view.depth_mm, np.isfinite(view.depth_mm), target.camera)
+    back = replace(target, camera=fine, rest_depth_mm=np.full(fine.shape, 45.0))
+    returned = reproject(seen, by(rigid.invert(there.target_from_source)), back, SURFACE)
+    both = np.isfinite(returned.depth_mm) & (depth < 40.5)
+    assert both.sum() > 0.9 * (depth < 40.5).sum()
+    assert np.abs(returned.depth_mm - depth)[both].max() < ROUND_TRIP_MM
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    st.lists(st.floats(-180, 180), min_size=3, max_size=3),
+    st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3),
+    st.floats(0.0, 6.0),
+)
+def test_moving_the_shared_frame_moves_nothing(rotation_deg, direction, exponent):
+    """T_A->T o G^-1 o G o T_S->A: what float64 loses to a shift of d mm is a few of its ulps at d."""
+    shift_mm = np.array(direction) * 10.0**exponent
+    move = rigid.from_parts(shift_mm, rotation_deg)
+    plain, target = turned(20.0), target_sensor()
+    moved = Alignment(
+        alignment_from_source=move @ plain.alignment_from_source,
+        target_from_alignment=plain.target_from_alignment @ rigid.invert(move),
+    )
+    one, two = (reproject(TOUCH, a, target, SURFACE) for a in (plain, moved))
+    both = np.isfinite(one.depth_mm) & np.isfinite(two.depth_mm)
+    lost_mm = 16 * 2.0**-52 * (np.abs(shift_mm).max() + 100.0)
+    # Outermost pixels may come or go; inside, the loss of float64, and one rounding to float32 on either side.
+    assert (np.isfinite(one.depth_mm) ^ np.isfinite(two.depth_mm)).sum() <= 8
+    assert np.abs(one.depth_mm - two.depth_mm)[both].max() <= 4 * lost_mm + 4 * FLOAT32_ULP * 41.0
+
+
+def test_metres_for_millimetres_change_nothing_but_the_unit():
+    """A thousandth of every length, with limits to match, is the same picture in another unit."""
+    target = target_sensor()
+    surface = replace(target.membrane, x0_mm=-0.03, y0_mm=-0.03, step_mm=target.membrane.step_mm * 1e-3,
+                      z_mm=target.membrane.z_mm * 1e-3)  # fmt: skip
+    metres = replace(target, membrane=surface, rest_depth_mm=target.rest_depth_mm * 1e-3)
+    move = turned(20.0).target_from_source.copy()
+    move[:3, 3] *= 1e-3
+    small = reproject(depth_map(DEPTH * 1e-3, DEPTH < 41.0, SOURCE), by(move), metres, replace(SURFACE, jump_mm=1e-3))
+    large = reproject(TOUCH, turned(20.0), target, SURFACE)
+    both = np.isfinite(small.depth_mm) & np.isfinite(large.depth_mm)
+    assert (np.isfinite(small.depth_mm) ^ np.isfinite(large.depth_mm)).sum() <= 8
+    np.testing.assert_allclose(small.depth_mm[both] * 1e3, large.depth_mm[both], rtol=1e-6)
+
+
+BAD = [np.nan, np.inf, -np.inf, 0.0, -3.0, 1e-40, 1e30, 3e38, 1e-3, 40.0]
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(st.sampled_from(BAD), min_size=36, max_size=36),
+    st.sampled_from([1.0, 40.0, 1e5]),
+    st.sampled_from([PAPER, SURFACE, ProjectParams(coverage=True)]),
+    st.sampled_from([0.0, 90.0, 180.0]),
+)
+def test_whatever_the_depth_holds_the_view_is_sound(values, fx_px, params, angle_deg):
+    camera = Camera(rows=6, cols=6, fx_px=fx_px, fy_px=fx_px, cx_px=2.5, cy_px=2.5)
+    touch = depth_map(np.reshape(values, (6, 6)), np.ones((6, 6)), camera)
+    view = reproject(touch, by(rigid.from_parts([0, 0, 5.0], [0, angle_deg, 0])), target_sensor(20, 20, fx_px), params)
+    seen = view.source_index >= 0
+    np.testing.assert_array_equal(seen, np.isfinite(view.depth_mm))
+    assert (view.depth_mm[seen] > 0).all()
+    assert np.isfinite(view.indentation_mm).all()
+    assert not (view.contact & ~seen).any()
+    assert view.pixel_of_point.max(initial=-1) < 400
+    if view.coverage is not None:
+        assert ((view.coverage >= 0) & (view.coverage <= 1)).all()
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 7), (7, 1)])
+@pytest.mark.parametrize("params", [PAPER, SURFACE])
+def test_a_row_a_column_and_a_single_pixel_arrive_as_points(shape, params):
+    camera = Camera(rows=shape[0], cols=shape[1], fx_px=40.0, fy_px=40.0, cx_px=0.0, cy_px=0.0)
+    view = reproject(depth_map(np.full(shape, 40.0), np.ones(shape), camera), by(np.eye(4)), target_sensor(), params)
+    assert (view.source_index >= 0).sum() == shape[0] * shape[1]
+
+
+def test_an_alignment_that_is_not_rigid_is_refused():
+    with pytest.raises(CalibrationError, match="finite"):
+        reproject(TOUCH, by(np.full((4, 4), np.nan)), target_sensor(), SURFACE)

@@ -1,0 +1,52 @@
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.base.errors import SettingProblem
+from pipeline.base.params import changed, setting, settings
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Oven:
+    heat_deg: float = setting(180.0, "Heat", unit="°C", low=50.0, high=250.0)
+    trays: int = setting(2, "Trays", low=1, high=4)
+    fan: bool = setting(True, "Fan")
+    mode: str = setting("bake", "Mode", choices=("bake", "grill"))
+
+
+def test_settings_come_in_order_with_their_values():
+    assert list(settings(Oven())) == ["heat_deg", "trays", "fan", "mode"]
+    value, told = settings(Oven())["heat_deg"]
+    assert (value, told.unit, told.high) == (180.0, "°C", 250.0)
+
+
+@given(st.floats(50.0, 250.0))
+def test_a_number_written_as_text_is_read_exactly(heat):
+    assert changed(Oven(), "heat_deg", repr(heat)).heat_deg == heat
+
+
+@pytest.mark.parametrize(("text", "value"), [("true", True), ("off", False), ("1", True), ("No", False)])
+def test_switches_take_the_usual_words(text, value):
+    assert changed(Oven(), "fan", text).fan is value
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "sentence"),
+    [
+        ("heat", "3", "no parameter 'heat'; there are heat_deg, trays, fan, mode"),
+        ("heat_deg", "warm", "heat_deg must be a float, got 'warm'"),
+        ("heat_deg", "20", "heat_deg must lie within 50 and 250 °C, got 20"),
+        ("heat_deg", "nan", "heat_deg must lie within 50 and 250 °C, got nan"),
+        ("trays", 2.5, "trays must be a int, got 2.5"),
+        ("fan", "perhaps", "fan must be a bool, got 'perhaps'"),
+        ("mode", "fry", "mode must be one of bake, grill, got 'fry'"),
+    ],
+)
+def test_a_wrong_setting_is_named_with_what_is_allowed(name, value, sentence):
+    with pytest.raises(SettingProblem) as caught:
+        changed(Oven(), name, value)
+    assert str(caught.value) == sentence

@@ -1,0 +1,124 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.base.errors import CalibrationError, FileProblem, ShapeError
+from pipeline.calibration import lookup as calibration
+from pipeline.calibration import slope_model
+from pipeline.physics import optics
+from pipeline.sensors.spec import sensor
+
+BUILT_IN_SLOPE_TOLERANCE = 0.08  # rms mm/mm inside a contact; LEDs in their own shadow cannot tell steeper slopes apart
+
+
+@pytest.fixture(scope="module")
+def mini():
+    return calibration.built_in(sensor("gelsight_mini"))
+
+
+def ball_slopes(shape, radius_px=60.0, contact_px=35.0):
+    y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float32)
+    dx, dy = x - shape[1] / 2, y - shape[0] / 2
+    inside = np.hypot(dx, dy) < contact_px
+    down = np.sqrt(np.maximum(radius_px**2 - dx**2 - dy**2, 1.0))
+    return (
+        np.where(inside, -dx / down, 0.0).astype(np.float32),
+        np.where(inside, -dy / down, 0.0).astype(np.float32),
+        inside,
+    )
+
+
+@pytest.mark.parametrize("name", ["gelslim_dotless", "digit", "gelsight_mini"])
+def test_the_built_in_look_up_inverts_the_forward_model(name):
+    source = sensor(name)
+    look_up = calibration.built_in(source)
+    gx, gy, inside = ball_slopes(source.camera.shape)
+    still = optics.untouched(source)
+    seen = np.clip(np.rint(still + optics.colour_change(source, gx, gy)), 0, 255).astype(np.uint8)
+    found_x, found_y = calibration.slopes(look_up, seen, still)
+    core = inside & (np.hypot(gx, gy) < 0.6)  # the last pixels at the rim are blurred on purpose
+    assert np.sqrt(np.mean((found_x - gx)[core] ** 2 + (found_y - gy)[core] ** 2)) < BUILT_IN_SLOPE_TOLERANCE
+
+
+def test_an_unchanged_picture_has_no_slope_at_all(mini):
+    still = optics.untouched(sensor("gelsight_mini"))
+    gx, gy = calibration.slopes(mini, still, still)
+    assert not gx.any()
+    assert not gy.any()
+
+
+def test_slopes_are_finite_and_bounded_for_any_picture(mini):
+    rng = np.random.default_rng(0)
+    still = optics.untouched(sensor("gelsight_mini"))
+    for picture in (np.zeros_like(still), np.full_like(still, 255), rng.integers(0, 256, still.shape, np.uint8)):
+        gx, gy = calibration.slopes(mini, picture, still)
+        assert np.hypot(gx, gy).max() <= mini.model.slope_max * (1 + 1e-5)
+
+
+def test_a_saved_look_up_comes_back_the_same(mini, tmp_path):
+    press = calibration.BallFit(index=0, x_px=1.5, y_px=2.5, radius_px=20.0, residual=0.03, used=True)
+    written = replace(mini, presses=(press,))
+    calibration.save(written, tmp_path / "mini.npz")
+    read = calibration.load(tmp_path / "mini.npz")
+    assert np.array_equal(read.model.coefficients, written.model.coefficients)
+    assert replace(read, model=written.model) == written
+    assert [p.name for p in tmp_path.iterdir()] == ["mini.npz"]
+
+
+def test_a_missing_look_up_is_told_in_a_sentence(tmp_path):
+    with pytest.raises(FileProblem, match="does not exist"):
+        calibration.load(tmp_path / "none.npz")
+
+
+def test_a_damaged_look_up_is_told_in_a_sentence(mini, tmp_path):
+    path = tmp_path / "mini.npz"
+    calibration.save(mini, path)
+    whole = path.read_bytes()
+    for cut in (0, 10, len(whole) // 2):
+        path.write_bytes(whole[:cut])
+        with pytest.raises(FileProblem, match="calibrat"):
+            calibration.load(path)
+
+
+def test_a_look_up_that_lacks_a_field_names_it(tmp_path):
+    np.savez(tmp_path / "half.npz", version=1)
+    with pytest.raises(FileProblem, match="lacks 'colour_degree'"):
+        calibration.load(tmp_path / "half.npz")
+
+
+def test_a_pickled_file_is_not_opened(tmp_path):
+    np.savez(tmp_path / "evil.npz", version=np.array([{}], dtype=object))
+    with pytest.raises(FileProblem, match="damaged"):
+        calibration.load(tmp_path / "evil.npz")
+
+
+def test_a_picture_of_another_size_is_refused(mini):
+    with pytest.raises(ShapeError, match="calibrated size"):
+        calibration.slopes(mini, np.zeros((10, 10, 3), np.uint8), np.zeros((10, 10, 3), np.uint8))
+
+
+def test_a_look_up_of_another_sensor_is_refused(mini):
+    with pytest.raises(CalibrationError, match="made for 'gelsight_mini'"):
+        calibration.check_for(mini, "digit", np.zeros((320, 240, 3), np.uint8))
+
+
+def test_a_bubble_has_no_look_up():
+    with pytest.raises(CalibrationError, match="no optics"):
+        calibration.built_in(sensor("soft_bubble"))
+
+
+def test_the_compiled_polynomial_equals_the_fitted_one():
+    rng = np.random.default_rng(1)
+    u, v = slope_model.position((6, 7))
+    samples = slope_model.Samples(
+        change=rng.normal(0, 0.3, (42, 3)).astype(np.float32), u=np.tile(u, 6), v=np.repeat(v, 7),
+        slopes=rng.normal(0, 0.3, (42, 2)).astype(np.float32),
+    )  # fmt: skip
+    model = slope_model.fit(samples, np.ones(42, np.float32), colour_degree=2, position_degree=1, ridge=0.01)
+    gx, gy = slope_model.evaluate(model, samples.change.reshape(6, 7, 3), u, v, np.ones((6, 7), bool))
+    expected = slope_model.predict(model, samples).reshape(6, 7, 2)
+    assert np.allclose(gx, expected[..., 0], atol=1e-5)  # float32 sums in another order
+    assert np.allclose(gy, expected[..., 1], atol=1e-5)

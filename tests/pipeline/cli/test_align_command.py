@@ -1,0 +1,123 @@
+"""`tactoscope align` as it is typed, and an alignment file where a recording is translated or a session kept."""
+
+from __future__ import annotations
+
+import tomllib
+
+import numpy as np
+import pytest
+
+from app.session.state import Session, load_session, save_session
+from pipeline.alignment.nudge import nudged
+from pipeline.base.errors import SettingProblem
+from pipeline.cli.align import frames_of
+from pipeline.cli.main import EXIT_USER_ERROR, build, run
+from pipeline.geometry import rigid
+from pipeline.sensors.alignment_files import AlignmentFile, load, save
+from pipeline.translation.translate import Request, open_translation
+from sample_data import make_alignments
+from sample_data.make_samples import FOLDER
+
+SAMPLE = FOLDER / "digit_gelslim.h5"
+EXACT = load(make_alignments.file_of("digit", "gelslim"), source="digit", target="gelslim")
+SAME = 1e-9  # mm and entries of a rotation: what a file rounds away, composed
+
+
+@pytest.fixture
+def typed(capsys):
+    """Run `align` with these words; returns its exit code, what it printed and what it said on stderr."""
+
+    def go(*tokens):
+        code = run(build(), ["align", *(str(t) for t in tokens)])
+        said = capsys.readouterr()
+        return code, said.out, said.err
+
+    return go
+
+
+@pytest.fixture
+def off(tmp_path):
+    """A file that is 1 mm and 2 degrees off."""
+    moved = nudged(EXACT.alignment, "x", 1.0, pivot_mm=np.array([0.0, 0.0, 20.0]))
+    moved = nudged(moved, "rz", 2.0, pivot_mm=np.array([0.0, 0.0, 20.0]))
+    path = tmp_path / "off.toml"
+    save(path, AlignmentFile(alignment=moved, source="digit", target="gelslim"))
+    return path
+
+
+def test_scores_are_a_table_of_frames_and_of_axes(typed):
+    code, out, _ = typed("score", SAMPLE, "--target", "gelslim", "--truth")
+    assert code == 0
+    assert "mask IoU" in out
+    rows = [line.replace("┃", "│").split("│") for line in out.splitlines() if "│" in line]
+    assert [row[1].strip() for row in rows] == ["2", "3", "median", "x (mm)", "y (mm)", "z (mm)",
+                                                "rx (deg)", "ry (deg)", "rz (deg)"]  # fmt: skip
+    assert float(rows[0][2]) > 0.9
+
+
+def test_refining_writes_an_alignment_nearer_to_the_exact_one_and_says_what_it_did(typed, off, tmp_path):
+    out_file = tmp_path / "refined.toml"
+    refine = ("refine", SAMPLE, "--target", "gelslim", "--alignment", off, "--truth", "--hold-out", "0.5")
+    code, out, _ = typed(*refine, "--out", out_file)
+    assert code == 0
+    assert "held out, after" in out
+    assert "predicted spread" in out
+    found = load(out_file, source="digit", target="gelslim")
+    assert "digit_gelslim.h5" in found.origin
+    left = found.alignment.target_from_source @ rigid.invert(EXACT.alignment.target_from_source)
+    middle = np.array([0.0, 0.0, 20.0])
+    assert np.linalg.norm(rigid.apply(left, middle) - middle) < 0.2  # mm, of 1 mm: one touch, seen on both gels
+    code, _, err = typed(*refine, "--out", out_file)
+    assert code == EXIT_USER_ERROR
+    assert "exists already and is kept" in err
+
+
+@pytest.mark.parametrize(
+    ("tokens", "told"),
+    [
+        (("score", SAMPLE, "--target", "soft_bubble"), "soft_bubble recorded no frame 0 here"),
+        (("score", SAMPLE, "--target", "gelslim", "--frames", "0-1"), "none of the 2 frames is felt by both"),
+        (("score", SAMPLE, "--target", "gelslim", "--frames", "9"), "no frame 9; the recording has frames 0 to 5"),
+        (("score", SAMPLE, "--target", "gelslim", "--frames", "a"), "numbers and ranges such as 0,3-7"),
+        (("refine", SAMPLE, "--target", "gelslim", "--out", "x.txt"), "ends in .toml"),
+        (("refine", SAMPLE, "--target", "gelslim", "--out", "x.toml", "--hold-out", "1"), "below 1, got 1"),
+    ],
+)
+def test_a_mistake_is_one_sentence(typed, tokens, told):
+    code, _, err = typed(*tokens)
+    assert code == EXIT_USER_ERROR
+    assert told in err
+    assert len(err.strip().splitlines()) == 1
+
+
+def test_an_alignment_of_other_sensors_is_refused(typed, off):
+    code, _, err = typed("score", SAMPLE, "--sensor", "gelslim", "--target", "digit", "--alignment", off)
+    assert code == EXIT_USER_ERROR
+    assert "the other way round; swap source and target" in err
+
+
+def test_a_translation_uses_the_file_and_a_session_keeps_it(off, tmp_path):
+    request = Request(recording=SAMPLE, source="digit", target="gelslim", alignment=off)
+    opened = open_translation(request)
+    wanted = load(off, source="digit", target="gelslim").alignment.target_from_source
+    np.testing.assert_allclose(opened.alignment.target_from_source, wanted, atol=SAME)
+    opened.recording.close()
+    session = tmp_path / "kept.touch.json"
+    save_session(Session(recording=SAMPLE, alignment=off), session)
+    assert load_session(session).alignment.resolve() == off.resolve()
+
+
+@pytest.mark.parametrize(("recording", "source", "target"), make_alignments.PAIRS)
+def test_the_samples_alignments_are_those_of_their_recordings(recording, source, target):
+    path = make_alignments.file_of(source, target)
+    assert tomllib.loads(path.read_text(encoding="utf-8"))["from"].startswith("exact")
+    kept = load(path, source=source, target=target).alignment
+    known = make_alignments.exact(recording, source, target).alignment
+    np.testing.assert_allclose(kept.target_from_source, known.target_from_source, atol=SAME)
+
+
+def test_frames_are_numbers_and_ranges():
+    assert frames_of("", 3) == [0, 1, 2]
+    assert frames_of("4, 0-2,1", 6) == [0, 1, 2, 4]
+    with pytest.raises(SettingProblem, match="no frame 6"):
+        frames_of("2-6", 6)

@@ -1,0 +1,265 @@
+"""The commands as a user types them: what they leave behind, and one clear sentence for each mistake."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import h5py
+import numpy as np
+import pytest
+
+from pipeline.cli.main import EXIT_USER_ERROR, build, run
+from pipeline.physics.optics import render, untouched
+from pipeline.sensors.spec import sensor
+
+SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
+MINI = sensor("gelsight_mini")
+
+
+def save(path, image):
+    cv2.imwrite(str(path), cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
+
+
+@pytest.fixture
+def touches(tmp_path):
+    """A folder of three simulated GelSight Mini frames: untouched, and two dents."""
+    folder = tmp_path / "touches"
+    folder.mkdir()
+    save(folder / "background.png", untouched(MINI))
+    y, x = np.mgrid[: MINI.camera.rows, : MINI.camera.cols] * MINI.pixel_mm
+    for i, depth_mm in enumerate((0.0, 0.4, 0.6)):
+        r_sq = (x - 9.0) ** 2 + (y - 7.0) ** 2
+        dent = np.maximum(depth_mm - r_sq / 8.0, 0.0)
+        save(folder / f"touch_{i}.png", render(MINI, dent.astype(np.float32), seed=i))
+    return folder
+
+
+@pytest.fixture
+def said(capsys):
+    """Run a command line that must fail on the user's account; returns its one sentence."""
+
+    def go(*tokens):
+        code = run(build(), [str(t) for t in tokens])
+        error = capsys.readouterr().err
+        assert code == EXIT_USER_ERROR, error
+        assert "Traceback" not in error
+        lines = [line for line in error.splitlines() if line.startswith("tactoscope: ")]
+        assert len(lines) == 1, error
+        return lines[0].removeprefix("tactoscope: ")
+
+    return go
+
+
+def test_translate_all_leaves_every_frame_whole(touches, tmp_path, capsys):
+    out = tmp_path / "out"
+    code = run(
+        build(),
+        ["translate", str(touches), "--target", "gelslim", "--all", "--out", str(out), "--sensor", "gelsight_mini"],
+    )
+    assert code == 0, capsys.readouterr().err
+    report = json.loads((out / "report.json").read_text())
+    assert report["route"] == "t2d2"
+    assert [f["index"] for f in report["frames"]] == [0, 1, 2]
+    for frame in report["frames"]:
+        assert [s["name"] for s in frame["stages"]] == ["depth", "adapt", "project", "generate", "pose"]
+        assert all(set(s) >= {"name", "ms", "skipped", "notes"} for s in frame["stages"])
+    assert all(s["skipped"] for s in report["frames"][0]["stages"])
+    assert not report["frames"][2]["stages"][0]["skipped"]
+    with np.load(out / "frame_0002" / "stages.npz", allow_pickle=False) as arrays:
+        assert arrays["depth.indentation_mm"].shape == MINI.camera.shape
+        assert arrays["generate.image"].shape == (*sensor("gelslim").camera.shape, 3)
+        assert arrays["depth.contact"].any()
+    sheet = cv2.imread(str(out / "frame_0002" / "sheet.png"))
+    assert sheet.shape[1] > 1000
+    assert not list(out.glob(".*"))
+
+
+def test_a_setting_reaches_its_stage_and_an_unknown_one_is_named(touches, tmp_path, said):
+    arguments = ("translate", touches, "--target", "gelslim", "--sensor", "gelsight_mini", "--out", tmp_path / "o")
+    assert run(build(), [str(a) for a in (*arguments, "--set", "project.mode=paper", "--frame", "2")]) == 0
+    assert "project.mode" not in said(*arguments, "--set", "project.colour=red")
+    assert said(*arguments, "--set", "projekt.mode=paper").startswith("no stage 'projekt'; there are depth, adapt")
+    assert said(*arguments, "--set", "mode").startswith("a setting is written stage.parameter=value")
+
+
+def test_the_sample_recording_translates_with_truth(tmp_path, capsys):
+    out = tmp_path / "out"
+    assert (
+        run(build(), ["translate", str(SAMPLE), "--target", "soft_bubble", "--sensor", "gelslim", "--out", str(out)])
+        == 0
+    )
+    frame = json.loads((out / "report.json").read_text())["frames"][0]
+    assert frame["metrics"]["depth.contact_mae_mm"] < 0.15
+    assert "generate.contact_iou" in frame["metrics"]
+
+
+def test_inspect_says_what_the_sample_is(capsys):
+    assert run(build(), ["inspect", str(SAMPLE)]) == 0
+    text = capsys.readouterr().out
+    assert "gelslim" in text
+    assert "soft_bubble" in text
+
+
+def test_doctor_finds_everything_here(capsys):
+    assert run(build(), ["doctor"]) == 0, capsys.readouterr().out
+
+
+def test_a_missing_file_is_named(tmp_path, said):
+    assert "nowhere.h5" in said("inspect", tmp_path / "nowhere.h5")
+
+
+def test_an_unknown_sensor_is_answered_with_the_known_ones(touches, tmp_path, said):
+    sentence = said("translate", touches, "--target", "gelslam", "--out", tmp_path / "o")
+    assert sentence.startswith("unknown sensor 'gelslam'; known are digit, gelsight_mini, gelslim")
+
+
+def test_an_unknown_route_is_answered_with_the_known_ones(touches, tmp_path, said):
+    assert (
+        said("translate", touches, "--target", "gelslim", "--route", "x2y", "--out", tmp_path)
+        == "no route 'x2y'; there are t2d2"
+    )
+
+
+def test_an_empty_folder_says_so(tmp_path, said):
+    (tmp_path / "empty").mkdir()
+    assert "empty" in said("inspect", tmp_path / "empty")
+
+
+def test_a_truncated_recording_is_one_sentence(tmp_path, said):
+    path = tmp_path / "cut.h5"
+    path.write_bytes(SAMPLE.read_bytes()[:2000])
+    assert "cut.h5" in said("inspect", path)
+
+
+def test_a_pt_that_is_none_is_one_sentence(tmp_path, said):
+    path = tmp_path / "fake.pt"
+    path.write_bytes(b"not a tensor file" * 10)
+    sentence = said("inspect", path)
+    assert sentence.startswith("this is not a PyTorch file")
+    assert "fake.pt" in sentence
+
+
+def test_a_recording_without_reference_asks_for_one(touches, tmp_path, said):
+    (touches / "background.png").unlink()
+    sentence = said_by_frame(touches, tmp_path, said)
+    assert "reference" in sentence
+
+
+def test_an_image_of_the_wrong_size_is_named_with_both_sizes(touches, tmp_path, said):
+    for path in touches.iterdir():
+        save(path, np.zeros((100, 120, 3), np.uint8) + 90)
+    sentence = said_by_frame(touches, tmp_path, said)
+    assert "100" in sentence
+    assert "240" in sentence
+
+
+def test_following_takes_all_frames(touches, tmp_path, said):
+    asked = ("translate", touches, "--target", "gelslim", "--sensor", "gelsight_mini", "--out", tmp_path / "out")
+    assert "give it with --all" in said(*asked, "--follow")
+
+
+def test_an_all_black_frame_is_refused(touches, tmp_path, said):
+    save(touches / "touch_2.png", np.zeros((*MINI.camera.shape, 3), np.uint8))
+    assert "black" in said_by_frame(touches, tmp_path, said)
+
+
+def test_a_mesh_in_metres_is_refused_with_what_to_try(touches, tmp_path, said):
+    mesh = tmp_path / "tool.stl"
+    write_box_stl(mesh, 0.02)
+    sentence = said(
+        "translate",
+        touches,
+        "--target",
+        "gelslim",
+        "--sensor",
+        "gelsight_mini",
+        "--mesh",
+        mesh,
+        "--mesh-unit",
+        "mm",
+        "--out",
+        tmp_path / "o",
+    )
+    assert "m" in sentence
+    assert "tool.stl" in sentence
+
+
+def test_a_depth_frame_of_nothing_but_nan_is_refused(tmp_path, said):
+    path = tmp_path / "nan.npz"
+    rest = np.full((3, 140, 175), 80.0, np.float32)
+    rest[1:] = np.nan
+    np.savez(path, depth_mm=rest)
+    assert said(
+        "translate", path, "--target", "gelslim", "--sensor", "soft_bubble", "--frame", "2", "--out", tmp_path / "o"
+    )
+
+
+def test_a_singular_camera_matrix_is_refused(tmp_path, said):
+    path = tmp_path / "k.npz"
+    np.savez(path, depth_mm=np.full((3, 140, 175), 80.0, np.float32), K=np.zeros((3, 3)))
+    assert "singular" in said("inspect", path)
+
+
+def test_a_damaged_frame_leaves_the_others_translated(touches, tmp_path, capsys):
+    (touches / "touch_1.png").write_bytes((touches / "touch_1.png").read_bytes()[:300])
+    out = tmp_path / "out"
+    code = run(
+        build(),
+        ["translate", str(touches), "--target", "gelslim", "--sensor", "gelsight_mini", "--all", "--out", str(out)],
+    )
+    assert code == EXIT_USER_ERROR
+    frames = json.loads((out / "report.json").read_text())["frames"]
+    assert [("problem" in f) for f in frames] == [False, True, False]
+    assert "touch_1.png" in frames[1]["problem"]
+
+
+def test_a_recording_of_another_program_is_not_taken_for_ours(tmp_path, said):
+    path = tmp_path / "other.h5"
+    with h5py.File(path, "w") as file:
+        file["data"] = np.zeros(3)
+    assert "other.h5" in said("inspect", path)
+
+
+def said_by_frame(touches, tmp_path, said):
+    return said(
+        "translate",
+        touches,
+        "--target",
+        "gelslim",
+        "--sensor",
+        "gelsight_mini",
+        "--frame",
+        "2",
+        "--out",
+        tmp_path / "o",
+    )
+
+
+def write_box_stl(path, side):
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float) * side
+    faces = [
+        (0, 1, 3),
+        (0, 3, 2),
+        (4, 6, 7),
+        (4, 7, 5),
+        (0, 4, 5),
+        (0, 5, 1),
+        (2, 3, 7),
+        (2, 7, 6),
+        (0, 2, 6),
+        (0, 6, 4),
+        (1, 5, 7),
+        (1, 7, 3),
+    ]
+    lines = ["solid box"]
+    for face in faces:
+        lines += [
+            "facet normal 0 0 0",
+            "outer loop",
+            *("vertex {} {} {}".format(*corners[i]) for i in face),
+            "endloop",
+            "endfacet",
+        ]
+    path.write_text("\n".join([*lines, "endsolid box"]))

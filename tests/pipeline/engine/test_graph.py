@@ -1,0 +1,221 @@
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from pipeline.base.errors import SettingProblem
+from pipeline.base.params import setting
+from pipeline.base.progress import Cancelled
+from pipeline.engine.cache import Cache, Entry
+from pipeline.engine.digests import Known, digest
+from pipeline.engine.graph import Graph, Stage
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Number:
+    value: float
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Add:
+    amount: float = setting(1.0, "Amount")
+
+
+@dataclass
+class Ran:
+    """Which stages really ran, in order."""
+
+    names: list[str] = field(default_factory=list)
+
+    def stage(self, name, reads, work, shortcut=lambda *_: None):
+        def run(*arguments):
+            self.names.append(name)
+            *values, params, progress = arguments
+            progress.step(0.5, "half way")
+            return work(*values, params)
+
+        return Stage(name=name, title=name, run=run, shortcut=shortcut, params=Add, reads=reads)
+
+
+@pytest.fixture
+def ran():
+    return Ran()
+
+
+@pytest.fixture
+def graph(ran):
+    return Graph(
+        (
+            ran.stage("double", ("x",), lambda x, p: Number(value=2 * x.value * p.amount)),
+            ran.stage("sign", ("double",), lambda d, p: Number(value=float(np.sign(d.value)), notes=("signed",))),
+            ran.stage("last", ("sign", "y"), lambda s, y, p: Number(value=s.value + y.value)),
+        )
+    )
+
+
+X, Y = Number(value=3.0), Number(value=10.0)
+
+
+def test_only_what_is_wanted_and_what_it_rests_on_runs(graph, ran):
+    results = graph.evaluate(["sign"], {"x": X}, {})
+    assert ran.names == ["double", "sign"]
+    assert results["sign"].output.value == 1.0
+    assert results["sign"].notes == ("signed",)
+
+
+def test_the_second_time_nothing_runs(graph, ran):
+    graph.evaluate(["last"], {"x": X, "y": Y}, {})
+    ran.names.clear()
+    results = graph.evaluate(["last"], {"x": Number(value=3.0), "y": Y}, {})
+    assert ran.names == []
+    assert {r.state for r in results.values()} == {"cached"}
+
+
+def test_a_changed_parameter_reruns_its_stage_and_what_follows_only(graph, ran):
+    graph.evaluate(["last"], {"x": X, "y": Y}, {})
+    ran.names.clear()
+    graph.evaluate(["last"], {"x": X, "y": Y}, {"last": Add(amount=2.0)})
+    assert ran.names == ["last"]
+
+
+def test_an_equal_output_stops_the_recomputation_below_it(graph, ran):
+    graph.evaluate(["last"], {"x": X, "y": Y}, {})
+    ran.names.clear()
+    results = graph.evaluate(["last"], {"x": Number(value=4.0), "y": Y}, {})
+    assert ran.names == ["double", "sign"]
+    assert results["last"].state == "unchanged"
+
+
+def test_a_shortcut_answers_without_running_and_says_so(ran):
+    stage = ran.stage("s", ("x",), lambda x, p: X, shortcut=lambda x, p: Y if x.value == 0 else None)
+    graph = Graph((stage,))
+    for _ in range(2):
+        assert graph.evaluate(["s"], {"x": Number(value=0.0)}, {})["s"].state == "skipped"
+    assert ran.names == []
+    assert graph.evaluate(["s"], {"x": X}, {})["s"].state == "computed"
+
+
+def test_a_progress_that_cancels_stops_before_the_next_stage_and_leaves_the_cache_usable(graph, ran):
+    class StopInSecond:
+        def step(self, fraction, text):
+            if "sign" in text:
+                raise Cancelled
+
+    with pytest.raises(Cancelled):
+        graph.evaluate(["last"], {"x": X, "y": Y}, {}, StopInSecond())
+    assert ran.names == ["double"]
+    graph.evaluate(["last"], {"x": X, "y": Y}, {})
+    assert ran.names == ["double", "sign", "last"]
+
+
+def test_progress_never_goes_back(graph):
+    seen = []
+
+    class Keep:
+        def step(self, fraction, text):
+            seen.append(fraction)
+
+    graph.evaluate(["last"], {"x": X, "y": Y}, {}, Keep())
+    assert seen == sorted(seen)
+    assert seen[-1] == 1.0
+
+
+def test_an_unknown_stage_and_a_missing_input_are_named(graph):
+    with pytest.raises(SettingProblem, match="no stage 'colour'; there are double, sign, last"):
+        graph.evaluate(["colour"], {}, {})
+    with pytest.raises(SettingProblem, match="'last' needs 'y'"):
+        graph.evaluate(["last"], {"x": X}, {})
+
+
+def test_the_cache_never_holds_more_bytes_than_allowed():
+    cache = Cache(max_bytes=100)
+    for i in range(20):
+        cache.put(str(i), Entry(output=i, digest="", n_bytes=30, was_shortcut=False))
+        assert cache.n_bytes <= 100
+    assert len(cache) == 3
+    cache.put("huge", Entry(output=0, digest="", n_bytes=101, was_shortcut=False))
+    assert cache.get("huge") is None
+    assert cache.get("19") is not None
+
+
+def test_the_least_recently_used_entry_goes_first():
+    cache = Cache(max_bytes=60)
+    for name in ("a", "b"):
+        cache.put(name, Entry(output=name, digest="", n_bytes=30, was_shortcut=False))
+    cache.get("a")
+    cache.put("c", Entry(output="c", digest="", n_bytes=30, was_shortcut=False))
+    assert cache.get("b") is None
+    assert cache.get("a") is not None
+
+
+def test_digests_tell_apart_what_is_different_and_only_that():
+    a = np.arange(6, dtype=np.float32)
+    assert digest(a) == digest(a.copy())
+    different = [
+        a,
+        a.astype(np.float64),
+        a.reshape(2, 3),
+        a + 1,
+        1,
+        1.0,
+        True,
+        "1",
+        None,
+        (1, 2),
+        (1, (2,)),
+        Number(value=1.0),
+    ]
+    assert len({digest(v) for v in different}) == len(different)
+    with pytest.raises(TypeError):
+        digest(object())
+
+
+def test_digest_of_a_strided_view_is_that_of_its_contents():
+    a = np.arange(24).reshape(4, 6)
+    assert digest(a[:, ::2]) == digest(a[:, ::2].copy())
+
+
+def test_known_digests_are_those_of_the_contents_and_the_longest_unused_goes_first():
+    known = Known(most=2)
+    a, b, c = (np.full(3, k) for k in range(3))
+    for value in (a, b, a, c, a, b):
+        assert known.digest(value) == digest(value)
+        assert len(known) <= 2
+    b_before = known.digest(b)
+    b[0] = 7  # nobody may do this; it shows that b is remembered, not read again
+    assert known.digest(b) == b_before
+    known.digest(a)
+    known.digest(c)
+    assert known.digest(b) == digest(b) != b_before
+
+
+def test_known_digests_may_be_asked_for_by_several_threads():
+    known = Known(most=3)
+    values = [np.full(100, k) for k in range(12)]
+    wanted = [digest(v) for v in values]
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(known.digest, values * 20)) == wanted * 20
+
+
+def test_sensors_stay_known_however_many_frames_pass(monkeypatch, ran):
+    graph = Graph((ran.stage("s", ("x", "sensor"), lambda x, s, p: x),))
+    sensor, asked = Number(value=1.0), []
+    monkeypatch.setattr("pipeline.engine.digests.digest", lambda value: asked.append(value) or digest(value))
+    for k in range(100):
+        graph.evaluate(["s"], {"x": Number(value=float(k)), "sensor": sensor}, {})
+    assert sum(value is sensor for value in asked) == 1
+
+
+def test_a_shortcut_that_gives_the_same_object_again_stops_the_recomputation_below_it(ran):
+    rest = Number(value=0.0)
+    first = ran.stage("first", ("x",), lambda x, p: x, shortcut=lambda x, p: rest)
+    graph = Graph((first, ran.stage("last", ("first",), lambda r, p: r)))
+    for k in range(3):
+        results = graph.evaluate(["last"], {"x": Number(value=float(k))}, {})
+        assert results["first"].digest == digest(rest)
+    assert ran.names == ["last"]
+    assert results["last"].state == "unchanged"

@@ -1,0 +1,112 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.base.errors import CalibrationError, MeshProblem
+from pipeline.geometry import membrane
+from pipeline.geometry.mesh_membrane import from_mesh, load_membrane, side_distance_mm
+from pipeline.geometry.meshes import Mesh
+from pipeline.sensors.spec import sensor
+
+DOME = membrane.dome(60.0, 12.0, 30.0, 25.0)
+BILINEAR_MM = 2e-3  # a cell of 0.5 mm split into triangles against a bilinear one, and cells that straddle
+
+
+def sheet(vertices, triangles):
+    return Mesh(vertices_mm=np.asarray(vertices, float), triangles=np.asarray(triangles, np.int32), name="sheet")
+
+
+def write_stl(path, mesh):
+    corners = mesh.vertices_mm[mesh.triangles].astype("<f4")
+    facets = np.zeros((len(corners), 50), np.uint8)
+    facets[:, 12:48] = corners.reshape(len(corners), 9).view(np.uint8)
+    path.write_bytes(b"\0" * 80 + len(corners).to_bytes(4, "little") + facets.tobytes())
+
+
+def test_the_mesh_of_a_dome_is_the_dome():
+    found = from_mesh(DOME.mesh())
+    np.testing.assert_allclose(found.membrane.z_mm, DOME.z_mm, atol=1e-9)
+    assert found.error_mm < BILINEAR_MM
+    points = np.random.default_rng(0).uniform((-25, -20, 50), (25, 20, 80), (3000, 3))
+    one, two = found.membrane.signed_distance_mm(points), DOME.signed_distance_mm(points)
+    np.testing.assert_allclose(one, two, atol=1e-9)
+
+
+def test_another_lattice_stays_within_the_error_that_it_reports():
+    found = from_mesh(DOME.mesh(), step_mm=0.37)
+    x, y = np.random.default_rng(1).uniform(-17, 17, (2, 500))
+    assert np.abs(found.membrane.depth_at(x, y) - DOME.depth_at(x, y)).max() < found.error_mm + BILINEAR_MM
+    assert found.error_mm < 0.01 < found.worst_mm, "the rim is a crease"
+    assert any("0.37 mm" in note for note in found.notes)
+
+
+def test_a_file_in_metres_is_read_in_its_unit(tmp_path):
+    mesh = DOME.mesh()
+    write_stl(tmp_path / "rest.stl", sheet(mesh.vertices_mm * 1e-3, mesh.triangles))
+    found = load_membrane(tmp_path / "rest.stl", unit="m")
+    np.testing.assert_allclose(found.membrane.z_mm, DOME.z_mm, atol=1e-4)
+
+
+def test_distance_to_a_mesh_has_the_size_and_the_side_of_the_height_field():
+    rng = np.random.default_rng(2)
+    x, y = rng.uniform(-15, 15, (2, 400))
+    points = np.column_stack([x, y, DOME.depth_at(x, y) + rng.uniform(-1, 1, 400)])
+    found, expected = side_distance_mm(DOME.mesh(), points), DOME.signed_distance_mm(points)
+    clear = np.abs(expected) > 1e-3
+    np.testing.assert_array_equal(found[clear] > 0, expected[clear] > 0)
+    np.testing.assert_allclose(found, expected, atol=0.05)  # first order in the curvature against the closest triangle
+    assert np.isnan(side_distance_mm(DOME.mesh(), [[np.nan, 0, 60]])).all()
+
+
+@pytest.mark.parametrize(
+    ("vertices", "words"),
+    [
+        ([(0, 0, -5), (9, 0, 20), (0, 9, 20)], "behind the camera"),
+        ([(0, 0, 20), (9, 0, 20), (4, 0, 30)], "stands on edge"),
+    ],
+)
+def test_a_mesh_that_cannot_rest_before_a_camera_is_refused(vertices, words):
+    with pytest.raises(MeshProblem, match=words):
+        from_mesh(sheet(vertices, [(0, 1, 2)]))
+
+
+def test_a_mesh_that_folds_and_one_too_fine_for_its_lattice_are_refused(tmp_path):
+    mesh = DOME.mesh()
+    double = sheet(
+        np.concatenate([mesh.vertices_mm, mesh.vertices_mm + np.array([0, 0, 3])]),
+        np.concatenate([mesh.triangles, mesh.triangles + len(mesh.vertices_mm)]),
+    )
+    write_stl(tmp_path / "folded.stl", double)
+    with pytest.raises(MeshProblem, match=r"folds over itself .*folded\.stl'$"):
+        load_membrane(tmp_path / "folded.stl", unit="mm")
+    with pytest.raises(MeshProblem, match="smaller step"):
+        from_mesh(mesh, step_mm=7.0)
+    with pytest.raises(MeshProblem, match="larger step"):
+        from_mesh(mesh, step_mm=1e-3)
+
+
+def described(tmp_path, rest):
+    path = tmp_path / "mine.toml"
+    path.write_text(f'extends = "soft_bubble"\n[rest]\n{rest}\n')
+    return str(path)
+
+
+def test_a_description_may_name_a_mesh_beside_it(tmp_path):
+    bubble = sensor("soft_bubble")
+    write_stl(tmp_path / "rest.stl", bubble.membrane.mesh())
+    found = sensor(described(tmp_path, 'kind = "mesh"\nfile = "rest.stl"\nunit = "mm"'))
+    np.testing.assert_allclose(found.rest_depth_mm, bubble.rest_depth_mm, atol=1e-4)  # float32 of the file
+
+
+@pytest.mark.parametrize(
+    ("rest", "words"),
+    [
+        ('kind = "cloth"', "rest.kind"),
+        ('kind = "mesh"\nfile = "rest.stl"', "rest.unit"),
+        ('kind = "mesh"\nfile = "rest.stl"\nunit = "mm"\nstep = 0', "rest.step"),
+    ],
+)
+def test_a_description_of_a_mesh_that_is_not_understood_is_refused(tmp_path, rest, words):
+    with pytest.raises(CalibrationError, match=words):
+        sensor(described(tmp_path, rest))

@@ -1,0 +1,146 @@
+"""Meshes: formats, units, and points on their surface."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.base.errors import FileProblem, MeshProblem, SettingProblem
+from pipeline.geometry.meshes import Mesh, load_mesh, sample_surface
+
+CORNERS = np.array([[0.0, 0, 0], [20, 0, 0], [0, 20, 0], [0, 0, 20]])
+FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+FLOAT_ROUNDING_MM = 1e-5  # of float32 at 20 mm, with a margin
+
+
+def binary_stl(path: Path, corners: np.ndarray, faces: np.ndarray = FACES, header: bytes = b"") -> Path:
+    facets = b"".join(
+        bytes(12) + corners[face].astype("<f4").tobytes() + bytes(2) for face in faces
+    )  # no normal, no colour
+    path.write_bytes(header.ljust(80, b" ") + len(faces).to_bytes(4, "little") + facets)
+    return path
+
+
+def text_stl(path: Path, corners: np.ndarray) -> Path:
+    lines = ["solid corner"]
+    for face in FACES:
+        lines += ["facet normal 0 0 0", "outer loop"]
+        lines += [f"vertex {x} {y} {z}" for x, y, z in corners[face]]
+        lines += ["endloop", "endfacet"]
+    path.write_text("\n".join([*lines, "endsolid corner"]))
+    return path
+
+
+def text_ply(path: Path, corners: np.ndarray) -> Path:
+    head = (
+        f"ply\nformat ascii 1.0\nelement vertex {len(corners)}\nproperty float x\nproperty float y\nproperty float z\n"
+    )
+    head += f"element face {len(FACES)}\nproperty list uchar int vertex_indices\nend_header\n"
+    body = [" ".join(map(str, v)) for v in corners] + [f"3 {a} {b} {c}" for a, b, c in FACES]
+    path.write_text(head + "\n".join(body) + "\n")
+    return path
+
+
+def obj(path: Path, corners: np.ndarray) -> Path:
+    body = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES]
+    path.write_text("\n".join(body) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("write", "name"), [(binary_stl, "a.stl"), (text_stl, "a.STL"), (text_ply, "a.ply"), (obj, "a.obj")]
+)
+def test_every_format_gives_the_same_mesh_with_vertices_merged(tmp_path: Path, write, name: str):
+    mesh = load_mesh(write(tmp_path / name, CORNERS))
+    assert mesh.name == "a"
+    assert mesh.vertices_mm.shape == (4, 3)
+    want = {tuple(sorted(map(tuple, CORNERS[f]))) for f in FACES}
+    got = {tuple(sorted(map(tuple, np.round(mesh.vertices_mm[f], 4)))) for f in mesh.triangles}
+    assert got == want
+    assert not mesh.vertices_mm.flags.writeable
+
+
+def test_a_binary_file_that_begins_like_text_is_read_as_binary(tmp_path: Path):
+    assert len(load_mesh(binary_stl(tmp_path / "a.stl", CORNERS, header=b"solid trap")).triangles) == 4
+
+
+def test_metres_are_refused_with_what_to_try_and_read_when_said(tmp_path: Path):
+    path = binary_stl(tmp_path / "a.stl", CORNERS / 1000.0)
+    with pytest.raises(MeshProblem, match=r"0\.02 mm large when read in mm; try --mesh-unit m: .*a\.stl"):
+        load_mesh(path)
+    np.testing.assert_allclose(load_mesh(path, unit="m").vertices_mm.max(axis=0), 20.0, atol=FLOAT_ROUNDING_MM)
+
+
+def test_millimetres_called_metres_are_refused(tmp_path: Path):
+    with pytest.raises(MeshProblem, match=r"2e\+04 mm large when read in m; try --mesh-unit cm|mm"):
+        load_mesh(binary_stl(tmp_path / "a.stl", CORNERS), unit="m")
+    with pytest.raises(SettingProblem, match="unknown mesh unit 'feet'"):
+        load_mesh(tmp_path / "a.stl", unit="feet")
+
+
+def test_triangles_without_area_are_dropped(tmp_path: Path):
+    faces = np.vstack([FACES, [0, 1, 1]])
+    assert len(load_mesh(binary_stl(tmp_path / "a.stl", CORNERS, faces)).triangles) == 4
+    with pytest.raises(MeshProblem, match="no triangle of the mesh has an area"):
+        load_mesh(binary_stl(tmp_path / "b.stl", CORNERS, np.array([[0, 1, 1]])))
+
+
+@pytest.mark.parametrize(
+    ("content", "error", "message"),
+    [
+        (b"", FileProblem, "cut short or damaged"),
+        (b" " * 80 + bytes(4), MeshProblem, "has no triangles"),
+        (b" " * 80 + (7).to_bytes(4, "little") + bytes(60), FileProblem, "cut short or damaged: 7 triangles"),
+        (b"solid a\nfacet\nvertex 1 2 3\n", FileProblem, "text STL is cut short"),
+        (b"solid a\nvertex 1 2 x\nendsolid", FileProblem, "not three numbers"),
+    ],
+)
+def test_damaged_stl_files_are_refused(tmp_path: Path, content: bytes, error, message: str):
+    (tmp_path / "a.stl").write_bytes(content)
+    with pytest.raises(error, match=message):
+        load_mesh(tmp_path / "a.stl")
+
+
+def test_vertices_that_are_not_finite_are_refused(tmp_path: Path):
+    corners = CORNERS.copy()
+    corners[2, 1] = np.nan
+    with pytest.raises(MeshProblem, match="not finite"):
+        load_mesh(binary_stl(tmp_path / "a.stl", corners))
+
+
+def test_other_files_and_missing_ones_are_refused(tmp_path: Path):
+    with pytest.raises(FileProblem, match=r"no such file|No such file"):
+        load_mesh(tmp_path / "a.stl")
+    with pytest.raises(FileProblem, match="no such file"):
+        load_mesh(tmp_path / "a.ply")
+    with pytest.raises(FileProblem, match="meshes are read from STL, PLY and OBJ"):
+        load_mesh(tmp_path / "a.step")
+    (tmp_path / "b.ply").write_text("nothing")
+    with pytest.raises(MeshProblem, match="has no triangles"):
+        load_mesh(tmp_path / "b.ply")
+
+
+def test_samples_lie_on_the_surface_and_follow_its_area():
+    mesh = Mesh(vertices_mm=CORNERS, triangles=FACES.astype(np.int32))
+    points, normals = sample_surface(mesh, 8000, seed=3)
+    again, _ = sample_surface(mesh, 8000, seed=3)
+    assert points.tobytes() == again.tobytes()
+    on_plane = np.isclose(points, 0.0, atol=1e-9).any(axis=1) | np.isclose(points.sum(axis=1), 20.0, atol=1e-9)
+    assert on_plane.all()
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-12)
+    slanted = np.isclose(normals, 3**-0.5).all(axis=1)
+    share = np.sqrt(3) / (np.sqrt(3) + 3)  # of the area: the slanted face against three right triangles
+    four_sigma = 4 * np.sqrt(share * (1 - share) / 8000)
+    assert abs(slanted.mean() - share) < four_sigma
+    inside = points[slanted].mean(axis=0)
+    np.testing.assert_allclose(inside, 20 / 3, atol=0.5)  # mm; four standard errors of the mean of 2900 points are 0.35
+
+
+def test_real_tools_are_read_in_their_units(real_data: Path):
+    assert np.ptp(load_mesh(real_data / "tools" / "peg1.stl").vertices_mm[:, 2]) == pytest.approx(80.0, abs=0.1)
+    tool = real_data / "tools" / "pattern_01_2_lines_angle_1.stl"
+    with pytest.raises(MeshProblem, match="try --mesh-unit m"):
+        load_mesh(tool)
+    assert np.ptp(load_mesh(tool, unit="m").vertices_mm[:, 0]) == pytest.approx(37.0, abs=0.1)

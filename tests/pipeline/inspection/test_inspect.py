@@ -1,0 +1,168 @@
+"""The report of a recording, and the checks that find what is wrong with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import h5py
+import numpy as np
+import pytest
+
+from pipeline.base.errors import FileProblem
+from pipeline.geometry import rigid
+from pipeline.inspection.recording import Report, inspect, lines
+from pipeline.physics.optics import untouched
+from pipeline.recordings.hdf5_writer import Writer
+from pipeline.sensors.spec import sensor
+from pipeline.values.frames import Pairing, TactileFrame, Truth
+
+GEL, BUBBLE = sensor("digit"), sensor("soft_bubble")
+DENT = np.zeros(GEL.camera.shape, np.float32)
+DENT[100:140, 80:120] = 0.5
+TRUTH = Truth(indentation_mm=DENT, contact=DENT > 0.2, sensor_from_object=rigid.from_parts((0.0, 0.0, 22.0)))
+
+
+def gel(index: int, image=None, **changes) -> TactileFrame:
+    picture = untouched(GEL) if image is None else image
+    values = {"sensor": "digit", "image": picture, "reference": picture, "index": index, "time_s": 0.05 * index}
+    return TactileFrame(**{**values, **changes})
+
+
+def bubble(index: int, sign: float = 1.0) -> TactileFrame:
+    rest = BUBBLE.rest_depth_mm.astype(np.float32)
+    depth = rest.copy()
+    depth[60:90, 60:90] -= np.float32(sign * 5.0)
+    return TactileFrame(sensor="soft_bubble", image=depth, reference=rest, index=index)
+
+
+def record(path: Path, frames, truths=(), **options) -> Path:
+    with Writer(path, **options) as writer:
+        for k, frame in enumerate(frames):
+            writer.append(frame.sensor, frame, truths[k] if k < len(truths) else None)
+    return path
+
+
+def state(report: Report, name: str) -> tuple[str, str]:
+    found = next(c for c in report.checks if c.name.endswith(name))
+    return found.state, found.text
+
+
+def test_a_good_recording_passes_and_is_described(tmp_path: Path):
+    frames = [gel(i) for i in range(5)] + [bubble(i) for i in range(5)]
+    pair = Pairing(source="digit", target="soft_bubble", target_from_source=rigid.from_parts((0, 0, 54.0)))
+    report = inspect(record(tmp_path / "a.h5", frames, [TRUTH] * 5, pairings=[pair]))
+    assert report.passed
+    assert {c.state for c in report.checks} <= {"pass", "unknown"}
+    digit = report.streams[0]
+    assert (digit.sensor, digit.n_frames, digit.rows, digit.cols) == ("digit", 5, 320, 240)
+    assert digit.truth == ("contact", "indentation_mm", "sensor_from_object")
+    assert (digit.duration_s, digit.rate_hz) == (pytest.approx(0.2), pytest.approx(20.0))
+    text = "\n".join(lines(report))
+    assert "digit: digit, 5 frames, 240 x 320 px uint8 RGB, 0.20 s at 20.0 Hz" in text
+    assert "FAIL" not in text
+    for name in ("frames", "image size", "reference", "colours", "depth unit", "depth sign", "truth", "poses"):
+        assert state(report, name)[0] == "pass", name
+    assert state(report, "digit to soft_bubble")[0] == "pass"
+
+
+def test_one_damaged_frame_is_listed_and_the_others_are_counted(tmp_path: Path):
+    path = record(tmp_path / "a.h5", [gel(i) for i in range(4)])
+    data = bytearray(path.read_bytes())
+    with h5py.File(path, "r") as f:
+        data[f["streams/digit/frames"].id.get_chunk_info(2).byte_offset + 50] ^= 1
+    path.write_bytes(data)
+    report = inspect(path)
+    assert report.streams[0].damaged == (2,)
+    assert report.streams[0].n_frames == 4
+    assert not report.passed
+    told = state(report, "frames")
+    assert told[0] == "fail"
+    assert "frame 2 of 'digit': its frames are damaged" in told[1]
+    assert "a.h5" in told[1]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [(lambda p: p[:, :, ::-1], "red and blue look swapped"), (lambda p: p[:, ::-1], "mirrored"),
+     (lambda p: p[::-1, ::-1], "turned by 180")],
+)  # fmt: skip
+def test_changed_pictures_are_noticed(tmp_path: Path, change, words: str):
+    picture = np.ascontiguousarray(change(untouched(GEL)))
+    found = state(inspect(record(tmp_path / "a.h5", [gel(0, picture)])), "colours")
+    assert found[0] == "fail"
+    assert words in found[1]
+
+
+def test_swapped_colours_of_real_pictures_are_noticed(real_data: Path, tmp_path: Path):
+    assert state(inspect(real_data / "digit_balls"), "colours")[0] == "pass"
+    for name in ("background.png", "0000.png"):
+        swapped = cv2.imread(str(real_data / "digit_balls" / name))[:, :, ::-1]
+        cv2.imwrite(str(tmp_path / name), swapped)
+    assert state(inspect(tmp_path), "colours")[0] == "fail"
+
+
+def test_a_flipped_depth_sign_is_noticed(tmp_path: Path):
+    report = inspect(record(tmp_path / "a.h5", [bubble(0, sign=-1.0)]))
+    assert state(report, "depth sign")[0] == "fail"
+
+
+def test_depth_in_metres_is_noticed(tmp_path: Path):
+    metres = (BUBBLE.rest_depth_mm / 1000.0).astype(np.float32)
+    frame = TactileFrame(sensor="soft_bubble", image=metres, reference=metres)
+    found = state(inspect(record(tmp_path / "a.h5", [frame])), "depth unit")
+    assert found[0] == "fail"
+    assert "is it in another unit?" in found[1]
+
+
+def test_depth_without_readings_is_noticed(tmp_path: Path):
+    frame = bubble(0)
+    image = frame.image.copy()
+    image[:100] = np.nan
+    frame = TactileFrame(sensor="soft_bubble", image=image, reference=frame.reference)
+    assert state(inspect(record(tmp_path / "a.h5", [frame])), "readings")[0] == "fail"
+
+
+def test_times_that_go_back_are_noticed(tmp_path: Path):
+    found = state(inspect(record(tmp_path / "a.h5", [gel(0), gel(1, time_s=-1.0)])), "times")
+    assert found[0] == "fail"
+    assert "do not rise after frame 0" in found[1]
+
+
+@pytest.mark.parametrize(
+    ("truth", "name", "words"),
+    [
+        (Truth(indentation_mm=DENT, contact=DENT < 0.2), "truth", "contact of frame 0"),
+        (Truth(indentation_mm=DENT * 6.2), "truth", "reaches 3.1 mm, the limit is 1.5 mm"),
+        (Truth(sensor_from_object=np.diag([1.0, 1.0, -1.0, 1.0])), "poses", "mirrors space"),
+        (Truth(sensor_from_object=rigid.from_parts((0, 0, 22000.0))), "poses", "2.2e"),
+    ],
+)
+def test_truth_that_contradicts_itself_is_noticed(tmp_path: Path, truth: Truth, name: str, words: str):
+    found = state(inspect(record(tmp_path / "a.h5", [gel(0)], [truth])), name)
+    assert found[0] == "fail"
+    assert words in found[1]
+
+
+def test_a_size_that_is_not_the_sensors_and_a_lost_reference_are_noticed(tmp_path: Path):
+    picture = np.zeros((100, 80, 3), np.uint8)
+    report = inspect(record(tmp_path / "a.h5", [gel(0, picture), gel(1, picture, reference=None)]))
+    assert "frame 0 does not have the size of digit" in state(report, "image size")[1]
+    assert "frame 1 has no reference" in state(report, "reference")[1]
+
+
+def test_what_cannot_be_checked_is_neither_good_nor_bad(tmp_path: Path):
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((50, 60, 3), np.uint8))
+    report = inspect(tmp_path)
+    assert report.passed
+    assert {state(report, n)[0] for n in ("image size", "reference", "colours", "times")} == {"unknown"}
+    assert any("unknown sensor" in line for line in lines(report))
+
+
+def test_a_recording_that_cannot_be_opened_raises(tmp_path: Path):
+    with pytest.raises(FileProblem, match="no such file"):
+        inspect(tmp_path / "nothing.h5")
+
+
+def test_the_real_bubble_passes(real_data: Path):
+    assert inspect(real_data / "punyo_bubble" / "depth_sequence.npz").passed

@@ -1,0 +1,135 @@
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from pipeline.base.errors import SettingProblem, ShapeError
+from pipeline.physics import gel, optics, shear
+from pipeline.physics.lattice import Lattice
+from pipeline.physics.shear import Load
+from pipeline.sensors.spec import Gel, sensor
+
+PAD = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48)
+PIXEL_MM = 0.1
+STICK = 0.02  # of the drag: the solve's cell and tolerance
+SYMBOL = 1e-6  # relative: closed form against the matrix exponential
+
+
+def pressed(depth_mm=0.6, radius_mm=4.0, n=160):
+    y, x = np.mgrid[:n, :n] * PIXEL_MM - (n - 1) / 2 * PIXEL_MM
+    r_sq = x * x + y * y
+    overlap = np.where(r_sq < radius_mm**2, depth_mm - radius_mm + np.sqrt(np.maximum(radius_mm**2 - r_sq, 0)), -9.0)
+    return gel.press(PAD, PIXEL_MM, overlap)
+
+
+def plane_strain_answer(pad, q):
+    """Surface motion along the wave per unit traction, from the layer's differential equations."""
+    g = pad.youngs_kpa / 2 / (1 + pad.poisson)
+    lame = 2 * g * pad.poisson / (1 - 2 * pad.poisson)
+    stiff = lame + 2 * g
+    i = 1j * q
+    # State: motion along and across the layer, shear and normal stress.
+    m = np.array([
+        [0, -i, 1 / g, 0],
+        [-lame * i / stiff, 0, 0, 1 / stiff],
+        [q * q * (stiff - lame**2 / stiff), 0, 0, -i * lame / stiff],
+        [0, 0, -i, 0],
+    ])  # fmt: skip
+    through = expm(m * pad.thickness_mm)
+    base = np.linalg.solve(through[2:, 2:], np.array([1.0, 0.0]))
+    return (through[:2, 2:] @ base)[0].real
+
+
+@pytest.mark.parametrize("q", [0.05, 0.3, 1.0, 3.0])
+@pytest.mark.parametrize("poisson", [0.3, 0.45, 0.49])
+def test_the_answer_along_a_wave_solves_the_layer(q, poisson):
+    pad = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=poisson)
+    _, along = shear.symbols(pad, np.array([q]))
+    assert along[0] == pytest.approx(plane_strain_answer(pad, q), rel=SYMBOL)
+
+
+def test_long_waves_shear_the_pad_like_a_block():
+    across, along = shear.symbols(PAD, np.array([1e-4]))
+    block = PAD.thickness_mm * 2 * (1 + PAD.poisson) / PAD.youngs_kpa
+    assert across[0] == pytest.approx(block, rel=1e-4)
+    assert along[0] == pytest.approx(block, rel=1e-4)
+
+
+def test_a_contact_with_enough_friction_moves_with_the_object_and_far_points_stay():
+    press = pressed()
+    found = shear.drag(PAD, PIXEL_MM, press.pressure_kpa, Load(tangent_mm=(0.02, 0.0), friction=10.0))
+    assert found.converged
+    assert found.move_mm[80, 80] == pytest.approx([0.02, 0.0], abs=STICK * 0.02)
+    assert np.abs(found.move_mm[0, 0]).max() < 0.1 * 0.02
+    assert found.force_n[0] > 0
+    assert abs(found.force_n[1]) < 1e-3 * found.force_n[0]
+
+
+def test_a_long_drag_slips_everywhere_and_pulls_with_friction_times_the_load():
+    press = pressed()
+    found = shear.drag(PAD, PIXEL_MM, press.pressure_kpa, Load(tangent_mm=(0.0, 5.0), friction=0.5))
+    assert found.slipping[press.contact].mean() > 0.9
+    assert found.force_n[1] == pytest.approx(0.5 * press.force_n, rel=0.01)
+
+
+def test_slip_begins_at_the_rim():
+    press = pressed()
+    found = shear.drag(PAD, PIXEL_MM, press.pressure_kpa, Load(tangent_mm=(0.1, 0.0), friction=0.5))
+    assert not found.slipping[80, 80]
+    assert 0.05 < found.slipping[press.contact].mean() < 0.95
+
+
+def test_a_twist_turns_the_contact_clockwise_as_seen_and_pulls_nowhere():
+    press = pressed()
+    found = shear.drag(PAD, PIXEL_MM, press.pressure_kpa, Load(twist_deg=1.0, friction=10.0))
+    right_of_centre_mm = 4.5 * PIXEL_MM
+    assert found.move_mm[80, 84, 1] == pytest.approx(np.deg2rad(1.0) * right_of_centre_mm, rel=0.1)
+    assert np.hypot(*found.force_n) < 1e-3 * press.force_n
+
+
+def test_no_load_moves_nothing_and_renders_the_same_bytes():
+    press = pressed()
+    still = shear.drag(PAD, PIXEL_MM, press.pressure_kpa, Load())
+    assert not still.move_mm.any()
+    spec = sensor("gelslim")
+    none = np.zeros((*spec.camera.shape, 2), np.float32)
+    level = np.zeros(spec.camera.shape, np.float32)
+    assert np.array_equal(optics.render(spec, level, seed=1, shear_mm=none), optics.render(spec, level, seed=1))
+
+
+def test_markers_are_drawn_where_the_shear_puts_them():
+    spec = sensor("gelslim")
+    moved = np.zeros((*spec.camera.shape, 2), np.float32)
+    moved[..., 0] = 3 * spec.pixel_mm
+    level = np.zeros(spec.camera.shape, np.float32)
+    shifted = optics.render(spec, level, seed=None, shear_mm=moved).astype(int)
+    still = optics.untouched(spec).astype(int)
+    dotless = optics.untouched(sensor("gelslim_dotless")).astype(int)
+    dark_still, dark_shifted = dotless - still, dotless - shifted
+    inner = np.s_[40:280, 60:360]
+    assert np.corrcoef(dark_still[:, :-3][inner].ravel(), dark_shifted[:, 3:][inner].ravel())[0, 1] > 0.98
+    move_x, _ = optics.marker_motion_px(spec, level, moved)
+    assert move_x == pytest.approx(3.0, abs=1e-5)
+
+
+def test_a_camera_sees_the_motion_of_the_points_it_looks_at():
+    spec = sensor("gelslim")
+    margin = 10
+    on = Lattice(
+        x0_mm=-(spec.camera.cx_px + margin) * spec.pixel_mm,
+        y0_mm=-(spec.camera.cy_px + margin) * spec.pixel_mm,
+        step_mm=spec.pixel_mm,
+        shape=(spec.camera.rows + 2 * margin, spec.camera.cols + 2 * margin),
+    )
+    move = np.stack(np.meshgrid(on.x_mm(), on.y_mm()), axis=-1).astype(np.float32)  # each point says where it is
+    lifted = spec.rest_depth_mm - 0.5
+    seen = shear.seen_by(spec.camera, on, move, lifted)
+    assert seen == pytest.approx(spec.camera.back_project(lifted)[..., :2], abs=0.03 * spec.pixel_mm)
+
+
+def test_wrong_loads_are_refused():
+    with pytest.raises(SettingProblem, match="friction"):
+        Load(friction=-1.0)
+    with pytest.raises(SettingProblem, match="finite"):
+        Load(tangent_mm=(np.nan, 0.0))
+    with pytest.raises(ShapeError, match="not negative"):
+        shear.drag(PAD, PIXEL_MM, np.full((20, 20), -1.0), Load())

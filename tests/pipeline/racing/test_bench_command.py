@@ -1,0 +1,113 @@
+"""`tactoscope bench` over a folder of small questions: what it prints, writes, and does when one of them fails."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from pipeline.cli import bench as command
+from pipeline.cli.main import EXIT_USER_ERROR, build, run
+from pipeline.racing import questions as bench_questions
+
+ANSWERS = '''"""How fast is nothing? A second sentence."""
+import math, os
+from pipeline.evaluation.races import Answer, Bar, Timing, row
+{needs}
+def answer():
+    print("not part of the report")
+    t = Timing(median_ms=1.0, p95_ms=2.0)
+    return Answer(title="Nothing, with " + os.environ["OMP_NUM_THREADS"] + " threads", unit="um", rows=(
+        row("{question}", ours=t, ours_error=0.1, unit="um", bar=Bar(ms={ms}), peer="peer", peer_timing=t),))
+'''
+
+
+def write(folder, name, needs="", ms=3.0):
+    (folder / f"{name}.py").write_text(ANSWERS.format(needs=needs, question=f"{name} asks", ms=ms))
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    folder = tmp_path / "benchmarks"
+    folder.mkdir()
+    write(folder, "first")
+    write(folder, "second", needs='NEEDS = "a display"')
+    (folder / "no_question.py").write_text('"""No answer here."""\n')
+    for function in (bench_questions.questions, bench_questions.chosen):
+        monkeypatch.setattr(command, function.__name__, lambda *a, f=function: f(*a, folder))
+    return folder
+
+
+def test_every_question_that_needs_nothing_is_asked_and_its_rows_are_written(folder, tmp_path, capsys):
+    out = tmp_path / "out" / "bench.json"
+    code = run(build(), ["bench", "--json", str(out), "--plots", str(tmp_path / "plots")])
+    printed = capsys.readouterr().out
+    assert code == 0, printed
+    said = json.loads(out.read_text())
+    assert [row["question"] for row in said["rows"]] == ["first asks"]
+    assert said["rows"][0]["peer_error"] is None
+    assert said["rows"][0]["holds"] is True
+    assert said["machine"]["threads"]["OMP_NUM_THREADS"] == "2"
+    assert {"cpu", "cores", "python", "packages", "load"} <= set(said["machine"])
+    assert said["questions"][0]["title"] == "Nothing, with 2 threads"
+    assert "not part of the report" not in printed
+    assert (tmp_path / "plots" / "first.png").exists()
+
+
+def test_a_question_that_needs_more_is_asked_by_name(folder, capsys):
+    assert run(build(), ["bench", "second"]) == 0
+    assert "second asks" in capsys.readouterr().out
+
+
+def test_the_list_says_what_each_needs(folder, capsys):
+    assert run(build(), ["bench", "--list"]) == 0
+    printed = capsys.readouterr().out
+    assert "first" in printed
+    assert "How fast is nothing?" in printed
+    assert "by name only: needs a display" in printed
+    assert "no_question" not in printed
+
+
+def test_a_question_that_fails_is_one_line_and_the_others_still_come(folder, tmp_path, capsys):
+    (folder / "broken.py").write_text("def answer():\n    import no_such_peer\n")
+    out = tmp_path / "bench.json"
+    assert run(build(), ["bench", "broken", "first", "--json", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "no answer: ModuleNotFoundError: No module named 'no_such_peer'" in printed
+    assert "Traceback" not in printed
+    said = json.loads(out.read_text())
+    assert len(said["rows"]) == 1
+    assert [bool(q["problem"]) for q in said["questions"]] == [True, False]
+
+
+def test_a_process_that_dies_is_told(folder, capsys):
+    (folder / "dies.py").write_text("import os\ndef answer():\n    os.kill(os.getpid(), 9)\n")
+    assert run(build(), ["bench", "dies"]) == 0
+    assert "ended by SIGKILL" in capsys.readouterr().out
+
+
+def test_a_question_that_never_ends_is_given_up(folder):
+    (folder / "slow.py").write_text("import time\ndef answer():\n    time.sleep(60)\n")
+    (question,) = bench_questions.chosen(("slow",), folder)
+    assert bench_questions.ask(question, longest_s=0.2).problem == "no answer within 0.2 s"
+
+
+def test_a_missed_bar_matters_to_strict_only(folder, capsys):
+    write(folder, "missing_it", ms=0.5)
+    assert run(build(), ["bench", "missing_it"]) == 0
+    assert "1 missed: missing_it asks (at most 0.5 ms)" in capsys.readouterr().out
+    assert run(build(), ["bench", "missing_it", "--strict"]) == 1
+    assert run(build(), ["bench", "first", "--strict"]) == 0
+
+
+def test_an_unknown_question_is_answered_with_the_known_ones(folder, capsys):
+    assert run(build(), ["bench", "third"]) == EXIT_USER_ERROR
+    assert "no question 'third'; there are first, second" in capsys.readouterr().err
+
+
+def test_where_the_folder_is_not_there_it_is_one_sentence(folder, tmp_path, capsys):
+    for path in folder.iterdir():
+        path.unlink()
+    folder.rmdir()
+    assert run(build(), ["bench"]) == EXIT_USER_ERROR
+    assert "run bench in the project's folder" in capsys.readouterr().err

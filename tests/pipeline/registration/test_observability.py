@@ -1,0 +1,213 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pipeline.geometry import rigid
+from pipeline.racing import naming
+from pipeline.racing.patches import KINDS, drawn
+from pipeline.registration.observability import (
+    MIN_NOISE_MM,
+    Tolerances,
+    effective_count,
+    observability,
+    observable_part,
+)
+
+NORMAL_NOISE_DEG = 2.0  # in each of two directions: crooked gradients of a distance grid
+NOISE_MM = 0.03
+ROUNDING = 1e-9  # of float64 after a 6x6 decomposition
+N = 1200
+
+
+def patch(kind: str, seed: int, pose=None, n: int = N):
+    made = drawn(kind, np.random.default_rng(seed), n)
+    return made if pose is None else made.moved(pose)
+
+
+def crooked(normals, seed: int, deg: float = NORMAL_NOISE_DEG):
+    off = normals + math.radians(deg) * np.random.default_rng([seed, 7]).standard_normal(normals.shape)
+    return off / np.linalg.norm(off, axis=1, keepdims=True)
+
+
+def scaled_information(points, normals):
+    arms = points - points.mean(axis=0)
+    radius = float(np.sqrt((arms**2).sum(axis=1).mean()))
+    jacobian = np.concatenate([np.cross(arms, normals) / radius, normals], axis=1)
+    return jacobian.T @ jacobian / len(points), radius
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@settings(max_examples=12, deadline=None)
+@given(seed=st.integers(0, 2**31), noise_mm=st.floats(0.0, 0.05), turn=st.tuples(*[st.floats(-3.0, 3.0)] * 3))
+def test_every_motion_nobody_can_feel_is_named_and_no_other(kind, seed, noise_mm, turn):
+    pose = rigid.rotation(turn)
+    pose[:3, 3] = (5.0, -8.0, 20.0)
+    felt = patch(kind, seed, pose)
+    n_eff = effective_count(N, felt.area_mm2, 0.15)
+    middle = felt.points_mm.mean(axis=0)
+    told = observability(felt.points_mm, crooked(felt.normals, seed), middle, noise_mm, n_eff=n_eff)
+    truth = naming.known(patch(kind, seed, pose, 5 * N), n_eff, max(noise_mm, MIN_NOISE_MM), Tolerances())
+    score = naming.tally(told.weak_motions, middle, truth)
+    assert score.n_named == score.n_weak >= len(felt.free)
+    assert score.n_false == 0
+    assert len(told.weak) == len(told.weak_motions)
+    np.testing.assert_allclose(told.observable @ told.observable, told.observable, atol=1e-8)
+
+
+def test_the_score_notices_what_is_missed_and_what_is_made_up():
+    felt = patch("rod", 1)
+    truth = naming.known(felt, N, NOISE_MM, Tolerances())
+    middle = felt.points_mm.mean(axis=0)
+    slide, across = np.eye(6)[3:4], np.eye(6)[4:5]
+    missed = naming.tally(slide, middle, truth)
+    assert (missed.recall, missed.precision) == (0.5, 1.0)
+    made_up = naming.tally(across, middle, truth)
+    assert (made_up.recall, made_up.precision) == (0.0, 0.0)
+
+
+def test_words_tell_the_axis_and_a_point_on_it():
+    rod = patch("rod", 2).moved(rigid.translation(1.0, 2.0, 20.0))
+    told = observability(rod.points_mm, rod.normals, rod.points_mm.mean(axis=0), NOISE_MM)
+    x_mm = rod.points_mm[:, 0].mean()  # the point of the axis that is nearest to the contact
+    assert told.weak == ("slides along x", f"turns about x through ({x_mm:.1f}, 2.0, 20.0) mm")
+    ball = patch("sphere", 2).moved(rigid.translation(0.0, 0.0, 30.0))
+    told = observability(ball.points_mm, ball.normals, ball.points_mm.mean(axis=0), NOISE_MM)
+    assert told.weak == tuple(f"turns about {axis} through (0.0, 0.0, 30.0) mm" for axis in "xyz")
+    plate = patch("plane", 2)
+    told = observability(plate.points_mm, plate.normals, plate.points_mm.mean(axis=0), NOISE_MM)
+    assert told.weak == ("slides along x", "slides along y", "turns about z")
+    skew = rod.moved(rigid.rotation([0.0, 0.0, math.radians(30.0)]))
+    told = observability(skew.points_mm, skew.normals, skew.points_mm.mean(axis=0), NOISE_MM)
+    assert told.weak[0] == "slides along (0.87, 0.50, 0.00)"
+
+
+def test_a_helix_is_a_turn_with_a_slide():
+    rng = np.random.default_rng(5)
+    angle, away = rng.uniform(-math.pi, math.pi, N), rng.uniform(1.0, 3.0, N)
+    out = np.stack([np.cos(angle), np.sin(angle), np.zeros(N)], axis=1)
+    around = np.stack([-np.sin(angle), np.cos(angle), np.zeros(N)], axis=1)
+    pitch_mm = 1.5  # per radian
+    normals = -pitch_mm * around + away[:, None] * np.eye(3)[2]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    points = away[:, None] * out + pitch_mm * angle[:, None] * np.eye(3)[2]
+    told = observability(points, normals, points.mean(axis=0), 1e-3)
+    assert told.weak == ("turns about z while sliding along z",)
+
+
+@pytest.mark.parametrize("sides", [64, 96, 200])
+def test_facets_of_a_round_rod_do_not_pass_for_knowledge_of_its_roll(sides):
+    made = drawn("rod", np.random.default_rng(3), 3000)
+    step = 2 * math.pi / sides
+    angle = (np.floor(np.arctan2(made.normals[:, 1], made.normals[:, 2]) / step) + 0.5) * step
+    facets = np.stack([np.zeros_like(angle), np.sin(angle), np.cos(angle)], axis=1)
+    told = observability(made.points_mm, facets, made.points_mm.mean(axis=0), 0.0)
+    assert len(told.weak) == 2
+    roll = np.concatenate([[1.0, 0.0, 0.0], np.cross([1.0, 0.0, 0.0], made.points_mm.mean(axis=0))])
+    assert np.linalg.norm(told.observable @ roll) < 0.05 * np.linalg.norm(roll)
+
+
+@pytest.mark.parametrize("kind", ["rod", "plane", "sphere", "edge"])
+def test_gradients_that_are_wrong_cell_by_cell_do_not_pass_for_knowledge_either(kind):
+    felt = patch(kind, 12)
+    cell = np.unique(np.floor(felt.points_mm / 0.5), axis=0, return_inverse=True)[1].ravel()
+    off = math.radians(NORMAL_NOISE_DEG) * np.random.default_rng(1).standard_normal((cell.max() + 1, 3))
+    normals = felt.normals + off[cell]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    told = observability(felt.points_mm, normals, felt.points_mm.mean(axis=0), 0.0)
+    assert len(told.weak) == len(felt.free)
+
+
+def test_a_hexagonal_rod_knows_its_roll():
+    rng = np.random.default_rng(3)
+    side, across, along = rng.integers(-1, 2, N), rng.uniform(-0.577, 0.577, N), rng.uniform(-4.0, 4.0, N)
+    angle = side * math.pi / 3
+    normals = np.stack([np.zeros(N), np.sin(angle), np.cos(angle)], axis=1)
+    points = 3.0 * (normals + across[:, None] * np.cross(normals, [1.0, 0.0, 0.0])) + along[:, None] * np.eye(3)[0]
+    told = observability(points, normals, points.mean(axis=0), NOISE_MM)
+    assert told.weak == ("slides along x",)
+
+
+def test_no_variance_is_claimed_where_only_crooked_normals_see_something():
+    rod = patch("rod", 4)
+    told = observability(rod.points_mm, crooked(rod.normals, 4), rod.points_mm.mean(axis=0), NOISE_MM)
+    assert math.sqrt(told.covariance[3, 3]) > 10.0, "mm along the rod"
+    known = told.observable @ told.covariance @ told.observable.T
+    assert np.sqrt(np.diag(known)).max() < 0.05, "rad and mm of what is determined"
+
+
+def test_correlated_points_and_a_bias_widen_the_covariance_as_they_should():
+    tool = patch("tool", 6)
+    middle = tool.points_mm.mean(axis=0)
+    plain = observability(tool.points_mm, tool.normals, middle, NOISE_MM)
+    fewer = observability(tool.points_mm, tool.normals, middle, NOISE_MM, n_eff=N / 9)
+    np.testing.assert_allclose(fewer.covariance, 9 * plain.covariance, rtol=1e-9)
+    biased = observability(tool.points_mm, tool.normals, middle, NOISE_MM, bias_mm=0.005)
+    grown = 1 + 0.005**2 * N / NOISE_MM**2
+    np.testing.assert_allclose(biased.covariance, grown * plain.covariance, rtol=1e-9)
+    assert fewer.n_eff == N / 9
+
+
+def test_a_mean_over_correlated_pixels_is_worth_as_many_as_counted():
+    rng = np.random.default_rng(8)
+    from scipy.ndimage import gaussian_filter
+
+    smooth_px, side_px = 1.5, 40
+    fields = np.stack(
+        [gaussian_filter(rng.standard_normal((side_px, side_px)), smooth_px, mode="wrap") for _ in range(1500)]
+    )
+    worth = fields.var() / fields.mean(axis=(1, 2)).var()
+    # Noise smoothed with s is correlated as exp(-d^2 / (4 s^2)).
+    told = effective_count(side_px**2, float(side_px**2), math.sqrt(2) * smooth_px)
+    assert told == pytest.approx(worth, rel=0.12)  # 1500 draws: 4 %, and the 1 for a pixel itself
+    assert effective_count(1, 1.0, 0.3) == 1.0
+    assert effective_count(500, 100.0, 0.0) == 500.0
+
+
+@pytest.mark.parametrize("kind", ["rod", "plane", "sphere", "peg, end", "peg, end and flank", "edge", "tool"])
+def test_normal_equations_alone_give_the_same_part(kind):
+    felt = patch(kind, 9)
+    points, normals = felt.points_mm, crooked(felt.normals, 9)
+    information, radius = scaled_information(points, normals)
+    projector, lost = observable_part(information, N, NOISE_MM, radius)
+    told = observability(points, normals, points.mean(axis=0), NOISE_MM)
+    to_mm = np.array([radius] * 3 + [1.0] * 3)
+    assert lost.shape == (6, len(told.weak))
+    np.testing.assert_allclose(projector / to_mm[:, None] * to_mm[None, :], told.observable, atol=0.02)
+    np.testing.assert_allclose(lost.T @ lost, np.eye(lost.shape[1]), atol=ROUNDING)
+
+
+@pytest.mark.parametrize("exponent", range(0, 17))
+def test_a_direction_is_frozen_exactly_where_its_predicted_spread_exceeds_the_tolerance(exponent):
+    condition = 10.0**exponent
+    information = np.diag([0.5, 0.5, 0.5, 1.0, 1.0, 1.0 / condition])
+    exact = Tolerances(normal_error_deg=0.0)
+    projector, lost = observable_part(information, 1000.0, NOISE_MM, 3.0, exact)
+    predicted_mm = NOISE_MM / math.sqrt(1000.0 / condition)
+    frozen = predicted_mm > exact.mm
+    assert lost.shape[1] == int(frozen)
+    step = projector @ np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+    assert abs(step[5] - (0.0 if frozen else 0.6)) < ROUNDING
+
+
+def test_the_answer_does_not_depend_on_the_frame():
+    pose = rigid.rotation([0.3, -1.1, 0.7])
+    pose[:3, 3] = (40.0, -7.0, 90.0)
+    one = patch("cone", 11)
+    other = one.moved(pose)
+    a = observability(one.points_mm, one.normals, one.points_mm.mean(axis=0), NOISE_MM)
+    b = observability(other.points_mm, other.normals, other.points_mm.mean(axis=0), NOISE_MM)
+    turn = np.kron(np.eye(2), pose[:3, :3])
+    np.testing.assert_allclose(turn @ a.observable @ turn.T, b.observable, atol=1e-8)
+
+
+def test_too_little_of_anything_leaves_everything_open():
+    point = np.array([[1.0, 2.0, 3.0]] * 3)
+    told = observability(point, np.tile([0.0, 0.0, 1.0], (3, 1)), point.mean(axis=0), 0.05)
+    assert np.isfinite(told.covariance).all()
+    assert np.isfinite(told.weak_motions).all()
+    assert len(told.weak) == 5

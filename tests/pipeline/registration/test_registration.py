@@ -1,0 +1,187 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pipeline.base.errors import CalibrationError
+from pipeline.geometry import rigid
+from pipeline.geometry.distance_grid import built
+from pipeline.geometry.meshes import sample_surface
+from pipeline.registration.gauss_newton import Fit, How, NotDetermined, register
+from pipeline.registration.multistart import Found, around, around_in_plane, register_many
+from pipeline.registration.observability import observable_part
+from tests.pipeline.registration.solids import ball, l_bar, notched_wedge, rod, slab
+
+POSITION_TOLERANCE_MM = 0.01  # the wedge has edges, which the grid rounds within its step of 0.1 mm
+TURN_TOLERANCE_DEG = 0.1  # the same over 6 mm
+SETTLED_MM = 1e-4  # iterations end at motions of 1e-4 mm, each a tenth of the one before
+ROUNDING_MM = 1e-9  # of double precision at 1e6 mm, which holds 1e-10 mm
+
+
+@pytest.fixture(scope="module")
+def wedge():
+    """The grid of the wedge, and points of its roof and of the walls of its notch."""
+    points, normals = sample_surface(notched_wedge().mesh, 6000, 0)
+    roof = (normals[:, 2] > -0.1) & (np.abs(points[:, 1]) < 4.5) & (points[:, 2] > 0.2)
+    grid = built(notched_wedge().mesh)
+    roof &= grid.at(points + 0.1 * normals)[0] > 0.05  # not between its parts
+    return grid, points[roof][:1500]
+
+
+def error(found, truth, points):
+    middle = points.mean(axis=0)
+    off = found @ rigid.invert(truth)
+    return np.linalg.norm(rigid.apply(off, middle) - middle), rigid.angle_deg(off)
+
+
+def off_by(truth, points, turn_rad, shift_mm):
+    middle = points.mean(axis=0)
+    return rigid.translation(*(middle + shift_mm)) @ rigid.rotation(turn_rad) @ rigid.translation(*-middle) @ truth
+
+
+vectors = st.tuples(*[st.floats(-1, 1)] * 3).map(np.array)
+
+
+@settings(max_examples=25, deadline=None)
+@given(turn=vectors, place=vectors, off_turn=vectors, off_shift=vectors)
+def test_any_pose_is_recovered_from_nearby(wedge, turn, place, off_turn, off_shift):
+    grid, points = wedge
+    truth = rigid.rotation(3.0 * turn)
+    truth[:3, 3] = 100.0 * place
+    felt = rigid.apply(truth, points)
+    found = register(felt, grid, off_by(truth, felt, 0.06 * off_turn, 0.3 * off_shift))
+    assert isinstance(found, Fit)
+    assert found.converged
+    assert found.fitness == 1.0
+    assert found.frozen.shape == (6, 0)
+    mm, deg = error(found.sensor_from_object, truth, felt)
+    assert mm < POSITION_TOLERANCE_MM
+    assert deg < TURN_TOLERANCE_DEG
+
+
+@pytest.mark.parametrize("far_mm", [1.0, 1e3, 1e6])
+def test_a_frame_elsewhere_changes_nothing_but_rounding(wedge, far_mm):
+    grid, points = wedge
+    start = off_by(np.eye(4), points, np.array([0.05, 0.0, -0.04]), np.array([0.2, 0.1, 0.0]))
+    moved = rigid.from_parts([far_mm, -far_mm, 0.5 * far_mm], [20.0, 50.0, -70.0])
+    here, there = register(points, grid, start), register(rigid.apply(moved, points), grid, moved @ start)
+    mm, deg = error(there.sensor_from_object, moved @ here.sensor_from_object, rigid.apply(moved, points))
+    # The points themselves are rounded by the frame; the kinks of the lattice pass on some hundred times that.
+    assert mm < ROUNDING_MM * max(1.0, 100 * far_mm / 1e6) + SETTLED_MM / 10
+    assert deg < 1e-3
+
+
+def test_the_order_of_the_points_changes_nothing_but_rounding(wedge):
+    grid, points = wedge
+    start = off_by(np.eye(4), points, np.array([0.05, 0.0, -0.04]), np.array([0.2, 0.1, 0.0]))
+    mixed = points[np.random.default_rng(0).permutation(len(points))]
+    one, other = (register(p, grid, start).sensor_from_object for p in (points, mixed))
+    np.testing.assert_allclose(one, other, atol=ROUNDING_MM)
+    assert one.tobytes() == register(points, grid, start).sensor_from_object.tobytes()
+
+
+def test_many_points_begin_with_few_and_end_at_the_same_place(wedge):
+    grid, points = wedge
+    start = off_by(np.eye(4), points, np.array([0.05, 0.0, -0.04]), np.array([0.2, 0.1, 0.0]))
+    many = np.repeat(points, 3, axis=0)
+    one, other = (register(p, grid, start).sensor_from_object for p in (points, many))
+    np.testing.assert_allclose(one, other, atol=SETTLED_MM)
+
+
+def test_outliers_and_what_is_not_finite_are_no_matter(wedge):
+    grid, points = wedge
+    rng = np.random.default_rng(2)
+    spoiled = points.copy()
+    spoiled[::7] += rng.uniform(0.3, 1.5, (len(spoiled[::7]), 3))
+    spoiled[::50] = np.nan
+    start = off_by(np.eye(4), points, np.array([0.03, 0.0, -0.02]), np.array([0.1, 0.1, 0.0]))
+    mm, deg = error(register(spoiled, grid, start).sensor_from_object, np.eye(4), points)
+    assert mm < 2 * POSITION_TOLERANCE_MM
+    assert deg < 2 * TURN_TOLERANCE_DEG
+
+
+def patch(mesh, axis_normal, half_mm):
+    points, normals = sample_surface(mesh, 20_000, 1)
+    chosen = (normals @ axis_normal > 0.5) & (np.abs(points[:, 0]) < half_mm) & (np.abs(points[:, 1]) < half_mm)
+    return points[chosen][:2500]
+
+
+@pytest.mark.parametrize(
+    ("mesh", "up", "slide_mm", "n_free"),
+    [(rod(sides=256).mesh, 1.0, 1.5, 2), (slab().mesh, 1.0, 1.5, 3), (ball(6.0), 1.0, 0.0, 3)],
+    ids=["rod", "plane", "sphere"],
+)
+def test_what_the_points_do_not_show_stays_where_it_was(mesh, up, slide_mm, n_free):
+    grid = built(mesh)
+    points = patch(mesh, np.array([0.0, 0.0, up]), 5.0)
+    found = register(points, grid, rigid.translation(slide_mm, 0.0, 0.2))
+    assert found.frozen.shape == (6, n_free)
+    np.testing.assert_allclose(found.frozen.T @ found.frozen, np.eye(n_free), atol=1e-12)
+    np.testing.assert_allclose(found.frozen.T @ found.hessian @ found.frozen / len(points), 0.0, atol=2e-3)
+    assert found.sensor_from_object[0, 3] == pytest.approx(slide_mm, abs=0.02), "it did not slide"
+    assert abs(found.sensor_from_object[2, 3]) < POSITION_TOLERANCE_MM, "what is shown was found"
+
+
+def test_too_little_is_told_and_never_a_number():
+    grid = built(l_bar().mesh)
+    for points in (
+        np.zeros((0, 3)), np.zeros((5, 3)), np.ones((50, 3)), np.full((50, 3), np.nan),
+        np.random.default_rng(0).uniform(-1, 1, (50, 3)) + 1e5, np.arange(50)[:, None] * np.full(3, 1e306),
+    ):  # fmt: skip
+        for found in (register(points, grid, np.eye(4)), register_many(points, grid, [np.eye(4)], How())):
+            assert isinstance(found, NotDetermined)
+            assert found.why
+    with pytest.raises(CalibrationError, match="start"):
+        register(np.random.default_rng(0).uniform(-1, 1, (50, 3)), grid, np.full((4, 4), np.nan))
+
+
+def test_steps_begin_at_the_start_and_end_at_the_answer(wedge):
+    grid, points = wedge
+    start = off_by(np.eye(4), points, np.array([0.05, 0.0, -0.04]), np.array([0.2, 0.1, 0.0]))
+    found = register(points, grid, start, How(keep_steps=True))
+    assert len(found.steps) == found.n_iterations + 1
+    np.testing.assert_allclose(found.steps[0].sensor_from_object, start, atol=1e-12)
+    np.testing.assert_array_equal(found.steps[-1].sensor_from_object, found.sensor_from_object)
+    assert found.steps[-1].rmse_mm < found.steps[0].rmse_mm
+
+
+def test_many_starts_find_what_one_does_not(wedge):
+    grid, points = wedge
+    far = off_by(np.eye(4), points, np.deg2rad([0.0, 0.0, 50.0]), np.array([2.0, -3.0, 0.5]))
+    starts = around(far, points.mean(axis=0), 96, 60.0, 5.0)
+    found = register_many(points, grid, starts, How())
+    assert isinstance(found, Found)
+    mm, deg = error(found.fits[0].sensor_from_object, np.eye(4), points)
+    assert mm < POSITION_TOLERANCE_MM
+    assert deg < TURN_TOLERANCE_DEG
+    assert (np.diff(found.misfits_mm) >= 0).all()
+
+
+def test_starts_in_a_plane_keep_their_height_and_tilt():
+    start = rigid.from_parts([1.0, 2.0, 30.0], [10.0, 0.0, 0.0])
+    normal = np.array([0.0, 0.0, -1.0])
+    for pose in around_in_plane(start, start[:3, 3], normal, 20, 180.0, 4.0):
+        assert pose[2, 3] == pytest.approx(30.0)
+        assert np.linalg.norm(pose[:2, 3] - start[:2, 3]) <= 4.0
+        np.testing.assert_allclose(pose[2, :3], start[2, :3], atol=1e-12)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**31), flatness=st.sampled_from([0.0, 0.01, 0.05, 0.2, 1.0]))
+def test_the_iterations_hold_what_observability_calls_weak(seed, flatness):
+    from pipeline.registration.step_kernels import weak_directions
+
+    rng = np.random.default_rng(seed)
+    arms = rng.uniform(-4, 4, (200, 3)) * (1.0, 1.0, flatness)
+    arms -= arms.mean(axis=0)
+    normals = rng.standard_normal((200, 3)) * flatness + (0.0, 0.0, -1.0)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    radius_mm = np.sqrt((arms**2).sum(axis=1).mean())
+    rows = np.hstack([np.cross(arms, normals) / radius_mm, normals])
+    information, variance = rows.T @ rows / 200, 0.03**2 / 50.0
+    turn, shift = variance / (np.deg2rad(1.0) * radius_mm) ** 2, variance / 0.2**2
+    found = weak_directions(information, np.deg2rad(3.0) ** 2, turn, shift)
+    _, weak = observable_part(information, 50.0, 0.03, radius_mm)
+    np.testing.assert_allclose(found @ found.T, weak @ weak.T, atol=1e-6)

@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.base.errors import FileProblem
+from pipeline.geometry import rigid
+from pipeline.sensors.alignment import Alignment, between
+from pipeline.sensors.alignment_files import AlignmentFile, load, save, text_of
+from pipeline.sensors.spec import sensor
+
+ROUNDING = 1e-11  # mm and entries of a rotation: twelve decimals of degrees and millimetres are kept
+GOOD = text_of(
+    AlignmentFile(
+        alignment=between(sensor("gelslim"), sensor("soft_bubble")),
+        source="gelslim",
+        target="soft_bubble",
+        origin="the descriptions",
+    )
+)
+numbers = st.tuples(*[st.floats(-150.0, 150.0)] * 3)
+
+
+def written(folder, text):
+    path = folder / "pair.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@given(numbers, numbers, numbers, numbers)
+def test_what_is_saved_is_loaded_again(tmp_path_factory, a, b, c, d):
+    path = tmp_path_factory.mktemp("kept") / "new folder" / "pair.toml"
+    kept = Alignment(alignment_from_source=rigid.from_parts(a, b), target_from_alignment=rigid.from_parts(c, d))
+    save(path, AlignmentFile(alignment=kept, source="gelslim", target="digit", origin='by "eye"'))
+    back = load(path, source="gelslim", target="digit")
+    assert back.origin == 'by "eye"'
+    np.testing.assert_allclose(back.alignment.alignment_from_source, kept.alignment_from_source, atol=ROUNDING)
+    np.testing.assert_allclose(back.alignment.target_from_alignment, kept.target_from_alignment, atol=ROUNDING)
+    assert [p.name for p in path.parent.iterdir()] == ["pair.toml"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("[target_from_alignment]", "[somewhere]", "lacks the table [target_from_alignment]"),
+        ("translation_mm", "translation_m", "alignment_from_source.translation_mm must be a list of three numbers"),
+        ("rotation_deg = [", "rotation_deg = [1.0, ", "must be a list of three numbers"),
+        ("rotation_deg = [0.0", "rotation_deg = [nan", "alignment_from_source.rotation_deg must be three finite"),
+        ("rotation_deg = [0.0", "rotation_deg = [true", "must be a list of three numbers"),
+        ('source = "gelslim"', 'source = "digit"', "has the source 'digit', not 'gelslim'; choose the file"),
+        ('source = "gelslim"', "source = 3", "source of the alignment must be a text"),
+        ("translation_mm = [", "translation_mm = ", "not valid TOML"),
+    ],
+)
+def test_a_wrong_file_gets_one_sentence_that_names_the_key(tmp_path, old, new, told):
+    assert old in GOOD
+    path = written(tmp_path, GOOD.replace(old, new, 1))
+    with pytest.raises(FileProblem) as caught:
+        load(path, source="gelslim", target="soft_bubble")
+    assert told in str(caught.value)
+    assert str(caught.value).endswith(f"'{path}'")
+
+
+def test_a_file_of_the_other_direction_says_so(tmp_path):
+    with pytest.raises(FileProblem, match="the other way round; swap source and target"):
+        load(written(tmp_path, GOOD), source="soft_bubble", target="gelslim")
+
+
+def test_a_file_that_is_missing_or_no_text_is_refused(tmp_path):
+    with pytest.raises(FileProblem, match="cannot read the alignment"):
+        load(tmp_path / "nothing.toml", source="gelslim", target="digit")
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(FileProblem, match="not valid TOML"):
+        load(binary, source="gelslim", target="digit")
+
+
+def test_where_nothing_can_be_written_the_error_says_so(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(FileProblem, match="cannot write the alignment"):
+        save(tmp_path / "file" / "pair.toml", load(written(tmp_path, GOOD), source="gelslim", target="soft_bubble"))

@@ -1,0 +1,119 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.base.errors import CalibrationError, FileProblem, SettingProblem
+from pipeline.sensors import spec
+from pipeline.sensors.spec import DepthCamera, names, sensor
+
+FOLDER = Path(spec.__file__).parent
+
+
+def own(tmp_path, text, name="mine.toml"):
+    path = tmp_path / name
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+@pytest.mark.parametrize("name", names())
+def test_every_sensor_of_the_project_is_sound(name):
+    s = sensor(name)
+    assert s.rest_depth_mm.shape == s.camera.shape
+    assert np.isfinite(s.rest_depth_mm).all()
+    assert not s.rest_depth_mm.flags.writeable
+    np.testing.assert_allclose(np.linalg.det(s.alignment_from_sensor[:3, :3]), 1.0)
+    assert (s.kind == "gel") == (s.gel is not None) == (s.optics is not None)
+    assert (s.kind == "bubble") == (s.bubble is not None)
+
+
+def test_the_scale_of_the_paper_is_kept():
+    assert 1 / sensor("gelslim").pixel_mm == pytest.approx(23.72, rel=1e-3)
+    bubble = sensor("soft_bubble")
+    assert bubble.camera.fx_px / bubble.rest_depth_mm.max() == pytest.approx(2.36, rel=0.02)
+    assert bubble.camera.shape == (140, 175)
+    assert sensor("gelslim").camera.shape == (320, 427)
+
+
+def test_a_variant_differs_from_its_parent_only_where_it_says():
+    dotted, dotless = sensor("gelslim"), sensor("gelslim_dotless")
+    assert dotted.markers is not None
+    assert dotless.markers is None
+    assert dotless.camera == dotted.camera
+    assert dotless.title != dotted.title
+
+
+def test_an_own_sensor_may_extend_one_of_the_project(tmp_path):
+    text = 'extends = "digit"\ntitle = "my digit"\n[rest]\ndepth = { value = 30.0, unit = "mm", from = "measured" }\n'
+    s = sensor(own(tmp_path, text))
+    assert s.title == "my digit"
+    assert s.rest_depth_mm.mean() == pytest.approx(30.0)
+    assert "rest.depth" not in s.assumed
+    assert s.camera == sensor("digit").camera
+
+
+def test_an_unknown_sensor_names_the_known_ones():
+    with pytest.raises(SettingProblem, match=r"unknown sensor 'gelslimm'.*gelslim"):
+        sensor("gelslimm")
+
+
+@pytest.mark.parametrize(
+    ("find", "replacement", "words"),
+    [
+        ('unit = "px"', 'unit = "mm"', "must be given in 'px'"),
+        ("rows = {", "lines = {", "image.rows must be a table"),
+        ("[camera]", "[lens]", r"lacks the section \[camera\]"),
+        ('kind = "gel"', 'kind = "skin"', "kind must be"),
+        ("value = 240", "value = -240", "must lie within"),
+        ("fx = { value = 394.32", "fx = { value = 0.0", "singular"),
+        ("value = [0.0, 0.0, -25.0]", "value = [0.0, 0.0]", "list of 3"),
+        ("fx = { value = 394.32", "fx = { value = nan", "finite"),
+        ("elevation_deg = 30.0, ", "", "each of optics.leds"),
+    ],
+)
+def test_a_damaged_description_says_what_is_wrong(tmp_path, find, replacement, words):
+    text = (FOLDER / "gelsight_mini.toml").read_text(encoding="utf-8")
+    assert find in text
+    with pytest.raises(CalibrationError, match=words):
+        sensor(own(tmp_path, text.replace(find, replacement)))
+
+
+def test_a_missing_or_garbled_file_is_named(tmp_path):
+    with pytest.raises(FileProblem, match="nowhere"):
+        sensor(str(tmp_path / "nowhere.toml"))
+    with pytest.raises(FileProblem, match="not valid TOML"):
+        sensor(own(tmp_path, "rows = = 3"))
+    with pytest.raises(FileProblem, match="extends"):
+        sensor(own(tmp_path, "extends = 3", name="third.toml"))
+
+
+def test_a_description_that_extends_itself_is_refused(tmp_path):
+    with pytest.raises(FileProblem, match="extends"):
+        sensor(own(tmp_path, 'extends = "loop"', name="loop.toml"))
+
+
+def test_a_value_of_the_wrong_type_is_refused_in_words(tmp_path):
+    text = (FOLDER / "gelsight_mini.toml").read_text(encoding="utf-8")
+    with pytest.raises(CalibrationError, match="number"):
+        sensor(own(tmp_path, text.replace("value = 240", 'value = "many"')))
+
+
+def test_a_list_where_one_number_belongs_is_refused(tmp_path):
+    text = (FOLDER / "gelsight_mini.toml").read_text(encoding="utf-8")
+    with pytest.raises(CalibrationError, match="number"):
+        sensor(own(tmp_path, text.replace("value = 240", "value = [240, 1]")))
+
+
+def test_a_bubble_says_how_its_camera_errs_and_may_watch_with_another(tmp_path):
+    flight, stereo = sensor("soft_bubble"), sensor("soft_bubble_stereo")
+    assert flight.depth_camera == DepthCamera()  # what a description without the section gets
+    assert (stereo.depth_camera.gap_share, stereo.depth_camera.step_mm) == (0.01, 0.1)
+    assert stereo.depth_camera.distance_power == flight.depth_camera.distance_power
+    assert stereo.bubble == flight.bubble
+    assert sensor("gelslim").depth_camera is None
+    some = '[depth_camera]\ngap_share = { value = 0.2, unit = "1", from = "counted" }\n'
+    assert sensor(own(tmp_path, f'extends = "soft_bubble"\n{some}')).depth_camera.gap_share == 0.2
+    with pytest.raises(CalibrationError, match=r"depth_camera\.gap_share.*0 and 1"):
+        sensor(own(tmp_path, f'extends = "soft_bubble"\n{some.replace("0.2", "1.2")}', "other.toml"))

@@ -1,0 +1,179 @@
+"""Simulated data sets: what a reading depends on, and what happens to a recording that is interrupted or in the way."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.base.errors import FileProblem, TouchError
+from pipeline.base.progress import Cancelled
+from pipeline.geometry import rigid
+from pipeline.recordings import hdf5
+from pipeline.simulation import datasets, recorder, shapes
+from pipeline.simulation.datasets import Plan
+
+TOOL = shapes.names("training")[0]
+PLAN = Plan(sensors=("digit", "soft_bubble"), tool=TOOL, poses=3, seed=4)
+FRICTION_ROUNDING = 1.001  # float32 tractions, summed
+POSE_TOLERANCE_MM = 1e-9  # rounding of a few 4x4 products in float64
+
+
+class StopsAfter:
+    """A progress that cancels after so many moments."""
+
+    def __init__(self, moments):
+        self.left = moments
+
+    def step(self, fraction, text):
+        self.left -= 1
+        if self.left == 0:
+            raise Cancelled
+
+
+def prints(path):
+    """A checksum of every array of a recording, frame by frame."""
+    recording = hdf5.read(path)
+    try:
+        return {
+            (stream.name, k, what): zlib.crc32(np.ascontiguousarray(array).tobytes())
+            for stream in recording.streams
+            for k in range(stream.n_frames)
+            for what, array in (
+                ("image", stream.frame(k).image),
+                ("reference", stream.frame(k).reference),
+                ("indentation", stream.truth(k).indentation_mm),
+                ("contact", stream.truth(k).contact),
+                ("pose", stream.truth(k).sensor_from_object),
+            )
+        }
+    finally:
+        recording.close()
+
+
+def images(plan, index):
+    return {frame.sensor: frame.image.tobytes() for frame, _ in datasets.moment(plan, index).readings}
+
+
+def test_the_same_seed_gives_the_same_readings_and_another_seed_others():
+    assert images(PLAN, 1) == images(PLAN, 1)
+    other = images(replace(PLAN, seed=5), 1)
+    assert all(other[name] != image for name, image in images(PLAN, 1).items())
+
+
+def test_a_reading_does_not_depend_on_the_sensors_beside_it():
+    alone = images(replace(PLAN, sensors=("digit",)), 2)
+    assert alone["digit"] == images(PLAN, 2)["digit"]
+
+
+def test_the_transform_of_a_pair_is_exactly_that_of_the_true_poses():
+    (_, source), (_, target) = datasets.moment(PLAN, 0).readings
+    pair = next(p for p in datasets.pairings(PLAN) if (p.source, p.target) == ("digit", "soft_bubble"))
+    expected = target.sensor_from_object @ rigid.invert(source.sensor_from_object)
+    assert np.abs(pair.target_from_source - expected).max() < POSE_TOLERANCE_MM
+
+
+def test_without_noise_only_the_touch_differs_from_the_reference():
+    plan = replace(PLAN, noise=False, sensors=("soft_bubble",), poses=1)
+    ((frame, truth),) = datasets.moment(plan, 0).readings
+    assert truth.contact.any()
+    assert np.allclose(frame.reference - frame.image, truth.indentation_mm, atol=1e-4)  # float32 at 80 mm
+
+
+def test_varied_specimens_change_the_untouched_sensor_and_keep_the_true_poses():
+    plan = replace(PLAN, vary=1.0)
+    (plain, truth), (varied, varied_truth) = (datasets.moment(p, 0).readings[0] for p in (PLAN, plan))
+    assert not np.array_equal(plain.reference, varied.reference)
+    assert np.array_equal(truth.sensor_from_object, varied_truth.sensor_from_object)
+    assert datasets.reference(plan, "digit", 0) is datasets.reference(plan, "digit", datasets.SPECIMEN_FRAMES - 1)
+
+
+def test_a_drag_shears_gels_alone_and_the_truth_says_with_what_force():
+    plan = replace(PLAN, sensors=("digit", "gelslim", "soft_bubble"), poses=1, noise=False)
+    still, dragged = (datasets.moment(p, 0).readings for p in (plan, replace(plan, drag_mm=0.3)))
+    for (frame, truth), (dragged_frame, dragged_truth) in zip(still, dragged, strict=True):
+        gel = frame.sensor != "soft_bubble"
+        along, pressed = np.hypot(*dragged_truth.force_n[:2]), -dragged_truth.force_n[2]
+        assert not truth.force_n[:2].any()
+        assert truth.force_n[2] == dragged_truth.force_n[2] < 0
+        assert (0.0 < along <= 0.8 * pressed * FRICTION_ROUNDING) == gel
+        assert np.array_equal(truth.indentation_mm, dragged_truth.indentation_mm)
+        assert np.array_equal(frame.image, dragged_frame.image) == (frame.sensor != "gelslim")  # it alone has markers
+    ways = [t.force_n[:2] / np.hypot(*t.force_n[:2]) for _, t in dragged[:2]]
+    assert ways[0] @ ways[1] > 0.99  # both gels have the axes of the alignment frame
+    assert "dragged by 0.3 mm" in datasets.told(replace(plan, drag_mm=0.3))
+
+
+def test_a_recording_keeps_the_force(tmp_path):
+    plan = replace(PLAN, sensors=("gelslim",), poses=1, drag_mm=0.3)
+    recorder.record(plan, tmp_path / "dragged.h5")
+    recording = hdf5.read(tmp_path / "dragged.h5")
+    try:
+        assert np.array_equal(recording.streams[0].truth(0).force_n, datasets.moment(plan, 0).readings[0][1].force_n)
+    finally:
+        recording.close()
+
+
+def test_a_group_stands_for_its_objects_each_once():
+    made = datasets.plans(("training", TOOL), PLAN)
+    assert tuple(p.tool for p in made) == shapes.names("training")
+
+
+@pytest.mark.parametrize(
+    ("change", "tools", "told"),
+    [
+        ({"poses": 0}, (TOOL,), "--poses"),
+        ({"seed": -1}, (TOOL,), "--seed"),
+        ({"vary": 9.0}, (TOOL,), "--vary"),
+        ({"drag_mm": 9.0}, (TOOL,), "--drag-mm"),
+        ({"sensors": ("digit", "digit")}, (TOOL,), "--sensors"),
+        ({"sensors": ("fingertip",)}, (TOOL,), "fingertip"),
+        ({}, (), "--tools"),
+        ({}, ("spoon",), "spoon"),
+        ({}, ("nowhere.stl",), "nowhere.stl"),
+    ],
+)
+def test_what_cannot_be_simulated_is_said_in_one_sentence(change, tools, told):
+    with pytest.raises(TouchError, match=told) as caught:
+        datasets.plans(tools, replace(PLAN, **change))
+    assert "\n" not in str(caught.value)
+
+
+def test_interrupted_work_goes_on_to_the_same_arrays(tmp_path):
+    whole, parts = tmp_path / "whole.h5", tmp_path / "parts.h5"
+    assert recorder.record(PLAN, whole).n_moments == 3
+    with pytest.raises(Cancelled):
+        recorder.record(PLAN, parts, progress=StopsAfter(2))
+    assert recorder.finished(PLAN, parts) == 2
+    assert recorder.record(PLAN, parts).n_moments == 1
+    assert recorder.record(PLAN, parts).n_moments == 0
+    assert prints(whole) == prints(parts)
+
+
+def test_two_processes_write_what_one_writes(tmp_path):
+    one, two = tmp_path / "one.h5", tmp_path / "two.h5"
+    plan = replace(PLAN, sensors=("digit",))
+    recorder.record(plan, one)
+    with recorder.workers(2) as pool:
+        recorder.record(plan, two, pool=pool)
+    assert prints(one) == prints(two)
+
+
+def test_what_is_in_the_way_stays_as_it_is(tmp_path):
+    mine, foreign = tmp_path / "mine.h5", tmp_path / "notes.h5"
+    recorder.record(replace(PLAN, sensors=("digit",), poses=1), mine)
+    foreign.write_text("lab notes")
+    kept = mine.read_bytes()
+    for plan, path in ((PLAN, mine), (PLAN, foreign)):
+        with pytest.raises(FileProblem, match="kept"):
+            recorder.record(plan, path)
+    assert mine.read_bytes() == kept
+    assert foreign.read_text() == "lab notes"
+
+
+def test_several_objects_need_a_folder(tmp_path):
+    assert recorder.file_of(PLAN, tmp_path / "set", 2) == tmp_path / "set" / f"{TOOL}.h5"
+    with pytest.raises(FileProblem, match="folder"):
+        recorder.file_of(PLAN, tmp_path / "set.h5", 2)

@@ -1,0 +1,93 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pipeline.base.errors import CalibrationError, ShapeError
+from pipeline.geometry import rigid
+from pipeline.geometry.camera import Camera
+from pipeline.sensors.alignment import Alignment
+from pipeline.stages.adapt.stage import AdaptParams, adapt, without_contact
+from pipeline.values.results import DepthMap
+
+CAMERA = Camera(rows=24, cols=32, fx_px=40.0, fy_px=42.0, cx_px=15.2, cy_px=11.7)
+FLOAT32_ULP = 2.0**-23  # relative; a float32 is at most half of it off the exact value
+
+
+def depth_map(depth_mm, contact, camera=CAMERA):
+    depth_mm = np.asarray(depth_mm, np.float32)
+    return DepthMap(
+        indentation_mm=np.zeros_like(depth_mm),
+        depth_mm=depth_mm,
+        contact=np.asarray(contact, bool),
+        camera=camera,
+        source_index=np.arange(depth_mm.size, dtype=np.int32).reshape(depth_mm.shape),
+    )
+
+
+def by(target_from_source):
+    return Alignment(alignment_from_source=target_from_source, target_from_alignment=np.eye(4))
+
+
+def random_depth(seed=0):
+    rng = np.random.default_rng(seed)
+    return depth_map(rng.uniform(15, 25, CAMERA.shape), rng.random(CAMERA.shape) < 0.4)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.floats(-180, 180), min_size=3, max_size=3), st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3))
+def test_points_are_the_equation_rounded_once(rotation_deg, shift_mm):
+    depth, move = random_depth(), rigid.from_parts(shift_mm, rotation_deg)
+    cloud = adapt(depth, by(move), AdaptParams())
+    row, col = np.nonzero(depth.contact)
+    homogeneous = np.stack([col, row, np.ones_like(row)]).astype(float)
+    z = depth.depth_mm[row, col].astype(float)
+    exact = rigid.apply(move, (z * (np.linalg.inv(CAMERA.matrix) @ homogeneous)).T)
+    # 1e-9: what is left of float64 in coordinates up to 1e6 mm that cancel
+    assert (np.abs(cloud.points_mm - exact) <= 0.5 * FLOAT32_ULP * np.abs(exact) + 1e-9).all()
+
+
+def test_source_index_names_the_contact_pixels_in_order():
+    depth = random_depth()
+    cloud = adapt(depth, by(np.eye(4)), AdaptParams())
+    np.testing.assert_array_equal(cloud.source_index, np.flatnonzero(depth.contact))
+    assert cloud.grid_shape == CAMERA.shape
+    assert cloud.points_mm.dtype == np.float32
+    assert cloud.source_index.dtype == np.int32
+    assert not cloud.points_mm.flags.writeable
+
+
+def test_contact_without_depth_is_left_out_and_told():
+    depth_mm = np.full(CAMERA.shape, 20.0)
+    depth_mm[0, :5] = (np.nan, np.inf, 0.0, -3.0, 1e-30)
+    cloud = adapt(depth_map(depth_mm, np.ones(CAMERA.shape)), by(np.eye(4)), AdaptParams())
+    assert np.isfinite(cloud.points_mm).all()
+    assert cloud.source_index[0] == 5
+    assert cloud.notes == ("5 of 768 contact pixels have no depth and were left out",)
+
+
+def test_a_preview_keeps_every_nth_row_and_column():
+    cloud = adapt(depth_map(np.full(CAMERA.shape, 20.0), np.ones(CAMERA.shape)), by(np.eye(4)), AdaptParams(stride=4))
+    row, col = np.divmod(cloud.source_index, CAMERA.cols)
+    assert len(row) == 6 * 8
+    assert (row % 4 == 0).all()
+    assert (col % 4 == 0).all()
+    assert cloud.stride == 4
+
+
+def test_without_contact_is_the_same_as_running_on_nothing():
+    nothing = depth_map(np.full(CAMERA.shape, 20.0), np.zeros(CAMERA.shape))
+    short, long = without_contact(nothing, by(np.eye(4)), AdaptParams()), adapt(nothing, by(np.eye(4)), AdaptParams())
+    assert short is not None
+    assert short.points_mm.shape == long.points_mm.shape == (0, 3)
+    assert short.notes == long.notes
+    assert without_contact(random_depth(), by(np.eye(4)), AdaptParams()) is None
+
+
+def test_a_transform_that_is_not_rigid_and_arrays_that_do_not_fit_are_refused():
+    with pytest.raises(CalibrationError, match="scale or shear"):
+        adapt(random_depth(), by(np.diag([2.0, 2.0, 2.0, 1.0])), AdaptParams())
+    with pytest.raises(ShapeError, match="shape"):
+        adapt(depth_map(np.zeros((3, 3)), np.zeros((3, 3))), by(np.eye(4)), AdaptParams())

@@ -1,0 +1,303 @@
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.base.errors import CalibrationError, ShapeError
+from pipeline.calibration.lookup import built_in
+from pipeline.geometry.camera import Camera
+from pipeline.physics import optics
+from pipeline.sensors.spec import sensor
+from pipeline.stages.depth import contact
+from pipeline.stages.depth.stage import DepthParams, depth, untouched
+from pipeline.values.frames import TactileFrame
+from tests.pipeline.calibration.test_balls import hertz
+
+QUIET_MM = 0.03  # what the stage promises far from a contact
+CONTACT_IOU = 0.8  # the blurred rim costs one to two pixels of a contact of about 20
+PEAK_TOLERANCE = 0.25  # of the peak: a gel's long tail counts as rest, and LEDs in their own shadow saturate
+PARAMS = DepthParams()
+
+
+def press(name, depth_mm=0.5, seed=1):
+    source = sensor(name)
+    rows, cols = source.camera.shape
+    truth = hertz((rows, cols), source.pixel_mm, 0.55 * cols, 0.45 * rows, 6.31, depth_mm)
+    frame = TactileFrame(sensor=name, image=optics.render(source, truth, seed=seed), reference=optics.untouched(source))
+    return source, frame, truth
+
+
+def contact_of(truth):
+    return truth >= 0.5 * truth.max()  # Hertz: the edge lies at half of the peak
+
+
+@pytest.mark.parametrize("name", ["gelslim", "gelslim_dotless", "digit", "gelsight_mini"])
+def test_a_ball_press_is_found_with_its_depth_and_contact(name):
+    source, frame, truth = press(name)
+    found = depth(frame, source, None, PARAMS)
+    wanted = contact_of(truth)
+    assert (found.contact & wanted).sum() / (found.contact | wanted).sum() > CONTACT_IOU
+    assert found.indentation_mm.max() == pytest.approx(truth.max(), rel=PEAK_TOLERANCE)
+    assert np.allclose(found.depth_mm, source.rest_depth_mm - found.indentation_mm, atol=1e-5)
+    assert found.source_index[1, 2] == source.camera.cols + 2
+
+
+def test_far_from_the_contact_the_gel_is_at_rest():
+    source, frame, truth = press("gelsight_mini")
+    found = depth(frame, source, None, PARAMS)
+    rows, cols = np.mgrid[: truth.shape[0], : truth.shape[1]]
+    far = np.hypot(cols - 0.55 * 320, rows - 0.45 * 240) * source.pixel_mm > 8.0
+    assert np.abs(found.indentation_mm[far]).max() < QUIET_MM
+
+
+@pytest.mark.parametrize("name", ["gelslim", "digit", "gelsight_mini"])
+def test_an_untouched_picture_is_seen_at_once(name):
+    source = sensor(name)
+    still = optics.untouched(source)
+    frame = TactileFrame(
+        sensor=name, image=optics.render(source, np.zeros(source.camera.shape), seed=4), reference=still
+    )
+    found = untouched(frame, source, None, PARAMS)
+    assert found is not None
+    assert not found.indentation_mm.any()
+    assert not found.contact.any()
+    assert untouched(frame, source, None, PARAMS) is found
+
+
+def test_a_touch_is_never_called_untouched():
+    source, frame, _ = press("digit", depth_mm=0.15)
+    assert untouched(frame, source, None, PARAMS) is None
+
+
+def test_the_short_cut_costs_far_less_than_the_stage():
+    source, frame, _ = press("gelsight_mini")
+    still = replace(frame, image=frame.reference)
+
+    def fastest(run):
+        run()
+        times = []
+        for _ in range(9):
+            started = time.perf_counter()
+            run()
+            times.append(time.perf_counter() - started)
+        return min(times)
+
+    quick = fastest(lambda: untouched(still, source, None, PARAMS))
+    assert quick < 0.2 * fastest(lambda: depth(frame, source, None, PARAMS))
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda f: replace(f, reference=None), "no reference image"),
+        (lambda f: replace(f, image=f.image[:100]), "must have shape"),
+        (lambda f: replace(f, image=np.zeros_like(f.image)), "is black"),
+        (lambda f: replace(f, reference=np.zeros_like(f.image)), "is black"),
+        (lambda f: replace(f, image=np.full(f.image.shape, np.nan, np.float32)), "NaN"),
+        (lambda f: replace(f, image=f.image.astype(np.int64)), "RGB of 8 bits"),
+    ],
+)
+def test_a_frame_that_cannot_be_read_is_told_in_one_sentence(change, told):
+    source, frame, _ = press("gelsight_mini")
+    bad = change(frame)
+    assert untouched(bad, source, None, PARAMS) is None
+    with pytest.raises(ShapeError, match=told):
+        depth(bad, source, None, PARAMS)
+
+
+def test_a_saturated_picture_is_doubted_and_stays_finite():
+    source, frame, _ = press("gelsight_mini")
+    found = depth(replace(frame, image=np.full_like(frame.image, 255)), source, None, PARAMS)
+    assert np.isfinite(found.indentation_mm).all()
+    assert any("saturated" in note for note in found.notes)
+
+
+def test_a_contact_at_the_image_border_is_told():
+    source = sensor("gelsight_mini")
+    truth = hertz(source.camera.shape, source.pixel_mm, 4, 120, 6.31, 0.6)
+    frame = TactileFrame(
+        sensor=source.name, image=optics.render(source, truth, seed=1), reference=optics.untouched(source)
+    )
+    found = depth(frame, source, None, PARAMS)
+    assert any("image border" in note for note in found.notes)
+    assert found.indentation_mm.max() == pytest.approx(truth.max(), rel=PEAK_TOLERANCE)
+
+
+def test_the_frames_own_camera_replaces_the_sensors():
+    source, frame, _ = press("gelsight_mini")
+    camera = replace(source.camera, fx_px=400.0, fy_px=400.0)
+    assert depth(replace(frame, camera=camera), source, None, PARAMS).camera == camera
+
+
+def test_a_look_up_of_another_sensor_is_refused():
+    from pipeline.calibration.lookup import built_in
+
+    source, frame, _ = press("gelsight_mini")
+    with pytest.raises(CalibrationError, match="made for 'digit'"):
+        depth(frame, source, built_in(sensor("digit")), PARAMS)
+
+
+def test_the_same_frame_gives_the_same_bytes():
+    source, frame, _ = press("gelslim")
+    first, second = (depth(frame, source, None, PARAMS).indentation_mm.tobytes() for _ in range(2))
+    assert first == second
+
+
+def bubble(depth_mm=4.0, seed=0):
+    source = sensor("soft_bubble")
+    rng = np.random.default_rng(seed)
+    rest = source.rest_depth_mm.astype(np.float32)
+    y, x = np.mgrid[: rest.shape[0], : rest.shape[1]]
+    r = np.hypot(x - 90, y - 70) * source.pixel_mm
+    moved = np.where(
+        r < 6, depth_mm - r * r / 40, (depth_mm - 0.9) * np.maximum(0, np.log(40 / np.maximum(r, 6)) / np.log(40 / 6))
+    )
+    noisy = rest - moved + rng.normal(0, 0.3, rest.shape)
+    return source, TactileFrame(sensor=source.name, image=noisy.astype(np.float32), reference=rest), moved, r
+
+
+def test_a_bubble_is_measured_against_its_own_rest():
+    source, frame, moved, r = bubble()
+    found = depth(frame, source, None, PARAMS)
+    assert np.abs(found.indentation_mm - moved).mean() < 0.3  # mm, the noise of one reading
+    assert found.contact[70, 90]
+    assert not found.contact[r > 20].any()
+
+
+def test_a_bubbles_gaps_are_filled_or_left_without_a_value():
+    source, frame, moved, _ = bubble()
+    image = np.array(frame.image)
+    image[60:64, 80:84] = 0.0
+    image[100:140, 0:60] = np.nan
+    image[20, 20] = 6553.5
+    found = depth(replace(frame, image=image), source, None, PARAMS)
+    assert found.indentation_mm[61, 81] == pytest.approx(moved[61, 81], abs=0.5)
+    assert np.isnan(found.indentation_mm[125, 20])
+    assert not found.contact[125, 20]
+    assert abs(found.indentation_mm[20, 20]) < 2.0
+    assert any("no reading" in note for note in found.notes)
+    assert any("jumped" in note for note in found.notes)
+
+
+def ring_on_a_bubble(seed):
+    from pipeline.simulation import poses, shapes
+    from pipeline.simulation.press import press as pressed
+
+    source, thing = sensor("soft_bubble"), shapes.shape("ellipse").mesh
+    felt = pressed(thing, poses.paper_grid(thing, n=12, seed=50)[7], source, seed=seed)
+    rest = source.rest_depth_mm.astype(np.float32)
+    return source, TactileFrame(sensor=source.name, image=felt.image, reference=rest), felt.truth
+
+
+def test_a_bubble_over_a_hollow_object_is_touched_along_the_rim_only():
+    source, frame, truth = ring_on_a_bubble(seed=4)
+    found = depth(frame, source, None, PARAMS)
+    rows, cols = np.nonzero(truth.contact)
+    assert not found.contact[round(rows.mean()), round(cols.mean())]
+    assert (found.contact & truth.contact).sum() > 0.7 * truth.contact.sum()
+    assert found.contact.sum() < 3.5 * truth.contact.sum()  # the rim is two pixels wide: two or three more on each side
+    moved = np.abs(found.indentation_mm - truth.indentation_mm)
+    assert moved[~truth.contact].mean() < 0.06  # mm, an eighth of the noise of a reading
+    assert moved[truth.contact].mean() < 0.2  # mm, half of it
+
+
+def test_a_bubble_read_without_noise_is_read_exactly():
+    source, frame, truth = ring_on_a_bubble(seed=None)
+    found = depth(frame, source, None, PARAMS)
+    assert np.abs(found.indentation_mm - truth.indentation_mm)[truth.contact].mean() < 0.02  # mm
+
+
+@pytest.mark.parametrize("share", [0.5, 2.0])
+def test_a_bubbles_contact_hardly_hangs_on_its_assumed_tension(share):
+    source, frame, _ = ring_on_a_bubble(seed=4)
+    other = replace(source, bubble=replace(source.bubble, height_mm=share * source.bubble.height_mm))
+    usual, found = depth(frame, source, None, PARAMS), depth(frame, other, None, PARAMS)
+    assert (usual.contact & found.contact).sum() > 0.6 * (usual.contact | found.contact).sum()
+    assert np.abs(usual.indentation_mm - found.indentation_mm).mean() < 0.03  # mm
+
+
+def test_a_bubble_seen_by_more_pixels_has_the_same_contact():
+    import cv2
+
+    source, frame, _ = ring_on_a_bubble(seed=4)
+    c, k = source.camera, 2
+    camera = Camera(rows=k * c.rows, cols=k * c.cols, fx_px=k * c.fx_px, fy_px=k * c.fy_px,
+                    cx_px=k * c.cx_px + 0.5, cy_px=k * c.cy_px + 0.5)  # fmt: skip
+    image, rest = (np.kron(a, np.ones((k, k), np.float32)) for a in (frame.image, frame.reference))
+    fine = depth(replace(frame, image=image, reference=rest, camera=camera), source, None, PARAMS)
+    back = cv2.resize(fine.contact.astype(np.float32), (c.cols, c.rows), interpolation=cv2.INTER_AREA) > 0.5
+    usual = depth(frame, source, None, PARAMS).contact
+    assert (back & usual).sum() > 0.8 * (back | usual).sum()
+
+
+def test_a_resting_bubble_is_untouched():
+    source, frame, _, _ = bubble()
+    rng = np.random.default_rng(7)
+    still = (np.asarray(frame.reference) + rng.normal(0, 0.3, source.camera.shape)).astype(np.float32)
+    assert untouched(replace(frame, image=still), source, None, PARAMS) is not None
+    assert untouched(frame, source, None, PARAMS) is None
+
+
+def test_a_bubble_without_any_reading_is_refused():
+    source, frame, _, _ = bubble()
+    with pytest.raises(ShapeError, match="no depth at all"):
+        depth(replace(frame, image=np.full_like(frame.image, np.nan)), source, None, PARAMS)
+    for nothing in (0.0, np.nan, -np.inf):
+        assert untouched(replace(frame, reference=np.full_like(frame.image, nothing)), source, None, PARAMS) is None
+
+
+@pytest.mark.parametrize("kind", [np.bool_, np.uint16, np.int32, np.complex64])
+def test_a_bubbles_depth_in_another_type_of_number_is_refused(kind):
+    source, frame, _, _ = bubble()
+    bad = replace(frame, image=frame.image.astype(kind), reference=frame.reference.astype(kind))
+    assert untouched(bad, source, None, PARAMS) is None
+    with pytest.raises(ShapeError, match="float32 in millimetres"):
+        depth(bad, source, None, PARAMS)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, 3e38])
+def test_a_look_up_without_numbers_is_refused(wrong):
+    source, frame, _ = press("digit")
+    good = built_in(source)
+    bad = replace(good, model=replace(good.model, coefficients=np.full_like(good.model.coefficients, wrong)))
+    with pytest.raises(CalibrationError, match="no numbers"):
+        depth(frame, source, bad, PARAMS)
+
+
+def test_a_flat_punch_is_touched_inside_its_rim_too():
+    y, x = np.mgrid[:120, :120]
+    outside = np.maximum(np.maximum(abs(x - 60) - 20, abs(y - 60) - 20), 0)
+    surface = (0.5 * np.exp(-outside / 8.0)).astype(np.float32)
+    found = contact.touched(surface, least_mm=0.03, pressure_share=0.25, smoothing_px=1.5)
+    assert found[60, 60]
+    assert not found[60, 100]
+
+
+@pytest.mark.real_data
+def test_real_bubble_contacts_appear_when_they_should(real_data):
+    file = np.load(real_data / "punyo_bubble" / "depth_sequence.npz")
+    readings = file["depth_u16_0p1mm"].astype(np.float32) * np.float32(0.1)
+    k = file["K"]
+    camera = Camera(rows=480, cols=640, fx_px=k[0, 0], fy_px=k[1, 1], cx_px=k[0, 2], cy_px=k[1, 2])
+    source = sensor("soft_bubble")
+    for i in (1, 4, 13, 20, 32):
+        frame = TactileFrame(sensor=source.name, image=readings[i], reference=readings[0], camera=camera)
+        touched = depth(frame, source, None, PARAMS).contact.any()
+        assert touched == (65 <= file["frame"][i] <= 109)
+
+
+@pytest.mark.real_data
+def test_real_digit_presses_all_show_one_contact(real_data):
+    import cv2
+
+    def read(name):
+        return np.ascontiguousarray(cv2.imread(str(real_data / "digit_balls" / name))[..., ::-1])
+
+    source, still = sensor("digit"), read("background.png")
+    for i in range(0, 42, 6):
+        frame = TactileFrame(sensor=source.name, image=read(f"{i:04d}.png"), reference=still)
+        assert untouched(frame, source, None, PARAMS) is None
+        assert depth(frame, source, None, PARAMS).contact.sum() > 200

@@ -1,0 +1,121 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from pipeline.calibration.lookup import BallFit, built_in
+from pipeline.geometry.rigid import translation
+from pipeline.physics import optics
+from pipeline.sensors.spec import sensor
+from pipeline.simulation import shapes, variation
+from pipeline.simulation.press import press
+from pipeline.stages.depth import gel_light
+from pipeline.stages.depth.stage import DepthParams, depth
+from pipeline.values.frames import TactileFrame
+from tests.pipeline.calibration.test_balls import hertz
+
+PARAMS = DepthParams()
+TIMES_CLOSER = 2.0  # than the look-up alone; three to four are usual where shadows are long
+FLAT_SHARE = 0.75  # of the depth of a flat face: the blur loses some of a steep flank
+CONTACT_MM = 0.06  # a flat face of 0.6 mm: vertical flanks, of which the blur keeps nine tenths
+
+
+@lru_cache
+def pressed(depth_mm, *, unit=None, name="star"):
+    """An object pressed on a DIGIT: (sensor, frame, truth)."""
+    source = sensor("digit") if unit is None else variation.varied(sensor("digit"), unit)
+    thing = shapes.shape(name).mesh
+    lowest = thing.vertices_mm[:, 2].min()
+    felt = press(thing, translation(0.3, -0.4, -depth_mm - lowest), source, seed=2)
+    frame = TactileFrame(sensor="digit", image=felt.image, reference=optics.untouched(source))
+    return source, frame, felt.truth
+
+
+def without_shadows(source):
+    """The sensor for which the look-up alone is used."""
+    return replace(source, optics=replace(source.optics, shadow=0.0))
+
+
+def error_mm(found, truth):
+    return float(np.abs(found.indentation_mm - truth.indentation_mm)[truth.contact].mean())
+
+
+@pytest.mark.parametrize("unit", [None, 4])
+def test_a_deep_press_is_measured_through_its_shadows(unit):
+    _, frame, truth = pressed(0.6, unit=unit)
+    known = sensor("digit")  # what every unit is taken for
+    found = depth(frame, known, None, PARAMS)
+    plain = depth(frame, without_shadows(known), built_in(known), PARAMS)
+    assert TIMES_CLOSER * error_mm(found, truth) < error_mm(plain, truth)
+    assert error_mm(found, truth) < CONTACT_MM
+
+
+def test_the_unchanged_inside_of_a_flat_face_is_not_taken_for_rest():
+    source, frame, truth = pressed(0.7, name="square")
+    found = depth(frame, source, None, PARAMS)
+    assert found.indentation_mm[truth.contact].mean() > FLAT_SHARE * 0.7
+
+
+def test_a_light_press_does_not_get_worse():
+    source, frame, truth = pressed(0.15)
+    plain = depth(frame, without_shadows(source), built_in(source), PARAMS)
+    assert error_mm(depth(frame, source, None, PARAMS), truth) <= error_mm(plain, truth)
+
+
+def test_the_same_picture_gives_the_same_bytes():
+    source, frame, _ = pressed(0.6)
+    once, again = (depth(frame, source, None, PARAMS) for _ in range(2))
+    assert once.indentation_mm.tobytes() == again.indentation_mm.tobytes()
+
+
+def test_only_sensors_that_say_what_casts_shadows_are_corrected():
+    assert gel_light.applies(sensor("digit"), built_in(sensor("digit")))
+    for name in ("gelslim", "gelslim_dotless", "gelsight_mini"):
+        assert not gel_light.applies(sensor(name), built_in(sensor(name)))
+
+
+def test_a_look_up_fitted_to_presses_is_left_as_it_is():
+    fit = BallFit(index=0, x_px=9.0, y_px=9.0, radius_px=5.0, residual=0.01, used=True)
+    fitted = replace(built_in(sensor("digit")), presses=(fit,))
+    source, frame, _ = pressed(0.6)
+    assert not gel_light.applies(source, fitted)
+    plain = depth(frame, without_shadows(source), fitted, PARAMS)
+    assert depth(frame, source, fitted, PARAMS).indentation_mm.tobytes() == plain.indentation_mm.tobytes()
+
+
+def test_a_picture_with_drifted_colours_is_no_second_contact():
+    source = sensor("digit")
+    truth = hertz(source.camera.shape, source.pixel_mm, 120, 160, 6.0, 0.3)
+    image = optics.render(source, truth, seed=1, gain_rgb=(1.03, 0.98, 1.02))
+    found = depth(TactileFrame(sensor="digit", image=image, reference=optics.untouched(source)), source, None, PARAMS)
+    y, x = np.nonzero(found.contact)
+    assert np.hypot(x - 120, y - 160).max() * source.pixel_mm < 2.0
+
+
+def test_a_shallow_plate_beside_a_touch_is_left_out_and_a_second_touch_kept():
+    y, x = np.mgrid[:120, :200].astype(np.float32)
+    balls = [np.maximum(d - ((x - c) ** 2 + (y - 60) ** 2) / 2000, 0) for d, c in ((0.5, 40), (0.2, 100))]
+    plate = 0.1 * np.exp(-(((x - 170) / 25) ** 2 + ((y - 60) / 25) ** 2))
+    surface = (balls[0] + balls[1] + plate).astype(np.float32)
+    touched = (balls[0] > 0) | (balls[1] > 0) | (plate > 0.08)
+    kept = gel_light.pressed_in(touched, surface, 0.05)
+    assert kept[60, 40]
+    assert kept[60, 100]
+    assert not kept[60, 170]
+
+
+@pytest.mark.real_data
+def test_real_digit_balls_leave_one_contact(real_data):
+    import cv2
+
+    def read(name):
+        return np.ascontiguousarray(cv2.imread(str(real_data / "digit_balls" / name))[..., ::-1])
+
+    source, still = sensor("digit"), read("background.png")
+    for i in range(0, 42, 6):
+        frame = TactileFrame(sensor="digit", image=read(f"{i:04d}.png"), reference=still)
+        n, _ = cv2.connectedComponents(depth(frame, source, None, PARAMS).contact.astype(np.uint8))
+        assert n == 2  # and the background

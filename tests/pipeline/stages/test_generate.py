@@ -1,0 +1,157 @@
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.base.errors import ShapeError
+from pipeline.physics import gel, optics
+from pipeline.sensors.spec import sensor
+from pipeline.stages.generate.stage import GenerateParams, generate, without_contact
+from pipeline.values.results import TargetView
+
+SURFACE_MM = 2e-3  # the stage's solver tolerance (0.5 um) at a contact edge
+SENSORS = ("gelslim", "digit", "gelsight_mini", "soft_bubble")
+
+
+def view_of(spec, mask, indentation_mm):
+    indentation = np.where(mask, indentation_mm, 0.0).astype(np.float32)
+    return TargetView(
+        depth_mm=np.where(mask, spec.rest_depth_mm - indentation, np.nan).astype(np.float32),
+        contact=mask,
+        indentation_mm=indentation,
+        camera=spec.camera,
+        source_index=np.where(mask, 7, -1).astype(np.int32),
+        known=np.ones(mask.shape, bool),
+    )
+
+
+def corner(spec, share=0.5):
+    """An L within the middle of the picture."""
+    y, x = (np.abs(np.linspace(-1, 1, n)) for n in spec.camera.shape)
+    upright = (x[None, :] < 0.12) & (y[:, None] < share)
+    lying = (x[None, :] < share) & (y[:, None] < 0.15)
+    return upright | lying
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_no_contact_gives_the_untouched_reading_at_no_cost(name):
+    spec = sensor(name)
+    empty = view_of(spec, np.zeros(spec.camera.shape, bool), 0.0)
+    touch = generate(empty, spec, GenerateParams())
+    wanted = optics.untouched(spec) if spec.kind == "gel" else spec.rest_depth_mm.astype(np.float32)
+    assert np.array_equal(touch.image, wanted)
+    assert not touch.indentation_mm.any()
+    assert (touch.source_index == -1).all()
+    times = []
+    for _ in range(20):
+        start = time.perf_counter()
+        assert without_contact(empty, spec, GenerateParams()).image is touch.image
+        times.append(time.perf_counter() - start)
+    assert min(times) < 1e-4
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_the_same_view_and_seed_give_the_same_bytes(name):
+    spec = sensor(name)
+    depth_mm = 0.5 if spec.kind == "gel" else 5.0
+    view = view_of(spec, corner(spec), depth_mm)
+    one, again = (generate(view, spec, GenerateParams(noise=True, seed=4)) for _ in range(2))
+    other = generate(view, spec, GenerateParams(noise=True, seed=5))
+    assert one.image.tobytes() == again.image.tobytes()
+    assert one.image.tobytes() != other.image.tobytes()
+    assert one.image.dtype == (np.uint8 if spec.kind == "gel" else np.float32)
+
+
+@pytest.mark.parametrize("surface", ["press", "follow"])
+def test_a_true_contact_gives_back_the_true_gel_surface(surface):
+    spec = sensor("digit")
+    y, x = np.mgrid[: spec.camera.rows, : spec.camera.cols]
+    overlap = 0.5 - ((x - 110.0) ** 2 + (y - 170.0) ** 2) * spec.pixel_mm**2 / (2 * 4.0)
+    true = gel.press(spec.gel, spec.pixel_mm, overlap)
+    touch = generate(view_of(spec, true.contact, true.indentation_mm), spec, GenerateParams(surface=surface))
+    assert np.abs(touch.indentation_mm - true.indentation_mm).max() < SURFACE_MM
+    assert (touch.contact & true.contact).sum() > 0.97 * (touch.contact | true.contact).sum()
+    assert np.abs(touch.image.astype(int) - optics.render(spec, true.indentation_mm, seed=None)).max() <= 2
+
+
+def test_a_bubble_is_slack_over_the_points_and_free_elsewhere():
+    spec = sensor("soft_bubble")
+    mask = corner(spec, 0.6)
+    touch = generate(view_of(spec, mask, 6.0), spec, GenerateParams())
+    between = np.zeros_like(mask)
+    between[spec.camera.rows // 2 - 18, spec.camera.cols // 2 + 18] = True  # in the crook of the L, 18 px from both
+    assert 0.5 < touch.indentation_mm[between][0] < 6.0
+    assert np.percentile(touch.indentation_mm[mask], 10) > 5.5  # rays past the sharp edge see the flank
+    assert touch.indentation_mm[2, 2] < 0.0  # the air bulges it out far away
+    assert touch.contact.sum() > 0.3 * mask.sum()
+    assert not (touch.contact & (touch.indentation_mm < 1.0)).any()
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_depth_is_rest_less_indentation_and_pixels_remember_the_view(name):
+    spec = sensor(name)
+    mask = corner(spec)
+    touch = generate(view_of(spec, mask, 0.4 if spec.kind == "gel" else 4.0), spec, GenerateParams())
+    assert np.abs(spec.rest_depth_mm - touch.indentation_mm - touch.depth_mm).max() < 1e-4  # float32 at 80 mm
+    assert np.array_equal(touch.source_index >= 0, mask)
+    assert touch.source_index[mask].tolist() == np.flatnonzero(mask).tolist()
+    assert not touch.image.flags.writeable
+
+
+def test_what_is_too_deep_is_cut_and_said():
+    spec = sensor("gelslim")
+    touch = generate(view_of(spec, corner(spec), 40.0), spec, GenerateParams())
+    assert touch.indentation_mm.max() < spec.limits.indentation_max_mm + 0.01
+    assert any("cut at the 1.918 mm" in note for note in touch.notes)
+
+
+def test_ragged_masks_and_contacts_at_the_border_stay_finite():
+    spec = sensor("digit")
+    rng = np.random.default_rng(0)
+    ragged = corner(spec) & (rng.random(spec.camera.shape) < 0.4)
+    edge = np.zeros(spec.camera.shape, bool)
+    edge[:, :30] = True
+    everything = np.ones(spec.camera.shape, bool)
+    single = np.zeros(spec.camera.shape, bool)
+    single[0, 0] = True
+    for mask in (ragged, edge, everything, single):
+        view = view_of(spec, mask, 0.4 + 0.05 * rng.standard_normal(mask.shape))
+        for surface in ("press", "follow"):
+            assert np.isfinite(generate(view, spec, GenerateParams(surface=surface)).indentation_mm).all()
+
+
+def test_an_object_that_leaves_the_picture_goes_on_beyond_it():
+    spec = sensor("digit")
+    band = np.zeros(spec.camera.shape, bool)
+    band[140:180] = True
+    surface = generate(view_of(spec, band, 0.4), spec, GenerateParams()).indentation_mm
+    along_edge = surface[130, [0, 120]]
+    assert along_edge[0] == pytest.approx(along_edge[1], abs=0.03)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -20.0, 3e38])
+@pytest.mark.parametrize("name", ["digit", "soft_bubble"])
+def test_contact_without_a_value_is_left_out_and_said(name, value):
+    whole = sensor(name)
+    camera = whole.camera.scaled(0.2)
+    spec = replace(whole, camera=camera, rest_depth_mm=whole.membrane.rest_depth_mm(camera))
+    clean = view_of(spec, corner(spec), 0.3)
+    pushed, depth = np.array(clean.indentation_mm), np.array(clean.depth_mm)
+    row, col = (n // 2 for n in camera.shape)
+    pushed[row, col] = np.nan if value == 3e38 else value
+    depth[row, col] = value
+    for surface in ("press", "follow"):
+        bad = replace(clean, indentation_mm=pushed, depth_mm=depth)
+        touch = generate(bad, spec, GenerateParams(surface=surface))
+        near = generate(clean, spec, GenerateParams(surface=surface))
+        assert any("1 contact pixels" in note for note in touch.notes)
+        assert np.isfinite(touch.indentation_mm).all()
+        assert np.abs(touch.indentation_mm - near.indentation_mm).max() < 0.3
+
+
+def test_a_view_of_another_size_is_refused_in_words():
+    spec = sensor("digit")
+    view = view_of(spec, corner(spec), 0.4)
+    with pytest.raises(ShapeError, match="digit"):
+        generate(replace(view, contact=view.contact[:-1]), spec, GenerateParams())

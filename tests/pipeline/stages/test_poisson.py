@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pipeline.base.errors import ShapeError
+from pipeline.stages.depth.poisson import integrate
+
+BUMP_TOLERANCE_PX = 1e-3  # what the stage promises; second-order staggering leaves about 7e-4 on this bump
+ROUNDING = 2e-5  # float32 transforms of values of order 1 to 10
+
+
+def bump(rows: int, cols: int, tilt: float):
+    y, x = np.mgrid[:rows, :cols].astype(np.float64)
+    x, y, s = x - 0.51 * cols, y - 0.48 * rows, 12.0
+    z = 20.0 * np.exp(-(x * x + y * y) / (2 * s * s))
+    return z + tilt * x, (-x / s**2 * z + tilt).astype(np.float32), (-y / s**2 * z).astype(np.float32)
+
+
+@pytest.mark.parametrize(("boundary", "tilt"), [("free", 0.05), ("flat", 0.0)])
+def test_an_analytic_bump_comes_back_within_a_thousandth_of_a_pixel(boundary, tilt):
+    z, gx, gy = bump(320, 427, tilt)
+    off = integrate(gx, gy, 1.0, boundary) - z
+    off -= off.mean() if boundary == "free" else 0.0
+    assert np.sqrt(np.mean(off**2)) < BUMP_TOLERANCE_PX
+
+
+def test_a_tilted_plane_is_exact_with_a_free_border():
+    z = integrate(np.full((31, 46), 0.3, np.float32), np.full((31, 46), -0.2, np.float32), 0.5)
+    y, x = np.mgrid[:31, :46]
+    plane = 0.5 * (0.3 * (x - 22.5) - 0.2 * (y - 15.0))
+    assert np.abs(z - plane).max() < ROUNDING
+
+
+@settings(max_examples=25, deadline=None)
+@given(rows=st.integers(1, 40), cols=st.integers(1, 40), seed=st.integers(0, 99))
+def test_the_free_integral_is_the_least_squares_one_for_any_size(rows, cols, seed):
+    g = np.random.default_rng(seed).normal(size=(2, rows, cols)).astype(np.float32)
+    z = integrate(g[0], g[1], 1.0).astype(np.float64)
+    ex = np.diff(z, axis=1) - (g[0, :, 1:] + g[0, :, :-1]) / 2
+    ey = np.diff(z, axis=0) - (g[1, 1:] + g[1, :-1]) / 2
+    gradient = -np.diff(np.pad(ex, ((0, 0), (1, 1))), axis=1) - np.diff(np.pad(ey, ((1, 1), (0, 0))), axis=0)
+    assert np.abs(gradient).max() < 1e-4  # float32 slopes of order 1, condition about 40^2
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 99), scale=st.floats(0.01, 10.0))
+def test_the_integral_is_linear_and_scales_with_the_pixel(seed, scale):
+    g = np.random.default_rng(seed).normal(size=(2, 12, 17)).astype(np.float32)
+    one = integrate(g[0], g[1], 1.0, "flat")
+    assert np.allclose(integrate(g[0], g[1], scale, "flat"), scale * one, rtol=1e-5, atol=scale * ROUNDING)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_slopes_that_are_not_finite_are_refused(bad):
+    g = np.zeros((5, 6), np.float32)
+    g[2, 3] = bad
+    with pytest.raises(ShapeError, match="not finite"):
+        integrate(g, np.zeros_like(g), 1.0)
+
+
+def test_slopes_of_different_shapes_are_refused():
+    with pytest.raises(ShapeError, match="one shape"):
+        integrate(np.zeros((5, 6), np.float32), np.zeros((6, 5), np.float32), 1.0)
+
+
+def test_the_result_is_read_only_and_repeats_to_the_byte():
+    _, gx, gy = bump(40, 50, 0.0)
+    first = integrate(gx, gy, 0.1, "flat")
+    assert not first.flags.writeable
+    assert first.tobytes() == integrate(gx, gy, 0.1, "flat").tobytes()

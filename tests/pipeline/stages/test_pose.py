@@ -1,0 +1,260 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.base.errors import MeshProblem, SettingProblem
+from pipeline.base.progress import Cancelled
+from pipeline.geometry import rigid
+from pipeline.geometry.meshes import Mesh
+from pipeline.registration.observability import observability
+from pipeline.stages.pose.stage import PoseParams, pose, pose_from, posed, without_contact
+from tests.pipeline.registration.solids import (
+    CAMERA,
+    REST_MM,
+    extruded,
+    felt,
+    l_bar,
+    notched_wedge,
+    rod,
+    slab,
+    touch_of,
+)
+
+POSITION_TOLERANCE_MM = 0.1  # one pixel of the test camera on the gel
+TURN_TOLERANCE_DEG = 1.0  # one pixel over the 6 mm of the contact
+NOISE_MM = 0.03  # of photometric depth
+UPSIDE_DOWN = rigid.rotation([np.pi, 0.0, 0.0])  # the object's +z toward the camera
+
+
+def lying(x_mm, y_mm, depth_mm, height_mm, angle_deg, tilt_deg=(0.0, 0.0), origin_mm=(0.0, 0.0)):
+    """sensor_from_object of an object whose top, at `height_mm`, is pressed `depth_mm` into the gel."""
+    return (
+        rigid.translation(x_mm, y_mm, REST_MM + height_mm - depth_mm)
+        @ rigid.rotation([0.0, 0.0, np.deg2rad(angle_deg)])
+        @ UPSIDE_DOWN
+        @ rigid.rotation(np.deg2rad([*tilt_deg, 0.0]))
+        @ rigid.translation(-origin_mm[0], -origin_mm[1], 0.0)
+    )
+
+
+def error(found, truth):
+    """(mm at the middle of the contact, degrees) between two poses."""
+    middle = found.scene_mm.mean(axis=0).astype(float)
+    difference = found.sensor_from_object @ rigid.invert(truth)
+    return np.linalg.norm(rigid.apply(difference, middle) - middle), rigid.angle_deg(difference)
+
+
+@pytest.mark.parametrize("angle_deg", [20.0, 145.0, 290.0])
+def test_an_l_bar_is_found_from_any_angle(angle_deg):
+    truth = lying(1.0, -0.5, 0.6, 4.0, angle_deg, tilt_deg=(1.5, -2.0), origin_mm=(5.0, 3.5))
+    mm, deg = error(pose(felt(l_bar(), truth), l_bar().mesh, PoseParams()), truth)
+    assert mm < POSITION_TOLERANCE_MM
+    assert deg < TURN_TOLERANCE_DEG
+
+
+@pytest.mark.parametrize("noise_mm", [0.0, NOISE_MM])
+def test_a_notched_wedge_is_found_and_nothing_of_it_is_weak(noise_mm):
+    truth = lying(-0.8, 0.7, 0.8, 2.0, 70.0, tilt_deg=(4.0, -2.0))
+    found = pose(felt(notched_wedge(), truth, noise_mm=noise_mm), notched_wedge().mesh, PoseParams())
+    mm, deg = error(found, truth)
+    assert mm < POSITION_TOLERANCE_MM
+    assert deg < TURN_TOLERANCE_DEG
+    assert found.weak == ()
+    assert found.fitness > 0.95
+
+
+def test_a_rod_slides_along_its_axis_and_says_so():
+    found = pose(felt(rod(), lying(1.0, 0.5, 0.8, 3.0, 0.0)), rod().mesh, PoseParams())
+    assert "slides along x" in found.weak
+    assert len(found.weak) == 2, "it also rolls about itself"
+    assert "slides along x: not observable, kept where the contact's middle is" in found.notes
+    assert found.sensor_from_object is not None
+    assert abs(found.sensor_from_object[0, 3] - found.scene_mm[:, 0].mean()) < POSITION_TOLERANCE_MM
+    axis = found.sensor_from_object[:3, 0]
+    assert np.degrees(np.arccos(abs(axis[0]))) < TURN_TOLERANCE_DEG
+    assert abs(found.sensor_from_object[1, 3] - 0.5) < POSITION_TOLERANCE_MM
+    slide_mm = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
+    assert np.abs(found.observable @ slide_mm).max() < 0.1, "the projector takes the slide away"
+
+
+def test_a_plate_leaves_three_directions_open():
+    found = pose(felt(slab(), lying(0.0, 0.0, 0.5, 5.0, 0.0)), slab().mesh, PoseParams())
+    assert set(found.weak) == {"slides along x", "slides along y", "turns about z"}
+    assert all("not observable" in note for note in found.notes[:3])
+
+
+def test_a_flat_box_is_placed_by_the_outline_of_its_contact():
+    corners = [(-4, -2), (4, -2), (4, 2), (-4, 2)]
+    box = extruded(corners, [corners], 0.0, 6.0)
+    truth = lying(1.3, -0.9, 0.5, 6.0, 17.0)
+    found = pose(felt(box, truth), box.mesh, PoseParams(face="+z"))
+    middle_mm = rigid.apply(found.sensor_from_object, [0.0, 0.0, 6.0])
+    assert np.linalg.norm(middle_mm - rigid.apply(truth, [0.0, 0.0, 6.0])) < 2 * POSITION_TOLERANCE_MM
+    along = abs(found.sensor_from_object[:3, 0] @ truth[:3, 0])  # either way round: the box is symmetric
+    assert np.degrees(np.arccos(min(along, 1.0))) < TURN_TOLERANCE_DEG
+    assert "slides along x: seen only by the outline of the contact" in found.notes
+
+
+def test_the_same_input_gives_the_same_bytes():
+    touch = felt(notched_wedge(), lying(0.3, 0.2, 0.8, 2.0, 30.0))
+    one, two = (pose(touch, notched_wedge().mesh, PoseParams()) for _ in range(2))
+    assert one.sensor_from_object.tobytes() == two.sensor_from_object.tobytes()
+    assert one.scene_mm.tobytes() == two.scene_mm.tobytes()
+
+
+def test_steps_are_kept_on_request_and_end_at_the_answer():
+    touch = felt(notched_wedge(), lying(0.3, 0.2, 0.8, 2.0, 30.0))
+    kept = pose(touch, notched_wedge().mesh, PoseParams(keep_steps=True))
+    assert len(kept.steps) > 1
+    np.testing.assert_allclose(kept.steps[-1].sensor_from_object, kept.sensor_from_object, atol=1e-12)
+    assert pose(touch, notched_wedge().mesh, PoseParams(keep_steps=False)).steps == ()
+
+
+def test_scene_points_lie_on_the_membrane_at_their_pixels():
+    touch = felt(notched_wedge(), lying(0.3, 0.2, 0.8, 2.0, 30.0))
+    found = pose(touch, notched_wedge().mesh, PoseParams(max_points=200))
+    assert found.scene_mm.shape == (200, 3)
+    assert touch.contact.ravel()[found.source_index].all()
+    np.testing.assert_array_equal(found.scene_mm[:, 2], touch.depth_mm.ravel()[found.source_index])
+
+
+def test_no_contact_and_no_mesh_are_answered_without_work():
+    level = np.full(CAMERA.shape, REST_MM)
+    untouched = touch_of(level, np.zeros(CAMERA.shape, bool))
+    touched = felt(slab(), lying(0.0, 0.0, 0.5, 5.0, 0.0))
+    assert without_contact(touched, slab().mesh, PoseParams()) is None
+    for found in (pose(untouched, slab().mesh, PoseParams()), pose(touched, None, PoseParams())):
+        assert found.sensor_from_object is None
+        assert len(found.notes) == 1
+    assert "no contact" in without_contact(untouched, None, PoseParams()).notes[0]
+    assert "no object mesh" in without_contact(touched, None, PoseParams()).notes[0]
+
+
+def test_too_few_points_are_told_instead_of_fitted():
+    contact = np.zeros(CAMERA.shape, bool)
+    contact[50:53, 60:63] = True
+    found = pose(touch_of(np.where(contact, REST_MM - 0.3, REST_MM), contact), slab().mesh, PoseParams())
+    assert found.sensor_from_object is None
+    assert "only 9 contact points" in found.notes[0]
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+def test_a_mesh_in_another_unit_gives_no_pose_but_its_size(scale):
+    bar = l_bar()
+    scaled = Mesh(vertices_mm=bar.mesh.vertices_mm * scale, triangles=bar.mesh.triangles)
+    found = pose(felt(bar, lying(1.0, -0.5, 0.6, 4.0, 20.0, origin_mm=(5.0, 3.5))), scaled, PoseParams(n_starts=12))
+    assert found.sensor_from_object is None
+    assert f"{12 * scale:.3g} mm long" in found.notes[0]
+    assert "unit" in found.notes[0]
+
+
+def test_a_mesh_without_surface_and_an_unknown_face_are_refused():
+    touch = felt(slab(), lying(0.0, 0.0, 0.5, 5.0, 0.0))
+    empty = Mesh(vertices_mm=np.zeros((3, 3)), triangles=np.zeros((1, 3), np.int32))
+    with pytest.raises(MeshProblem, match="zero area"):
+        pose(touch, empty, PoseParams())
+    with pytest.raises(SettingProblem, match="face"):
+        pose(touch, slab().mesh, PoseParams(face="up"))
+
+
+def test_a_pose_nobody_wants_any_more_is_cancelled():
+    class Impatient:
+        def step(self, fraction, text):
+            if fraction > 0.2:
+                raise Cancelled
+
+    with pytest.raises(Cancelled):
+        pose(felt(slab(), lying(0.0, 0.0, 0.5, 5.0, 0.0)), slab().mesh, PoseParams(n_starts=6), Impatient())
+
+
+def test_covariance_is_that_of_repeated_noisy_measurements():
+    rng = np.random.default_rng(3)
+    points = rng.uniform(-4, 4, (400, 3))
+    normals = rng.standard_normal((400, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    arms = points - points.mean(axis=0)
+    jacobian = np.concatenate([np.cross(arms, normals), normals], axis=1)
+    solved = np.linalg.lstsq(jacobian, NOISE_MM * rng.standard_normal((400, 4000)), rcond=None)[0]
+    told = observability(points, normals, points.mean(axis=0), NOISE_MM)
+    np.testing.assert_allclose(np.sqrt(np.diag(told.covariance)), solved.std(axis=1), rtol=0.06)  # 4000 draws: 1 %
+    np.testing.assert_allclose(told.observable, np.eye(6), atol=1e-12)
+    assert told.weak == ()
+
+
+def test_a_sphere_patch_rolls_in_three_ways():
+    rng = np.random.default_rng(4)
+    normals = rng.standard_normal((500, 3)) * 0.2 + (0.0, 0.0, -1.0)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    told = observability(5.0 * normals, normals, 5.0 * normals.mean(axis=0), NOISE_MM)
+    assert len(told.weak) == 3
+    np.testing.assert_allclose(told.observable @ told.observable, told.observable, atol=1e-9)
+    turn_about_centre = np.concatenate([np.eye(3)[0], np.cross(np.eye(3)[0], 5.0 * normals.mean(axis=0))])
+    assert np.abs(told.observable @ turn_about_centre).max() < 0.05
+
+
+def test_a_pose_that_fits_as_well_turned_is_said():
+    corners = [(-4, -2), (4, -2), (4, 2), (-4, 2)]
+    box = extruded(corners, [corners], 0.0, 6.0)
+    found = pose(felt(box, lying(1.3, -0.9, 0.5, 6.0, 17.0)), box.mesh, PoseParams(face="+z"))
+    assert len(found.alternatives) == 1
+    between = found.alternatives[0] @ rigid.invert(found.sensor_from_object)
+    assert rigid.angle_deg(between) == pytest.approx(180.0, abs=2 * TURN_TOLERANCE_DEG)
+    assert any(note.startswith("2 poses fit equally well: turned by") and "about z" in note for note in found.notes)
+
+
+def test_a_pose_that_only_one_place_explains_has_no_alternative():
+    truth = lying(1.0, -0.5, 0.6, 4.0, 20.0, tilt_deg=(1.5, -2.0), origin_mm=(5.0, 3.5))
+    assert pose(felt(l_bar(), truth), l_bar().mesh, PoseParams()).alternatives == ()
+
+
+def test_the_next_touch_is_followed_and_a_far_one_is_searched():
+    bar = notched_wedge()
+    before = pose(felt(bar, lying(0.3, 0.2, 0.8, 2.0, 30.0)), bar.mesh, PoseParams())
+    for angle_deg, is_followed in ((33.0, True), (150.0, False)):
+        truth = lying(0.5, 0.1, 0.8, 2.0, angle_deg)
+        found = pose_from(felt(bar, truth), bar.mesh, PoseParams(), before.sensor_from_object)
+        mm, deg = error(found, truth)
+        assert mm < POSITION_TOLERANCE_MM
+        assert deg < TURN_TOLERANCE_DEG
+        assert ("followed from the touch before" in found.notes) == is_followed
+        assert (found.starts_tried == 0) == is_followed
+
+
+def test_the_stage_follows_a_touch_that_had_a_pose_and_searches_after_one_that_had_none():
+    bar = l_bar()
+    touch, params = felt(bar, lying(0.3, 0.2, 0.8, 2.0, 30.0)), PoseParams()
+    before = posed(touch, bar.mesh, None, params)
+    assert before.starts_tried > 0
+    assert posed(touch, bar.mesh, before, params).starts_tried == 0
+    lost = pose(touch, None, params)
+    assert posed(touch, bar.mesh, lost, params).starts_tried == before.starts_tried
+
+
+def test_what_fitted_as_well_before_is_followed_too():
+    bar = l_bar()
+    truth = lying(1.0, -0.5, 0.6, 4.0, 20.0, tilt_deg=(1.5, -2.0), origin_mm=(5.0, 3.5))
+    wrong = lying(1.0, -0.5, 0.6, 4.0, 200.0, tilt_deg=(1.5, -2.0), origin_mm=(5.0, 3.5))
+    mm, _ = error(pose_from(felt(bar, truth), bar.mesh, PoseParams(), wrong, others=(truth,)), truth)
+    assert mm < POSITION_TOLERANCE_MM
+
+
+def test_the_method_of_the_paper_moves_in_the_plane_only():
+    truth = lying(1.0, -0.5, 0.6, 4.0, 10.0, origin_mm=(5.0, 3.5))
+    found = pose(felt(l_bar(), truth), l_bar().mesh, PoseParams(method="paper 2D", face="+z"))
+    assert found.sensor_from_object is not None
+    assert found.covariance is None
+    assert found.notes[0].startswith("paper 2D: in-plane turn and shift only")
+    assert len(found.steps) >= 1
+
+
+@pytest.mark.parametrize(("old", "now"), [("point-to-plane", "surface"), ("point-to-point", "paper 2D")])
+def test_a_method_of_former_times_names_its_successor(old, now):
+    with pytest.raises(SettingProblem, match=f"{now!r} does what it was for"):
+        pose(felt(slab(), lying(0.0, 0.0, 0.5, 5.0, 0.0)), slab().mesh, PoseParams(method=old))
+
+
+def test_a_mesh_that_names_missing_vertices_is_refused():
+    broken = Mesh(vertices_mm=slab().mesh.vertices_mm, triangles=np.array([[0, 1, 999]], np.int32))
+    with pytest.raises(MeshProblem, match="does not have"):
+        pose(felt(slab(), lying(0.0, 0.0, 0.5, 5.0, 0.0)), broken, PoseParams())

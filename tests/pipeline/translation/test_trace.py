@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.engine.graph import StageResult
+from pipeline.geometry.camera import Camera
+from pipeline.translation.trace import backward, forward, sentence
+from pipeline.values.results import Cloud, DepthMap, TargetView
+
+CAMERA = Camera(rows=4, cols=5, fx_px=10.0, fy_px=10.0, cx_px=2.0, cy_px=1.5)
+WINDOW = np.zeros((4, 3), np.float32)
+IDENTITY = np.arange(20, dtype=np.int32).reshape(4, 5)
+
+
+def result(name, output):
+    return StageResult(name=name, output=output, state="computed", ms=0.0, notes=(), digest="")
+
+
+@pytest.fixture
+def results():
+    """The same camera on both sides: every contact pixel lands on itself."""
+    indentation = np.full((4, 5), 0.01, np.float32)
+    contact = np.zeros((4, 5), bool)
+    contact[1:3, 1:4] = True
+    indentation[contact] = 0.5
+    depth_mm = (20 - indentation).astype(np.float32)
+    depth = DepthMap(
+        indentation_mm=indentation, depth_mm=depth_mm, contact=contact, camera=CAMERA, source_index=IDENTITY
+    )
+    pixels = np.flatnonzero(contact).astype(np.int32)
+    points = CAMERA.back_project(depth_mm).reshape(-1, 3)[pixels].astype(np.float32)
+    cloud = Cloud(points_mm=points, source_index=pixels, grid_shape=(4, 5), window_mm=WINDOW)
+    index = np.full(20, -1, np.int32)
+    index[pixels] = np.arange(len(pixels))
+    seen = index.reshape(4, 5) >= 0
+    view = TargetView(
+        known=np.ones((4, 5), bool),
+        depth_mm=np.where(seen, depth_mm, np.nan).astype(np.float32),
+        contact=seen,
+        indentation_mm=np.where(seen, indentation, 0).astype(np.float32),
+        camera=CAMERA,
+        source_index=index.reshape(4, 5),
+    )
+    return {"depth": result("depth", depth), "adapt": result("adapt", cloud), "project": result("project", view)}
+
+
+def test_forward_then_backward_returns_the_pixel(results):
+    for row in (1, 2):
+        for col in (1, 2, 3):
+            last = forward(results, row, col)[-1]
+            back = backward(results, last.row, last.col)
+            assert (back[0].row, back[0].col) == (row, col)
+
+
+def test_a_trace_says_why_it_ends(results):
+    assert forward(results, 0, 0)[-1].text == "0.010 mm, not in contact"
+    assert backward(results, 0, 0) == ()
+
+
+def test_a_point_outside_the_target_image_says_by_how_much(results):
+    moved = results["adapt"].output.points_mm + np.float32((8.0, 0.0, 0.0))
+    cloud = Cloud(
+        points_mm=moved, source_index=results["adapt"].output.source_index, grid_shape=(4, 5), window_mm=WINDOW
+    )
+    last = forward({**results, "adapt": result("adapt", cloud)}, 1, 3)[-1]
+    assert last.text == "outside the target image by 3 px"
+
+
+def test_a_point_behind_a_nearer_surface_is_called_hidden(results):
+    points = results["adapt"].output.points_mm.copy()
+    points[0] *= 1.1  # along its own ray, 2 mm farther away
+    cloud = Cloud(
+        points_mm=points, source_index=results["adapt"].output.source_index, grid_shape=(4, 5), window_mm=WINDOW
+    )
+    last = forward({**results, "adapt": result("adapt", cloud)}, 1, 1)[-1]
+    assert last.text.startswith("hidden in target (1, 1) behind what is 1.95 mm nearer")
+
+
+def test_the_sentence_reads_from_source_to_target(results):
+    assert sentence(forward(results, 1, 2)).startswith(
+        "(2, 1) → 0.500 mm → (0.00, -0.98, 19.50) mm → target (2, 1), 0.500 mm in"
+    )
