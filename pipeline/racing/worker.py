@@ -1,4 +1,4 @@
-"""The process that answers one question: `python -m pipeline.evaluation.bench_worker QUESTION.py ANSWER.json`.
+"""The process that answers one question: `python -m pipeline.racing.worker QUESTION.py ANSWER.json`.
 
 Between our own two processes numbers that are not finite travel as Python's JSON writes them (NaN).
 """
