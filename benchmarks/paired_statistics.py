@@ -87,7 +87,7 @@ def compared(objects, figures, seconds):
     for name, published in PUBLISHED.items():
         off = abs(figures[name] / published - 1)
         yield Row(
-            question=f"{name}, {objects}: {figures[name]:.4g} for {published:.4g}", peer="", ours_ms=seconds * 1e3,
+            question=f"{name}, {objects}, for {published:.4g}", peer="", ours_ms=seconds * 1e3,
             peer_ms=math.nan, ratio=math.nan, ours_error=off, peer_error=math.nan, unit="of it", bar=bar.told("of it"),
             holds=bar.holds((math.nan, off), (math.nan, math.nan)),
         )  # fmt: skip
@@ -110,6 +110,7 @@ def answer(n: int = 10) -> Answer:
             notes.append(f"{len(plans)} {objects} x {n} grasps; a usual one spans {low:.1f} to {high:.1f} mm")
             means = ", ".join(f"{Path(tool).stem} {mean:.2f}" for tool, mean in each.items())
             notes.append(f"mean imprint in mm: {means}")
+            notes.append(f"{objects}: " + ", ".join(f"{name} {figure:.4g}" for name, figure in figures.items()))
     return Answer(title="Simulated pairs beside published ones", unit="of it", rows=tuple(rows), notes=tuple(notes))
 
 

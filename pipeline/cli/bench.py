@@ -8,6 +8,7 @@ from typing import Any
 
 from pipeline.base.files import write_json
 from pipeline.cli.translate import print_line
+from pipeline.racing.comparison import read_rows, rows_of, setbacks
 from pipeline.racing.machine import THREAD_SETTINGS, machine, machine_line
 from pipeline.racing.plot import plot
 from pipeline.racing.questions import Answered, ask, chosen, questions
@@ -24,13 +25,16 @@ def list_questions() -> int:
     return 0
 
 
-def bench(names: Sequence[str], json_file: Path | None, plots: Path | None, *, strict: bool) -> int:
+def bench(
+    names: Sequence[str], json_file: Path | None, plots: Path | None, *, against: Path | None = None, strict: bool
+) -> int:
     """Ask the questions in turn and print, write and draw each answer as it comes.
 
-    Returns 0; with `strict` 1 if a bar does not hold or a question has no answer. Raises SettingProblem for an unknown
-    name and FileProblem where the questions are not there or a result cannot be written.
+    Returns 0; with `strict` 1 if a bar does not hold or a question has no answer, or, where there is an earlier run to
+    hold this one `against`, if a row got worse than it was. Raises SettingProblem for an unknown name and FileProblem
+    where the questions are not there, the earlier run cannot be read or a result cannot be written.
     """
-    asked = chosen(names)
+    asked, before = chosen(names), {} if against is None else read_rows(against)
     about = machine(THREAD_SETTINGS)
     print_line(machine_line(about))
     done: list[Answered] = []
@@ -42,6 +46,11 @@ def bench(names: Sequence[str], json_file: Path | None, plots: Path | None, *, s
             write_json(json_file, as_json(about, done))
     missed = _missed(done)
     print_line("\n" + (f"{len(missed)} missed: {'; '.join(missed)}" if missed else "every bar holds"))
+    if against is not None:
+        missed = setbacks(before, rows_of(done), [question.name for question in asked])
+        print_line(
+            f"against {against}: " + ("\n  ".join([f"{len(missed)} worse", *missed]) if missed else "none worse")
+        )
     return 1 if strict and missed else 0
 
 

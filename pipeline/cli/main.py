@@ -155,6 +155,7 @@ def bench(
     *names: str,
     json: Path | None = None,
     plots: Path | None = None,
+    against: Path | None = None,
     strict: Annotated[bool, Parameter(negative="")] = False,
     list_questions: Annotated[bool, Parameter(name="--list", negative="")] = False,
 ) -> int:
@@ -168,12 +169,14 @@ def bench(
         File for the results, one row per claim.
     plots
         Folder for a picture of run time against error for each question.
+    against
+        Results of an earlier run; rows that are worse by more than a tenth, or no longer hold, are listed.
     strict
-        Exit with 1 if a bar does not hold or a question has no answer.
+        Exit with 1 if a bar does not hold or a question has no answer; with --against, if a row got worse.
     list_questions
         Only list the questions.
     """
     from pipeline.cli.bench import bench as ask
     from pipeline.cli.bench import list_questions as show
 
-    return show() if list_questions else ask(names, json, plots, strict=strict)
+    return show() if list_questions else ask(names, json, plots, against=against, strict=strict)

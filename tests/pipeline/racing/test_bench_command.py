@@ -100,6 +100,18 @@ def test_a_missed_bar_matters_to_strict_only(folder, capsys):
     assert run(build(), ["bench", "first", "--strict"]) == 0
 
 
+def test_an_earlier_run_is_held_against_this_one(folder, tmp_path, capsys):
+    out, earlier = tmp_path / "now.json", tmp_path / "earlier.json"
+    assert run(build(), ["bench", "first", "--json", str(out)]) == 0
+    assert run(build(), ["bench", "first", "--against", str(out), "--strict"]) == 0
+    assert "none worse" in capsys.readouterr().out
+    earlier.write_text(out.read_text().replace('"ours_error": 0.1', '"ours_error": 0.05'))
+    assert run(build(), ["bench", "first", "--against", str(earlier)]) == 0
+    assert "1 worse\n  first: first asks beside peer: error 0.05 -> 0.1 um" in capsys.readouterr().out
+    assert run(build(), ["bench", "first", "--against", str(earlier), "--strict"]) == 1
+    assert run(build(), ["bench", "first", "--against", str(tmp_path / "none.json")]) == EXIT_USER_ERROR
+
+
 def test_an_unknown_question_is_answered_with_the_known_ones(folder, capsys):
     assert run(build(), ["bench", "third"]) == EXIT_USER_ERROR
     assert "no question 'third'; there are first, second" in capsys.readouterr().err
