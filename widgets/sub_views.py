@@ -22,6 +22,8 @@ class SubViews:
         self._axes = [self._added_axes(column) for column in range(columns)]
         for renderer in plotter.renderers:
             _light(renderer)
+            # A camera may be shared, and layers come after it was set: every view is cut to its own, as it is drawn.
+            renderer.AddObserver("StartEvent", lambda view, _: view.ResetCameraClippingRange())
         self._tall = True
         self._marks: dict[int, tuple[tuple[float, float, float] | None, float]] = {}
         self._dots: dict[int, Any] = {}
@@ -103,7 +105,6 @@ class SubViews:
                 camera = shared[sight.frame] = _camera(sight)
                 camera.SetUseHorizontalViewAngle(self._tall)
             renderer.camera = camera
-            renderer.reset_camera_clipping_range()
             corner = np.array(sight.centre_mm) + sight.radius_mm * np.array([-0.62, 0.72, 0.0])
             for actor in self._axes[column]:
                 actor.SetPosition(*corner)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -86,6 +88,35 @@ def test_a_surface_seen_from_the_sensor_is_lit(scene, qtbot):
     image = scene.grab().toImage()
     middle = image.pixelColor(image.width() // 4, image.height() // 2)
     assert middle.green() > 90  # the colour given is (40, 160, 60); an unlit back face has a third of it
+
+
+def ink(scene, qtbot) -> list[int]:
+    """How many pixels of each sub-view are green, as the sheet is."""
+    scene.settle()
+    qtbot.wait(100)
+    image = scene.grab().toImage()
+    half = image.width() // 2
+    seen = [
+        [image.pixelColor(x, y) for x in range(start, start + half) for y in range(image.height())]
+        for start in (0, half)
+    ]
+    return [sum(c.green() > c.red() + 30 for c in view) for view in seen]
+
+
+@pytest.mark.parametrize("linked", [True, False])
+def test_layers_that_come_after_the_cameras_were_set_anew_are_drawn_whole(scene, qtbot, linked):
+    """A gel's camera looks from 20 mm, a bubble's from 100 mm: neither hides what the other shows."""
+    scene.look(SIGHTS, linked=linked)
+    for column in SIGHTS:
+        scene.show_layers(column, [surface(10.0)])
+    whole = ink(scene, qtbot)
+    assert min(whole) > 500
+    scene.look({i: replace(sight, centre_mm=(0, 0, 110)) for i, sight in SIGHTS.items()}, linked=linked)
+    scene.settle()
+    qtbot.wait(50)
+    scene.show_layers(0, [surface(110.0)])
+    scene.show_layers(1, [surface(110.0)])
+    assert ink(scene, qtbot) == pytest.approx(whole, rel=0.05)
 
 
 def test_pictures_stand_in_where_there_is_no_opengl(qtbot):
