@@ -5,16 +5,14 @@ Arrays go through XXH3-128, microseconds a frame, so that everything can be hash
 
 from __future__ import annotations
 
-import threading
-from collections import OrderedDict
-from dataclasses import fields, is_dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 import xxhash
 from numpy.typing import NDArray
+
+from pipeline.base.memo import Memo, field_names
 
 
 def digest(value: object) -> str:
@@ -30,14 +28,12 @@ def digest(value: object) -> str:
 class Known:
     """Digests remembered by identity: sensors, meshes and results of an untouched sensor stay the same for hours.
 
-    The values are held, so that no other can take their identity; the longest unused goes first. Only for values that
-    nobody changes. Safe to share between threads.
+    Only for values that nobody can change; of any other the digest is worked out each time. The values are held, so
+    that no other can take their identity; the longest unused goes first. Safe to share between threads.
     """
 
     def __init__(self, most: int = 32) -> None:
-        self._most = most
-        self._kept: OrderedDict[int, tuple[object, str]] = OrderedDict()
-        self._lock = threading.Lock()
+        self._kept: Memo[int, tuple[object, str]] = Memo(most)
 
     def __len__(self) -> int:
         """How many digests are remembered."""
@@ -45,38 +41,39 @@ class Known:
 
     def digest(self, value: object) -> str:
         """The same as `digest(value)`, worked out once."""
-        with self._lock:
-            known = self._kept.get(id(value))
-            if known is not None:
-                self._kept.move_to_end(id(value))
-                return known[1]
+        known = self._kept.get(id(value))
+        if known is not None:
+            return known[1]
         made = digest(value)
-        with self._lock:
-            self._kept[id(value)] = (value, made)
-            if len(self._kept) > self._most:
-                self._kept.popitem(last=False)
+        if is_frozen(value):
+            self._kept.put(id(value), (value, made))
         return made
 
 
-def size_bytes(value: object) -> int:
-    """How much memory the arrays of a value take."""
+content = Known(most=128).digest  # of all keys of memos
+
+
+def is_frozen(value: object) -> bool:
+    """Whether nobody can change a value: no array in it, nor one that it is a view of, can be written to."""
     if isinstance(value, np.ndarray):
-        return int(cast("NDArray[Any]", value).nbytes)
-    if isinstance(value, (tuple, list)):
-        return sum([size_bytes(v) for v in cast("tuple[object, ...]", value)])
-    names = _field_names(type(value))
-    return 16 if names is None else 64 + sum([size_bytes(getattr(value, name)) for name in names])
-
-
-@lru_cache(maxsize=256)
-def _field_names(kind: type) -> tuple[str, ...] | None:
-    """The fields of a dataclass; None for any other type."""
-    return tuple(f.name for f in fields(kind)) if is_dataclass(kind) else None
+        array = cast("NDArray[Any]", value)
+        base: object = array.base
+        return not array.flags.writeable and (base is None or isinstance(base, bytes) or is_frozen(base))
+    if isinstance(value, tuple):
+        return all(is_frozen(v) for v in cast("tuple[object, ...]", value))
+    names = field_names(type(value))
+    if names is None:
+        return value is None or isinstance(value, (bool, int, float, str, Path))
+    frozen = cast("Any", value).__dataclass_params__.frozen
+    return bool(frozen) and all(is_frozen(getattr(value, name)) for name in names)
 
 
 def _feed(state: xxhash.xxh3_128, value: object) -> None:
     if isinstance(value, np.ndarray):
         array = cast("NDArray[Any]", value)
+        if isinstance(array, np.ma.MaskedArray):  # what a mask hides is no content, the mask itself is
+            _feed(state, ("masked", np.ma.getmaskarray(array)))
+            array = array.filled(0)
         state.update(f"a{array.dtype.str}{array.shape}".encode())
         state.update(np.ascontiguousarray(array).data.cast("B") if array.size else b"")
     elif value is None or isinstance(value, (bool, int, float, str, Path)):
@@ -93,7 +90,7 @@ def _feed(state: xxhash.xxh3_128, value: object) -> None:
         for key in sorted(pairs):
             _feed(state, (key, pairs[key]))
     else:
-        names = _field_names(type(value))
+        names = field_names(type(value))
         if names is None:
             raise TypeError(f"a {type(value).__name__} has no content digest")
         state.update(f"c{type(value).__qualname__}(".encode())

@@ -15,9 +15,10 @@ from typing import Any, Literal
 import xxhash
 
 from pipeline.base.errors import SettingProblem
+from pipeline.base.memo import size_bytes
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.cache import Cache, Entry
-from pipeline.engine.digests import Known, digest, size_bytes
+from pipeline.engine.digests import Known, digest
 
 State = Literal["computed", "cached", "unchanged", "skipped"]
 

@@ -22,7 +22,7 @@ CACHE_BYTES = 32 * 2**20
 SENSORS = ("digit", "gelslim", "soft_bubble")
 STAGES = ("depth", "adapt", "project", "generate")
 _GRAPH = new_graph()
-_GRAPH.cache.max_bytes = CACHE_BYTES
+_GRAPH.cache.most_bytes = CACHE_BYTES
 
 
 def random_frame(name: str, rng: np.random.Generator) -> TactileFrame:

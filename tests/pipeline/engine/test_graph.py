@@ -6,12 +6,14 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from pipeline.base.arrays import freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.base.params import setting
 from pipeline.base.progress import Cancelled
 from pipeline.engine.cache import Cache, Entry
 from pipeline.engine.digests import Known, digest
 from pipeline.engine.graph import Graph, Stage
+from pipeline.geometry.meshes import Mesh
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -181,16 +183,39 @@ def test_digest_of_a_strided_view_is_that_of_its_contents():
 
 def test_known_digests_are_those_of_the_contents_and_the_longest_unused_goes_first():
     known = Known(most=2)
-    a, b, c = (np.full(3, k) for k in range(3))
+    a, b, c = (freeze(np.full(3, k)) for k in range(3))
     for value in (a, b, a, c, a, b):
         assert known.digest(value) == digest(value)
         assert len(known) <= 2
     b_before = known.digest(b)
+    b.flags.writeable = True
     b[0] = 7  # nobody may do this; it shows that b is remembered, not read again
     assert known.digest(b) == b_before
     known.digest(a)
     known.digest(c)
     assert known.digest(b) == digest(b) != b_before
+
+
+@pytest.mark.parametrize("of", ["itself", "a view", "a frozen view", "a value"])
+def test_what_can_be_changed_in_place_is_digested_anew(of):
+    known, array = Known(), np.arange(6.0)
+    value = {
+        "itself": lambda: array,
+        "a view": lambda: array.reshape(2, 3),
+        "a frozen view": lambda: freeze(array[1:]),
+        "a value": lambda: Mesh(vertices_mm=freeze(array[None]), triangles=freeze(np.zeros((1, 3), np.int32))),
+    }[of]()
+    before = known.digest(value)
+    array[3] = 70.0
+    assert known.digest(value) == digest(value) != before
+
+
+def test_masked_arrays_differ_by_their_masks_and_by_what_these_leave_to_see():
+    data, hidden = np.arange(4.0), np.array([False, True, False, False])
+    masked = np.ma.MaskedArray(data, hidden)
+    others = (data, np.ma.MaskedArray(data), np.ma.MaskedArray(data, ~hidden), np.ma.MaskedArray(data + 1, hidden))
+    assert len({digest(value) for value in (masked, *others)}) == 5
+    assert digest(masked) == digest(np.ma.MaskedArray(np.where(hidden, np.nan, data), hidden))
 
 
 def test_known_digests_may_be_asked_for_by_several_threads():
