@@ -8,7 +8,9 @@ from numba import njit
 
 # What is called is inlined before it is compiled: as functions of their own, with sums free to be contracted, they come
 # out different in the last bit in a process that compiles them and in one that loads them from the cache.
-_FAST = {"contract", "arcp", "nsz", "reassoc"}  # not nnan: a NaN slope has to stay one
+# Not nnan: a NaN slope has to stay one. Not arcp: processors with a fast estimate of 1 / sqrt would use it, and level
+# ground, where the root is 1, would no longer change the light by exactly nothing.
+_FAST = {"contract", "nsz", "reassoc"}
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy")
