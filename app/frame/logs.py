@@ -5,11 +5,11 @@ from __future__ import annotations
 import logging
 import sys
 import threading
-import traceback
 from types import TracebackType
 
 from PyQt6.QtCore import QObject, pyqtSignal
 
+from pipeline.base import unexpected
 from pipeline.base.errors import TouchError
 
 log = logging.getLogger("tactoscope")
@@ -65,6 +65,4 @@ def sentence_and_details(error: BaseException) -> tuple[str, str]:
     """What the banner says: a TouchError's own sentence, else a short one with the traceback as details."""
     if isinstance(error, TouchError):
         return str(error), ""
-    details = "".join(traceback.format_exception(error))
-    first = str(error).strip().splitlines()
-    return f"something unexpected went wrong ({type(error).__name__}{': ' + first[0] if first else ''})", details
+    return unexpected.sentence(error), unexpected.details(error)

@@ -8,8 +8,9 @@ from pathlib import Path
 from PyQt6.QtCore import QCoreApplication, QEventLoop
 
 from app.frame.instrument import Instrument
-from pipeline.cli.translate import print_line, show_table
-from pipeline.reporting.frame_report import FrameReport
+from pipeline.cli.terminal import print_line
+from pipeline.cli.translate import show_table
+from pipeline.reporting.frame_report import FrameLines, FrameReport
 from pipeline.reporting.report import write_frame, write_report
 
 FRAME_LIMIT_S = 120.0  # a frame that takes longer has hung
@@ -25,28 +26,30 @@ def give_tour(instrument: Instrument, out: Path, *, show_frame: int | None = Non
         print_line(f"the recording could not be shown: {instrument.window.banner.text}")
         return 2
     translation = instrument.screen.opened.translation
-    reports: list[FrameReport] = []
+    lines: list[FrameLines] = []
+    felt_px: dict[int, int] = {}
     for index in range(translation.n_frames):
         instrument.choose_frame(index)
         shown = wait_until_shown(instrument)
         latest = instrument.latest
         if not shown or latest is None or latest.index != index:
             problem = instrument.window.banner.text or "not shown in time"
-            reports.append(FrameReport(index=index, results={}, metrics={}, problem=problem))
+            lines.append(FrameLines(index=index, stages=(), metrics={}, problem=problem))
             continue
         report = FrameReport(index=index, results=latest.results, metrics=latest.metrics)
-        reports.append(report)
+        lines.append(report.lines)
+        felt_px[index] = int(latest.results["depth"].output.contact.sum())
         write_frame(out, latest.frame, report, translation)
-    write_report(out, translation, reports)
-    instrument.choose_frame(_worth_seeing(reports) if show_frame is None else show_frame)
+    write_report(out, translation, lines)
+    instrument.choose_frame(max(felt_px, key=felt_px.__getitem__, default=0) if show_frame is None else show_frame)
     wait_until_shown(instrument)
     _follow_a_pixel(instrument)
     save_window_picture(instrument, out / "window.png")
-    show_table(reports)
-    failed = [r for r in reports if r.problem]
-    for report in failed:
-        print_line(f"frame {report.index}: {report.problem}")
-    print_line(f"{len(reports) - len(failed)} of {len(reports)} frames shown and written to {out}")
+    show_table(lines)
+    failed = [frame for frame in lines if frame.problem]
+    for frame in failed:
+        print_line(f"frame {frame.index}: {frame.problem}")
+    print_line(f"{len(lines) - len(failed)} of {len(lines)} frames shown and written to {out}")
     return 2 if failed else 0
 
 
@@ -79,12 +82,3 @@ def _follow_a_pixel(instrument: Instrument) -> None:
         row, col = divmod(int(view.indentation_mm.argmax()), view.camera.cols)
         instrument.tracer.click("project", row, col)
         instrument.tracer.settle()
-
-
-def _worth_seeing(reports: list[FrameReport]) -> int:
-    """The frame with the largest contact."""
-    return max(
-        (r for r in reports if "depth" in r.results),
-        key=lambda r: int(r.results["depth"].output.contact.sum()),
-        default=FrameReport(index=0, results={}, metrics={}),
-    ).index

@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import shutil
+import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,19 @@ def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
         raise FileProblem(f"cannot write the results ({error.strerror})", folder) from error
     finally:
         shutil.rmtree(part, ignore_errors=True)
+
+
+def ready(folder: Path) -> None:
+    """Make sure that `folder` is there and can be written to, before the work whose results it is for.
+
+    Raises FileProblem otherwise.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".ready", dir=folder):
+            pass
+    except OSError as error:
+        raise FileProblem(f"no results can be written here ({error.strerror}); choose another place", folder) from error
 
 
 def write_json(path: Path, value: object) -> None:

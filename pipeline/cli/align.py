@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
 from pipeline.alignment.felt import felt
@@ -17,33 +16,22 @@ from pipeline.alignment.score import Score, scores, typical
 from pipeline.alignment.sensitivity import UNIT_STEP, Change, Sensitivity, sensitivities
 from pipeline.alignment.touches import PairedTouch, paired_touches
 from pipeline.base.errors import FileProblem, SettingProblem
-from pipeline.cli.translate import print_line
+from pipeline.cli.terminal import Bar, print_line, shown_bar
 from pipeline.sensors.alignment import Side
 from pipeline.sensors.alignment_files import SUFFIX, AlignmentFile, save
 from pipeline.translation.translate import Request, Translation, open_translation
-
-
-class _Bar:
-    """A pipeline's progress on the terminal."""
-
-    def __init__(self, bar: Progress) -> None:
-        self._bar, self._task = bar, bar.add_task("", total=1.0)
-
-    def step(self, fraction: float, text: str) -> None:
-        """Show how far it is."""
-        self._bar.update(self._task, completed=fraction, description=text)
 
 
 def show_scores(request: Request, frames: str, exact: bool) -> int:
     """Print how well every frame agrees under the alignment, and which axis matters; returns 0."""
     translation = open_translation(request)
     try:
-        with _bar() as bar:
-            touches = _touches(translation, frames, exact, _Bar(bar))
+        with shown_bar() as bar:
+            touches = _touches(translation, frames, exact, Bar(bar))
             sides = [felt(t.target, translation.target) for t in touches]
-            found = scores(touches, sides, translation.alignment, progress=_Bar(bar))
+            found = scores(touches, sides, translation.alignment, progress=Bar(bar))
             most = int(np.argmax([s.overlap_px for s in found]))
-            axes = sensitivities(touches[most], translation.alignment, sides[most], progress=_Bar(bar))
+            axes = sensitivities(touches[most], translation.alignment, sides[most], progress=Bar(bar))
     finally:
         translation.recording.close()
     _print_scores(touches, found)
@@ -66,11 +54,11 @@ def refine_alignment(
         raise SettingProblem(f"--hold-out is a share of the frames, at least 0 and below 1, got {hold_out:g}")
     translation = open_translation(request)
     try:
-        with _bar() as bar:
-            touches = _touches(translation, frames, exact, _Bar(bar))
+        with shown_bar() as bar:
+            touches = _touches(translation, frames, exact, Bar(bar))
             used, held = split(touches, hold_out)
             answer = refine(
-                used, translation.alignment, held_out=held, into=into, tolerance=tolerance, progress=_Bar(bar)
+                used, translation.alignment, held_out=held, into=into, tolerance=tolerance, progress=Bar(bar)
             )
     finally:
         translation.recording.close()
@@ -109,7 +97,7 @@ def frames_of(listed: str, n_frames: int) -> list[int]:
     return sorted(set(chosen))
 
 
-def _touches(translation: Translation, frames: str, exact: bool, progress: _Bar) -> tuple[PairedTouch, ...]:
+def _touches(translation: Translation, frames: str, exact: bool, progress: Bar) -> tuple[PairedTouch, ...]:
     chosen = frames_of(frames, translation.n_frames)
     touches = paired_touches(translation, chosen, exact=exact, progress=progress)
     if not touches:
@@ -118,10 +106,6 @@ def _touches(translation: Translation, frames: str, exact: bool, progress: _Bar)
             f"none of the {len(chosen)} frames is felt by both {pair}; choose frames with contact on either side"
         )
     return touches
-
-
-def _bar() -> Progress:
-    return Progress(TextColumn("{task.description}"), BarColumn(), console=Console(stderr=True), transient=True)
 
 
 def _print_scores(touches: Sequence[PairedTouch], found: Sequence[Score]) -> None:

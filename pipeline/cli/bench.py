@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base.files import write_json
-from pipeline.cli.translate import print_line
+from pipeline.cli.terminal import print_line
 from pipeline.racing.comparison import read_rows, rows_of, setbacks
 from pipeline.racing.machine import THREAD_SETTINGS, machine, machine_line
 from pipeline.racing.plot import plot

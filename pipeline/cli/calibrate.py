@@ -7,28 +7,16 @@ from typing import cast
 
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
 from pipeline.base.arrays import Image
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.calibration.balls import calibrate_balls
 from pipeline.calibration.lookup import Calibration, save
-from pipeline.cli.translate import print_line
+from pipeline.cli.terminal import Bar, print_line, shown_bar
 from pipeline.recordings import open_recording
 from pipeline.sensors.spec import SensorSpec
 from pipeline.sensors.spec import sensor as sensor_named
-
-
-class _Bar:
-    """Shows a progress as a bar on the terminal."""
-
-    def __init__(self, bar: Progress) -> None:
-        self._bar, self._task = bar, bar.add_task("reading presses", total=1.0)
-
-    def step(self, fraction: float, text: str) -> None:
-        """Move the bar; Ctrl-C cancels."""
-        self._bar.update(self._task, completed=fraction, description=text or "fitting")
 
 
 def calibrate_balls_command(
@@ -48,9 +36,8 @@ def calibrate_balls_command(
         raise SettingProblem(f"--pixel-mm must be positive, got {pixel_mm:g}")
     spec = sensor_named(sensor)
     images, untouched = _pictures(presses, spec, reference, pattern)
-    console = Console(stderr=True)
-    with Progress(TextColumn("{task.description}"), BarColumn(), console=console, transient=True) as bar:
-        fitted = calibrate_balls(images, untouched, spec, diameter_mm, pixel_mm=pixel_mm, progress=_Bar(bar), seed=seed)
+    with shown_bar() as bar:
+        fitted = calibrate_balls(images, untouched, spec, diameter_mm, pixel_mm=pixel_mm, progress=Bar(bar), seed=seed)
     save(fitted, out)
     _report(fitted)
     print_line(f"look-up written to {out}; use it with --calibration")

@@ -12,7 +12,7 @@ from ctypes.util import find_library
 from pathlib import Path
 
 from pipeline.base.errors import TouchError
-from pipeline.cli.translate import print_line
+from pipeline.cli.terminal import print_line
 from pipeline.recordings import open_recording
 from pipeline.sensors.spec import names, sensor
 

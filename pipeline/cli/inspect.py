@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pipeline.cli.translate import print_line
+from pipeline.cli.terminal import print_line
 from pipeline.inspection.recording import inspect, lines
 
 

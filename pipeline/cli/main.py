@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import io
+import os
 import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
+from pipeline import __version__
+from pipeline.base import unexpected
 from pipeline.base.errors import TouchError
 from pipeline.cli import align_options as cli_align
 from pipeline.cli import data_options as cli_data
+from pipeline.cli.terminal import complain
 
+EXIT_UNEXPECTED = 1
 EXIT_USER_ERROR = 2
 EXIT_INTERRUPTED = 130
 
@@ -21,10 +27,10 @@ def build(name: str = "tactoscope") -> App:
     app = App(
         name=name,
         help="See one tactile sensor's touch become another's.",
+        version=__version__,
         version_flags=["--version"],
         suppress_keyboard_interrupt=False,  # `run` says what an interruption leaves behind
     )
-    app.version = "0.1.0"
     app.command(inspect)
     app.command(translate)
     app.command(cli_data.simulate)
@@ -46,17 +52,28 @@ def main() -> None:
 
 
 def run(app: App, tokens: list[str] | None = None) -> int:
-    """Run one command line; a user's mistake is one sentence on stderr and exit code 2, never a traceback."""
+    """Run one command line; whatever goes wrong is one sentence on stderr, never a traceback.
+
+    Returns the command's own code; 2 for a user's mistake, 130 after Ctrl-C, and 1 for what nobody foresaw, with its
+    details kept in a file that the sentence names.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a file's name may hold bytes that are no text
+            stream.reconfigure(errors="backslashreplace")
     try:
-        code = app(tokens, exit_on_error=False, print_error=True, result_action="return_value")
-    except CycloptsError:
-        return EXIT_USER_ERROR
-    except TouchError as error:
-        sys.stderr.write(f"tactoscope: {error}\n")
+        code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
+    except (CycloptsError, TouchError) as error:
+        complain(str(error))
         return EXIT_USER_ERROR
     except KeyboardInterrupt:
         sys.stderr.write("\ntactoscope: interrupted; finished frames are whole\n")
         return EXIT_INTERRUPTED
+    except BrokenPipeError:  # who read our lines has left, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_UNEXPECTED
+    except Exception as error:  # noqa: BLE001 - the last border
+        complain(unexpected.kept(error))
+        return EXIT_UNEXPECTED
     return code if isinstance(code, int) else 0
 
 

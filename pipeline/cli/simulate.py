@@ -13,7 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 
 from pipeline.base.errors import FileProblem
 from pipeline.base.progress import Cancelled
-from pipeline.cli.translate import print_line
+from pipeline.cli.terminal import print_line
 from pipeline.simulation import datasets, recorder
 from pipeline.simulation.datasets import Plan
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -11,23 +10,31 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from pipeline.base import unexpected
 from pipeline.base.errors import SettingProblem, TouchError
-from pipeline.base.progress import SILENT
+from pipeline.base.files import ready
 from pipeline.base.progress import Progress as StageProgress
 from pipeline.cli.stopping import stoppable
+from pipeline.cli.terminal import complain, print_line
 from pipeline.engine.graph import Graph
 from pipeline.evaluation.metrics import frame_metrics
-from pipeline.reporting.frame_report import FrameReport
+from pipeline.reporting.finished import Finished, finished, key_of
+from pipeline.reporting.frame_report import FrameLines, FrameReport
 from pipeline.reporting.report import write_frame, write_report
 from pipeline.translation import routes
 from pipeline.translation.translate import Request, Translation, new_graph, open_translation
 from pipeline.values.results import DepthMap, ObjectPose
 
+CACHE_BYTES = 32 * 1024 * 1024  # a few frames: what a run has passed it does not ask for again
+
 
 def translate_frames(
     request: Request, out: Path, frame: int | None, every: bool, settings: Sequence[str], *, follow: bool = False
 ) -> int:
-    """Translate and write; returns 0, or 2 if some frame could not be translated (its sentence is in the report)."""
+    """Translate and write what an earlier run has not left whole with the same request, settings and versions.
+
+    Returns 0, 2 if some frame could not be translated (its sentence is in the report), 1 if one failed unforeseen.
+    """
     if frame is not None and every:
         raise SettingProblem("give either --frame or --all, not both")
     if follow and not every:
@@ -40,8 +47,12 @@ def translate_frames(
     for note in translation.notes:
         console.print(f"note: {note}", style="dim", highlight=False)
     graph = new_graph()
+    graph.cache.max_bytes = CACHE_BYTES
     indices = range(translation.n_frames) if every else [_chosen(translation, graph, params, frame)]
-    reports: list[FrameReport] = []
+    ready(out)
+    lines: list[FrameLines] = []
+    last: Finished | None = None
+    n_kept = 0
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     try:
         with stoppable() as work, Progress(*columns, console=console, transient=True) as bar:
@@ -49,57 +60,36 @@ def translate_frames(
             for index in indices:
                 bar.update(task, description=f"frame {index}")
                 work.step(0.0, "")
-                before = _pose_of(reports) if follow else None
-                reports.append(_one(translation, graph, params, index, out, before, work))
+                known, last = _one(translation, graph, params, index, out, last if follow else None, work)
+                lines.append(last.lines)
+                n_kept += known
                 bar.advance(task)
     finally:  # also on Ctrl-C: what is finished is whole and listed
-        if reports:
-            write_report(out, translation, reports)
-    show_table(reports)
-    failed = [r for r in reports if r.problem]
-    for report in failed:
-        sys.stderr.write(f"tactoscope: frame {report.index}: {report.problem}\n")
-    print_line(f"{len(reports) - len(failed)} of {len(reports)} frames written to {os.fspath(out)}")
-    return 2 if failed else 0
+        translation.recording.close()
+        if lines:
+            write_report(out, translation, lines)
+    show_table(lines)
+    failed = [frame for frame in lines if frame.problem]
+    for one in failed:
+        complain(f"frame {one.index}: {one.problem}")
+    if n_kept:
+        print_line(f"{n_kept} of them were finished by an earlier run and are kept as they are")
+    print_line(f"{len(lines) - len(failed)} of {len(lines)} frames written to {os.fspath(out)}")
+    return 0 if not failed else 2 if all(frame.foreseen for frame in failed) else 1
 
 
-def work_out(
-    translation: Translation,
-    graph: Graph,
-    params: Mapping[str, object],
-    index: int,
-    previous: ObjectPose | None = None,
-    progress: StageProgress = SILENT,
-) -> FrameReport:
-    """All stages of one frame and its figures; a damaged frame gives a report with its problem."""
-    try:
-        results = graph.evaluate(translation.stages, translation.inputs(index, previous), params, progress)
-        metrics = frame_metrics(
-            results, translation.truth_of_source(index), translation.truth_of_target(index), translation.mesh,
-            translation.symmetry,
-        )  # fmt: skip
-    except TouchError as error:
-        return FrameReport(index=index, results={}, metrics={}, problem=str(error))
-    return FrameReport(index=index, results=results, metrics=metrics)
-
-
-def show_table(reports: Sequence[FrameReport]) -> None:
+def show_table(frames: Sequence[FrameLines]) -> None:
     """Print stage, median and largest ms, how often skipped, and the error against truth."""
     table = Table("stage", "median ms", "largest ms", "skipped", "error against truth", title=None)
-    done = [r for r in reports if r.results]
-    names = list(done[0].results) if done else []
-    for name in names:
-        ms = sorted(r.results[name].ms for r in done)
-        skipped = sum(r.results[name].state == "skipped" for r in done)
+    done = [frame for frame in frames if frame.stages]
+    for column, name in enumerate(stage.name for stage in (done[0].stages if done else ())):
+        stages = [frame.stages[column] for frame in done]
+        ms = sorted(stage.ms for stage in stages)
+        skipped = sum(stage.state == "skipped" for stage in stages)
         table.add_row(
             name, f"{ms[len(ms) // 2]:.2f}", f"{ms[-1]:.2f}", f"{skipped} of {len(done)}", _errors(name, done)
         )
     Console().print(table)
-
-
-def print_line(text: str) -> None:
-    """One line on stdout, without wrapping or colours."""
-    Console(soft_wrap=True, highlight=False).print(text, markup=False)
 
 
 def _one(
@@ -108,18 +98,46 @@ def _one(
     params: Mapping[str, object],
     index: int,
     out: Path,
+    before: Finished | None,
+    progress: StageProgress,
+) -> tuple[bool, Finished]:
+    """A frame that is whole on disk and whether it was already; one that cannot be made has its problem instead."""
+    try:
+        key = key_of(translation, graph, params, index, before)
+        known = finished(out, index, key)
+        if known is not None:
+            return True, known
+        report = _work_out(translation, graph, params, index, before.pose if before else None, progress)
+        write_frame(out, translation.stream.frame(index), report, translation, key)
+        return False, Finished(lines=report.lines, key=key, pose=_pose_of(report))
+    except Exception as error:  # noqa: BLE001 - a border: whatever one frame does, the others are translated
+        foreseen = isinstance(error, TouchError)
+        problem = str(error) if foreseen else unexpected.kept(error)
+    return False, Finished(
+        lines=FrameLines(index=index, stages=(), metrics={}, problem=problem, foreseen=foreseen), key=""
+    )
+
+
+def _work_out(
+    translation: Translation,
+    graph: Graph,
+    params: Mapping[str, object],
+    index: int,
     previous: ObjectPose | None,
     progress: StageProgress,
 ) -> FrameReport:
-    report = work_out(translation, graph, params, index, previous, progress)
-    if not report.problem:
-        write_frame(out, translation.stream.frame(index), report, translation)
-    return report
+    """All stages of one frame and its figures."""
+    results = graph.evaluate(translation.stages, translation.inputs(index, previous), params, progress)
+    metrics = frame_metrics(
+        results, translation.truth_of_source(index), translation.truth_of_target(index), translation.mesh,
+        translation.symmetry,
+    )  # fmt: skip
+    return FrameReport(index=index, results=results, metrics=metrics)
 
 
-def _pose_of(reports: Sequence[FrameReport]) -> ObjectPose | None:
-    """The pose of the last frame, None where it had none: across a gap nothing is followed."""
-    result = reports[-1].results.get("pose") if reports else None
+def _pose_of(report: FrameReport) -> ObjectPose | None:
+    """The pose of a frame, None where it has none: across a gap nothing is followed."""
+    result = report.results.get("pose")
     output = None if result is None else result.output
     return output if isinstance(output, ObjectPose) and output.sensor_from_object is not None else None
 
@@ -135,7 +153,7 @@ def _chosen(translation: Translation, graph: Graph, params: Mapping[str, object]
     return 0
 
 
-def _errors(name: str, reports: Sequence[FrameReport]) -> str:
+def _errors(name: str, reports: Sequence[FrameLines]) -> str:
     """Median of every figure of a stage."""
     keys = sorted({key for r in reports for key in r.metrics if key.startswith(f"{name}.")})
     parts: list[str] = []

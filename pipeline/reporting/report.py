@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pipeline.base.files import write_arrays, write_folder, write_json
 from pipeline.engine.graph import StageResult
 from pipeline.geometry.camera import Camera
-from pipeline.reporting.frame_report import FrameReport
+from pipeline.reporting.frame_report import FrameLines, FrameReport
 from pipeline.translation.translate import Translation
 from pipeline.values.frames import TactileFrame
 
@@ -35,24 +35,35 @@ def stage_arrays(frame: TactileFrame, results: Mapping[str, StageResult]) -> dic
     pose = results.get("pose")
     if pose is not None and pose.output.steps:
         arrays["pose.steps"] = np.stack([step.sensor_from_object for step in pose.output.steps])
+    if pose is not None and pose.output.alternatives:
+        arrays["pose.alternatives"] = np.stack(pose.output.alternatives)
     return arrays
 
 
-def write_frame(out: Path, frame: TactileFrame, report: FrameReport, translation: Translation) -> Path:
-    """Write `frame_NNNN/` with stages.npz and sheet.png under `out`; returns that folder."""
+def folder_of(out: Path, index: int) -> Path:
+    """Where frame `index` is written under `out`."""
+    return out / f"frame_{index:04d}"
+
+
+def write_frame(out: Path, frame: TactileFrame, report: FrameReport, translation: Translation, key: str = "") -> Path:
+    """Write `frame_NNNN/` with stages.npz, sheet.png and frame.json under `out`; returns that folder.
+
+    By its `key` a later run knows that the frame is finished; without one it is made again.
+    """
     from pipeline.reporting.sheet import write_sheet  # matplotlib only where a sheet is drawn
 
-    folder = out / f"frame_{report.index:04d}"
+    folder = folder_of(out, report.index)
 
     def fill(part: Path) -> None:
         write_arrays(part / "stages.npz", stage_arrays(frame, report.results))
         write_sheet(part / "sheet.png", frame, report, translation)
+        write_json(part / "frame.json", {"key": key or None, **_told(report.lines)})
 
     write_folder(folder, fill)
     return folder
 
 
-def write_report(out: Path, translation: Translation, frames: Sequence[FrameReport]) -> Path:
+def write_report(out: Path, translation: Translation, frames: Sequence[FrameLines]) -> Path:
     """Write `report.json` under `out`; returns its path."""
     request = translation.request
     path = out / "report.json"
@@ -64,16 +75,16 @@ def write_report(out: Path, translation: Translation, frames: Sequence[FrameRepo
             "source": translation.source.name,
             "target": translation.target.name,
             "notes": translation.notes,
-            "frames": [_frame_lines(f) for f in frames],
+            "frames": [_told(f) for f in frames],
         },
     )
     return path
 
 
-def _frame_lines(frame: FrameReport) -> dict[str, object]:
+def _told(frame: FrameLines) -> dict[str, object]:
     stages = [
-        {"name": r.name, "ms": round(r.ms, 3), "skipped": r.state == "skipped", "state": r.state, "notes": r.notes}
-        for r in frame.results.values()
+        {"name": s.name, "ms": s.ms, "skipped": s.state == "skipped", "state": s.state, "notes": s.notes}
+        for s in frame.stages
     ]
     lines: dict[str, object] = {"index": frame.index, "stages": stages, "metrics": dict(frame.metrics)}
     if frame.problem:

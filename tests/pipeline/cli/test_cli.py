@@ -11,29 +11,10 @@ import numpy as np
 import pytest
 
 from pipeline.cli.main import EXIT_USER_ERROR, build, run
-from pipeline.physics.optics import render, untouched
 from pipeline.sensors.spec import sensor
+from tests.pipeline.cli.conftest import MINI, save
 
 SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
-MINI = sensor("gelsight_mini")
-
-
-def save(path, image):
-    cv2.imwrite(str(path), cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
-
-
-@pytest.fixture
-def touches(tmp_path):
-    """A folder of three simulated GelSight Mini frames: untouched, and two dents."""
-    folder = tmp_path / "touches"
-    folder.mkdir()
-    save(folder / "background.png", untouched(MINI))
-    y, x = np.mgrid[: MINI.camera.rows, : MINI.camera.cols] * MINI.pixel_mm
-    for i, depth_mm in enumerate((0.0, 0.4, 0.6)):
-        r_sq = (x - 9.0) ** 2 + (y - 7.0) ** 2
-        dent = np.maximum(depth_mm - r_sq / 8.0, 0.0)
-        save(folder / f"touch_{i}.png", render(MINI, dent.astype(np.float32), seed=i))
-    return folder
 
 
 @pytest.fixture

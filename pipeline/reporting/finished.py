@@ -1,0 +1,83 @@
+"""Frames that an earlier run left whole: what they came out of is kept beside them, so that nothing is done twice."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline import __version__
+from pipeline.base.arrays import freeze
+from pipeline.engine.digests import digest
+from pipeline.engine.graph import Graph
+from pipeline.reporting.frame_report import FrameLines, StageLine
+from pipeline.reporting.report import folder_of
+from pipeline.translation.translate import Translation
+from pipeline.values.results import ObjectPose
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finished:
+    """A frame that is whole on disk."""
+
+    lines: FrameLines
+    key: str
+    pose: ObjectPose | None = None  # what the next touch of a sequence begins with; None = it has none
+
+
+def key_of(
+    translation: Translation, graph: Graph, params: Mapping[str, object], index: int, before: Finished | None
+) -> str:
+    """Digest of all that a frame's results come from: its contents, truth, settings, versions, and the frame followed.
+
+    Raises FileProblem if the frame is damaged.
+    """
+    return digest(
+        (
+            __version__,
+            *((s.name, s.version) for s in graph.needed(translation.stages)),
+            repr(params),
+            dict(translation.inputs(index)),
+            translation.truth_of_source(index),
+            translation.truth_of_target(index),
+            translation.symmetry,
+            before.key if before is not None and before.pose is not None else "",
+        )
+    )
+
+
+def finished(out: Path, index: int, key: str) -> Finished | None:
+    """What an earlier run left of frame `index` under `out`; None if it is not whole or came from something else."""
+    folder = folder_of(out, index)
+    # Whatever is wrong with a frame that can be made again is no news to anybody.
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile):
+        told = json.loads((folder / "frame.json").read_text(encoding="utf-8"))
+        if told["key"] == key and (folder / "sheet.png").stat().st_size:
+            return Finished(lines=_lines(told), key=key, pose=_pose(folder / "stages.npz"))
+    return None
+
+
+def _lines(told: Mapping[str, Any]) -> FrameLines:
+    stages = (StageLine(name=s["name"], ms=s["ms"], state=s["state"], notes=tuple(s["notes"])) for s in told["stages"])
+    metrics = {name: float("nan") if value is None else float(value) for name, value in told["metrics"].items()}
+    return FrameLines(index=told["index"], stages=tuple(stages), metrics=metrics)
+
+
+def _pose(path: Path) -> ObjectPose | None:
+    """The pose among a frame's arrays; raises what a damaged file does."""
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+        if "pose.sensor_from_object" not in arrays:
+            return None
+        others = arrays.get("pose.alternatives", ())
+        return ObjectPose(
+            sensor_from_object=freeze(arrays["pose.sensor_from_object"]), covariance=None, observable=None, weak=(),
+            rmse_mm=float(arrays["pose.rmse_mm"]), fitness=float(arrays["pose.fitness"]),
+            scene_mm=freeze(arrays["pose.scene_mm"]), source_index=freeze(arrays["pose.source_index"]),
+            alternatives=tuple(freeze(np.array(other)) for other in others),
+        )  # fmt: skip

@@ -1,0 +1,176 @@
+"""`tactoscope translate --all` on many frames: what is finished is not done again, and a bad frame ends nothing."""
+
+from __future__ import annotations
+
+import json
+import tracemalloc
+
+import cv2
+import numpy as np
+import pytest
+
+from pipeline.cli import translate
+from pipeline.cli.main import EXIT_UNEXPECTED, build, run
+from tests.pipeline.cli.conftest import dent, save
+
+SAID = "were finished by an earlier run and are kept"
+
+
+@pytest.fixture(autouse=True)
+def blank_sheets(monkeypatch):
+    """Sheets take longest to draw, and nothing here looks at one."""
+    monkeypatch.setattr("pipeline.reporting.sheet.write_sheet", lambda path, *_: path.write_bytes(b"a sheet"))
+
+
+@pytest.fixture
+def typed(touches, tmp_path, capsys):
+    """Translate the touches with these words more; returns exit code, stdout and stderr."""
+
+    def go(*more):
+        asked = ("translate", touches, "--target", "gelslim", "--sensor", "gelsight_mini", "--out", tmp_path / "out")
+        code = run(build(), [str(a) for a in (*asked, *(more or ("--all",)))])
+        said = capsys.readouterr()
+        return code, said.out, "".join(line for line in said.err.splitlines(keepends=True) if "tactoscope: " in line)
+
+    return go
+
+
+def times(out):
+    """When every frame's arrays were written, and what the report says."""
+    return {p.parent.name: p.stat().st_mtime_ns for p in out.glob("frame_*/stages.npz")}
+
+
+def frames(out):
+    return json.loads((out / "report.json").read_text())["frames"]
+
+
+def test_a_second_run_does_nothing_again_and_says_so(typed, tmp_path):
+    typed()
+    before, told = times(tmp_path / "out"), frames(tmp_path / "out")
+    code, out, _ = typed()
+    assert code == 0
+    assert f"3 of them {SAID}" in out
+    assert times(tmp_path / "out") == before
+    assert frames(tmp_path / "out") == told
+
+
+def test_a_run_that_was_cut_off_goes_on_where_it_was(typed, tmp_path, monkeypatch):
+    whole, written = translate.write_frame, []
+
+    def until_killed(*args):
+        if len(written) == 2:
+            raise KeyboardInterrupt
+        written.append(whole(*args))
+
+    monkeypatch.setattr(translate, "write_frame", until_killed)
+    assert typed()[0] == 130
+    monkeypatch.setattr(translate, "write_frame", whole)
+    before = times(tmp_path / "out")
+    code, out, _ = typed()
+    assert code == 0
+    assert f"2 of them {SAID}" in out
+    after = times(tmp_path / "out")
+    assert [name for name in after if after[name] == before.get(name)] == ["frame_0000", "frame_0001"]
+    assert [f["index"] for f in frames(tmp_path / "out")] == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    "changed", ["a setting", "the picture", "the reference", "the sheet is empty", "the arrays are cut short"]
+)
+def test_a_frame_that_comes_from_something_else_or_is_not_whole_is_made_again(changed, typed, touches, tmp_path):
+    typed("--frame", "2")
+    before = times(tmp_path / "out")
+    more = ("--frame", "2")
+    frame = tmp_path / "out" / "frame_0002"
+    match changed:
+        case "a setting":
+            more = (*more, "--set", "project.mode=paper")
+        case "the picture":
+            save(touches / "touch_2.png", dent(0.5))
+        case "the reference":
+            picture = cv2.imread(str(touches / "background.png"))
+            cv2.imwrite(str(touches / "background.png"), np.where(picture < 255, picture + 1, picture))
+        case "the sheet is empty":
+            (frame / "sheet.png").write_bytes(b"")
+        case _:
+            (frame / "stages.npz").write_bytes((frame / "stages.npz").read_bytes()[:5000])
+    code, out, _ = typed(*more)
+    assert code == 0
+    assert SAID not in out
+    assert times(tmp_path / "out") != before
+
+
+def test_following_goes_on_from_the_pose_on_disk(tmp_path, capsys):
+    """What follows a frame of an earlier run comes out as in one go: the same arrays, bit by bit."""
+    from sample_data.make_samples import FOLDER
+
+    asked = ["translate", str(FOLDER / "digit_gelslim.h5"), "--target", "gelslim", "--all", "--follow", "--out"]
+    assert run(build(), [*asked, str(tmp_path / "once")]) == 0, capsys.readouterr().err
+    assert run(build(), [*asked, str(tmp_path / "again")]) == 0
+    for index in (3, 4):  # both after a touch with a pose
+        (tmp_path / "again" / f"frame_{index:04d}" / "frame.json").unlink()
+    assert run(build(), [*asked, str(tmp_path / "again")]) == 0
+    assert f"4 of them {SAID}" in capsys.readouterr().out
+    with (
+        np.load(tmp_path / "once" / "frame_0003" / "stages.npz") as once,
+        np.load(tmp_path / "again" / "frame_0003" / "stages.npz") as again,
+    ):
+        assert sorted(once) == sorted(again)
+        assert "pose.sensor_from_object" in once
+        assert all(once[name].tobytes() == again[name].tobytes() for name in once)
+
+
+def test_memory_does_not_grow_with_the_frames(typed, touches, monkeypatch):
+    """Bytes held after each frame: in the last third of the run as many as in the second, when all caches are full."""
+    n_frames, held = 24, []
+    for i in range(3, n_frames):
+        save(touches / f"touch_{i}.png", dent(0.3 + 0.02 * i, seed=i))
+    monkeypatch.setattr(translate, "write_frame", lambda *_: held.append(tracemalloc.get_traced_memory()[0]))
+    monkeypatch.setattr(translate, "CACHE_BYTES", 8_000_000)
+    tracemalloc.start()
+    try:
+        assert typed()[0] == 0
+    finally:
+        tracemalloc.stop()
+    assert len(held) == n_frames
+    assert max(held[16:]) < max(held[8:16]) + 8 * 50_000  # one frame's arrays are 2 MB
+
+
+def test_whatever_one_frame_raises_the_others_are_translated(typed, tmp_path, monkeypatch, log):
+    whole = translate.frame_metrics
+
+    def sometimes(results, *rest):
+        if results["depth"].output.contact.any():
+            raise ZeroDivisionError("a frame\nthat nobody foresaw")
+        return whole(results, *rest)
+
+    monkeypatch.setattr(translate, "frame_metrics", sometimes)
+    code, out, err = typed()
+    assert code == EXIT_UNEXPECTED
+    assert "1 of 3 frames written" in out
+    assert [line.partition(":")[2].strip() for line in err.splitlines()] == [
+        f"frame {i}: something unexpected went wrong (ZeroDivisionError: a frame); the details are in '{log}'"
+        for i in (1, 2)
+    ]
+    assert [("problem" in f) for f in frames(tmp_path / "out")] == [False, True, True]
+    assert log.read_text().count("ZeroDivisionError: a frame") == 2
+    assert "in sometimes" in log.read_text()
+
+
+def test_an_error_outside_the_frames_is_one_sentence_with_its_details_in_a_file(typed, monkeypatch, log):
+    monkeypatch.setattr(translate, "write_report", lambda *_args: {}["key"])
+    code, _, err = typed()
+    assert code == EXIT_UNEXPECTED
+    assert err == (f"tactoscope: something unexpected went wrong (KeyError: 'key'); the details are in '{log}'\n")
+    assert "Traceback" in log.read_text()
+
+
+def test_where_the_log_cannot_be_written_the_details_go_to_another_folder(typed, monkeypatch, tmp_path):
+    (tmp_path / "state").write_text("a file")
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
+    monkeypatch.setattr(translate, "show_table", lambda *_args: {}["key"])
+    code, _, err = typed()
+    assert code == EXIT_UNEXPECTED
+    assert str(tmp_path / "temporary" / "tactoscope.log") in err
+    assert "KeyError" in (tmp_path / "temporary" / "tactoscope.log").read_text()
