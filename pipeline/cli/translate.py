@@ -16,6 +16,7 @@ from pipeline.base.files import ready
 from pipeline.base.progress import Progress as StageProgress
 from pipeline.cli.stopping import stoppable
 from pipeline.cli.terminal import complain, print_line
+from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph
 from pipeline.evaluation.metrics import frame_metrics
 from pipeline.reporting.finished import Finished, finished, key_of
@@ -47,7 +48,7 @@ def translate_frames(
     for note in translation.notes:
         console.print(f"note: {note}", style="dim", highlight=False)
     graph = new_graph()
-    graph.cache.max_bytes = CACHE_BYTES
+    graph.cache = Cache(CACHE_BYTES)
     indices = range(translation.n_frames) if every else [_chosen(translation, graph, params, frame)]
     ready(out)
     lines: list[FrameLines] = []
