@@ -67,7 +67,8 @@ def _worse(old: Row, new: Row) -> list[str]:
 
 
 def _row(said: dict[str, Any]) -> Row:
-    return Row(**{name: math.nan if value is None else value for name, value in said.items()})
+    values: dict[str, Any] = {name: math.nan if value is None else value for name, value in said.items()}
+    return Row(**values)
 
 
 def _claim(asked: str, row: Row) -> Claim:

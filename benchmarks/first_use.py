@@ -1,0 +1,236 @@
+"""How long is the first use: compiling with nothing kept, the first touch of a new process, the window, the help?
+
+python benchmarks/first_use.py. Every figure is of new processes whose caches (numba's, and the user's) are a folder of
+this run alone: empty for the compiling, left by the setup for the rest. The window opens on a display of its own
+(Xvfb: drawn without a GPU). Compiling is CPU time. The rest is time on the clock, which a busy machine lengthens: the
+CPU time of the same processes stands in a row without a bar.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from pipeline.racing.races import Answer, Bar, Row, Timing, row, timing
+from pipeline.racing.report import show
+
+ROOT = Path(__file__).resolve().parents[1]
+SCRIPT = Path(sys.executable).with_name("tactoscope")
+REPEATS = 3
+LONGEST_S = 900.0
+FRAME = 5  # a firm touch of every sensor of the sample
+WAYS = (("gelslim", "soft_bubble"), ("digit", "gelslim"), ("soft_bubble", "digit"))  # every sensor on either side
+
+COMPILED = """
+import threading, time
+from numba.core import event
+class Compiled(event.Listener):
+    def __init__(self):
+        self.of = {}
+        self.depth = threading.local()
+    def on_start(self, told):
+        d = self.depth
+        d.now = getattr(d, "now", 0) + 1
+        if d.now == 1:
+            d.began, d.outermost = time.thread_time(), told.data["dispatcher"].py_func.__module__
+        self.of.setdefault(d.outermost, [0, 0.0])[0] += 1
+    def on_end(self, told):
+        self.depth.now -= 1
+        if self.depth.now == 0:
+            self.of[self.depth.outermost][1] += time.thread_time() - self.depth.began
+compiled = Compiled()
+event.register("numba:compile", compiled)
+"""
+CHAIN = """
+import json, sys, time
+from pathlib import Path
+from pipeline.translation import routes
+from pipeline.translation.translate import Request, new_graph, open_translation
+frame, ways = json.loads(sys.argv[1])
+for source, target in ways:
+    sample = Path("sample_data/recordings/first_touch.h5")
+    opened = open_translation(Request(recording=sample, source=source, target=target))
+    results = new_graph().evaluate(opened.stages, opened.inputs(frame), routes.default_params())
+    assert {result.state for result in results.values()} == {"computed"}, "the touch was skipped"
+"""
+WINDOW = """
+import json, sys, time
+frame, ((source, target),) = json.loads(sys.argv[1])
+from app import main
+main.prepare_environment()
+from PyQt6.QtCore import QEvent, QObject
+from app.frame.tour import wait_until_shown
+from app.session.state import Session
+application = main.make_application()
+instrument = main.show_window(Session(recording=main.SAMPLE, source=source, target=target, frame=frame))
+class FirstPaint(QObject):
+    seen = 0.0
+    def eventFilter(self, watched, event):
+        if event.type() == QEvent.Type.Paint and not self.seen:
+            self.seen = time.time()
+        return False
+paint = FirstPaint()
+instrument.window.installEventFilter(paint)
+while not paint.seen:
+    application.processEvents()
+assert wait_until_shown(instrument), instrument.window.banner.text
+assert instrument.latest is not None and instrument.latest.index == frame, "the touch was not shown"
+shown = time.time()
+instrument.window.close()
+instrument.close()
+"""
+TELL = """
+import os
+told = {"cpu_s": sum(os.times()[:4]), "ended": time.time()}
+told["painted"], told["shown"] = (paint.seen, shown) if "paint" in globals() else (0.0, 0.0)
+told["compiled"] = compiled.of if "compiled" in globals() else {}
+print(json.dumps(told), flush=True)
+os._exit(0)  # what a library does on its way out is no first use
+"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Told:
+    """What one new process says of itself."""
+
+    took_s: float  # from its start to the answer
+    cpu_s: float
+    painted_s: float  # from its start to the window's first paint
+    shown_s: float
+    compiled: dict[str, tuple[int, float]]  # module -> compilations that it asked for, their CPU seconds
+
+    @property
+    def n_compiled(self) -> int:
+        """How many."""
+        return sum(n for n, _ in self.compiled.values())
+
+    @property
+    def compiling_s(self) -> float:
+        """How long in all, CPU seconds."""
+        return sum(s for _, s in self.compiled.values())
+
+
+def asked(script: str, ways, caches: Path, *, watched: bool = False, display: str = "") -> Told:
+    """Run the script in a new process; its time counts from before the process is there."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(caches / "numba"), "XDG_CACHE_HOME": str(caches / "user")}
+    if display:
+        environment |= {"DISPLAY": display, "QT_QPA_PLATFORM": "xcb"}
+    code = (COMPILED if watched else "") + script + TELL
+    began = time.time()
+    done = subprocess.run(
+        [sys.executable, "-c", code, json.dumps([FRAME, ways])], env=environment, cwd=ROOT, capture_output=True,
+        text=True, timeout=LONGEST_S, check=False,
+    )  # fmt: skip
+    if done.returncode:
+        raise RuntimeError((done.stderr.strip().splitlines() or ["no answer"])[-1])
+    said = json.loads(done.stdout.strip().splitlines()[-1])
+    return Told(
+        took_s=said["ended"] - began, cpu_s=said["cpu_s"], painted_s=said["painted"] - began,
+        shown_s=said["shown"] - began, compiled={name: tuple(v) for name, v in said["compiled"].items()},
+    )  # fmt: skip
+
+
+@contextlib.contextmanager
+def own_display():
+    """The name of a new X display of two screens' worth of pixels; "" where there is no Xvfb."""
+    if shutil.which("Xvfb") is None:
+        yield ""
+        return
+    read, write = os.pipe()
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1600x950x24", "-nolisten", "tcp"],
+        pass_fds=(write,), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    os.close(write)
+    try:
+        with os.fdopen(read) as number:
+            yield ":" + number.readline().strip()
+    finally:
+        server.terminate()
+        server.wait()
+
+
+def help_ms() -> float:
+    began = time.time()
+    subprocess.run([SCRIPT, "--help"], check=True, capture_output=True)
+    return 1e3 * (time.time() - began)
+
+
+def of(name: str, taken_s, bar: Bar, *, error: float = math.nan, unit: str = "") -> Row:
+    return row(name, ours=timing([1e3 * s for s in taken_s]), ours_error=error, unit=unit, bar=bar)
+
+
+def room_of(module: str) -> str:
+    parts = module.split(".")
+    return ".".join(parts[1:3] if parts[1] == "stages" else parts[1:2]) if parts[0] == "pipeline" else parts[0]
+
+
+def compiling(caches: Path) -> tuple[Row, list[str]]:
+    """Everything that every sensor needs on either side, with nothing kept."""
+    told = asked(CHAIN, WAYS, caches, watched=True)
+    rooms: dict[str, list[float]] = {}
+    for module, (n, spent_s) in told.compiled.items():
+        room = rooms.setdefault(room_of(module), [0, 0.0])
+        room[0] += n
+        room[1] += spent_s
+    each = ", ".join(f"{name} {s:.1f} s ({n:.0f})" for name, (n, s) in sorted(rooms.items(), key=lambda kv: -kv[1][1]))
+    spent = Timing(median_ms=1e3 * told.compiling_s, p95_ms=1e3 * told.compiling_s)
+    asks = "all kernels compiled, CPU"
+    compiled = row(asks, ours=spent, ours_error=told.n_compiled, unit="compilations", bar=Bar(ms=40_000))
+    again = asked(CHAIN, WAYS, caches, watched=True)
+    return compiled, [
+        f"compiled by room (compilations): {each}; the goal is 20 s",
+        f"the same chain in a new process after that: {again.n_compiled} compilations",
+    ]
+
+
+def first_touch(caches: Path) -> list[Row]:
+    runs = [asked(CHAIN, WAYS[:1], caches) for _ in range(REPEATS)]
+    return [
+        of("first touched frame of a new process", [run.took_s for run in runs], Bar(ms=2500)),
+        of("first touched frame of a new process, CPU", [run.cpu_s for run in runs], Bar()),
+    ]
+
+
+def window(caches: Path, display: str) -> tuple[list[Row], list[str]]:
+    once = asked(WINDOW, WAYS[:1], caches, watched=True, display=display)  # warm, as at the second start
+    runs = [asked(WINDOW, WAYS[:1], caches, display=display) for _ in range(REPEATS)]
+    rows = [
+        of("window on screen", [run.painted_s for run in runs], Bar(ms=1600)),
+        of("all columns of the first touch", [run.shown_s for run in runs], Bar(ms=4000)),
+        of("all columns of the first touch, CPU", [run.cpu_s for run in runs], Bar()),
+    ]
+    return rows, [f"compiled by the window beyond the chain: {once.n_compiled} ({once.compiling_s:.1f} s of CPU)"]
+
+
+def answer() -> Answer:
+    help_ms()  # files in memory
+    rows, notes = [of("tactoscope --help", np.divide([help_ms() for _ in range(5)], 1e3), Bar(ms=400))], []
+    with tempfile.TemporaryDirectory() as folder, own_display() as display:
+        compiled, told = compiling(Path(folder))
+        rows += [compiled, *first_touch(Path(folder))]
+        notes += told
+        if display:
+            some, told = window(Path(folder), display)
+            rows += some
+            notes += told
+        else:
+            notes.append("there is no Xvfb: the window was not opened")
+    return Answer(title="The first use, from nothing kept", unit="", rows=tuple(rows), notes=tuple(notes))
+
+
+if __name__ == "__main__":
+    show(answer())
