@@ -7,6 +7,7 @@ from pathlib import Path
 
 from PyQt6.QtCore import QCoreApplication, QEventLoop
 
+from app.frame.grabbing import write_picture
 from app.frame.instrument import Instrument
 from pipeline.cli.terminal import print_line
 from pipeline.cli.translate import show_table
@@ -70,8 +71,7 @@ def save_window_picture(instrument: Instrument, path: Path) -> None:
     instrument.screen.scene.settle()
     for _ in range(3):  # layouts, then paints, then what the paints asked for
         QCoreApplication.processEvents(QEventLoop.ProcessEventsFlag.AllEvents, _BREATH_MS)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    instrument.window.grab().save(str(path))
+    write_picture(instrument.window, path)
 
 
 def _follow_a_pixel(instrument: Instrument) -> None:

@@ -12,10 +12,11 @@ from PyQt6.QtCore import QObject
 from PyQt6.QtGui import QUndoStack
 
 from app.frame import dialogs
+from app.frame.grabbing import write_picture
 from app.frame.logs import log
 from app.frame.window import Window
 from app.session.state import SUFFIX, Session, load_session, save_session
-from pipeline.base.errors import FileProblem, TouchError
+from pipeline.base.errors import TouchError
 
 
 class Documents(QObject):
@@ -76,8 +77,7 @@ class Documents(QObject):
     def save_picture(self, path: Path) -> None:
         """Write a picture of the window."""
         with self._told():
-            if not self.window.grab().save(str(path)):
-                raise FileProblem("cannot write the picture", path)
+            write_picture(self.window, path)
 
     @contextmanager
     def _told(self) -> Generator[None]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -11,6 +10,7 @@ from typing import Any, cast
 
 from app.session.offsets import Offsets, from_plain
 from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.base.files import read_json, write_json
 from pipeline.base.params import changed, setting, settings
 from pipeline.sensors.spec import SensorSpec
 from pipeline.translation.routes import ROUTES, default_params
@@ -99,22 +99,12 @@ def save_session(session: Session, path: Path) -> None:
         stage: {name: value for name, (value, _) in settings(params).items()}
         for stage, params in session.params.items()
     }
-    beside = path.with_name(path.name + ".new")
-    try:
-        beside.write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8")
-        beside.replace(path)
-    except OSError as error:
-        raise FileProblem(f"cannot write the session ({error.strerror})", path) from error
+    write_json(path, data, "the session")
 
 
 def load_session(path: Path) -> Session:
     """Read a session; raises FileProblem naming the field that is wrong."""
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise FileProblem(f"cannot read the session ({error.strerror})", path) from error
-    except ValueError as error:
-        raise FileProblem(f"the session is not valid JSON ({error})", path) from error
+    data = read_json(path, "the session")
     if not isinstance(data, dict) or "tactoscope session" not in data:
         raise FileProblem("this is not a session file", path)
     if data["tactoscope session"] != _VERSION:

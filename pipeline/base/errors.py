@@ -3,10 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
+
+from pipeline.base.text import plain
 
 
 class TouchError(Exception):
-    """Root of every error that is the user's to mend; its text is shown as it is, never as a traceback."""
+    """Root of every error that is the user's to mend; its text is shown as it is, never as a traceback.
+
+    What a file or its name put into the text is escaped here, so that it stays one sentence on any terminal.
+    """
+
+    def __init__(self, text: str) -> None:
+        """One sentence: what, where, what to try."""
+        super().__init__(plain(text))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Travel between processes as text and fields, whatever the subclass is built from."""
+        return _again, (type(self), self.args, self.__dict__)
 
 
 class FileProblem(TouchError):
@@ -37,3 +51,9 @@ class MeshProblem(TouchError):
 
 class NotConverged(TouchError):
     """An iterative solve ended without an answer that it can vouch for."""
+
+
+def _again(kind: type[TouchError], args: tuple[Any, ...], fields: dict[str, Any]) -> TouchError:
+    error = kind.__new__(kind, *args)
+    error.__dict__.update(fields)
+    return error

@@ -1,36 +1,75 @@
-"""Files that are whole or not there: everything is written beside its place and moved in at the end."""
+"""Files that are whole or not there, and files that are read only if they are files.
+
+Everything is written beside its place, brought to the disk while that can still fail in words, and moved in at the end.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
+import re
 import shutil
+import stat
 import tempfile
-from collections.abc import Callable, Mapping
+import tomllib
+from collections.abc import Callable, Generator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.errors import FileProblem
 
+MOST_BYTES = 2 << 30  # of one picture or mesh; what is larger is none
+MOST_TEXT_BYTES = 16 << 20  # of a description, an alignment or a session, which are a few kB
+_PART = re.compile(r"^\.tactoscope-(\d+)-\d+\.part$")
+_numbers = itertools.count()
+
+
+@contextlib.contextmanager
+def whole_file(path: Path, what: str) -> Generator[BinaryIO, None, None]:
+    """An open file beside `path`, which takes its place when the block ends without an error and is gone otherwise.
+
+    Raises FileProblem "cannot write `what`" with the system's reason, also for an OSError of the block itself, and
+    where something stands at `path` that is no file.
+    """
+    part = path.with_name(f".tactoscope-{os.getpid()}-{next(_numbers)}.part")
+    try:
+        if path.exists() and not path.is_file():
+            raise FileProblem(f"cannot write {what} (a folder or a device of this name is there)", path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _remove_left_over(path.parent)
+        with part.open("w+b") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+    except OSError as error:
+        raise FileProblem(f"cannot write {what} ({reason(error)})", path) from error
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
+
 
 def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
     """Have `fill` write into a new folder that takes the place of `folder` once it is complete."""
-    part = folder.with_name(f".{folder.name}.part")
+    part, before = (folder.with_name(f".{folder.name}.{word}") for word in ("part", "before"))
     try:
         shutil.rmtree(part, ignore_errors=True)
         part.mkdir(parents=True)
         fill(part)
         if folder.exists():
-            shutil.rmtree(folder)
+            shutil.rmtree(before, ignore_errors=True)
+            folder.replace(before)
         part.replace(folder)
     except OSError as error:
-        raise FileProblem(f"cannot write the results ({error.strerror})", folder) from error
+        raise FileProblem(f"cannot write the results ({reason(error)})", folder) from error
     finally:
-        shutil.rmtree(part, ignore_errors=True)
+        for rest in (part, before):
+            shutil.rmtree(rest, ignore_errors=True)
 
 
 def ready(folder: Path) -> None:
@@ -43,28 +82,87 @@ def ready(folder: Path) -> None:
         with tempfile.TemporaryDirectory(prefix=".ready", dir=folder):
             pass
     except OSError as error:
-        raise FileProblem(f"no results can be written here ({error.strerror}); choose another place", folder) from error
+        raise FileProblem(f"no results can be written here ({reason(error)}); choose another place", folder) from error
 
 
-def write_json(path: Path, value: object) -> None:
+def write_text(path: Path, text: str, what: str) -> None:
+    """`text` as UTF-8, whole or not at all; raises FileProblem."""
+    with whole_file(path, what) as file:
+        file.write(text.encode("utf-8"))
+
+
+def write_json(path: Path, value: object, what: str = "the report") -> None:
     """`value` as indented JSON; numbers that are not finite become null, which JSON has a word for."""
-    part = path.with_name(f".{path.name}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(json.dumps(_plain(value), indent=1, allow_nan=False) + "\n", encoding="utf-8")
-        part.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
-        raise FileProblem(f"cannot write the report ({error.strerror})", path) from error
+    write_text(path, json.dumps(_plain(value), indent=1, allow_nan=False) + "\n", what)
 
 
-def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
+def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], what: str = "the arrays") -> None:
     """`arrays` as one .npz, lightly compressed; opened again without pickle."""
-    with path.open("wb") as file:
+    with whole_file(path, what) as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)  # type: ignore[arg-type]
-        file.flush()
-        os.fsync(file.fileno())
+
+
+def must_be_file(path: Path, what: str, most_bytes: int = MOST_BYTES) -> None:
+    """Raise FileProblem unless `path` is a plain file of at most `most_bytes`: a pipe would be waited for forever."""
+    try:
+        found = path.stat()
+    except (OSError, ValueError) as error:
+        raise FileProblem(f"cannot read {what} ({reason(error)})", path) from error
+    if not stat.S_ISREG(found.st_mode):
+        kind = "a folder" if stat.S_ISDIR(found.st_mode) else "a pipe or a device"
+        raise FileProblem(f"cannot read {what} (this is {kind}, not a file)", path)
+    if found.st_size > most_bytes:
+        raise FileProblem(f"cannot read {what} ({found.st_size:.3g} bytes are more than any has)", path)
+
+
+def read_bytes(path: Path, what: str, most_bytes: int = MOST_BYTES) -> bytes:
+    """The content of a plain file; raises FileProblem "cannot read `what`" with the reason."""
+    must_be_file(path, what, most_bytes)
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise FileProblem(f"cannot read {what} ({reason(error)})", path) from error
+
+
+def read_toml(path: Path, what: str) -> dict[str, Any]:
+    """The tables of a TOML file; raises FileProblem, also when they are nested beyond all use."""
+    return _parsed(path, what, tomllib.loads, "TOML")
+
+
+def read_json(path: Path, what: str) -> Any:
+    """The value of a JSON file; raises FileProblem, also when it is nested beyond all use."""
+    return _parsed(path, what, json.loads, "JSON")
+
+
+def _parsed(path: Path, what: str, parse: Callable[[str], Any], language: str) -> Any:
+    try:
+        return parse(read_bytes(path, what, MOST_TEXT_BYTES).decode("utf-8"))
+    except (ValueError, RecursionError) as error:  # both languages' own errors, and that of UTF-8, are ValueErrors
+        raise FileProblem(f"{what} is not valid {language} ({error})", path) from error
+
+
+def reason(error: Exception) -> str:
+    """Why the system refused, in its few words; the HDF5 library wraps them in many."""
+    number = error.errno if isinstance(error, OSError) else None
+    return os.strerror(number) if number else str(error).partition("\n")[0]
+
+
+def _remove_left_over(folder: Path) -> None:
+    """Take away what a process that was killed left beside its place."""
+    for rest in folder.glob(".tactoscope-*.part"):
+        named = _PART.match(rest.name)
+        if named and not _runs(int(named[1])):
+            rest.unlink(missing_ok=True)
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True  # somebody else's
+    return True
 
 
 def _plain(value: object) -> object:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, Image, freeze
 from pipeline.base.errors import CalibrationError, FileProblem, ShapeError
+from pipeline.base.files import must_be_file, whole_file
 from pipeline.calibration import slope_model
 from pipeline.calibration.markers import inpainted, marker_mask
 from pipeline.calibration.slope_model import Samples, SlopeModel
@@ -157,29 +158,22 @@ def _without_markers(sensor: SensorSpec) -> SensorSpec:
 def save(calibration: Calibration, path: Path) -> None:
     """Write the look-up as .npz, beside its place first, so that no half-written file is ever found there."""
     path = path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
-    beside = path.with_name(f".{path.name}.part.npz")
     model = calibration.model
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path, "the calibration") as file:
         np.savez_compressed(
-            beside, version=_VERSION, sensor=calibration.sensor, size=(calibration.rows, calibration.cols),
+            file, version=_VERSION, sensor=calibration.sensor, size=(calibration.rows, calibration.cols),
             pixel_mm=calibration.pixel_mm, coefficients=model.coefficients, colour_degree=model.colour_degree,
             position_degree=model.position_degree, slope_max=model.slope_max, residual=calibration.residual,
             origin=calibration.origin, presses=_table_of(calibration.presses),
         )  # fmt: skip
-        beside.replace(path)
-    except OSError as error:
-        beside.unlink(missing_ok=True)
-        raise FileProblem(f"cannot write the calibration ({error.strerror})", path) from error
 
 
 def load(path: Path) -> Calibration:
     """Read a look-up back; raises FileProblem naming the field that is missing or damaged."""
+    must_be_file(path, "the calibration")
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             fields = {name: file[name] for name in file.files}
-    except FileNotFoundError as error:
-        raise FileProblem("calibration file does not exist", path) from error
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, NotImplementedError) as error:
         raise FileProblem("not a calibration file, or a damaged one; calibrate again", path) from error
     try:

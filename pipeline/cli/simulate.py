@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextC
 
 from pipeline.base.errors import FileProblem
 from pipeline.base.progress import Cancelled
+from pipeline.cli.stopping import asking
 from pipeline.cli.terminal import print_line
 from pipeline.simulation import datasets, recorder
 from pipeline.simulation.datasets import Plan
@@ -37,7 +37,7 @@ class _Bar:
 
 
 def simulate_recordings(tools: tuple[str, ...], like: Plan, out: Path, jobs: int) -> int:
-    """Simulate and write what is missing at `out`; on Ctrl-C raises KeyboardInterrupt with finished moments kept."""
+    """Simulate and write what is missing at `out`; Ctrl-C and SIGTERM end in KeyboardInterrupt, all finished kept."""
     plans = datasets.plans(tools, like)
     files = [recorder.file_of(plan, out, len(plans)) for plan in plans]
     had = [recorder.finished(plan, path) for plan, path in zip(plans, files, strict=True)]
@@ -62,11 +62,8 @@ def simulate_recordings(tools: tuple[str, ...], like: Plan, out: Path, jobs: int
 
 @contextmanager
 def _bar(total: int, had: int) -> Generator[_Bar, None, None]:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as shown:
         bar = _Bar(shown, shown.add_task("simulating", total=total, completed=had))
-        before = signal.signal(signal.SIGINT, bar.stop)
-        try:
+        with asking(bar.stop):
             yield bar
-        finally:
-            signal.signal(signal.SIGINT, before)

@@ -1,4 +1,4 @@
-"""Ctrl-C as a question that is answered at the next step of the work.
+"""Ctrl-C, or being told to end (SIGTERM), as a question that is answered at the next step of the work.
 
 An interruption that is raised anywhere may fall into the compiling of a loop, which swallows it, or between two files.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 
 
@@ -29,13 +29,19 @@ class Stoppable:
 
 @contextmanager
 def stoppable() -> Generator[Stoppable, None, None]:
-    """While it lasts Ctrl-C asks; a thread other than the main one, which hears no signals, is never asked."""
+    """While it lasts Ctrl-C and SIGTERM ask."""
     work = Stoppable()
-    if threading.current_thread() is not threading.main_thread():
+    with asking(work.ask):
         yield work
-        return
-    before = signal.signal(signal.SIGINT, work.ask)
+
+
+@contextmanager
+def asking(ask: Callable[..., None]) -> Generator[None, None, None]:
+    """While it lasts Ctrl-C and SIGTERM call `ask`; a thread other than the main one hears no signals."""
+    heard = threading.current_thread() is threading.main_thread()
+    before = {kind: signal.signal(kind, ask) for kind in (signal.SIGINT, signal.SIGTERM) if heard}
     try:
-        yield work
+        yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for kind, handler in before.items():
+            signal.signal(kind, handler)

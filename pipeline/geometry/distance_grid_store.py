@@ -7,7 +7,6 @@ again; where nothing can be written, everything works without.
 from __future__ import annotations
 
 import contextlib
-import os
 import threading
 import zipfile
 from pathlib import Path
@@ -16,6 +15,8 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.arrays import freeze
+from pipeline.base.errors import FileProblem
+from pipeline.base.files import whole_file
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.digests import digest
 from pipeline.geometry.distance_grid import VERSION, DistanceGrid, built
@@ -69,15 +70,8 @@ def _read(path: Path, key: str) -> DistanceGrid | None:
 
 
 def _write(path: Path, key: str, grid: DistanceGrid) -> None:
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    with contextlib.suppress(OSError):
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with part.open("wb") as file:
-                np.savez(
-                    file, key=np.array(key), steps_mm=np.array([grid.step_mm, grid.quantum_mm]),
-                    notes=np.array(grid.notes, dtype="U200"), **{name: getattr(grid, name) for name in _ARRAYS},
-                )  # fmt: skip
-            part.replace(path)
-        finally:
-            part.unlink(missing_ok=True)
+    with contextlib.suppress(FileProblem), whole_file(path, "the distance grid") as file:
+        np.savez(
+            file, key=np.array(key), steps_mm=np.array([grid.step_mm, grid.quantum_mm]),
+            notes=np.array(grid.notes, dtype="U200"), **{name: getattr(grid, name) for name in _ARRAYS},
+        )  # fmt: skip

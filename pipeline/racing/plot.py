@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.base.errors import FileProblem
+from pipeline.base.files import whole_file
 from pipeline.racing.labels import place_labels
 from pipeline.racing.races import Answer, Point, Row
 
@@ -133,11 +133,5 @@ def _zero_line(axes: Any, points: Sequence[Point], floor: float) -> None:
 
 
 def _save(figure: Any, path: Path) -> None:
-    part = path.with_name(f".{path.stem}.part.png")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(part)
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise FileProblem(f"cannot write the plot ({error.strerror})", path) from error
+    with whole_file(path, "the plot") as file:
+        figure.savefig(file, format="png")

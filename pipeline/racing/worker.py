@@ -12,6 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from pipeline.base.files import write_text
 from pipeline.racing.races import Answer
 
 
@@ -20,7 +21,7 @@ def main(question: str, out: str) -> None:
     answer = _module(Path(question)).answer()
     if not isinstance(answer, Answer):
         raise TypeError(f"answer() of {Path(question).name} gave a {type(answer).__name__}, not an Answer")
-    Path(out).write_text(json.dumps(asdict(answer), default=_number), encoding="utf-8")
+    write_text(Path(out), json.dumps(asdict(answer), default=_number), "the answer")
 
 
 def _module(path: Path) -> Any:

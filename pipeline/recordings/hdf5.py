@@ -22,6 +22,8 @@ from pipeline.values.frames import Pairing, Recording, Stream, TactileFrame, Tru
 
 T = TypeVar("T")
 
+CUT_SHORT = "the file is cut short"
+
 
 def read(path: Path) -> Recording:
     """A recording of ours, nothing but its tables of contents read yet; `close` it when done.
@@ -162,17 +164,16 @@ def _opened(path: Path, notes: list[str]) -> Any:
             raise FileProblem(f"the HDF5 file cannot be opened ({_short(error)})", path) from error
     data = path.read_bytes()
     try:
-        # Superblock versions 2 and 3, which this format has, keep the whole size in bytes 28 to 35.
-        whole: int = struct.unpack_from("<Q", data, 28)[0]
-        if data[8] not in (2, 3) or whole > 100 * len(data) + (1 << 30):
-            raise ValueError(f"unexpected superblock {data[8]} of {whole} bytes")
+        whole = layout.whole_bytes(data)
+        if whole > 100 * len(data) + (1 << 30):
+            raise ValueError(f"{whole} bytes cannot be right")
         # The library refuses a file that ends early; with filling in place of the lost end it reads all that is there.
         # Not zeros: their checksum is zero, so that a lost chunk would pass for a good one.
         image = h5py.h5f.open_file_image(data + b"\xa5" * (whole - len(data)))
         file = h5py.File(image)
     except (OSError, ValueError, struct.error) as error:
         raise FileProblem("the HDF5 file is cut short before its table of contents", path) from error
-    notes.append(f"the file is cut short: {len(data)} of {whole} bytes are there; frames beyond cannot be read")
+    notes.append(f"{CUT_SHORT}: {len(data)} of {whole} bytes are there; frames beyond cannot be read")
     return file
 
 

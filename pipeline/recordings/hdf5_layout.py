@@ -25,9 +25,10 @@ rows in the same type undoes it. That takes a third off noisy pictures and loses
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, BinaryIO, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +64,23 @@ def checked_unit(dataset: Any, want: str, path: Path) -> Any:
     if unit != want:
         raise FileProblem(f"{key} is given in {unit!r}, want {want!r}", path, field=key)
     return dataset
+
+
+def whole_bytes(head: bytes) -> int:
+    """How long the file is that begins so: superblocks 2 and 3, which this format has, keep it in bytes 28 to 35.
+
+    Raises ValueError for another superblock, struct.error where the file ends before.
+    """
+    whole: int = struct.unpack_from("<Q", head, 28)[0]
+    if head[8] not in (2, 3):
+        raise ValueError(f"unexpected superblock {head[8]}")
+    return whole
+
+
+def cut_to_size(file: BinaryIO) -> None:
+    """Give back the room behind the end of the recording that `file` holds, taken for what was not needed."""
+    file.seek(0)
+    file.truncate(whole_bytes(file.read(64)))
 
 
 def encoded(values: NDArray[Any], dataset: Any, what: str) -> NDArray[Any]:

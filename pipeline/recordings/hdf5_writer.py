@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -12,16 +13,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.errors import FileProblem, ShapeError
+from pipeline.base.errors import FileProblem, ShapeError, TouchError
+from pipeline.base.files import whole_file
 from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry.meshes import Mesh
+from pipeline.recordings import hdf5, hdf5_symmetry
 from pipeline.recordings import hdf5_layout as layout
-from pipeline.recordings import hdf5_symmetry
 from pipeline.recordings.hdf5_layout import Coding
 from pipeline.values.frames import Pairing, Recording, TactileFrame, Truth
 
 if TYPE_CHECKING:
     from pipeline.geometry.symmetry import Symmetry
+
+_TABLES_BYTES = 2 << 20  # of tables of contents and of numbers that one append may add, with a wide margin
 
 
 class Writer:
@@ -44,20 +48,22 @@ class Writer:
         multiples of that step instead of float32. Raises FileProblem when nothing can be written there.
         """
         self._begin(path, coding, depth_step_mm)
-        self._file = _opened(self._beside, "w")
-        self._file.attrs["format"], self._file.attrs["format_version"] = layout.FORMAT, layout.VERSION
-        self._file.attrs["notes"] = "\n".join(notes)
-        self._file.create_group("streams")
-        if object_mesh is not None:
-            group = self._file.create_group("object")
-            group.attrs["name"] = object_mesh.name
-            _whole(group, "vertices", object_mesh.vertices_mm, "mm")
-            _whole(group, "triangles", object_mesh.triangles, "1")
-            if symmetry is not None:
-                hdf5_symmetry.write(group, symmetry)
-        for k, pair in enumerate(pairings):
-            dataset = _whole(self._file.require_group("pairings"), str(k), pair.target_from_source, "mm")
-            dataset.attrs["source"], dataset.attrs["target"] = pair.source, pair.target
+        with self._removed_if_it_fails():
+            self._open("w")
+            self._reserve(0 if object_mesh is None else object_mesh.vertices_mm.nbytes + object_mesh.triangles.nbytes)
+            self._file.attrs["format"], self._file.attrs["format_version"] = layout.FORMAT, layout.VERSION
+            self._file.attrs["notes"] = "\n".join(notes)
+            self._file.create_group("streams")
+            if object_mesh is not None:
+                group = self._file.create_group("object")
+                group.attrs["name"] = object_mesh.name
+                _whole(group, "vertices", object_mesh.vertices_mm, "mm")
+                _whole(group, "triangles", object_mesh.triangles, "1")
+                if symmetry is not None:
+                    hdf5_symmetry.write(group, symmetry)
+            for k, pair in enumerate(pairings):
+                dataset = _whole(self._file.require_group("pairings"), str(k), pair.target_from_source, "mm")
+                dataset.attrs["source"], dataset.attrs["target"] = pair.source, pair.target
 
     @classmethod
     def appending(cls, path: Path, *, coding: Coding = "plain", depth_step_mm: float = 0.0) -> Writer:
@@ -65,34 +71,69 @@ class Writer:
 
         `coding` and `depth_step_mm` count only for streams that the recording does not have yet.
         """
-        from pipeline.recordings import hdf5
-
-        hdf5.read(path).close()  # refuses what is no recording before a copy is made of it
+        recording = hdf5.read(path)  # refuses what is no recording before a copy is made of it
+        recording.close()
         writer = cls.__new__(cls)
         writer._begin(path, coding, depth_step_mm)
-        shutil.copyfile(path, writer._beside)
-        writer._file = _opened(writer._beside, "r+")
+        writer._n_before = {stream.name: stream.n_frames for stream in recording.streams}
+        with writer._removed_if_it_fails():
+            with path.open("rb") as before:
+                shutil.copyfileobj(before, writer._beside)
+            writer._beside.flush()
+            writer._open("r+")
         return writer
 
     def _begin(self, path: Path, coding: Coding, depth_step_mm: float) -> None:
-        self._path, self._beside = path, path.with_name(path.name + ".part")
+        self._path = path
         self._coding: Coding = coding
         self._depth_step_mm = depth_step_mm
         self._last_reference: dict[str, NDArray[Any]] = {}
+        self._n_before: dict[str, int] = {}
+        self._place = ExitStack()
+        self._beside = self._place.enter_context(whole_file(path, "the recording"))
+
+    def _open(self, mode: str) -> None:
+        import h5py
+
+        # Chunks go to the file at once: what the library still held when a disk is full would end the process.
+        options: dict[str, Any] = {"libver": ("v110", "latest"), "meta_block_size": layout.METADATA_BYTES}
+        self._file: Any = self._place.enter_context(h5py.File(self._beside.name, mode, rdcc_nbytes=0, **options))
+
+    @contextmanager
+    def _removed_if_it_fails(self) -> Generator[None, None, None]:
+        with ExitStack() as undone:
+            undone.push(self.__exit__)
+            yield
+            undone.pop_all()
+
+    def _reserve(self, n_bytes: int) -> None:
+        """Take room for `n_bytes` more and their tables; raises OSError while nothing has been begun."""
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(self._beside.fileno(), 0, self._file.id.get_filesize() + n_bytes + _TABLES_BYTES)
 
     def __enter__(self) -> Writer:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, _error: BaseException | None, _at: TracebackType | None
+        self, _kind: type[BaseException] | None, error: BaseException | None, _at: TracebackType | None
     ) -> None:
-        self._file.close()
-        if kind is not None:
-            self._beside.unlink(missing_ok=True)
-            return
-        with self._beside.open("rb+") as written:
-            os.fsync(written.fileno())
-        self._beside.replace(self._path)
+        with self._place:
+            if error is not None:
+                raise error
+            self._file.close()
+            layout.cut_to_size(self._beside)
+            self._read_back()
+
+    def _read_back(self) -> None:
+        """Decode every frame that was added; raises FileProblem when one of them is not what a reader can use."""
+        try:
+            with closing(hdf5.read(Path(self._beside.name))) as written:
+                for stream in written.streams:
+                    for index in range(self._n_before.get(stream.name, 0), stream.n_frames):
+                        stream.frame(index)
+                        stream.truth(index)
+        except TouchError as error:
+            raise FileProblem(f"the recording cannot be read back as it was written ({error})", self._path) from error
 
     def append(self, stream: str, frame: TactileFrame, truth: Truth | None = None) -> None:
         """Add one frame to `stream`, which begins with its first frame; raises ShapeError when they do not agree."""
@@ -100,6 +141,7 @@ class Writer:
         group = streams[stream] if stream in streams else self._new_stream(stream, frame)
         frames = group["frames"]
         index = frames.shape[0]
+        self._reserve(4 * frame.image.nbytes)  # the reading, perhaps its reference, and truth of both kinds
         if frame.image.shape != frames.shape[1:]:
             raise ShapeError(f"frame {index} of {stream!r} must have shape {frames.shape[1:]}, got {frame.image.shape}")
         pixels = layout.encoded(frame.image, frames, f"frame {index} of {stream!r}")
@@ -196,17 +238,6 @@ def write(
                 writer.append(stream.name, stream.frame(index), stream.truth(index))
                 done += 1
                 progress.step(done / total, f"writing frame {index + 1} of {stream.n_frames} of {stream.name}")
-
-
-def _opened(path: Path, mode: str) -> Any:
-    import h5py
-
-    try:
-        return h5py.File(path, mode, libver=("v110", "latest"), meta_block_size=layout.METADATA_BYTES)
-    except OSError as error:
-        raise FileProblem(
-            "nothing can be written there; check that the folder exists and is not protected", path
-        ) from error
 
 
 def _stack(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Mask
+from pipeline.base.files import whole_file
 from pipeline.engine.graph import StageResult
 from pipeline.reporting.frame_report import FrameReport
 from pipeline.sensors.spec import SensorSpec
@@ -51,7 +52,8 @@ def write_sheet(path: Path, frame: TactileFrame, report: FrameReport, translatio
     )
     figure.suptitle(f"frame {report.index}   {source.name} → {target.name}", fontsize=11, y=0.985)
     figure.text(0.5, 0.925, f"{touch}\n{pose}", fontsize=8, ha="center", va="top", color="0.3")
-    figure.savefig(path)
+    with whole_file(path, "the sheet") as file:
+        figure.savefig(file, format="png")
 
 
 def _colour_bar(figure: Figure, ax: Axes, drawn: ScalarMappable, label: str) -> None:

@@ -6,10 +6,8 @@ the names of the two sensors above them, so that a file is not used for others b
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -18,6 +16,7 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import FileProblem
+from pipeline.base.files import read_toml, write_text
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment import SIDES, Alignment
 
@@ -43,15 +42,7 @@ def save(path: Path, kept: AlignmentFile) -> None:
 
     What is read back differs from what was written by rounding alone, below 1e-12. Raises FileProblem.
     """
-    beside = path.with_name(f".{path.name}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        beside.write_text(text_of(kept), encoding="utf-8")
-        beside.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            beside.unlink(missing_ok=True)
-        raise FileProblem(f"cannot write the alignment ({error.strerror})", path) from error
+    write_text(path, text_of(kept), "the alignment")
 
 
 def text_of(kept: AlignmentFile) -> str:
@@ -77,7 +68,7 @@ def text_of(kept: AlignmentFile) -> str:
 
 def load(path: Path, *, source: str, target: str) -> AlignmentFile:
     """The alignment of a file, for these two sensors; raises FileProblem that names the key and what to try."""
-    data = _parsed(path)
+    data = read_toml(path, "the alignment")
     told = {key: _word(data, key, path) for key in ("source", "target")}
     if (told["source"], told["target"]) == (target, source) != (source, target):
         raise FileProblem(
@@ -95,15 +86,6 @@ def load(path: Path, *, source: str, target: str) -> AlignmentFile:
         origin=_word(data, "from", path) if "from" in data else "",
         **told,
     )
-
-
-def _parsed(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise FileProblem(f"cannot read the alignment ({error.strerror})", path) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise FileProblem(f"the alignment is not valid TOML ({error})", path) from error
 
 
 def _word(data: dict[str, Any], key: str, path: Path) -> str:

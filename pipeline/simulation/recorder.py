@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
+import threading
+import time
 from collections import deque
 from collections.abc import Generator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
@@ -18,9 +21,11 @@ from pipeline.recordings import hdf5
 from pipeline.recordings.hdf5_writer import Writer
 from pipeline.simulation import datasets
 from pipeline.simulation.datasets import Moment, Plan
+from pipeline.values.frames import Recording
 
 BUBBLE_STEP_MM = 0.05  # depth readings are kept to this; their noise is eight times as much
 WORTH_A_POOL = 8  # below so many moments, starting processes takes longer than they save
+PUBLISHED_EVERY_S = 30.0  # what is finished is in its place that soon; a recording of 1 GB is copied in some seconds
 _AHEAD = 3  # moments in work or waiting per process
 
 
@@ -47,48 +52,70 @@ def file_of(plan: Plan, out: Path, n_plans: int) -> Path:
 
 
 def finished(plan: Plan, path: Path) -> int:
-    """How many moments of `plan` the recording at `path` holds; raises FileProblem when something else is there."""
+    """How many moments of `plan` the recording at `path` holds, up to the first that is damaged.
+
+    Raises FileProblem when something else is there, or a file that is damaged beyond telling.
+    """
+    return _found(plan, path)[0]
+
+
+def _found(plan: Plan, path: Path) -> tuple[int, bool]:
+    """(moments that can be read and have none damaged before them, whether that is all there is)."""
     if not path.exists():
-        return 0
+        return 0, True
     try:
         recording = hdf5.read(path)
     except TouchError as error:
-        raise FileProblem("a file that is no recording is there and is kept; choose another --out", path) from error
-    try:
-        counts = {stream.n_frames for stream in recording.streams}
-        if datasets.told(plan) not in recording.notes or len(counts) != 1:
+        raise FileProblem(
+            "a file that is no recording, or is damaged, is there and is kept; choose another --out, or delete it", path
+        ) from error
+    with closing(recording):
+        if datasets.told(plan) not in recording.notes:
             raise FileProblem(
                 "a recording made otherwise is there and is kept; choose another --out, or delete it", path
             )
-        return counts.pop()
-    finally:
-        recording.close()
+        counts = [stream.n_frames for stream in recording.streams]
+        good = next((k for k in range(min(counts)) if not _readable(recording, k)), min(counts))
+        cut = any(note.startswith(hdf5.CUT_SHORT) for note in recording.notes)
+        return good, good == max(counts) and not cut
+
+
+def _readable(recording: Recording, index: int) -> bool:
+    """Whether all that every sensor has of a moment is there; a moment without its time has lost its tables."""
+    try:
+        return all(math.isfinite(s.frame(index).time_s) and (s.truth(index), True)[1] for s in recording.streams)
+    except FileProblem:
+        return False
 
 
 def record(plan: Plan, path: Path, *, pool: Executor | None = None, progress: Progress = SILENT) -> Recorded:
     """Simulate what `path` does not hold yet of `plan`, and write it.
 
-    When `progress` cancels, or a process dies, finished moments are kept and the error goes on; calling again takes up
-    from there. Raises FileProblem where nothing can be written or something else is there.
+    What is finished is in its place every so often, so that not even a power cut costs much. When `progress` cancels,
+    or a process dies, finished moments are kept and the error goes on; calling again takes up from there, also behind
+    a part that is damaged. Raises FileProblem where nothing can be written or something else is there.
     """
-    start, stopped, unsolved = finished(plan, path), None, 0
-    if start == plan.poses:
-        return Recorded(n_moments=0, n_unsolved=0)
-    done = start
-    with _writer(plan, path, start) as writer:
-        try:
-            with closing(_moments(plan, start, pool)) as moments:
-                for moment in moments:
-                    _append(writer, moment, path)
-                    done, unsolved = done + 1, unsolved + moment.n_unsolved
-                    progress.step(done / plan.poses, f"{plan.thing_name}: {done} of {plan.poses}")
-        except Cancelled as error:
-            stopped = error
-        except BrokenProcessPool as error:
-            stopped = NotConverged("a worker process died, perhaps for want of memory; run again with --jobs 1")
-            stopped.__cause__ = error
-        if stopped is not None and done == start:
-            raise stopped  # inside: there is nothing new to keep
+    start, whole = _found(plan, path)
+    if start and not whole:
+        _mend(plan, path, start)
+    done, unsolved, stopped = start, 0, None
+    with closing(_moments(plan, start, pool)) as moments:
+        while done < plan.poses and stopped is None:
+            written, due_s = done, time.monotonic() + PUBLISHED_EVERY_S
+            with _writer(plan, path, done) as writer:
+                try:
+                    while done < plan.poses and (done == written or time.monotonic() < due_s):
+                        moment = next(moments)
+                        _append(writer, moment)
+                        done, unsolved = done + 1, unsolved + moment.n_unsolved
+                        progress.step(done / plan.poses, f"{plan.thing_name}: {done} of {plan.poses}")
+                except Cancelled as error:
+                    stopped = error
+                except BrokenProcessPool as error:
+                    stopped = NotConverged("a worker process died, perhaps for want of memory; run again with --jobs 1")
+                    stopped.__cause__ = error
+                if stopped is not None and done == written:
+                    raise stopped  # inside: there is nothing new to keep
     if stopped is not None:
         raise stopped
     return Recorded(n_moments=done - start, n_unsolved=unsolved)
@@ -105,6 +132,9 @@ def workers(jobs: int) -> ProcessPoolExecutor:
 
 def _begin_worker() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(os, "setpgrp"):
+        os.setpgrp()  # what asks the whole group to end is for the parent to answer
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     os.environ["OMP_NUM_THREADS"] = "1"
     import cv2
     import numba
@@ -113,22 +143,37 @@ def _begin_worker() -> None:
     numba.set_num_threads(1)
 
 
+def _end_with_parent() -> None:
+    """A worker whose parent was killed would wait for its next moment forever."""
+    import multiprocessing
+    from multiprocessing.connection import wait
+
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+
+def _mend(plan: Plan, path: Path, n_moments: int) -> None:
+    """Put the first moments of a damaged recording into a whole one that takes its place."""
+    with closing(hdf5.read(path)) as damaged, _writer(plan, path, 0) as writer:
+        for index in range(n_moments):
+            for stream in damaged.streams:
+                writer.append(stream.name, stream.frame(index), stream.truth(index))
+
+
 def _writer(plan: Plan, path: Path, start: int) -> Writer:
     if start:
         return Writer.appending(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     return Writer(
         path, object_mesh=datasets.thing(plan), symmetry=datasets.symmetry(plan), pairings=datasets.pairings(plan),
         notes=(datasets.told(plan),), coding="row differences", depth_step_mm=BUBBLE_STEP_MM,
     )  # fmt: skip
 
 
-def _append(writer: Writer, moment: Moment, path: Path) -> None:
-    try:
-        for frame, truth in moment.readings:
-            writer.append(frame.sensor, frame, truth)
-    except OSError as error:
-        raise FileProblem(f"the recording cannot be written on ({error}); check the free space", path) from error
+def _append(writer: Writer, moment: Moment) -> None:
+    for frame, truth in moment.readings:
+        writer.append(frame.sensor, frame, truth)
 
 
 def _moments(plan: Plan, start: int, pool: Executor | None) -> Generator[Moment, None, None]:

@@ -1,13 +1,23 @@
 from __future__ import annotations
 
+import ast
 import json
 import math
+import os
+import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import write_arrays, write_folder, write_json
+from pipeline.base.files import read_bytes, read_json, read_toml, whole_file, write_arrays, write_folder, write_json
+from pipeline.base.text import plain
+
+PACKAGES = ("pipeline", "app", "widgets")
+ROOT = Path(__file__).parents[3]
 
 
 def test_a_folder_appears_whole(tmp_path):
@@ -45,3 +55,87 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(FileProblem, match="cannot write the report"):
         write_json(tmp_path / "file" / "r.json", {})
+
+
+def test_a_file_that_fails_half_way_leaves_the_old_one_and_nothing_else(tmp_path):
+    path = tmp_path / "a"
+    path.write_bytes(b"old")
+
+    def fails(error):
+        with whole_file(path, "the thing") as file:
+            file.write(b"half")
+            raise error
+
+    with pytest.raises(FileProblem, match=r"cannot write the thing \(No space left on device\)"):
+        fails(OSError(28, "No space left on device"))
+    with pytest.raises(KeyboardInterrupt):
+        fails(KeyboardInterrupt())
+    assert [p.read_bytes() for p in tmp_path.iterdir()] == [b"old"]
+
+
+def test_a_device_or_a_folder_is_not_replaced_by_a_file(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "folder").mkdir()
+    for name in ("pipe", "folder"):
+        with pytest.raises(FileProblem, match="a folder or a device of this name is there"):
+            write_json(tmp_path / name, {})
+    assert (tmp_path / "pipe").is_fifo()
+
+
+@pytest.mark.parametrize(
+    "read", [lambda p: read_bytes(p, "it"), lambda p: read_toml(p, "it"), lambda p: read_json(p, "it")]
+)
+def test_pipes_devices_folders_and_loops_are_refused_at_once(tmp_path, read):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "loop").symlink_to("loop")
+    for path in (tmp_path / "pipe", Path("/dev/zero"), tmp_path, tmp_path / "loop", tmp_path / ("x" * 300)):
+        with pytest.raises(FileProblem, match="cannot read it"):
+            read(path)
+
+
+@pytest.mark.parametrize("text", ["a = " + "[" * 20_000, "a = " + "1" * 5_000, "a = \xff", "a = [", "a = 1\na = 2"])
+def test_toml_and_json_that_no_one_can_read_are_refused(tmp_path, text):
+    path = tmp_path / "a"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(FileProblem, match="not valid TOML"):
+        read_toml(path, "it")
+    path.write_bytes(text.removeprefix("a = ").encode("latin-1"))
+    with pytest.raises(FileProblem, match="not valid JSON"):
+        read_json(path, "it")
+
+
+@given(st.text())
+def test_text_from_outside_is_one_line_that_moves_no_cursor(text):
+    shown = str(FileProblem(text, "a.h5"))
+    assert not any(c in shown for c in map(chr, [*range(32), 127, *range(128, 160), 0x202E, 0x2028]))
+    assert len(shown.splitlines()) == 1
+    shown.encode("utf-8")
+    assert plain(plain(text)) == plain(text)
+
+
+def test_an_error_travels_between_processes_whole():
+    error = pickle.loads(pickle.dumps(FileProblem("it is damaged", "a.h5", field="frame 3")))
+    assert (str(error), error.path, error.field) == ("it is damaged: 'a.h5'", Path("a.h5"), "frame 3")
+
+
+def test_there_is_one_way_to_put_a_file_in_its_place():
+    """Renaming over a file and opening one to write are for `base/files.py` alone, but for the log of the unforeseen."""
+    found = [
+        f"{file.relative_to(ROOT)}:{node.lineno}"
+        for package in PACKAGES
+        for file in (ROOT / package).rglob("*.py")
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and _writes(node)
+    ]
+    assert [
+        place for place in found if not place.startswith(("pipeline/base/files.py", "pipeline/base/unexpected.py"))
+    ] == []
+
+
+def _writes(call: ast.Call) -> bool:
+    modes = [a.value for a in call.args if isinstance(a, ast.Constant) and isinstance(a.value, str)]
+    name, on_text = call.func.attr, isinstance(call.func.value, ast.Constant)
+    if name in ("write_text", "write_bytes", "fsync", "rename"):
+        return not (isinstance(call.func.value, ast.Name) and call.func.value.id == "files")
+    renames = name == "replace" and len(call.args) == 1 and not call.keywords and not on_text
+    return renames or (name == "open" and any(set(mode) & set("wax+") and len(mode) < 4 for mode in modes))

@@ -69,7 +69,7 @@ def test_a_saved_look_up_comes_back_the_same(mini, tmp_path):
 
 
 def test_a_missing_look_up_is_told_in_a_sentence(tmp_path):
-    with pytest.raises(FileProblem, match="does not exist"):
+    with pytest.raises(FileProblem, match="No such file"):
         calibration.load(tmp_path / "none.npz")
 
 

@@ -35,12 +35,13 @@ def test_each_object_becomes_a_recording_that_passes_every_check(typed, tmp_path
     assert [check.name for check in report.checks if check.state == "fail"] == []
 
 
-def test_ctrl_c_keeps_what_is_finished_and_the_same_command_goes_on(typed, tmp_path, monkeypatch):
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_and_sigterm_keep_what_is_finished_and_the_same_command_goes_on(typed, tmp_path, monkeypatch, how):
     out, made = tmp_path / "one.h5", datasets.moment
 
     def interrupted(plan, index):
         if index == 1:
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), how)
         return made(plan, index)
 
     options = ("--sensors", "digit", "--tools", ONE, "--poses", 4, "--out", out)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from dataclasses import replace
 
+import h5py
 import numpy as np
 import pytest
 
@@ -159,6 +160,46 @@ def test_two_processes_write_what_one_writes(tmp_path):
     with recorder.workers(2) as pool:
         recorder.record(plan, two, pool=pool)
     assert prints(one) == prints(two)
+
+
+def test_what_is_finished_is_in_place_before_the_rest_is(tmp_path, monkeypatch):
+    monkeypatch.setattr(recorder, "PUBLISHED_EVERY_S", 0.0)
+    path, seen = tmp_path / "a.h5", []
+
+    class Looks:
+        def step(self, fraction, text):
+            seen.append(recorder.finished(PLAN, path))
+
+    recorder.record(PLAN, path, progress=Looks())
+    assert seen == [0, 1, 2]
+    whole = tmp_path / "whole.h5"
+    monkeypatch.undo()
+    recorder.record(PLAN, whole)
+    assert prints(whole) == prints(path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.h5", "whole.h5"]
+
+
+@pytest.mark.parametrize("damage", ["cut", "flipped", "one sensor short"])
+def test_a_damaged_recording_is_mended_by_the_next_run(tmp_path, damage):
+    whole, path = tmp_path / "whole.h5", tmp_path / "damaged.h5"
+    recorder.record(PLAN, whole)
+    data = bytearray(whole.read_bytes())
+    with h5py.File(whole, "r") as file:
+        chunk = file["streams/digit/frames"].id.get_chunk_info(1)
+    if damage == "cut":
+        del data[chunk.byte_offset + 10 :]
+    elif damage == "flipped":
+        data[chunk.byte_offset + 100] ^= 0x10
+    path.write_bytes(data)
+    if damage == "one sensor short":
+        with h5py.File(path, "r+") as file:
+            for dataset in file["streams/digit"].values():
+                for table in dataset.values() if isinstance(dataset, h5py.Group) else (dataset,):
+                    if table.name.split("/")[-1] != "references":
+                        table.resize(1, axis=0)
+    assert recorder.finished(PLAN, path) == 1
+    assert recorder.record(PLAN, path).n_moments == 2
+    assert prints(path) == prints(whole)
 
 
 def test_what_is_in_the_way_stays_as_it_is(tmp_path):

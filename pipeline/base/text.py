@@ -1,0 +1,16 @@
+"""Text that comes from outside, made safe to show: no file name or attribute moves a cursor or hides a word."""
+
+from __future__ import annotations
+
+import unicodedata
+
+
+def plain(text: str) -> str:
+    r"""`text` on one line: control and direction marks, and bytes that are no text, as escapes such as `\x1b`."""
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or unicodedata.category(c) == "Zs" else _escaped(c) for c in text)
+
+
+def _escaped(character: str) -> str:
+    return character.encode("unicode_escape").decode("ascii")

@@ -1,0 +1,89 @@
+"""What a full disk and a kill leave of simulated recordings: what was finished, and nothing that looks whole and is not."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from pipeline.recordings import hdf5
+from pipeline.simulation import recorder, shapes
+from pipeline.simulation.datasets import Plan
+
+TOOL = shapes.names("training")[0]
+POSES = 6
+PLAN = Plan(sensors=("digit",), tool=TOOL, poses=POSES, seed=0)
+LONG_S = 120  # beyond any machine: only a process that hangs takes so long
+
+SIMULATE = """
+import resource, sys
+from pipeline.cli.main import build, run
+from pipeline.simulation import recorder
+limit, recorder.PUBLISHED_EVERY_S = int(sys.argv[1]), 0.0
+if limit:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+sys.exit(run(build(), ["simulate", *sys.argv[2:]]))
+"""
+WORKER = """
+import os, sys
+from pipeline.simulation.recorder import workers
+if __name__ == "__main__":
+    pool = workers(1)
+    pool.submit(os.getpid).result()
+    print("working", flush=True)
+    sys.stdin.read()
+"""
+
+
+def simulated(out: Path, limit: int) -> subprocess.CompletedProcess[str]:
+    """`tactoscope simulate` in a process whose files may not grow beyond `limit` bytes, as on a full disk."""
+    options = ["--sensors", "digit", "--tools", TOOL, "--poses", str(POSES), "--jobs", "1", "--out", str(out)]
+    return subprocess.run([sys.executable, "-c", SIMULATE, str(limit), *options], capture_output=True, text=True,
+                          timeout=LONG_S, check=False)  # fmt: skip
+
+
+def readable(path: Path) -> int:
+    recording = hdf5.read(path)
+    try:
+        stream = recording.streams[0]
+        assert all(stream.frame(k).image.any() and stream.truth(k) is not None for k in range(stream.n_frames))
+        return stream.n_frames
+    finally:
+        recording.close()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits the size of files as Linux does")
+def test_a_full_disk_ends_in_one_sentence_and_the_next_run_goes_on(tmp_path):
+    assert simulated(tmp_path / "whole.h5", 0).returncode == 0
+    whole = (tmp_path / "whole.h5").stat().st_size
+    out = tmp_path / "full.h5"
+    room = 2 * whole // 3 + (2 << 20)  # and what is taken in advance of a frame
+    done = simulated(out, room)
+    assert done.returncode == 2, done
+    assert done.stderr.count("tactoscope: cannot write the recording (File too large)") == 1
+    assert "Traceback" not in done.stderr
+    assert [p.name for p in tmp_path.iterdir() if p.suffix != ".h5"] == []
+    assert 0 < readable(out) < POSES
+    assert simulated(out, 0).returncode == 0
+    assert readable(out) == POSES
+
+
+def test_workers_end_when_their_parent_is_killed(tmp_path):
+    script = tmp_path / "parent.py"
+    script.write_text(WORKER)
+    parent = subprocess.Popen([sys.executable, script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert parent.stdout.readline() == "working\n"
+    parent.kill()
+    parent.communicate(timeout=LONG_S)  # the end of its output: the worker, which has it too, is gone
+
+
+def test_what_a_killed_process_left_beside_is_taken_away_by_the_next(tmp_path):
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    left = tmp_path / f".tactoscope-{gone.pid}-0.part"
+    left.write_bytes(b"half a recording")
+    recorder.record(replace(PLAN, poses=1), tmp_path / "a.h5")
+    assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]
