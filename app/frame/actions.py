@@ -47,6 +47,7 @@ FILE = (
         icon="cube",
         keys=("Ctrl+M",),
     ),
+    Command(name="close_mesh", text="Close mesh", tip="Go back to the recording's own mesh, or to none"),
     Command(
         name="open_calibration",
         text="Open calibration…",

@@ -87,6 +87,8 @@ def _connect_files(instrument: Instrument, aligning: Aligning) -> None:
 
     for name, ask in dialogs.OPENERS.items():
         window.on(name, asks(lambda ask=ask: ask(window), instrument.open_path))
+    window.on("open_mesh", lambda: instrument.open_mesh(*asked) if (asked := dialogs.mesh(window)) else None)
+    window.on("close_mesh", lambda: instrument.open_mesh(None))
     window.on("open_reference", asks(lambda: dialogs.reference(window), instrument.open_reference))
     window.on("save_alignment", asks(lambda: dialogs.alignment_to_save(window), aligning.save))
     window.on("save_session", asks(lambda: dialogs.session_to_save(window), instrument.save_session))

@@ -12,6 +12,12 @@ from app.session.state import SUFFIX
 
 ALIGNMENT = ".toml"
 MESHES = (".stl", ".obj", ".ply")
+_UNITS = {
+    "auto": "Meshes, in mm if that can be",
+    "mm": "Meshes in millimetres",
+    "cm": "Meshes in centimetres",
+    "m": "Meshes in metres",
+}
 
 
 def is_calibration(path: Path) -> bool:
@@ -37,9 +43,11 @@ def folder(parent: QWidget) -> Path | None:
     return Path(chosen) if chosen else None
 
 
-def mesh(parent: QWidget) -> Path | None:
-    """Ask for an object mesh."""
-    return _open(parent, "Open mesh", f"Meshes ({' '.join('*' + s for s in MESHES)});;All files (*)")
+def mesh(parent: QWidget) -> tuple[Path, str] | None:
+    """Ask for an object mesh and the unit it is in, which no mesh file says."""
+    kinds = {f"{text} ({' '.join('*' + s for s in MESHES)})": unit for unit, text in _UNITS.items()}
+    chosen, kind = QFileDialog.getOpenFileName(parent, "Open mesh", "", ";;".join(kinds))
+    return (Path(chosen), kinds.get(kind, "auto")) if chosen else None
 
 
 def calibration(parent: QWidget) -> Path | None:
@@ -83,7 +91,6 @@ def picture_to_save(parent: QWidget) -> Path | None:
 OPENERS: Mapping[str, Callable[[QWidget], Path | None]] = {
     "open_recording": recording,
     "open_folder": folder,
-    "open_mesh": mesh,
     "open_calibration": calibration,
     "open_alignment": alignment,
     "open_session": session,

@@ -18,6 +18,7 @@ from app.session.undo import SessionChange
 from app.work.jobs import LatestJob, Work
 from app.work.stopwatch import Stopwatch
 from app.work.work import Bench, FrameShown, Opened, SourceShown, StageShown, request_of
+from pipeline.translation.translate import Request
 from pipeline.values.results import PoseStep
 from widgets.layers import Scene
 
@@ -41,6 +42,7 @@ class Instrument(Documents):
         self.screen = Screen(window, self.tracer)
         self._ticket = self._wanted_since = self._opening = 0
         self._closed = self._waits = self._beside = False
+        self._open: set[Request | None] = {None}  # what is open, as it was asked for and as it is named since
         self.latest: FrameShown | None = None  # the frame on screen
         self._stale, self._young = QTimer(self), QTimer(self)
         for timer, ms in ((self._stale, _STALE_AFTER_MS), (self._young, _PATIENCE_MS)):
@@ -156,14 +158,16 @@ class Instrument(Documents):
         """Show a part of the result; parts for another recording come too late."""
         if ticket < self._wanted_since or self._closed:
             return
+        self._opening = 0
         with self.watch.timed(type(part).__name__):
             if isinstance(part, Opened):
-                self._opening = 0
-                self.session = replace(
+                named = replace(
                     self.session,
                     target=part.session.target,
                     frame=min(self.session.frame, part.translation.n_frames - 1),
                 )
+                self._open = {request_of(self.session), request_of(named)}
+                self.session = named
                 self.screen.show_opened(replace(part, session=self.session))
                 self._show_controls()
             elif isinstance(part, SourceShown | StageShown):
@@ -191,10 +195,8 @@ class Instrument(Documents):
         if ticket == self._ticket:
             not_opened = self._opening == ticket
             self._rest()
-            if not_opened and self.undo.canUndo():
-                self.undo.undo()
-            elif not_opened:
-                self.screen.mark_cancelled()
+            if not_opened:
+                self._take_back()
             else:
                 self.screen.mark_failed(error)
         self.show_problem(error)
@@ -214,6 +216,20 @@ class Instrument(Documents):
         """Go to another session as one undo step; see `change`."""
         self.undo.push(SessionChange(old=self.session, new=new, text=text, key=key, show=self.show_session))
 
+    def _take_back(self) -> None:
+        """Go back to the session whose request is open, but stay on the frame that was chosen meanwhile."""
+        failed = self.session
+        for can, step in ((self.undo.canUndo, self.undo.undo), (self.undo.canRedo, self.undo.redo)):
+            while can() and not self._is_open():
+                step()
+        if not self._is_open():
+            self.screen.mark_cancelled()
+        elif self.session.recording == failed.recording:
+            self.choose_frame(failed.frame)
+
+    def _is_open(self) -> bool:
+        return (None if self.session.recording is None else request_of(self.session)) in self._open
+
     def _show_controls(self) -> None:
         window, session = self.window, self.session
         window.timeline.show_frame(session.frame)
@@ -224,6 +240,7 @@ class Instrument(Documents):
         _show_choice(window.target, session.target)
         _show_choice(window.route, session.route)
         window.actions_by_name["link_cameras"].setChecked(session.linked)
+        window.actions_by_name["close_mesh"].setEnabled(session.mesh is not None)
 
     def _ask(self, *, other_request: bool) -> None:
         session, wanted, beside = self.session, self.window.visible_columns(), self._beside
@@ -233,7 +250,9 @@ class Instrument(Documents):
             lambda report: self.bench.show(session, wanted, report, beside=beside), interrupt=interrupt
         )
         if other_request:
-            self._wanted_since = self._opening = self._ticket
+            self._wanted_since = self._ticket
+        if other_request or self._opening:
+            self._opening = self._ticket
         if interrupt:
             self._young.start()
         self.screen.expect_all()

@@ -43,20 +43,25 @@ class Documents(QObject):
         if path.name.endswith(SUFFIX):
             self.open_session(path)
         elif path.suffix.lower() in dialogs.MESHES:
-            self.change("open mesh", mesh=path)
+            self.open_mesh(path)
         elif path.suffix.lower() == dialogs.ALIGNMENT:
             self.change("open alignment", alignment=path)
         elif dialogs.is_calibration(path):
             self.change("open calibration", calibration=path)
         else:
             self.change(
-                "open recording", recording=path, frame=0, source="", stream="", reference=None, calibration=None
-            )
+                "open recording", recording=path, frame=0, source="", stream="", reference=None, calibration=None,
+                mesh=None, mesh_unit="auto",
+            )  # fmt: skip
 
     def open_paths(self, paths: list[Path]) -> None:
         """Open what was dropped: recordings first, then what goes with them."""
         for path in sorted(paths, key=lambda p: p.suffix.lower() in dialogs.MESHES or dialogs.is_calibration(p)):
             self.open_path(path)
+
+    def open_mesh(self, path: Path | None, unit: str = "auto") -> None:
+        """Open the touched object's mesh, whose numbers are in `unit`; None goes back to the recording's own."""
+        self.change("close mesh" if path is None else "open mesh", mesh=path, mesh_unit=unit)
 
     def open_reference(self, path: Path) -> None:
         """Open the image of the untouched sensor."""

@@ -16,6 +16,7 @@ from app.views.pictures import CloudPicture
 from app.work.comparison import Comparison, Comparisons
 from app.work.jobs import Report
 from app.work.residuals import ObjectSurface
+from pipeline.base.errors import FileProblem
 from pipeline.engine.graph import Graph, StageResult
 from pipeline.evaluation.metrics import frame_metrics
 from pipeline.recordings import open_recording
@@ -149,10 +150,11 @@ class Bench:
         if not request.target:
             request = replace(request, target=_best_target(request))
         translation = open_translation(request)
+        if translation.n_frames == 0:
+            translation.recording.close()
+            raise FileProblem("the recording holds no frame; choose another", request.recording)
         if self._translation is not None:
             self._translation.recording.close()
-        if translation.n_frames == 0:
-            raise ValueError("the recording holds no frame")
         self._translation, self._drawn = translation, {}
         self._comparisons.forget()
         named = replace(

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from pathlib import Path
 
+import h5py
 import pytest
 from PyQt6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
 from PyQt6.QtGui import QDropEvent
 
 from app.frame.tour import give_tour, save_window_picture, wait_until_shown
+from app.session.state import load_session
 from app.work.stopwatch import LIMIT_MS
 from pipeline.base.params import changed
+from pipeline.recordings.hdf5_writer import Writer
+from tests.app.conftest import bubble_frames
 
 LIMIT_S = 60
 
@@ -67,6 +72,84 @@ def test_a_file_that_is_no_recording_is_told_in_one_sentence(open_window, tmp_pa
     assert instrument.window.banner.isVisible()
     assert "bad.h5" in instrument.window.banner.text
     assert instrument.window.banner.details == ""
+
+
+def test_a_bad_mesh_opened_while_the_frame_changes_is_taken_back(bubble_window, tmp_path):
+    bad = tmp_path / "bad.stl"
+    bad.write_text("no mesh at all")
+    bubble_window.open_path(bad)
+    bubble_window.choose_frame(1)
+    wait_until_shown(bubble_window, LIMIT_S)
+    assert "bad.stl" in bubble_window.window.banner.text
+    assert bubble_window.session.mesh is None
+    assert bubble_window.session.frame == 1
+    bubble_window.window.banner.dismiss()
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.latest.index == 1
+    bubble_window.choose_frame(2)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+
+
+def test_a_stage_that_fails_on_what_was_open_before_takes_nothing_more_back(bubble_window, tmp_path, monkeypatch):
+    def fails(*_args, **_kwargs):
+        raise RuntimeError("out of memory")
+
+    bubble_window.choose_frame(1)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    monkeypatch.setattr("pipeline.engine.graph.Graph.evaluate", fails)
+    bubble_window.open_path(tmp_path / "missing.stl")
+    wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.session.mesh is None
+    assert bubble_window.session.frame == 1
+    assert bubble_window.window.columns["depth"].state == "failed"
+
+
+def test_a_mesh_can_be_closed_and_goes_with_its_recording(bubble_window, ball_file, touch_file, tmp_path):
+    close = bubble_window.window.actions_by_name["close_mesh"]
+    assert not close.isEnabled()
+    bubble_window.open_path(ball_file)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.latest.results["pose"].state == "computed"
+    close.trigger()
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.latest.results["pose"].state == "skipped"
+    bubble_window.undo.undo()
+    other = tmp_path / "other.h5"
+    shutil.copy(touch_file, other)
+    bubble_window.open_path(other)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.session.mesh is None
+    assert bubble_window.screen.opened.translation.mesh is None
+
+
+def test_the_unit_of_a_mesh_is_chosen_where_it_is_opened_and_kept(bubble_window, ball_file, tmp_path, monkeypatch):
+    def in_metres(_parent, _title, _folder, kinds):
+        return str(ball_file), next(kind for kind in kinds.split(";;") if "in metres" in kind)
+
+    monkeypatch.setattr("PyQt6.QtWidgets.QFileDialog.getOpenFileName", in_metres)
+    bubble_window.window.actions_by_name["open_mesh"].trigger()
+    assert bubble_window.session.mesh == ball_file
+    assert bubble_window.session.mesh_unit == "m"
+    bubble_window.save_session(tmp_path / "s.touch.json")
+    assert load_session(tmp_path / "s.touch.json").mesh_unit == "m"
+
+
+def test_an_empty_recording_leaves_the_open_one_as_it_is(bubble_window, tmp_path):
+    before, empty = bubble_window.session, tmp_path / "empty.h5"
+    with Writer(empty) as writer:
+        writer.append("bubble", bubble_frames()[0])
+    with h5py.File(empty, "r+") as file:
+        for name, dataset in list(file["streams/bubble"].items()):
+            if name != "references" and isinstance(dataset, h5py.Dataset):
+                dataset.resize(0, axis=0)
+    bubble_window.open_path(empty)
+    wait_until_shown(bubble_window, LIMIT_S)
+    assert "empty.h5" in bubble_window.window.banner.text
+    assert bubble_window.session.recording == before.recording
+    bubble_window.window.banner.dismiss()
+    bubble_window.choose_frame(1)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.window.columns["source"].state == "read"
 
 
 def test_an_error_of_our_own_is_told_briefly_with_the_traceback_behind_it(bubble_window, monkeypatch):
