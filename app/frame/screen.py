@@ -83,12 +83,16 @@ class Screen:
         column = self._window.columns[name]
         column.show_picture(part.picture)
         if isinstance(part, StageShown):
+            self._results = {**self._results, name: part.result}
             column.show_state(part.result.state, part.result.ms, part.result.notes)
             self._tracer.show_cloud(part.cloud)
+            self._tracer.show_results(self._results)
             if isinstance(part.result.output, ObjectPose):
                 self._window.steps.show_steps(part.result.output.steps)
         else:
+            self._results = {}  # those of another frame, or of other parameters
             column.show_state("read", part.ms)
+            self._tracer.show_results(self._results, part.frame)
         index = self._order.index(name)
         self._layers[index] = part.layers
         self._scene.show_layers(index, part.layers)
@@ -97,6 +101,9 @@ class Screen:
     def show_preview(self, picture: Picture, layers: tuple[Layer, ...]) -> None:
         """The target's view of a drag on its way; what rests on it is out of date."""
         self._fresh -= set(_OF_ALIGNMENT)
+        if self._results.keys() & set(_OF_ALIGNMENT):
+            self._results = {name: r for name, r in self._results.items() if name not in _OF_ALIGNMENT}
+            self._tracer.show_results(self._results)
         for name in _OF_ALIGNMENT:
             column = self._window.columns[name]
             if name != "project" and column.state != "stale":
@@ -107,15 +114,13 @@ class Screen:
         self._scene.show_layers(self._order.index("project"), layers)
 
     def show_frame(self, shown: FrameShown) -> None:
-        """Timings, summary and trace of a frame that is through."""
-        self._results = {**self._results, **shown.results}
+        """Timings and summary of a frame that is through."""
         if shown.summary is not None:
             self._window.frames.show_summary(shown.index, shown.summary)
             self._window.frames.show_frame(shown.index)
         done = [(stage, shown.results[stage.name]) for stage in STAGES if stage.name in shown.results]
         rows = [TimingRow(title=s.title, state=r.state, ms=r.ms, notes=r.notes) for s, r in done]
         self._window.timings.show_rows(tuple(rows))
-        self._tracer.show_results(self._results, shown.frame)
 
     def expect_all(self) -> None:
         """Nothing on screen is fresh any more."""

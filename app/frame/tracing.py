@@ -20,6 +20,7 @@ from pipeline.values.frames import TactileFrame
 from widgets.layers import Scene
 
 _TITLES = {"source": "source", **{s.name: s.title.lower() for s in STAGES}}
+_NOTHING, _NOT_YET = "nothing of the source came to this pixel", "not worked out yet"
 _DOTS_AFTER_MS = 40  # 3D follows the mouse at most this often
 
 
@@ -45,9 +46,9 @@ class Tracer(QObject):
         self._dots.setInterval(_DOTS_AFTER_MS)
         self._dots.timeout.connect(self._show_dots)
 
-    def show_results(self, results: Mapping[str, StageResult], frame: TactileFrame) -> None:
-        """Trace through these from now on; a pinned pixel is traced anew."""
-        self._results, self._frame = results, frame
+    def show_results(self, results: Mapping[str, StageResult], frame: TactileFrame | None = None) -> None:
+        """Trace through these from now on, of another `frame` if given; the traced pixel is traced anew."""
+        self._results, self._frame = results, frame or self._frame
         if self._at is not None:
             self._trace(*self._at)
 
@@ -108,7 +109,9 @@ class Tracer(QObject):
         for name, column in self._window.columns.items():
             column.view.show_cross(crosses[name])
         steps = [(_TITLES[m.stage], m.text) for m in marks]
-        ending = "" if marks else "nothing of the source came to this pixel"
+        ending = "" if marks else _NOTHING
+        if not self._results or (stage != "source" and stage not in self._results):
+            ending = _NOT_YET
         if not marks:
             steps = [(_TITLES[stage], f"({col}, {row})")]
         self._window.trace.show_steps(steps, pinned=self._frozen, ending=ending)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import threading
 import time
 from pathlib import Path
 
@@ -10,11 +11,13 @@ import h5py
 import pytest
 from PyQt6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
 from PyQt6.QtGui import QDropEvent
+from PyQt6.QtWidgets import QLabel
 
 from app.frame.tour import give_tour, save_window_picture, wait_until_shown
 from app.session.state import load_session
 from app.work.stopwatch import LIMIT_MS
 from pipeline.base.params import changed
+from pipeline.engine.graph import Graph
 from pipeline.recordings.hdf5_writer import Writer
 from tests.app.conftest import bubble_frames
 
@@ -205,6 +208,42 @@ def test_a_pinned_pixel_stays_while_the_mouse_moves_on(bubble_window):
     bubble_window.tracer.click("depth", 70, 86)
     bubble_window.tracer.hover("depth", 10, 10)
     assert bubble_window.window.columns["depth"].view.cross == (70, 86)
+
+
+def test_a_trace_never_speaks_of_another_frame_than_the_picture(bubble_window, qtbot, monkeypatch):
+    """While the touch is generated, what is above it is already the new frame's."""
+    row, col = 70, 86
+    bubble_window.choose_frame(1)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    bubble_window.tracer.click("depth", row, col)
+    shallow = bubble_window.window.trace.text
+    seen, go_on = threading.Event(), threading.Event()
+
+    evaluate = Graph.evaluate
+
+    def stops_at_the_view(graph, wanted, inputs, params, progress, on_stage):
+        def on(result):
+            on_stage(result)
+            if result.name == "project":
+                seen.set()
+                go_on.wait(LIMIT_S)
+
+        return evaluate(graph, wanted, inputs, params, progress, on)
+
+    monkeypatch.setattr(Graph, "evaluate", stops_at_the_view)
+    try:
+        bubble_window.choose_frame(2)
+        qtbot.waitUntil(seen.is_set, timeout=10_000)
+        qtbot.wait(100)
+        depth = bubble_window.window.columns["depth"].view.picture
+        assert f"{depth.values[row, col]:.3f} mm" in bubble_window.window.trace.text
+        assert "generated" in shallow
+        assert "generated" not in bubble_window.window.trace.text
+        bubble_window.tracer.click("generate", row, col)
+        assert "not worked out yet" in bubble_window.window.trace.findChild(QLabel).text()
+    finally:
+        go_on.set()
+    wait_until_shown(bubble_window, LIMIT_S)
 
 
 def test_a_dropped_file_is_opened(open_window, touch_file):
