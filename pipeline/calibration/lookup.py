@@ -13,15 +13,21 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Doubles, Floats, Image, freeze
 from pipeline.base.errors import CalibrationError, FileProblem, ShapeError
 from pipeline.base.files import must_be_file, whole_file
+from pipeline.base.memo import Memo
 from pipeline.calibration import slope_model
 from pipeline.calibration.markers import inpainted, marker_mask
 from pipeline.calibration.slope_model import Samples, SlopeModel
-from pipeline.geometry.camera import Camera
-from pipeline.sensors.spec import Markers, Optics, SensorSpec
+from pipeline.engine import store
+from pipeline.engine.digests import content
+from pipeline.sensors.spec import Markers, SensorSpec
 
 SMOOTHING_PX = 1.0  # of the colour change, the same when the look-up is fitted and when it is used
 _VERSION = 1
-_KEPT = 16  # built-in look-ups
+_DEGREES = 4, 2  # of colour and of position, of the built-in look-up
+_CODE = (  # what it comes from
+    "pipeline.calibration.lookup", "pipeline.calibration.slope_model", "pipeline.physics.optics",
+    "pipeline.physics.optics_kernels",
+)  # fmt: skip
 _N_SLOPES = 96  # slope images that the built-in look-up is fitted to
 _N_PIXELS = 400  # pixels taken from each
 _STEEPEST = 1.2  # mm/mm: about 50 degrees, the rim of a deep ball press
@@ -101,7 +107,7 @@ def relative_change(
     return np.asarray(change, np.float32) * slope_model.gain(bright)
 
 
-_built_in: dict[tuple[str, Camera, Optics], Calibration] = {}
+_built_in: Memo[str, Calibration] = Memo(16)  # simulated variations of a sensor are many
 
 
 def built_in(sensor: SensorSpec) -> Calibration:
@@ -112,16 +118,30 @@ def built_in(sensor: SensorSpec) -> Calibration:
     """
     if sensor.optics is None:
         raise CalibrationError(f"{sensor.name} has no optics to derive a look-up from; it measures depth itself")
-    key = (sensor.name, sensor.camera, sensor.optics)
-    made = _built_in.get(key)
-    if made is None:
-        if len(_built_in) >= _KEPT:  # simulated variations of a sensor are many
-            _built_in.pop(next(iter(_built_in)))
-        made = _built_in[key] = _inverted(sensor)
-    return made
+
+    def make() -> Calibration:
+        # Light falls on slopes alike at any distance, so that units of one sensor at several depths share the fit.
+        fitted = store.kept(_Fitted, (sensor.camera, sensor.optics), _CODE, lambda: _inverted(sensor), "look_ups")
+        model = SlopeModel(colour_degree=_DEGREES[0], position_degree=_DEGREES[1],
+                           coefficients=fitted.coefficients, slope_max=fitted.slope_max)  # fmt: skip
+        return Calibration(
+            sensor=sensor.name, rows=sensor.camera.rows, cols=sensor.camera.cols, pixel_mm=sensor.pixel_mm, model=model,
+            residual=fitted.residual, origin="derived from the sensor's optical description",
+        )  # fmt: skip
+
+    return _built_in.of(content((sensor.name, sensor.camera, sensor.optics, sensor.pixel_mm)), make)
 
 
-def _inverted(sensor: SensorSpec) -> Calibration:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Fitted:
+    """What the regression finds."""
+
+    coefficients: Floats  # of a `SlopeModel` of the built-in degrees
+    slope_max: float
+    residual: float
+
+
+def _inverted(sensor: SensorSpec) -> _Fitted:
     from pipeline.physics import optics
 
     rng = np.random.default_rng(0)
@@ -142,13 +162,11 @@ def _inverted(sensor: SensorSpec) -> Calibration:
     change, u_all, v_all, g = (np.concatenate(p).astype(np.float32) for p in zip(*parts, strict=True))
     samples = Samples(change=change, u=u_all, v=v_all, slopes=g)
     model = slope_model.fit(
-        samples, np.ones(len(g), np.float32), colour_degree=4, position_degree=2, ridge=1e-7, huber=0.1
-    )
-    rms = float(np.sqrt(np.mean((slope_model.predict(model, samples) - g) ** 2)))
-    return Calibration(
-        sensor=sensor.name, rows=shape[0], cols=shape[1], pixel_mm=sensor.pixel_mm, model=model, residual=rms,
-        origin="derived from the sensor's optical description",
+        samples, np.ones(len(g), np.float32), colour_degree=_DEGREES[0], position_degree=_DEGREES[1], ridge=1e-7,
+        huber=0.1,
     )  # fmt: skip
+    rms = float(np.sqrt(np.mean((slope_model.predict(model, samples) - g) ** 2)))
+    return _Fitted(coefficients=model.coefficients, slope_max=model.slope_max, residual=rms)
 
 
 def _without_markers(sensor: SensorSpec) -> SensorSpec:

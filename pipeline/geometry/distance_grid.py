@@ -18,7 +18,6 @@ from pipeline.base.errors import MeshProblem
 from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry.meshes import Mesh
 
-VERSION = 2  # of what is built; kept grids of another version are built again
 OPEN = "the mesh is not closed: inside and outside are told by the sides of its triangles"
 _CELLS = 8  # fine cells along a block's edge, as in the kernels
 _SMALLEST_MM = 0.8  # coarse step: 0.1 mm at the surface, where a registration is within 1.2 of what is possible

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.base.arrays import Doubles
+from pipeline.base.memo import Memo
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.digests import digest
 from pipeline.geometry.distance_grid import DistanceGrid
@@ -16,9 +16,7 @@ from pipeline.geometry.meshes import Mesh
 from pipeline.registration.model import Model, sampled
 
 N_MODEL = 30_000  # points on the whole object
-_KEPT = 4  # objects
-_kept: dict[str, Prepared] = {}
-_guard = threading.Lock()
+_objects: Memo[str, Prepared] = Memo(4)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,15 +31,9 @@ class Prepared:
 def prepared(mesh: Mesh, seed: int, progress: Progress = SILENT) -> Prepared:
     """The object of a mesh, made or remembered; raises MeshProblem when it has no surface."""
     key = digest((seed, np.asarray(mesh.vertices_mm, np.float64), np.asarray(mesh.triangles, np.int32)))
-    with _guard:
-        known = _kept.get(key)
-    if known is not None:
-        return known
-    model = sampled(mesh, N_MODEL, seed)
-    middle_mm = (mesh.vertices_mm.min(axis=0) + mesh.vertices_mm.max(axis=0)).astype(np.float64) / 2
-    made = Prepared(grid=distance_grid(mesh, progress), model=model, middle_mm=middle_mm)
-    with _guard:
-        _kept[key] = made
-        while len(_kept) > _KEPT:
-            _kept.pop(next(iter(_kept)))
-    return made
+
+    def make() -> Prepared:
+        middle_mm = (mesh.vertices_mm.min(axis=0) + mesh.vertices_mm.max(axis=0)).astype(np.float64) / 2
+        return Prepared(grid=distance_grid(mesh, progress), model=sampled(mesh, N_MODEL, seed), middle_mm=middle_mm)
+
+    return _objects.of(key, make)

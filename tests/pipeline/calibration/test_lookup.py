@@ -122,3 +122,21 @@ def test_the_compiled_polynomial_equals_the_fitted_one():
     expected = slope_model.predict(model, samples).reshape(6, 7, 2)
     assert np.allclose(gx, expected[..., 0], atol=1e-5)  # float32 sums in another order
     assert np.allclose(gy, expected[..., 1], atol=1e-5)
+
+
+def test_the_built_in_look_up_follows_the_rest_depth():
+    near = sensor("digit")
+    far = replace(near, rest_depth_mm=1.5 * near.rest_depth_mm)
+    assert calibration.built_in(near).pixel_mm == near.pixel_mm
+    assert calibration.built_in(far).pixel_mm == pytest.approx(1.5 * near.pixel_mm)
+
+
+def test_the_built_in_look_up_is_kept_for_the_next_process(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    source = replace(sensor("digit"), name="one that was never asked for")
+    first = calibration.built_in(source)
+    calibration._built_in.clear()
+    monkeypatch.setattr(calibration, "_inverted", lambda _: pytest.fail("it was kept"))
+    again = calibration.built_in(source)
+    assert np.array_equal(again.model.coefficients, first.model.coefficients)
+    assert replace(again, model=first.model) == first

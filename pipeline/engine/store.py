@@ -1,0 +1,84 @@
+"""Values kept on disk for the next process: what takes long to work out and depends on little.
+
+The folder is the platform's cache of this user. A file is named after what its value was made of, the code that made it
+included; one that is damaged is made again; where nothing can be read or written, everything works without.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import zipfile
+from collections.abc import Callable
+from dataclasses import fields
+from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.base.arrays import freeze
+from pipeline.base.errors import FileProblem
+from pipeline.base.files import whole_file
+from pipeline.engine.digests import digest
+
+_MOST_FILES = 40  # of one kind; a distance grid takes 16 MB
+# Whatever is wrong with a file that can be made again is no news to anybody.
+_DAMAGED = (OSError, ValueError, KeyError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile)
+
+T = TypeVar("T")
+
+
+def kept(kind: type[T], made_of: object, code: tuple[str, ...], make: Callable[[], T], folder: Path | str) -> T:
+    """The value that `make` makes of `made_of` by the modules `code`: read from disk, or made and written there.
+
+    `kind` is a flat dataclass of arrays, numbers and tuples of words; a relative `folder` lies in this user's cache.
+    """
+    key = digest((_source(code), made_of))
+    path = own_folder() / folder / f"{key}.npz"
+    value = _read(kind, path, key)
+    if value is None:
+        value = make()
+        _write(value, path, key)
+    return value
+
+
+def own_folder() -> Path:
+    """Where this program keeps what it can make again."""
+    import platformdirs
+
+    return Path(platformdirs.user_cache_dir("tactoscope", appauthor=False))
+
+
+@lru_cache(maxsize=16)
+def _source(code: tuple[str, ...]) -> str:
+    """Digest of the source of modules: a changed line makes other files."""
+    specs = [find_spec(name) for name in code]
+    return digest([Path(spec.origin).read_text("utf-8") for spec in specs if spec is not None and spec.origin])
+
+
+def _read(kind: type[T], path: Path, key: str) -> T | None:
+    try:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            if str(file["key"]) != key:
+                return None
+            return kind(**{f.name: _plain(file[f.name]) for f in fields(cast("Any", kind))})
+    except _DAMAGED:
+        return None
+
+
+def _plain(array: NDArray[Any]) -> object:
+    if array.ndim == 0:
+        return array.item()
+    return tuple(str(word) for word in array) if array.dtype.kind == "U" else freeze(array)
+
+
+def _write(value: object, path: Path, key: str) -> None:
+    arrays: dict[str, Any] = {f.name: np.asarray(getattr(value, f.name)) for f in fields(cast("Any", value))}
+    with contextlib.suppress(FileProblem, OSError):
+        with whole_file(path, "a file of the cache") as file:
+            np.savez(file, key=np.array(key), **arrays)
+        newest_last = sorted(path.parent.glob("*.npz"), key=lambda file: file.stat().st_mtime)
+        for old in newest_last[:-_MOST_FILES]:
+            old.unlink(missing_ok=True)
