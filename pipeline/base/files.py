@@ -85,6 +85,13 @@ def ready(folder: Path) -> None:
         raise FileProblem(f"no results can be written here ({reason(error)}); choose another place", folder) from error
 
 
+def ready_for(path: Path) -> None:
+    """The same for a file at `path`."""
+    if path.is_dir():
+        raise FileProblem("a folder stands where the file is to be written; choose another name", path)
+    ready(path.parent)
+
+
 def write_text(path: Path, text: str, what: str) -> None:
     """`text` as UTF-8, whole or not at all; raises FileProblem."""
     with whole_file(path, what) as file:

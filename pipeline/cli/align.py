@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -16,10 +17,13 @@ from pipeline.alignment.score import Score, scores, typical
 from pipeline.alignment.sensitivity import UNIT_STEP, Change, Sensitivity, sensitivities
 from pipeline.alignment.touches import PairedTouch, paired_touches
 from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.base.files import ready_for
 from pipeline.cli.terminal import Bar, print_line, shown_bar
 from pipeline.sensors.alignment import Side
 from pipeline.sensors.alignment_files import SUFFIX, AlignmentFile, save
 from pipeline.translation.translate import Request, Translation, open_translation
+
+_RANGE = re.compile(r"([0-9]{1,12})(?:-([0-9]{1,12}))?")
 
 
 def show_scores(request: Request, frames: str, exact: bool) -> int:
@@ -52,6 +56,7 @@ def refine_alignment(
         raise FileProblem("this alignment exists already and is kept; choose another --out", out)
     if not 0.0 <= hold_out < 1.0:
         raise SettingProblem(f"--hold-out is a share of the frames, at least 0 and below 1, got {hold_out:g}")
+    ready_for(out)
     translation = open_translation(request)
     try:
         with shown_bar() as bar:
@@ -85,16 +90,18 @@ def frames_of(listed: str, n_frames: int) -> list[int]:
     """Frame numbers of a text such as `0,3-7`; all of them if it is empty. Raises SettingProblem."""
     if not listed.strip():
         return list(range(n_frames))
-    chosen: list[int] = []
+    chosen: set[int] = set()
     for part in listed.split(","):
-        first, dash, last = part.strip().partition("-")
-        if not first.isdigit() or (dash and not last.isdigit()):
-            raise SettingProblem(f"frames are given as numbers and ranges such as 0,3-7, got {listed!r}")
-        chosen += range(int(first), int(last if dash else first) + 1)
-    missing = [index for index in chosen if index >= n_frames]
-    if missing:
-        raise SettingProblem(f"no frame {missing[0]}; the recording has frames 0 to {n_frames - 1}")
-    return sorted(set(chosen))
+        words = _RANGE.fullmatch(part.strip())
+        if words is None:
+            raise SettingProblem(f"frames are given as numbers and ranges such as 0,3-7, got {listed[:40]!r}")
+        first, last = int(words[1]), int(words[2] or words[1])
+        if max(first, last) >= n_frames:
+            raise SettingProblem(f"no frame {max(first, last)}; the recording has frames 0 to {n_frames - 1}")
+        if last < first:
+            raise SettingProblem(f"a range of frames goes from the smaller number to the larger, got {part.strip()!r}")
+        chosen.update(range(first, last + 1))
+    return sorted(chosen)
 
 
 def _touches(translation: Translation, frames: str, exact: bool, progress: Bar) -> tuple[PairedTouch, ...]:

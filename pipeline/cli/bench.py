@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.base.files import write_json
+from pipeline.base.files import ready, ready_for, write_json
 from pipeline.cli.terminal import print_line
 from pipeline.racing.comparison import read_rows, rows_of, setbacks
 from pipeline.racing.machine import THREAD_SETTINGS, machine, machine_line
@@ -35,6 +35,10 @@ def bench(
     where the questions are not there, the earlier run cannot be read or a result cannot be written.
     """
     asked, before = chosen(names), {} if against is None else read_rows(against)
+    if json_file is not None:
+        ready_for(json_file)
+    if plots is not None:
+        ready(plots)
     about = machine(THREAD_SETTINGS)
     print_line(machine_line(about))
     done: list[Answered] = []

@@ -11,12 +11,15 @@ from rich.table import Table
 
 from pipeline.base.arrays import Image
 from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.base.files import ready_for
 from pipeline.calibration.balls import calibrate_balls
 from pipeline.calibration.lookup import Calibration, save
 from pipeline.cli.terminal import Bar, print_line, shown_bar
 from pipeline.recordings import open_recording
 from pipeline.sensors.spec import SensorSpec
 from pipeline.sensors.spec import sensor as sensor_named
+
+LARGEST_BALL_MM = 1000.0  # flat, as far as any gel can tell
 
 
 def calibrate_balls_command(
@@ -30,10 +33,15 @@ def calibrate_balls_command(
     seed: int,
 ) -> int:
     """Fit, save and report; raises TouchError for what is wrong with the presses."""
-    if not diameter_mm > 0:
-        raise SettingProblem(f"--diameter-mm must be positive, got {diameter_mm:g}")
-    if pixel_mm is not None and not pixel_mm > 0:
-        raise SettingProblem(f"--pixel-mm must be positive, got {pixel_mm:g}")
+    if not 0.1 <= diameter_mm <= LARGEST_BALL_MM:
+        raise SettingProblem(f"--diameter-mm must lie within 0.1 and {LARGEST_BALL_MM:g} mm, got {diameter_mm:g}")
+    if pixel_mm is not None and not 1e-4 <= pixel_mm <= 10.0:
+        raise SettingProblem(f"--pixel-mm must lie within 0.0001 and 10 mm, got {pixel_mm:g}")
+    if seed < 0:
+        raise SettingProblem(f"--seed must be 0 or more, got {seed}")
+    if not pattern:
+        raise SettingProblem("--pattern is empty; '*' takes every picture")
+    ready_for(out)
     spec = sensor_named(sensor)
     images, untouched = _pictures(presses, spec, reference, pattern)
     with shown_bar() as bar:

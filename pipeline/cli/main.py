@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import sys
@@ -20,6 +21,9 @@ from pipeline.cli.terminal import complain
 EXIT_UNEXPECTED = 1
 EXIT_USER_ERROR = 2
 EXIT_INTERRUPTED = 130
+_USERS_TO_MEND = frozenset(  # what a file system says to a name, wherever it is first asked about it
+    (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.ELOOP, errno.ENAMETOOLONG, errno.EIO)
+)
 
 
 def build(name: str = "tactoscope") -> App:
@@ -72,6 +76,9 @@ def run(app: App, tokens: list[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_UNEXPECTED
     except Exception as error:  # noqa: BLE001 - the last border
+        if isinstance(error, OSError) and error.errno in _USERS_TO_MEND and error.filename is not None:
+            complain(f"{error.strerror}: '{os.fsdecode(error.filename)}'")
+            return EXIT_USER_ERROR
         complain(unexpected.kept(error))
         return EXIT_UNEXPECTED
     return code if isinstance(code, int) else 0

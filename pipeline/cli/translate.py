@@ -46,7 +46,7 @@ def translate_frames(
     console = Console(stderr=True)
     translation = open_translation(request)
     for note in translation.notes:
-        console.print(f"note: {note}", style="dim", highlight=False)
+        console.print(f"note: {note}", style="dim", highlight=False, markup=False, soft_wrap=True)
     graph = new_graph()
     graph.cache = Cache(CACHE_BYTES)
     indices = range(translation.n_frames) if every else [_chosen(translation, graph, params, frame)]
