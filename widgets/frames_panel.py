@@ -12,7 +12,7 @@ _TIPS = (
     "number of the frame",
     "largest indentation of the source sensor, mm",
     "contact area on the source sensor, mm²",
-    "median error of the generated indentation against truth inside the contact, mm; - where no truth is known",
+    "mean absolute error of the generated indentation inside the true contact, mm; - where none is known",
 )
 
 
@@ -22,7 +22,7 @@ class FrameSummary:
 
     deepest_mm: float
     contact_mm2: float
-    error_mm: float | None  # None = no truth
+    error_mm: float | None  # of the generated touch; None = no truth of the target, or nothing generated
 
     def cells(self) -> tuple[str, str, str]:
         """As shown."""
@@ -46,6 +46,12 @@ class FramesModel(QAbstractTableModel):
         self._n_frames = n_frames
         self._known = {}
         self.endResetModel()
+
+    def forget(self) -> None:
+        """Empty every row: what was known was worked out otherwise than what follows."""
+        if self._known:
+            self._known = {}
+            self.dataChanged.emit(self.index(0, 1), self.index(self._n_frames - 1, len(_COLUMNS) - 1))
 
     def show_summary(self, frame: int, summary: FrameSummary) -> None:
         """Fill one row."""
@@ -119,6 +125,10 @@ class FramesPanel(QWidget):
     def show_frames(self, n_frames: int) -> None:
         """List this many frames."""
         self.model.show_frames(n_frames)
+
+    def forget(self) -> None:
+        """Forget what is known of the frames, as after a change of settings."""
+        self.model.forget()
 
     def show_summary(self, frame: int, summary: FrameSummary) -> None:
         """Fill in what is known of a frame."""

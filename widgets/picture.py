@@ -34,11 +34,11 @@ class Picture:
     caption: str = ""
 
     def probe(self, row: int, col: int) -> str:
-        """What one pixel says: value with unit, position with frame; "" outside the picture."""
+        """What one pixel says: (x, y) in pixels, value with unit, position with frame; "" outside the picture."""
         rows, cols = self.pixels.shape[:2]
         if not (0 <= row < rows and 0 <= col < cols):
             return ""
-        parts = [f"({row}, {col})"]
+        parts = [f"({col}, {row})"]
         if self.values is None or self.scale is None:
             parts.append("rgb {} {} {}".format(*(int(v) for v in self.pixels[row, col])))
         else:

@@ -23,7 +23,7 @@ class SubViews:
         for renderer in plotter.renderers:
             _light(renderer)
             # A camera may be shared, and layers come after it was set: every view is cut to its own, as it is drawn.
-            renderer.AddObserver("StartEvent", lambda view, _: view.ResetCameraClippingRange())
+            renderer.AddObserver("StartEvent", _cut_to_its_own)
         self._tall = True
         self._marks: dict[int, tuple[tuple[float, float, float] | None, float]] = {}
         self._dots: dict[int, Any] = {}
@@ -151,6 +151,10 @@ def _camera(sight: Sight) -> Any:
     camera.up = (0.0, -1.0, 0.0)
     camera.view_angle = 28.0
     return camera
+
+
+def _cut_to_its_own(renderer: Any, _: str) -> None:
+    renderer.ResetCameraClippingRange()
 
 
 def _light(renderer: Any) -> None:

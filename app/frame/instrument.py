@@ -73,6 +73,8 @@ class Instrument(Documents):
         with self.watch.timed("show_session"):
             old, self.session = self.session, session
             self._show_controls()
+            if session.settings != old.settings:
+                self.window.frames.forget()
             if session.linked != old.linked or session.display != old.display:
                 self.screen.look(session)
             if session.recording is not None:
@@ -183,7 +185,7 @@ class Instrument(Documents):
             return
         with self.watch.timed("FrameShown"):
             self.latest = shown
-            self.screen.show_frame(shown)
+            self.screen.show_frame(shown, comparable=shown.settings == self.session.settings)
         if ticket == self._ticket:
             self._rest()
             self.frame_shown.emit(shown.index)
@@ -246,6 +248,7 @@ class Instrument(Documents):
         session, wanted, beside = self.session, self.window.visible_columns(), self._beside
         interrupt = other_request or not self._young.isActive()
         self._waits = True
+        self._ticket = 0  # what is dropped now is not missed
         self._ticket = self.job.submit(
             lambda report: self.bench.show(session, wanted, report, beside=beside), interrupt=interrupt
         )

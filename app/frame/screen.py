@@ -113,9 +113,9 @@ class Screen:
         column.show_state("preview")
         self._scene.show_layers(self._order.index("project"), layers)
 
-    def show_frame(self, shown: FrameShown) -> None:
-        """Timings and summary of a frame that is through."""
-        if shown.summary is not None:
+    def show_frame(self, shown: FrameShown, *, comparable: bool) -> None:
+        """Timings of a frame that is through, and its summary where that is `comparable` with those of the others."""
+        if comparable and shown.summary is not None:
             self._window.frames.show_summary(shown.index, shown.summary)
             self._window.frames.show_frame(shown.index)
         done = [(stage, shown.results[stage.name]) for stage in STAGES if stage.name in shown.results]

@@ -82,6 +82,11 @@ class Session:
         return replace(new, offsets=Offsets()) if other else new
 
     @property
+    def settings(self) -> Session:
+        """What figures rest on besides the frame: those of sessions with equal settings may stand side by side."""
+        return replace(self, frame=0, linked=True, params={**self.params, "display": DisplayParams()})
+
+    @property
     def display(self) -> DisplayParams:
         """How things are drawn."""
         return cast("DisplayParams", self.params["display"])

@@ -59,9 +59,9 @@ class Comparison:
         return None if self.touch is None else outline(self.touch.target.contact)
 
     def preview(self, alignment: Alignment, params: ProjectParams) -> tuple[TargetView, Score | None]:
-        """The touch as the alignment carries it over, coarse, and how well it agrees."""
+        """The touch as the alignment carries it over, drawn coarse, and how well it agrees: the figures of a rest."""
         if self.touch is not None and self.coarse is not None:
-            return preview(self.touch, alignment, self.coarse, params)
+            return preview(self.touch, alignment, self.coarse, params)[0], self.scored(alignment, params)
         there = placed(alignment, source_shift_mm=self.source_shift_mm, target_shift_mm=0.0)
         small = scaled(self.target, 1.0 / self.factor) if self.factor > 1 else self.target
         return reproject(self.source, there, small, params, stride=min(2, self.factor)), None

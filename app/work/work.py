@@ -66,6 +66,7 @@ class FrameShown:
     """All wanted stages are through."""
 
     index: int
+    settings: Session  # that it was worked out with
     frame: TactileFrame
     results: Mapping[str, StageResult]
     metrics: Mapping[str, float]
@@ -114,8 +115,9 @@ class Bench:
             translation.symmetry,
         )  # fmt: skip
         return FrameShown(
-            index=index, frame=frame, results=results, metrics=metrics, summary=_summary(results, metrics, translation)
-        )
+            index=index, settings=replace(session, target=translation.target.name).settings, frame=frame,
+            results=results, metrics=metrics, summary=_summary(results, metrics, translation),
+        )  # fmt: skip
 
     def comparison(self, session: Session, report: Report) -> tuple[Translation, Comparison]:
         """The translation as it was opened, without offsets, and the session's frame on both sides.
@@ -262,9 +264,8 @@ def _summary(
     inside = depth.indentation_mm[depth.contact]
     inside = inside[np.isfinite(inside)]
     pixel_mm = float(np.median(translation.source.rest_depth_mm)) / depth.camera.fx_px
-    error = metrics.get("generate.contact_mae_mm", metrics.get("depth.contact_mae_mm"))
     return FrameSummary(
         deepest_mm=float(inside.max()) if inside.size else 0.0,
         contact_mm2=float(depth.contact.sum()) * pixel_mm**2,
-        error_mm=error,
+        error_mm=metrics.get("generate.contact_mae_mm"),
     )

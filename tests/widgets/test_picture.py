@@ -49,6 +49,7 @@ def test_a_pixel_reads_value_unit_and_place():
     text = a_picture().probe(5, 7)
     assert "indentation" in text
     assert "mm" in text
+    assert text.startswith("(7, 5)")
     assert "x 1.00, y 2.00, z 3.00 mm in digit frame" in text
 
 

@@ -87,6 +87,19 @@ def test_a_drag_changes_the_view_and_the_gauges_before_it_ends(aligned, qtbot):
     assert max(medians["alignment moved"], medians["Previewed"]) < LIMIT_MS, medians
 
 
+def test_gauges_say_the_same_while_dragging_and_at_rest(aligned, qtbot, settled):
+    panel = aligned.window.alignment
+    _drag(aligned, "x", 1.0, qtbot)
+    qtbot.waitUntil(lambda: not aligned.job.busy, timeout=WAIT_MS)
+    qtbot.wait(50)
+    assert panel.dragging
+    dragging = {name: gauge.value for name, gauge in panel.gauges.items()}
+    assert dragging["iou"] < panel.gauges["iou"].ghost
+    _let_go(aligned, "x")
+    settled(aligned)
+    assert {name: gauge.value for name, gauge in panel.gauges.items()} == dragging
+
+
 def test_a_drag_is_one_undo_step_and_ends_at_full_size(aligned, qtbot, settled):
     panel, steps = aligned.window.alignment, aligned.undo.count()
     good = panel.gauges["iou"].value

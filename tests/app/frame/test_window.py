@@ -14,6 +14,7 @@ from PyQt6.QtGui import QDropEvent
 from PyQt6.QtWidgets import QLabel
 
 from app.frame.tour import give_tour, save_window_picture, wait_until_shown
+from app.main import SAMPLE
 from app.session.state import load_session
 from app.work.stopwatch import LIMIT_MS
 from pipeline.base.params import changed
@@ -184,6 +185,35 @@ def test_parameters_recompute_from_their_stage_on_and_can_be_undone(bubble_windo
     assert bubble_window.latest.results["adapt"].state == "cached"
 
 
+def _rows(instrument) -> dict[int, tuple[str, ...]]:
+    """What the table of frames says of those it knows."""
+    model = instrument.window.frames.model
+    rows = {f: tuple(str(model.data(model.index(f, c))) for c in (1, 2, 3)) for f in range(model.rowCount())}
+    return {f: cells for f, cells in rows.items() if any(cells)}
+
+
+def test_the_table_of_frames_forgets_what_was_worked_out_with_other_settings(bubble_window):
+    bubble_window.choose_frame(1)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    before = _rows(bubble_window)
+    assert sorted(before) == [1, 2]
+    bubble_window.choose_params("display", changed(bubble_window.session.display, "gel_stretch", 5.0))
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert _rows(bubble_window) == before
+    params = bubble_window.session.params["depth"]
+    bubble_window.choose_params("depth", changed(params, "contact_limit", 2.0))
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert sorted(_rows(bubble_window)) == [1]
+
+
+def test_the_error_of_a_frame_is_that_of_the_generated_touch_or_none(open_window):
+    """The sample knows the truth of its source; of a sensor that took no part in it nothing is known."""
+    instrument = open_window(SAMPLE, source="gelslim", target="gelsight_mini", frame=6)
+    assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
+    assert "depth.contact_mae_mm" in instrument.latest.metrics
+    assert _rows(instrument)[6][2] == "-"
+
+
 def test_another_target_is_one_change(bubble_window):
     bubble_window.change("choose target", target="digit")
     assert wait_until_shown(bubble_window, LIMIT_S)
@@ -197,6 +227,8 @@ def test_hovering_a_pixel_marks_it_everywhere_and_reads_its_value(bubble_window)
     row, col = (int(i) for i in divmod(int(depth.indentation_mm.argmax()), depth.contact.shape[1]))
     bubble_window.tracer.hover("depth", row, col)
     assert "mm in soft_bubble frame" in bubble_window.window.probe.text()
+    assert f"({col}, {row})" in bubble_window.window.probe.text()
+    assert bubble_window.window.trace.text.startswith(f"({col}, {row})")
     assert " → " in bubble_window.window.trace.text
     assert bubble_window.window.columns["source"].view.cross == (row, col)
     assert bubble_window.window.columns["project"].view.cross is not None
