@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -37,7 +37,7 @@ def felt(target: DepthMap, spec: SensorSpec, *, factor: int = 1) -> Felt:
     """
     if factor < 1:
         raise SettingProblem(f"a preview takes every n-th pixel, with n at least 1, got {factor}")
-    drawn_into = _seen_through(spec, target.camera)
+    drawn_into = spec.seen_through(target.camera)
     if factor > 1:
         drawn_into = scaled(drawn_into, 1.0 / factor)
     contact, depth_mm = _shrunk(target, drawn_into.camera)
@@ -71,12 +71,6 @@ def distance_px(edge: Mask) -> Floats:
     if not edge.any():
         return np.zeros(edge.shape, np.float32)
     return np.asarray(cv2.distanceTransform((~edge).view(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5), np.float32)
-
-
-def _seen_through(spec: SensorSpec, camera: Camera) -> SensorSpec:
-    if camera == spec.camera:
-        return spec
-    return replace(spec, camera=camera, rest_depth_mm=freeze(spec.membrane.rest_depth_mm(camera)))
 
 
 def _shrunk(target: DepthMap, camera: Camera) -> tuple[Mask, Floats]:

@@ -129,7 +129,7 @@ def built_in(sensor: SensorSpec) -> Calibration:
             residual=fitted.residual, origin="derived from the sensor's optical description",
         )  # fmt: skip
 
-    return _built_in.of(content((sensor.name, sensor.camera, sensor.optics, sensor.pixel_mm)), make)
+    return _built_in.of(content(sensor), make)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

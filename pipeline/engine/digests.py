@@ -16,7 +16,7 @@ from pipeline.base.memo import Memo, field_names
 
 
 def digest(value: object) -> str:
-    """Hexadecimal digest of plain values, arrays, paths (their name), tuples, mappings and dataclasses of those.
+    """Hexadecimal digest of plain values, bytes, arrays, paths (their name), tuples, mappings and dataclasses of those.
 
     Raises TypeError for anything else: a stage that reads a value without a digest could not be cached honestly.
     """
@@ -63,7 +63,7 @@ def is_frozen(value: object) -> bool:
         return all(is_frozen(v) for v in cast("tuple[object, ...]", value))
     names = field_names(type(value))
     if names is None:
-        return value is None or isinstance(value, (bool, int, float, str, Path))
+        return value is None or isinstance(value, (bool, int, float, str, bytes, Path))
     frozen = cast("Any", value).__dataclass_params__.frozen
     return bool(frozen) and all(is_frozen(getattr(value, name)) for name in names)
 
@@ -79,6 +79,8 @@ def _feed(state: xxhash.xxh3_128, value: object) -> None:
     elif value is None or isinstance(value, (bool, int, float, str, Path)):
         # repr of a float is exact; the type's name keeps 1, 1.0, True and "1" apart.
         state.update(f"{type(value).__name__}:{value!r};".encode())
+    elif isinstance(value, bytes):
+        state.update(f"b{len(value)}:".encode() + value)
     elif isinstance(value, (tuple, list)):
         items = cast("tuple[object, ...]", value)
         state.update(f"t{len(items)}(".encode())

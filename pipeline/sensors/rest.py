@@ -14,9 +14,13 @@ from pathlib import Path
 from typing import Any, cast
 
 from pipeline.base.errors import CalibrationError
+from pipeline.base.files import read_bytes
+from pipeline.base.memo import Memo
+from pipeline.engine.digests import digest
 from pipeline.geometry.membrane import Membrane
 
 _STEP_MM, _FINEST_MM, _COARSEST_MM = 0.5, 0.01, 10.0
+_surfaces: Memo[tuple[Path, str, str, float], Membrane] = Memo(8)
 
 
 def mesh_in(data: Mapping[str, Any], path: Path) -> Membrane | None:
@@ -39,4 +43,6 @@ def mesh_in(data: Mapping[str, Any], path: Path) -> Membrane | None:
         )
     from pipeline.geometry.mesh_membrane import load_membrane
 
-    return load_membrane(path.parent / file, unit, float(step_mm)).membrane
+    mesh, step = path.parent / file, float(step_mm)
+    key = (mesh, digest(read_bytes(mesh, "the mesh")), str(unit), step)
+    return _surfaces.of(key, lambda: load_membrane(mesh, str(unit), step).membrane)

@@ -6,7 +6,6 @@ Every number is a table `{ value, unit, from }` with `assumed = true` where no s
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -14,6 +13,7 @@ from typing import Any, cast
 import numpy as np
 
 from pipeline.base.errors import CalibrationError, FileProblem
+from pipeline.base.files import read_toml
 
 FOLDER = Path(__file__).parent  # where the project's own descriptions lie
 _UNITS = {"px", "mm", "px/mm", "kPa", "N/mm", "1", "deg", "grey", "rgb", "grey/px", "mm^3"}
@@ -26,12 +26,7 @@ def read_description(path: Path, children: tuple[Path, ...] = ()) -> dict[str, A
     """
     if path in children:
         raise FileProblem("a sensor description extends itself", path, field="extends")
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise FileProblem(f"cannot read the sensor description ({error.strerror})", path) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise FileProblem(f"the sensor description is not valid TOML ({error})", path) from error
+    data = read_toml(path, "the sensor description")
     parent = data.pop("extends", None)
     if parent is None:
         return data
@@ -40,10 +35,12 @@ def read_description(path: Path, children: tuple[Path, ...] = ()) -> dict[str, A
     beside = path.parent / f"{parent}.toml"
     merged = read_description(beside if beside.is_file() else FOLDER / f"{parent}.toml", (*children, path))
     for key, value in data.items():
-        merged[key] = {**merged.get(key, {}), **value} if isinstance(value, dict) else value
-    for key in data.get("without", ()):
-        merged.pop(key, None)
-    return merged
+        before = merged.get(key)
+        merged[key] = {**before, **value} if isinstance(before, dict) and isinstance(value, dict) else value
+    without = data.get("without", [])
+    if not isinstance(without, list):
+        raise FileProblem("without must be a list of sections", path, field="without")
+    return {key: value for key, value in merged.items() if key not in without}
 
 
 class Section:

@@ -6,8 +6,7 @@ reader of the file sees where each figure comes from. `extends = "other"` starts
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,6 +14,8 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import CalibrationError, SettingProblem
+from pipeline.base.memo import Memo
+from pipeline.engine.digests import content
 from pipeline.geometry import membrane, rigid
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.membrane import Membrane
@@ -62,15 +63,34 @@ class SensorSpec:
         """Width of one pixel on the rest surface at the optical axis."""
         return float(np.median(self.rest_depth_mm)) / self.camera.fx_px
 
+    def seen_through(self, camera: Camera) -> SensorSpec:
+        """The same sensor watched by another camera: membrane, frame and limits stay; the last few are kept.
+
+        Raises CalibrationError for a camera whose rays do not meet the membrane.
+        """
+        if camera == self.camera:
+            return self
+        return _views.of(
+            (content(self), camera),
+            lambda: replace(self, camera=camera, rest_depth_mm=self.membrane.rest_depth_mm(camera)),
+        )
+
+
+_views: Memo[tuple[str, Camera], SensorSpec] = Memo(32)
+_read: Memo[tuple[Path, str, str], SensorSpec] = Memo(32)
+
 
 def names() -> tuple[str, ...]:
     """The sensors that come with the project, sorted."""
     return tuple(sorted(p.stem for p in FOLDER.glob("*.toml")))
 
 
-@lru_cache(maxsize=32)
 def sensor(name_or_file: str) -> SensorSpec:
-    """The sensor of this name, or described by this TOML file; raises SettingProblem or CalibrationError."""
+    """The sensor of this name, or described by this TOML file as it is now; the same value while it stays the same.
+
+    Raises SettingProblem for a name that is not known, CalibrationError, FileProblem or MeshProblem for a description
+    that cannot be used.
+    """
     path = Path(name_or_file)
     if path.suffix != ".toml":
         path = FOLDER / f"{name_or_file}.toml"
@@ -78,10 +98,12 @@ def sensor(name_or_file: str) -> SensorSpec:
             raise SettingProblem(
                 f"unknown sensor {name_or_file!r}; known are {', '.join(names())}, or give a .toml file of your own"
             )
-    return _build(path.stem, read_description(path), path)
+    data = read_description(path)
+    surface = mesh_in(data, path)
+    return _read.of((path, repr(data), content(surface)), lambda: _build(path.stem, data, path, surface))
 
 
-def _build(name: str, data: dict[str, Any], path: Path) -> SensorSpec:
+def _build(name: str, data: dict[str, Any], path: Path, surface: Membrane | None) -> SensorSpec:
     assumed: list[str] = []
 
     def section(key: str) -> Section:
@@ -95,7 +117,6 @@ def _build(name: str, data: dict[str, Any], path: Path) -> SensorSpec:
     camera = Camera(rows=rows, cols=cols, fx_px=lens.number("fx", "px"), fy_px=lens.number("fy", "px"),
                     cx_px=lens.number("cx", "px"), cy_px=lens.number("cy", "px"))  # fmt: skip
     gel, bubble, eye, optics = None, None, None, None
-    surface = mesh_in(data, path)
     if kind == "gel":
         gel = gel_in(section("gel"))
         if surface is None:

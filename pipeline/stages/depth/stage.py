@@ -6,16 +6,18 @@ compared with its untouched one (`bubble_depth`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, Image, freeze
+from pipeline.base.arrays import Image, freeze
 from pipeline.base.errors import ShapeError
+from pipeline.base.memo import Memo
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.lookup import Calibration, built_in
+from pipeline.engine.digests import content
 from pipeline.geometry.camera import Camera
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import bubble_depth, gel_depth
@@ -23,7 +25,6 @@ from pipeline.values.frames import TactileFrame
 from pipeline.values.pixel_index import pixel_index
 from pipeline.values.results import DepthMap
 
-_KEPT = 16  # views and references remembered
 _BLACK_GREY = 2  # no lit gel is this dark everywhere
 
 
@@ -65,7 +66,7 @@ def depth(
     """
     progress.step(0.0, "comparing with the untouched frame")
     _check(frame, source)
-    seen_by = source if frame.camera is None else _through(source, frame.camera)
+    seen_by = source if frame.camera is None else source.seen_through(frame.camera)
     if frame.is_depth:
         return bubble_depth.depth(
             frame,
@@ -105,10 +106,10 @@ def untouched(
         change = gel_depth.largest_change(cast("Image", image), cast("Image", reference))
     if not change < limit:
         return None
-    seen_by = source if frame.camera is None else _through(source, frame.camera)
+    seen_by = source if frame.camera is None else source.seen_through(frame.camera)
     if frame.image.shape[:2] != seen_by.camera.shape:
         return None
-    return _rests.of(frame, seen_by)
+    return _at_rest(frame, seen_by)
 
 
 def _check(frame: TactileFrame, source: SensorSpec) -> None:
@@ -137,50 +138,21 @@ def _check(frame: TactileFrame, source: SensorSpec) -> None:
             raise ShapeError(f"the {what} of {where} is black; check the light and the camera, or leave this frame out")
 
 
-_cameras: dict[tuple[str, int, Camera], SensorSpec] = {}
-
-
-def _through(source: SensorSpec, camera: Camera) -> SensorSpec:
-    """The sensor as a recording's own camera sees it; the last few are kept."""
-    if camera == source.camera:
-        return source
-    key = (source.name, id(source.membrane), camera)
-    if key not in _cameras:
-        if len(_cameras) >= _KEPT:
-            _cameras.pop(next(iter(_cameras)))
-        _cameras[key] = replace(source, camera=camera, rest_depth_mm=source.membrane.rest_depth_mm(camera))
-    return _cameras[key]
-
-
-class _Rests:
-    """Results for untouched frames: one per view of a gel and per reference of a bubble, the last few kept."""
-
-    def __init__(self) -> None:
-        self._kept: dict[int, tuple[object, DepthMap]] = {}
-
-    def of(self, frame: TactileFrame, source: SensorSpec) -> DepthMap:
-        """The result whose rest depth is this very array."""
-        rest = frame.reference if frame.is_depth and frame.reference is not None else source.rest_depth_mm
-        known = self._kept.get(id(rest))
-        if known is not None and known[0] is rest and known[1].camera == source.camera:
-            return known[1]
-        if len(self._kept) >= _KEPT:
-            self._kept.pop(next(iter(self._kept)))
-        made = _at_rest(rest, source)
-        self._kept[id(rest)] = (rest, made)
-        return made
-
-
-_rests = _Rests()
-
-
-def _at_rest(rest: Floats | Doubles | Image, source: SensorSpec) -> DepthMap:
+def _at_rest(frame: TactileFrame, source: SensorSpec) -> DepthMap:
+    """The result for an untouched frame: the very same for one view of a gel, and for one reference of a bubble."""
+    rest = frame.reference if frame.is_depth and frame.reference is not None else source.rest_depth_mm
     shape = source.camera.shape
-    return DepthMap(
-        indentation_mm=freeze(np.zeros(shape, np.float32)),
-        depth_mm=freeze(np.where(rest > 0, rest, np.nan).astype(np.float32)),
-        contact=freeze(np.zeros(shape, np.bool_)),
-        camera=source.camera,
-        source_index=pixel_index(shape),
-        notes=("nothing touches the sensor",),
+    return _rests.of(
+        (content(rest), source.camera),
+        lambda: DepthMap(
+            indentation_mm=freeze(np.zeros(shape, np.float32)),
+            depth_mm=freeze(np.where(rest > 0, rest, np.nan).astype(np.float32)),
+            contact=freeze(np.zeros(shape, np.bool_)),
+            camera=source.camera,
+            source_index=pixel_index(shape),
+            notes=("nothing touches the sensor",),
+        ),
     )
+
+
+_rests: Memo[tuple[str, Camera], DepthMap] = Memo(16)

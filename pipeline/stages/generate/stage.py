@@ -13,15 +13,16 @@ import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Indices, Mask, freeze
 from pipeline.base.errors import SettingProblem, ShapeError
+from pipeline.base.memo import Memo
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
+from pipeline.engine.digests import content
 from pipeline.geometry.camera import MIN_DEPTH_MM
 from pipeline.physics import bubble, bubble_camera, gel, lattice, optics
 from pipeline.sensors.spec import SensorSpec
 from pipeline.values.results import TargetView, Touch
 
 NO_CONTACT = "no contact: the target's untouched reading is the exact answer"
-_KEPT_SENSORS = 8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,15 +71,10 @@ def without_contact(view: TargetView, target: SensorSpec, params: GenerateParams
         )
     if view.contact.any():
         return None
-    kept = _UNTOUCHED.get(id(target))
-    if kept is None or kept[0] is not target:
-        if len(_UNTOUCHED) >= _KEPT_SENSORS:
-            _UNTOUCHED.clear()
-        kept = _UNTOUCHED[id(target)] = target, _untouched(target)
-    return replace(kept[1], known=view.known)
+    return replace(_untouched_touches.of(content(target), lambda: _untouched(target)), known=view.known)
 
 
-_UNTOUCHED: dict[int, tuple[SensorSpec, Touch]] = {}  # the sensor is kept with its answer, so that its id stays its own
+_untouched_touches: Memo[str, Touch] = Memo(8)
 
 
 def _untouched(target: SensorSpec) -> Touch:

@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pipeline.base.errors import CalibrationError, FileProblem, SettingProblem
+from pipeline.engine.digests import is_frozen
 from pipeline.sensors import spec
 from pipeline.sensors.spec import DepthCamera, names, sensor
 
@@ -52,6 +54,49 @@ def test_an_own_sensor_may_extend_one_of_the_project(tmp_path):
     assert s.rest_depth_mm.mean() == pytest.approx(30.0)
     assert "rest.depth" not in s.assumed
     assert s.camera == sensor("digit").camera
+
+
+def test_a_description_that_was_edited_is_read_again(tmp_path):
+    depth = '[rest]\ndepth = {{ value = {}, unit = "mm", from = "measured" }}\n'
+    parent = own(tmp_path, 'extends = "digit"\n' + depth.format("30.0"), name="parent.toml")
+    child = own(tmp_path, 'extends = "parent"\ntitle = "mine"\n')
+    first = sensor(child)
+    assert sensor(child) is first
+    assert sensor(parent).rest_depth_mm.mean() == pytest.approx(30.0)
+    own(tmp_path, 'extends = "digit"\n' + depth.format("31.0"), name="parent.toml")
+    assert sensor(child).rest_depth_mm.mean() == pytest.approx(31.0)
+    own(tmp_path, 'extends = "parent"\ntitle = "yours"\n')
+    assert sensor(child).title == "yours"
+
+
+def test_a_rest_surface_whose_mesh_was_edited_is_read_again(tmp_path):
+    text = 'extends = "digit"\n[rest]\nkind = "mesh"\nfile = "rest.obj"\nunit = "mm"\n'
+    corners = "".join(f"v {x} {y} {{z}}\n" for x, y in ((-20, -20), (20, -20), (20, 20), (-20, 20)))
+    for z in (25, 26):
+        own(tmp_path, corners.format(z=z) + "f 1 2 3\nf 1 3 4\n", name="rest.obj")
+        assert sensor(own(tmp_path, text)).rest_depth_mm.mean() == pytest.approx(z)
+
+
+@pytest.mark.parametrize("name", names())
+def test_nobody_can_change_a_sensor_that_others_hold(name):
+    assert is_frozen(sensor(name))
+    assert is_frozen(sensor(name).seen_through(sensor(name).camera.scaled(0.5)))
+
+
+def test_a_sensor_seen_through_another_camera_keeps_all_but_its_picture():
+    source = sensor("soft_bubble")
+    small = source.seen_through(source.camera.scaled(0.25))
+    assert source.seen_through(source.camera) is source
+    assert small.rest_depth_mm.shape == small.camera.shape
+    assert replace(small, camera=source.camera, rest_depth_mm=source.rest_depth_mm) == source
+    quiet = replace(source, limits=replace(source.limits, no_touch=9.0))
+    assert quiet.seen_through(small.camera).limits == quiet.limits
+
+
+@pytest.mark.parametrize("text", ["without = 3", "[kind]\nvalue = 1"])
+def test_sections_of_the_wrong_kind_are_refused_in_words(tmp_path, text):
+    with pytest.raises((CalibrationError, FileProblem), match="must be"):
+        sensor(own(tmp_path, f'extends = "digit"\n{text}\n'))
 
 
 def test_an_unknown_sensor_names_the_known_ones():

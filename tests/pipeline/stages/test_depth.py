@@ -9,6 +9,7 @@ import pytest
 from pipeline.base.errors import CalibrationError, ShapeError
 from pipeline.calibration.lookup import built_in
 from pipeline.geometry.camera import Camera
+from pipeline.geometry.membrane import flat
 from pipeline.physics import optics
 from pipeline.sensors.spec import sensor
 from pipeline.stages.depth import contact
@@ -130,6 +131,34 @@ def test_the_frames_own_camera_replaces_the_sensors():
     source, frame, _ = press("gelsight_mini")
     camera = replace(source.camera, fx_px=400.0, fy_px=400.0)
     assert depth(replace(frame, camera=camera), source, None, PARAMS).camera == camera
+
+
+def test_a_sensor_that_differs_in_its_limits_or_optics_alone_keeps_them_behind_the_frames_own_camera():
+    source, frame, _ = press("digit", depth_mm=0.9)
+    frame = replace(frame, camera=replace(source.camera, fx_px=1.01 * source.camera.fx_px))
+    usual = depth(frame, source, None, PARAMS)
+    shallow = replace(source, limits=replace(source.limits, indentation_max_mm=0.2))
+    assert depth(frame, shallow, None, PARAMS).indentation_mm.max() == pytest.approx(0.2)
+    red = replace(source.optics, leds=tuple(replace(led, rgb=(60.0, 9.0, 9.0)) for led in source.optics.leds))
+    other = depth(frame, replace(source, optics=red), None, PARAMS)
+    assert not np.array_equal(other.indentation_mm, usual.indentation_mm)
+
+
+def test_a_sensor_that_rests_deeper_is_measured_at_its_own_scale():
+    near, frame, _ = press("gelslim_dotless")
+    far = replace(near, rest_depth_mm=1.5 * near.rest_depth_mm, membrane=flat(1.5 * near.membrane.level_mm, 20.0, 20.0))
+    found = {sensor: depth(frame, spec, None, PARAMS) for sensor, spec in (("near", near), ("far", far))}
+    assert found["far"].indentation_mm.max() == pytest.approx(1.5 * found["near"].indentation_mm.max(), rel=0.1)
+
+
+def test_a_reference_changed_in_place_is_another_reference():
+    source, frame, _, _ = bubble()
+    rest = np.array(frame.reference)
+    still = replace(frame, image=rest, reference=rest)
+    before = untouched(still, source, None, PARAMS)
+    rest += 1.0
+    after = untouched(still, source, None, PARAMS)
+    np.testing.assert_allclose(after.depth_mm, before.depth_mm + 1.0, rtol=1e-6)
 
 
 def test_a_look_up_of_another_sensor_is_refused():
