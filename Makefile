@@ -40,7 +40,7 @@ lint: $(READY)
 slow: $(READY)
 	$(BIN)/python -m pytest -q -m slow
 
-# 10,000 cases a row; the table is left in out/stability.json.
+# Up to 10,000 cases a row, fewer where one is slow; the table with their numbers is left in out/stability.json.
 stability: $(READY)
 	$(BIN)/python -m pytest -q tests/stability --cases 10000 -m "not slow" \
 		--timeout 14400 -o faulthandler_timeout=0

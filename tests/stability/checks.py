@@ -8,22 +8,26 @@ import numpy as np
 
 from pipeline.base.errors import TouchError
 from pipeline.geometry import rigid
+from tests.stability.rows import count_answer
 
 
 def outcome(stage, *inputs):
     """(result, "") or (None, the sentence of a TouchError); any other exception is a finding and goes on.
 
-    numpy's warnings are let pass, as in the app: what counts is what comes out.
+    Sentences are counted: a row bounds their share. numpy's warnings are let pass, as in the app: what counts is what comes out.
     """
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)
-            return stage(*inputs), ""
+            result = stage(*inputs)
     except TouchError as error:
+        count_answer(refused=True)
         told = str(error)
         assert told
         assert "\n" not in told
         return None, told
+    count_answer(refused=False)
+    return result, ""
 
 
 def sound(result) -> None:

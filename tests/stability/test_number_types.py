@@ -47,7 +47,7 @@ def test_bubble_frame(kind, still_kind, seed):
     assert early is None
 
 
-@row(6, "a frame of any other type of number: an answer or words")
+@row(6, "a frame of any other type of number: an answer or words", refused=0.5)
 @given(st.sampled_from(["digit", "soft_bubble"]), ANY, ANY, st.integers(0, 3))
 def test_any_frame(name, kind, still_kind, seed):
     spec, seen = small(name), frame(name, seed)
@@ -64,34 +64,36 @@ def test_any_frame(name, kind, still_kind, seed):
 @given(st.sampled_from(KINDS), WIDE, seeds)
 def test_adapt(kind, number, seed):
     source, target = small("gelslim"), small("soft_bubble")
-    given_mm = depth_map(source, indentation_mm(source, kind, np.random.default_rng(seed)))
-    other = replace(given_mm, depth_mm=given_mm.depth_mm.astype(number))
-    a, b = (adapt(d, aligned(source, target), AdaptParams()) for d in (given_mm, other))
+    pushed_mm = indentation_mm(source, kind, np.random.default_rng(seed))
+    exact_mm = source.rest_depth_mm.astype(np.float64) - pushed_mm  # digits that float32 cannot hold
+    exact = replace(depth_map(source, pushed_mm), depth_mm=exact_mm)
+    rounded = replace(exact, depth_mm=exact_mm.astype(number))
+    a, b = (adapt(d, aligned(source, target), AdaptParams()) for d in (exact, rounded))
     sound(b)
+    assert len(a.points_mm) == np.count_nonzero(exact.contact) > 0
     assert np.array_equal(a.source_index, b.source_index)
-    far_mm = float(given_mm.depth_mm.max())
-    # A ray is longer than its z by less than half.
-    assert np.abs(a.points_mm - b.points_mm).max(initial=0) <= 1.5 * ulp_mm(number, far_mm) + 1e-5
+    # A ray is longer than its z by less than half; each side is rounded to float32 once more on its way out.
+    far_mm = float(exact_mm.max())
+    assert np.abs(a.points_mm - b.points_mm).max() <= 1.5 * ulp_mm(number, far_mm) + 2 * ulp_mm(np.float32, far_mm)
 
 
 @pytest.mark.usefixtures("long_form")  # the compiled loops of float64 points take longer to make than to run
 @row(6, "points of float64 and float32: the same view but for the ulp")
 @given(st.sampled_from(KINDS), WIDE, st.sampled_from(["surface", "paper"]), seeds)
 def test_project(kind, number, mode, seed):
+    rng = np.random.default_rng(seed)
     source, target = small("gelslim"), small("soft_bubble", 0.5)
-    points = adapt(
-        depth_map(source, indentation_mm(source, kind, np.random.default_rng(seed))),
-        aligned(source, target),
-        AdaptParams(),
-    )
-    other = replace(points, points_mm=points.points_mm.astype(number))
-    a = project(points, target, ProjectParams(mode=mode))
-    b = project(other, target, ProjectParams(mode=mode))
+    points = adapt(depth_map(source, indentation_mm(source, kind, rng)), aligned(source, target), AdaptParams())
+    exact_mm = points.points_mm * (1.0 + rng.uniform(-1e-7, 1e-7, points.points_mm.shape))  # less than float32 holds
+    a = project(replace(points, points_mm=exact_mm), target, ProjectParams(mode=mode))
+    b = project(replace(points, points_mm=exact_mm.astype(number)), target, ProjectParams(mode=mode))
     sound(b)
-    both = (a.source_index >= 0) & (a.source_index == b.source_index)
-    assert both.sum() >= 0.98 * (a.source_index >= 0).sum() - 2
-    assert (
-        np.nanquantile(np.abs(a.depth_mm - b.depth_mm)[both], 0.9) <= 4 * ulp_mm(number, 60.0) if both.any() else True
+    n_seen = np.count_nonzero(a.source_index >= 0)
+    both = (a.source_index >= 0) & (b.source_index >= 0)  # of points at one distance either may be named
+    assert n_seen > 0
+    assert both.sum() >= 0.98 * n_seen - 2
+    assert np.quantile(np.abs(a.depth_mm - b.depth_mm)[both], 0.9) <= 4 * ulp_mm(number, 60.0) + ulp_mm(
+        np.float32, 60.0
     )
 
 
@@ -138,7 +140,7 @@ def test_pose(number, of_mesh, of_index, seed):
         sound(result)
 
 
-@row(6, "a transform of any float type: orthonormal in float64, or words")
+@row(6, "a transform of any float type: orthonormal in float64, or words", refused=0.5)
 @given(st.sampled_from([np.float64, np.float32, np.float16]), seeds)
 def test_transform(number, seed):
     rng = np.random.default_rng(seed)

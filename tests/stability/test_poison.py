@@ -1,16 +1,14 @@
 """NaN, infinite, zero, negative, denormal and enormous values in each input of each stage.
 
-The answer is masked or a typed error: never a NaN in an output that promises none, never another exception, and in the
-long form never more than twice the time of the clean case.
+The answer is masked or a typed error: never a NaN in an output that promises none, never another exception. That none
+takes longer than the clean case is measured by benchmarks/bad_values.py.
 """
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -25,7 +23,7 @@ from pipeline.stages.generate.stage import GenerateParams, generate
 from pipeline.stages.pose.stage import PoseParams, pose
 from pipeline.stages.project.stage import ProjectParams, project
 from tests.stability.checks import outcome, sound
-from tests.stability.rows import SIZE, row
+from tests.stability.rows import row
 from tests.stability.scenes import aligned, depth_map, frame, indentation_mm, mesh, seeds, small, touch, view
 
 POISONS = {
@@ -45,8 +43,6 @@ POISONS = {
 ENORMOUS = ("huge", "-huge", "far", "inf", "-inf", "nan")  # of a mesh: see the row beside
 poisons = st.sampled_from(sorted(POISONS))
 shares = st.sampled_from(["one", "some", "most", "all"])
-TIMES = 2.0  # of the clean case
-NOISE_S = 3e-3  # of a shared machine's clock, below which twice is nothing
 
 
 def poisoned(array, poison, share, rng):
@@ -64,7 +60,7 @@ def poisoned(array, poison, share, rng):
     return out
 
 
-@row(7, "depth: a poisoned bubble frame or reference")
+@row(7, "depth: a poisoned bubble frame or reference", refused=0.15)
 @given(st.sampled_from(["image", "reference"]), poisons, shares, st.sampled_from([0.0, 1.0, 5.0]), seeds)
 def test_bubble_frame(field, poison, share, smoothing, seed):
     rng = np.random.default_rng(seed)
@@ -76,7 +72,7 @@ def test_bubble_frame(field, poison, share, smoothing, seed):
             sound(result)
 
 
-@row(7, "depth: a gel frame or reference of extreme greys, in bytes or in floats")
+@row(7, "depth: a gel frame or reference of extreme greys, in bytes or in floats", refused=0.4)
 @given(
     st.sampled_from(["image", "reference"]),
     poisons,
@@ -98,7 +94,7 @@ def test_gel_frame(field, poison, share, name, as_bytes, seed):
             assert np.isfinite(result.depth_mm).all(), "a gel's picture has no gaps"
 
 
-@row(7, "depth: a look-up with poisoned coefficients", share=0.3)
+@row(7, "depth: a look-up with poisoned coefficients", share=0.3, refused=0.5)
 @given(poisons, shares, seeds)
 def test_calibration(poison, share, seed):
     rng = np.random.default_rng(seed)
@@ -124,7 +120,7 @@ def test_adapt(poison, share, stride, seed):
         sound(result)
 
 
-@row(7, "adapt: a poisoned alignment")
+@row(7, "adapt: a poisoned alignment", refused=0.65)
 @given(poisons, st.integers(0, 15), st.booleans(), seeds)
 def test_alignment(poison, entry, inward, seed):
     source, target = small("gelslim"), small("soft_bubble")
@@ -198,7 +194,7 @@ def test_pose(poison, share, seed):
         sound(result)
 
 
-@row(7, "pose: a poisoned mesh", share=0.02)
+@row(7, "pose: a poisoned mesh", share=0.02, refused=0.5)
 @given(poisons.filter(lambda p: p not in ENORMOUS), shares, seeds)
 def test_mesh(poison, share, seed):
     assert_mesh_is_sound(poison, share, seed)
@@ -219,7 +215,7 @@ def assert_mesh_is_sound(poison, share, seed):
         sound(result)
 
 
-@row(7, "pose: a mesh that names vertices which it does not have", share=0.002)
+@row(7, "pose: a mesh that names vertices which it does not have", share=0.002, refused=1.0)
 @given(st.sampled_from([1200, 2**31 - 1, -1201]), seeds)
 def test_mesh_indices(index, seed):
     spec, ball = small("gelslim", 0.25), mesh("ball")
@@ -231,7 +227,7 @@ def test_mesh_indices(index, seed):
     assert outcome(pose, felt, bad, PoseParams(face="+z", n_starts=6))[0] is None
 
 
-@row(7, "camera: poisoned intrinsics, in a value and in a matrix")
+@row(7, "camera: poisoned intrinsics, in a value and in a matrix", refused=0.3)
 @given(st.one_of(poisons, st.sampled_from(["usual"])), st.sampled_from(["fx_px", "fy_px", "cx_px", "cy_px"]), seeds)
 def test_camera(poison, field, seed):
     rng = np.random.default_rng(seed)
@@ -262,54 +258,3 @@ def test_apply(poison, seed):
     with np.errstate(invalid="ignore", over="ignore"):
         a, b = rigid.apply(moved, points), rigid.apply(moved, bad)
     assert np.array_equal(np.delete(a, 3, 0), np.delete(b, 3, 0))
-
-
-def fastest_s(stage, *inputs, n):
-    times = []
-    for _ in range(n):
-        began = time.perf_counter()
-        outcome(stage, *inputs)
-        times.append(time.perf_counter() - began)
-    return min(times)
-
-
-def timed_scenes():
-    rng = np.random.default_rng(5)
-    source, target, gel = small("gelslim"), small("soft_bubble", 0.5), small("digit")
-    clean = depth_map(source, indentation_mm(source, "sphere", rng))
-    points = adapt(clean, aligned(source, target), AdaptParams())
-    bubble_frame, bubble_view = frame("soft_bubble"), view(target, 0.3 * indentation_mm(target, "sphere", rng))
-    gel_view = view(gel, 0.3 * indentation_mm(gel, "sphere", rng))
-    return {
-        "depth": (depth, bubble_frame, ("image",), (small("soft_bubble"), None, DepthParams())),
-        "adapt": (adapt, clean, ("depth_mm",), (aligned(source, target), AdaptParams())),
-        "project": (project, points, ("points_mm",), (target, ProjectParams())),
-        "generate, gel": (generate, gel_view, ("depth_mm", "indentation_mm"), (gel, GenerateParams())),
-        "generate, bubble": (generate, bubble_view, ("depth_mm", "indentation_mm"), (target, GenerateParams())),
-    }
-
-
-@pytest.mark.usefixtures("long_form")
-@pytest.mark.parametrize("stage", ["depth", "adapt", "project", "generate, gel", "generate, bubble"])
-@pytest.mark.parametrize("poison", sorted(POISONS))
-@row(7, "no poison takes more than twice the time of the clean case")
-def test_poison_costs_no_time(stage, poison):
-    assert SIZE.long
-    run, clean, fields, rest = timed_scenes()[stage]
-    if poison in ("far", "huge") and stage.startswith("generate"):
-        fields = ("depth_mm",)  # an enormous indentation is cut at the sensor's limit: another press, and a deeper one
-    # Scattered points are harder to lie on than a ball: the clean case has the same gaps, or zeros for the denormals.
-    plain = "zero" if abs(POISONS[poison]) < 1e-20 else "nan"
-    for share in ("some", "most", "all"):
-        bad, usual = (
-            replace(clean, **{f: poisoned(getattr(clean, f), p, share, np.random.default_rng(7)) for f in fields})
-            for p in (poison, plain)
-        )
-        # Measured again when the machine was busy with something else: the smaller figure is the truer one.
-        for n in (5, 9, 25):
-            clean_s = max(fastest_s(run, usual, *rest, n=n), fastest_s(run, clean, *rest, n=n))
-            spent_s = fastest_s(run, bad, *rest, n=n)
-            if spent_s <= TIMES * clean_s + NOISE_S:
-                break
-        else:
-            pytest.fail(f"{share}: {1e3 * spent_s:.2f} ms, clean {1e3 * clean_s:.2f} ms")

@@ -74,13 +74,15 @@ def resident_mb() -> float:
         return int(numbers.read().split()[1]) * resource.getpagesize() / 2**20
 
 
-@row(16, "random frames from depth to the generated touch: sound or a sentence, memory bounded", share=0.5)
+@row(
+    16, "random frames from depth to the generated touch: sound or a sentence, memory bounded", share=0.5, refused=0.25
+)
 @given(seeds)
 def test_chain(seed):
     run(STAGES, np.random.default_rng(seed))
 
 
-@row(16, "random frames from depth to the pose: sound or a sentence", share=0.005)
+@row(16, "random frames from depth to the pose: sound or a sentence", share=0.005, refused=0.25)
 @given(seeds)
 def test_chain_with_pose(seed):
     run((*STAGES, "pose"), np.random.default_rng(seed))

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -71,23 +70,6 @@ def test_an_untouched_picture_is_seen_at_once(name):
 def test_a_touch_is_never_called_untouched():
     source, frame, _ = press("digit", depth_mm=0.15)
     assert untouched(frame, source, None, PARAMS) is None
-
-
-def test_the_short_cut_costs_far_less_than_the_stage():
-    source, frame, _ = press("gelsight_mini")
-    still = replace(frame, image=frame.reference)
-
-    def fastest(run):
-        run()
-        times = []
-        for _ in range(9):
-            started = time.perf_counter()
-            run()
-            times.append(time.perf_counter() - started)
-        return min(times)
-
-    quick = fastest(lambda: untouched(still, source, None, PARAMS))
-    assert quick < 0.2 * fastest(lambda: depth(frame, source, None, PARAMS))
 
 
 @pytest.mark.parametrize(

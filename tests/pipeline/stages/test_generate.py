@@ -1,4 +1,3 @@
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +10,7 @@ from pipeline.stages.generate.stage import GenerateParams, generate, without_con
 from pipeline.values.results import TargetView
 
 SURFACE_MM = 2e-3  # the stage's solver tolerance (0.5 um) at a contact edge
+LEFT_OUT_MM = 0.1  # of 0.3 mm: one pixel without a value springs up by 0.065 mm between its neighbours
 SENSORS = ("gelslim", "digit", "gelsight_mini", "soft_bubble")
 
 
@@ -43,12 +43,7 @@ def test_no_contact_gives_the_untouched_reading_at_no_cost(name):
     assert np.array_equal(touch.image, wanted)
     assert not touch.indentation_mm.any()
     assert (touch.source_index == -1).all()
-    times = []
-    for _ in range(20):
-        start = time.perf_counter()
-        assert without_contact(empty, spec, GenerateParams()).image is touch.image
-        times.append(time.perf_counter() - start)
-    assert min(times) < 1e-4
+    assert without_contact(empty, spec, GenerateParams()).image is touch.image  # kept, not made again
 
 
 @pytest.mark.parametrize("name", SENSORS)
@@ -147,7 +142,10 @@ def test_contact_without_a_value_is_left_out_and_said(name, value):
         near = generate(clean, spec, GenerateParams(surface=surface))
         assert any("1 contact pixels" in note for note in touch.notes)
         assert np.isfinite(touch.indentation_mm).all()
-        assert np.abs(touch.indentation_mm - near.indentation_mm).max() < 0.3
+        off_mm = np.abs(touch.indentation_mm - near.indentation_mm)
+        assert 0 < off_mm[row, col] < LEFT_OUT_MM
+        off_mm[row - 3 : row + 4, col - 3 : col + 4] = 0.0
+        assert off_mm.max() < SURFACE_MM
 
 
 def test_a_view_of_another_size_is_refused_in_words():

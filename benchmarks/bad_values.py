@@ -1,0 +1,82 @@
+"""Does a bad value cost time: NaN, infinite, denormal or enormous, in one place or in all?
+
+python benchmarks/bad_values.py. Each stage, on a small touch, against the same stage on the clean one in turns; a row
+is the value and the share of places that took longest. Peer of a poison that leaves holes: the same holes in NaN, since
+scattered points are harder to lie on than a ball.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from pipeline.racing.races import Answer, Bar, race, row
+from pipeline.racing.report import show
+from pipeline.stages.adapt.stage import AdaptParams, adapt
+from pipeline.stages.depth.stage import DepthParams, depth
+from pipeline.stages.generate.stage import GenerateParams, generate
+from pipeline.stages.project.stage import ProjectParams, project
+from tests.stability.checks import outcome
+from tests.stability.scenes import aligned, depth_map, frame, indentation_mm, small, view
+from tests.stability.test_poison import POISONS, poisoned
+
+SHARES = ("some", "most", "all")
+RUNS = 5
+TIMES = 2.0  # of the clean case
+
+
+def scenes():
+    """Stage -> (function, its first input, what is poisoned in it, the other inputs)."""
+    rng = np.random.default_rng(5)
+    source, target, gel = small("gelslim"), small("soft_bubble", 0.5), small("digit")
+    clean = depth_map(source, indentation_mm(source, "sphere", rng))
+    points = adapt(clean, aligned(source, target), AdaptParams())
+    bubble_frame, bubble_view = frame("soft_bubble"), view(target, 0.3 * indentation_mm(target, "sphere", rng))
+    gel_view = view(gel, 0.3 * indentation_mm(gel, "sphere", rng))
+    return {
+        "depth": (depth, bubble_frame, ("image",), (small("soft_bubble"), None, DepthParams())),
+        "adapt": (adapt, clean, ("depth_mm",), (aligned(source, target), AdaptParams())),
+        "project": (project, points, ("points_mm",), (target, ProjectParams())),
+        "generate, gel": (generate, gel_view, ("depth_mm", "indentation_mm"), (gel, GenerateParams())),
+        "generate, bubble": (generate, bubble_view, ("depth_mm", "indentation_mm"), (target, GenerateParams())),
+    }
+
+
+def slowest(stage, scene):
+    """The row of the poison that costs this stage most beside its clean cases."""
+    run, clean, fields, rest = scene
+    worst = None
+    for poison in sorted(POISONS):
+        # An enormous indentation is cut at the sensor's limit: another press, and a deeper one.
+        spoilt = ("depth_mm",) if poison in ("far", "huge") and stage.startswith("generate") else fields
+        plain = "zero" if abs(POISONS[poison]) < 1e-20 else "nan"
+        for share in SHARES:
+            bad, usual = (
+                replace(clean, **{f: poisoned(getattr(clean, f), p, share, np.random.default_rng(7)) for f in spoilt})
+                for p in (poison, plain)
+            )
+            calls = {"bad": bad, "usual": usual, "clean": clean}
+            times = race({name: lambda value=value: outcome(run, value, *rest) for name, value in calls.items()}, RUNS)
+            peer = max((times["usual"], times["clean"]), key=lambda timing: timing.median_ms)
+            if worst is None or times["bad"].median_ms / peer.median_ms > worst[0]:
+                worst = times["bad"].median_ms / peer.median_ms, poison, share, times["bad"], peer
+    _, poison, share, ours, peer = worst
+    return row(
+        f"{stage}, bad values", ours=ours, ours_error=math.nan, unit="", peer="the clean case", peer_timing=peer,
+        bar=Bar(faster=1 / TIMES),
+    ), f"{stage}: worst with {poison} in {share} places"  # fmt: skip
+
+
+def answer() -> Answer:
+    rows, notes = zip(*(slowest(stage, scene) for stage, scene in scenes().items()), strict=True)
+    return Answer(title="Bad values beside the clean case", unit="", rows=rows, notes=notes)
+
+
+if __name__ == "__main__":
+    show(answer())
