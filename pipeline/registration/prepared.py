@@ -33,7 +33,8 @@ def prepared(mesh: Mesh, seed: int, progress: Progress = SILENT) -> Prepared:
     key = digest((seed, np.asarray(mesh.vertices_mm, np.float64), np.asarray(mesh.triangles, np.int32)))
 
     def make() -> Prepared:
+        model = sampled(mesh, N_MODEL, seed)  # first: it says so when there is no surface
         middle_mm = (mesh.vertices_mm.min(axis=0) + mesh.vertices_mm.max(axis=0)).astype(np.float64) / 2
-        return Prepared(grid=distance_grid(mesh, progress), model=sampled(mesh, N_MODEL, seed), middle_mm=middle_mm)
+        return Prepared(grid=distance_grid(mesh, progress), model=model, middle_mm=middle_mm)
 
     return _objects.of(key, make)
