@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +13,13 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Indices, freeze
 from pipeline.base.errors import FileProblem, MeshProblem, SettingProblem
+from pipeline.base.files import read_bytes
 
 SMALLEST_MM, LARGEST_MM = 1.0, 400.0  # extents of what is felt with a fingertip: a screw to a long tool
 _UNIT_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 _SAME_VERTEX_MM = 1e-6  # STL repeats each vertex in float32; true neighbours lie micrometres apart
 _HEADER, _TRIANGLE = 84, 50  # bytes of a binary STL
+_MOST_VERTICES = 1 << 30
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,15 +41,23 @@ def load_mesh(path: Path, unit: str = "auto") -> Mesh:
     path = Path(path)
     if unit != "auto" and unit not in _UNIT_MM:
         raise SettingProblem(f"unknown mesh unit {unit!r}; there are auto, {', '.join(_UNIT_MM)}")
-    vertices, triangles = _stl(path) if path.suffix.lower() == ".stl" else _other(path)
+    read = _READERS.get(path.suffix.lower())
+    if read is None:
+        raise FileProblem(f"meshes are read from STL, PLY and OBJ files, not from {path.suffix or 'this'!r}", path)
+    vertices, triangles = read(read_bytes(path, "the mesh"), path)
+    must_be_whole(vertices, triangles, path)
+    scale = _scale(vertices[triangles.ravel()], unit, path)
+    return _tidied(vertices * scale, triangles, path)
+
+
+def must_be_whole(vertices: Doubles, triangles: NDArray[np.integer], path: Path) -> None:
+    """Raise MeshProblem unless there are triangles, each between three vertices that are there and finite."""
     if not triangles.size:
         raise MeshProblem(f"the mesh has no triangles: '{path}'")
     if triangles.min() < 0 or triangles.max() >= len(vertices):
         raise MeshProblem(f"the mesh names vertices that it does not have: '{path}'")
     if not np.isfinite(vertices).all():
         raise MeshProblem(f"the mesh has vertices that are not finite: '{path}'")
-    scale = _scale(vertices[triangles.ravel()], unit, path)
-    return _tidied(vertices * scale, triangles, path)
 
 
 def sample_surface(mesh: Mesh, n: int, seed: int) -> tuple[Doubles, Doubles]:
@@ -90,12 +102,8 @@ def _tidied(vertices: Doubles, triangles: Indices, path: Path) -> Mesh:
                 name=path.stem)  # fmt: skip
 
 
-def _stl(path: Path) -> tuple[Doubles, Indices]:
+def _stl(data: bytes, path: Path) -> tuple[Doubles, Indices]:
     """Corners of a binary or text STL; each triangle has its own three."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise FileProblem(f"cannot read the mesh ({error.strerror})", path) from error
     n = int.from_bytes(data[80:_HEADER], "little") if len(data) >= _HEADER else 0
     # Some binary files begin with "solid" as text ones do, so the size decides; text never has it by chance.
     if len(data) == _HEADER + n * _TRIANGLE and len(data) >= _HEADER:
@@ -110,7 +118,7 @@ def _stl(path: Path) -> tuple[Doubles, Indices]:
 
 
 def _text_corners(data: bytes, path: Path) -> Doubles:
-    lines = [line.split() for line in data.decode("ascii", errors="replace").splitlines()]
+    lines = _split(data)
     try:
         vertices = np.array([[float(v) for v in w[1:4]] for w in lines if w[:1] == ["vertex"]], dtype=np.float64)
     except ValueError as error:
@@ -121,16 +129,49 @@ def _text_corners(data: bytes, path: Path) -> Doubles:
     return vertices.reshape(-1, 3)
 
 
-def _other(path: Path) -> tuple[Doubles, Indices]:
-    if path.suffix.lower() not in (".ply", ".obj"):
-        raise FileProblem(f"meshes are read from STL, PLY and OBJ files, not from {path.suffix or 'this'!r}", path)
-    if not path.is_file():
-        raise FileProblem("cannot read the mesh (no such file)", path)
+def _obj(data: bytes, path: Path) -> tuple[Doubles, Indices]:
+    """Vertices and faces of an OBJ, a face of more than three corners as a fan about its first."""
+    vertices: list[list[float]] = []
+    triangles: list[tuple[int, int, int]] = []
+    for number, words in enumerate(_split(data.replace(b"\\\n", b" ").replace(b"\\\r\n", b" ")), start=1):
+        try:
+            if words[:1] == ["v"]:
+                x, y, z = map(float, words[1:4])  # behind them a weight or a colour may stand
+                vertices.append([x, y, z])
+            elif words[:1] == ["f"]:
+                first, *rest = (_corner(word, len(vertices)) for word in words[1:])  # "3", "3/1", "3//2", "3/1/2"
+                if len(rest) < 2:
+                    raise ValueError("a face of fewer than three corners")
+                triangles += [(first, a, b) for a, b in pairwise(rest)]
+        except (ValueError, OverflowError) as error:
+            raise FileProblem(f"line {number} of the OBJ file is no vertex and no face ({error})", path) from error
+    return np.array(vertices, np.float64).reshape(-1, 3), np.array(triangles, np.int32).reshape(-1, 3)
+
+
+def _corner(word: str, n_vertices: int) -> int:
+    """The vertex that a corner of a face names: counted from 1, or back from the latest when negative."""
+    index = int(word.partition("/")[0])
+    if not (0 < index <= _MOST_VERTICES or -n_vertices <= index < 0):
+        raise ValueError(f"there is no vertex {index}")
+    return index - 1 if index > 0 else n_vertices + index
+
+
+def _split(data: bytes) -> list[list[str]]:
+    return [line.split() for line in data.decode("ascii", errors="replace").splitlines()]
+
+
+def _ply(_data: bytes, path: Path) -> tuple[Doubles, Indices]:
     import open3d as o3d
 
     library: Any = o3d
-    with library.utility.VerbosityContextManager(library.utility.VerbosityLevel.Error):
-        mesh = library.io.read_triangle_mesh(str(path))
+    try:
+        with library.utility.VerbosityContextManager(library.utility.VerbosityLevel.Error):
+            mesh = library.io.read_triangle_mesh(str(path))
+    except (UnicodeError, MemoryError) as error:
+        raise FileProblem("the PLY file cannot be read; its name must be UTF-8 and its size a mesh's", path) from error
     vertices: NDArray[Any] = np.array(mesh.vertices, dtype=np.float64)
     triangles: NDArray[Any] = np.array(mesh.triangles, dtype=np.int32)
     return vertices.reshape(-1, 3), triangles.reshape(-1, 3)
+
+
+_READERS: Mapping[str, Callable[[bytes, Path], tuple[Doubles, Indices]]] = {".stl": _stl, ".obj": _obj, ".ply": _ply}

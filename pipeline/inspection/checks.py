@@ -23,6 +23,7 @@ _DEPTH_MM = (5.0, 1000.0)  # a depth camera looks at a membrane some centimetres
 _MOVED_MM = 1.0  # beyond the noise of a bubble's depth
 _PRESSED_IN = 0.5  # share of the moved pixels that must have come nearer
 _NAN_LIMIT = 0.5  # share of pixels without a reading beyond which a depth frame is of no use
+_WHITE, _BURNT_OUT = 254, 0.5  # grey level at which nothing is told apart, and the share of a picture that may be so
 _COLOUR_MARGIN = 0.2  # how much better a changed picture must fit before the recording is doubted
 _BLOCK_PX = 8  # colours are compared on a coarse grid, below the grain of noise and markers
 _EDGE_SHARE = 0.01  # contact pixels at the very edge whose indentation is rounded to 0
@@ -51,6 +52,8 @@ class Tally:
         self._gaps: list[int] = []
         self._n_frames, self._n_gaps, self._n_pixels, self._n_nearer, self._n_moved = 0, 0, 0, 0, 0
         self._reference: TactileFrame | None = None
+        self._bad_types: list[str] = []
+        self._blank: list[str] = []
         self._bad_truth: list[str] = []
         self._bad_poses: list[str] = []
         self._n_truth, self._n_poses = 0, 0
@@ -69,6 +72,12 @@ class Tally:
         want = frame.camera.shape if frame.camera is not None else (self._spec.camera.shape if self._spec else None)
         if want is not None and frame.image.shape[:2] != want:
             self._odd_sizes.append(frame.index)
+        kind = np.dtype(np.float32 if frame.is_depth else np.uint8)
+        if frame.image.dtype != kind:
+            self._bad_types.append(f"frame {frame.index} holds {frame.image.dtype}, it must be {kind}")
+        blank = _blank(frame.image)
+        if blank:
+            self._blank.append(f"frame {frame.index} {blank}")
         if frame.is_depth:
             self._depth(frame)
 
@@ -118,6 +127,8 @@ class Tally:
     def checks(self, times_s: Sequence[float]) -> list[Check]:
         """The answers, once all frames have been counted."""
         found = [self._check("frames", self._problems, "every frame can be read"), self._sizes(), self._references()]
+        found.append(self._check("types", self._bad_types, "every reading is of its type"))
+        found.append(self._check("pictures", self._blank, "none is blank, burnt out or without a value"))
         if self._depths_mm or self._gaps:
             found += [self._depth_unit(), self._depth_sign(), self._readings()]
         elif self._n_frames:
@@ -224,6 +235,20 @@ def pairings(recording: Recording) -> list[Check]:
         else:
             found.append(Check(name=name, state="pass", text="rotation has determinant +1"))
     return found
+
+
+def _blank(image: NDArray[np.number]) -> str:
+    """What makes a reading show nothing, "" where it shows something."""
+    known = image[np.isfinite(image)]
+    if not known.size:
+        return "has no value at all"
+    if known.size == image.size and known.min() == known.max():
+        return f"is {known.flat[0]:g} everywhere"
+    if image.ndim == 3:
+        white = float((image.min(axis=2) >= _WHITE).mean())
+        if white > _BURNT_OUT:
+            return f"is burnt out: {white:.0%} of it is white"
+    return ""
 
 
 def _likeness(seen: NDArray[np.number], want: NDArray[np.number]) -> float:

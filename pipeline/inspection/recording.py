@@ -13,7 +13,9 @@ from pipeline.base.errors import TouchError
 from pipeline.base.progress import SILENT, Progress
 from pipeline.inspection import checks as inspection
 from pipeline.inspection.checks import Check
+from pipeline.inspection.object_checks import mesh_checks
 from pipeline.recordings import open_recording
+from pipeline.sensors.spec import SensorSpec, names
 from pipeline.sensors.spec import sensor as sensor_spec
 from pipeline.values.frames import Recording, Stream, TactileFrame, Truth
 
@@ -60,9 +62,11 @@ def inspect(path: Path, *, sensor: str = "", reference: Path | None = None, prog
     """
     recording = open_recording(path, sensor=sensor, reference=reference)
     try:
-        found = [_stream(recording, s, progress) for s in recording.streams]
+        found = [_stream(recording, s, _spec(s.sensor, sensor), progress) for s in recording.streams]
         checks = [check for _, several in found for check in several]
         checks += inspection.pairings(recording)
+        if recording.object_mesh is not None:
+            checks += mesh_checks(recording.object_mesh, str(recording.path))
         return Report(
             path=recording.path,
             format=recording.format,
@@ -87,8 +91,17 @@ def lines(report: Report) -> list[str]:
     return out + [f"  note: {note}" for note in report.notes]
 
 
-def _stream(recording: Recording, stream: Stream, progress: Progress) -> tuple[StreamReport, list[Check]]:
-    spec = sensor_spec(stream.sensor) if stream.sensor else None
+def _spec(name: str, said: str) -> SensorSpec | None:
+    """The description of a stream's sensor: one of the catalogue, or the one that the user brought."""
+    own = sensor_spec(said) if said else None
+    if own is not None and own.name == name:
+        return own
+    return sensor_spec(name) if name in names() else None
+
+
+def _stream(
+    recording: Recording, stream: Stream, spec: SensorSpec | None, progress: Progress
+) -> tuple[StreamReport, list[Check]]:
     tally = inspection.Tally(stream.name, str(recording.path), spec)
     times: list[float] = []
     known: set[str] = set()
@@ -111,7 +124,7 @@ def _stream(recording: Recording, stream: Stream, progress: Progress) -> tuple[S
     rows, cols = first.image.shape[:2] if first is not None else (0, 0)
     report = StreamReport(
         name=stream.name, sensor=stream.sensor, n_frames=stream.n_frames, rows=rows, cols=cols,
-        dtype="" if first is None else ("float32 depth in mm" if first.is_depth else "uint8 RGB"),
+        dtype="" if first is None else f"{first.image.dtype} {'depth in mm' if first.is_depth else 'RGB'}",
         duration_s=duration_s, rate_hz=rate_hz, truth=tuple(sorted(known)), damaged=tuple(damaged),
     )  # fmt: skip
     return report, tally.checks(times)

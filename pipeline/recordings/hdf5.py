@@ -11,10 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import freeze
-from pipeline.base.errors import CalibrationError, FileProblem
+from pipeline.base.errors import CalibrationError, FileProblem, TouchError
+from pipeline.base.files import must_be_file
+from pipeline.base.text import plain
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera, camera_from_matrix
-from pipeline.geometry.meshes import Mesh
+from pipeline.geometry.meshes import Mesh, must_be_whole
+from pipeline.recordings import hdf5_border as border
 from pipeline.recordings import hdf5_layout as layout
 from pipeline.recordings import hdf5_symmetry
 from pipeline.recordings.indexing import checked_index
@@ -29,16 +32,18 @@ def read(path: Path) -> Recording:
     """A recording of ours, nothing but its tables of contents read yet; `close` it when done.
 
     A file that is cut short opens with a note, and frames beyond the cut raise FileProblem when asked for. Raises
-    FileProblem when the file is no recording of ours, is newer than this program, or says no or a wrong unit.
+    FileProblem when the file is no recording of ours, is newer than this program, says no or a wrong unit, or holds
+    what `hdf5_border` keeps out.
     """
+    must_be_file(path, "the recording", most_bytes=1 << 50)
     notes: list[str] = []
     file = _opened(path, notes)
     try:
         return _recording(file, path, notes)
-    except (FileProblem, CalibrationError):
+    except TouchError:
         file.close()
         raise
-    except (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError) as error:
+    except (OSError, RuntimeError, LookupError, ValueError, TypeError, AttributeError, ArithmeticError) as error:
         file.close()
         raise FileProblem(f"the recording's table of contents is damaged ({_short(error)})", path) from error
 
@@ -46,6 +51,7 @@ def read(path: Path) -> Recording:
 def _recording(file: Any, path: Path, notes: list[str]) -> Recording:
     if file.attrs.get("format") != layout.FORMAT:
         raise FileProblem("this HDF5 file is not a tactoscope recording: its attribute 'format' is missing", path)
+    border.must_hold_its_own(file, path)
     version = int(file.attrs.get("format_version", 0))
     if not 1 <= version <= layout.VERSION:
         raise FileProblem(
@@ -53,7 +59,7 @@ def _recording(file: Any, path: Path, notes: list[str]) -> Recording:
             path,
             field="format_version",
         )
-    notes += [line for line in str(file.attrs.get("notes", "")).splitlines() if line]
+    notes += border.lines(file, "notes", path)
     groups = sorted(file["streams"].items(), key=lambda item: int(item[1].attrs["order"]))
     streams = tuple(_stream(group, name, path, notes) for name, group in groups)
     if not streams:
@@ -62,35 +68,33 @@ def _recording(file: Any, path: Path, notes: list[str]) -> Recording:
     symmetry = None
     if mesh is not None:
         symmetry = _tolerated(lambda: hdf5_symmetry.read(file["object"], path), None, "the object's symmetry", notes)
-    pairings = tuple(_pairing(d, path) for d in file["pairings"].values()) if "pairings" in file else ()
+    pairs = file.get("pairings", {})
+    pairings = tuple(_pairing(pairs, key, path) for key in pairs)
     return Recording(path=path, format=layout.FORMAT, streams=streams, object_mesh=mesh, pairings=pairings,
                      notes=tuple(notes), close=file.close, symmetry=symmetry)  # fmt: skip
 
 
 def _stream(group: Any, name: str, path: Path, notes: list[str]) -> Stream:
-    frames = group["frames"]
-    layout.checked_unit(frames, "rgb" if frames.ndim == 4 else "mm", path)
-    layout.checked_unit(group["references"], "rgb" if frames.ndim == 4 else "mm", path)
-    for key in ("timestamps", "reference_index", "truth/known", "truth/indentation", "truth/contact",
-                "truth/sensor_from_object", "truth/force", "camera_matrix"):  # fmt: skip
-        if key in group:
-            layout.checked_unit(group[key], layout.UNITS[key], path)
-    n, sensor = int(frames.shape[0]), str(group.attrs["sensor"])
+    n, kept = _checked_stream(group, path)
+    sensor, shown = border.sensor(group, path), plain(name)
 
-    def table(key: str, lost: float, what: str) -> NDArray[Any]:
-        return _tolerated(lambda: group[key][:n], np.full(n, lost, group[key].dtype), f"{what} of {name!r}", notes)
+    def table(key: str, kinds: str, lost: float, what: str) -> NDArray[Any]:
+        stored = border.dataset(group, key, layout.UNITS[key], kinds, (n,), path)
+        kept_as = np.float64 if kinds == border.FLOAT else np.int64
+        what = f"{what} of {shown!r}"
+        return _tolerated(lambda: stored[()].astype(kept_as), np.full(n, lost, kept_as), what, notes)
 
-    times = table("timestamps", np.nan, "the timestamps")
-    rows = table("reference_index", -1, "the table of references")
-    known = table("truth/known", 0, "the table of what is known")
+    times = table("timestamps", border.FLOAT, np.nan, "the timestamps")
+    rows = table("reference_index", border.WHOLE, -1, "the table of references")
+    known = table("truth/known", border.WHOLE, 0, "the table of what is known")
     camera = _camera(group, path) if "camera_matrix" in group else None
 
     def frame(index: int) -> TactileFrame:
         row = int(rows[index])
         return TactileFrame(
-            sensor=sensor, image=_entry(group["frames"], index, index, name, path),
-            reference=None if row < 0 else _entry(group["references"], row, index, name, path),
-            index=index, time_s=float(times[index]), origin=f"{path} [{name}]", camera=camera,
+            sensor=sensor, image=_entry(group["frames"], index, index, name, path, kept),
+            reference=None if row < 0 else _entry(group["references"], row, index, name, path, kept),
+            index=index, time_s=float(times[index]), origin=f"{path} [{shown}]", camera=camera,
         )  # fmt: skip
 
     def truth(index: int) -> Truth | None:
@@ -98,25 +102,45 @@ def _stream(group: Any, name: str, path: Path, notes: list[str]) -> Stream:
         if not bits:
             return None
 
-        def field(bit: int, key: str) -> Any:
-            return _entry(group[key], index, index, name, path) if bits & bit else None
+        def field(bit: int, key: str, kept_as: type) -> Any:
+            return _entry(group[key], index, index, name, path, kept_as) if bits & bit else None
 
-        contact = field(layout.KNOWN_CONTACT, "truth/contact")
-        return Truth(indentation_mm=field(layout.KNOWN_INDENTATION, "truth/indentation"),
-                     contact=None if contact is None else freeze(contact.astype(np.bool_)),
-                     sensor_from_object=field(layout.KNOWN_POSE, "truth/sensor_from_object"),
-                     force_n=field(layout.KNOWN_FORCE, "truth/force"))  # fmt: skip
+        return Truth(indentation_mm=field(layout.KNOWN_INDENTATION, "truth/indentation", np.float32),
+                     contact=field(layout.KNOWN_CONTACT, "truth/contact", np.bool_),
+                     sensor_from_object=field(layout.KNOWN_POSE, "truth/sensor_from_object", np.float64),
+                     force_n=field(layout.KNOWN_FORCE, "truth/force", np.float64))  # fmt: skip
 
-    return Stream(name=name, sensor=sensor, n_frames=n, frame=checked_index(frame, n, path),
+    for key, bit in _TRUTHS.items():
+        if key not in group and (known & bit).any():
+            raise FileProblem(f"{shown} says that its {key} is known, but does not hold it", path, field=key)
+    return Stream(name=shown, sensor=sensor, n_frames=n, frame=checked_index(frame, n, path),
                   truth=checked_index(truth, n, path), has_truth=bool(known.any()))  # fmt: skip
 
 
-def _entry(dataset: Any, row: int, index: int, stream: str, path: Path) -> NDArray[Any]:
+_TRUTHS = {"truth/indentation": layout.KNOWN_INDENTATION, "truth/contact": layout.KNOWN_CONTACT,
+           "truth/sensor_from_object": layout.KNOWN_POSE, "truth/force": layout.KNOWN_FORCE}  # fmt: skip
+
+
+def _checked_stream(group: Any, path: Path) -> tuple[int, type]:
+    """(number of frames, type of a reading) of a stream whose datasets all are what the layout says."""
+    frames = group["frames"]
+    unit, kinds, kept = ("rgb", border.BYTES, np.uint8) if frames.ndim == 4 else ("mm", border.REAL, np.float32)
+    picture = (None, None, 3) if frames.ndim == 4 else (None, None)
+    n, *shape = border.dataset(group, "frames", unit, kinds, (None, *picture), path).shape
+    border.dataset(group, "references", unit, kinds, (None, *shape), path)
+    exact = {"truth/sensor_from_object": (4, 4), "truth/force": (3,)}
+    for key in filter(group.__contains__, _TRUTHS):
+        kinds = border.FLOAT if key in exact else border.REAL
+        border.dataset(group, key, layout.UNITS[key], kinds, (None, *exact.get(key, shape[:2])), path)
+    return int(n), kept
+
+
+def _entry(dataset: Any, row: int, index: int, stream: str, path: Path, kept: type) -> NDArray[Any]:
     """One row, decoded; a chunk whose checksum fails names file, frame and field."""
     key = str(dataset.name).removeprefix(f"/streams/{stream}/")
     if row < dataset.shape[0]:
         try:
-            return freeze(layout.decoded(dataset[row], dataset))
+            return freeze(layout.decoded(dataset[row], dataset).astype(kept, copy=False))
         except (OSError, RuntimeError):
             pass
     raise FileProblem(f"frame {index} of {stream!r}: its {key} are damaged or cut off; other frames can be read", path,
@@ -126,22 +150,28 @@ def _entry(dataset: Any, row: int, index: int, stream: str, path: Path) -> NDArr
 def _camera(group: Any, path: Path) -> Camera:
     rows, cols = group["frames"].shape[1:3]
     key = f"{group.name}/camera_matrix".lstrip("/")
+    matrix = border.dataset(group, "camera_matrix", "px", border.REAL, (3, 3), path)
     try:
-        return camera_from_matrix(group["camera_matrix"][()], rows, cols, what=key)
+        return camera_from_matrix(matrix[()], rows, cols, what=key)
     except CalibrationError as error:
         raise CalibrationError(f"{error}: '{path}'") from error
 
 
 def _mesh(group: Any, path: Path) -> Mesh:
-    vertices = layout.checked_unit(group["vertices"], "mm", path)[()].astype(np.float64)
-    triangles = layout.checked_unit(group["triangles"], "1", path)[()].astype(np.int32)
-    return Mesh(vertices_mm=freeze(vertices), triangles=freeze(triangles), name=str(group.attrs.get("name", "")))
+    vertices = border.dataset(group, "vertices", "mm", border.FLOAT, (None, 3), path)[()].astype(np.float64)
+    triangles = border.dataset(group, "triangles", "1", border.WHOLE, (None, 3), path)[()].astype(np.int64)
+    must_be_whole(vertices, triangles, path)
+    return Mesh(vertices_mm=freeze(vertices), triangles=freeze(triangles.astype(np.int32)),
+                name=border.word(group, "name", path))  # fmt: skip
 
 
-def _pairing(dataset: Any, path: Path) -> Pairing:
-    layout.checked_unit(dataset, "mm", path)
-    source, target = str(dataset.attrs["source"]), str(dataset.attrs["target"])
-    matrix = rigid.checked(dataset[()], f"target_from_source of {source!r} and {target!r}")
+def _pairing(pairs: Any, key: str, path: Path) -> Pairing:
+    dataset = border.dataset(pairs, key, "mm", border.FLOAT, (4, 4), path)
+    source, target = border.word(dataset, "source", path), border.word(dataset, "target", path)
+    try:
+        matrix = rigid.checked(dataset[()], f"target_from_source of {source!r} and {target!r}")
+    except CalibrationError as error:
+        raise CalibrationError(f"{error}: '{path}'") from error
     return Pairing(source=source, target=target, target_from_source=freeze(matrix))
 
 
@@ -165,7 +195,7 @@ def _opened(path: Path, notes: list[str]) -> Any:
     data = path.read_bytes()
     try:
         whole = layout.whole_bytes(data)
-        if whole > 100 * len(data) + (1 << 30):
+        if whole > 20 * len(data) + (64 << 20):
             raise ValueError(f"{whole} bytes cannot be right")
         # The library refuses a file that ends early; with filling in place of the lost end it reads all that is there.
         # Not zeros: their checksum is zero, so that a lost chunk would pass for a good one.

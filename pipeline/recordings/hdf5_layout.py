@@ -51,6 +51,7 @@ UNITS: Mapping[str, str] = {
 
 KNOWN_INDENTATION, KNOWN_CONTACT, KNOWN_POSE, KNOWN_FORCE = 1, 2, 4, 8
 
+LARGEST_STEP_MM = 10.0  # a thousand times coarser than any depth camera
 # 0.1 um holds +-3.2 mm, more than any gel gives way; a bubble moves by centimetres and is read to 0.4 mm.
 GEL_STEP_MM, BUBBLE_STEP_MM = 1e-4, 1e-3
 

@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.base.arrays import freeze
+from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import FileProblem
+from pipeline.recordings import hdf5_border as border
 from pipeline.recordings import hdf5_layout as layout
 
 if TYPE_CHECKING:  # the shapes are many, and a reader needs none of them
     from pipeline.geometry.symmetry import Symmetry
 
+_MOST = 1000  # turns; an icosahedron has 60
 _EXACT = 1e-6  # largest entry of R^T R - 1, and of |axis| - 1
 
 
@@ -36,14 +38,17 @@ def read(group: Any, path: Path) -> Symmetry | None:
     from pipeline.geometry.symmetry import Symmetry
 
     inside = group["symmetry"]
-    rotations = layout.checked_unit(inside["rotations"], "1", path)[()].astype(np.float64)
-    axis = layout.checked_unit(inside["axis"], "1", path)[()].astype(np.float64) if "axis" in inside else None
-    proper = rotations.ndim == 3 and rotations.shape[1:] == (3, 3) and len(rotations) > 0
+    stored = border.dataset(inside, "rotations", "1", border.FLOAT, (None, 3, 3), path)
+    rotations: Doubles = stored[: _MOST + 1].astype(np.float64)
+    axis = None
+    if "axis" in inside:
+        axis = border.dataset(inside, "axis", "1", border.FLOAT, (3,), path)[()].astype(np.float64)
+    proper = 0 < len(rotations) <= _MOST
     proper = proper and bool(np.abs(rotations.transpose(0, 2, 1) @ rotations - np.eye(3)).max() < _EXACT)
     proper = (
         proper and bool((np.linalg.det(rotations) > 0).all()) and bool(np.abs(rotations[0] - np.eye(3)).max() < _EXACT)
     )
-    if not proper or (axis is not None and (axis.shape != (3,) or not abs(np.linalg.norm(axis) - 1.0) < _EXACT)):
+    if not proper or (axis is not None and not abs(np.linalg.norm(axis) - 1.0) < _EXACT):
         raise FileProblem("the object's symmetry is no set of turns that begins with none at all", path,
                           field="object/symmetry")  # fmt: skip
     return Symmetry(rotations=freeze(rotations), axis=None if axis is None else freeze(axis))

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import FileProblem
+from pipeline.base.files import must_be_file, reason
 from pipeline.recordings import (
     depth_arrays,
     gelslim_depth,
@@ -36,10 +37,12 @@ def open_recording(
     tell. Raises FileProblem, SettingProblem or CalibrationError with what is wrong, where, and what to try.
     """
     path = Path(path)
-    if not path.exists():
-        raise FileProblem("no such file or folder", path)
-    if reference is not None and not reference.is_file():
-        raise FileProblem("there is no such picture of the untouched sensor", reference)
+    try:
+        path.stat()
+    except (OSError, ValueError) as error:
+        raise FileProblem(f"no such file or folder ({reason(error)})", path) from error
+    if reference is not None:
+        must_be_file(reference, "the picture of the untouched sensor")
     kind = _folder_kind(path) if path.is_dir() else _file_kind(path)
     match kind:
         case "images":
@@ -99,11 +102,12 @@ def _folder_kind(path: Path) -> str:
 
 def _file_kind(path: Path) -> str:
     """By the first bytes; only legacy PyTorch files and videos are known by their names."""
+    must_be_file(path, "the recording", most_bytes=1 << 50)
     try:
         with path.open("rb") as file:
             head = file.read(16)
     except OSError as error:
-        raise FileProblem(f"cannot read the file ({error.strerror})", path) from error
+        raise FileProblem(f"cannot read the file ({reason(error)})", path) from error
     suffix = path.suffix.lower()
     if not head:
         raise FileProblem("the file is empty", path)

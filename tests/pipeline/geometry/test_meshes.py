@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +63,43 @@ def test_every_format_gives_the_same_mesh_with_vertices_merged(tmp_path: Path, w
     assert not mesh.vertices_mm.flags.writeable
 
 
+def test_faces_of_an_obj_become_fans_however_their_corners_are_named(tmp_path: Path):
+    """A cube of quads, a face of five corners, and corners counted back from the latest vertex."""
+    vertices = [(x, y, z) for x in (0, 9) for y in (0, 9) for z in (0, 9)]
+    sides = [(1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4)]
+    head = "".join(f"v {x} {y} {z} 1.0\n" for x, y, z in vertices) + "vt 0 0\nvn 0 0 1\n"
+    for name, corner in {
+        "plain": lambda k: f"{k}", "texture": lambda k: f"{k}/1", "both": lambda k: f"{k}/1/1",
+        "normal": lambda k: f"{k}//1", "backward": lambda k: f"{k - 9}",
+    }.items():  # fmt: skip
+        path = tmp_path / f"{name}.obj"
+        path.write_text(head + "".join(f"f {' '.join(corner(k) for k in side)}\n" for side in sides))
+        mesh = load_mesh(path)
+        assert len(mesh.triangles) == 12, name
+        a, b, c = (mesh.vertices_mm[mesh.triangles[:, k]] for k in range(3))
+        assert (a * np.cross(b, c)).sum() / 6.0 == pytest.approx(9.0**3), name  # closed, and every quad once
+    mixed = tmp_path / "mixed.obj"
+    mixed.write_text("v 0 0 0\nv 9 0 0\nv 12 5 0\nv 9 9 0\nv 0 9 0\nf 1 2 3 \\\n4 5\nf 1 3 2\n")
+    assert len(load_mesh(mixed).triangles) == 4
+
+
+@pytest.mark.parametrize(
+    "face", ["f 1 2", "f 1 2 0", "f 1 2 x", "f 1 2 -9", "v 1 2", "v 1 2 three", "f 1 2 99999999999"]
+)
+def test_lines_of_an_obj_that_are_no_vertex_and_no_face_are_named(tmp_path: Path, face: str):
+    path = tmp_path / "a.obj"
+    path.write_text(f"v 0 0 0\nv 9 0 0\nv 0 9 0\n{face}\n")
+    with pytest.raises(FileProblem, match="line 4 of the OBJ file is no vertex and no face"):
+        load_mesh(path)
+
+
+@pytest.mark.parametrize("name", ["a.stl", "a.obj", "a.ply"])
+def test_a_pipe_is_no_mesh(tmp_path: Path, name: str):
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(FileProblem, match="a pipe or a device"):
+        load_mesh(tmp_path / name)
+
+
 def test_a_binary_file_that_begins_like_text_is_read_as_binary(tmp_path: Path):
     assert len(load_mesh(binary_stl(tmp_path / "a.stl", CORNERS, header=b"solid trap")).triangles) == 4
 
@@ -113,7 +151,7 @@ def test_vertices_that_are_not_finite_are_refused(tmp_path: Path):
 def test_other_files_and_missing_ones_are_refused(tmp_path: Path):
     with pytest.raises(FileProblem, match=r"no such file|No such file"):
         load_mesh(tmp_path / "a.stl")
-    with pytest.raises(FileProblem, match="no such file"):
+    with pytest.raises(FileProblem, match="No such file"):
         load_mesh(tmp_path / "a.ply")
     with pytest.raises(FileProblem, match="meshes are read from STL, PLY and OBJ"):
         load_mesh(tmp_path / "a.step")

@@ -11,11 +11,13 @@ import pytest
 
 from pipeline.base.errors import FileProblem
 from pipeline.geometry import rigid
+from pipeline.geometry.meshes import Mesh
+from pipeline.inspection.checks import Tally
 from pipeline.inspection.recording import Report, inspect, lines
 from pipeline.physics.optics import untouched
 from pipeline.recordings.hdf5_writer import Writer
 from pipeline.sensors.spec import sensor
-from pipeline.values.frames import Pairing, TactileFrame, Truth
+from pipeline.values.frames import Pairing, Stream, TactileFrame, Truth
 
 GEL, BUBBLE = sensor("digit"), sensor("soft_bubble")
 DENT = np.zeros(GEL.camera.shape, np.float32)
@@ -152,7 +154,7 @@ def test_a_size_that_is_not_the_sensors_and_a_lost_reference_are_noticed(tmp_pat
 
 
 def test_what_cannot_be_checked_is_neither_good_nor_bad(tmp_path: Path):
-    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((50, 60, 3), np.uint8))
+    cv2.imwrite(str(tmp_path / "a.png"), np.random.default_rng(0).integers(0, 255, (50, 60, 3), dtype=np.uint8))
     report = inspect(tmp_path)
     assert report.passed
     assert {state(report, n)[0] for n in ("image size", "reference", "colours", "times")} == {"unknown"}
@@ -166,3 +168,65 @@ def test_a_recording_that_cannot_be_opened_raises(tmp_path: Path):
 
 def test_the_real_bubble_passes(real_data: Path):
     assert inspect(real_data / "punyo_bubble" / "depth_sequence.npz").passed
+
+
+@pytest.mark.parametrize(
+    ("image", "words"),
+    [
+        (np.full((*GEL.camera.shape, 3), 255, np.uint8), "frame 0 is 255 everywhere"),
+        (np.zeros((*GEL.camera.shape, 3), np.uint8), "frame 0 is 0 everywhere"),
+        (np.where(np.arange(320)[:, None, None] < 200, 255, untouched(GEL)).astype(np.uint8), "burnt out: 62% of it"),
+    ],
+)
+def test_pictures_that_show_nothing_are_noticed(tmp_path: Path, image: np.ndarray, words: str):
+    found = state(inspect(record(tmp_path / "a.h5", [gel(0, image, reference=untouched(GEL))])), "pictures")
+    assert found[0] == "fail"
+    assert words in found[1]
+
+
+def test_depth_without_any_value_is_noticed(tmp_path: Path):
+    nothing = np.full(BUBBLE.camera.shape, np.nan, np.float32)
+    frame = TactileFrame(sensor="soft_bubble", image=nothing, reference=BUBBLE.rest_depth_mm.astype(np.float32))
+    found = state(inspect(record(tmp_path / "a.h5", [frame])), "pictures")
+    assert found == ("fail", f"frame 0 has no value at all: '{tmp_path / 'a.h5'}'")
+
+
+@pytest.mark.parametrize("kind", [np.float64, np.uint16, np.int8, np.bool_])
+def test_readings_of_another_type_are_noticed_and_named_as_they_are(tmp_path: Path, kind: type):
+    picture = untouched(GEL).astype(kind)
+    stream = Stream(name="digit", sensor="digit", n_frames=1, frame=lambda _: gel(0, picture))
+    tally = Tally("digit", "a.h5", GEL)
+    tally.frame(stream.frame(0))
+    (types,) = (check for check in tally.checks([0.0]) if check.name == "digit types")
+    assert types.state == "fail"
+    assert f"frame 0 holds {np.dtype(kind)}, it must be uint8" in types.text
+
+
+CUBE = np.array([[x, y, z] for x in (0.0, 9.0) for y in (0.0, 9.0) for z in (0.0, 9.0)])
+SIDES = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+WHOLE = np.concatenate([SIDES[:, [0, 1, 2]], SIDES[:, [0, 2, 3]]]).astype(np.int32)
+
+
+@pytest.mark.parametrize(
+    ("vertices", "triangles", "name", "words"),
+    [
+        (CUBE, WHOLE, "surface", "closed and facing outward, 729 mm³"),
+        (CUBE, WHOLE[1:], "surface", "3 of its edges have no neighbour"),
+        (CUBE, WHOLE[:, ::-1], "surface", "its triangles face inward (volume -729 mm³)"),
+        (CUBE, np.concatenate([WHOLE, WHOLE[:1]]), "surface", "3 of its edges are walked twice"),
+        (CUBE / 1000.0, WHOLE, "size", "the mesh is 0.009 x 0.009 x 0.009 mm"),
+        (CUBE * 100.0, WHOLE, "size", "the mesh is 900 x 900 x 900 mm"),
+    ],
+)
+def test_the_mesh_of_the_object_is_looked_at(tmp_path: Path, vertices, triangles, name: str, words: str):
+    mesh = Mesh(vertices_mm=vertices, triangles=np.ascontiguousarray(triangles, np.int32), name="cube")
+    found = state(inspect(record(tmp_path / "a.h5", [gel(0)], object_mesh=mesh)), f"object {name}")
+    assert words in found[1]
+    assert (found[0] == "pass") == words.startswith("closed")
+
+
+def test_a_stream_of_a_users_own_sensor_is_inspected_with_its_description_or_without(tmp_path: Path):
+    path = record(tmp_path / "a.h5", [gel(0, sensor="mine")])
+    (tmp_path / "mine.toml").write_text('extends = "digit"\n')
+    assert state(inspect(path), "image size")[0] == "unknown"
+    assert state(inspect(path, sensor=str(tmp_path / "mine.toml")), "image size")[0] == "pass"

@@ -1,0 +1,45 @@
+"""The checks of a recording's object: whether its mesh can be felt, has an inside, and has it inside."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.geometry.meshes import LARGEST_MM, SMALLEST_MM, Mesh
+from pipeline.inspection.checks import Check
+
+
+def mesh_checks(mesh: Mesh, path: str) -> list[Check]:
+    """Size, closedness and orientation of `mesh`, which the recording at `path` brings."""
+    return [_size(mesh, path), _surface(mesh, path)]
+
+
+def _size(mesh: Mesh, path: str) -> Check:
+    corners = mesh.vertices_mm[mesh.triangles].reshape(-1, 3)
+    extent = corners.max(axis=0) - corners.min(axis=0)
+    text = f"{' x '.join(f'{e:.3g}' for e in extent)} mm, {len(mesh.triangles)} triangles"
+    if not SMALLEST_MM <= extent.max() <= LARGEST_MM:
+        text = f"the mesh is {text}; what is touched measures {SMALLEST_MM:g} to {LARGEST_MM:g} mm: '{path}'"
+        return Check(name="object size", state="fail", text=text)
+    return Check(name="object size", state="pass", text=text)
+
+
+def _surface(mesh: Mesh, path: str) -> Check:
+    """Every edge must be walked once each way: then nothing is open, doubled or turned against its neighbour."""
+    t = mesh.triangles.astype(np.int64)
+    edges = np.concatenate([t[:, [0, 1]], t[:, [1, 2]], t[:, [2, 0]]])
+    n = len(mesh.vertices_mm)
+    there, back = edges[:, 0] * n + edges[:, 1], edges[:, 1] * n + edges[:, 0]
+    alone = int((~np.isin(there, back)).sum())
+    twice = len(there) - len(np.unique(there))
+    a, b, c = (mesh.vertices_mm[t[:, k]] for k in range(3))
+    volume_mm3 = float((a * np.cross(b, c)).sum()) / 6.0
+    bad = ""
+    if alone:
+        bad = f"{alone} of its edges have no neighbour: there are holes, and no inside to measure from"
+    elif twice:
+        bad = f"{twice} of its edges are walked twice the same way: triangles lie double or are turned"
+    elif volume_mm3 <= 0:
+        bad = f"its triangles face inward (volume {volume_mm3:.3g} mm³); turn them round"
+    if bad:
+        return Check(name="object surface", state="fail", text=f"the mesh: {bad}: '{path}'")
+    return Check(name="object surface", state="pass", text=f"closed and facing outward, {volume_mm3:.3g} mm³")
