@@ -74,7 +74,7 @@ def test_without_a_reference_the_notes_say_so(tmp_path: Path):
 
 
 def test_a_reference_that_is_not_there_is_named(folder: Path):
-    with pytest.raises(FileProblem, match=r"no such picture of the untouched sensor.*nowhere\.png"):
+    with pytest.raises(FileProblem, match=r"cannot read the picture of the untouched sensor.*nowhere\.png"):
         open_recording(folder, reference=folder / "nowhere.png")
 
 
