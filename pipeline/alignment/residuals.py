@@ -18,6 +18,7 @@ import numpy as np
 from pipeline.alignment.touches import PairedTouch
 from pipeline.base.arrays import Doubles, Mask
 from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
+from pipeline.geometry.normals import area_vectors
 from pipeline.values.results import DepthMap
 
 SURFACE_POINTS = 600  # of a touch; more tell the same again
@@ -169,8 +170,7 @@ def _normals(depth_mm: Doubles, camera: Camera) -> Doubles:
     level = float(np.median(depth_mm[known]))
     smooth = np.asarray(cv2.GaussianBlur(np.where(known, depth_mm - level, 0.0), (0, 0), blur_px))
     smooth = level + np.divide(smooth, share, out=np.zeros_like(smooth), where=share > 1e-6)
-    points = camera.back_project(smooth)
-    normal = np.cross(np.gradient(points, axis=1), np.gradient(points, axis=0))
+    normal = -area_vectors(camera.back_project(smooth))
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     return np.where(known[..., None], normal, np.nan)
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Mask, freeze
 from pipeline.base.errors import SettingProblem, ShapeError
+from pipeline.base.memo import remembered
 from pipeline.physics import multigrid
 from pipeline.physics.lattice import Lattice
 from pipeline.sensors.spec import Bubble
@@ -42,7 +42,7 @@ class BubbleContact:
     converged: bool
 
 
-@lru_cache(maxsize=8)
+@remembered(8)
 def lattice(bubble: Bubble, step_mm: float = STEP_MM) -> Lattice:
     """The lattice centred on the optical axis that holds the whole rim; halved again and again it stays a lattice."""
     halves = 2**multigrid.HALVINGS
@@ -145,7 +145,7 @@ def _sealed(bubble: Bubble, grid: multigrid.Grid, tension: float, tolerance_mm: 
     return _Sealed(v=v, over_kpa=over, slope=slope, converged=False)
 
 
-@lru_cache(maxsize=8)
+@remembered(8)
 def _dome(bubble: Bubble, on: Lattice) -> Doubles:
     return freeze(
         1.0 - (on.x_mm()[None, :] / bubble.half_width_mm) ** 2 - (on.y_mm()[:, None] / bubble.half_height_mm) ** 2

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, freeze
 from pipeline.geometry.camera import Camera
+from pipeline.geometry.normals import area_vectors
 from pipeline.physics import lattice
 from pipeline.physics.lattice import Lattice
 from pipeline.sensors.spec import DepthCamera, SensorSpec
@@ -60,8 +61,7 @@ def reading(sensor: SensorSpec, depth_mm: NDArray[np.floating], seed: int | None
 def incidence_cosine(camera: Camera, depth_mm: NDArray[np.floating]) -> Doubles:
     """Cosine (rows, cols) of the angle between each ray and the normal of the surface that it meets; 1 = head on."""
     points = camera.back_project(depth_mm)
-    down, right = np.gradient(points, axis=0), np.gradient(points, axis=1)
-    normal = np.cross(right, down)
+    normal = area_vectors(points)
     size = np.linalg.norm(normal, axis=2) * np.linalg.norm(points, axis=2)
     facing = np.abs(np.einsum("rcx,rcx->rc", normal, points))
     return np.divide(facing, size, out=np.zeros(depth_mm.shape), where=size > 0)

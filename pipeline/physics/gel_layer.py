@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, freeze
+from pipeline.base.memo import remembered
 from pipeline.sensors.spec import Gel
 
 _LARGEST_X = 40.0  # K is 1 to double precision long before sinh overflows
@@ -43,7 +43,7 @@ class Layer:
         return _filtered(displacement_mm, self.inverse, self.repeated)
 
 
-@lru_cache(maxsize=24)
+@remembered(24)
 def layer(gel: Gel, pixel_mm: float, shape: tuple[int, int]) -> Layer:
     """The pad's answer over a grid of `shape`; the last few are kept."""
     # Pixels hear each other over n - 1 steps; in a thin layer no farther than the reach of its kernel.
@@ -100,7 +100,7 @@ def _kernel(gel: Gel, pixel_mm: float, heard: tuple[int, ...]) -> Doubles:
     return wide[middle - heard[0] : middle + heard[0] + 1, middle - heard[1] : middle + heard[1] + 1]
 
 
-@lru_cache(maxsize=8)
+@remembered(8)
 def _layer_kernel(gel: Gel, pixel_mm: float) -> Doubles:
     n = 2 * _reach_px(gel, pixel_mm) + 2
     symbol = _layer_symbol(gel, pixel_mm, (n, n))

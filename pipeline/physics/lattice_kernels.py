@@ -1,48 +1,10 @@
 # pyright: basic
-"""Compiled loops between height fields, meshes and camera rays."""
+"""Compiled loops that lay meshes and depth images down as height fields."""
 
 import math
 
 import numpy as np
 from numba import njit
-
-_FAST = {"contract", "arcp", "nsz", "reassoc"}
-
-
-@njit(cache=True, fastmath=_FAST)
-def look(height, x0, y0, step, ray_x, ray_y, near, far, out):
-    """z at which each camera ray meets the surface z = height(x, y); Newton kept inside a shrinking bracket."""
-    ny, nx = height.shape
-    for r in range(ray_y.size):
-        for c in range(ray_x.size):
-            low = near
-            high = far
-            z = out[r, c]
-            for _ in range(60):
-                u = min(max((ray_x[c] * z - x0) / step, 0.0), nx - 1.000001)
-                w = min(max((ray_y[r] * z - y0) / step, 0.0), ny - 1.000001)
-                i = int(u)
-                j = int(w)
-                a = u - i
-                b = w - j
-                h00 = height[j, i]
-                h01 = height[j, i + 1]
-                h10 = height[j + 1, i]
-                h11 = height[j + 1, i + 1]
-                above = (h00 * (1 - a) + h01 * a) * (1 - b) + (h10 * (1 - a) + h11 * a) * b - z
-                if above > 0.0:
-                    low = z
-                else:
-                    high = z
-                if abs(above) < 1e-9:
-                    break
-                tilt_x = ((h01 - h00) * (1 - b) + (h11 - h10) * b) / step
-                tilt_y = ((h10 - h00) * (1 - a) + (h11 - h01) * a) / step
-                slope = tilt_x * ray_x[c] + tilt_y * ray_y[r] - 1.0
-                z = z - above / slope if slope < -0.05 else 0.5 * (low + high)
-                if not (low < z < high):
-                    z = 0.5 * (low + high)
-            out[r, c] = z
 
 
 @njit(cache=True)

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, Image, freeze
 from pipeline.base.errors import SettingProblem, ShapeError
+from pipeline.base.memo import Memo, remembered
+from pipeline.engine.digests import content
 from pipeline.geometry.camera import Camera
 from pipeline.physics.optics_markers import checked, marker_motion_px, print_on
 from pipeline.sensors.spec import Markers, Optics, SensorSpec
@@ -23,6 +25,8 @@ from pipeline.sensors.spec import Markers, Optics, SensorSpec
 _PENUMBRA_MM = 0.25  # how far below an LED's light a point has to lie to get none of it
 _NO_SHADOW_MM = 0.02  # shallower surfaces cast none that can be seen
 _N_QUANTILES = 4096
+
+_Scene = tuple[np.float32, Floats, Floats, Floats, np.float32]
 
 
 def colour_change(sensor: SensorSpec, gx: NDArray[np.floating], gy: NDArray[np.floating]) -> Floats:
@@ -93,7 +97,7 @@ def _single(array: NDArray[np.floating]) -> Floats:
     return np.ascontiguousarray(array, dtype=np.float32)
 
 
-@lru_cache(maxsize=32)
+@remembered(32)
 def _lamps(optics: Optics, camera: Camera) -> tuple[Floats, Floats]:
     """Light directions and colours (n, 6), and how each weakens over the image (n, 3), as the kernel wants them."""
     half_w, half_h = camera.cols / 2, camera.rows / 2
@@ -112,7 +116,7 @@ def _lamps(optics: Optics, camera: Camera) -> tuple[Floats, Floats]:
     return freeze(np.array(lamps, np.float32)), freeze(np.array(strength, np.float32))
 
 
-@lru_cache(maxsize=32)
+@remembered(32)
 def _glow(camera: Camera, optics: Optics) -> Floats:
     """The untouched light (rows, cols, 3) before markers and blur."""
     x = ((np.arange(camera.cols) + 0.5) / camera.cols * 2 - 1)[None, :]
@@ -126,7 +130,7 @@ def _glow(camera: Camera, optics: Optics) -> Floats:
     return freeze((light * lens[..., None]).astype(np.float32))
 
 
-@lru_cache(maxsize=32)
+@remembered(32)
 def _untouched(camera: Camera, optics: Optics, markers: Markers | None, pixel_mm: float) -> Image:
     light = _glow(camera, optics).copy()
     if markers is not None:
@@ -140,7 +144,7 @@ def _lit(sensor: SensorSpec, optics: Optics, height_mm: Floats) -> Floats:
     from pipeline.physics import optics_kernels
 
     light = np.empty((*height_mm.shape, 3), np.float32)
-    optics_kernels.light_of(height_mm, *_scene(_Same(sensor)), light)
+    optics_kernels.light_of(height_mm, *_scene(sensor), light)
     if _casts_shadow(optics, height_mm):
         shade(light, sensor, height_mm)
     return light
@@ -155,30 +159,21 @@ def _plain_picture(sensor: SensorSpec, height_mm: Floats, gain_rgb: tuple[float,
     from pipeline.physics.optics_kernels import picture_of
 
     out = np.empty((*height_mm.shape, 3), np.uint8)
-    picture_of(height_mm, *_scene(_Same(sensor)), np.array(gain_rgb, np.float32), out)
+    picture_of(height_mm, *_scene(sensor), np.array(gain_rgb, np.float32), out)
     return out
 
 
-class _Same:
-    """A sensor as a key that is equal to itself only: to hash a whole description takes as long as a picture."""
-
-    __slots__ = ("sensor",)
-
-    def __init__(self, sensor: SensorSpec) -> None:
-        self.sensor = sensor
-
-    def __hash__(self) -> int:
-        return id(self.sensor)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Same) and other.sensor is self.sensor
+_scenes: Memo[str, _Scene] = Memo(16)
 
 
-@lru_cache(maxsize=16)
-def _scene(key: _Same) -> tuple[np.float32, Floats, Floats, Floats, np.float32]:
+def _scene(sensor: SensorSpec) -> _Scene:
     """What the kernels need to light a surface of this sensor, after the surface itself."""
-    camera, optics = key.sensor.camera, optics_of(key.sensor)
-    return np.float32(key.sensor.pixel_mm), _glow(camera, optics), *_lamps(optics, camera), np.float32(optics.vignette)
+    camera, optics = sensor.camera, optics_of(sensor)
+    return _scenes.of(
+        content(sensor),
+        lambda: (np.float32(sensor.pixel_mm), _glow(camera, optics), *_lamps(optics, camera),
+                 np.float32(optics.vignette)),
+    )  # fmt: skip
 
 
 def _casts_shadow(optics: Optics, height_mm: Floats) -> bool:
@@ -191,7 +186,7 @@ def shade(light: Floats, sensor: SensorSpec, height_mm: Floats) -> None:
 
     optics = optics_of(sensor)
     drop = np.float32(sensor.pixel_mm * math.tan(math.radians(optics.shadow_deg)))
-    leds = _scene(_Same(sensor))[2][: len(optics.leds)]
+    leds = _scene(sensor)[2][: len(optics.leds)]
     all_leds = np.maximum(leds[:, 3:].sum(axis=0), 1e-6)
     turned, cover_turned = np.ascontiguousarray(height_mm.T), np.empty(height_mm.shape[::-1], np.float32)
     cover = np.empty_like(height_mm)

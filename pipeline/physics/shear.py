@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, Mask, freeze
 from pipeline.base.errors import SettingProblem, ShapeError
+from pipeline.base.memo import remembered
 from pipeline.geometry.camera import Camera
 from pipeline.physics.lattice import Lattice
 from pipeline.sensors.spec import Gel
@@ -123,7 +123,7 @@ class Answer:
         return np.moveaxis(back[:, : self.shape[0], : self.shape[1]], 0, -1).astype(np.float32)
 
 
-@lru_cache(maxsize=16)
+@remembered(16)
 def _answer(gel: Gel, cell_mm: float, shape: tuple[int, int]) -> Answer:
     from scipy import fft
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Indices, Mask
 from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
+from pipeline.geometry.normals import area_vectors
 from pipeline.registration.model import Model
 from pipeline.values.results import Touch
 
@@ -45,8 +46,8 @@ def felt_surface(touch: Touch, max_points: int, seed: int) -> Scene:
     part = np.s_[top : top + rows, left : left + cols]
     seen = touch.camera.cropped(top, left, rows, cols)
     surface = seen.back_project(np.where(usable[part], touch.depth_mm[part], np.nan))
-    to_right, down = (_slope(surface, axis) for axis in (1, 0))
-    across = np.cross(down, to_right).reshape(-1, 3)  # y cross x points to -z: toward the camera
+    # Over contact pixels only: the membrane beside a contact is not the object.
+    across = area_vectors(surface).reshape(-1, 3)
     area = np.linalg.norm(across, axis=1)
     chosen = np.flatnonzero(np.isfinite(area) & (area > 0))
     area_mm2 = float(area[chosen].sum())
@@ -75,21 +76,6 @@ def _box(mask: Mask) -> tuple[int, int, int, int]:
     if not rows.size:
         return 0, 0, 1, 1
     return int(rows[0]), int(cols[0]), int(rows[-1] - rows[0]) + 1, int(cols[-1] - cols[0]) + 1
-
-
-def _slope(surface: Doubles, axis: int) -> Doubles:
-    """Change per pixel along `axis`, over contact pixels only: the membrane beside a contact is not the object."""
-    step = np.diff(surface, axis=axis)
-    gap = np.full_like(np.take(surface, [0], axis=axis), np.nan)
-    after, before = np.concatenate([step, gap], axis=axis), np.concatenate([gap, step], axis=axis)
-    known_after, known_before = _known(after), _known(before)
-    total = np.where(known_after[..., None], after, 0.0) + np.where(known_before[..., None], before, 0.0)
-    count = known_after.astype(np.float64) + known_before
-    return total / np.where(count > 0, count, np.nan)[..., None]
-
-
-def _known(vectors: Doubles) -> Mask:
-    return np.isfinite(vectors[..., 2])
 
 
 def in_reach(scene: Scene, model: Model, sensor_from_object: Doubles, reach_mm: float) -> Model:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
 from pipeline.base.arrays import Indices, freeze
+from pipeline.base.memo import remembered
 
 
-@lru_cache(maxsize=16)
+@remembered(16)
 def pixel_index(shape: tuple[int, int]) -> Indices:
     """0, 1, 2, ... in C order (rows, cols); kept per shape."""
     return freeze(np.arange(shape[0] * shape[1], dtype=np.int32).reshape(shape))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, Mask, freeze
+from pipeline.base.memo import remembered
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import contact, membrane_load
 
@@ -62,7 +62,7 @@ def denoised(raw: Floats, length_px: float) -> Floats:
     return np.asarray(fft.idctn(wave * _damping(raw.shape, length_px), type=2, norm="ortho", workers=2), np.float32)
 
 
-@lru_cache(maxsize=8)
+@remembered(8)
 def _damping(shape: tuple[int, int], length_px: float) -> Floats:
     ky, kx = (np.arange(n) * (math.pi / n) for n in shape)
     q_sq = ky[:, None] ** 2 + kx[None, :] ** 2

@@ -11,12 +11,12 @@ short by 1 - sqrt(1 - s^2), and neither the thickness of the gel nor its stiffne
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 
 from pipeline.base.arrays import Floats, Mask, freeze
+from pipeline.base.memo import remembered
 
 _WORKERS = 2
 _SPECK_SHARE = 0.05  # of the largest region: dust and scratches that the press has shifted
@@ -36,7 +36,8 @@ def relative_pressure(indentation_mm: Floats, smoothing_px: float, order: Litera
     from scipy import fft
 
     wave = np.asarray(fft.dctn(indentation_mm, type=2, norm="ortho", workers=_WORKERS))
-    wave = wave * _wavenumbers(*indentation_mm.shape, smoothing_px, order)
+    rows, cols = indentation_mm.shape
+    wave = wave * _wavenumbers(rows, cols, smoothing_px, order)
     return np.asarray(fft.idctn(wave, type=2, norm="ortho", workers=_WORKERS), np.float32)
 
 
@@ -104,7 +105,7 @@ def without_specks(mask: Mask, min_pixels: int) -> Mask:
     return keep[np.asarray(labels, np.int32)]
 
 
-@lru_cache(maxsize=64)
+@remembered(64)
 def _wavenumbers(rows: int, cols: int, smoothing_px: float, order: Literal[1, 2]) -> Floats:
     """Wavenumbers (rows, cols) of a cosine transform to the power of `order`, radians per pixel, damped by a blur."""
     ky, kx = (np.arange(n) * (math.pi / n) for n in (rows, cols))

@@ -20,11 +20,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
 from pipeline.base.arrays import Floats, Mask, freeze
+from pipeline.base.memo import remembered
 
 _BORDER_MM = 5.0  # around the image, where unknown loads may act
 _NOISE = 0.45  # mm per root of a sample a square mm, for which all weights below were found
@@ -198,7 +198,7 @@ def _found(load: Floats) -> Floats:
     return np.asarray(cv2.dilate(strong.astype(np.uint8), np.ones((3, 3), np.uint8)), np.float32)
 
 
-@lru_cache(maxsize=8)
+@remembered(8)
 def _lines(length_px: float, width_px: float) -> tuple[Floats, ...]:
     """Gaussians stretched along each direction; their sums are 1."""
     reach = max(1, round(2 * length_px))
@@ -211,7 +211,7 @@ def _lines(length_px: float, width_px: float) -> tuple[Floats, ...]:
     return tuple(lines)
 
 
-@lru_cache(maxsize=8)
+@remembered(8)
 def _eigenvalues_sq(shape: tuple[int, int]) -> Floats:
     """Squares of the five-point Laplacian's eigenvalues (rows, cols) in cosines."""
     ky, kx = (np.arange(n) * (math.pi / n) for n in shape)

@@ -13,13 +13,13 @@ counting k from 1, which damps the long waves, and a divergence without the half
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 
 from pipeline.base.arrays import Floats, freeze
 from pipeline.base.errors import ShapeError
+from pipeline.base.memo import remembered
 
 Boundary = Literal["free", "flat"]
 BOUNDARIES: tuple[Boundary, ...] = ("free", "flat")
@@ -53,7 +53,7 @@ def integrate(gx: Floats, gy: Floats, pixel_mm: float, boundary: Boundary = "fre
     return freeze(z * np.float32(pixel_mm))
 
 
-@lru_cache(maxsize=16)
+@remembered(16)
 def _inverse_eigenvalues(rows: int, cols: int, boundary: Boundary) -> Floats:
     """-1 / eigenvalue of the five-point Laplacian (rows, cols); the constant has none and is left at zero."""
     first = 0 if boundary == "free" else 1

@@ -1,0 +1,32 @@
+"""Which way the surface in an image of points faces, and how much of it each pixel shows."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.base.arrays import Doubles, Mask
+
+
+def area_vectors(points_mm: NDArray[np.floating]) -> Doubles:
+    """Normals of an image of points (rows, cols, 3), toward the camera, as long as the pixel's area on the surface.
+
+    Neighbours that are not known (NaN) are left out; NaN where a point has none to its sides, or none above and below.
+    """
+    to_right, down = (_slope(points_mm, axis) for axis in (1, 0))
+    return np.cross(down, to_right)  # y cross x points to -z: toward a camera that looks along +z
+
+
+def _slope(points: NDArray[np.floating], axis: int) -> Doubles:
+    """Change per pixel along `axis`: the mean of the steps to both sides, or the one that there is."""
+    step = np.diff(points, axis=axis)
+    gap = np.full_like(np.take(points, [0], axis=axis), np.nan)
+    after, before = np.concatenate([step, gap], axis=axis), np.concatenate([gap, step], axis=axis)
+    known_after, known_before = _known(after), _known(before)
+    total = np.where(known_after[..., None], after, 0.0) + np.where(known_before[..., None], before, 0.0)
+    count = known_after.astype(np.float64) + known_before
+    return total / np.where(count > 0, count, np.nan)[..., None]
+
+
+def _known(vectors: NDArray[np.floating]) -> Mask:
+    return np.isfinite(vectors[..., 2])
