@@ -60,25 +60,17 @@ def open_window(
 
 def prepare_environment() -> None:
     """Say which Qt binding all shall use, and keep idle OpenMP threads from spinning; before any of them loads."""
-    os.environ["QT_API"] = "pyqt6"
     os.environ["PYQTGRAPH_QT_LIB"] = "PyQt6"
     os.environ.setdefault("OMP_WAIT_POLICY", _THREADS_LEFT_ALONE)
 
 
 def make_application() -> QApplication:
-    """The one application, in our style; the OpenGL format is set first, since later is too late."""
-    from PyQt6.QtGui import QSurfaceFormat
+    """The one application, in our style."""
     from PyQt6.QtWidgets import QApplication
 
     running = QApplication.instance()
     if isinstance(running, QApplication):
         return running
-    form = QSurfaceFormat()
-    form.setRenderableType(QSurfaceFormat.RenderableType.OpenGL)
-    form.setProfile(QSurfaceFormat.OpenGLContextProfile.CoreProfile)
-    form.setVersion(3, 2)
-    form.setSamples(0)  # VTK smooths in its own buffers
-    QSurfaceFormat.setDefaultFormat(form)
     application = QApplication([sys.argv[0]])
     application.setApplicationName("Tactoscope")
     return application

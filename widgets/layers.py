@@ -8,7 +8,8 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from PyQt6.QtWidgets import QWidget
+from PyQt6.QtCore import Qt
+from PyQt6.QtWidgets import QLabel, QWidget
 
 from pipeline.base.arrays import Doubles, Floats, Indices
 
@@ -73,7 +74,12 @@ class Scene(Protocol):
 
 
 class EmptyScene:
-    """Stands in until the 3D views are there."""
+    """Stands in until the 3D views are there, or says why there are none."""
+
+    def __init__(self, notice: str = "") -> None:
+        self._widget = QLabel(notice)
+        self._widget.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self._widget.setWordWrap(True)
 
     def show_layers(self, column: int, layers: Sequence[Layer]) -> None:
         """Nothing."""
@@ -97,5 +103,5 @@ class EmptyScene:
         """Nothing."""
 
     def widget(self) -> QWidget:
-        """Nothing to see."""
-        return QWidget()
+        """The notice."""
+        return self._widget

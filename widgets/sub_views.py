@@ -1,4 +1,4 @@
-"""The contents of a row of 3D sub-views: layers, cameras, lights, axes and the traced pixel's dot."""
+"""The contents of a row of 3D sub-views: layers, cameras, lights, axes and the traced pixel's dot, drawn off screen."""
 
 from __future__ import annotations
 
@@ -7,26 +7,52 @@ from typing import Any
 
 import numpy as np
 import pyvista as pv
+import vtkmodules.vtkRenderingOpenGL2  # pyright: ignore[reportUnusedImport]  # noqa: F401 - registers what draws
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
+from vtkmodules.vtkRenderingCore import (
+    vtkActor,
+    vtkCamera,
+    vtkLight,
+    vtkPolyDataMapper,
+    vtkRenderer,
+    vtkRenderWindow,
+)
 
-from pipeline.base.arrays import Doubles
-from widgets.colours import AXES, TRACE
+from pipeline.base.arrays import Doubles, Image
+from widgets.colours import AXES, BACKDROP, TRACE, Rgb
 from widgets.layers import Layer, Sight
 
 
 class SubViews:
-    """Keeps the layers of all sub-views of one plotter; points are written in place, actors are never rebuilt."""
+    """Keeps the layers of all sub-views of one picture; points are written in place, actors are never rebuilt."""
 
-    def __init__(self, plotter: Any, columns: int) -> None:
-        self._plotter = plotter
+    def __init__(self, columns: int, samples: int) -> None:
+        self.window = vtkRenderWindow()
+        self.window.SetOffScreenRendering(True)
+        self.window.SetMultiSamples(samples)
+        self.renderers = [_view() for _ in range(columns)]
+        for renderer in self.renderers:
+            self.window.AddRenderer(renderer)
         self._kept: list[dict[str, tuple[Layer, Any, Any]]] = [{} for _ in range(columns)]
-        self._axes = [self._added_axes(column) for column in range(columns)]
-        for renderer in plotter.renderers:
-            _light(renderer)
-            # A camera may be shared, and layers come after it was set: every view is cut to its own, as it is drawn.
-            renderer.AddObserver("StartEvent", _cut_to_its_own)
+        self._axes = [[_arrow(renderer, axis) for axis in range(3)] for renderer in self.renderers]
         self._tall = True
         self._marks: dict[int, tuple[tuple[float, float, float] | None, float]] = {}
         self._dots: dict[int, Any] = {}
+        self.show_columns(range(columns))
+
+    def pixels(self, width_px: int, height_px: int) -> Image:
+        """Everything drawn at this size (rows, cols, 3)."""
+        self._fit(width_px, height_px)
+        self.window.SetSize(width_px, height_px)
+        self.window.Render()
+        drawn = vtkUnsignedCharArray()
+        self.window.GetPixelData(0, 0, width_px - 1, height_px - 1, 0, drawn, 0)
+        return np.ascontiguousarray(vtk_to_numpy(drawn).reshape(height_px, width_px, 3)[::-1])
+
+    def close(self) -> None:
+        """Let go of everything OpenGL."""
+        self.window.Finalize()
 
     def show(self, column: int, layers: Sequence[Layer]) -> bool:
         """Whether anything had to change."""
@@ -40,7 +66,9 @@ class SubViews:
         for layer in layers:
             old = kept.get(layer.name)
             if old is None:
-                mesh, actor = self._added(column, layer)
+                mesh = pv.PolyData()
+                _write(mesh, layer, None)
+                actor = _added(self.renderers[column], mesh, layer)
             else:
                 mesh, actor = old[1], old[2]
                 if old[0] is layer and actor.GetVisibility():
@@ -48,7 +76,7 @@ class SubViews:
                 _write(mesh, layer, old[0])
                 actor.SetVisibility(True)
             if layer.placed is not None:
-                actor.user_matrix = layer.placed
+                actor.SetUserMatrix(pv.vtkmatrix_from_array(layer.placed))
             kept[layer.name] = (layer, mesh, actor)
             changed = True
         return changed
@@ -57,7 +85,7 @@ class SubViews:
         """Move a layer that is there."""
         found = self._kept[column].get(name)
         if found is not None:
-            found[2].user_matrix = placed
+            found[2].SetUserMatrix(pv.vtkmatrix_from_array(placed))
 
     def mark(self, column: int, place_mm: tuple[float, float, float] | None, radius_mm: float) -> bool:
         """Whether the dot had to change."""
@@ -66,12 +94,8 @@ class SubViews:
         self._marks[column] = (place_mm, radius_mm)
         actor = self._dots.get(column)
         if actor is None:
-            self._plotter.subplot(0, column)
             ball = pv.Sphere(radius=1.0, theta_resolution=16, phi_resolution=12)
-            actor = self._plotter.add_mesh(
-                ball, color=TRACE, name="trace", pickable=False, reset_camera=False, render=False
-            )
-            self._dots[column] = actor
+            actor = self._dots[column] = _actor(self.renderers[column], ball, TRACE)
         actor.SetVisibility(place_mm is not None)
         if place_mm is not None:
             actor.SetScale(radius_mm)
@@ -80,7 +104,7 @@ class SubViews:
 
     def show_columns(self, visible: Sequence[int]) -> None:
         """Equal shares of the width for these; no room for the others."""
-        for column, renderer in enumerate(self._plotter.renderers):
+        for column, renderer in enumerate(self.renderers):
             renderer.SetDraw(column in visible)
             if column in visible:
                 at = list(visible).index(column)
@@ -88,83 +112,105 @@ class SubViews:
             else:
                 renderer.SetViewport(0.0, 0.0, 0.0, 0.0)
 
-    def fit(self, width_px: int, height_px: int) -> None:
-        """Make the view angle hold for the shorter side, so that the same sphere fits tall and wide sub-views."""
-        shown = sum(bool(renderer.GetDraw()) for renderer in self._plotter.renderers)
-        self._tall = width_px < height_px * max(1, shown)
-        for renderer in self._plotter.renderers:
-            renderer.camera.SetUseHorizontalViewAngle(self._tall)
-
     def look(self, sights: Mapping[int, Sight], linked: bool) -> None:
         """Cameras seen from the sensor's side, so that what is pushed in bulges toward the viewer."""
         shared: dict[str, Any] = {}
         for column, sight in sights.items():
-            renderer = self._plotter.renderers[column]
             camera = shared.get(sight.frame) if linked else None
             if camera is None:
                 camera = shared[sight.frame] = _camera(sight)
                 camera.SetUseHorizontalViewAngle(self._tall)
-            renderer.camera = camera
+            self.renderers[column].SetActiveCamera(camera)
             corner = np.array(sight.centre_mm) + sight.radius_mm * np.array([-0.62, 0.72, 0.0])
             for actor in self._axes[column]:
                 actor.SetPosition(*corner)
                 actor.SetScale(0.25 * sight.radius_mm)
                 actor.SetVisibility(True)
 
-    def _added_axes(self, column: int) -> list[Any]:
-        """Unit arrows along x, y, z of the frame; hidden until it is known where they belong."""
-        self._plotter.subplot(0, column)
-        actors: list[Any] = []
-        for axis, colour in enumerate(AXES):
-            tip = np.zeros(3)
-            tip[axis] = 1.0
-            actor = self._plotter.add_mesh(
-                pv.Line((0.0, 0.0, 0.0), tip), color=colour, line_width=3, name=f"axis_{'xyz'[axis]}", pickable=False,
-                lighting=False, reset_camera=False, render=False,
-            )  # fmt: skip
-            actor.SetVisibility(False)
-            actors.append(actor)
-        return actors
-
-    def _added(self, column: int, layer: Layer) -> tuple[Any, Any]:
-        mesh = pv.PolyData()
-        _write(mesh, layer, None)
-        self._plotter.subplot(0, column)
-        surface = layer.triangles is not None
-        actor = self._plotter.add_mesh(
-            mesh, scalars="rgb", rgb=True, opacity=layer.opacity, point_size=layer.point_px, name=layer.name,
-            style="surface" if surface else "points", lighting=surface, smooth_shading=False, copy_mesh=False,
-            show_scalar_bar=False, reset_camera=False, render=False,
-        )  # fmt: skip
-        if surface:
-            actor.prop.interpolation = "gouraud"
-            actor.prop.ambient = 0.3
-        return mesh, actor
+    def _fit(self, width_px: int, height_px: int) -> None:
+        """Make the view angle hold for the shorter side, so that the same sphere fits tall and wide sub-views."""
+        shown = sum(bool(renderer.GetDraw()) for renderer in self.renderers)
+        self._tall = width_px < height_px * max(1, shown)
+        for renderer in self.renderers:
+            renderer.GetActiveCamera().SetUseHorizontalViewAngle(self._tall)
 
 
-def _camera(sight: Sight) -> Any:
-    """Looking along the sensor's own view, somewhat from below, so far away that the sphere fills the width."""
-    camera = pv.Camera()
-    direction = np.array([0.0, 0.85, -1.0]) / np.linalg.norm([0.0, 0.85, -1.0])
-    camera.focal_point = sight.centre_mm
-    camera.position = tuple(np.array(sight.centre_mm) + 3.7 * sight.radius_mm * direction)
-    camera.up = (0.0, -1.0, 0.0)
-    camera.view_angle = 28.0
-    return camera
+def _view() -> Any:
+    """An empty sub-view; a lamp at the viewer lets colours read true, one from the upper left lets dents cast shade."""
+    renderer: Any = vtkRenderer()
+    renderer.SetBackground(*_shares(BACKDROP))
+    renderer.SetAutomaticLightCreation(False)
+    lamp, side = vtkLight(), vtkLight()
+    lamp.SetLightTypeToHeadlight()
+    lamp.SetIntensity(0.55)
+    side.SetLightTypeToCameraLight()
+    side.SetIntensity(0.6)
+    side.SetPosition(-1.0, 1.0, 0.6)
+    for light in (lamp, side):
+        renderer.AddLight(light)
+    # A camera may be shared, and layers come after it was set: every view is cut to its own, as it is drawn.
+    renderer.AddObserver("StartEvent", _cut_to_its_own)
+    return renderer
 
 
 def _cut_to_its_own(renderer: Any, _: str) -> None:
     renderer.ResetCameraClippingRange()
 
 
-def _light(renderer: Any) -> None:
-    """A lamp at the viewer so that colours read true, and one from the upper left so that dents cast shade."""
-    renderer.remove_all_lights()
-    lamp = pv.Light(light_type="headlight", intensity=0.55)
-    side = pv.Light(light_type="camera light", intensity=0.6)
-    side.position = (-1.0, 1.0, 0.6)
-    for light in (lamp, side):
-        renderer.add_light(light)
+def _camera(sight: Sight) -> Any:
+    """Looking along the sensor's own view, somewhat from below, so far away that the sphere fills the width."""
+    camera = vtkCamera()
+    direction = np.array([0.0, 0.85, -1.0]) / np.linalg.norm([0.0, 0.85, -1.0])
+    camera.SetFocalPoint(*sight.centre_mm)
+    camera.SetPosition(*(np.array(sight.centre_mm) + 3.7 * sight.radius_mm * direction))
+    camera.SetViewUp(0.0, -1.0, 0.0)
+    camera.SetViewAngle(28.0)
+    return camera
+
+
+def _actor(renderer: Any, mesh: Any, colour: Rgb | None = None) -> Any:
+    """A mesh in a sub-view, in one colour or in those of its points."""
+    mapper, actor = vtkPolyDataMapper(), vtkActor()
+    mapper.SetInputData(mesh)
+    if colour is None:
+        mapper.SetScalarModeToUsePointFieldData()
+        mapper.SelectColorArray("rgb")
+    else:
+        mapper.ScalarVisibilityOff()
+        actor.GetProperty().SetColor(*_shares(colour))
+    actor.SetMapper(mapper)
+    renderer.AddActor(actor)
+    return actor
+
+
+def _arrow(renderer: Any, axis: int) -> Any:
+    """A unit arrow along x, y or z of the frame; hidden until it is known where it belongs."""
+    tip = np.zeros(3)
+    tip[axis] = 1.0
+    actor = _actor(renderer, pv.Line((0.0, 0.0, 0.0), tip), AXES[axis])
+    actor.GetProperty().SetLineWidth(3)
+    actor.GetProperty().LightingOff()
+    actor.SetVisibility(False)
+    return actor
+
+
+def _added(renderer: Any, mesh: Any, layer: Layer) -> Any:
+    actor = _actor(renderer, mesh)
+    look = actor.GetProperty()
+    look.SetOpacity(layer.opacity)
+    look.SetPointSize(layer.point_px)
+    if layer.triangles is None:
+        look.SetRepresentationToPoints()
+        look.LightingOff()
+    else:
+        look.SetInterpolationToGouraud()
+        look.SetAmbient(0.3)
+    return actor
+
+
+def _shares(colour: Rgb) -> tuple[float, float, float]:
+    red, green, blue = (c / 255 for c in colour)
+    return red, green, blue
 
 
 def _write(mesh: Any, layer: Layer, old: Layer | None) -> None:

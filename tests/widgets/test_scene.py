@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from PyQt6.QtCore import QPoint, Qt
 
 from widgets.colours import uniform
-from widgets.layers import Layer, Sight
-from widgets.scene import LiveScene, PicturedScene, best_scene
+from widgets.layers import EmptyScene, Layer, Sight
+from widgets.scene import LiveScene, best_scene
 
 pytestmark = pytest.mark.gl
 
@@ -75,9 +76,9 @@ def test_an_empty_layer_is_no_error(scene):
 
 def test_linked_views_share_a_camera_and_others_do_not(scene):
     scene.look(SIGHTS, linked=True)
-    assert scene.renderers[0].camera is scene.renderers[1].camera
+    assert scene.renderers[0].GetActiveCamera() is scene.renderers[1].GetActiveCamera()
     scene.look(SIGHTS, linked=False)
-    assert scene.renderers[0].camera is not scene.renderers[1].camera
+    assert scene.renderers[0].GetActiveCamera() is not scene.renderers[1].GetActiveCamera()
 
 
 def test_a_surface_seen_from_the_sensor_is_lit(scene, qtbot):
@@ -119,14 +120,29 @@ def test_layers_that_come_after_the_cameras_were_set_anew_are_drawn_whole(scene,
     assert ink(scene, qtbot) == pytest.approx(whole, rel=0.05)
 
 
-def test_pictures_stand_in_where_there_is_no_opengl(qtbot):
-    scene = PicturedScene(2)
-    qtbot.addWidget(scene)
-    scene.resize(300, 150)
+def test_the_mouse_turns_the_view_under_it_and_those_that_share_its_camera(scene, qtbot):
     scene.look(SIGHTS, linked=True)
     scene.show_layers(0, [surface(10.0)])
-    qtbot.waitUntil(lambda: not scene.pixmap().isNull() or "OpenGL" in scene.text(), timeout=5000)
-    scene.finish()
+    scene.show_layers(1, [surface(10.0)])
+    before = ink(scene, qtbot)
+    qtbot.mousePress(scene, Qt.MouseButton.LeftButton, pos=QPoint(75, 75))
+    qtbot.mouseMove(scene, QPoint(120, 60))
+    qtbot.mouseRelease(scene, Qt.MouseButton.LeftButton, pos=QPoint(120, 60))
+    after = ink(scene, qtbot)
+    assert abs(after[0] - before[0]) > 0.05 * before[0]
+    assert after[1] == pytest.approx(after[0], rel=0.05)
+
+
+def test_what_comes_together_is_drawn_once(scene, qtbot, monkeypatch):
+    drawn = []
+    pixels = scene._stage.pixels
+    qtbot.wait(100)
+    monkeypatch.setattr(scene._stage, "pixels", lambda *size: (drawn.append(size), pixels(*size))[1])
+    scene.look(SIGHTS, linked=True)
+    for z in (10.0, 11.0, 12.0):
+        scene.show_layers(0, [surface(z)])
+    qtbot.wait(200)
+    assert len(drawn) == 1
 
 
 def test_a_driver_that_fails_leaves_a_window_that_works(qtbot, monkeypatch):
@@ -136,5 +152,6 @@ def test_a_driver_that_fails_leaves_a_window_that_works(qtbot, monkeypatch):
     monkeypatch.setattr("widgets.scene.LiveScene", fails)
     scene = best_scene(2)
     qtbot.addWidget(scene.widget())
-    assert isinstance(scene, PicturedScene)
+    assert isinstance(scene, EmptyScene)
+    assert "no OpenGL here" in scene.widget().text()
     scene.finish()

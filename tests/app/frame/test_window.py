@@ -10,7 +10,7 @@ from pathlib import Path
 import h5py
 import pytest
 from PyQt6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
-from PyQt6.QtGui import QDropEvent
+from PyQt6.QtGui import QDropEvent, QSurface
 from PyQt6.QtWidgets import QLabel
 
 from app.frame.tour import give_tour, save_window_picture, wait_until_shown
@@ -21,6 +21,8 @@ from pipeline.base.params import changed
 from pipeline.engine.graph import Graph
 from pipeline.recordings.hdf5_writer import Writer
 from tests.app.conftest import bubble_frames
+from widgets.colours import BACKDROP
+from widgets.layers import EmptyScene
 
 LIMIT_S = 60
 
@@ -92,6 +94,19 @@ def test_a_bad_mesh_opened_while_the_frame_changes_is_taken_back(bubble_window, 
     assert bubble_window.latest.index == 1
     bubble_window.choose_frame(2)
     assert wait_until_shown(bubble_window, LIMIT_S)
+
+
+def test_a_request_that_was_never_begun_says_nothing_about_the_one_after_it(bubble_window):
+    go_on = threading.Event()
+    bubble_window.job.submit(lambda _report: go_on.wait(LIMIT_S))
+    try:
+        bubble_window.choose_frame(0)
+        bubble_window.choose_frame(1)
+        assert "waiting" not in {column.state for column in bubble_window.window.columns.values()}
+    finally:
+        go_on.set()
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.latest.index == 1
 
 
 def test_a_stage_that_fails_on_what_was_open_before_takes_nothing_more_back(bubble_window, tmp_path, monkeypatch):
@@ -343,6 +358,19 @@ def test_the_tour_leaves_pictures_stages_and_a_report(open_window, touch_file, t
     assert sorted(p.name for p in (tmp_path / "out").glob("frame_*")) == ["frame_0000", "frame_0001", "frame_0002"]
     assert (tmp_path / "out" / "report.json").exists()
     assert (tmp_path / "out" / "window.png").stat().st_size > 20_000
+
+
+@pytest.mark.gl
+def test_the_window_is_not_built_anew_when_3d_comes(open_window, qtbot):
+    """A window that takes up an OpenGL widget while it is shown goes black for that time."""
+    instrument = open_window(gl=True)
+    handle, number = instrument.window.windowHandle(), int(instrument.window.winId())
+    qtbot.waitUntil(lambda: not isinstance(instrument.screen.scene, EmptyScene), timeout=LIMIT_S * 1000)
+    scene = instrument.screen.scene.widget()
+    qtbot.waitExposed(scene)
+    assert handle.surfaceType() == QSurface.SurfaceType.RasterSurface
+    assert int(instrument.window.winId()) == number
+    assert scene.grab().toImage().pixelColor(5, 5).getRgb()[:3] == BACKDROP
 
 
 @pytest.mark.gl
