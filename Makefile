@@ -29,6 +29,7 @@ $(READY): pyproject.toml constraints.txt scripts/system-packages.sh
 	@echo "installing Python packages into $(VENV) (about 3 GB, once)"
 	@$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt torch
 	@$(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@$(BIN)/tactoscope prepare
 	@touch $@
 
 lint: $(READY)

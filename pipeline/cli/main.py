@@ -38,6 +38,7 @@ def build(name: str = "tactoscope") -> App:
     app.command(inspect)
     app.command(translate)
     app.command(cli_data.simulate)
+    app.command(prepare)
     app.command(doctor)
     app.command(bench)
     calibrate = App(name="calibrate", help="Build a sensor's colour-to-slope look-up from presses of a known object.")
@@ -166,6 +167,13 @@ def translate(
         depth_unit=depth_unit, alignment=alignment,
     )  # fmt: skip
     return translate_frames(request, out, frame, all_frames, settings, follow=follow)
+
+
+def prepare() -> int:
+    """Compile what the sample and the simulator need, once, so that the first touch of a new process is quick."""
+    from pipeline.cli.prepare import prepare as compile_all
+
+    return compile_all()
 
 
 def doctor() -> int:

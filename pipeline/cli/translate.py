@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from pipeline.base import unexpected
+from pipeline.base import compiling, unexpected
 from pipeline.base.errors import SettingProblem, TouchError
 from pipeline.base.files import ready
 from pipeline.base.progress import Progress as StageProgress
@@ -49,7 +49,8 @@ def translate_frames(
         console.print(f"note: {note}", style="dim", highlight=False, markup=False, soft_wrap=True)
     graph = new_graph()
     graph.cache = Cache(CACHE_BYTES)
-    indices = range(translation.n_frames) if every else [_chosen(translation, graph, params, frame)]
+    with console.status("looking for a touch") as status, compiling.watched(status.update):
+        indices = range(translation.n_frames) if every else [_chosen(translation, graph, params, frame)]
     ready(out)
     lines: list[FrameLines] = []
     last: Finished | None = None
@@ -61,7 +62,8 @@ def translate_frames(
             for index in indices:
                 bar.update(task, description=f"frame {index}")
                 work.step(0.0, "")
-                known, last = _one(translation, graph, params, index, out, last if follow else None, work)
+                with compiling.watched(lambda text: bar.update(task, description=text)):
+                    known, last = _one(translation, graph, params, index, out, last if follow else None, work)
                 lines.append(last.lines)
                 n_kept += known
                 bar.advance(task)

@@ -1,0 +1,55 @@
+"""Where numba keeps what it compiles of this project, and what it tells `compiling`. Numba itself imports this."""
+# pyright: basic
+
+from pathlib import Path
+
+from numba.core import event
+
+from pipeline.base import compiling
+
+
+class Place:
+    """The file of one kernel, as numba asks for it (a "cache locator").
+
+    Numba alone would load a kernel that calls one of another module as it was before that module changed.
+    """
+
+    def __init__(self, function, module):
+        self._line, self._module = function.__code__.co_firstlineno, Path(module)
+
+    @classmethod
+    def from_function(cls, function, module):
+        return cls(function, module) if function.__module__.startswith("pipeline.") else None
+
+    def ensure_cache_path(self):
+        Path(self.get_cache_path()).mkdir(parents=True, exist_ok=True)
+
+    def get_cache_path(self):
+        return str(compiling.folder(self._module))
+
+    def get_source_stamp(self):
+        return compiling.stamp(self._module)
+
+    def get_disambiguator(self):
+        return str(self._line)
+
+
+class _Compiling(event.Listener):
+    def on_start(self, event):
+        function = event.data["dispatcher"].py_func
+        compiling.begun(f"{function.__module__}.{function.__qualname__}")
+
+    def on_end(self, event):
+        pass
+
+
+class _Asking(event.Listener):
+    def on_start(self, event):  # noqa: ARG002
+        compiling.asked()
+
+    def on_end(self, event):  # noqa: ARG002
+        compiling.given_back()
+
+
+event.register("numba:compile", _Compiling())
+event.register("numba:compiler_lock", _Asking())

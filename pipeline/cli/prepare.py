@@ -1,0 +1,104 @@
+"""`tactoscope prepare`: every kernel compiled once, so that the first touch of a new process is quick."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from pipeline.base import compiling
+from pipeline.cli.terminal import print_line
+
+SAMPLE = Path(__file__).parents[2] / "sample_data" / "recordings" / "first_touch.h5"
+_FRAME = 5  # a firm touch
+_WAYS = (("gelslim", "soft_bubble"), ("soft_bubble", "digit"), ("digit", "gelslim"))
+_PRESSED = ("soft_bubble", "digit")
+_TOOL = "notched_elbow"
+
+
+def prepare() -> int:
+    """Put the chain and the simulator to work until no kernel is left to compile; says nothing was to do if so."""
+    waiting = len(compiling.waiting())
+    if waiting:
+        before_s = time.process_time()
+        with Console(stderr=True).status("compiling, once") as status, compiling.watched(status.update):
+            for task in _tasks():
+                task()
+        print_line(f"{waiting} kernels compiled in {time.process_time() - before_s:.0f} s of computing")
+    left = compiling.waiting()
+    for name in left:
+        print_line(f"not needed by the sample, compiled when it is: {name}")
+    print_line(f"{len(compiling.kernels()) - len(left)} kernels are ready in {compiling.folder(Path(__file__)).parent}")
+    return 0
+
+
+def _tasks() -> Iterator[Callable[[], object]]:
+    """Work that calls every kernel, what the sample needs first."""
+    from pipeline.translation import routes
+
+    params = routes.default_params()
+    for source, target in _WAYS:
+        yield partial(_translated, source, target, params)
+    for other in ("project.mode=paper", "adapt.stride=16"):  # points: the paper's, and those too sparse for a surface
+        yield partial(_translated, *_WAYS[0], routes.with_setting(params, other))
+    yield from (_surveyed, _pressed, _calibrated)
+
+
+def _translated(source: str, target: str, params: dict[str, object]) -> None:
+    from pipeline.translation.translate import Request, new_graph, open_translation
+
+    translation = open_translation(Request(recording=SAMPLE, source=source, target=target))
+    new_graph().evaluate(translation.stages, translation.inputs(_FRAME), params)
+    translation.recording.close()
+
+
+def _surveyed() -> None:
+    """A mesh's distances, a rest surface read off a mesh, and distances from rest surfaces of both kinds."""
+    from pipeline.geometry import distance_grid, mesh_membrane
+    from pipeline.geometry.meshes import Mesh
+    from pipeline.sensors.spec import sensor
+    from pipeline.simulation import shapes
+
+    corners = np.array([[x, y, 20.0] for y in (-5.0, 5.0) for x in (-5.0, 5.0)])
+    sheet = Mesh(vertices_mm=corners, triangles=np.array([[0, 1, 2], [1, 3, 2]], np.int32))
+    mesh_membrane.from_mesh(sheet)
+    for mesh in (shapes.shape(_TOOL).mesh, sheet):
+        distance_grid.built(mesh)
+    for name in _PRESSED:
+        sensor(name).membrane.signed_distance_mm(np.full((100_000, 3), 10.0, np.float32))
+
+
+def _pressed() -> None:
+    """The same press, felt by a bubble and by a gel that prints no markers; and a membrane that never settles."""
+    from pipeline.physics import multigrid
+    from pipeline.sensors.spec import sensor
+    from pipeline.simulation import shapes
+    from pipeline.simulation.poses import paper_grid
+    from pipeline.simulation.press import press
+
+    thing = shapes.shape(_TOOL).mesh
+    pose = paper_grid(thing, n=1, seed=0)[0]
+    for name in _PRESSED:
+        press(thing, pose, sensor(name), seed=0)
+    room = np.full((65, 65), 1.0)
+    free = np.pad(np.ones((63, 63), np.bool_), 1)
+    multigrid.solve(multigrid.Grid(room_mm=room, free=free, step_mm=1.0, halvings=2), 0.0 * room, 0.01, -1.0)
+
+
+def _calibrated() -> None:
+    """A look-up turned round, and a picture of light alone."""
+    from dataclasses import replace
+
+    from pipeline.calibration import lookup, rendering
+    from pipeline.physics import optics
+    from pipeline.sensors.spec import sensor
+
+    spec = sensor(_WAYS[1][1])
+    level = np.zeros(spec.camera.shape)
+    rendering.rendered(lookup.built_in(spec), optics.untouched(spec), level, spec, seed=None)
+    bare = replace(optics.optics_of(spec), blur_px=0.0, noise_grey=0.0)
+    optics.render(replace(spec, optics=bare), level, seed=None)

@@ -1,0 +1,33 @@
+"""`tactoscope prepare`: what it leaves to compile, and what it costs once nothing is left."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from pipeline.base import compiling
+from pipeline.cli import prepare
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def test_nothing_is_put_to_work_once_all_is_compiled(monkeypatch, capsys):
+    monkeypatch.setattr(compiling, "waiting", dict)
+    monkeypatch.setattr(prepare, "_tasks", pytest.fail)
+    assert prepare.prepare() == 0
+    assert f"{len(compiling.kernels())} kernels are ready" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_no_kernel_is_left_to_compile_after_it(tmp_path):
+    ours = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "user")}
+    command = [sys.executable, "-m", "pipeline", "prepare"]
+    first = subprocess.run(command, cwd=ROOT, env=ours, capture_output=True, text=True, check=True)
+    assert "not needed by the sample" not in first.stdout
+    again = subprocess.run(command, cwd=ROOT, env=ours, capture_output=True, text=True, check=True)
+    assert again.stdout == first.stdout.splitlines(keepends=True)[-1]
