@@ -12,5 +12,10 @@ def plain(text: str) -> str:
     return "".join(c if c.isprintable() or unicodedata.category(c) == "Zs" else _escaped(c) for c in text)
 
 
+def is_text(name: str) -> bool:
+    """Whether a file's name can be given to a library that takes nothing but UTF-8."""
+    return not any("\ud800" <= c <= "\udfff" for c in name)
+
+
 def _escaped(character: str) -> str:
     return character.encode("unicode_escape").decode("ascii")

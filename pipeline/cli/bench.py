@@ -43,13 +43,15 @@ def bench(
     print_line(machine_line(about))
     done: list[Answered] = []
     for question in asked:
-        print_line(f"\n{question.name}")
+        print_line("")
+        print_line(question.name)
         done.append(ask(question))
         _tell(done[-1], plots)
         if json_file is not None:
             write_json(json_file, as_json(about, done))
     missed = _missed(done)
-    print_line("\n" + (f"{len(missed)} missed: {'; '.join(missed)}" if missed else "every bar holds"))
+    print_line("")
+    print_line(f"{len(missed)} missed: {'; '.join(missed)}" if missed else "every bar holds")
     if against is not None:
         missed = setbacks(before, rows_of(done), [question.name for question in asked])
         print_line(

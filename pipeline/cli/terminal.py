@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
+from pipeline.base.text import plain
+
 if TYPE_CHECKING:  # a sentence is said without loading what draws bars
     from rich.progress import Progress
 
@@ -25,17 +27,18 @@ def shown_bar() -> Progress:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn
 
-    return Progress(TextColumn("{task.description}"), BarColumn(), console=Console(stderr=True), transient=True)
+    return Progress(
+        TextColumn("{task.description}", markup=False), BarColumn(), console=Console(stderr=True), transient=True
+    )
 
 
 def print_line(text: str) -> None:
-    """One line on stdout, without wrapping or colours."""
+    """One line on stdout, without wrapping or colours, and whatever a file put into it as letters."""
     from rich.console import Console
 
-    Console(soft_wrap=True, highlight=False).print(text, markup=False)
+    Console(soft_wrap=True, highlight=False, emoji=False).print(plain(text), markup=False)
 
 
 def complain(text: str) -> None:
     """One sentence on stderr; what would move the cursor or begin a line is written out."""
-    plain = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
-    sys.stderr.write(f"tactoscope: {plain}\n")
+    sys.stderr.write(f"tactoscope: {plain(text)}\n")

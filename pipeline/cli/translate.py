@@ -14,6 +14,7 @@ from pipeline.base import compiling, unexpected
 from pipeline.base.errors import SettingProblem, TouchError
 from pipeline.base.files import ready
 from pipeline.base.progress import Progress as StageProgress
+from pipeline.base.text import plain
 from pipeline.cli.stopping import stoppable
 from pipeline.cli.terminal import complain, print_line
 from pipeline.engine.cache import Cache
@@ -46,7 +47,7 @@ def translate_frames(
     console = Console(stderr=True)
     translation = open_translation(request)
     for note in translation.notes:
-        console.print(f"note: {note}", style="dim", highlight=False, markup=False, soft_wrap=True)
+        console.print(plain(f"note: {note}"), style="dim", highlight=False, markup=False, emoji=False, soft_wrap=True)
     graph = new_graph()
     graph.cache = Cache(CACHE_BYTES)
     with console.status("looking for a touch") as status, compiling.watched(status.update):
@@ -55,7 +56,7 @@ def translate_frames(
     lines: list[FrameLines] = []
     last: Finished | None = None
     n_kept = 0
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     try:
         with stoppable() as work, Progress(*columns, console=console, transient=True) as bar:
             task = bar.add_task("translating", total=len(indices))

@@ -15,7 +15,7 @@ from pipeline.base.arrays import Doubles
 from pipeline.base.errors import CalibrationError
 
 ORTHONORMAL_TOLERANCE = 1e-5  # largest entry of R^T R - I; float32 files keep 1e-6, hand-typed ones less
-FARTHEST_MM = 1000.0  # between a sensor, what it touches and another sensor
+FARTHEST_MM = 1000.0  # between two sensors that feel the same touch, or one and what it touches
 _SMALL_ANGLE_RAD = 1e-4  # below it the series is exact to double precision
 
 
@@ -105,10 +105,19 @@ def angle_deg(matrix: Doubles) -> float:
     return math.degrees(float(np.linalg.norm(rotation_vector_rad(matrix))))
 
 
+def within_reach(matrix: ArrayLike, what: str) -> Doubles:
+    """`checked`, and no farther than anything that is touched; for what files say. Raises CalibrationError."""
+    m = checked(matrix, what)
+    far = float(np.abs(m[:3, 3]).max())
+    if far > FARTHEST_MM:
+        raise CalibrationError(f"{what} shifts by {far:.3g} mm, it must lie within {FARTHEST_MM:g} mm")
+    return m
+
+
 def checked(matrix: ArrayLike, what: str) -> Doubles:
     """`matrix` as a proper rigid transform, its rotation made exactly orthonormal; `what` names it in errors.
 
-    Raises CalibrationError when it is not 4x4, not finite, mirrored, scaled or sheared, or shifts beyond FARTHEST_MM.
+    Raises CalibrationError when it is not 4x4, not finite, mirrored, scaled or sheared.
     """
     m = np.array(matrix, dtype=np.float64)
     if m.shape != (4, 4):
@@ -117,10 +126,6 @@ def checked(matrix: ArrayLike, what: str) -> Doubles:
         raise CalibrationError(f"{what} holds a value that is not finite")
     if np.abs(m[3] - (0.0, 0.0, 0.0, 1.0)).max() > ORTHONORMAL_TOLERANCE:
         raise CalibrationError(f"the last row of {what} must be 0 0 0 1, got {m[3].tolist()}")
-    if np.abs(m[:3, 3]).max() > FARTHEST_MM:
-        raise CalibrationError(
-            f"{what} shifts by {np.abs(m[:3, 3]).max():.3g} mm, which must lie within {FARTHEST_MM:g} mm"
-        )
     u, s, vt = np.linalg.svd(m[:3, :3])
     determinant = float(np.linalg.det(m[:3, :3]))
     if determinant < 0:

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, freeze
 from pipeline.base.errors import CalibrationError, FileProblem
+from pipeline.base.files import must_be_file
+from pipeline.base.text import plain
 from pipeline.geometry.camera import Camera, camera_from_matrix
 from pipeline.recordings import pictures
 from pipeline.recordings.indexing import checked_index
@@ -53,8 +55,8 @@ def read(path: Path, *, sensor: str = "", reference: Path | None = None, unit: D
                             camera=loaded.camera)  # fmt: skip
 
     stream = Stream(name=name, sensor=name, n_frames=n, frame=checked_index(frame, n, path))
-    return Recording(path=path, format="depth arrays", streams=(stream,),
-                     notes=(*notes, f"{loaded.key} is taken as {loaded.unit}", about, *loaded.notes))  # fmt: skip
+    notes = (*notes, plain(f"{loaded.key} is taken as {loaded.unit}"), about, *loaded.notes)
+    return Recording(path=path, format="depth arrays", streams=(stream,), notes=notes)
 
 
 def read_image(path: Path, unit: DepthUnit = "auto") -> Floats:
@@ -79,6 +81,7 @@ class _Loaded:
 
 
 def _file(path: Path, unit: DepthUnit) -> _Loaded:
+    must_be_file(path, "the depth images", most_bytes=1 << 50)
     try:
         arrays = _arrays(path)
     except (OSError, ValueError, EOFError, KeyError) as error:
@@ -93,19 +96,23 @@ def _file(path: Path, unit: DepthUnit) -> _Loaded:
     told, stack = _unit_of(key, unit, path), arrays[key]
     stack = stack[None] if stack.ndim == 2 else stack
     stack = stack[..., 0] if stack.ndim == 4 and stack.shape[-1] == 1 else stack
+    if stack.dtype.kind not in "fiu" or stack.dtype.itemsize > 8:
+        raise FileProblem(f"{key} must hold real numbers, got {stack.dtype}", path, field=key)
     if stack.ndim != 3 or not stack.size:
         raise FileProblem(f"{key} must have shape (frames, rows, cols), got {arrays[key].shape}", path, field=key)
     loaded = _Loaded(key, told, len(stack), lambda i: stack[i], path)  # pyright: ignore[reportUnknownLambdaType]
     if "K" in arrays:
+        if arrays["K"].dtype.kind not in "fiu":
+            raise FileProblem(f"K must hold real numbers, got {arrays['K'].dtype}", path, field="K")
         try:
             loaded.camera = camera_from_matrix(arrays["K"], stack.shape[1], stack.shape[2], what="K")
         except CalibrationError as error:
             raise CalibrationError(f"{error}: '{path}'") from error
     for name in ("timestamps_s", "time_s", "t_s"):
-        if name in arrays and arrays[name].shape == (len(stack),):
+        if name in arrays and arrays[name].shape == (len(stack),) and arrays[name].dtype.kind in "fiu":
             loaded.times_s = arrays[name]
     left = sorted(arrays.keys() - {key, "K", "timestamps_s", "time_s", "t_s", "frame"})
-    loaded.notes = (f"also in the file and left out: {', '.join(left)}",) if left else ()
+    loaded.notes = (f"also in the file and left out: {plain(', '.join(left))}",) if left else ()
     return loaded
 
 

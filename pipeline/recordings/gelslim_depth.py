@@ -35,12 +35,11 @@ def read(path: Path) -> Recording:
     Raises FileProblem when a key is missing or of another shape.
     """
     found = torch_files.tensors(path)
-    images = torch_files.numbers(found, "tactile_image", path, (6, *_SHAPE))
-    base = torch_files.numbers(found, "base_tactile_image", path, (6, *_SHAPE))
-    base = base.reshape(-1, 6, *_SHAPE)
+    images = torch_files.numbers(found, "tactile_image", path, (None, 6, *_SHAPE))
+    base = torch_files.rows_of(found, "base_tactile_image", path, (6, *_SHAPE))
     # The read-me of the data names the key in the plural, the files in the singular.
     depth_key = next((k for k in ("depth_image", "depth_images") if k in found), "")
-    depth = torch_files.numbers(found, depth_key, path, (2, *_SHAPE)) if depth_key else None
+    depth = torch_files.numbers(found, depth_key, path, (None, 2, *_SHAPE)) if depth_key else None
     n = int(images.shape[0])
     if len(base) not in (1, n) or (depth is not None and len(depth) != n):
         raise FileProblem(f"tactile_image has {n} grasps, but base_tactile_image or {depth_key} another number", path)
@@ -66,8 +65,10 @@ def read(path: Path) -> Recording:
 
 def _truth(depth: Any, index: int, key: str, path: Path) -> Truth:
     values = depth.float().numpy()
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
     field = f"frame {index} {key}"
+    if not np.isfinite(values).all():
+        raise FileProblem(f"{key} of frame {index} has values that are not finite", path, field=field)
+    low, high = float(values.min()), float(values.max())
     if high > _SIGN_TOLERANCE_MM:
         raise FileProblem(f"{key} of frame {index} must not be positive, got {high:g} mm", path, field=field)
     if low < -_DEEPEST_MM:

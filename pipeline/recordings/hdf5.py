@@ -169,7 +169,7 @@ def _pairing(pairs: Any, key: str, path: Path) -> Pairing:
     dataset = border.dataset(pairs, key, "mm", border.FLOAT, (4, 4), path)
     source, target = border.word(dataset, "source", path), border.word(dataset, "target", path)
     try:
-        matrix = rigid.checked(dataset[()], f"target_from_source of {source!r} and {target!r}")
+        matrix = rigid.within_reach(dataset[()], f"target_from_source of {source!r} and {target!r}")
     except CalibrationError as error:
         raise CalibrationError(f"{error}: '{path}'") from error
     return Pairing(source=source, target=target, target_from_source=freeze(matrix))

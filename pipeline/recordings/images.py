@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from pipeline.base.arrays import Image
@@ -21,8 +22,8 @@ def read(path: Path, *, sensor: str = "", reference: Path | None = None) -> Reco
     every = [path] if path.is_file() else sorted(filter(pictures.is_picture, path.iterdir()), key=pictures.natural_key)
     named = [p for p in every if pictures.is_reference(p)] if path.is_dir() else []
     chosen = reference or (named[0] if named else None)
-    left_out = {p.resolve() for p in (*named, *((chosen,) if chosen else ()))}
-    files = [p for p in every if p.resolve() not in left_out]
+    left_out = {os.path.realpath(p) for p in (*named, *((chosen,) if chosen else ()))}
+    files = [p for p in every if os.path.realpath(p) not in left_out]
     if not files:
         raise FileProblem(
             "the folder has no images to show" if path.is_dir() else "the only image is the reference", path

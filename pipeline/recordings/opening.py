@@ -43,7 +43,10 @@ def open_recording(
         raise FileProblem(f"no such file or folder ({reason(error)})", path) from error
     if reference is not None:
         must_be_file(reference, "the picture of the untouched sensor")
-    kind = _folder_kind(path) if path.is_dir() else _file_kind(path)
+    try:
+        kind = _folder_kind(path) if path.is_dir() else _file_kind(path)
+    except OSError as error:
+        raise FileProblem(f"cannot read the recording ({reason(error)})", path) from error
     match kind:
         case "images":
             return images.read(path, sensor=sensor, reference=reference)
@@ -103,11 +106,8 @@ def _folder_kind(path: Path) -> str:
 def _file_kind(path: Path) -> str:
     """By the first bytes; only legacy PyTorch files and videos are known by their names."""
     must_be_file(path, "the recording", most_bytes=1 << 50)
-    try:
-        with path.open("rb") as file:
-            head = file.read(16)
-    except OSError as error:
-        raise FileProblem(f"cannot read the file ({reason(error)})", path) from error
+    with path.open("rb") as file:
+        head = file.read(16)
     suffix = path.suffix.lower()
     if not head:
         raise FileProblem("the file is empty", path)

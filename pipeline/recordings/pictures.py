@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Image, freeze
 from pipeline.base.errors import FileProblem
+from pipeline.base.files import read_bytes
 
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
 _REFERENCE = re.compile(r"^(background|bg|ref|reference|untouched|undeformed)([\W_\d].*)?$", re.IGNORECASE)
@@ -29,17 +30,14 @@ def is_reference(path: Path) -> bool:
 
 def natural_key(path: Path) -> tuple[object, ...]:
     """Sorts frame_2 before frame_10."""
-    return tuple((0, int(p), "") if p.isdigit() else (1, 0, p.lower()) for p in re.split(r"(\d+)", path.stem) if p)
+    return tuple((0, int(p), "") if p.isdecimal() else (1, 0, p.lower()) for p in re.split(r"(\d+)", path.stem) if p)
 
 
 def raw_pixels(path: Path) -> NDArray[np.generic]:
     """The pixels as stored, colours in the decoder's order; raises FileProblem when they cannot be read whole."""
     import cv2
 
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise FileProblem(f"cannot read the image ({error.strerror})", path) from error
+    data = read_bytes(path, "the image")
     if not _is_whole(data):
         raise FileProblem("the image ends too early; it is cut short or still being written", path)
     try:

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Image, freeze
 from pipeline.base.errors import FileProblem
+from pipeline.base.files import must_be_file, reason
+from pipeline.base.text import is_text
 
 
 def tensors(path: Path) -> Mapping[str, Any]:
@@ -20,12 +22,15 @@ def tensors(path: Path) -> Mapping[str, Any]:
     """
     import torch
 
+    must_be_file(path, "the tensors", most_bytes=1 << 50)
     try:
-        mapped = _is_zip(path)
-        if not mapped and not _starts_like_a_pickle(path):
-            raise FileProblem("this is not a PyTorch file, or it is cut short", path)
+        with path.open("rb") as file:
+            head = file.read(4)
     except OSError as error:
-        raise FileProblem(f"cannot read the file ({error.strerror})", path) from error
+        raise FileProblem(f"cannot read the tensors ({reason(error)})", path) from error
+    if head != b"PK\x03\x04" and head[:1] != b"\x80":  # every binary pickle names its protocol first
+        raise FileProblem("this is not a PyTorch file, or it is cut short", path)
+    mapped = head[:1] == b"P" and is_text(str(path))
     try:
         found = torch.load(path, map_location="cpu", weights_only=True, mmap=mapped)
     except Exception as error:  # torch raises half a dozen unrelated kinds for damaged files
@@ -40,22 +45,43 @@ def tensors(path: Path) -> Mapping[str, Any]:
     return cast("Mapping[str, Any]", found)
 
 
-def _starts_like_a_pickle(path: Path) -> bool:
-    with path.open("rb") as file:
-        return file.read(1) == b"\x80"  # every binary pickle names its protocol first
+def numbers(found: Mapping[str, Any], key: str, path: Path, shape: tuple[int | None, ...]) -> Any:
+    """The tensor of `key`, of real numbers in memory and of this shape (None = any length, but some).
+
+    Raises FileProblem naming the key.
+    """
+    value = _plain_tensor(found, key, path)
+    seen = tuple(value.shape)
+    if len(seen) != len(shape) or 0 in seen or any(n not in (None, m) for n, m in zip(shape, seen, strict=True)):
+        wanted = ", ".join("any" if n is None else str(n) for n in shape)
+        raise FileProblem(f"{key} must have shape ({wanted}), got {seen}", path, field=key)
+    return value
 
 
-def numbers(found: Mapping[str, Any], key: str, path: Path, tail: tuple[int, ...]) -> Any:
-    """The tensor of `key`, whose last dimensions must be `tail`; raises FileProblem naming the key."""
+def rows_of(found: Mapping[str, Any], key: str, path: Path, tail: tuple[int, ...]) -> Any:
+    """The tensor of `key` as at least one row (n, *tail), in however many dimensions they are kept."""
+    value = _plain_tensor(found, key, path)
+    seen = tuple(value.shape)
+    if seen[-len(tail) :] != tail or 0 in seen:
+        raise FileProblem(f"{key} must end in shape {tail}, got {seen}", path, field=key)
+    return value.reshape(-1, *tail)
+
+
+def _plain_tensor(found: Mapping[str, Any], key: str, path: Path) -> Any:
+    import torch
+
     if key not in found:
         raise FileProblem(
             f"the key {key!r} is missing; there are {', '.join(sorted(map(str, found)))}", path, field=key
         )
     value = found[key]
-    shape = tuple(getattr(value, "shape", ()))
-    if shape[-len(tail) :] != tail:
-        raise FileProblem(f"{key} must end in shape {tail}, got {shape}", path, field=key)
-    return value
+    if not isinstance(value, torch.Tensor):
+        raise FileProblem(f"{key} must be a tensor, it is a {type(value).__name__}", path, field=key)
+    odd = value.layout != torch.strided or value.device.type != "cpu"
+    if odd or value.dtype not in (torch.uint8, torch.int16, torch.int32, torch.int64, torch.float16, torch.bfloat16,
+                                  torch.float32, torch.float64):  # fmt: skip
+        raise FileProblem(f"{key} must hold plain real numbers, it is {value.dtype} on {value.device}", path, field=key)
+    return value.detach()
 
 
 def as_rgb(channels_first: Any, key: str, path: Path) -> Image:
@@ -68,8 +94,3 @@ def as_rgb(channels_first: Any, key: str, path: Path) -> Image:
         raise FileProblem(f"{key} must hold grey levels of 0 to 255, but none exceeds {high:g}; are they 0 to 1?", path,
                           field=key)  # fmt: skip
     return freeze(np.ascontiguousarray(np.moveaxis(np.clip(np.rint(values), 0, 255).astype(np.uint8), 0, 2)))
-
-
-def _is_zip(path: Path) -> bool:
-    with path.open("rb") as file:
-        return file.read(4) == b"PK\x03\x04"

@@ -6,6 +6,7 @@ the full 224 x 171 image, or `gelslim`, `gelslim_ref` (2, 3, 320, 427). Index 0 
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Mapping
 from functools import lru_cache
@@ -29,6 +30,7 @@ _BUBBLE, _GELSLIM = (140, 175), (320, 427)
 _NAME = re.compile(r"^(?:(?P<tool>.+)_)?data_(?P<id>\d+)$")
 _FOLDER = re.compile(r"^(?:bubble|gelslim)_style_transfer_dataset_(?:bubbles|gelslim)_(?P<tool>.+)$")
 _MM_PER_M = 1000.0
+_POSES = ("bubbles_tr_quat", "tool_tr_quat")  # of the sensors and of the tool, in the robot's base
 
 
 def is_sample(found: Mapping[str, Any]) -> bool:
@@ -107,11 +109,11 @@ def _streams(files: list[Path], path: Path, *, bubble: bool) -> tuple[Stream, ..
 def _bubble_frame(found: Mapping[str, Any], finger: int, index: int, file: Path) -> TactileFrame:
     imprint = torch_files.numbers(found, "bubble_imprint", file, (2, 1, *_BUBBLE))[finger, 0].double().numpy()
     rest = torch_files.numbers(found, "bubble_depth_ref", file, (2, 1, *_BUBBLE))[finger, 0].double().numpy()
-    typical = float(np.nanmedian(rest))
-    if not 0.02 < typical < 0.5:
-        raise FileProblem(f"bubble_depth_ref must be in metres, but its median is {typical:g}", file,
+    typical = float(np.median(rest[np.isfinite(rest)])) if np.isfinite(rest).any() else np.nan
+    if not 0.02 < typical < 0.5 or (np.abs(rest) > 0.5).any() or (np.abs(imprint) > 0.5).any():
+        raise FileProblem(f"bubble_depth_ref and bubble_imprint must be in metres, but the median is {typical:g}", file,
                           field="bubble_depth_ref")  # fmt: skip
-    k = torch_files.numbers(found, "K", file, (3, 3)).double().numpy().reshape(-1, 3, 3)
+    k = torch_files.rows_of(found, "K", file, (3, 3)).double().numpy()
     try:
         full = camera_from_matrix(k[min(finger, len(k) - 1)], _FULL_ROWS, _FULL_COLS, what="K")
     except CalibrationError as error:
@@ -135,16 +137,21 @@ def _gelslim_frame(found: Mapping[str, Any], finger: int, index: int, file: Path
 
 def _pose(found: Mapping[str, Any], finger: int, file: Path) -> Truth | None:
     """The tool in the bubble camera's frame: both are recorded in the robot's base."""
-    if "bubbles_tr_quat" not in found or "tool_tr_quat" not in found:
+    if any(key not in found for key in _POSES):
         return None
-    sensors = _transforms(torch_files.numbers(found, "bubbles_tr_quat", file, (7,)))
-    tools = _transforms(torch_files.numbers(found, "tool_tr_quat", file, (7,)))
-    base_from_sensor, base_from_tool = sensors[min(finger, len(sensors) - 1)], tools[0]
-    return Truth(sensor_from_object=freeze(rigid.invert(base_from_sensor) @ base_from_tool))
+    try:
+        sensors, tools = (_transforms(torch_files.rows_of(found, key, file, (7,))) for key in _POSES)
+        base_from_sensor, base_from_tool = sensors[min(finger, len(sensors) - 1)], tools[0]
+        pose = rigid.within_reach(rigid.invert(base_from_sensor) @ base_from_tool, "the tool in the bubble's frame")
+    except CalibrationError as error:
+        raise CalibrationError(f"{error}: '{file}'") from error
+    return Truth(sensor_from_object=freeze(pose))
 
 
 def _transforms(rows: Any) -> list[Doubles]:
-    values = rows.double().numpy().reshape(-1, 7)
+    values = rows.double().numpy()
+    if not np.isfinite(values).all():
+        raise CalibrationError("a pose of the tool or of a sensor has values that are not finite")
     return [rigid.from_quaternion(row[:3] * _MM_PER_M, row[3:]) for row in values]
 
 
@@ -174,5 +181,5 @@ def _tool_mesh(files: list[Path]) -> Mesh | None:
         return None
     name = f"{next(iter(tools))}.stl"
     find: Callable[[Path], Path] = lambda folder: folder / "tools_stls" / name  # noqa: E731
-    file = next((find(p) for p in files[0].resolve().parents if find(p).is_file()), None)
+    file = next((find(p) for p in Path(os.path.realpath(files[0])).parents if find(p).is_file()), None)
     return None if file is None else load_mesh(file, unit="m")

@@ -10,11 +10,13 @@ import numpy as np
 
 from pipeline.base.arrays import Image, freeze
 from pipeline.base.errors import FileProblem
+from pipeline.base.text import is_text
 from pipeline.recordings import pictures
 from pipeline.recordings.indexing import checked_index
 from pipeline.recordings.sensor_guess import named_or_guessed
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
+_MOST_FRAMES = 10_000_000  # an hour at 2,700 Hz
 SUFFIXES = frozenset({".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v"})
 
 
@@ -53,11 +55,13 @@ class _Video:
     def __init__(self, path: Path) -> None:
         import cv2
 
+        if not is_text(str(path)):
+            raise FileProblem("the name of a video must be UTF-8, this one is not; rename it", path)
         self._cv2: Any = cv2
         self._path, self._lock, self._next = path, threading.Lock(), 0
         self._capture: Any = cv2.VideoCapture(str(path))
         self.n_frames = int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)) if self._capture.isOpened() else 0
-        if self.n_frames < 1:
+        if not 1 <= self.n_frames <= _MOST_FRAMES:
             self._capture.release()
             raise FileProblem("the video cannot be opened; it is damaged or of a kind that cannot be decoded", path)
         self.rate_hz = float(self._capture.get(cv2.CAP_PROP_FPS)) or float("nan")

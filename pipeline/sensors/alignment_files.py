@@ -7,7 +7,6 @@ the names of the two sensors above them, so that a file is not used for others b
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -17,10 +16,12 @@ import numpy as np
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import FileProblem
 from pipeline.base.files import read_toml, write_text
+from pipeline.base.text import plain
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment import SIDES, Alignment
 
 SUFFIX = ".toml"
+_MOST = {"translation_mm": rigid.FARTHEST_MM, "rotation_deg": 360.0}
 _WHAT = {
     "alignment_from_source": "the paper's T_S->A: maps points of the source's camera frame to the alignment frame",
     "target_from_alignment": "the paper's T_A->T: maps points of the alignment frame to the target's camera frame",
@@ -48,12 +49,12 @@ def save(path: Path, kept: AlignmentFile) -> None:
 def text_of(kept: AlignmentFile) -> str:
     """The file as text."""
     lines = [
-        f"# How {_plain(kept.source)} and {_plain(kept.target)} stand to each other when they feel the same touch.",
+        f"# How {plain(kept.source)} and {plain(kept.target)} stand to each other when they feel the same touch.",
         "# Shifts in mm, rotation vectors in degrees (axis times angle).",
         "# A sensor's frame is its camera's: x right, y down, z out along the optical axis.",
-        f"source = {json.dumps(kept.source)}",
-        f"target = {json.dumps(kept.target)}",
-        f"from = {json.dumps(kept.origin)}",
+        f"source = {_quoted(kept.source)}",
+        f"target = {_quoted(kept.target)}",
+        f"from = {_quoted(kept.origin)}",
     ]
     for side in SIDES:
         matrix: Doubles = getattr(kept.alignment, side)
@@ -102,19 +103,20 @@ def _transform(data: dict[str, Any], side: str, path: Path) -> Doubles:
             f"the alignment lacks the table [{side}] with translation_mm and rotation_deg", path, field=side
         )
     values = cast("dict[str, Any]", table)
-    return freeze(rigid.from_parts(*(_three(values, side, key, path) for key in ("translation_mm", "rotation_deg"))))
+    shift, turn = (_three(values, side, key, most, path) for key, most in _MOST.items())
+    return freeze(rigid.from_parts(shift, turn))
 
 
-def _three(table: dict[str, Any], side: str, key: str, path: Path) -> list[float]:
+def _three(table: dict[str, Any], side: str, key: str, most: float, path: Path) -> list[float]:
     where = f"{side}.{key}"
     value: object = table.get(key)
     numbers = cast("list[object]", value) if isinstance(value, list) else []
-    plain = [float(n) for n in numbers if isinstance(n, (int, float)) and not isinstance(n, bool)]
-    if len(plain) != 3 or len(numbers) != 3:
+    real = [n for n in numbers if isinstance(n, (int, float)) and not isinstance(n, bool)]
+    if len(real) != 3 or len(numbers) != 3:
         raise FileProblem(f"{where} must be a list of three numbers, got {value!r}", path, field=where)
-    if not all(map(math.isfinite, plain)):
-        raise FileProblem(f"{where} must be three finite numbers, got {value!r}", path, field=where)
-    return plain
+    if not all(abs(n) <= most for n in real):  # NaN is within nothing
+        raise FileProblem(f"{where} must be three finite numbers within {most:g}, got {value!r}", path, field=where)
+    return [float(n) for n in real]
 
 
 def _numbers(values: Doubles) -> str:
@@ -122,5 +124,6 @@ def _numbers(values: Doubles) -> str:
     return "[" + ", ".join(repr(round(float(v), 12) + 0.0) for v in values) + "]"
 
 
-def _plain(name: str) -> str:
-    return " ".join(name.split())
+def _quoted(text: str) -> str:
+    """What JSON writes of plain text is TOML too."""
+    return json.dumps(plain(text), ensure_ascii=False)

@@ -5,27 +5,27 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
-
 from pipeline.base.errors import CalibrationError
 from pipeline.sensors.parts import Bubble, DepthCamera, Gel, Glow, Led, Limits, Markers, Optics
 from pipeline.sensors.sections import Section
+
+_LARGEST_OF_A_LIGHT = 1000.0  # degrees, halves of the image, or grey levels
 
 
 def limits_in(s: Section, touch_unit: str) -> Limits:
     """[limits]; `touch_unit` is that of no_touch: grey for a gel, mm for a bubble."""
     return Limits(
-        contact_min_mm=s.number("contact_min", "mm", 0.0),
-        indentation_max_mm=s.number("indentation_max", "mm", 1e-3),
-        no_touch=s.number("no_touch", touch_unit, 0.0),
+        contact_min_mm=s.number("contact_min", "mm", 0.0, 100.0),
+        indentation_max_mm=s.number("indentation_max", "mm", 1e-3, 100.0),
+        no_touch=s.number("no_touch", touch_unit, 0.0, 255.0),
     )
 
 
 def gel_in(s: Section) -> Gel:
     """[gel]."""
     return Gel(
-        thickness_mm=s.number("thickness", "mm", 0.01),
-        youngs_kpa=s.number("youngs", "kPa", 0.1),
+        thickness_mm=s.number("thickness", "mm", 0.01, 100.0),
+        youngs_kpa=s.number("youngs", "kPa", 0.1, 1e7),
         poisson=s.number("poisson", "1", 0.0, 0.5),
     )
 
@@ -33,12 +33,12 @@ def gel_in(s: Section) -> Gel:
 def bubble_in(s: Section) -> Bubble:
     """[bubble]."""
     return Bubble(
-        half_width_mm=s.number("half_width", "mm", 1.0),
-        half_height_mm=s.number("half_height", "mm", 1.0),
-        height_mm=s.number("height", "mm", 0.0),
-        pressure_kpa=s.number("pressure", "kPa", 0.0),
-        dead_volume_mm3=s.number("dead_volume", "mm^3", 0.0),
-        depth_noise_mm=s.number("depth_noise", "mm", 0.0),
+        half_width_mm=s.number("half_width", "mm", 1.0, 500.0),
+        half_height_mm=s.number("half_height", "mm", 1.0, 500.0),
+        height_mm=s.number("height", "mm", 0.0, 500.0),
+        pressure_kpa=s.number("pressure", "kPa", 0.0, 100.0),
+        dead_volume_mm3=s.number("dead_volume", "mm^3", 0.0, 1e7),
+        depth_noise_mm=s.number("depth_noise", "mm", 0.0, 50.0),
     )
 
 
@@ -46,18 +46,18 @@ def depth_camera_in(s: Section) -> DepthCamera:
     """[depth_camera]; what it does not say is as time of flight has it."""
     usual = DepthCamera()
 
-    def number(key: str, unit: str, otherwise: float, high: float = np.inf) -> float:
+    def number(key: str, unit: str, otherwise: float, high: float) -> float:
         return s.number(key, unit, 0.0, high) if s.has(key) else otherwise
 
     return DepthCamera(
         distance_power=number("distance_power", "1", usual.distance_power, 8.0),
         grazing_power=number("grazing_power", "1", usual.grazing_power, 8.0),
         grain_px=number("grain", "px", usual.grain_px, 20.0),
-        jump_mm=number("jump", "mm", usual.jump_mm),
+        jump_mm=number("jump", "mm", usual.jump_mm, 1000.0),
         flying_share=number("flying_share", "1", usual.flying_share, 1.0),
         steepest_deg=number("steepest", "deg", usual.steepest_deg, 90.0),
         gap_share=number("gap_share", "1", usual.gap_share, 1.0),
-        step_mm=number("step", "mm", usual.step_mm),
+        step_mm=number("step", "mm", usual.step_mm, 100.0),
     )
 
 
@@ -75,15 +75,15 @@ def optics_in(s: Section, data: dict[str, Any], path: Path) -> Optics:
     )
     if any(g.width <= 0 or g.height <= 0 for g in glows):
         raise CalibrationError(f"optics.glows must have a positive width and height: '{path}'")
-    base = s.vector("base", "rgb")
+    base = s.vector("base", "rgb", 0.0, 255.0)
     return Optics(
-        base_rgb=(base[0], base[1], base[2]),
+        base_rgb=base,
         leds=parsed,
         glows=glows,
         falloff=s.number("falloff", "1", 0.0, 1.0),
         vignette=s.number("vignette", "1", 0.0, 1.0),
-        blur_px=s.number("blur", "px", 0.0),
-        noise_grey=s.number("noise", "grey", 0.0),
+        blur_px=s.number("blur", "px", 0.0, 100.0),
+        noise_grey=s.number("noise", "grey", 0.0, 255.0),
         shadow=s.number("shadow", "1", 0.0, 1.0) if s.has("shadow") else 0.0,
         shadow_deg=s.number("shadow_elevation", "deg", 1.0, 89.0) if s.has("shadow_elevation") else 20.0,
     )
@@ -100,10 +100,10 @@ def _lights(data: dict[str, Any], key: str, numbers: tuple[str, ...], path: Path
         try:
             r, g, b = (float(v) for v in entry["rgb"])
             value = (*(float(entry[name]) for name in numbers), r, g, b)
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise CalibrationError(f"{told}, got {entry!r}: '{path}'") from error
-        if not np.isfinite(value).all():
-            raise CalibrationError(f"{told} as finite numbers, got {entry!r}: '{path}'")
+        if not all(abs(v) <= _LARGEST_OF_A_LIGHT for v in value):  # NaN is within nothing
+            raise CalibrationError(f"{told} within {_LARGEST_OF_A_LIGHT:g}, got {entry!r}: '{path}'")
         values.append(value)
     return values
 
@@ -111,10 +111,10 @@ def _lights(data: dict[str, Any], key: str, numbers: tuple[str, ...], path: Path
 def markers_in(s: Section) -> Markers:
     """[markers]."""
     return Markers(
-        pitch_mm=s.number("pitch", "mm", 0.1),
-        radius_mm=s.number("radius", "mm", 0.0),
+        pitch_mm=s.number("pitch", "mm", 0.1, 100.0),
+        radius_mm=s.number("radius", "mm", 0.0, 50.0),
         darkness=s.number("darkness", "1", 0.0, 1.0),
-        twin_mm=s.number("twin", "mm", 0.0) if s.has("twin") else 0.0,
-        jitter_mm=s.number("jitter", "mm", 0.0) if s.has("jitter") else 0.0,
+        twin_mm=s.number("twin", "mm", 0.0, 50.0) if s.has("twin") else 0.0,
+        jitter_mm=s.number("jitter", "mm", 0.0, 50.0) if s.has("jitter") else 0.0,
         bend=s.number("bend", "1", -0.5, 0.5) if s.has("bend") else 0.0,
     )

@@ -16,6 +16,7 @@ from pipeline.base.errors import CalibrationError, FileProblem
 from pipeline.base.files import read_toml
 
 FOLDER = Path(__file__).parent  # where the project's own descriptions lie
+_LARGEST = 1e9  # of any number of a description: float32 holds what follows from it
 _UNITS = {"px", "mm", "px/mm", "kPa", "N/mm", "1", "deg", "grey", "rgb", "grey/px", "mm^3"}
 
 
@@ -61,17 +62,15 @@ class Section:
         entry = cast("dict[str, Any]", entry)
         if entry["unit"] != unit or unit not in _UNITS:
             raise CalibrationError(f"{where} must be given in {unit!r}, got {entry['unit']!r}: '{self._path}'")
-        try:
-            finite = bool(np.isfinite(np.asarray(entry["value"], dtype=np.float64)).all())
-        except (TypeError, ValueError):
-            raise CalibrationError(
-                f"{where} must be a number or a list of numbers, got {entry['value']!r}: '{self._path}'"
-            ) from None
-        if not finite:
-            raise CalibrationError(f"{where} must be finite, got {entry['value']!r}: '{self._path}'")
+        value = entry["value"]
+        numbers = cast("list[Any]", value if isinstance(value, list) else [value])
+        if not all(isinstance(n, (int, float)) and not isinstance(n, bool) for n in numbers):
+            raise CalibrationError(f"{where} must be a number or a list of numbers, got {value!r}: '{self._path}'")
+        if not all(abs(n) <= _LARGEST for n in numbers):  # NaN is within nothing
+            raise CalibrationError(f"{where} must be finite, within {_LARGEST:g}, got {value!r}: '{self._path}'")
         if entry.get("assumed", False):
             self._assumed.append(where)
-        return entry["value"]
+        return cast("object", value)
 
     def has(self, key: str) -> bool:
         """Whether an optional number is given."""
@@ -89,11 +88,14 @@ class Section:
             )
         return value
 
-    def vector(self, key: str, unit: str, length: int = 3) -> tuple[float, ...]:
-        """A list of `length` numbers."""
+    def vector(self, key: str, unit: str, low: float = -np.inf, high: float = np.inf) -> tuple[float, float, float]:
+        """A list of three numbers within [low, high]."""
         value = self.raw(key, unit)
-        if not isinstance(value, list) or len(cast("list[Any]", value)) != length:
+        if not isinstance(value, list) or len(cast("list[Any]", value)) != 3:
+            raise CalibrationError(f"{self._name}.{key} must be a list of 3 numbers, got {value!r}: '{self._path}'")
+        x, y, z = (float(v) for v in cast("list[Any]", value))
+        if not low <= min(x, y, z) <= max(x, y, z) <= high:
             raise CalibrationError(
-                f"{self._name}.{key} must be a list of {length} numbers, got {value!r}: '{self._path}'"
+                f"{self._name}.{key} must lie within {low:g} and {high:g} {unit}, got {value!r}: '{self._path}'"
             )
-        return tuple(float(v) for v in cast("list[Any]", value))
+        return x, y, z

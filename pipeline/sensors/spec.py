@@ -76,6 +76,9 @@ class SensorSpec:
         )
 
 
+_SIDES_PX = (8, 10_000)  # of an image: below, no slope and no edge can be told
+_FOCAL_PX = 1e5  # a pixel that sees a hundredth of a millimetre a metre away
+
 _views: Memo[tuple[str, Camera], SensorSpec] = Memo(32)
 _read: Memo[tuple[Path, str, str], SensorSpec] = Memo(32)
 
@@ -113,9 +116,10 @@ def _build(name: str, data: dict[str, Any], path: Path, surface: Membrane | None
     if kind not in ("gel", "bubble"):
         raise CalibrationError(f"kind must be 'gel' or 'bubble', got {kind!r}: '{path}'")
     image, lens, align = section("image"), section("camera"), section("alignment")
-    rows, cols = (int(image.number(k, "px", 1, 10_000)) for k in ("rows", "cols"))
-    camera = Camera(rows=rows, cols=cols, fx_px=lens.number("fx", "px"), fy_px=lens.number("fy", "px"),
-                    cx_px=lens.number("cx", "px"), cy_px=lens.number("cy", "px"))  # fmt: skip
+    rows, cols = (int(image.number(k, "px", *_SIDES_PX)) for k in ("rows", "cols"))
+    fx_px, fy_px = (lens.number(k, "px", 1.0, _FOCAL_PX) for k in ("fx", "fy"))
+    cx_px, cy_px = (lens.number(k, "px", -_FOCAL_PX, _FOCAL_PX) for k in ("cx", "cy"))
+    camera = Camera(rows=rows, cols=cols, fx_px=fx_px, fy_px=fy_px, cx_px=cx_px, cy_px=cy_px)
     gel, bubble, eye, optics = None, None, None, None
     if kind == "gel":
         gel = gel_in(section("gel"))
@@ -133,7 +137,8 @@ def _build(name: str, data: dict[str, Any], path: Path, surface: Membrane | None
                 bubble.half_width_mm,
                 bubble.half_height_mm,
             )
-    pose = rigid.from_parts(align.vector("translation", "mm"), align.vector("rotation_vector", "deg"))
+    shift_mm = align.vector("translation", "mm", -rigid.FARTHEST_MM, rigid.FARTHEST_MM)
+    pose = rigid.from_parts(shift_mm, align.vector("rotation_vector", "deg", -360.0, 360.0))
     return SensorSpec(
         name=name,
         title=str(data.get("title", name)),

@@ -33,6 +33,7 @@ Face = Literal["-x", "+x", "-y", "+y", "-z", "+z"]
 Sequence = Literal["grid", "press", "slide", "twist", "release", "all"]
 
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
+MOST_POSES = 100_000  # of one recording: with three sensors some 50 GB
 MOST_DEEPER_MM = 30.0  # more than any bubble is high
 MOST_DRAG_MM = 5.0  # long before that all of the contact slips
 SPECIMEN_FRAMES = 10  # with varied sensors, a new specimen is taken after so many moments
@@ -84,10 +85,10 @@ def plans(tools: tuple[str, ...], like: Plan) -> tuple[Plan, ...]:
     Raises SettingProblem for what does not exist or is out of its range.
     """
     fewest = 1 if like.sequence == "grid" else 2
-    if like.poses < fewest:
-        raise SettingProblem(f"--poses must be at least {fewest}, got {like.poses}")
-    if like.seed < 0:
-        raise SettingProblem(f"--seed must not be negative, got {like.seed}")
+    if not fewest <= like.poses <= MOST_POSES:
+        raise SettingProblem(f"--poses must lie within {fewest} and {MOST_POSES}, got {like.poses:.12g}")
+    if not 0 <= like.seed < 1 << 63:
+        raise SettingProblem(f"--seed must lie within 0 and {(1 << 63) - 1}")
     if not 0.0 <= like.vary <= variation.MAX_STRENGTH:
         raise SettingProblem(f"--vary must lie within 0 and {variation.MAX_STRENGTH:g}, got {like.vary:g}")
     if not like.sensors or len({sensor_named(name).name for name in like.sensors}) < len(like.sensors):

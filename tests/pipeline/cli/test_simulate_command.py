@@ -72,6 +72,8 @@ def test_what_is_finished_is_not_made_again(typed, tmp_path):
         (("--sensors", "fingertip", "--tools", ONE), "fingertip"),
         (("--sensors", "digit", "--tools", "spoon"), "spoon"),
         (("--sensors", "digit", "--tools", ONE, "--poses", "0"), "--poses"),
+        (("--sensors", "digit", "--tools", ONE, "--poses", "1000000000000"), "within 1 and 100000"),
+        (("--sensors", "digit", "--tools", ONE, "--seed", "9" * 100), "--seed"),
         (("--sensors", "digit", "--tools", ONE, "--jobs", "0"), "--jobs"),
         (("--sensors", "digit", "--tools", f"{ONE},{OTHER}"), "folder"),
     ],

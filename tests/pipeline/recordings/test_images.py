@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import cv2
@@ -98,6 +99,21 @@ def test_an_image_of_another_size_is_named(folder: Path):
     save(folder / "a_small.png", shape=(20, 30))
     with pytest.raises(FileProblem, match=r"frame 0 is 30 x 20 px, the others are 320 x 240 px.*a_small\.png"):
         open_recording(folder).streams[0].frame(0)
+
+
+def test_loops_of_links_pipes_and_odd_names_in_a_folder_cost_only_themselves(folder: Path):
+    (folder / "a_loop.png").symlink_to(folder / "a_loop.png")
+    os.mkfifo(folder / "a_pipe.png")
+    name = os.fsdecode(b"b\xff\xb2.png")
+    save(folder / "b.png")
+    (folder / "b.png").rename(folder / name)
+    save(folder / "\u00b2.png")
+    stream = open_recording(folder).streams[0]
+    names = [Path(stream.frame(i).origin).name for i in range(2, stream.n_frames)]
+    assert name in names
+    for index in (0, 1):
+        with pytest.raises(FileProblem, match=r"cannot read the image \((Too many levels|this is a pipe)"):
+            stream.frame(index)
 
 
 def test_an_empty_folder_and_one_without_images_are_refused(tmp_path: Path):

@@ -121,7 +121,7 @@ def test_a_depth_dictionary_gives_both_fingers_and_positive_indentation(tmp_path
     [
         ({"weights": torch.zeros(2)}, "neither of touch2touch nor of gelslim_depth; its keys are weights"),
         ([torch.zeros(2)], "must hold a dictionary of tensors"),
-        ({"gelslim": torch.zeros(2, 3, 10, 10)}, r"gelslim must end in shape \(2, 3, 320, 427\), got \(2, 3, 10, 10\)"),
+        ({"gelslim": torch.zeros(2, 3, 10, 10)}, r"gelslim must have shape \(2, 3, 320, 427\), got \(2, 3, 10, 10\)"),
         ({"path": Path("x")}, "loading it could run code"),
         ({**gelslim(), "gelslim": gelslim()["gelslim"] / 255}, "none exceeds .* are they 0 to 1"),
         ({k: v for k, v in bubble().items() if k != "K"}, "the key 'K' is missing"),
@@ -133,6 +133,64 @@ def test_tensor_files_that_do_not_fit_are_refused_in_one_sentence(tmp_path: Path
     with pytest.raises((FileProblem, CalibrationError), match=message) as caught:
         open_recording(saved(tmp_path / "odd.pt", content)).streams[0].frame(0)
     assert "odd.pt" in str(caught.value)
+
+
+def odd_values(good: torch.Tensor) -> dict[str, object]:
+    """What else than plain real numbers may stand under a key, in the shape that is right."""
+    return {
+        "complex": good.to(torch.complex64), "truth values": good.bool(), "sparse": good.to_sparse(),
+        "on no device": good.to("meta"),
+        "a number": 3.0, "words": ["a", "b"], "nothing": None, "a dictionary": {"a": good}, "no dimension": good.sum(),
+        "empty": good[:0], "one dimension more": good[None, None], "one number less": good.flatten()[:-1],
+        "not a number": good.float() * float("nan"), "infinite": good.float() + float("inf"),
+        "beyond all": good.double() + 1e300,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("make", "key"),
+    [
+        (make, key)
+        for make in (bubble, gelslim, depth_dictionary)
+        for key in make()
+        if key not in ("theta", "in_hand_pose")
+    ],
+)
+def test_tensors_of_odd_kinds_are_refused_by_their_key(tmp_path: Path, make, key: str):
+    refused = []
+    for what, odd in odd_values(make()[key]).items():
+        path = saved(tmp_path / f"{key}.pt", {**make(), key: odd})
+        try:
+            recording = open_recording(path)
+            for stream in recording.streams:
+                image = stream.frame(0).image
+                assert image.dtype in (np.uint8, np.float32)
+                truth = stream.truth(0)
+                assert truth is None or truth.sensor_from_object is None or np.isfinite(truth.sensor_from_object).all()
+        except (FileProblem, CalibrationError) as error:
+            refused.append(what)
+            assert path.name in str(error), what  # noqa: PT017
+    may_pass = {"one dimension more", "not a number"}  # rows of poses and cameras; depth without a reading
+    assert set(odd_values(make()[key])) - set(refused) <= may_pass
+
+
+ODD_ARRAYS = {
+    "words": np.array(["a", "b"]), "complex": np.ones((2, 6, 7), np.complex64), "days": np.ones((2, 6, 7), "m8[s]"),
+    "pairs": np.zeros((2, 6, 7), [("a", "f4")]), "truth values": np.ones((2, 6, 7), bool), "wide": np.ones((2, 6, 7), "f16"),
+    "flat": np.ones(6), "five": np.ones((1, 2, 6, 7, 1)), "none": np.ones((0, 6, 7)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", ODD_ARRAYS)
+@pytest.mark.parametrize("name", ["depth_mm", "K", "timestamps_s"])
+def test_depth_arrays_of_odd_kinds_are_refused_or_left_out(tmp_path: Path, what: str, name: str):
+    good = {"depth_mm": np.full((2, 6, 7), 80.0), "K": np.diag([20.0, 20.0, 1.0]), "timestamps_s": np.arange(2.0)}
+    np.savez(tmp_path / "odd.npz", **{**good, name: ODD_ARRAYS[what]})
+    if name == "timestamps_s":
+        assert np.isnan(open_recording(tmp_path / "odd.npz", depth_unit="mm").streams[0].frame(1).time_s)
+        return
+    with pytest.raises((FileProblem, CalibrationError), match=r"odd\.npz"):
+        open_recording(tmp_path / "odd.npz").streams[0].frame(0)
 
 
 @pytest.mark.parametrize("content", [b"hello, I am no tensor", b"PK\x03\x04 and nothing more", b"\x80\x02junk"])

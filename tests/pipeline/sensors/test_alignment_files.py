@@ -1,11 +1,14 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.base.errors import FileProblem
+from pipeline.base.text import plain
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment import Alignment, between
 from pipeline.sensors.alignment_files import AlignmentFile, load, save, text_of
@@ -81,3 +84,20 @@ def test_where_nothing_can_be_written_the_error_says_so(tmp_path):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(FileProblem, match="cannot write the alignment"):
         save(tmp_path / "file" / "pair.toml", load(written(tmp_path, GOOD), source="gelslim", target="soft_bubble"))
+
+
+@pytest.mark.parametrize(("key", "value"), [("translation_mm", "1e6"), ("translation_mm", "1e300"), ("translation_mm", "nan"),
+                                            ("translation_mm", "1" + "0" * 400), ("rotation_deg", "1e20"), ("rotation_deg", "true")])  # fmt: skip
+def test_an_alignment_of_a_kilometre_or_of_many_turns_is_refused(tmp_path, key, value):
+    lines = [f"{key} = [0.0, {value}, 0.0]" if line.startswith(key) else line for line in GOOD.splitlines()]
+    with pytest.raises(FileProblem, match=f"{key} must be") as caught:
+        load(written(tmp_path, "\n".join(lines)), source="gelslim", target="soft_bubble")
+    assert "[0.0" in str(caught.value)
+
+
+@pytest.mark.parametrize("origin", ["a\x1b[31m", "b\x7f", "c\udcff.h5", "d\n[x]", 'e"\\', "\U0001f600"])
+def test_whatever_an_origin_is_called_the_file_can_be_read_again(tmp_path, origin):
+    kept = replace(load(written(tmp_path, GOOD), source="gelslim", target="soft_bubble"), origin=origin)
+    save(tmp_path / "again.toml", kept)
+    again = load(tmp_path / "again.toml", source="gelslim", target="soft_bubble")
+    assert again.origin == plain(origin)

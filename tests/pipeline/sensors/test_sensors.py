@@ -112,7 +112,7 @@ def test_an_unknown_sensor_names_the_known_ones():
         ("[camera]", "[lens]", r"lacks the section \[camera\]"),
         ('kind = "gel"', 'kind = "skin"', "kind must be"),
         ("value = 240", "value = -240", "must lie within"),
-        ("fx = { value = 394.32", "fx = { value = 0.0", "singular"),
+        ("fx = { value = 394.32", "fx = { value = 0.0", "camera.fx must lie within 1 and 100000 px"),
         ("value = [0.0, 0.0, -25.0]", "value = [0.0, 0.0]", "list of 3"),
         ("fx = { value = 394.32", "fx = { value = nan", "finite"),
         ("elevation_deg = 30.0, ", "", "each of optics.leds"),
@@ -123,6 +123,37 @@ def test_a_damaged_description_says_what_is_wrong(tmp_path, find, replacement, w
     assert find in text
     with pytest.raises(CalibrationError, match=words):
         sensor(own(tmp_path, text.replace(find, replacement)))
+
+
+def entry(key, value, unit):
+    return f'{key} = {{ value = {value}, unit = "{unit}", from = "a slip" }}\n'
+
+
+@pytest.mark.parametrize(
+    ("section", "line", "words"),
+    [
+        ("alignment", entry("rotation_vector", "[1e20, 0.0, 0.0]", "deg"), "finite, within 1e.09"),
+        ("alignment", entry("rotation_vector", "[0.0, 361.0, 0.0]", "deg"), "within -360 and 360 deg"),
+        ("alignment", entry("translation", "[0.0, 0.0, 1000001.0]", "mm"), "within -1000 and 1000 mm"),
+        ("bubble", entry("pressure", "1e300", "kPa"), "finite, within 1e.09"),
+        ("bubble", entry("pressure", "101.0", "kPa"), "within 0 and 100 kPa"),
+        ("bubble", entry("dead_volume", "1" + "0" * 400, "mm^3"), "finite, within 1e.09"),
+        ("camera", entry("fx", "1e9", "px"), "within 1 and 100000 px"),
+        ("camera", entry("cx", "-1e7", "px"), "within -100000 and 100000 px"),
+        ("camera", entry("fy", "true", "px"), "a number or a list of numbers"),
+        ("camera", entry("fy", "[[1.0]]", "px"), "a number or a list of numbers"),
+        ("image", entry("rows", "1", "px"), "within 8 and 10000 px"),
+        ("rest", entry("rim_depth", "1979-05-27", "mm"), "a number or a list of numbers"),
+    ],
+)
+def test_what_no_sensor_can_be_is_refused_with_its_range(tmp_path, section, line, words):
+    with pytest.raises(CalibrationError, match=words):
+        sensor(own(tmp_path, f'extends = "soft_bubble"\n[{section}]\n{line}'))
+
+
+def test_a_description_nested_beyond_all_use_is_refused(tmp_path):
+    with pytest.raises(FileProblem, match="not valid TOML"):
+        sensor(own(tmp_path, f"extends = {'[' * 20_000}"))
 
 
 def test_a_missing_or_garbled_file_is_named(tmp_path):
