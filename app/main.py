@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,10 +13,12 @@ if TYPE_CHECKING:
     from PyQt6.QtWidgets import QApplication
 
     from app.frame.instrument import Instrument
+    from app.frame.window import Window
     from app.session.state import Session
 
 SAMPLE = Path(__file__).resolve().parents[1] / "sample_data" / "recordings" / "first_touch.h5"
-_FIRST_PAINT_MS = 60  # loading OpenGL takes the window's thread for a second: let it be seen first
+SAMPLE_TOUCH = 3  # the first frame of the sample that its gel feels
+_PATIENCE_S = 1.0  # for the window to be on screen; one that is opened minimised never is
 _THREADS_LEFT_ALONE = "PASSIVE"  # waiting OpenMP threads that spin would take the processor from the window
 
 
@@ -43,7 +46,7 @@ def open_window(
     session = Session(
         recording=recording or (SAMPLE if SAMPLE.exists() else None), target=target, source=source,
         reference=reference, calibration=calibration, mesh=mesh, mesh_unit=mesh_unit,
-        alignment=alignment, frame=frame or 0,
+        alignment=alignment, frame=_first_frame(recording) if frame is None else frame,
     )  # fmt: skip
     instrument = show_window(session)
     code = 0
@@ -94,12 +97,29 @@ def show_window(session: Session, *, with_scene: bool = True) -> Instrument:
     connect(instrument)
     instrument.relay.catch_uncaught()
     window.show()
+    _wait_until_seen(window)
     if with_scene:
-        QTimer.singleShot(_FIRST_PAINT_MS, lambda: _add_scene(instrument))
+        QTimer.singleShot(0, lambda: _add_scene(instrument))
     if session.recording is not None:
         instrument.start(session)
     logging.getLogger("tactoscope").info("Tactoscope is ready")
     return instrument
+
+
+def _first_frame(recording: Path | None) -> int:
+    """Where a recording opens: the sample on its first touch, since most of an untouched frame is skipped."""
+    return SAMPLE_TOUCH if recording is None or recording.resolve() == SAMPLE else 0
+
+
+def _wait_until_seen(window: Window) -> None:
+    """Paint the window before recording, kernels and OpenGL are loaded, which share one interpreter's lock with it."""
+    from PyQt6.QtWidgets import QApplication
+
+    end_s, handle = time.monotonic() + _PATIENCE_S, window.windowHandle()
+    while handle is not None and not handle.isExposed() and time.monotonic() < end_s:
+        QApplication.processEvents()
+    window.repaint()
+    QApplication.processEvents()
 
 
 def _add_scene(instrument: Instrument) -> None:

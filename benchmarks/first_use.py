@@ -75,7 +75,6 @@ from PyQt6.QtCore import QEvent, QObject
 from app.frame.tour import wait_until_shown
 from app.session.state import Session
 application = main.make_application()
-instrument = main.show_window(Session(recording=main.SAMPLE, source=source, target=target, frame=frame))
 class FirstPaint(QObject):
     seen = 0.0
     def eventFilter(self, watched, event):
@@ -83,9 +82,11 @@ class FirstPaint(QObject):
             self.seen = time.time()
         return False
 paint = FirstPaint()
-instrument.window.installEventFilter(paint)
+application.installEventFilter(paint)
+instrument = main.show_window(Session(recording=main.SAMPLE, source=source, target=target, frame=frame))
 while not paint.seen:
     application.processEvents()
+application.removeEventFilter(paint)
 assert wait_until_shown(instrument), instrument.window.banner.text
 assert instrument.latest is not None and instrument.latest.index == frame, "the touch was not shown"
 shown = time.time()
