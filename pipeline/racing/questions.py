@@ -49,12 +49,11 @@ class Answered:
 
 def questions(folder: Path = FOLDER) -> tuple[Question, ...]:
     """All questions, by name; raises FileProblem where the project's folder is not there."""
-    if not folder.is_dir():
-        raise FileProblem(
-            "the questions are not part of the installed package; run bench in the project's folder", folder
-        )
-    read = (_read(path) for path in sorted(folder.glob("*.py")))
-    return tuple(question for question in read if question is not None)
+    read = [_read(path) for path in sorted(folder.glob("*.py"))]
+    found = tuple(question for question in read if question is not None)
+    if not found:
+        raise FileProblem("the questions are part of the project's source, not of the installed package", folder)
+    return found
 
 
 def chosen(names: Sequence[str], folder: Path = FOLDER) -> tuple[Question, ...]:
