@@ -52,7 +52,9 @@ def questions(folder: Path = FOLDER) -> tuple[Question, ...]:
     read = [_read(path) for path in sorted(folder.glob("*.py"))]
     found = tuple(question for question in read if question is not None)
     if not found:
-        raise FileProblem("the questions are part of the project's source, not of the installed package", folder)
+        raise FileProblem(
+            "the questions are part of the project's source, not of the installed package; run bench there", folder
+        )
     return found
 
 

@@ -122,4 +122,4 @@ def test_where_the_folder_is_not_there_it_is_one_sentence(folder, tmp_path, caps
         path.unlink()
     folder.rmdir()
     assert run(build(), ["bench"]) == EXIT_USER_ERROR
-    assert "run bench in the project's folder" in capsys.readouterr().err
+    assert "run bench there" in capsys.readouterr().err
