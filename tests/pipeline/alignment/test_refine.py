@@ -3,13 +3,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pipeline.alignment import refine as refining
+from pipeline.alignment import residuals
+from pipeline.alignment.normal_equations import Sums
 from pipeline.alignment.nudge import motion_about
 from pipeline.alignment.refine import refine
 from pipeline.alignment.residuals import evidence, outline_distances, surface_distances
 from pipeline.alignment.touches import PairedTouch, pivot_of
 from pipeline.base.arrays import freeze
 from pipeline.base.errors import SettingProblem
-from pipeline.base.progress import Cancelled
+from pipeline.base.progress import SILENT, Cancelled
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment import between, corrected
 from pipeline.sensors.spec import sensor
@@ -70,20 +73,49 @@ def test_under_the_exact_alignment_surfaces_meet_and_outlines_are_the_gels_growt
         assert np.median(np.abs(outline.mm)) < NEAR_MM
 
 
+@pytest.mark.parametrize(("off_px", "n_left"), [(0.25, 4), (-0.25, 0)])
+def test_outlines_are_compared_up_to_the_same_distance_from_every_border(touches, off_px, n_left):
+    made = evidence(touches[0])
+    rows, cols = made.camera.shape
+    near = residuals._BORDER_PX + off_px
+    x = np.array([near, cols - 1 - near, cols / 2, cols / 2])
+    y = np.array([rows / 2, rows / 2, near, rows - 1 - near])
+    camera, z = made.camera, 20.0
+    points = np.stack([(x - camera.cx_px) / camera.fx_px * z, (y - camera.cy_px) / camera.fy_px * z, 0 * x + z], axis=1)
+    told = outline_distances(made, points)
+    assert (told.n_asked, len(told.mm)) == (4, n_left)
+
+
+def test_no_step_is_longer_than_the_longest(touches, monkeypatch):
+    """Asked for a step of a thousand tolerances, of information that is nearly none, and told that it is a good one."""
+    better = Sums(cost=0.0, gradient=np.zeros(6), information=np.eye(6))
+    monkeypatch.setattr(refining, "sums", lambda *_: better)
+    solver = refining._Solver([], np.eye(4), np.array([0.0, 0.0, 20.0]), SILENT)
+    for size in (1e-3, 1e3):
+        here = Sums(cost=1.0, gradient=np.full(6, size), information=np.eye(6))
+        moved, _, length = solver._step(np.eye(4), here, None, None, np.eye(6), 0.0)
+        assert length == pytest.approx(size * np.sqrt(6))
+        taken = np.linalg.norm(solver._as_step(moved))
+        assert taken == pytest.approx(min(length, refining._LONGEST), rel=1e-6)
+
+
 @pytest.mark.parametrize("kind", [surface_distances, outline_distances])
 def test_jacobians_are_those_of_finite_differences(touches, kind):
     made = evidence(touches[0])
     points = rigid.apply(ALIGNED.target_from_source, made.surface_mm if kind is surface_distances else made.outline_mm)
     points = points + np.array([0.3, 0.2, 0.05])
     here = kind(made, points)
+    compared = 0
     for axis in range(3):
         step = np.zeros(3)
         step[axis] = 0.02
         up, down = kind(made, here.points_mm + step), kind(made, here.points_mm - step)
         if len(up.mm) != len(here.mm) or len(down.mm) != len(here.mm):
             continue
+        compared += 1
         slope = (up.mm - down.mm) / 0.04
         assert np.median(np.abs(slope - here.jacobian[:, axis])) < 0.05  # of 1: fields are bilinear and have kinks
+    assert compared >= 2  # a point that leaves the field on the way costs one axis
 
 
 @pytest.mark.parametrize(

@@ -83,6 +83,20 @@ def test_a_damaged_look_up_is_told_in_a_sentence(mini, tmp_path):
             calibration.load(path)
 
 
+@pytest.mark.parametrize(("field", "value"), [
+    ("pixel_mm", np.nan), ("pixel_mm", 0.0), ("pixel_mm", -0.05), ("slope_max", np.inf), ("slope_max", 0.0),
+    ("residual", np.nan),
+])  # fmt: skip
+def test_numbers_that_no_look_up_has_are_refused(mini, tmp_path, field, value):
+    path = tmp_path / "mini.npz"
+    calibration.save(mini, path)
+    with np.load(path) as read:
+        fields = dict(read)
+    np.savez(path, **{**fields, field: value})
+    with pytest.raises(FileProblem, match="must be positive"):
+        calibration.load(path)
+
+
 def test_a_look_up_that_lacks_a_field_names_it(tmp_path):
     np.savez(tmp_path / "half.npz", version=1)
     with pytest.raises(FileProblem, match="lacks 'colour_degree'"):

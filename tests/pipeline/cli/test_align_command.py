@@ -62,6 +62,8 @@ def test_refining_writes_an_alignment_nearer_to_the_exact_one_and_says_what_it_d
     assert code == 0
     assert "held out, after" in out
     assert "predicted spread" in out
+    moved_mm = [float(v) for v in out.split("moved the contact by (")[1].split(")")[0].split(",")]
+    assert 0.5 < np.linalg.norm(moved_mm) < 2.0  # about the millimetre that the file was off
     found = load(out_file, source="digit", target="gelslim")
     assert "digit_gelslim.h5" in found.origin
     left = found.alignment.target_from_source @ rigid.invert(EXACT.alignment.target_from_source)

@@ -84,7 +84,20 @@ def test_inspect_says_what_the_sample_is(capsys):
 
 
 def test_doctor_finds_everything_here(capsys):
-    assert run(build(), ["doctor"]) == 0, capsys.readouterr().out
+    code, printed = run(build(), ["doctor"]), capsys.readouterr().out
+    assert code == 0, printed
+    assert printed.splitlines()[-1] == "everything needed is here"
+    assert "MISSING" not in printed
+
+
+def test_doctor_counts_what_is_missing(capsys, monkeypatch):
+    from pipeline.cli import doctor
+
+    monkeypatch.setattr(doctor, "_PACKAGES", ("numpy", "no-such-package", "nor-this-one"))
+    code, printed = run(build(), ["doctor"]), capsys.readouterr().out
+    assert code == 1
+    assert "MISSING  no-such-package; run 'make setup'" in printed
+    assert printed.splitlines()[-1] == "2 things are missing; each line says what to do"
 
 
 def test_a_missing_file_is_named(tmp_path, said):

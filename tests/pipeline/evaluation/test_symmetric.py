@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.base.errors import FileProblem
-from pipeline.evaluation.symmetric import ambiguity, in_plane, mssd_mm, on_observable, symmetric_error
+from pipeline.evaluation.symmetric import _unrolled, ambiguity, in_plane, mssd_mm, on_observable, symmetric_error
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.geometry.symmetry import asymmetric, cyclic, dihedral, revolved
@@ -75,6 +75,13 @@ def test_mssd_is_that_of_a_search_by_brute_force(turn, moved, by):
     ours_mm = mssd_mm(estimate, truth, mesh, ROD_TURNS)
     assert ours_mm <= brute_mm + ROUNDING_MM, "the search goes between the steps"
     assert ours_mm == pytest.approx(brute_mm, abs=0.01)  # steps of 0.0005 of 30 mm
+
+
+@given(turn=TURNS, axis=TURNS.filter(lambda v: np.linalg.norm(v) > 0.1), roll=st.floats(-3.1, 3.1))
+def test_a_roll_about_the_axis_is_taken_back_whatever_the_axis(turn, axis, roll):
+    symmetry, truth = revolved(np.divide(axis, np.linalg.norm(axis))), pose(turn)
+    rolled = truth @ rigid.rotation(roll * symmetry.axis)
+    np.testing.assert_allclose(_unrolled(rolled, truth, symmetry), rolled, atol=1e-9)
 
 
 def test_a_slide_along_a_rod_counts_in_mssd_and_not_between_the_axes():

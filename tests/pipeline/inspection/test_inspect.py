@@ -136,6 +136,7 @@ def test_times_that_go_back_are_noticed(tmp_path: Path):
     [
         (Truth(indentation_mm=DENT, contact=DENT < 0.2), "truth", "contact of frame 0"),
         (Truth(indentation_mm=DENT * 6.2), "truth", "reaches 3.1 mm, the limit is 1.5 mm"),
+        (Truth(indentation_mm=np.full_like(DENT, np.nan)), "truth", "indentation_mm of frame 0 has no value"),
         (Truth(sensor_from_object=np.diag([1.0, 1.0, -1.0, 1.0])), "poses", "mirrors space"),
         (Truth(sensor_from_object=rigid.from_parts((0, 0, 22000.0))), "poses", "2.2e"),
     ],
@@ -144,6 +145,15 @@ def test_truth_that_contradicts_itself_is_noticed(tmp_path: Path, truth: Truth, 
     found = state(inspect(record(tmp_path / "a.h5", [gel(0)], [truth])), name)
     assert found[0] == "fail"
     assert words in found[1]
+
+
+def test_truth_a_little_beyond_the_limit_is_let_pass_and_the_rest_is_counted(tmp_path: Path):
+    deep = [Truth(indentation_mm=DENT * times) for times in (5.8, 6.2, 6.2, 6.2)]  # 2.9 mm and 3.1 mm, the limit 1.5
+    assert state(inspect(record(tmp_path / "a.h5", [gel(0)], deep[:1])), "truth")[0] == "pass"
+    found = state(inspect(record(tmp_path / "b.h5", [gel(i) for i in range(4)], deep)), "truth")
+    assert found[0] == "fail"
+    assert "of frame 1 reaches 3.1 mm" in found[1]
+    assert "(and 2 more)" in found[1]
 
 
 def test_a_size_that_is_not_the_sensors_and_a_lost_reference_are_noticed(tmp_path: Path):

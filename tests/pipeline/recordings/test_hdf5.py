@@ -301,6 +301,22 @@ def test_what_does_not_fit_the_format_is_refused_by_name(tmp_path: Path, change,
     assert "a.h5" in str(caught.value)
 
 
+@pytest.mark.parametrize("truth", [{"force_n": np.zeros(4)}, {"sensor_from_object": np.eye(3)}])
+def test_truth_of_another_shape_is_not_written(tmp_path: Path, truth):
+    picture = TactileFrame(sensor="digit", image=np.zeros((4, 6, 3), np.uint8), reference=None)
+    with pytest.raises(ShapeError, match="of frame 0 must have shape"), Writer(tmp_path / "a.h5") as writer:
+        writer.append("digit", picture, Truth(**truth))
+
+
+@pytest.mark.parametrize("truth", [{"force_n": np.arange(3.0)}, {"sensor_from_object": np.eye(4)}])
+def test_truth_of_the_right_shape_comes_back(tmp_path: Path, truth):
+    picture = TactileFrame(sensor="digit", image=np.zeros((4, 6, 3), np.uint8), reference=None)
+    with Writer(tmp_path / "a.h5") as writer:
+        writer.append("digit", picture, Truth(**truth))
+    ((name, value),) = truth.items()
+    np.testing.assert_array_equal(getattr(open_recording(tmp_path / "a.h5").stream().truth(0), name), value)
+
+
 def test_a_frame_that_is_not_there_says_which_are(recording: Recording):
     with pytest.raises(FileProblem, match=f"there is no frame {N_FRAMES}, frames are 0 to {N_FRAMES - 1}"):
         recording.stream("gelslim").frame(N_FRAMES)

@@ -1,0 +1,47 @@
+"""What a user says about a recording, in the place of what its file says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.recordings import open_recording
+from pipeline.recordings.hdf5_writer import Writer
+from pipeline.recordings.overrides import with_sensor
+from pipeline.values.frames import TactileFrame
+
+
+def frame(sensor):
+    return TactileFrame(sensor=sensor, image=np.full((4, 6, 3), 7, np.uint8), reference=None)
+
+
+def recording(tmp_path, **streams):
+    path = tmp_path / "a.h5"
+    with Writer(path) as writer:
+        for name, sensor in streams.items():
+            writer.append(name, frame(sensor))
+    return open_recording(path)
+
+
+def told(recording):
+    return [(s.sensor, s.frame(0).sensor) for s in recording.streams]
+
+
+def test_the_only_stream_takes_the_sensor_that_is_asked_for_and_says_so(tmp_path):
+    changed = with_sensor(recording(tmp_path, a="digit"), "gelslim")
+    assert told(changed) == [("gelslim", "gelslim")]
+    assert changed.notes[-1] == "the file says digit; taken as gelslim as asked"
+
+
+def test_of_several_streams_those_that_name_their_sensor_keep_it(tmp_path):
+    changed = with_sensor(recording(tmp_path, a="digit", b=""), "gelslim")
+    assert told(changed) == [("digit", "digit"), ("gelslim", "gelslim")]
+    assert not any("as asked" in note for note in changed.notes)
+
+
+@pytest.mark.parametrize("asked", ["", "digit"])
+def test_what_the_file_says_already_is_no_news(tmp_path, asked):
+    opened = recording(tmp_path, a="digit")
+    changed = with_sensor(opened, asked)
+    assert told(changed) == [("digit", "digit")]
+    assert changed.notes == opened.notes
