@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from PyQt6.QtCore import QObject, pyqtSignal
 
+from pipeline.base import compiling
 from pipeline.base.progress import Cancelled
 
 _REPORT_EVERY_S = 0.05  # a status bar that is written more often only costs time
@@ -18,7 +19,7 @@ class Report:
 
     def __init__(self, job: LatestJob, ticket: int) -> None:
         self._job, self.ticket, self.stopped = job, ticket, threading.Event()
-        self._told_s = 0.0
+        self._told_s = self._fraction = 0.0
 
     def step(self, fraction: float, text: str) -> None:
         """Report `fraction` in 0..1; raises `Cancelled` to stop the work."""
@@ -26,8 +27,12 @@ class Report:
             raise Cancelled
         now_s = time.monotonic()
         if now_s - self._told_s >= _REPORT_EVERY_S:
-            self._told_s = now_s
+            self._told_s, self._fraction = now_s, fraction
             self._job.progressed.emit(self.ticket, fraction, text)
+
+    def tell(self, text: str) -> None:
+        """Say what is going on, however far it is; never stops the work, which may be in the midst of the compiler."""
+        self._job.progressed.emit(self.ticket, self._fraction, text)
 
     def hand_over(self, part: object) -> None:
         """Deliver a part of the result ahead of the rest; raises `Cancelled` like `step`."""
@@ -116,7 +121,8 @@ class LatestJob(QObject):
     def _run(self, report: Report, work: Work) -> None:
         self.started.emit(report.ticket)
         try:
-            result = work(report)
+            with compiling.watched(report.tell):
+                result = work(report)
         except Cancelled:
             self._free()
             self.cancelled.emit(report.ticket)

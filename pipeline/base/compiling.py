@@ -56,6 +56,11 @@ def watched(tell: Callable[[str], None]) -> Generator[Callable[[], float]]:
         _here.tell = outer
 
 
+def spent_s() -> float:
+    """Seconds that compiling has held up this thread so far."""
+    return _here.spent_s
+
+
 @cache
 def kernels() -> Mapping[str, Path]:
     """By module and name, the file that keeps what is compiled of every kernel, be it there or not."""

@@ -7,6 +7,7 @@ import threading
 import pytest
 
 from app.work.jobs import LatestJob, Report
+from pipeline.base import compiling
 
 SOON_MS = 5000
 
@@ -109,3 +110,20 @@ def test_nothing_runs_after_closing(qtbot):
     assert job.close()
     assert job.submit(lambda _report: 1) == 0
     assert not job.busy
+
+
+def test_compiling_is_said_at_the_fraction_that_was_reached(job, qtbot, monkeypatch):
+    """A kernel that is compiled for its first call says so at once, be the last report ever so young."""
+    told: list[tuple[float, str]] = []
+    job.progressed.connect(lambda _ticket, fraction, text: told.append((fraction, text)))
+    monkeypatch.setattr(compiling, "waiting", dict)
+
+    def works(report: Report) -> None:
+        report.step(0.25, "pose")
+        compiling.begun("pipeline.some_kernels.one")
+
+    with qtbot.waitSignal(job.finished, timeout=SOON_MS):
+        job.submit(works)
+    assert told[0] == (0.25, "pose")
+    assert told[1][0] == 0.25
+    assert told[1][1].startswith("compiling, once")

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -244,3 +245,17 @@ def test_a_shortcut_that_gives_the_same_object_again_stops_the_recomputation_bel
         assert results["first"].digest == digest(rest)
     assert ran.names == ["last"]
     assert results["last"].state == "unchanged"
+
+
+def test_what_is_compiled_on_the_way_is_not_the_stages_time(ran, monkeypatch):
+    now_s, compiled_s = [100.0], [3.0]
+
+    def work(_x, _params):
+        now_s[0] += 7.0
+        compiled_s[0] += 5.0
+        return Number(value=1.0)
+
+    monkeypatch.setattr("pipeline.engine.graph.time", SimpleNamespace(perf_counter=lambda: now_s[0]))
+    monkeypatch.setattr("pipeline.base.compiling.spent_s", lambda: compiled_s[0])
+    results = Graph((ran.stage("one", ("x",), work),)).evaluate(("one",), {"x": Number(value=1.0)}, {})
+    assert results["one"].ms == pytest.approx(2000.0)
