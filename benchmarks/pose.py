@@ -238,7 +238,7 @@ def answer() -> Answer:
             *(f"{n}: rms {rms[n][0]:.4f} mm, {rms[n][1]:.4f} deg; median {deg[n]:.4f} deg" for n in calls),
             compared,
             f"small_gicp prepares its target in {small_gicp.prepared_ms:.0f} ms, {small_gicp.neighbours} neighbours",
-            f"the grid: {it.grid.fine_step_mm:.3f} mm at the surface, made once per mesh and kept",
+            f"the grid: {it.grid.step_mm / 8:.3f} mm at the surface, made once per mesh and kept",
         ),
     )  # fmt: skip
 

@@ -10,8 +10,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Doubles, Floats, Image, freeze
-from pipeline.base.errors import CalibrationError, FileProblem, ShapeError
+from pipeline.base.arrays import Doubles, Floats, Image, Mask, freeze
+from pipeline.base.errors import CalibrationError, FileProblem
 from pipeline.base.files import must_be_file, whole_file
 from pipeline.base.memo import Memo
 from pipeline.calibration import slope_model
@@ -61,24 +61,22 @@ class Calibration:
 
 def slopes(
     calibration: Calibration,
-    image: NDArray[Any],
-    reference: NDArray[Any],
+    image: Image,
+    reference: Image,
+    where: Mask,
+    corner: tuple[int, int] = (0, 0),
     *,
     markers: Markers | None = None,
     smoothing_px: float = SMOOTHING_PX,
 ) -> tuple[Floats, Floats]:
-    """(gx, gy) of the indentation, mm/mm, x right and y down: (rows, cols) float32.
+    """(gx, gy) of the indentation, mm/mm, x right and y down: (rows, cols) float32, zero outside `where`.
 
-    Raises ShapeError when the pictures differ from each other or from the calibration in size.
+    The pictures are the part of the calibrated one whose first pixel is `corner`.
     """
-    shape = (calibration.rows, calibration.cols)
-    if image.shape != (*shape, 3) or reference.shape != image.shape:
-        raise ShapeError(
-            f"image and reference must have the calibrated size {(*shape, 3)}, got {image.shape} and {reference.shape}"
-        )
     change = relative_change(image, reference, calibration.pixel_mm, markers=markers, smoothing_px=smoothing_px)
-    u, v = slope_model.position(shape)
-    return slope_model.evaluate(calibration.model, change, u, v, np.ones(shape, np.bool_))
+    u, v = slope_model.position((calibration.rows, calibration.cols))
+    (row, col), (rows, cols) = corner, where.shape
+    return slope_model.evaluate(calibration.model, change, u[col : col + cols], v[row : row + rows], where)
 
 
 def relative_change(

@@ -44,10 +44,6 @@ class Samples:
     v: Floats  # (n,)
     slopes: Floats  # (n, 2) mm/mm
 
-    def picked(self, which: NDArray[np.intp] | Mask) -> Samples:
-        """Some of the samples."""
-        return Samples(change=self.change[which], u=self.u[which], v=self.v[which], slopes=self.slopes[which])
-
 
 def position(shape: tuple[int, int]) -> tuple[Floats, Floats]:
     """U of every column (cols,) and v of every row (rows,)."""

@@ -42,11 +42,6 @@ class DistanceGrid:
     notes: tuple[str, ...] = ()
 
     @property
-    def fine_step_mm(self) -> float:
-        """Distance between nodes at the surface."""
-        return self.step_mm / _CELLS
-
-    @property
     def lattice(self) -> tuple[Any, ...]:
         """The arguments of the kernels' look-up."""
         flat = (self.coarse_mm.reshape(-1), self.block.reshape(-1), self.fine.reshape(-1))

@@ -146,27 +146,3 @@ def dome(
         step_mm=step_mm,
         z_mm=freeze(rim_z_mm + height_mm * np.maximum(bulge, 0.0)),
     )
-
-
-def from_rest_depth(camera: Camera, rest_depth_mm: NDArray[np.floating], step_mm: float = 0.5) -> Membrane:
-    """The membrane that a depth camera saw untouched; `rest_depth_mm` (rows, cols) must have no gap (NaN)."""
-    rest = np.asarray(rest_depth_mm, dtype=np.float64)
-    if not np.isfinite(rest).all():
-        raise CalibrationError("the untouched depth image has gaps; fill them before making a membrane of it")
-    points = camera.back_project(rest)
-    low, high = points[..., :2].reshape(-1, 2).min(axis=0), points[..., :2].reshape(-1, 2).max(axis=0)
-    nx, ny = (int(np.ceil(d / step_mm)) + 1 for d in (high - low))
-    x = low[0] + np.arange(nx) * step_mm
-    y = low[1] + np.arange(ny) * step_mm
-    image = Membrane(x0_mm=0.0, y0_mm=0.0, step_mm=1.0, z_mm=rest)  # the depth image as a height field over pixels
-    z = np.full((ny, nx), float(rest.mean()))
-    for _ in range(_MAX_ITERATIONS):
-        # Fixed point: the pixel that sees (x, y, z) must read z; damped, since a steep dome is not a contraction.
-        z_new = image.depth_at(
-            x[None, :] / z * camera.fx_px + camera.cx_px, y[:, None] / z * camera.fy_px + camera.cy_px
-        )
-        change = np.abs(z_new - z).max()
-        z = 0.5 * (z + z_new)
-        if change < 1e-6:
-            break
-    return Membrane(x0_mm=float(x[0]), y0_mm=float(y[0]), step_mm=step_mm, z_mm=freeze(z))

@@ -2,7 +2,7 @@
 
 The mesh is an open sheet, or a closed body whose nearest side faces the camera, in the sensor's frame. Its height is
 read off exactly at the nodes of a lattice; between them the lattice is bilinear, and how far that is from the mesh is
-reported. A sheet that folds over itself has no height field; `side_distance_mm` measures to it all the same.
+reported. A sheet that folds over itself has no height field.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import MeshProblem
@@ -76,34 +75,6 @@ def from_mesh(mesh: Mesh, step_mm: float = 0.5) -> Resampled:
         f"{worst_mm:.1e} mm at creases",
     )
     return Resampled(membrane=surface, error_mm=error_mm, worst_mm=worst_mm, notes=notes)
-
-
-def side_distance_mm(mesh: Mesh, points_mm: ArrayLike) -> Doubles:
-    """Distance (n,) of points (n, 3) to any mesh, folded or not, negative on the camera's side; NaN stays NaN.
-
-    The size is that to the closest triangle. A point is on the camera's side when its own ray from the lens meets the
-    mesh an even number of times on the way to it.
-    """
-    import open3d
-
-    o3d: Any = open3d  # its tensors are typed more narrowly than they are
-    points = np.asarray(points_mm, dtype=np.float64).reshape(-1, 3)
-    sound = np.isfinite(points).all(axis=1)
-    distance = np.full(len(points), np.nan)
-    if not sound.any():
-        return distance
-    world = o3d.t.geometry.RaycastingScene()
-    world.add_triangles(
-        o3d.core.Tensor(mesh.vertices_mm.astype(np.float32)), o3d.core.Tensor(mesh.triangles.astype(np.uint32))
-    )
-    asked = points[sound].astype(np.float32)
-    size = world.compute_distance(o3d.core.Tensor(asked)).numpy().astype(np.float64)
-    # From the lens to the point itself, so that what lies behind the point is not counted.
-    rays = o3d.core.Tensor(np.concatenate([np.zeros_like(asked), asked], axis=1))
-    hits = world.list_intersections(rays)
-    before = np.bincount(hits["ray_ids"].numpy()[hits["t_hit"].numpy() < 1.0], minlength=len(asked))
-    distance[sound] = np.where(before % 2 == 1, size, -size)
-    return distance
 
 
 def _heights(mesh: Mesh, x_mm: Doubles, y_mm: Doubles, step_mm: float) -> Doubles:

@@ -23,11 +23,6 @@ class Symmetry:
     rotations: Doubles  # (n, 3, 3), the identity first
     axis: Doubles | None = None  # (3,) unit: any turn about it is a symmetry too; None = there is none
 
-    @property
-    def is_trivial(self) -> bool:
-        """Whether nothing but staying put maps the object onto itself."""
-        return self.axis is None and len(self.rotations) == 1
-
     def group(self, step: float = 0.01) -> Doubles:
         """All rotations (m, 3, 3), the identity first, for the MSSD of the BOP challenge (methods 5.4).
 
@@ -51,12 +46,6 @@ def asymmetric() -> Symmetry:
 def cyclic(n: int, axis: Sequence[float] = Z) -> Symmetry:
     """Of an object that looks the same after each n-th of a turn."""
     return Symmetry(rotations=freeze(_about(axis, n)))
-
-
-def dihedral(n: int, axis: Sequence[float], flip: Sequence[float]) -> Symmetry:
-    """As `cyclic`, and the same again after half a turn about `flip`, which is square to the axis."""
-    half = _about(flip, 2)
-    return Symmetry(rotations=freeze((half[:, None] @ _about(axis, n)[None]).reshape(-1, 3, 3)))
 
 
 def revolved(axis: Sequence[float] = Z, flip: Sequence[float] | None = None) -> Symmetry:

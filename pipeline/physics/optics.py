@@ -66,24 +66,23 @@ def render(
     *,
     seed: int | None,
     shear_mm: NDArray[np.floating] | None = None,
-    gain_rgb: tuple[float, float, float] = (1.0, 1.0, 1.0),
 ) -> Image:
     """The picture (rows, cols, 3) that a gel sensor takes of its pushed-in surface.
 
     Slopes -> colour -> cast shadows -> markers that move with the surface -> lens blur -> camera noise (none if `seed`
     is None). `shear_mm` (rows, cols, 2): how far, right and down, a tangential load has moved the material seen at each
-    pixel (`shear.drag`). `gain_rgb`: drift of the colours since the untouched picture (`variation.drift`).
+    pixel (`shear.drag`).
     """
     optics = optics_of(sensor)
     checked(sensor, indentation_mm, shear_mm)
     height_mm = _single(indentation_mm)
     if _is_plain(sensor, optics, seed) and not _casts_shadow(optics, height_mm):
-        return freeze(_plain_picture(sensor, height_mm, gain_rgb))
+        return freeze(_plain_picture(sensor, height_mm))
     light = _lit(sensor, optics, height_mm)
     if sensor.markers is not None and sensor.gel is not None:
         move = marker_motion_px(sensor, indentation_mm, shear_mm)
         print_on(light, sensor.markers, sensor.pixel_mm, *move)
-    return freeze(_expose(light, optics, seed, gain_rgb))
+    return freeze(_expose(light, optics, seed))
 
 
 def optics_of(sensor: SensorSpec) -> Optics:
@@ -154,12 +153,12 @@ def _is_plain(sensor: SensorSpec, optics: Optics, seed: int | None) -> bool:
     return sensor.markers is None and optics.blur_px <= 0 and (seed is None or optics.noise_grey <= 0)
 
 
-def _plain_picture(sensor: SensorSpec, height_mm: Floats, gain_rgb: tuple[float, float, float]) -> Image:
+def _plain_picture(sensor: SensorSpec, height_mm: Floats) -> Image:
     """The picture where light is all there is: no markers, shadows, blur or noise."""
     from pipeline.physics.optics_kernels import picture_of
 
     out = np.empty((*height_mm.shape, 3), np.uint8)
-    picture_of(height_mm, *_scene(sensor), np.array(gain_rgb, np.float32), out)
+    picture_of(height_mm, *_scene(sensor), out)
     return out
 
 
@@ -201,28 +200,24 @@ def shade(light: Floats, sensor: SensorSpec, height_mm: Floats) -> None:
         darken(light, cover, np.float32(optics.shadow) * led[3:] / all_leds)
 
 
-def _expose(
-    light: Floats, optics: Optics, seed: int | None, gain_rgb: tuple[float, float, float] = (1.0, 1.0, 1.0)
-) -> Image:
+def _expose(light: Floats, optics: Optics, seed: int | None) -> Image:
     """Lens blur, noise and 8 bits."""
     import cv2
 
     picture: Floats = light
     if optics.blur_px > 0:
         picture = np.asarray(cv2.GaussianBlur(light, (0, 0), optics.blur_px), np.float32)
-    return recorded(picture, optics.noise_grey, seed, gain_rgb)
+    return recorded(picture, optics.noise_grey, seed)
 
 
-def recorded(
-    light: Floats, noise_grey: float, seed: int | None, gain_rgb: tuple[float, float, float] = (1.0, 1.0, 1.0)
-) -> Image:
-    """What 8 bits keep of `light` (rows, cols, 3), times a gain of each colour, with the noise of `seed` if any."""
+def recorded(light: Floats, noise_grey: float, seed: int | None) -> Image:
+    """What 8 bits keep of `light` (rows, cols, 3), with the noise of `seed` if any."""
     from pipeline.physics.optics_kernels import develop
 
     out = np.empty(light.shape, np.uint8)
     noise = np.float32(0.0 if seed is None else noise_grey)
     counted_from = np.uint64((seed or 0) % 2**64)
-    develop(light, np.array(gain_rgb, np.float32), _normal_quantiles(), noise, counted_from, out)
+    develop(light, _normal_quantiles(), noise, counted_from, out)
     return out
 
 

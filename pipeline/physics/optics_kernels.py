@@ -40,18 +40,16 @@ def light_of(height, pixel, glow, leds, strength, vignette, out):
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy")
-def picture_of(height, pixel, glow, leds, strength, vignette, gain, out):
+def picture_of(height, pixel, glow, leds, strength, vignette, out):
     """`light_of`, developed without blur and noise: `out` (rows, cols, 3) of 8 bits, in one pass."""
     rows, cols = height.shape
     gx, gy = np.empty(cols, np.float32), np.empty(cols, np.float32)
-    change, gains = np.empty(3 * cols, np.float32), np.empty(3 * cols, np.float32)
-    for k in range(3):
-        gains[k::3] = gain[k]
+    change = np.empty(3 * cols, np.float32)
     flat, glow_flat = out.reshape(rows, 3 * cols), glow.reshape(rows, 3 * cols)
     for r in range(rows):
         _row_slopes(height, r, pixel, gx, gy)
         _row_change(gx, gy, r, rows, leds, strength, vignette, change)
-        _row_greys(glow_flat[r], change, gains, flat[r])
+        _row_greys(glow_flat[r], change, flat[r])
 
 
 @njit(inline="always")
@@ -114,10 +112,10 @@ def _add(more, out):
 
 
 @njit(inline="always")
-def _row_greys(glow, change, gains, out):
+def _row_greys(glow, change, out):
     for i in range(out.shape[0]):
         n = np.uint64(i)
-        value = (glow[n] + change[n]) * gains[n] + np.float32(0.5)
+        value = glow[n] + change[n] + np.float32(0.5)
         out[n] = np.uint8(np.int32(min(max(value, np.float32(0.0)), np.float32(255.0))))
 
 
@@ -254,8 +252,8 @@ def _mixed(n):
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy")
-def develop(light, gain, quantiles, noise, seed, out):
-    """Grey levels of 8 bits: light times gain per colour, plus normal noise of standard deviation `noise`.
+def develop(light, quantiles, noise, seed, out):
+    """Grey levels of 8 bits: the light plus normal noise of standard deviation `noise`.
 
     quantiles (4096,): of the standard normal; each pixel's 64 random bits, counted from `seed`, pick three of them.
     """
@@ -268,7 +266,7 @@ def develop(light, gain, quantiles, noise, seed, out):
                 counter += np.uint64(0x9E3779B97F4A7C15)
                 bits = _mixed(counter)
             for k in range(3):
-                value = light[r, c, k] * gain[k]
+                value = light[r, c, k]
                 if noise > 0.0:
                     value += noise * quantiles[np.int64(bits & np.uint64(4095))]
                     bits >>= np.uint64(12)

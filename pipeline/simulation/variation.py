@@ -38,8 +38,6 @@ _DUST = 3  # specks at strength 1, at most
 _DUST_HALVES = 0.012  # their size in halves of the image
 _DUST_GREY = 14.0
 _PRESSURE = 0.10
-_DRIFT = 0.012  # how far a colour wanders over minutes
-_DRIFT_PERIODS_S = (17.0, 71.0, 307.0)
 
 
 def varied(sensor: SensorSpec, seed: int, strength: float = 1.0) -> SensorSpec:
@@ -61,22 +59,6 @@ def varied(sensor: SensorSpec, seed: int, strength: float = 1.0) -> SensorSpec:
         markers=None if sensor.markers is None else _markers(sensor.markers, markers),
         bubble=None if sensor.bubble is None else _bubble(sensor.bubble, bubble),
     )
-
-
-def drift(seed: int, time_s: float, strength: float = 1.0) -> tuple[float, float, float]:
-    """Gains of red, green and blue after `time_s`, 1 at time 0: for `optics.render`'s `gain_rgb`.
-
-    Each colour wanders by about one percent over minutes, as LEDs warm up and a camera follows its exposure.
-    """
-    if not (math.isfinite(time_s) and math.isfinite(strength)):
-        raise SettingProblem(f"a drift needs a finite time and strength, got {time_s!r} s and {strength!r}")
-    rng = np.random.default_rng(_entropy(seed))
-    size = rng.normal(0.0, _DRIFT, (3, len(_DRIFT_PERIODS_S)))
-    phase = rng.uniform(0.0, 2.0 * np.pi, size.shape)
-    angle = 2.0 * np.pi * time_s / np.array(_DRIFT_PERIODS_S)
-    wander = (size * (np.sin(phase + angle) - np.sin(phase))).sum(axis=1)
-    red, green, blue = (float(g) for g in np.exp(strength * np.clip(wander, -0.05, 0.05)))
-    return red, green, blue
 
 
 def _entropy(seed: int) -> int:

@@ -14,8 +14,7 @@ import numpy as np
 from pipeline.base.arrays import Floats, Image, Mask, freeze
 from pipeline.base.errors import CalibrationError, ShapeError
 from pipeline.base.progress import Progress
-from pipeline.calibration import slope_model
-from pipeline.calibration.lookup import Calibration, check_for, relative_change
+from pipeline.calibration.lookup import Calibration, check_for, slopes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import contact, gel_light
 from pipeline.stages.depth.poisson import Boundary, integrate
@@ -108,7 +107,10 @@ def depth(
         if picture is not None:
             gx, gy = gel_light.rough_slopes(picture, calibration)
         else:
-            gx, gy = _slopes(image[here], reference[here], source, calibration, window, smoothing_px)
+            gx, gy = slopes(
+                calibration, image[here], reference[here], window.moved, (window.rows.start, window.cols.start),
+                markers=source.markers, smoothing_px=smoothing_px,
+            )  # fmt: skip
         if not math.isfinite(float(gx.sum()) + float(gy.sum())):
             raise CalibrationError(f"the look-up of {source.name} gives slopes that are no numbers; calibrate again")
         progress.step(0.5, "integrating slopes")
@@ -180,14 +182,6 @@ def _doubts(part: Image, source: SensorSpec, window: _Window) -> list[str]:
     if clipped.sum() > 0.01 * window.moved.sum():
         notes.append(f"{int(clipped.sum())} pixels are saturated: slopes there are doubtful")
     return notes
-
-
-def _slopes(
-    part: Image, still: Image, source: SensorSpec, calibration: Calibration, window: _Window, smoothing_px: float
-) -> tuple[Floats, Floats]:
-    change = relative_change(part, still, calibration.pixel_mm, markers=source.markers, smoothing_px=smoothing_px)
-    u, v = slope_model.position((calibration.rows, calibration.cols))
-    return slope_model.evaluate(calibration.model, change, u[window.cols], v[window.rows], window.moved)
 
 
 def _surface(

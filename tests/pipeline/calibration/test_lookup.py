@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.base.errors import CalibrationError, FileProblem, ShapeError
+from pipeline.base.errors import CalibrationError, FileProblem
 from pipeline.calibration import lookup as calibration
 from pipeline.calibration import slope_model
 from pipeline.physics import optics
@@ -17,6 +17,10 @@ BUILT_IN_SLOPE_TOLERANCE = 0.08  # rms mm/mm inside a contact; LEDs in their own
 @pytest.fixture(scope="module")
 def mini():
     return calibration.built_in(sensor("gelsight_mini"))
+
+
+def everywhere(picture):
+    return np.ones(picture.shape[:2], np.bool_)
 
 
 def ball_slopes(shape, radius_px=60.0, contact_px=35.0):
@@ -38,14 +42,14 @@ def test_the_built_in_look_up_inverts_the_forward_model(name):
     gx, gy, inside = ball_slopes(source.camera.shape)
     still = optics.untouched(source)
     seen = np.clip(np.rint(still + optics.colour_change(source, gx, gy)), 0, 255).astype(np.uint8)
-    found_x, found_y = calibration.slopes(look_up, seen, still)
+    found_x, found_y = calibration.slopes(look_up, seen, still, everywhere(still))
     core = inside & (np.hypot(gx, gy) < 0.6)  # the last pixels at the rim are blurred on purpose
     assert np.sqrt(np.mean((found_x - gx)[core] ** 2 + (found_y - gy)[core] ** 2)) < BUILT_IN_SLOPE_TOLERANCE
 
 
 def test_an_unchanged_picture_has_no_slope_at_all(mini):
     still = optics.untouched(sensor("gelsight_mini"))
-    gx, gy = calibration.slopes(mini, still, still)
+    gx, gy = calibration.slopes(mini, still, still, everywhere(still))
     assert not gx.any()
     assert not gy.any()
 
@@ -54,7 +58,7 @@ def test_slopes_are_finite_and_bounded_for_any_picture(mini):
     rng = np.random.default_rng(0)
     still = optics.untouched(sensor("gelsight_mini"))
     for picture in (np.zeros_like(still), np.full_like(still, 255), rng.integers(0, 256, still.shape, np.uint8)):
-        gx, gy = calibration.slopes(mini, picture, still)
+        gx, gy = calibration.slopes(mini, picture, still, everywhere(still))
         assert np.hypot(gx, gy).max() <= mini.model.slope_max * (1 + 1e-5)
 
 
@@ -109,9 +113,22 @@ def test_a_pickled_file_is_not_opened(tmp_path):
         calibration.load(tmp_path / "evil.npz")
 
 
+def test_the_slopes_of_a_part_are_those_of_the_whole(mini):
+    source = sensor("gelsight_mini")
+    gx, gy, _ = ball_slopes(source.camera.shape)
+    still = optics.untouched(source)
+    seen = np.clip(np.rint(still + optics.colour_change(source, gx, gy)), 0, 255).astype(np.uint8)
+    part, where = (slice(30, 200), slice(40, 300)), everywhere(still)
+    whole = calibration.slopes(mini, seen, still, where)
+    found = calibration.slopes(mini, seen[part], still[part], where[part], (30, 40))
+    inner = (slice(10, -10), slice(10, -10))  # smoothing and brightness reach some pixels over the cut
+    for a, b in zip(found, whole, strict=True):
+        np.testing.assert_allclose(a[inner], b[part][inner], atol=1e-4)
+
+
 def test_a_picture_of_another_size_is_refused(mini):
-    with pytest.raises(ShapeError, match="calibrated size"):
-        calibration.slopes(mini, np.zeros((10, 10, 3), np.uint8), np.zeros((10, 10, 3), np.uint8))
+    with pytest.raises(CalibrationError, match="240 x 320 pixels"):
+        calibration.check_for(mini, "gelsight_mini", np.zeros((10, 10, 3), np.uint8))
 
 
 def test_a_look_up_of_another_sensor_is_refused(mini):

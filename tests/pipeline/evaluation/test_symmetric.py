@@ -12,7 +12,7 @@ from pipeline.base.errors import FileProblem
 from pipeline.evaluation.symmetric import _unrolled, ambiguity, in_plane, mssd_mm, on_observable, symmetric_error
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
-from pipeline.geometry.symmetry import asymmetric, cyclic, dihedral, revolved
+from pipeline.geometry.symmetry import asymmetric, cyclic, revolved
 from pipeline.recordings import open_recording
 from pipeline.recordings.hdf5_writer import Writer, write
 from pipeline.registration.observability import observability
@@ -128,7 +128,7 @@ def test_vertices_inside_the_hull_change_nothing():
     inner = rng.uniform(-0.9, 0.9, (2000, 3)) * (4.0, 2.0, 3.0) + (0.0, 0.0, 3.0)
     filled = Mesh(vertices_mm=np.concatenate([BOX.vertices_mm, inner]), triangles=BOX.triangles)
     estimate, truth = pose([0.1, 0.2, 0.3]), pose([0.3, -0.1, 0.2], (1.4, -2.2, 20.5))
-    group = dihedral(2, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
+    group = cyclic(4, (1.0, 0.0, 0.0))
     assert mssd_mm(estimate, truth, filled, group) == pytest.approx(mssd_mm(estimate, truth, BOX, group), abs=1e-12)
     flat = Mesh(vertices_mm=filled.vertices_mm * (1.0, 1.0, 0.0), triangles=BOX.triangles)
     assert mssd_mm(truth, truth, flat, None) == 0.0

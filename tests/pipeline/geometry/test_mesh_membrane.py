@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.base.errors import CalibrationError, MeshProblem
 from pipeline.geometry import membrane
-from pipeline.geometry.mesh_membrane import from_mesh, load_membrane, side_distance_mm
+from pipeline.geometry.mesh_membrane import from_mesh, load_membrane
 from pipeline.geometry.meshes import Mesh
 from pipeline.sensors.spec import sensor
 
@@ -46,17 +46,6 @@ def test_a_file_in_metres_is_read_in_its_unit(tmp_path):
     write_stl(tmp_path / "rest.stl", sheet(mesh.vertices_mm * 1e-3, mesh.triangles))
     found = load_membrane(tmp_path / "rest.stl", unit="m")
     np.testing.assert_allclose(found.membrane.z_mm, DOME.z_mm, atol=1e-4)
-
-
-def test_distance_to_a_mesh_has_the_size_and_the_side_of_the_height_field():
-    rng = np.random.default_rng(2)
-    x, y = rng.uniform(-15, 15, (2, 400))
-    points = np.column_stack([x, y, DOME.depth_at(x, y) + rng.uniform(-1, 1, 400)])
-    found, expected = side_distance_mm(DOME.mesh(), points), DOME.signed_distance_mm(points)
-    clear = np.abs(expected) > 1e-3
-    np.testing.assert_array_equal(found[clear] > 0, expected[clear] > 0)
-    np.testing.assert_allclose(found, expected, atol=0.05)  # first order in the curvature against the closest triangle
-    assert np.isnan(side_distance_mm(DOME.mesh(), [[np.nan, 0, 60]])).all()
 
 
 @pytest.mark.parametrize(

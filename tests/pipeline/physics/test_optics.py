@@ -151,10 +151,3 @@ def test_steep_light_casts_no_shadow():
     u = dent(spec, depth_mm=0.5, width_mm=2.0)
     steep, none = (replace(spec, optics=replace(spec.optics, shadow_deg=60.0, shadow=s)) for s in (1.0, 0.0))
     assert np.array_equal(optics.render(steep, u, seed=None), optics.render(none, u, seed=None))
-
-
-def test_drifted_colours_are_the_picture_times_their_gain():
-    spec = sensor("gelsight_mini")
-    plain = optics.untouched(spec).astype(float)
-    drifted = optics.render(spec, level(spec), seed=None, gain_rgb=(1.1, 1.0, 0.9))
-    assert np.abs(drifted - plain * [1.1, 1.0, 0.9]).max() <= 1.1  # grey level: rounded twice

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import FileProblem, MeshProblem, SettingProblem
-from pipeline.geometry import rigid, symmetry
+from pipeline.geometry import rigid
 from pipeline.geometry.meshes import sample_surface
 from pipeline.simulation import shapes
 from pipeline.simulation.shapes import polygons
@@ -143,10 +143,8 @@ def test_neighbouring_turns_move_no_point_by_more_than_a_hundredth_of_the_diamet
 
 
 def test_a_shape_without_symmetry_has_the_identity_alone():
-    assert shapes.shape("letters").symmetry.is_trivial
     assert shapes.shape("letters").symmetry.group().shape == (1, 3, 3)
-    assert not shapes.shape("marble").symmetry.is_trivial
-    assert len(symmetry.dihedral(3, symmetry.Z, symmetry.X).rotations) == 6
+    assert shapes.shape("marble").symmetry.group().shape[0] > 1
     with pytest.raises(SettingProblem):
         shapes.shape("ring").symmetry.group(0.0)
 
@@ -161,7 +159,7 @@ def test_a_users_mesh_is_laid_on_the_face_that_was_chosen(tmp_path, face):
     found = shapes.from_mesh(path, face=face)
     v = found.mesh.vertices_mm
     assert found.group == "own"
-    assert found.symmetry.is_trivial
+    assert found.symmetry.group().shape == (1, 3, 3)
     assert v[:, 2].min() == 0.0
     assert np.allclose(v[:, :2].min(axis=0), -v[:, :2].max(axis=0))
     heights = np.sort(-sign * corners[:, axis])

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from pipeline.base.errors import SettingProblem
 from pipeline.physics import optics
 from pipeline.sensors.spec import names, sensor
-from pipeline.simulation.variation import MAX_STRENGTH, drift, varied
+from pipeline.simulation.variation import MAX_STRENGTH, varied
 
 GELS = ("gelslim", "digit", "gelsight_mini")
 
@@ -65,14 +65,6 @@ def test_a_unit_renders_level_ground_as_its_untouched_picture():
     unit = varied(sensor("gelslim"), 3)
     level = np.zeros(unit.camera.shape, np.float32)
     assert np.array_equal(optics.render(unit, level, seed=None), optics.untouched(unit))
-
-
-def test_colours_drift_slowly_from_where_they_were():
-    assert drift(4, 0.0) == (1.0, 1.0, 1.0)
-    one, later = np.array(drift(4, 1.0)), np.array(drift(4, 100.0))
-    assert np.abs(one - 1).max() < 0.02
-    assert np.abs(later - 1).max() <= 0.052
-    assert drift(4, 100.0) == drift(4, 100.0) != drift(5, 100.0)
 
 
 @pytest.mark.parametrize("strength", [-0.1, float("nan"), MAX_STRENGTH + 1])

@@ -89,7 +89,8 @@ def test_a_look_up_fitted_to_presses_is_left_as_it_is():
 def test_a_picture_with_drifted_colours_is_no_second_contact():
     source = sensor("digit")
     truth = hertz(source.camera.shape, source.pixel_mm, 120, 160, 6.0, 0.3)
-    image = optics.render(source, truth, seed=1, gain_rgb=(1.03, 0.98, 1.02))
+    drifted = optics.render(source, truth, seed=1) * (1.03, 0.98, 1.02)
+    image = np.clip(np.rint(drifted), 0, 255).astype(np.uint8)
     found = depth(TactileFrame(sensor="digit", image=image, reference=optics.untouched(source)), source, None, PARAMS)
     y, x = np.nonzero(found.contact)
     assert np.hypot(x - 120, y - 160).max() * source.pixel_mm < 2.0
