@@ -3,11 +3,10 @@
     python benchmarks/real_look.py [DATA_FOLDER [SHEET.png]]
 
 Every press is simulated again on its own untouched picture: the circle of contact is the calibration's, the depth that
-which gives the circle's area on the layer of the sensor (gel.press), the colours those of a look-up made from the other
-half of the presses ("with usual": with the usual colours of those presses too), or the built-in optics. Errors are in
-grey levels (of 255) over the contact, all three colours. The peer is to change nothing: how much the real colours
-change there. Times are of one picture.
-SHEET.png shows the first few presses of each sensor: real, with the look-up, with the built-in optics.
+which gives the circle's area on the layer of the sensor (gel.press), the colours those of the built-in optics. Errors
+are in grey levels (of 255) over the contact, all three colours. The peer is to change nothing: how much the real
+colours change there. Times are of one picture.
+SHEET.png shows the first few presses of each sensor: real, simulated.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.calibration import rendering as lookup
 from pipeline.calibration.balls import calibrate_balls
 from pipeline.geometry.camera import Camera
 from pipeline.physics import gel, optics
@@ -78,25 +76,8 @@ def on_reference(source, still, surface):
     return np.clip(still + change, 0, 255)
 
 
-def simulated(source, still, surface, index, half, colours):
-    """(way to simulate -> picture, way -> ms) of one press."""
-    ways = {
-        "look-up with usual colours": lambda: lookup.rendered(
-            half, still, surface, source, seed=index, usual_change=colours
-        ),
-        "look-up": lambda: lookup.rendered(half, still, surface, source, seed=index),
-        "built-in optics": lambda: on_reference(source, still, surface),
-    }
-    pictures, taken = {}, {}
-    for way, made in ways.items():
-        started = time.perf_counter()
-        pictures[way] = made()
-        taken[way] = 1e3 * (time.perf_counter() - started)
-    return pictures, taken
-
-
 def measured(name, data, folder_name, reference, pattern, diameter_mm, scale):
-    """(rows, note, some presses real and simulated) of one sensor."""
+    """(row, note, some presses real and simulated) of one sensor."""
     source, folder = sensor(name), data / folder_name
     if scale is not None:
         source = at_scale(source, scale)
@@ -104,35 +85,28 @@ def measured(name, data, folder_name, reference, pattern, diameter_mm, scale):
     pictures = [read(p) for p in numbered(folder, pattern)][:_MAX_PRESSES]
     pixel_mm = source.pixel_mm
     everything = calibrate_balls(pictures, still, source, diameter_mm, pixel_mm=pixel_mm)
-    halves = [calibrate_balls(pictures[1 - k :: 2], still, source, diameter_mm, pixel_mm=pixel_mm) for k in (0, 1)]
-    colours = [lookup.usual(h, pictures[1 - k :: 2], still, source) for k, h in enumerate(halves)]
-    errors, biases, taken, changes, depths, shown = {}, {}, {}, [], [], []
+    errors, biases, taken, changes, depths, shown = [], [], [], [], [], []
     for fit in (fit for fit in everything.presses if fit.used):
         surface, depth = pressed(source, pixel_mm, fit, diameter_mm / 2)
         real = pictures[fit.index].astype(np.float32)
-        k = fit.index % 2
-        made, ms = simulated(source, still, surface, fit.index, halves[k], colours[k])
+        started = time.perf_counter()
+        made = on_reference(source, still, surface)
+        taken.append(1e3 * (time.perf_counter() - started))
         y, x = np.mgrid[: real.shape[0], : real.shape[1]]
         inside = np.hypot(x - fit.x_px, y - fit.y_px) < fit.radius_px
         depths.append(depth)
         changes.append(rms((real - still)[inside]))
-        for way, picture in made.items():
-            off = (picture - real)[inside]
-            errors.setdefault(way, []).append(rms(off))
-            biases.setdefault(way, []).append(float(off.mean()))
-            taken.setdefault(way, []).append(ms[way])
+        off = (made - real)[inside]
+        errors.append(rms(off))
+        biases.append(float(off.mean()))
         if len(shown) < _SHOWN:
-            shown.append(
-                np.vstack([real, made["look-up with usual colours"], made["built-in optics"]]).astype(np.uint8)
-            )
-    rows = [
-        row(f"{name}, {way}", peer="no change at all", ours=timing(taken[way]), ours_error=float(np.median(off)),
-            peer_error=float(np.median(changes)), unit="grey", bar=Bar())
-        for way, off in errors.items()
-    ]  # fmt: skip
-    told = ", ".join(f"{way} {np.median(bias):+.1f}" for way, bias in biases.items())
-    note = f"{name}: {len(depths)} presses, median depth {np.median(depths):.2f} mm; simulated less real: {told}"
-    return rows, note, shown
+            shown.append(np.vstack([real, made]).astype(np.uint8))
+    found = row(
+        f"{name}, built-in optics", peer="no change at all", ours=timing(taken), ours_error=float(np.median(errors)),
+        peer_error=float(np.median(changes)), unit="grey", bar=Bar(),
+    )  # fmt: skip
+    told = f"median depth {np.median(depths):.2f} mm; simulated less real: {np.median(biases):+.1f}"
+    return found, f"{name}: {len(depths)} presses, {told}", shown
 
 
 def rms(off) -> float:
@@ -147,7 +121,7 @@ def answer(data: str = "", sheet: str = "") -> Answer:
     return Answer(
         title="Simulated presses of a ball beside real ones, colour error in the contact",
         unit="grey",
-        rows=tuple(row for rows, _, _ in found for row in rows),
+        rows=tuple(row for row, _, _ in found),
         notes=tuple(note for _, note, _ in found),
     )
 
