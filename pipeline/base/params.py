@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar, cast, get_args
 
 from pipeline.base.errors import SettingProblem
 
@@ -37,11 +37,12 @@ def setting(
     low: float = -math.inf,
     high: float = math.inf,
     step: float = 0.0,
-    choices: tuple[str, ...] = (),
+    choices: Any = (),
     help: str = "",  # noqa: A002 - the word users know
 ) -> Any:
-    """A dataclass field with a default and its `Setting`."""
-    told = Setting(label=label, unit=unit, low=low, high=high, step=step, choices=choices, help=help)
+    """A dataclass field with a default and its `Setting`; `choices` is the `Literal` that the field is declared as."""
+    words = get_args(choices) or tuple(choices)
+    told = Setting(label=label, unit=unit, low=low, high=high, step=step, choices=words, help=help)
     return field(default=default, metadata={"setting": told})
 
 

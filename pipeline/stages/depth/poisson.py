@@ -13,16 +13,15 @@ counting k from 1, which damps the long waves, and a divergence without the half
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
 from pipeline.base.arrays import Floats, freeze
-from pipeline.base.errors import ShapeError
+from pipeline.base.errors import SettingProblem, ShapeError
 from pipeline.base.memo import remembered
 
-Boundary = Literal["free", "flat"]
-BOUNDARIES: tuple[Boundary, ...] = ("free", "flat")
+Boundary = Literal["flat", "free"]
 
 _WORKERS = 2
 
@@ -32,14 +31,14 @@ def integrate(gx: Floats, gy: Floats, pixel_mm: float, boundary: Boundary = "fre
 
     "free" knows nothing at the border and returns the surface with mean zero; "flat" holds it at zero along the outer
     edge of the border pixels. Raises ShapeError for arrays that differ in shape, are not two-dimensional, or hold a
-    value that is not finite.
+    value that is not finite, SettingProblem for another boundary.
     """
     from scipy import fft
 
     if gx.ndim != 2 or gx.shape != gy.shape or gx.size == 0:
         raise ShapeError(f"slopes must be two images of one shape (rows, cols), got {gx.shape} and {gy.shape}")
-    if boundary not in BOUNDARIES:
-        raise ShapeError(f"boundary must be one of {', '.join(BOUNDARIES)}, got {boundary!r}")
+    if boundary not in get_args(Boundary):
+        raise SettingProblem(f"boundary must be one of {', '.join(get_args(Boundary))}, got {boundary!r}")
     if not (math.isfinite(float(gx.sum(dtype=np.float64))) and math.isfinite(float(gy.sum(dtype=np.float64)))):
         raise ShapeError("slopes hold values that are not finite; fill them before integrating")
     rows, cols = gx.shape

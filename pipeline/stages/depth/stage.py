@@ -21,6 +21,7 @@ from pipeline.engine.digests import content
 from pipeline.geometry.camera import Camera
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import bubble_depth, gel_depth
+from pipeline.stages.depth.poisson import Boundary
 from pipeline.values.frames import TactileFrame
 from pipeline.values.pixel_index import pixel_index
 from pipeline.values.results import DepthMap
@@ -42,8 +43,8 @@ class DepthParams:
     )  # fmt: skip
     smoothing_px: float = setting(1.0, "Smoothing", unit="px", low=0.0, high=5.0, step=0.25,
                                   help="blur of the colour change, or of a bubble's depth")  # fmt: skip
-    boundary: str = setting(
-        "flat", "Integration border", choices=("flat", "free"),
+    boundary: Boundary = setting(
+        "flat", "Integration border", choices=Boundary,
         help="flat: the gel is at rest around the touched part; free: nothing is known there",
     )  # fmt: skip
     sensitivity: float = setting(
@@ -81,7 +82,7 @@ def depth(
         least_mm=params.contact_limit * source.limits.contact_min_mm,
         pressure_share=params.pressure_share,
         smoothing_px=params.smoothing_px,
-        boundary="flat" if params.boundary == "flat" else "free",
+        boundary=params.boundary,
         progress=progress,
     )  # fmt: skip
 

@@ -8,6 +8,7 @@ camera. Nothing is claimed of the object beyond the points: there the membrane i
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal, assert_never
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from pipeline.physics import bubble, bubble_camera, gel, lattice, optics
 from pipeline.sensors.spec import SensorSpec
 from pipeline.values.results import TargetView, Touch
 
+Surface = Literal["press", "follow"]
+
 NO_CONTACT = "no contact: the target's untouched reading is the exact answer"
 
 
@@ -29,10 +32,10 @@ NO_CONTACT = "no contact: the target's untouched reading is the exact answer"
 class GenerateParams:
     """How the target's touch is made."""
 
-    surface: str = setting(
+    surface: Surface = setting(
         "press",
         "Gel surface",
-        choices=("press", "follow"),
+        choices=Surface,
         help="press: the gel rests on the object and may lift off dents of the depth; follow: it takes every value",
     )
     noise: bool = setting(False, "Sensor noise", help="add the target sensor's own noise to the reading")
@@ -131,8 +134,10 @@ def _gel_touch(
     tolerance_mm = 1e-3 * params.tolerance_um
     if params.surface == "follow":
         answer = gel.relax(target.gel, target.pixel_mm, wanted, mask, tolerance_mm=tolerance_mm)
-    else:
+    elif params.surface == "press":
         answer = gel.press(target.gel, target.pixel_mm, np.where(mask, wanted, -np.inf), tolerance_mm=tolerance_mm)
+    else:
+        assert_never(params.surface)
     rows, cols = target.camera.shape
     inner = (slice(margin, margin + rows), slice(margin, margin + cols))
     surface: Floats = np.ascontiguousarray(answer.indentation_mm[inner])

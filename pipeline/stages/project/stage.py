@@ -7,6 +7,7 @@ with 1/Z interpolated linearly in screen space: no holes, and hundreds of times 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal, assert_never
 
 import numpy as np
 
@@ -20,6 +21,8 @@ from pipeline.stages.project import sight_notes
 from pipeline.stages.project.drawing import Drawing, Rest, rasterised, splatted
 from pipeline.values.results import Cloud, TargetView
 
+Mode = Literal["surface", "paper"]
+
 NO_CONTACT = "no contact: the target sees nothing"
 SAME_SURFACE_MM = 0.2  # a point this close behind what its pixel shows is part of it, not hidden by it
 _FINER = 4  # pixels along each side of one, where its coverage is asked for
@@ -29,10 +32,10 @@ _FINER = 4  # pixels along each side of one, where its coverage is asked for
 class ProjectParams:
     """How the cloud is drawn."""
 
-    mode: str = setting(
+    mode: Mode = setting(
         "surface",
         "Projection",
-        choices=("surface", "paper"),
+        choices=Mode,
         help="surface: triangles between neighbouring pixels; paper: single points, as in the equations",
     )
     jump_mm: float = setting(
@@ -72,8 +75,10 @@ def view_of(cloud: Cloud, target: SensorSpec, params: ProjectParams) -> TargetVi
     rest = _rest(target)
     if params.mode == "paper":
         drawing = splatted(cloud.points_mm, cloud.source_index, target.camera, rest)
-    else:
+    elif params.mode == "surface":
         drawing = _surface(cloud, target.camera, rest, params)
+    else:
+        assert_never(params.mode)
     shape = target.camera.shape
     indentation = np.empty(drawing.depth_mm.size, dtype=np.float32)
     n_contact, deepest_mm = kernels.push_in(

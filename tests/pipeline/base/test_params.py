@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args, get_type_hints
 
 import pytest
 from hypothesis import given
@@ -8,6 +9,11 @@ from hypothesis import strategies as st
 
 from pipeline.base.errors import SettingProblem
 from pipeline.base.params import changed, setting, settings
+from pipeline.stages.depth.stage import DepthParams
+from pipeline.stages.generate.stage import GenerateParams
+from pipeline.stages.project.stage import ProjectParams
+
+Mode = Literal["bake", "grill"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -15,7 +21,7 @@ class Oven:
     heat_deg: float = setting(180.0, "Heat", unit="°C", low=50.0, high=250.0)
     trays: int = setting(2, "Trays", low=1, high=4)
     fan: bool = setting(True, "Fan")
-    mode: str = setting("bake", "Mode", choices=("bake", "grill"))
+    mode: Mode = setting("bake", "Mode", choices=Mode)
 
 
 def test_settings_come_in_order_with_their_values():
@@ -50,3 +56,11 @@ def test_a_wrong_setting_is_named_with_what_is_allowed(name, value, sentence):
     with pytest.raises(SettingProblem) as caught:
         changed(Oven(), name, value)
     assert str(caught.value) == sentence
+
+
+@pytest.mark.parametrize("params", [DepthParams(), ProjectParams(), GenerateParams()], ids=lambda p: type(p).__name__)
+def test_words_that_may_be_chosen_are_those_of_the_type(params):
+    hints = get_type_hints(type(params))
+    words = {name: told.choices for name, (value, told) in settings(params).items() if isinstance(value, str)}
+    assert words
+    assert words == {name: get_args(hints[name]) for name in words}

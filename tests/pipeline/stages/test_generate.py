@@ -153,3 +153,10 @@ def test_a_view_of_another_size_is_refused_in_words():
     view = view_of(spec, corner(spec), 0.4)
     with pytest.raises(ShapeError, match="digit"):
         generate(replace(view, contact=view.contact[:-1]), spec, GenerateParams())
+
+
+def test_another_word_for_the_surface_is_not_taken_for_the_usual_one():
+    spec = sensor("digit")
+    mask = corner(spec)
+    with pytest.raises(AssertionError, match="hold"):
+        generate(view_of(spec, mask, 0.3 * mask), spec, GenerateParams(surface="hold"))
