@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt
-# PyPI's torch for Linux brings 2.5 GB of CUDA; the one offered here brings none, and runs on the processor as well.
+# PyPI's torch for Linux brings 2.5 GB of CUDA to download; the one offered here brings none, and runs on the processor as well.
 TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
 READY := $(VENV)/.ready
 SAMPLE := sample_data/recordings/first_touch.h5
@@ -29,9 +29,9 @@ $(READY): pyproject.toml constraints.txt scripts/system-packages.sh
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "Python 3.11 or newer is needed (3.11 to 3.13 are tried); give it with 'make PYTHON=/path/to/python3.11'" >&2; exit 1; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	@echo "installing Python packages into $(VENV) (1 GB to download, 4 GB on disk, once)"
+	@echo "installing Python packages into $(VENV) (1.2 GB to download, 3.9 GB on disk, once)"
 	@$(PIP) --retries 1 --no-deps --index-url $(TORCH_INDEX) torch 2>/dev/null || \
-		{ echo "no torch for the processor alone at $(TORCH_INDEX); taking the default one (on Linux 2.5 GB more)"; $(PIP) torch; }
+		{ echo "no torch for the processor alone at $(TORCH_INDEX); taking the default one (on Linux 2.5 GB more to download)"; $(PIP) torch; }
 	@$(PIP) -e '.[dev]'
 	@$(BIN)/tactoscope prepare
 	@touch $@

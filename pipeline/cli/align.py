@@ -56,6 +56,8 @@ def refine_alignment(
         raise FileProblem("this alignment exists already and is kept; choose another --out", out)
     if not 0.0 <= hold_out < 1.0:
         raise SettingProblem(f"--hold-out is a share of the frames, at least 0 and below 1, got {hold_out:g}")
+    if not tolerance > 0:
+        raise SettingProblem(f"--tolerance must be above 0, got {tolerance:g}")
     ready_for(out)
     translation = open_translation(request)
     try:

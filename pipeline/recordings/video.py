@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from pathlib import Path
 from typing import Any
@@ -53,6 +54,7 @@ class _Video:
     """A decoder that goes on from where it is when the next frame is asked for, and seeks otherwise."""
 
     def __init__(self, path: Path) -> None:
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # quiet: what is wrong is said by our own sentence
         import cv2
 
         if not is_text(str(path)):

@@ -352,6 +352,12 @@ def a_name_too_long(here):
 
 
 @trigger
+def a_recording_that_is_a_pipe(here):
+    os.mkfifo(here / "pipe.h5")
+    return translated(here / "pipe.h5")
+
+
+@trigger
 def a_recording_without_end(here):
     return translated(Path("/dev/zero"), out=here / "out")
 
@@ -386,6 +392,20 @@ def a_picture_that_is_a_folder(here):
     (here / "touch" / "touch.png").unlink()
     (here / "touch" / "touch.png").mkdir()
     return words
+
+
+@trigger
+def a_picture_that_is_a_pipe(here):
+    words = touched(here)
+    (here / "touch" / "touch.png").unlink()
+    os.mkfifo(here / "touch" / "touch.png")
+    return words
+
+
+@trigger
+def a_video_that_is_text(here):
+    (here / "touch.mp4").write_text("not a video")
+    return translated(here / "touch.mp4")
 
 
 @trigger
@@ -477,6 +497,18 @@ def an_alignment_that_is_no_text(here):
 
 
 @trigger
+def a_description_without_three(here):
+    (here / "mine.toml").write_text('extends = "gelslim"\nwithout = 3\n')
+    return asked_of(here, here / "mine.toml")
+
+
+@trigger
+def a_description_nested_beyond_reason(here):
+    (here / "mine.toml").write_text("a = " + "[" * 20_000 + "]" * 20_000)
+    return asked_of(here, here / "mine.toml")
+
+
+@trigger
 def a_description_that_extends_itself(here):
     (here / "mine.toml").write_text(f'extends = "{here / "mine.toml"}"\n')
     return asked_of(here, here / "mine.toml")
@@ -495,6 +527,12 @@ def a_description_that_is_a_folder(here):
 
 
 @trigger
+def a_description_that_is_a_pipe(here):
+    os.mkfifo(here / "mine.toml")
+    return asked_of(here, here / "mine.toml")
+
+
+@trigger
 def a_description_that_is_empty(here):
     (here / "mine.toml").touch()
     return asked_of(here, here / "mine.toml")
@@ -503,6 +541,11 @@ def a_description_that_is_empty(here):
 @trigger
 def a_camera_of_one_row(here):
     return described(here, *number_of("rows", 1))
+
+
+@trigger
+def a_camera_that_sees_a_needle(here):
+    return described(here, *number_of("fx", 1e9))
 
 
 @trigger
@@ -556,6 +599,11 @@ def depths_of_words(here):
 @trigger
 def depths_of_nothing(here):
     return depths(here, depth_mm=np.zeros((0, 140, 175), np.float32))
+
+
+@trigger
+def depths_that_are_complex(here):
+    return depths(here, depth_mm=np.full((3, 140, 175), 80 + 1j))
 
 
 @trigger
