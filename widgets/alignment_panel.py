@@ -1,4 +1,4 @@
-"""The alignment bench: six numbers to drag, gauges that answer, bars that say which axis matters, and refining."""
+"""The Alignment dock: six numbers to drag, gauges that answer, bars that say which axis matters, and refining."""
 
 from __future__ import annotations
 

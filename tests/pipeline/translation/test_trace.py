@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -81,3 +83,15 @@ def test_the_sentence_reads_from_source_to_target(results):
     assert sentence(forward(results, 1, 2)).startswith(
         "(2, 1) → 0.500 mm → (0.00, -0.98, 19.50) mm → target (2, 1), 0.500 mm in"
     )
+
+
+@pytest.mark.parametrize(
+    ("x_px", "y_px", "out_px"), [(2, -6, 6), (2, 9, 6), (-4, 1, 4), (8, 1, 4), (-4, -6, 6), (8, 9, 6)]
+)
+def test_a_point_outside_of_the_picture_says_by_how_much_of_whichever_side(results, x_px, y_px, out_px):
+    cloud = results["adapt"].output
+    points = cloud.points_mm.copy()
+    points[0] = ((x_px - CAMERA.cx_px) * 2.0, (y_px - CAMERA.cy_px) * 2.0, 20.0)
+    results["adapt"] = result("adapt", replace(cloud, points_mm=points))
+    last = forward(results, *divmod(int(cloud.source_index[0]), CAMERA.cols))[-1]
+    assert last.text == f"outside the target image by {out_px} px"

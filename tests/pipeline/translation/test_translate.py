@@ -1,0 +1,37 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.sensors.spec import sensor
+from pipeline.translation.translate import own_shift_mm
+from pipeline.values.frames import TactileFrame
+
+BUBBLE = sensor("soft_bubble")
+
+
+def still(reference, camera=BUBBLE.camera):
+    return TactileFrame(sensor="soft_bubble", image=reference, reference=reference, camera=camera)
+
+
+@pytest.mark.parametrize("shift_mm", [1.5, -2.25])
+def test_another_units_camera_is_told_by_the_middle_of_its_untouched_membrane(shift_mm):
+    """Only the middle fifth counts: the rim is where units differ in shape, and where readings are lost."""
+    reference = (BUBBLE.rest_depth_mm - shift_mm).astype(np.float32)
+    rows, cols = reference.shape
+    middle = np.zeros(reference.shape, bool)
+    middle[rows * 2 // 5 : rows * 3 // 5 + 1, cols * 2 // 5 : cols * 3 // 5 + 1] = True
+    reference[~middle] = np.nan
+    assert own_shift_mm(still(reference), BUBBLE) == pytest.approx(shift_mm, abs=1e-4)
+    assert own_shift_mm(still(np.where(middle, reference, 3.0).astype(np.float32)), BUBBLE) == pytest.approx(
+        shift_mm, abs=1e-4
+    )
+
+
+def test_where_nothing_tells_there_is_no_shift():
+    reference = BUBBLE.rest_depth_mm.astype(np.float32)
+    assert own_shift_mm(still(np.full_like(reference, np.nan)), BUBBLE) == 0.0
+    assert own_shift_mm(still(reference, camera=None), BUBBLE) == 0.0
+    assert own_shift_mm(replace(still(reference), reference=None), BUBBLE) == 0.0
