@@ -134,7 +134,7 @@ def dome(
     """An inflated membrane over an elliptic rim, its apex farthest from the camera.
 
     h = rim + height (1 - (x/a)^2 - (y/b)^2) solves T lap h = -p exactly on the ellipse, so it is the rest shape of a
-    pre-stretched membrane under pressure (methods 1.4); outside the rim it is level.
+    pre-stretched membrane under pressure; outside the rim it is level.
     """
     nx, ny = (2 * int(np.ceil(a / step_mm)) + 1 for a in (half_width_mm, half_height_mm))
     x = (np.arange(nx) - nx // 2) * step_mm

@@ -24,7 +24,7 @@ class Symmetry:
     axis: Doubles | None = None  # (3,) unit: any turn about it is a symmetry too; None = there is none
 
     def group(self, step: float = 0.01) -> Doubles:
-        """All rotations (m, 3, 3), the identity first, for the MSSD of the BOP challenge (methods 5.4).
+        """All rotations (m, 3, 3), the identity first, for the MSSD of the BOP challenge (Hodan et al. 2020).
 
         Between neighbouring turns about the axis no point of the object moves more than `step` of its diameter.
         Raises SettingProblem when the step is not positive.

@@ -1,8 +1,9 @@
 """The bubble in contact: an inflated, pre-stretched membrane under an object, with sealed air behind it.
 
 The membrane's height w over the rim obeys -T lap w = p - lambda with w <= g (the object), lambda >= 0 and
-lambda (g - w) = 0 (methods 1.4). Heights are solved as the deviation from the rest dome, which solves the equation
-at rest exactly. The air follows Boyle: (p_atm + p) (V_dead + V(w)) stays what it was untouched.
+lambda (g - w) = 0, the obstacle problem (Kinderlehrer and Stampacchia 1980). Heights are solved as the deviation from
+the rest dome, which solves the equation at rest exactly. The air follows Boyle: (p_atm + p) (V_dead + V(w)) stays what
+it was untouched.
 """
 
 from __future__ import annotations

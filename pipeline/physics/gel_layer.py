@@ -1,6 +1,6 @@
 """The elastic answer of a gel pad: displacement of its surface under a pressure, as an FFT convolution.
 
-A layer bonded to a rigid back answers a pressure of wavenumber q with (Johnson, Contact Mechanics; methods 1.3)
+A layer bonded to a rigid back answers a pressure of wavenumber q with (K. L. Johnson, Contact Mechanics, 1985)
 
     U(q) = 2 / (E* q) K(q t) P(q),   K(x) = ((3-4v) sinh 2x - 2x) / ((3-4v) cosh 2x + 2x^2 + 5 - 12v + 8v^2)
 

@@ -1,4 +1,4 @@
-"""Multigrid for -lap v = load, v <= room, v = 0 at the rim (methods 1.4).
+"""Multigrid for -lap v = load, v <= room, v = 0 at the rim.
 
 Truncated cycles find where the object holds the membrane: the finest level is smoothed against the object, the coarser
 ones correct only what is free (after Graeser and Kornhuber, 2009). Once the held nodes stay the same, the rest is a

@@ -66,7 +66,7 @@ def observability(
 
     `n_eff` is how many of the points are independent (`effective_count`; None = all), `bias_mm` what all of them may
     be off by together: calibration, compliance, the mesh. Rotations are scaled by the points' rms distance from the
-    centroid, so that all six directions are in mm (methods 5.3).
+    centroid, so that all six directions are in mm.
     """
     arms = points_mm - about_mm
     radius_mm = max(float(np.sqrt((arms**2).sum(axis=1).mean())), 1e-6)

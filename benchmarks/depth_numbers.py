@@ -1,0 +1,163 @@
+"""What is each number of the depth stage worth? Its errors with that number a third smaller and half as large again.
+
+    python benchmarks/depth_numbers.py [PART OF A NAME]
+
+Training objects are pressed on a simulated bubble (seen by a time-of-flight and a stereo camera) and on gels (a DIGIT,
+the dotless GelSlim, a GelSight Mini), every other one on a unit that differs from its description. An error is the
+geometric mean of 1 - IoU of the contact and of the mean absolute depth in it and beside it, over all presses; it is
+told relative to that of the numbers as they are. The peer of a number is the better of its two neighbours: what stands
+in the code is right where no neighbour is clearly better, and does not matter where both come out alike.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from pipeline.base.arrays import freeze
+from pipeline.evaluation.metrics import iou, mean_abs_mm
+from pipeline.geometry import rigid
+from pipeline.physics import optics
+from pipeline.racing.races import Answer, Bar, Timing, row
+from pipeline.racing.report import show
+from pipeline.sensors.spec import sensor
+from pipeline.simulation import poses, shapes
+from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
+from pipeline.simulation.press import press
+from pipeline.simulation.variation import varied
+from pipeline.stages.depth import bubble_reading, gel_depth, gel_light, membrane_load
+from pipeline.stages.depth.stage import DepthParams, depth
+from pipeline.values.frames import TactileFrame
+
+NEEDS = "five minutes"
+_BAR = Bar(closer=0.97)  # a neighbour that is better by no more than the choice of presses makes
+_FACTORS = (2 / 3, 1.5)
+_PARAMS = DepthParams()
+_GEL_DEPTHS_MM = (0.2, 0.5)
+_LEFT_OUT = {  # what is no choice: names, sizes of loops, and what only guards a division
+    bubble_reading: {"_MOST_PIXELS", "_USUAL_CURVATURE_PER_MM"},
+    membrane_load: {"_ITERATIONS", "_SPREADS", "_FREED", "_FEWEST_BLOCKS"},
+    gel_light: {"_STEP"},
+    gel_depth: {"_SATURATED_GREY"},
+}  # fmt: skip
+
+
+def numbers(module):
+    """The module's own numbers, and a reach's."""
+    left_out = _LEFT_OUT[module]
+    for name, value in vars(module).items():
+        if name.startswith("_") and name.isupper() and name not in left_out:
+            if isinstance(value, (int, float, np.floating)) and not isinstance(value, bool):
+                yield name, value
+            elif isinstance(value, gel_depth._Reach):
+                yield f"{name}.margin_mm", value.margin_mm
+
+
+def neighbour(name, value, factor):
+    """The number beside `value`: whole ones stay whole, a median's width odd."""
+    if not isinstance(value, int):
+        return type(value)(value * factor)
+    step = 2 if name == "_SPECKLE_PX" else 1
+    moved = round((value * factor - value) / step) * step
+    return value + (moved or math.copysign(step, factor - 1)).__int__()
+
+
+class Changed:
+    """A module with one number changed, for as long as the block lasts."""
+
+    def __init__(self, module, name, value):
+        self.module, (self.name, _, self.field), self.value = module, name.partition("."), value
+
+    def __enter__(self):
+        self.before = getattr(self.module, self.name)
+        changed = replace(self.before, **{self.field: self.value}) if self.field else self.value
+        setattr(self.module, self.name, changed)
+        membrane_load._lines.memo.clear()
+
+    def __exit__(self, *_):
+        setattr(self.module, self.name, self.before)
+        membrane_load._lines.memo.clear()
+
+
+def bubbles():
+    """(frame, sensor, truth) of a bubble, far out and less far."""
+    for index, name in enumerate(shapes.names("training")):
+        told = sensor(("soft_bubble", "soft_bubble_stereo")[index % 2])
+        pose = np.array(told.alignment_from_sensor)
+        pose[2, 3] += BUBBLE_DEEPER_MM * (index // 2 % 2)
+        felt_by = replace(told, alignment_from_sensor=freeze(pose))
+        thing = shapes.shape(name).mesh
+        felt = press(thing, poses.paper_grid(thing, n=12, seed=index)[3], felt_by, seed=index)
+        yield frame_of(told, felt.image, told.rest_depth_mm.astype(np.float32)), told, felt.truth
+
+
+def gels():
+    """(frame, sensor, truth) of gels, pressed lightly and firmly."""
+    for index, name in enumerate(shapes.names("training")[1::2]):
+        told = sensor(("digit", "gelslim_dotless", "digit", "gelsight_mini")[index % 4])
+        unit = varied(told, index) if index % 2 else told
+        thing = shapes.shape(name).mesh
+        for depth_mm in _GEL_DEPTHS_MM:
+            pose = rigid.rotation((0.0, 0.0, 0.3 * index))
+            pose[2, 3] = -depth_mm - rigid.apply(pose, thing.vertices_mm)[:, 2].min()
+            felt = press(thing, pose, unit, seed=index)
+            if felt.converged and felt.truth.contact.any():
+                yield frame_of(told, felt.image, optics.untouched(unit)), told, felt.truth
+
+
+def frame_of(told, image, reference):
+    return TactileFrame(sensor=told.name, image=image, reference=reference)
+
+
+def errors(presses):
+    """Of every press: the logarithms of (1 - IoU, mm in the contact, mm beside it)."""
+    found = []
+    for frame, told, truth in presses:
+        answer = depth(frame, told, None, _PARAMS)
+        moved, true = answer.indentation_mm, truth.indentation_mm
+        parts = (1 - iou(answer.contact, truth.contact), mean_abs_mm(moved, true, truth.contact),
+                 mean_abs_mm(moved, true, ~truth.contact))  # fmt: skip
+        found.append(np.log(np.maximum(parts, 1e-4)))
+    return np.array(found)
+
+
+def answer(part: str = "") -> Answer:
+    rows, notes = [], []
+    for presses, modules in (
+        (list(bubbles()), (membrane_load, bubble_reading)),
+        (list(gels()), (gel_depth, gel_light)),
+    ):
+        usual = errors(presses)
+        parts = ", ".join(f"{e:.3f}" for e in np.exp(usual.mean(axis=0)))
+        notes.append(
+            f"{len(presses)} presses on a {presses[0][1].kind}: 1 - IoU, mm in the contact, mm beside: {parts}"
+        )
+        for module in modules:
+            for name, value in numbers(module):
+                title = f"{module.__name__.rpartition('.')[2]}.{name} = {value:g}"
+                if part in title:
+                    rows.append(_judged(title, module, name, value, presses, usual))
+    return Answer(title="Numbers of the depth stage beside their neighbours", unit="relative", rows=tuple(rows),
+                  notes=tuple(notes))  # fmt: skip
+
+
+def _judged(title, module, name, value, presses, usual):
+    relative = {}
+    for factor in _FACTORS:
+        beside = neighbour(name, value, factor)
+        with Changed(module, name, beside):
+            relative[beside] = float(np.exp((errors(presses) - usual).mean()))
+    told = ", ".join(f"{beside:.3g}: {ratio:.3f}" for beside, ratio in relative.items())
+    best = min(relative, key=relative.__getitem__)
+    untimed = Timing(median_ms=math.nan, p95_ms=math.nan)
+    return row(title, peer=told, ours=untimed, ours_error=1.0, peer_error=relative[best], unit="relative", bar=_BAR)
+
+
+if __name__ == "__main__":
+    show(answer(*sys.argv[1:2]))
