@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from app.frame.instrument import Instrument
     from app.frame.window import Window
     from app.session.state import Session
+    from pipeline.translation.catalogue import Catalogue
 
 SAMPLE = Path(__file__).resolve().parents[1] / "sample_data" / "recordings" / "first_touch.h5"
 SAMPLE_TOUCH = 3  # the first frame of the sample that its gel feels
@@ -79,21 +80,26 @@ def make_application() -> QApplication:
     return application
 
 
-def show_window(session: Session, *, with_scene: bool = True) -> Instrument:
-    """A window on `session`, on screen before the recording is read and before OpenGL is loaded."""
+def show_window(session: Session, *, with_scene: bool = True, catalogue: Catalogue | None = None) -> Instrument:
+    """A window on `session`, on screen before the recording is read and before OpenGL is loaded.
+
+    `catalogue` None is what this program knows of slots, methods and routes.
+    """
     from PyQt6.QtCore import QTimer
     from PyQt6.QtWidgets import QApplication
 
     from app.frame.connections import connect
     from app.frame.instrument import Instrument
     from app.frame.window import Window
-    from pipeline.translation.routes import STAGES
+    from pipeline.translation.catalogue import BUILT_IN
     from widgets.colours import light_palette
 
     QApplication.setStyle("Fusion")
     QApplication.setPalette(light_palette())
-    window = Window([("source", "Source"), *((stage.name, stage.title) for stage in STAGES)])
-    instrument = Instrument(window)
+    catalogue = catalogue or BUILT_IN
+    scrubbed = frozenset(slot.name for slot in catalogue.slots if slot.scrubs)
+    window = Window([("source", "Source"), *((slot.name, slot.title) for slot in catalogue.slots)], scrubbed)
+    instrument = Instrument(window, catalogue)
     connect(instrument)
     instrument.relay.catch_uncaught()
     window.show()

@@ -62,13 +62,13 @@ prepare()
 CHAIN = """
 import json, sys, time
 from pathlib import Path
-from pipeline.translation import routes
-from pipeline.translation.translate import Request, new_graph, open_translation
+from pipeline.translation.catalogue import default_params
+from pipeline.translation.translate import Request, open_translation
 frame, ways = json.loads(sys.argv[1])
 for source, target in ways:
     sample = Path("sample_data/recordings/first_touch.h5")
     opened = open_translation(Request(recording=sample, source=source, target=target))
-    results = new_graph().evaluate(opened.stages, opened.inputs(frame), routes.default_params())
+    results = opened.graph().evaluate(opened.slots, opened.inputs(frame), default_params(opened.methods))
     assert {result.state for result in results.values()} == {"computed"}, "the touch was skipped"
 """
 WINDOW = """

@@ -18,22 +18,24 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from pipeline.engine.graph import Graph
 from pipeline.racing.races import Answer, Bar, race, row, timing
 from pipeline.racing.report import show
-from pipeline.translation import routes
-from pipeline.translation.translate import Request, new_graph, open_translation
+from pipeline.translation.catalogue import BUILT_IN, default_params
+from pipeline.translation.translate import Request, open_translation
 
 _SAMPLE = Path(__file__).resolve().parents[1] / "sample_data" / "recordings" / "first_touch.h5"
 _PEER = "all stages of a touched frame"
-_PARAMS = routes.default_params()
-_STAGES = routes.route("t2d2")
+_METHODS = BUILT_IN.methods("t2d2")
+_PARAMS = default_params(_METHODS)
+_STAGES = tuple(method.slot for method in _METHODS)
 _RUNS = 41
 
 
 def answer(path: Path = _SAMPLE, target: str = "soft_bubble") -> Answer:
     translation = open_translation(Request(recording=path, target=target))
     touched, untouched = first_frames(translation)
-    graph, fresh = new_graph(), new_graph()
+    graph, fresh = Graph(_METHODS), Graph(_METHODS)
     seen, still = graph.evaluate(_STAGES, touched, _PARAMS), graph.evaluate(_STAGES, untouched, _PARAMS)
     again, new = copies(touched, vary=False), copies(untouched, vary=True)
 
@@ -49,7 +51,7 @@ def answer(path: Path = _SAMPLE, target: str = "soft_bubble") -> Answer:
     }  # fmt: skip
     errors = {name: differing(run(), wanted) for name, (run, wanted, _) in raced.items()}
     times = race({name: run for name, (run, _, _) in raced.items()}, runs=_RUNS)
-    peer = race({_PEER: lambda: new_graph().evaluate(_STAGES, touched, _PARAMS)}, runs=7)[_PEER]
+    peer = race({_PEER: lambda: Graph(_METHODS).evaluate(_STAGES, touched, _PARAMS)}, runs=7)[_PEER]
     rows = [
         row(name, peer=_PEER, ours=times[name], peer_timing=peer, ours_error=errors[name], unit="stages", bar=bar)
         for name, (_, _, bar) in raced.items()
@@ -63,7 +65,7 @@ def answer(path: Path = _SAMPLE, target: str = "soft_bubble") -> Answer:
 
 def first_frames(translation):
     """Inputs of the first frame that touches and of the first that does not."""
-    graph, found = new_graph(), {}
+    graph, found = Graph(_METHODS), {}
     for index in range(translation.n_frames):
         inputs = translation.inputs(index)
         contact = graph.evaluate(["depth"], inputs, _PARAMS)["depth"].output.contact.any()

@@ -16,8 +16,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from pipeline.racing.data import recorded_data
 from pipeline.racing.races import Answer, Bar, row, timing
 from pipeline.racing.report import show
-from pipeline.translation import routes
-from pipeline.translation.translate import Request, new_graph, open_translation
+from pipeline.translation.catalogue import default_params
+from pipeline.translation.translate import Request, open_translation
 
 NEEDS = "recorded data"
 DISTANCES_MM = (0.5, 1.0, 1.25, 2.0, 3.0)
@@ -26,7 +26,7 @@ DISTANCES_MM = (0.5, 1.0, 1.25, 2.0, 3.0)
 def answer(data: str = "") -> Answer:
     folder = recorded_data(data) / "digit_balls"
     translation = open_translation(Request(recording=folder, source="digit", target="gelslim"))
-    graph, params = new_graph(), routes.default_params()
+    graph, params = translation.graph(), default_params(translation.methods)
     largest, taken, n_touched = [], [], 0
     for index in range(translation.n_frames):
         result = graph.evaluate(["depth"], translation.inputs(index), params)["depth"]

@@ -19,8 +19,8 @@ from pipeline.evaluation.symmetric import mssd_mm
 from pipeline.racing.races import Answer, Bar, Point, Timing, race, row
 from pipeline.racing.report import show
 from pipeline.stages.pose.stage import PoseParams, pose, pose_from
-from pipeline.translation.translate import Request, new_graph, open_translation
-from pipeline.values.results import ObjectPose, Touch
+from pipeline.translation.translate import Request, open_translation
+from pipeline.values.results import DepthMap, ObjectPose
 
 ROOT = Path(__file__).resolve().parents[1]
 _FRAMES = tuple(range(4, 13))
@@ -28,13 +28,13 @@ _SEARCHED, _FOLLOWED = "searched anew", "followed"
 _MOST_MM = 0.5  # MSSD, of an object 24 mm long
 
 
-def touches() -> tuple[object, list[tuple[Touch, np.ndarray]]]:
+def touches() -> tuple[object, list[tuple[DepthMap, np.ndarray]]]:
     """(the object's mesh, generated touches with their true sensor_from_object)."""
     recording = ROOT / "sample_data/recordings/first_touch.h5"
     opened = open_translation(Request(recording=recording, source="digit", target="gelslim"))
-    graph, found = new_graph(), []
+    graph, found = opened.graph(), []
     for index in _FRAMES:
-        touch = graph.evaluate(["generate"], opened.inputs(index), {})["generate"].output
+        touch = graph.evaluate(["felt"], opened.inputs(index), {})["felt"].output
         _, truth = opened.truth_of_target(index)
         found.append((touch, truth.sensor_from_object))
     return opened.mesh, found

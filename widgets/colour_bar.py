@@ -6,7 +6,7 @@ from PyQt6.QtCore import QRectF, QSize, Qt
 from PyQt6.QtGui import QImage, QPainter, QPaintEvent
 from PyQt6.QtWidgets import QSizePolicy, QWidget
 
-from widgets.colours import ColourScale, table
+from pipeline.pictures.colours import ColourScale, table
 
 _STRIP_PX = 8
 

@@ -1,32 +1,15 @@
-"""Every colour of the window, so that a quantity looks the same in pictures, in 3D and in colour bars.
-
-Depth is viridis, signed differences are a diverging map with a neutral middle, categories are Okabe-Ito. No rainbow.
-"""
+"""Colours of the window itself; those of quantities are `pipeline.pictures.colours`."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any, Literal, cast
-
-import numpy as np
-import pyqtgraph as pg
-from numpy.typing import NDArray
 from PyQt6.QtGui import QColor, QPalette
 
-from pipeline.base.arrays import Floats, Image, freeze
+from pipeline.pictures.colours import Rgb
 
-MapName = Literal["viridis", "CET-D1", "CET-L1"]
-Rgb = tuple[int, int, int]
-
-NO_VALUE: Rgb = (224, 226, 230)  # NaN: a grey that no map contains
 CONTACT: Rgb = (230, 85, 13)  # outline of the contact mask
 FELT: Rgb = (255, 255, 255)  # outline of what the target really felt, dark on both sides: seen on every colour
 FELT_CASING: Rgb = (20, 24, 30)
 TRACE: Rgb = (230, 0, 115)  # crosshair of the traced pixel
-SCENE: Rgb = (213, 94, 0)  # registered points, Okabe-Ito vermilion
-OBJECT: Rgb = (86, 140, 190)
-MEMBRANE: Rgb = (150, 160, 175)
 BACKDROP: Rgb = (250, 250, 252)
 GAUGE: Rgb = (86, 140, 190)  # a figure of the score
 GAUGE_ROOM: Rgb = (226, 229, 234)
@@ -46,38 +29,6 @@ STATES: dict[str, Rgb] = {
     "stale": (150, 110, 30),
     "waiting": (140, 145, 150),
 }
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ColourScale:
-    """Which values become which colours; the limits are absolute, never those of the picture at hand."""
-
-    map: MapName
-    low: float
-    high: float
-    unit: str
-    quantity: str  # what is shown and its sign, such as "indentation, + toward camera"
-
-
-@lru_cache(maxsize=8)
-def table(name: MapName) -> Image:
-    """The 256 colours (256, 3) uint8 of a map, from low to high."""
-    colours: Any = cast("pg.ColorMap", pg.colormap.get(name)).getLookupTable(nPts=256)
-    return freeze(np.ascontiguousarray(colours[:, :3], dtype=np.uint8))
-
-
-def coloured(values: Floats, scale: ColourScale) -> Image:
-    """Colours (..., 3) uint8 of values (...); NaN becomes `NO_VALUE`, what is beyond a limit takes its colour."""
-    known = np.isfinite(values)
-    share = (np.where(known, values, scale.low) - scale.low) * (255.0 / (scale.high - scale.low))
-    out = table(scale.map)[np.clip(share, 0.0, 255.0).astype(np.uint8)]
-    out[~known] = NO_VALUE
-    return freeze(out)
-
-
-def uniform(colour: Rgb, count: int) -> NDArray[np.uint8]:
-    """The same colour for `count` points, (count, 3)."""
-    return freeze(np.broadcast_to(np.array(colour, dtype=np.uint8), (count, 3)).copy())
 
 
 def qcolor(colour: Rgb, alpha: int = 255) -> QColor:

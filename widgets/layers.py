@@ -1,40 +1,15 @@
-"""What 3D views show, as plain values, and what the window asks of whatever shows them."""
+"""What the window asks of whatever shows layers in 3D."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QLabel, QWidget
 
-from pipeline.base.arrays import Doubles, Floats, Indices
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Layer:
-    """Points or a surface in one sub-view; everything that costs time was done where it was made."""
-
-    name: str  # unique in its sub-view: the same name is updated in place
-    points_mm: Floats  # (n, 3)
-    rgb: NDArray[np.uint8]  # (n, 3)
-    triangles: Indices | None = None  # (m, 3); None = a point cloud
-    normals: Floats | None = None  # (n, 3) for smooth shading
-    opacity: float = 1.0
-    point_px: float = 3.0
-    placed: Doubles | None = None  # (4, 4) view_from_layer, moved without touching the points
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sight:
-    """Where a sub-view looks from: `centre` with a sphere of `radius_mm` around it fills the view."""
-
-    centre_mm: tuple[float, float, float]
-    radius_mm: float
-    frame: str  # views of the same frame may share a camera
+from pipeline.base.arrays import Doubles
+from pipeline.pictures.layers import Layer, Sight
 
 
 class Scene(Protocol):

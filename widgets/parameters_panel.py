@@ -1,4 +1,4 @@
-"""Labelled controls for the parameters of every stage, derived from the parameter types themselves."""
+"""Labelled controls for the parameters of every method, derived from the parameter types themselves."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class _Control:
 
 
 class ParametersPanel(QScrollArea):
-    """One group per stage; `params_edited(stage, params)` carries the whole new parameter value."""
+    """One group per method; `params_edited(key, params)` carries the whole new parameter value."""
 
     params_edited = pyqtSignal(str, object)
 
@@ -59,51 +59,51 @@ class ParametersPanel(QScrollArea):
         self._controls: dict[str, dict[str, _Control]] = {}
         self._groups: dict[str, QWidget] = {}
 
-    def add_stage(self, stage: str, title: str, params: object) -> None:
-        """Add the controls of a stage; nothing is shown for one without parameters."""
-        self._params[stage] = params
-        group, form = self._group(stage, title)
-        self._controls[stage] = {}
+    def add_group(self, key: str, title: str, params: object) -> None:
+        """Add the controls of a method; nothing is shown for one without parameters."""
+        self._params[key] = params
+        group, form = self._group(key, title)
+        self._controls[key] = {}
         for name, (value, told) in settings(params).items():
-            control = self._control(stage, name, value, told)
-            self._controls[stage][name] = control
+            control = self._control(key, name, value, told)
+            self._controls[key][name] = control
             label = QLabel(f"{told.label}, {told.unit}" if told.unit and told.unit not in told.label else told.label)
             label.setWordWrap(True)
-            tip = f"{told.help or told.label} ({stage}.{name})"
+            tip = f"{told.help or told.label} ({key.partition('/')[0]}.{name})"  # as the command line calls it
             label.setToolTip(tip)
             control.widget.setToolTip(tip)
             control.widget.setAccessibleName(told.label)
-            control.widget.setObjectName(f"{stage}.{name}")
+            control.widget.setObjectName(f"{key}.{name}")
             form.addRow(label, control.widget)
-        group.setVisible(bool(self._controls[stage]))
-        self._groups[stage] = group
+        group.setVisible(bool(self._controls[key]))
+        self._groups[key] = group
         self._layout.insertWidget(self._layout.count() - 1, group)
 
-    def show_params(self, stage: str, params: object) -> None:
+    def show_params(self, key: str, params: object) -> None:
         """Show these values without saying so to anybody."""
-        if stage not in self._controls or params == self._params.get(stage):
+        if key not in self._controls or params == self._params.get(key):
             return
-        self._params[stage] = params
+        self._params[key] = params
         for name, (value, _) in settings(params).items():
-            self._controls[stage][name].show(value)
+            self._controls[key][name].show(value)
 
-    def show_stages(self, stages: tuple[str, ...]) -> None:
-        """Show the groups of these stages only: those of the chosen route."""
-        for name, group in self._groups.items():
-            group.setVisible(name in stages and bool(self._controls[name]))
+    def show_groups(self, keys: tuple[str, ...]) -> None:
+        """Show the groups of these methods only: those that fill the slots of the route."""
+        for key, group in self._groups.items():
+            group.setVisible(key in keys and bool(self._controls[key]))
 
-    def reset(self, stage: str) -> None:
-        """Put a stage back to its defaults."""
-        params = type(self._params[stage])()
-        if params != self._params[stage]:
-            self.show_params(stage, params)
-            self.params_edited.emit(stage, params)
+    def reset(self, key: str) -> None:
+        """Put a method back to its defaults."""
+        params = type(self._params[key])()
+        if params != self._params[key]:
+            self.show_params(key, params)
+            self.params_edited.emit(key, params)
 
     def values(self) -> Mapping[str, object]:
         """Stage -> parameters as shown."""
         return dict(self._params)
 
-    def _group(self, stage: str, title: str) -> tuple[QWidget, QFormLayout]:
+    def _group(self, key: str, title: str) -> tuple[QWidget, QFormLayout]:
         group = QWidget()
         outer = QVBoxLayout(group)
         outer.setContentsMargins(0, 2, 0, 6)
@@ -117,9 +117,9 @@ class ParametersPanel(QScrollArea):
         button.setIcon(drawn("reset"))
         button.setAutoRaise(True)
         button.setToolTip(f"Reset {title.lower()} to its defaults")
-        button.setAccessibleName(f"reset {stage}")
-        button.setObjectName(f"reset_{stage}")
-        button.clicked.connect(lambda: self.reset(stage))
+        button.setAccessibleName(f"reset {key}")
+        button.setObjectName(f"reset_{key}")
+        button.clicked.connect(lambda: self.reset(key))
         head.addWidget(name, 1)
         head.addWidget(button)
         outer.addLayout(head)
@@ -131,15 +131,15 @@ class ParametersPanel(QScrollArea):
         outer.addLayout(form)
         return group, form
 
-    def _edited(self, stage: str, name: str, value: Value) -> None:
-        params = changed(self._params[stage], name, value)
-        if params != self._params[stage]:
-            self._params[stage] = params
-            self.params_edited.emit(stage, params)
+    def _edited(self, key: str, name: str, value: Value) -> None:
+        params = changed(self._params[key], name, value)
+        if params != self._params[key]:
+            self._params[key] = params
+            self.params_edited.emit(key, params)
 
-    def _control(self, stage: str, name: str, value: Value, told: Setting) -> _Control:
+    def _control(self, key: str, name: str, value: Value, told: Setting) -> _Control:
         def edited(new: Value) -> None:
-            self._edited(stage, name, new)
+            self._edited(key, name, new)
 
         if isinstance(value, bool):
             return _switch(value, edited)

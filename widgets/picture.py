@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,44 +11,12 @@ from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QFont
 from PyQt6.QtWidgets import QLabel, QSizePolicy, QVBoxLayout, QWidget
 
-from pipeline.base.arrays import Floats, Image
+from pipeline.base.arrays import Floats
+from pipeline.pictures.picture import Picture
 from widgets.colour_bar import ColourBar
-from widgets.colours import BACKDROP, CONTACT, FELT, FELT_CASING, TRACE, ColourScale, qcolor
+from widgets.colours import BACKDROP, CONTACT, FELT, FELT_CASING, TRACE, qcolor
 
 _BAR_LENGTHS_MM = (50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.5, 0.2)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Picture:
-    """A finished picture: everything that costs time was done where it was made."""
-
-    pixels: Image  # (rows, cols, 3) uint8 as shown
-    frame_name: str  # whose coordinates `positions_mm` are in
-    values: Floats | None = None  # (rows, cols) what the probe reads; None = the colour itself
-    scale: ColourScale | None = None  # None = true colours
-    positions_mm: Floats | None = None  # (rows, cols, 3) of each pixel, NaN = none
-    outline_px: Floats | None = None  # (n, 2) x, y of the contact's border, NaN between pieces
-    felt_px: Floats | None = None  # (n, 2) border of another contact to compare with, as `outline_px`
-    pixel_mm: float = math.nan  # width of a pixel on the surface
-    caption: str = ""
-
-    def probe(self, row: int, col: int) -> str:
-        """What one pixel says: (x, y) in pixels, value with unit, position with frame; "" outside the picture."""
-        rows, cols = self.pixels.shape[:2]
-        if not (0 <= row < rows and 0 <= col < cols):
-            return ""
-        parts = [f"({col}, {row})"]
-        if self.values is None or self.scale is None:
-            parts.append("rgb {} {} {}".format(*(int(v) for v in self.pixels[row, col])))
-        else:
-            value = float(self.values[row, col])
-            quantity = self.scale.quantity.split(",")[0]
-            parts.append(f"{quantity} {value:.3f} {self.scale.unit}" if math.isfinite(value) else f"{quantity}: none")
-        if self.positions_mm is not None:
-            x, y, z = (float(v) for v in self.positions_mm[row, col])
-            if math.isfinite(x + y + z):
-                parts.append(f"x {x:.2f}, y {y:.2f}, z {z:.2f} mm in {self.frame_name}")
-        return " · ".join(parts)
 
 
 class PictureView(QWidget):

@@ -14,8 +14,9 @@ from vtkmodules.vtkInteractionStyle import vtkInteractorStyleTrackballCamera
 from vtkmodules.vtkRenderingUI import vtkGenericRenderWindowInteractor
 
 from pipeline.base.arrays import Doubles
+from pipeline.pictures.layers import Layer, Sight
 from widgets.colours import BACKDROP, qcolor
-from widgets.layers import EmptyScene, Layer, Scene, Sight
+from widgets.layers import EmptyScene, Scene
 from widgets.sub_views import SubViews
 
 _TOGETHER_MS = 30  # stages arrive one by one within a few milliseconds: one picture serves them all

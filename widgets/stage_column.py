@@ -1,12 +1,15 @@
-"""A stage's column: header with title, state and time, and its picture below."""
+"""A slot's column: header with title, method, state and time, and its picture below."""
 
 from __future__ import annotations
 
-from PyQt6.QtCore import Qt, pyqtSignal
-from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
+from collections.abc import Sequence
 
+from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtWidgets import QComboBox, QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
+
+from pipeline.pictures.picture import Picture
 from widgets.icons import state_pixmap
-from widgets.picture import Picture, PictureView
+from widgets.picture import PictureView
 
 
 class StageColumn(QFrame):
@@ -14,6 +17,7 @@ class StageColumn(QFrame):
 
     pixel_hovered = pyqtSignal(str, int, int)  # stage, row, col; -1, -1 = none
     pixel_clicked = pyqtSignal(str, int, int)
+    method_chosen = pyqtSignal(str, str)  # slot, method
 
     def __init__(self, name: str, title: str, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -42,7 +46,19 @@ class StageColumn(QFrame):
         layout = QVBoxLayout(self)
         layout.setContentsMargins(5, 4, 5, 3)
         layout.setSpacing(2)
-        layout.addWidget(self._title)
+        self._method = QComboBox()
+        self._method.setObjectName(f"method_{name}")
+        self._method.setAccessibleName(f"method of {title}")
+        self._method.setFont(small)
+        self._method.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        self._method.setMinimumContentsLength(7)
+        self._method.activated.connect(self._chosen)
+        self._method.hide()
+        heading = QHBoxLayout()
+        heading.setSpacing(4)
+        heading.addWidget(self._title, 1)
+        heading.addWidget(self._method)
+        layout.addLayout(heading)
         layout.addLayout(status)
         layout.addWidget(self.view, 1)
         self.setMinimumWidth(90)
@@ -51,6 +67,21 @@ class StageColumn(QFrame):
         self.view.pixel_hovered.connect(self._hovered)
         self.view.pixel_clicked.connect(self._clicked)
         self.show_state("waiting")
+
+    def offer_methods(self, methods: Sequence[tuple[str, str, str]]) -> None:
+        """(name, title, help) of the ways to fill this slot; nothing is offered where there is one only."""
+        self._method.clear()
+        for i, (name, title, tip) in enumerate(methods):
+            self._method.addItem(title, name)
+            self._method.setItemData(i, tip, Qt.ItemDataRole.ToolTipRole)
+        self._method.setVisible(len(methods) > 1)
+
+    def show_method(self, name: str) -> None:
+        """Which way the slot is filled; says nothing to anybody."""
+        index = self._method.findData(name)
+        with QSignalBlocker(self._method):
+            self._method.setCurrentIndex(index)
+        self._method.setToolTip(str(self._method.itemData(index, Qt.ItemDataRole.ToolTipRole) or ""))
 
     def show_state(self, state: str, ms: float | None = None, notes: tuple[str, ...] = ()) -> None:
         """Show where the stage stands; notes become the tool tip, and the reason over a skipped picture."""
@@ -75,6 +106,9 @@ class StageColumn(QFrame):
 
     def _clicked(self, row: int, col: int) -> None:
         self.pixel_clicked.emit(self.name, row, col)
+
+    def _chosen(self, index: int) -> None:
+        self.method_chosen.emit(self.name, self._method.itemData(index))
 
     def _message(self, state: str, notes: tuple[str, ...]) -> str:
         if state in ("stale", "running"):

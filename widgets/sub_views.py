@@ -20,8 +20,9 @@ from vtkmodules.vtkRenderingCore import (
 )
 
 from pipeline.base.arrays import Doubles, Image
-from widgets.colours import AXES, BACKDROP, TRACE, Rgb
-from widgets.layers import Layer, Sight
+from pipeline.pictures.colours import Rgb
+from pipeline.pictures.layers import Layer, Sight
+from widgets.colours import AXES, BACKDROP, TRACE
 
 
 class SubViews:

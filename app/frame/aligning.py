@@ -12,9 +12,9 @@ from app.frame.logs import log
 from app.session.offsets import Offsets
 from app.session.state import Session
 from app.work import judging
+from app.work.evaluator import Opened
 from app.work.judging import Judged, Previewed
 from app.work.refining import Refining
-from app.work.work import Opened
 from pipeline.alignment.nudge import AXES, Axis
 from pipeline.alignment.score import Score
 from pipeline.base.errors import SettingProblem, TouchError
@@ -102,8 +102,8 @@ class Aligning(QObject):
         instrument = self._instrument
         if not self._seen or instrument.window.timeline.playing or not instrument.idle:
             return
-        session, bench = instrument.session, instrument.bench
-        self._judging = instrument.ahead(lambda report: judging.judge(bench, session, report))
+        session, evaluator = instrument.session, instrument.evaluator
+        self._judging = instrument.ahead(lambda report: judging.judge(evaluator, session, report))
 
     def _begin(self) -> None:
         self._rest.stop()
@@ -124,8 +124,8 @@ class Aligning(QObject):
             self._axis = known if self._axis in ("", known) else "axes"
             self._offsets = self._offsets.moved(known, value)
             self._show_place()
-            session, bench = replace(instrument.session, offsets=self._offsets), instrument.bench
-            instrument.ahead(lambda report: judging.preview(bench, session, report))
+            session, evaluator = replace(instrument.session, offsets=self._offsets), instrument.evaluator
+            instrument.ahead(lambda report: judging.preview(evaluator, session, report))
 
     def _end(self) -> None:
         """The whole drag is one change; the stages run again even if it ended where it began."""

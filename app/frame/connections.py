@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QMessageBox, QStyle
 
@@ -13,15 +14,16 @@ from app.frame.actions import key_table
 from app.frame.aligning import Aligning
 from app.frame.instrument import Instrument
 from app.frame.window import Window
-from app.session.state import DisplayParams, initial_params
+from app.session.state import DISPLAY
+from pipeline.pictures.display import DisplayParams
 from pipeline.sensors.spec import names
-from pipeline.translation.routes import ROUTES, STAGES
+from pipeline.translation.catalogue import Catalogue
 
 
 def connect(instrument: Instrument) -> None:
     """Fill the window's choices and connect everything."""
     window, job, tracer = instrument.window, instrument.job, instrument.tracer
-    _fill(window)
+    _fill(window, instrument.catalogue)
 
     job.delivered.connect(instrument.take_part)
     job.finished.connect(instrument.take_frame)
@@ -39,6 +41,7 @@ def connect(instrument: Instrument) -> None:
     for column in window.columns.values():
         column.pixel_hovered.connect(tracer.hover)
         column.pixel_clicked.connect(tracer.click)
+        column.method_chosen.connect(instrument.choose_method)
     window.paths_dropped.connect(instrument.open_paths)
     window.stop.clicked.connect(job.cancel)
     window.closing.connect(instrument.close)
@@ -61,17 +64,21 @@ def connect(instrument: Instrument) -> None:
     _connect_undo(instrument)
 
 
-def _fill(window: Window) -> None:
+def _fill(window: Window, catalogue: Catalogue) -> None:
     window.source.addItem("as recorded", "")
     for name in names():
         window.source.addItem(name, name)
         window.target.addItem(name, name)
-    for name in ROUTES:
-        window.route.addItem(name, name)
-    window.route.setEnabled(len(ROUTES) > 1)
-    for stage in STAGES:
-        window.parameters.add_stage(stage.name, stage.title, stage.params())
-    window.parameters.add_stage("display", "Display", DisplayParams())
+    for route in catalogue.routes:
+        window.route.addItem(route.name, route.name)
+        window.route.setItemData(window.route.count() - 1, route.title, Qt.ItemDataRole.ToolTipRole)
+    window.route.setEnabled(len(catalogue.routes) > 1)
+    for slot in catalogue.slots:
+        window.columns[slot.name].offer_methods([(m.name, m.title, m.help) for m in slot.methods])
+        for method in slot.methods:
+            title = slot.title if len(slot.methods) == 1 else f"{slot.title} · {method.title}"
+            window.parameters.add_group(method.key, title, method.params())
+    window.parameters.add_group(DISPLAY, "Display", DisplayParams())
 
 
 def _connect_files(instrument: Instrument, aligning: Aligning) -> None:
@@ -149,4 +156,4 @@ def _connect_undo(instrument: Instrument) -> None:
         told.connect(names_itself(actions[name], word))
     instrument.window.on("undo", stack.undo)
     instrument.window.on("redo", stack.redo)
-    instrument.window.on("reset_all", lambda: instrument.change("reset all parameters", params=initial_params()))
+    instrument.window.on("reset_all", lambda: instrument.change("reset all parameters", params={}))

@@ -13,11 +13,12 @@ from app.frame.screen import Screen
 from app.frame.tracing import Tracer
 from app.frame.window import Window
 from app.session.documents import Documents
-from app.session.state import Session
+from app.session.state import DISPLAY, Session
 from app.session.undo import SessionChange
+from app.work.evaluator import Evaluator, FrameShown, Opened, SlotShown, SourceShown, request_of
 from app.work.jobs import LatestJob, Work
 from app.work.stopwatch import Stopwatch
-from app.work.work import Bench, FrameShown, Opened, SourceShown, StageShown, request_of
+from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.translate import Request
 from pipeline.values.results import PoseStep
 from widgets.layers import Scene
@@ -34,10 +35,11 @@ class Instrument(Documents):
     session_shown = pyqtSignal(object)  # Session
     closing = pyqtSignal()
 
-    def __init__(self, window: Window) -> None:
+    def __init__(self, window: Window, catalogue: Catalogue = BUILT_IN) -> None:
         super().__init__(window, Session())
         self.watch, self.relay = Stopwatch(), LogRelay(self)
-        self.job, self.bench = LatestJob("stages", self), Bench()
+        self.catalogue = catalogue
+        self.job, self.evaluator = LatestJob("stages", self), Evaluator(catalogue)
         self.tracer = Tracer(window)
         self.screen = Screen(window, self.tracer)
         self._ticket = self._wanted_since = self._opening = 0
@@ -58,9 +60,15 @@ class Instrument(Documents):
         """Go to a frame."""
         self.change("go to another frame", key="frame", frame=frame)
 
-    def choose_params(self, stage: str, params: object) -> None:
-        """Set the parameters of a stage; a drag is one undo step."""
-        self.change(f"change {stage}", key=f"params {stage}", params={**self.session.params, stage: params})
+    def choose_params(self, key: str, params: object) -> None:
+        """Set the parameters of a method or of the display; a drag is one undo step."""
+        self.change(f"change {key}", key=f"params {key}", params={**self.session.params, key: params})
+
+    def choose_method(self, slot: str, name: str) -> None:
+        """Fill a slot by another method; the route's own is no choice to be kept."""
+        others = {s: m for s, m in self.session.methods.items() if s != slot}
+        own = self.catalogue.route(self.session.route).methods.get(slot) == name
+        self.change(f"choose {name} for {slot}", methods=others if own else {**others, slot: name})
 
     def change(self, text: str, *, key: str = "", **updates: Any) -> None:
         """Change the session as one undo step; following changes of the same `key` join it."""
@@ -147,7 +155,7 @@ class Instrument(Documents):
         self._stale.stop()
         self.closing.emit()
         self.job.close()
-        self.bench.close()
+        self.evaluator.close()
         self.screen.finish()
         self.relay.close()
 
@@ -172,7 +180,7 @@ class Instrument(Documents):
                 self.session = named
                 self.screen.show_opened(replace(part, session=self.session))
                 self._show_controls()
-            elif isinstance(part, SourceShown | StageShown):
+            elif isinstance(part, SourceShown | SlotShown):
                 self.screen.show_part(part)
                 if isinstance(part, SourceShown):
                     self.window.timeline.show_frame(self.session.frame, part.frame.time_s)
@@ -236,8 +244,13 @@ class Instrument(Documents):
         window, session = self.window, self.session
         window.timeline.show_frame(session.frame)
         window.frames.show_frame(session.frame)
-        for stage, params in session.params.items():
-            window.parameters.show_params(stage, params)
+        for slot in self.catalogue.slots:
+            for method in slot.methods:
+                window.parameters.show_params(method.key, session.params_of(method))
+        window.parameters.show_params(DISPLAY, session.display)
+        methods = self.catalogue.methods(session.route, session.methods)
+        window.parameters.show_groups((*(m.key for m in methods), DISPLAY))
+        self.screen.show_methods(methods)
         _show_choice(window.source, session.source)
         _show_choice(window.target, session.target)
         _show_choice(window.route, session.route)
@@ -250,7 +263,7 @@ class Instrument(Documents):
         self._waits = True
         self._ticket = 0  # what is dropped now is not missed
         self._ticket = self.job.submit(
-            lambda report: self.bench.show(session, wanted, report, beside=beside), interrupt=interrupt
+            lambda report: self.evaluator.show(session, wanted, report, compared=beside), interrupt=interrupt
         )
         if other_request:
             self._wanted_since = self._ticket

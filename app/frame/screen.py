@@ -2,31 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 
+from app.frame.places import sights
 from app.frame.tracing import Tracer
 from app.frame.window import Window
 from app.session.state import Session
-from app.work.work import FrameShown, Opened, SourceShown, StageShown
+from app.work.evaluator import FrameShown, Opened, SlotShown, SourceShown
 from pipeline.base.errors import TouchError
-from pipeline.engine.graph import StageResult
-from pipeline.translation.routes import STAGES
-from pipeline.values.results import ObjectPose, PoseStep
+from pipeline.engine.graph import Method
+from pipeline.pictures.layers import Layer
+from pipeline.pictures.picture import Picture
+from pipeline.sensors.spec import SensorSpec
+from pipeline.values.results import PoseStep
 from widgets.colours import AXES
-from widgets.layers import EmptyScene, Layer, Scene
-from widgets.picture import Picture
+from widgets.layers import EmptyScene, Scene
 from widgets.timings_panel import TimingRow
 
 TIMES = "\N{MULTIPLICATION SIGN}"
 _AXES = " ".join(f"<b style='color:rgb{colour}'>{name}</b>" for name, colour in zip("xyz", AXES, strict=True))
-_OF_ALIGNMENT = ("adapt", "project", "generate", "pose")  # columns that an alignment changes
-_LEGENDS = {
-    "source": "reading on its surface",
-    "depth": "membrane",
-    "adapt": "points, target at rest",
-    "project": "what the target sees",
-    "generate": "target's membrane",
-}
+_PREVIEWED = "view"  # the slot that a drag of the alignment shows on its way
+_SOURCE_LEGEND = "reading on its surface"
 
 
 class Screen:
@@ -36,7 +32,6 @@ class Screen:
         self._window, self._tracer = window, tracer
         self._scene: Scene = EmptyScene()
         self._opened: Opened | None = None
-        self._results: Mapping[str, StageResult] = {}
         self._layers: dict[int, tuple[Layer, ...]] = {}
         self._fresh: set[str] = set()
         self._order = tuple(window.columns)
@@ -72,22 +67,26 @@ class Screen:
         if old is None or old.translation.stream is not t.stream:
             window.frames.show_frames(t.n_frames)
         window.source.setItemText(0, f"as recorded: {t.source.name}")
-        window.parameters.show_stages((*t.stages, "display"))
+        window.leave_out(frozenset(slot.name for slot in t.catalogue.slots) - set(t.slots))
         window.banner.dismiss()
-        self._results = {}
+        self._show_columns()
         self.look(opened.session)
 
-    def show_part(self, part: SourceShown | StageShown) -> None:
+    def show_methods(self, methods: Sequence[Method]) -> None:
+        """Which method fills each column."""
+        for method in methods:
+            self._window.columns[method.slot].show_method(method.name)
+
+    def show_part(self, part: SourceShown | SlotShown) -> None:
         """One column's picture, layers and state."""
-        name = part.result.name if isinstance(part, StageShown) else "source"
+        name = part.result.name if isinstance(part, SlotShown) else "source"
         column = self._window.columns[name]
         column.show_picture(part.picture)
-        if isinstance(part, StageShown):
+        if isinstance(part, SlotShown):
             self._results = {**self._results, name: part.result}
             column.show_state(part.result.state, part.result.ms, part.result.notes)
-            self._tracer.show_cloud(part.cloud)
             self._tracer.show_results(self._results)
-            if isinstance(part.result.output, ObjectPose):
+            if self._opened is not None and self._opened.translation.catalogue.slot(name).scrubs:
                 self._window.steps.show_steps(part.result.output.steps)
         else:
             self._results = {}  # those of another frame, or of other parameters
@@ -100,27 +99,32 @@ class Screen:
 
     def show_preview(self, picture: Picture, layers: tuple[Layer, ...]) -> None:
         """The target's view of a drag on its way; what rests on it is out of date."""
-        self._fresh -= set(_OF_ALIGNMENT)
-        if self._results.keys() & set(_OF_ALIGNMENT):
-            self._results = {name: r for name, r in self._results.items() if name not in _OF_ALIGNMENT}
+        changed = self._resting_on("alignment")
+        self._fresh -= changed
+        if self._results.keys() & changed:
+            self._results = {name: r for name, r in self._results.items() if name not in changed}
             self._tracer.show_results(self._results)
-        for name in _OF_ALIGNMENT:
+        for name in changed - {_PREVIEWED}:
             column = self._window.columns[name]
-            if name != "project" and column.state != "stale":
+            if column.state != "stale":
                 column.show_state("stale")
-        column = self._window.columns["project"]
+        column = self._window.columns[_PREVIEWED]
         column.show_picture(picture)
         column.show_state("preview")
-        self._scene.show_layers(self._order.index("project"), layers)
+        self._scene.show_layers(self._order.index(_PREVIEWED), layers)
 
     def show_frame(self, shown: FrameShown, *, comparable: bool) -> None:
         """Timings of a frame that is through, and its summary where that is `comparable` with those of the others."""
         if comparable and shown.summary is not None:
             self._window.frames.show_summary(shown.index, shown.summary)
             self._window.frames.show_frame(shown.index)
-        done = [(stage, shown.results[stage.name]) for stage in STAGES if stage.name in shown.results]
-        rows = [TimingRow(title=s.title, state=r.state, ms=r.ms, notes=r.notes) for s, r in done]
-        self._window.timings.show_rows(tuple(rows))
+        if self._opened is not None:
+            slot = self._opened.translation.catalogue.slot
+            rows = [
+                TimingRow(title=slot(r.name).title, state=r.state, ms=r.ms, notes=r.notes)
+                for r in shown.results.values()
+            ]
+            self._window.timings.show_rows(tuple(rows))
 
     def expect_all(self) -> None:
         """Nothing on screen is fresh any more."""
@@ -159,25 +163,40 @@ class Screen:
         if self._opened is None:
             return
         t, display = self._opened.translation, session.display
-        self._scene.look(self._opened.sights, linked=session.linked)
-        radius = 0.04 * min(s.radius_mm for s in self._opened.sights.values())
+        seen = sights(t)
+        self._scene.look({self._order.index(name): sight for name, sight in seen.items()}, linked=session.linked)
+        radius = 0.04 * min(s.radius_mm for s in seen.values())
         self._tracer.show_scene(self._scene, radius, display, t)
-        for name, text in _LEGENDS.items():
-            self._window.legends[name].setText(text)
-        for name, caption in self._window.captions.items():
-            place = t.source if name in ("source", "depth") else t.target
-            times = 1.0 if name in ("source", "pose") else display.stretch(place)
-            caption.setText(f"{place.name} frame {_AXES}" + ("" if times == 1.0 else f", depth {TIMES}{times:g}"))
+        self._caption("source", _SOURCE_LEGEND, t.source, 1.0)
+        for slot in t.catalogue.slots:
+            place = t.source if slot.place == "source" else t.target
+            self._caption(slot.name, slot.legend, place, display.stretch(place) if slot.stretches else 1.0)
 
     def show_step(self, step: PoseStep) -> None:
         """Put the object where it was at an iteration."""
         self._scene.place(self._order.index("pose"), "object", step.sensor_from_object)
 
     def show_only(self, name: str | None) -> None:
-        """One stage alone, or all for None."""
+        """One slot alone, or all of the route for None."""
         self._window.show_only(name)
+        self._show_columns()
+
+    def _show_columns(self) -> None:
         shown = self._window.visible_columns()
         self._scene.show_columns([i for i, n in enumerate(self._order) if n in shown])
+
+    def _caption(self, name: str, legend: str, place: SensorSpec, times: float) -> None:
+        self._window.legends[name].setText(legend)
+        stretch = "" if times == 1.0 else f", depth {TIMES}{times:g}"
+        self._window.captions[name].setText(f"{place.name} frame {_AXES}{stretch}")
+
+    def _resting_on(self, name: str) -> set[str]:
+        """The slots that change with an input."""
+        changed = {name}
+        for method in self._opened.translation.methods if self._opened is not None else ():
+            if changed.intersection(method.reads):
+                changed.add(method.slot)
+        return changed - {name}
 
     def _unfinished(self) -> list[str]:
         return [name for name in self._window.visible_columns() if name not in self._fresh]

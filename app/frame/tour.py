@@ -76,9 +76,9 @@ def save_window_picture(instrument: Instrument, path: Path) -> None:
 
 def _follow_a_pixel(instrument: Instrument) -> None:
     """Pin the target pixel that is pushed in deepest, so that the picture shows a trace."""
-    project = instrument.latest.results.get("project") if instrument.latest is not None else None
+    project = instrument.latest.results.get("view") if instrument.latest is not None else None
     if project is not None and project.output.contact.any():
         view = project.output
         row, col = divmod(int(view.indentation_mm.argmax()), view.camera.cols)
-        instrument.tracer.click("project", row, col)
+        instrument.tracer.click("view", row, col)
         instrument.tracer.settle()

@@ -58,7 +58,7 @@ class Window(QMainWindow):
     paths_dropped = pyqtSignal(list)  # of Path
     closing = pyqtSignal()
 
-    def __init__(self, columns: Sequence[tuple[str, str]]) -> None:
+    def __init__(self, columns: Sequence[tuple[str, str]], scrubbed: frozenset[str] = frozenset()) -> None:
         super().__init__()
         self.setWindowTitle("Tactoscope")
         self.resize(SIZE)
@@ -72,6 +72,8 @@ class Window(QMainWindow):
         self.banner, self.timeline, self.steps = Banner(), Timeline(), StepsSlider()
         self.frames, self.parameters, self.alignment = FramesPanel(), ParametersPanel(), AlignmentPanel()
         self.trace, self.log, self.timings = TracePanel(), LogPanel(), TimingsPanel()
+        self._scrubbed = scrubbed  # columns whose 3D view has the slider of kept states under it
+        self._alone, self._off_route = "", frozenset[str]()
         self.captions = {name: _caption() for name, _ in columns}
         self.legends = {name: _caption() for name, _ in columns}
         self.scene_place = QVBoxLayout()
@@ -98,7 +100,7 @@ class Window(QMainWindow):
         for name, caption in self.captions.items():
             cell = QVBoxLayout()
             cell.setSpacing(0)
-            cell.addWidget(self.steps if name == "pose" else self.legends[name])
+            cell.addWidget(self._under(name))
             cell.addWidget(caption)
             captions.addLayout(cell, 1)
         under.addLayout(captions)
@@ -222,13 +224,28 @@ class Window(QMainWindow):
             self.bar.setValue(round(1000 * fraction))
 
     def show_only(self, name: str | None) -> None:
-        """Show one stage's column alone, or all of them for None."""
-        for key, column in self.columns.items():
-            column.setVisible(name in (None, key))
-            (self.steps if key == "pose" else self.legends[key]).setVisible(name in (None, key))
-            self.captions[key].setVisible(name in (None, key))
-        for i, key in enumerate(self.columns):
-            self.actions_by_name[f"only_{i + 1}"].setChecked(key == name)
+        """Show one column alone, or all of the route for None."""
+        self._alone = name or ""
+        self._show_columns()
+
+    def leave_out(self, names: frozenset[str]) -> None:
+        """Hide the columns that the route does not have."""
+        self._off_route = names
+        self._alone = "" if self._alone in names else self._alone
+        self._show_columns()
+
+    def _show_columns(self) -> None:
+        for i, (key, column) in enumerate(self.columns.items()):
+            shown = key not in self._off_route and self._alone in ("", key)
+            for widget in (column, self._under(key), self.captions[key]):
+                widget.setVisible(shown)
+            action = self.actions_by_name[f"only_{i + 1}"]
+            action.setChecked(key == self._alone)
+            action.setEnabled(key not in self._off_route)
+
+    def _under(self, name: str) -> QWidget:
+        """What stands under a 3D view: the slider of kept states or a legend."""
+        return self.steps if name in self._scrubbed else self.legends[name]
 
     def visible_columns(self) -> tuple[str, ...]:
         """The stages that somebody can see."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
@@ -11,39 +11,24 @@ from typing import Any, cast
 from app.session.offsets import Offsets, from_plain
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import read_json, write_json
-from pipeline.base.params import changed, setting, settings
-from pipeline.sensors.spec import SensorSpec
-from pipeline.translation.routes import ROUTES, default_params
+from pipeline.base.params import changed, settings
+from pipeline.engine.graph import Method
+from pipeline.pictures.display import DisplayParams
+from pipeline.translation.catalogue import BUILT_IN, Catalogue
 
 SUFFIX = ".touch.json"
-_VERSION = 1
+DISPLAY = "display"  # the key of its parameters
+_VERSION = 2
+_FORMER = {  # stages of version 1 -> keys of methods
+    "depth": "depth/physics",
+    "adapt": "cloud/back_projection",
+    "project": "view/surface",
+    "generate": "touch/physics",
+    "pose": "pose/signed_distances",
+}
 _PATHS = ("recording", "reference", "calibration", "mesh", "alignment")
 _WORDS = ("source", "target", "stream", "route", "mesh_unit")
 _FRAMES_OF_OFFSETS = frozenset({"source", "target", "stream", "alignment"})  # another of these is another motion
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DisplayParams:
-    """How things are drawn; no stage reads them."""
-
-    gel_limit_mm: float = setting(
-        1.5, "Gel indentation up to", unit="mm", low=0.1, high=3.0, step=0.1, help="upper colour limit for gels"
-    )
-    bubble_limit_mm: float = setting(
-        10.0, "Bubble indentation up to", unit="mm", low=1.0, high=25.0, step=1.0, help="upper colour limit for bubbles"
-    )
-    gel_stretch: float = setting(
-        3.0, "Gel depth in 3D times", low=1.0, high=10.0, step=0.5, help="stretches indentation of gels in the 3D views"
-    )
-
-    def stretch(self, sensor: SensorSpec) -> float:
-        """How many times deeper indentation is drawn than it is; bubbles are deep enough as they are."""
-        return self.gel_stretch if sensor.kind == "gel" else 1.0
-
-
-def initial_params() -> Mapping[str, object]:
-    """Stage -> its defaults, with those of the display."""
-    return {**default_params(), "display": DisplayParams()}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,11 +48,20 @@ class Session:
     alignment: Path | None = None  # TOML with T_S->A and T_A->T; None = the recording's or the descriptions'
     offsets: Offsets = field(default_factory=Offsets)  # how far it was moved by hand or by refining
     linked: bool = True  # 3D views of one frame share their camera
-    params: Mapping[str, object] = field(default_factory=initial_params)
+    methods: Mapping[str, str] = field(default_factory=dict)  # slot -> method in place of the route's own
+    params: Mapping[str, object] = field(default_factory=dict)  # changed ones: of methods by key, of the display
 
-    def with_params(self, stage: str, params: object) -> Session:
-        """The same with other parameters of one stage."""
-        return replace(self, params={**self.params, stage: params})
+    def with_params(self, key: str, params: object) -> Session:
+        """The same with other parameters of one method, or of the display."""
+        return replace(self, params={**self.params, key: params})
+
+    def params_of(self, method: Method) -> object:
+        """The parameters of a method, as they come where nobody changed them."""
+        return self.params.get(method.key, method.params())
+
+    def params_for(self, methods: Iterable[Method]) -> dict[str, object]:
+        """Slot -> the parameters of the method that fills it."""
+        return {method.slot: self.params_of(method) for method in methods}
 
     def updated(self, **updates: Any) -> Session:
         """The same with other values; offsets from an alignment that is no longer the opened one are taken back.
@@ -89,7 +83,7 @@ class Session:
     @property
     def display(self) -> DisplayParams:
         """How things are drawn."""
-        return cast("DisplayParams", self.params["display"])
+        return cast("DisplayParams", self.params.get(DISPLAY, DisplayParams()))
 
 
 def save_session(session: Session, path: Path) -> None:
@@ -100,24 +94,28 @@ def save_session(session: Session, path: Path) -> None:
         value: Path | None = getattr(session, name)
         data[name] = None if value is None else _relative(value, path.parent)
     data["offsets"] = session.offsets.plain()
+    data["methods"] = dict(session.methods)
     data["params"] = {
-        stage: {name: value for name, (value, _) in settings(params).items()}
-        for stage, params in session.params.items()
+        key: {name: value for name, (value, _) in settings(params).items()} for key, params in session.params.items()
     }
     write_json(path, data, "the session")
 
 
-def load_session(path: Path) -> Session:
+def load_session(path: Path, catalogue: Catalogue = BUILT_IN) -> Session:
     """Read a session; raises FileProblem naming the field that is wrong."""
     data = read_json(path, "the session")
     if not isinstance(data, dict) or "tactoscope session" not in data:
         raise FileProblem("this is not a session file", path)
-    if data["tactoscope session"] != _VERSION:
-        raise FileProblem(f"the session has version {data['tactoscope session']!r}, this program reads 1", path)
+    version = data["tactoscope session"]
+    if version not in (1, _VERSION):
+        raise FileProblem(f"the session has version {version!r}, this program reads 1 and {_VERSION}", path)
     known = cast("dict[str, Any]", data)
     words = {name: _typed(known, name, str, path) for name in _WORDS}
-    if words["route"] not in ROUTES:
-        raise FileProblem(f"route must be one of {', '.join(ROUTES)}, got {words['route']!r}", path, field="route")
+    methods = cast("dict[str, str]", known.get("methods", {}))
+    try:
+        catalogue.methods(words["route"], methods)
+    except (SettingProblem, TypeError, ValueError) as error:
+        raise FileProblem(f"the session's route or methods cannot be used ({error})", path, field="route") from error
     frame = _typed(known, "frame", int, path)
     if frame < 0:
         raise FileProblem(f"frame must not be negative, got {frame}", path, field="frame")
@@ -127,7 +125,8 @@ def load_session(path: Path) -> Session:
         frame=frame,
         offsets=_offsets(known, path),
         linked=_typed(known, "linked", bool, path),
-        params=_params(known.get("params", {}), path),
+        methods=methods,
+        params=_params(known.get("params", {}), path, catalogue, former=version == 1),
     )
 
 
@@ -166,17 +165,23 @@ def _offsets(data: Mapping[str, Any], path: Path) -> Offsets:
         raise FileProblem(f"the session's offsets cannot be used ({error})", path, field="offsets") from error
 
 
-def _params(data: object, path: Path) -> Mapping[str, object]:
-    params = dict(initial_params())
+def _params(data: object, path: Path, catalogue: Catalogue, *, former: bool) -> Mapping[str, object]:
     if not isinstance(data, dict):
-        raise FileProblem("params must map stages to their parameters", path, field="params")
-    for stage, values in cast("dict[str, Any]", data).items():
-        if stage not in params or not isinstance(values, dict):
-            raise FileProblem(f"params.{stage} is not a stage with parameters", path, field=f"params.{stage}")
+        raise FileProblem("params must map methods to their parameters", path, field="params")
+    known: dict[str, object] = {m.key: m.params() for slot in catalogue.slots for m in slot.methods}
+    known[DISPLAY] = DisplayParams()
+    params: dict[str, object] = {}
+    for said, values in cast("dict[str, Any]", data).items():
+        key = _FORMER.get(said, said) if former else said
+        if key not in known or not isinstance(values, dict):
+            raise FileProblem(f"params.{said} is not a method with parameters", path, field=f"params.{said}")
+        params[key] = known[key]
         for name, value in cast("dict[str, Any]", values).items():
+            if former and name not in settings(params[key]):  # what has become a method of its own
+                continue
             try:
-                params[stage] = changed(params[stage], name, value)
+                params[key] = changed(params[key], name, value)
             except (SettingProblem, TypeError) as error:
-                where = f"params.{stage}.{name}"
+                where = f"params.{said}.{name}"
                 raise FileProblem(f"{where} cannot be used ({error})", path, field=where) from error
     return params

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-from app.views.pictures import outline
 from pipeline.alignment.felt import Felt, felt, preview_factor
 from pipeline.alignment.nudge import pivot_mm
 from pipeline.alignment.reprojection import reproject, scaled
@@ -15,6 +14,7 @@ from pipeline.alignment.touches import PairedTouch
 from pipeline.base.arrays import Doubles, Floats
 from pipeline.base.errors import TouchError
 from pipeline.base.progress import Progress
+from pipeline.pictures.picture import outline
 from pipeline.sensors.alignment import Alignment, placed
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.stage import DepthParams, depth, untouched

@@ -6,20 +6,22 @@ from dataclasses import dataclass, replace
 
 from app.session.offsets import Offsets, of_motion
 from app.session.state import Session
-from app.views import pictures, solids
+from app.work.evaluator import Evaluator, request_of
 from app.work.jobs import Report
-from app.work.work import Bench, request_of
 from pipeline.alignment.refine import Refinement, refine
 from pipeline.alignment.score import Score
 from pipeline.alignment.sensitivity import Sensitivity
 from pipeline.alignment.touches import paired_touches
 from pipeline.base.arrays import Doubles
 from pipeline.base.errors import SettingProblem
+from pipeline.pictures.layers import Layer
+from pipeline.pictures.picture import Picture, beside, enlarged
+from pipeline.stages.depth.slot import PHYSICS
 from pipeline.stages.depth.stage import DepthParams
+from pipeline.stages.project import slot as view_slot
 from pipeline.stages.project.stage import ProjectParams
+from pipeline.stages.slot import Seen
 from pipeline.translation.translate import Translation, open_translation
-from widgets.layers import Layer
-from widgets.picture import Picture
 
 HELD_OUT = 0.25  # of the touches judge a refinement without having taken part in it
 
@@ -54,23 +56,22 @@ class Refined:
     begun: Session
 
 
-def preview(bench: Bench, session: Session, report: Report) -> Previewed:
+def preview(evaluator: Evaluator, session: Session, report: Report) -> Previewed:
     """The session's frame under its offsets, coarse; raises TouchError."""
-    opened, frame = bench.comparison(session, report)
+    opened, frame = evaluator.comparison(session, report)
     report.step(0.5, "previewing the alignment")
     view, agreement = frame.preview(session.offsets.applied(opened.alignment), project_params(session))
-    picture = pictures.of_view(view, opened.target, session.display)
-    whole = pictures.enlarged(picture, opened.target.camera.shape)
+    seen = Seen(outputs={}, source=opened.source, target=opened.target, mesh=None, display=session.display)
+    picture = view_slot.picture(view, seen)
+    whole = enlarged(picture, opened.target.camera.shape)
     return Previewed(
-        picture=pictures.beside(whole, frame.outline_px),
-        layers=solids.of_view(view, opened.target, picture.pixels, session.display.stretch(opened.target)),
-        score=agreement,
+        picture=beside(whole, frame.outline_px), layers=view_slot.layers(view, seen, picture), score=agreement
     )
 
 
-def judge(bench: Bench, session: Session, report: Report) -> Judged:
+def judge(evaluator: Evaluator, session: Session, report: Report) -> Judged:
     """The session's frame judged at full size; the score is handed over ahead of the axes. Raises TouchError."""
-    opened, frame = bench.comparison(session, report)
+    opened, frame = evaluator.comparison(session, report)
     alignment, params = session.offsets.applied(opened.alignment), project_params(session)
     first = Judged(
         index=frame.index, score=frame.scored(alignment, params), axes=(), reason=frame.reason,
@@ -89,7 +90,7 @@ def refined(session: Session, report: Report) -> Refined:
 
     translation = open_translation(request_of(session))
     try:
-        params = session.params["depth"]
+        params = session.params_of(PHYSICS)
         assert isinstance(params, DepthParams)
         touches = paired_touches(translation, range(translation.n_frames), params, progress=report)
         if not touches:
@@ -106,7 +107,7 @@ def refined(session: Session, report: Report) -> Refined:
 
 def project_params(session: Session) -> ProjectParams:
     """How the projection is drawn."""
-    params = session.params["project"]
+    params = session.params_of(view_slot.SURFACE)
     assert isinstance(params, ProjectParams)
     return params
 

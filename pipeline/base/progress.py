@@ -25,3 +25,15 @@ class Silent:
 
 
 SILENT = Silent()
+
+
+class Share:
+    """The part of a longer progress that begins at `start` and is `part` of the whole, under a title of its own."""
+
+    def __init__(self, whole: Progress, start: float, part: float, title: str = "") -> None:
+        self._whole, self._start, self._part, self._title = whole, start, part, title
+
+    def step(self, fraction: float, text: str) -> None:
+        """Pass on as a fraction of the whole."""
+        label = ": ".join(word for word in (self._title, text) if word)
+        self._whole.step(self._start + self._part * min(max(fraction, 0.0), 1.0), label)

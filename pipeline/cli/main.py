@@ -119,6 +119,7 @@ def translate(
     mesh_unit: Literal["auto", "mm", "cm", "m"] = "auto",
     alignment: Path | None = None,
     depth_unit: Literal["auto", "mm", "m", "0.1mm", "um"] = "auto",
+    methods: Annotated[tuple[str, ...], Parameter(name="--method")] = (),
     settings: Annotated[tuple[str, ...], Parameter(name="--set")] = (),
 ) -> int:
     """Turn touches of one sensor into what another would have felt, and write every stage.
@@ -140,7 +141,7 @@ def translate(
     calibration
         Look-up made by `tactoscope calibrate balls`; the sensor's built-in one otherwise.
     route
-        Way through the stages.
+        Way through the slots; each of them is filled by a method.
     frame
         The one frame to translate; the first one that touches if neither this nor --all is given.
     all_frames
@@ -155,16 +156,23 @@ def translate(
         How the two sensors stand to each other, a .toml as `tactoscope align refine` writes it.
     depth_unit
         Unit of a depth array whose name does not tell.
+
+    Methods:
+        `slot=method` in place of the route's own, such as `felt=reading`, as often as needed.
     settings
-        `stage.parameter=value`, as often as needed.
+        `slot.parameter=value`, as often as needed.
     """
     from pipeline.cli.translate import translate_frames
+    from pipeline.translation.catalogue import with_method
     from pipeline.translation.translate import Request
 
+    chosen: dict[str, str] = {}
+    for assignment in methods:
+        chosen = with_method(chosen, assignment)
     request = Request(
         recording=recording, target=target, source=sensor, stream=stream, route=route,
         reference=reference, calibration=calibration, mesh=mesh, mesh_unit=mesh_unit,
-        depth_unit=depth_unit, alignment=alignment,
+        depth_unit=depth_unit, alignment=alignment, methods=tuple(chosen.items()),
     )  # fmt: skip
     return translate_frames(request, out, frame, all_frames, settings, follow=follow)
 

@@ -38,21 +38,21 @@ def prepare() -> int:
 
 def _tasks() -> Iterator[Callable[[], object]]:
     """Work that calls every kernel, what the sample needs first."""
-    from pipeline.translation import routes
+    from pipeline.translation.catalogue import BUILT_IN, default_params, with_setting
 
-    params = routes.default_params()
+    params = default_params(BUILT_IN.methods("t2d2"))
     for source, target in _WAYS:
         yield partial(_translated, source, target, params)
-    for other in ("project.mode=paper", "adapt.stride=16"):  # points: the paper's, and those too sparse for a surface
-        yield partial(_translated, *_WAYS[0], routes.with_setting(params, other))
+    for other in ("view.mode=paper", "cloud.stride=16"):  # points: the paper's, and those too sparse for a surface
+        yield partial(_translated, *_WAYS[0], with_setting(params, other))
     yield from (_surveyed, _pressed, _calibrated)
 
 
 def _translated(source: str, target: str, params: dict[str, object]) -> None:
-    from pipeline.translation.translate import Request, new_graph, open_translation
+    from pipeline.translation.translate import Request, open_translation
 
     translation = open_translation(Request(recording=SAMPLE, source=source, target=target))
-    new_graph().evaluate(translation.stages, translation.inputs(_FRAME), params)
+    translation.graph().evaluate(translation.slots, translation.inputs(_FRAME), params)
     translation.recording.close()
 
 

@@ -19,13 +19,12 @@ from pipeline.cli.stopping import stoppable
 from pipeline.cli.terminal import complain, print_line
 from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph
-from pipeline.evaluation.metrics import frame_metrics
 from pipeline.reporting.finished import Finished, finished, key_of
 from pipeline.reporting.frame_report import FrameLines, FrameReport
 from pipeline.reporting.report import write_frame, write_report
-from pipeline.translation import routes
-from pipeline.translation.translate import Request, Translation, new_graph, open_translation
-from pipeline.values.results import DepthMap, ObjectPose
+from pipeline.translation.catalogue import BUILT_IN, default_params, with_setting
+from pipeline.translation.translate import Request, Translation, open_translation
+from pipeline.values.results import ObjectPose
 
 CACHE_BYTES = 32 * 1024 * 1024  # a few frames: what a run has passed it does not ask for again
 
@@ -41,15 +40,14 @@ def translate_frames(
         raise SettingProblem("give either --frame or --all, not both")
     if follow and not every:
         raise SettingProblem("--follow goes from touch to touch; give it with --all")
-    params: Mapping[str, object] = routes.default_params()
-    for assignment in settings:
-        params = routes.with_setting(params, assignment)
     console = Console(stderr=True)
+    params: Mapping[str, object] = default_params(BUILT_IN.methods(request.route, dict(request.methods)))
+    for assignment in settings:
+        params = with_setting(params, assignment)
     translation = open_translation(request)
     for note in translation.notes:
         console.print(plain(f"note: {note}"), style="dim", highlight=False, markup=False, emoji=False, soft_wrap=True)
-    graph = new_graph()
-    graph.cache = Cache(CACHE_BYTES)
+    graph = translation.graph(like=Graph((), cache=Cache(CACHE_BYTES)))
     with console.status("looking for a touch") as status, compiling.watched(status.update):
         indices = range(translation.n_frames) if every else [_chosen(translation, graph, params, frame)]
     ready(out)
@@ -83,8 +81,8 @@ def translate_frames(
 
 
 def show_table(frames: Sequence[FrameLines]) -> None:
-    """Print stage, median and largest ms, how often skipped, and the error against truth."""
-    table = Table("stage", "median ms", "largest ms", "skipped", "error against truth", title=None)
+    """Print slot, median and largest ms, how often skipped, and the error against truth."""
+    table = Table("slot", "median ms", "largest ms", "skipped", "error against truth", title=None)
     done = [frame for frame in frames if frame.stages]
     for column, name in enumerate(stage.name for stage in (done[0].stages if done else ())):
         stages = [frame.stages[column] for frame in done]
@@ -107,7 +105,7 @@ def _one(
 ) -> tuple[bool, Finished]:
     """A frame that is whole on disk and whether it was already; one that cannot be made has its problem instead."""
     try:
-        key = key_of(translation, graph, params, index, before)
+        key = key_of(translation, params, index, before)
         known = finished(out, index, key)
         if known is not None:
             return True, known
@@ -131,12 +129,8 @@ def _work_out(
     progress: StageProgress,
 ) -> FrameReport:
     """All stages of one frame and its figures."""
-    results = graph.evaluate(translation.stages, translation.inputs(index, previous), params, progress)
-    metrics = frame_metrics(
-        results, translation.truth_of_source(index), translation.truth_of_target(index), translation.mesh,
-        translation.symmetry,
-    )  # fmt: skip
-    return FrameReport(index=index, results=results, metrics=metrics)
+    results = graph.evaluate(translation.slots, translation.inputs(index, previous), params, progress)
+    return FrameReport(index=index, results=results, metrics=translation.metrics(results, index))
 
 
 def _pose_of(report: FrameReport) -> ObjectPose | None:
@@ -150,9 +144,11 @@ def _chosen(translation: Translation, graph: Graph, params: Mapping[str, object]
     """The frame asked for, or the first one with a contact."""
     if frame is not None:
         return translation.checked(frame)
+    first = translation.slots[0]
     for index in range(translation.n_frames):
-        depth = graph.evaluate(["depth"], translation.inputs(index), params)["depth"].output
-        if isinstance(depth, DepthMap) and depth.contact.any():
+        result = graph.evaluate([first], translation.inputs(index), params)[first]
+        contact = getattr(result.output, "contact", None)
+        if contact.any() if contact is not None else result.state != "skipped":
             return index
     return 0
 

@@ -16,7 +16,7 @@ class Entry:
     output: object
     digest: str
     n_bytes: int
-    was_shortcut: bool  # found without running the stage proper
+    skipped: str = ""  # why there was nothing to work out
 
 
 class Cache(Memo[str, Entry]):

@@ -5,7 +5,11 @@ Arrays go through XXH3-128, microseconds a frame, so that everything can be hash
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from functools import lru_cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, cast
 
 import numpy as np
@@ -13,6 +17,9 @@ import xxhash
 from numpy.typing import NDArray
 
 from pipeline.base.memo import Memo, field_names
+
+UNDIGESTED: Mapping[str, bool] = MappingProxyType({"digest": False})
+"""Metadata of a field that is kept to be looked at (states for scrubbing): it is no part of the value's digest."""
 
 
 def digest(value: object) -> str:
@@ -68,6 +75,11 @@ def is_frozen(value: object) -> bool:
     return bool(frozen) and all(is_frozen(getattr(value, name)) for name in names)
 
 
+@lru_cache(maxsize=256)
+def _digested_names(kind: type) -> tuple[str, ...] | None:
+    return tuple(f.name for f in fields(kind) if f.metadata.get("digest", True)) if is_dataclass(kind) else None
+
+
 def _feed(state: xxhash.xxh3_128, value: object) -> None:
     if isinstance(value, np.ndarray):
         array = cast("NDArray[Any]", value)
@@ -92,7 +104,7 @@ def _feed(state: xxhash.xxh3_128, value: object) -> None:
         for key in sorted(pairs):
             _feed(state, (key, pairs[key]))
     else:
-        names = field_names(type(value))
+        names = _digested_names(type(value))
         if names is None:
             raise TypeError(f"a {type(value).__name__} has no content digest")
         state.update(f"c{type(value).__qualname__}(".encode())

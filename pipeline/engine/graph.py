@@ -1,15 +1,16 @@
-"""The stages as data, and their evaluation on demand.
+"""Slots filled by methods, on demand.
 
-A stage runs only if somebody wants its output, nobody has worked it out before, and the scene needs it. Its key is
-a digest of its name, version, parameters and input contents. Since keys below are made of the *contents* of outputs
-above, a stage that comes out equal after a change stops the recomputation there (early cutoff, Salsa's backdating).
+A slot is a value that people look at (a depth map, a touch, a pose); a method is one way to fill it. A method runs
+only if somebody wants its slot, nobody has worked it out before, and the scene needs it. Its key is a digest of slot,
+method, version, parameters and the *contents* of what it reads, so a slot that comes out equal after a change stops the
+recomputation below it (early cutoff, Salsa's backdating), whichever method filled it.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import xxhash
@@ -17,31 +18,46 @@ import xxhash
 from pipeline.base import compiling
 from pipeline.base.errors import SettingProblem
 from pipeline.base.memo import size_bytes
-from pipeline.base.progress import SILENT, Progress
+from pipeline.base.progress import SILENT, Progress, Share
 from pipeline.engine.cache import Cache, Entry
 from pipeline.engine.digests import Known, digest
 
-State = Literal["computed", "cached", "unchanged", "skipped"]
+State = Literal["computed", "cached", "unchanged", "skipped", "given"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Stage:
-    """One step of the paper: a pure function, what it reads, and its way out when there is nothing to do."""
+class Skipped:
+    """What a method returns when the scene needs no work: the exact answer, and why there was nothing to do."""
 
-    name: str
+    output: Any
+    why: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Method:
+    """One way to fill a slot: a pure function, its parameters, and what it reads."""
+
+    slot: str
+    name: str  # unique in its slot
     title: str
-    run: Callable[..., Any]  # (*reads, params, progress) -> output
-    shortcut: Callable[..., Any]  # (*reads, params) -> exact output without running, or None
+    run: Callable[..., Any]  # (*reads, params, progress) -> the slot's value, or `Skipped`
     params: type[Any]
-    reads: tuple[str, ...]  # earlier stages or inputs, in the order of `run`'s arguments
+    reads: tuple[str, ...]  # slots above it or inputs, in the order of `run`'s arguments
     version: int = 1  # raised whenever the same inputs give another output
+    help: str = ""  # what it does, in half a sentence
+
+    @property
+    def key(self) -> str:
+        """What its parameters are kept under."""
+        return f"{self.slot}/{self.name}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StageResult:
-    """What a stage gave this time, how long that took, and why it took no longer."""
+    """What a slot holds this time, how long that took, and why it took no longer."""
 
-    name: str
+    name: str  # of the slot
+    method: Method | None  # None = the value was given in its place
     output: Any
     state: State
     ms: float
@@ -49,25 +65,27 @@ class StageResult:
     digest: str
 
 
-class _Part:
-    """The share of a longer progress that one stage has."""
+def unless(exact: Callable[..., Any], run: Callable[..., Any]) -> Callable[..., Any]:
+    """A method's function of two: `exact` (*reads, params) answers where there is nothing to do, `run` otherwise."""
 
-    def __init__(self, whole: Progress, index: int, count: int, title: str) -> None:
-        self._whole, self._index, self._count, self._title = whole, index, count, title
+    def filled(*args: Any) -> Any:
+        output = exact(*args[:-1])
+        return run(*args) if output is None else Skipped(output=output, why=(*output.notes, "nothing to do")[0])
 
-    def step(self, fraction: float, text: str) -> None:
-        """Pass on as a fraction of the whole."""
-        label = f"{self._title}: {text}" if text else self._title
-        self._whole.step((self._index + min(max(fraction, 0.0), 1.0)) / self._count, label)
+    return filled
 
 
 @dataclass(slots=True)
 class Graph:
-    """Evaluates stages; holds nothing but the cache, so one graph may serve several threads."""
+    """Evaluates the methods of one route, one a slot; holds nothing but the cache, so threads may share it."""
 
-    stages: Sequence[Stage]
+    methods: Sequence[Method]
     cache: Cache = field(default_factory=Cache)
     _known: Known = field(default_factory=Known)
+
+    def rerouted(self, methods: Sequence[Method]) -> Graph:
+        """A graph of other methods that remembers what this one has worked out."""
+        return replace(self, methods=methods)
 
     def evaluate(
         self,
@@ -77,43 +95,49 @@ class Graph:
         progress: Progress = SILENT,
         on_stage: Callable[[StageResult], None] | None = None,
     ) -> dict[str, StageResult]:
-        """Results of the `wanted` stages and of those they rest on, in order.
+        """Results of the `wanted` slots and of those they rest on, in order.
 
-        `inputs` are the values that no stage makes; `params` may leave a stage out, which then runs on its defaults.
-        Raises SettingProblem for an unknown name, Cancelled when `progress` says so, and whatever a stage raises.
+        `inputs` are the values that no method makes; one under a slot's name stands for that slot, whose method then
+        does not run (truth in its place tells what the slot is to blame for). `params` maps slots to the parameters of
+        their methods; one that is left out, or that is another method's, runs on its defaults.
+        Raises SettingProblem for an unknown name, Cancelled when `progress` says so, and whatever a method raises.
         """
-        order = self.needed(wanted)
+        order = self.needed(wanted, given=inputs.keys())
         digests = {name: self._known.digest(value) for name, value in inputs.items()}
         values: dict[str, object] = dict(inputs)
         results: dict[str, StageResult] = {}
         fresh: set[str] = set()
-        for index, stage in enumerate(order):
-            part = _Part(progress, index, len(order), stage.title)
+        for index, method in enumerate(order):
+            part = Share(progress, index / len(order), 1.0 / len(order), method.title)
             part.step(0.0, "")
-            result = self._one(stage, values, digests, params.get(stage.name) or stage.params(), fresh, part)
-            values[stage.name], digests[stage.name], results[stage.name] = result.output, result.digest, result
-            if result.state != "cached":
-                fresh.add(stage.name)
+            if method.slot in inputs:
+                result = _given(method.slot, values[method.slot], digests[method.slot])
+            else:
+                result = self._one(method, values, digests, _fitting(params, method), fresh, part)
+            values[method.slot], digests[method.slot] = result.output, result.digest
+            results[method.slot] = result
+            if result.state not in ("cached", "given"):
+                fresh.add(method.slot)
             if on_stage is not None:
                 on_stage(result)
         progress.step(1.0, "")
         return results
 
-    def needed(self, wanted: Iterable[str]) -> tuple[Stage, ...]:
-        """The wanted stages and all that they read, in running order."""
-        names = set(wanted)
-        unknown = names - {s.name for s in self.stages}
+    def needed(self, wanted: Iterable[str], given: Iterable[str] = ()) -> tuple[Method, ...]:
+        """The methods of the wanted slots and of all that they read, in running order; a given slot reads nothing."""
+        names, given = set(wanted), set(given)
+        unknown = names - {m.slot for m in self.methods}
         if unknown:
-            known = ", ".join(s.name for s in self.stages)
-            raise SettingProblem(f"no stage {sorted(unknown)[0]!r}; there are {known}")
-        for stage in reversed(self.stages):
-            if stage.name in names:
-                names.update(stage.reads)
-        return tuple(s for s in self.stages if s.name in names)
+            known = ", ".join(m.slot for m in self.methods)
+            raise SettingProblem(f"no slot {sorted(unknown)[0]!r} on this route; there are {known}")
+        for method in reversed(self.methods):
+            if method.slot in names and method.slot not in given:
+                names.update(method.reads)
+        return tuple(m for m in self.methods if m.slot in names)
 
     def _one(
         self,
-        stage: Stage,
+        method: Method,
         values: Mapping[str, object],
         digests: Mapping[str, str],
         params: object,
@@ -121,33 +145,44 @@ class Graph:
         progress: Progress,
     ) -> StageResult:
         started = time.perf_counter() - compiling.spent_s()
-        missing = [name for name in stage.reads if name not in values]
+        missing = [name for name in method.reads if name not in values]
         if missing:
-            raise SettingProblem(f"stage {stage.name!r} needs {missing[0]!r}, which was not given")
-        key = self._key(stage, params, [digests[name] for name in stage.reads])
+            raise SettingProblem(f"{method.slot} by {method.title!r} needs {missing[0]!r}, which this route lacks")
+        key = _key(method, params, [digests[name] for name in method.reads])
         entry = self.cache.get(key)
         if entry is not None:
-            state: State = "unchanged" if fresh.intersection(stage.reads) else "cached"
+            state: State = "unchanged" if fresh.intersection(method.reads) else "cached"
         else:
-            entry = self._work(stage, [values[name] for name in stage.reads], params, progress)
+            entry = self._work(method, [values[name] for name in method.reads], params, progress)
             self.cache.put(key, entry)
             state = "computed"
-        if entry.was_shortcut:
-            state = "skipped"
-        ms = 1e3 * (time.perf_counter() - compiling.spent_s() - started)
         notes = tuple(getattr(entry.output, "notes", ()))
-        return StageResult(name=stage.name, output=entry.output, state=state, ms=ms, notes=notes, digest=entry.digest)
+        if entry.skipped:
+            state, notes = "skipped", tuple(dict.fromkeys((entry.skipped, *notes)))
+        ms = 1e3 * (time.perf_counter() - compiling.spent_s() - started)
+        return StageResult(
+            name=method.slot, method=method, output=entry.output, state=state, ms=ms, notes=notes, digest=entry.digest
+        )
 
-    def _work(self, stage: Stage, reads: Sequence[object], params: object, progress: Progress) -> Entry:
-        output = stage.shortcut(*reads, params)
-        was_shortcut = output is not None
-        if output is None:
-            output = stage.run(*reads, params, progress)
-        # A shortcut may well give the very object that it gave before.
-        made = self._known.digest(output) if was_shortcut else digest(output)
-        return Entry(output=output, digest=made, n_bytes=size_bytes(output), was_shortcut=was_shortcut)
+    def _work(self, method: Method, reads: Sequence[object], params: object, progress: Progress) -> Entry:
+        answer = method.run(*reads, params, progress)
+        why = answer.why if isinstance(answer, Skipped) else ""
+        output = answer.output if isinstance(answer, Skipped) else answer
+        # An answer without work may well be the very object that was given before.
+        made = self._known.digest(output) if why else digest(output)
+        return Entry(output=output, digest=made, n_bytes=size_bytes(output), skipped=why)
 
-    @staticmethod
-    def _key(stage: Stage, params: object, reads: Sequence[str]) -> str:
-        text = f"{stage.name}|{stage.version}|{params!r}|{'|'.join(reads)}"
-        return xxhash.xxh3_128_hexdigest(text.encode())
+
+def _fitting(params: Mapping[str, object], method: Method) -> object:
+    given = params.get(method.slot)
+    return given if isinstance(given, method.params) else method.params()
+
+
+def _given(slot: str, value: object, made: str) -> StageResult:
+    notes = tuple(getattr(value, "notes", ()))
+    return StageResult(name=slot, method=None, output=value, state="given", ms=0.0, notes=notes, digest=made)
+
+
+def _key(method: Method, params: object, reads: Sequence[str]) -> str:
+    text = f"{method.slot}|{method.name}|{method.version}|{params!r}|{'|'.join(reads)}"
+    return xxhash.xxh3_128_hexdigest(text.encode())

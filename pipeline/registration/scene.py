@@ -10,7 +10,7 @@ from pipeline.base.arrays import Doubles, Floats, Indices, Mask
 from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.geometry.normals import area_vectors
 from pipeline.registration.model import Model
-from pipeline.values.results import Touch
+from pipeline.values.results import DepthMap
 
 MOST_TURNED_AWAY = -0.2  # cosine to the felt normal; the wall of a notch is steep, the far side of a plate is at -1
 
@@ -39,13 +39,14 @@ class Scene:
         return float(np.median(self.points_mm[:, 2])) / self.camera.fx_px
 
 
-def felt_surface(touch: Touch, max_points: int, seed: int) -> Scene:
-    """At most `max_points` contact points of a touch with their normals; a seeded choice where there are more."""
-    usable = touch.contact & (touch.depth_mm > MIN_DEPTH_MM) & np.isfinite(touch.depth_mm)
+def felt_surface(felt: DepthMap, max_points: int, seed: int) -> Scene:
+    """At most `max_points` contact points of a felt touch with their normals; a seeded choice where there are more."""
+    known = np.ones(felt.contact.shape, np.bool_) if felt.known is None else felt.known
+    usable = felt.contact & (felt.depth_mm > MIN_DEPTH_MM) & np.isfinite(felt.depth_mm)
     top, left, rows, cols = _box(usable)
     part = np.s_[top : top + rows, left : left + cols]
-    seen = touch.camera.cropped(top, left, rows, cols)
-    surface = seen.back_project(np.where(usable[part], touch.depth_mm[part], np.nan))
+    seen = felt.camera.cropped(top, left, rows, cols)
+    surface = seen.back_project(np.where(usable[part], felt.depth_mm[part], np.nan))
     # Over contact pixels only: the membrane beside a contact is not the object.
     across = area_vectors(surface).reshape(-1, 3)
     area = np.linalg.norm(across, axis=1)
@@ -56,17 +57,17 @@ def felt_surface(touch: Touch, max_points: int, seed: int) -> Scene:
     row, col = np.divmod(chosen, max(cols, 1))
     import cv2
 
-    typical_mm = float(np.median(touch.depth_mm[usable])) / touch.camera.fx_px if usable.any() else 0.0
+    typical_mm = float(np.median(felt.depth_mm[usable])) / felt.camera.fx_px if usable.any() else 0.0
     off_px = np.asarray(cv2.distanceTransform((~usable).astype(np.uint8), cv2.DIST_L2, 5), np.float32)
-    farthest_mm = float(np.percentile(touch.depth_mm[usable], _RIM_PERCENT)) + _RIM_MM if usable.any() else 0.0
+    farthest_mm = float(np.percentile(felt.depth_mm[usable], _RIM_PERCENT)) + _RIM_MM if usable.any() else 0.0
     return Scene(
         points_mm=surface.reshape(-1, 3)[chosen],
         normals=across[chosen] / area[chosen, None],
-        pixel=((row + top) * touch.camera.cols + col + left).astype(np.int32),
+        pixel=((row + top) * felt.camera.cols + col + left).astype(np.int32),
         area_mm2=area_mm2,
-        membrane_mm=np.where(touch.known, np.minimum(touch.depth_mm, np.float32(farthest_mm)), np.float32(np.nan)),
-        off_contact_mm=np.where(touch.known, off_px * np.float32(typical_mm), np.float32(0.0)),
-        camera=touch.camera,
+        membrane_mm=np.where(known, np.minimum(felt.depth_mm, np.float32(farthest_mm)), np.float32(np.nan)),
+        off_contact_mm=np.where(known, off_px * np.float32(typical_mm), np.float32(0.0)),
+        camera=felt.camera,
     )
 
 

@@ -15,7 +15,6 @@ import numpy as np
 from pipeline import __version__
 from pipeline.base.arrays import freeze
 from pipeline.engine.digests import digest
-from pipeline.engine.graph import Graph
 from pipeline.reporting.frame_report import FrameLines, StageLine
 from pipeline.reporting.report import folder_of
 from pipeline.translation.translate import Translation
@@ -31,9 +30,7 @@ class Finished:
     pose: ObjectPose | None = None  # what the next touch of a sequence begins with; None = it has none
 
 
-def key_of(
-    translation: Translation, graph: Graph, params: Mapping[str, object], index: int, before: Finished | None
-) -> str:
+def key_of(translation: Translation, params: Mapping[str, object], index: int, before: Finished | None) -> str:
     """Digest of all that a frame's results come from: its contents, truth, settings, versions, and the frame followed.
 
     Raises FileProblem if the frame is damaged.
@@ -41,7 +38,7 @@ def key_of(
     return digest(
         (
             __version__,
-            *((s.name, s.version) for s in graph.needed(translation.stages)),
+            *((m.slot, m.name, m.version) for m in translation.methods),
             repr(params),
             dict(translation.inputs(index)),
             translation.truth_of_source(index),

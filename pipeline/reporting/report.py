@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.files import write_arrays, write_folder, write_json
 from pipeline.engine.graph import StageResult
+from pipeline.evaluation.metrics import METRICS
 from pipeline.geometry.camera import Camera
 from pipeline.reporting.frame_report import FrameLines, FrameReport
 from pipeline.translation.translate import Translation
@@ -19,7 +20,7 @@ from pipeline.values.frames import TactileFrame
 
 
 def stage_arrays(frame: TactileFrame, results: Mapping[str, StageResult]) -> dict[str, NDArray[Any]]:
-    """Every array of every stage under `stage.field`; a camera becomes its K (3, 3)."""
+    """Every array of every slot under `slot.field`; a camera becomes its K (3, 3)."""
     arrays: dict[str, NDArray[Any]] = {"source.image": frame.image}
     if frame.reference is not None:
         arrays["source.reference"] = frame.reference
@@ -32,11 +33,10 @@ def stage_arrays(frame: TactileFrame, results: Mapping[str, StageResult]) -> dic
                 arrays[f"{name}.{f.name}"] = value.matrix
             elif isinstance(value, (bool, int, float)):
                 arrays[f"{name}.{f.name}"] = np.asarray(value)
-    pose = results.get("pose")
-    if pose is not None and pose.output.steps:
-        arrays["pose.steps"] = np.stack([step.sensor_from_object for step in pose.output.steps])
-    if pose is not None and pose.output.alternatives:
-        arrays["pose.alternatives"] = np.stack(pose.output.alternatives)
+        for kept in ("steps", "alternatives"):
+            poses = [getattr(one, "sensor_from_object", one) for one in getattr(result.output, kept, ())]
+            if poses:
+                arrays[f"{name}.{kept}"] = np.stack(poses)
     return arrays
 
 
@@ -71,14 +71,21 @@ def write_report(out: Path, translation: Translation, frames: Sequence[FrameLine
         path,
         {
             "route": request.route,
+            "methods": {method.slot: method.name for method in translation.methods},
             "recording": str(request.recording),
             "source": translation.source.name,
             "target": translation.target.name,
             "notes": translation.notes,
+            "metrics": {name: asdict(METRICS[name.partition(".")[2]]) for name in _figure_names(frames)},
             "frames": [_told(f) for f in frames],
         },
     )
     return path
+
+
+def _figure_names(frames: Sequence[FrameLines]) -> list[str]:
+    names = {name for frame in frames for name in frame.metrics}
+    return sorted(name for name in names if name.partition(".")[2] in METRICS)
 
 
 def _told(frame: FrameLines) -> dict[str, object]:

@@ -13,7 +13,7 @@ from pipeline.base.arrays import freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.calibration.lookup import Calibration
 from pipeline.calibration.lookup import load as load_calibration
-from pipeline.engine.graph import Graph
+from pipeline.engine.graph import Graph, Method, StageResult
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh, load_mesh
 from pipeline.recordings import open_recording
@@ -22,7 +22,8 @@ from pipeline.sensors import alignment as alignments
 from pipeline.sensors.alignment import Alignment, placed
 from pipeline.sensors.alignment_files import load as load_alignment
 from pipeline.sensors.spec import SensorSpec, sensor
-from pipeline.translation import routes
+from pipeline.stages.slot import Facts
+from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.values.frames import Recording, Stream, TactileFrame, Truth
 from pipeline.values.results import ObjectPose
 
@@ -39,6 +40,7 @@ class Request:
     source: str = ""
     stream: str = ""
     route: str = "t2d2"
+    methods: tuple[tuple[str, str], ...] = ()  # (slot, method) in place of the route's own
     reference: Path | None = None
     calibration: Path | None = None
     mesh: Path | None = None
@@ -49,7 +51,7 @@ class Request:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Translation:
-    """Everything the stages read, for every frame of one stream."""
+    """Everything that the methods read, for every frame of one stream."""
 
     request: Request
     recording: Recording
@@ -61,6 +63,7 @@ class Translation:
     mesh: Mesh | None
     notes: tuple[str, ...] = field(default=())
     symmetry: Symmetry | None = None  # of `mesh`; None = not known
+    catalogue: Catalogue = BUILT_IN
 
     @property
     def n_frames(self) -> int:
@@ -68,9 +71,18 @@ class Translation:
         return self.stream.n_frames
 
     @property
-    def stages(self) -> tuple[str, ...]:
-        """The stages of the route, in order."""
-        return routes.route(self.request.route)
+    def methods(self) -> tuple[Method, ...]:
+        """The methods of the route, one a slot, in running order."""
+        return self.catalogue.methods(self.request.route, dict(self.request.methods))
+
+    @property
+    def slots(self) -> tuple[str, ...]:
+        """The slots of the route, in order."""
+        return tuple(method.slot for method in self.methods)
+
+    def graph(self, like: Graph | None = None) -> Graph:
+        """What evaluates the route; one that remembers what `like` has worked out, where that is given."""
+        return Graph(self.methods) if like is None else like.rerouted(self.methods)
 
     def inputs(self, index: int, previous: ObjectPose | None = None) -> Mapping[str, object]:
         """What the graph reads for frame `index`; raises FileProblem if that frame is damaged.
@@ -102,6 +114,19 @@ class Translation:
             return None
         return other.frame(index), other.truth(index)
 
+    def metrics(self, results: Mapping[str, StageResult], index: int) -> dict[str, float]:
+        """Every figure that the known truth of frame `index` allows, as slot.name; see `METRICS` for units."""
+        other = self.truth_of_target(index)
+        facts = Facts(
+            source=self.truth_of_source(index), mesh=self.mesh, symmetry=self.symmetry,
+            target_frame=None if other is None else other[0], target=None if other is None else other[1],
+        )  # fmt: skip
+        return {
+            f"{name}.{figure}": value
+            for name, result in results.items()
+            for figure, value in self.catalogue.slot(name).figures(result.output, facts).items()
+        }
+
     def checked(self, index: int) -> int:
         """`index` if there is such a frame; raises SettingProblem otherwise."""
         if not 0 <= index < self.n_frames:
@@ -109,9 +134,9 @@ class Translation:
         return index
 
 
-def open_translation(request: Request) -> Translation:
+def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Translation:
     """Open and check all that `request` names; raises TouchError with what is wrong and where."""
-    routes.route(request.route)
+    catalogue.methods(request.route, dict(request.methods))
     target = sensor(request.target)
     recording = open_recording(
         request.recording, sensor=request.source, reference=request.reference, depth_unit=request.depth_unit
@@ -135,6 +160,7 @@ def open_translation(request: Request) -> Translation:
         mesh=mesh,
         notes=(*recording.notes, *_about_symmetry(recording, stream, mesh)),
         symmetry=recording.symmetry if mesh is recording.object_mesh else None,
+        catalogue=catalogue,
     )
 
 
@@ -158,11 +184,6 @@ def _alignment(
         return described
     onward = rigid.checked(known, "target_from_source of the recording") @ rigid.invert(described.alignment_from_source)
     return Alignment(alignment_from_source=described.alignment_from_source, target_from_alignment=freeze(onward))
-
-
-def new_graph() -> Graph:
-    """A graph of all the stages with an empty cache."""
-    return Graph(routes.STAGES)
 
 
 def own_shift_mm(frame: TactileFrame, spec: SensorSpec) -> float:

@@ -8,19 +8,21 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from pipeline.base.arrays import Doubles, Floats, Image, Indices, Mask
+from pipeline.engine.digests import UNDIGESTED
 from pipeline.geometry.camera import Camera
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthMap:
-    """How far the source sensor's membrane is pushed in, and where it is, in the source sensor's frame."""
+    """How far a sensor's membrane is pushed in, and where it is, in that sensor's frame."""
 
     indentation_mm: Floats  # (rows, cols) rest - depth: 0 untouched, positive toward the camera; NaN = no value
     depth_mm: Floats  # (rows, cols) z of the membrane surface; NaN = no value
     contact: Mask  # (rows, cols) membrane touches the object (paper's M_S')
     camera: Camera  # of this very grid
-    source_index: Indices  # (rows, cols) -> pixel of the frame
+    source_index: Indices  # (rows, cols) -> pixel of the reading it was made from
     notes: tuple[str, ...] = ()
+    known: Mask | None = None  # (rows, cols) where "no contact" means anything; None = everywhere
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,15 +56,13 @@ class TargetView:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Touch:
-    """What the target sensor would have recorded, and the membrane shape behind that picture."""
+    """What the target sensor would have recorded, and the membrane behind that picture where the method knows it."""
 
     image: Image | Floats  # (rows, cols, 3) uint8 RGB, or (rows, cols) float32 depth_mm for a bubble
-    indentation_mm: Floats  # (rows, cols) of the whole membrane, contact or not
-    depth_mm: Floats  # (rows, cols) z of the membrane surface in the target frame
-    contact: Mask  # (rows, cols)
     camera: Camera
-    source_index: Indices  # (rows, cols) -> pixel of TargetView
-    known: Mask  # (rows, cols) as in TargetView
+    source_index: Indices  # (rows, cols) -> pixel of what it was made from; -1 everywhere where a method cannot tell
+    known: Mask  # (rows, cols) as in TargetView; everywhere for a method that guesses beyond the source's window
+    membrane: DepthMap | None = None  # of the very picture; None = only the picture is known
     notes: tuple[str, ...] = ()
 
 
@@ -86,8 +86,8 @@ class ObjectPose:
     rmse_mm: float
     fitness: float
     scene_mm: Floats  # (n, 3) the points that were registered, target frame
-    source_index: Indices  # (n,) -> pixel of Touch
-    steps: tuple[PoseStep, ...] = ()
+    source_index: Indices  # (n,) -> pixel of the felt DepthMap
+    steps: tuple[PoseStep, ...] = field(default=(), metadata=UNDIGESTED)
     starts_tried: int = 0
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
     alternatives: tuple[Doubles, ...] = ()  # (4, 4) each, best first: other poses that this touch fits as well

@@ -18,7 +18,7 @@ from pipeline.simulation import shapes
 from pipeline.simulation.press import press
 from pipeline.values.frames import TactileFrame
 from pipeline.values.pixel_index import pixel_index
-from pipeline.values.results import Cloud, DepthMap, TargetView, Touch
+from pipeline.values.results import Cloud, DepthMap, TargetView
 
 GELS, BUBBLES = ("digit", "gelslim"), ("soft_bubble",)
 _SHARE = {"digit": 0.2, "gelslim": 0.15, "gelsight_mini": 0.15, "soft_bubble": 0.25}
@@ -84,10 +84,9 @@ def view(spec: SensorSpec, pushed_mm: np.ndarray) -> TargetView:
     )
 
 
-def touch(spec: SensorSpec, pushed_mm: np.ndarray) -> Touch:
-    """A generated touch with this membrane; its picture is black."""
-    return Touch(
-        image=np.zeros((*spec.camera.shape, 3), np.uint8),
+def touch(spec: SensorSpec, pushed_mm: np.ndarray) -> DepthMap:
+    """What is felt of a generated touch with this membrane."""
+    return DepthMap(
         indentation_mm=pushed_mm.astype(np.float32),
         depth_mm=(spec.rest_depth_mm - pushed_mm).astype(np.float32),
         contact=pushed_mm > 0,

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from hypothesis import given
 
+from pipeline.engine.graph import Graph
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment import Alignment
-from pipeline.translation import routes
-from pipeline.translation.translate import new_graph
+from pipeline.translation.catalogue import BUILT_IN, default_params, with_setting
 from pipeline.values.frames import TactileFrame
 from tests.stability.checks import outcome, sound
 from tests.stability.rows import SIZE, row
@@ -20,8 +20,9 @@ from tests.stability.scenes import aligned, frame, mesh, seeds, small
 GROWTH_MB = 200.0  # the cache of results has its own bound; what may come beside it are tables for new sizes
 CACHE_BYTES = 32 * 2**20
 SENSORS = ("digit", "gelslim", "soft_bubble")
-STAGES = ("depth", "adapt", "project", "generate")
-_GRAPH = new_graph()
+STAGES = ("depth", "cloud", "view", "touch")
+_METHODS = BUILT_IN.methods("t2d2")
+_GRAPH = Graph(_METHODS)
 _GRAPH.cache.most_bytes = CACHE_BYTES
 
 
@@ -89,13 +90,13 @@ def test_chain_with_pose(seed):
 
 
 def run(stages, rng):
-    params = routes.default_params()
+    params = default_params(_METHODS)
     for setting in (
-        f"adapt.stride={rng.integers(1, 4)}",
-        f"project.mode={rng.choice(['surface', 'paper'])}",
+        f"cloud.stride={rng.integers(1, 4)}",
+        f"view.mode={rng.choice(['surface', 'paper'])}",
         "pose.n_starts=6",
     ):
-        params = routes.with_setting(params, setting)
+        params = with_setting(params, setting)
     results, _ = outcome(_GRAPH.evaluate, stages, random_inputs(rng), params)
     for result in (results or {}).values():
         sound(result.output)

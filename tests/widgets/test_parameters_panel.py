@@ -8,7 +8,7 @@ import pytest
 from PyQt6.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QLabel, QSlider, QSpinBox, QToolButton
 
 from pipeline.base.params import setting
-from pipeline.translation.routes import STAGES
+from pipeline.translation.catalogue import BUILT_IN
 from widgets.parameters_panel import ParametersPanel
 
 
@@ -27,7 +27,7 @@ class Some:
 def panel(qtbot):
     made = ParametersPanel()
     qtbot.addWidget(made)
-    made.add_stage("some", "Some stage", Some())
+    made.add_group("some", "Some stage", Some())
     made.show()
     return made
 
@@ -76,6 +76,7 @@ def test_reset_brings_the_defaults_back(panel, qtbot):
 def test_every_stage_of_the_pipeline_can_be_shown(qtbot):
     panel = ParametersPanel()
     qtbot.addWidget(panel)
-    for stage in STAGES:
-        panel.add_stage(stage.name, stage.title, stage.params())
-    assert panel.values() == {stage.name: stage.params() for stage in STAGES}
+    methods = BUILT_IN.methods("t2d2")
+    for method in methods:
+        panel.add_group(method.key, method.title, method.params())
+    assert panel.values() == {method.key: method.params() for method in methods}

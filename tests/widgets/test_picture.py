@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from PyQt6.QtCore import QPointF
 
-from widgets.colours import NO_VALUE, ColourScale, coloured, table
-from widgets.picture import Picture, PictureView
+from pipeline.pictures.colours import NO_VALUE, ColourScale, coloured, table
+from pipeline.pictures.picture import Picture
+from widgets.picture import PictureView
 from widgets.stage_column import StageColumn
 
 SCALE = ColourScale(map="viridis", low=0.0, high=2.0, unit="mm", quantity="indentation, + toward camera")

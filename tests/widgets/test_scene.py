@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, Qt
 
-from widgets.colours import uniform
-from widgets.layers import EmptyScene, Layer, Sight
+from pipeline.pictures.colours import uniform
+from pipeline.pictures.layers import Layer, Sight
+from widgets.layers import EmptyScene
 from widgets.scene import LiveScene, best_scene
 
 pytestmark = pytest.mark.gl

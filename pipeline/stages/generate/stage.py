@@ -21,7 +21,8 @@ from pipeline.engine.digests import content
 from pipeline.geometry.camera import MIN_DEPTH_MM
 from pipeline.physics import bubble, bubble_camera, gel, lattice, optics
 from pipeline.sensors.spec import SensorSpec
-from pipeline.values.results import TargetView, Touch
+from pipeline.values.pixel_index import pixel_index
+from pipeline.values.results import DepthMap, TargetView, Touch
 
 Surface = Literal["press", "follow"]
 
@@ -83,14 +84,19 @@ _untouched_touches: Memo[str, Touch] = Memo(8)
 def _untouched(target: SensorSpec) -> Touch:
     shape = target.camera.shape
     depth: Floats = freeze(target.rest_depth_mm.astype(np.float32))
-    return Touch(
-        image=optics.untouched(target) if target.kind == "gel" else depth,
+    at_rest = DepthMap(
         indentation_mm=freeze(np.zeros(shape, np.float32)),
         depth_mm=depth,
         contact=freeze(np.zeros(shape, np.bool_)),
         camera=target.camera,
+        source_index=pixel_index(shape),
+    )
+    return Touch(
+        image=optics.untouched(target) if target.kind == "gel" else depth,
+        camera=target.camera,
         source_index=freeze(np.full(shape, -1, np.int32)),
         known=freeze(np.ones(shape, np.bool_)),
+        membrane=at_rest,
         notes=(NO_CONTACT,),
     )
 
@@ -178,16 +184,17 @@ def _touch(
 ) -> Touch:
     here = np.arange(contact.size, dtype=np.int32).reshape(contact.shape)
     source: Indices = np.where(view.source_index >= 0, here, np.int32(-1))
-    return Touch(
-        image=image,
+    membrane = DepthMap(
         indentation_mm=freeze(surface),
         depth_mm=freeze((target.rest_depth_mm - surface).astype(np.float32)),
         contact=freeze(contact),
         camera=target.camera,
-        source_index=freeze(source),
-        known=view.known,
-        notes=tuple(notes),
+        source_index=pixel_index(contact.shape),
     )
+    return Touch(
+        image=image, camera=target.camera, source_index=freeze(source), known=view.known, membrane=membrane,
+        notes=tuple(notes),
+    )  # fmt: skip
 
 
 def _at_border(mask: Mask) -> bool:

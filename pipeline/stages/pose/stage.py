@@ -16,7 +16,7 @@ import numpy as np
 from pipeline.base.arrays import Doubles, Floats, Indices, freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.base.params import setting
-from pipeline.base.progress import SILENT, Progress
+from pipeline.base.progress import SILENT, Progress, Share
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.registration.answer import Answered, answered
@@ -26,7 +26,7 @@ from pipeline.registration.prepared import prepared
 from pipeline.registration.scene import Scene, felt_surface
 from pipeline.registration.search import Minimum, Search
 from pipeline.registration.starts import FACES, starts
-from pipeline.values.results import ObjectPose, Touch
+from pipeline.values.results import DepthMap, ObjectPose
 
 NO_CONTACT = "no contact: nothing was felt to find a pose from"
 NO_MESH = "no object mesh was given; a pose needs one"
@@ -60,12 +60,12 @@ class PoseParams:
     seed: int = setting(0, "Seed", low=0, high=2**31 - 1, step=1)
 
 
-def pose(touch: Touch, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT) -> ObjectPose:
+def pose(felt: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT) -> ObjectPose:
     """sensor_from_object (4, 4) in mm with its covariance and what it leaves open; None where it cannot be said.
 
     Raises MeshProblem when the mesh has no surface, SettingProblem for an unknown face or method.
     """
-    begun = _begun(touch, mesh, params, progress)
+    begun = _begun(felt, mesh, params, progress)
     if isinstance(begun, ObjectPose):
         return begun
     search, checked = begun
@@ -75,12 +75,12 @@ def pose(touch: Touch, mesh: Mesh | None, params: PoseParams, progress: Progress
     progress.step(0.2, "comparing first guesses")
     tried = starts(search.scene, search.object.model, params.face, params.n_starts)
     progress.step(0.21, "registering the most promising")
-    found = search.best(search.promising(tried), _Share(progress, 0.3, 0.7))
+    found = search.best(search.promising(tried), Share(progress, 0.3, 0.7))
     return _told(search, checked, found, len(tried), ())
 
 
 def pose_from(
-    touch: Touch,
+    felt: DepthMap,
     mesh: Mesh | None,
     params: PoseParams,
     previous: Doubles,
@@ -96,7 +96,7 @@ def pose_from(
     rigid transform.
     """
     if params.method == SURFACE:
-        begun = _begun(touch, mesh, params, progress)
+        begun = _begun(felt, mesh, params, progress)
         if isinstance(begun, ObjectPose):
             return begun
         search, checked = begun
@@ -104,44 +104,44 @@ def pose_from(
         best = found[0] if found else None
         if best is not None and best.fit.fitness >= _FOLLOWED_FITNESS and best.misfit_mm <= _FOLLOWED_MM:
             return _told(search, checked, found, 0, ("followed from the touch before",))
-    return pose(touch, mesh, params, progress)
+    return pose(felt, mesh, params, progress)
 
 
 def posed(
-    touch: Touch, mesh: Mesh | None, previous: ObjectPose | None, params: PoseParams, progress: Progress = SILENT
+    felt: DepthMap, mesh: Mesh | None, previous: ObjectPose | None, params: PoseParams, progress: Progress = SILENT
 ) -> ObjectPose:
     """The stage: `pose_from` where the touch before is given and has a pose, else `pose`."""
     if previous is None or previous.sensor_from_object is None:
-        return pose(touch, mesh, params, progress)
-    return pose_from(touch, mesh, params, previous.sensor_from_object, progress, others=previous.alternatives)
+        return pose(felt, mesh, params, progress)
+    return pose_from(felt, mesh, params, previous.sensor_from_object, progress, others=previous.alternatives)
 
 
 def nothing_to_pose(
-    touch: Touch,
+    felt: DepthMap,
     mesh: Mesh | None,
     previous: ObjectPose | None,  # noqa: ARG001 - a shortcut takes what its stage takes
     params: PoseParams,
 ) -> ObjectPose | None:
     """`without_contact` with the inputs of `posed`."""
-    return without_contact(touch, mesh, params)
+    return without_contact(felt, mesh, params)
 
 
-def without_contact(touch: Touch, mesh: Mesh | None, params: PoseParams) -> ObjectPose | None:  # noqa: ARG001
+def without_contact(felt: DepthMap, mesh: Mesh | None, params: PoseParams) -> ObjectPose | None:  # noqa: ARG001
     """The answer "unknown" when there is no mesh or no contact, else None; same inputs as `pose`."""
-    if not touch.contact.any():
+    if not felt.contact.any():
         return _unknown(NO_CONTACT)
     return _unknown(NO_MESH) if mesh is None else None
 
 
 def _begun(
-    touch: Touch, mesh: Mesh | None, params: PoseParams, progress: Progress
+    felt: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress
 ) -> ObjectPose | tuple[Search, Mesh]:  # fmt: skip
     """What a search needs, or the answer where there is nothing to search."""
-    early = without_contact(touch, mesh, params)
+    early = without_contact(felt, mesh, params)
     if early is not None or mesh is None:
         return early or _unknown(NO_MESH)
     _check(params)
-    scene = felt_surface(touch, params.max_points, params.seed)
+    scene = felt_surface(felt, params.max_points, params.seed)
     few = f"only {len(scene.points_mm)} contact points show a surface; a pose needs at least {_MIN_POINTS}"
     if len(scene.points_mm) < _MIN_POINTS:
         return _unknown(few, scene)
@@ -151,24 +151,11 @@ def _begun(
     if len(mesh.vertices_mm) and _size_mm(mesh) > _LARGEST * points.radius_mm:
         return _unknown(_not_laid(mesh), scene)
     progress.step(0.0, "measuring the object")
-    ready = prepared(mesh, params.seed, _Share(progress, 0.0, 0.2))
+    ready = prepared(mesh, params.seed, Share(progress, 0.0, 0.2))
     return Search(
         scene=scene, points=points, object=ready, max_distance_mm=params.max_distance_mm,
         n_iterations=params.n_iterations, keep_steps=params.keep_steps,
     ), mesh  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class _Share:
-    """A part of a longer progress."""
-
-    whole: Progress
-    start: float
-    share: float
-
-    def step(self, fraction: float, text: str) -> None:
-        """Pass on as a fraction of the whole."""
-        self.whole.step(self.start + self.share * fraction, text)
 
 
 def _check(params: PoseParams) -> None:

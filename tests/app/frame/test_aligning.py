@@ -47,7 +47,7 @@ def aligned(open_window, qtbot) -> Instrument:
 def _window_with_dock(open_window, qtbot, recording: Path, **session) -> Instrument:
     gl = bool(session.pop("gl", False))
     instrument = open_window(gl=gl)
-    instrument.screen.show_only("project")
+    instrument.screen.show_only("view")
     instrument.window.alignment_dock.raise_()
     instrument.start(Session(recording=recording, **session))
     panel = instrument.window.alignment
@@ -70,7 +70,7 @@ def _let_go(instrument: Instrument, axis: str) -> None:
 
 
 def test_a_drag_changes_the_view_and_the_gauges_before_it_ends(aligned, qtbot):
-    panel, column = aligned.window.alignment, aligned.window.columns["project"]
+    panel, column = aligned.window.alignment, aligned.window.columns["view"]
     before, gauge = column.view.picture, panel.gauges["iou"]
     good = gauge.value
     assert before.felt_px.size > 0
@@ -109,7 +109,7 @@ def test_a_drag_is_one_undo_step_and_ends_at_full_size(aligned, qtbot, settled):
     assert aligned.undo.count() == steps + 1
     assert "x" in aligned.undo.undoText()
     assert aligned.session.offsets.values == (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    assert aligned.window.columns["project"].state == "computed"
+    assert aligned.window.columns["view"].state == "computed"
     assert panel.gauges["iou"].value < good
     assert "moved" in panel.origin
     aligned.undo.undo()
@@ -149,7 +149,7 @@ def test_a_drag_that_comes_back_leaves_no_trace(aligned, qtbot, settled):
     _let_go(aligned, "y")
     settled(aligned)
     assert aligned.undo.count() == steps
-    assert aligned.window.columns["project"].state == "cached"
+    assert aligned.window.columns["view"].state == "cached"
 
 
 def test_offsets_are_in_the_session_file_and_old_files_have_none(aligned, open_window, tmp_path, settled):
@@ -159,7 +159,7 @@ def test_offsets_are_in_the_session_file_and_old_files_have_none(aligned, open_w
     path = tmp_path / "s.touch.json"
     aligned.save_session(path)
     other = open_window()
-    other.show_only("project")
+    other.show_only("view")
     other.open_path(path)
     assert wait_until_shown(other, LIMIT_S)
     assert other.session.offsets == aligned.session.offsets
@@ -208,11 +208,11 @@ def test_a_recording_without_the_targets_touch_says_so_and_still_previews(open_w
     panel = instrument.window.alignment
     assert panel.reason == "the recording has no gelslim touch to compare with"
     assert panel.gauges["iou"].text == "-"
-    before = instrument.window.columns["project"].view.picture
+    before = instrument.window.columns["view"].view.picture
     assert before.felt_px is None
     _drag(instrument, "x", 2.0, qtbot)
-    qtbot.waitUntil(lambda: instrument.window.columns["project"].state == "preview", timeout=WAIT_MS)
-    assert instrument.window.columns["project"].view.picture is not before
+    qtbot.waitUntil(lambda: instrument.window.columns["view"].state == "preview", timeout=WAIT_MS)
+    assert instrument.window.columns["view"].view.picture is not before
     panel.refine.button.click()
     qtbot.waitUntil(instrument.window.banner.isVisible, timeout=WAIT_MS)
     assert "both sensors" in instrument.window.banner.text
@@ -243,13 +243,13 @@ def test_an_alignment_of_other_sensors_ends_in_the_banner_and_is_taken_back(alig
 
 def test_nothing_is_judged_while_the_dock_is_hidden(open_window, qtbot):
     instrument = open_window()
-    instrument.show_only("project")
+    instrument.show_only("view")
     instrument.start(Session(recording=PAIRED, source="digit", target="gelslim", frame=TOUCHED))
     assert wait_until_shown(instrument, LIMIT_S)
     qtbot.wait(200)
     assert not instrument.job.busy
     assert instrument.window.alignment.bars.axes == ()
-    assert instrument.window.columns["project"].view.picture.felt_px is None
+    assert instrument.window.columns["view"].view.picture.felt_px is None
 
 
 def test_offsets_go_with_the_sensors_they_were_made_for(aligned, settled):

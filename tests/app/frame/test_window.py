@@ -20,6 +20,8 @@ from app.work.stopwatch import LIMIT_MS
 from pipeline.base.params import changed
 from pipeline.engine.graph import Graph
 from pipeline.recordings.hdf5_writer import Writer
+from pipeline.stages.adapt.stage import AdaptParams
+from pipeline.stages.depth.stage import DepthParams
 from tests.app.conftest import bubble_frames
 from widgets.colours import BACKDROP
 from widgets.layers import EmptyScene
@@ -29,7 +31,7 @@ LIMIT_S = 60
 
 def test_all_six_columns_show_content(bubble_window):
     window = bubble_window.window
-    assert list(window.columns) == ["source", "depth", "adapt", "project", "generate", "pose"]
+    assert list(window.columns) == ["source", "depth", "cloud", "view", "touch", "felt", "pose"]
     for name, column in window.columns.items():
         picture = column.view.picture
         assert picture is not None, name
@@ -48,7 +50,7 @@ def test_a_skipped_column_says_why(bubble_window, qtbot):
 def test_an_untouched_frame_skips_and_a_seen_frame_is_cached(bubble_window):
     bubble_window.choose_frame(0)
     assert wait_until_shown(bubble_window, LIMIT_S)
-    assert bubble_window.latest.results["generate"].state == "skipped"
+    assert bubble_window.latest.results["touch"].state == "skipped"
     bubble_window.choose_frame(2)
     assert wait_until_shown(bubble_window, LIMIT_S)
     assert bubble_window.latest.results["depth"].state == "cached"
@@ -188,16 +190,16 @@ def test_an_error_of_our_own_is_told_briefly_with_the_traceback_behind_it(bubble
 
 def test_parameters_recompute_from_their_stage_on_and_can_be_undone(bubble_window):
     before = bubble_window.session
-    params = changed(before.params["adapt"], "stride", 2)
-    bubble_window.choose_params("adapt", params)
+    params = changed(AdaptParams(), "stride", 2)
+    bubble_window.choose_params("cloud/back_projection", params)
     assert wait_until_shown(bubble_window, LIMIT_S)
     results = bubble_window.latest.results
     assert results["depth"].state == "cached"
-    assert results["adapt"].state == "computed"
+    assert results["cloud"].state == "computed"
     bubble_window.undo.undo()
     assert wait_until_shown(bubble_window, LIMIT_S)
     assert bubble_window.session == before
-    assert bubble_window.latest.results["adapt"].state == "cached"
+    assert bubble_window.latest.results["cloud"].state == "cached"
 
 
 def _rows(instrument) -> dict[int, tuple[str, ...]]:
@@ -215,8 +217,7 @@ def test_the_table_of_frames_forgets_what_was_worked_out_with_other_settings(bub
     bubble_window.choose_params("display", changed(bubble_window.session.display, "gel_stretch", 5.0))
     assert wait_until_shown(bubble_window, LIMIT_S)
     assert _rows(bubble_window) == before
-    params = bubble_window.session.params["depth"]
-    bubble_window.choose_params("depth", changed(params, "contact_limit", 2.0))
+    bubble_window.choose_params("depth/physics", changed(DepthParams(), "contact_limit", 2.0))
     assert wait_until_shown(bubble_window, LIMIT_S)
     assert sorted(_rows(bubble_window)) == [1]
 
@@ -233,7 +234,7 @@ def test_another_target_is_one_change(bubble_window):
     bubble_window.change("choose target", target="digit")
     assert wait_until_shown(bubble_window, LIMIT_S)
     assert bubble_window.screen.opened.translation.target.name == "digit"
-    rows, cols = bubble_window.window.columns["generate"].view.picture.pixels.shape[:2]
+    rows, cols = bubble_window.window.columns["touch"].view.picture.pixels.shape[:2]
     assert (rows, cols) == bubble_window.screen.opened.translation.target.camera.shape
 
 
@@ -246,7 +247,7 @@ def test_hovering_a_pixel_marks_it_everywhere_and_reads_its_value(bubble_window)
     assert bubble_window.window.trace.text.startswith(f"({col}, {row})")
     assert " → " in bubble_window.window.trace.text
     assert bubble_window.window.columns["source"].view.cross == (row, col)
-    assert bubble_window.window.columns["project"].view.cross is not None
+    assert bubble_window.window.columns["view"].view.cross is not None
     bubble_window.tracer.clear()
     assert bubble_window.window.columns["source"].view.cross is None
 
@@ -271,7 +272,7 @@ def test_a_trace_never_speaks_of_another_frame_than_the_picture(bubble_window, q
     def stops_at_the_view(graph, wanted, inputs, params, progress, on_stage):
         def on(result):
             on_stage(result)
-            if result.name == "project":
+            if result.name == "view":
                 seen.set()
                 go_on.wait(LIMIT_S)
 
@@ -286,7 +287,7 @@ def test_a_trace_never_speaks_of_another_frame_than_the_picture(bubble_window, q
         assert f"{depth.values[row, col]:.3f} mm" in bubble_window.window.trace.text
         assert "generated" in shallow
         assert "generated" not in bubble_window.window.trace.text
-        bubble_window.tracer.click("generate", row, col)
+        bubble_window.tracer.click("touch", row, col)
         assert "not worked out yet" in bubble_window.window.trace.findChild(QLabel).text()
     finally:
         go_on.set()

@@ -10,10 +10,11 @@ import pytest
 from PyQt6.QtGui import QUndoStack
 
 from app.session.offsets import Offsets
-from app.session.state import DisplayParams, Session, load_session, save_session
+from app.session.state import Session, load_session, save_session
 from app.session.undo import SessionChange
 from pipeline.base.errors import FileProblem
 from pipeline.base.params import changed
+from pipeline.pictures.display import DisplayParams
 
 
 def a_session(folder: Path) -> Session:

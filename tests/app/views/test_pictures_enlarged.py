@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from app.views.pictures import beside, enlarged, outline
 from pipeline.base.arrays import freeze
-from widgets.picture import Picture
+from pipeline.pictures.picture import Picture, beside, enlarged, outline
 
 
 def _coarse() -> Picture:

@@ -44,13 +44,13 @@ def test_translate_all_leaves_every_frame_whole(touches, tmp_path, capsys):
     assert report["route"] == "t2d2"
     assert [f["index"] for f in report["frames"]] == [0, 1, 2]
     for frame in report["frames"]:
-        assert [s["name"] for s in frame["stages"]] == ["depth", "adapt", "project", "generate", "pose"]
+        assert [s["name"] for s in frame["stages"]] == ["depth", "cloud", "view", "touch", "felt", "pose"]
         assert all(set(s) >= {"name", "ms", "skipped", "notes"} for s in frame["stages"])
     assert all(s["skipped"] for s in report["frames"][0]["stages"])
     assert not report["frames"][2]["stages"][0]["skipped"]
     with np.load(out / "frame_0002" / "stages.npz", allow_pickle=False) as arrays:
         assert arrays["depth.indentation_mm"].shape == MINI.camera.shape
-        assert arrays["generate.image"].shape == (*sensor("gelslim").camera.shape, 3)
+        assert arrays["touch.image"].shape == (*sensor("gelslim").camera.shape, 3)
         assert arrays["depth.contact"].any()
     sheet = cv2.imread(str(out / "frame_0002" / "sheet.png"))
     assert sheet.shape[1] > 1000
@@ -59,10 +59,12 @@ def test_translate_all_leaves_every_frame_whole(touches, tmp_path, capsys):
 
 def test_a_setting_reaches_its_stage_and_an_unknown_one_is_named(touches, tmp_path, said):
     arguments = ("translate", touches, "--target", "gelslim", "--sensor", "gelsight_mini", "--out", tmp_path / "o")
-    assert run(build(), [str(a) for a in (*arguments, "--set", "project.mode=paper", "--frame", "2")]) == 0
-    assert "project.mode" not in said(*arguments, "--set", "project.colour=red")
-    assert said(*arguments, "--set", "projekt.mode=paper").startswith("no stage 'projekt'; there are depth, adapt")
-    assert said(*arguments, "--set", "mode").startswith("a setting is written stage.parameter=value")
+    assert run(build(), [str(a) for a in (*arguments, "--set", "view.jump_mm=2", "--frame", "2")]) == 0
+    assert "jump_mm" in said(*arguments, "--set", "view.colour=red")
+    assert said(*arguments, "--set", "projekt.mode=paper").startswith(
+        "no slot 'projekt' on this route; there are depth, cloud"
+    )
+    assert said(*arguments, "--set", "mode").startswith("a setting is written slot.parameter=value")
 
 
 def test_the_sample_recording_translates_with_truth(tmp_path, capsys):
@@ -73,7 +75,7 @@ def test_the_sample_recording_translates_with_truth(tmp_path, capsys):
     )
     frame = json.loads((out / "report.json").read_text())["frames"][0]
     assert frame["metrics"]["depth.contact_mae_mm"] < 0.15
-    assert "generate.contact_iou" in frame["metrics"]
+    assert "felt.contact_iou" in frame["metrics"]
 
 
 def test_inspect_says_what_the_sample_is(capsys):

@@ -11,6 +11,7 @@ import pytest
 
 from pipeline.cli import translate
 from pipeline.cli.main import EXIT_UNEXPECTED, build, run
+from pipeline.translation.translate import Translation
 from tests.pipeline.cli.conftest import dent, save
 
 SAID = "were finished by an earlier run and are kept"
@@ -84,7 +85,7 @@ def test_a_frame_that_comes_from_something_else_or_is_not_whole_is_made_again(ch
     frame = tmp_path / "out" / "frame_0002"
     match changed:
         case "a setting":
-            more = (*more, "--set", "project.mode=paper")
+            more = (*more, "--set", "view.jump_mm=2")
         case "the picture":
             save(touches / "touch_2.png", dent(0.5))
         case "the reference":
@@ -137,14 +138,14 @@ def test_memory_does_not_grow_with_the_frames(typed, touches, monkeypatch):
 
 
 def test_whatever_one_frame_raises_the_others_are_translated(typed, tmp_path, monkeypatch, log):
-    whole = translate.frame_metrics
+    whole = Translation.metrics
 
-    def sometimes(results, *rest):
+    def sometimes(self, results, *rest):
         if results["depth"].output.contact.any():
             raise ZeroDivisionError("a frame\nthat nobody foresaw")
-        return whole(results, *rest)
+        return whole(self, results, *rest)
 
-    monkeypatch.setattr(translate, "frame_metrics", sometimes)
+    monkeypatch.setattr(Translation, "metrics", sometimes)
     code, out, err = typed()
     assert code == EXIT_UNEXPECTED
     assert "1 of 3 frames written" in out

@@ -13,7 +13,7 @@ from pipeline.base.params import setting
 from pipeline.base.progress import Cancelled
 from pipeline.engine.cache import Cache, Entry
 from pipeline.engine.digests import Known, digest
-from pipeline.engine.graph import Graph, Stage
+from pipeline.engine.graph import Graph, Method, unless
 from pipeline.geometry.meshes import Mesh
 
 
@@ -41,7 +41,7 @@ class Ran:
             progress.step(0.5, "half way")
             return work(*values, params)
 
-        return Stage(name=name, title=name, run=run, shortcut=shortcut, params=Add, reads=reads)
+        return Method(slot=name, name="only", title=name, run=unless(shortcut, run), params=Add, reads=reads)
 
 
 @pytest.fixture
@@ -128,7 +128,7 @@ def test_progress_never_goes_back(graph):
 
 
 def test_an_unknown_stage_and_a_missing_input_are_named(graph):
-    with pytest.raises(SettingProblem, match="no stage 'colour'; there are double, sign, last"):
+    with pytest.raises(SettingProblem, match="no slot 'colour' on this route; there are double, sign, last"):
         graph.evaluate(["colour"], {}, {})
     with pytest.raises(SettingProblem, match="'last' needs 'y'"):
         graph.evaluate(["last"], {"x": X}, {})
@@ -137,10 +137,10 @@ def test_an_unknown_stage_and_a_missing_input_are_named(graph):
 def test_the_cache_never_holds_more_bytes_than_allowed():
     cache = Cache(max_bytes=100)
     for i in range(20):
-        cache.put(str(i), Entry(output=i, digest="", n_bytes=30, was_shortcut=False))
+        cache.put(str(i), Entry(output=i, digest="", n_bytes=30))
         assert cache.n_bytes <= 100
     assert len(cache) == 3
-    cache.put("huge", Entry(output=0, digest="", n_bytes=101, was_shortcut=False))
+    cache.put("huge", Entry(output=0, digest="", n_bytes=101))
     assert cache.get("huge") is None
     assert cache.get("19") is not None
 
@@ -148,9 +148,9 @@ def test_the_cache_never_holds_more_bytes_than_allowed():
 def test_the_least_recently_used_entry_goes_first():
     cache = Cache(max_bytes=60)
     for name in ("a", "b"):
-        cache.put(name, Entry(output=name, digest="", n_bytes=30, was_shortcut=False))
+        cache.put(name, Entry(output=name, digest="", n_bytes=30))
     cache.get("a")
-    cache.put("c", Entry(output="c", digest="", n_bytes=30, was_shortcut=False))
+    cache.put("c", Entry(output="c", digest="", n_bytes=30))
     assert cache.get("b") is None
     assert cache.get("a") is not None
 

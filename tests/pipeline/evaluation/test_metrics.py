@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from pipeline.engine.graph import StageResult
-from pipeline.evaluation.metrics import PSNR_CAP_DB, frame_metrics, iou, mean_abs_mm, psnr_db
+from pipeline.evaluation.metrics import METRICS, PSNR_CAP_DB, iou, mean_abs_mm, pose_figures, psnr_db
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.geometry.symmetry import cyclic
@@ -55,11 +54,9 @@ def test_pose_error_is_stated_at_the_contact_not_at_a_far_away_origin():
         scene_mm=scene,
         source_index=np.arange(4, dtype=np.int32),
     )
-    result = StageResult(name="pose", output=pose, state="computed", ms=1.0, notes=(), digest="")
-    frame = type("F", (), {"image": np.zeros(1), "is_depth": True})()
-    figures = frame_metrics({"pose": result}, None, (frame, Truth(sensor_from_object=truth)))
-    assert figures["pose.translation_mm"] == pytest.approx(0.0, abs=1e-6)
-    assert figures["pose.rotation_deg"] == pytest.approx(math.degrees(0.01), rel=1e-6)
+    figures = pose_figures(pose, Truth(sensor_from_object=truth))
+    assert figures["translation_mm"] == pytest.approx(0.0, abs=1e-6)
+    assert figures["rotation_deg"] == pytest.approx(math.degrees(0.01), rel=1e-6)
 
 
 def test_pose_errors_after_symmetry_stand_beside_the_plain_ones_once_the_mesh_is_known():
@@ -75,17 +72,16 @@ def test_pose_errors_after_symmetry_stand_beside_the_plain_ones_once_the_mesh_is
         scene_mm=scene,
         source_index=np.arange(4, dtype=np.int32),
     )
-    result = StageResult(name="pose", output=pose, state="computed", ms=1.0, notes=(), digest="")
-    frame = type("F", (), {"image": np.zeros(1), "is_depth": True})()
     bar = Mesh(vertices_mm=np.array([[-9.0, 0, 0], [9, 0, 0], [0, 0, 3]]), triangles=np.array([[0, 1, 2]], np.int32))
-    target = (frame, Truth(sensor_from_object=truth))
-    figures = frame_metrics({"pose": result}, None, target, bar, cyclic(2))
-    assert figures["pose.rotation_deg"] == pytest.approx(180.0)
-    assert figures["pose.mssd_mm"] == pytest.approx(math.hypot(2, 0.1))
-    assert figures["pose.se2_mm"] == pytest.approx(math.hypot(2, 0.1))
-    assert figures["pose.se2_deg"] == pytest.approx(0.0, abs=1e-6)
-    assert figures["pose.observable_mm"] == pytest.approx(0.1)
-    assert figures["pose.observable_deg"] == pytest.approx(0.0, abs=1e-6)
-    unknown = frame_metrics({"pose": result}, None, target, bar)
-    assert unknown["pose.mssd_mm"] > 17.0, "the ends of the bar are taken as different"
-    assert "pose.mssd_mm" not in frame_metrics({"pose": result}, None, target)
+    known = Truth(sensor_from_object=truth)
+    figures = pose_figures(pose, known, bar, cyclic(2))
+    assert figures["rotation_deg"] == pytest.approx(180.0)
+    assert figures["mssd_mm"] == pytest.approx(math.hypot(2, 0.1))
+    assert figures["se2_mm"] == pytest.approx(math.hypot(2, 0.1))
+    assert figures["se2_deg"] == pytest.approx(0.0, abs=1e-6)
+    assert figures["observable_mm"] == pytest.approx(0.1)
+    assert figures["observable_deg"] == pytest.approx(0.0, abs=1e-6)
+    unknown = pose_figures(pose, known, bar)
+    assert unknown["mssd_mm"] > 17.0, "the ends of the bar are taken as different"
+    assert "mssd_mm" not in pose_figures(pose, known)
+    assert figures.keys() <= METRICS.keys(), "every figure says its unit and which way is better"

@@ -10,7 +10,7 @@ from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.meshes import Mesh
 from pipeline.simulation.shapes.solids import turned
-from pipeline.values.results import Touch
+from pipeline.values.results import DepthMap
 
 CAMERA = Camera(rows=120, cols=160, fx_px=178.0, fy_px=178.0, cx_px=79.5, cy_px=59.5)  # 0.11 mm/px on the gel
 REST_MM = 20.0
@@ -67,7 +67,7 @@ def _planes(part, low_mm, high_mm, axes):
     return np.array(rows)
 
 
-def felt(solid: Solid, sensor_from_object: np.ndarray, camera: Camera = CAMERA, noise_mm: float = 0.0) -> Touch:
+def felt(solid: Solid, sensor_from_object: np.ndarray, camera: Camera = CAMERA, noise_mm: float = 0.0) -> DepthMap:
     """The touch of a gel that follows the solid wherever they overlap; exact but for float32 and `noise_mm`."""
     x, y = camera.rays()
     ray = np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), np.ones(camera.shape)], axis=-1)
@@ -88,10 +88,9 @@ def felt(solid: Solid, sensor_from_object: np.ndarray, camera: Camera = CAMERA, 
     return touch_of(surface, contact, camera)
 
 
-def touch_of(surface_mm: np.ndarray, contact: np.ndarray, camera: Camera = CAMERA) -> Touch:
-    """A touch with this membrane and contact; its picture is black."""
-    return Touch(
-        image=np.zeros((*camera.shape, 3), np.uint8),
+def touch_of(surface_mm: np.ndarray, contact: np.ndarray, camera: Camera = CAMERA) -> DepthMap:
+    """What is felt of this membrane and contact."""
+    return DepthMap(
         indentation_mm=np.float32(REST_MM - surface_mm),
         depth_mm=surface_mm.astype(np.float32),
         contact=contact,

@@ -41,7 +41,7 @@ def test_no_contact_gives_the_untouched_reading_at_no_cost(name):
     touch = generate(empty, spec, GenerateParams())
     wanted = optics.untouched(spec) if spec.kind == "gel" else spec.rest_depth_mm.astype(np.float32)
     assert np.array_equal(touch.image, wanted)
-    assert not touch.indentation_mm.any()
+    assert not touch.membrane.indentation_mm.any()
     assert (touch.source_index == -1).all()
     assert without_contact(empty, spec, GenerateParams()).image is touch.image  # kept, not made again
 
@@ -65,8 +65,8 @@ def test_a_true_contact_gives_back_the_true_gel_surface(surface):
     overlap = 0.5 - ((x - 110.0) ** 2 + (y - 170.0) ** 2) * spec.pixel_mm**2 / (2 * 4.0)
     true = gel.press(spec.gel, spec.pixel_mm, overlap)
     touch = generate(view_of(spec, true.contact, true.indentation_mm), spec, GenerateParams(surface=surface))
-    assert np.abs(touch.indentation_mm - true.indentation_mm).max() < SURFACE_MM
-    assert (touch.contact & true.contact).sum() > 0.97 * (touch.contact | true.contact).sum()
+    assert np.abs(touch.membrane.indentation_mm - true.indentation_mm).max() < SURFACE_MM
+    assert (touch.membrane.contact & true.contact).sum() > 0.97 * (touch.membrane.contact | true.contact).sum()
     assert np.abs(touch.image.astype(int) - optics.render(spec, true.indentation_mm, seed=None)).max() <= 2
 
 
@@ -76,11 +76,11 @@ def test_a_bubble_is_slack_over_the_points_and_free_elsewhere():
     touch = generate(view_of(spec, mask, 6.0), spec, GenerateParams())
     between = np.zeros_like(mask)
     between[spec.camera.rows // 2 - 18, spec.camera.cols // 2 + 18] = True  # in the crook of the L, 18 px from both
-    assert 0.5 < touch.indentation_mm[between][0] < 6.0
-    assert np.percentile(touch.indentation_mm[mask], 10) > 5.5  # rays past the sharp edge see the flank
-    assert touch.indentation_mm[2, 2] < 0.0  # the air bulges it out far away
-    assert touch.contact.sum() > 0.3 * mask.sum()
-    assert not (touch.contact & (touch.indentation_mm < 1.0)).any()
+    assert 0.5 < touch.membrane.indentation_mm[between][0] < 6.0
+    assert np.percentile(touch.membrane.indentation_mm[mask], 10) > 5.5  # rays past the sharp edge see the flank
+    assert touch.membrane.indentation_mm[2, 2] < 0.0  # the air bulges it out far away
+    assert touch.membrane.contact.sum() > 0.3 * mask.sum()
+    assert not (touch.membrane.contact & (touch.membrane.indentation_mm < 1.0)).any()
 
 
 @pytest.mark.parametrize("name", SENSORS)
@@ -88,7 +88,9 @@ def test_depth_is_rest_less_indentation_and_pixels_remember_the_view(name):
     spec = sensor(name)
     mask = corner(spec)
     touch = generate(view_of(spec, mask, 0.4 if spec.kind == "gel" else 4.0), spec, GenerateParams())
-    assert np.abs(spec.rest_depth_mm - touch.indentation_mm - touch.depth_mm).max() < 1e-4  # float32 at 80 mm
+    assert (
+        np.abs(spec.rest_depth_mm - touch.membrane.indentation_mm - touch.membrane.depth_mm).max() < 1e-4
+    )  # float32 at 80 mm
     assert np.array_equal(touch.source_index >= 0, mask)
     assert touch.source_index[mask].tolist() == np.flatnonzero(mask).tolist()
     assert not touch.image.flags.writeable
@@ -97,7 +99,7 @@ def test_depth_is_rest_less_indentation_and_pixels_remember_the_view(name):
 def test_what_is_too_deep_is_cut_and_said():
     spec = sensor("gelslim")
     touch = generate(view_of(spec, corner(spec), 40.0), spec, GenerateParams())
-    assert touch.indentation_mm.max() < spec.limits.indentation_max_mm + 0.01
+    assert touch.membrane.indentation_mm.max() < spec.limits.indentation_max_mm + 0.01
     assert any("cut at the 1.918 mm" in note for note in touch.notes)
 
 
@@ -113,14 +115,14 @@ def test_ragged_masks_and_contacts_at_the_border_stay_finite():
     for mask in (ragged, edge, everything, single):
         view = view_of(spec, mask, 0.4 + 0.05 * rng.standard_normal(mask.shape))
         for surface in ("press", "follow"):
-            assert np.isfinite(generate(view, spec, GenerateParams(surface=surface)).indentation_mm).all()
+            assert np.isfinite(generate(view, spec, GenerateParams(surface=surface)).membrane.indentation_mm).all()
 
 
 def test_an_object_that_leaves_the_picture_goes_on_beyond_it():
     spec = sensor("digit")
     band = np.zeros(spec.camera.shape, bool)
     band[140:180] = True
-    surface = generate(view_of(spec, band, 0.4), spec, GenerateParams()).indentation_mm
+    surface = generate(view_of(spec, band, 0.4), spec, GenerateParams()).membrane.indentation_mm
     along_edge = surface[130, [0, 120]]
     assert along_edge[0] == pytest.approx(along_edge[1], abs=0.03)
 
@@ -141,8 +143,9 @@ def test_contact_without_a_value_is_left_out_and_said(name, value):
         touch = generate(bad, spec, GenerateParams(surface=surface))
         near = generate(clean, spec, GenerateParams(surface=surface))
         assert any("1 contact pixels" in note for note in touch.notes)
-        assert np.isfinite(touch.indentation_mm).all()
-        off_mm = np.abs(touch.indentation_mm - near.indentation_mm)
+        made, wanted = touch.membrane.indentation_mm, near.membrane.indentation_mm
+        assert np.isfinite(made).all()
+        off_mm = np.abs(made - wanted)
         assert 0 < off_mm[row, col] < LEFT_OUT_MM
         off_mm[row - 3 : row + 4, col - 3 : col + 4] = 0.0
         assert off_mm.max() < SURFACE_MM

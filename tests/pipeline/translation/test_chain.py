@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.evaluation.metrics import frame_metrics
-from pipeline.translation import routes
-from pipeline.translation.trace import backward, forward
-from pipeline.translation.translate import Request, new_graph, open_translation
+from pipeline.translation.catalogue import default_params, with_setting
+from pipeline.translation.trace import back, forward
+from pipeline.translation.translate import Request, open_translation
 
 SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
 TOUCHED, UNTOUCHED = 9, 0
@@ -30,8 +29,8 @@ def translation():
 @pytest.fixture(scope="module")
 def warm(translation):
     """A graph that has seen the touched frame."""
-    graph = new_graph()
-    graph.evaluate(translation.stages, translation.inputs(TOUCHED), {})
+    graph = translation.graph()
+    graph.evaluate(translation.slots, translation.inputs(TOUCHED), {})
     return graph
 
 
@@ -40,27 +39,29 @@ def states(results):
 
 
 def test_a_pose_parameter_reruns_the_pose_only(translation, warm):
-    params = routes.with_setting(routes.default_params(), "pose.seed=5")
-    after = states(warm.evaluate(translation.stages, translation.inputs(TOUCHED), params))
+    params = with_setting(default_params(translation.methods), "pose.seed=5")
+    after = states(warm.evaluate(translation.slots, translation.inputs(TOUCHED), params))
     assert after == {
         "depth": "cached",
-        "adapt": "cached",
-        "project": "cached",
-        "generate": "cached",
+        "cloud": "cached",
+        "view": "cached",
+        "touch": "cached",
+        "felt": "cached",
         "pose": "computed",
     }
 
 
 def test_a_frame_seen_before_runs_nothing(translation, warm):
-    after = states(warm.evaluate(translation.stages, translation.inputs(TOUCHED), {}))
+    after = states(warm.evaluate(translation.slots, translation.inputs(TOUCHED), {}))
     assert set(after.values()) == {"cached"}
 
 
 def test_a_setting_without_effect_stops_at_the_stage_it_belongs_to(translation, warm):
     """The sensitivity only decides what counts as untouched; on a firm touch nothing below is worked out again."""
-    params = routes.with_setting(routes.default_params(), "depth.sensitivity=2")
-    assert params["depth"] != routes.default_params()["depth"]
-    after = states(warm.evaluate(translation.stages, translation.inputs(TOUCHED), params))
+    defaults = default_params(translation.methods)
+    params = with_setting(defaults, "depth.sensitivity=2")
+    assert params["depth"] != defaults["depth"]
+    after = states(warm.evaluate(translation.slots, translation.inputs(TOUCHED), params))
     assert after.pop("depth") == "computed"
     assert set(after.values()) == {"unchanged"}
 
@@ -68,28 +69,28 @@ def test_a_setting_without_effect_stops_at_the_stage_it_belongs_to(translation, 
 def test_the_same_picture_under_another_name_stops_at_the_depth(translation, warm):
     inputs = translation.inputs(TOUCHED)
     inputs = {**inputs, "frame": replace(inputs["frame"], index=77, origin="elsewhere")}
-    after = states(warm.evaluate(translation.stages, inputs, {}))
+    after = states(warm.evaluate(translation.slots, inputs, {}))
     assert after.pop("depth") == "computed"
     assert set(after.values()) == {"unchanged"}
 
 
 def test_an_untouched_frame_skips_every_stage_and_gives_the_untouched_target(translation):
-    results = new_graph().evaluate(translation.stages, translation.inputs(UNTOUCHED), {})
+    results = translation.graph().evaluate(translation.slots, translation.inputs(UNTOUCHED), {})
     assert set(states(results).values()) == {"skipped"}
-    touch = results["generate"].output
-    assert not touch.contact.any()
-    assert not touch.indentation_mm.any()
+    touch = results["touch"].output
+    assert not touch.membrane.contact.any()
+    assert not touch.membrane.indentation_mm.any()
     assert all(r.notes for r in results.values())
 
 
 def test_equal_inputs_give_equal_bytes(translation, warm):
-    again = new_graph().evaluate(translation.stages, translation.inputs(TOUCHED), {})
-    before = warm.evaluate(translation.stages, translation.inputs(TOUCHED), {})
+    again = translation.graph().evaluate(translation.slots, translation.inputs(TOUCHED), {})
+    before = warm.evaluate(translation.slots, translation.inputs(TOUCHED), {})
     assert {n: r.digest for n, r in again.items()} == {n: r.digest for n, r in before.items()}
 
 
 def test_what_leaves_a_stage_cannot_be_written_to(translation, warm):
-    results = warm.evaluate(translation.stages, translation.inputs(TOUCHED), {})
+    results = warm.evaluate(translation.slots, translation.inputs(TOUCHED), {})
     for result in results.values():
         for name in result.output.__dataclass_fields__:
             value = getattr(result.output, name)
@@ -98,8 +99,8 @@ def test_what_leaves_a_stage_cannot_be_written_to(translation, warm):
 
 
 def test_the_chain_stays_near_the_truth(translation, warm):
-    results = warm.evaluate(translation.stages, translation.inputs(TOUCHED), {})
-    figures = frame_metrics(results, translation.truth_of_source(TOUCHED), translation.truth_of_target(TOUCHED))
+    results = warm.evaluate(translation.slots, translation.inputs(TOUCHED), {})
+    figures = translation.metrics(results, TOUCHED)
     assert figures["depth.contact_mae_mm"] < CONTACT_MAE_MM
     assert figures["depth.contact_iou"] > CONTACT_IOU
     assert figures["pose.translation_mm"] < POSE_MM
@@ -107,16 +108,17 @@ def test_the_chain_stays_near_the_truth(translation, warm):
 
 
 def test_a_pixel_of_the_real_chain_goes_there_and_back(translation, warm):
-    results = warm.evaluate(translation.stages, translation.inputs(TOUCHED), {})
-    inner = results["project"].output.contact.copy()
+    results = warm.evaluate(translation.slots, translation.inputs(TOUCHED), {})
+    inner = results["view"].output.contact.copy()
     inner[[0, -1]] = inner[:, [0, -1]] = False  # at the border the nearest corner may lie outside the image
     rows, cols = np.nonzero(inner)
     for k in range(0, len(rows), len(rows) // 50):
         row, col = int(rows[k]), int(cols[k])
-        marks = backward(results, row, col)
-        assert marks, (row, col)
-        there = forward(results, marks[0].row, marks[0].col)
-        last = next(m for m in there if m.stage == "project")
+        pixel = back(results, "view", row * inner.shape[1] + col)
+        assert pixel >= 0, (row, col)
+        wide = results["depth"].output.camera.cols
+        there = forward(results, *divmod(pixel, wide), wide)
+        last = next(m for m in there if m.slot == "view")
         # The nearest corner of the triangle that covers a pixel lies at most a source pixel away.
         assert abs(last.row - row) <= 1
         assert abs(last.col - col) <= 1

@@ -7,7 +7,8 @@ import pytest
 
 from pipeline.engine.graph import StageResult
 from pipeline.geometry.camera import Camera
-from pipeline.translation.trace import backward, forward, sentence
+from pipeline.translation.catalogue import BUILT_IN
+from pipeline.translation.trace import back, forward
 from pipeline.values.results import Cloud, DepthMap, TargetView
 
 CAMERA = Camera(rows=4, cols=5, fx_px=10.0, fy_px=10.0, cx_px=2.0, cy_px=1.5)
@@ -16,7 +17,9 @@ IDENTITY = np.arange(20, dtype=np.int32).reshape(4, 5)
 
 
 def result(name, output):
-    return StageResult(name=name, output=output, state="computed", ms=0.0, notes=(), digest="")
+    return StageResult(
+        name=name, method=BUILT_IN.slot(name).methods[0], output=output, state="computed", ms=0.0, notes=(), digest=""
+    )
 
 
 @pytest.fixture
@@ -44,41 +47,42 @@ def results():
         camera=CAMERA,
         source_index=index.reshape(4, 5),
     )
-    return {"depth": result("depth", depth), "adapt": result("adapt", cloud), "project": result("project", view)}
+    return {"depth": result("depth", depth), "cloud": result("cloud", cloud), "view": result("view", view)}
 
 
 def test_forward_then_backward_returns_the_pixel(results):
     for row in (1, 2):
         for col in (1, 2, 3):
-            last = forward(results, row, col)[-1]
-            back = backward(results, last.row, last.col)
-            assert (back[0].row, back[0].col) == (row, col)
+            last = forward(results, row, col, 5)[-1]
+            assert back(results, "view", last.row * 5 + last.col) == row * 5 + col
 
 
 def test_a_trace_says_why_it_ends(results):
-    assert forward(results, 0, 0)[-1].text == "0.010 mm, not in contact"
-    assert backward(results, 0, 0) == ()
+    marks = forward(results, 0, 0, 5)
+    assert [mark.text for mark in marks[1:]] == ["0.010 mm, not in contact", "not carried over"]
+    assert back(results, "view", 0) == -1
 
 
 def test_a_point_outside_the_target_image_says_by_how_much(results):
-    moved = results["adapt"].output.points_mm + np.float32((8.0, 0.0, 0.0))
+    moved = results["cloud"].output.points_mm + np.float32((8.0, 0.0, 0.0))
     cloud = Cloud(
-        points_mm=moved, source_index=results["adapt"].output.source_index, grid_shape=(4, 5), window_mm=WINDOW
+        points_mm=moved, source_index=results["cloud"].output.source_index, grid_shape=(4, 5), window_mm=WINDOW
     )
-    last = forward({**results, "adapt": result("adapt", cloud)}, 1, 3)[-1]
-    assert last.text == "outside the target image by 3 px"
+    last = forward({**results, "cloud": result("cloud", cloud)}, 1, 3, 5)[-1]
+    assert last.text == "outside the image by 3 px"
 
 
 def test_a_point_behind_a_nearer_surface_is_called_hidden(results):
-    points = results["adapt"].output.points_mm.copy()
+    points = results["cloud"].output.points_mm.copy()
     points[0] *= 1.1  # along its own ray, 2 mm farther away
     cloud = Cloud(
-        points_mm=points, source_index=results["adapt"].output.source_index, grid_shape=(4, 5), window_mm=WINDOW
+        points_mm=points, source_index=results["cloud"].output.source_index, grid_shape=(4, 5), window_mm=WINDOW
     )
-    last = forward({**results, "adapt": result("adapt", cloud)}, 1, 1)[-1]
-    assert last.text.startswith("hidden in target (1, 1) behind what is 1.95 mm nearer")
+    last = forward({**results, "cloud": result("cloud", cloud)}, 1, 1, 5)[-1]
+    assert last.text == "(1, 1), hidden behind what is 1.95 mm nearer"
 
 
+<<<<<<< HEAD
 def test_the_sentence_reads_from_source_to_target(results):
     assert sentence(forward(results, 1, 2)).startswith(
         "(2, 1) → 0.500 mm → (0.00, -0.98, 19.50) mm → target (2, 1), 0.500 mm in"
@@ -95,3 +99,17 @@ def test_a_point_outside_of_the_picture_says_by_how_much_of_whichever_side(resul
     results["adapt"] = result("adapt", replace(cloud, points_mm=points))
     last = forward(results, *divmod(int(cloud.source_index[0]), CAMERA.cols))[-1]
     assert last.text == f"outside the target image by {out_px} px"
+=======
+def test_the_marks_read_from_source_to_target(results):
+    assert [mark.text for mark in forward(results, 1, 2, 5)] == [
+        "(2, 1)",
+        "0.500 mm",
+        "(0.00, -0.98, 19.50) mm",
+        "(2, 1), 0.500 mm in",
+    ]
+
+
+def test_a_value_given_in_place_of_a_slot_is_traced_as_if_its_method_had_made_it(results):
+    given = {**results, "depth": replace(results["depth"], method=None, state="given")}
+    assert forward(given, 1, 2, 5) == forward(results, 1, 2, 5)
+>>>>>>> 5964103 (Slots and methods: a route is data, and what others need of a value stands in one entry)

@@ -6,30 +6,29 @@ import logging
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from app.session.state import DisplayParams, Session
-from app.views import pictures, solids
-from app.views.pictures import CloudPicture
+from app.session.state import Session
 from app.work.comparison import Comparison, Comparisons
 from app.work.jobs import Report
-from app.work.residuals import ObjectSurface
-from pipeline.base.errors import FileProblem
+from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.engine.graph import Graph, StageResult
-from pipeline.evaluation.metrics import frame_metrics
+from pipeline.pictures.layers import Layer, reading_layer
+from pipeline.pictures.picture import Picture, beside, fitted, of_reading
 from pipeline.recordings import open_recording
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.depth.slot import PHYSICS
 from pipeline.stages.depth.stage import DepthParams
-from pipeline.translation.translate import Request, Translation, new_graph, open_translation
+from pipeline.stages.slot import Seen
+from pipeline.translation.catalogue import BUILT_IN, Catalogue
+from pipeline.translation.translate import Request, Translation, open_translation
 from pipeline.values.frames import Recording, TactileFrame
 from pipeline.values.results import DepthMap
-from widgets.colours import coloured
 from widgets.frames_panel import FrameSummary
-from widgets.layers import Layer, Sight
-from widgets.picture import Picture
 
 log = logging.getLogger("tactoscope")
+_OUTLINED = "view"  # the slot that is compared with what the target really felt
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,12 +37,11 @@ class Opened:
 
     session: Session
     translation: Translation
-    sights: Mapping[int, Sight]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SourceShown:
-    """The frame itself, before any stage."""
+    """The frame itself, before any method."""
 
     frame: TactileFrame
     picture: Picture
@@ -52,18 +50,17 @@ class SourceShown:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class StageShown:
-    """One stage's result, drawn."""
+class SlotShown:
+    """One slot's result, drawn."""
 
     result: StageResult
     picture: Picture
     layers: tuple[Layer, ...]
-    cloud: CloudPicture | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameShown:
-    """All wanted stages are through."""
+    """All wanted slots are filled."""
 
     index: int
     settings: Session  # that it was worked out with
@@ -73,21 +70,21 @@ class FrameShown:
     summary: FrameSummary | None
 
 
-class Bench:
+class Evaluator:
     """Holds what is open and what was worked out; used by one thread at a time."""
 
-    def __init__(self) -> None:
-        self._graph: Graph = new_graph()
+    def __init__(self, catalogue: Catalogue = BUILT_IN) -> None:
+        self._catalogue = catalogue
+        self._graph = Graph(())
         self._request: Request | None = None
         self._translation: Translation | None = None
-        self._surface: tuple[Any, ObjectSurface] | None = None
-        self._drawn: dict[str, tuple[object, StageShown]] = {}
+        self._drawn: dict[str, tuple[object, SlotShown]] = {}
         self._comparisons = Comparisons()
 
-    def show(self, session: Session, wanted: tuple[str, ...], report: Report, *, beside: bool = False) -> FrameShown:
+    def show(self, session: Session, wanted: tuple[str, ...], report: Report, *, compared: bool = False) -> FrameShown:
         """Work out a session's frame, handing over every part as soon as it is done; raises TouchError.
 
-        `beside` also outlines what the target really felt, where the recording holds it.
+        `compared` also outlines what the target really felt, where the recording holds it.
         """
         opened = self._opened(session, report)
         translation = replace(opened, alignment=session.offsets.applied(opened.alignment))
@@ -97,23 +94,20 @@ class Bench:
         ms = 1e3 * (time.perf_counter() - started_s)
         frame = inputs["frame"]
         assert isinstance(frame, TactileFrame)
-        picture = pictures.of_source(frame, translation.source)
-        layers = solids.of_source(frame, picture.pixels, translation.source)
-        report.hand_over(SourceShown(frame=frame, picture=picture, layers=layers, ms=ms))
+        picture, layer = _reading(frame, translation.source)
+        report.hand_over(SourceShown(frame=frame, picture=picture, layers=(layer,), ms=ms))
         results: dict[str, StageResult] = {}
 
         def on_stage(result: StageResult) -> None:
             results[result.name] = result
-            seen = result.name == "project" and beside
+            seen = compared and result.name == _OUTLINED and "depth" in results
             other = self._compared(translation, index, results["depth"].output, session) if seen else None
-            report.hand_over(self._draw(result, results, translation, session.display, other))
+            report.hand_over(self._draw(result, results, translation, session, other))
 
-        stages = tuple(name for name in translation.stages if name in wanted)
-        self._graph.evaluate(stages, inputs, session.params, report, on_stage)
-        metrics = frame_metrics(
-            results, translation.truth_of_source(index), translation.truth_of_target(index), translation.mesh,
-            translation.symmetry,
-        )  # fmt: skip
+        wanted = tuple(name for name in translation.slots if name in wanted)
+        self._graph = translation.graph(like=self._graph)
+        self._graph.evaluate(wanted, inputs, session.params_for(translation.methods), report, on_stage)
+        metrics = translation.metrics(results, index)
         return FrameShown(
             index=index, settings=replace(session, target=translation.target.name).settings, frame=frame,
             results=results, metrics=metrics, summary=_summary(results, metrics, translation),
@@ -129,7 +123,11 @@ class Bench:
         known = self._comparisons.known(index, _depth_params(session))
         if known is not None:
             return opened, known
-        depth = self._graph.evaluate(("depth",), opened.inputs(index), session.params, report)["depth"]
+        if "depth" not in opened.slots:
+            raise SettingProblem(f"the route {opened.request.route!r} has no depth to align; choose another route")
+        self._graph = opened.graph(like=self._graph)
+        params = session.params_for(opened.methods)
+        depth = self._graph.evaluate(("depth",), opened.inputs(index), params, report)["depth"]
         return opened, self._compared(opened, index, depth.output, session)
 
     def _compared(self, translation: Translation, index: int, depth: object, session: Session) -> Comparison:
@@ -151,7 +149,7 @@ class Bench:
         report.step(0.0, "opening the recording")
         if not request.target:
             request = replace(request, target=_best_target(request))
-        translation = open_translation(request)
+        translation = open_translation(request, self._catalogue)
         if translation.n_frames == 0:
             translation.recording.close()
             raise FileProblem("the recording holds no frame; choose another", request.recording)
@@ -166,8 +164,7 @@ class Bench:
         self._request = request_of(named)
         for note in translation.notes:
             log.info("%s", note)
-        sights = solids.sights(translation.source, translation.target, translation.alignment)
-        report.hand_over(Opened(session=named, translation=translation, sights=sights))
+        report.hand_over(Opened(session=named, translation=translation))
         return translation
 
     def _draw(
@@ -175,55 +172,28 @@ class Bench:
         result: StageResult,
         results: Mapping[str, StageResult],
         translation: Translation,
-        display: DisplayParams,
+        session: Session,
         other: Comparison | None,
-    ) -> StageShown:
+    ) -> SlotShown:
         """Pictures of an output that was drawn before are used again, so that the window need not touch them."""
-        key = (result.digest, display, results["generate"].digest if result.name == "pose" else "")
-        key += (other and (other.index, id(other)),)
+        slot = translation.catalogue.slot(result.name)
+        also = [results[name].digest for name in slot.looks_at if name in results]
+        key = (result.digest, session.display, also, other and (other.index, id(other)))
         known = self._drawn.get(result.name)
         if known is not None and known[0] == key:
             shown = replace(known[1], result=result)
         else:
-            shown = self._drawing(result, results, translation, display)
+            seen = Seen(
+                outputs={name: r.output for name, r in results.items()}, source=translation.source,
+                target=translation.target, mesh=translation.mesh, display=session.display,
+            )  # fmt: skip
+            picture = slot.picture(result.output, seen)
+            layers = slot.layers(result.output, seen, picture)
             if other is not None and other.touch is not None:
-                shown = replace(shown, picture=pictures.beside(shown.picture, other.outline_px))
+                picture = beside(picture, other.outline_px)
+            shown = SlotShown(result=result, picture=picture, layers=layers)
         self._drawn[result.name] = (key, shown)
         return shown
-
-    def _drawing(
-        self, result: StageResult, results: Mapping[str, StageResult], translation: Translation, display: DisplayParams
-    ) -> StageShown:
-        output, source, target = result.output, translation.source, translation.target
-        stretch = display.stretch(source if result.name == "depth" else target)
-        cloud = None
-        if result.name == "depth":
-            picture = pictures.of_depth(output, source, display)
-            layers = solids.of_depth(output, picture.pixels, stretch)
-        elif result.name == "adapt":
-            cloud = pictures.of_cloud(output, target, display)
-            picture = cloud.picture
-            reach = -target.membrane.signed_distance_mm(output.points_mm).astype(np.float32)
-            assert picture.scale is not None
-            layers = solids.of_cloud(output, target, coloured(reach, picture.scale), stretch)
-        elif result.name == "project":
-            picture = pictures.of_view(output, target, display)
-            layers = solids.of_view(output, target, picture.pixels, stretch)
-        elif result.name == "generate":
-            picture = pictures.of_touch(output, target)
-            layers = solids.of_touch(output, picture.pixels, stretch)
-        else:
-            touch = results["generate"].output
-            picture = pictures.of_pose(output, touch, target, self._object_surface(translation))
-            layers = solids.of_pose(output, translation.mesh, target)
-        return StageShown(result=result, picture=picture, layers=layers, cloud=cloud)
-
-    def _object_surface(self, translation: Translation) -> ObjectSurface | None:
-        if translation.mesh is None:
-            return None
-        if self._surface is None or self._surface[0] is not translation.mesh:
-            self._surface = (translation.mesh, ObjectSurface(translation.mesh))
-        return self._surface[1]
 
 
 def request_of(session: Session) -> Request:
@@ -231,15 +201,21 @@ def request_of(session: Session) -> Request:
     assert session.recording is not None
     return Request(
         recording=session.recording, target=session.target, source=session.source, stream=session.stream,
-        route=session.route, reference=session.reference, calibration=session.calibration, mesh=session.mesh,
-        mesh_unit=session.mesh_unit, alignment=session.alignment,
+        route=session.route, methods=tuple(sorted(session.methods.items())), reference=session.reference, calibration=session.calibration,
+        mesh=session.mesh, mesh_unit=session.mesh_unit, alignment=session.alignment,
     )  # fmt: skip
 
 
 def _depth_params(session: Session) -> DepthParams:
-    params = session.params["depth"]
+    params = session.params_of(PHYSICS)
     assert isinstance(params, DepthParams)
     return params
+
+
+def _reading(frame: TactileFrame, sensor: SensorSpec) -> tuple[Picture, Layer]:
+    camera = fitted(frame.camera or sensor.camera, frame.image.shape)
+    picture = of_reading(frame.image, camera, sensor, reference=frame.reference)
+    return picture, reading_layer("source", frame.image, camera, picture.pixels, sensor)
 
 
 def _best_target(request: Request) -> str:
@@ -267,5 +243,5 @@ def _summary(
     return FrameSummary(
         deepest_mm=float(inside.max()) if inside.size else 0.0,
         contact_mm2=float(depth.contact.sum()) * pixel_mm**2,
-        error_mm=metrics.get("generate.contact_mae_mm"),
+        error_mm=metrics.get("felt.contact_mae_mm"),
     )

@@ -1,0 +1,181 @@
+"""A value as a finished picture: plain arrays, made headless, shown by the window and by the sheet alike."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.base.arrays import Floats, Image, Indices, Mask, freeze
+from pipeline.geometry.camera import Camera
+from pipeline.pictures.colours import ColourScale, coloured
+from pipeline.pictures.display import DisplayParams
+from pipeline.sensors.spec import SensorSpec
+
+INDENTATION = "indentation, + toward camera"
+_SHORTEST_PIECE = 6  # border pixels; a shorter piece of an outline is a speck that would hide its own pixel
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Picture:
+    """Pixels and what they mean; everything that costs time was done where it was made."""
+
+    pixels: Image  # (rows, cols, 3) uint8 as shown
+    frame_name: str  # whose coordinates `positions_mm` are in
+    values: Floats | None = None  # (rows, cols) what the probe reads; None = the colour itself
+    scale: ColourScale | None = None  # None = true colours
+    positions_mm: Floats | None = None  # (rows, cols, 3) of each pixel, NaN = none
+    outline_px: Floats | None = None  # (n, 2) x, y of the contact's border, NaN between pieces
+    felt_px: Floats | None = None  # (n, 2) border of another contact to compare with, as `outline_px`
+    pixel_mm: float = math.nan  # width of a pixel on the surface
+    caption: str = ""
+    element: Indices | None = (
+        None  # (rows, cols) which element of the value is shown, -1 = none; None = the pixel's own
+    )
+    camera: Camera | None = None  # that sees this picture, where it is not one pixel for each element
+
+    def probe(self, row: int, col: int) -> str:
+        """What one pixel says: (x, y) in pixels, value with unit, position with frame; "" outside the picture."""
+        rows, cols = self.pixels.shape[:2]
+        if not (0 <= row < rows and 0 <= col < cols):
+            return ""
+        parts = [f"({col}, {row})"]
+        if self.values is None or self.scale is None:
+            parts.append("rgb {} {} {}".format(*(int(v) for v in self.pixels[row, col])))
+        else:
+            value = float(self.values[row, col])
+            quantity = self.scale.quantity.split(",")[0]
+            parts.append(f"{quantity} {value:.3f} {self.scale.unit}" if math.isfinite(value) else f"{quantity}: none")
+        if self.positions_mm is not None:
+            x, y, z = (float(v) for v in self.positions_mm[row, col])
+            if math.isfinite(x + y + z):
+                parts.append(f"x {x:.2f}, y {y:.2f}, z {z:.2f} mm in {self.frame_name}")
+        return " · ".join(parts)
+
+
+def of_heights(
+    heights_mm: Floats,
+    depth_mm: Floats,
+    contact: Mask,
+    camera: Camera,
+    sensor: SensorSpec,
+    display: DisplayParams,
+    caption: str = INDENTATION,
+) -> Picture:
+    """Indentation (rows, cols) on its absolute scale, with the contact's outline."""
+    scale = indentation_scale(sensor, display)
+    return Picture(
+        pixels=coloured(heights_mm, scale), values=heights_mm, scale=scale, frame_name=f"{sensor.name} frame",
+        positions_mm=positions(camera, depth_mm), outline_px=outline(contact), pixel_mm=pixel_mm(camera, sensor),
+        caption=caption,
+    )  # fmt: skip
+
+
+def of_reading(
+    image: Image | Floats,
+    camera: Camera,
+    sensor: SensorSpec,
+    *,
+    depth_mm: Floats | None = None,
+    contact: Mask | None = None,
+    reference: NDArray[np.generic] | None = None,
+) -> Picture:
+    """A reading as the sensor gives it: true colours of a gel, distance of a bubble's membrane.
+
+    `depth_mm` is where the membrane lies, if that is known beside a gel's picture.
+    """
+    place, border = f"{sensor.name} frame", None if contact is None else outline(contact)
+    if image.ndim == 2:
+        depth = np.asarray(image, dtype=np.float32)
+        scale = distance_scale(sensor, reference)
+        return Picture(
+            pixels=coloured(depth, scale), values=depth, scale=scale, frame_name=place, outline_px=border,
+            pixel_mm=pixel_mm(camera, sensor), positions_mm=positions(camera, depth),
+            caption=f"{scale.quantity}, {place}",
+        )  # fmt: skip
+    return Picture(
+        pixels=np.asarray(image, dtype=np.uint8), frame_name=place, pixel_mm=pixel_mm(camera, sensor),
+        positions_mm=None if depth_mm is None else positions(camera, depth_mm), outline_px=border,
+        caption=f"rgb image, {camera.cols} x {camera.rows} px",
+    )  # fmt: skip
+
+
+def beside(picture: Picture, felt_px: Floats | None) -> Picture:
+    """A view with the border of what the target really felt."""
+    if felt_px is None:
+        return picture
+    return replace(picture, felt_px=felt_px, caption=f"{INDENTATION}; orange: mask, white: felt")
+
+
+def enlarged(picture: Picture, shape: tuple[int, int]) -> Picture:
+    """A coarse picture on as many pixels as the full one has, so that the view stays where it is."""
+    import cv2
+
+    rows, cols = shape
+    old_rows, old_cols = picture.pixels.shape[:2]
+    if (old_rows, old_cols) == shape:
+        return picture
+
+    def grown(values: Any) -> Any:
+        return freeze(cv2.resize(values, (cols, rows), interpolation=cv2.INTER_NEAREST))
+
+    times = np.array([cols / old_cols, rows / old_rows], dtype=np.float32)
+    return replace(
+        picture, pixels=grown(picture.pixels), pixel_mm=picture.pixel_mm / float(times[0]),
+        values=None if picture.values is None else grown(picture.values),
+        positions_mm=None if picture.positions_mm is None else grown(picture.positions_mm),
+        outline_px=None if picture.outline_px is None else freeze(picture.outline_px * times),
+    )  # fmt: skip
+
+
+def indentation_scale(sensor: SensorSpec, display: DisplayParams) -> ColourScale:
+    """The fixed scale of indentations of this kind of sensor."""
+    return ColourScale(map="viridis", low=0.0, high=display.limit_mm(sensor), unit="mm", quantity=INDENTATION)
+
+
+def distance_scale(sensor: SensorSpec, reference: NDArray[np.generic] | None = None) -> ColourScale:
+    """The fixed scale of distances that a bubble's camera can see, wider where the recorded unit is built longer."""
+    low = 10.0 * math.floor((float(sensor.rest_depth_mm.min()) - 10.0) / 10.0)
+    farthest = float(sensor.rest_depth_mm.max())
+    if reference is not None and np.isfinite(reference).any():
+        farthest = max(farthest, float(np.nanpercentile(reference.astype(np.float64), 99.0)))
+    high = 10.0 * math.ceil(farthest / 10.0)
+    return ColourScale(map="viridis", low=low, high=high, unit="mm", quantity="distance z from camera")
+
+
+def outline(mask: Mask) -> Floats:
+    """Border of a mask as x, y (n, 2) in picture coordinates, NaN between its pieces."""
+    import cv2
+
+    pieces, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    gap = np.full((1, 2), np.nan, dtype=np.float32)
+    parts: list[NDArray[np.float32]] = []
+    for piece in pieces:
+        if len(piece) < _SHORTEST_PIECE:
+            continue
+        line = piece[:, 0, :].astype(np.float32) + 0.5
+        parts += [line, line[:1], gap]
+    return freeze(np.concatenate(parts)) if parts else freeze(np.zeros((0, 2), dtype=np.float32))
+
+
+def positions(camera: Camera, depth_mm: Floats) -> Floats:
+    """Where each pixel lies (rows, cols, 3) in the camera's frame, mm."""
+    return freeze(camera.back_project(depth_mm).astype(np.float32))
+
+
+def pixel_mm(camera: Camera, sensor: SensorSpec) -> float:
+    """Width of a pixel on the sensor's surface."""
+    return float(np.median(sensor.rest_depth_mm) / camera.fx_px)
+
+
+def rest_mm(sensor: SensorSpec, camera: Camera) -> NDArray[np.float64]:
+    """The untouched surface (rows, cols) as `camera` sees it."""
+    return sensor.rest_depth_mm if camera == sensor.camera else sensor.membrane.rest_depth_mm(camera)
+
+
+def fitted(camera: Camera, shape: tuple[int, ...]) -> Camera:
+    """The camera, brought to the size of an image that was taken at another resolution."""
+    return camera if camera.shape == shape[:2] else camera.scaled(shape[1] / camera.cols)

@@ -1,0 +1,74 @@
+"""The slot *touch*: what the target sensor would have recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from pipeline.engine.graph import Method, unless
+from pipeline.evaluation.metrics import picture_figures
+from pipeline.pictures.layers import Layer, reading_layer, surface_layer
+from pipeline.pictures.picture import Picture, of_reading
+from pipeline.stages.follow import element_of
+from pipeline.stages.generate import stage
+from pipeline.stages.slot import Facts, Mark, Seen, Slot
+from pipeline.values.results import Touch
+
+PHYSICS = Method(
+    slot="touch",
+    name="physics",
+    title="Physical render",
+    help="the target's gel or membrane pressed onto the view, and photographed",
+    run=unless(stage.without_contact, stage.generate),
+    params=stage.GenerateParams,
+    reads=("view", "target"),
+    version=2,
+)
+
+
+def _picture(touch: Touch, seen: Seen) -> Picture:
+    membrane = touch.membrane
+    if membrane is None:
+        return of_reading(touch.image, touch.camera, seen.target)
+    return of_reading(
+        touch.image, touch.camera, seen.target, depth_mm=membrane.depth_mm, contact=membrane.contact
+    )  # fmt: skip
+
+
+def _layers(touch: Touch, seen: Seen, picture: Picture) -> tuple[Layer, ...]:
+    """The target's membrane under the generated touch, wearing its picture."""
+    at = touch.membrane
+    if at is None:
+        return (reading_layer("touch", touch.image, touch.camera, picture.pixels, seen.target),)
+    times = seen.display.stretch(seen.target)
+    return (surface_layer("touch", at.depth_mm, at.indentation_mm, touch.camera, picture.pixels, times),)
+
+
+def _follow(touch: Touch, before: Mark) -> Mark:
+    index = element_of(touch.source_index, before.index)
+    if index < 0:
+        untouched = touch.membrane is not None and not touch.membrane.contact.any()
+        text = "generated untouched" if untouched else "this method does not tell where a pixel comes from"
+        return Mark(slot="touch", index=-1, text=text)
+    row, col = divmod(index, touch.camera.cols)
+    if touch.image.ndim == 2:
+        text = f"generated {float(touch.image[row, col]):.2f} mm"
+    else:
+        text = "generated rgb {} {} {}".format(*(int(v) for v in touch.image[row, col]))
+    return Mark(slot="touch", index=index, row=row, col=col, point_mm=before.point_mm, text=text)
+
+
+def _figures(touch: Touch, facts: Facts) -> Mapping[str, float]:
+    return {} if facts.target_frame is None else picture_figures(touch.image, facts.target_frame)
+
+
+SLOT = Slot(
+    name="touch",
+    title="Generated touch",
+    legend="target's membrane",
+    place="target",
+    methods=(PHYSICS,),
+    picture=_picture,
+    layers=_layers,
+    follow=_follow,
+    figures=_figures,
+)

@@ -1,0 +1,116 @@
+"""The slot *pose*: where the touched object is, in the target's frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from pipeline.base.arrays import Floats, Image, Mask, freeze
+from pipeline.engine.graph import Method, unless
+from pipeline.evaluation.metrics import pose_figures
+from pipeline.geometry import rigid
+from pipeline.geometry.distance_grid_store import distance_grid
+from pipeline.pictures.colours import NO_VALUE, SCENE, ColourScale, coloured, uniform
+from pipeline.pictures.layers import Layer, cloud_layer, membrane_layer, object_layer
+from pipeline.pictures.picture import Picture, outline, pixel_mm, positions
+from pipeline.stages.follow import element_of, triple
+from pipeline.stages.pose import stage
+from pipeline.stages.slot import Facts, Mark, Seen, Slot
+from pipeline.values.results import DepthMap, ObjectPose
+
+RESIDUAL_MM = 0.5  # colour limit of the distance to the posed object
+_SCALE = ColourScale(
+    map="diverging", low=-RESIDUAL_MM, high=RESIDUAL_MM, unit="mm", quantity="distance to object, + outside it"
+)
+
+SIGNED_DISTANCES = Method(
+    slot="pose",
+    name="signed_distances",
+    title="Signed distances",
+    help="many starts, registered on the mesh's signed distances, judged by felt and unfelt space",
+    run=unless(stage.nothing_to_pose, stage.posed),
+    params=stage.PoseParams,
+    reads=("felt", "mesh", "previous"),
+    version=3,
+)
+
+
+def _picture(pose: ObjectPose, seen: Seen) -> Picture:
+    """How far the registered points lie from the posed object, over the faded touch."""
+    felt: DepthMap = seen.outputs["felt"]
+    values = np.full(felt.camera.shape, np.nan, dtype=np.float32)
+    element = np.full(felt.camera.shape, -1, dtype=np.int32)
+    at = np.flatnonzero(pose.source_index >= 0)
+    pixels, caption = _faded(seen, felt), f"no pose: {pose.notes[0]}" if pose.notes else "no pose"
+    element.flat[pose.source_index[at]] = at
+    if pose.sensor_from_object is not None and seen.mesh is not None and at.size:
+        in_object = rigid.apply(rigid.invert(pose.sensor_from_object), pose.scene_mm[at])
+        values.flat[pose.source_index[at]] = distance_grid(seen.mesh).at(in_object)[0]
+        shown = _grown(values, len(pose.scene_mm), felt.contact)
+        pixels = np.where(np.isfinite(shown)[..., None], coloured(shown, _SCALE), pixels)
+        share = f"{100 * pose.fitness:.0f} % of {at.size} points"
+        caption = f"distance to object, + outside; rms {pose.rmse_mm:.2f} mm, {share}"
+    return Picture(
+        pixels=freeze(np.ascontiguousarray(pixels, dtype=np.uint8)), values=freeze(values), scale=_SCALE,
+        frame_name=f"{seen.target.name} frame", positions_mm=positions(felt.camera, felt.depth_mm),
+        outline_px=outline(felt.contact), pixel_mm=pixel_mm(felt.camera, seen.target), caption=caption,
+        element=freeze(element), camera=felt.camera,
+    )  # fmt: skip
+
+
+def _layers(pose: ObjectPose, seen: Seen, _picture: Picture) -> tuple[Layer, ...]:
+    """The registered points, the object where it was found, and the rest surface."""
+    scene = cloud_layer("scene", pose.scene_mm, uniform(SCENE, len(pose.scene_mm)), 4.0)
+    layers = (scene, membrane_layer(seen.target))
+    if seen.mesh is None or pose.sensor_from_object is None:
+        return layers
+    return (*layers, object_layer(seen.mesh, pose.sensor_from_object))
+
+
+def _follow(pose: ObjectPose, before: Mark) -> Mark:
+    point = element_of(pose.source_index, before.index)
+    if point < 0:
+        return Mark(slot="pose", index=-1, row=before.row, col=before.col, text="not among the registered points")
+    x, y, z = triple(pose.scene_mm[point])
+    text = f"registered at ({x:.2f}, {y:.2f}, {z:.2f}) mm"
+    return Mark(slot="pose", index=point, row=before.row, col=before.col, point_mm=(x, y, z), text=text)
+
+
+def _figures(pose: ObjectPose, facts: Facts) -> Mapping[str, float]:
+    return {} if facts.target is None else pose_figures(pose, facts.target, facts.mesh, facts.symmetry)
+
+
+def _faded(seen: Seen, felt: DepthMap) -> Image:
+    touch = seen.outputs.get("touch")
+    if touch is None or touch.image.ndim == 2:
+        return np.full((*felt.camera.shape, 3), NO_VALUE, dtype=np.uint8)
+    grey = touch.image.mean(axis=-1, keepdims=True)
+    return np.broadcast_to(150.0 + 0.4 * grey, touch.image.shape).astype(np.uint8)
+
+
+def _grown(values: Floats, n_points: int, contact: Mask) -> Floats:
+    """Each point grown to the area it stands for, so that thinned points show on a small picture."""
+    import cv2
+
+    side = max(3, min(9, 2 * round(0.5 * math.sqrt(max(1, int(contact.sum())) / max(1, n_points))) + 1))
+    kernel = np.ones((side, side), dtype=np.uint8)
+    high = cv2.dilate(np.where(np.isfinite(values), values, -1e3).astype(np.float32), kernel)
+    return np.where(high > -1e2, high, np.nan).astype(np.float32)
+
+
+SLOT = Slot(
+    name="pose",
+    title="Object pose",
+    legend="registered points, object, target at rest",
+    place="target",
+    methods=(SIGNED_DISTANCES,),
+    picture=_picture,
+    layers=_layers,
+    follow=_follow,
+    figures=_figures,
+    looks_at=("touch", "felt"),
+    stretches=False,
+    scrubs=True,
+)

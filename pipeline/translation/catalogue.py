@@ -1,0 +1,115 @@
+"""Which slots there are, which methods fill them, and the routes through them.
+
+Everything that shows or offers a slot, a method or a route reads it here: columns, options, sheets, metrics, traces. A
+route is data: it names a method for each of its slots, and slots that it leaves out are not there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from pipeline.base.errors import SettingProblem
+from pipeline.base.params import changed
+from pipeline.engine.graph import Method
+from pipeline.stages.adapt.slot import SLOT as CLOUD
+from pipeline.stages.depth.slot import SLOT as DEPTH
+from pipeline.stages.feel.slot import SLOT as FELT
+from pipeline.stages.generate.slot import SLOT as TOUCH
+from pipeline.stages.pose.slot import SLOT as POSE
+from pipeline.stages.project.slot import SLOT as VIEW
+from pipeline.stages.slot import Slot
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Route:
+    """One way from the source's reading to the object's pose."""
+
+    name: str
+    title: str
+    methods: Mapping[str, str]  # slot -> method, in running order
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Catalogue:
+    """All slots in the order of their columns, and the routes; another one may be given wherever this is read."""
+
+    slots: tuple[Slot, ...]
+    routes: tuple[Route, ...]
+
+    def slot(self, name: str) -> Slot:
+        """The slot of that name; raises SettingProblem."""
+        for slot in self.slots:
+            if slot.name == name:
+                return slot
+        raise SettingProblem(f"no slot {name!r}; there are {', '.join(s.name for s in self.slots)}")
+
+    def route(self, name: str) -> Route:
+        """The route of that name; raises SettingProblem."""
+        for route in self.routes:
+            if route.name == name:
+                return route
+        raise SettingProblem(f"no route {name!r}; there are {', '.join(r.name for r in self.routes)}")
+
+    def method(self, slot: str, name: str) -> Method:
+        """A method by name; raises SettingProblem with those that the slot has."""
+        entry = self.slot(slot)
+        method = entry.method(name)
+        if method is None:
+            known = ", ".join(m.name for m in entry.methods)
+            raise SettingProblem(f"no method {name!r} for the slot {slot!r}; there are {known}")
+        return method
+
+    def methods(self, route: str, chosen: Mapping[str, str] | None = None) -> tuple[Method, ...]:
+        """The methods of a route in running order, those in `chosen` (slot -> method) in place of its own.
+
+        A choice for a slot that the route does not have is kept for another route and counts for nothing here.
+        Raises SettingProblem for a name that does not exist.
+        """
+        said = dict(chosen or {})
+        for slot, name in said.items():
+            self.method(slot, name)
+        return tuple(self.method(slot, said.get(slot, name)) for slot, name in self.route(route).methods.items())
+
+
+BUILT_IN = Catalogue(
+    slots=(DEPTH, CLOUD, VIEW, TOUCH, FELT, POSE),
+    routes=(
+        Route(
+            name="t2d2",
+            title="T2D2: touch to depth to touch",
+            methods={
+                "depth": "physics",
+                "cloud": "back_projection",
+                "view": "surface",
+                "touch": "physics",
+                "felt": "membrane",
+                "pose": "signed_distances",
+            },
+        ),
+    ),
+)
+
+
+def default_params(methods: tuple[Method, ...]) -> dict[str, object]:
+    """Slot -> the parameters of its method as they come."""
+    return {method.slot: method.params() for method in methods}
+
+
+def with_setting(params: Mapping[str, object], assignment: str) -> dict[str, object]:
+    """`params` after one `slot.parameter=value`, as given on the command line; raises SettingProblem."""
+    left, equals, value = assignment.partition("=")
+    slot, dot, name = left.strip().partition(".")
+    if not equals or not dot:
+        raise SettingProblem(f"a setting is written slot.parameter=value, got {assignment!r}")
+    if slot not in params:
+        raise SettingProblem(f"no slot {slot!r} on this route; there are {', '.join(params)}")
+    return {**params, slot: changed(params[slot], name, value.strip())}
+
+
+def with_method(chosen: Mapping[str, str], assignment: str) -> dict[str, str]:
+    """`chosen` after one `slot=method`, as given on the command line; raises SettingProblem."""
+    slot, equals, name = (part.strip() for part in assignment.partition("="))
+    if not equals or not slot or not name:
+        raise SettingProblem(f"a method is chosen by slot=method, got {assignment!r}")
+    return {**chosen, slot: name}
