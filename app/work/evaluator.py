@@ -201,8 +201,8 @@ def request_of(session: Session) -> Request:
     assert session.recording is not None
     return Request(
         recording=session.recording, target=session.target, source=session.source, stream=session.stream,
-        route=session.route, methods=tuple(sorted(session.methods.items())), reference=session.reference, calibration=session.calibration,
-        mesh=session.mesh, mesh_unit=session.mesh_unit, alignment=session.alignment,
+        route=session.route, methods=tuple(sorted(session.methods.items())), reference=session.reference,
+        calibration=session.calibration, mesh=session.mesh, mesh_unit=session.mesh_unit, alignment=session.alignment,
     )  # fmt: skip
 
 

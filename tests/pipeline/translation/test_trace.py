@@ -82,24 +82,6 @@ def test_a_point_behind_a_nearer_surface_is_called_hidden(results):
     assert last.text == "(1, 1), hidden behind what is 1.95 mm nearer"
 
 
-<<<<<<< HEAD
-def test_the_sentence_reads_from_source_to_target(results):
-    assert sentence(forward(results, 1, 2)).startswith(
-        "(2, 1) → 0.500 mm → (0.00, -0.98, 19.50) mm → target (2, 1), 0.500 mm in"
-    )
-
-
-@pytest.mark.parametrize(
-    ("x_px", "y_px", "out_px"), [(2, -6, 6), (2, 9, 6), (-4, 1, 4), (8, 1, 4), (-4, -6, 6), (8, 9, 6)]
-)
-def test_a_point_outside_of_the_picture_says_by_how_much_of_whichever_side(results, x_px, y_px, out_px):
-    cloud = results["adapt"].output
-    points = cloud.points_mm.copy()
-    points[0] = ((x_px - CAMERA.cx_px) * 2.0, (y_px - CAMERA.cy_px) * 2.0, 20.0)
-    results["adapt"] = result("adapt", replace(cloud, points_mm=points))
-    last = forward(results, *divmod(int(cloud.source_index[0]), CAMERA.cols))[-1]
-    assert last.text == f"outside the target image by {out_px} px"
-=======
 def test_the_marks_read_from_source_to_target(results):
     assert [mark.text for mark in forward(results, 1, 2, 5)] == [
         "(2, 1)",
@@ -109,7 +91,18 @@ def test_the_marks_read_from_source_to_target(results):
     ]
 
 
+@pytest.mark.parametrize(
+    ("x_px", "y_px", "out_px"), [(2, -6, 6), (2, 9, 6), (-4, 1, 4), (8, 1, 4), (-4, -6, 6), (8, 9, 6)]
+)
+def test_a_point_outside_of_the_picture_says_by_how_much_of_whichever_side(results, x_px, y_px, out_px):
+    cloud = results["cloud"].output
+    points = cloud.points_mm.copy()
+    points[0] = ((x_px - CAMERA.cx_px) * 2.0, (y_px - CAMERA.cy_px) * 2.0, 20.0)
+    results["cloud"] = result("cloud", replace(cloud, points_mm=points))
+    last = forward(results, *divmod(int(cloud.source_index[0]), CAMERA.cols), CAMERA.cols)[-1]
+    assert last.text == f"outside the image by {out_px} px"
+
+
 def test_a_value_given_in_place_of_a_slot_is_traced_as_if_its_method_had_made_it(results):
     given = {**results, "depth": replace(results["depth"], method=None, state="given")}
     assert forward(given, 1, 2, 5) == forward(results, 1, 2, 5)
->>>>>>> 5964103 (Slots and methods: a route is data, and what others need of a value stands in one entry)
