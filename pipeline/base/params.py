@@ -29,6 +29,11 @@ class Setting:
     help: str = ""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoParams:
+    """Of a method that has nothing to set."""
+
+
 def setting(
     default: Value,
     label: str,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from pipeline.base.params import NoParams
 from pipeline.engine.graph import Method, unless
 from pipeline.evaluation.metrics import surface_figures
 from pipeline.pictures.layers import Layer, membrane_layer, surface_layer
@@ -20,7 +21,7 @@ MEMBRANE = Method(
     title="Its membrane",
     help="the membrane that the touch was made with",
     run=unless(stage.without_contact, stage.membrane),
-    params=stage.MembraneParams,
+    params=NoParams,
     reads=("touch", "target"),
 )
 READING = Method(

@@ -6,11 +6,12 @@ way the target's own recordings are read, which also tells how much of a touch s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from pipeline.base.errors import SettingProblem
+from pipeline.base.params import NoParams
 from pipeline.base.progress import SILENT, Progress
 from pipeline.physics import optics
 from pipeline.sensors.spec import SensorSpec
@@ -22,12 +23,7 @@ from pipeline.values.results import DepthMap, Touch
 NO_CONTACT = "no contact: the target's membrane is at rest"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MembraneParams:
-    """Nothing to set: the membrane is handed on as it is."""
-
-
-def membrane(touch: Touch, target: SensorSpec, params: MembraneParams, progress: Progress = SILENT) -> DepthMap:  # noqa: ARG001 - a method's arguments
+def membrane(touch: Touch, target: SensorSpec, params: NoParams, progress: Progress = SILENT) -> DepthMap:  # noqa: ARG001 - a method's arguments
     """The membrane that the touch was made with; raises SettingProblem where its method knows only the picture."""
     if touch.membrane is None:
         raise SettingProblem(

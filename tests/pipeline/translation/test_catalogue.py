@@ -1,0 +1,89 @@
+"""A method is one module and one line, a slot one folder and one entry: toys made here go everywhere."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.base.errors import SettingProblem
+from pipeline.reporting.frame_report import FrameReport
+from pipeline.reporting.report import stage_arrays, write_frame, write_report
+from pipeline.translation import trace
+from pipeline.translation.catalogue import BUILT_IN, default_params, with_method, with_setting
+from pipeline.translation.translate import Request, open_translation
+from tests.pipeline.translation.toys import TOYS
+
+SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
+TOUCHED = 5
+
+
+@pytest.fixture(scope="module")
+def toy():
+    opened = open_translation(Request(recording=SAMPLE, source="digit", target="gelslim", route="toy"), TOYS)
+    yield opened
+    opened.recording.close()
+
+
+@pytest.fixture(scope="module")
+def results(toy):
+    return toy.graph().evaluate(toy.slots, toy.inputs(TOUCHED), {})
+
+
+def test_a_route_has_its_own_slots_and_no_others(toy, results):
+    assert list(results) == ["brightness", "touch", "felt", "pose"]
+    assert results["touch"].output.membrane is None
+    assert results["felt"].output.camera == toy.target.camera
+    assert "melted" in results["touch"].notes
+
+
+def test_what_a_toy_slot_says_reaches_figures_arrays_sheet_and_trace(toy, results, tmp_path):
+    metrics = toy.metrics(results, TOUCHED)
+    assert metrics["brightness.contact_mae_mm"] == 0.0
+    assert "touch.psnr_db" in metrics
+    report = FrameReport(index=TOUCHED, results=results, metrics=metrics)
+    frame = toy.stream.frame(TOUCHED)
+    folder = write_frame(tmp_path, frame, report, toy, "key")
+    assert (folder / "sheet.png").stat().st_size > 10_000
+    assert stage_arrays(frame, results)["brightness.share"].shape == frame.image.shape[:2]
+    assert '"contact_mae_mm"' not in write_report(tmp_path, toy, [report.lines]).read_text().partition("frames")[0]
+    marks = trace.forward(results, 3, 4, frame.image.shape[1], TOYS)
+    assert [mark.slot for mark in marks] == ["source", "brightness", "touch"]
+    assert marks[1].text.endswith("bright")
+    assert trace.back(results, "brightness", 17, TOYS) == 17
+
+
+def test_parameters_and_methods_of_a_toy_are_set_by_name(toy, results):
+    params = with_setting(default_params(toy.methods), "touch.gain=0")
+    dark = toy.graph().evaluate(["touch"], toy.inputs(TOUCHED), params)["touch"].output
+    assert not dark.image.any()
+    assert results["touch"].output.image.any()
+    with pytest.raises(SettingProblem, match="no method 'melt' for the slot 'touch'; there are physics"):
+        BUILT_IN.methods("t2d2", with_method({}, "touch=melt"))
+    with pytest.raises(SettingProblem, match="slot=method"):
+        with_method({}, "touch")
+
+
+def test_a_membrane_is_refused_where_the_method_knows_none_and_the_sentence_says_what_to_choose(toy):
+    asked = replace(toy, request=replace(toy.request, methods=(("felt", "membrane"),)))
+    with pytest.raises(SettingProblem, match="choose the method 'reading'"):
+        asked.graph().evaluate(["felt"], asked.inputs(TOUCHED), {})
+
+
+def test_the_truth_may_stand_for_a_slot(toy):
+    """Blame by substitution: what is given is not worked out, and what rests on it is."""
+    chain = replace(toy, request=replace(toy.request, route="t2d2"))
+    graph, inputs = chain.graph(), chain.inputs(TOUCHED)
+    measured = graph.evaluate(chain.slots[:2], inputs, {})
+    truth = chain.truth_of_source(TOUCHED)
+    exact = replace(
+        measured["depth"].output, indentation_mm=truth.indentation_mm, contact=truth.contact,
+        depth_mm=(chain.source.rest_depth_mm - truth.indentation_mm).astype(np.float32),
+    )  # fmt: skip
+    given = graph.evaluate(chain.slots[:2], {**inputs, "depth": exact}, {})
+    assert given["depth"].state == "given"
+    assert given["depth"].output is exact
+    assert given["cloud"].state == "computed"
+    assert len(given["cloud"].output.points_mm) == np.count_nonzero(truth.contact)
