@@ -51,7 +51,8 @@ class DistanceGrid:
         """(distances (n,) in mm, gradients (n, 3)) of points (n, 3); NaN where a point is not finite."""
         from pipeline.geometry.distance_grid_kernels import look_up_all
 
-        found = look_up_all(np.ascontiguousarray(points_mm, dtype=np.float64), *self.lattice)
+        found = np.empty((len(points_mm), 4))
+        look_up_all(np.array(points_mm, dtype=np.float64, order="C"), self.lattice, found)
         return freeze(found[:, 0].copy()), freeze(found[:, 1:].copy())
 
 
@@ -130,16 +131,12 @@ class _Surface:
     @classmethod
     def of(cls, corners: Doubles, step_mm: float, cells: tuple[int, int, int]) -> _Surface:
         """From triangles (m, 3, 3) in fine steps."""
-        from pipeline.geometry.distance_build_kernels import faces
-        from pipeline.geometry.distance_grid_kernels import crossings
-
-        shape, shift = np.array([_CELLS * n + 1 for n in cells]), np.array(_SHIFT)
-        found = [crossings(corners, axis, shape, shift) for axis in range(3)]
-        crossed, unbalanced, odd = np.sum([lines[3] for lines in found], axis=0)
+        shape = np.array([_CELLS * n + 1 for n in cells])
+        lines = [_crossed(corners, axis, shape) for axis in range(3)]
+        crossed, unbalanced, odd = np.sum([_tallied(*line) for line in lines], axis=0)
         is_open = bool(odd > _OPEN_SHARE * max(int(crossed), 1))
         return cls(
-            faces=faces(corners * (step_mm / _CELLS)),
-            lines=() if is_open else tuple((first, where, sign) for first, where, sign, _ in found),
+            faces=_faces(corners * (step_mm / _CELLS)), lines=() if is_open else tuple(lines),
             by_parity=bool(unbalanced > _OPEN_SHARE * max(int(crossed), 1)), step_mm=step_mm, cells=cells,
             notes=(OPEN,) if is_open else (),
         )  # fmt: skip
@@ -149,17 +146,24 @@ class _Surface:
 
         The lists hold the faces that can be nearest to some node of a cell.
         """
-        from pipeline.geometry.distance_build_kernels import lists_of_cells, nearest_of_cells
+        from pipeline.geometry.distance_build_kernels import visit_cells
 
-        half_diagonal = self.step_mm * math.sqrt(3.0) / 2
-        middle_mm = nearest_of_cells(self.faces, self.cells, self.step_mm, half_diagonal + _BAND * self.step_mm)
-        which = np.flatnonzero(np.isfinite(middle_mm))
-        number = np.full(middle_mm.size, -1, dtype=np.int32)
+        half_diagonal, n_cells = self.step_mm * math.sqrt(3.0) / 2, math.prod(self.cells)
+        reach_mm, square = half_diagonal + _BAND * self.step_mm, np.full(n_cells, np.inf)
+        number, first = np.full(n_cells, -1, dtype=np.int32), np.zeros(1, np.int64)
+        none, no_faces, no_limit = np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0)
+        seen = (self.faces, self.cells, self.step_mm)
+        visit_cells(*seen, reach_mm, square, number, no_limit, none, none, no_faces)
+        which = np.flatnonzero(square <= reach_mm**2)
         number[which] = np.arange(which.size, dtype=np.int32)
-        limit_mm = (middle_mm[which] + 2 * half_diagonal) * (1.0 + 1e-9)
-        lists = lists_of_cells(self.faces, self.cells, self.step_mm, number, limit_mm)
+        limit_mm = (np.sqrt(square[which]) + 2 * half_diagonal) * (1.0 + 1e-9)
+        count, most_mm = np.zeros(which.size, np.int64), float(limit_mm.max(initial=0.0))
+        visit_cells(*seen, most_mm, square, number, limit_mm, count, none, no_faces)
+        first = np.concatenate([first, np.cumsum(count)])
+        faces_of, count[:] = np.empty(first[-1], np.int32), 0
+        visit_cells(*seen, most_mm, square, number, limit_mm, count, first, faces_of)
         chosen = np.stack(np.unravel_index(which, self.cells), axis=-1).astype(np.int64)
-        return chosen, (number, *lists)
+        return chosen, (number, first, faces_of)
 
     def begin_sweep(self) -> tuple[Indices, Doubles]:
         """(nearest face, squared distance) of every coarse node: none yet."""
@@ -170,12 +174,14 @@ class _Surface:
         self, chosen: NDArray[np.int64], lists: tuple[Any, Any, Any], start: int, sweeping: tuple[Indices, Doubles]
     ) -> Doubles:
         """Signed distances (n, 9, 9, 9) of the blocks `chosen`, the first of which has number `start`."""
-        from pipeline.geometry.distance_build_kernels import measure_blocks, seed
+        from pipeline.geometry.distance_build_kernels import measure_blocks
 
         size = (len(chosen), *(_CELLS + 1,) * 3)
         lengths, nearest = np.empty(size), np.empty(size, dtype=np.int32)
-        measure_blocks(self.faces, chosen, lists[1], lists[2], self.step_mm / _CELLS, start, lengths, nearest)
-        seed(chosen, lengths, nearest, *sweeping)
+        _, first, faces_of = lists
+        longest = int(np.diff(first).max())
+        room, fine_mm = (np.empty(longest, np.int32), np.empty(longest)), self.step_mm / _CELLS
+        measure_blocks(self.faces, chosen, first, faces_of, fine_mm, start, room, (lengths, nearest), sweeping)
         nodes = (_CELLS * chosen[:, None] + _lattice_nodes((0, 0, 0), size[1:])[None]).reshape(-1, 3)
         return np.where(self._inside(nodes, nearest.reshape(-1)).reshape(size), -lengths, lengths)
 
@@ -191,12 +197,44 @@ class _Surface:
         return np.where(inside, -1.0, 1.0) * np.sqrt(square)
 
     def _inside(self, nodes: NDArray[np.int64], nearest: Indices) -> NDArray[np.bool_]:
-        from pipeline.geometry.distance_build_kernels import behind
         from pipeline.geometry.distance_grid_kernels import inside
 
         if not self.lines:
-            return np.asarray(behind(self.faces, nodes * (self.step_mm / _CELLS), nearest))
+            face = self.faces[nearest]
+            return np.einsum("ij,ij->i", face[:, 12:15], nodes * (self.step_mm / _CELLS) - face[:, :3]) < 0.0
         votes, shape = np.zeros(len(nodes), dtype=np.int8), np.array([_CELLS * n + 1 for n in self.cells])
         for axis, (first, where, sign) in enumerate(self.lines):
             inside(nodes, axis, shape, first, where, sign, self.by_parity, votes)
         return votes >= 2
+
+
+def _faces(corners: Doubles) -> Doubles:
+    """(m, 19) of triangles (m, 3, 3): what their distances are worked out from, as the kernels name it."""
+    a, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    across = np.cross(b, c)
+    length = np.linalg.norm(across, axis=1, keepdims=True)
+    middle = a + (b + c) / 3.0
+    products = [np.einsum("ij,ij->i", one, other)[:, None] for one, other in ((b, b), (b, c), (c, c))]
+    reach = np.linalg.norm(corners - middle[:, None], axis=2).max(axis=1, keepdims=True)
+    return np.hstack([a, b, c, *products, across / np.where(length > 0, length, 1.0), middle, reach])
+
+
+def _crossed(corners: Doubles, axis: int, shape: NDArray[np.int64]) -> tuple[Indices, Floats, NDArray[np.int8]]:
+    """(first (lines + 1,), where, sign) of what the lattice's lines along an axis cross of triangles in fine steps."""
+    from pipeline.geometry.distance_grid_kernels import crossings
+
+    count = np.zeros(int(shape[axis - 2] * shape[axis - 1]), np.int32)
+    none, shift = (np.zeros(0, np.int32), np.zeros(0, np.float32), np.zeros(0, np.int8)), np.array(_SHIFT)
+    crossings(corners, axis, shape, shift, count, *none)
+    first = np.concatenate([[0], np.cumsum(count)]).astype(np.int32)
+    where, sign = np.empty(first[-1], np.float32), np.empty(first[-1], np.int8)
+    count[:] = 0
+    crossings(corners, axis, shape, shift, count, first, where, sign)
+    return first, where, sign
+
+
+def _tallied(first: Indices, _where: Floats, sign: NDArray[np.int8]) -> tuple[int, int, int]:
+    """How many lines cross anything, end with another winding than they begin, cross an odd number of walls."""
+    count = np.diff(first)
+    total = np.bincount(np.repeat(np.arange(count.size), count), sign, count.size)
+    return int((count > 0).sum()), int((total != 0).sum()), int((count % 2).sum())

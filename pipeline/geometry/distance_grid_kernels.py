@@ -12,9 +12,15 @@ CELLS = 8  # fine cells along a block's edge
 NODES = CELLS + 1
 
 
-@njit(cache=True)
-def _between(v000, v001, v010, v011, v100, v101, v110, v111, a, b, c):
-    """Value and slopes per cell at (a, b, c) of a cell, from its eight corners."""
+@njit(cache=True, error_model="numpy")
+def _cell(v, at, over_y, over_x, a, b, c):
+    """Value and slopes per cell of a flat lattice at its node `at` plus (a, b, c), strides (over_x, over_y, 1)."""
+    # Unsigned places are not tested for counting from the end, which would cost as much as the reading.
+    p00, p01 = np.uint64(at), np.uint64(at + over_y)
+    p10, p11 = np.uint64(at + over_x), np.uint64(at + over_x + over_y)
+    one = np.uint64(1)
+    v000, v001, v010, v011 = float(v[p00]), float(v[p00 + one]), float(v[p01]), float(v[p01 + one])
+    v100, v101, v110, v111 = float(v[p10]), float(v[p10 + one]), float(v[p11]), float(v[p11 + one])
     d00, d01, d10, d11 = v100 - v000, v101 - v001, v110 - v010, v111 - v011
     x00, x01, x10, x11 = v000 + d00 * a, v001 + d01 * a, v010 + d10 * a, v011 + d11 * a
     f0, f1 = x10 - x00, x11 - x01
@@ -23,22 +29,10 @@ def _between(v000, v001, v010, v011, v100, v101, v110, v111, a, b, c):
     return y0 + (y1 - y0) * c, e0 + (e1 - e0) * c, f0 + (f1 - f0) * c, y1 - y0
 
 
-@njit(cache=True)
-def _cell(v, at, over_y, over_x, a, b, c):
-    """Value and slopes per cell of a flat lattice at its node `at` plus (a, b, c), strides (over_x, over_y, 1)."""
-    # Unsigned places are not tested for counting from the end, which would cost as much as the reading.
-    p00, p01 = np.uint64(at), np.uint64(at + over_y)
-    p10, p11 = np.uint64(at + over_x), np.uint64(at + over_x + over_y)
-    one = np.uint64(1)
-    return _between(
-        float(v[p00]), float(v[p00 + one]), float(v[p01]), float(v[p01 + one]),
-        float(v[p10]), float(v[p10 + one]), float(v[p11]), float(v[p11 + one]), a, b, c,
-    )  # fmt: skip
-
-
-@njit(cache=True)
-def look_up(x, y, z, origin, step, shape, coarse, block, fine, quantum):
+@njit(cache=True, error_model="numpy")
+def look_up(x, y, z, grid):
     """Signed distance (mm) and its gradient at one point of the object frame; lattices are flat, C order."""
+    origin, step, shape, coarse, block, fine, quantum = grid
     nx, ny, nz = shape
     per_mm = 1.0 / step
     u, v, w = (x - origin[0]) * per_mm, (y - origin[1]) * per_mm, (z - origin[2]) * per_mm
@@ -66,81 +60,55 @@ def look_up(x, y, z, origin, step, shape, coarse, block, fine, quantum):
     return d, gx, gy, gz
 
 
-@njit(cache=True)
-def look_up_all(points, origin, step, shape, coarse, block, fine, quantum):
-    """(n, 4) distance and gradient of points (n, 3); NaN where a point is not finite."""
-    out = np.empty((points.shape[0], 4))
+@njit(cache=True, error_model="numpy")
+def look_up_all(points, grid, out):
+    """Distance and gradient, (n, 4), of points (n, 3); NaN where a point is not finite."""
     for n in range(points.shape[0]):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
         if math.isfinite(x) and math.isfinite(y) and math.isfinite(z):
-            out[n] = look_up(x, y, z, origin, step, shape, coarse, block, fine, quantum)
+            out[n, 0], out[n, 1], out[n, 2], out[n, 3] = look_up(x, y, z, grid)
         else:
-            out[n] = np.nan
-    return out
+            out[n, 0] = out[n, 1] = out[n, 2] = out[n, 3] = math.nan
 
 
-@njit(cache=True)
-def _span(low, high, n):
-    return max(0, math.ceil(low)), min(n - 1, math.floor(high))
-
-
-@njit(cache=True)
-def _crossing(a, b, c, p, q, axis):
-    """(hit, where along `axis`, +1 or -1) of the line at (p, q) of the two other axes through a triangle."""
+@njit(cache=True, error_model="numpy")
+def _crossing(corners, m, p, q, axis):
+    """(+1, -1 or 0 for a miss, where along `axis`) of the line at (p, q) of the two other axes through a triangle."""
     s, t = (axis + 1) % 3, (axis + 2) % 3
-    e0 = (b[s] - p) * (c[t] - q) - (b[t] - q) * (c[s] - p)
-    e1 = (c[s] - p) * (a[t] - q) - (c[t] - q) * (a[s] - p)
-    e2 = (a[s] - p) * (b[t] - q) - (a[t] - q) * (b[s] - p)
+    a_s, b_s, c_s = corners[m, 0, s] - p, corners[m, 1, s] - p, corners[m, 2, s] - p
+    a_t, b_t, c_t = corners[m, 0, t] - q, corners[m, 1, t] - q, corners[m, 2, t] - q
+    e0, e1, e2 = b_s * c_t - b_t * c_s, c_s * a_t - c_t * a_s, a_s * b_t - a_t * b_s
     total = e0 + e1 + e2
     if total == 0.0 or not ((e0 > 0 and e1 > 0 and e2 > 0) or (e0 < 0 and e1 < 0 and e2 < 0)):
-        return False, 0.0, 0
-    return True, (e0 * a[axis] + e1 * b[axis] + e2 * c[axis]) / total, 1 if total > 0 else -1
+        return 0, 0.0
+    at = (e0 * corners[m, 0, axis] + e1 * corners[m, 1, axis] + e2 * corners[m, 2, axis]) / total
+    return (1 if total > 0 else -1), at
 
 
-@njit(cache=True)
-def _visit(corners, axis, shape, shift, first, where, sign, filling):
-    """Count (or fill in, after `first`) what triangles (m, 3, 3), in lattice units, cut of the lines along an axis."""
+@njit(cache=True, error_model="numpy")
+def crossings(corners, axis, shape, shift, count, first, where, sign):
+    """What triangles (m, 3, 3), in lattice units, cut of each line along an axis: into `count`, and after `first`.
+
+    Without room in `where` they are only counted.
+    """
     s, t = (axis + 1) % 3, (axis + 2) % 3
-    n_s, n_t = shape[s], shape[t]
-    count = np.zeros(n_s * n_t, np.int32)
     for m in range(corners.shape[0]):
-        a, b, c = corners[m, 0], corners[m, 1], corners[m, 2]
-        i0, i1 = _span(min(a[s], b[s], c[s]) - shift[s], max(a[s], b[s], c[s]) - shift[s], n_s)
-        j0, j1 = _span(min(a[t], b[t], c[t]) - shift[t], max(a[t], b[t], c[t]) - shift[t], n_t)
-        for i in range(i0, i1 + 1):
-            for j in range(j0, j1 + 1):
-                hit, at, way = _crossing(a, b, c, i + shift[s], j + shift[t], axis)
-                if hit:
-                    line = i * n_t + j
-                    if filling:
+        low_s = min(corners[m, 0, s], corners[m, 1, s], corners[m, 2, s]) - shift[s]
+        high_s = max(corners[m, 0, s], corners[m, 1, s], corners[m, 2, s]) - shift[s]
+        low_t = min(corners[m, 0, t], corners[m, 1, t], corners[m, 2, t]) - shift[t]
+        high_t = max(corners[m, 0, t], corners[m, 1, t], corners[m, 2, t]) - shift[t]
+        for i in range(max(0, math.ceil(low_s)), min(shape[s] - 1, math.floor(high_s)) + 1):
+            for j in range(max(0, math.ceil(low_t)), min(shape[t] - 1, math.floor(high_t)) + 1):
+                way, at = _crossing(corners, m, i + shift[s], j + shift[t], axis)
+                if way != 0:
+                    line = i * shape[t] + j
+                    if where.size:
                         where[first[line] + count[line]] = at
                         sign[first[line] + count[line]] = way
                     count[line] += 1
-    return count
 
 
-@njit(cache=True)
-def crossings(corners, axis, shape, shift):
-    """(first (lines + 1,), where, sign): what lines along `axis` cross, and (lines crossed, unbalanced, odd)."""
-    nothing, no_sign, no_first = np.empty(0, np.float32), np.empty(0, np.int8), np.empty(0, np.int32)
-    count = _visit(corners, axis, shape, shift, no_first, nothing, no_sign, False)
-    first = np.zeros(count.size + 1, np.int32)
-    for line in range(count.size):
-        first[line + 1] = first[line] + count[line]
-    where, sign = np.empty(first[-1], np.float32), np.empty(first[-1], np.int8)
-    _visit(corners, axis, shape, shift, first, where, sign, True)
-    crossed, unbalanced, odd = 0, 0, 0
-    for line in range(count.size):
-        total = 0
-        for n in range(first[line], first[line + 1]):
-            total += sign[n]
-        crossed += count[line] > 0
-        unbalanced += total != 0
-        odd += count[line] % 2
-    return first, where, sign, np.array([crossed, unbalanced, odd])
-
-
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def inside(nodes, axis, shape, first, where, sign, by_parity, votes):
     """Add 1 to `votes` (n,) of each lattice node (n, 3) that its line along `axis` holds to be inside."""
     s, t = (axis + 1) % 3, (axis + 2) % 3

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +36,7 @@ class How:
     max_distance_mm: float = 2.0  # points farther off do not count as on the object
     noise_mm: float = 1e-3  # of the points at least; keeps a perfect fit from claiming certainty
     independent: float = 1.0  # share of the points whose errors are independent of each other
+    bias_mm: float = 0.0  # that no number of points averages away
     tolerances: Tolerances = TOLERANCES  # a direction that is known less well is held
     settled_mm: float = 1e-4  # a smaller motion ends the iterations
     n_iterations: int = 30
@@ -50,13 +50,6 @@ class Fit:
     sensor_from_object: Doubles  # (4, 4) mm
     rmse_mm: float  # of the points within the search distance
     fitness: float  # their share of all
-    noise_mm: float  # robust spread of the residuals
-    hessian: Doubles  # (6, 6) weighted J^T J of (rotation times radius, translation) about the centroid, sensor frame
-    about_mm: Doubles  # (3,) that centroid
-    radius_mm: float  # rms distance of the points from it, which rotations are scaled by
-    frozen: Doubles  # (6, k) orthonormal directions of the hessian's space that were held
-    n_iterations: int
-    converged: bool
     steps: tuple[PoseStep, ...] = ()
 
 
@@ -78,13 +71,18 @@ class Points:
     @classmethod
     def of(cls, points_mm: NDArray[np.floating]) -> Points | NotDetermined:
         """The finite ones of points (n, 3)."""
-        from pipeline.registration.step_kernels import centre
-
-        centred, about, radius = centre(np.ascontiguousarray(points_mm, dtype=np.float64).reshape(-1, 3))
-        if len(centred) < FEWEST_POINTS:
+        given = np.asarray(points_mm, dtype=np.float64).reshape(-1, 3)
+        given = given[np.isfinite(given).all(axis=1)]
+        if len(given) < FEWEST_POINTS:
             return NotDetermined(why=TOO_FEW)
         # The sum of coordinates near the largest number is not finite; nothing is felt out there.
-        if not _ONE_PLACE * (1.0 + float(np.abs(about).max())) < radius < math.inf:
+        with np.errstate(over="ignore", invalid="ignore"):
+            centred = given - given[0]  # from the first point on, so that a frame far away costs no digits
+            about = given[0] + centred.mean(axis=0)
+            centred -= centred.mean(axis=0)
+            radius = float(np.sqrt((centred**2).sum(axis=1).mean()))
+            together = not _ONE_PLACE * (1.0 + float(np.abs(about).max())) < radius < math.inf
+        if together:
             return NotDetermined(why=ONE_PLACE)
         return cls(centred_mm=centred, about_mm=about, radius_mm=radius)
 
@@ -109,41 +107,55 @@ def register(
 
 def fitted(points: Points, grid: DistanceGrid, start: Doubles, how: How) -> Fit | NotDetermined:
     """`register` of points that are centred already."""
-    from pipeline.registration import gauss_newton_kernels as kernels
-
-    begin = rigid.checked(start, "the start of the registration")
-    turn, shift = begin[:3, :3].copy(), begin[:3, 3] - points.about_mm
+    rows = _rows(rigid.checked(start, "the start of the registration")[None], points)
     history, scale_mm = np.empty((0, 14)), how.max_distance_mm
     if len(points.centred_mm) >= _MANY:
         few = points.thinned(_FEW)
-        found = kernels.fit(*_arguments(few, turn, shift, grid, replace(how, settled_mm=_ROUGHLY_MM), scale_mm))
-        history, scale_mm = found[0], min(_WIDER * found[-1], scale_mm)
-    rest, status, noise_mm, in_object, weak, _ = kernels.fit(*_arguments(points, turn, shift, grid, how, scale_mm))
-    if status == kernels.NOTHING_NEAR:
+        history, found_mm = _fit(few, rows, grid, replace(how, settled_mm=_ROUGHLY_MM), scale_mm)
+        scale_mm = min(_WIDER * found_mm, scale_mm)
+    rest, _ = _fit(points, rows, grid, how, scale_mm)
+    if rest[-1, 13] == 0:
         return NotDetermined(why=NOTHING_NEAR)
-    to_sensor = np.zeros((6, 6))
-    to_sensor[:3, :3] = to_sensor[3:, 3:] = turn
     poses = np.concatenate([history[:-1], rest])
     return Fit(
         sensor_from_object=freeze(_pose(rest[-1], points.about_mm)), rmse_mm=float(rest[-1, 12]),
-        fitness=float(rest[-1, 13]), noise_mm=float(noise_mm), hessian=freeze(to_sensor @ in_object @ to_sensor.T),
-        about_mm=freeze(points.about_mm), radius_mm=points.radius_mm, frozen=freeze(to_sensor @ weak),
-        n_iterations=len(poses) - 1, converged=status == kernels.CONVERGED,
+        fitness=float(rest[-1, 13]),
         steps=tuple(_step(row, points.about_mm) for row in poses) if how.keep_steps else (),
     )  # fmt: skip
 
 
-def _arguments(
-    points: Points, turn: Doubles, shift: Doubles, grid: DistanceGrid, how: How, scale_mm: float
-) -> tuple[Any, ...]:
-    return (points.centred_mm, turn, shift, grid.lattice, points.radius_mm, how.max_distance_mm, scale_mm,
-            how.noise_mm, rule(how), how.settled_mm, how.n_iterations)  # fmt: skip
+def registered(points: Points, grid: DistanceGrid, starts: Doubles, how: How) -> Doubles:
+    """Where each start (n, 4, 4) leads, (n, 4, 4)."""
+    rows = _rows(starts, points)
+    _fit(points, rows, grid, how, how.max_distance_mm)
+    return np.array([_pose(row, points.about_mm) for row in rows]).reshape(-1, 4, 4)
 
 
-def rule(how: How) -> tuple[float, float, float, float]:
-    """What a direction must be known to, as the kernels take it: share, mm, rad, rad."""
-    told = how.tolerances
-    return how.independent, told.mm, math.radians(told.deg), math.radians(told.normal_error_deg)
+def _fit(points: Points, rows: Doubles, grid: DistanceGrid, how: How, scale_mm: float) -> tuple[Doubles, float]:
+    """The way (k, 14) of the last of the rows (n, 12), which move in place, and the scale that it ended with."""
+    from pipeline.registration.gauss_newton_kernels import N_BINS, N_SUMS, fit
+
+    history, ended = np.empty((how.n_iterations + 1, 14)), np.zeros((len(rows), 2))
+    arrays = (
+        np.empty(N_SUMS),
+        np.empty(N_BINS, np.int64),
+        np.empty(6),
+        np.empty(6),
+        (np.empty((6, 6)), np.empty((6, 6))),
+    )
+    told, radius_mm = how.tolerances, points.radius_mm
+    rule = (
+        how.independent, how.bias_mm**2, told.mm**-2, (math.radians(told.deg) * radius_mm) ** -2,
+        math.radians(told.normal_error_deg) ** 2,
+    )  # fmt: skip
+    size, limits = (radius_mm, how.max_distance_mm, scale_mm), (how.noise_mm, how.settled_mm)
+    fit(points.centred_mm, rows, grid.lattice, size, limits, rule, arrays, history, ended)
+    return history[: int(ended[-1, 0])].copy(), float(ended[-1, 1])
+
+
+def _rows(poses: Doubles, points: Points) -> Doubles:
+    """Rotations and shifts (n, 12) about the points' middle."""
+    return np.hstack([poses[:, :3, :3].reshape(-1, 9), poses[:, :3, 3] - points.about_mm])
 
 
 def _pose(row: Doubles, about_mm: Doubles) -> Doubles:

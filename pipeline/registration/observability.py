@@ -88,24 +88,6 @@ def observability(
     )
 
 
-def observable_part(
-    information: Doubles, n_eff: float, sigma_mm: float, radius_mm: float, tolerances: Tolerances = TOLERANCES
-) -> tuple[Doubles, Doubles]:
-    """(projector (6, 6), weak directions (6, k) orthonormal) from the normal equations alone, as within an iteration.
-
-    `information` is J^T J / n with J_i = [(arm_i x n_i) / radius_mm, n_i], arms from the centroid and `radius_mm`
-    their rms length; the results are in the same scaled coordinates. Freeze with `projector @ step`. Without points
-    every motion counts as one along the surface for what is not seen of it, which is on the careful side.
-    """
-    hidden = np.eye(6) - information
-    values, vectors = np.linalg.eigh(0.5 * (hidden + hidden.T))
-    hidden = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    fake = hidden * math.radians(tolerances.normal_error_deg) ** 2
-    allowed = _allowed(n_eff, max(sigma_mm, MIN_NOISE_MM), radius_mm, tolerances)
-    lost = _undetermined(information, fake, allowed)
-    return np.eye(6) - lost @ lost.T, lost
-
-
 def effective_count(n_points: int, area_mm2: float, correlation_mm: float) -> float:
     """How many independent measurements `n_points` over an area are worth when their errors are correlated.
 

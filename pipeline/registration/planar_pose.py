@@ -6,12 +6,12 @@ import numpy as np
 
 from pipeline.base.arrays import freeze
 from pipeline.base.progress import SILENT, Progress
-from pipeline.geometry.meshes import Mesh
+from pipeline.geometry.meshes import Mesh, sample_surface
 from pipeline.registration.model import Model
-from pipeline.registration.planar import Planar, PlanarFit, model_cloud, planar_registration
+from pipeline.registration.planar import N_MODEL, SWEEP_DEG, planar_registration
 from pipeline.registration.scene import Scene
 from pipeline.registration.starts import starts
-from pipeline.values.results import ObjectPose, PoseStep
+from pipeline.values.results import ObjectPose
 
 NOTE = "paper 2D: in-plane turn and shift only; height and tilt are those of the first guess, nothing says what is open"
 _FACE = "+z"  # where none is chosen
@@ -24,18 +24,11 @@ def planar_pose(
     """Point-to-point registration of projections along the sensor's axis, from the middle of a face on the contact."""
     chosen = _FACE if face == "auto" else face
     placed = starts(scene, model, chosen, 1)[0].sensor_from_object
-    how = Planar(axis="z", n_iterations=n_iterations, starts="sweep", keep_steps=keep_steps)
-    fit = planar_registration(model_cloud(mesh), scene.points_mm, how, progress, placed=placed)
+    model_mm = sample_surface(mesh, N_MODEL, 0)[0]
+    fit = planar_registration(model_mm, scene.points_mm, placed, n_iterations, progress, keep_steps=keep_steps)
     notes = (NOTE, *fit.notes) if face != "auto" else (NOTE, f"face {_FACE} was taken; choose another one", *fit.notes)
     return ObjectPose(
         sensor_from_object=freeze(fit.scene_from_model), covariance=None, observable=None, weak=(),
         rmse_mm=fit.inlier_rmse_mm, fitness=fit.fitness, scene_mm=freeze(scene.points_mm.astype(np.float32)),
-        source_index=freeze(scene.pixel), steps=_steps(fit), starts_tried=10, notes=notes,
+        source_index=freeze(scene.pixel), steps=fit.steps, starts_tried=len(SWEEP_DEG), notes=notes,
     )  # fmt: skip
-
-
-def _steps(fit: PlanarFit) -> tuple[PoseStep, ...]:
-    return tuple(
-        PoseStep(sensor_from_object=step.scene_from_model, rmse_mm=step.rmse_mm, fitness=fit.fitness)
-        for step in fit.steps
-    )

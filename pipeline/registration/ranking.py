@@ -10,11 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles
+from pipeline.base.arrays import Doubles, Indices
 from pipeline.geometry import rigid
 from pipeline.geometry.distance_grid import DistanceGrid
 from pipeline.registration.model import Model
@@ -40,11 +39,8 @@ class Judge:
 
     def misfit_mm(self, poses: Sequence[Doubles] | Doubles) -> Doubles:
         """Root mean square misfit (n,) of each sensor_from_object over the contact's area."""
-        from pipeline.registration.ranking_kernels import sums
-
-        stacked = np.array(poses, dtype=np.float64).reshape(-1, 4, 4)
-        found = sums(stacked, self.felt, self.felt_normals, self.grid.lattice, *self._unfelt())
-        return np.sqrt(found[:, 0] + found[:, 1] * (self.model.area_mm2 / self.scene.area_mm2))
+        means, _ = self._unexplained(np.array(poses, dtype=np.float64).reshape(-1, 4, 4))
+        return np.sqrt(means[:, 0] + means[:, 1] * (self.model.area_mm2 / self.scene.area_mm2))
 
     def tells_apart(self, better: Doubles, other: Doubles) -> bool:
         """Whether the touch fits one pose better than the other by more than the touch's own error can make up.
@@ -55,38 +51,38 @@ class Judge:
         spread_mm = max(float(self.misfit_mm([better])[0]), _LEAST_SPREAD_MM)
         patch_mm2 = 2.0 * math.pi * CORRELATION_MM**2
         share = min(1.0, patch_mm2 / self.scene.area_mm2)
-        felt_a, felt_b = self._felt_squares(better), self._felt_squares(other)
-        unfelt_a, unfelt_b = self._unfelt_places(better, patch_mm2), self._unfelt_places(other, patch_mm2)
+        (felt_a, unfelt_a), (felt_b, unfelt_b) = (self._by_place(pose, patch_mm2) for pose in (better, other))
         gap = float((felt_b - felt_a).mean()) + share * float((unfelt_b - unfelt_a).sum())
         felt_sq = share * float(((np.sqrt(felt_b) - np.sqrt(felt_a)) ** 2).mean())
         unfelt_sq = share**2 * float(((np.sqrt(unfelt_b) - np.sqrt(unfelt_a)) ** 2).sum())
         return gap > _TELLING * 2.0 * spread_mm * math.sqrt(felt_sq + unfelt_sq)
 
-    def _felt_squares(self, pose: Doubles) -> Doubles:
-        from pipeline.registration.ranking_kernels import felt_squares
-
-        out = np.empty(len(self.felt))
-        felt_squares(np.array(pose), self.felt, self.felt_normals, self.grid.lattice, self.limit_mm, out)
-        return out
-
-    def _unfelt_places(self, pose: Doubles, patch_mm2: float) -> Doubles:
-        """(tiles,) mean squares over patches of the picture."""
-        from pipeline.registration.ranking_kernels import unfelt_by_place
-
+    def _by_place(self, pose: Doubles, patch_mm2: float) -> tuple[Doubles, Doubles]:
+        """(k,) squares of the felt points, and mean squares of the object's over patches of the picture (tiles,)."""
+        of_felt, of_points, pixel = self._unexplained(np.array(pose, dtype=np.float64)[None])[1]
         side_px = max(1.0, math.sqrt(patch_mm2) / self.scene.pixel_mm)
-        across = int(self.scene.camera.cols / side_px) + 1
-        arguments: tuple[Any, ...] = (np.array(pose), *self._unfelt(), side_px, across)
-        found = unfelt_by_place(*arguments)
-        return found * (self.model.area_mm2 / max(len(self.model.points_mm), 1) / patch_mm2)
+        rows, cols = self.scene.camera.shape
+        row, col = (np.floor(at / side_px).astype(np.intp) for at in np.divmod(pixel, cols))
+        tiles_across, tiles_down = int(cols / side_px) + 1, int(rows / side_px) + 1
+        found = np.bincount(row * tiles_across + col, of_points, tiles_across * tiles_down)
+        return of_felt, found * (self.model.area_mm2 / max(len(self.model.points_mm), 1) / patch_mm2)
 
-    def _unfelt(self) -> tuple[Any, ...]:
-        """The arguments of the kernels that are about the space where nothing was felt."""
+    def _unexplained(self, poses: Doubles) -> tuple[Doubles, tuple[Doubles, Doubles, Indices]]:
+        """(n, 2) mean squares of poses (n, 4, 4), and those of each point for the last one, with the pixels."""
+        from pipeline.registration.ranking_kernels import unexplained
+
         camera, pixel_mm = self.scene.camera, self.scene.pixel_mm
-        return (
-            self.model.points_mm, self.model.normals, (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px),
-            self.scene.membrane_mm, self.scene.off_contact_mm, max(_FREE_MM, pixel_mm / 2), _OUTLINE_PX * pixel_mm,
-            self.limit_mm,
+        view = (
+            camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, max(_FREE_MM, pixel_mm / 2),
+            _OUTLINE_PX * pixel_mm, self.scene.membrane_mm, self.scene.off_contact_mm,
         )  # fmt: skip
+        model, n_model = (self.model.points_mm, self.model.normals), len(self.model.points_mm)
+        means, last = (
+            np.empty((len(poses), 2)),
+            (np.empty(len(self.felt)), np.empty(n_model), np.empty(n_model, np.int32)),
+        )
+        unexplained(poses, self.felt, self.felt_normals, self.grid.lattice, model, view, self.limit_mm, means, last)
+        return means, last
 
 
 def judge(scene: Scene, grid: DistanceGrid, model: Model, n_felt: int, n_model: int, limit_mm: float) -> Judge:

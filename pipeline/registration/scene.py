@@ -83,9 +83,10 @@ def in_reach(scene: Scene, model: Model, sensor_from_object: Doubles, reach_mm: 
     """What of a placed object can have been felt: near the scene and not its far side; all, where nothing is."""
     from pipeline.registration import ranking_kernels
 
-    near = ranking_kernels.in_reach(
-        np.array(sensor_from_object), model.points_mm, model.normals,
+    near = np.empty(len(model.points_mm), np.bool_)
+    ranking_kernels.in_reach(
+        np.array(sensor_from_object), (model.points_mm, model.normals),
         scene.points_mm.min(axis=0) - reach_mm, scene.points_mm.max(axis=0) + reach_mm,
-        scene.normals.mean(axis=0), MOST_TURNED_AWAY,
+        scene.normals.mean(axis=0), MOST_TURNED_AWAY, near,
     )  # fmt: skip
     return model.part(near) if near.sum() >= _MIN_PART else model

@@ -13,8 +13,7 @@ import numpy as np
 from pipeline.base.arrays import Doubles
 from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry import rigid
-from pipeline.registration.gauss_newton import Fit, How, NotDetermined, Points, fitted
-from pipeline.registration.multistart import registered
+from pipeline.registration.gauss_newton import Fit, How, NotDetermined, Points, fitted, registered
 from pipeline.registration.observability import Observability, effective_count, observability
 from pipeline.registration.outline import placed
 from pipeline.registration.prepared import Prepared

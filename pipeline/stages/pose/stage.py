@@ -26,12 +26,12 @@ from pipeline.registration.prepared import prepared
 from pipeline.registration.scene import Scene, felt_surface
 from pipeline.registration.search import Minimum, Search
 from pipeline.registration.starts import FACES, starts
+from pipeline.stages.pose.icp import icp_pose
 from pipeline.values.results import DepthMap, ObjectPose
 
 NO_CONTACT = "no contact: nothing was felt to find a pose from"
 NO_MESH = "no object mesh was given; a pose needs one"
-SURFACE, PAPER = "surface", "paper 2D"
-_FORMER = {"point-to-plane": SURFACE, "point-to-point": PAPER}
+SURFACE, PAPER, ICP = "surface", "paper 2D", "icp"
 _MIN_POINTS = 20  # six unknowns, three times over
 _MIN_FITNESS = 0.05  # share of the contact on the object below which there is no pose to speak of
 _LARGEST = 100.0  # times the contact's size: a larger object's surface would be one plane
@@ -43,8 +43,9 @@ class PoseParams:
     """How the registration is done."""
 
     method: str = setting(
-        SURFACE, "Method", choices=(SURFACE, PAPER),
-        help="surface: signed distance to the mesh in 3D; paper 2D: the paper's released evaluation, for comparison",
+        SURFACE, "Method", choices=(SURFACE, PAPER, ICP),
+        help="surface: signed distance to the mesh in 3D; for comparison icp: Open3D's on sampled points, as in the paper; "
+        "paper 2D: the paper's released evaluation",
     )  # fmt: skip
     face: str = setting(
         "auto", "Face toward the sensor", choices=("auto", *FACES), help="axis of the object that points at the sensor"
@@ -72,6 +73,12 @@ def pose(felt: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progre
     if params.method == PAPER:
         return planar_pose(search.scene, checked, search.object.model, params.face, params.n_iterations,
                            keep_steps=params.keep_steps, progress=progress)  # fmt: skip
+    if params.method == ICP:
+        return icp_pose(
+            search.scene, checked, search.object.model, face=params.face, n_starts=params.n_starts,
+            n_iterations=params.n_iterations, max_distance_mm=params.max_distance_mm, seed=params.seed,
+            keep_steps=params.keep_steps, progress=progress,
+        )  # fmt: skip
     progress.step(0.2, "comparing first guesses")
     tried = starts(search.scene, search.object.model, params.face, params.n_starts)
     progress.step(0.21, "registering the most promising")
@@ -161,11 +168,8 @@ def _begun(
 def _check(params: PoseParams) -> None:
     if params.face not in ("auto", *FACES):
         raise SettingProblem(f"pose.face must be one of auto, {', '.join(FACES)}, got {params.face!r}")
-    if params.method in _FORMER:
-        now = _FORMER[params.method]
-        raise SettingProblem(f"pose.method {params.method!r} is gone; {now!r} does what it was for")
-    if params.method not in (SURFACE, PAPER):
-        raise SettingProblem(f"pose.method must be {SURFACE!r} or {PAPER!r}, got {params.method!r}")
+    if params.method not in (SURFACE, PAPER, ICP):
+        raise SettingProblem(f"pose.method must be one of {SURFACE}, {PAPER}, {ICP}, got {params.method!r}")
 
 
 def _told(search: Search, mesh: Mesh, found: list[Minimum], n_tried: int, notes: tuple[str, ...]) -> ObjectPose:

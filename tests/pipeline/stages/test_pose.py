@@ -248,10 +248,27 @@ def test_the_method_of_the_paper_moves_in_the_plane_only():
     assert len(found.steps) >= 1
 
 
-@pytest.mark.parametrize(("old", "now"), [("point-to-plane", "surface"), ("point-to-point", "paper 2D")])
-def test_a_method_of_former_times_names_its_successor(old, now):
-    with pytest.raises(SettingProblem, match=f"{now!r} does what it was for"):
-        pose(felt(slab(), lying(0.0, 0.0, 0.5, 5.0, 0.0)), slab().mesh, PoseParams(method=old))
+def test_icp_on_sampled_points_finds_a_wedge_and_says_that_it_knows_no_more():
+    truth = lying(-0.8, 0.7, 0.8, 2.0, 70.0, tilt_deg=(4.0, -2.0))
+    touch = felt(notched_wedge(), truth, noise_mm=0.01)
+    found, again, plain = (
+        pose(touch, notched_wedge().mesh, PoseParams(method="icp", face="-z", n_starts=8, keep_steps=kept))
+        for kept in (True, True, False)
+    )
+    mm, deg = error(found, truth)
+    assert mm < POSITION_TOLERANCE_MM
+    assert deg < TURN_TOLERANCE_DEG
+    assert found.sensor_from_object.tobytes() == again.sensor_from_object.tobytes()
+    np.testing.assert_array_equal(found.steps[-1].sensor_from_object, found.sensor_from_object)
+    assert found.steps[0].rmse_mm > found.steps[-1].rmse_mm
+    assert plain.steps == ()
+    assert (found.covariance, found.observable, found.starts_tried) == (None, None, 8)
+    assert found.notes[0].startswith("icp:")
+
+
+def test_an_unknown_method_is_refused():
+    with pytest.raises(SettingProblem, match="surface, paper 2D, icp"):
+        pose(felt(slab(), lying(0.0, 0.0, 0.5, 5.0, 0.0)), slab().mesh, PoseParams(method="guess"))
 
 
 def test_a_mesh_that_names_missing_vertices_is_refused():

@@ -1,0 +1,106 @@
+"""Open3D's point-to-plane ICP on sampled points, as the paper registers objects, as an answer of the pose stage."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles, freeze
+from pipeline.base.progress import SILENT, Progress
+from pipeline.geometry import rigid
+from pipeline.geometry.meshes import Mesh, sample_surface
+from pipeline.registration.model import Model
+from pipeline.registration.scene import Scene
+from pipeline.registration.starts import Start, starts
+from pipeline.values.results import ObjectPose, PoseStep
+
+NOTE = "icp: the start of most points near the object, then of least rmse; nothing says what is open"
+N_MODEL = 20_000  # points that the object is sampled at, as in benchmarks/pose.py
+_QUICK, _N_REFINED = 3, 6  # iterations from each start; starts that are registered to the end
+_SETTLED = 1e-6  # Open3D's own relative change of fitness and rmse that ends its iterations
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Icp:
+    """A felt cloud and an object's cloud, as Open3D wants them."""
+
+    source: Any
+    target: Any
+    max_distance_mm: float
+
+    def from_(self, start: Doubles, n_iterations: int) -> PoseStep:
+        """Where so many iterations lead from a sensor_from_object; the felt points are moved, the object stays."""
+        import open3d
+
+        registration = open3d.pipelines.registration
+        found = registration.registration_icp(
+            self.source, self.target, self.max_distance_mm, rigid.invert(start),
+            registration.TransformationEstimationPointToPlane(),
+            registration.ICPConvergenceCriteria(_SETTLED, _SETTLED, n_iterations),
+        )  # fmt: skip
+        moved = np.array(found.transformation)
+        # A system that nothing determines is solved to something that is no motion: the start stays.
+        pose = rigid.invert(rigid.checked(moved, "the result of ICP")) if np.isfinite(moved).all() else start
+        return PoseStep(sensor_from_object=freeze(pose), rmse_mm=float(found.inlier_rmse), fitness=float(found.fitness))
+
+
+def icp_pose(
+    scene: Scene, mesh: Mesh, model: Model, *, face: str, n_starts: int, n_iterations: int, max_distance_mm: float,
+    seed: int, keep_steps: bool, progress: Progress = SILENT,
+) -> ObjectPose:  # fmt: skip
+    """ICP from the first guesses of our own search, a few iterations each, the most promising to the end.
+
+    Points beyond `max_distance_mm` have no partner. The side of the object is told by the starts alone.
+    """
+    import open3d
+
+    points_mm, normals = sample_surface(mesh, N_MODEL, seed)
+    clouds = [
+        open3d.geometry.PointCloud(open3d.utility.Vector3dVector(np.array(p))) for p in (scene.points_mm, points_mm)
+    ]
+    clouds[1].normals = open3d.utility.Vector3dVector(np.array(normals))
+    icp = _Icp(source=clouds[0], target=clouds[1], max_distance_mm=max_distance_mm)
+    tried = _one_a_group(starts(scene, model, face, n_starts))
+    quick: list[PoseStep] = []
+    for k, start in enumerate(tried):
+        progress.step(k / (len(tried) + 1), f"ICP from start {k + 1} of {len(tried)}")
+        quick.append(icp.from_(start.sensor_from_object, _QUICK))
+    progress.step(1.0 - 1.0 / (len(tried) + 1), "ICP from the best of these")
+    ways = [_way(icp, begun, n_iterations, keep_steps) for begun in sorted(quick, key=_worth)[:_N_REFINED]]
+    way = min(ways, key=lambda steps: _worth(steps[-1]))
+    best = way[-1]
+    known = best.fitness > 0
+    return ObjectPose(
+        sensor_from_object=best.sensor_from_object if known else None, covariance=None, observable=None, weak=(),
+        rmse_mm=best.rmse_mm if known else math.nan, fitness=best.fitness,
+        scene_mm=freeze(scene.points_mm.astype(np.float32)), source_index=freeze(scene.pixel),
+        steps=tuple(way) if keep_steps else (), starts_tried=len(tried),
+        notes=(NOTE,) if known else ("icp: no point lies within the search distance of the object from any start",),
+    )  # fmt: skip
+
+
+def _worth(step: PoseStep) -> tuple[float, float]:
+    return -step.fitness, step.rmse_mm
+
+
+def _one_a_group(tried: list[Start]) -> list[Start]:
+    """The first start of each orientation, the middle of its face on the contact's."""
+    groups: dict[tuple[str, int], Start] = {}
+    for start in tried:
+        groups.setdefault(start.group, start)
+    return list(groups.values())
+
+
+def _way(icp: _Icp, begun: PoseStep, n_iterations: int, keep_steps: bool) -> list[PoseStep]:
+    """The steps from `begun` on, one iteration each where they are kept, else all at once."""
+    if not keep_steps:
+        return [icp.from_(begun.sensor_from_object, n_iterations)]
+    steps = [begun]
+    for _ in range(n_iterations):
+        steps.append(icp.from_(steps[-1].sensor_from_object, 1))
+        if abs(steps[-1].rmse_mm - steps[-2].rmse_mm) <= _SETTLED * max(steps[-2].rmse_mm, _SETTLED):
+            break
+    return steps
