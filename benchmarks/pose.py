@@ -26,6 +26,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from pipeline.base.errors import CalibrationError
 from pipeline.geometry import rigid
 from pipeline.geometry.distance_grid import DistanceGrid, built
 from pipeline.geometry.meshes import Mesh, sample_surface
@@ -154,7 +155,10 @@ def open3d_icp(of: Tool) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     def call(points: np.ndarray, start: np.ndarray) -> np.ndarray:
         source = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
         found = icp.registration_icp(source, target, REACH_MM, rigid.invert(start), method, criteria)
-        return rigid.invert(rigid.checked(np.array(found.transformation), "the peer's result"))
+        try:
+            return rigid.invert(rigid.checked(np.array(found.transformation), "the peer's result"))
+        except CalibrationError:  # thrown out of the scene: the guess is nearer
+            return start
 
     return call
 

@@ -1,9 +1,10 @@
-"""How long does the pose of a usual touch take, searched anew and followed from the touch before?
+"""How long does the pose of a usual touch take, searched anew and followed from the touch before? Beside Open3D's ICP.
 
     python benchmarks/pose_stage.py
 
 The touches of the sample recording, translated from DIGIT to GelSlim; the object's grid is cached, as it is from the
-second touch on. Errors are the largest displacement of a vertex of the object (MSSD), medians over the touches.
+second touch on. `icp` is the same stage with that method.
+Errors are the largest displacement of a vertex of the object (MSSD), medians over the touches.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from pipeline.values.results import DepthMap, ObjectPose
 
 ROOT = Path(__file__).resolve().parents[1]
 _FRAMES = tuple(range(4, 13))
-_SEARCHED, _FOLLOWED = "searched anew", "followed"
+_SEARCHED, _FOLLOWED, _ICP = "searched anew", "followed", "icp"
 _MOST_MM = 0.5  # MSSD, of an object 24 mm long
 
 
@@ -48,6 +49,7 @@ def answer() -> Answer:
         _SEARCHED: lambda k: pose(felt[k][0], mesh, params),
         _FOLLOWED: lambda k: pose_from(felt[k][0], mesh, params, searched[k - 1].sensor_from_object,
                                        others=searched[k - 1].alternatives),
+        _ICP: lambda k: pose(felt[k][0], mesh, PoseParams(method="icp", keep_steps=False)),
     }  # fmt: skip
     after = range(1, len(felt))
     errors = {n: float(np.median([_off(call(k), felt[k][1], mesh) for k in after])) for n, call in calls.items()}
@@ -57,10 +59,11 @@ def answer() -> Answer:
         title="Pose of the touches of a recording", unit="mm",
         rows=tuple(
             row(f"pose stage, {name}", ours=times[name], ours_error=errors[name], unit="mm",
-                bar=Bar(ms=60.0, error=_MOST_MM))
-            for name in calls
+                bar=Bar(ms=60.0, error=_MOST_MM), peer="Open3D ICP from the same starts", peer_timing=times[_ICP],
+                peer_error=errors[_ICP])
+            for name in (_SEARCHED, _FOLLOWED)
         ),
-        points=tuple(Point(method=n, ms=times[n].median_ms, error=errors[n], ours=True) for n in calls),
+        points=tuple(Point(method=n, ms=times[n].median_ms, error=errors[n], ours=n != _ICP) for n in calls),
         notes=(f"{n_followed} of {len(after)} touches were followed, the others searched",),
     )  # fmt: skip
 

@@ -65,7 +65,8 @@ class Judge:
         row, col = (np.floor(at / side_px).astype(np.intp) for at in np.divmod(pixel, cols))
         tiles_across, tiles_down = int(cols / side_px) + 1, int(rows / side_px) + 1
         found = np.bincount(row * tiles_across + col, of_points, tiles_across * tiles_down)
-        return of_felt, found * (self.model.area_mm2 / max(len(self.model.points_mm), 1) / patch_mm2)
+        per_point = self.model.area_mm2 / max(len(self.model.points_mm), 1) / patch_mm2
+        return of_felt, np.asarray(found * per_point, dtype=np.float64)
 
     def _unexplained(self, poses: Doubles) -> tuple[Doubles, tuple[Doubles, Doubles, Indices]]:
         """(n, 2) mean squares of poses (n, 4, 4), and those of each point for the last one, with the pixels."""

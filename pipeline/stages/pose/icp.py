@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.arrays import Doubles, freeze
+from pipeline.base.errors import CalibrationError
 from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh, sample_surface
@@ -41,9 +42,11 @@ class _Icp:
             registration.TransformationEstimationPointToPlane(),
             registration.ICPConvergenceCriteria(_SETTLED, _SETTLED, n_iterations),
         )  # fmt: skip
-        moved = np.array(found.transformation)
-        # A system that nothing determines is solved to something that is no motion: the start stays.
-        pose = rigid.invert(rigid.checked(moved, "the result of ICP")) if np.isfinite(moved).all() else start
+        try:
+            pose = rigid.invert(rigid.checked(np.array(found.transformation), "the result of ICP"))
+        except CalibrationError:
+            # A system that nothing determines is solved to something that is no motion: such a start is worth nothing.
+            return PoseStep(sensor_from_object=freeze(start), rmse_mm=math.inf, fitness=0.0)
         return PoseStep(sensor_from_object=freeze(pose), rmse_mm=float(found.inlier_rmse), fitness=float(found.fitness))
 
 
@@ -64,13 +67,13 @@ def icp_pose(
     clouds[1].normals = open3d.utility.Vector3dVector(np.array(normals))
     icp = _Icp(source=clouds[0], target=clouds[1], max_distance_mm=max_distance_mm)
     tried = _one_a_group(starts(scene, model, face, n_starts))
-    quick: list[PoseStep] = []
-    for k, start in enumerate(tried):
-        progress.step(k / (len(tried) + 1), f"ICP from start {k + 1} of {len(tried)}")
-        quick.append(icp.from_(start.sensor_from_object, _QUICK))
-    progress.step(1.0 - 1.0 / (len(tried) + 1), "ICP from the best of these")
-    ways = [_way(icp, begun, n_iterations, keep_steps) for begun in sorted(quick, key=_worth)[:_N_REFINED]]
-    way = min(ways, key=lambda steps: _worth(steps[-1]))
+    # Open3D adds up on as many threads as there are, each time in another order.
+    n_threads = open3d.utility.get_max_threads()
+    open3d.utility.set_max_threads(1)
+    try:
+        way = _best_way(icp, tried, n_iterations, progress)
+    finally:
+        open3d.utility.set_max_threads(n_threads)
     best = way[-1]
     known = best.fitness > 0
     return ObjectPose(
@@ -80,6 +83,17 @@ def icp_pose(
         steps=tuple(way) if keep_steps else (), starts_tried=len(tried),
         notes=(NOTE,) if known else ("icp: no point lies within the search distance of the object from any start",),
     )  # fmt: skip
+
+
+def _best_way(icp: _Icp, tried: list[Start], n_iterations: int, progress: Progress) -> list[PoseStep]:
+    """A few iterations from each start, then on from the best of these, one by one."""
+    quick: list[PoseStep] = []
+    for k, start in enumerate(tried):
+        progress.step(k / (len(tried) + 1), f"ICP from start {k + 1} of {len(tried)}")
+        quick.append(icp.from_(start.sensor_from_object, _QUICK))
+    progress.step(1.0 - 1.0 / (len(tried) + 1), "ICP from the best of these")
+    ways = [_way(icp, begun, n_iterations) for begun in sorted(quick, key=_worth)[:_N_REFINED]]
+    return min(ways, key=lambda steps: _worth(steps[-1]))
 
 
 def _worth(step: PoseStep) -> tuple[float, float]:
@@ -94,10 +108,7 @@ def _one_a_group(tried: list[Start]) -> list[Start]:
     return list(groups.values())
 
 
-def _way(icp: _Icp, begun: PoseStep, n_iterations: int, keep_steps: bool) -> list[PoseStep]:
-    """The steps from `begun` on, one iteration each where they are kept, else all at once."""
-    if not keep_steps:
-        return [icp.from_(begun.sensor_from_object, n_iterations)]
+def _way(icp: _Icp, begun: PoseStep, n_iterations: int) -> list[PoseStep]:
     steps = [begun]
     for _ in range(n_iterations):
         steps.append(icp.from_(steps[-1].sensor_from_object, 1))

@@ -44,8 +44,8 @@ class PoseParams:
 
     method: str = setting(
         SURFACE, "Method", choices=(SURFACE, PAPER, ICP),
-        help="surface: signed distance to the mesh in 3D; for comparison icp: Open3D's on sampled points, as in the paper; "
-        "paper 2D: the paper's released evaluation",
+        help="surface: signed distance to the mesh in 3D; for comparison icp: Open3D's on sampled points, as in the "
+        "paper; paper 2D: the paper's released evaluation",
     )  # fmt: skip
     face: str = setting(
         "auto", "Face toward the sensor", choices=("auto", *FACES), help="axis of the object that points at the sensor"
