@@ -26,7 +26,7 @@ from pipeline.geometry.camera import Camera
 from pipeline.racing.races import Answer, Bar, Point, Timing, race, row
 from pipeline.racing.report import show
 from pipeline.stages.pose.stage import PoseParams, pose_from
-from pipeline.values.results import Touch
+from pipeline.values.results import DepthMap
 
 TRIALS, TOUCHES, _TURN_DEG, _SHIFT_MM = 200, 60, 20.0, 2.5
 _FIRST_SEED = 50_000  # none of these contacts was looked at while anything here was chosen
@@ -39,7 +39,7 @@ _REST_MM, _DEEP_MM, _TILT_DEG, _SLID_MM = 20.0, 1.2, 4.0, 2.0
 class Felt:
     """A touch, where the tool truly is, and a first guess."""
 
-    touch: Touch
+    touch: DepthMap
     points: np.ndarray
     truth: np.ndarray
     start: np.ndarray
@@ -55,9 +55,9 @@ def felt(of: pose.Tool, seed: int) -> Felt:
     depth = np.minimum(_seen(of, truth), _REST_MM)
     contact = depth < _REST_MM
     depth = (depth + pose.NOISE_MM * rng.standard_normal(depth.shape)).astype(np.float32)
-    touch = Touch(
-        image=np.zeros((*_CAMERA.shape, 3), np.uint8), indentation_mm=np.float32(_REST_MM) - depth, depth_mm=depth,
-        contact=contact, camera=_CAMERA, known=np.ones(_CAMERA.shape, bool),
+    touch = DepthMap(
+        indentation_mm=np.float32(_REST_MM) - depth, depth_mm=depth,
+        contact=contact, camera=_CAMERA,
         source_index=np.arange(contact.size, dtype=np.int32).reshape(contact.shape),
     )  # fmt: skip
     points = _CAMERA.back_project(depth)[contact]

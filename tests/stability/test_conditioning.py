@@ -15,6 +15,7 @@ from tests.stability.scenes import rigid_motions, seeds
 N, TOLERANCE_MM = 1000.0, 0.2
 NEAR = 1e-6  # relative distance from a limit at which rounding may decide
 ROUNDING = 1e-12
+DAMPING = 2e-9  # share of the trace that a step is damped by, once for the damping and once for rounding
 
 
 def information_of(powers, rng):
@@ -38,7 +39,8 @@ def test_weak_if_and_only_if_uncertain(powers, sigma_mm, seed):
     assert abs(n_held - int(uncertain.sum())) <= int((~clear).sum())
     if clear.all():
         kept = np.linalg.norm(step @ turn, axis=0)
-        assert np.abs(kept - ~uncertain).max() <= 1e-3
+        damped = DAMPING * values.sum() / values
+        assert (np.abs(kept - ~uncertain) <= 1e-3 + np.where(uncertain, 0.0, damped)).all()
     assert np.isfinite(step).all()
 
 
