@@ -32,6 +32,7 @@ class Banner(QFrame):
         warning = style.standardIcon(QStyle.StandardPixmap.SP_MessageBoxWarning)
         self._sign.setPixmap(warning.pixmap(20, 20))
         self._text.setWordWrap(True)
+        self._text.setTextFormat(Qt.TextFormat.PlainText)  # names of files are no markup
         self._text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self._more, self._copy, self._away = QPushButton("Details"), QPushButton("Copy report"), QToolButton()
         self._more.setCheckable(True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +19,6 @@ class TouchError(Exception):
         """One sentence: what, where, what to try."""
         super().__init__(plain(text))
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Travel between processes as text and fields, whatever the subclass is built from."""
-        return _again, (type(self), self.args, self.__dict__)
-
 
 class FileProblem(TouchError):
     """A file is missing, damaged, or not what it says; `path` names it, `field` the part of it."""
@@ -30,7 +27,12 @@ class FileProblem(TouchError):
         """Build the sentence `what: 'path'`, with the path last so that it can be cut off."""
         self.path = Path(path)
         self.field = field
+        self._what = what
         super().__init__(f"{what}: '{path}'")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """What it is built from: a worker's error reaches its parent as it is."""
+        return partial(FileProblem, field=self.field), (self._what, self.path)
 
 
 class ShapeError(TouchError):
@@ -51,9 +53,3 @@ class MeshProblem(TouchError):
 
 class NotConverged(TouchError):
     """An iterative solve ended without an answer that it can vouch for."""
-
-
-def _again(kind: type[TouchError], args: tuple[Any, ...], fields: dict[str, Any]) -> TouchError:
-    error = kind.__new__(kind, *args)
-    error.__dict__.update(fields)
-    return error

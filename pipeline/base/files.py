@@ -9,7 +9,6 @@ import contextlib
 import itertools
 import json
 import os
-import re
 import shutil
 import stat
 import tempfile
@@ -25,7 +24,6 @@ from pipeline.base.errors import FileProblem
 
 MOST_BYTES = 2 << 30  # of one picture or mesh; what is larger is none
 MOST_TEXT_BYTES = 16 << 20  # of a description, an alignment or a session, which are a few kB
-_PART = re.compile(r"^\.tactoscope-(\d+)-\d+\.part$")
 _numbers = itertools.count()
 
 
@@ -109,6 +107,25 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], what: str = "th
         np.savez_compressed(file, allow_pickle=False, **arrays)  # type: ignore[arg-type]
 
 
+def read_arrays(path: Path, what: str) -> dict[str, NDArray[Any]]:
+    """Every array of an .npz by its key, or the one of an .npy by its file's name, mapped rather than read.
+
+    Raises FileProblem for what is damaged, and for pickled objects, which could run code.
+    """
+    must_be_file(path, what, most_bytes=1 << 50)
+    try:
+        with path.open("rb") as file:
+            if file.read(6) == b"\x93NUMPY":
+                return {path.stem: np.load(path, allow_pickle=False, mmap_mode="r")}
+            file.seek(0)
+            opened: Any = np.load(file, allow_pickle=False)
+            return {key: opened[key] for key in opened.files}
+    except Exception as error:  # zip and zlib errors have no common root
+        if "allow_pickle" in str(error) or "Object arrays" in str(error):
+            raise FileProblem(f"loading {what} could run code: the file holds pickled objects", path) from error
+        raise FileProblem(f"{what} cannot be read: the file is cut short or damaged, or no .npz", path) from error
+
+
 def must_be_file(path: Path, what: str, most_bytes: int = MOST_BYTES) -> None:
     """Raise FileProblem unless `path` is a plain file of at most `most_bytes`: a pipe would be waited for forever."""
     try:
@@ -157,19 +174,11 @@ def reason(error: Exception) -> str:
 def _remove_left_over(folder: Path) -> None:
     """Take away what a process that was killed left beside its place."""
     for rest in folder.glob(".tactoscope-*.part"):
-        named = _PART.match(rest.name)
-        if named and not _runs(int(named[1])):
-            rest.unlink(missing_ok=True)
-
-
-def _runs(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except (OSError, OverflowError):
-        return True  # somebody else's
-    return True
+        with contextlib.suppress(PermissionError, ValueError, OverflowError):  # somebody else's
+            try:
+                os.kill(int(rest.name.split("-")[1]), 0)
+            except ProcessLookupError:
+                rest.unlink(missing_ok=True)
 
 
 def _plain(value: object) -> object:

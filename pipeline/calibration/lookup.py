@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, Image, Mask, freeze
 from pipeline.base.errors import CalibrationError, FileProblem
-from pipeline.base.files import must_be_file, whole_file
+from pipeline.base.files import read_arrays, whole_file
 from pipeline.base.memo import Memo
 from pipeline.calibration import slope_model
 from pipeline.calibration.markers import inpainted, marker_mask
@@ -186,12 +185,7 @@ def save(calibration: Calibration, path: Path) -> None:
 
 def load(path: Path) -> Calibration:
     """Read a look-up back; raises FileProblem naming the field that is missing or damaged."""
-    must_be_file(path, "the calibration")
-    try:
-        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            fields = {name: file[name] for name in file.files}
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, NotImplementedError) as error:
-        raise FileProblem("not a calibration file, or a damaged one; calibrate again", path) from error
+    fields = read_arrays(path, "the calibration")
     try:
         return _from_fields(fields)
     except KeyError as error:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, freeze
 from pipeline.base.errors import CalibrationError, FileProblem
-from pipeline.base.files import must_be_file
+from pipeline.base.files import read_arrays
 from pipeline.base.text import plain
 from pipeline.geometry.camera import Camera, camera_from_matrix
 from pipeline.recordings import pictures
@@ -81,17 +81,7 @@ class _Loaded:
 
 
 def _file(path: Path, unit: DepthUnit) -> _Loaded:
-    must_be_file(path, "the depth images", most_bytes=1 << 50)
-    try:
-        arrays = _arrays(path)
-    except (OSError, ValueError, EOFError, KeyError) as error:
-        if "allow_pickle" in str(error) or "Object arrays" in str(error):
-            raise FileProblem(
-                "the file holds pickled objects and loading it could run code; it is refused", path
-            ) from error
-        raise FileProblem("the array file is cut short or damaged", path) from error
-    except Exception as error:  # zip and zlib errors have no common root
-        raise FileProblem("the array file is cut short or damaged", path) from error
+    arrays = read_arrays(path, "the depth images")
     key = _depth_key(arrays, path)
     told, stack = _unit_of(key, unit, path), arrays[key]
     stack = stack[None] if stack.ndim == 2 else stack
@@ -114,16 +104,6 @@ def _file(path: Path, unit: DepthUnit) -> _Loaded:
     left = sorted(arrays.keys() - {key, "K", "timestamps_s", "time_s", "t_s", "frame"})
     loaded.notes = (f"also in the file and left out: {plain(', '.join(left))}",) if left else ()
     return loaded
-
-
-def _arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """Every array of a file by its key; a `.npy` has one, named as the file, mapped rather than read."""
-    with path.open("rb") as file:
-        if file.read(6) == b"\x93NUMPY":
-            return {path.stem: np.load(path, allow_pickle=False, mmap_mode="r")}
-        file.seek(0)
-        opened: Any = np.load(file, allow_pickle=False)
-        return {key: opened[key] for key in opened.files}
 
 
 def _folder(path: Path, unit: DepthUnit) -> _Loaded:
