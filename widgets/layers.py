@@ -13,69 +13,41 @@ from pipeline.pictures.layers import Layer, Sight
 
 
 class Scene(Protocol):
-    """What the window asks of 3D, with or without OpenGL on the screen."""
+    """What the window asks of 3D; where nothing is drawn, all of it does nothing."""
 
     def show_layers(self, column: int, layers: Sequence[Layer]) -> None:
         """Show exactly these layers in a sub-view."""
-        ...
 
     def place(self, column: int, name: str, placed: Doubles) -> None:
         """Move one layer as a whole."""
-        ...
 
     def look(self, sights: Mapping[int, Sight], *, linked: bool) -> None:
         """Set the cameras; views of one frame share theirs when `linked`."""
-        ...
 
     def mark(self, column: int, place_mm: tuple[float, float, float] | None, radius_mm: float) -> None:
         """Put the traced pixel's dot into a sub-view, or take it away."""
-        ...
 
     def show_columns(self, visible: Sequence[int]) -> None:
         """Give the room to these sub-views, in equal shares."""
-        ...
 
     def settle(self) -> None:
         """Draw now what was going to be drawn soon."""
-        ...
 
     def finish(self) -> None:
         """Let go of everything OpenGL."""
-        ...
 
     def widget(self) -> QWidget:
         """What goes into the layout."""
         ...
 
 
-class EmptyScene:
+class EmptyScene(Scene):
     """Stands in until the 3D views are there, or says why there are none."""
 
     def __init__(self, notice: str = "") -> None:
         self._widget = QLabel(notice)
         self._widget.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self._widget.setWordWrap(True)
-
-    def show_layers(self, column: int, layers: Sequence[Layer]) -> None:
-        """Nothing."""
-
-    def place(self, column: int, name: str, placed: Doubles) -> None:
-        """Nothing."""
-
-    def look(self, sights: Mapping[int, Sight], *, linked: bool) -> None:
-        """Nothing."""
-
-    def mark(self, column: int, place_mm: tuple[float, float, float] | None, radius_mm: float) -> None:
-        """Nothing."""
-
-    def show_columns(self, visible: Sequence[int]) -> None:
-        """Nothing."""
-
-    def settle(self) -> None:
-        """Nothing."""
-
-    def finish(self) -> None:
-        """Nothing."""
 
     def widget(self) -> QWidget:
         """The notice."""

@@ -50,10 +50,6 @@ class LogPanel(QWidget):
         if level >= _LEVELS[self._level.currentText()]:
             self._text.appendPlainText(text)
 
-    def show_level(self, name: str) -> None:
-        """Filter by "everything", "info", "warnings" or "errors"."""
-        self._level.setCurrentText(name)
-
     def clear(self) -> None:
         """Forget all lines."""
         self._lines.clear()

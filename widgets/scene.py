@@ -20,6 +20,7 @@ from widgets.layers import EmptyScene, Scene
 from widgets.sub_views import SubViews
 
 _TOGETHER_MS = 30  # stages arrive one by one within a few milliseconds: one picture serves them all
+_ONE_TURN = 120  # eighths of a degree, as Qt counts what a wheel goes on by
 _BUTTONS = {
     Qt.MouseButton.LeftButton: "LeftButton",  # turns
     Qt.MouseButton.MiddleButton: "MiddleButton",  # shifts
@@ -46,7 +47,7 @@ class LiveScene(QWidget):
         self._mouse.EnableRenderOff()  # drawn together with everything else
         self._mouse.Initialize()
         self._image: QImage | None = None
-        self._finished = False
+        self._finished, self._turned = False, 0
         self._soon = QTimer(self)
         self._soon.setSingleShot(True)
         self._soon.setInterval(_TOGETHER_MS)
@@ -119,9 +120,13 @@ class LiveScene(QWidget):
             self._tell(a0, "MouseMoveEvent")
 
     def wheelEvent(self, a0: QWheelEvent | None) -> None:  # noqa: N802
-        """Go nearer or farther."""
-        if a0 is not None and a0.angleDelta().y():
-            self._tell(a0, f"MouseWheel{'Forward' if a0.angleDelta().y() > 0 else 'Backward'}Event")
+        """Go nearer or farther; a touch pad tells of many small turns that make up one of a wheel."""
+        if a0 is None:
+            return
+        self._turned += a0.angleDelta().y()
+        if abs(self._turned) >= _ONE_TURN:
+            self._tell(a0, f"MouseWheel{'Forward' if self._turned > 0 else 'Backward'}Event")
+            self._turned = 0
 
     def _button(self, event: QMouseEvent | None, what: str) -> None:
         if event is not None and event.button() in _BUTTONS:

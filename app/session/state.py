@@ -51,10 +51,6 @@ class Session:
     methods: Mapping[str, str] = field(default_factory=dict)  # slot -> method in place of the route's own
     params: Mapping[str, object] = field(default_factory=dict)  # changed ones: of methods by key, of the display
 
-    def with_params(self, key: str, params: object) -> Session:
-        """The same with other parameters of one method, or of the display."""
-        return replace(self, params={**self.params, key: params})
-
     def params_of(self, method: Method) -> object:
         """The parameters of a method, as they come where nobody changed them."""
         return self.params.get(method.key, method.params())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 
 import numpy as np
-from PyQt6.QtWidgets import QApplication, QPushButton
+from PyQt6.QtWidgets import QApplication, QComboBox, QPushButton
 
 from pipeline.values.results import PoseStep
 from widgets.banner import Banner
@@ -84,9 +84,10 @@ def test_the_log_is_filtered_by_level_and_keeps_what_is_hidden(qtbot):
     qtbot.addWidget(panel)
     panel.show_line(logging.INFO, "opened")
     panel.show_line(logging.ERROR, "failed")
-    panel.show_level("errors")
+    level = panel.findChild(QComboBox, "log_level")
+    level.setCurrentText("errors")
     assert panel.text == "failed"
-    panel.show_level("info")
+    level.setCurrentText("info")
     assert panel.text == "opened\nfailed"
 
 

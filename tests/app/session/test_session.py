@@ -22,7 +22,8 @@ def a_session(folder: Path) -> Session:
         recording=folder / "a.h5", target="gelslim", frame=7, mesh=folder / "m" / "ball.stl", linked=False,
         offsets=Offsets(shift_mm=(0.1, 0.0, -2.0), turn_deg=(0.0, 3.0, 0.0), pivot_mm=(1.0, 2.0, 20.0)),
     )  # fmt: skip
-    return session.with_params("display", changed(DisplayParams(), "gel_stretch", 5.0))
+    display = changed(DisplayParams(), "gel_stretch", 5.0)
+    return session.updated(params={**session.params, "display": display})
 
 
 def test_a_session_comes_back_as_it_was_saved(tmp_path):
