@@ -51,14 +51,15 @@ class StageColumn(QFrame):
         self._method.setAccessibleName(f"method of {title}")
         self._method.setFont(small)
         self._method.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-        self._method.setMinimumContentsLength(7)
         self._method.activated.connect(self._chosen)
+        self._only = QLabel()  # in its place where there is one way only
+        self._only.setFont(small)
+        self._only.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self._only.setFixedHeight(self._method.sizeHint().height())
         self._method.hide()
-        heading = QHBoxLayout()
-        heading.setSpacing(4)
-        heading.addWidget(self._title, 1)
-        heading.addWidget(self._method)
-        layout.addLayout(heading)
+        layout.addWidget(self._title)
+        layout.addWidget(self._only)
+        layout.addWidget(self._method)
         layout.addLayout(status)
         layout.addWidget(self.view, 1)
         self.setMinimumWidth(90)
@@ -69,12 +70,16 @@ class StageColumn(QFrame):
         self.show_state("waiting")
 
     def offer_methods(self, methods: Sequence[tuple[str, str, str]]) -> None:
-        """(name, title, help) of the ways to fill this slot; nothing is offered where there is one only."""
+        """(name, title, help) of the ways to fill this slot; one alone is only named."""
         self._method.clear()
         for i, (name, title, tip) in enumerate(methods):
             self._method.addItem(title, name)
             self._method.setItemData(i, tip, Qt.ItemDataRole.ToolTipRole)
-        self._method.setVisible(len(methods) > 1)
+        several = len(methods) > 1
+        self._method.setVisible(several)
+        self._only.setVisible(not several)
+        self._only.setText("" if several or not methods else methods[0][1])
+        self._only.setToolTip("" if several or not methods else methods[0][2])
 
     def show_method(self, name: str) -> None:
         """Which way the slot is filled; says nothing to anybody."""
