@@ -90,15 +90,13 @@ def _pressed() -> None:
 
 
 def _calibrated() -> None:
-    """A look-up turned round, and a picture of light alone."""
+    """A picture of light alone."""
     from dataclasses import replace
 
-    from pipeline.calibration import lookup, rendering
     from pipeline.physics import optics
     from pipeline.sensors.spec import sensor
 
     spec = sensor(_WAYS[1][1])
     level = np.zeros(spec.camera.shape)
-    rendering.rendered(lookup.built_in(spec), optics.untouched(spec), level, spec, seed=None)
     bare = replace(optics.optics_of(spec), blur_px=0.0, noise_grey=0.0)
     optics.render(replace(spec, optics=bare), level, seed=None)
