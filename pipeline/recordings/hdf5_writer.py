@@ -181,7 +181,10 @@ class Writer:
             return kept.shape[0] - 1
         if reference.shape != frame.image.shape:
             raise ShapeError(f"the reference of {stream!r} must have shape {frame.image.shape}, got {reference.shape}")
-        _add(kept, kept.shape[0], layout.encoded(reference, kept, f"the reference of {stream!r}"))
+        coded = layout.encoded(reference, kept, f"the reference of {stream!r}")
+        before = kept[-1] if last is None and kept.shape[0] else None  # of a recording that is gone on with
+        if before is None or not np.array_equal(before, coded, equal_nan=before.dtype.kind == "f"):
+            _add(kept, kept.shape[0], coded)
         self._last_reference[stream] = reference
         return kept.shape[0] - 1
 

@@ -197,6 +197,20 @@ def test_append_goes_on_where_the_recording_ended(tmp_path: Path):
     opened.close()
 
 
+@pytest.mark.parametrize("step_mm", [0.0, 0.05])
+def test_going_on_with_a_recording_keeps_no_reference_twice(tmp_path: Path, step_mm: float):
+    path = written(tmp_path / "a.h5", 2, depth_step_mm=step_mm)
+    for index in (2, 3):
+        with Writer.appending(path) as writer:
+            writer.append("gelslim", gel_frame(index))
+            writer.append("bubble", bubble_frame(index))
+    with h5py.File(path) as file:
+        assert [len(file[f"streams/{name}/references"]) for name in ("gelslim", "bubble")] == [1, 1]
+    opened = open_recording(path)
+    np.testing.assert_array_equal(opened.stream("gelslim").frame(3).reference, gel_frame(3).reference)
+    opened.close()
+
+
 def test_an_interrupted_write_leaves_the_file_as_it_was(tmp_path: Path):
     path = written(tmp_path / "a.h5", 2)
     before = path.read_bytes()
