@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import Literal
 
 from pipeline.base.errors import SettingProblem
 from pipeline.cli.main import build, run
+from pipeline.cli.opening_options import NOTHING_ELSE, Opening
 
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
 
@@ -24,12 +24,7 @@ def view(
     recording: Path | None = None,
     *,
     target: str = "",
-    sensor: str = "",
-    reference: Path | None = None,
-    calibration: Path | None = None,
-    mesh: Path | None = None,
-    mesh_unit: Literal["auto", "mm", "cm", "m"] = "auto",
-    alignment: Path | None = None,
+    opening: Opening = NOTHING_ELSE,
     frame: int | None = None,
     tour: Path | None = None,
 ) -> int:
@@ -41,29 +36,15 @@ def view(
         File or folder of any known format.
     target
         Sensor to translate to.
-    sensor
-        The sensor that made the recording, where the file does not say.
-    reference
-        Image of the untouched sensor, where the recording holds none.
-    calibration
-        Look-up made by `tactoscope calibrate balls`.
-    mesh
-        The touched object's mesh, for its pose.
-    mesh_unit
-        Unit of that mesh.
-    alignment
-        How the two sensors stand to each other, a .toml as `tactoscope align refine` writes it.
     frame
         Frame to begin with.
     tour
-        Step through the recording by itself, write the window's picture and every stage into this folder, and close.
+        Step through the recording by itself, write the window's picture and every slot into this folder, and close.
     """
     if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in _SCREENS):
         raise SettingProblem("there is no display to show a window on; run it under xvfb-run, or use translate")
-    from app.main import open_window
+    from app.main import SAMPLE, open_window
 
-    return open_window(
-        recording, target=target, source=sensor, reference=reference, calibration=calibration, mesh=mesh,
-        mesh_unit=mesh_unit, alignment=alignment,
-        frame=frame, tour=tour,
-    )  # fmt: skip
+    nothing = recording is None and not target and opening == NOTHING_ELSE
+    request = None if nothing else opening.request(recording or SAMPLE, target)
+    return open_window(request, frame=frame, tour=tour)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from app.frame.window import Window
     from app.session.state import Session
     from pipeline.translation.catalogue import Catalogue
+    from pipeline.translation.translate import Request
 
 SAMPLE = Path(__file__).resolve().parents[1] / "sample_data" / "recordings" / "first_touch.h5"
 SAMPLE_TOUCH = 3  # the first frame of the sample that its gel feels
@@ -23,32 +24,25 @@ _PATIENCE_S = 1.0  # for the window to be on screen; one that is opened minimise
 _THREADS_LEFT_ALONE = "PASSIVE"  # waiting OpenMP threads that spin would take the processor from the window
 
 
-def open_window(
-    recording: Path | None = None,
-    *,
-    target: str = "",
-    source: str = "",
-    reference: Path | None = None,
-    calibration: Path | None = None,
-    mesh: Path | None = None,
-    mesh_unit: str = "auto",
-    alignment: Path | None = None,
-    frame: int | None = None,
-    tour: Path | None = None,
-) -> int:
+def open_window(request: Request | None, *, frame: int | None = None, tour: Path | None = None) -> int:
     """Show the window until it is closed, or give the `tour` and close; returns the exit code of the process.
 
-    Without a recording the sample is opened, where there is one. See `app.tour` for what a tour leaves behind.
+    `request` None opens the sample, where there is one. See `app.frame.tour` for what a tour leaves behind.
     """
     prepare_environment()
     from app.session.state import Session
 
     application = make_application()
-    session = Session(
-        recording=recording or (SAMPLE if SAMPLE.exists() else None), target=target, source=source,
-        reference=reference, calibration=calibration, mesh=mesh, mesh_unit=mesh_unit,
-        alignment=alignment, frame=_first_frame(recording) if frame is None else frame,
-    )  # fmt: skip
+    first = _first_frame(request) if frame is None else frame
+    if request is None:
+        session = Session(recording=SAMPLE if SAMPLE.exists() else None, frame=first)
+    else:
+        session = Session(
+            recording=request.recording, target=request.target, source=request.source, stream=request.stream,
+            route=request.route, methods=dict(request.methods), reference=request.reference,
+            calibration=request.calibration, mesh=request.mesh, mesh_unit=request.mesh_unit,
+            alignment=request.alignment, frame=first,
+        )  # fmt: skip
     instrument = show_window(session)
     code = 0
     if tour is not None:
@@ -112,9 +106,9 @@ def show_window(session: Session, *, with_scene: bool = True, catalogue: Catalog
     return instrument
 
 
-def _first_frame(recording: Path | None) -> int:
+def _first_frame(request: Request | None) -> int:
     """Where a recording opens: the sample on its first touch, since most of an untouched frame is skipped."""
-    return SAMPLE_TOUCH if recording is None or recording.resolve() == SAMPLE else 0
+    return SAMPLE_TOUCH if request is None or request.recording.resolve() == SAMPLE else 0
 
 
 def _wait_until_seen(window: Window) -> None:

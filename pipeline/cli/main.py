@@ -16,6 +16,7 @@ from pipeline.base import unexpected
 from pipeline.base.errors import TouchError
 from pipeline.cli import align_options as cli_align
 from pipeline.cli import data_options as cli_data
+from pipeline.cli.opening_options import NOTHING_ELSE, Opening
 from pipeline.cli.terminal import complain
 
 EXIT_UNEXPECTED = 1
@@ -107,22 +108,14 @@ def translate(
     *,
     target: str,
     out: Path,
-    sensor: str = "",
-    stream: str = "",
-    reference: Path | None = None,
-    calibration: Path | None = None,
-    route: str = "t2d2",
+    opening: Opening = NOTHING_ELSE,
     frame: int | None = None,
     all_frames: Annotated[bool, Parameter(name="--all", negative="")] = False,
     follow: Annotated[bool, Parameter(negative="")] = False,
-    mesh: Path | None = None,
-    mesh_unit: Literal["auto", "mm", "cm", "m"] = "auto",
-    alignment: Path | None = None,
     depth_unit: Literal["auto", "mm", "m", "0.1mm", "um"] = "auto",
-    methods: Annotated[tuple[str, ...], Parameter(name="--method")] = (),
-    settings: Annotated[tuple[str, ...], Parameter(name="--set")] = (),
+    settings: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
 ) -> int:
-    """Turn touches of one sensor into what another would have felt, and write every stage.
+    """Turn touches of one sensor into what another would have felt, and write every slot.
 
     Parameters
     ----------
@@ -132,48 +125,22 @@ def translate(
         Sensor to translate to.
     out
         Folder for `frame_NNNN/stages.npz`, `frame_NNNN/sheet.png` and `report.json`.
-    sensor
-        The sensor that made the recording, where the file does not say; also chooses one of several streams.
-    stream
-        Name of the stream, where one sensor has several.
-    reference
-        Image of the untouched sensor, where the recording holds none.
-    calibration
-        Look-up made by `tactoscope calibrate balls`; the sensor's built-in one otherwise.
-    route
-        Way through the slots; each of them is filled by a method.
     frame
         The one frame to translate; the first one that touches if neither this nor --all is given.
     all_frames
         Translate every frame.
     follow
         With --all, begin each pose where the touch before ended: several times as quick, for moving sequences.
-    mesh
-        The touched object's mesh, for its pose.
-    mesh_unit
-        Unit of that mesh.
-    alignment
-        How the two sensors stand to each other, a .toml as `tactoscope align refine` writes it.
     depth_unit
         Unit of a depth array whose name does not tell.
-
-    Methods:
-        `slot=method` in place of the route's own, such as `felt=reading`, as often as needed.
     settings
         `slot.parameter=value`, as often as needed.
     """
-    from pipeline.cli.translate import translate_frames
-    from pipeline.translation.catalogue import with_method
-    from pipeline.translation.translate import Request
+    from dataclasses import replace
 
-    chosen: dict[str, str] = {}
-    for assignment in methods:
-        chosen = with_method(chosen, assignment)
-    request = Request(
-        recording=recording, target=target, source=sensor, stream=stream, route=route,
-        reference=reference, calibration=calibration, mesh=mesh, mesh_unit=mesh_unit,
-        depth_unit=depth_unit, alignment=alignment, methods=tuple(chosen.items()),
-    )  # fmt: skip
+    from pipeline.cli.translate import translate_frames
+
+    request = replace(opening.request(recording, target), depth_unit=depth_unit)
     return translate_frames(request, out, frame, all_frames, settings, follow=follow)
 
 

@@ -1,0 +1,70 @@
+"""The options of every command that opens one translation, said once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Parameter
+
+if TYPE_CHECKING:
+    from pipeline.translation.translate import Request
+
+_METHODS = "`slot=method` in place of the route's own, such as `felt=reading`, as often as needed."
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Opening:
+    """What goes with a recording.
+
+    Parameters
+    ----------
+    sensor
+        The sensor that made the recording, where the file does not say; also chooses one of several streams.
+    stream
+        Name of the stream, where one sensor has several.
+    reference
+        Image of the untouched sensor, where the recording holds none.
+    calibration
+        Look-up made by `tactoscope calibrate balls`; the sensor's built-in one otherwise.
+    route
+        Way through the slots; each of them is filled by a method.
+
+    Methods:
+        `slot=method` in place of the route's own, such as `felt=reading`, as often as needed.
+    mesh
+        The touched object's mesh, for its pose.
+    mesh_unit
+        Unit of that mesh.
+    alignment
+        How the two sensors stand to each other, a .toml as `tactoscope align refine` writes it.
+    """
+
+    sensor: str = ""
+    stream: str = ""
+    reference: Path | None = None
+    calibration: Path | None = None
+    route: str = "t2d2"
+    methods: Annotated[tuple[str, ...], Parameter(name="--method", negative="", help=_METHODS)] = ()
+    mesh: Path | None = None
+    mesh_unit: Literal["auto", "mm", "cm", "m"] = "auto"
+    alignment: Path | None = None
+
+    def request(self, recording: Path, target: str) -> Request:
+        """What is to be translated into what; raises SettingProblem for a method that is not written slot=method."""
+        from pipeline.translation.catalogue import with_method
+        from pipeline.translation.translate import Request
+
+        chosen: dict[str, str] = {}
+        for assignment in self.methods:
+            chosen = with_method(chosen, assignment)
+        return Request(
+            recording=recording, target=target, source=self.sensor, stream=self.stream, route=self.route,
+            methods=tuple(chosen.items()), reference=self.reference, calibration=self.calibration, mesh=self.mesh,
+            mesh_unit=self.mesh_unit, alignment=self.alignment,
+        )  # fmt: skip
+
+
+NOTHING_ELSE = Opening()
