@@ -25,7 +25,7 @@ from pipeline.racing.races import Answer, Bar, Point, Row, race, row
 from pipeline.racing.report import show
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.adapt.stage import AdaptParams, adapt
-from pipeline.stages.project.drawing import Rest, rasterised
+from pipeline.stages.project.drawing import rasterised
 from pipeline.stages.project.stage import ProjectParams, project
 from pipeline.values.results import Cloud
 
@@ -76,12 +76,8 @@ def answer() -> Answer:
 
 def drawn(cloud: Cloud, target: SensorSpec) -> np.ndarray:
     """The surface as a depth image (rows, cols)."""
-    surface = target.membrane
-    rest = Rest(x0_mm=surface.x0_mm, y0_mm=surface.y0_mm, per_mm=1.0 / surface.step_mm, z_mm=surface.z_mm)
-    limits = (SURFACE.jump_mm, SURFACE.grazing_deg)
-    drawing = rasterised(
-        cloud.points_mm, cloud.source_index, cloud.grid_shape, cloud.stride, target.camera, rest, limits
-    )
+    limits = {"jump_mm": SURFACE.jump_mm, "grazing_deg": SURFACE.grazing_deg}
+    drawing = rasterised(cloud, target.camera, target.membrane, **limits)
     return drawing.depth_mm.reshape(target.camera.shape)
 
 

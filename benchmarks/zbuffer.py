@@ -50,7 +50,7 @@ def answer() -> Answer:
         camera = target.camera
         peer = open3d_splat(cloud, camera)
         calls = {
-            "ours": lambda c=cloud, k=camera: zbuffer(c.points_mm, c.source_index, k)[0].reshape(k.shape),
+            "ours": lambda c=cloud, k=camera: zbuffer(c, k)[0].reshape(k.shape),
             "the whole stage": lambda c=cloud, t=target: project(c, t, ProjectParams(mode="paper")).depth_mm,
             "Open3D": peer,
             "numpy": lambda c=cloud, k=camera: by_sorting(c.points_mm, k),

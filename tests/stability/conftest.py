@@ -30,10 +30,3 @@ def pytest_terminal_summary(terminalreporter, config: pytest.Config) -> None:
     for line in rows.table():
         terminalreporter.line(line)
     rows.write(OUT)
-
-
-@pytest.fixture
-def long_form():
-    """Skips what is only worth its time, or only measurable, in the long form."""
-    if not rows.SIZE.long:
-        pytest.skip("part of the long form: make stability")

@@ -77,7 +77,6 @@ def test_adapt(kind, number, seed):
     assert np.abs(a.points_mm - b.points_mm).max() <= 1.5 * ulp_mm(number, far_mm) + 2 * ulp_mm(np.float32, far_mm)
 
 
-@pytest.mark.usefixtures("long_form")  # the compiled loops of float64 points take longer to make than to run
 @row(6, "points of float64 and float32: the same view but for the ulp")
 @given(st.sampled_from(KINDS), WIDE, st.sampled_from(["surface", "paper"]), seeds)
 def test_project(kind, number, mode, seed):

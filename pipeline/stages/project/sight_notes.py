@@ -38,7 +38,8 @@ def triangles(drawing: Drawing, jump_mm: float, grazing_deg: float, n_hidden: in
     if jump:
         notes.append(f"{jump:,} triangles over depth jumps above {jump_mm:g} mm were left out")
     if grazing:
-        notes.append(f"{grazing:,} triangles seen at more than {grazing_deg:g} degrees were left out")
+        hiding = f" and hide what lies behind them in {drawing.n_veiled:,} pixels" if drawing.n_veiled else ""
+        notes.append(f"{grazing:,} triangles seen at more than {grazing_deg:g} degrees were left out{hiding}")
     if behind:
         notes.append(f"{behind:,} triangles reach behind the target's camera and were left out")
     if counts[kernels.CROWDED]:

@@ -20,7 +20,7 @@ SURFACE = Method(
     run=unless(stage.without_contact, stage.project),
     params=stage.ProjectParams,
     reads=("cloud", "target"),
-    version=3,
+    version=4,
 )
 
 

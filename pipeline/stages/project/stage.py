@@ -6,25 +6,24 @@ with 1/Z interpolated linearly in screen space: no holes, and hundreds of times 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, assert_never
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Mask, for_geometry, freeze
-from pipeline.base.errors import SettingProblem, ShapeError
+from pipeline.base.arrays import Doubles, Floats, Mask, freeze
+from pipeline.base.errors import ShapeError
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.project import sight_notes
-from pipeline.stages.project.drawing import Drawing, Rest, rasterised, splatted
+from pipeline.stages.project.drawing import SAME_SURFACE_MM, Drawing, flat, lens_of, rasterised, splatted
 from pipeline.values.results import Cloud, TargetView
 
 Mode = Literal["surface", "paper"]
 
 NO_CONTACT = "no contact: the target sees nothing"
-SAME_SURFACE_MM = 0.2  # a point this close behind what its pixel shows is part of it, not hidden by it
 _FINER = 4  # pixels along each side of one, where its coverage is asked for
 
 
@@ -61,9 +60,9 @@ def project(cloud: Cloud, target: SensorSpec, params: ProjectParams, progress: P
     empty = without_contact(cloud, target, params)
     if empty is not None:
         return empty
-    _check(cloud, params)
+    _check(cloud)
     progress.step(0.0, "drawing the touch in the target image")
-    view = view_of(replace(cloud, points_mm=for_geometry(cloud.points_mm)), target, params)
+    view = view_of(cloud, target, params)
     progress.step(1.0, "drawn")
     return view
 
@@ -72,21 +71,21 @@ def view_of(cloud: Cloud, target: SensorSpec, params: ProjectParams) -> TargetVi
     """As `project`, of a cloud that is sound and has a point."""
     from pipeline.stages.project import project_kernels as kernels
 
-    rest = _rest(target)
-    if params.mode == "paper":
-        drawing = splatted(cloud.points_mm, cloud.source_index, target.camera, rest)
-    elif params.mode == "surface":
-        drawing = _surface(cloud, target.camera, rest, params)
-    else:
-        assert_never(params.mode)
+    match params.mode:
+        case "surface":
+            drawing = _surface(cloud, target.camera, target, params)
+        case "paper":
+            drawing = splatted(cloud, target.camera, target.membrane)
+        case _:
+            assert_never(params.mode)
     shape = target.camera.shape
     indentation = np.empty(drawing.depth_mm.size, dtype=np.float32)
-    n_contact, deepest_mm = kernels.push_in(
-        drawing.depth_mm, drawing.contact, target.rest_depth_mm.reshape(-1), indentation
-    )
+    kernels.push_in(drawing.depth_mm, drawing.contact, flat(target.rest_depth_mm, np.float64), indentation)
+    n_contact = int(np.count_nonzero(drawing.contact))
     arrived = sight_notes.arrival(drawing, cloud.points_mm)
-    short_mm = 0.0 if n_contact else _short_mm(cloud, drawing, target, params)
-    _, n_hidden = kernels.hide(cloud.points_mm, drawing.depth_mm, shape, SAME_SURFACE_MM, drawing.pixel)
+    n_hidden = kernels.hide(
+        flat(cloud.points_mm), drawing.depth_mm, lens_of(target.camera), SAME_SURFACE_MM, drawing.pixel
+    )
     return TargetView(
         depth_mm=freeze(drawing.depth_mm.reshape(shape)),
         contact=freeze(drawing.contact.reshape(shape)),
@@ -98,8 +97,9 @@ def view_of(cloud: Cloud, target: SensorSpec, params: ProjectParams) -> TargetVi
             *arrived,
             *_drawing_notes(drawing, params, int(n_hidden)),
             *sight_notes.reach(
-                target, n_drawn=drawing.n_drawn, n_contact=int(n_contact), short_mm=short_mm,
-                deepest_mm=float(deepest_mm),
+                target, n_drawn=drawing.n_drawn, n_contact=n_contact,
+                short_mm=0.0 if n_contact else _short_mm(cloud, drawing, target, params),
+                deepest_mm=float(indentation.max()),
             ),
         ),
         pixel_of_point=freeze(drawing.pixel),
@@ -127,16 +127,30 @@ def without_contact(cloud: Cloud, target: SensorSpec, params: ProjectParams) -> 
 
 def _known(cloud: Cloud, target: SensorSpec) -> Mask:
     """The target pixels inside the source's window; none of them when the window reaches behind the camera."""
-    from pipeline.stages.project import project_kernels as kernels
-
-    known = np.zeros(target.camera.shape, dtype=np.bool_)
-    if (cloud.window_mm[:, 2] > MIN_DEPTH_MM).all():
+    rows, cols = target.camera.shape
+    if not (cloud.window_mm[:, 2] > MIN_DEPTH_MM).all():
+        return freeze(np.zeros((rows, cols), dtype=np.bool_))
+    with np.errstate(all="ignore"):
         x_px, y_px, _ = target.camera.project(cloud.window_mm)
-        kernels.fill_window(x_px, y_px, known)
-    return freeze(known)
+        return freeze(_inside(x_px, y_px, rows, cols))
 
 
-def _check(cloud: Cloud, params: ProjectParams) -> None:
+def _inside(x_px: Doubles, y_px: Doubles, rows: int, cols: int) -> Mask:
+    """The pixels (rows, cols) whose centre lies in the convex polygon of corners in turn: from-to in every row."""
+    to_x, to_y, row = np.roll(x_px, -1), np.roll(y_px, -1), np.arange(rows)
+    turned = -1.0 if (x_px * to_y - to_x * y_px).sum() < 0.0 else 1.0
+    # Inside is where a * col + b >= 0, for every edge.
+    a = turned * (y_px - to_y)[:, None]
+    b = turned * ((to_x - x_px)[:, None] * (row - y_px[:, None]) + ((to_y - y_px) * x_px)[:, None])
+    bound = -b / a
+    first = np.where(a > 0.0, np.ceil(bound), 0.0).max(axis=0).clip(0, cols)
+    last = np.where(a < 0.0, np.floor(bound), cols - 1.0).min(axis=0).clip(-1, cols - 1)
+    last[((a == 0.0) & ~(b >= 0.0)).any(axis=0)] = -1.0
+    col = np.arange(cols, dtype=np.int32)
+    return (col >= first.astype(np.int32)[:, None]) & (col <= last.astype(np.int32)[:, None])
+
+
+def _check(cloud: Cloud) -> None:
     n, (rows, cols) = cloud.points_mm.shape[0], cloud.grid_shape
     if cloud.points_mm.shape != (n, 3) or cloud.source_index.shape != (n,):
         raise ShapeError(
@@ -145,18 +159,6 @@ def _check(cloud: Cloud, params: ProjectParams) -> None:
         )
     if cloud.source_index.min() < 0 or cloud.source_index.max() >= rows * cols:
         raise ShapeError(f"source_index of the cloud points outside its grid of {rows} x {cols} pixels")
-    check_mode(params)
-
-
-def check_mode(params: ProjectParams) -> None:
-    """Raises SettingProblem for a mode that does not exist."""
-    if params.mode not in ("surface", "paper"):
-        raise SettingProblem(f"project.mode must be 'surface' or 'paper', got {params.mode!r}")
-
-
-def _rest(target: SensorSpec) -> Rest:
-    surface = target.membrane
-    return Rest(x0_mm=surface.x0_mm, y0_mm=surface.y0_mm, per_mm=1.0 / surface.step_mm, z_mm=surface.z_mm)
 
 
 def _short_mm(cloud: Cloud, drawing: Drawing, target: SensorSpec, params: ProjectParams) -> float:
@@ -176,13 +178,12 @@ def _drawing_notes(drawing: Drawing, params: ProjectParams, n_hidden: int) -> tu
     return sight_notes.triangles(drawing, params.jump_mm, params.grazing_deg, n_hidden)
 
 
-def _surface(cloud: Cloud, camera: Camera, rest: Rest, params: ProjectParams) -> Drawing:
-    limits = (params.jump_mm, params.grazing_deg)
-    return rasterised(cloud.points_mm, cloud.source_index, cloud.grid_shape, cloud.stride, camera, rest, limits)
+def _surface(cloud: Cloud, camera: Camera, target: SensorSpec, params: ProjectParams) -> Drawing:
+    return rasterised(cloud, camera, target.membrane, jump_mm=params.jump_mm, grazing_deg=params.grazing_deg)
 
 
 def _coverage(cloud: Cloud, target: SensorSpec, params: ProjectParams) -> Floats:
     """Share of each pixel (rows, cols) that the surface covers in contact: drawn again with 4 x 4 pixels in each."""
     (rows, cols), fine = target.camera.shape, target.camera.scaled(_FINER)
-    contact = _surface(cloud, fine, _rest(target), params).contact
+    contact = _surface(cloud, fine, target, params).contact
     return freeze(contact.reshape(rows, _FINER, cols, _FINER).mean(axis=(1, 3), dtype=np.float32))

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
@@ -188,6 +188,42 @@ def test_a_touch_that_misses_the_image_says_why():
             view = project(moved, target_sensor(), params)
             assert not np.isfinite(view.depth_mm).any()
             assert word in view.notes[0]
+
+
+def sheet_before_another(tilt_deg):
+    """A sheet of 20 x 15 mm at 40 mm, turned about y, and a level one 22 mm behind its middle."""
+    row, col = np.mgrid[:31, :41]
+    along, tilt = (col - 20) * 0.5, np.deg2rad(tilt_deg)
+    front = np.stack([along * np.cos(tilt), (row - 15) * 0.5, 40.0 + along * np.sin(tilt)], -1)
+    back = np.stack([(col - 20) * 0.8, (row - 15) * 0.8, np.full(row.shape, 62.0)], -1)
+    return cloud_of(np.concatenate([front, back], axis=1), grid=(31, 82))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(0.0, 89.0), st.floats(10.0, 90.0))
+@example(80.0, 70.0)
+@example(86.0, 84.0)
+@example(60.0, 90.0)
+def test_a_front_that_is_left_out_as_grazing_still_hides_what_lies_behind_it(tilt_deg, grazing_deg):
+    """What lies behind showed through: up to 21 mm off."""
+    target, tilt = target_sensor(), np.deg2rad(tilt_deg)
+    view = project(sheet_before_another(tilt_deg), target, replace(SURFACE, grazing_deg=grazing_deg))
+    x, y = target.camera.rays()
+    along = 40.0 * x / (np.cos(tilt) - x * np.sin(tilt))
+    front_mm = 40.0 + along * np.sin(tilt)
+    inside = (np.abs(along) < 9.9) & (np.abs(front_mm * y[:, None]) < 7.4)
+    shown = inside & np.isfinite(view.depth_mm)
+    assert np.abs(view.depth_mm - front_mm)[shown].max(initial=0.0) < 1e-4  # float32 at 50 mm
+    kept = tilt_deg + np.rad2deg(np.arctan(np.hypot(x.max(), y.max()))) < grazing_deg - 1.0
+    assert not kept or shown.sum() == inside.sum()
+    beside = np.isfinite(view.depth_mm[:, :2]).mean()  # the level sheet alone, and it is there
+    assert beside == 1.0 or grazing_deg < 30.0
+
+
+def test_what_is_hidden_by_a_front_that_is_left_out_is_said():
+    for tilt_deg, said in ((86.0, True), (20.0, False)):
+        notes = project(sheet_before_another(tilt_deg), target_sensor(), SURFACE).notes
+        assert any("hide what lies behind them" in note for note in notes) == said
 
 
 def test_a_depth_jump_is_not_bridged():
