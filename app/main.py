@@ -118,6 +118,7 @@ def _wait_until_seen(window: Window) -> None:
     end_s, handle = time.monotonic() + _PATIENCE_S, window.windowHandle()
     while handle is not None and not handle.isExposed() and time.monotonic() < end_s:
         QApplication.processEvents()
+        time.sleep(0.002)
     window.repaint()
     QApplication.processEvents()
 
