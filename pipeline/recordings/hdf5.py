@@ -25,7 +25,8 @@ from pipeline.values.frames import Pairing, Recording, Stream, TactileFrame, Tru
 
 T = TypeVar("T")
 
-CUT_SHORT = "the file is cut short"
+CUT_SHORT, LOST = "the file is cut short", "cannot be read: that part of the file is damaged"
+KNOWN = "the table of what is known"
 
 
 def read(path: Path) -> Recording:
@@ -86,7 +87,7 @@ def _stream(group: Any, name: str, path: Path, notes: list[str]) -> Stream:
 
     times = table("timestamps", border.FLOAT, np.nan, "the timestamps")
     rows = table("reference_index", border.WHOLE, -1, "the table of references")
-    known = table("truth/known", border.WHOLE, 0, "the table of what is known")
+    known = table("truth/known", border.WHOLE, 0, KNOWN)
     camera = _camera(group, path) if "camera_matrix" in group else None
 
     def frame(index: int) -> TactileFrame:
@@ -180,7 +181,7 @@ def _tolerated(take: Callable[[], T], otherwise: T, what: str, notes: list[str])
     try:
         return take()
     except (OSError, RuntimeError):
-        notes.append(f"{what} cannot be read: that part of the file is damaged")
+        notes.append(f"{what} {LOST}")
         return otherwise
 
 

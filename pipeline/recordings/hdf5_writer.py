@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 
 from pipeline.base.errors import FileProblem, ShapeError, TouchError
 from pipeline.base.files import whole_file
-from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry.meshes import Mesh
 from pipeline.recordings import hdf5, hdf5_symmetry
 from pipeline.recordings import hdf5_layout as layout
 from pipeline.recordings.hdf5_layout import Coding
-from pipeline.values.frames import Pairing, Recording, TactileFrame, Truth
+from pipeline.values.frames import Pairing, TactileFrame, Truth
 
 if TYPE_CHECKING:
     from pipeline.geometry.symmetry import Symmetry
@@ -220,27 +219,6 @@ class Writer:
             _add(group[key], index, layout.encoded(values, group[key], f"{key} of frame {index}"))
             known |= bit
         _add(group["truth/known"], index, known)
-
-
-def write(
-    path: Path,
-    recording: Recording,
-    *,
-    coding: Coding = "plain",
-    depth_step_mm: float = 0.0,
-    progress: Progress = SILENT,
-) -> None:
-    """Any recording as one of ours; raises FileProblem when a frame cannot be read, leaving what stood at `path`."""
-    total, done = max(1, sum(s.n_frames for s in recording.streams)), 0
-    with Writer(
-        path, object_mesh=recording.object_mesh, symmetry=recording.symmetry, pairings=recording.pairings,
-        notes=recording.notes, coding=coding, depth_step_mm=depth_step_mm,
-    ) as writer:  # fmt: skip
-        for stream in recording.streams:
-            for index in range(stream.n_frames):
-                writer.append(stream.name, stream.frame(index), stream.truth(index))
-                done += 1
-                progress.step(done / total, f"writing frame {index + 1} of {stream.n_frames} of {stream.name}")
 
 
 def _stack(

@@ -76,16 +76,22 @@ def _found(plan: Plan, path: Path) -> tuple[int, bool]:
             )
         counts = [stream.n_frames for stream in recording.streams]
         good = next((k for k in range(min(counts)) if not _readable(recording, k)), min(counts))
-        cut = any(note.startswith(hdf5.CUT_SHORT) for note in recording.notes)
-        return good, good == max(counts) and not cut
+        if any(note.startswith(hdf5.KNOWN) for note in recording.notes):
+            good = 0  # frames without their truth
+        damaged = any(note.startswith(hdf5.CUT_SHORT) or note.endswith(hdf5.LOST) for note in recording.notes)
+        return good, good == max(counts) and not damaged
 
 
 def _readable(recording: Recording, index: int) -> bool:
     """Whether all that every sensor has of a moment is there; a moment without its time has lost its tables."""
     try:
-        return all(math.isfinite(s.frame(index).time_s) and (s.truth(index), True)[1] for s in recording.streams)
+        for stream in recording.streams:
+            stream.truth(index)
+            if not math.isfinite(stream.frame(index).time_s):
+                return False
     except FileProblem:
         return False
+    return True
 
 
 def record(plan: Plan, path: Path, *, pool: Executor | None = None, progress: Progress = SILENT) -> Recorded:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from contextlib import closing
 from dataclasses import replace
 
 import h5py
@@ -179,17 +180,23 @@ def test_what_is_finished_is_in_place_before_the_rest_is(tmp_path, monkeypatch):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.h5", "whole.h5"]
 
 
-@pytest.mark.parametrize("damage", ["cut", "flipped", "one sensor short"])
+@pytest.mark.parametrize("damage", ["cut", "flipped", "one sensor short", "truth/known", "object"])
 def test_a_damaged_recording_is_mended_by_the_next_run(tmp_path, damage):
     whole, path = tmp_path / "whole.h5", tmp_path / "damaged.h5"
     recorder.record(PLAN, whole)
     data = bytearray(whole.read_bytes())
     with h5py.File(whole, "r") as file:
         chunk = file["streams/digit/frames"].id.get_chunk_info(1)
+        table = file["streams/digit/truth/known"].id.get_chunk_info(0)
+        mesh = file["object/vertices"].id.get_chunk_info(0)
     if damage == "cut":
         del data[chunk.byte_offset + 10 :]
     elif damage == "flipped":
         data[chunk.byte_offset + 100] ^= 0x10
+    elif damage == "truth/known":
+        data[table.byte_offset] ^= 0x10
+    elif damage == "object":
+        data[mesh.byte_offset + mesh.size // 2] ^= 0x10
     path.write_bytes(data)
     if damage == "one sensor short":
         with h5py.File(path, "r+") as file:
@@ -197,9 +204,13 @@ def test_a_damaged_recording_is_mended_by_the_next_run(tmp_path, damage):
                 for table in dataset.values() if isinstance(dataset, h5py.Group) else (dataset,):
                     if table.name.split("/")[-1] != "references":
                         table.resize(1, axis=0)
-    assert recorder.finished(PLAN, path) == 1
-    assert recorder.record(PLAN, path).n_moments == 2
+    left = {"truth/known": 0, "object": 3}.get(damage, 1)
+    assert recorder.finished(PLAN, path) == left
+    assert recorder.record(PLAN, path).n_moments == 3 - left
     assert prints(path) == prints(whole)
+    with closing(hdf5.read(path)) as mended, closing(hdf5.read(whole)) as wanted:
+        assert np.array_equal(mended.object_mesh.vertices_mm, wanted.object_mesh.vertices_mm)
+        assert mended.notes == wanted.notes
 
 
 def test_what_is_in_the_way_stays_as_it_is(tmp_path):
