@@ -40,8 +40,8 @@ _BAR = Bar(closer=0.97)  # a neighbour that is better by no more than the choice
 _FACTORS = (2 / 3, 1.5)
 _PARAMS = DepthParams()
 _GEL_DEPTHS_MM = (0.2, 0.5)
-_LEFT_OUT = {  # what is no choice: names, sizes of loops, and what only guards a division
-    bubble_reading: {"_MOST_PIXELS", "_USUAL_CURVATURE_PER_MM"},
+_LEFT_OUT = {  # what has a reason beside it in the code
+    bubble_reading: {"_MOST_PIXELS", "_USUAL_CURVATURE_PER_MM", "_SPECKLE_PX"},
     membrane_load: {"_ITERATIONS", "_SPREADS", "_FREED", "_FEWEST_BLOCKS"},
     gel_light: {"_STEP"},
     gel_depth: {"_SATURATED_GREY"},
@@ -59,13 +59,11 @@ def numbers(module):
                 yield f"{name}.margin_mm", value.margin_mm
 
 
-def neighbour(name, value, factor):
-    """The number beside `value`: whole ones stay whole, a median's width odd."""
+def neighbour(value, factor):
+    """The number beside `value`; whole ones stay whole."""
     if not isinstance(value, int):
         return type(value)(value * factor)
-    step = 2 if name == "_SPECKLE_PX" else 1
-    moved = round((value * factor - value) / step) * step
-    return value + (moved or math.copysign(step, factor - 1)).__int__()
+    return value + (round(value * (factor - 1)) or (1 if factor > 1 else -1))
 
 
 class Changed:
@@ -150,7 +148,7 @@ def answer(part: str = "") -> Answer:
 def _judged(title, module, name, value, presses, usual):
     relative = {}
     for factor in _FACTORS:
-        beside = neighbour(name, value, factor)
+        beside = neighbour(value, factor)
         with Changed(module, name, beside):
             relative[beside] = float(np.exp((errors(presses) - usual).mean()))
     told = ", ".join(f"{beside:.3g}: {ratio:.3f}" for beside, ratio in relative.items())
