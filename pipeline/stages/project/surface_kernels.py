@@ -72,6 +72,19 @@ def place(index, starts, bounds, stride, state, corners, cells, alone):
         begin, end = starts[r], starts[r + 1]
         first = (top + r) * grid_cols + left
         g = ((top + r) // stride - top // stride + 1) * cols + 1
+        gaps = 0
+        for i in range(begin, end - 1):
+            gaps += index[i + 1] - index[i] != 1
+        if stride == 1 and gaps == 0 and begin < end:  # most rows: on vectors
+            # Unsigned places, which cannot count from an array's end: numba's checks for that keep vectors away.
+            n, to, of = np.uint64(end - begin), np.uint64(g + index[begin] - first), np.uint64(begin)
+            for k in range(n):
+                corner[to + k] = of + k
+            for k in range(n):
+                state_at[to + k] = state[of + k]
+            for k in range(n):
+                centres_at[to + k] = (np.int64(down[of + k]) << 32) ^ np.int64(across[of + k])
+            continue
         for i in range(begin, end):
             column = index[i] - first
             apart = stride > 1 and ((top + r) % stride != 0 or (left + column) % stride != 0)

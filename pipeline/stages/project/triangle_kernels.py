@@ -46,7 +46,8 @@ def draw(todo, corner, corners, lens, limits, image, counts):
     for turn in range(todo.shape[0]):
         g, rim = np.int64(todo[turn] >> 1), np.int64(todo[turn] & 1)
         n, centre, x0, y0 = 1, False, 0, 0  # how many triangles, and the pixel that they are seen from
-        a, b, c, d = at[g], at[g + 1], at[g + width], at[g + width + 1]
+        here, below = np.uint64(g), np.uint64(g + width)
+        a, b, c, d = at[here], at[here + np.uint64(1)], at[below], at[below + np.uint64(1)]
         if rim:
             n, one, two = _rim(g, at, width, corners, lens, longest_sq)
         elif max(a, b, c, d) == NONE:
@@ -110,7 +111,7 @@ def draw(todo, corner, corners, lens, limits, image, counts):
                     if fate < 0:
                         fate = _fate(flat, extra, i, j, k, limits)
                         counts[rim, fate] += 1
-                    near, p = wa * w[i] + wb * w[j] + wc * w[k], (y + y0) * cols + x + x0
+                    near, p = wa * w[i] + wb * w[j] + wc * w[k], np.uint64((y + y0) * cols + x + x0)
                     if fate == GRAZING:
                         veil[p] = max(veil[p], near)
                     elif fate > GRAZING and near > inverse_z[p]:
