@@ -26,10 +26,10 @@ from pipeline.racing.report import show
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.adapt.stage import AdaptParams, adapt
 from pipeline.stages.project.drawing import rasterised
-from pipeline.stages.project.stage import ProjectParams, project
+from pipeline.stages.project.stage import PaperParams, ProjectParams, project
 from pipeline.values.results import Cloud
 
-SURFACE, PAPER = ProjectParams(mode="surface"), ProjectParams(mode="paper")
+SURFACE, PAPER = ProjectParams(), PaperParams()
 _SCENES = ((0, 1), (20, 1), (45, 1), (20, 3))  # degrees aside, target resolution
 
 

@@ -22,7 +22,7 @@ from pipeline.racing.races import Answer, Bar, Point, Row, race, row
 from pipeline.racing.report import show
 from pipeline.stages.adapt.stage import AdaptParams, adapt
 from pipeline.stages.project.drawing import zbuffer
-from pipeline.stages.project.stage import ProjectParams, project
+from pipeline.stages.project.stage import PaperParams, project
 
 
 def by_sorting(points_mm: np.ndarray, camera: Camera) -> np.ndarray:
@@ -51,7 +51,7 @@ def answer() -> Answer:
         peer = open3d_splat(cloud, camera)
         calls = {
             "ours": lambda c=cloud, k=camera: zbuffer(c, k)[0].reshape(k.shape),
-            "the whole stage": lambda c=cloud, t=target: project(c, t, ProjectParams(mode="paper")).depth_mm,
+            "the whole stage": lambda c=cloud, t=target: project(c, t, PaperParams()).depth_mm,
             "Open3D": peer,
             "numpy": lambda c=cloud, k=camera: by_sorting(c.points_mm, k),
         }

@@ -18,7 +18,7 @@ from pipeline.pictures.picture import outline
 from pipeline.sensors.alignment import Alignment, placed
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.stage import DepthParams, depth, untouched
-from pipeline.stages.project.stage import ProjectParams
+from pipeline.stages.project.stage import Projection
 from pipeline.translation.translate import Translation, own_shift_mm
 from pipeline.values.results import DepthMap, TargetView
 
@@ -58,7 +58,7 @@ class Comparison:
         """Border (n, 2) of what the target felt, on its full image."""
         return None if self.touch is None else outline(self.touch.target.contact)
 
-    def preview(self, alignment: Alignment, params: ProjectParams) -> tuple[TargetView, Score | None]:
+    def preview(self, alignment: Alignment, params: Projection) -> tuple[TargetView, Score | None]:
         """The touch as the alignment carries it over, drawn coarse, and how well it agrees: the figures of a rest."""
         if self.touch is not None and self.coarse is not None:
             return preview(self.touch, alignment, self.coarse, params)[0], self.scored(alignment, params)
@@ -66,12 +66,12 @@ class Comparison:
         small = scaled(self.target, 1.0 / self.factor) if self.factor > 1 else self.target
         return reproject(self.source, there, small, params, stride=min(2, self.factor)), None
 
-    def scored(self, alignment: Alignment, params: ProjectParams) -> Score | None:
+    def scored(self, alignment: Alignment, params: Projection) -> Score | None:
         """How well the touch agrees at full size."""
         return None if self.touch is None or self.full is None else preview(self.touch, alignment, self.full, params)[1]
 
     def axes(
-        self, alignment: Alignment, params: ProjectParams, pivot: Doubles, progress: Progress
+        self, alignment: Alignment, params: Projection, pivot: Doubles, progress: Progress
     ) -> tuple[Sensitivity, ...]:
         """Which axis matters; nothing where there is nothing to compare with."""
         if self.touch is None or self.coarse is None:

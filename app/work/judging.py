@@ -19,7 +19,7 @@ from pipeline.pictures.picture import Picture, beside, enlarged
 from pipeline.stages.depth.slot import PHYSICS
 from pipeline.stages.depth.stage import DepthParams
 from pipeline.stages.project import slot as view_slot
-from pipeline.stages.project.stage import ProjectParams
+from pipeline.stages.project.stage import Projection
 from pipeline.stages.slot import Seen
 from pipeline.translation.translate import Translation, open_translation
 
@@ -105,10 +105,11 @@ def refined(session: Session, report: Report) -> Refined:
     return Refined(answer=answer, offsets=of_motion(answer.motion @ session.offsets.motion(), about), begun=session)
 
 
-def project_params(session: Session) -> ProjectParams:
-    """How the projection is drawn."""
-    params = session.params_of(view_slot.SURFACE)
-    assert isinstance(params, ProjectParams)
+def project_params(session: Session) -> Projection:
+    """How the projection is drawn, by the method that fills the view."""
+    paper = session.methods.get("view") == view_slot.PAPER.name
+    params = session.params_of(view_slot.PAPER if paper else view_slot.SURFACE)
+    assert isinstance(params, Projection)
     return params
 
 

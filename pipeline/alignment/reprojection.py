@@ -11,7 +11,7 @@ from pipeline.base.progress import SILENT, Progress
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.adapt.stage import AdaptParams, adapt
-from pipeline.stages.project.stage import ProjectParams, project
+from pipeline.stages.project.stage import Projection, project
 from pipeline.values.results import DepthMap, TargetView
 
 
@@ -19,7 +19,7 @@ def reproject(
     depth: DepthMap,
     alignment: Alignment,
     target: SensorSpec,
-    params: ProjectParams,
+    params: Projection,
     *,
     stride: int = 1,
     progress: Progress = SILENT,

@@ -13,7 +13,7 @@ from pipeline.alignment.touches import PairedTouch
 from pipeline.base.arrays import Mask
 from pipeline.base.progress import SILENT, Progress
 from pipeline.sensors.alignment import Alignment
-from pipeline.stages.project.stage import ProjectParams
+from pipeline.stages.project.stage import Projection, ProjectParams
 from pipeline.values.results import TargetView
 
 
@@ -51,7 +51,7 @@ def score(view: TargetView, felt: Felt) -> Score:
 
 
 def preview(
-    touch: PairedTouch, alignment: Alignment, felt: Felt, params: ProjectParams | None = None
+    touch: PairedTouch, alignment: Alignment, felt: Felt, params: Projection | None = None
 ) -> tuple[TargetView, Score]:
     """The touch as the alignment carries it over, on the grid of `felt`, and how well it agrees."""
     aligned, drawn = touch.placed(alignment), params or ProjectParams()
@@ -63,7 +63,7 @@ def scores(
     touches: Sequence[PairedTouch],
     felts: Sequence[Felt],
     alignment: Alignment,
-    params: ProjectParams | None = None,
+    params: Projection | None = None,
     progress: Progress = SILENT,
 ) -> tuple[Score, ...]:
     """The score of every touch: what one frame gains at the cost of the others shows here."""

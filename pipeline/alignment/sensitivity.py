@@ -13,7 +13,7 @@ from pipeline.alignment.touches import PairedTouch, pivot_of
 from pipeline.base.arrays import Doubles
 from pipeline.base.progress import SILENT, Progress
 from pipeline.sensors.alignment import Alignment
-from pipeline.stages.project.stage import ProjectParams
+from pipeline.stages.project.stage import Projection
 
 UNIT_STEP = 0.1  # mm or deg: what all changes are stated per
 _STEP_PX = 0.5  # masks change by whole pixels: smaller motions than about this show nothing
@@ -43,7 +43,7 @@ def sensitivities(
     touch: PairedTouch,
     alignment: Alignment,
     felt: Felt,
-    params: ProjectParams | None = None,
+    params: Projection | None = None,
     *,
     frame: Frame = "target",
     pivot: Doubles | None = None,

@@ -43,15 +43,16 @@ def _tasks() -> Iterator[Callable[[], object]]:
     params = default_params(BUILT_IN.methods("t2d2"))
     for source, target in _WAYS:
         yield partial(_translated, source, target, params)
-    for other in ("view.mode=paper", "cloud.stride=16"):  # points: the paper's, and those too sparse for a surface
-        yield partial(_translated, *_WAYS[0], with_setting(params, other))
+    # Points: the paper's, and those too sparse for a surface.
+    yield partial(_translated, *_WAYS[0], params, (("view", "paper"),))
+    yield partial(_translated, *_WAYS[0], with_setting(params, "cloud.stride=16"))
     yield from (_surveyed, _pressed, _calibrated)
 
 
-def _translated(source: str, target: str, params: dict[str, object]) -> None:
+def _translated(source: str, target: str, params: dict[str, object], methods: tuple[tuple[str, str], ...] = ()) -> None:
     from pipeline.translation.translate import Request, open_translation
 
-    translation = open_translation(Request(recording=SAMPLE, source=source, target=target))
+    translation = open_translation(Request(recording=SAMPLE, source=source, target=target, methods=methods))
     translation.graph().evaluate(translation.slots, translation.inputs(_FRAME), params)
     translation.recording.close()
 

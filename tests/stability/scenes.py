@@ -16,6 +16,7 @@ from pipeline.sensors.alignment import Alignment, between
 from pipeline.sensors.spec import SensorSpec, sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.press import press
+from pipeline.stages.project.stage import PaperParams, Projection, ProjectParams
 from pipeline.values.frames import TactileFrame
 from pipeline.values.pixel_index import pixel_index
 from pipeline.values.results import Cloud, DepthMap, TargetView
@@ -150,3 +151,8 @@ def rigid_motions(draw, mm: float, rad: float = np.pi):
 def aligned(source: SensorSpec, target: SensorSpec) -> Alignment:
     """The alignment that the descriptions state."""
     return between(source, target)
+
+
+def projection(mode: str, **limits) -> Projection:
+    """The parameters of a way to draw; the paper's points have no limits."""
+    return PaperParams() if mode == "paper" else ProjectParams(**limits)

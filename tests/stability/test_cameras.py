@@ -13,10 +13,10 @@ from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import sensor
 from pipeline.stages.adapt.stage import AdaptParams, adapt
-from pipeline.stages.project.stage import ProjectParams, project
+from pipeline.stages.project.stage import project
 from tests.stability.checks import sound
 from tests.stability.rows import row
-from tests.stability.scenes import depth_map, rigid_motions, seeds, unit_numbers
+from tests.stability.scenes import depth_map, projection, rigid_motions, seeds, unit_numbers
 
 EPS64, EPS32 = np.finfo(np.float64).eps, np.finfo(np.float32).eps
 ROWS, COLS = 24, 32
@@ -58,7 +58,7 @@ def test_same_camera(fx, fy, z_mm, mode):
         return
     target = level_sensor(camera, 2 * z_mm)
     # At one pixel of focal length the picture's edge is seen at 86 degrees, and neighbours lie far apart.
-    seen = project(points, target, ProjectParams(mode=mode, grazing_deg=90.0, jump_mm=1e9 * (1 + z_mm)))
+    seen = project(points, target, projection(mode, grazing_deg=90.0, jump_mm=1e9 * (1 + z_mm)))
     sound(seen)
     # float32 moves a corner of the grid by its last bit, so that the outermost pixel centres may lie beside the surface.
     inner = seen.contact if mode == "paper" else seen.contact[1:-1, 1:-1]
@@ -87,7 +87,7 @@ def test_target_anywhere(motion, fx, mode, seed):
     way = Alignment(alignment_from_source=motion, target_from_alignment=np.eye(4))
     points = adapt(depth, way, AdaptParams())
     sound(points)
-    seen = project(points, level_sensor(camera_of(fx), 200.0), ProjectParams(mode=mode))
+    seen = project(points, level_sensor(camera_of(fx), 200.0), projection(mode))
     sound(seen)
     if (points.points_mm[:, 2] <= MIN_DEPTH_MM).all():
         assert not (seen.source_index >= 0).any()
@@ -104,7 +104,7 @@ def test_grazing(angle_deg, around, mode, limit_deg):
     turn = rigid.translation(0, 0, 20.0) @ rigid.rotation(axis * np.deg2rad(angle_deg)) @ rigid.translation(0, 0, -20.0)
     way = Alignment(alignment_from_source=turn, target_from_alignment=np.eye(4))
     points = adapt(plane_depth(camera, 20.0), way, AdaptParams())
-    seen = project(points, level_sensor(camera, 200.0), ProjectParams(mode=mode, grazing_deg=limit_deg, jump_mm=1e6))
+    seen = project(points, level_sensor(camera, 200.0), projection(mode, grazing_deg=limit_deg, jump_mm=1e6))
     sound(seen)
     z = seen.depth_mm.astype(np.float64)
     on = seen.source_index >= 0

@@ -13,10 +13,10 @@ from pipeline.registration.observability import observability
 from pipeline.stages.adapt.stage import AdaptParams, adapt
 from pipeline.stages.generate.stage import GenerateParams, generate
 from pipeline.stages.pose.stage import PoseParams, pose
-from pipeline.stages.project.stage import ProjectParams, project
+from pipeline.stages.project.stage import project
 from tests.stability.checks import outcome, sound
 from tests.stability.rows import row
-from tests.stability.scenes import aligned, cloud, depth_map, mesh, seeds, small, touch, view
+from tests.stability.scenes import aligned, cloud, depth_map, mesh, projection, seeds, small, touch, view
 
 MASKS = ("empty", "one pixel", "corner", "row", "column", "two apart", "checkers", "full", "border", "half")
 SURFACES = ("flat", "rod", "sphere", "plane", "at rest", "deepest", "beyond")
@@ -80,7 +80,7 @@ def test_adapt_and_project(mask, surface, mode, stride, seed):
     points = adapt(depth, aligned(source, target), AdaptParams(stride=stride))
     sound(points)
     assert len(points.points_mm) == touched[::stride, ::stride].sum()
-    seen = project(points, target, ProjectParams(mode=mode))
+    seen = project(points, target, projection(mode))
     sound(seen)
     # The gel's window lies inside the bubble's view: what touches the one is seen by the other.
     assert (seen.source_index >= 0).any() == bool(len(points.points_mm))
@@ -110,7 +110,7 @@ def test_few_points(n, place, mode, seed):
     elif place == "at the lens":
         points[:, 2] = 0.0
     spread = replace(cloud(points), source_index=np.sort(rng.permutation(2500)[:n]).astype(np.int32))
-    result = project(spread, target, ProjectParams(mode=mode))
+    result = project(spread, target, projection(mode))
     sound(result)
     assert result.contact.any() == (n > 0 and place in ("coincident", "line", "plane"))
 

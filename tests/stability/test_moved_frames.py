@@ -23,10 +23,20 @@ from pipeline.sensors.alignment import Alignment
 from pipeline.simulation.press import press
 from pipeline.stages.adapt.stage import AdaptParams, adapt
 from pipeline.stages.pose.stage import PoseParams, pose
-from pipeline.stages.project.stage import ProjectParams, project
+from pipeline.stages.project.stage import project
 from tests.pipeline.registration.solids import REST_MM, felt, notched_wedge
 from tests.stability.rows import row
-from tests.stability.scenes import KINDS, aligned, depth_map, indentation_mm, mesh, rigid_motions, seeds, small
+from tests.stability.scenes import (
+    KINDS,
+    aligned,
+    depth_map,
+    indentation_mm,
+    mesh,
+    projection,
+    rigid_motions,
+    seeds,
+    small,
+)
 
 EPS64, EPS32 = np.finfo(np.float64).eps, np.finfo(np.float32).eps
 POSE_MM = 0.02  # a fifth of the camera's pixel
@@ -66,7 +76,7 @@ def test_view_under_a_carried_alignment_frame(kind, mode, motion, power, seed):
     depth = depth_map(source, indentation_mm(source, kind, np.random.default_rng(seed)))
     motion[:3, 3] *= 10.0**power
     a, b = (
-        project(adapt(depth, way, AdaptParams()), target, ProjectParams(mode=mode))
+        project(adapt(depth, way, AdaptParams()), target, projection(mode))
         for way in (aligned(source, target), carried(aligned(source, target), motion))
     )
     seen_a, seen_b = a.source_index >= 0, b.source_index >= 0

@@ -21,7 +21,19 @@ from pipeline.stages.project.stage import ProjectParams, project
 from pipeline.values.frames import TactileFrame
 from tests.stability.checks import outcome, sound
 from tests.stability.rows import row
-from tests.stability.scenes import KINDS, aligned, depth_map, frame, indentation_mm, mesh, seeds, small, touch, view
+from tests.stability.scenes import (
+    KINDS,
+    aligned,
+    depth_map,
+    frame,
+    indentation_mm,
+    mesh,
+    projection,
+    seeds,
+    small,
+    touch,
+    view,
+)
 
 FLOATS = st.sampled_from([np.float64, np.float32, np.float16])
 WIDE = st.sampled_from([np.float64, np.float32])
@@ -84,8 +96,8 @@ def test_project(kind, number, mode, seed):
     source, target = small("gelslim"), small("soft_bubble", 0.5)
     points = adapt(depth_map(source, indentation_mm(source, kind, rng)), aligned(source, target), AdaptParams())
     exact_mm = points.points_mm * (1.0 + rng.uniform(-1e-7, 1e-7, points.points_mm.shape))  # less than float32 holds
-    a = project(replace(points, points_mm=exact_mm), target, ProjectParams(mode=mode))
-    b = project(replace(points, points_mm=exact_mm.astype(number)), target, ProjectParams(mode=mode))
+    a = project(replace(points, points_mm=exact_mm), target, projection(mode))
+    b = project(replace(points, points_mm=exact_mm.astype(number)), target, projection(mode))
     sound(b)
     n_seen = np.count_nonzero(a.source_index >= 0)
     both = (a.source_index >= 0) & (b.source_index >= 0)  # of points at one distance either may be named

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from pipeline.registration.observability import observability
 from pipeline.stages.adapt.stage import AdaptParams, adapt
-from pipeline.stages.project.stage import ProjectParams, project
+from pipeline.stages.project.stage import project
 from tests.stability.rows import row
-from tests.stability.scenes import KINDS, aligned, cloud, depth_map, indentation_mm, seeds, small
+from tests.stability.scenes import KINDS, aligned, cloud, depth_map, indentation_mm, projection, seeds, small
 
 SUMS = 1e-12  # relative: a sum of a few thousand numbers in another order
 
@@ -40,7 +40,7 @@ def test_ties(n, places, mode, seed):
 def assert_same_in_any_order(points, target, mode, rng):
     order = rng.permutation(len(points.points_mm))
     shuffled = replace(points, points_mm=points.points_mm[order], source_index=points.source_index[order])
-    a, b = (project(p, target, ProjectParams(mode=mode)) for p in (points, shuffled))
+    a, b = (project(p, target, projection(mode)) for p in (points, shuffled))
     for name in ("depth_mm", "contact", "indentation_mm", "known"):
         assert getattr(a, name).tobytes() == getattr(b, name).tobytes(), name
     assert a.notes == b.notes

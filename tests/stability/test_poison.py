@@ -24,7 +24,18 @@ from pipeline.stages.pose.stage import PoseParams, pose
 from pipeline.stages.project.stage import ProjectParams, project
 from tests.stability.checks import outcome, sound
 from tests.stability.rows import row
-from tests.stability.scenes import aligned, depth_map, frame, indentation_mm, mesh, seeds, small, touch, view
+from tests.stability.scenes import (
+    aligned,
+    depth_map,
+    frame,
+    indentation_mm,
+    mesh,
+    projection,
+    seeds,
+    small,
+    touch,
+    view,
+)
 
 POISONS = {
     "nan": np.nan,
@@ -145,7 +156,7 @@ def test_project(poison, share, mode, seed):
     source, target = small("gelslim"), small("soft_bubble", 0.5)
     clean = adapt(depth_map(source, indentation_mm(source, "sphere", rng)), aligned(source, target), AdaptParams())
     bad = replace(clean, points_mm=poisoned(clean.points_mm, poison, share, rng))
-    result, _ = outcome(project, bad, target, ProjectParams(mode=mode))
+    result, _ = outcome(project, bad, target, projection(mode))
     if result is not None:
         sound(result)
 

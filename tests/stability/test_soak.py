@@ -93,7 +93,6 @@ def run(stages, rng):
     params = default_params(_METHODS)
     for setting in (
         f"cloud.stride={rng.integers(1, 4)}",
-        f"view.mode={rng.choice(['surface', 'paper'])}",
         "pose.n_starts=6",
     ):
         params = with_setting(params, setting)

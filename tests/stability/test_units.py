@@ -17,9 +17,9 @@ from pipeline.physics import bubble, gel
 from pipeline.registration.observability import Tolerances, observability
 from pipeline.sensors.alignment import Alignment
 from pipeline.stages.adapt.stage import AdaptParams, adapt
-from pipeline.stages.project.stage import ProjectParams, project
+from pipeline.stages.project.stage import project
 from tests.stability.rows import row
-from tests.stability.scenes import KINDS, aligned, depth_map, indentation_mm, seeds, small
+from tests.stability.scenes import KINDS, aligned, depth_map, indentation_mm, projection, seeds, small
 
 SAME = 1e-6  # relative
 FACTORS = st.sampled_from([1e3, 1e-1, 0.3, 25.4, 1e6])
@@ -53,9 +53,9 @@ def test_adapt_and_project(kind, mode, k, seed):
         target_from_alignment=moved_in_units(way.target_from_alignment, k),
     )
     depth = depth_map(source, pushed)
-    ours = project(adapt(depth, way, AdaptParams()), target, ProjectParams(mode=mode, jump_mm=1.0))
+    ours = project(adapt(depth, way, AdaptParams()), target, projection(mode, jump_mm=1.0))
     there = replace(depth, depth_mm=depth.depth_mm.astype(np.float64) * k)
-    theirs = project(adapt(there, scaled, AdaptParams()), in_units(target, k), ProjectParams(mode=mode, jump_mm=k))
+    theirs = project(adapt(there, scaled, AdaptParams()), in_units(target, k), projection(mode, jump_mm=k))
     both = (ours.source_index >= 0) & (theirs.source_index >= 0)
     # float32 points round differently: a point on the border of two pixels, or of a limit, may fall either way.
     assert ((ours.source_index >= 0) ^ (theirs.source_index >= 0)).sum() <= 0.01 * both.sum() + 2

@@ -22,6 +22,15 @@ SURFACE = Method(
     reads=("cloud", "target"),
     version=4,
 )
+PAPER = Method(
+    slot="view",
+    name="paper",
+    title="Paper",
+    help="single points, as in the equations (D_T'' and M_T'')",
+    run=unless(stage.without_contact, stage.project),
+    params=stage.PaperParams,
+    reads=("cloud", "target"),
+)
 
 
 def picture(view: TargetView, seen: Seen) -> Picture:
@@ -67,7 +76,7 @@ SLOT = Slot(
     title="Target depth and mask",
     legend="what the target sees",
     place="target",
-    methods=(SURFACE,),
+    methods=(SURFACE, PAPER),
     picture=picture,
     layers=layers,
     follow=_follow,

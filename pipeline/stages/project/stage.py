@@ -1,13 +1,13 @@
 """Projection: the cloud as the target sensor's camera sees it (paper, eqs. D_T'' and M_T'').
 
-`mode="paper"` is the point splat of the equations. `mode="surface"` draws the source pixel grid as triangles instead,
-with 1/Z interpolated linearly in screen space: no holes, and hundreds of times less error (benchmarks/reprojection.py).
+With `PaperParams` it is the point splat of the equations. With `ProjectParams` the source pixel grid is drawn as
+triangles instead, with 1/Z interpolated linearly in screen space: no holes, and hundreds of times less error
+(benchmarks/reprojection.py).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, assert_never
 
 import numpy as np
 
@@ -21,22 +21,19 @@ from pipeline.stages.project import sight_notes
 from pipeline.stages.project.drawing import SAME_SURFACE_MM, Drawing, flat, lens_of, rasterised, splatted
 from pipeline.values.results import Cloud, TargetView
 
-Mode = Literal["surface", "paper"]
-
 NO_CONTACT = "no contact: the target sees nothing"
 _FINER = 4  # pixels along each side of one, where its coverage is asked for
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ProjectParams:
-    """How the cloud is drawn."""
+class PaperParams:
+    """The cloud is drawn as single points, which leave nothing to set."""
 
-    mode: Mode = setting(
-        "surface",
-        "Projection",
-        choices=Mode,
-        help="surface: triangles between neighbouring pixels; paper: single points, as in the equations",
-    )
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProjectParams:
+    """How the cloud is drawn as a surface."""
+
     jump_mm: float = setting(
         1.0, "Depth jump", unit="mm", low=0.01, high=50.0, step=0.1,
         help="neighbours farther apart than this, beyond their usual spacing, are an edge and not joined",
@@ -50,11 +47,14 @@ class ProjectParams:
     )
 
 
-def project(cloud: Cloud, target: SensorSpec, params: ProjectParams, progress: Progress = SILENT) -> TargetView:
+Projection = ProjectParams | PaperParams
+
+
+def project(cloud: Cloud, target: SensorSpec, params: Projection, progress: Progress = SILENT) -> TargetView:
     """Depth, contact mask and indentation (rows, cols) in the target camera; the nearest surface wins each pixel.
 
     The mask is the test SDF(p, M_target) <= 0 on the target's rest surface as a height field, whose sign is exact: on
-    every point in paper mode, on what each pixel sees in surface mode. `pixel_of_point` is -1 for a point more than
+    every point as in the paper, on what each pixel sees of a surface. `pixel_of_point` is -1 for a point more than
     SAME_SURFACE_MM behind what its pixel and the eight around it show. Raises ShapeError when the cloud is not sound.
     """
     empty = without_contact(cloud, target, params)
@@ -67,17 +67,15 @@ def project(cloud: Cloud, target: SensorSpec, params: ProjectParams, progress: P
     return view
 
 
-def view_of(cloud: Cloud, target: SensorSpec, params: ProjectParams) -> TargetView:
+def view_of(cloud: Cloud, target: SensorSpec, params: Projection) -> TargetView:
     """As `project`, of a cloud that is sound and has a point."""
     from pipeline.stages.project import project_kernels as kernels
 
-    match params.mode:
-        case "surface":
-            drawing = _surface(cloud, target.camera, target, params)
-        case "paper":
-            drawing = splatted(cloud, target.camera, target.membrane)
-        case _:
-            assert_never(params.mode)
+    surface = None if isinstance(params, PaperParams) else params
+    if surface is None:
+        drawing = splatted(cloud, target.camera, target.membrane)
+    else:
+        drawing = _surface(cloud, target.camera, target, surface)
     shape = target.camera.shape
     indentation = np.empty(drawing.depth_mm.size, dtype=np.float32)
     kernels.push_in(drawing.depth_mm, drawing.contact, flat(target.rest_depth_mm, np.float64), indentation)
@@ -95,23 +93,23 @@ def view_of(cloud: Cloud, target: SensorSpec, params: ProjectParams) -> TargetVi
         known=_known(cloud, target),
         notes=(
             *arrived,
-            *_drawing_notes(drawing, params, int(n_hidden)),
+            *_drawing_notes(drawing, surface, int(n_hidden)),
             *sight_notes.reach(
                 target, n_drawn=drawing.n_drawn, n_contact=n_contact,
-                short_mm=0.0 if n_contact else _short_mm(cloud, drawing, target, params),
+                short_mm=0.0 if n_contact else _short_mm(cloud, drawing, target, surface),
                 deepest_mm=float(indentation.max()),
             ),
         ),
         pixel_of_point=freeze(drawing.pixel),
-        coverage=_coverage(cloud, target, params) if params.coverage else None,
+        coverage=_coverage(cloud, target, surface) if surface is not None and surface.coverage else None,
     )  # fmt: skip
 
 
-def without_contact(cloud: Cloud, target: SensorSpec, params: ProjectParams) -> TargetView | None:
+def without_contact(cloud: Cloud, target: SensorSpec, params: Projection) -> TargetView | None:
     """The view of nothing when the cloud is empty, else None; same inputs as `project`."""
     if cloud.points_mm.shape[0] > 0:
         return None
-    shape = target.camera.shape
+    shape, asks_coverage = target.camera.shape, isinstance(params, ProjectParams) and params.coverage
     return TargetView(
         depth_mm=freeze(np.full(shape, np.nan, dtype=np.float32)),
         contact=freeze(np.zeros(shape, dtype=np.bool_)),
@@ -121,7 +119,7 @@ def without_contact(cloud: Cloud, target: SensorSpec, params: ProjectParams) -> 
         known=_known(cloud, target),
         notes=(NO_CONTACT,),
         pixel_of_point=freeze(np.empty(0, dtype=np.int32)),
-        coverage=freeze(np.zeros(shape, dtype=np.float32)) if params.coverage else None,
+        coverage=freeze(np.zeros(shape, dtype=np.float32)) if asks_coverage else None,
     )
 
 
@@ -161,9 +159,9 @@ def _check(cloud: Cloud) -> None:
         raise ShapeError(f"source_index of the cloud points outside its grid of {rows} x {cols} pixels")
 
 
-def _short_mm(cloud: Cloud, drawing: Drawing, target: SensorSpec, params: ProjectParams) -> float:
+def _short_mm(cloud: Cloud, drawing: Drawing, target: SensorSpec, surface: ProjectParams | None) -> float:
     """The smallest signed distance to the membrane, of the points in view or of what the pixels see."""
-    if params.mode == "paper":
+    if surface is None:
         seen = cloud.points_mm[drawing.pixel >= 0]
     else:
         row, col = np.nonzero(drawing.source.reshape(target.camera.shape) >= 0)
@@ -172,10 +170,10 @@ def _short_mm(cloud: Cloud, drawing: Drawing, target: SensorSpec, params: Projec
     return float(target.membrane.signed_distance_mm(seen).min(initial=np.inf))
 
 
-def _drawing_notes(drawing: Drawing, params: ProjectParams, n_hidden: int) -> tuple[str, ...]:
-    if params.mode == "paper":
+def _drawing_notes(drawing: Drawing, surface: ProjectParams | None, n_hidden: int) -> tuple[str, ...]:
+    if surface is None:
         return sight_notes.points(drawing)
-    return sight_notes.triangles(drawing, params.jump_mm, params.grazing_deg, n_hidden)
+    return sight_notes.triangles(drawing, surface.jump_mm, surface.grazing_deg, n_hidden)
 
 
 def _surface(cloud: Cloud, camera: Camera, target: SensorSpec, params: ProjectParams) -> Drawing:

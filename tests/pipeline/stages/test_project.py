@@ -14,11 +14,11 @@ from pipeline.geometry.camera import Camera
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import sensor
 from pipeline.stages.adapt.stage import AdaptParams, adapt
-from pipeline.stages.project.stage import ProjectParams, project, without_contact
+from pipeline.stages.project.stage import PaperParams, ProjectParams, project, without_contact
 from pipeline.values.results import Cloud
 from tests.pipeline.stages.test_adapt import depth_map
 
-PAPER, SURFACE = ProjectParams(mode="paper"), ProjectParams(mode="surface")
+PAPER, SURFACE = PaperParams(), ProjectParams()
 SOURCE = Camera(rows=120, cols=160, fx_px=400.0, fy_px=400.0, cx_px=79.5, cy_px=59.5)
 CENTRE_MM, RADIUS_MM = np.array([0.0, 0.0, 55.0]), 15.0
 SAG_MM = 6e-4  # a chord of one source diagonal, d^2 / 8 R, seen at up to 65 degrees; and float32 at 50 mm
