@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from pipeline.evaluation.symmetric import mssd_mm
 from pipeline.racing.races import Answer, Bar, Point, Timing, race, row
 from pipeline.racing.report import show
-from pipeline.stages.pose.stage import PoseParams, pose, pose_from
+from pipeline.stages.pose.stage import PoseParams, icp, pose, pose_from
 from pipeline.translation.translate import Request, open_translation
 from pipeline.values.results import DepthMap, ObjectPose
 
@@ -49,7 +49,7 @@ def answer() -> Answer:
         _SEARCHED: lambda k: pose(felt[k][0], mesh, params),
         _FOLLOWED: lambda k: pose_from(felt[k][0], mesh, params, searched[k - 1].sensor_from_object,
                                        others=searched[k - 1].alternatives),
-        _ICP: lambda k: pose(felt[k][0], mesh, PoseParams(method="icp", keep_steps=False)),
+        _ICP: lambda k: icp(felt[k][0], mesh, PoseParams(keep_steps=False)),
     }  # fmt: skip
     after = range(1, len(felt))
     errors = {n: float(np.median([_off(call(k), felt[k][1], mesh) for k in after])) for n, call in calls.items()}

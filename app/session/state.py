@@ -26,6 +26,10 @@ _FORMER = {  # stages of version 1 -> keys of methods
     "generate": "touch/physics",
     "pose": "pose/signed_distances",
 }
+_FORMER_CHOICES = {  # parameters of version 1 that chose what is a method now
+    ("project", "mode", "paper"): ("view", "paper"),
+    ("pose", "method", "paper 2D"): ("pose", "paper_2d"),
+}
 _PATHS = ("recording", "reference", "calibration", "mesh", "alignment")
 _WORDS = ("source", "target", "stream", "route", "mesh_unit")
 _FRAMES_OF_OFFSETS = frozenset({"source", "target", "stream", "alignment"})  # another of these is another motion
@@ -107,7 +111,7 @@ def load_session(path: Path, catalogue: Catalogue = BUILT_IN) -> Session:
         raise FileProblem(f"the session has version {version!r}, this program reads 1 and {_VERSION}", path)
     known = cast("dict[str, Any]", data)
     words = {name: _typed(known, name, str, path) for name in _WORDS}
-    methods = cast("dict[str, str]", known.get("methods", {}))
+    methods = _former_methods(known) if version == 1 else cast("dict[str, str]", known.get("methods", {}))
     try:
         catalogue.methods(words["route"], methods)
     except (SettingProblem, TypeError, ValueError) as error:
@@ -123,6 +127,16 @@ def load_session(path: Path, catalogue: Catalogue = BUILT_IN) -> Session:
         linked=_typed(known, "linked", bool, path),
         methods=methods,
         params=_params(known.get("params", {}), path, catalogue, former=version == 1),
+    )
+
+
+def _former_methods(data: Mapping[str, Any]) -> dict[str, str]:
+    params = data.get("params")
+    said = cast("dict[str, Any]", params) if isinstance(params, dict) else {}
+    return dict(
+        chosen
+        for (stage, name, value), chosen in _FORMER_CHOICES.items()
+        if isinstance(said.get(stage), dict) and said[stage].get(name) == value
     )
 
 

@@ -82,10 +82,10 @@ def _view(v) -> None:
 
 
 def _touch(t) -> None:
-    shape = t.camera.shape
-    assert t.image.shape[:2] == t.indentation_mm.shape == t.depth_mm.shape == t.contact.shape == t.known.shape == shape
-    assert np.isfinite(t.indentation_mm).all(), "a membrane without a place"
-    assert np.isfinite(t.depth_mm).all()
+    shape, m = t.camera.shape, t.membrane
+    assert t.image.shape[:2] == m.indentation_mm.shape == m.depth_mm.shape == m.contact.shape == t.known.shape == shape
+    assert np.isfinite(m.indentation_mm).all(), "a membrane without a place"
+    assert np.isfinite(m.depth_mm).all()
     assert t.image.dtype == np.uint8 if t.image.ndim == 3 else not np.isinf(t.image).any()
 
 

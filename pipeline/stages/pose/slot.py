@@ -35,6 +35,24 @@ SIGNED_DISTANCES = Method(
     reads=("felt", "mesh", "previous"),
     version=3,
 )
+PAPER_2D = Method(
+    slot="pose",
+    name="paper_2d",
+    title="Paper, 2D",
+    help="the paper's released evaluation: in-plane turn and shift of projections",
+    run=unless(stage.without_contact, stage.planar),
+    params=stage.PoseParams,
+    reads=("felt", "mesh"),
+)
+ICP = Method(
+    slot="pose",
+    name="icp",
+    title="ICP (Open3D)",
+    help="point-to-plane ICP on sampled points, the paper's own way",
+    run=unless(stage.without_contact, stage.icp),
+    params=stage.PoseParams,
+    reads=("felt", "mesh"),
+)
 
 
 def _picture(pose: ObjectPose, seen: Seen) -> Picture:
@@ -105,7 +123,7 @@ SLOT = Slot(
     title="Object pose",
     legend="registered points, object, target at rest",
     place="target",
-    methods=(SIGNED_DISTANCES,),
+    methods=(SIGNED_DISTANCES, PAPER_2D, ICP),
     picture=_picture,
     layers=_layers,
     follow=_follow,

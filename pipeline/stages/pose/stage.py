@@ -31,7 +31,6 @@ from pipeline.values.results import DepthMap, ObjectPose
 
 NO_CONTACT = "no contact: nothing was felt to find a pose from"
 NO_MESH = "no object mesh was given; a pose needs one"
-SURFACE, PAPER, ICP = "surface", "paper 2D", "icp"
 _MIN_POINTS = 20  # six unknowns, three times over
 _MIN_FITNESS = 0.05  # share of the contact on the object below which there is no pose to speak of
 _LARGEST = 100.0  # times the contact's size: a larger object's surface would be one plane
@@ -42,11 +41,6 @@ _FOLLOWED_FITNESS, _FOLLOWED_MM = 0.8, 0.15  # a pose followed from the last tou
 class PoseParams:
     """How the registration is done."""
 
-    method: str = setting(
-        SURFACE, "Method", choices=(SURFACE, PAPER, ICP),
-        help="surface: signed distance to the mesh in 3D; for comparison icp: Open3D's on sampled points, as in the "
-        "paper; paper 2D: the paper's released evaluation",
-    )  # fmt: skip
     face: str = setting(
         "auto", "Face toward the sensor", choices=("auto", *FACES), help="axis of the object that points at the sensor"
     )
@@ -64,21 +58,12 @@ class PoseParams:
 def pose(felt: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT) -> ObjectPose:
     """sensor_from_object (4, 4) in mm with its covariance and what it leaves open; None where it cannot be said.
 
-    Raises MeshProblem when the mesh has no surface, SettingProblem for an unknown face or method.
+    Raises MeshProblem when the mesh has no surface, SettingProblem for an unknown face.
     """
     begun = _begun(felt, mesh, params, progress)
     if isinstance(begun, ObjectPose):
         return begun
     search, checked = begun
-    if params.method == PAPER:
-        return planar_pose(search.scene, checked, search.object.model, params.face, params.n_iterations,
-                           keep_steps=params.keep_steps, progress=progress)  # fmt: skip
-    if params.method == ICP:
-        return icp_pose(
-            search.scene, checked, search.object.model, face=params.face, n_starts=params.n_starts,
-            n_iterations=params.n_iterations, max_distance_mm=params.max_distance_mm, seed=params.seed,
-            keep_steps=params.keep_steps, progress=progress,
-        )  # fmt: skip
     progress.step(0.2, "comparing first guesses")
     tried = starts(search.scene, search.object.model, params.face, params.n_starts)
     progress.step(0.21, "registering the most promising")
@@ -98,19 +83,18 @@ def pose_from(
     """`pose` of the next touch of a sequence: followed from the `previous` sensor_from_object (4, 4) where that fits.
 
     `others` are the poses that fitted the last touch as well (`ObjectPose.alternatives`): they are followed too, so
-    that a touch that tells them apart does. Where the contact does not lie on the object within 0.15 mm, or for the
-    method of the paper, everything is searched anew. Raises what `pose` does, CalibrationError when `previous` is no
+    that a touch that tells them apart does. Where the contact does not lie on the object within 0.15 mm, everything
+    is searched anew. Raises what `pose` does, CalibrationError when `previous` is no
     rigid transform.
     """
-    if params.method == SURFACE:
-        begun = _begun(felt, mesh, params, progress)
-        if isinstance(begun, ObjectPose):
-            return begun
-        search, checked = begun
-        found = search.best([rigid.checked(start, "the previous pose") for start in (previous, *others)])
-        best = found[0] if found else None
-        if best is not None and best.fit.fitness >= _FOLLOWED_FITNESS and best.misfit_mm <= _FOLLOWED_MM:
-            return _told(search, checked, found, 0, ("followed from the touch before",))
+    begun = _begun(felt, mesh, params, progress)
+    if isinstance(begun, ObjectPose):
+        return begun
+    search, checked = begun
+    found = search.best([rigid.checked(start, "the previous pose") for start in (previous, *others)])
+    best = found[0] if found else None
+    if best is not None and best.fit.fitness >= _FOLLOWED_FITNESS and best.misfit_mm <= _FOLLOWED_MM:
+        return _told(search, checked, found, 0, ("followed from the touch before",))
     return pose(felt, mesh, params, progress)
 
 
@@ -121,6 +105,31 @@ def posed(
     if previous is None or previous.sensor_from_object is None:
         return pose(felt, mesh, params, progress)
     return pose_from(felt, mesh, params, previous.sensor_from_object, progress, others=previous.alternatives)
+
+
+def planar(felt: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT) -> ObjectPose:
+    """The pose by the paper's released planar evaluation, for comparison; raises what `pose` does."""
+    begun = _begun(felt, mesh, params, progress)
+    if isinstance(begun, ObjectPose):
+        return begun
+    search, checked = begun
+    return planar_pose(
+        search.scene, checked, search.object.model, params.face, params.n_iterations, keep_steps=params.keep_steps,
+        progress=progress,
+    )  # fmt: skip
+
+
+def icp(felt: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT) -> ObjectPose:
+    """The pose by Open3D's point-to-plane ICP, the paper's own way; raises what `pose` does."""
+    begun = _begun(felt, mesh, params, progress)
+    if isinstance(begun, ObjectPose):
+        return begun
+    search, checked = begun
+    return icp_pose(
+        search.scene, checked, search.object.model, face=params.face, n_starts=params.n_starts,
+        n_iterations=params.n_iterations, max_distance_mm=params.max_distance_mm, seed=params.seed,
+        keep_steps=params.keep_steps, progress=progress,
+    )  # fmt: skip
 
 
 def nothing_to_pose(
@@ -168,8 +177,6 @@ def _begun(
 def _check(params: PoseParams) -> None:
     if params.face not in ("auto", *FACES):
         raise SettingProblem(f"pose.face must be one of auto, {', '.join(FACES)}, got {params.face!r}")
-    if params.method not in (SURFACE, PAPER, ICP):
-        raise SettingProblem(f"pose.method must be one of {SURFACE}, {PAPER}, {ICP}, got {params.method!r}")
 
 
 def _told(search: Search, mesh: Mesh, found: list[Minimum], n_tried: int, notes: tuple[str, ...]) -> ObjectPose:

@@ -15,6 +15,7 @@ from app.session.undo import SessionChange
 from pipeline.base.errors import FileProblem
 from pipeline.base.params import changed
 from pipeline.pictures.display import DisplayParams
+from pipeline.translation.catalogue import BUILT_IN
 
 
 def a_session(folder: Path) -> Session:
@@ -110,3 +111,22 @@ def test_changes_of_different_kinds_stay_apart(qapp):
     for key in ("frame", "params depth", ""):
         stack.push(SessionChange(old=Session(), new=Session(frame=1), text=key, key=key, show=lambda _s: None))
     assert stack.count() == 3
+
+
+def test_a_session_of_before_is_read_with_what_has_become_a_method(tmp_path):
+    path = tmp_path / "old.touch.json"
+    words = {"source": "", "target": "gelslim", "stream": "", "route": "t2d2", "mesh_unit": "auto"}
+    params = {
+        "adapt": {"stride": 3},
+        "project": {"mode": "paper", "jump_mm": 2.0},
+        "pose": {"method": "surface", "seed": 4},
+        "display": {"gel_stretch": 5.0},
+    }
+    path.write_text(json.dumps({"tactoscope session": 1, "frame": 2, "linked": True, **words, "params": params}))
+    session = load_session(path)
+    assert session.methods == {"view": "paper"}
+    given = {method.slot: session.params_of(method) for method in BUILT_IN.methods("t2d2")}
+    assert (given["cloud"].stride, given["view"].jump_mm, given["pose"].seed) == (3, 2.0, 4)
+    assert session.display.gel_stretch == 5.0
+    save_session(session, path)
+    assert load_session(path) == session

@@ -8,7 +8,7 @@ from pipeline.base.progress import Cancelled
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.registration.observability import observability
-from pipeline.stages.pose.stage import PoseParams, pose, pose_from, posed, without_contact
+from pipeline.stages.pose.stage import PoseParams, icp, planar, pose, pose_from, posed, without_contact
 from tests.pipeline.registration.solids import (
     CAMERA,
     REST_MM,
@@ -241,7 +241,7 @@ def test_what_fitted_as_well_before_is_followed_too():
 
 def test_the_method_of_the_paper_moves_in_the_plane_only():
     truth = lying(1.0, -0.5, 0.6, 4.0, 10.0, origin_mm=(5.0, 3.5))
-    found = pose(felt(l_bar(), truth), l_bar().mesh, PoseParams(method="paper 2D", face="+z"))
+    found = planar(felt(l_bar(), truth), l_bar().mesh, PoseParams(face="+z"))
     assert found.sensor_from_object is not None
     assert found.covariance is None
     assert found.notes[0].startswith("paper 2D: in-plane turn and shift only")
@@ -252,7 +252,7 @@ def test_icp_on_sampled_points_finds_a_wedge_and_says_that_it_knows_no_more():
     truth = lying(-0.8, 0.7, 0.8, 2.0, 70.0, tilt_deg=(4.0, -2.0))
     touch = felt(notched_wedge(), truth, noise_mm=0.01)
     found, again, plain = (
-        pose(touch, notched_wedge().mesh, PoseParams(method="icp", face="+z", n_starts=24, keep_steps=kept))
+        icp(touch, notched_wedge().mesh, PoseParams(face="+z", n_starts=24, keep_steps=kept))
         for kept in (True, True, False)
     )
     mm, deg = error(found, truth)
@@ -264,11 +264,6 @@ def test_icp_on_sampled_points_finds_a_wedge_and_says_that_it_knows_no_more():
     assert plain.steps == ()
     assert (found.covariance, found.observable, found.starts_tried) == (None, None, 24)
     assert found.notes[0].startswith("icp:")
-
-
-def test_an_unknown_method_is_refused():
-    with pytest.raises(SettingProblem, match="surface, paper 2D, icp"):
-        pose(felt(slab(), lying(0.0, 0.0, 0.5, 5.0, 0.0)), slab().mesh, PoseParams(method="guess"))
 
 
 def test_a_mesh_that_names_missing_vertices_is_refused():
