@@ -135,7 +135,7 @@ def test_generate(name, mask, surface, how, seed):
     assert result is not None, told
     sound(result)
     if not touched.any():
-        assert not result.indentation_mm.any()
+        assert not result.membrane.indentation_mm.any()
 
 
 @row(8, "pose: any mask over any surface", share=0.005)

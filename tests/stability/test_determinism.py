@@ -32,7 +32,7 @@ def chain(name: str, target: str, seed: int, *, posed: bool = False) -> dict[str
     t = generate(v, other, GenerateParams(noise=True, seed=seed))
     found = {"depth": d, "adapt": c, "project": v, "generate": t}
     if posed:
-        found["pose"] = pose(t, mesh("ball"), PoseParams(face="+z", n_starts=6))
+        found["pose"] = pose(t.membrane, mesh("ball"), PoseParams(face="+z", n_starts=6))
     return {stage: digest(result) for stage, result in found.items()}
 
 
