@@ -20,7 +20,7 @@ from functools import cache
 from pathlib import Path
 
 _ROOT = Path(__file__).parents[1]
-_KERNEL = re.compile(r"^@njit\((?![^\n]*inline)[^\n]*\)\ndef (\w+)\(", re.MULTILINE)
+_KERNEL = re.compile(r"^@(?:njit|kernel)\((?![^\n]*inline)[^\n]*\)\ndef (\w+)\(", re.MULTILINE)
 _BELOW = re.compile(r"^from pipeline\.(\S+_kernels) import", re.MULTILINE)
 _LONGEST_WAIT_S = 120.0  # for another process, which may have been stopped
 

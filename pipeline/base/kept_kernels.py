@@ -1,15 +1,23 @@
-"""Where numba keeps what it compiles of this project, and what it tells `compiling`. Numba itself imports this."""
+"""How kernels are declared, where numba keeps what it compiles of them, and what it tells `compiling`."""
 # pyright: basic
 
+from functools import partial
 from pathlib import Path
+from typing import Any
 
+from numba import njit
 from numba.core import event
 
 from pipeline.base import compiling
 
+FAST = {"contract", "arcp", "nsz", "reassoc"}  # not nnan: a NaN has to stay one
+
+# No kernel is called from C: without the entry for it, compiling takes a seventh less.
+kernel: Any = partial(njit, cache=True, no_cfunc_wrapper=True)  # type: ignore[reportCallIssue]
+
 
 class Place:
-    """The file of one kernel, as numba asks for it (a "cache locator").
+    """The file of one kernel, as numba asks for it: a "cache locator", named to numba in `pipeline/__init__.py`.
 
     Numba alone would load a kernel that calls one of another module as it was before that module changed.
     """

@@ -4,12 +4,11 @@
 import math
 
 import numpy as np
-from numba import njit
 
-_FAST = {"contract", "arcp", "nsz", "reassoc"}
+from pipeline.base.kept_kernels import FAST, kernel
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=FAST)
 def polynomial(change, u, v, where, powers, coefficients, degree, slope_max, gx, gy):
     """Slopes of every pixel of `where`; the powers of v are summed once a row."""
     rows, cols = where.shape
@@ -24,7 +23,10 @@ def polynomial(change, u, v, where, powers, coefficients, degree, slope_max, gx,
                 continue
             if not started:
                 started = True
-                row[:] = coefficients[n_place - 1]
+                for i in range(n_place):  # one by one: numba compiles 6 s for the error of a slice that does not fit
+                    for m in range(n_colour):
+                        row[i, m, 0] = coefficients[n_place - 1, i, m, 0]
+                        row[i, m, 1] = coefficients[n_place - 1, i, m, 1]
                 for j in range(n_place - 2, -1, -1):
                     for i in range(n_place):
                         for m in range(n_colour):

@@ -11,6 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from pipeline.base import compiling
+from pipeline.base.arrays import freeze
 from pipeline.cli.terminal import print_line
 
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "recordings" / "first_touch.h5"
@@ -86,7 +87,7 @@ def _pressed() -> None:
     for name in _PRESSED:
         press(thing, pose, sensor(name), seed=0)
     room = np.full((65, 65), 1.0)
-    free = np.pad(np.ones((63, 63), np.bool_), 1)
+    free = freeze(np.pad(np.ones((63, 63), np.bool_), 1))
     multigrid.solve(multigrid.Grid(room_mm=room, free=free, step_mm=1.0, halvings=2), 0.0 * room, 0.01, -1.0)
 
 

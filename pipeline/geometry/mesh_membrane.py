@@ -81,10 +81,12 @@ def _heights(mesh: Mesh, x_mm: Doubles, y_mm: Doubles, step_mm: float) -> Double
     """Z of the mesh's nearest surface at each (x, y), NaN where there is none; raises MeshProblem where it folds."""
     from pipeline.geometry.mesh_membrane_kernels import heights
 
-    nearest, folded = heights(
+    nearest, farthest = np.full(x_mm.size, np.nan), np.full(x_mm.size, np.nan)
+    heights(
         np.ascontiguousarray(mesh.vertices_mm), np.ascontiguousarray(mesh.triangles), x_mm.ravel(), y_mm.ravel(),
-        (float(x_mm[0, 0]), float(y_mm[0, 0])), step_mm, x_mm.shape, _FOLD_MM,
+        (float(x_mm[0, 0]), float(y_mm[0, 0])), step_mm, x_mm.shape, nearest, farthest,
     )  # fmt: skip
+    folded = int(np.count_nonzero(farthest - nearest > _FOLD_MM))
     if folded:
         raise MeshProblem(
             f"the rest surface folds over itself at {folded:,} places seen along z; "

@@ -5,18 +5,15 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numba import njit
+from pipeline.base.kept_kernels import kernel
 
 _SLACK = 1e-9  # barycentric: nodes on a common edge belong to both triangles
 
 
-@njit(cache=True, error_model="numpy")
-def heights(vertices, triangles, x, y, first, step, shape, fold):
-    """(z of the nearest triangle at each node, NaN = none; nodes where two triangles lie more than `fold` apart)."""
+@kernel(error_model="numpy")
+def heights(vertices, triangles, x, y, first, step, shape, nearest, farthest):
+    """Write z of the nearest and of the farthest triangle at each node; both come as NaN = none."""
     rows, cols = shape
-    nearest = np.full(rows * cols, np.nan)
-    farthest = np.full(rows * cols, np.nan)
     for t in range(triangles.shape[0]):
         i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         xa, ya, xb, yb, xc, yc = (
@@ -43,7 +40,3 @@ def heights(vertices, triangles, x, y, first, step, shape, fold):
                     nearest[p] = z
                 if not z <= farthest[p]:
                     farthest[p] = z
-    folded = 0
-    for p in range(nearest.shape[0]):
-        folded += farthest[p] - nearest[p] > fold
-    return nearest, folded

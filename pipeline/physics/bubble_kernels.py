@@ -7,12 +7,10 @@ The unknown v is the membrane's deviation from its rest shape, 0 where `free` is
 
 import math
 
-from numba import njit
-
-_FAST = {"contract", "arcp", "nsz", "reassoc"}
+from pipeline.base.kept_kernels import FAST, kernel
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=FAST)
 def smooth(v, load, room, free, step_sq, sweeps):
     """Projected Gauss-Seidel in red-black order."""
     rows, cols = v.shape
@@ -25,7 +23,7 @@ def smooth(v, load, room, free, step_sq, sweeps):
                         v[r, c] = min(new, room[r, c])
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=FAST)
 def residual(v, load, room, free, step_sq, out):
     """load + lap v where the membrane is free to follow it, 0 where the object holds it or the rim does."""
     rows, cols = v.shape
@@ -40,7 +38,7 @@ def residual(v, load, room, free, step_sq, out):
                     out[r, c] = left
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=FAST)
 def restrict(fine, v, room, coarse, coarse_room):
     """Full weighting of a residual, and the least room left in the 3 x 3 nodes around each coarse one."""
     rows, cols = coarse.shape
@@ -62,7 +60,7 @@ def restrict(fine, v, room, coarse, coarse_room):
             coarse_room[r, c] = max(least, 0.0)
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=FAST)
 def prolong(coarse, v, room, free):
     """Add a coarse correction, bilinear between its nodes, without passing the object."""
     rows, cols = v.shape
@@ -77,7 +75,7 @@ def prolong(coarse, v, room, free):
                 v[r, c] = min(v[r, c] + add, room[r, c])
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=FAST)
 def held(v, load, room, free, step_sq, force):
     """Force density (in the unit of `load`) with which the object holds the membrane; 0 where it does not."""
     rows, cols = v.shape
@@ -90,7 +88,7 @@ def held(v, load, room, free, step_sq, force):
                 force[r, c] = max(load[r, c] + lap, 0.0)
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=FAST)
 def not_held(v, left, room, free, loose):
     """Nodes that may move and are not held by the object."""
     rows, cols = v.shape
@@ -99,7 +97,7 @@ def not_held(v, left, room, free, loose):
             loose[r, c] = free[r, c] and not (v[r, c] >= room[r, c] and left[r, c] == 0.0)
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=FAST)
 def smooth_open(v, load, free, step_sq, sweeps):
     """Gauss-Seidel in red-black order where there is no object."""
     rows, cols = v.shape
@@ -111,7 +109,7 @@ def smooth_open(v, load, free, step_sq, sweeps):
                         v[r, c] = 0.25 * (v[r - 1, c] + v[r + 1, c] + v[r, c - 1] + v[r, c + 1] + step_sq * load[r, c])
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=FAST)
 def residual_open(v, load, free, step_sq, out):
     """load + lap v on the free nodes, 0 elsewhere."""
     rows, cols = v.shape
@@ -124,7 +122,7 @@ def residual_open(v, load, free, step_sq, out):
                 out[r, c] = load[r, c] + lap
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=FAST)
 def restrict_open(fine, coarse):
     """Full weighting of a residual."""
     rows, cols = coarse.shape
@@ -140,7 +138,7 @@ def restrict_open(fine, coarse):
             )
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=FAST)
 def prolong_open(coarse, v, free):
     """Add a coarse correction, bilinear between its nodes."""
     rows, cols = v.shape
@@ -154,7 +152,7 @@ def prolong_open(coarse, v, free):
                 v[r, c] += 0.25 * (coarse[j, i] + coarse[j, i2] + coarse[j2, i] + coarse[j2, i2])
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=FAST)
 def stiffness(p, free, step_sq, out):
     """Out = -lap p on the free nodes; their product with p."""
     rows, cols = p.shape
@@ -170,7 +168,7 @@ def stiffness(p, free, step_sq, out):
     return total
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=FAST)
 def dot(a, b):
     total = 0.0
     for r in range(a.shape[0]):
@@ -179,7 +177,7 @@ def dot(a, b):
     return total
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=FAST)
 def add_scaled(a, factor, b):
     """Replace b by a + factor b."""
     for r in range(a.shape[0]):
@@ -187,7 +185,7 @@ def add_scaled(a, factor, b):
             b[r, c] = a[r, c] + factor * b[r, c]
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=FAST)
 def walk(v, left, direction, moved, length):
     """A step of conjugate gradients, in place; how far the farthest node went."""
     farthest = 0.0
@@ -200,7 +198,7 @@ def walk(v, left, direction, moved, length):
     return farthest
 
 
-@njit(cache=True, fastmath=_FAST)
+@kernel(fastmath=FAST)
 def largest_change(a, b):
     """Greatest |a - b|; NaN counts as infinite."""
     largest = 0.0
@@ -212,7 +210,7 @@ def largest_change(a, b):
     return largest
 
 
-@njit(cache=True)
+@kernel()
 def halve_free(free, careful, coarse):
     """Coarse nodes that are free; if `careful` only with their four neighbours, so that none held is lifted."""
     rows, cols = coarse.shape

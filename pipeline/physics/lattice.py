@@ -40,7 +40,8 @@ def nearest_of_depth_image(camera: Camera, depth_mm: NDArray[np.floating], on: L
 
     height = np.full(on.shape, np.inf)
     ray_x, ray_y = camera.rays()
-    lay_over(np.asarray(depth_mm, np.float64), ray_x, ray_y, on.x0_mm, on.y0_mm, on.step_mm, height)
+    joined = np.zeros(depth_mm.shape, np.bool_)
+    lay_over(np.asarray(depth_mm, np.float64), ray_x, ray_y, on.x0_mm, on.y0_mm, on.step_mm, joined, height)
     return height
 
 

@@ -4,10 +4,11 @@
 import math
 
 import numpy as np
-from numba import njit
+
+from pipeline.base.kept_kernels import kernel
 
 
-@njit(cache=True)
+@kernel()
 def _triangle(xa, ya, za, xb, yb, zb, xc, yc, zc, height):
     """Lower `height` to one triangle (lattice coordinates) at the nodes that it covers."""
     area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
@@ -27,12 +28,14 @@ def _triangle(xa, ya, za, xb, yb, zb, xc, yc, zc, height):
                 height[r, c] = min(height[r, c], za + b * (zb - za) + g * (zc - za))
 
 
-@njit(cache=True)
-def lay_over(depth, ray_x, ray_y, x0, y0, step, height):
-    """Lower `height` (starts at +inf) to the surface that a depth image shows; NaN pixels show nothing."""
+@kernel()
+def lay_over(depth, ray_x, ray_y, x0, y0, step, joined, height):
+    """Lower `height` (starts at +inf) to the surface that a depth image shows; NaN pixels show nothing.
+
+    joined (rows, cols): set where a pixel belongs to a triangle.
+    """
     rows, cols = depth.shape
     ny, nx = height.shape
-    joined = np.zeros((rows, cols), np.bool_)
     for r in range(rows - 1):
         for c in range(cols - 1):
             for half in range(2):
@@ -61,7 +64,7 @@ def lay_over(depth, ray_x, ray_y, x0, y0, step, height):
                     height[j, i] = min(height[j, i], z)  # a lone reading between the nodes still stops the membrane
 
 
-@njit(cache=True)
+@kernel()
 def lay_mesh(nodes, triangles, height):
     """Lower `height` to a mesh whose vertices (x, y in lattice steps, z in mm) are `nodes`."""
     for t in range(triangles.shape[0]):

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Mask
+from pipeline.base.arrays import Doubles, Mask, freeze
 
 HALVINGS = 4  # every lattice side is a multiple of 2^4 steps, so that it can be halved this often
 MAX_CYCLES = 160
@@ -28,10 +28,13 @@ _STEP_SHARE = 0.3  # a step of this share of the tolerance leaves an error well 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grid:
-    """One obstacle problem: how much room there is above every node, and which nodes may move at all."""
+    """One obstacle problem: how much room there is above every node, and which nodes may move at all.
+
+    Masks of nodes are read-only wherever kernels take them, which are compiled anew for those that are not.
+    """
 
     room_mm: Doubles  # (ny, nx), +inf = open
-    free: Mask  # (ny, nx) inside the rim
+    free: Mask  # (ny, nx) inside the rim, read-only
     step_mm: float
     halvings: int = HALVINGS
 
@@ -39,7 +42,7 @@ class Grid:
         """The same problem on every second node."""
         return Grid(
             room_mm=np.ascontiguousarray(self.room_mm[::2, ::2]),
-            free=np.ascontiguousarray(self.free[::2, ::2]),
+            free=freeze(np.ascontiguousarray(self.free[::2, ::2])),
             step_mm=2 * self.step_mm,
             halvings=self.halvings - 1,
         )
@@ -95,6 +98,7 @@ def _truncated_cycle(v: Doubles, load: Doubles, grid: Grid, careful: bool) -> Ma
     left, loose = np.empty_like(v), np.empty_like(grid.free)
     kernels.residual(v, load, grid.room_mm, grid.free, step_sq, left)
     kernels.not_held(v, left, grid.room_mm, grid.free, loose)
+    freeze(loose)
     kernels.prolong(_coarse_correction(left, loose, grid.step_mm, grid.halvings, careful), v, grid.room_mm, loose)
     kernels.smooth(v, load, grid.room_mm, grid.free, step_sq, 2)
     return loose
@@ -106,6 +110,7 @@ def _coarse_correction(left: Doubles, free: Mask, step_mm: float, level: int, ca
 
     coarse_free = np.empty_like(free[::2, ::2], order="C")
     kernels.halve_free(free, careful, coarse_free)
+    freeze(coarse_free)
     coarse_load, correction = np.empty(coarse_free.shape), np.zeros(coarse_free.shape)
     kernels.restrict_open(left, coarse_load)
     _linear_cycle(correction, coarse_load, coarse_free, 2 * step_mm, level - 1, careful)
@@ -160,7 +165,7 @@ def _monotone_cycle(v: Doubles, load: Doubles, room: Doubles, free: Mask, step_m
     kernels.smooth(v, load, room, free, step_sq, 2)
     left = np.empty_like(v)
     kernels.residual(v, load, room, free, step_sq, left)
-    coarse_free = np.ascontiguousarray(free[::2, ::2])
+    coarse_free = freeze(np.ascontiguousarray(free[::2, ::2]))
     coarse_load, coarse_room = np.empty(coarse_free.shape), np.empty(coarse_free.shape)
     kernels.restrict(left, v, room, coarse_load, coarse_room)
     correction = np.zeros(coarse_free.shape)

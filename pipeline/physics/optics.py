@@ -36,13 +36,13 @@ def colour_change(sensor: SensorSpec, gx: NDArray[np.floating], gy: NDArray[np.f
     """
     from pipeline.physics.optics_kernels import lambert_change
 
-    optics = optics_of(sensor)
+    optics_of(sensor)
     if gx.shape != sensor.camera.shape or gy.shape != gx.shape:
         raise ShapeError(f"slopes must have the shape {sensor.camera.shape} of {sensor.name}, got {gx.shape}")
-    leds, strength = _lamps(optics, sensor.camera)
-    out = np.empty((*gx.shape, 3), np.float32)
-    lambert_change(_single(gx), _single(gy), leds, strength, np.float32(optics.vignette), out)
-    return freeze(out)
+    rows, cols = gx.shape
+    out, (_, _, leds, strength, vignette) = np.empty((rows, 3 * cols), np.float32), _scene(sensor)
+    lambert_change(_single(gx), _single(gy), leds, strength, vignette, _scratch(cols)[1][0], out)
+    return freeze(out.reshape(rows, cols, 3))
 
 
 def slopes(indentation_mm: NDArray[np.floating], pixel_mm: float) -> tuple[Floats, Floats]:
@@ -93,7 +93,8 @@ def optics_of(sensor: SensorSpec) -> Optics:
 
 
 def _single(array: NDArray[np.floating]) -> Floats:
-    return np.ascontiguousarray(array, dtype=np.float32)
+    """As the kernels take it; read-only, as they are compiled anew for what can be written to."""
+    return freeze(np.ascontiguousarray(array, dtype=np.float32).view())
 
 
 @remembered(32)
@@ -133,17 +134,24 @@ def _glow(camera: Camera, optics: Optics) -> Floats:
 def _untouched(camera: Camera, optics: Optics, markers: Markers | None, pixel_mm: float) -> Image:
     light = _glow(camera, optics).copy()
     if markers is not None:
-        still = np.zeros(camera.shape, np.float32)
+        still = freeze(np.zeros(camera.shape, np.float32))
         print_on(light, markers, pixel_mm, still, still)
     return freeze(_expose(light, optics, None))
 
 
+def _scratch(cols: int) -> tuple[Floats, Floats]:
+    """What the kernels write over: two rows of pixels, and two of their colours."""
+    return np.empty((2, cols), np.float32), np.empty((2, 3 * cols), np.float32)
+
+
 def _lit(sensor: SensorSpec, optics: Optics, height_mm: Floats) -> Floats:
     """The light (rows, cols, 3) of a surface before markers and blur."""
-    from pipeline.physics import optics_kernels
+    from pipeline.physics.optics_kernels import light_of
 
-    light = np.empty((*height_mm.shape, 3), np.float32)
-    optics_kernels.light_of(height_mm, *_scene(sensor), light)
+    rows, cols = height_mm.shape
+    light, slope, part = np.empty((rows, 3 * cols), np.float32), *_scratch(cols)
+    light_of(height_mm, *_scene(sensor), slope, part[0], light)
+    light = light.reshape(rows, cols, 3)
     if _casts_shadow(optics, height_mm):
         shade(light, sensor, height_mm)
     return light
@@ -157,9 +165,10 @@ def _plain_picture(sensor: SensorSpec, height_mm: Floats) -> Image:
     """The picture where light is all there is: no markers, shadows, blur or noise."""
     from pipeline.physics.optics_kernels import picture_of
 
-    out = np.empty((*height_mm.shape, 3), np.uint8)
-    picture_of(height_mm, *_scene(sensor), out)
-    return out
+    rows, cols = height_mm.shape
+    out, slope, part = np.empty((rows, 3 * cols), np.uint8), *_scratch(cols)
+    picture_of(height_mm, *_scene(sensor), slope, part, out)
+    return out.reshape(rows, cols, 3)
 
 
 _scenes: Memo[str, _Scene] = Memo(16)
@@ -170,7 +179,7 @@ def _scene(sensor: SensorSpec) -> _Scene:
     camera, optics = sensor.camera, optics_of(sensor)
     return _scenes.of(
         content(sensor),
-        lambda: (np.float32(sensor.pixel_mm), _glow(camera, optics), *_lamps(optics, camera),
+        lambda: (np.float32(sensor.pixel_mm), _glow(camera, optics).reshape(camera.rows, -1), *_lamps(optics, camera),
                  np.float32(optics.vignette)),
     )  # fmt: skip
 
@@ -187,16 +196,18 @@ def shade(light: Floats, sensor: SensorSpec, height_mm: Floats) -> None:
     drop = np.float32(sensor.pixel_mm * math.tan(math.radians(optics.shadow_deg)))
     leds = _scene(sensor)[2][: len(optics.leds)]
     all_leds = np.maximum(leds[:, 3:].sum(axis=0), 1e-6)
-    turned, cover_turned = np.ascontiguousarray(height_mm.T), np.empty(height_mm.shape[::-1], np.float32)
+    height_mm, turned = _single(height_mm), _single(height_mm.T)
+    cover_turned = np.empty_like(turned)
+    lines = np.empty((2, max(height_mm.shape) + 4), np.float32)
     cover = np.empty_like(height_mm)
     for led in leds:
         length = np.float32(math.hypot(led[0], led[1]) or 1.0)
         to_x, to_y = led[0] / length, led[1] / length
         if abs(to_x) >= abs(to_y):
-            cast_shadow(turned, to_y, to_x, drop, np.float32(_PENUMBRA_MM), cover_turned)
+            cast_shadow(turned, to_y, to_x, drop, np.float32(_PENUMBRA_MM), lines, cover_turned)
             cover[:] = cover_turned.T
         else:
-            cast_shadow(height_mm, to_x, to_y, drop, np.float32(_PENUMBRA_MM), cover)
+            cast_shadow(height_mm, to_x, to_y, drop, np.float32(_PENUMBRA_MM), lines, cover)
         darken(light, cover, np.float32(optics.shadow) * led[3:] / all_leds)
 
 

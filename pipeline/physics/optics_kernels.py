@@ -6,63 +6,66 @@ import math
 import numpy as np
 from numba import njit
 
+from pipeline.base.kept_kernels import FAST, kernel
+
 # What is called is inlined before it is compiled: as functions of their own, with sums free to be contracted, they come
 # out different in the last bit in a process that compiles them and in one that loads them from the cache.
-# Not nnan: a NaN slope has to stay one. Not arcp: processors with a fast estimate of 1 / sqrt would use it, and level
-# ground, where the root is 1, would no longer change the light by exactly nothing.
-_FAST = {"contract", "nsz", "reassoc"}
+# No arcp: processors with a fast estimate of 1 / sqrt would use it, and level ground, where the root is 1, would no
+# longer change the light by exactly nothing.
+_FAST = FAST - {"arcp"}
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def lambert_change(gx, gy, leds, strength, vignette, out):
-    """Write to `out`, per pixel, what every LED's light gains or loses on a slope (see `optics.colour_change`).
+@kernel(fastmath=_FAST, error_model="numpy")
+def lambert_change(gx, gy, leds, strength, vignette, part, out):
+    """Write to `out` (rows, 3 cols), per pixel, what every LED's light gains or loses on a slope (`colour_change`).
 
     leds (n, 6): cos(elevation) cos(azimuth), cos(elevation) sin(azimuth), sin(elevation), r, g, b.
     strength (n, 3): share of light at the first pixel, its change per pixel to the right and per pixel down.
-    n is a multiple of three: lamps that are dark fill it up.
+    n is a multiple of three: lamps that are dark fill it up. part (3 cols,): written over.
     """
-    rows, cols = gx.shape
-    flat = out.reshape(rows, 3 * cols)
+    rows = gx.shape[0]
     for r in range(rows):
-        _row_change(gx[r], gy[r], r, rows, leds, strength, vignette, flat[r])
+        _row_change(gx[r], gy[r], r, rows, leds, strength, vignette, part, out[r])
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def light_of(height, pixel, glow, leds, strength, vignette, out):
-    """Light `out` (rows, cols, 3) float32 of a surface: the glow (rows, cols, 3) and what its slopes change."""
-    rows, cols = height.shape
-    gx, gy = np.empty(cols, np.float32), np.empty(cols, np.float32)
-    flat, glow_flat = out.reshape(rows, 3 * cols), glow.reshape(rows, 3 * cols)
-    for r in range(rows):
-        _row_slopes(height, r, pixel, gx, gy)
-        _row_change(gx, gy, r, rows, leds, strength, vignette, flat[r])
-        _add(glow_flat[r], flat[r])
+@kernel(fastmath=_FAST, error_model="numpy")
+def light_of(height, pixel, glow, leds, strength, vignette, slope, part, out):
+    """Light `out` (rows, 3 cols) of a surface: the glow (rows, 3 cols) and what its slopes change.
 
-
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def picture_of(height, pixel, glow, leds, strength, vignette, out):
-    """`light_of`, developed without blur and noise: `out` (rows, cols, 3) of 8 bits, in one pass."""
-    rows, cols = height.shape
-    gx, gy = np.empty(cols, np.float32), np.empty(cols, np.float32)
-    change = np.empty(3 * cols, np.float32)
-    flat, glow_flat = out.reshape(rows, 3 * cols), glow.reshape(rows, 3 * cols)
+    slope (2, cols) and part (3 cols,): written over.
+    """
+    rows = height.shape[0]
+    gx, gy = slope[0], slope[1]
     for r in range(rows):
         _row_slopes(height, r, pixel, gx, gy)
-        _row_change(gx, gy, r, rows, leds, strength, vignette, change)
-        _row_greys(glow_flat[r], change, flat[r])
+        _row_change(gx, gy, r, rows, leds, strength, vignette, part, out[r])
+        _add(glow[r], out[r])
+
+
+@kernel(fastmath=_FAST, error_model="numpy")
+def picture_of(height, pixel, glow, leds, strength, vignette, slope, part, out):
+    """`light_of`, developed without blur and noise: `out` (rows, 3 cols) of 8 bits, in one pass.
+
+    slope (2, cols) and part (2, 3 cols): written over.
+    """
+    rows = height.shape[0]
+    gx, gy, change, more = slope[0], slope[1], part[0], part[1]
+    for r in range(rows):
+        _row_slopes(height, r, pixel, gx, gy)
+        _row_change(gx, gy, r, rows, leds, strength, vignette, more, change)
+        _row_greys(glow[r], change, out[r])
 
 
 @njit(inline="always")
-def _row_change(gx, gy, r, rows, leds, strength, vignette, out):
+def _row_change(gx, gy, r, rows, leds, strength, vignette, part, out):
     """What all lamps change in row `r`, three lamps at a time: `out` (3 cols,), a pixel's colours beside each other."""
     y = (np.float32(r) + np.float32(0.5)) * np.float32(2.0 / rows) - np.float32(1.0)
     to_x = np.float32(2.0 / gx.shape[0])
     for k in range(0, leds.shape[0], 3):
-        part = out if k == 0 else np.empty_like(out)
         one = _lamp(leds[k], strength[k], r)
         two = _lamp(leds[k + 1], strength[k + 1], r)
         three = _lamp(leds[k + 2], strength[k + 2], r)
-        _row_of_three(gx, gy, y, to_x, vignette, one, two, three, part)
+        _row_of_three(gx, gy, y, to_x, vignette, one, two, three, out if k == 0 else part)
         if k > 0:
             _add(part, out)
 
@@ -119,7 +122,7 @@ def _row_greys(glow, change, out):
         out[n] = np.uint8(np.int32(min(max(value, np.float32(0.0)), np.float32(255.0))))
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=_FAST, error_model="numpy")
 def slopes(height, pixel, gx, gy):
     """d/dx and d/dy of a height by central differences, one-sided at the border."""
     for r in range(height.shape[0]):
@@ -146,13 +149,13 @@ def _scaled_difference(plus, minus, scale, out):
         out[c] = (plus[c] - minus[c]) * scale
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
-def cast_shadow(height, to_x, to_y, drop, soft, cover):
+@kernel(fastmath=_FAST, error_model="numpy")
+def cast_shadow(height, to_x, to_y, drop, soft, lines, cover):
     """How much of one LED's light is missing, `cover` (rows, cols) from 0 to 1, behind what stands in its way.
 
     One sweep away from the LED, O(pixels), a row at a time: |to_y| >= |to_x| (an LED at the side wants the picture
     turned). to_x, to_y: unit vector toward the LED. drop: how far (mm) the light sinks per pixel of its way. soft: by
-    how much (mm) a point must lie below the light to be fully dark.
+    how much (mm) a point must lie below the light to be fully dark. lines (2, cols + 4): written over.
     """
     rows, cols = height.shape
     lean = to_x / abs(to_y)
@@ -160,12 +163,13 @@ def cast_shadow(height, to_x, to_y, drop, soft, cover):
     first = math.floor(lean)
     share = np.float32(lean - np.float32(first))
     # The height below which the row before lets no light pass, with two more values at either end.
-    edge, line = np.full(cols + 4, np.float32(-1e9), np.float32), np.empty(cols + 4, np.float32)
+    lines[0] = np.float32(-1e9)
     for step in range(rows):
         r = rows - 1 - step if to_y > 0 else step
+        edge, line = lines[step % 2], lines[(step + 1) % 2]
         _shaded_row(edge[2 + first :], edge[3 + first :], share, sink, soft, height[r], line[2:-2], cover[r])
-        line[:2], line[-2:] = line[2], line[-3]
-        edge, line = line, edge
+        line[0] = line[1] = line[2]
+        line[cols + 2] = line[cols + 3] = line[cols + 1]
 
 
 @njit(inline="always")
@@ -180,7 +184,7 @@ def _shaded_row(low, high, share, sink, soft, height, line, cover):
         line[c] = light if light > own else own
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=_FAST, error_model="numpy")
 def darken(image, cover, loss):
     """Take from `image` (rows, cols, 3) the share `loss` (3,) of each colour where `cover` (rows, cols) is 1."""
     rows, cols = cover.shape
@@ -201,7 +205,7 @@ def _darken_row(out, cover, red, green, blue):
         out[three * c + one + one] *= whole - dark * blue
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=_FAST, error_model="numpy")
 def print_markers(image, move_x, move_y, pitch, radius, half_twin, darkness, jitter, place):
     """Darken `image` where a marker is; lengths in pixels.
 
@@ -251,7 +255,7 @@ def _mixed(n):
     return n ^ (n >> np.uint64(31))
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=_FAST, error_model="numpy")
 def develop(light, quantiles, noise, seed, out):
     """Grey levels of 8 bits: the light plus normal noise of standard deviation `noise`.
 

@@ -72,7 +72,7 @@ def _marker_motion_px(u_mm: Floats, camera: Camera, gel: Gel, pixel_mm: float) -
     y = np.arange(camera.rows, dtype=np.float32) - np.float32(camera.cy_px)
     small = cv2.resize(u_mm, None, fx=1 / _COARSE, fy=1 / _COARSE, interpolation=cv2.INTER_AREA)
     small = cv2.GaussianBlur(small, (0, 0), max(0.5 * gel.thickness_mm / (pixel_mm * _COARSE), 0.1))
-    small = np.ascontiguousarray(small, dtype=np.float32)
+    small = freeze(np.ascontiguousarray(small, dtype=np.float32))
     gx, gy = np.empty_like(small), np.empty_like(small)
     slopes(small, np.float32(pixel_mm * _COARSE), gx, gy)
     reach = np.float32(-_SHEAR_PER_THICKNESS * gel.thickness_mm / pixel_mm)

@@ -4,21 +4,25 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from pipeline.base.kept_kernels import kernel
 
 
-@njit(cache=True, error_model="numpy")
-def back_project(depth, contact, stride, ray_x, ray_y, motion, z_min, points, pixel):
+@kernel(error_model="numpy")
+def back_project(depth, contact, stride, ray_x, ray_y, motion, z_min, wanted, points, pixel):
     """Write point (n, 3) and flat source pixel (n,) of every usable contact pixel; returns (n, contact pixels seen).
 
     z (R (x/z, y/z, 1)) + t with `motion` (3, 4) in float64, rounded once. What has no depth, or lies farther than a
-    float32 can say, is left out. `points` and `pixel` need room for one more than there are.
+    float32 can say, is left out. `points` and `pixel` need room for one more than there are, `wanted` (written over)
+    for one more than there are columns.
     """
     rows, cols = depth.shape
-    wanted = np.empty(cols + 1, dtype=np.int32)
     n, total = 0, 0
     for r in range(0, rows, stride):
-        if not _any(contact[r]):
+        there = False
+        for c in range(cols):
+            there |= contact[r, c]
+        if not there:
             continue
         found = 0
         for c in range(0, cols, stride):  # no branch: the mask's border is where guesses fail
@@ -37,11 +41,3 @@ def back_project(depth, contact, stride, ray_x, ray_y, motion, z_min, points, pi
             pixel[n] = r * cols + c
             n += (z > z_min) & (z < np.inf) & (abs(px) < np.inf) & (abs(py) < np.inf) & (abs(pz) < np.inf)
     return n, total
-
-
-@njit(cache=True)
-def _any(row):
-    there = False
-    for c in range(row.shape[0]):
-        there |= row[c]
-    return there

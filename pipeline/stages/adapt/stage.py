@@ -77,11 +77,11 @@ def _points(depth: DepthMap, target_from_source: Doubles, stride: int) -> tuple[
     contact = np.ascontiguousarray(depth.contact)
     at_most = int(np.count_nonzero(contact[::stride, ::stride]))
     points = np.empty((at_most + 1, 3), dtype=np.float32)  # one to spare: a point is written before it is judged
-    pixel = np.empty(at_most + 1, dtype=np.int32)
+    pixel, wanted = np.empty(at_most + 1, dtype=np.int32), np.empty(contact.shape[1] + 1, dtype=np.int32)
     ray_x, ray_y = depth.camera.rays()
     depth_mm = np.ascontiguousarray(for_geometry(depth.depth_mm))
     n, n_wanted = kernels.back_project(
-        depth_mm, contact, stride, ray_x, ray_y, target_from_source[:3], MIN_DEPTH_MM, points, pixel
+        depth_mm, contact, stride, ray_x, ray_y, target_from_source[:3], MIN_DEPTH_MM, wanted, points, pixel
     )
     return points[:n], pixel[:n], int(n_wanted)
 

@@ -4,15 +4,15 @@
 import math
 
 import numpy as np
-from numba import njit
 
-_FAST = {"contract", "arcp", "nsz", "reassoc"}
+from pipeline.base.kept_kernels import FAST, kernel
+
 _DARK, _BRIGHT = np.float32(0.5), np.float32(254.0)  # a camera tells nothing beyond
 _NOISE = np.float32(1.5)  # grey levels
 _LONGEST = np.float32(0.3)  # mm/mm of one step: the light is linear in the slope for about that far
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def explained(rest, change, still, share, by_x, by_y, moved, pull, huber, steepest, gx, gy):
     """Add to the slopes gx, gy of every pixel of `moved` the step that best explains `rest`; zero them elsewhere.
 
