@@ -14,6 +14,7 @@ from pipeline.base.memo import Memo
 from pipeline.engine.digests import content
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.meshes import Mesh
+from pipeline.geometry.normals import area_vectors
 from pipeline.pictures.colours import MEMBRANE, OBJECT, uniform
 from pipeline.pictures.picture import rest_mm
 from pipeline.sensors.spec import SensorSpec
@@ -137,12 +138,13 @@ def _surface(points: NDArray[np.floating], stride: int) -> tuple[Floats, NDArray
     rows, cols = grid.shape[:2]
     finite: Mask = np.asarray(np.isfinite(grid).all(axis=-1), dtype=np.bool_)
     triangles = _grid_triangles(rows, cols)
+    across = area_vectors(grid)
+    length = np.linalg.norm(across, axis=-1, keepdims=True)
+    # A point without neighbours across or along faces the camera, which looks along +z.
+    normals = np.where(length > 0, across / np.maximum(length, 1e-12), (0.0, 0.0, -1.0))
     if not finite.all():
         triangles = freeze(triangles[finite.ravel()[triangles].all(axis=1)])
         grid = np.where(finite[..., None], grid, np.float32(np.nanmean(grid) if finite.any() else 0.0))
-    across, down = np.gradient(grid, axis=1), np.gradient(grid, axis=0)
-    normals = np.cross(down, across)  # toward the camera, which looks along +z
-    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
     flat = normals.reshape(-1, 3).astype(np.float32)
     return freeze(np.ascontiguousarray(grid.reshape(-1, 3))), triangles, freeze(flat)
 
