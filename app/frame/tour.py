@@ -11,7 +11,7 @@ from app.frame.grabbing import write_picture
 from app.frame.instrument import Instrument
 from pipeline.cli.terminal import print_line
 from pipeline.cli.translate import show_table
-from pipeline.reporting.frame_report import FrameLines, FrameReport
+from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import write_frame, write_report
 
 FRAME_LIMIT_S = 120.0  # a frame that takes longer has hung
@@ -27,7 +27,7 @@ def give_tour(instrument: Instrument, out: Path, *, show_frame: int | None = Non
         print_line(f"the recording could not be shown: {instrument.window.banner.text}")
         return 2
     translation = instrument.screen.opened.translation
-    lines: list[FrameLines] = []
+    reports: list[FrameReport] = []
     felt_px: dict[int, int] = {}
     for index in range(translation.n_frames):
         instrument.choose_frame(index)
@@ -35,22 +35,22 @@ def give_tour(instrument: Instrument, out: Path, *, show_frame: int | None = Non
         latest = instrument.latest
         if not shown or latest is None or latest.index != index:
             problem = instrument.window.banner.text or "not shown in time"
-            lines.append(FrameLines(index=index, stages=(), metrics={}, problem=problem))
+            reports.append(FrameReport(index=index, results={}, metrics={}, problem=problem))
             continue
         report = FrameReport(index=index, results=latest.results, metrics=latest.metrics)
-        lines.append(report.lines)
+        reports.append(report.without_arrays)
         felt_px[index] = int(latest.results["depth"].output.contact.sum())
         write_frame(out, latest.frame, report, translation)
-    write_report(out, translation, lines)
+    write_report(out, translation, reports)
     instrument.choose_frame(max(felt_px, key=felt_px.__getitem__, default=0) if show_frame is None else show_frame)
     wait_until_shown(instrument)
     _follow_a_pixel(instrument)
     save_window_picture(instrument, out / "window.png")
-    show_table(lines)
-    failed = [frame for frame in lines if frame.problem]
+    show_table(reports)
+    failed = [frame for frame in reports if frame.problem]
     for frame in failed:
         print_line(f"frame {frame.index}: {frame.problem}")
-    print_line(f"{len(lines) - len(failed)} of {len(lines)} frames shown and written to {out}")
+    print_line(f"{len(reports) - len(failed)} of {len(reports)} frames shown and written to {out}")
     return 2 if failed else 0
 
 

@@ -20,7 +20,7 @@ from pipeline.cli.terminal import complain, print_line
 from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph
 from pipeline.reporting.finished import Finished, finished, key_of
-from pipeline.reporting.frame_report import FrameLines, FrameReport
+from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import write_frame, write_report
 from pipeline.translation.catalogue import BUILT_IN, default_params, with_setting
 from pipeline.translation.translate import Request, Translation, open_translation
@@ -51,7 +51,7 @@ def translate_frames(
     with console.status("looking for a touch") as status, compiling.watched(status.update):
         indices = range(translation.n_frames) if every else [_chosen(translation, graph, params, frame)]
     ready(out)
-    lines: list[FrameLines] = []
+    reports: list[FrameReport] = []
     last: Finished | None = None
     n_kept = 0
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
@@ -63,31 +63,30 @@ def translate_frames(
                 work.step(0.0, "")
                 with compiling.watched(lambda text: bar.update(task, description=text)):
                     known, last = _one(translation, graph, params, index, out, last if follow else None, work)
-                lines.append(last.lines)
+                reports.append(last.report)
                 n_kept += known
                 bar.advance(task)
     finally:  # also on Ctrl-C: what is finished is whole and listed
         translation.recording.close()
-        if lines:
-            write_report(out, translation, lines)
-    show_table(lines)
-    failed = [frame for frame in lines if frame.problem]
+        if reports:
+            write_report(out, translation, reports)
+    show_table(reports)
+    failed = [frame for frame in reports if frame.problem]
     for one in failed:
         complain(f"frame {one.index}: {one.problem}")
     if n_kept:
         print_line(f"{n_kept} of them were finished by an earlier run and are kept as they are")
-    print_line(f"{len(lines) - len(failed)} of {len(lines)} frames written to {os.fspath(out)}")
+    print_line(f"{len(reports) - len(failed)} of {len(reports)} frames written to {os.fspath(out)}")
     return 0 if not failed else 2 if all(frame.foreseen for frame in failed) else 1
 
 
-def show_table(frames: Sequence[FrameLines]) -> None:
+def show_table(reports: Sequence[FrameReport]) -> None:
     """Print slot, median and largest ms, how often skipped, and the error against truth."""
     table = Table("slot", "median ms", "largest ms", "skipped", "error against truth", title=None)
-    done = [frame for frame in frames if frame.stages]
-    for column, name in enumerate(stage.name for stage in (done[0].stages if done else ())):
-        stages = [frame.stages[column] for frame in done]
-        ms = sorted(stage.ms for stage in stages)
-        skipped = sum(stage.state == "skipped" for stage in stages)
+    done = [r for r in reports if r.results]
+    for name in done[0].results if done else ():
+        ms = sorted(r.results[name].ms for r in done)
+        skipped = sum(r.results[name].state == "skipped" for r in done)
         table.add_row(
             name, f"{ms[len(ms) // 2]:.2f}", f"{ms[-1]:.2f}", f"{skipped} of {len(done)}", _errors(name, done)
         )
@@ -111,12 +110,12 @@ def _one(
             return True, known
         report = _work_out(translation, graph, params, index, before.pose if before else None, progress)
         write_frame(out, translation.stream.frame(index), report, translation, key)
-        return False, Finished(lines=report.lines, key=key, pose=_pose_of(report))
+        return False, Finished(report=report.without_arrays, key=key, pose=_pose_of(report))
     except Exception as error:  # noqa: BLE001 - a border: whatever one frame does, the others are translated
         foreseen = isinstance(error, TouchError)
         problem = str(error) if foreseen else unexpected.kept(error)
     return False, Finished(
-        lines=FrameLines(index=index, stages=(), metrics={}, problem=problem, foreseen=foreseen), key=""
+        report=FrameReport(index=index, results={}, metrics={}, problem=problem, foreseen=foreseen), key=""
     )
 
 
@@ -153,7 +152,7 @@ def _chosen(translation: Translation, graph: Graph, params: Mapping[str, object]
     return 0
 
 
-def _errors(name: str, reports: Sequence[FrameLines]) -> str:
+def _errors(name: str, reports: Sequence[FrameReport]) -> str:
     """Median of every figure of a stage."""
     keys = sorted({key for r in reports for key in r.metrics if key.startswith(f"{name}.")})
     parts: list[str] = []

@@ -15,7 +15,8 @@ import numpy as np
 from pipeline import __version__
 from pipeline.base.arrays import freeze
 from pipeline.engine.digests import digest
-from pipeline.reporting.frame_report import FrameLines, StageLine
+from pipeline.engine.graph import StageResult
+from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import folder_of
 from pipeline.translation.translate import Translation
 from pipeline.values.results import ObjectPose
@@ -25,7 +26,7 @@ from pipeline.values.results import ObjectPose
 class Finished:
     """A frame that is whole on disk."""
 
-    lines: FrameLines
+    report: FrameReport  # without its arrays
     key: str
     pose: ObjectPose | None = None  # what the next touch of a sequence begins with; None = it has none
 
@@ -56,14 +57,18 @@ def finished(out: Path, index: int, key: str) -> Finished | None:
     with contextlib.suppress(OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile):
         told = json.loads((folder / "frame.json").read_text(encoding="utf-8"))
         if told["key"] == key and (folder / "sheet.png").stat().st_size:
-            return Finished(lines=_lines(told), key=key, pose=_pose(folder / "stages.npz"))
+            return Finished(report=_report(told), key=key, pose=_pose(folder / "stages.npz"))
     return None
 
 
-def _lines(told: Mapping[str, Any]) -> FrameLines:
-    stages = (StageLine(name=s["name"], ms=s["ms"], state=s["state"], notes=tuple(s["notes"])) for s in told["stages"])
+def _report(told: Mapping[str, Any]) -> FrameReport:
+    results = {
+        s["name"]: StageResult(name=s["name"], method=None, output=None, state=s["state"], ms=s["ms"],
+                               notes=tuple(s["notes"]), digest="")
+        for s in told["stages"]
+    }  # fmt: skip
     metrics = {name: float("nan") if value is None else float(value) for name, value in told["metrics"].items()}
-    return FrameLines(index=told["index"], stages=tuple(stages), metrics=metrics)
+    return FrameReport(index=told["index"], results=results, metrics=metrics)
 
 
 def _pose(path: Path) -> ObjectPose | None:

@@ -14,7 +14,7 @@ from pipeline.base.files import write_arrays, write_folder, write_json
 from pipeline.engine.graph import StageResult
 from pipeline.evaluation.metrics import METRICS
 from pipeline.geometry.camera import Camera
-from pipeline.reporting.frame_report import FrameLines, FrameReport
+from pipeline.reporting.frame_report import FrameReport
 from pipeline.translation.translate import Translation
 from pipeline.values.frames import TactileFrame
 
@@ -57,13 +57,13 @@ def write_frame(out: Path, frame: TactileFrame, report: FrameReport, translation
     def fill(part: Path) -> None:
         write_arrays(part / "stages.npz", stage_arrays(frame, report.results))
         write_sheet(part / "sheet.png", frame, report, translation)
-        write_json(part / "frame.json", {"key": key or None, **_told(report.lines)})
+        write_json(part / "frame.json", {"key": key or None, **_told(report)})
 
     write_folder(folder, fill)
     return folder
 
 
-def write_report(out: Path, translation: Translation, frames: Sequence[FrameLines]) -> Path:
+def write_report(out: Path, translation: Translation, frames: Sequence[FrameReport]) -> Path:
     """Write `report.json` under `out`; returns its path."""
     request = translation.request
     path = out / "report.json"
@@ -83,15 +83,15 @@ def write_report(out: Path, translation: Translation, frames: Sequence[FrameLine
     return path
 
 
-def _figure_names(frames: Sequence[FrameLines]) -> list[str]:
+def _figure_names(frames: Sequence[FrameReport]) -> list[str]:
     names = {name for frame in frames for name in frame.metrics}
     return sorted(name for name in names if name.partition(".")[2] in METRICS)
 
 
-def _told(frame: FrameLines) -> dict[str, object]:
+def _told(frame: FrameReport) -> dict[str, object]:
     stages = [
-        {"name": s.name, "ms": s.ms, "skipped": s.state == "skipped", "state": s.state, "notes": s.notes}
-        for s in frame.stages
+        {"name": r.name, "ms": round(r.ms, 3), "skipped": r.state == "skipped", "state": r.state, "notes": r.notes}
+        for r in frame.results.values()
     ]
     lines: dict[str, object] = {"index": frame.index, "stages": stages, "metrics": dict(frame.metrics)}
     if frame.problem:

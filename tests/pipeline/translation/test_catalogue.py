@@ -48,7 +48,7 @@ def test_what_a_toy_slot_says_reaches_figures_arrays_sheet_and_trace(toy, result
     folder = write_frame(tmp_path, frame, report, toy, "key")
     assert (folder / "sheet.png").stat().st_size > 10_000
     assert stage_arrays(frame, results)["brightness.share"].shape == frame.image.shape[:2]
-    assert '"contact_mae_mm"' not in write_report(tmp_path, toy, [report.lines]).read_text().partition("frames")[0]
+    assert '"contact_mae_mm"' not in write_report(tmp_path, toy, [report]).read_text().partition("frames")[0]
     marks = trace.forward(results, 3, 4, frame.image.shape[1], TOYS)
     assert [mark.slot for mark in marks] == ["source", "brightness", "touch"]
     assert marks[1].text.endswith("bright")
