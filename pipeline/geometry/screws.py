@@ -2,45 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from pipeline.base.arrays import Doubles
 
-_SLIDE = 0.05  # share of turning in a motion of unit size below which it is a slide
+SLIDE = 0.05  # share of turning in a motion of unit size below which it is a slide
+_EXACT = 0.9994  # cosine, 2 degrees, from which a slide does: farther off, the object leaves the sensor's plane
 _PURE = 0.995  # cosine, 6 degrees, from which a direction earns the name of an axis
 _OFF_AXIS = 0.15  # share of sliding in a turn that is not worth a word
+_PITCH = 0.05  # of sliding in a turn: as much as normals that are off by 3 degrees make up
 _MOVED = 1e-3  # change of a motion, in radii per radius that its axis is shifted, that is more than rounding
 _CENTRAL = 0.1  # an axis this near the middle of the contact, in radii of it, goes through the middle
 _AXES = ("x", "y", "z")
 
 
-def in_words(lost: Doubles, about_mm: Doubles, radius_mm: float) -> list[tuple[str, Doubles]]:
+def in_words(
+    lost: Doubles, about_mm: Doubles, radius_mm: float, is_lost: Callable[[Doubles], bool]
+) -> list[tuple[str, Doubles]]:
     """Names of the motions that span the orthonormal columns (6, k), each with its motion (6,) of unit size.
 
     Columns are (rotation times `radius_mm`, translation at `about_mm`). Slides come first, then turns, about one
     common centre where there is one. Axes of the sensor are preferred; any other direction is told by its components,
-    an axis that misses the middle of the contact by the point on it that is nearest to the middle, in mm.
+    an axis that misses the middle of the contact by the point on it that is nearest to the middle, in mm. A turn whose
+    slide along its own axis cannot be left out, as `is_lost` of the rest tells, is told as the screw that it is.
     """
     if lost.shape[1] == 0:
         return []
     _, turning, mix = np.linalg.svd(lost[:3], full_matrices=True)
     turning = np.concatenate([turning, np.zeros(mix.shape[0] - len(turning))])
     basis = lost @ mix.T
-    sliding, rest = basis[:, turning <= _SLIDE], basis[:, turning > _SLIDE]
+    sliding, rest = basis[:, turning <= SLIDE], basis[:, turning > SLIDE]
     slides, _ = np.linalg.qr(sliding[3:])
-    named = [(f"slides along {told(a)}", _closest(sliding, 3, a)) for a in _axes_in(slides)]
+    named = [(f"slides along {told(a, _EXACT)}", _closest(sliding, 3, a)) for a in _axes_in(slides)]
     turns = _turns(rest, slides)
     centre_mm = _common_centre(turns, slides, radius_mm)
-    return named + [(_turn_in_words(t, centre_mm, about_mm, radius_mm), t) for t in turns]
+    return named + [(_turn_in_words(t, centre_mm, about_mm, radius_mm, is_lost), t) for t in turns]
 
 
-def told(vector: Doubles) -> str:
-    """A direction in words: an axis of the sensor, or components."""
+def told(vector: Doubles, pure: float = _PURE) -> str:
+    """A direction in words: an axis of the sensor from which it is less than a cosine of `pure` off, or components."""
     unit = vector / np.linalg.norm(vector)
     k = int(np.argmax(np.abs(unit)))
-    if abs(unit[k]) > _PURE:
+    if abs(unit[k]) > pure:
         return _AXES[k]
     return "({:.2f}, {:.2f}, {:.2f})".format(*(np.round(unit * np.sign(unit[k]), 2) + 0.0))
 
@@ -86,11 +91,18 @@ def _common_centre(turns: list[Doubles], slides: Doubles, radius_mm: float) -> D
     return vt[told].T @ ((u[:, told].T @ wanted) / size[told])
 
 
-def _turn_in_words(turn: Doubles, centre_mm: Doubles, about_mm: Doubles, radius_mm: float) -> str:
+def _turn_in_words(
+    turn: Doubles, centre_mm: Doubles, about_mm: Doubles, radius_mm: float, is_lost: Callable[[Doubles], bool]
+) -> str:
     words = f"turns about {told(turn[:3])}"
     left = turn[3:] + np.cross(turn[:3] / radius_mm, centre_mm)
     if np.linalg.norm(left) > _OFF_AXIS:
         return f"{words} while sliding along {told(turn[3:])}"
+    along = turn[:3] * float(left @ turn[:3]) / float(turn[:3] @ turn[:3])
+    if np.linalg.norm(along) > _PITCH * np.linalg.norm(turn[:3]) and not is_lost(
+        turn - np.concatenate([np.zeros(3), along])
+    ):
+        words += f" while sliding along {told(turn[:3])}"
     if np.linalg.norm(centre_mm) <= _CENTRAL * radius_mm:
         return words
     return words + " through ({:.1f}, {:.1f}, {:.1f}) mm".format(*(np.round(about_mm + centre_mm, 1) + 0.0))

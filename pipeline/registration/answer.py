@@ -9,15 +9,14 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.geometry import rigid
-from pipeline.geometry.screws import told
+from pipeline.geometry.screws import SLIDE, told
 from pipeline.registration.observability import Observability
 from pipeline.registration.outline import shows
-from pipeline.registration.ranking import Judge, apart
+from pipeline.registration.ranking import Judge
 from pipeline.registration.search import SAME_DEG, SAME_MM, Minimum, Search
 from pipeline.values.results import PoseStep
 
 OUTLINE_ONLY = "seen only by the outline of the contact"
-_SLIDE = 0.05  # share of turning below which a motion is a slide
 _ONE_PLACE = 0.1  # of the way a turn carries the contact's middle: so short a shift is not worth a word
 _DOUBTFUL = 0.5  # share of the contact on the object
 
@@ -40,16 +39,14 @@ def answered(search: Search, found: Sequence[Minimum]) -> Answered | None:
     known = search.determined(first)
     shown = _shown(search, first, known)
     unseen = known.weak_motions[[not s for s in shown]]
-    by = search.fine()
-    equal = [m.fit.sensor_from_object for m in found[1:] if not by.tells_apart(first, m.fit.sensor_from_object)]
-    chosen = _in_the_middle(search, found[0], unseen, by)
-    others = _others(search, chosen, equal, _span(unseen, search.points.radius_mm))
+    others = search.equals(first, [m.fit.sensor_from_object for m in found[1:]], unseen)
+    chosen = _in_the_middle(search, found[0], unseen, search.fine())
     notes = tuple(
         f"{words}: {OUTLINE_ONLY if seen else _kept(words)}" for words, seen in zip(known.weak, shown, strict=True)
     )
     return Answered(
         minimum=chosen, known=known, alternatives=tuple(freeze(pose) for pose in others),
-        notes=(*notes, *_about_others(search, chosen, others), *_about_fit(chosen)),
+        notes=(*notes, *_about_others(search, chosen, others), *_about_fit(search, chosen)),
     )  # fmt: skip
 
 
@@ -72,7 +69,7 @@ def _in_the_middle(search: Search, minimum: Minimum, unseen: Doubles, by: Judge)
     pose, before = minimum.fit.sensor_from_object, minimum.fit
     for motion in unseen:
         length = float(np.linalg.norm(motion[3:]))
-        if np.linalg.norm(motion[:3]) * search.points.radius_mm > _SLIDE * length:
+        if np.linalg.norm(motion[:3]) * search.points.radius_mm > SLIDE * length:
             continue
         along = motion[3:] / length
         far_mm = float(along @ (search.middle_mm - rigid.apply(pose, search.object.middle_mm)))
@@ -84,35 +81,6 @@ def _in_the_middle(search: Search, minimum: Minimum, unseen: Doubles, by: Judge)
     last = PoseStep(sensor_from_object=freeze(pose), rmse_mm=before.rmse_mm, fitness=before.fitness)
     steps = (*before.steps, last) if before.steps else ()
     return replace(minimum, fit=replace(before, sensor_from_object=freeze(pose), steps=steps))
-
-
-def _others(search: Search, chosen: Minimum, equal: Sequence[Doubles], free: Doubles) -> list[Doubles]:
-    kept: list[Doubles] = [chosen.fit.sensor_from_object]
-    for pose in equal:
-        if all(_differ(search, other, pose, free) for other in kept):
-            kept.append(pose)
-    return kept[1:]
-
-
-def _span(motions: Doubles, radius_mm: float) -> Doubles:
-    """Orthonormal columns (6, k) of motions (k, 6), rotations times `radius_mm`."""
-    if not len(motions):
-        return np.zeros((6, 0))
-    return np.linalg.qr((motions * ([radius_mm] * 3 + [1.0] * 3)).T)[0]
-
-
-def _differ(search: Search, a: Doubles, b: Doubles, free: Doubles) -> bool:
-    """Whether two poses differ by more than motions that nothing shows."""
-    middle, radius_mm = search.middle_mm, search.points.radius_mm
-    if not apart(a, b, middle, SAME_MM, SAME_DEG):
-        return False
-    relative = b @ rigid.invert(a)
-    motion = np.concatenate(
-        [radius_mm * rigid.rotation_vector_rad(relative), rigid.apply(relative, middle) - middle]
-    )  # fmt: skip
-    left = motion - free @ (free.T @ motion)
-    turned_deg = float(np.rad2deg(np.linalg.norm(left[:3]) / radius_mm))
-    return bool(np.linalg.norm(left[3:]) > SAME_MM or turned_deg > SAME_DEG)
 
 
 def _about_others(search: Search, chosen: Minimum, others: Sequence[Doubles]) -> tuple[str, ...]:
@@ -136,7 +104,13 @@ def _in_words(search: Search, a: Doubles, b: Doubles) -> str:
     return " and ".join(words)
 
 
-def _about_fit(chosen: Minimum) -> tuple[str, ...]:
-    if chosen.fit.fitness >= _DOUBTFUL:
+def _about_fit(search: Search, chosen: Minimum) -> tuple[str, ...]:
+    fit = chosen.fit
+    if fit.fitness < _DOUBTFUL:
+        return (f"only {fit.fitness:.0%} of the contact lies on the object; the pose is doubtful",)
+    if search.explains(chosen):
         return ()
-    return (f"only {chosen.fit.fitness:.0%} of the contact lies on the object; the pose is doubtful",)
+    return (
+        f"{fit.fitness:.0%} of the contact lies on the object, {fit.rmse_mm:.2g} mm off where the depth's error "
+        f"makes up {search.limit_mm:.2g} mm; the pose, or the mesh, is doubtful",
+    )

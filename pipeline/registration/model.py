@@ -11,6 +11,8 @@ from pipeline.base.arrays import Doubles, Mask
 from pipeline.base.errors import MeshProblem
 from pipeline.geometry.meshes import Mesh
 
+_FACET_RAD = math.radians(20.0)  # 18 sides to the round; meshes of tools in `simulation/shapes` have 48 and more
+_ONE_CORNER = 6  # digits of a millimetre to which vertices of neighbours agree, as in an STL of single precision
 _GOLDEN = (0.7548776662466927, 0.5698402909980532)  # steps of the plane's most even additive sequence
 
 
@@ -20,6 +22,7 @@ class Model:
 
     points_mm: Doubles  # (n, 3)
     normals: Doubles  # (n, 3)
+    crooked_sq: Doubles  # (n,) mean squares, in rad, of how far the facet's normal is off that of a round surface
     area_mm2: float  # of the surface that they stand for
 
     @property
@@ -30,14 +33,17 @@ class Model:
     def part(self, which: Mask) -> Model:
         """The points that are marked, standing for their share of the area."""
         share = float(which.mean()) if which.size else 0.0
-        return Model(points_mm=self.points_mm[which], normals=self.normals[which], area_mm2=self.area_mm2 * share)
+        return Model(
+            points_mm=self.points_mm[which], normals=self.normals[which], crooked_sq=self.crooked_sq[which],
+            area_mm2=self.area_mm2 * share,
+        )  # fmt: skip
 
     def thinned(self, n: int) -> Model:
         """About `n` of the points, evenly taken, standing for the same area."""
         step = max(1, len(self.points_mm) // n)
         return Model(
             points_mm=np.ascontiguousarray(self.points_mm[::step]), normals=np.ascontiguousarray(self.normals[::step]),
-            area_mm2=self.area_mm2,
+            crooked_sq=self.crooked_sq[::step], area_mm2=self.area_mm2,
         )  # fmt: skip
 
 
@@ -63,8 +69,29 @@ def sampled(mesh: Mesh, n_points: int, seed: int) -> Model:
     u, v = np.where(fold, 1.0 - u, u)[:, None], np.where(fold, 1.0 - v, v)[:, None]
     points = a[triangle] + u * (b - a)[triangle] + v * (c - a)[triangle]
     mixed = rng.permutation(n_points)  # so that every n-th point is spread over the whole object
+    unit = across / np.maximum(twice_area, 1e-300)[:, None]
     return Model(
-        points_mm=points[mixed],
-        normals=(sign * across[triangle] / twice_area[triangle, None])[mixed],
-        area_mm2=total / 2.0,
-    )
+        points_mm=points[mixed], normals=(sign * unit[triangle])[mixed],
+        crooked_sq=_crooked_sq(mesh, unit)[triangle[mixed]], area_mm2=total / 2.0,
+    )  # fmt: skip
+
+
+def _crooked_sq(mesh: Mesh, normals: Doubles) -> Doubles:
+    """(m,) mean square angle between a triangle's normal (m, 3) and that of the round surface it is a facet of.
+
+    Across a facet whose neighbour is turned by an angle, the true normal turns by as much: a twelfth of its square.
+    What is turned by more than a facet would be is an edge of the object.
+    """
+    place = np.unique(np.round(mesh.vertices_mm, _ONE_CORNER), axis=0, return_inverse=True)[1].reshape(-1)
+    corners = place[mesh.triangles]
+    edges = np.sort(np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]]), axis=1)
+    triangle = np.tile(np.arange(len(corners)), 3)
+    order = np.lexsort((edges[:, 1], edges[:, 0]))
+    one, other = triangle[order[:-1]], triangle[order[1:]]
+    shared = (edges[order[:-1]] == edges[order[1:]]).all(axis=1)
+    cosine = np.einsum("ij,ij->i", normals[one], normals[other])
+    angle = np.where(shared & (cosine > math.cos(_FACET_RAD)), np.arccos(np.clip(cosine, -1.0, 1.0)), 0.0)
+    out = np.zeros(len(corners))
+    for side in (one, other):
+        np.maximum.at(out, side, angle**2 / 12.0)
+    return out

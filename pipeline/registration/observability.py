@@ -50,6 +50,8 @@ class Observability:
     weak: tuple[str, ...]  # what is left, in words
     weak_motions: Doubles  # (k, 6) of (rotation rad, translation mm) that go with them, each of 1 mm rms
     n_eff: float = math.nan  # independent measurements that the covariance rests on
+    lasting_mm: float = 0.0  # error that no number of them averages away
+    tolerances: Tolerances = TOLERANCES  # that they were asked with
 
 
 def observability(
@@ -59,32 +61,37 @@ def observability(
     noise_mm: float,
     *,
     n_eff: float | None = None,
-    bias_mm: float = 0.0,
+    lasting_mm: float = 0.0,
     tolerances: Tolerances = TOLERANCES,
 ) -> Observability:
     """From matched points (n, 3) with the object's normals there, the scene's centroid, and the spread of residuals.
 
-    `n_eff` is how many of the points are independent (`effective_count`; None = all), `bias_mm` what all of them may
-    be off by together: calibration, compliance, the mesh. Rotations are scaled by the points' rms distance from the
-    centroid, so that all six directions are in mm.
+    `n_eff` is how many of the points are independent (`effective_count`; None = all), `lasting_mm` the
+    error of their mean that more of them would not make smaller. Rotations are scaled by the points' rms distance from
+    the centroid, so that all six directions are in mm.
     """
     arms = points_mm - about_mm
     radius_mm = max(float(np.sqrt((arms**2).sum(axis=1).mean())), 1e-6)
     jacobian = np.concatenate([np.cross(arms, normals) / radius_mm, normals], axis=1)
     information = jacobian.T @ jacobian / len(points_mm)
     independent = float(len(points_mm)) if n_eff is None else n_eff
-    sigma_mm = math.hypot(max(noise_mm, MIN_NOISE_MM), bias_mm * math.sqrt(independent))
+    sigma_mm = math.hypot(max(noise_mm, MIN_NOISE_MM), lasting_mm * math.sqrt(independent))
     fake = _along_surface(arms / radius_mm, information) * math.radians(tolerances.normal_error_deg) ** 2
-    lost = _undetermined(information, fake, _allowed(independent, sigma_mm, radius_mm, tolerances))
+    asked = fake + _allowed(independent, sigma_mm, radius_mm, tolerances)
+    lost = _undetermined(information, asked)
     to_mm = np.array([radius_mm] * 3 + [1.0] * 3)  # (rad, mm) -> mm
     projector = np.eye(6) - lost @ lost.T
-    named = in_words(lost, np.asarray(about_mm, dtype=np.float64), radius_mm)
+    named = in_words(
+        lost, np.asarray(about_mm, dtype=np.float64), radius_mm, lambda v: bool(v @ (information - asked) @ v < 0.0)
+    )
     return Observability(
         covariance=_covariance(information, projector, sigma_mm**2 / independent) / np.outer(to_mm, to_mm),
         observable=projector * to_mm[None, :] / to_mm[:, None],
         weak=tuple(words for words, _ in named),
         weak_motions=np.array([motion / to_mm for _, motion in named]).reshape(-1, 6),
         n_eff=independent,
+        lasting_mm=lasting_mm,
+        tolerances=tolerances,
     )
 
 
@@ -119,12 +126,11 @@ def _allowed(n_eff: float, sigma_mm: float, radius_mm: float, tolerances: Tolera
     return np.diag([1.0 / turn_mm**2] * 3 + [1.0 / tolerances.mm**2] * 3) * (sigma_mm**2 / n_eff)
 
 
-def _undetermined(information: Doubles, fake: Doubles, allowed: Doubles) -> Doubles:
-    """Orthonormal (6, k): the motions v with v^T information v < v^T (fake + allowed) v.
+def _undetermined(information: Doubles, asked: Doubles) -> Doubles:
+    """Orthonormal (6, k): the motions v with v^T information v < v^T asked v.
 
     Both sides are forms, so that the answer does not depend on how turns are weighed against shifts.
     """
-    asked = fake + allowed
     size = 1.0 / np.sqrt(np.diag(asked))  # a contact of almost no extent asks a million times more of turns
     values, vectors = np.linalg.eigh(asked * np.outer(size, size))
     whiten = size[:, None] * vectors / np.sqrt(np.maximum(values, _NOTHING))

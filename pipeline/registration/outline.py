@@ -11,6 +11,7 @@ from pipeline.registration.ranking import Judge
 _FIRST_STEP_MM, _LAST_STEP_MM = 0.8, 0.02
 _MAX_ROUNDS = 40
 _TRIAL_MM = 0.5  # a shift that an outline must notice to count as showing the place
+_STRAIGHT_RAD = 1e-9  # a smaller turn is a shift within rounding
 _NOTICED_SHARE, _NOTICED_MM = 0.05, 0.01  # growth of the misfit
 
 
@@ -41,7 +42,15 @@ def shows(pose: Doubles, motion: Doubles, about_mm: Doubles, by: Judge) -> bool:
 
 
 def moved(pose: Doubles, motion: Doubles, about_mm: Doubles) -> Doubles:
-    """`pose` after a motion (rotation rad about a point, translation mm) of the sensor frame."""
-    turned = rigid.rotation(motion[:3])
-    turned[:3, 3] = about_mm - turned[:3, :3] @ about_mm + motion[3:]
+    """`pose` after a screw (rotation rad, translation mm at a point) of the sensor frame, followed all the way round.
+
+    A body of revolution that turns about its own axis thus stays where it is, however far the axis is from the point.
+    """
+    angle = float(np.linalg.norm(motion[:3]))
+    turned, shift = rigid.rotation(motion[:3]), motion[3:]
+    if angle > _STRAIGHT_RAD:
+        axis = motion[:3] / angle
+        across = np.cross(axis, shift)
+        shift = shift + ((1 - np.cos(angle)) * across + (angle - np.sin(angle)) * np.cross(axis, across)) / angle
+    turned[:3, 3] = about_mm - turned[:3, :3] @ about_mm + shift
     return turned @ pose

@@ -22,7 +22,7 @@ from pipeline.registration.scene import Scene
 _FREE_MM = 0.05  # an object this much before the membrane is still within the error of its depth
 _OUTLINE_PX = 2.0  # within so many pixels the contact's own outline is not known better
 CORRELATION_MM = 0.5  # errors of a membrane's shape hang together over this length
-_LEAST_SPREAD_MM = 0.02  # of what a membrane's shape is known to, however well something fits
+LEAST_SPREAD_MM = 0.02  # of what a membrane's shape is known to, however well something fits
 _TELLING = 2.0  # standard errors from which one misfit is larger than another
 
 
@@ -48,7 +48,7 @@ class Judge:
         A membrane that is off by e in one independent place (their area: 2 pi l^2) changes the difference of squared
         distances by 2 e (d - d'); e is what the better pose leaves unexplained.
         """
-        spread_mm = max(float(self.misfit_mm([better])[0]), _LEAST_SPREAD_MM)
+        spread_mm = max(float(self.misfit_mm([better])[0]), LEAST_SPREAD_MM)
         patch_mm2 = 2.0 * math.pi * CORRELATION_MM**2
         share = min(1.0, patch_mm2 / self.scene.area_mm2)
         (felt_a, unfelt_a), (felt_b, unfelt_b) = (self._by_place(pose, patch_mm2) for pose in (better, other))

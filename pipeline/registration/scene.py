@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +11,9 @@ from pipeline.base.arrays import Doubles, Floats, Indices, Mask
 from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.geometry.normals import area_vectors
 from pipeline.registration.model import Model
-from pipeline.values.results import DepthMap
+from pipeline.values.results import DepthError, DepthMap
 
+COMPUTED = DepthError(rms_mm=0.0, correlation_mm=0.5)  # a membrane relaxes over about this length: the gel's pixels do
 MOST_TURNED_AWAY = -0.2  # cosine to the felt normal; the wall of a notch is steep, the far side of a plate is at -1
 
 # A touch translated from a thin gel says nothing of what lies deeper than that gel reached, which is where the contact
@@ -32,6 +34,8 @@ class Scene:
     membrane_mm: Floats  # (rows, cols) z that no object comes nearer than unfelt; NaN where the source could not see
     off_contact_mm: Floats  # (rows, cols) distance to the nearest contact; 0 where the source could not see
     camera: Camera
+    noise_mm: float  # of single pixels: what a smooth surface does not have
+    error: DepthError  # beside that noise
 
     @property
     def pixel_mm(self) -> float:
@@ -68,7 +72,17 @@ def felt_surface(felt: DepthMap, max_points: int, seed: int) -> Scene:
         membrane_mm=np.where(known, np.minimum(felt.depth_mm, np.float32(farthest_mm)), np.float32(np.nan)),
         off_contact_mm=np.where(known, off_px * np.float32(typical_mm), np.float32(0.0)),
         camera=felt.camera,
+        noise_mm=_noise_mm(surface[..., 2]),
+        error=felt.error or COMPUTED,
     )
+
+
+def _noise_mm(depth_mm: Doubles) -> float:
+    """Standard deviation of what single pixels have beside a surface that is straight over three of them."""
+    middle = depth_mm[1:-1, 1:-1]
+    bent = 4.0 * middle - depth_mm[:-2, 1:-1] - depth_mm[2:, 1:-1] - depth_mm[1:-1, :-2] - depth_mm[1:-1, 2:]
+    bent = np.abs(bent[np.isfinite(bent)])
+    return 1.4826 * float(np.median(bent)) / math.sqrt(20.0) if bent.size else 0.0
 
 
 def _box(mask: Mask) -> tuple[int, int, int, int]:

@@ -5,19 +5,28 @@ Guesses are ranked by what was felt and by what was not; each step is more exact
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import permutations, product
 
 import numpy as np
 
 from pipeline.base.arrays import Doubles
 from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry import rigid
+from pipeline.geometry.screws import SLIDE
 from pipeline.registration.gauss_newton import Fit, How, NotDetermined, Points, fitted, registered
-from pipeline.registration.observability import Observability, effective_count, observability
-from pipeline.registration.outline import placed
+from pipeline.registration.observability import (
+    NORMAL_ERROR_DEG,
+    Observability,
+    Tolerances,
+    effective_count,
+    observability,
+)
+from pipeline.registration.outline import moved, placed
 from pipeline.registration.prepared import Prepared
-from pipeline.registration.ranking import CORRELATION_MM, Judge, apart, judge
+from pipeline.registration.ranking import LEAST_SPREAD_MM, Judge, apart, judge
 from pipeline.registration.scene import Scene, in_reach
 from pipeline.registration.starts import Start
 
@@ -34,8 +43,23 @@ _POLISHED_SHARE = 4.0  # the last registration searches this many times nearer
 _OUTLINE_REACH_MM = 4.0  # object this far beyond the contact may stick out beside it
 _SAME_SURFACE = 0.5  # cosine of felt and modelled normal from which on both show one surface
 _FEWEST = 20  # points that observability rests on
-BIAS_MM = 0.005  # of all depths together: calibration, compliance, the mesh
+LASTING_MM = 0.001  # of all depths together: the lattice of distances is this exact, however smooth the mesh
+_MOST = 0.8  # share of the contact that lies on an object which explains it
+_FAR = 3.0  # standard deviations
+_NEAR = 2.0  # times the best one's misfit that few points may show of an equal one
+_ROUNDS, _MOST_EQUAL = 3, 23  # of joining equals; all turns of a cube but one
+_FACETS_REACH_MM = 0.5  # around the contact
+_BENT_SQ = 0.005  # sine squared of half an edge's angle; on round surfaces the lattice errs by less
+_TOGETHER = 1.5  # errors of facets hang together over a contact: their mean may exceed their rms by this
+_STRAIGHT_DEG = 0.5  # of a lattice's gradients on a flat face (tests/pipeline/geometry/test_distance_grid.py: 0.3)
 SAME_MM, SAME_DEG = 1.0, 5.0  # poses this close are one
+
+
+_TURNED_OVER = tuple(
+    turn for axes in permutations(range(3)) for signs in product((1.0, -1.0), repeat=3)
+    if np.linalg.det(turn := np.eye(3)[list(axes)] * signs) > 0 and not np.array_equal(turn, np.eye(3))
+)  # fmt: skip
+"""The 23 turns that take the axes of an object to themselves."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,6 +77,7 @@ class Search:
     scene: Scene
     points: Points
     object: Prepared
+    outward: tuple[float, float, float] | None  # of the face that is toward the sensor; None = any
     max_distance_mm: float
     n_iterations: int
     keep_steps: bool
@@ -79,8 +104,7 @@ class Search:
         return self._distinct(ended)
 
     def _distinct(self, poses: Doubles) -> list[Doubles]:
-        by = judge(self.scene, self.object.grid, self.object.model, _MIDDLE_FELT, _MIDDLE_MODEL, self.max_distance_mm)
-        misfits_mm = by.misfit_mm(poses)
+        misfits_mm = self._middle().misfit_mm(poses)
         kept: list[Doubles] = []
         for k in np.argsort(misfits_mm, kind="stable"):
             if all(apart(poses[k], other, self.middle_mm, SAME_MM, SAME_DEG) for other in kept):
@@ -91,17 +115,87 @@ class Search:
 
     def polished(self, pose: Doubles, *, dense: bool = False) -> Minimum | None:
         """Set by the outline where the surface is silent, then registered on all points; None where that fails."""
-        weak = self.determined(pose).weak_motions
-        if len(weak):
-            pose = placed(pose, weak, self.middle_mm, self.outline(pose, dense=dense))
+        known = self.determined(pose)
+        if len(known.weak_motions):
+            pose = placed(pose, known.weak_motions, self.middle_mm, self.outline(pose, dense=dense))
         how = How(
             max_distance_mm=self.max_distance_mm / _POLISHED_SHARE, n_iterations=self.n_iterations,
-            keep_steps=self.keep_steps,
+            keep_steps=self.keep_steps, bias_mm=known.lasting_mm, tolerances=known.tolerances,
         )  # fmt: skip
         fit = fitted(self.points if dense else self.points.thinned(_POLISH_POINTS), self.object.grid, pose, how)
         if isinstance(fit, NotDetermined):
             return None
         return Minimum(fit=fit, misfit_mm=float(self.fine().misfit_mm([fit.sensor_from_object])[0]))
+
+    def explains(self, minimum: Minimum) -> bool:
+        """Whether what is left of a fit is no more than the depth's own error, and most of the contact is on it."""
+        return minimum.fit.fitness >= _MOST and minimum.fit.rmse_mm <= self.limit_mm
+
+    @property
+    def limit_mm(self) -> float:
+        """Largest rms distance that the error of the depth makes up."""
+        return _FAR * math.hypot(self.scene.noise_mm, self.scene.error.rms_mm, LEAST_SPREAD_MM)
+
+    def equals(self, first: Doubles, found: Sequence[Doubles], free: Doubles) -> list[Doubles]:
+        """Poses that the touch does not tell from the `first`: of those found, turned over, and by what joins them.
+
+        Poses that only the motions `free` (k, 6) lie between count as one.
+        """
+        fine, rough = self.fine(), self._middle()
+        limit_mm = _NEAR * float(rough.misfit_mm([first])[0]) + LEAST_SPREAD_MM
+        way = None if self.outward is None else np.array(self.outward)
+        turns = [turn for turn in _TURNED_OVER if way is None or way @ turn @ way > 0]
+        equal, tried = list[Doubles](), [*found, *(first @ self._about_middle(turn) for turn in turns)]
+        for _round in range(_ROUNDS):
+            n_before = len(equal)
+            for turned in (tried[k] for k in np.flatnonzero(rough.misfit_mm(tried) <= limit_mm)):
+                pose = turned
+                new = len(equal) < _MOST_EQUAL and all(self.differ(pose, other, free) for other in (first, *equal))
+                if new and fine.tells_apart(first, pose):
+                    better = self.polished(pose, dense=True)  # turned over, it may lie better a little farther on
+                    pose = pose if better is None else better.fit.sensor_from_object
+                    new = all(self.differ(pose, other, free) for other in (first, *equal))
+                if new and not fine.tells_apart(first, pose):
+                    equal.append(pose)
+            if len(equal) == n_before:
+                break
+            # What takes the first to one of its equals takes this one to another.
+            joined = [rigid.invert(first) @ pose for pose in equal]
+            tried = [first @ a @ b for a in joined for b in joined]
+        return equal
+
+    def differ(self, a: Doubles, b: Doubles, free: Doubles) -> bool:
+        """Whether two poses differ by more than the motions (k, 6) of (rotation rad, translation mm) at the middle."""
+        turning_mm, sliding_mm = (np.linalg.norm(free[:, k : k + 3], axis=1) for k in (0, 3))
+        straight = turning_mm * self.points.radius_mm <= SLIDE * sliding_mm
+        turns, slides = free[~straight], np.linalg.qr(free[straight, 3:].T)[0]
+        if len(turns):
+            turn = rigid.rotation_vector_rad(b @ rigid.invert(a))
+            a = moved(a, np.linalg.lstsq(turns[:, :3].T, turn, rcond=None)[0] @ turns, self.middle_mm)
+        left = rigid.apply(b @ rigid.invert(a), self.middle_mm) - self.middle_mm
+        a = rigid.translation(*(slides @ (slides.T @ left))) @ a
+        return apart(a, b, self.middle_mm, SAME_MM, SAME_DEG)
+
+    def _about_middle(self, turn: Doubles) -> Doubles:
+        """A rotation (3, 3) of the object about the middle of its box, (4, 4)."""
+        out = np.eye(4)
+        out[:3, :3], out[:3, 3] = turn, self.object.middle_mm - turn @ self.object.middle_mm
+        return out
+
+    def _middle(self) -> Judge:
+        model = self.object.model
+        return judge(self.scene, self.object.grid, model, _MIDDLE_FELT, _MIDDLE_MODEL, self.max_distance_mm)
+
+    def _tolerances(self, pose: Doubles, slopes: Doubles) -> Tolerances:
+        """Those of the observability, with the error that normals have here: of facets around the contact, and edges.
+
+        Between the nodes on both sides of an edge a gradient is the mean of two normals, and shorter for it.
+        """
+        near = in_reach(self.scene, self.object.model, pose, _FACETS_REACH_MM)
+        short_sq = 1.0 - slopes**2
+        lattice_sq = float(np.where(short_sq > _BENT_SQ, short_sq, 0.0).mean()) / 2.0
+        deg = _TOGETHER * math.degrees(math.sqrt(float(near.crooked_sq.mean()) + lattice_sq))
+        return Tolerances(normal_error_deg=float(np.clip(deg, _STRAIGHT_DEG, NORMAL_ERROR_DEG)))
 
     def fine(self) -> Judge:
         """A judge on the whole object."""
@@ -128,17 +222,27 @@ class Search:
         return judge(self.scene, self.object.grid, part, n_felt, n_model, self.max_distance_mm)
 
     def determined(self, pose: Doubles) -> Observability:
-        """From the object's normals where the scene lies on it, turned into the sensor frame."""
+        """From the object's normals where the scene lies on it, turned into the sensor frame.
+
+        Noise of single pixels averages away; what is left of the residuals' spread, or the sensor's measured error if
+        that is more, does so only over its correlation length.
+        """
         points = self.scene.points_mm
         distance_mm, gradients = self.object.grid.at(rigid.apply(rigid.invert(pose), points))
         size = np.linalg.norm(gradients, axis=1, keepdims=True)
         normals = (gradients / np.maximum(size, 1e-12)) @ pose[:3, :3].T
-        noise_mm = 1.4826 * float(np.median(np.abs(distance_mm)))  # robust: the rim of a contact is not noise
+        spread_mm = 1.4826 * float(np.median(np.abs(distance_mm)))  # robust: the rim of a contact is not noise
         # On a flat face's rim the wall beside it may be nearest, which was not felt and determines nothing.
         felt = np.einsum("ij,ij->i", normals, self.scene.normals) > _SAME_SURFACE
         if felt.sum() < _FEWEST:
             felt[:] = True
-        n_eff = effective_count(int(felt.sum()), self.scene.area_mm2 * float(felt.mean()), CORRELATION_MM)
+        error = self.scene.error
+        noise_mm = min(self.scene.noise_mm, spread_mm)
+        shape_mm = max(math.sqrt(spread_mm**2 - noise_mm**2), error.rms_mm)
+        area_mm2 = self.scene.area_mm2 * float(felt.mean())
+        n_places = effective_count(int(felt.sum()), area_mm2, error.correlation_mm)
         return observability(
-            points[felt], normals[felt], self.middle_mm, noise_mm, n_eff=n_eff, bias_mm=BIAS_MM
+            points[felt], normals[felt], self.middle_mm, noise_mm,
+            lasting_mm=math.hypot(shape_mm / math.sqrt(n_places), LASTING_MM),
+            tolerances=self._tolerances(pose, size[felt]),
         )  # fmt: skip

@@ -1,8 +1,10 @@
-"""Where a registration may begin: each face of the object toward the sensor, at several angles and places."""
+"""Where a registration may begin: faces, edges or corners of the object's box to the sensor, at several angles."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -14,6 +16,11 @@ from pipeline.registration.scene import Scene
 FACES: dict[str, tuple[float, float, float]] = {
     "+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1),
 }  # fmt: skip
+EDGES: dict[str, tuple[float, float, float]] = {
+    "".join(f"{'+' if sign > 0 else '-'}{axis}" for sign, axis in zip((x, y, z), "xyz", strict=True) if sign): (x, y, z)
+    for x, y, z in product((1.0, 0.0, -1.0), repeat=3) if abs(x) + abs(y) + abs(z) > 1
+}  # fmt: skip
+"""The 12 directions between two faces and the 8 between three: no other one is 46 degrees from all of a box's."""
 _ANCHORS = 5  # places of a face that are tried at the middle of the contact
 _MOST_ALONG = 24  # more of them on a face that is larger than the contact
 _N_MODEL = 4000  # points that tell where a face is
@@ -26,13 +33,24 @@ class Start:
     """One first guess; guesses of one `group` differ only in the place of the face."""
 
     sensor_from_object: Doubles  # (4, 4) mm
-    group: tuple[str, int]  # face, number of the angle
+    group: tuple[str, int]  # face, edge or corner; number of the angle
 
 
 def starts(scene: Scene, model: Model, face: str, n_starts: int) -> list[Start]:
     """`n_starts` orientations spread over the faces and the angles in the contact plane, each at several places."""
-    faces = tuple(FACES) if face == "auto" else (face,)
-    n_angles = max(1, n_starts // len(faces))
+    ways = FACES if face == "auto" else {face: FACES[face]}
+    return _spread_over(scene, model, ways, max(1, n_starts // len(ways)))
+
+
+def edge_starts(scene: Scene, model: Model, face: str, n_starts: int) -> list[Start]:
+    """As many angles as `starts` gives each face, for the edges and corners (of the one face) toward the sensor."""
+    ways = {n: way for n, way in EDGES.items() if face == "auto" or np.dot(way, FACES[face]) > 0}
+    return _spread_over(scene, model, ways, max(1, n_starts // (len(FACES) if face == "auto" else 1)))
+
+
+def _spread_over(
+    scene: Scene, model: Model, ways: Mapping[str, tuple[float, float, float]], n_angles: int
+) -> list[Start]:  # fmt: skip
     normal = scene.normals.mean(axis=0)
     normal /= np.linalg.norm(normal)
     middle = scene.points_mm.mean(axis=0)
@@ -40,8 +58,8 @@ def starts(scene: Scene, model: Model, face: str, n_starts: int) -> list[Start]:
     extent_mm = float(np.sqrt(((scene.points_mm - middle) ** 2).sum(axis=1).mean()))
     few = model.thinned(_N_MODEL)
     found: list[Start] = []
-    for name in faces:
-        outward = np.array(FACES[name], dtype=np.float64)
+    for name, way in ways.items():
+        outward = np.array(way, dtype=np.float64) / np.linalg.norm(way)
         anchors = _anchors(few, outward, layer_mm, extent_mm)
         onto = _turn_onto(outward, normal)
         for k in range(n_angles):

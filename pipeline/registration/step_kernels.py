@@ -88,7 +88,7 @@ def step(sums, asked, work, motion):
         for j in range(i, 6):
             low[j, i] = low[i, j] = sums[at] / weight
             at += 1
-        low[i, i] += _DAMPING * total
+        low[i, i] += _DAMPING * total if certain else 0.0
     if certain and factored(low):
         for i in range(6):
             for k in range(i):

@@ -13,6 +13,14 @@ from pipeline.geometry.camera import Camera
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class DepthError:
+    """How far a measured surface is off where it touches, beside the noise of single pixels."""
+
+    rms_mm: float
+    correlation_mm: float  # errors a and b this far apart go together by exp(-1/2)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DepthMap:
     """How far a sensor's membrane is pushed in, and where it is, in that sensor's frame."""
 
@@ -23,6 +31,7 @@ class DepthMap:
     source_index: Indices  # (rows, cols) -> pixel of the reading it was made from
     notes: tuple[str, ...] = ()
     known: Mask | None = None  # (rows, cols) where "no contact" means anything; None = everywhere
+    error: DepthError | None = None  # of the measurement that it comes from; None = computed without one
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -25,7 +25,7 @@ from pipeline.registration.planar_pose import planar_pose
 from pipeline.registration.prepared import prepared
 from pipeline.registration.scene import Scene, felt_surface
 from pipeline.registration.search import Minimum, Search
-from pipeline.registration.starts import FACES, starts
+from pipeline.registration.starts import FACES, edge_starts, starts
 from pipeline.stages.pose.icp import icp_pose
 from pipeline.values.results import DepthMap, ObjectPose
 
@@ -67,7 +67,12 @@ def pose(felt: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progre
     progress.step(0.2, "comparing first guesses")
     tried = starts(search.scene, search.object.model, params.face, params.n_starts)
     progress.step(0.21, "registering the most promising")
-    found = search.best(search.promising(tried), Share(progress, 0.3, 0.7))
+    found = search.best(search.promising(tried), Share(progress, 0.3, 0.4))
+    if not (found and search.explains(found[0])):
+        progress.step(0.7, "comparing first guesses on edges and corners")
+        further = edge_starts(search.scene, search.object.model, params.face, params.n_starts)
+        more = search.best(search.promising(further), Share(progress, 0.75, 0.25))
+        tried, found = [*tried, *further], sorted([*found, *more], key=lambda m: m.misfit_mm)
     return _told(search, checked, found, len(tried), ())
 
 
@@ -169,8 +174,8 @@ def _begun(
     progress.step(0.0, "measuring the object")
     ready = prepared(mesh, params.seed, Share(progress, 0.0, 0.2))
     return Search(
-        scene=scene, points=points, object=ready, max_distance_mm=params.max_distance_mm,
-        n_iterations=params.n_iterations, keep_steps=params.keep_steps,
+        scene=scene, points=points, object=ready, outward=FACES.get(params.face),
+        max_distance_mm=params.max_distance_mm, n_iterations=params.n_iterations, keep_steps=params.keep_steps,
     ), mesh  # fmt: skip
 
 

@@ -90,6 +90,19 @@ def test_a_helix_is_a_turn_with_a_slide():
     assert told.weak == ("turns about z while sliding along z",)
 
 
+def test_a_fine_screw_keeps_the_slide_that_goes_with_its_turn():
+    rng = np.random.default_rng(6)
+    angle, away = rng.uniform(-math.pi, math.pi, N), rng.uniform(2.0, 4.0, N)
+    out = np.stack([np.cos(angle), np.sin(angle), np.zeros(N)], axis=1)
+    around = np.stack([-np.sin(angle), np.cos(angle), np.zeros(N)], axis=1)
+    pitch_mm = 0.3  # per radian: a thread of 1.9 mm
+    normals = -pitch_mm * around + away[:, None] * np.eye(3)[2]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    points = away[:, None] * out + pitch_mm * angle[:, None] * np.eye(3)[2]
+    told = observability(points, normals, points.mean(axis=0), 1e-3)
+    assert "turns about z while sliding along z" in told.weak[-1]
+
+
 @pytest.mark.parametrize("sides", [64, 96, 200])
 def test_facets_of_a_round_rod_do_not_pass_for_knowledge_of_its_roll(sides):
     made = drawn("rod", np.random.default_rng(3), 3000)
@@ -137,7 +150,7 @@ def test_correlated_points_and_a_bias_widen_the_covariance_as_they_should():
     plain = observability(tool.points_mm, tool.normals, middle, NOISE_MM)
     fewer = observability(tool.points_mm, tool.normals, middle, NOISE_MM, n_eff=N / 9)
     np.testing.assert_allclose(fewer.covariance, 9 * plain.covariance, rtol=1e-9)
-    biased = observability(tool.points_mm, tool.normals, middle, NOISE_MM, bias_mm=0.005)
+    biased = observability(tool.points_mm, tool.normals, middle, NOISE_MM, lasting_mm=0.005)
     grown = 1 + 0.005**2 * N / NOISE_MM**2
     np.testing.assert_allclose(biased.covariance, grown * plain.covariance, rtol=1e-9)
     assert fewer.n_eff == N / 9

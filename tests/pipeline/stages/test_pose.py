@@ -12,6 +12,7 @@ from pipeline.stages.pose.stage import PoseParams, icp, planar, pose, pose_from,
 from tests.pipeline.registration.solids import (
     CAMERA,
     REST_MM,
+    ball,
     extruded,
     felt,
     l_bar,
@@ -23,6 +24,7 @@ from tests.pipeline.registration.solids import (
 
 POSITION_TOLERANCE_MM = 0.1  # one pixel of the test camera on the gel
 TURN_TOLERANCE_DEG = 1.0  # one pixel over the 6 mm of the contact
+HELD_MM, HELD_DEG = 0.36, 4.0  # how far off the first guess of a held direction is
 NOISE_MM = 0.03  # of photometric depth
 UPSIDE_DOWN = rigid.rotation([np.pi, 0.0, 0.0])  # the object's +z toward the camera
 
@@ -270,3 +272,118 @@ def test_a_mesh_that_names_missing_vertices_is_refused():
     broken = Mesh(vertices_mm=slab().mesh.vertices_mm, triangles=np.array([[0, 1, 999]], np.int32))
     with pytest.raises(MeshProblem, match="does not have"):
         pose(felt(slab(), lying(0.0, 0.0, 0.5, 5.0, 0.0)), broken, PoseParams())
+
+
+def pressed_deep(solid, turn_deg, spin_deg, depth_mm):
+    """sensor_from_object of a solid turned about x, then about z, its outermost place `depth_mm` into the gel."""
+    turn = rigid.rotation([0.0, 0.0, np.deg2rad(spin_deg)]) @ rigid.rotation([np.deg2rad(turn_deg), 0.0, 0.0])
+    corners = rigid.apply(turn, solid.mesh.vertices_mm)
+    low = corners[corners[:, 2] < corners[:, 2].min() + 0.3].mean(axis=0)
+    return rigid.translation(-low[0], -low[1], REST_MM - depth_mm - corners[:, 2].min()) @ turn
+
+
+def bar_of(length_mm, side_mm):
+    square = [(0.0, 0.0), (length_mm, 0.0), (length_mm, side_mm), (0.0, side_mm)]
+    return extruded(square, [square], 0.0, side_mm)
+
+
+@pytest.mark.parametrize(("turn_deg", "spin_deg"), [(45.0, 25.0), (46.0, 0.0), (50.0, 40.0)])
+def test_a_box_on_its_edge_is_found_with_all_eight_poses_that_fit_as_well(turn_deg, spin_deg):
+    box = bar_of(20.0, 5.0)
+    truth = pressed_deep(box, turn_deg, spin_deg, 0.6)
+    found = pose(felt(box, truth), box.mesh, PoseParams())
+    assert found.fitness > 0.99
+    assert found.rmse_mm < 0.02
+    assert len(found.alternatives) == 7
+    assert any(note.startswith("8 poses fit equally well") for note in found.notes)
+    turns = [rigid.invert(truth) @ p for p in (found.sensor_from_object, *found.alternatives)]
+    onto_itself = [np.abs(np.abs(turn[:3, :3]).round(1) - np.abs(turn[:3, :3]).round(0)).max() for turn in turns]
+    assert max(onto_itself) <= 0.1, "each takes the axes of the box to themselves"
+
+
+def test_a_short_cylinder_on_its_rim_is_searched_on_until_it_fits():
+    stub = rod(4.9, 6.0, 96)
+    turn = rigid.rotation([0.0, 0.0, np.deg2rad(140.0)]) @ rigid.rotation([0.0, np.deg2rad(53.0), 0.0])
+    corners = rigid.apply(turn, stub.mesh.vertices_mm)
+    low = corners[corners[:, 2] < corners[:, 2].min() + 0.3].mean(axis=0)
+    truth = rigid.translation(-low[0], -low[1], REST_MM - 0.8 - corners[:, 2].min()) @ turn
+    found = pose(felt(stub, truth), stub.mesh, PoseParams())
+    assert found.fitness > 0.99
+    assert found.rmse_mm < 0.02
+
+
+def test_a_fit_that_is_far_above_the_noise_is_said_to_be_doubtful():
+    wide, narrow = bar_of(14.0, 5.0), bar_of(14.0, 4.4)
+    found = pose(felt(wide, pressed_deep(wide, 45.0, 10.0, 1.4)), rod(1.2, 14.0, 48).mesh, PoseParams(n_starts=24))
+    assert found.fitness > 0.5
+    assert any("where the depth's error makes up" in note and "doubtful" in note for note in found.notes)
+    fine = pose(felt(narrow, pressed_deep(narrow, 45.0, 10.0, 1.0)), narrow.mesh, PoseParams(n_starts=24))
+    assert not any("doubtful" in note for note in fine.notes)
+
+
+def gently(x, y):
+    return 4.0 - x**2 / 60.0 - y**2 / 140.0 + 0.1 * np.sin(x / 2.0 + y / 5.0) * np.cos(y / 2.5)
+
+
+@pytest.mark.parametrize("angle_deg", [33.0, 200.0])
+def test_a_gently_curved_body_is_not_held_where_the_data_determine_it(angle_deg):
+    rows, cols = np.mgrid[-60:61, -60:61] * 0.25
+    body = sheet(cols, rows, gently(cols, rows))
+    truth = lying(0.4, -0.3, 1.2, 4.0, angle_deg, tilt_deg=(1.0, -1.0))
+    depth, contact = height_felt(truth, gently)
+    touch = touch_of(depth + 0.01 * np.random.default_rng(5).standard_normal(depth.shape), contact)
+    found = pose_from(touch, body, PoseParams(), truth @ rigid.from_parts([0.3, -0.2, 0.0], [0.0, 0.0, 4.0]))
+    mm, deg = error(found, truth)
+    assert found.weak == ()
+    assert mm < HELD_MM / 4
+    assert deg < HELD_DEG / 4
+
+
+def height_felt(truth, height):
+    """(z of the membrane, contact) of a gel that follows the surface z = height(x, y) of the object."""
+    x, y = CAMERA.rays()
+    ray = np.stack([*np.broadcast_arrays(x[None, :], y[:, None]), np.ones(CAMERA.shape)], axis=-1)
+    inverse = rigid.invert(truth)
+    depth = np.full(CAMERA.shape, REST_MM - 1.0)
+    for _ in range(30):
+        p = (depth[..., None] * ray) @ inverse[:3, :3].T + inverse[:3, 3]
+        depth = depth + (p[..., 2] - height(p[..., 0], p[..., 1]))
+    contact = depth < REST_MM
+    return np.minimum(depth, REST_MM), contact
+
+
+def sheet(x, y, z):
+    """A closed body: the surface z over a grid, walls and a flat bottom at -2."""
+    n_rows, n_cols = z.shape
+    top = np.stack([x, y, z], axis=-1).reshape(-1, 3)
+    vertices = np.concatenate([top, top * (1, 1, 0) - (0, 0, 12.0)])
+    k = np.arange(n_rows * n_cols).reshape(n_rows, n_cols)
+    a, b, c, d = k[:-1, :-1].ravel(), k[:-1, 1:].ravel(), k[1:, :-1].ravel(), k[1:, 1:].ravel()
+    up = np.concatenate([np.stack([a, b, d], 1), np.stack([a, d, c], 1)])
+    ring = np.concatenate([k[0, :-1], k[:-1, -1], k[-1, :0:-1], k[:0:-1, 0]])
+    after, low = np.roll(ring, -1), len(top)
+    walls = np.concatenate(
+        [np.stack([ring, ring + low, after + low], 1), np.stack([ring, after + low, after], 1)]
+    )  # fmt: skip
+    triangles = np.concatenate([up, up[:, ::-1] + low, walls]).astype(np.int32)
+    return Mesh(vertices_mm=vertices, triangles=triangles)
+
+
+def test_turns_of_a_ball_are_not_seen_by_its_outline():
+    body = ball(6.0)
+    depth, contact = height_felt(
+        lying(0.3, 0.2, 0.8, 6.0, 0.0), lambda x, y: np.sqrt(np.maximum(36.0 - x**2 - y**2, 1.0))
+    )
+    found = pose(touch_of(depth, contact), body, PoseParams())
+    assert len(found.weak) == 3
+    assert not any("outline" in note for note in found.notes)
+
+
+def test_the_slide_of_a_tilted_plate_is_not_called_an_axis_of_the_sensor():
+    truth = (
+        rigid.translation(0.0, 0.0, REST_MM - 0.6) @ rigid.rotation([np.deg2rad(4.0), 0.0, 0.0])
+        @ UPSIDE_DOWN @ rigid.translation(0.0, 0.0, -5.0)
+    )  # fmt: skip
+    found = pose(felt(slab(), truth), slab().mesh, PoseParams())
+    assert "slides along y" not in found.weak
+    assert "slides along (0.00, 1.00, 0.07)" in found.weak
