@@ -73,7 +73,7 @@ def _follow(view: TargetView, before: Mark) -> Mark:
 
 SLOT = Slot(
     name="view",
-    title="Target depth and mask",
+    title="Target view",
     legend="what the target sees",
     place="target",
     methods=(SURFACE, PAPER),
