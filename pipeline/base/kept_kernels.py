@@ -1,12 +1,13 @@
 """How kernels are declared, where numba keeps what it compiles of them, and what it tells `compiling`."""
 # pyright: basic
 
+import os
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from numba import njit
-from numba.core import event
+from numba.core import config, event
 
 from pipeline.base import compiling
 
@@ -17,7 +18,7 @@ kernel: Any = partial(njit, cache=True, no_cfunc_wrapper=True)  # type: ignore[r
 
 
 class Place:
-    """The file of one kernel, as numba asks for it: a "cache locator", named to numba in `pipeline/__init__.py`.
+    """The file of one kernel, as numba asks for it, a "cache locator".
 
     Numba alone would load a kernel that calls one of another module as it was before that module changed.
     """
@@ -59,5 +60,10 @@ class _Asking(event.Listener):
         compiling.given_back()
 
 
+# The others are numba's own, for whatever else is compiled.
+os.environ.setdefault(
+    "NUMBA_CACHE_LOCATOR_CLASSES", f"{__name__}.Place,UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator"
+)
+config.reload_config()
 event.register("numba:compile", _Compiling())
 event.register("numba:compiler_lock", _Asking())

@@ -6,15 +6,14 @@ Everything runs on one thread and adds up in the order of the points.
 
 from __future__ import annotations
 
-from numba import njit
-
+from pipeline.base.kept_kernels import kernel
 from pipeline.geometry.distance_grid_kernels import look_up
 
 _FACING = -0.1  # largest cosine, object's normal to felt normal, below which a match is the far side of a thin wall
 _NEAREST_MM = 1e-6  # before the camera
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _felt(poses, n, felt, felt_normals, grid, limit, out):
     """Mean squared distance, at most limit^2, of the felt points to the placed object; the limit on its far side."""
     r00, r01, r02, t0 = poses[n, 0, 0], poses[n, 0, 1], poses[n, 0, 2], poses[n, 0, 3]
@@ -34,7 +33,7 @@ def _felt(poses, n, felt, felt_normals, grid, limit, out):
     return total / max(felt.shape[0], 1)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _unfelt(poses, n, model, view, limit, out, pixel):
     """Mean squared length, at most limit^2, by which points should have been felt but were not; and their pixels."""
     points, normals = model
@@ -66,7 +65,7 @@ def _unfelt(poses, n, model, view, limit, out, pixel):
     return total / max(points.shape[0], 1)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def unexplained(poses, felt, felt_normals, grid, model, view, limit, means, last):
     """`means` (n, 2) squares of each pose (n, 4, 4): of the felt points, and of the object's; `last`: one by one.
 
@@ -79,7 +78,7 @@ def unexplained(poses, felt, felt_normals, grid, model, view, limit, means, last
         means[n, 1] = _unfelt(poses, n, model, view, limit, of_points, pixel)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def in_reach(pose, model, low, high, toward, least, out):
     """Which points, placed, lie in the box from `low` to `high` and face `toward` by at least a cosine: into `out`."""
     points, normals = model

@@ -14,12 +14,13 @@ where they are used (numba's cache would not survive the renaming of a named one
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from pipeline.base.kept_kernels import kernel
 
 LEAST_INVERSE_Z = 1.0 / float(np.finfo(np.float32).max)  # 1/mm
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def pixel_of(x, y, z, lens):
     """Where a point is seen (u, v), px, its 1/z, and the pixel that it falls on, -1 = not in view.
 
@@ -36,7 +37,7 @@ def pixel_of(x, y, z, lens):
     return u, v, w, np.int32(row * cols + col) if ok else np.int32(-1)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def to_pixels(flat, lens, pixel):
     """Write into `pixel` (n,) the pixel that each point falls on, -1 = not in view; returns how many are in view."""
     inside = 0
@@ -47,7 +48,7 @@ def to_pixels(flat, lens, pixel):
     return inside
 
 
-@njit(cache=True)
+@kernel()
 def nearest(flat, order, pixel, depth, source):
     """The z-buffer: the smallest z wins its pixel, equal ones go to the smaller `order`, whatever the sequence.
 
@@ -68,7 +69,7 @@ def nearest(flat, order, pixel, depth, source):
     return won
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def splat(flat, wanted, order, pixel, image):
     """Points drawn among triangles: as `nearest`, on 1/z and for the wanted points only."""
     inverse_z, _, source = image
@@ -82,7 +83,7 @@ def splat(flat, wanted, order, pixel, image):
             source[p] = i
 
 
-@njit(cache=True)
+@kernel()
 def hide(flat, depth, lens, tolerance, pixel):
     """Set to -1 the pixel of every point that is not part of what the image shows there; returns how many are hidden.
 
@@ -109,7 +110,7 @@ def hide(flat, depth, lens, tolerance, pixel):
     return hidden
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def height(x, y, rest):
     """The rest surface at (x, y): bilinear, level beyond the border."""
     x0, y0, per_mm, z = rest
@@ -121,7 +122,7 @@ def height(x, y, rest):
     return (z[j, i] * (1 - a) + z[j, i + 1] * a) * (1 - b) + (z[j + 1, i] * (1 - a) + z[j + 1, i + 1] * a) * b
 
 
-@njit(cache=True)
+@kernel()
 def touching_points(flat, pixel, rest, contact):
     """Mark in `contact` the pixels of the points that reach the membrane."""
     for i in range(pixel.shape[0]):
@@ -133,7 +134,7 @@ def touching_points(flat, pixel, rest, contact):
             contact[p] = True
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def touching_pixels(image, veiled, tolerance, rays, rest, depth, contact):
     """Depth of every drawn pixel from its 1/z, and whether what it sees reaches the membrane.
 
@@ -164,7 +165,7 @@ def touching_pixels(image, veiled, tolerance, rays, rest, depth, contact):
     return drawn, hidden
 
 
-@njit(cache=True)
+@kernel()
 def push_in(depth, contact, rest, indentation):
     """Write rest - depth where in contact and not beyond, else 0; on vectors."""
     for p in range(depth.shape[0]):

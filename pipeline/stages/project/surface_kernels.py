@@ -15,8 +15,8 @@ once, on vectors, before any triangle is made. Further tuples, beside those of `
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from pipeline.base.kept_kernels import kernel
 from pipeline.stages.project.project_kernels import pixel_of
 
 SLACK = 1e-9  # barycentric and px: neighbours share the pixels on their common edge, so that no crack opens
@@ -26,7 +26,7 @@ EVEN, LOW = np.int64(1 << 32 | 1), np.int64((1 << 32) - 1)  # of two places in o
 JOINED, LOOK, RIM, BEHIND = 1, 2, 4, 8  # bits of a quad: three corners or more, a centre near them; see `tell_apart`
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def between(u, size):
     """The pixel centres that a coordinate lies between, as first not before + last not after.
 
@@ -38,7 +38,7 @@ def between(u, size):
     return np.int32(np.ceil(near - SLACK)) + np.int32(np.floor(near + SLACK))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def see(lens, corners, state, pixel):
     """Write where points are seen, and which are; anything, harmlessly, for the others. Returns as `to_pixels`."""
     flat, _, u, v, w, across, down, _ = corners
@@ -57,7 +57,7 @@ def see(lens, corners, state, pixel):
     return inside
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def place(index, starts, bounds, stride, state, corners, cells, alone):
     """Put every corner in its cell of the flat `cells`.
 
@@ -97,7 +97,7 @@ def place(index, starts, bounds, stride, state, corners, cells, alone):
             centres_at[at] = (np.int64(down[i]) << 32) ^ np.int64(across[i])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def tell_apart(cells, todo, late):
     """Say of each quad what is to be done with it, and list those that want a look, row by row.
 
@@ -140,7 +140,7 @@ def tell_apart(cells, todo, late):
     return n, n_behind
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def find_lonely(cells, alone):
     """Set in `alone` the points without neighbours to form a triangle with, drawn or not."""
     corner, state, _, quad = cells

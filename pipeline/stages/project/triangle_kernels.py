@@ -17,6 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from pipeline.base.kept_kernels import kernel
 from pipeline.stages.project.surface_kernels import NONE, SLACK, between
 
 # What becomes of a triangle. From GRAZING on it is drawn: that one as a veil, which is not seen and hides.
@@ -30,7 +31,7 @@ LAYERS = (
 RIM_ROOM = 8  # corners that the rim of one quad adds
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def draw(todo, corner, corners, lens, limits, image, counts):
     """Draw quads, as `tell_apart` lists them; counts (2, N_COUNTS) by fate the triangles that cover a pixel centre.
 
@@ -122,13 +123,13 @@ def draw(todo, corner, corners, lens, limits, image, counts):
                         source[p] = won if won < n_points else origin[won - n_points]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _between(place, i, j, k, o):
     """The first and the last pixel centre between corners."""
     return (min(place[i], place[j], place[k], place[o]) + 1) >> 1, max(place[i], place[j], place[k], place[o]) >> 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _length_sq(flat, i, j):
     """Of an edge, in the precision of the points."""
     i, j = 3 * i, 3 * j
@@ -136,7 +137,7 @@ def _length_sq(flat, i, j):
     return dx * dx + dy * dy + dz * dz
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _three(a, b, c, d):
     """The corners that are there, of a quad that lacks one."""
     if a == NONE:
@@ -146,7 +147,7 @@ def _three(a, b, c, d):
     return (a, b, d) if c == NONE else (a, b, c)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _fate(flat, extra, i, j, k, limits):
     """JUMP, GRAZING, FLIPPED or KEPT, by the edges and by the angle between normal and line of sight."""
     longest_sq, least_cos = limits
@@ -170,7 +171,7 @@ def _fate(flat, extra, i, j, k, limits):
     return KEPT if along > 0.0 else FLIPPED
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _place_of(flat, extra, i):
     """x, y, z of a corner: of a point, or of the room beyond them."""
     i = np.int64(3 * i)
@@ -180,7 +181,7 @@ def _place_of(flat, extra, i):
     return extra[i], extra[i + 1], extra[i + 2]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _columns(weights, slopes, first, last):
     """The columns of a row in which no weight is negative, to a pixel more on either side.
 
@@ -224,7 +225,7 @@ def _rim(g, at, width, corners, lens, longest_sq):
     return n, one, two
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _beyond(here, inner, corners, lens, longest_sq, to):
     """The corner half a step beyond `here`, coming from the `inner` one, put at `to`; `here`, if there is none."""
     fx, fy, cx, cy, rows, cols, behind = lens
