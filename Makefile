@@ -27,7 +27,7 @@ setup: $(READY)
 $(READY): pyproject.toml constraints.txt scripts/system-packages.sh
 	@PYTHON=$(PYTHON) WITHOUT_SYSTEM_PACKAGES=$(WITHOUT_SYSTEM_PACKAGES) scripts/system-packages.sh
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
-		{ echo "Python 3.11 or newer is needed (3.11 to 3.13 are tried); give it with 'make PYTHON=/path/to/python3.11'" >&2; exit 1; }
+		{ echo "Python 3.11 or newer is needed (3.11 to 3.13 were tried); give it with 'make PYTHON=/path/to/python3.11'" >&2; exit 1; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "installing Python packages into $(VENV) (1.2 GB to download, 3.9 GB on disk, once)"
 	@$(PIP) --retries 1 --no-deps --index-url $(TORCH_INDEX) torch 2>/dev/null || \
