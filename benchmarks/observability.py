@@ -5,7 +5,7 @@
 Patches of rods, planes, spheres, pegs, edges, cones and of a tool that is fully determined, of random size and pose,
 with 300 to 3000 points and 0 to 0.05 mm of noise. Normals are off by 0 to 2 degrees in each of two directions: in every
 second patch point by point, on facets 4 degrees wide as a mesh of a round part has them, in the others cell by cell, as
-the gradients of a distance grid are. The truth is geometry's: see `pipeline/evaluation/patches.py` and `naming.py`,
+the gradients of a distance grid are. The truth is geometry's: see `known_patches.py` and `known_motions.py`,
 also for the band that is left out.
 """
 
@@ -19,10 +19,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks import known_motions
+from benchmarks.known_motions import Tally
+from benchmarks.known_patches import KINDS, Patch, drawn
 from pipeline.geometry import rigid
-from pipeline.racing import naming
-from pipeline.racing.naming import Tally
-from pipeline.racing.patches import KINDS, Patch, drawn
 from pipeline.racing.races import Answer, Bar, Row, Timing, race, row
 from pipeline.racing.report import show
 from pipeline.registration.observability import Observability, Tolerances, effective_count, observability
@@ -84,8 +84,8 @@ def scored(kind: str, seed: int) -> Tally:
             n_eff=n_eff,
             tolerances=tolerances,
         )
-        truth = naming.known(dense, n_eff, max(sigma_mm, 1e-3), tolerances)
-        total += naming.tally(told.weak_motions, sparse.points_mm.mean(axis=0), truth)
+        truth = known_motions.known(dense, n_eff, max(sigma_mm, 1e-3), tolerances)
+        total += known_motions.tally(told.weak_motions, sparse.points_mm.mean(axis=0), truth)
     return total
 
 

@@ -13,7 +13,7 @@ from scipy import ndimage
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.racing.data import recorded_data
+from benchmarks.recorded import recorded_data
 from pipeline.racing.races import Answer, Bar, row, timing
 from pipeline.racing.report import show
 from pipeline.translation.catalogue import default_params

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks import known_motions
+from benchmarks.known_patches import KINDS, drawn
 from pipeline.geometry import rigid
-from pipeline.racing import naming
-from pipeline.racing.patches import KINDS, drawn
 from pipeline.registration.observability import (
     MIN_NOISE_MM,
     Tolerances,
@@ -42,8 +42,8 @@ def test_every_motion_nobody_can_feel_is_named_and_no_other(kind, seed, noise_mm
     n_eff = effective_count(N, felt.area_mm2, 0.15)
     middle = felt.points_mm.mean(axis=0)
     told = observability(felt.points_mm, crooked(felt.normals, seed), middle, noise_mm, n_eff=n_eff)
-    truth = naming.known(patch(kind, seed, pose, 5 * N), n_eff, max(noise_mm, MIN_NOISE_MM), Tolerances())
-    score = naming.tally(told.weak_motions, middle, truth)
+    truth = known_motions.known(patch(kind, seed, pose, 5 * N), n_eff, max(noise_mm, MIN_NOISE_MM), Tolerances())
+    score = known_motions.tally(told.weak_motions, middle, truth)
     assert score.n_named == score.n_weak >= len(felt.free)
     assert score.n_false == 0
     assert len(told.weak) == len(told.weak_motions)
@@ -52,12 +52,12 @@ def test_every_motion_nobody_can_feel_is_named_and_no_other(kind, seed, noise_mm
 
 def test_the_score_notices_what_is_missed_and_what_is_made_up():
     felt = patch("rod", 1)
-    truth = naming.known(felt, N, NOISE_MM, Tolerances())
+    truth = known_motions.known(felt, N, NOISE_MM, Tolerances())
     middle = felt.points_mm.mean(axis=0)
     slide, across = np.eye(6)[3:4], np.eye(6)[4:5]
-    missed = naming.tally(slide, middle, truth)
+    missed = known_motions.tally(slide, middle, truth)
     assert (missed.recall, missed.precision) == (0.5, 1.0)
-    made_up = naming.tally(across, middle, truth)
+    made_up = known_motions.tally(across, middle, truth)
     assert (made_up.recall, made_up.precision) == (0.0, 0.0)
 
 

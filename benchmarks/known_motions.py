@@ -1,4 +1,7 @@
-"""How often the motions that a contact does not show are named, and how often others are."""
+"""How often the motions that a contact does not show are named, and how often others are.
+
+Not a question itself.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.known_patches import BAND, SAME_DEG, Patch
 from pipeline.base.arrays import Doubles
-from pipeline.racing.patches import BAND, SAME_DEG, Patch
 from pipeline.registration.observability import Tolerances
 
 

@@ -3,6 +3,7 @@
 A body that slides or turns within its own surface looks the same: a cylinder in two ways, a plane and a sphere in
 three, an edge and a cone in one. These are true whatever the noise; which of the other motions a small patch determines
 depends on noise and tolerances, and is judged on exact normals, densely sampled, with a band left out in between.
+Not a question itself.
 """
 
 from __future__ import annotations

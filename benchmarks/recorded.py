@@ -1,4 +1,7 @@
-"""Where recorded data lie that are not part of the project: for questions whose `NEEDS` says so."""
+"""Where recorded data lie that are not part of the project: for questions whose `NEEDS` says so.
+
+Not a question itself.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from pathlib import Path
 
 from pipeline.base.errors import FileProblem
 
-_BESIDE = Path(__file__).resolve().parents[3] / "shared" / "data"
+_BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
 def recorded_data(given: str = "") -> Path:
