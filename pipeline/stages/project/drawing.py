@@ -167,17 +167,14 @@ def _cells(
     return starts, (top, left, grid_cols, cols), (bottom // stride - top // stride + 3, cols)
 
 
-def _spacing_mm(flat_mm: Floats, index: Indices, stride: int) -> float:
+def _spacing_mm(points: Floats, index: Indices, stride: int) -> float:
     """The usual distance of neighbouring points, 0 when none has a neighbour."""
-    points = flat_mm.reshape(-1, 3)
+    from pipeline.stages.project import surface_kernels as kernels
+
+    squares = np.empty(_SPACING_SAMPLES, dtype=np.float64)
     for every in (max(1, len(index) // _SPACING_SAMPLES), 1):
-        one, other = (np.array(part.T, dtype=np.float64, order="C") for part in (points[:-1:every], points[1::every]))
-        near = (one[2] > MIN_DEPTH_MM) & (other[2] > MIN_DEPTH_MM) & (index[1::every] - index[:-1:every] == stride)
-        with np.errstate(over="ignore", invalid="ignore"):
-            square = (one - other) ** 2
-            square = square[0] + square[1] + square[2]
-        square = square[near & (square < np.inf)][:_SPACING_SAMPLES]
-        if square.size:
-            low, high = (square.size - 1) // 2, square.size // 2  # as np.median, at a third of its time
-            return float(np.sqrt(np.partition(square, (low, high))[[low, high]]).sum() / 2.0)
+        n = kernels.neighbour_distances(points, index, stride, every, MIN_DEPTH_MM, squares)
+        if n > 0:
+            low, high = (n - 1) // 2, n // 2  # as np.median, at a third of its time
+            return float(np.sqrt(np.partition(squares[:n], (low, high))[[low, high]]).sum() / 2.0)
     return 0.0
