@@ -4,8 +4,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt
-# PyPI's torch for Linux brings 2.5 GB of CUDA to download; the one offered here brings none, and runs on the processor as well.
-TORCH_INDEX ?= https://download.pytorch.org/whl/cpu
+# A torch without CUDA, where pip's index offers one; on Linux the usual one brings 2.5 GB of CUDA to download.
+TORCH_FOR_CPU := torch==$(shell sed -n 's/^torch==//p' constraints.txt)+cpu
 READY := $(VENV)/.ready
 SAMPLE := sample_data/recordings/first_touch.h5
 
@@ -30,8 +30,8 @@ $(READY): pyproject.toml constraints.txt scripts/system-packages.sh
 		{ echo "Python 3.11 or newer is needed (3.11 to 3.13 were tried); give it with 'make PYTHON=/path/to/python3.11'" >&2; exit 1; }
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "installing Python packages into $(VENV) (1.2 GB to download, 3.9 GB on disk, once)"
-	@$(PIP) --retries 1 --no-deps --index-url $(TORCH_INDEX) torch 2>/dev/null || \
-		{ echo "no torch for the processor alone at $(TORCH_INDEX); taking the default one (on Linux 2.5 GB more to download)"; $(PIP) torch; }
+	@$(PIP) $(TORCH_FOR_CPU) 2>/dev/null || \
+		{ echo "pip's index has no $(TORCH_FOR_CPU); taking the usual one (2.5 GB more to download on Linux; PIP_EXTRA_INDEX_URL can name PyTorch's index for the processor)"; $(PIP) torch; }
 	@$(PIP) -e '.[dev]'
 	@$(BIN)/tactoscope prepare
 	@touch $@
