@@ -53,7 +53,8 @@ def answer() -> Answer:
     }  # fmt: skip
     after = range(1, len(felt))
     errors = {n: float(np.median([_off(call(k), felt[k][1], mesh) for k in after])) for n, call in calls.items()}
-    times = _timed(calls, after)
+    times = _timed({n: calls[n] for n in (_SEARCHED, _FOLLOWED)}, after, 5)
+    times |= _timed({_ICP: calls[_ICP]}, after[:2], 1)  # a second each
     n_followed = sum("followed from the touch before" in calls[_FOLLOWED](k).notes for k in after)
     return Answer(
         title="Pose of the touches of a recording", unit="mm",
@@ -72,8 +73,8 @@ def _off(found: ObjectPose, truth: np.ndarray, mesh: object) -> float:
     return np.inf if found.sensor_from_object is None else mssd_mm(found.sensor_from_object, truth, mesh, None)
 
 
-def _timed(calls, frames: range) -> dict[str, Timing]:
-    raced = [race({n: (lambda c=c, k=k: c(k)) for n, c in calls.items()}, runs=5) for k in frames]
+def _timed(calls, frames: range, runs: int) -> dict[str, Timing]:
+    raced = [race({n: (lambda c=c, k=k: c(k)) for n, c in calls.items()}, runs=runs) for k in frames]
     return {
         n: Timing(median_ms=float(np.median([r[n].median_ms for r in raced])), p95_ms=max(r[n].p95_ms for r in raced))
         for n in calls
