@@ -15,6 +15,8 @@ from pipeline.base.errors import SettingProblem
 P = TypeVar("P")
 Value = bool | int | float | str
 
+_YES, _NO = {"true", "on", "yes", "1"}, {"false", "off", "no", "0"}
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setting:
@@ -80,21 +82,10 @@ def changed(params: P, name: str, value: Value) -> P:
 
 def _converted(value: Value, kind: type) -> Value:
     if kind is bool:
-        if isinstance(value, bool):
-            return value
-        words = {
-            "true": True,
-            "on": True,
-            "yes": True,
-            "1": True,
-            "false": False,
-            "off": False,
-            "no": False,
-            "0": False,
-        }
-        if str(value).lower() not in words:
+        word = str(value).lower()
+        if word not in _YES | _NO:
             raise ValueError(value)
-        return words[str(value).lower()]
+        return word in _YES
     if kind is int and isinstance(value, float) and not value.is_integer():
         raise ValueError(value)
     return cast("Value", kind(value))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -54,9 +55,9 @@ def bench(
     print_line(f"{len(missed)} missed: {'; '.join(missed)}" if missed else "every bar holds")
     if against is not None:
         missed = setbacks(before, rows_of(done), [question.name for question in asked])
-        print_line(
-            f"against {against}: " + ("\n  ".join([f"{len(missed)} worse", *missed]) if missed else "none worse")
-        )
+        print_line(f"against {against}: {len(missed) or 'none'} worse")
+        for setback in missed:
+            print_line(f"  {setback}")
     return 1 if strict and missed else 0
 
 
@@ -76,9 +77,7 @@ def _question_json(each: Answered) -> dict[str, Any]:
         "title": answer.title if answer else each.question.about,
         "n_rows": len(answer.rows) if answer else 0,
         "unit": answer.unit if answer else "",
-        "points": [{"method": p.method, "ms": p.ms, "error": p.error, "ours": p.ours} for p in answer.points]
-        if answer
-        else [],
+        "points": [asdict(point) for point in answer.points] if answer else [],
         "notes": answer.notes if answer else (),
         "problem": each.problem or None,
         "seconds": round(each.seconds, 1),
@@ -89,7 +88,8 @@ def _tell(each: Answered, plots: Path | None) -> None:
     if each.answer is None:
         print_line(f"  no answer: {each.problem}")
         return
-    print_line(text(each.answer))
+    for line in text(each.answer).split("\n"):
+        print_line(line)
     if plots is not None and plot(each.answer, plots / f"{each.question.name}.png"):
         print_line(f"  drawn as {plots / each.question.name}.png")
 

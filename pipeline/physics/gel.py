@@ -53,7 +53,7 @@ def press(
     overlap = _checked(overlap_mm, pixel_mm)
     deepest = float(overlap.max(initial=-np.inf))
     if deepest <= 0:
-        return _no_contact(overlap.shape)
+        return _no_contact(overlap.shape, pixel_mm)
     box = _bounds(overlap > -_BULGE * deepest)
     while True:
         pressure, steps, residual = _polonsky_keer(gel, pixel_mm, overlap[box], tolerance_mm, max_steps)
@@ -81,7 +81,7 @@ def relax(
     """
     target = _checked(np.where(mask, prescribed_mm, 0.0), pixel_mm)
     if not mask.any():
-        return _no_contact(target.shape)
+        return _no_contact(target.shape, pixel_mm)
     box = _bounds(mask)
     layer, inside = gel_layer.layer(gel, pixel_mm, target[box].shape), mask[box]
     pressure = np.zeros(inside.shape, np.float32)
@@ -174,17 +174,8 @@ def _bounds(mask: Mask) -> tuple[slice, slice]:
     return span(rows, mask.shape[0]), span(cols, mask.shape[1])
 
 
-def _no_contact(shape: tuple[int, ...]) -> GelContact:
-    nothing = np.zeros(shape, np.float32)
-    return GelContact(
-        indentation_mm=freeze(nothing),
-        contact=freeze(np.zeros(shape, np.bool_)),
-        pressure_kpa=freeze(nothing.copy()),
-        force_n=0.0,
-        steps=0,
-        residual_mm=0.0,
-        converged=True,
-    )
+def _no_contact(shape: tuple[int, ...], pixel_mm: float) -> GelContact:
+    return _result(np.zeros(shape, np.float32), np.zeros(shape, np.float32), pixel_mm, 0, 0.0, converged=True)
 
 
 def _result(

@@ -25,6 +25,7 @@ from pipeline.base.arrays import Doubles, Floats, Mask, freeze
 from pipeline.base.errors import SettingProblem, ShapeError
 from pipeline.base.memo import remembered
 from pipeline.geometry.camera import Camera
+from pipeline.physics.gel_layer import fast_length
 from pipeline.physics.lattice import Lattice
 from pipeline.sensors.spec import Gel
 
@@ -125,12 +126,10 @@ class Answer:
 
 @remembered(16)
 def _answer(gel: Gel, cell_mm: float, shape: tuple[int, int]) -> Answer:
-    from scipy import fft
-
     reach = [n - 1 for n in shape]
     if math.isfinite(gel.thickness_mm):
         reach = [min(n, math.ceil(_PAD * gel.thickness_mm / cell_mm)) for n in reach]
-    rows, cols = (int(fft.next_fast_len(n + r, real=True)) for n, r in zip(shape, reach, strict=True))  # pyright: ignore[reportArgumentType] (dispatch hides the type)
+    rows, cols = (fast_length(n + r) for n, r in zip(shape, reach, strict=True))
     qy = 2 * np.pi * np.fft.fftfreq(rows, cell_mm)[:, None] + np.zeros((1, cols // 2 + 1))
     qx = 2 * np.pi * np.fft.rfftfreq(cols, cell_mm)[None, :] + np.zeros((rows, 1))
     q = np.hypot(qx, qy)
