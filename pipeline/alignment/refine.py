@@ -58,7 +58,6 @@ class Refinement:
     """A refined alignment and how far to trust it."""
 
     alignment: Alignment
-    into: Side  # which of the two transforms took the change
     motion: Doubles  # (4, 4) mm, target frame: what was put after the old T_S->T
     pivot_mm: Doubles  # (3,) target frame
     spread: Doubles  # (6,) predicted standard deviations (deg about the pivot, mm); 0 along frozen directions
@@ -108,7 +107,6 @@ def refine(
     progress.step(1.0, "refined")
     return Refinement(
         alignment=corrected(alignment, motion, into),
-        into=into,
         motion=freeze(motion),
         pivot_mm=freeze(pivot),
         spread=freeze(spread * np.array([TOLERANCE_DEG] * 3 + [TOLERANCE_MM] * 3)),

@@ -13,4 +13,4 @@ def show(recording: Path, sensor: str, reference: Path | None) -> int:
     report = inspect(recording, sensor=sensor, reference=reference)
     for line in lines(report):
         print_line(line)
-    return 1 if any(check.state == "fail" for check in report.checks) else 0
+    return 0 if report.passed else 1

@@ -2,13 +2,12 @@
 
 The mesh is an open sheet, or a closed body whose nearest side faces the camera, in the sensor's frame. Its height is
 read off exactly at the nodes of a lattice; between them the lattice is bilinear, and how far that is from the mesh is
-reported. A sheet that folds over itself has no height field.
+checked. A sheet that folds over itself has no height field.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,17 +26,7 @@ _SAME = 1e-5  # of a step: vertices of a float32 file lie beside the lattice tha
 _FOLD_MM = 1e-3  # two heights at one (x, y) this far apart are a fold
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Resampled:
-    """A mesh as a height field, and what that costs."""
-
-    membrane: Membrane
-    error_mm: float  # difference along z that 95 % of its cells stay within, at their middles
-    worst_mm: float  # the largest one: a crease through a cell
-    notes: tuple[str, ...] = ()
-
-
-def load_membrane(path: Path, unit: str = "auto", step_mm: float = 0.5) -> Resampled:
+def load_membrane(path: Path, unit: str = "auto", step_mm: float = 0.5) -> Membrane:
     """The rest surface of an STL, PLY or OBJ file; raises FileProblem or MeshProblem in one sentence."""
     mesh = load_mesh(path, unit)
     try:
@@ -46,7 +35,7 @@ def load_membrane(path: Path, unit: str = "auto", step_mm: float = 0.5) -> Resam
         raise MeshProblem(f"{error}: '{path}'") from error
 
 
-def from_mesh(mesh: Mesh, step_mm: float = 0.5) -> Resampled:
+def from_mesh(mesh: Mesh, step_mm: float = 0.5) -> Membrane:
     """The mesh's nearest surface, seen along z, on a lattice of `step_mm`; level beyond the mesh's outline.
 
     Raises MeshProblem when the mesh reaches behind the camera, folds over itself, or is not followed to MOST_ERROR_MM
@@ -65,16 +54,12 @@ def from_mesh(mesh: Mesh, step_mm: float = 0.5) -> Resampled:
     if not np.isfinite(heights).any():
         raise MeshProblem("the rest surface stands on edge: seen along z it covers nothing; check its axes")
     surface = Membrane(x0_mm=float(x[0]), y0_mm=float(y[0]), step_mm=step_mm, z_mm=freeze(_continued(heights)))
-    error_mm, worst_mm = _errors_mm(mesh, surface)
+    error_mm = usual_error_mm(mesh, surface)
     if error_mm > MOST_ERROR_MM:
         raise MeshProblem(
             f"a lattice of {step_mm:g} mm follows the rest surface to {error_mm:.2g} mm only; use a smaller step"
         )
-    notes = (
-        f"the rest surface is a mesh on a lattice of {step_mm:g} mm: {error_mm:.1e} mm off, "
-        f"{worst_mm:.1e} mm at creases",
-    )
-    return Resampled(membrane=surface, error_mm=error_mm, worst_mm=worst_mm, notes=notes)
+    return surface
 
 
 def _heights(mesh: Mesh, x_mm: Doubles, y_mm: Doubles, step_mm: float) -> Doubles:
@@ -106,12 +91,12 @@ def _continued(heights: Doubles) -> Doubles:
     return heights[tuple(nearest)]
 
 
-def _errors_mm(mesh: Mesh, surface: Membrane) -> tuple[float, float]:
-    """What the middles of 95 % of the cells stay within, and the largest."""
+def usual_error_mm(mesh: Mesh, surface: Membrane) -> float:
+    """Difference along z between a mesh and its height field that 95 % of the cells stay within, at their middles."""
     ny, nx = surface.z_mm.shape
     x_mm, y_mm = np.meshgrid(
         surface.x0_mm + (np.arange(nx) + 0.5) * surface.step_mm, surface.y0_mm + (np.arange(ny) + 0.5) * surface.step_mm
     )
     off = np.abs(_heights(mesh, x_mm, y_mm, surface.step_mm) - surface.depth_at(x_mm, y_mm))
     known = off[np.isfinite(off)]
-    return (float(np.percentile(known, _USUAL)), float(known.max())) if known.size else (0.0, 0.0)
+    return float(np.percentile(known, _USUAL)) if known.size else 0.0

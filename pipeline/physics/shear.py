@@ -58,7 +58,6 @@ class Shear:
     """The dragged surface; arrays are (rows, cols, ...), right and down in the last axis."""
 
     move_mm: Floats  # (rows, cols, 2) of the material now at each pixel
-    traction_kpa: Floats  # (rows, cols, 2) on the gel
     slipping: Mask  # contact whose friction is used up
     force_n: tuple[float, float]
     steps: int
@@ -83,7 +82,6 @@ def drag(gel: Gel, pixel_mm: float, pressure_kpa: NDArray[np.floating], load: Lo
     force = traction.sum(axis=(0, 1), dtype=np.float64) * (cell * pixel_mm) ** 2 * _KPA_TO_N_MM2
     return Shear(
         move_mm=freeze(_fine(move, cell, shape)),
-        traction_kpa=freeze(_fine(traction, cell, shape)),
         slipping=freeze(_fine(((size >= 0.999 * limit) & (limit > 0)).astype(np.float32), cell, shape) > 0.5),
         force_n=(float(force[0]), float(force[1])),
         steps=steps,

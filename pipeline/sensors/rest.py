@@ -45,4 +45,4 @@ def mesh_in(data: Mapping[str, Any], path: Path) -> Membrane | None:
 
     mesh, step = path.parent / file, float(step_mm)
     key = (mesh, digest(read_bytes(mesh, "the mesh")), str(unit), step)
-    return _surfaces.of(key, lambda: load_membrane(mesh, str(unit), step).membrane)
+    return _surfaces.of(key, lambda: load_membrane(mesh, str(unit), step))

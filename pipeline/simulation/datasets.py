@@ -152,7 +152,7 @@ def alignment_from_object(plan: Plan) -> tuple[Doubles, ...]:
     if plan.sequence == "grid":
         return poses.paper_grid(thing(plan), n=plan.poses, seed=plan.seed)
     kind = "full" if plan.sequence == "all" else plan.sequence
-    return poses.sequence(thing(plan), kind, n=plan.poses, seed=plan.seed).poses
+    return poses.sequence(thing(plan), kind, n=plan.poses, seed=plan.seed)
 
 
 def moment(plan: Plan, index: int) -> Moment:

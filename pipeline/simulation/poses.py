@@ -29,17 +29,9 @@ SLIDE_MM = (2.0, 4.0)
 TWIST_DEG = (10.0, 25.0)
 
 Kind = Literal["press", "slide", "twist", "release", "full"]
-Phase = Literal["clear", "press", "slide", "twist", "release"]
+Phase = Literal["press", "slide", "twist", "release"]
 KINDS: tuple[Kind, ...] = ("press", "slide", "twist", "release", "full")
 _PLASTIC = 1.32471795724474602596  # root of x^3 = x + 1: its powers spread points over a square most evenly (Roberts)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Motion:
-    """A moving touch, frame by frame."""
-
-    poses: tuple[Doubles, ...]  # alignment_from_object (4, 4) mm
-    phases: tuple[Phase, ...]  # "clear" = above the gels
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,7 +69,7 @@ def paper_grid(thing: Mesh, *, n: int = 60, seed: int) -> tuple[Doubles, ...]:
     )  # fmt: skip
 
 
-def sequence(thing: Mesh, kind: Kind, *, n: int, seed: int) -> Motion:
+def sequence(thing: Mesh, kind: Kind, *, n: int, seed: int) -> tuple[Doubles, ...]:
     """A smooth motion of `n` frames: one phase that starts and ends at rest, or with "full" all four in a row.
 
     A press comes from clear of every sensor, a slide and a twist keep their depth, a release goes back. The seed draws
@@ -88,15 +80,10 @@ def sequence(thing: Mesh, kind: Kind, *, n: int, seed: int) -> Motion:
     if n < 2:
         raise SettingProblem(f"a motion needs at least two frames, got {n}")
     at = _motion(kind, np.random.default_rng(seed))
-    held, phases = [], list[Phase]()
-    for share in np.arange(n) / (n - 1):
-        where, phase = at(float(share))
-        held.append(where)
-        phases.append(phase if where.depth_mm >= 0 else "clear")
-    return Motion(poses=tuple(_pose(thing, where) for where in held), phases=tuple(phases))
+    return tuple(_pose(thing, at(float(share))) for share in np.arange(n) / (n - 1))
 
 
-def _motion(kind: Kind, rng: np.random.Generator) -> Callable[[float], tuple[_Held, Phase]]:
+def _motion(kind: Kind, rng: np.random.Generator) -> Callable[[float], _Held]:
     """How the object is held at each share 0..1 of the motion."""
     start_x, start_y = rng.uniform(-0.25 * SPREAD_MM, 0.25 * SPREAD_MM, 2)
     start = math.radians(ANGLE_DEG) * rng.uniform(-1.0, 1.0)
@@ -106,7 +93,7 @@ def _motion(kind: Kind, rng: np.random.Generator) -> Callable[[float], tuple[_He
     twist = math.radians(rng.uniform(*TWIST_DEG)) * rng.choice((-1.0, 1.0))
     order: tuple[Phase, ...] = ("press", "slide", "twist", "release") if kind == "full" else (kind,)
 
-    def at(share: float) -> tuple[_Held, Phase]:
+    def at(share: float) -> _Held:
         index = min(int(share * len(order)), len(order) - 1)
         now = _eased(share * len(order) - index)
 
@@ -121,7 +108,7 @@ def _motion(kind: Kind, rng: np.random.Generator) -> Callable[[float], tuple[_He
             angle_rad=float(start + twist * done("twist")),
             tilt_rad=(lean * math.cos(tilt_heading), lean * math.sin(tilt_heading)),
             depth_mm=float(depth - (depth + CLEAR_MM) * lift),
-        ), order[index]  # fmt: skip
+        )  # fmt: skip
 
     return at
 

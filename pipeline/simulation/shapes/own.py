@@ -28,7 +28,7 @@ def from_mesh(path: Path, unit: str = "auto", face: str = "-z") -> Shape:
     place = np.eye(4)
     place[:3, 3] = (*(-0.5 * (low + high)[:2]), -low[2])
     mesh = moved(mesh, place)
-    return Shape(name=mesh.name, title=mesh.name, group="own", mesh=mesh, symmetry=asymmetric())
+    return Shape(mesh=mesh, symmetry=asymmetric())
 
 
 def _down_from(face: str) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:

@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 from pipeline.geometry.meshes import Mesh
 from pipeline.geometry.symmetry import Symmetry
-
-Group = Literal["training", "unseen", "task", "sample", "own"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shape:
     """An object to press: one mesh, from which the simulator's contact and the registration's model both come."""
 
-    name: str  # also the mesh's
-    title: str  # words for the user
-    group: Group
     mesh: Mesh  # its own frame: z away from the sensor, the tactile face is the side of least z
     symmetry: Symmetry

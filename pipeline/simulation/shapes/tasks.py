@@ -25,7 +25,7 @@ def hex_key() -> Shape:
     bend = arc(5.0, -180.0, -90.0, (5.0, 5.0), beyond_mm=corner_mm)
     path = np.concatenate([[(0.0, 20.0)], bend, [(10.0, 0.0)]])
     mesh = moved(swept(path, section, "hex_key"), rigid.translation(-2.0, -4.0, 0.0))
-    return Shape(name="hex_key", title="Hex key", group="task", mesh=mesh, symmetry=asymmetric())
+    return Shape(mesh=mesh, symmetry=asymmetric())
 
 
 def screwdriver() -> Shape:
@@ -37,7 +37,7 @@ def screwdriver() -> Shape:
         _level(_boxed(round_, 3.2, 1.4), 6.0), _level(3.0 * round_, 11.0), _level(3.0 * round_, 20.0),
     ]  # fmt: skip
     mesh = loft(np.stack(rings), "screwdriver")
-    return Shape(name="screwdriver", title="Screwdriver blade", group="task", mesh=mesh, symmetry=cyclic(2))
+    return Shape(mesh=mesh, symmetry=cyclic(2))
 
 
 def spanner() -> Shape:
@@ -50,7 +50,7 @@ def spanner() -> Shape:
     far = arc(head, 195.0 + neck, 350.0 - lip)
     floor = [(7.6, -mouth), (depth + 2.0, -mouth), (depth, -2.0), (depth, 2.0), (depth + 2.0, mouth), (7.6, mouth)]
     mesh = bar(np.concatenate([near, tail, far, floor]), 5.0, 0.4, "spanner")
-    return Shape(name="spanner", title="Spanner mouth", group="task", mesh=mesh, symmetry=asymmetric())
+    return Shape(mesh=mesh, symmetry=asymmetric())
 
 
 def pencil() -> Shape:
@@ -69,19 +69,19 @@ def pencil() -> Shape:
     upright = loft(np.stack(rings), "pencil")
     # The axis to x; a flat, not an edge, is lowest.
     mesh = moved(upright, rigid.rotation((0.0, math.pi / 2.0, 0.0)))
-    return Shape(name="pencil", title="Pencil", group="task", mesh=mesh, symmetry=cyclic(6, X))
+    return Shape(mesh=mesh, symmetry=cyclic(6, X))
 
 
 def cup_rim() -> Shape:
     """A piece of 26 mm of a cup's rim: 40 mm radius, 2.4 mm thick, rounded."""
     path = bow(40.0, math.degrees(25.0 / 40.0), 0.5, 1.2)
     mesh = swept(path, strip(2.4, 1.2, 9.0), "cup_rim")
-    return Shape(name="cup_rim", title="Cup rim", group="task", mesh=mesh, symmetry=asymmetric())
+    return Shape(mesh=mesh, symmetry=asymmetric())
 
 
 def marble() -> Shape:
     """A marble of 16 mm diameter on a shaft."""
-    return Shape(name="marble", title="Marble", group="task", mesh=ball(8.0, "marble"), symmetry=revolved())
+    return Shape(mesh=ball(8.0, "marble"), symmetry=revolved())
 
 
 def notched_elbow() -> Shape:
@@ -91,7 +91,7 @@ def notched_elbow() -> Shape:
         (1.75, 1.75), (1.75, 22.0), (-1.75, 22.0),
     ]  # fmt: skip
     mesh = bar(outline, height_mm=8.0, chamfer_mm=0.5, name="notched_elbow")
-    return Shape(name="notched_elbow", title="Notched elbow", group="sample", mesh=mesh, symmetry=asymmetric())
+    return Shape(mesh=mesh, symmetry=asymmetric())
 
 
 def _level(ring: Doubles, z_mm: float) -> Doubles:

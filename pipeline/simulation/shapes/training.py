@@ -40,78 +40,76 @@ def square() -> Shape:
     profile = np.concatenate([[(3.7, 0.0), (4.0, 0.3)], stamp(4.0, _BACK_MM)])
     cornered = turned(profile * (math.sqrt(2.0), 1.0), 4, "square")
     mesh = moved(cornered, rigid.rotation((0.0, 0.0, 0.25 * math.pi)))
-    return Shape(name="square", title="Square punch", group="training", mesh=mesh, symmetry=cyclic(4))
+    return Shape(mesh=mesh, symmetry=cyclic(4))
 
 
 def edge() -> Shape:
     """The edge of a roof of 90 degrees, 60 mm long: as the lab's tools, longer than any gel."""
     section = apex(45.0, 0.3, SHOULDER_MM, _BACK_MM)
     mesh = swept(np.array([(-_ARM_MM, 0.0), (_ARM_MM, 0.0)]), section, "edge")
-    return Shape(name="edge", title="Edge", group="training", mesh=mesh, symmetry=cyclic(2))
+    return Shape(mesh=mesh, symmetry=cyclic(2))
 
 
 def corner() -> Shape:
     """The corner of a cube, on its tip."""
     profile = np.array([(0.0, 0.0), (STAMP_MM, STAMP_MM / math.sqrt(2.0)), (STAMP_MM, _BACK_MM)])
-    return Shape(
-        name="corner", title="Cube corner", group="training", mesh=turned(profile, 3, "corner"), symmetry=cyclic(3)
-    )
+    return Shape(mesh=turned(profile, 3, "corner"), symmetry=cyclic(3))
 
 
 def lines_45() -> Shape:
     """Two lines that meet at 45 degrees."""
     mesh = _lines((-22.5, 22.5), "lines_45")
-    return Shape(name="lines_45", title="Two lines at 45°", group="training", mesh=mesh, symmetry=asymmetric())
+    return Shape(mesh=mesh, symmetry=asymmetric())
 
 
 def lines_120() -> Shape:
     """Two lines that meet at 120 degrees."""
     mesh = _lines((-60.0, 60.0), "lines_120")
-    return Shape(name="lines_120", title="Two lines at 120°", group="training", mesh=mesh, symmetry=asymmetric())
+    return Shape(mesh=mesh, symmetry=asymmetric())
 
 
 def three_lines() -> Shape:
     """Three lines, a third of a turn apart."""
     mesh = _lines((-120.0, 0.0, 120.0), "three_lines")
-    return Shape(name="three_lines", title="Three lines", group="training", mesh=mesh, symmetry=cyclic(3))
+    return Shape(mesh=mesh, symmetry=cyclic(3))
 
 
 def cylinder() -> Shape:
     """A rod of 5 mm radius and 60 mm length, lying along x; its frame is on its axis."""
     upright = turned(np.array([(5.0, -_ARM_MM), (5.0, _ARM_MM)]), sides(5.0), "cylinder")
     mesh = moved(upright, rigid.rotation((0.0, math.pi / 2.0, 0.0)))
-    return Shape(name="cylinder", title="Lying cylinder", group="training", mesh=mesh, symmetry=revolved(X, flip=Z))
+    return Shape(mesh=mesh, symmetry=revolved(X, flip=Z))
 
 
 def sphere() -> Shape:
     """A ball of 5 mm radius that ends a shaft."""
-    return Shape(name="sphere", title="Sphere", group="training", mesh=ball(5.0, "sphere"), symmetry=revolved())
+    return Shape(mesh=ball(5.0, "sphere"), symmetry=revolved())
 
 
 def ring() -> Shape:
     """A ring of 9 mm diameter, its ridge 2 mm wide, on a round body."""
     mesh = turned(_framed(crest(2.0, 0.5), 4.5), sides(5.5), "ring")
-    return Shape(name="ring", title="Ring", group="training", mesh=mesh, symmetry=revolved())
+    return Shape(mesh=mesh, symmetry=revolved())
 
 
 def hexagon() -> Shape:
     """The frame of a hexagon, 11 mm over the middle of its corners, on a hexagonal body."""
     flat = math.cos(math.pi / 6.0)  # of the distance of a side over that of a corner
     mesh = turned(_framed(crest(1.8, 0.4), 5.5 * flat) * (1.0 / flat, 1.0), 6, "hexagon")
-    return Shape(name="hexagon", title="Hexagon frame", group="training", mesh=mesh, symmetry=cyclic(6))
+    return Shape(mesh=mesh, symmetry=cyclic(6))
 
 
 def peg() -> Shape:
     """The flat end of a round peg of 7 mm diameter."""
     mesh = turned(np.array([(3.2, 0.0), (3.5, 0.3), (3.5, 20.0)]), sides(3.5), "peg")
-    return Shape(name="peg", title="Peg", group="training", mesh=mesh, symmetry=revolved())
+    return Shape(mesh=mesh, symmetry=revolved())
 
 
 def curve() -> Shape:
     """A ridge bent by 110 degrees of 10 mm radius, the lab's, with legs of 20 mm; its middle is in its origin."""
     section = on_shoulders(crest(2.6, 1.1), _BACK_MM)
     mesh = swept(bow(10.0, 110.0, 20.0, FINE_MM), section, "curve")
-    return Shape(name="curve", title="Curved line", group="training", mesh=mesh, symmetry=asymmetric())
+    return Shape(mesh=mesh, symmetry=asymmetric())
 
 
 def _lines(directions_deg: tuple[float, ...], name: str) -> Mesh:

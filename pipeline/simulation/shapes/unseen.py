@@ -23,7 +23,7 @@ def ellipse() -> Shape:
     angle = np.linspace(0.0, 2.0 * math.pi, _DENSE)
     path = thinned(np.column_stack([5.7 * np.cos(angle), 3.2 * np.sin(angle)]), 0.8)[:-1]
     mesh = swept(path, strip(1.6, 0.4, 6.0), "ellipse", endless=True)
-    return Shape(name="ellipse", title="Ellipse ring", group="unseen", mesh=mesh, symmetry=cyclic(2))
+    return Shape(mesh=mesh, symmetry=cyclic(2))
 
 
 def letters() -> Shape:
@@ -34,14 +34,14 @@ def letters() -> Shape:
         (-7.0, 4.5),
     ]  # fmt: skip
     mesh = bar(outline, 6.0, 0.35, "letters")
-    return Shape(name="letters", title="Letters", group="unseen", mesh=mesh, symmetry=asymmetric())
+    return Shape(mesh=mesh, symmetry=asymmetric())
 
 
 def cross() -> Shape:
     """Four lines at right angles, 9, 6, 7 and 4 mm long."""
     outline = fork((0.0, 90.0, 180.0, 270.0), (9.0, 6.0, 7.0, 4.0), 2.6)
     mesh = rounded(outline, _BACK_MM, 0.9, "cross")
-    return Shape(name="cross", title="Cross", group="unseen", mesh=mesh, symmetry=asymmetric())
+    return Shape(mesh=mesh, symmetry=asymmetric())
 
 
 def cone() -> Shape:
@@ -50,7 +50,7 @@ def cone() -> Shape:
     rise = (6.0 - tip[-1, 0]) * math.tan(math.radians(30.0))
     profile = np.concatenate([tip, [(6.0, tip[-1, 1] + rise), (6.0, 12.0)]])
     mesh = turned(profile, sides(6.0), "cone")
-    return Shape(name="cone", title="Cone tip", group="unseen", mesh=mesh, symmetry=revolved())
+    return Shape(mesh=mesh, symmetry=revolved())
 
 
 def wave() -> Shape:
@@ -60,7 +60,7 @@ def wave() -> Shape:
     leg = np.array([0.5, 0.0])  # level as the crests are, so that the ends are cut square
     path = np.concatenate([crests[:1] - leg, crests, crests[-1:] + leg])
     mesh = swept(path, strip(1.4, 0.5, 6.0), "wave")
-    return Shape(name="wave", title="Wavy ridge", group="unseen", mesh=mesh, symmetry=cyclic(2))
+    return Shape(mesh=mesh, symmetry=cyclic(2))
 
 
 def star() -> Shape:
@@ -69,7 +69,7 @@ def star() -> Shape:
     radius = np.where(np.arange(10) % 2 == 0, 6.5, 3.2)
     outline = radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
     mesh = bar(outline, _BACK_MM, 0.3, "star")
-    return Shape(name="star", title="Star", group="unseen", mesh=mesh, symmetry=cyclic(5))
+    return Shape(mesh=mesh, symmetry=cyclic(5))
 
 
 ALL = (ellipse, letters, cross, cone, wave, star)
