@@ -98,7 +98,8 @@ def refine(
     rough = _Solver([thinned(e, _ROUGH_POINTS) for e in kept], start, pivot, progress)
     motion = rough.best(beginnings(kept, start, pivot, _BEGINNINGS, progress))
     motion, converged = solver.solve(motion, np.eye(6), _START_NEAR)
-    free, lost = _determined(solver.final(motion).information, tolerance)
+    told = solver.final(motion).information
+    free, lost = _determined(told, tolerance)
     if lost.shape[1]:
         motion, converged = solver.frozen(motion, free)
     information = free.T @ solver.final(motion).information @ free
@@ -110,7 +111,12 @@ def refine(
         motion=freeze(motion),
         pivot_mm=freeze(pivot),
         spread=freeze(spread * np.array([TOLERANCE_DEG] * 3 + [TOLERANCE_MM] * 3)),
-        weak=tuple(words for words, _ in in_words(lost, pivot, float(_RADIUS_MM))),
+        weak=tuple(
+            words
+            for words, _ in in_words(
+                lost, pivot, float(_RADIUS_MM), lambda v: bool(tolerance**2 * (v @ told @ v) < v @ v)
+            )
+        ),
         used=(fit(kept, start), fit(kept, after)),
         held_out=(fit(others, start), fit(others, after)) if others else None,
         rounds=solver.rounds,

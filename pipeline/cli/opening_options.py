@@ -31,9 +31,6 @@ class Opening:
         Look-up made by `tactoscope calibrate balls`; the sensor's built-in one otherwise.
     route
         Way through the slots; each of them is filled by a method.
-
-    Methods:
-        `slot=method` in place of the route's own, such as `felt=reading`, as often as needed.
     mesh
         The touched object's mesh, for its pose.
     mesh_unit
