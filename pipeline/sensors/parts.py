@@ -99,4 +99,6 @@ class Limits:
 
     contact_min_mm: float  # smallest indentation that counts
     indentation_max_mm: float
+    depth_rms_mm: float  # of measured depth where it touches; 0 = nobody has measured it
+    depth_correlation_mm: float  # length over which that error hangs together
     no_touch: float  # largest smoothed change from the reference of an untouched frame: grey levels, or mm of a bubble

@@ -17,6 +17,8 @@ def limits_in(s: Section, touch_unit: str) -> Limits:
     return Limits(
         contact_min_mm=s.number("contact_min", "mm", 0.0, 100.0),
         indentation_max_mm=s.number("indentation_max", "mm", 1e-3, 100.0),
+        depth_rms_mm=s.number("depth_rms", "mm", 0.0, 100.0) if s.has("depth_rms") else 0.0,
+        depth_correlation_mm=s.number("depth_correlation", "mm", 1e-3, 100.0) if s.has("depth_rms") else 1.0,
         no_touch=s.number("no_touch", touch_unit, 0.0, 255.0),
     )
 

@@ -6,7 +6,7 @@ compared with its untouched one (`bubble_depth`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -24,7 +24,7 @@ from pipeline.stages.depth import bubble_depth, gel_depth
 from pipeline.stages.depth.poisson import Boundary
 from pipeline.values.frames import TactileFrame
 from pipeline.values.pixel_index import pixel_index
-from pipeline.values.results import DepthMap
+from pipeline.values.results import DepthError, DepthMap
 
 _BLACK_GREY = 2  # no lit gel is this dark everywhere
 
@@ -76,7 +76,7 @@ def depth(
             least_mm=params.contact_limit * source.limits.contact_min_mm,
         )
     look_up = calibration if calibration is not None else built_in(seen_by)
-    return gel_depth.depth(
+    found = gel_depth.depth(
         frame, seen_by, look_up,
         no_touch_grey=source.limits.no_touch / params.sensitivity,
         least_mm=params.contact_limit * source.limits.contact_min_mm,
@@ -85,6 +85,10 @@ def depth(
         boundary=params.boundary,
         progress=progress,
     )  # fmt: skip
+    if not source.limits.depth_rms_mm:
+        return found
+    error = DepthError(rms_mm=source.limits.depth_rms_mm, correlation_mm=source.limits.depth_correlation_mm)
+    return replace(found, error=error)
 
 
 def untouched(
