@@ -6,8 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Indices
-from pipeline.stages.slot import Mark
-from pipeline.values.results import DepthMap
 
 
 def element_of(source_index: Indices, wanted: int) -> int:
@@ -17,24 +15,6 @@ def element_of(source_index: Indices, wanted: int) -> int:
         return wanted
     found = np.flatnonzero(flat == wanted)
     return int(found[0]) if found.size else -1
-
-
-def in_depth(slot: str, depth: DepthMap, before: Mark) -> Mark:
-    """Where a pixel of a reading lies on the membrane."""
-    index = element_of(depth.source_index, before.index)
-    if index < 0:
-        return Mark(slot=slot, index=-1, text="outside the depth map")
-    row, col = divmod(index, depth.camera.cols)
-    value, z = float(depth.indentation_mm[row, col]), float(depth.depth_mm[row, col])
-    ray_x, ray_y = depth.camera.rays()
-    if not np.isfinite(value):
-        text = "no depth reading here"
-    elif not depth.contact[row, col]:
-        text = f"{value:.3f} mm, not in contact"
-    else:
-        text = f"{value:.3f} mm"
-    point = (float(ray_x[col]) * z, float(ray_y[row]) * z, z) if np.isfinite(z) else None
-    return Mark(slot=slot, index=index, row=row, col=col, point_mm=point, text=text)
 
 
 def triple(point: NDArray[np.floating]) -> tuple[float, float, float]:

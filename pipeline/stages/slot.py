@@ -19,6 +19,8 @@ from pipeline.pictures.picture import Picture
 from pipeline.sensors.spec import SensorSpec
 from pipeline.values.frames import TactileFrame, Truth
 
+Place = Literal["source", "target"]
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Seen:
@@ -65,7 +67,7 @@ class Slot:
     name: str
     title: str
     legend: str  # of its 3D view
-    place: Literal["source", "target"]  # whose frame its positions are in
+    place: Place  # whose frame its positions are in
     methods: tuple[Method, ...]  # the first is the one that is meant where nobody says
     picture: Callable[[Any, Seen], Picture]
     layers: Callable[[Any, Seen, Picture], tuple[Layer, ...]]
