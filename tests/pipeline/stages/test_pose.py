@@ -302,11 +302,11 @@ def test_a_box_on_its_edge_is_found_with_all_eight_poses_that_fit_as_well(turn_d
 
 
 def test_a_short_cylinder_on_its_rim_is_searched_on_until_it_fits():
-    stub = rod(4.9, 6.0, 96)
-    turn = rigid.rotation([0.0, 0.0, np.deg2rad(140.0)]) @ rigid.rotation([0.0, np.deg2rad(53.0), 0.0])
+    stub = rod(4.904, 6.279, 96)
+    turn = rigid.rotation([0.0, 0.0, np.deg2rad(353.051)]) @ rigid.rotation([0.0, np.deg2rad(52.5), 0.0])
     corners = rigid.apply(turn, stub.mesh.vertices_mm)
     low = corners[corners[:, 2] < corners[:, 2].min() + 0.3].mean(axis=0)
-    truth = rigid.translation(-low[0], -low[1], REST_MM - 0.8 - corners[:, 2].min()) @ turn
+    truth = rigid.translation(-low[0], -low[1], REST_MM - 0.984 - corners[:, 2].min()) @ turn
     found = pose(felt(stub, truth), stub.mesh, PoseParams())
     assert found.fitness > 0.99
     assert found.rmse_mm < 0.02
