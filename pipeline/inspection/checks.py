@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -45,22 +46,18 @@ class Tally:
     def __init__(self, stream: str, path: str, spec: SensorSpec | None) -> None:
         """A tally for `stream` of the recording at `path`, whose sensor is `spec` if known."""
         self._stream, self._path, self._spec = stream, path, spec
-        self._problems: list[str] = []
+        self._bad: defaultdict[str, list[str]] = defaultdict(list)  # check -> what is wrong
         self._without_reference: list[int] = []
         self._odd_sizes: list[int] = []
         self._depths_mm: list[float] = []
         self._gaps: list[int] = []
         self._n_frames, self._n_gaps, self._n_pixels, self._n_nearer, self._n_moved = 0, 0, 0, 0, 0
         self._reference: TactileFrame | None = None
-        self._bad_types: list[str] = []
-        self._blank: list[str] = []
-        self._bad_truth: list[str] = []
-        self._bad_poses: list[str] = []
         self._n_truth, self._n_poses = 0, 0
 
     def problem(self, text: str) -> None:
         """A frame that cannot be read, in the reader's words."""
-        self._problems.append(text)
+        self._bad["frames"].append(text)
 
     def frame(self, frame: TactileFrame) -> None:
         """Count one frame."""
@@ -74,10 +71,10 @@ class Tally:
             self._odd_sizes.append(frame.index)
         kind = np.dtype(np.float32 if frame.is_depth else np.uint8)
         if frame.image.dtype != kind:
-            self._bad_types.append(f"frame {frame.index} holds {frame.image.dtype}, it must be {kind}")
+            self._bad["types"].append(f"frame {frame.index} holds {frame.image.dtype}, it must be {kind}")
         blank = _blank(frame.image)
         if blank:
-            self._blank.append(f"frame {frame.index} {blank}")
+            self._bad["pictures"].append(f"frame {frame.index} {blank}")
         if frame.is_depth:
             self._depth(frame)
 
@@ -104,31 +101,35 @@ class Tally:
         self._n_truth += 1
         pressed, limit = truth.indentation_mm, self._spec.limits.indentation_max_mm if self._spec else math.inf
         if not np.isfinite(pressed).any():
-            self._bad_truth.append(f"indentation_mm of frame {index} has no value")
+            self._bad["truth"].append(f"indentation_mm of frame {index} has no value")
             return
         deepest = float(np.nanmax(pressed))
         if deepest > 2 * limit:
-            self._bad_truth.append(
+            self._bad["truth"].append(
                 f"indentation_mm of frame {index} reaches {deepest:.3g} mm, the limit is {limit:g} mm"
             )
         if truth.contact is not None and (truth.contact & ~(pressed > 0)).sum() > _EDGE_SHARE * truth.contact.sum():
-            self._bad_truth.append(f"contact of frame {index} holds pixels whose indentation_mm is not positive")
+            self._bad["truth"].append(f"contact of frame {index} holds pixels whose indentation_mm is not positive")
 
     def _pose(self, index: int, sensor_from_object: Doubles) -> None:
         try:
             pose = rigid.checked(sensor_from_object, f"sensor_from_object of frame {index}")
         except CalibrationError as error:
-            self._bad_poses.append(str(error))
+            self._bad["poses"].append(str(error))
             return
         far = float(np.linalg.norm(pose[:3, 3]))
         if far > _FAR_MM:
-            self._bad_poses.append(f"sensor_from_object of frame {index} puts the object {far:.3g} mm away")
+            self._bad["poses"].append(f"sensor_from_object of frame {index} puts the object {far:.3g} mm away")
 
     def checks(self, times_s: Sequence[float]) -> list[Check]:
         """The answers, once all frames have been counted."""
-        found = [self._check("frames", self._problems, "every frame can be read"), self._sizes(), self._references()]
-        found.append(self._check("types", self._bad_types, "every reading is of its type"))
-        found.append(self._check("pictures", self._blank, "none is blank, burnt out or without a value"))
+        found = [
+            self._check("frames", self._bad["frames"], "every frame can be read"),
+            self._sizes(),
+            self._references(),
+        ]
+        found.append(self._check("types", self._bad["types"], "every reading is of its type"))
+        found.append(self._check("pictures", self._bad["pictures"], "none is blank, burnt out or without a value"))
         if self._depths_mm or self._gaps:
             found += [self._depth_unit(), self._depth_sign(), self._readings()]
         elif self._n_frames:
@@ -136,10 +137,10 @@ class Tally:
         found.append(self._times(times_s))
         if self._n_truth:
             found.append(
-                self._check("truth", self._bad_truth, "contact lies within the indentation, depths within limits")
+                self._check("truth", self._bad["truth"], "contact lies within the indentation, depths within limits")
             )
         if self._n_poses:
-            found.append(self._check("poses", self._bad_poses, "every rotation has determinant +1 and mm fit"))
+            found.append(self._check("poses", self._bad["poses"], "every rotation has determinant +1 and mm fit"))
         return found
 
     def _check(self, name: str, bad: Sequence[str], good: str) -> Check:
@@ -223,17 +224,15 @@ def pairings(recording: Recording) -> list[Check]:
     names, found = {s.name for s in recording.streams}, list[Check]()
     for pair in recording.pairings:
         name = f"{pair.source} to {pair.target}"
-        missing = {pair.source, pair.target} - names
+        missing, bad = {pair.source, pair.target} - names, ""
         try:
             rigid.checked(pair.target_from_source, f"target_from_source of {name}")
         except CalibrationError as error:
-            found.append(Check(name=name, state="fail", text=f"{error}: '{recording.path}'"))
-            continue
-        if missing:
-            text = f"target_from_source names {', '.join(sorted(missing))}, which is no stream: '{recording.path}'"
-            found.append(Check(name=name, state="fail", text=text))
-        else:
-            found.append(Check(name=name, state="pass", text="rotation has determinant +1"))
+            bad = str(error)
+        if missing and not bad:
+            bad = f"target_from_source names {', '.join(sorted(missing))}, which is no stream"
+        text = f"{bad}: '{recording.path}'" if bad else "rotation has determinant +1"
+        found.append(Check(name=name, state="fail" if bad else "pass", text=text))
     return found
 
 

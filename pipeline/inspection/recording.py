@@ -35,7 +35,6 @@ class StreamReport:
     duration_s: float  # NaN = no times
     rate_hz: float
     truth: tuple[str, ...]  # fields known of some frame
-    damaged: tuple[int, ...]  # frames that cannot be read
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,13 +104,11 @@ def _stream(
     tally = inspection.Tally(stream.name, str(recording.path), spec)
     times: list[float] = []
     known: set[str] = set()
-    damaged: list[int] = []
     first: TactileFrame | None = None
     for index in range(stream.n_frames):
         progress.step(index / stream.n_frames, f"frame {index + 1} of {stream.n_frames} of {stream.name}")
         frame, truth, problem = _read(stream, index)
         if problem:
-            damaged.append(index)
             tally.problem(problem)
         if frame is not None:
             first = first or frame
@@ -125,7 +122,7 @@ def _stream(
     report = StreamReport(
         name=stream.name, sensor=stream.sensor, n_frames=stream.n_frames, rows=rows, cols=cols,
         dtype="" if first is None else f"{first.image.dtype} {'depth in mm' if first.is_depth else 'RGB'}",
-        duration_s=duration_s, rate_hz=rate_hz, truth=tuple(sorted(known)), damaged=tuple(damaged),
+        duration_s=duration_s, rate_hz=rate_hz, truth=tuple(sorted(known)),
     )  # fmt: skip
     return report, tally.checks(times)
 

@@ -39,16 +39,15 @@ _KPA_TO_N_MM2 = 1e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Load:
-    """How the object has moved along the surface since it touched it: right, down, and turned clockwise as seen."""
+    """How far the object has moved along the surface since it touched it."""
 
-    tangent_mm: tuple[float, float] = (0.0, 0.0)
-    twist_deg: float = 0.0  # about the centre of pressure
+    tangent_mm: tuple[float, float]  # right and down
     friction: float = 0.8  # traction that the contact bears, per pressure
 
     def __post_init__(self) -> None:
         """Refuse what no gel can be given."""
-        if not all(math.isfinite(v) for v in (*self.tangent_mm, self.twist_deg)):
-            raise SettingProblem(f"a tangential load must be finite, got {self.tangent_mm} and {self.twist_deg} deg")
+        if not all(math.isfinite(v) for v in self.tangent_mm):
+            raise SettingProblem(f"a tangential load must be finite, got {self.tangent_mm}")
         if not 0.0 <= self.friction <= 10.0:
             raise SettingProblem(f"friction must lie between 0 and 10, got {self.friction!r}")
 
@@ -75,8 +74,7 @@ def drag(gel: Gel, pixel_mm: float, pressure_kpa: NDArray[np.floating], load: Lo
     pressure = _coarse(pressure_kpa, cell)
     limit = load.friction * pressure
     answer = _answer(gel, cell * pixel_mm, (int(pressure.shape[0]), int(pressure.shape[1])))
-    target = _dragged_by(load, pressure, cell * pixel_mm)
-    traction, steps, converged = _solved(answer, target, limit)
+    traction, steps, converged = _solved(answer, np.full((*pressure.shape, 2), load.tangent_mm, np.float32), limit)
     move = answer.motion(traction)
     size = np.hypot(traction[..., 0], traction[..., 1])
     force = traction.sum(axis=(0, 1), dtype=np.float64) * (cell * pixel_mm) ** 2 * _KPA_TO_N_MM2
@@ -172,21 +170,6 @@ def _solved(answer: Answer, target: Floats, limit: Floats) -> tuple[Floats, int,
 def _within(traction: Floats, limit: Floats) -> Floats:
     size = np.maximum(np.hypot(traction[..., 0], traction[..., 1]), 1e-12)
     return (traction * np.minimum(1.0, limit / size)[..., None]).astype(np.float32)
-
-
-def _dragged_by(load: Load, pressure: Floats, cell_mm: float) -> Floats:
-    """The object's own motion (rows, cols, 2) in mm at each cell."""
-    rows, cols = pressure.shape
-    total = max(float(pressure.sum(dtype=np.float64)), 1e-12)
-    x0 = float(pressure.sum(axis=0, dtype=np.float64) @ np.arange(cols)) / total
-    y0 = float(pressure.sum(axis=1, dtype=np.float64) @ np.arange(rows)) / total
-    x, y = (np.arange(cols) - x0) * cell_mm, (np.arange(rows) - y0) * cell_mm
-    cos, sin = math.cos(math.radians(load.twist_deg)), math.sin(math.radians(load.twist_deg))
-    out = np.empty((rows, cols, 2), np.float32)
-    # What is now at a point stood where the turn backwards puts it.
-    out[..., 0] = load.tangent_mm[0] + (1 - cos) * x[None, :] - sin * y[:, None]
-    out[..., 1] = load.tangent_mm[1] + sin * x[None, :] + (1 - cos) * y[:, None]
-    return out
 
 
 def _coarse(field: NDArray[np.floating], cell: int) -> Floats:

@@ -65,15 +65,12 @@ class Writer:
                 dataset.attrs["source"], dataset.attrs["target"] = pair.source, pair.target
 
     @classmethod
-    def appending(cls, path: Path, *, coding: Coding = "plain", depth_step_mm: float = 0.0) -> Writer:
-        """Go on with a recording that exists: on a copy, so that an interrupted append costs nothing.
-
-        `coding` and `depth_step_mm` count only for streams that the recording does not have yet.
-        """
+    def appending(cls, path: Path) -> Writer:
+        """Go on with a recording that exists: on a copy, so that an interrupted append costs nothing."""
         recording = hdf5.read(path)  # refuses what is no recording before a copy is made of it
         recording.close()
         writer = cls.__new__(cls)
-        writer._begin(path, coding, depth_step_mm)
+        writer._begin(path, "plain", 0.0)
         writer._n_before = {stream.name: stream.n_frames for stream in recording.streams}
         with writer._removed_if_it_fails():
             with path.open("rb") as before:
