@@ -16,6 +16,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.rest_mesh import rest_mesh
 from pipeline.geometry import membrane
 from pipeline.geometry.membrane import Membrane
 from pipeline.racing.races import Answer, Bar, Point, Row, race, row
@@ -27,7 +28,7 @@ _N, _BAND_MM, _SPREAD_MM = 38_000, 1e-3, 1.0
 def open3d_distance(surface: Membrane, points_mm: np.ndarray, samples: int):
     import open3d as o3d
 
-    mesh = surface.mesh()
+    mesh = rest_mesh(surface)
     world = o3d.t.geometry.RaycastingScene()
     world.add_triangles(
         o3d.core.Tensor(mesh.vertices_mm.astype(np.float32)), o3d.core.Tensor(mesh.triangles.astype(np.uint32))

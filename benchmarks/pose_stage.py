@@ -16,7 +16,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.evaluation.symmetric import mssd_mm
+from pipeline.evaluation.symmetric import symmetric_error
 from pipeline.racing.races import Answer, Bar, Point, Timing, race, row
 from pipeline.racing.report import show
 from pipeline.stages.pose.stage import PoseParams, icp, pose, pose_from
@@ -70,7 +70,9 @@ def answer() -> Answer:
 
 
 def _off(found: ObjectPose, truth: np.ndarray, mesh: object) -> float:
-    return np.inf if found.sensor_from_object is None else mssd_mm(found.sensor_from_object, truth, mesh, None)
+    if found.sensor_from_object is None:
+        return np.inf
+    return symmetric_error(found.sensor_from_object, truth, mesh, None, found.scene_mm.mean(axis=0)).mssd_mm
 
 
 def _timed(calls, frames: range, runs: int) -> dict[str, Timing]:

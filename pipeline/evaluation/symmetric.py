@@ -71,14 +71,6 @@ def symmetric_error(
     )  # fmt: skip
 
 
-def mssd_mm(estimate: Doubles, truth: Doubles, mesh: Mesh, symmetry: Symmetry | None) -> float:
-    """Maximum symmetry-aware surface distance of BOP: min over S of max over vertices x of |estimate x - truth S x|.
-
-    A continuous symmetry is searched at steps of one percent of the diameter, and then between the steps.
-    """
-    return _nearest(estimate, truth, hull(mesh), symmetry)[0]
-
-
 def in_plane(estimate: Doubles, truth: Doubles, symmetry: Symmetry | None, at_mm: Doubles) -> tuple[float, float]:
     """(mm, deg) in the sensor's x-y plane, as the paper scores poses, for a truth already reduced by symmetry.
 
@@ -134,7 +126,11 @@ def _hull_of(vertices_f64: bytes) -> Doubles:
 
 
 def _nearest(estimate: Doubles, truth: Doubles, points: Doubles, symmetry: Symmetry | None) -> tuple[float, Doubles]:
-    """(least MSSD in mm, the symmetry (4, 4) that gives it)."""
+    """(least MSSD in mm, the symmetry (4, 4) that gives it).
+
+    Maximum symmetry-aware surface distance of BOP: min over S of max over vertices x of |estimate x - truth S x|. A
+    continuous symmetry is searched at steps of one percent of the diameter, and then between the steps.
+    """
     if symmetry is None:
         return _farthest(estimate, truth, np.eye(3)[None], points)[0], np.eye(4)
     group = symmetry.group(STEP)

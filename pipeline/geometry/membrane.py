@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import CalibrationError
 from pipeline.geometry.camera import Camera
-from pipeline.geometry.meshes import Mesh
 
 REST_DEPTH_TOLERANCE_MM = 1e-9  # far below the float32 rounding of a depth image
 _MAX_ITERATIONS = 60
@@ -87,20 +86,6 @@ class Membrane:
             return freeze(z)
         raise CalibrationError(
             "some camera rays do not meet the sensor's rest surface; check [rest] and [camera] of its description"
-        )
-
-    def mesh(self) -> Mesh:
-        """The rest surface as triangles in the sensor frame."""
-        ny, nx = self.z_mm.shape
-        y, x = np.mgrid[:ny, :nx] * self.step_mm
-        vertices = np.stack([x + self.x0_mm, y + self.y0_mm, self.z_mm], axis=-1).reshape(-1, 3)
-        first = (np.arange(ny - 1)[:, None] * nx + np.arange(nx - 1)[None, :]).ravel()
-        upper = np.stack([first, first + 1, first + nx], axis=-1)
-        lower = np.stack([first + 1, first + nx + 1, first + nx], axis=-1)
-        return Mesh(
-            vertices_mm=freeze(vertices),
-            triangles=freeze(np.concatenate([upper, lower]).astype(np.int32)),
-            name="rest surface",
         )
 
     def _sample(self, x_mm: ArrayLike, y_mm: ArrayLike) -> tuple[Doubles, Doubles, Doubles]:

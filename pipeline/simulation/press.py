@@ -3,7 +3,7 @@
 The object's pose is given in the alignment frame, so that several sensors can feel the same press. Soft sensors must
 be pressed deeper than stiff ones to feel as much (paper, dataset section): that is part of where a sensor stands in the
 alignment frame, so that it is in every `target_from_source` too. A gel rests in the plane z = 0, the bubble's apex
-stands `reach_mm` out of it; `soft_bubble.toml` says how far and why.
+stands out of it; `soft_bubble.toml` says how far and why.
 """
 
 from __future__ import annotations
@@ -66,15 +66,6 @@ def press(
     )  # fmt: skip
     image = photograph(sensor, indentation, felt.depth_mm, seed, shear_mm=felt.shear_mm)
     return Press(image=image, truth=truth, force_n=felt.force_n, converged=felt.converged, shear_mm=felt.shear_mm)
-
-
-def reach_mm(sensor: SensorSpec) -> float:
-    """How far the middle of the untouched sensor stands out of the plane z = 0 of the alignment frame.
-
-    An object whose nearest point is at z = -d presses this sensor by d + reach.
-    """
-    apex = np.array([[0.0, 0.0, float(sensor.membrane.depth_at(0.0, 0.0))]])
-    return float(rigid.apply(sensor.alignment_from_sensor, apex)[0, 2])
 
 
 def photograph(

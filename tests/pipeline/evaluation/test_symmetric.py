@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.base.errors import FileProblem
-from pipeline.evaluation.symmetric import _unrolled, ambiguity, in_plane, mssd_mm, on_observable, symmetric_error
+from pipeline.evaluation.symmetric import _unrolled, ambiguity, in_plane, on_observable, symmetric_error
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.geometry.symmetry import asymmetric, cyclic, revolved
@@ -23,6 +23,10 @@ ROUNDING_MM = 1e-9
 SEARCHED_MM = 1e-4  # what golden sections between the steps of a symmetry leave of a 30 mm object
 AT_MM = np.array([1.0, -2.0, 20.0])
 TURNS = st.tuples(*[st.floats(-3.0, 3.0)] * 3)
+
+
+def mssd_mm(estimate, truth, mesh, symmetry):
+    return symmetric_error(estimate, truth, mesh, symmetry, np.zeros(3)).mssd_mm
 
 
 def rod(radius_mm=2.0, half_mm=15.0, sides=120):

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.rest_mesh import rest_mesh
 from pipeline.base.errors import CalibrationError, MeshProblem
 from pipeline.geometry import membrane
 from pipeline.geometry.mesh_membrane import MOST_ERROR_MM, from_mesh, load_membrane, usual_error_mm
@@ -25,24 +26,24 @@ def write_stl(path, mesh):
 
 
 def test_the_mesh_of_a_dome_is_the_dome():
-    found = from_mesh(DOME.mesh())
+    found = from_mesh(rest_mesh(DOME))
     np.testing.assert_allclose(found.z_mm, DOME.z_mm, atol=1e-9)
-    assert usual_error_mm(DOME.mesh(), found) < BILINEAR_MM
+    assert usual_error_mm(rest_mesh(DOME), found) < BILINEAR_MM
     points = np.random.default_rng(0).uniform((-25, -20, 50), (25, 20, 80), (3000, 3))
     one, two = found.signed_distance_mm(points), DOME.signed_distance_mm(points)
     np.testing.assert_allclose(one, two, atol=1e-9)
 
 
 def test_another_lattice_stays_within_the_error_that_is_allowed():
-    found = from_mesh(DOME.mesh(), step_mm=0.37)
-    error_mm = usual_error_mm(DOME.mesh(), found)
+    found = from_mesh(rest_mesh(DOME), step_mm=0.37)
+    error_mm = usual_error_mm(rest_mesh(DOME), found)
     x, y = np.random.default_rng(1).uniform(-17, 17, (2, 500))
     assert np.abs(found.depth_at(x, y) - DOME.depth_at(x, y)).max() < error_mm + BILINEAR_MM
     assert error_mm < 0.01 < MOST_ERROR_MM
 
 
 def test_a_file_in_metres_is_read_in_its_unit(tmp_path):
-    mesh = DOME.mesh()
+    mesh = rest_mesh(DOME)
     write_stl(tmp_path / "rest.stl", sheet(mesh.vertices_mm * 1e-3, mesh.triangles))
     found = load_membrane(tmp_path / "rest.stl", unit="m")
     np.testing.assert_allclose(found.z_mm, DOME.z_mm, atol=1e-4)
@@ -61,7 +62,7 @@ def test_a_mesh_that_cannot_rest_before_a_camera_is_refused(vertices, words):
 
 
 def test_a_mesh_that_folds_and_one_too_fine_for_its_lattice_are_refused(tmp_path):
-    mesh = DOME.mesh()
+    mesh = rest_mesh(DOME)
     double = sheet(
         np.concatenate([mesh.vertices_mm, mesh.vertices_mm + np.array([0, 0, 3])]),
         np.concatenate([mesh.triangles, mesh.triangles + len(mesh.vertices_mm)]),
@@ -83,7 +84,7 @@ def described(tmp_path, rest):
 
 def test_a_description_may_name_a_mesh_beside_it(tmp_path):
     bubble = sensor("soft_bubble")
-    write_stl(tmp_path / "rest.stl", bubble.membrane.mesh())
+    write_stl(tmp_path / "rest.stl", rest_mesh(bubble.membrane))
     found = sensor(described(tmp_path, 'kind = "mesh"\nfile = "rest.stl"\nunit = "mm"'))
     np.testing.assert_allclose(found.rest_depth_mm, bubble.rest_depth_mm, atol=1e-4)  # float32 of the file
 

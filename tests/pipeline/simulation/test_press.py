@@ -17,7 +17,7 @@ from pipeline.recordings import hdf5
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import sensor
 from pipeline.simulation import shapes
-from pipeline.simulation.press import press, reach_mm
+from pipeline.simulation.press import press
 from pipeline.values.frames import Truth
 
 ELBOW = shapes.shape("notched_elbow").mesh
@@ -87,6 +87,12 @@ def test_two_sensors_feel_the_same_point_of_the_object():
     felt = {s.name: press(ELBOW, pose, s, seed=None).truth for s in (digit, mini)}
     expected = alignment.between(digit, mini).target_from_source @ felt["digit"].sensor_from_object
     assert np.abs(expected - felt["gelsight_mini"].sensor_from_object).max() < 1e-9
+
+
+def reach_mm(spec):
+    """How far the middle of the untouched sensor stands out of the plane z = 0 of the alignment frame."""
+    apex = np.array([[0.0, 0.0, float(spec.membrane.depth_at(0.0, 0.0))]])
+    return float(rigid.apply(spec.alignment_from_sensor, apex)[0, 2])
 
 
 @pytest.mark.parametrize("name", ["gelslim", *SENSORS])
