@@ -19,13 +19,14 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.races import Bar, Timing, race, row, timing
 from pipeline.alignment.felt import PREVIEW, felt
 from pipeline.alignment.nudge import AXES, motion_about, nudged
 from pipeline.alignment.refine import refine
 from pipeline.alignment.score import preview
 from pipeline.alignment.touches import PairedTouch, paired_touches, pivot_of
 from pipeline.geometry import rigid
-from pipeline.racing.races import Answer, Bar, Point, Row, Timing, race, row, timing
+from pipeline.racing.races import Answer, Point, Row
 from pipeline.racing.report import show
 from pipeline.sensors.alignment import Alignment, corrected
 from pipeline.translation.translate import Request, Translation, open_translation

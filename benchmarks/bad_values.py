@@ -16,7 +16,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.racing.races import Answer, Bar, race, row
+from benchmarks.races import Bar, race, row
+from pipeline.racing.races import Answer
 from pipeline.racing.report import show
 from pipeline.stages.adapt.stage import AdaptParams, adapt
 from pipeline.stages.depth.stage import DepthParams, depth

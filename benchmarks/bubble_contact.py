@@ -18,9 +18,10 @@ from scipy.sparse import linalg
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.races import Bar, race, row
 from pipeline.physics import bubble, multigrid
 from pipeline.physics.lattice import Lattice
-from pipeline.racing.races import Answer, Bar, Point, race, row
+from pipeline.racing.races import Answer, Point
 from pipeline.racing.report import show
 from pipeline.sensors.spec import sensor
 

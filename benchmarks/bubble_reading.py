@@ -20,10 +20,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.races import Bar, Timing, race, row
 from pipeline.base.arrays import freeze
 from pipeline.evaluation.metrics import iou, mean_abs_mm
 from pipeline.physics import bubble_camera
-from pipeline.racing.races import Answer, Bar, Point, Timing, race, row
+from pipeline.racing.races import Answer, Point
 from pipeline.racing.report import show
 from pipeline.sensors.spec import sensor
 from pipeline.simulation import poses, shapes

@@ -20,11 +20,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.races import Bar, Timing, row
 from pipeline.base.arrays import freeze
 from pipeline.evaluation.metrics import iou, mean_abs_mm
 from pipeline.geometry import rigid
 from pipeline.physics import optics
-from pipeline.racing.races import Answer, Bar, Timing, row
+from pipeline.racing.races import Answer
 from pipeline.racing.report import show
 from pipeline.sensors.spec import sensor
 from pipeline.simulation import poses, shapes

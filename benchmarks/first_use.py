@@ -24,7 +24,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.racing.races import Answer, Bar, Row, row, timing
+from benchmarks.races import Bar, row, timing
+from pipeline.racing.races import Answer, Row
 from pipeline.racing.report import show
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -19,8 +19,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.races import Bar, race, row
 from pipeline.physics import gel
-from pipeline.racing.races import Answer, Bar, Point, race, row
+from pipeline.racing.races import Answer, Point
 from pipeline.racing.report import show
 from pipeline.sensors.spec import Gel
 

@@ -18,10 +18,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.races import Bar, row, timing
 from pipeline.calibration.lookup import built_in
 from pipeline.geometry import rigid
 from pipeline.physics import optics
-from pipeline.racing.races import Answer, Bar, row, timing
+from pipeline.racing.races import Answer
 from pipeline.racing.report import show
 from pipeline.sensors.spec import sensor
 from pipeline.simulation import shapes

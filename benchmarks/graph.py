@@ -18,8 +18,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.races import Bar, race, row, timing
 from pipeline.engine.graph import Graph
-from pipeline.racing.races import Answer, Bar, race, row, timing
+from pipeline.racing.races import Answer
 from pipeline.racing.report import show
 from pipeline.translation.catalogue import BUILT_IN, default_params
 from pipeline.translation.translate import Request, open_translation

@@ -16,10 +16,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.races import Bar, race, row
 from benchmarks.rest_mesh import rest_mesh
 from pipeline.geometry import membrane
 from pipeline.geometry.membrane import Membrane
-from pipeline.racing.races import Answer, Bar, Point, Row, race, row
+from pipeline.racing.races import Answer, Point, Row
 from pipeline.racing.report import show
 
 _N, _BAND_MM, _SPREAD_MM = 38_000, 1e-3, 1.0

@@ -22,8 +22,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks import known_motions
 from benchmarks.known_motions import Tally
 from benchmarks.known_patches import KINDS, Patch, drawn
+from benchmarks.races import Bar, Timing, race, row
 from pipeline.geometry import rigid
-from pipeline.racing.races import Answer, Bar, Row, Timing, race, row
+from pipeline.racing.races import Answer, Row
 from pipeline.racing.report import show
 from pipeline.registration.observability import Observability, Tolerances, effective_count, observability
 

@@ -22,8 +22,9 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.races import Bar, Timing, race, row
 from pipeline.physics import gel, optics
-from pipeline.racing.races import Answer, Bar, Point, Row, Timing, race, row
+from pipeline.racing.races import Answer, Point, Row
 from pipeline.sensors.spec import SensorSpec, sensor
 
 _BINS = 125

@@ -13,8 +13,9 @@ from scipy import ndimage
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.races import Bar, row, timing
 from benchmarks.recorded import recorded_data
-from pipeline.racing.races import Answer, Bar, row, timing
+from pipeline.racing.races import Answer
 from pipeline.racing.report import show
 from pipeline.translation.catalogue import default_params
 from pipeline.translation.translate import Request, open_translation

@@ -21,7 +21,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.racing.races import Answer, Bar, Row
+from benchmarks.races import Bar
+from pipeline.racing.races import Answer, Row
 from pipeline.racing.report import show
 from pipeline.simulation import datasets
 from pipeline.simulation.datasets import Plan

@@ -20,7 +20,8 @@ from scipy.sparse import linalg
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.racing.races import Answer, Bar, Point, race, row
+from benchmarks.races import Bar, race, row
+from pipeline.racing.races import Answer, Point
 from pipeline.racing.report import show
 from pipeline.stages.depth.poisson import integrate
 

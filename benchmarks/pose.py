@@ -26,11 +26,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.races import Bar, Timing, race, row
 from pipeline.base.errors import CalibrationError
 from pipeline.geometry import rigid
 from pipeline.geometry.distance_grid import DistanceGrid, built
 from pipeline.geometry.meshes import Mesh, sample_surface
-from pipeline.racing.races import Answer, Bar, Point, Timing, race, row
+from pipeline.racing.races import Answer, Point
 from pipeline.racing.report import show
 from pipeline.registration.gauss_newton import Fit, How, register
 from pipeline.simulation.shapes import prisms, solids

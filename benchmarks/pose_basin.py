@@ -21,9 +21,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks import pose
+from benchmarks.races import Bar, Timing, race, row
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
-from pipeline.racing.races import Answer, Bar, Point, Timing, race, row
+from pipeline.racing.races import Answer, Point
 from pipeline.racing.report import show
 from pipeline.stages.pose.stage import PoseParams, pose_from
 from pipeline.values.results import DepthMap

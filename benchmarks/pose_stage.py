@@ -16,8 +16,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.races import Bar, Timing, race, row
 from pipeline.evaluation.symmetric import symmetric_error
-from pipeline.racing.races import Answer, Bar, Point, Timing, race, row
+from pipeline.racing.races import Answer, Point
 from pipeline.racing.report import show
 from pipeline.stages.pose.stage import PoseParams, icp, pose, pose_from
 from pipeline.translation.translate import Request, open_translation

@@ -23,11 +23,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.races import Bar
 from pipeline.base.arrays import freeze
 from pipeline.base.errors import TouchError
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
-from pipeline.racing.races import Answer, Bar, Row
+from pipeline.racing.races import Answer, Row
 from pipeline.sensors.spec import SensorSpec, names, sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.press import Press, press

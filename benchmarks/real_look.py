@@ -21,11 +21,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.races import Bar, row, timing
 from benchmarks.recorded import recorded_data
 from pipeline.calibration.balls import calibrate_balls
 from pipeline.geometry.camera import Camera
 from pipeline.physics import gel, optics
-from pipeline.racing.races import Answer, Bar, row, timing
+from pipeline.racing.races import Answer
 from pipeline.racing.report import show
 from pipeline.sensors.spec import sensor
 

@@ -19,9 +19,10 @@ from scipy import ndimage
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.races import Bar, race, row
 from benchmarks.sphere_scene import open3d_splat, scene
 from pipeline.alignment.reprojection import reproject, scaled
-from pipeline.racing.races import Answer, Bar, Point, Row, race, row
+from pipeline.racing.races import Answer, Point, Row
 from pipeline.racing.report import show
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.adapt.stage import AdaptParams, adapt

@@ -16,7 +16,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.racing.races import Answer, Bar, row, timing
+from benchmarks.races import Bar, row, timing
+from pipeline.racing.races import Answer
 from pipeline.racing.report import show
 from pipeline.simulation import datasets, shapes
 from pipeline.simulation.datasets import Plan

@@ -13,7 +13,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from pipeline.racing.races import Answer, Bar, Timing, row
+from benchmarks.races import Bar, Timing, row
+from pipeline.racing.races import Answer
 from pipeline.racing.report import show
 
 NEEDS = "a display"

@@ -16,9 +16,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.races import Bar, race, row
 from benchmarks.sphere_scene import open3d_splat, scene
 from pipeline.geometry.camera import Camera
-from pipeline.racing.races import Answer, Bar, Point, Row, race, row
+from pipeline.racing.races import Answer, Point, Row
 from pipeline.racing.report import show
 from pipeline.stages.adapt.stage import AdaptParams, adapt
 from pipeline.stages.project.drawing import zbuffer

@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.races import Bar, Timing, row
 from pipeline.base.errors import FileProblem
 from pipeline.cli.bench import as_json
 from pipeline.racing.comparison import WORSE, Claim, read_rows, rows_of, setbacks
 from pipeline.racing.questions import Answered, Question
-from pipeline.racing.races import Answer, Bar, Timing, row
+from pipeline.racing.races import Answer
 
 POSITIVE = st.floats(1e-6, 1e6)
 NO_BAR = Bar()

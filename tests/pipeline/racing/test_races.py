@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.races import Bar, Timing, race, row
 from pipeline.racing.plot import plot, points_of
-from pipeline.racing.races import Answer, Bar, Point, Timing, race, row
+from pipeline.racing.races import Answer, Point
 from pipeline.racing.report import number, show, text
 
 OURS, PEER = Timing(median_ms=2.0, p95_ms=3.0), Timing(median_ms=20.0, p95_ms=25.0)
