@@ -58,7 +58,7 @@ def test_any_pose_is_recovered_from_nearby(wedge, turn, place, off_turn, off_shi
     assert deg < TURN_TOLERANCE_DEG
 
 
-@pytest.mark.parametrize("far_mm", [1.0, 30.0, 900.0])
+@pytest.mark.parametrize("far_mm", [1.0, 1e3, 1e6])
 def test_a_frame_elsewhere_changes_nothing_but_rounding(wedge, far_mm):
     grid, points = wedge
     start = off_by(np.eye(4), points, np.array([0.05, 0.0, -0.04]), np.array([0.2, 0.1, 0.0]))
