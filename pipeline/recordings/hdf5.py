@@ -102,24 +102,16 @@ def _stream(group: Any, name: str, path: Path, notes: list[str]) -> Stream:
         bits = int(known[index])
         if not bits:
             return None
+        fields = {
+            t.field: _entry(group[t.key], index, index, name, path, t.kept) for t in layout.TRUTHS if bits & t.bit
+        }
+        return Truth(**fields)
 
-        def field(bit: int, key: str, kept_as: type) -> Any:
-            return _entry(group[key], index, index, name, path, kept_as) if bits & bit else None
-
-        return Truth(indentation_mm=field(layout.KNOWN_INDENTATION, "truth/indentation", np.float32),
-                     contact=field(layout.KNOWN_CONTACT, "truth/contact", np.bool_),
-                     sensor_from_object=field(layout.KNOWN_POSE, "truth/sensor_from_object", np.float64),
-                     force_n=field(layout.KNOWN_FORCE, "truth/force", np.float64))  # fmt: skip
-
-    for key, bit in _TRUTHS.items():
-        if key not in group and (known & bit).any():
-            raise FileProblem(f"{shown} says that its {key} is known, but does not hold it", path, field=key)
+    for told in layout.TRUTHS:
+        if told.key not in group and (known & told.bit).any():
+            raise FileProblem(f"{shown} says that its {told.key} is known, but does not hold it", path, field=told.key)
     return Stream(name=shown, sensor=sensor, n_frames=n, frame=checked_index(frame, n, path),
                   truth=checked_index(truth, n, path), has_truth=bool(known.any()))  # fmt: skip
-
-
-_TRUTHS = {"truth/indentation": layout.KNOWN_INDENTATION, "truth/contact": layout.KNOWN_CONTACT,
-           "truth/sensor_from_object": layout.KNOWN_POSE, "truth/force": layout.KNOWN_FORCE}  # fmt: skip
 
 
 def _checked_stream(group: Any, path: Path) -> tuple[int, type]:
@@ -129,10 +121,10 @@ def _checked_stream(group: Any, path: Path) -> tuple[int, type]:
     picture = (None, None, 3) if frames.ndim == 4 else (None, None)
     n, *shape = border.dataset(group, "frames", unit, kinds, (None, *picture), path).shape
     border.dataset(group, "references", unit, kinds, (None, *shape), path)
-    exact = {"truth/sensor_from_object": (4, 4), "truth/force": (3,)}
-    for key in filter(group.__contains__, _TRUTHS):
-        kinds = border.FLOAT if key in exact else border.REAL
-        border.dataset(group, key, layout.UNITS[key], kinds, (None, *exact.get(key, shape[:2])), path)
+    for told in layout.TRUTHS:
+        if told.key in group:
+            kinds = border.REAL if told.shape is None else border.FLOAT
+            border.dataset(group, told.key, layout.UNITS[told.key], kinds, (None, *(told.shape or shape[:2])), path)
     return int(n), kept
 
 

@@ -28,7 +28,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, BinaryIO, Literal
+from typing import Any, BinaryIO, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +49,23 @@ UNITS: Mapping[str, str] = {
     "pairing": "mm", "symmetry/rotations": "1", "symmetry/axis": "1",
 }  # fmt: skip
 
-KNOWN_INDENTATION, KNOWN_CONTACT, KNOWN_POSE, KNOWN_FORCE = 1, 2, 4, 8
+
+class Known(NamedTuple):
+    """One field of `Truth`, and how it lies in a stream."""
+
+    field: str
+    key: str
+    bit: int  # in truth/known
+    kept: type  # of its values in memory
+    shape: tuple[int, ...] | None  # of one frame's; None = the picture's
+
+
+TRUTHS = (
+    Known("indentation_mm", "truth/indentation", 1, np.float32, None),
+    Known("contact", "truth/contact", 2, np.bool_, None),
+    Known("sensor_from_object", "truth/sensor_from_object", 4, np.float64, (4, 4)),
+    Known("force_n", "truth/force", 8, np.float64, (3,)),
+)
 
 LARGEST_STEP_MM = 10.0  # a thousand times coarser than any depth camera
 # 0.1 um holds +-3.2 mm, more than any gel gives way; a bubble moves by centimetres and is read to 0.4 mm.

@@ -187,34 +187,22 @@ class Writer:
     def _append_truth(self, group: Any, index: int, truth: Truth | None) -> None:
         shape: tuple[int, ...] = group["frames"].shape[1:3]
         known = 0
-        truth = truth or Truth()
         step = layout.BUBBLE_STEP_MM if group["frames"].ndim == 3 else layout.GEL_STEP_MM
-        exact: dict[int, tuple[int, ...]] = {layout.KNOWN_POSE: (4, 4), layout.KNOWN_FORCE: (3,)}
-        for key, bit, values in (
-            ("truth/indentation", layout.KNOWN_INDENTATION, truth.indentation_mm),
-            ("truth/contact", layout.KNOWN_CONTACT, truth.contact),
-            ("truth/sensor_from_object", layout.KNOWN_POSE, truth.sensor_from_object),
-            ("truth/force", layout.KNOWN_FORCE, truth.force_n),
-        ):
+        for told in layout.TRUTHS:
+            key, want, values = told.key, told.shape or shape, getattr(truth or Truth(), told.field)
             if values is None:
                 continue
-            want = exact.get(bit, shape)
             if values.shape != want:
                 raise ShapeError(f"{key} of frame {index} must have shape {want}, got {values.shape}")
-            if key not in group and bit == layout.KNOWN_INDENTATION:
+            if key not in group and told.kept is np.float32:
                 coding: Coding = self._coding
                 _stack(group, key, shape, np.int16, "mm", coding=coding, step_mm=step, nan_code=-32768, fill=-32768)
+            elif key not in group and told.kept is np.bool_:
+                _stack(group, key, shape, np.uint8, layout.UNITS[key])
             elif key not in group:
-                _stack(
-                    group,
-                    key,
-                    want,
-                    np.float64 if bit in exact else np.uint8,
-                    layout.UNITS[key],
-                    fill=np.nan if bit in exact else 0,
-                )
+                _stack(group, key, want, told.kept, layout.UNITS[key], fill=np.nan)
             _add(group[key], index, layout.encoded(values, group[key], f"{key} of frame {index}"))
-            known |= bit
+            known |= told.bit
         _add(group["truth/known"], index, known)
 
 
