@@ -7,7 +7,7 @@ from pathlib import Path
 
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QMessageBox, QStyle
+from PyQt6.QtWidgets import QMessageBox, QStyle, QWidget
 
 from app.frame import dialogs
 from app.frame.actions import key_table
@@ -46,18 +46,10 @@ def connect(instrument: Instrument) -> None:
     window.stop.clicked.connect(job.cancel)
     window.closing.connect(instrument.close)
 
-    def choose_source(_: int) -> None:
-        instrument.change("choose source", source=window.source.currentData(), stream="")
-
-    def choose_target(_: int) -> None:
-        instrument.change("choose target", target=window.target.currentData())
-
-    def choose_route(_: int) -> None:
-        instrument.change("choose route", route=window.route.currentData())
-
-    window.source.activated.connect(choose_source)
-    window.target.activated.connect(choose_target)
-    window.route.activated.connect(choose_route)
+    change = instrument.change
+    window.source.activated.connect(lambda: change("choose source", source=window.source.currentData(), stream=""))
+    window.target.activated.connect(lambda: change("choose target", target=window.target.currentData()))
+    window.route.activated.connect(lambda: change("choose route", route=window.route.currentData()))
     _connect_files(instrument, Aligning(instrument))
     _connect_play(instrument)
     _connect_view(instrument)
@@ -84,22 +76,22 @@ def _fill(window: Window, catalogue: Catalogue) -> None:
 def _connect_files(instrument: Instrument, aligning: Aligning) -> None:
     window = instrument.window
 
-    def asks(ask: Callable[[], Path | None], then: Callable[[Path], object]) -> Callable[[], None]:
+    def asks(command: str, ask: Callable[[QWidget, str], Path | None], then: Callable[[Path], object]) -> None:
         def run() -> None:
-            path = ask()
+            path = ask(window, command)
             if path is not None:
                 then(path)
 
-        return run
+        window.on(command, run)
 
-    for name, ask in dialogs.OPENERS.items():
-        window.on(name, asks(lambda ask=ask: ask(window), instrument.open_path))
+    for command in dialogs.OPENERS:
+        opens = instrument.open_reference if command == "open_reference" else instrument.open_path
+        asks(command, dialogs.to_open, opens)
+    asks("save_alignment", dialogs.to_save, aligning.save)
+    asks("save_session", dialogs.to_save, instrument.save_session)
+    asks("save_picture", dialogs.to_save, instrument.save_picture)
     window.on("open_mesh", lambda: instrument.open_mesh(*asked) if (asked := dialogs.mesh(window)) else None)
     window.on("close_mesh", lambda: instrument.open_mesh(None))
-    window.on("open_reference", asks(lambda: dialogs.reference(window), instrument.open_reference))
-    window.on("save_alignment", asks(lambda: dialogs.alignment_to_save(window), aligning.save))
-    window.on("save_session", asks(lambda: dialogs.session_to_save(window), instrument.save_session))
-    window.on("save_picture", asks(lambda: dialogs.picture_to_save(window), instrument.save_picture))
     window.on("quit", window.close)
     window.on("keys", lambda: QMessageBox.information(window, "Keys", key_table(window.actions_by_name)))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from PyQt6.QtWidgets import QFileDialog, QWidget
@@ -19,6 +19,20 @@ _UNITS = {
     "m": "Meshes in metres",
 }
 
+OPENERS: Mapping[str, tuple[str, str]] = {  # command -> title and kinds of files, none for a folder
+    "open_recording": ("Open recording", "Recordings (*.h5 *.hdf5 *.pt *.npz *.mp4 *.avi *.mov *.mkv);;All files (*)"),
+    "open_folder": ("Open folder of images", ""),
+    "open_calibration": ("Open calibration", "Calibrations (*.npz);;All files (*)"),
+    "open_reference": ("Open reference", "Images (*.png *.jpg *.jpeg *.bmp *.tif *.tiff);;All files (*)"),
+    "open_alignment": ("Open alignment", f"Alignments (*{ALIGNMENT});;All files (*)"),
+    "open_session": ("Open session", f"Sessions (*{SUFFIX});;All files (*)"),
+}
+_SAVERS = {  # command -> title, kind of file and its suffix
+    "save_alignment": ("Save alignment", "Alignments", ALIGNMENT),
+    "save_session": ("Save session", "Sessions", SUFFIX),
+    "save_picture": ("Save picture", "Pictures", ".png"),
+}
+
 
 def is_calibration(path: Path) -> bool:
     """Whether a file is a look-up made by `tactoscope calibrate`, told from other archives by what it holds."""
@@ -32,15 +46,25 @@ def is_calibration(path: Path) -> bool:
         return False
 
 
-def recording(parent: QWidget) -> Path | None:
-    """Ask for a recording."""
-    return _open(parent, "Open recording", "Recordings (*.h5 *.hdf5 *.pt *.npz *.mp4 *.avi *.mov *.mkv);;All files (*)")
-
-
-def folder(parent: QWidget) -> Path | None:
-    """Ask for a folder of images."""
-    chosen = QFileDialog.getExistingDirectory(parent, "Open folder of images")
+def to_open(parent: QWidget, command: str) -> Path | None:
+    """Ask for what a command opens."""
+    title, kinds = OPENERS[command]
+    if kinds:
+        chosen, _ = QFileDialog.getOpenFileName(parent, title, "", kinds)
+    else:
+        chosen = QFileDialog.getExistingDirectory(parent, title)
     return Path(chosen) if chosen else None
+
+
+def to_save(parent: QWidget, command: str) -> Path | None:
+    """Ask where a command writes to; a name without a suffix gets one, and a session always its own."""
+    title, kind, suffix = _SAVERS[command]
+    chosen, _ = QFileDialog.getSaveFileName(parent, title, "", f"{kind} (*{suffix})")
+    path = Path(chosen)
+    if not chosen:
+        return None
+    named = path.name.endswith(suffix) or (bool(path.suffix) and suffix != SUFFIX)
+    return path if named else path.with_name(path.name + suffix)
 
 
 def mesh(parent: QWidget) -> tuple[Path, str] | None:
@@ -48,60 +72,3 @@ def mesh(parent: QWidget) -> tuple[Path, str] | None:
     kinds = {f"{text} ({' '.join('*' + s for s in MESHES)})": unit for unit, text in _UNITS.items()}
     chosen, kind = QFileDialog.getOpenFileName(parent, "Open mesh", "", ";;".join(kinds))
     return (Path(chosen), kinds.get(kind, "auto")) if chosen else None
-
-
-def calibration(parent: QWidget) -> Path | None:
-    """Ask for a calibration."""
-    return _open(parent, "Open calibration", "Calibrations (*.npz);;All files (*)")
-
-
-def alignment(parent: QWidget) -> Path | None:
-    """Ask for an alignment."""
-    return _open(parent, "Open alignment", f"Alignments (*{ALIGNMENT});;All files (*)")
-
-
-def alignment_to_save(parent: QWidget) -> Path | None:
-    """Ask where an alignment goes."""
-    path = _save(parent, "Save alignment", f"Alignments (*{ALIGNMENT})")
-    return path if path is None or path.suffix else path.with_suffix(ALIGNMENT)
-
-
-def session(parent: QWidget) -> Path | None:
-    """Ask for a session."""
-    return _open(parent, "Open session", f"Sessions (*{SUFFIX});;All files (*)")
-
-
-def reference(parent: QWidget) -> Path | None:
-    """Ask for the image of the untouched sensor."""
-    return _open(parent, "Open reference", "Images (*.png *.jpg *.jpeg *.bmp *.tif *.tiff);;All files (*)")
-
-
-def session_to_save(parent: QWidget) -> Path | None:
-    """Ask where a session goes."""
-    path = _save(parent, "Save session", f"Sessions (*{SUFFIX})")
-    return path if path is None or path.name.endswith(SUFFIX) else path.with_name(path.name + SUFFIX)
-
-
-def picture_to_save(parent: QWidget) -> Path | None:
-    """Ask where a picture of the window goes."""
-    path = _save(parent, "Save picture", "Pictures (*.png)")
-    return path if path is None or path.suffix else path.with_suffix(".png")
-
-
-OPENERS: Mapping[str, Callable[[QWidget], Path | None]] = {
-    "open_recording": recording,
-    "open_folder": folder,
-    "open_calibration": calibration,
-    "open_alignment": alignment,
-    "open_session": session,
-}
-
-
-def _open(parent: QWidget, title: str, kinds: str) -> Path | None:
-    chosen, _ = QFileDialog.getOpenFileName(parent, title, "", kinds)
-    return Path(chosen) if chosen else None
-
-
-def _save(parent: QWidget, title: str, kinds: str) -> Path | None:
-    chosen, _ = QFileDialog.getSaveFileName(parent, title, "", kinds)
-    return Path(chosen) if chosen else None
