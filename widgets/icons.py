@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 
 from PyQt6.QtCore import QPointF, QRectF, Qt
@@ -14,112 +14,59 @@ _SIZE = 32  # drawn large and scaled down, sharp on dense screens
 _INK = QColor(60, 66, 76)
 
 
-def _tick(p: QPainter) -> None:
-    p.drawPolyline(QPolygonF([QPointF(9, 17), QPointF(14, 22), QPointF(23, 11)]))
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Sign:
+    """Lines of a drawing, in pixels of the canvas."""
+
+    strokes: tuple[str, ...] = ()  # the corners of each: "x,y x,y ..."
+    arcs: tuple[tuple[int, int, int, int, int, int], ...] = ()  # x, y, width, height, from and by how many degrees
+    boxes: tuple[tuple[int, int, int, int, int], ...] = ()  # x, y, width, height, radius of the corners
 
 
-def _stack(p: QPainter) -> None:
-    for y in (11, 16, 21):
-        p.drawLine(QPointF(10, y), QPointF(22, y))
-
-
-def _equal(p: QPainter) -> None:
-    for y in (13, 19):
-        p.drawLine(QPointF(10, y), QPointF(22, y))
-
-
-def _dash(p: QPainter) -> None:
-    p.drawLine(QPointF(10, 16), QPointF(22, 16))
-
-
-def _arc(p: QPainter) -> None:
-    p.drawArc(QRectF(10, 10, 12, 12), 90 * 16, -250 * 16)
-
-
-def _cross(p: QPainter) -> None:
-    p.drawLine(QPointF(11, 11), QPointF(21, 21))
-    p.drawLine(QPointF(21, 11), QPointF(11, 21))
-
-
-def _hand(p: QPainter) -> None:
-    p.drawPolyline(QPolygonF([QPointF(16, 9), QPointF(16, 16), QPointF(21, 19)]))
-
-
-def _dot(p: QPainter) -> None:
-    p.drawPoint(QPointF(16, 16))
-
-
-_MARKS: dict[str, Callable[[QPainter], None]] = {
-    "computed": _tick,
-    "read": _tick, "cached": _stack, "unchanged": _equal, "skipped": _dash,
-    "running": _arc, "preview": _stack, "failed": _cross, "stale": _hand, "waiting": _dot,
-}  # fmt: skip
+_TICK, _STACK = _Sign(strokes=("9,17 14,22 23,11",)), _Sign(strokes=("10,11 22,11", "10,16 22,16", "10,21 22,21"))
+_MARKS = {
+    "computed": _TICK,
+    "read": _TICK,
+    "cached": _STACK,
+    "unchanged": _Sign(strokes=("10,13 22,13", "10,19 22,19")),
+    "skipped": _Sign(strokes=("10,16 22,16",)),
+    "running": _Sign(arcs=((10, 10, 12, 12, 90, -250),)),
+    "preview": _STACK,
+    "failed": _Sign(strokes=("11,11 21,21", "21,11 11,21")),
+    "stale": _Sign(strokes=("16,9 16,16 21,19",)),
+    "waiting": _Sign(strokes=("16,16 16.01,16",)),  # a dot
+}
+_DRAWINGS = {
+    "link": _Sign(arcs=((4, 11, 12, 10, 0, 360), (16, 11, 12, 10, 0, 360))),
+    "reset": _Sign(arcs=((7, 7, 18, 18, 60, 290),), strokes=("22,3 21,9 27,10",)),
+    "cube": _Sign(strokes=("16,4 27,10 27,22 16,28 5,22 5,10 16,4", "5,10 16,16 27,10", "16,16 16,28")),
+    "target": _Sign(arcs=((8, 8, 16, 16, 0, 360),), strokes=("16,3 16,12", "16,20 16,29", "3,16 12,16", "20,16 29,16")),
+    "picture": _Sign(
+        boxes=((4, 7, 24, 18, 2),), strokes=("5,23 12,15 17,20 21,16 27,22",), arcs=((19, 10, 3, 3, 0, 360),)
+    ),
+    "loop": _Sign(boxes=((5, 9, 22, 14, 7),), strokes=("13,5 18,9 13,13",)),
+}
 
 
 @lru_cache(maxsize=32)
 def state_pixmap(state: str, size_px: int = 16) -> QPixmap:
     """A round sign for the state of a stage: told apart by its mark, not by its colour alone."""
-    colour = qcolor(STATES[state])
     pixmap, painter = _canvas()
-    painter.setPen(QPen(colour, 2))
-    painter.setBrush(QColor(colour.red(), colour.green(), colour.blue(), 40))
+    painter.setPen(QPen(qcolor(STATES[state]), 2))
+    painter.setBrush(qcolor(STATES[state], 40))
     painter.drawEllipse(QRectF(3, 3, 26, 26))
-    painter.setPen(QPen(colour, 3, cap=Qt.PenCapStyle.RoundCap, join=Qt.PenJoinStyle.RoundJoin))
     painter.setBrush(Qt.BrushStyle.NoBrush)
-    _MARKS[state](painter)
-    painter.end()
+    _draw(painter, _MARKS[state], qcolor(STATES[state]), 3)
     return pixmap.scaled(
         size_px, size_px, Qt.AspectRatioMode.KeepAspectRatio, Qt.TransformationMode.SmoothTransformation
     )
-
-
-def _link(p: QPainter) -> None:
-    p.drawEllipse(QRectF(4, 11, 12, 10))
-    p.drawEllipse(QRectF(16, 11, 12, 10))
-
-
-def _reset(p: QPainter) -> None:
-    p.drawArc(QRectF(7, 7, 18, 18), 60 * 16, 290 * 16)
-    p.drawPolyline(QPolygonF([QPointF(22, 3), QPointF(21, 9), QPointF(27, 10)]))
-
-
-def _cube(p: QPainter) -> None:
-    p.drawPolygon(
-        QPolygonF([QPointF(16, 4), QPointF(27, 10), QPointF(27, 22), QPointF(16, 28), QPointF(5, 22), QPointF(5, 10)])
-    )
-    p.drawPolyline(QPolygonF([QPointF(5, 10), QPointF(16, 16), QPointF(27, 10)]))
-    p.drawLine(QPointF(16, 16), QPointF(16, 28))
-
-
-def _target(p: QPainter) -> None:
-    p.drawEllipse(QRectF(8, 8, 16, 16))
-    for a, b in (((16, 3), (16, 12)), ((16, 20), (16, 29)), ((3, 16), (12, 16)), ((20, 16), (29, 16))):
-        p.drawLine(QPointF(*a), QPointF(*b))
-
-
-def _picture(p: QPainter) -> None:
-    p.drawRoundedRect(QRectF(4, 7, 24, 18), 2, 2)
-    p.drawPolyline(QPolygonF([QPointF(5, 23), QPointF(12, 15), QPointF(17, 20), QPointF(21, 16), QPointF(27, 22)]))
-    p.drawEllipse(QRectF(19, 10, 3, 3))
-
-
-def _loop(p: QPainter) -> None:
-    p.drawRoundedRect(QRectF(5, 9, 22, 14), 7, 7)
-    p.drawPolyline(QPolygonF([QPointF(13, 5), QPointF(18, 9), QPointF(13, 13)]))
-
-
-_DRAWINGS: dict[str, Callable[[QPainter], None]] = {
-    "link": _link, "reset": _reset, "cube": _cube, "target": _target, "picture": _picture, "loop": _loop,
-}  # fmt: skip
 
 
 @lru_cache(maxsize=32)
 def drawn(name: str) -> QIcon:
     """The drawn icon of a command."""
     pixmap, painter = _canvas()
-    painter.setPen(QPen(_INK, 2.4, cap=Qt.PenCapStyle.RoundCap, join=Qt.PenJoinStyle.RoundJoin))
-    _DRAWINGS[name](painter)
-    painter.end()
+    _draw(painter, _DRAWINGS[name], _INK, 2.4)
     return QIcon(pixmap)
 
 
@@ -129,3 +76,15 @@ def _canvas() -> tuple[QPixmap, QPainter]:
     painter = QPainter(pixmap)
     painter.setRenderHint(QPainter.RenderHint.Antialiasing)
     return pixmap, painter
+
+
+def _draw(painter: QPainter, sign: _Sign, ink: QColor, width_px: float) -> None:
+    """The last that is drawn on a canvas."""
+    painter.setPen(QPen(ink, width_px, cap=Qt.PenCapStyle.RoundCap, join=Qt.PenJoinStyle.RoundJoin))
+    for x, y, width, height, begin_deg, by_deg in sign.arcs:
+        painter.drawArc(QRectF(x, y, width, height), 16 * begin_deg, 16 * by_deg)
+    for x, y, width, height, radius in sign.boxes:
+        painter.drawRoundedRect(QRectF(x, y, width, height), radius, radius)
+    for stroke in sign.strokes:
+        painter.drawPolyline(QPolygonF([QPointF(*map(float, corner.split(","))) for corner in stroke.split()]))
+    painter.end()
