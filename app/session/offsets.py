@@ -59,10 +59,6 @@ class Offsets:
         """The very same motion, told about another point."""
         return of_motion(self.motion(), pivot_mm)
 
-    def plain(self) -> dict[str, list[float]]:
-        """As a session file holds them."""
-        return {"shift_mm": list(self.shift_mm), "turn_deg": list(self.turn_deg), "pivot_mm": list(self.pivot_mm)}
-
 
 def of_motion(motion: Doubles, pivot_mm: Sequence[float] | Doubles) -> Offsets:
     """The offsets that make a motion (4, 4) in the target frame, told about a point (3,) mm."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -93,7 +93,7 @@ def save_session(session: Session, path: Path) -> None:
     for name in _PATHS:
         value: Path | None = getattr(session, name)
         data[name] = None if value is None else _relative(value, path.parent)
-    data["offsets"] = session.offsets.plain()
+    data["offsets"] = asdict(session.offsets)
     data["methods"] = dict(session.methods)
     data["params"] = {
         key: {name: value for name, (value, _) in settings(params).items()} for key, params in session.params.items()

@@ -79,28 +79,8 @@ class Comparison:
         return sensitivities(self.touch, alignment, self.coarse, params, pivot=pivot, progress=progress)
 
 
-class Comparisons:
-    """Remembers the last frame's comparison, of what is open."""
-
-    def __init__(self) -> None:
-        self._last: tuple[tuple[int, DepthParams], Comparison] | None = None
-
-    def known(self, index: int, params: DepthParams) -> Comparison | None:
-        """Frame `index` if it was the last one looked at."""
-        return self._last[1] if self._last is not None and self._last[0] == (index, params) else None
-
-    def of(self, translation: Translation, index: int, source: DepthMap, params: DepthParams) -> Comparison:
-        """Frame `index` on both sides, `source` being its depth; the target's is worked out here."""
-        made = _compared(translation, index, source, params)
-        self._last = ((index, params), made)
-        return made
-
-    def forget(self) -> None:
-        """Something else is open."""
-        self._last = None
-
-
-def _compared(translation: Translation, index: int, source: DepthMap, params: DepthParams) -> Comparison:
+def comparison_of(translation: Translation, index: int, params: DepthParams, source: DepthMap) -> Comparison:
+    """Frame `index` on both sides, `source` being its depth; the target's is worked out here."""
     frame = translation.stream.frame(index)
     shift_mm = own_shift_mm(frame, translation.source)
     touch, reason = None, ""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from app.session.state import Session
-from app.work.comparison import Comparison, Comparisons
+from app.work.comparison import Comparison, comparison_of
 from app.work.jobs import Report
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.engine.graph import Graph, StageResult
@@ -79,7 +79,7 @@ class Evaluator:
         self._request: Request | None = None
         self._translation: Translation | None = None
         self._drawn: dict[str, tuple[object, SlotShown]] = {}
-        self._comparisons = Comparisons()
+        self._last: tuple[tuple[int, DepthParams], Comparison] | None = None  # compared, of what is open
 
     def show(self, session: Session, wanted: tuple[str, ...], report: Report, *, compared: bool = False) -> FrameShown:
         """Work out a session's frame, handing over every part as soon as it is done; raises TouchError.
@@ -120,9 +120,8 @@ class Evaluator:
         """
         opened = self._opened(session, report)
         index = min(session.frame, opened.n_frames - 1)
-        known = self._comparisons.known(index, _depth_params(session))
-        if known is not None:
-            return opened, known
+        if self._last is not None and self._last[0] == (index, depth_params(session)):
+            return opened, self._last[1]
         if "depth" not in opened.slots:
             raise SettingProblem(f"the route {opened.request.route!r} has no depth to align; choose another route")
         self._graph = opened.graph(like=self._graph)
@@ -132,9 +131,10 @@ class Evaluator:
 
     def _compared(self, translation: Translation, index: int, depth: object, session: Session) -> Comparison:
         assert isinstance(depth, DepthMap)
-        params = _depth_params(session)
-        known = self._comparisons.known(index, params)
-        return known or self._comparisons.of(translation, index, depth, params)
+        key = (index, depth_params(session))
+        if self._last is None or self._last[0] != key:
+            self._last = (key, comparison_of(translation, *key, depth))
+        return self._last[1]
 
     def close(self) -> None:
         """Let go of the recording's file."""
@@ -156,11 +156,8 @@ class Evaluator:
         if self._translation is not None:
             self._translation.recording.close()
         self._translation, self._drawn = translation, {}
-        self._comparisons.forget()
-        named = replace(
-            session, target=translation.target.name, source=session.source, stream=session.stream,
-            frame=min(session.frame, translation.n_frames - 1),
-        )  # fmt: skip
+        self._last = None
+        named = replace(session, target=translation.target.name, frame=min(session.frame, translation.n_frames - 1))
         self._request = request_of(named)
         for note in translation.notes:
             log.info("%s", note)
@@ -206,7 +203,8 @@ def request_of(session: Session) -> Request:
     )  # fmt: skip
 
 
-def _depth_params(session: Session) -> DepthParams:
+def depth_params(session: Session) -> DepthParams:
+    """How a session has its depth worked out, on both sides of a comparison."""
     params = session.params_of(PHYSICS)
     assert isinstance(params, DepthParams)
     return params

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from app.session.offsets import Offsets, of_motion
 from app.session.state import Session
-from app.work.evaluator import Evaluator, request_of
+from app.work.evaluator import Evaluator, depth_params, request_of
 from app.work.jobs import Report
 from pipeline.alignment.refine import Refinement, refine
 from pipeline.alignment.score import Score
@@ -16,8 +16,6 @@ from pipeline.base.arrays import Doubles
 from pipeline.base.errors import SettingProblem
 from pipeline.pictures.layers import Layer
 from pipeline.pictures.picture import Picture, beside, enlarged
-from pipeline.stages.depth.slot import PHYSICS
-from pipeline.stages.depth.stage import DepthParams
 from pipeline.stages.project import slot as view_slot
 from pipeline.stages.project.stage import Projection
 from pipeline.stages.slot import Seen
@@ -90,9 +88,8 @@ def refined(session: Session, report: Report) -> Refined:
 
     translation = open_translation(request_of(session))
     try:
-        params = session.params_of(PHYSICS)
-        assert isinstance(params, DepthParams)
-        touches = paired_touches(translation, range(translation.n_frames), params, progress=report)
+        frames = range(translation.n_frames)
+        touches = paired_touches(translation, frames, depth_params(session), progress=report)
         if not touches:
             pair = f"{translation.source.name} and {translation.target.name}"
             raise SettingProblem(f"no frame is felt by both {pair}; an alignment is refined on touches of both sensors")
