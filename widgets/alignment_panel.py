@@ -12,7 +12,6 @@ from PyQt6.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QScrollArea,
-    QToolButton,
     QVBoxLayout,
     QWidget,
 )
@@ -23,7 +22,7 @@ from pipeline.alignment.sensitivity import Sensitivity
 from widgets.axis_bars import AxisBars
 from widgets.axis_row import AxisRow
 from widgets.gauge import Gauge, GaugeScale
-from widgets.icons import drawn
+from widgets.looks import bold, command_button, icon_button, smaller, spaced
 from widgets.refine_box import RefineBox
 
 STILL_MS = 350  # without a turn of the wheel or a key, a change made by them is over
@@ -65,7 +64,7 @@ class AlignmentPanel(QScrollArea):
         self.rows = {axis: AxisRow(axis, self) for axis in AXES}
         self.gauges = {"iou": Gauge(_IOU), "edge_px": Gauge(_EDGE), "depth_mm": Gauge(depth_scale(1.0))}
         self.bars, self.refine = AxisBars(), RefineBox()
-        self._dragging = False
+        self.dragging = False  # whether a handle is being moved
         self._still = QTimer(self)
         self._still.setSingleShot(True)
         self._still.setInterval(STILL_MS)
@@ -79,14 +78,10 @@ class AlignmentPanel(QScrollArea):
 
     def _lay_out(self) -> None:
         body = QWidget()
-        layout = QVBoxLayout(body)
-        layout.setContentsMargins(8, 6, 8, 6)
-        layout.setSpacing(5)
+        layout = spaced(QVBoxLayout(body), 5, (8, 6, 8, 6))
         layout.addLayout(self._head())
         self._handles = QWidget()
-        grid = QGridLayout(self._handles)
-        grid.setContentsMargins(0, 0, 0, 0)
-        grid.setSpacing(4)
+        grid = spaced(QGridLayout(self._handles), 4)
         grid.setColumnStretch(1, 1)
         for n, row in enumerate(self.rows.values()):
             for column, widget in enumerate((row.label, row.slider, row.box)):
@@ -110,10 +105,11 @@ class AlignmentPanel(QScrollArea):
 
     def _head(self) -> QHBoxLayout:
         self._origin.setWordWrap(True)
-        self._original = _tool("reset", "alignment_original", "Back to the alignment that comes with the recording")
+        self._original = icon_button(
+            "reset", "alignment_original", "Back to the alignment that comes with the recording"
+        )
         self._original.clicked.connect(self.original_wanted)
-        self._files = QHBoxLayout()
-        self._files.setSpacing(1)
+        self._files = spaced(QHBoxLayout(), 1)
         head = QHBoxLayout()
         head.addWidget(self._origin, 1)
         head.addWidget(self._original)
@@ -122,12 +118,12 @@ class AlignmentPanel(QScrollArea):
 
     def _foot(self) -> QHBoxLayout:
         self._pivot.setWordWrap(True)
-        font = self._pivot.font()
-        font.setPointSizeF(max(7.5, font.pointSizeF() - 1.0))
-        self._pivot.setFont(font)
-        self._here = _tool("target", "alignment_pivot", "Tell the same motion about the middle of this frame's contact")
+        smaller(self._pivot, 1.0, least_pt=7.5)
+        self._here = icon_button(
+            "target", "alignment_pivot", "Tell the same motion about the middle of this frame's contact"
+        )
         self._here.clicked.connect(self.pivot_wanted)
-        self._reset = _tool("reset", "alignment_reset", "Take all six offsets back to zero")
+        self._reset = icon_button("reset", "alignment_reset", "Take all six offsets back to zero")
         self._reset.clicked.connect(self.reset_wanted)
         foot = QHBoxLayout()
         foot.addWidget(self._pivot, 1)
@@ -137,20 +133,12 @@ class AlignmentPanel(QScrollArea):
 
     def add_command(self, action: QAction) -> None:
         """Give a command a button at the top."""
-        button = QToolButton()
-        button.setDefaultAction(action)
-        button.setAutoRaise(True)
-        self._files.addWidget(button)
+        self._files.addWidget(command_button(action))
 
     @property
     def reason(self) -> str:
         """Why there is no score, "" if there is one."""
         return self._reason.text()
-
-    @property
-    def dragging(self) -> bool:
-        """Whether a handle is being moved."""
-        return self._dragging
 
     @property
     def origin(self) -> str:
@@ -208,8 +196,8 @@ class AlignmentPanel(QScrollArea):
         self.bars.show_axes(axes)
 
     def _begin(self) -> None:
-        if not self._dragging:
-            self._dragging = True
+        if not self.dragging:
+            self.dragging = True
             self.bars.setEnabled(False)  # they tell of the place that is being left
             self.drag_begun.emit()
 
@@ -221,25 +209,13 @@ class AlignmentPanel(QScrollArea):
 
     def _end(self) -> None:
         self._still.stop()
-        if self._dragging:
-            self._dragging = False
+        if self.dragging:
+            self.dragging = False
             self.drag_ended.emit()
 
 
 def _title(text: str) -> QLabel:
     label = QLabel(text)
-    font = label.font()
-    font.setBold(True)
-    label.setFont(font)
+    bold(label)
     label.setContentsMargins(0, 6, 0, 0)
     return label
-
-
-def _tool(icon: str, name: str, tip: str) -> QToolButton:
-    button = QToolButton()
-    button.setIcon(drawn(icon))
-    button.setAutoRaise(True)
-    button.setObjectName(name)
-    button.setToolTip(tip)
-    button.setAccessibleName(tip)
-    return button

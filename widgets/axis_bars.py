@@ -10,6 +10,7 @@ from PyQt6.QtWidgets import QSizePolicy, QWidget
 
 from pipeline.alignment.sensitivity import UNIT_STEP, Change, Sensitivity
 from widgets.colours import GAUGE_ROOM, MATTERS, qcolor
+from widgets.looks import smaller
 
 # title, unit, digits, whether more is better
 _FIGURES = (("depth", "mm", 3, False), ("edge", "px", 2, False), ("IoU", "", 3, True))
@@ -25,19 +26,12 @@ class AxisBars(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._axes: tuple[Sensitivity, ...] = ()
+        self.axes: tuple[Sensitivity, ...] = ()  # what is shown
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-        font = self.font()
-        font.setPointSizeF(max(7.5, font.pointSizeF() - 0.5))
-        self.setFont(font)
+        smaller(self, 0.5, least_pt=7.5)
         self.setAccessibleName("which axis matters")
         self._full = (UNIT_STEP, 1.0, _FULL_IOU)
         self.show_pixel(UNIT_STEP)
-
-    @property
-    def axes(self) -> tuple[Sensitivity, ...]:
-        """What is shown."""
-        return self._axes
 
     def show_pixel(self, pixel_mm: float) -> None:
         """Set the limits: bars are full where depth or outlines follow a motion in full, on pixels of this width."""
@@ -48,8 +42,8 @@ class AxisBars(QWidget):
 
     def show_axes(self, axes: Sequence[Sensitivity]) -> None:
         """Show these axes; none leaves the table empty."""
-        self._axes = tuple(axes)
-        rows = [f"{s.axis}: " + ", ".join(_told(c, i) for i, c in enumerate(_changes(s))) for s in self._axes]
+        self.axes = tuple(axes)
+        rows = [f"{s.axis}: " + ", ".join(_told(c, i) for i, c in enumerate(_changes(s))) for s in self.axes]
         self.setAccessibleDescription("; ".join(rows))
         self.update()
 
@@ -70,7 +64,7 @@ class AxisBars(QWidget):
         for i, (name, unit, *_) in enumerate(_FIGURES):
             cell = QRectF(left + i * width, 0, width - 4, row)
             painter.drawText(cell, middle | int(Qt.AlignmentFlag.AlignRight), f"{name} {unit}".strip())
-        for n, axis in enumerate(self._axes):
+        for n, axis in enumerate(self.axes):
             top = (n + 1) * row
             painter.setPen(ink)
             painter.drawText(QRectF(0, top, left, row), middle, axis.axis)

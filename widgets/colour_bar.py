@@ -7,6 +7,7 @@ from PyQt6.QtGui import QImage, QPainter, QPaintEvent
 from PyQt6.QtWidgets import QSizePolicy, QWidget
 
 from pipeline.pictures.colours import ColourScale, table
+from widgets.looks import smaller
 
 _STRIP_PX = 8
 
@@ -18,9 +19,7 @@ class ColourBar(QWidget):
         super().__init__(parent)
         self._scale: ColourScale | None = None
         self._strip: QImage | None = None
-        font = self.font()
-        font.setPointSizeF(max(7.0, font.pointSizeF() - 1.5))
-        self.setFont(font)
+        smaller(self)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
 
     def sizeHint(self) -> QSize:  # noqa: N802

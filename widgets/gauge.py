@@ -32,8 +32,8 @@ class Gauge(QWidget):
     def __init__(self, scale: GaugeScale, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._scale = scale
-        self._value: float | None = None
-        self._ghost: float | None = None
+        self.value: float | None = None  # the figure shown, None where there is none
+        self.ghost: float | None = None  # where the tick stands
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.setAccessibleName(scale.name)
         better = "higher is better" if scale.higher_is_better else "lower is better"
@@ -43,25 +43,15 @@ class Gauge(QWidget):
         )
 
     @property
-    def value(self) -> float | None:
-        """The figure shown, None where there is none."""
-        return self._value
-
-    @property
-    def ghost(self) -> float | None:
-        """Where the tick stands."""
-        return self._ghost
-
-    @property
     def text(self) -> str:
         """The figure with its unit."""
-        known = self._value is not None and math.isfinite(self._value)
-        return f"{self._value:.{self._scale.digits}f}{self._unit()}" if known else "-"
+        known = self.value is not None and math.isfinite(self.value)
+        return f"{self.value:.{self._scale.digits}f}{self._unit()}" if known else "-"
 
     def show_value(self, value: float | None) -> None:
         """Show a figure, None for none."""
-        if value != self._value:
-            self._value = value
+        if value != self.value:
+            self.value = value
             self.setAccessibleDescription(self.text)
             self.update()
 
@@ -73,8 +63,8 @@ class Gauge(QWidget):
 
     def mark_ghost(self, value: float | None) -> None:
         """Put the tick at a figure, or take it away."""
-        if value != self._ghost:
-            self._ghost = value
+        if value != self.ghost:
+            self.ghost = value
             self.update()
 
     def sizeHint(self) -> QSize:  # noqa: N802
@@ -99,16 +89,14 @@ class Gauge(QWidget):
         painter.setPen(Qt.PenStyle.NoPen)
         painter.setBrush(qcolor(GAUGE_ROOM))
         painter.drawRoundedRect(bar, 2, 2)
-        if self._value is not None and math.isfinite(self._value):
+        if self.value is not None and math.isfinite(self.value):
             painter.setBrush(qcolor(GAUGE))
-            painter.drawRoundedRect(
-                QRectF(bar.left(), bar.top(), bar.width() * self._share(self._value), _BAR_PX), 2, 2
-            )
-        if self._ghost is not None and math.isfinite(self._ghost):
+            painter.drawRoundedRect(QRectF(bar.left(), bar.top(), bar.width() * self._share(self.value), _BAR_PX), 2, 2)
+        if self.ghost is not None and math.isfinite(self.ghost):
             self._draw_ghost(painter, bar)
 
     def _draw_ghost(self, painter: QPainter, bar: QRectF) -> None:
-        x = bar.left() + bar.width() * self._share(self._ghost or 0.0)
+        x = bar.left() + bar.width() * self._share(self.ghost or 0.0)
         painter.setPen(QPen(qcolor(GHOST), 1.6))
         painter.drawLine(QPointF(x, bar.top() - 2), QPointF(x, bar.bottom() + 2))
         painter.setPen(Qt.PenStyle.NoPen)

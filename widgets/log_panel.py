@@ -7,6 +7,8 @@ from collections import deque
 
 from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QPlainTextEdit, QPushButton, QVBoxLayout, QWidget
 
+from widgets.looks import spaced
+
 _KEPT = 5000
 _LEVELS = {"everything": logging.DEBUG, "info": logging.INFO, "warnings": logging.WARNING, "errors": logging.ERROR}
 
@@ -33,9 +35,7 @@ class LogPanel(QWidget):
         row.addWidget(self._level)
         row.addStretch(1)
         row.addWidget(clear)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(4, 2, 4, 2)
-        layout.setSpacing(2)
+        layout = spaced(QVBoxLayout(self), 2, (4, 2, 4, 2))
         layout.addLayout(row)
         layout.addWidget(self._text)
 

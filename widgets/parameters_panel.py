@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtWidgets import (
@@ -20,13 +21,12 @@ from PyQt6.QtWidgets import (
     QSizePolicy,
     QSlider,
     QSpinBox,
-    QToolButton,
     QVBoxLayout,
     QWidget,
 )
 
 from pipeline.base.params import Setting, Value, changed, settings
-from widgets.icons import drawn
+from widgets.looks import bold, icon_button, spaced
 
 _SLIDER_STEPS = 400
 _WIDEST = 1e9  # stands for "no limit" in a spin box
@@ -105,20 +105,12 @@ class ParametersPanel(QScrollArea):
 
     def _group(self, key: str, title: str) -> tuple[QWidget, QFormLayout]:
         group = QWidget()
-        outer = QVBoxLayout(group)
-        outer.setContentsMargins(0, 2, 0, 6)
-        outer.setSpacing(3)
+        outer = spaced(QVBoxLayout(group), 3, (0, 2, 0, 6))
         head = QHBoxLayout()
         name = QLabel(title)
-        font = name.font()
-        font.setBold(True)
-        name.setFont(font)
-        button = QToolButton()
-        button.setIcon(drawn("reset"))
-        button.setAutoRaise(True)
-        button.setToolTip(f"Reset {title.lower()} to its defaults")
+        bold(name)
+        button = icon_button("reset", f"reset_{key}", f"Reset {title.lower()} to its defaults")
         button.setAccessibleName(f"reset {key}")
-        button.setObjectName(f"reset_{key}")
         button.clicked.connect(lambda: self.reset(key))
         head.addWidget(name, 1)
         head.addWidget(button)
@@ -152,16 +144,21 @@ class ParametersPanel(QScrollArea):
         return _text(value, edited)
 
 
+def _quiet(box: QWidget, put: Callable[[Any], object]) -> _Control:
+    """A control whose widget takes a value by `put`, without saying so to anybody."""
+
+    def show(new: Value) -> None:
+        with QSignalBlocker(box):
+            put(new)
+
+    return _Control(widget=box, show=show)
+
+
 def _switch(value: bool, edited: Callable[[Value], None]) -> _Control:
     box = QCheckBox()
     box.setChecked(value)
     box.toggled.connect(edited)
-
-    def show(new: Value) -> None:
-        with QSignalBlocker(box):
-            box.setChecked(bool(new))
-
-    return _Control(widget=box, show=show)
+    return _quiet(box, box.setChecked)
 
 
 def _choice(value: str, told: Setting, edited: Callable[[Value], None]) -> _Control:
@@ -170,18 +167,13 @@ def _choice(value: str, told: Setting, edited: Callable[[Value], None]) -> _Cont
     box.setCurrentText(value)
     box.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
     box.currentTextChanged.connect(edited)
-
-    def show(new: Value) -> None:
-        with QSignalBlocker(box):
-            box.setCurrentText(str(new))
-
-    return _Control(widget=box, show=show)
+    return _quiet(box, box.setCurrentText)
 
 
 def _text(value: str, edited: Callable[[Value], None]) -> _Control:
     line = QLineEdit(value)
     line.editingFinished.connect(lambda: edited(line.text()))
-    return _Control(widget=line, show=lambda new: line.setText(str(new)))
+    return _quiet(line, line.setText)
 
 
 def _whole(value: int, told: Setting, edited: Callable[[Value], None]) -> _Control:
@@ -191,12 +183,7 @@ def _whole(value: int, told: Setting, edited: Callable[[Value], None]) -> _Contr
     box.setKeyboardTracking(False)
     box.setValue(value)
     box.valueChanged.connect(edited)
-
-    def show(new: Value) -> None:
-        with QSignalBlocker(box):
-            box.setValue(int(new))
-
-    return _Control(widget=box, show=show)
+    return _quiet(box, box.setValue)
 
 
 def _number(value: float, told: Setting, edited: Callable[[Value], None]) -> _Control:

@@ -15,6 +15,7 @@ from pipeline.base.arrays import Floats
 from pipeline.pictures.picture import Picture
 from widgets.colour_bar import ColourBar
 from widgets.colours import BACKDROP, CONTACT, FELT, FELT_CASING, TRACE, qcolor
+from widgets.looks import smaller, spaced
 
 _BAR_LENGTHS_MM = (50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.5, 0.2)
 
@@ -27,7 +28,7 @@ class PictureView(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._picture: Picture | None = None
+        self.picture: Picture | None = None  # what is shown
         self._shape: tuple[int, int] | None = None
         self._view = _Canvas()
         self.box: Any = pg.ViewBox(lockAspect=True, invertY=True, enableMenu=False, border=None)
@@ -45,15 +46,11 @@ class PictureView(QWidget):
         self._message.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self._message.setStyleSheet("background: rgba(255, 255, 255, 215); border-radius: 4px; padding: 4px;")
         self._message.hide()
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(2)
+        layout = spaced(QVBoxLayout(self), 2)
         layout.addWidget(self._view, 1)
         layout.addWidget(self._bar)
         layout.addWidget(self._caption)
-        small = self._caption.font()
-        small.setPointSizeF(max(7.0, small.pointSizeF() - 1.5))
-        self._caption.setFont(small)
+        smaller(self._caption)
         self._caption.setFixedHeight(2 * self._caption.fontMetrics().lineSpacing() + 3)
         self._view.mouse_moved.connect(self._report_hover)
         self._view.mouse_left.connect(lambda: self.pixel_hovered.emit(-1, -1))
@@ -77,25 +74,15 @@ class PictureView(QWidget):
         self.show_cross(None)
 
     @property
-    def picture(self) -> Picture | None:
-        """What is shown."""
-        return self._picture
-
-    @property
     def message(self) -> str:
         """The sentence over the picture."""
         return self._message.text()
 
-    @property
-    def cross(self) -> tuple[int, int] | None:
-        """Where the trace's crosshair is."""
-        return self._cross
-
     def show_picture(self, picture: Picture) -> None:
         """Show a picture; the view moves only when the number of pixels changed."""
-        if picture is self._picture:
+        if picture is self.picture:
             return
-        self._picture = picture
+        self.picture = picture
         self._image.setImage(picture.pixels, autoLevels=False, levels=(0, 255))
         _draw_border(self._outline, picture.outline_px)
         for curve in (self._felt_casing, self._felt):
@@ -121,7 +108,7 @@ class PictureView(QWidget):
 
     def show_cross(self, pixel: tuple[int, int] | None) -> None:
         """Put the trace's crosshair on (row, col), or take it away."""
-        self._cross = pixel
+        self.cross = pixel  # where the trace's crosshair is
         for line in (self._cross_x, self._cross_y):
             line.setVisible(pixel is not None)
         if pixel is not None:

@@ -9,6 +9,7 @@ from PyQt6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBo
 
 from pipeline.alignment.refine import Fit, Refinement
 from pipeline.base.arrays import Doubles
+from widgets.looks import spaced
 
 _IDLE = "least squares over all frames that both sensors feel; a quarter of them only judges"
 
@@ -35,9 +36,7 @@ class RefineBox(QWidget):
         self._text.setWordWrap(True)
         self._text.setTextFormat(Qt.TextFormat.RichText)
         self._text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(4)
+        layout = spaced(QVBoxLayout(self), 4)
         for pair in ((self.button, self.cancel), (self.accept, self.discard)):
             row = QHBoxLayout()
             for one in pair:

@@ -6,6 +6,7 @@ from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QSlider, QWidget
 
 from pipeline.values.results import PoseStep
+from widgets.looks import smaller, spaced
 
 
 class StepsSlider(QWidget):
@@ -22,12 +23,8 @@ class StepsSlider(QWidget):
         self.slider.setToolTip("Iteration of the registration")
         self._text = QLabel("no registration")
         self.slider.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        font = self._text.font()
-        font.setPointSizeF(max(7.0, font.pointSizeF() - 1.5))
-        self._text.setFont(font)
-        layout = QHBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(4)
+        smaller(self._text)
+        layout = spaced(QHBoxLayout(self), 4)
         layout.addWidget(self.slider, 1)
         layout.addWidget(self._text, 0)
         self.slider.valueChanged.connect(self._chosen)

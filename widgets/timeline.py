@@ -6,7 +6,9 @@ import math
 
 from PyQt6.QtCore import QSignalBlocker, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSlider, QSpinBox, QToolButton, QWidget
+from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSlider, QSpinBox, QWidget
+
+from widgets.looks import command_button
 
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0)
 FRAMES_PER_SECOND = 10.0  # at speed 1, when the recording keeps no times
@@ -21,7 +23,8 @@ class Timeline(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._n_frames, self._frame, self._ready = 0, 0, True
+        self._n_frames, self._ready = 0, True
+        self.frame = 0  # the chosen one
         self._due = 0.0  # share of the next frame that playing has waited for
         self._clock = QTimer(self)
         self._clock.setInterval(_TICK_MS)
@@ -59,15 +62,7 @@ class Timeline(QWidget):
 
     def add_command(self, action: QAction) -> None:
         """Give a command a button at the left of the slider."""
-        button = QToolButton()
-        button.setDefaultAction(action)
-        button.setAutoRaise(True)
-        self._buttons.addWidget(button)
-
-    @property
-    def frame(self) -> int:
-        """The chosen frame."""
-        return self._frame
+        self._buttons.addWidget(command_button(action))
 
     @property
     def playing(self) -> bool:
@@ -88,7 +83,7 @@ class Timeline(QWidget):
 
     def show_frame(self, frame: int, time_s: float = math.nan) -> None:
         """Show where we are; says nothing to anybody."""
-        self._frame = frame
+        self.frame = frame
         with QSignalBlocker(self.slider), QSignalBlocker(self.number):
             self.slider.setValue(frame)
             self.number.setValue(frame)
@@ -104,7 +99,7 @@ class Timeline(QWidget):
         if on == self._clock.isActive():
             return
         if on:
-            if self._frame >= self._n_frames - 1:
+            if self.frame >= self._n_frames - 1:
                 self.step_to(0)
             self._due = 0.0
             self._clock.start()
@@ -118,7 +113,7 @@ class Timeline(QWidget):
 
     def step(self, by: int) -> None:
         """Go `by` frames on, no further than the ends."""
-        self.step_to(self._frame + by)
+        self.step_to(self.frame + by)
 
     def step_to(self, frame: int) -> None:
         """Go to a frame, no further than the ends."""
@@ -129,7 +124,7 @@ class Timeline(QWidget):
         self.step_to(self._n_frames - 1)
 
     def _choose(self, frame: int) -> None:
-        if frame == self._frame or self._n_frames == 0:
+        if frame == self.frame or self._n_frames == 0:
             return
         self.show_frame(frame)
         self.frame_chosen.emit(frame)
@@ -140,7 +135,7 @@ class Timeline(QWidget):
             return
         by = int(self._due)
         self._due -= by
-        following = self._frame + by
+        following = self.frame + by
         if following >= self._n_frames:
             if not self._looping:
                 self.step_to(self._n_frames - 1)

@@ -29,6 +29,7 @@ from widgets.alignment_panel import AlignmentPanel
 from widgets.banner import Banner
 from widgets.frames_panel import FramesPanel
 from widgets.log_panel import LogPanel
+from widgets.looks import smaller, spaced
 from widgets.parameters_panel import ParametersPanel
 from widgets.stage_column import StageColumn
 from widgets.steps import StepsSlider
@@ -86,20 +87,14 @@ class Window(QMainWindow):
 
     def _build_centre(self) -> None:
         above, below = QWidget(), QWidget()
-        row = QHBoxLayout(above)
-        row.setContentsMargins(0, 0, 0, 0)
-        row.setSpacing(3)
+        row = spaced(QHBoxLayout(above), 3)
         for column in self.columns.values():
             row.addWidget(column, 1)
-        under = QVBoxLayout(below)
-        under.setContentsMargins(0, 0, 0, 0)
-        under.setSpacing(1)
+        under = spaced(QVBoxLayout(below), 1)
         under.addLayout(self.scene_place, 1)
-        captions = QHBoxLayout()
-        captions.setSpacing(3)
+        captions = spaced(QHBoxLayout(), 3)
         for name, caption in self.captions.items():
-            cell = QVBoxLayout()
-            cell.setSpacing(0)
+            cell = spaced(QVBoxLayout(), 0)
             cell.addWidget(self._under(name))
             cell.addWidget(caption)
             captions.addLayout(cell, 1)
@@ -110,9 +105,7 @@ class Window(QMainWindow):
         split.setSizes([330, 330])
         split.setChildrenCollapsible(False)
         centre = QWidget()
-        layout = QVBoxLayout(centre)
-        layout.setContentsMargins(4, 4, 4, 0)
-        layout.setSpacing(3)
+        layout = spaced(QVBoxLayout(centre), 3, (4, 4, 4, 0))
         layout.addWidget(self.banner)
         layout.addWidget(split, 1)
         layout.addWidget(self.timeline)
@@ -277,9 +270,7 @@ class Window(QMainWindow):
 
 def _caption() -> QLabel:
     label = QLabel()
-    font = label.font()
-    font.setPointSizeF(max(7.0, font.pointSizeF() - 1.5))
-    label.setFont(font)
+    smaller(label)
     label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
     label.setAlignment(Qt.AlignmentFlag.AlignHCenter)
     return label

@@ -1,0 +1,52 @@
+"""What many widgets have in common: letters, the room in a layout, and buttons for commands."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+from PyQt6.QtGui import QAction
+from PyQt6.QtWidgets import QLayout, QToolButton, QWidget
+
+from widgets.icons import drawn
+
+_Layout = TypeVar("_Layout", bound=QLayout)
+
+
+def spaced(layout: _Layout, between_px: int, around_px: tuple[int, int, int, int] = (0, 0, 0, 0)) -> _Layout:
+    """The layout with this room between what it holds, and around it (left, top, right, bottom)."""
+    layout.setSpacing(between_px)
+    layout.setContentsMargins(*around_px)
+    return layout
+
+
+def smaller(widget: QWidget, by_pt: float = 1.5, *, least_pt: float = 7.0) -> None:
+    """Give a widget smaller letters than the window's, but no smaller than can be read."""
+    font = widget.font()
+    font.setPointSizeF(max(least_pt, font.pointSizeF() - by_pt))
+    widget.setFont(font)
+
+
+def bold(widget: QWidget) -> None:
+    """Give a widget bold letters."""
+    font = widget.font()
+    font.setBold(True)
+    widget.setFont(font)
+
+
+def command_button(action: QAction) -> QToolButton:
+    """A flat button for a command of the window."""
+    button = QToolButton()
+    button.setDefaultAction(action)
+    button.setAutoRaise(True)
+    return button
+
+
+def icon_button(icon: str, name: str, tip: str) -> QToolButton:
+    """A flat button with a drawn icon, found by its object name, that tells what it does."""
+    button = QToolButton()
+    button.setIcon(drawn(icon))
+    button.setAutoRaise(True)
+    button.setObjectName(name)
+    button.setToolTip(tip)
+    button.setAccessibleName(tip)
+    return button
