@@ -101,7 +101,7 @@ def show_window(session: Session, *, with_scene: bool = True, catalogue: Catalog
     if with_scene:
         QTimer.singleShot(0, lambda: _add_scene(instrument))
     if session.recording is not None:
-        instrument.start(session)
+        instrument.show_session(session)
     logging.getLogger("tactoscope").info("Tactoscope is ready")
     return instrument
 
@@ -126,4 +126,4 @@ def _wait_until_seen(window: Window) -> None:
 def _add_scene(instrument: Instrument) -> None:
     from widgets.scene import best_scene
 
-    instrument.show_scene(best_scene(len(instrument.window.columns), instrument.window))
+    instrument.screen.take_scene(best_scene(len(instrument.window.columns)), instrument.session)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from PyQt6.QtCore import QAbstractTableModel, QModelIndex, Qt, pyqtSignal
-from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QWidget
 
 _COLUMNS = ("frame", "depth\nmm", "contact\nmm²", "error\nmm")
 _TIPS = (
@@ -93,22 +93,21 @@ class FramesModel(QAbstractTableModel):
         return None
 
 
-class FramesPanel(QWidget):
-    """The table of frames; `frame_chosen` says which row was picked."""
+class FramesPanel(QTableView):
+    """The table of `known` frames; `frame_chosen` says which row was picked."""
 
     frame_chosen = pyqtSignal(int)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.model = FramesModel(self)
-        self._table = QTableView()
-        self._table.setObjectName("frames")
-        self._table.setModel(self.model)
-        self._table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
-        self._table.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
-        self._table.setShowGrid(False)
-        self._table.setAlternatingRowColors(True)
-        rows, columns = self._table.verticalHeader(), self._table.horizontalHeader()
+        self.known = FramesModel(self)
+        self.setObjectName("frames")
+        self.setModel(self.known)
+        self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        self.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
+        self.setShowGrid(False)
+        self.setAlternatingRowColors(True)
+        rows, columns = self.verticalHeader(), self.horizontalHeader()
         assert rows is not None
         assert columns is not None
         rows.hide()
@@ -116,29 +115,14 @@ class FramesPanel(QWidget):
         columns.setMinimumSectionSize(30)
         columns.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
         columns.setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.addWidget(self._table)
-        self._table.clicked.connect(self._picked)
-        self._table.activated.connect(self._picked)
-
-    def show_frames(self, n_frames: int) -> None:
-        """List this many frames."""
-        self.model.show_frames(n_frames)
-
-    def forget(self) -> None:
-        """Forget what is known of the frames, as after a change of settings."""
-        self.model.forget()
-
-    def show_summary(self, frame: int, summary: FrameSummary) -> None:
-        """Fill in what is known of a frame."""
-        self.model.show_summary(frame, summary)
+        self.clicked.connect(self._picked)
+        self.activated.connect(self._picked)
 
     def show_frame(self, frame: int) -> None:
         """Mark the frame that is on screen."""
-        if self._table.currentIndex().row() != frame and 0 <= frame < self.model.rowCount():
-            self._table.setCurrentIndex(self.model.index(frame, 0))
-        self._table.scrollTo(self.model.index(frame, 0))
+        if self.currentIndex().row() != frame and 0 <= frame < self.known.rowCount():
+            self.setCurrentIndex(self.known.index(frame, 0))
+        self.scrollTo(self.known.index(frame, 0))
 
     def _picked(self, index: QModelIndex) -> None:
         self.frame_chosen.emit(index.row())

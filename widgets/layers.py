@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol
 
 from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QLabel, QWidget
+from PyQt6.QtWidgets import QLabel
 
 from pipeline.base.arrays import Doubles
 from pipeline.pictures.layers import Layer, Sight
 
 
-class Scene(Protocol):
-    """What the window asks of 3D; where nothing is drawn, all of it does nothing."""
+class Scene(QLabel):
+    """What the window asks of 3D; by itself it stands in until the views are there, or says why there are none."""
+
+    def __init__(self, notice: str = "") -> None:
+        super().__init__(notice)
+        self.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.setWordWrap(True)
 
     def show_layers(self, column: int, layers: Sequence[Layer]) -> None:
         """Show exactly these layers in a sub-view."""
@@ -35,20 +39,3 @@ class Scene(Protocol):
 
     def finish(self) -> None:
         """Let go of everything OpenGL."""
-
-    def widget(self) -> QWidget:
-        """What goes into the layout."""
-        ...
-
-
-class EmptyScene(Scene):
-    """Stands in until the 3D views are there, or says why there are none."""
-
-    def __init__(self, notice: str = "") -> None:
-        self._widget = QLabel(notice)
-        self._widget.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        self._widget.setWordWrap(True)
-
-    def widget(self) -> QWidget:
-        """The notice."""
-        return self._widget

@@ -9,14 +9,14 @@ from typing import Any
 
 from PyQt6.QtCore import Qt, QTimer
 from PyQt6.QtGui import QImage, QMouseEvent, QPainter, QPaintEvent, QResizeEvent, QWheelEvent
-from PyQt6.QtWidgets import QSizePolicy, QWidget
+from PyQt6.QtWidgets import QSizePolicy
 from vtkmodules.vtkInteractionStyle import vtkInteractorStyleTrackballCamera
 from vtkmodules.vtkRenderingUI import vtkGenericRenderWindowInteractor
 
 from pipeline.base.arrays import Doubles
 from pipeline.pictures.layers import Layer, Sight
 from widgets.colours import BACKDROP, qcolor
-from widgets.layers import EmptyScene, Scene
+from widgets.layers import Scene
 from widgets.sub_views import SubViews
 
 _TOGETHER_MS = 30  # stages arrive one by one within a few milliseconds: one picture serves them all
@@ -28,15 +28,15 @@ _BUTTONS = {
 }
 
 
-class LiveScene(QWidget):
+class LiveScene(Scene):
     """All sub-views as one picture, turned with the mouse.
 
     An OpenGL widget would make Qt build the whole window anew once it comes, and compose every later repaint in
     OpenGL, which costs most where there is no graphics card; reading the picture back costs a millisecond.
     """
 
-    def __init__(self, columns: int, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+    def __init__(self, columns: int) -> None:
+        super().__init__()
         self.setMinimumSize(60, 60)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored)  # the picture follows the room
         self._stage = SubViews(columns, _samples())
@@ -89,10 +89,6 @@ class LiveScene(QWidget):
         self._finished = True  # a late change of size would open OpenGL again
         self._stage.close()
 
-    def widget(self) -> QWidget:
-        """Itself."""
-        return self
-
     def paintEvent(self, a0: QPaintEvent | None) -> None:  # noqa: N802
         """The last picture, or the backdrop until there is one."""
         del a0
@@ -106,18 +102,18 @@ class LiveScene(QWidget):
         super().resizeEvent(a0)
         self._draw_soon()
 
-    def mousePressEvent(self, a0: QMouseEvent | None) -> None:  # noqa: N802
+    def mousePressEvent(self, ev: QMouseEvent | None) -> None:  # noqa: N802
         """Take hold of a view."""
-        self._button(a0, "PressEvent")
+        self._button(ev, "PressEvent")
 
-    def mouseReleaseEvent(self, a0: QMouseEvent | None) -> None:  # noqa: N802
+    def mouseReleaseEvent(self, ev: QMouseEvent | None) -> None:  # noqa: N802
         """Let go of it."""
-        self._button(a0, "ReleaseEvent")
+        self._button(ev, "ReleaseEvent")
 
-    def mouseMoveEvent(self, a0: QMouseEvent | None) -> None:  # noqa: N802
+    def mouseMoveEvent(self, ev: QMouseEvent | None) -> None:  # noqa: N802
         """Turn, shift or near it; Qt tells of motion only while a button is down."""
-        if a0 is not None:
-            self._tell(a0, "MouseMoveEvent")
+        if ev is not None:
+            self._tell(ev, "MouseMoveEvent")
 
     def wheelEvent(self, a0: QWheelEvent | None) -> None:  # noqa: N802
         """Go nearer or farther; a touch pad tells of many small turns that make up one of a wheel."""
@@ -162,9 +158,9 @@ def _samples() -> int:
     return 0 if sys.platform == "linux" and not devices else 4
 
 
-def best_scene(columns: int, parent: QWidget | None = None) -> Scene:
+def best_scene(columns: int) -> Scene:
     """A live scene, or a notice where nothing can be drawn in 3D."""
     try:
-        return LiveScene(columns, parent)
+        return LiveScene(columns)
     except Exception as error:  # noqa: BLE001 - drivers fail in their own ways; the rest of the window must work
-        return EmptyScene(f"3D needs OpenGL, which this machine does not offer ({error})")
+        return Scene(f"3D needs OpenGL, which this machine does not offer ({error})")

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtWidgets import QComboBox, QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
-from pipeline.pictures.picture import Picture
 from widgets.icons import state_pixmap
+from widgets.looks import bold, smaller, spaced
 from widgets.picture import PictureView
 
 
@@ -21,39 +22,29 @@ class StageColumn(QFrame):
 
     def __init__(self, name: str, title: str, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.name = name
         self.setObjectName(f"column_{name}")
         self.setFrameShape(QFrame.Shape.StyledPanel)
         self._title = QLabel(title)
-        font = self._title.font()
-        font.setBold(True)
-        font.setPointSizeF(font.pointSizeF() - 0.5)
-        self._title.setFont(font)
+        bold(self._title)
+        smaller(self._title, 0.5)
         self._title.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self._title.setToolTip(title)
         self._sign, self._word, self._ms = QLabel(), QLabel(), QLabel()
         self._ms.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        small = self._word.font()
-        small.setPointSizeF(max(7.0, small.pointSizeF() - 1.0))
-        self._word.setFont(small)
-        self._ms.setFont(small)
         self.view = PictureView()
-        status = QHBoxLayout()
-        status.setSpacing(4)
+        status = spaced(QHBoxLayout(), 4)
         status.addWidget(self._sign)
         status.addWidget(self._word)
         status.addWidget(self._ms, 1)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(5, 4, 5, 3)
-        layout.setSpacing(2)
+        layout = spaced(QVBoxLayout(self), 2, (5, 4, 5, 3))
         self._method = QComboBox()
         self._method.setObjectName(f"method_{name}")
         self._method.setAccessibleName(f"method of {title}")
-        self._method.setFont(small)
         self._method.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-        self._method.activated.connect(self._chosen)
+        self._method.activated.connect(lambda: self.method_chosen.emit(name, self._method.currentData()))
         self._only = QLabel()  # in its place where there is one way only
-        self._only.setFont(small)
+        for widget in (self._word, self._ms, self._method, self._only):
+            smaller(widget, 1.0)
         self._only.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self._only.setFixedHeight(self._method.sizeHint().height())
         self._method.hide()
@@ -65,8 +56,8 @@ class StageColumn(QFrame):
         self.setMinimumWidth(90)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
         self.state = ""
-        self.view.pixel_hovered.connect(self._hovered)
-        self.view.pixel_clicked.connect(self._clicked)
+        self.view.pixel_hovered.connect(partial(self.pixel_hovered.emit, name))
+        self.view.pixel_clicked.connect(partial(self.pixel_clicked.emit, name))
         self.show_state("waiting")
 
     def offer_methods(self, methods: Sequence[tuple[str, str, str]]) -> None:
@@ -101,19 +92,6 @@ class StageColumn(QFrame):
         old = state in ("stale", "running", "failed") and self.view.picture is not None
         self.view.show_dimmed(old)
         self.view.show_message(self._message(state, notes))
-
-    def show_picture(self, picture: Picture) -> None:
-        """Show what the stage made."""
-        self.view.show_picture(picture)
-
-    def _hovered(self, row: int, col: int) -> None:
-        self.pixel_hovered.emit(self.name, row, col)
-
-    def _clicked(self, row: int, col: int) -> None:
-        self.pixel_clicked.emit(self.name, row, col)
-
-    def _chosen(self, index: int) -> None:
-        self.method_chosen.emit(self.name, self._method.itemData(index))
 
     def _message(self, state: str, notes: tuple[str, ...]) -> str:
         if state in ("stale", "running"):

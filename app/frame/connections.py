@@ -37,7 +37,7 @@ def connect(instrument: Instrument) -> None:
     window.timeline.frame_chosen.connect(instrument.choose_frame)
     window.frames.frame_chosen.connect(instrument.choose_frame)
     window.parameters.params_edited.connect(instrument.choose_params)
-    window.steps.step_chosen.connect(instrument.show_step)
+    window.steps.step_chosen.connect(instrument.screen.show_step)
     for column in window.columns.values():
         column.pixel_hovered.connect(tracer.hover)
         column.pixel_clicked.connect(tracer.click)

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 from PyQt6.QtCore import QSignalBlocker, QTimer, pyqtSignal
-from PyQt6.QtWidgets import QComboBox
 
-from app.frame.logs import LogRelay, log, sentence_and_details
+from app.frame.logs import LogRelay
 from app.frame.screen import Screen
 from app.frame.tracing import Tracer
 from app.frame.window import Window
 from app.session.documents import Documents
 from app.session.state import DISPLAY, Session
-from app.session.undo import SessionChange
 from app.work.evaluator import Evaluator, FrameShown, Opened, SlotShown, SourceShown, request_of
 from app.work.jobs import LatestJob, Work
 from app.work.stopwatch import Stopwatch
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.translate import Request
-from pipeline.values.results import PoseStep
-from widgets.layers import Scene
 
 _STALE_AFTER_MS = 150  # a picture that is replaced sooner need not say that it is old
 _PATIENCE_MS = 500  # younger work is let through, so that a drag shows something on its way; older work is stopped
@@ -31,7 +26,6 @@ class Instrument(Documents):
     """Holds the session, asks the background for it, and passes on what comes back."""
 
     frame_shown = pyqtSignal(int)
-    problem_shown = pyqtSignal(str)
     session_shown = pyqtSignal(object)  # Session
     closing = pyqtSignal()
 
@@ -52,10 +46,6 @@ class Instrument(Documents):
             timer.setInterval(ms)
         self._stale.timeout.connect(self._mark_stale)
 
-    def start(self, session: Session) -> None:
-        """Begin with a session; there is nothing before it to go back to."""
-        self.show_session(session)
-
     def choose_frame(self, frame: int) -> None:
         """Go to a frame."""
         self.change("go to another frame", key="frame", frame=frame)
@@ -70,19 +60,13 @@ class Instrument(Documents):
         own = self.catalogue.route(self.session.route).methods.get(slot) == name
         self.change(f"choose {name} for {slot}", methods=others if own else {**others, slot: name})
 
-    def change(self, text: str, *, key: str = "", **updates: Any) -> None:
-        """Change the session as one undo step; following changes of the same `key` join it."""
-        new = self.session.updated(**updates)
-        if new != self.session:
-            self.push(new, text, key)
-
     def show_session(self, session: Session) -> None:
         """Show a session: controls at once, stages when the background has them."""
         with self.watch.timed("show_session"):
             old, self.session = self.session, session
             self._show_controls()
             if session.settings != old.settings:
-                self.window.frames.forget()
+                self.window.frames.known.forget()
             if session.linked != old.linked or session.display != old.display:
                 self.screen.look(session)
             if session.recording is not None:
@@ -118,21 +102,6 @@ class Instrument(Documents):
         alone = self.window.visible_columns() == (name,)
         self.screen.show_only(None if alone else name)
         self.refresh()
-
-    def show_step(self, step: PoseStep) -> None:
-        """Put the object where it was at an iteration."""
-        self.screen.show_step(step)
-
-    def show_scene(self, scene: Scene) -> None:
-        """Take up the 3D views."""
-        self.screen.take_scene(scene, self.session)
-
-    def show_problem(self, error: BaseException) -> None:
-        """Say in the banner what went wrong, and log it once."""
-        sentence, details = sentence_and_details(error)
-        log.error("%s", sentence)
-        self.window.banner.show_problem(sentence, details)
-        self.problem_shown.emit(sentence)
 
     def reset_view(self) -> None:
         """Fit every picture and 3D view."""
@@ -222,10 +191,6 @@ class Instrument(Documents):
         if ticket == self._ticket and self._waits:
             self.window.show_progress(fraction, text)
 
-    def push(self, new: Session, text: str, key: str = "") -> None:
-        """Go to another session as one undo step; see `change`."""
-        self.undo.push(SessionChange(old=self.session, new=new, text=text, key=key, show=self.show_session))
-
     def _take_back(self) -> None:
         """Go back to the session whose request is open, but stay on the frame that was chosen meanwhile."""
         failed = self.session
@@ -251,9 +216,13 @@ class Instrument(Documents):
         methods = self.catalogue.methods(session.route, session.methods)
         window.parameters.show_groups((*(m.key for m in methods), DISPLAY))
         self.screen.show_methods(methods)
-        _show_choice(window.source, session.source)
-        _show_choice(window.target, session.target)
-        _show_choice(window.route, session.route)
+        for box, value in (
+            (window.source, session.source),
+            (window.target, session.target),
+            (window.route, session.route),
+        ):
+            with QSignalBlocker(box):
+                box.setCurrentIndex(max(0, box.findData(value)))
         window.actions_by_name["link_cameras"].setChecked(session.linked)
         window.actions_by_name["close_mesh"].setEnabled(session.mesh is not None)
 
@@ -287,8 +256,3 @@ class Instrument(Documents):
     def _mark_stale(self) -> None:
         with self.watch.timed("mark_stale"):
             self.screen.mark_stale()
-
-
-def _show_choice(box: QComboBox, value: str) -> None:
-    with QSignalBlocker(box):
-        box.setCurrentIndex(max(0, box.findData(value)))

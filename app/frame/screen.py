@@ -16,7 +16,7 @@ from pipeline.pictures.picture import Picture
 from pipeline.sensors.spec import SensorSpec
 from pipeline.values.results import PoseStep
 from widgets.colours import AXES
-from widgets.layers import EmptyScene, Scene
+from widgets.layers import Scene
 from widgets.timings_panel import TimingRow
 
 TIMES = "\N{MULTIPLICATION SIGN}"
@@ -30,42 +30,32 @@ class Screen:
 
     def __init__(self, window: Window, tracer: Tracer) -> None:
         self._window, self._tracer = window, tracer
-        self._scene: Scene = EmptyScene()
-        self._opened: Opened | None = None
+        self.scene = Scene()  # the 3D views
+        self.opened: Opened | None = None  # the recording on screen
         self._layers: dict[int, tuple[Layer, ...]] = {}
         self._fresh: set[str] = set()
         self._order = tuple(window.columns)
 
-    @property
-    def opened(self) -> Opened | None:
-        """The recording on screen."""
-        return self._opened
-
-    @property
-    def scene(self) -> Scene:
-        """The 3D views."""
-        return self._scene
-
     def take_scene(self, scene: Scene, session: Session) -> None:
         """Take up the 3D views, which come after the window is on screen."""
-        self._scene = scene
-        self._window.scene_place.addWidget(scene.widget())
+        self.scene = scene
+        self._window.scene_place.addWidget(scene)
         self.look(session)
         for column, layers in self._layers.items():
             scene.show_layers(column, layers)
 
     def finish(self) -> None:
         """Let go of everything OpenGL."""
-        self._scene.finish()
+        self.scene.finish()
 
     def show_opened(self, opened: Opened) -> None:
         """Another recording, or the same one between other sensors."""
-        old, self._opened = self._opened, opened
+        old, self.opened = self.opened, opened
         t, window = opened.translation, self._window
         window.setWindowTitle(f"{t.request.recording.name} · {t.source.title} → {t.target.title} · Tactoscope")
         window.timeline.show_frames(t.n_frames)
         if old is None or old.translation.stream is not t.stream:
-            window.frames.show_frames(t.n_frames)
+            window.frames.known.show_frames(t.n_frames)
         window.source.setItemText(0, f"as recorded: {t.source.name}")
         window.leave_out(frozenset(slot.name for slot in t.catalogue.slots) - set(t.slots))
         window.banner.dismiss()
@@ -81,12 +71,12 @@ class Screen:
         """One column's picture, layers and state."""
         name = part.result.name if isinstance(part, SlotShown) else "source"
         column = self._window.columns[name]
-        column.show_picture(part.picture)
+        column.view.show_picture(part.picture)
         if isinstance(part, SlotShown):
             self._results = {**self._results, name: part.result}
             column.show_state(part.result.state, part.result.ms, part.result.notes)
             self._tracer.show_results(self._results)
-            if self._opened is not None and self._opened.translation.catalogue.slot(name).scrubs:
+            if self.opened is not None and self.opened.translation.catalogue.slot(name).scrubs:
                 self._window.steps.show_steps(part.result.output.steps)
         else:
             self._results = {}  # those of another frame, or of other parameters
@@ -94,7 +84,7 @@ class Screen:
             self._tracer.show_results(self._results, part.frame)
         index = self._order.index(name)
         self._layers[index] = part.layers
-        self._scene.show_layers(index, part.layers)
+        self.scene.show_layers(index, part.layers)
         self._fresh.add(name)
 
     def show_preview(self, picture: Picture, layers: tuple[Layer, ...]) -> None:
@@ -109,17 +99,17 @@ class Screen:
             if column.state != "stale":
                 column.show_state("stale")
         column = self._window.columns[_PREVIEWED]
-        column.show_picture(picture)
+        column.view.show_picture(picture)
         column.show_state("preview")
-        self._scene.show_layers(self._order.index(_PREVIEWED), layers)
+        self.scene.show_layers(self._order.index(_PREVIEWED), layers)
 
     def show_frame(self, shown: FrameShown, *, comparable: bool) -> None:
         """Timings of a frame that is through, and its summary where that is `comparable` with those of the others."""
         if comparable and shown.summary is not None:
-            self._window.frames.show_summary(shown.index, shown.summary)
+            self._window.frames.known.show_summary(shown.index, shown.summary)
             self._window.frames.show_frame(shown.index)
-        if self._opened is not None:
-            slot = self._opened.translation.catalogue.slot
+        if self.opened is not None:
+            slot = self.opened.translation.catalogue.slot
             rows = [
                 TimingRow(title=slot(r.name).title, state=r.state, ms=r.ms, notes=r.notes)
                 for r in shown.results.values()
@@ -160,13 +150,13 @@ class Screen:
 
     def look(self, session: Session) -> None:
         """Set the cameras anew, and say which frame and stretch each 3D view has."""
-        if self._opened is None:
+        if self.opened is None:
             return
-        t, display = self._opened.translation, session.display
+        t, display = self.opened.translation, session.display
         seen = sights(t)
-        self._scene.look({self._order.index(name): sight for name, sight in seen.items()}, linked=session.linked)
+        self.scene.look({self._order.index(name): sight for name, sight in seen.items()}, linked=session.linked)
         radius = 0.04 * min(s.radius_mm for s in seen.values())
-        self._tracer.show_scene(self._scene, radius, display, t)
+        self._tracer.show_scene(self.scene, radius, display, t)
         self._caption("source", _SOURCE_LEGEND, t.source, 1.0)
         for slot in t.catalogue.slots:
             place = t.source if slot.place == "source" else t.target
@@ -174,7 +164,7 @@ class Screen:
 
     def show_step(self, step: PoseStep) -> None:
         """Put the object where it was at an iteration."""
-        self._scene.place(self._order.index("pose"), "object", step.sensor_from_object)
+        self.scene.place(self._order.index("pose"), "object", step.sensor_from_object)
 
     def show_only(self, name: str | None) -> None:
         """One slot alone, or all of the route for None."""
@@ -183,7 +173,7 @@ class Screen:
 
     def _show_columns(self) -> None:
         shown = self._window.visible_columns()
-        self._scene.show_columns([i for i, n in enumerate(self._order) if n in shown])
+        self.scene.show_columns([i for i, n in enumerate(self._order) if n in shown])
 
     def _caption(self, name: str, legend: str, place: SensorSpec, times: float) -> None:
         self._window.legends[name].setText(legend)
@@ -193,7 +183,7 @@ class Screen:
     def _resting_on(self, name: str) -> set[str]:
         """The slots that change with an input."""
         changed = {name}
-        for method in self._opened.translation.methods if self._opened is not None else ():
+        for method in self.opened.translation.methods if self.opened is not None else ():
             if changed.intersection(method.reads):
                 changed.add(method.slot)
         return changed - {name}

@@ -13,30 +13,39 @@ from PyQt6.QtGui import QUndoStack
 
 from app.frame import dialogs
 from app.frame.grabbing import write_picture
-from app.frame.logs import log
+from app.frame.logs import log, sentence_and_details
 from app.frame.window import Window
 from app.session.state import SUFFIX, Session, load_session, save_session
+from app.session.undo import SessionChange
 from pipeline.base.errors import TouchError
 
 
 class Documents(QObject):
-    """Holds the session and its undo stack; knows how files change it, but not how it is shown."""
+    """Holds the session and its undo stack; knows how it changes, by files too, but not how it is shown."""
 
     def __init__(self, window: Window, session: Session) -> None:
         super().__init__(window)
         self.window, self.session, self.undo = window, session, QUndoStack(self)
 
     @abstractmethod
+    def show_session(self, session: Session) -> None:
+        """Show a session: controls at once, stages when the background has them."""
+
     def change(self, text: str, *, key: str = "", **updates: Any) -> None:
         """Change the session as one undo step; following changes of the same `key` join it."""
+        new = self.session.updated(**updates)
+        if new != self.session:
+            self.push(new, text, key)
 
-    @abstractmethod
     def push(self, new: Session, text: str, key: str = "") -> None:
         """Go to another session as one undo step; see `change`."""
+        self.undo.push(SessionChange(old=self.session, new=new, text=text, key=key, show=self.show_session))
 
-    @abstractmethod
     def show_problem(self, error: BaseException) -> None:
-        """Say in the banner what went wrong."""
+        """Say in the banner what went wrong, and log it once."""
+        sentence, details = sentence_and_details(error)
+        log.error("%s", sentence)
+        self.window.banner.show_problem(sentence, details)
 
     def open_path(self, path: Path) -> None:
         """Open whatever `path` is: a session, a mesh, a calibration or a recording."""

@@ -48,12 +48,12 @@ def test_a_report_can_be_copied(qtbot):
 def test_the_list_of_frames_is_a_sound_model_and_fills_lazily(qtbot, qtmodeltester):
     panel = FramesPanel()
     qtbot.addWidget(panel)
-    panel.show_frames(5)
-    qtmodeltester.check(panel.model)
-    panel.show_summary(2, FrameSummary(deepest_mm=0.5, contact_mm2=12.34, error_mm=None))
-    cells = [panel.model.data(panel.model.index(2, c)) for c in range(4)]
+    panel.known.show_frames(5)
+    qtmodeltester.check(panel.known)
+    panel.known.show_summary(2, FrameSummary(deepest_mm=0.5, contact_mm2=12.34, error_mm=None))
+    cells = [panel.known.data(panel.known.index(2, c)) for c in range(4)]
     assert cells == ["2", "0.50", "12.3", "-"]
-    assert panel.model.data(panel.model.index(3, 1)) == ""
+    assert panel.known.data(panel.known.index(3, 1)) == ""
 
 
 def test_timings_show_every_stage_and_their_sum(qtbot):

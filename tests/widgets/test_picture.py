@@ -85,7 +85,7 @@ def test_another_size_of_picture_is_fitted_and_the_same_size_keeps_the_zoom(view
 def test_a_stale_column_keeps_its_picture_and_says_updating(qtbot):
     column = StageColumn("depth", "Depth")
     qtbot.addWidget(column)
-    column.show_picture(a_picture())
+    column.view.show_picture(a_picture())
     column.show_state("computed", 12.0)
     assert column.view.message == ""
     column.show_state("stale")

@@ -17,7 +17,7 @@ from app.session.state import Session
 from app.work.stopwatch import LIMIT_MS
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment_files import load
-from widgets.layers import EmptyScene
+from widgets.layers import Scene
 
 PAIRED = SAMPLE.with_name("digit_gelslim.h5")
 TOUCHED = 3  # a frame that both sensors feel
@@ -49,7 +49,7 @@ def _window_with_dock(open_window, qtbot, recording: Path, **session) -> Instrum
     instrument = open_window(gl=gl)
     instrument.screen.show_only("view")
     instrument.window.alignment_dock.raise_()
-    instrument.start(Session(recording=recording, **session))
+    instrument.show_session(Session(recording=recording, **session))
     panel = instrument.window.alignment
     qtbot.waitUntil(lambda: bool(panel.reason) or bool(panel.bars.axes), timeout=WAIT_MS)
     return instrument
@@ -244,7 +244,7 @@ def test_an_alignment_of_other_sensors_ends_in_the_banner_and_is_taken_back(alig
 def test_nothing_is_judged_while_the_dock_is_hidden(open_window, qtbot):
     instrument = open_window()
     instrument.show_only("view")
-    instrument.start(Session(recording=PAIRED, source="digit", target="gelslim", frame=TOUCHED))
+    instrument.show_session(Session(recording=PAIRED, source="digit", target="gelslim", frame=TOUCHED))
     assert wait_until_shown(instrument, LIMIT_S)
     qtbot.wait(200)
     assert not instrument.job.busy
@@ -264,7 +264,7 @@ def test_offsets_go_with_the_sensors_they_were_made_for(aligned, settled):
 @pytest.mark.gl
 def test_3d_views_follow_a_drag(open_window, qtbot):
     instrument = _window_with_dock(open_window, qtbot, PAIRED, gl=True, source="digit", target="gelslim", frame=TOUCHED)
-    qtbot.waitUntil(lambda: not isinstance(instrument.screen.scene, EmptyScene), timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: type(instrument.screen.scene) is not Scene, timeout=WAIT_MS)
     shown: list[tuple[int, str]] = []
     scene = instrument.screen.scene
     show = scene.show_layers

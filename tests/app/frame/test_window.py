@@ -24,7 +24,7 @@ from pipeline.stages.adapt.stage import AdaptParams
 from pipeline.stages.depth.stage import DepthParams
 from tests.app.conftest import bubble_frames
 from widgets.colours import BACKDROP
-from widgets.layers import EmptyScene
+from widgets.layers import Scene
 
 LIMIT_S = 60
 
@@ -204,7 +204,7 @@ def test_parameters_recompute_from_their_stage_on_and_can_be_undone(bubble_windo
 
 def _rows(instrument) -> dict[int, tuple[str, ...]]:
     """What the table of frames says of those it knows."""
-    model = instrument.window.frames.model
+    model = instrument.window.frames.known
     rows = {f: tuple(str(model.data(model.index(f, c))) for c in (1, 2, 3)) for f in range(model.rowCount())}
     return {f: cells for f, cells in rows.items() if any(cells)}
 
@@ -366,8 +366,8 @@ def test_the_window_is_not_built_anew_when_3d_comes(open_window, qtbot):
     """A window that takes up an OpenGL widget while it is shown goes black for that time."""
     instrument = open_window(gl=True)
     handle, number = instrument.window.windowHandle(), int(instrument.window.winId())
-    qtbot.waitUntil(lambda: not isinstance(instrument.screen.scene, EmptyScene), timeout=LIMIT_S * 1000)
-    scene = instrument.screen.scene.widget()
+    qtbot.waitUntil(lambda: type(instrument.screen.scene) is not Scene, timeout=LIMIT_S * 1000)
+    scene = instrument.screen.scene
     qtbot.waitExposed(scene)
     assert handle.surfaceType() == QSurface.SurfaceType.RasterSurface
     assert int(instrument.window.winId()) == number
@@ -379,7 +379,7 @@ def test_3d_views_are_in_the_windows_picture(open_window, touch_file, tmp_path):
     instrument = open_window(touch_file, gl=True, target="gelslim", frame=2)
     assert wait_until_shown(instrument, LIMIT_S)
     save_window_picture(instrument, tmp_path / "w.png")
-    scene = instrument.screen.scene.widget()
+    scene = instrument.screen.scene
     corner = scene.mapTo(instrument.window, QPoint(0, 0))
     image = instrument.window.grab().toImage()
     colours = {
