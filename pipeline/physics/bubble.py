@@ -34,7 +34,6 @@ _KPA_TO_N_MM2 = 1e-3
 class BubbleContact:
     """The pressed bubble on its lattice."""
 
-    lattice: Lattice
     deviation_mm: Doubles  # (ny, nx) w minus the rest dome: negative where pushed toward the camera, positive bulges
     force_kpa: Doubles  # (ny, nx) lambda: what the object presses with
     contact: Mask  # (ny, nx) lambda > 0
@@ -95,7 +94,6 @@ def press(
         v, over_kpa, settled = answer.v, answer.over_kpa, answer.converged
     force = multigrid.held(grid, v, over_kpa / tension) * tension
     return BubbleContact(
-        lattice=on,
         deviation_mm=freeze(v),
         force_kpa=freeze(force),
         contact=freeze(force > 0),

@@ -28,7 +28,6 @@ _REACH_MAX_PX = 1024  # beyond any picture; keeps the table of a very thick pad 
 class Layer:
     """The elastic answer of the pad as a convolution over a zero-padded grid: exact, nothing wraps around."""
 
-    shape: tuple[int, int]
     padded: tuple[int, int]
     repeated: tuple[int, int]  # grid of the preconditioner, which may wrap around: it guides, it does not decide
     symbol: Doubles | Floats  # mm per kPa of each wave
@@ -56,7 +55,6 @@ def layer(gel: Gel, pixel_mm: float, shape: tuple[int, int]) -> Layer:
     repeated = fast_length(shape[0]), fast_length(shape[1])
     inverse = 1.0 / _layer_symbol(gel, pixel_mm, repeated)
     return Layer(
-        shape=shape,
         padded=padded,
         repeated=repeated,
         symbol=freeze(np.fft.rfft2(around).real.astype(np.float32)),  # even in x and y, so real

@@ -83,16 +83,9 @@ _untouched_touches: Memo[str, Touch] = Memo(8)
 
 def _untouched(target: SensorSpec) -> Touch:
     shape = target.camera.shape
-    depth: Floats = freeze(target.rest_depth_mm.astype(np.float32))
-    at_rest = DepthMap(
-        indentation_mm=freeze(np.zeros(shape, np.float32)),
-        depth_mm=depth,
-        contact=freeze(np.zeros(shape, np.bool_)),
-        camera=target.camera,
-        source_index=pixel_index(shape),
-    )
+    at_rest = _membrane(target, np.zeros(shape, np.float32), np.zeros(shape, np.bool_))
     return Touch(
-        image=optics.untouched(target) if target.kind == "gel" else depth,
+        image=optics.untouched(target) if target.kind == "gel" else at_rest.depth_mm,
         camera=target.camera,
         source_index=freeze(np.full(shape, -1, np.int32)),
         known=freeze(np.ones(shape, np.bool_)),
@@ -184,17 +177,20 @@ def _touch(
 ) -> Touch:
     here = np.arange(contact.size, dtype=np.int32).reshape(contact.shape)
     source: Indices = np.where(view.source_index >= 0, here, np.int32(-1))
-    membrane = DepthMap(
+    return Touch(
+        image=image, camera=target.camera, source_index=freeze(source), known=view.known,
+        membrane=_membrane(target, surface, contact), notes=tuple(notes),
+    )  # fmt: skip
+
+
+def _membrane(target: SensorSpec, surface: Floats, contact: Mask) -> DepthMap:
+    return DepthMap(
         indentation_mm=freeze(surface),
         depth_mm=freeze((target.rest_depth_mm - surface).astype(np.float32)),
         contact=freeze(contact),
         camera=target.camera,
         source_index=pixel_index(contact.shape),
     )
-    return Touch(
-        image=image, camera=target.camera, source_index=freeze(source), known=view.known, membrane=membrane,
-        notes=tuple(notes),
-    )  # fmt: skip
 
 
 def _at_border(mask: Mask) -> bool:
