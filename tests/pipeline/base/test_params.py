@@ -11,7 +11,6 @@ from pipeline.base.errors import SettingProblem
 from pipeline.base.params import changed, setting, settings
 from pipeline.stages.depth.stage import DepthParams
 from pipeline.stages.generate.stage import GenerateParams
-from pipeline.stages.project.stage import ProjectParams
 
 Mode = Literal["bake", "grill"]
 
@@ -58,7 +57,7 @@ def test_a_wrong_setting_is_named_with_what_is_allowed(name, value, sentence):
     assert str(caught.value) == sentence
 
 
-@pytest.mark.parametrize("params", [DepthParams(), ProjectParams(), GenerateParams()], ids=lambda p: type(p).__name__)
+@pytest.mark.parametrize("params", [DepthParams(), GenerateParams()], ids=lambda p: type(p).__name__)
 def test_words_that_may_be_chosen_are_those_of_the_type(params):
     hints = get_type_hints(type(params))
     words = {name: told.choices for name, (value, told) in settings(params).items() if isinstance(value, str)}
