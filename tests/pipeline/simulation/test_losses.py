@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.recordings import hdf5
+from pipeline.sensors.spec import sensor
 from pipeline.simulation import recorder, shapes
 from pipeline.simulation.datasets import Plan
 
@@ -60,7 +61,8 @@ def test_a_full_disk_ends_in_one_sentence_and_the_next_run_goes_on(tmp_path):
     assert simulated(tmp_path / "whole.h5", 0).returncode == 0
     whole = (tmp_path / "whole.h5").stat().st_size
     out = tmp_path / "full.h5"
-    room = 2 * whole // 3 + (2 << 20)  # and what is taken in advance of a frame
+    rows, cols = sensor("digit").camera.shape
+    room = 2 * whole // 3 + 4 * 3 * rows * cols + (2 << 20)  # and what is taken in advance of a frame
     done = simulated(out, room)
     assert done.returncode == 2, done
     assert done.stderr.count("tactoscope: cannot write the recording (File too large)") == 1
