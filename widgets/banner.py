@@ -54,7 +54,7 @@ class Banner(QFrame):
         layout.addWidget(self._details)
         self._more.toggled.connect(self._details.setVisible)
         self._copy.clicked.connect(self.copy_report)
-        self._away.clicked.connect(self.dismiss)
+        self._away.clicked.connect(self.hide)
         self._details.hide()
         self.hide()
 
@@ -75,10 +75,6 @@ class Banner(QFrame):
         self._more.setVisible(bool(details))
         self._more.setChecked(False)
         self.show()
-
-    def dismiss(self) -> None:
-        """Take the strip away."""
-        self.hide()
 
     def copy_report(self) -> None:
         """Put sentence and details on the clipboard."""

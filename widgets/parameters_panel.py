@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -98,10 +98,6 @@ class ParametersPanel(QScrollArea):
         if params != self._params[key]:
             self.show_params(key, params)
             self.params_edited.emit(key, params)
-
-    def values(self) -> Mapping[str, object]:
-        """Stage -> parameters as shown."""
-        return dict(self._params)
 
     def _group(self, key: str, title: str) -> tuple[QWidget, QFormLayout]:
         group = QWidget()

@@ -58,7 +58,7 @@ class Screen:
             window.frames.known.show_frames(t.n_frames)
         window.source.setItemText(0, f"as recorded: {t.source.name}")
         window.leave_out(frozenset(slot.name for slot in t.catalogue.slots) - set(t.slots))
-        window.banner.dismiss()
+        window.banner.hide()
         self._show_columns()
         self.look(opened.session)
 

@@ -23,7 +23,7 @@ def test_the_banner_is_hidden_until_there_is_a_problem(qtbot):
     banner.show_problem("no such file: 'a.h5'")
     assert not banner.isHidden()
     assert banner.text == "No such file: 'a.h5'"
-    banner.dismiss()
+    banner.hide()
     assert banner.isHidden()
 
 

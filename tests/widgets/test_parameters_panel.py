@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import pytest
-from PyQt6.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QLabel, QSlider, QSpinBox, QToolButton
+from PyQt6.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QLabel, QSlider, QSpinBox, QToolButton, QWidget
 
-from pipeline.base.params import setting
+from pipeline.base.params import setting, settings
 from pipeline.translation.catalogue import BUILT_IN
 from widgets.parameters_panel import ParametersPanel
 
@@ -79,4 +79,5 @@ def test_every_stage_of_the_pipeline_can_be_shown(qtbot):
     methods = BUILT_IN.methods("t2d2")
     for method in methods:
         panel.add_group(method.key, method.title, method.params())
-    assert panel.values() == {method.key: method.params() for method in methods}
+    named = {control.objectName() for control in panel.findChildren(QWidget)}
+    assert named >= {f"{method.key}.{name}" for method in methods for name in settings(method.params())}
