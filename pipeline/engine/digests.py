@@ -21,6 +21,9 @@ from pipeline.base.memo import Memo, field_names
 UNDIGESTED: Mapping[str, bool] = MappingProxyType({"digest": False})
 """Metadata of a field that is kept to be looked at (states for scrubbing): it is no part of the value's digest."""
 
+_WORTH_KEEPING = 4096  # bytes; a smaller array is read sooner than looked up
+_arrays: Memo[int, tuple[NDArray[Any], bytes]] = Memo(256)
+
 
 def digest(value: object) -> str:
     """Hexadecimal digest of plain values, bytes, arrays, paths (their name), tuples, mappings and dataclasses of those.
@@ -75,6 +78,17 @@ def is_frozen(value: object) -> bool:
     return bool(frozen) and all(is_frozen(getattr(value, name)) for name in names)
 
 
+def _bytes_digest(array: NDArray[Any]) -> bytes:
+    """Of the bytes alone, remembered by identity where nobody can change them: values are made of others' arrays."""
+    known = _arrays.get(id(array))
+    if known is not None:
+        return known[1]
+    made = xxhash.xxh3_128_digest(np.ascontiguousarray(array).data.cast("B") if array.size else b"")
+    if array.nbytes >= _WORTH_KEEPING and is_frozen(array):
+        _arrays.put(id(array), (array, made))
+    return made
+
+
 @lru_cache(maxsize=256)
 def _digested_names(kind: type) -> tuple[str, ...] | None:
     return tuple(f.name for f in fields(kind) if f.metadata.get("digest", True)) if is_dataclass(kind) else None
@@ -87,7 +101,7 @@ def _feed(state: xxhash.xxh3_128, value: object) -> None:
             _feed(state, ("masked", np.ma.getmaskarray(array)))
             array = array.filled(0)
         state.update(f"a{array.dtype.str}{array.shape}".encode())
-        state.update(np.ascontiguousarray(array).data.cast("B") if array.size else b"")
+        state.update(_bytes_digest(array))
     elif value is None or isinstance(value, (bool, int, float, str, Path)):
         # repr of a float is exact; the type's name keeps 1, 1.0, True and "1" apart.
         state.update(f"{type(value).__name__}:{value!r};".encode())
