@@ -22,7 +22,7 @@ UNDIGESTED: Mapping[str, bool] = MappingProxyType({"digest": False})
 """Metadata of a field that is kept to be looked at (states for scrubbing): it is no part of the value's digest."""
 
 _WORTH_KEEPING = 4096  # bytes; a smaller array is read sooner than looked up
-_arrays: Memo[int, tuple[NDArray[Any], bytes]] = Memo(256)
+_arrays: Memo[int, tuple[NDArray[Any], bytes]] = Memo(256, most_bytes=8 * 1024 * 1024)  # what is asked for each frame
 
 
 def digest(value: object) -> str:
