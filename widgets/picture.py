@@ -25,6 +25,7 @@ class PictureView(QWidget):
 
     pixel_hovered = pyqtSignal(int, int)  # row, col; (-1, -1) once the mouse has left
     pixel_clicked = pyqtSignal(int, int)
+    shape_changed = pyqtSignal()  # a picture of another size
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -94,6 +95,7 @@ class PictureView(QWidget):
         if shape != self._shape:
             self._shape = shape
             self.reset_view()
+            self.shape_changed.emit()
         self._place_scale_bar(picture)
 
     def show_message(self, text: str) -> None:
@@ -114,6 +116,16 @@ class PictureView(QWidget):
         if pixel is not None:
             self._cross_x.setPos(pixel[1] + 0.5)
             self._cross_y.setPos(pixel[0] + 0.5)
+
+    @property
+    def room_px(self) -> QSize:
+        """What the picture itself has of the widget."""
+        return self._view.size()
+
+    @property
+    def tall(self) -> float:
+        """Rows over columns of the picture, that of a camera's usual picture while there is none."""
+        return self._shape[0] / self._shape[1] if self._shape is not None else 0.75
 
     def reset_view(self) -> None:
         """Fit the whole picture."""

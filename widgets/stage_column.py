@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import partial
 
@@ -36,7 +37,7 @@ class StageColumn(QFrame):
         status.addWidget(self._sign)
         status.addWidget(self._word)
         status.addWidget(self._ms, 1)
-        layout = spaced(QVBoxLayout(self), 2, (5, 4, 5, 3))
+        layout = spaced(QVBoxLayout(self), 2, (1, 3, 1, 2))
         self._method = QComboBox()
         self._method.setObjectName(f"method_{name}")
         self._method.setAccessibleName(f"method of {title}")
@@ -92,6 +93,11 @@ class StageColumn(QFrame):
         old = state in ("stale", "running", "failed") and self.view.picture is not None
         self.view.show_dimmed(old)
         self.view.show_message(self._message(state, notes))
+
+    def wanted_height_px(self) -> int:
+        """The height at which the picture fills the width that the column has."""
+        room = self.view.room_px
+        return self.height() - room.height() + math.ceil(room.width() * self.view.tall)
 
     def _message(self, state: str, notes: tuple[str, ...]) -> str:
         if state in ("stale", "running"):

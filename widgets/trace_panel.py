@@ -13,6 +13,8 @@ _INVITATION = (
     "A click pins it (again, or <b>F</b>, to let go); <b>Esc</b> takes the crosshairs away."
 )
 
+_LINES = 2  # more of them scroll
+
 
 class TracePanel(QScrollArea):
     """Shows what `pipeline.trace` says, one titled step after the other."""
@@ -29,9 +31,10 @@ class TracePanel(QScrollArea):
         self._label.setAlignment(Qt.AlignmentFlag.AlignTop)
         body = QWidget()
         layout = QVBoxLayout(body)
-        layout.setContentsMargins(8, 6, 8, 6)
+        layout.setContentsMargins(6, 1, 6, 1)
         layout.addWidget(self._label)
         self.setWidget(body)
+        self.setFixedHeight(_LINES * self.fontMetrics().lineSpacing() + 6)
         self.text = ""
 
     def show_steps(self, steps: Sequence[tuple[str, str]], *, pinned: bool = False, ending: str = "") -> None:
@@ -43,5 +46,5 @@ class TracePanel(QScrollArea):
         parts = [f"<span style='color:#6b7280'>{escape(title)}</span> <b>{escape(text)}</b>" for title, text in steps]
         sentence = " &nbsp;→&nbsp; ".join(parts)
         if ending:
-            sentence += f"<br><span style='color:#96401f'>{escape(ending)}</span>"
-        self._label.setText(sentence + ("<br><i>pinned</i>" if pinned else ""))
+            sentence += f" &nbsp; <span style='color:#96401f'>{escape(ending)}</span>"
+        self._label.setText(sentence + (" &nbsp; <i>pinned</i>" if pinned else ""))

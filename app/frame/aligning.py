@@ -59,7 +59,7 @@ class Aligning(QObject):
         panel.reset_wanted.connect(lambda: instrument.change("reset the alignment", offsets=Offsets()))
         panel.pivot_wanted.connect(self._turn_about_this_touch)
         panel.original_wanted.connect(lambda: instrument.change("go back to the recorded alignment", alignment=None))
-        instrument.window.alignment_dock.visibilityChanged.connect(self._show_seen)
+        instrument.window.drawers.alignment.visibilityChanged.connect(self._show_seen)
 
     @property
     def idle(self) -> bool:

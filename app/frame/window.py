@@ -9,14 +9,12 @@ from PyQt6.QtCore import QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QCloseEvent, QDragEnterEvent, QDropEvent
 from PyQt6.QtWidgets import (
     QComboBox,
-    QDockWidget,
     QHBoxLayout,
     QLabel,
     QMainWindow,
     QProgressBar,
     QPushButton,
     QSizePolicy,
-    QSplitter,
     QTabWidget,
     QToolBar,
     QToolButton,
@@ -25,12 +23,14 @@ from PyQt6.QtWidgets import (
 )
 
 from app.frame.actions import EDIT, FILE, HELP, PLAY, VIEW, make_actions, stage_commands
+from app.frame.drawers import Drawers
 from widgets.alignment_panel import AlignmentPanel
 from widgets.banner import Banner
 from widgets.frames_panel import FramesPanel
 from widgets.log_panel import LogPanel
 from widgets.looks import smaller, spaced
 from widgets.parameters_panel import ParametersPanel
+from widgets.picture_row import PictureRow
 from widgets.stage_column import StageColumn
 from widgets.steps import StepsSlider
 from widgets.timeline import Timeline
@@ -51,10 +51,11 @@ _TOOLS = (
     "reset_view",
     "freeze_trace",
 )
+_NAMED = ("open_recording", "open_mesh", "freeze_trace")
 
 
 class Window(QMainWindow):
-    """Stage columns over 3D views over the timeline, with docks around them."""
+    """Stage columns over 3D views over the timeline and the trace, with drawers around them."""
 
     paths_dropped = pyqtSignal(list)  # of Path
     closing = pyqtSignal()
@@ -62,7 +63,7 @@ class Window(QMainWindow):
     def __init__(self, columns: Sequence[tuple[str, str]], scrubbed: frozenset[str] = frozenset()) -> None:
         super().__init__()
         self.setWindowTitle("Tactoscope")
-        self.resize(SIZE)
+        self._take_room()
         self.setAcceptDrops(True)
         self.setDockNestingEnabled(True)
         titles = tuple(title for _, title in columns)
@@ -80,64 +81,47 @@ class Window(QMainWindow):
         self.scene_place = QVBoxLayout()
         self.source, self.target, self.route = (self._chooser(n) for n in ("source", "target", "route"))
         self._build_centre()
-        self._build_docks()
+        self._build_drawers()
         self._build_menus()
         self._build_tool_bar()
         self._build_status()
 
+    def _take_room(self) -> None:
+        """As large as wanted, but no larger than the screen."""
+        screen = self.screen()
+        self.resize(SIZE if screen is None else SIZE.boundedTo(screen.availableSize()))
+
     def _build_centre(self) -> None:
-        above, below = QWidget(), QWidget()
-        row = spaced(QHBoxLayout(above), 3)
-        for column in self.columns.values():
-            row.addWidget(column, 1)
+        below = QWidget()
         under = spaced(QVBoxLayout(below), 1)
         under.addLayout(self.scene_place, 1)
-        captions = spaced(QHBoxLayout(), 3)
+        captions = spaced(QHBoxLayout(), 2)
         for name, caption in self.captions.items():
             cell = spaced(QVBoxLayout(), 0)
             cell.addWidget(self._under(name))
             cell.addWidget(caption)
             captions.addLayout(cell, 1)
         under.addLayout(captions)
-        split = QSplitter(Qt.Orientation.Vertical)
-        split.addWidget(above)
-        split.addWidget(below)
-        split.setSizes([330, 330])
-        split.setChildrenCollapsible(False)
+        self.rows = PictureRow(tuple(self.columns.values()), below)
         centre = QWidget()
-        layout = spaced(QVBoxLayout(centre), 3, (4, 4, 4, 0))
+        layout = spaced(QVBoxLayout(centre), 2, (2, 2, 2, 0))
         layout.addWidget(self.banner)
-        layout.addWidget(split, 1)
+        layout.addWidget(self.rows, 1)
         layout.addWidget(self.timeline)
+        layout.addWidget(self.trace)
         self.setCentralWidget(centre)
 
-    def _build_docks(self) -> None:
-        area = Qt.DockWidgetArea
-        self.frames_dock = self._dock("Frames", self.frames, area.LeftDockWidgetArea)
-        self.parameters_dock = self._dock("Parameters", self.parameters, area.RightDockWidgetArea)
-        self.alignment_dock = self._dock("Alignment", self.alignment, area.RightDockWidgetArea)
-        self.tabifyDockWidget(self.parameters_dock, self.alignment_dock)
-        self.parameters_dock.raise_()
+    def _build_drawers(self) -> None:
         for name in ("open_alignment", "save_alignment"):
             self.alignment.add_command(self.actions_by_name[name])
-        tabs = QTabWidget()
-        tabs.setObjectName("reading_tabs")
-        tabs.setDocumentMode(True)
-        for widget, title in ((self.trace, "Trace"), (self.log, "Log"), (self.timings, "Timings")):
-            tabs.addTab(widget, title)
-        self.tabs = tabs
-        self.reading_dock = self._dock("Trace, log and timings", tabs, area.BottomDockWidgetArea)
-        self.setCorner(Qt.Corner.BottomLeftCorner, area.LeftDockWidgetArea)
-        self.setCorner(Qt.Corner.BottomRightCorner, area.RightDockWidgetArea)
-        self.resizeDocks([self.frames_dock, self.parameters_dock], [222, 290], Qt.Orientation.Horizontal)
-        self.resizeDocks([self.reading_dock], [195], Qt.Orientation.Vertical)
-
-    def _dock(self, title: str, widget: QWidget, area: Qt.DockWidgetArea) -> QDockWidget:
-        dock = QDockWidget(title, self)
-        dock.setObjectName(f"dock_{title.partition(',')[0].lower()}")
-        dock.setWidget(widget)
-        self.addDockWidget(area, dock)
-        return dock
+        self.tabs = QTabWidget()
+        self.tabs.setObjectName("reading_tabs")
+        self.tabs.setDocumentMode(True)
+        for widget, title in ((self.log, "Log"), (self.timings, "Timings")):
+            self.tabs.addTab(widget, title)
+        self.drawers = Drawers(
+            self, frames=self.frames, parameters=self.parameters, alignment=self.alignment, reading=self.tabs
+        )
 
     def _build_menus(self) -> None:
         bar = self.menuBar()
@@ -157,8 +141,8 @@ class Window(QMainWindow):
                 menu.addAction(self.actions_by_name[name])
             if title == "&View":
                 menu.addSeparator()
-                for dock in (self.frames_dock, self.parameters_dock, self.alignment_dock, self.reading_dock):
-                    menu.addAction(dock.toggleViewAction())
+                for drawer in self.drawers.all:
+                    menu.addAction(drawer.toggleViewAction())
 
     def _build_tool_bar(self) -> None:
         bar = QToolBar("Commands", self)
@@ -177,11 +161,10 @@ class Window(QMainWindow):
             word.setBuddy(box)
             bar.addWidget(word)
             bar.addWidget(box)
-        bar.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
-        for name in ("undo", "redo"):
+        for name in _NAMED:  # the others' names are in their tips and in the menus
             button = bar.widgetForAction(self.actions_by_name[name])
             if isinstance(button, QToolButton):
-                button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonIconOnly)
+                button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
         for name in ("first", "previous", "play", "next", "last"):
             self.timeline.add_command(self.actions_by_name[name])
         self.timeline.add_command(self.actions_by_name["loop"])

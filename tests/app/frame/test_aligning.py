@@ -49,7 +49,7 @@ def _window_with_dock(open_window, qtbot, recording: Path, **session) -> Instrum
     gl = bool(session.pop("gl", False))
     instrument = open_window(gl=gl)
     instrument.screen.show_only("view")
-    instrument.window.alignment_dock.raise_()
+    instrument.window.drawers.alignment.show()
     instrument.show_session(Session(recording=recording, **session))
     panel = instrument.window.alignment
     qtbot.waitUntil(lambda: bool(panel.reason) or bool(panel.bars.axes), timeout=WAIT_MS)

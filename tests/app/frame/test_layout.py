@@ -1,0 +1,82 @@
+"""How the window shares its room: the pictures get it, drawers wait behind their rail."""
+
+from __future__ import annotations
+
+import pytest
+from PyQt6.QtCore import QSize, Qt
+
+from app.frame.tour import wait_until_shown
+
+# Width and height in pixels that every picture has at least, by the window's size.
+ROOMS = {(1600, 950): (215, 160), (1366, 768): (180, 135)}
+
+
+def _shown_px(view) -> tuple[float, float]:
+    width = min(view.room_px.width(), view.room_px.height() / view.tall)
+    return width, width * view.tall
+
+
+@pytest.mark.parametrize("size", ROOMS)
+def test_every_picture_has_its_room(bubble_window, qtbot, size):
+    window = bubble_window.window
+    window.resize(*size)
+    # The width a column has, and no more height than that asks for.
+    least = ROOMS[size]
+
+    def roomy() -> bool:
+        return window.size() == QSize(*size) and all(
+            shown[0] >= least[0] - 1 and shown[1] >= min(least[1], least[0] * column.view.tall) - 1
+            for column in window.columns.values()
+            if (shown := _shown_px(column.view))
+        )
+
+    qtbot.waitUntil(roomy, timeout=3000)
+
+
+def test_no_band_is_left_over_the_tallest_picture(bubble_window, qtbot):
+    def snug() -> bool:
+        views = [column.view for column in bubble_window.window.columns.values()]
+        tallest = max(views, key=lambda view: view.tall * view.room_px.width())
+        return abs(tallest.room_px.height() - tallest.tall * tallest.room_px.width()) < 3
+
+    qtbot.waitUntil(snug, timeout=3000)
+
+
+def test_drawers_are_closed_at_first_and_open_by_rail_and_key(bubble_window, qtbot):
+    window = bubble_window.window
+    drawers = window.drawers
+    assert not any(drawer.isVisible() for drawer in drawers.all)
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow, timeout=3000)
+    qtbot.keyClick(window, Qt.Key.Key_F3)
+    qtbot.waitUntil(drawers.parameters.isVisible, timeout=3000)
+    drawers.alignment.toggleViewAction().trigger()
+    # In front of what shares its place.
+    qtbot.waitUntil(lambda: not drawers.alignment.visibleRegion().isEmpty(), timeout=3000)
+    drawers.alignment.toggleViewAction().trigger()
+    assert not drawers.alignment.isVisible()
+    assert {action.text() for action in drawers.rail.actions()} == {d.windowTitle() for d in drawers.all}
+
+
+def test_a_dragged_handle_stays_where_it_was_put(bubble_window):
+    rows = bubble_window.window.rows
+    rows.fit()
+    before = rows.sizes()[0]
+    rows.moveSplitter(before - 60, 1)
+    rows.fit()
+    assert rows.sizes()[0] < before - 20
+
+
+def test_the_window_is_no_larger_than_its_screen(open_window):
+    window = open_window().window
+    available = window.screen().availableSize()
+    assert window.width() <= available.width()
+    assert window.height() <= available.height()
+
+
+def test_the_trace_is_told_with_every_drawer_closed(bubble_window, qtbot):
+    window = bubble_window.window
+    window.columns["depth"].pixel_hovered.emit("depth", 5, 5)
+    qtbot.waitUntil(lambda: bool(window.trace.text), timeout=3000)
+    assert window.trace.isVisible()
+    assert wait_until_shown(bubble_window, 60)
