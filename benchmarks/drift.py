@@ -1,0 +1,147 @@
+"""Does drifted light or a shifted camera look like a touch? Untouched pictures that drifted, for every gel sensor.
+
+    python benchmarks/drift.py [METHOD]
+
+METHOD fills the slot *depth* ("physics" unless named). Alone: 3 % more light and less; light that rises by 12 grey
+levels from one border to the other, along x and along y; the camera 2 pixels aside, along each axis and both. Then
+random mixtures of them: every colour's gain within 3 %, a ramp of up to 12 grey levels in any direction, of any
+colour, a shift of up to 2 pixels in any direction. Pictures are the simulated sensor's, and the untouched ones of a
+real Mini, DIGIT and GelSlim 3.0 where they are at hand, each with fresh noise. The error is the number of frames in
+which any pixel counts as contact. Last, objects are pressed under the same mixtures, so that nobody reads "never a
+contact": the error is 1 - intersection over union with the true contact, the peer the same presses without drift.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.depth_reader import picture, reader
+from benchmarks.races import Bar, row, timing
+from benchmarks.recorded import recorded_data
+from pipeline.base.errors import FileProblem
+from pipeline.evaluation.metrics import iou
+from pipeline.geometry import rigid
+from pipeline.physics import optics
+from pipeline.racing.races import Answer
+from pipeline.racing.report import show
+from pipeline.sensors.spec import sensor
+from pipeline.simulation import shapes
+from pipeline.simulation.press import press
+from pipeline.values.frames import TactileFrame
+
+_SENSORS = ("gelslim", "gelslim_dotless", "gelsight_mini", "digit")
+_REAL = {"gelslim": "gelslim3_balls/ref.jpg", "gelsight_mini": "gsmini_balls/background.png",
+         "digit": "digit_balls/background.png"}  # fmt: skip
+_GAIN, _RAMP_GREY, _SHIFT_PX = 0.03, 12.0, 2.0
+_MIXTURES = 200
+_PRESS_MM = 0.4
+_LEVEL = (0.0, 0.0)
+
+
+def drifted(image, *, gain=(1.0, 1.0, 1.0), ramp=_LEVEL, tint=(1.0, 1.0, 1.0), shift=_LEVEL):
+    """The picture (rows, cols, 3) with light times `gain` plus `ramp` grey levels across x and y, moved by `shift`."""
+    rows, cols = image.shape[:2]
+    by = np.array([[1, 0, shift[0]], [0, 1, shift[1]]], np.float64)
+    moved = cv2.warpAffine(image.astype(np.float32), by, (cols, rows), flags=cv2.INTER_CUBIC,
+                           borderMode=cv2.BORDER_REPLICATE)  # fmt: skip
+    y, x = np.mgrid[-0.5 : 0.5 : rows * 1j, -0.5 : 0.5 : cols * 1j]
+    return moved * np.array(gain) + (ramp[0] * x + ramp[1] * y)[..., None] * np.array(tint)
+
+
+def seen(light, noise_grey: float, seed: int):
+    """What 8 bits and the camera's noise make of it."""
+    noise = np.random.default_rng(seed).normal(0.0, noise_grey, light.shape)
+    return np.clip(np.rint(light + noise), 0, 255).astype(np.uint8)
+
+
+def table():
+    """Each kind of drift alone."""
+    yield {"gain": (1 + _GAIN,) * 3}
+    yield {"gain": (1 - _GAIN,) * 3}
+    for along in ((_RAMP_GREY, 0.0), (0.0, _RAMP_GREY)):
+        yield {"ramp": along}
+    for along in ((_SHIFT_PX, 0.0), (0.0, _SHIFT_PX), (-_SHIFT_PX, _SHIFT_PX)):
+        yield {"shift": along}
+
+
+def mixture(rng):
+    def direction(length):
+        angle, far = rng.uniform(0, 2 * np.pi), rng.uniform(0, length)
+        return far * np.cos(angle), far * np.sin(angle)
+
+    return {"gain": 1 + rng.uniform(-_GAIN, _GAIN, 3), "ramp": direction(_RAMP_GREY), "tint": rng.uniform(0, 1, 3),
+            "shift": direction(_SHIFT_PX)}  # fmt: skip
+
+
+def stills():
+    """(label, sensor, untouched picture)."""
+    for name in _SENSORS:
+        yield name, sensor(name), optics.untouched(sensor(name))
+    try:
+        data = recorded_data()
+    except FileProblem:
+        return
+    for name, file in _REAL.items():
+        yield f"real {name}", sensor(name), picture(data / file)
+
+
+def read_through(read, source, still, light, seed):
+    """(depth map, ms) of a picture made of `light`."""
+    frame = TactileFrame(sensor=source.name, image=seen(light, source.optics.noise_grey, seed), reference=still)
+    started = time.perf_counter()
+    answer = read(frame, source)
+    return answer, 1e3 * (time.perf_counter() - started)
+
+
+def false_contacts(read, label, source, still, drifts):
+    found = [read_through(read, source, still, drifted(still, **how), k) for k, how in enumerate(drifts)]
+    pixels = np.array([answer.contact.sum() for answer, _ in found])
+    deepest = max(float(answer.indentation_mm.max()) for answer, _ in found)
+    found_row = row(f"untouched, {label}", ours=timing([ms for _, ms in found]), ours_error=float((pixels > 0).sum()),
+                    unit="frames", bar=Bar(error=0))  # fmt: skip
+    return found_row, (f"{label}: {len(found)} frames, at most {pixels.max()} pixels of contact, "
+                       f"deepest {deepest:.3f} mm")  # fmt: skip
+
+
+def through_drift(read, rng):
+    """Rows of presses under mixtures, beside the same without."""
+    for name in _SENSORS:
+        source, found = sensor(name), []
+        still = optics.untouched(source)
+        for seed, thing in enumerate(shapes.shape(n).mesh for n in shapes.names("unseen")):
+            turn = rigid.rotation((0, 0, 0.4 * seed))
+            turn[2, 3] = -_PRESS_MM - rigid.apply(turn, thing.vertices_mm)[:, 2].min()
+            felt = press(thing, turn, source, seed=None)
+            plain, _ = read_through(read, source, still, felt.image.astype(np.float32), seed)
+            answer, ms = read_through(read, source, still, drifted(felt.image, **mixture(rng)), seed)
+            found.append((1 - iou(answer.contact, felt.truth.contact), 1 - iou(plain.contact, felt.truth.contact), ms))
+        ours, plain, ms = np.array(found).T
+        yield row(f"pressed by {_PRESS_MM:g} mm, {name}", peer="without drift", ours=timing(ms), peer_timing=timing(ms),
+                  ours_error=float(ours.mean()), peer_error=float(plain.mean()), unit="1 - IoU",
+                  bar=Bar(closer=0.8))  # fmt: skip
+
+
+def answer(method: str = "physics") -> Answer:
+    read, rng = reader(method), np.random.default_rng(0)
+    every = list(stills())
+    found = [false_contacts(read, f"each drift, {label}", source, still, table()) for label, source, still in every]
+    each = -(-_MIXTURES // len(every))
+    found += [false_contacts(read, f"random mixtures, {label}", source, still, [mixture(rng) for _ in range(each)])
+              for label, source, still in every]  # fmt: skip
+    return Answer(
+        title=f"Contact that drift makes up, by {method}",
+        unit="frames",
+        rows=(*(r for r, _ in found), *through_drift(read, rng)),
+        notes=tuple(note for _, note in found),
+    )
+
+
+if __name__ == "__main__":
+    show(answer(*sys.argv[1:2]))

@@ -1,0 +1,167 @@
+"""What does an uncalibrated unit measure? Balls on a real GelSight Mini, GelSlim 3.0 and DIGIT; clips of a GelSlim 4.0.
+
+    python benchmarks/real_depth.py [METHOD [DATA_FOLDER]]
+
+METHOD fills the slot *depth* ("physics" unless named) and is told nothing of the unit but its untouched picture. A
+sphere is fitted to the surface inside the largest part of the contact: the error of its diameter is the median over all
+presses of |diameter / true - 1|, a press without a contact of 20 pixels counting as 100 %; the residual is the median
+of the fits' rms. A patch is stray when it is any part of the contact but the largest. GelSlim 3.0's width of a pixel is
+not certain: once it is given (0.07 mm, about what its pictures fit best), once fitted, one width for all presses that
+makes the median diameter right, so that only the scatter of diameters is left. Nobody knows the size of DIGIT's balls.
+
+In the clips, a frame is told right when a contact is found where the lab's own network sees one and none where it sees
+none: more than half a percent of its picture darker by 25 grey than the median. The correlation is Pearson's between
+the indentation and the lab's depth over the panel, median over the frames with contact. The first frame is the
+reference. Panels are enlarged to the sensor's own pixels first. The lab's depth is a peer, not truth.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.depth_reader import Reader, at_scale, largest_patch, numbered, patches, picture, reader, sphere
+from benchmarks.races import Bar, row, timing
+from benchmarks.recorded import recorded_data
+from pipeline.racing.races import Answer
+from pipeline.racing.report import show
+from pipeline.sensors.spec import sensor
+from pipeline.values.frames import TactileFrame
+
+NEEDS = "recorded data"
+_GELSLIM3_MM_PER_PX = 0.07
+_FITTING_TURNS = 3
+_DARKER_GREY, _DARK_SHARE = 25, 0.005  # of the lab's depth: a contact
+_CLIPS = ("finray_left", "finray_right", "hex_key_left", "hex_key_right")
+
+
+def balls(read: Reader, files, still, source):
+    """Of every press: diameter in mm, rms in mm, number of patches, time in ms."""
+    found = []
+    for index, file in enumerate(files):
+        frame = TactileFrame(sensor=source.name, image=picture(file), reference=still, index=index)
+        started = time.perf_counter()
+        answer = read(frame, source)
+        ms = 1e3 * (time.perf_counter() - started)
+        diameter, rms = sphere(answer.indentation_mm, largest_patch(answer.contact), source.pixel_mm)
+        found.append((diameter, rms, len(patches(answer.contact)), ms))
+    return np.array(found).T
+
+
+def told(label, found, diameter_mm, bars):
+    """Rows of diameter, residual and patches, and a note, of `balls`."""
+    diameter, rms, n, ms = found
+    error = np.nan_to_num(100 * np.abs(diameter / diameter_mm - 1), nan=100.0)
+    values = (
+        ("diameter", float(np.median(error)), "%", bars[0]),
+        ("residual", float(np.nanmedian(rms)), "mm", bars[1]),
+        ("presses with stray patches", float((n > 1).sum()), "presses", bars[2]),
+    )
+    rows = [row(f"{label}: {what}", ours=timing(ms), ours_error=value, unit=unit, bar=bar)
+            for what, value, unit, bar in values]  # fmt: skip
+    bias = 100 * (np.nanmedian(diameter) / diameter_mm - 1)
+    note = (
+        f"{label}: contact in {(n > 0).sum():g} of {len(n)}; diameter bias {bias:+.1f} %, "
+        f"p90 {np.percentile(error, 90):.1f} %; rms p90 {np.nanpercentile(rms, 90):.4f} mm"
+    )
+    return rows, note
+
+
+def minis(read: Reader, data: Path):
+    folder, mini = data / "gsmini_balls", sensor("gelsight_mini")
+    still = picture(folder / "background.png")
+    for diameter_mm, name in ((9.5, "9.500"), (6.31, "6.310")):
+        files = numbered(folder, f"ball_{name}mm_*.png")
+        bars = (Bar(error=10), Bar(error=0.03), Bar(error=2))
+        yield told(f"Mini, {diameter_mm:g} mm", balls(read, files, still, mini), diameter_mm, bars)
+
+
+def gelslims(read: Reader, data: Path):
+    folder, plain = data / "gelslim3_balls", sensor("gelslim")
+    still, files = picture(folder / "ref.jpg"), numbered(folder, "sample_*.jpg")
+    bars = (Bar(error=12), Bar(), Bar(error=2))
+    width = _GELSLIM3_MM_PER_PX
+    found = balls(read, files, still, at_scale(plain, width))
+    yield told(f"GelSlim 3, 7.6 mm, {width:g} mm/px given", found, 7.6, bars)
+    for _ in range(_FITTING_TURNS):
+        width *= 7.6 / np.nanmedian(found[0])
+        found = balls(read, files, still, at_scale(plain, width))
+    yield told(f"GelSlim 3, 7.6 mm, {width:.4f} mm/px fitted", found, 7.6, bars)
+
+
+def digits(read: Reader, data: Path):
+    folder, digit = data / "digit_balls", sensor("digit")
+    still, files = picture(folder / "background.png"), numbered(folder, "0*.png")
+    diameter, rms, n, ms = balls(read, files, still, digit)
+    values = (("presses without contact", float((n == 0).sum()), "presses", Bar(error=0)),
+              ("residual", float(np.nanmedian(rms)), "mm", Bar(error=0.02)),
+              ("presses with stray patches", float((n > 1).sum()), "presses", Bar()))  # fmt: skip
+    rows = [row(f"DIGIT balls: {what}", ours=timing(ms), ours_error=value, unit=unit, bar=bar)
+            for what, value, unit, bar in values]  # fmt: skip
+    low, middle, high = np.nanpercentile(diameter, (10, 50, 90))
+    yield rows, f"DIGIT balls: diameters {low:.1f} to {high:.1f} mm (p10, p90), median {middle:.1f} mm"
+
+
+def clip(read: Reader, folder: Path):
+    """Of every frame after the first: (lab sees contact, found contact, correlation, ms)."""
+    source = sensor("gelslim")
+    rows, cols = source.camera.shape
+
+    def enlarged(image):
+        return cv2.resize(image, (cols, rows), interpolation=cv2.INTER_CUBIC)
+
+    files = numbered(folder, "touch_*.png")
+    still, found = enlarged(picture(files[0])), []
+    for index, file in enumerate(files[1:], start=1):
+        lab = cv2.imread(str(file.with_name(file.name.replace("touch", "lab_depth"))), cv2.IMREAD_GRAYSCALE)
+        frame = TactileFrame(sensor=source.name, image=enlarged(picture(file)), reference=still, index=index)
+        started = time.perf_counter()
+        answer = read(frame, source)
+        ms = 1e3 * (time.perf_counter() - started)
+        deep = float(np.median(lab)) - lab.astype(np.float32)
+        touched = bool((deep > _DARKER_GREY).mean() > _DARK_SHARE)
+        ours = cv2.resize(answer.indentation_mm, lab.shape[::-1], interpolation=cv2.INTER_AREA)
+        alike = float(np.corrcoef(ours.ravel(), deep.ravel())[0, 1]) if ours.any() else 0.0
+        found.append((touched, bool(answer.contact.any()), alike, ms))
+    return found
+
+
+def clips(read: Reader, data: Path):
+    every, notes = [], []
+    for name in _CLIPS:
+        found = clip(read, data / "gelslim4_clips" / name)
+        every += found
+        right, alike = right_and_alike(found)
+        notes.append(f"{name}: {len(found)} frames, told right {right:.2f}, correlation {alike:.2f}")
+    right, alike = right_and_alike(every)
+    ms = timing([f[3] for f in every])
+    rows = [row("GelSlim 4 clips: frames told wrong", ours=ms, ours_error=1 - right, unit="share", bar=Bar(error=0.07)),
+            row("GelSlim 4 clips: 1 - correlation with the lab's depth", ours=ms, ours_error=1 - alike, unit="",
+                bar=Bar(error=0.25))]  # fmt: skip
+    return rows, "; ".join(notes)
+
+
+def right_and_alike(found) -> tuple[float, float]:
+    seen, ours, alike, _ = np.array(found, float).T
+    return float((seen == ours).mean()), float(np.median(alike[seen > 0]))
+
+
+def answer(method: str = "physics", data: str = "") -> Answer:
+    folder, read = recorded_data(data), reader(method)
+    found = [*minis(read, folder), *gelslims(read, folder), *digits(read, folder), clips(read, folder)]
+    return Answer(
+        title=f"Depth of real, uncalibrated units by {method}",
+        unit="%",
+        rows=tuple(row for rows, _ in found for row in rows),
+        notes=tuple(note for _, note in found),
+    )
+
+
+if __name__ == "__main__":
+    show(answer(*sys.argv[1:3]))

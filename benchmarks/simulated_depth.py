@@ -1,0 +1,134 @@
+"""What is measured of presses whose truth is known? Unseen tools on other units, flat faces, and very light presses.
+
+    python benchmarks/simulated_depth.py [METHOD]
+
+METHOD fills the slot *depth* ("physics" unless named). Tools that no number was chosen by are pressed by 0.15, 0.4 and
+0.8 mm at random places and turns, each on another unit (`varied`, strength 1) than the one that depth is told of. The
+error of contact is 1 - intersection over union with the pixels under pressure; that of depth the mean absolute
+difference in the true contact. Boxes with a level face, 0.2 to 1.2 of the view's shorter side wide, are pressed by
+0.5 mm in the middle of the view, on the told unit and on another. Very light presses, 0.02 to 0.12 mm of tools and
+training objects on other units: Spearman's order of the measured volume (the sum of the indentation) against the force.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.depth_reader import reader
+from benchmarks.races import Bar, row, timing
+from pipeline.evaluation.metrics import iou, mean_abs_mm
+from pipeline.geometry import rigid
+from pipeline.physics import optics
+from pipeline.racing.races import Answer
+from pipeline.racing.report import show
+from pipeline.sensors.spec import sensor
+from pipeline.simulation import shapes
+from pipeline.simulation.press import press
+from pipeline.simulation.variation import varied
+from pipeline.values.frames import TactileFrame
+
+_SENSORS = ("gelslim", "gelsight_mini", "digit")
+_DEPTHS_UM = {0.15: 15.0, 0.4: 25.0, 0.8: 45.0}  # and what the error in the contact may be
+_FACES = (0.2, 0.35, 0.5, 0.65, 0.8, 1.0, 1.2)
+_FACE_MM = 0.5
+_LIGHT_MM = (0.02, 0.12)
+_LIGHT_PRESSES = 32
+
+
+def pressed(read, source, unit, thing, *, depth_mm, place, turn, seed):
+    """(answer, truth, force, ms) of a press whose foremost point goes in by `depth_mm`; None where it is not felt."""
+    pose = rigid.translation(*place, 0.0) @ rigid.rotation((0.0, 0.0, turn))
+    pose[2, 3] = -depth_mm - rigid.apply(pose, thing.vertices_mm)[:, 2].min()
+    felt = press(thing, pose, unit, seed=seed)
+    if not (felt.converged and felt.truth.contact.any()):
+        return None
+    frame = TactileFrame(sensor=source.name, image=felt.image, reference=optics.untouched(unit))
+    started = time.perf_counter()
+    answer = read(frame, source)
+    return answer, felt.truth, felt.force_n, 1e3 * (time.perf_counter() - started)
+
+
+def tools(read, name: str):
+    """Rows of one sensor, and what they hide."""
+    source = sensor(name)
+    for depth_mm, most_um in _DEPTHS_UM.items():
+        rng, found = np.random.default_rng(round(1000 * depth_mm)), []
+        for index, tool in enumerate(shapes.names("unseen")):
+            felt = pressed(read, source, varied(source, 100 + index), shapes.shape(tool).mesh, depth_mm=depth_mm,
+                           place=rng.uniform(-2.5, 2.5, 2), turn=rng.uniform(-3, 3), seed=index)  # fmt: skip
+            if felt is not None:
+                answer, truth, _, ms = felt
+                inside = truth.contact
+                off = [1e3 * mean_abs_mm(answer.indentation_mm, truth.indentation_mm, of) for of in (inside, ~inside)]
+                found.append((1 - iou(answer.contact, inside), *off, ms))
+        wrong, inside_um, outside_um, ms = np.array(found).T
+        label = f"{name}, unseen tools, {depth_mm:g} mm"
+        yield (
+            row(f"{label}: contact", ours=timing(ms), ours_error=wrong.mean(), unit="1 - IoU", bar=Bar(error=0.10)),
+            row(f"{label}: depth in contact", ours=timing(ms), ours_error=inside_um.mean(), unit="um",
+                bar=Bar(error=most_um)),
+        ), f"{label}: IoU of each {_listed(1 - wrong)}; beside the contact {outside_um.mean():.1f} um"  # fmt: skip
+
+
+def faces(read, name: str):
+    source = sensor(name)
+    side_mm = min(source.camera.shape) * source.pixel_mm
+    overlap, off, taken = [], [], []
+    for share in _FACES:
+        half = 0.5 * share * side_mm
+        box = shapes.bar([(-half, -half), (half, -half), (half, half), (-half, half)], 8.0, 0.0, "box")
+        for unit in (source, varied(source, round(100 * share))):
+            answer, truth, _, ms = pressed(read, source, unit, box, depth_mm=_FACE_MM, place=(0, 0), turn=0.0, seed=3)
+            overlap.append(iou(answer.contact, truth.contact))
+            off.append(1e3 * mean_abs_mm(answer.indentation_mm, truth.indentation_mm, truth.contact))
+            taken.append(ms)
+    found = row(f"{name}, flat faces: contact", ours=timing(taken), ours_error=1 - float(np.mean(overlap)),
+                unit="1 - IoU", bar=Bar(error=0.07))  # fmt: skip
+    return (found,), (f"{name}, flat faces of {', '.join(f'{s:g}' for s in _FACES)} of the view: IoU on the told unit "
+                      f"{_listed(overlap[::2])}, on another {_listed(overlap[1::2])}; depth in contact off by "
+                      f"{np.mean(off):.0f} um")  # fmt: skip
+
+
+def light(read, name: str):
+    from scipy import stats
+
+    source, rng = sensor(name), np.random.default_rng(7)
+    things = (*shapes.names("unseen"), *shapes.names("training"))
+    volume, force, taken = [], [], []
+    for index in range(_LIGHT_PRESSES):
+        felt = pressed(read, source, varied(source, index), shapes.shape(things[index % len(things)]).mesh,
+                       depth_mm=rng.uniform(*_LIGHT_MM), place=rng.uniform(-2, 2, 2), turn=rng.uniform(-3, 3),
+                       seed=index)  # fmt: skip
+        if felt is not None:
+            answer, _, newton, ms = felt
+            volume.append(float(answer.indentation_mm.sum(dtype=np.float64)))
+            force.append(newton)
+            taken.append(ms)
+    order = float(stats.spearmanr(volume, force).statistic)
+    return (row(f"{name}, very light presses: 1 - order of volume against force", ours=timing(taken),
+                ours_error=1 - order, unit="", bar=Bar(error=0.05)),), ""  # fmt: skip
+
+
+def _listed(values) -> str:
+    return " ".join(f"{v:.2f}" for v in values)
+
+
+def answer(method: str = "physics") -> Answer:
+    read = reader(method)
+    found = [part for name in _SENSORS for part in (*tools(read, name), faces(read, name), light(read, name))]
+    return Answer(
+        title=f"Depth of simulated presses on other units by {method}",
+        unit="1 - IoU",
+        rows=tuple(r for rows, _ in found for r in rows),
+        notes=tuple(note for _, note in found if note),
+    )
+
+
+if __name__ == "__main__":
+    show(answer(*sys.argv[1:2]))
