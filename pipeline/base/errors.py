@@ -51,5 +51,9 @@ class MeshProblem(TouchError):
     """An object mesh is empty, damaged, or in a unit that cannot be right."""
 
 
+class ModelMissing(TouchError):
+    """Weights of a network are missing, or another network's; what works without them answers instead."""
+
+
 class NotConverged(TouchError):
     """An iterative solve ended without an answer that it can vouch for."""

@@ -16,6 +16,7 @@ from pipeline.base import unexpected
 from pipeline.base.errors import TouchError
 from pipeline.cli import align_options as cli_align
 from pipeline.cli import data_options as cli_data
+from pipeline.cli import train_options as cli_train
 from pipeline.cli.opening_options import NOTHING_ELSE, Opening
 from pipeline.cli.terminal import complain
 
@@ -49,6 +50,7 @@ def build(name: str = "tactoscope") -> App:
     align.command(cli_align.score)
     align.command(cli_align.refine)
     app.command(align)
+    app.command(cli_train.build())
     return app
 
 

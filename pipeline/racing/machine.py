@@ -6,8 +6,9 @@ import importlib.metadata
 import os
 import platform
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
+
+from pipeline.base.processor import processor
 
 THREADS = 2
 THREAD_SETTINGS: Mapping[str, str] = {
@@ -24,7 +25,7 @@ _PACKAGES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "open3
 def machine(environment: Mapping[str, str] = os.environ) -> dict[str, Any]:
     """Processor, cores, load, Python, thread settings and package versions (None = not installed), ready for JSON."""
     return {
-        "cpu": _cpu(),
+        "cpu": processor(),
         "cores": os.cpu_count() or 0,
         "system": platform.platform(),
         "python": platform.python_version(),
@@ -43,16 +44,6 @@ def machine_line(about: Mapping[str, Any]) -> str:
         f"{about['cpu']}, {about['cores']} cores{load}; {threads or 'any number of'} threads; "
         f"Python {about['python']}, {versions}"
     )
-
-
-def _cpu() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.partition(":")[2].strip()
-    except OSError:
-        pass  # only Linux has this file
-    return platform.processor() or platform.machine()
 
 
 def _version(package: str) -> str | None:

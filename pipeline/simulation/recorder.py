@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import signal
-import threading
 import time
 from collections import deque
 from collections.abc import Generator
@@ -16,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.base.errors import FileProblem, NotConverged, SettingProblem, TouchError
+from pipeline.base.processes import worker_pool
 from pipeline.base.progress import SILENT, Cancelled, Progress
 from pipeline.recordings import hdf5
 from pipeline.recordings.hdf5_writer import Writer
@@ -129,35 +127,9 @@ def record(plan: Plan, path: Path, *, pool: Executor | None = None, progress: Pr
 
 def workers(jobs: int) -> ProcessPoolExecutor:
     """A pool of fresh processes of one thread each; they leave Ctrl-C to their parent."""
-    import multiprocessing
-
     if not 1 <= jobs <= 64:
         raise SettingProblem(f"--jobs must lie within 1 and 64, got {jobs}")
-    return ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_begin_worker)
-
-
-def _begin_worker() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if hasattr(os, "setpgrp"):
-        os.setpgrp()  # what asks the whole group to end is for the parent to answer
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    os.environ["OMP_NUM_THREADS"] = "1"
-    import cv2
-    import numba
-
-    cv2.setNumThreads(1)
-    numba.set_num_threads(1)
-
-
-def _end_with_parent() -> None:
-    """A worker whose parent was killed would wait for its next moment forever."""
-    import multiprocessing
-    from multiprocessing.connection import wait
-
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        wait([parent.sentinel])
-        os._exit(1)
+    return worker_pool(jobs)
 
 
 def _mend(plan: Plan, path: Path, n_moments: int) -> None:

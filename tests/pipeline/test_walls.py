@@ -24,7 +24,10 @@ HEAVY = (
 EVERY_MODULE = """
 import importlib, json, pkgutil, sys
 import pipeline
+networks = {"pipeline.networks." + name for name in ("weights", "building")}
 for module in pkgutil.walk_packages(pipeline.__path__, "pipeline."):
+    if module.name.startswith("pipeline.networks.") and module.name not in networks:
+        continue  # a network is a class of torch's; its module is imported when it is built
     if not module.name.endswith(("_kernels", "__main__")):
         importlib.import_module(module.name)
 print(json.dumps(sorted({name.partition(".")[0] for name in sys.modules})))

@@ -1,0 +1,111 @@
+"""`tactoscope train`: a run with its progress on the terminal, and the weights that it ends in."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shlex
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.cli.stopping import asking
+from pipeline.cli.terminal import print_line
+from pipeline.networks.weights import SUFFIX, Weights
+from pipeline.training.export import export
+from pipeline.training.loop import Run
+from pipeline.training.loop import train as train_run
+from pipeline.training.recipe import load, with_pace
+
+WEIGHTS = f"weights{SUFFIX}"
+
+
+class _Bar:
+    """Shows how far a run is; ends it between two steps once asked to."""
+
+    def __init__(self, bar: Progress, task: TaskID) -> None:
+        self._bar, self._task, self._stop = bar, task, False
+
+    def stop(self, *_signal: object) -> None:
+        """Ask the run to stop."""
+        self._stop = True
+        self._bar.update(self._task, description="stopping")
+
+    def step(self, fraction: float, text: str) -> None:
+        """Show, or end."""
+        self._bar.update(self._task, completed=fraction, description=text)
+        if self._stop:
+            raise KeyboardInterrupt
+
+
+def train(
+    what: str,
+    recipe: str,
+    out: Path,
+    *,
+    resume: bool,
+    minutes: float | None,
+    steps: int | None,
+    seed: int | None,
+    workers: int,
+) -> int:
+    """Run a training to its end and write its weights; Ctrl-C and SIGTERM end in KeyboardInterrupt, all of it kept."""
+    if minutes is not None and not 0.0 < minutes <= 1e6:
+        raise SettingProblem(f"--minutes must lie above 0 and at most a million, got {minutes:g}")
+    if minutes is not None and steps is not None:
+        raise SettingProblem("give either --minutes or --steps, not both")
+    pace = {name: value for name, value in (("steps", steps), ("seed", seed)) if value is not None}
+    run = Run(
+        recipe=with_pace(load(recipe, what), **pace), out=out, resume=resume, minutes=minutes, workers=workers,
+        command=shlex.join(["tactoscope", *sys.argv[1:]]),
+    )  # fmt: skip
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before torch loads: idle threads leave the processor alone
+    console = Console(stderr=True, quiet=os.environ.get("RANK", "0") != "0")
+    log, told = logging.getLogger("tactoscope"), _Told(console)
+    log.addHandler(told)
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as shown:
+        bar = _Bar(shown, shown.add_task("beginning", total=1.0))
+        try:
+            with asking(bar.stop):
+                train_run(run, bar)
+        finally:
+            log.removeHandler(told)
+    if os.environ.get("RANK", "0") == "0":
+        show(export(out, out / WEIGHTS))
+        print_line(f"weights and their card are in {os.fspath(out / WEIGHTS)}")
+    return 0
+
+
+def export_weights(run: Path, to: Path, *, half: bool) -> int:
+    """Write the weights of a run."""
+    if to.suffix != SUFFIX:
+        raise FileProblem(f"weights are kept in a {SUFFIX} file; choose such a name", to)
+    show(export(run, to, half=half))
+    print_line(f"{to.stat().st_size / 2**20:.2f} MiB in {os.fspath(to)}, its card beside it")
+    return 0
+
+
+def show(weights: Weights) -> None:
+    """Print the card."""
+    table = Table("weights", f"{weights.kind}, {weights.n_numbers:,} numbers")
+    for name, value in weights.card.items():
+        if name != "recipe":
+            table.add_row(name, value)
+    Console().print(table)
+
+
+class _Told(logging.Handler):
+    """Warnings of the loop, above the bar."""
+
+    def __init__(self, console: Console) -> None:
+        super().__init__(logging.WARNING)
+        self._console = console
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print one line."""
+        self._console.print(record.getMessage(), style="yellow", markup=False, highlight=False, soft_wrap=True)

@@ -1,0 +1,69 @@
+"""From weights to a network that is ready to use. A network is one module of this room and one line of `KINDS`."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from pipeline.base.errors import ModelMissing
+from pipeline.base.memo import Memo
+from pipeline.base.params import Value
+from pipeline.networks.weights import NoWeights, Weights
+
+if TYPE_CHECKING:
+    from torch import nn
+
+KINDS: dict[str, str] = {  # kind -> module:class; torch loads with the module
+    "compact_unet": "pipeline.networks.compact_unet:CompactUnet",
+}
+_MOST_BYTES = 2 << 30  # of networks kept ready: a large one takes 1.3 GB
+_ready: Memo[str, nn.Module] = Memo(
+    4, most_bytes=_MOST_BYTES, weigh=lambda net: sum(p.numel() * p.element_size() for p in net.parameters())
+)
+
+
+def build(kind: str, config: Mapping[str, Value]) -> nn.Module:
+    """A network of that kind with random numbers; raises ModelMissing for an unknown kind or wrong arguments."""
+    if kind not in KINDS:
+        raise ModelMissing(f"no network {kind!r} in this version; there are {', '.join(KINDS)}")
+    module, _, name = KINDS[kind].partition(":")
+    try:
+        return getattr(importlib.import_module(module), name)(**config)
+    except (TypeError, ValueError) as error:
+        raise ModelMissing(f"the network {kind!r} cannot be built so ({error})") from error
+
+
+def network(weights: Weights | NoWeights) -> nn.Module:
+    """The network of these weights, ready to answer: in eval mode, float32, on the processor, without gradients.
+
+    Kept for the next call; not to be changed. Raises ModelMissing in one sentence where there are no weights, or where
+    they do not fit the network that they name.
+    """
+    if isinstance(weights, NoWeights):
+        raise ModelMissing(weights.why)
+    return _ready.of(weights.content, lambda: _loaded(weights))
+
+
+def _loaded(weights: Weights) -> nn.Module:
+    made = build(weights.kind, weights.config)
+    own: dict[str, Any] = made.state_dict()
+    wrong = own.keys() ^ weights.tensors.keys()
+    wrong |= {name for name, tensor in own.items() if name not in wrong and tensor.shape != weights.tensors[name].shape}
+    if wrong:
+        some = ", ".join(repr(name) for name in sorted(wrong)[:2])
+        raise ModelMissing(
+            f"the weights {weights.name!r} do not fit the network {weights.kind!r}: {len(wrong)} tensors are missing, "
+            f"too many or of another shape, such as {some}"
+        )
+    fill(made, weights.tensors)
+    return made.eval().requires_grad_(requires_grad=False)
+
+
+def fill(net: nn.Module, tensors: Mapping[str, Any]) -> None:
+    """Copy tensors of exactly the network's own names and shapes into it."""
+    import torch
+
+    with torch.no_grad():
+        for name, own in net.state_dict().items():
+            own.copy_(torch.from_numpy(tensors[name].copy()))

@@ -1,0 +1,30 @@
+"""What every test of training may ask for."""
+
+from __future__ import annotations
+
+import pytest
+
+from pipeline.networks import building
+from pipeline.training import task
+from tests.pipeline.training import toy
+
+
+@pytest.fixture(autouse=True)
+def _toys(monkeypatch):
+    monkeypatch.setitem(task.TASKS, "discs", None)
+    monkeypatch.setitem(building.KINDS, "toy_net", "")
+    toy.known()
+
+
+@pytest.fixture
+def recipe_file(tmp_path):
+    path = tmp_path / "discs.toml"
+    path.write_text(toy.RECIPE)
+    return path
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _one_thread():
+    import torch
+
+    torch.set_num_threads(1)

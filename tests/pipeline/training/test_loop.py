@@ -1,0 +1,177 @@
+"""The loop: the same weights however a run is stopped, whoever makes its examples, and loud where nothing is learned."""
+
+from __future__ import annotations
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.base.errors import FileProblem, NotConverged, SettingProblem
+from pipeline.base.progress import Cancelled
+from pipeline.training import examples, loop, state
+from pipeline.training.export import weights_of
+from pipeline.training.loop import Run, train
+from pipeline.training.recipe import load, with_pace
+from tests.pipeline.training import toy
+
+ROOT = Path(__file__).parents[3]
+LONG_S = 100
+PROGRAM = """
+import sys
+from pipeline.cli.main import build, run
+from pipeline.training import loop
+from tests.pipeline.training import toy
+if __name__ == "__main__":
+    toy.known()
+    loop.SAVED_EVERY_S = 0.0
+    sys.exit(run(build(), ["train", "discs", *sys.argv[1:]]))
+"""
+
+
+class StopAt:
+    def __init__(self, step):
+        self.left = step
+
+    def step(self, fraction, text):
+        self.left -= 1
+        if self.left < 0:
+            raise Cancelled
+
+
+@pytest.fixture
+def run(recipe_file, tmp_path):
+    return Run(recipe=load(str(recipe_file), "discs"), out=tmp_path / "run", workers=0)
+
+
+def tensors(run_state):
+    return weights_of(run_state, "x").tensors
+
+
+def same(a, b):
+    return all(np.array_equal(a[name], b[name]) for name in a) and a.keys() == b.keys()
+
+
+def rows(folder, name):
+    with (folder / name).open() as file:
+        return [{k: v for k, v in row.items() if k != "minutes"} for row in csv.DictReader(file)]
+
+
+def test_a_run_that_was_stopped_ends_with_the_weights_and_curves_of_one_that_was_not(run, tmp_path):
+    whole = train(replace(run, out=tmp_path / "whole"))
+    for stop in (7, 30):
+        with pytest.raises(Cancelled):
+            train(replace(run, resume=True), StopAt(stop))
+    stopped = train(replace(run, resume=True))
+    assert stopped.step == whole.step == 60
+    assert stopped.examples == whole.examples == 240
+    assert same(tensors(stopped), tensors(whole))
+    for name in ("curve.csv", "figures.csv"):
+        assert rows(run.out, name) == rows(tmp_path / "whole", name)
+        assert rows(run.out, name)
+
+
+def test_something_is_learned_and_the_average_is_what_is_judged(run):
+    done = train(run)
+    first, last = done.figures[0]["value"], done.figures[-1]["value"]
+    assert last > max(0.8, first)
+    assert done.curve[-1]["loss"] < 0.5 * done.curve[0]["loss"]
+    assert (run.out / "curve.png").stat().st_size > 1000
+    assert not same(tensors(done), {name: t.numpy() for name, t in done.network.items()})
+
+
+def test_another_seed_gives_other_weights_and_the_same_seed_the_same(run, tmp_path):
+    short = with_pace(run.recipe, steps=4)
+    made = [
+        tensors(train(replace(run, recipe=with_pace(short, seed=seed), out=tmp_path / str(k))))
+        for k, seed in enumerate((5, 5, 6))
+    ]
+    assert same(made[0], made[1])
+    assert not same(made[0], made[2])
+
+
+def test_an_example_depends_on_seed_and_number_alone():
+    task = toy.Discs()
+    with examples.examples(task, 7, 4, 0) as here, examples.examples(task, 7, 4, 2) as there:
+        alone, shared = here.batches(8, 4), there.batches(8, 4)
+        for _ in range(5):
+            one, other = next(alone), next(shared)
+            assert all(np.array_equal(one[name], other[name]) for name in one)
+        assert [e["disc"].sum() for e in here.held_out(5)["unseen_tools"]] == [
+            e["disc"].sum() for e in there.held_out(5)["unseen_tools"]
+        ]
+    whole = examples.drawn(task, 7, 0, 8)
+    assert np.array_equal(examples.drawn(task, 7, 5, 1)["picture"][0], whole["picture"][5])
+
+
+def test_a_run_is_not_written_over_nor_gone_on_with_by_another_recipe(run):
+    short = replace(run, recipe=with_pace(run.recipe, steps=3))
+    train(short)
+    with pytest.raises(FileProblem, match="give --resume to go on"):
+        train(short)
+    with pytest.raises(SettingProblem, match=r"begun with another recipe \(pace.*'steps': 3.* before"):
+        train(replace(run, resume=True))
+
+
+def test_a_damaged_state_is_one_sentence(run):
+    short = replace(run, recipe=with_pace(run.recipe, steps=3))
+    train(short)
+    file = run.out / "state.pt"
+    file.write_bytes(file.read_bytes()[:-200])
+    with pytest.raises(FileProblem, match="the state of the training is damaged"):
+        train(replace(short, resume=True))
+
+
+def test_a_loss_that_is_no_number_is_left_out_loudly_and_ends_the_run_when_it_stays(run, caplog):
+    seldom = replace(run.recipe, settings=toy.Discs(noise=0.1, bad_from=95))
+    done = train(replace(run, recipe=with_pace(seldom, steps=30)))
+    assert 0 < done.skipped == len([r for r in caplog.records if "is left out" in r.message]) < 20
+    assert all(np.isfinite(t).all() for t in tensors(done).values())
+    always = replace(run.recipe, settings=toy.Discs(bad_from=0))
+    with pytest.raises(NotConverged, match="no number for 10 steps"):
+        train(replace(run, recipe=always, out=run.out.with_name("always")))
+    assert state.load(run.out.with_name("always")).step == 10
+
+
+def test_by_minutes_the_learning_rate_ends_with_the_clock_also_over_a_stop(run, monkeypatch):
+    monkeypatch.setattr(loop, "LINE_EVERY", 1)
+    minutes = replace(run, minutes=0.04, resume=True)
+    with pytest.raises(Cancelled):
+        train(minutes, StopAt(15))
+    assert 0 < state.load(run.out).seconds < 2.4
+    done = train(minutes)
+    assert done.seconds >= 2.4
+    rates = [row["learning rate"] for row in done.curve]
+    assert rates[-1] < 0.5 * max(rates)
+    assert done.figures[-1]["step"] == done.step
+
+
+def test_a_run_that_was_killed_goes_on_and_its_workers_are_gone(recipe_file, tmp_path):
+    program = tmp_path / "program.py"
+    program.write_text(PROGRAM)
+    recipe_file.write_text(toy.RECIPE.replace("steps = 60", "steps = 300"))
+    out = tmp_path / "run"
+    command = [sys.executable, program, "--recipe", recipe_file, "--out", out, "--workers", "1"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    killed = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL, start_new_session=True)
+    end_s = time.monotonic() + LONG_S
+    while not (out / "state.pt").exists() and time.monotonic() < end_s:
+        time.sleep(0.05)
+    killed.send_signal(signal.SIGKILL)
+    killed.wait(LONG_S)
+    step = state.load(out).step
+    assert 0 < step < 300
+    done = subprocess.run(
+        [*command, "--resume"], env=environment, capture_output=True, text=True, timeout=LONG_S, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    whole = train(Run(recipe=load(str(recipe_file)), out=tmp_path / "whole", workers=0))
+    assert same(tensors(state.load(out)), tensors(whole))
+    assert (out / "weights.safetensors").exists()

@@ -1,0 +1,82 @@
+"""A task and a network so small that a whole training takes a second: to find a disc in noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.base.params import setting
+from pipeline.networks import building
+from pipeline.training import task
+from pipeline.training.task import Entry
+
+SIDE = 16
+RECIPE = """
+task = "discs"
+seed = 3
+batch = 4
+steps = 60
+
+[network]
+kind = "toy_net"
+width = 4
+
+[optimiser]
+learning_rate = 0.02
+warm_up = 5
+average = 0.9
+
+[validation]
+times = 2
+examples = 6
+
+[settings]
+noise = 0.2
+"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Discs:
+    noise: float = setting(0.1, "Noise", low=0.0, high=1.0)
+    bad_from: int = setting(-1, "First value whose examples are no numbers", low=-1, high=100)
+
+    def sample(self, rng):
+        y, x = np.mgrid[:SIDE, :SIDE]
+        centre, radius = rng.uniform(4, 12, 2), rng.uniform(2, 5)
+        disc = ((x - centre[0]) ** 2 + (y - centre[1]) ** 2 < radius**2).astype(np.float32)[None]
+        picture = disc + self.noise * rng.standard_normal(disc.shape).astype(np.float32)
+        if 0 <= self.bad_from <= 100 * rng.random():
+            picture[:] = np.nan
+        return {"picture": picture, "disc": disc}
+
+    def held_out(self, split, index):
+        return Discs(noise=self.noise).sample(np.random.default_rng([9, task.SPLITS.index(split), index]))
+
+    def loss(self, network, batch):
+        from torch.nn import functional
+
+        loss = functional.binary_cross_entropy_with_logits(network(batch["picture"]), batch["disc"])
+        return loss, {"bce": loss.detach()}
+
+    def figures(self, network, held_out):
+        import torch
+
+        told = network(torch.from_numpy(np.stack([one["picture"] for one in held_out]))).numpy() > 0
+        truth = np.stack([one["disc"] for one in held_out]) > 0.5
+        return {"overlap, 1": float((told & truth).sum() / (told | truth).sum())}
+
+
+def toy_net(width):
+    from torch import nn
+
+    return nn.Sequential(
+        nn.Conv2d(1, width, 5, padding=2), nn.GELU(), nn.Conv2d(width, width, 3, padding=1), nn.GELU(),
+        nn.Conv2d(width, 1, 1),
+    )  # fmt: skip
+
+
+def known():
+    """Add the two to the tables of this process; worker processes get the task by pickle."""
+    task.TASKS["discs"] = Entry(what="discs", where=f"{__name__}:Discs")
+    building.KINDS["toy_net"] = f"{__name__}:toy_net"
