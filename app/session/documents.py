@@ -60,7 +60,7 @@ class Documents(QObject):
         else:
             self.change(
                 "open recording", recording=path, frame=0, source="", stream="", reference=None, calibration=None,
-                mesh=None, mesh_unit="auto",
+                mesh=None, mesh_unit="auto", depth_unit="auto",
             )  # fmt: skip
 
     def open_paths(self, paths: list[Path]) -> None:

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, cast, get_args
 
 from app.session.offsets import Offsets, from_plain
 from pipeline.base.errors import FileProblem, SettingProblem
@@ -14,6 +14,7 @@ from pipeline.base.files import read_json, write_json
 from pipeline.base.params import changed, settings
 from pipeline.engine.graph import Method
 from pipeline.pictures.display import DisplayParams
+from pipeline.recordings.depth_arrays import DepthUnit
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 
 SUFFIX = ".touch.json"
@@ -49,6 +50,7 @@ class Session:
     calibration: Path | None = None
     mesh: Path | None = None
     mesh_unit: str = "auto"
+    depth_unit: DepthUnit = "auto"  # of depth whose file does not tell
     alignment: Path | None = None  # TOML with T_S->A and T_A->T; None = the recording's or the descriptions'
     offsets: Offsets = field(default_factory=Offsets)  # how far it was moved by hand or by refining
     linked: bool = True  # 3D views of one frame share their camera
@@ -89,7 +91,7 @@ class Session:
 def save_session(session: Session, path: Path) -> None:
     """Write `session`, beside the old file first so that a crash leaves one of the two whole."""
     data: dict[str, Any] = {"tactoscope session": _VERSION, "frame": session.frame, "linked": session.linked}
-    data |= {name: getattr(session, name) for name in _WORDS}
+    data |= {name: getattr(session, name) for name in (*_WORDS, "depth_unit")}
     for name in _PATHS:
         value: Path | None = getattr(session, name)
         data[name] = None if value is None else _relative(value, path.parent)
@@ -111,6 +113,10 @@ def load_session(path: Path, catalogue: Catalogue = BUILT_IN) -> Session:
         raise FileProblem(f"the session has version {version!r}, this program reads 1 and {_VERSION}", path)
     known = cast("dict[str, Any]", data)
     words = {name: _typed(known, name, str, path) for name in _WORDS}
+    unit = known.get("depth_unit", "auto")  # files from before it could be said lack it
+    if unit not in get_args(DepthUnit):
+        raise FileProblem(f"depth_unit must be one of {', '.join(get_args(DepthUnit))}, got {unit!r}", path,
+                          field="depth_unit")  # fmt: skip
     methods = _former_methods(known) if version == 1 else cast("dict[str, str]", known.get("methods", {}))
     try:
         catalogue.methods(words["route"], methods)
@@ -122,6 +128,7 @@ def load_session(path: Path, catalogue: Catalogue = BUILT_IN) -> Session:
     return Session(
         **{name: _path(known, name, path) for name in _PATHS},
         **words,
+        depth_unit=unit,
         frame=frame,
         offsets=_offsets(known, path),
         linked=_typed(known, "linked", bool, path),

@@ -199,7 +199,8 @@ def request_of(session: Session) -> Request:
     return Request(
         recording=session.recording, target=session.target, source=session.source, stream=session.stream,
         route=session.route, methods=tuple(sorted(session.methods.items())), reference=session.reference,
-        calibration=session.calibration, mesh=session.mesh, mesh_unit=session.mesh_unit, alignment=session.alignment,
+        calibration=session.calibration, mesh=session.mesh, mesh_unit=session.mesh_unit, depth_unit=session.depth_unit,
+        alignment=session.alignment,
     )  # fmt: skip
 
 
@@ -218,7 +219,9 @@ def _reading(frame: TactileFrame, sensor: SensorSpec) -> tuple[Picture, Layer]:
 
 def _best_target(request: Request) -> str:
     """The other sensor of the same recording, else one that differs from the source."""
-    recording: Recording = open_recording(request.recording, sensor=request.source, reference=request.reference)
+    recording: Recording = open_recording(
+        request.recording, sensor=request.source, reference=request.reference, depth_unit=request.depth_unit
+    )
     try:
         source = recording.stream(request.stream or request.source).sensor
         others = [s.sensor for s in recording.streams if s.sensor not in ("", source)]

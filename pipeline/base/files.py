@@ -121,8 +121,12 @@ def read_arrays(path: Path, what: str) -> dict[str, NDArray[Any]]:
             opened: Any = np.load(file, allow_pickle=False)
             return {key: opened[key] for key in opened.files}
     except Exception as error:  # zip and zlib errors have no common root
-        if "allow_pickle" in str(error) or "Object arrays" in str(error):
-            raise FileProblem(f"loading {what} could run code: the file holds pickled objects", path) from error
+        if any(words in str(error) for words in ("allow_pickle", "Object arrays", "Python objects")):
+            raise FileProblem(
+                f"loading {what} could run code: the file holds pickled objects; in the program that made it, save "
+                "them as plain arrays with numpy.savez",
+                path,
+            ) from error
         raise FileProblem(f"{what} cannot be read: the file is cut short or damaged, or no .npz", path) from error
 
 

@@ -25,7 +25,7 @@ _VERSION = 1
 _DEGREES = 4, 2  # of colour and of position, of the built-in look-up
 _CODE = (  # what it comes from
     "pipeline.calibration.lookup", "pipeline.calibration.slope_model", "pipeline.physics.optics",
-    "pipeline.physics.optics_kernels",
+    "pipeline.physics.optics_kernels", "pipeline.sensors.glow",
 )  # fmt: skip
 _N_SLOPES = 96  # slope images that the built-in look-up is fitted to
 _N_PIXELS = 400  # pixels taken from each

@@ -88,7 +88,13 @@ def run(app: App, tokens: list[str] | None = None) -> int:
     return code if isinstance(code, int) else 0
 
 
-def inspect(recording: Path, *, sensor: str = "", reference: Path | None = None) -> int:
+def inspect(
+    recording: Path,
+    *,
+    sensor: str = "",
+    reference: Path | None = None,
+    depth_unit: Literal["auto", "mm", "m", "0.1mm", "um"] = "auto",
+) -> int:
     """Say what a recording is: format, frames, sensor, truth, and whether its units and frames make sense.
 
     Parameters
@@ -99,10 +105,12 @@ def inspect(recording: Path, *, sensor: str = "", reference: Path | None = None)
         The sensor that made it, where the file does not say.
     reference
         Image of the untouched sensor, where the recording holds none.
+    depth_unit
+        Unit of a depth array or 16-bit picture whose name does not tell.
     """
     from pipeline.cli.inspect import show
 
-    return show(recording, sensor, reference)
+    return show(recording, sensor, reference, depth_unit)
 
 
 def translate(
@@ -114,7 +122,6 @@ def translate(
     frame: int | None = None,
     all_frames: Annotated[bool, Parameter(name="--all", negative="")] = False,
     follow: Annotated[bool, Parameter(negative="")] = False,
-    depth_unit: Literal["auto", "mm", "m", "0.1mm", "um"] = "auto",
     settings: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
 ) -> int:
     """Turn touches of one sensor into what another would have felt, and write every slot.
@@ -133,17 +140,12 @@ def translate(
         Translate every frame.
     follow
         With --all, begin each pose where the touch before ended: several times as quick, for moving sequences.
-    depth_unit
-        Unit of a depth array whose name does not tell.
     settings
         `slot.parameter=value`, as often as needed.
     """
-    from dataclasses import replace
-
     from pipeline.cli.translate import translate_frames
 
-    request = replace(opening.request(recording, target), depth_unit=depth_unit)
-    return translate_frames(request, out, frame, all_frames, settings, follow=follow)
+    return translate_frames(opening.request(recording, target), out, frame, all_frames, settings, follow=follow)
 
 
 def prepare() -> int:

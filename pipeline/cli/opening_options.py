@@ -35,6 +35,8 @@ class Opening:
         The touched object's mesh, for its pose.
     mesh_unit
         Unit of that mesh.
+    depth_unit
+        Unit of a depth array or 16-bit picture whose name does not tell.
     alignment
         How the two sensors stand to each other, a .toml as `tactoscope align refine` writes it.
     """
@@ -47,6 +49,7 @@ class Opening:
     methods: Annotated[tuple[str, ...], Parameter(name="--method", negative="", help=_METHODS)] = ()
     mesh: Path | None = None
     mesh_unit: Literal["auto", "mm", "cm", "m"] = "auto"
+    depth_unit: Literal["auto", "mm", "m", "0.1mm", "um"] = "auto"
     alignment: Path | None = None
 
     def request(self, recording: Path, target: str) -> Request:
@@ -60,7 +63,7 @@ class Opening:
         return Request(
             recording=recording, target=target, source=self.sensor, stream=self.stream, route=self.route,
             methods=tuple(chosen.items()), reference=self.reference, calibration=self.calibration, mesh=self.mesh,
-            mesh_unit=self.mesh_unit, alignment=self.alignment,
+            mesh_unit=self.mesh_unit, depth_unit=self.depth_unit, alignment=self.alignment,
         )  # fmt: skip
 
 

@@ -82,7 +82,10 @@ class Camera:
 
     def scaled(self, factor: float) -> Camera:
         """The same view with `factor` times as many pixels along each side, pixel areas kept aligned."""
-        rows, cols = max(1, round(self.rows * factor)), max(1, round(self.cols * factor))
+        return self.resized(max(1, round(self.rows * factor)), max(1, round(self.cols * factor)))
+
+    def resized(self, rows: int, cols: int) -> Camera:
+        """The same view in `rows` x `cols` pixels, pixel areas kept aligned."""
         sy, sx = rows / self.rows, cols / self.cols
         return Camera(rows=rows, cols=cols, fx_px=self.fx_px * sx, fy_px=self.fy_px * sy,
                       cx_px=(self.cx_px + 0.5) * sx - 0.5, cy_px=(self.cy_px + 0.5) * sy - 0.5)  # fmt: skip

@@ -15,6 +15,7 @@ from pipeline.inspection import checks as inspection
 from pipeline.inspection.checks import Check
 from pipeline.inspection.object_checks import mesh_checks
 from pipeline.recordings import open_recording
+from pipeline.recordings.depth_arrays import DepthUnit
 from pipeline.sensors.spec import SensorSpec, names
 from pipeline.sensors.spec import sensor as sensor_spec
 from pipeline.values.frames import Recording, Stream, TactileFrame, Truth
@@ -54,12 +55,19 @@ class Report:
         return all(check.state != "fail" for check in self.checks)
 
 
-def inspect(path: Path, *, sensor: str = "", reference: Path | None = None, progress: Progress = SILENT) -> Report:
+def inspect(
+    path: Path,
+    *,
+    sensor: str = "",
+    reference: Path | None = None,
+    depth_unit: DepthUnit = "auto",
+    progress: Progress = SILENT,
+) -> Report:
     """Read every frame once and say what is there; damaged frames are listed, not raised.
 
     Raises TouchError only when the recording as a whole cannot be opened.
     """
-    recording = open_recording(path, sensor=sensor, reference=reference)
+    recording = open_recording(path, sensor=sensor, reference=reference, depth_unit=depth_unit)
     try:
         found = [_stream(recording, s, _spec(s.sensor, sensor), progress) for s in recording.streams]
         checks = [check for _, several in found for check in several]

@@ -20,6 +20,7 @@ from pipeline.base.memo import Memo, remembered
 from pipeline.engine.digests import content
 from pipeline.geometry.camera import Camera
 from pipeline.physics.optics_markers import checked, marker_motion_px, print_on
+from pipeline.sensors.glow import untouched_light
 from pipeline.sensors.spec import Markers, Optics, SensorSpec
 
 _PENUMBRA_MM = 0.25  # how far below an LED's light a point has to lie to get none of it
@@ -117,22 +118,8 @@ def _lamps(optics: Optics, camera: Camera) -> tuple[Floats, Floats]:
 
 
 @remembered(32)
-def _glow(camera: Camera, optics: Optics) -> Floats:
-    """The untouched light (rows, cols, 3) before markers and blur."""
-    x = ((np.arange(camera.cols) + 0.5) / camera.cols * 2 - 1)[None, :]
-    y = ((np.arange(camera.rows) + 0.5) / camera.rows * 2 - 1)[:, None]
-    light = np.empty((*camera.shape, 3))
-    light[:] = optics.base_rgb
-    for glow in optics.glows:
-        lobe = np.exp(-(((x - glow.x) / glow.width) ** 2) - ((y - glow.y) / glow.height) ** 2)
-        light += lobe[..., None] * np.array(glow.rgb)
-    lens = 1.0 - optics.vignette * ((x * x + y * y) / 2) ** 2
-    return freeze((light * lens[..., None]).astype(np.float32))
-
-
-@remembered(32)
 def _untouched(camera: Camera, optics: Optics, markers: Markers | None, pixel_mm: float) -> Image:
-    light = _glow(camera, optics).copy()
+    light = untouched_light(camera, optics).copy()
     if markers is not None:
         still = freeze(np.zeros(camera.shape, np.float32))
         print_on(light, markers, pixel_mm, still, still)
@@ -179,8 +166,8 @@ def _scene(sensor: SensorSpec) -> _Scene:
     camera, optics = sensor.camera, optics_of(sensor)
     return _scenes.of(
         content(sensor),
-        lambda: (np.float32(sensor.pixel_mm), _glow(camera, optics).reshape(camera.rows, -1), *_lamps(optics, camera),
-                 np.float32(optics.vignette)),
+        lambda: (np.float32(sensor.pixel_mm), untouched_light(camera, optics).reshape(camera.rows, -1),
+                 *_lamps(optics, camera), np.float32(optics.vignette)),
     )  # fmt: skip
 
 

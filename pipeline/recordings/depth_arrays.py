@@ -18,9 +18,11 @@ from pipeline.base.errors import CalibrationError, FileProblem
 from pipeline.base.files import read_arrays
 from pipeline.base.text import plain
 from pipeline.geometry.camera import Camera, camera_from_matrix
-from pipeline.recordings import pictures
+from pipeline.recordings import pictures, resampling
+from pipeline.recordings.folders import Found
 from pipeline.recordings.indexing import checked_index
 from pipeline.recordings.sensor_guess import named_or_guessed
+from pipeline.sensors.spec import sensor as sensor_spec
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
 DepthUnit = Literal["auto", "mm", "m", "0.1mm", "um"]
@@ -30,29 +32,64 @@ _PLAUSIBLE_MM = (5.0, 2000.0)  # a tactile depth camera looks at a membrane some
 _N_UNTOUCHED = 5  # first frames whose median is taken as untouched: a fifth of the noise of one
 
 
-def read(path: Path, *, sensor: str = "", reference: Path | None = None, unit: DepthUnit = "auto") -> Recording:
+def read(
+    path: Path,
+    arrays: Mapping[str, NDArray[Any]],
+    *,
+    sensor: str = "",
+    reference: Path | None = None,
+    unit: DepthUnit = "auto",
+) -> Recording:
     """One stream of float32 depth in mm, NaN where there is no reading (0, negative, 65535, not finite).
 
     Without `reference` (another depth file) the median of the first frames is taken as untouched, and noted. Raises
     FileProblem when the array cannot be read or its unit is not told.
-    """
-    loaded = _folder(path, unit) if path.is_dir() else _file(path, unit)
+    """  # fmt: skip
+    return _recording(path, _arrays(path, arrays, unit), sensor, reference, unit)
+
+
+def read_pictures(
+    path: Path, found: Found, *, sensor: str = "", reference: Path | None = None, unit: DepthUnit = "auto"
+) -> Recording:
+    """The same of 16-bit images; one that is named as untouched is the reference where none is given."""
+    files = [p for p in found.pictures if p != reference]
+    if not files:
+        raise FileProblem("the only depth image is the reference", path)
+    named = path.stem if path.is_file() else path.name
+    if unit == "auto" and _TOLD.search(named) is None and _TOLD.search(files[0].stem) is not None:
+        named = files[0].stem
+    told = _unit_of(named, unit, path)
+    loaded = _Loaded(named, told, len(files), lambda i: _sixteen_bit(files[i]), path)
+    loaded.notes = found.notes
+    reference = reference or (found.untouched[0] if found.untouched else None)
+    return _recording(path, loaded, sensor, reference, cast("DepthUnit", told))
+
+
+def _recording(path: Path, loaded: _Loaded, sensor: str, reference: Path | None, unit: DepthUnit) -> Recording:
     n, first = loaded.n_frames, loaded.depth_mm(0)
-    name, notes = named_or_guessed(sensor, cast("tuple[int, int]", first.shape), is_depth=True)
+    shape = cast("tuple[int, int]", first.shape)
+    name, notes = named_or_guessed(sensor, shape, is_depth=True)
+    camera = loaded.camera
+    if camera is None:
+        camera, about_camera = resampling.depth_camera(sensor_spec(sensor or name), shape)
+        notes += about_camera
+    untouched: Floats | None = None
     if reference is not None:
         untouched, about = read_image(reference, unit), f"{reference.name} shows the untouched sensor"
-    else:
+    elif n > 1:
         n_first = min(_N_UNTOUCHED, max(1, n // 6))
-        untouched = _median(np.stack([loaded.depth_mm(i) for i in range(n_first)]))
+        untouched = median(np.stack([loaded.depth_mm(i) for i in range(n_first)]))
         about = f"the median of the first {n_first} frames is taken as the untouched sensor"
-    if untouched.shape != first.shape:
+    else:
+        about = "one picture alone has nothing to be compared to; name one of the untouched sensor with --reference"
+    if untouched is not None and untouched.shape != shape:
         assert reference is not None
         raise FileProblem(f"the reference has shape {untouched.shape}, the frames {first.shape}", reference)
 
     def frame(index: int) -> TactileFrame:
         return TactileFrame(sensor=name, image=loaded.depth_mm(index), reference=untouched, index=index,
                             time_s=float(loaded.times_s[index]), origin=f"{path} [{loaded.key} {index}]",
-                            camera=loaded.camera)  # fmt: skip
+                            camera=camera)  # fmt: skip
 
     stream = Stream(name=name, sensor=name, n_frames=n, frame=checked_index(frame, n, path))
     notes = (*notes, plain(f"{loaded.key} is taken as {loaded.unit}"), about, *loaded.notes)
@@ -63,8 +100,8 @@ def read_image(path: Path, unit: DepthUnit = "auto") -> Floats:
     """One depth image in mm: the median over all images of an array file, or one 16-bit picture."""
     if pictures.is_picture(path):
         return _in_mm(_sixteen_bit(path), _unit_of(path.stem, unit, path), path.name, path)
-    loaded = _file(path, unit)
-    return _median(np.stack([loaded.depth_mm(i) for i in range(loaded.n_frames)]))
+    loaded = _arrays(path, read_arrays(path, "the depth images"), unit)
+    return median(np.stack([loaded.depth_mm(i) for i in range(loaded.n_frames)]))
 
 
 class _Loaded:
@@ -80,8 +117,7 @@ class _Loaded:
         return _in_mm(self._read_raw(index), self.unit, f"{self.key} of frame {index}", self._path)
 
 
-def _file(path: Path, unit: DepthUnit) -> _Loaded:
-    arrays = read_arrays(path, "the depth images")
+def _arrays(path: Path, arrays: Mapping[str, NDArray[Any]], unit: DepthUnit) -> _Loaded:
     key = _depth_key(arrays, path)
     told, stack = _unit_of(key, unit, path), arrays[key]
     stack = stack[None] if stack.ndim == 2 else stack
@@ -104,12 +140,6 @@ def _file(path: Path, unit: DepthUnit) -> _Loaded:
     left = sorted(arrays.keys() - {key, "K", "timestamps_s", "time_s", "t_s", "frame"})
     loaded.notes = (f"also in the file and left out: {plain(', '.join(left))}",) if left else ()
     return loaded
-
-
-def _folder(path: Path, unit: DepthUnit) -> _Loaded:
-    files = sorted((p for p in path.iterdir() if pictures.is_picture(p)), key=pictures.natural_key)
-    files = [p for p in files if not pictures.is_reference(p)]
-    return _Loaded(path.name, _unit_of(path.name, unit, path), len(files), lambda i: _sixteen_bit(files[i]), path)
 
 
 def _sixteen_bit(file: Path) -> NDArray[Any]:
@@ -151,8 +181,8 @@ def _in_mm(raw: NDArray[Any], unit: str, what: str, path: Path) -> Floats:
     return freeze(values)
 
 
-def _median(stack: NDArray[Any]) -> Floats:
-    """Over frames, NaN only where no frame has a reading."""
+def median(stack: NDArray[Any]) -> Floats:
+    """Of depth images (frames, rows, cols), NaN only where no frame has a reading."""
     seen = np.isfinite(stack).any(axis=0)
     median = np.full(stack.shape[1:], np.nan, np.float32)
     median[seen] = np.nanmedian(stack[:, seen], axis=0)

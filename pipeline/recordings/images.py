@@ -1,4 +1,4 @@
-"""A folder of images with a picture of the untouched sensor beside them."""
+"""Images with a picture of the untouched sensor beside them: a folder, one image, or a data set's own tree."""
 
 from __future__ import annotations
 
@@ -8,46 +8,48 @@ from pathlib import Path
 from pipeline.base.arrays import Image
 from pipeline.base.errors import FileProblem
 from pipeline.recordings import pictures
+from pipeline.recordings.folders import Found
+from pipeline.recordings.gel_pictures import gel_pictures
 from pipeline.recordings.indexing import checked_index
-from pipeline.recordings.sensor_guess import named_or_guessed
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
 
-def read(path: Path, *, sensor: str = "", reference: Path | None = None) -> Recording:
-    """The images of a folder (or one image) as one stream of RGB frames in natural order of their names.
+def read(path: Path, found: Found, *, sensor: str = "", reference: Path | None = None) -> Recording:
+    """The images of a folder (or one image) as one stream of RGB frames, in the order found.
 
     The reference is the file given, else the first one named background*, bg*, ref*, reference*, untouched* or
-    undeformed*; without one the frames have none, and the notes say so. Raises FileProblem or SettingProblem.
+    undeformed*; differences from it imply it; without any the frames have none, and the notes say so. Pictures of the
+    right sensor at another size are resampled. Raises FileProblem or SettingProblem.
     """
-    every = [path] if path.is_file() else sorted(filter(pictures.is_picture, path.iterdir()), key=pictures.natural_key)
-    named = [p for p in every if pictures.is_reference(p)] if path.is_dir() else []
-    chosen = reference or (named[0] if named else None)
-    left_out = {os.path.realpath(p) for p in (*named, *((chosen,) if chosen else ()))}
-    files = [p for p in every if os.path.realpath(p) not in left_out]
+    chosen = reference or (found.untouched[0] if found.untouched else None)
+    left_out = {os.path.realpath(p) for p in (*found.untouched, *((chosen,) if chosen else ()))}
+    files = [p for p in found.pictures if os.path.realpath(p) not in left_out]
     if not files:
         raise FileProblem(
             "the folder has no images to show" if path.is_dir() else "the only image is the reference", path
         )
     untouched = None if chosen is None else pictures.rgb(chosen)
-    shape = _first_shape(files) if untouched is None else untouched.shape
-    name, notes = named_or_guessed(sensor, (shape[0], shape[1]), is_depth=False)
+    shape = (_first(files) if untouched is None else untouched).shape
+    made = gel_pictures(sensor, (shape[0], shape[1]), untouched, lambda: _first(files))
 
     def frame(index: int) -> TactileFrame:
-        image = _of_shape(files[index], shape, index)
-        return TactileFrame(sensor=name, image=image, reference=untouched, index=index, origin=str(files[index]))
+        image = made.picture(_of_shape(files[index], shape, index))
+        return TactileFrame(sensor=made.sensor, image=image, reference=made.reference, index=index,
+                            origin=str(files[index]))  # fmt: skip
 
-    stream = Stream(name=name or "images", sensor=name, n_frames=len(files),
+    stream = Stream(name=made.sensor or "images", sensor=made.sensor, n_frames=len(files),
                     frame=checked_index(frame, len(files), path))  # fmt: skip
+    about = () if made.implied is not None else _about(chosen, found.untouched)
     return Recording(path=path, format="folder of images" if path.is_dir() else "image",
-                     streams=(stream,), notes=notes + _about(chosen, named))  # fmt: skip
+                     streams=(stream,), notes=found.notes + made.notes + about)  # fmt: skip
 
 
-def _first_shape(files: list[Path]) -> tuple[int, ...]:
-    """Of the first image that can be read, so that one damaged file does not hide the others."""
+def _first(files: list[Path]) -> Image:
+    """The first image that can be read, so that one damaged file does not hide the others."""
     problem: FileProblem | None = None
     for file in files:
         try:
-            return pictures.rgb(file).shape
+            return pictures.rgb(file)
         except FileProblem as error:
             problem = problem or error
     assert problem is not None
@@ -69,7 +71,7 @@ def _of_shape(file: Path, shape: tuple[int, ...], index: int) -> Image:
     return image
 
 
-def _about(chosen: Path | None, named: list[Path]) -> tuple[str, ...]:
+def _about(chosen: Path | None, named: tuple[Path, ...]) -> tuple[str, ...]:
     if chosen is None:
         return ("no picture of the untouched sensor was found; name one with --reference",)
     unused = [p.name for p in named if p != chosen]

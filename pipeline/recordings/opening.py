@@ -3,28 +3,36 @@
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import must_be_file, reason
+from pipeline.base.files import must_be_file, read_arrays, reason
 from pipeline.recordings import (
+    colour_arrays,
     depth_arrays,
     gelslim_depth,
     hdf5,
     images,
     overrides,
     pictures,
+    point_clouds,
     torch_files,
     touch2touch,
     video,
 )
 from pipeline.recordings.depth_arrays import DepthUnit
+from pipeline.recordings.folders import PICKLED, Found, found_in
 from pipeline.recordings.hdf5_layout import SIGNATURE
 from pipeline.values.frames import Recording
 
-_KINDS = "a tactoscope .h5, a folder of images, a video, .pt of touch2touch or gelslim_depth, or depth .npz or .npy"
+_KINDS = (
+    "a tactoscope .h5, a folder of images, a video, .pt of touch2touch or gelslim_depth, or depth or pictures in .npz "
+    "or .npy"
+)
 
 
 def open_recording(
@@ -44,26 +52,52 @@ def open_recording(
     if reference is not None:
         must_be_file(reference, "the picture of the untouched sensor")
     try:
-        kind = _folder_kind(path) if path.is_dir() else _file_kind(path)
+        found = found_in(path) if path.is_dir() else _file(path)
+        return _read(path, found, sensor, reference, depth_unit)
     except OSError as error:
         raise FileProblem(f"cannot read the recording ({reason(error)})", path) from error
-    match kind:
-        case "images":
-            return images.read(path, sensor=sensor, reference=reference)
+
+
+def _read(path: Path, found: Found, sensor: str, reference: Path | None, unit: DepthUnit) -> Recording:
+    match found.kind:
+        case "pictures" if _is_depth(found.pictures):
+            return depth_arrays.read_pictures(path, found, sensor=sensor, reference=reference, unit=unit)
+        case "pictures":
+            return images.read(path, found, sensor=sensor, reference=reference)
+        case "clouds":
+            recording = point_clouds.read(found.path, sensor=sensor)
+        case "samples":
+            recording = touch2touch.read_folder(found.path)
+        case "file":
+            return _with(found.notes, _read_file(found.path, sensor, reference, unit))
+    return _with(found.notes, _said(recording, sensor, reference, unit))
+
+
+def _read_file(path: Path, sensor: str, reference: Path | None, unit: DepthUnit) -> Recording:
+    match _file_kind(path):
         case "video":
             return video.read(path, sensor=sensor, reference=reference)
-        case "depth":
-            return depth_arrays.read(path, sensor=sensor, reference=reference, unit=depth_unit)
+        case "arrays":
+            arrays = read_arrays(path, "the recording")
+            if not any("depth" in k.lower() for k in arrays) and colour_arrays.keys(arrays):
+                return colour_arrays.read(path, arrays, sensor=sensor, reference=reference)
+            return depth_arrays.read(path, arrays, sensor=sensor, reference=reference, unit=unit)
         case "hdf5":
             recording = hdf5.read(path)
-        case "samples":
-            recording = touch2touch.read_folder(path)
         case "torch":
             recording = _torch_recording(path)
         case _:
             raise FileProblem(f"this is no kind of recording that can be read; known are {_KINDS}", path)
+    return _said(recording, sensor, reference, unit)
+
+
+def _with(notes: tuple[str, ...], recording: Recording) -> Recording:
+    return replace(recording, notes=(*notes, *recording.notes))
+
+
+def _said(recording: Recording, sensor: str, reference: Path | None, unit: DepthUnit) -> Recording:
     try:
-        return _as_said(recording, sensor, reference, depth_unit)
+        return _as_said(recording, sensor, reference, unit)
     except Exception:
         recording.close()
         raise
@@ -88,19 +122,22 @@ def _torch_recording(path: Path) -> Recording:
     raise FileProblem(f"the file is neither of touch2touch nor of gelslim_depth; its keys are {keys}", path)
 
 
-def _folder_kind(path: Path) -> str:
-    if not any(path.iterdir()):
-        raise FileProblem("the folder is empty", path)
-    shown = sorted(filter(pictures.is_picture, path.iterdir()), key=pictures.natural_key)
-    if not shown:
-        return "samples" if next(path.rglob("*.pt"), None) is not None else "images"
-    for file in shown:
+def _is_depth(files: Sequence[Path]) -> bool:
+    """Whether the first picture that can be read has one channel of 16 bits."""
+    for file in files:
         try:
             pixels = pictures.raw_pixels(file)
         except FileProblem:
             continue
-        return "depth" if pixels.dtype == np.uint16 and pixels.ndim == 2 else "images"
-    return "images"
+        return pixels.dtype == np.uint16 and pixels.ndim == 2
+    return False
+
+
+def _file(path: Path) -> Found:
+    """A picture is a folder of one."""
+    if _file_kind(path) == "images":
+        return Found(kind="pictures", path=path, pictures=(path,))
+    return Found(kind="file", path=path)
 
 
 def _file_kind(path: Path) -> str:
@@ -116,13 +153,13 @@ def _file_kind(path: Path) -> str:
     if suffix in (".h5", ".hdf5"):
         raise FileProblem("this is not an HDF5 file, or its beginning is damaged", path)
     if head.startswith(b"\x93NUMPY") or suffix in (".npz", ".npy"):
-        return "depth"
+        return "arrays"
     if head.startswith(b"PK\x03\x04") and suffix not in (".pt", ".pth"):
         return _zip_kind(path)
     if suffix in (".pt", ".pth"):
         return "torch"
     if suffix in (".pkl", ".pickle"):
-        raise FileProblem("a pickle can run code when it is loaded and is refused; save its arrays as .npz", path)
+        raise FileProblem(PICKLED, path)
     if pictures.is_picture(path):
         return "images"
     return "video" if suffix in video.SUFFIXES else ""
@@ -131,6 +168,6 @@ def _file_kind(path: Path) -> str:
 def _zip_kind(path: Path) -> str:
     try:
         with zipfile.ZipFile(path) as archive:
-            return "torch" if any(n.endswith("/data.pkl") for n in archive.namelist()) else "depth"
+            return "torch" if any(n.endswith("/data.pkl") for n in archive.namelist()) else "arrays"
     except zipfile.BadZipFile as error:
         raise FileProblem("the file is cut short or damaged", path) from error

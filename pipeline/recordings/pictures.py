@@ -15,6 +15,7 @@ from pipeline.base.files import read_bytes
 
 SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
 _REFERENCE = re.compile(r"^(background|bg|ref|reference|untouched|undeformed)([\W_\d].*)?$", re.IGNORECASE)
+_UNTOUCHED_ARRAY = re.compile(r"(^|_)(background|bg|ref|reference|untouched|undeformed|base)(_|$)", re.IGNORECASE)
 _TAIL_BYTES = 4096  # editors may write a little after the end mark
 
 
@@ -26,6 +27,11 @@ def is_picture(path: Path) -> bool:
 def is_reference(path: Path) -> bool:
     """Whether the name says that this picture shows the untouched sensor."""
     return _REFERENCE.match(path.stem) is not None
+
+
+def is_untouched_name(key: str) -> bool:
+    """Whether an array of this name shows the untouched sensor."""
+    return _UNTOUCHED_ARRAY.search(key) is not None
 
 
 def natural_key(path: Path) -> tuple[object, ...]:

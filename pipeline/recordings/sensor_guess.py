@@ -5,7 +5,11 @@ from __future__ import annotations
 from pipeline.sensors.spec import sensor as sensor_spec
 
 # Sizes that only one of the described sensors has. A DIGIT held sideways looks like a Mini; its own driver turns it.
-_BY_SIZE = {(320, 427): "gelslim", (320, 240): "digit", (240, 320): "gelsight_mini"}
+_BY_SIZE = {
+    (320, 427): "gelslim", (320, 240): "digit", (240, 320): "gelsight_mini",
+    (640, 480): "digit", (2464, 3280): "gelsight_mini",  # VGA as DIGIT's driver turns it; the Mini's whole camera
+}  # fmt: skip
+_ONE_OF = {(480, 640): "gelsight_mini, or digit on its side"}
 
 
 def named_or_guessed(
@@ -24,4 +28,5 @@ def named_or_guessed(
     guess = _BY_SIZE.get(shape, "")
     if guess:
         return guess, (f"the file does not name its sensor; taken to be {guess} by its size of {cols} x {rows} px",)
-    return "", (f"the file does not name its sensor, and {cols} x {rows} px fits none; say which with {flag}",)
+    fits = f"may be {_ONE_OF[shape]}" if shape in _ONE_OF else "fits none"
+    return "", (f"the file does not name its sensor, and {cols} x {rows} px {fits}; say which with {flag}",)

@@ -12,9 +12,9 @@ import numpy as np
 from pipeline.base.arrays import Image, freeze
 from pipeline.base.errors import FileProblem
 from pipeline.base.text import is_text
-from pipeline.recordings import pictures
+from pipeline.recordings import differences, pictures
+from pipeline.recordings.gel_pictures import gel_pictures
 from pipeline.recordings.indexing import checked_index
-from pipeline.recordings.sensor_guess import named_or_guessed
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
 _MOST_FRAMES = 10_000_000  # an hour at 2,700 Hz
@@ -28,26 +28,29 @@ def read(path: Path, *, sensor: str = "", reference: Path | None = None) -> Reco
     """
     video = _Video(path)
     first = video.frame(0)
-    untouched = first if reference is None else pictures.rgb(reference)
-    if untouched.shape != first.shape:
+    changes = reference is None and differences.mid_grey(first) is not None
+    untouched = pictures.rgb(reference) if reference is not None else None if changes else first
+    if untouched is not None and untouched.shape != first.shape:
         video.close()
         assert reference is not None
         raise FileProblem(f"the reference has shape {untouched.shape}, the video {first.shape}", reference)
-    name, notes = named_or_guessed(sensor, (first.shape[0], first.shape[1]), is_depth=False)
-    about = (
-        "its first frame is taken as the untouched sensor"
-        if reference is None
-        else f"{reference.name} shows the untouched sensor"
-    )
+    made = gel_pictures(sensor, (first.shape[0], first.shape[1]), untouched, lambda: first)
+    about = () if changes else (_about(reference),)
 
     def frame(index: int) -> TactileFrame:
-        return TactileFrame(sensor=name, image=video.frame(index), reference=untouched, index=index,
-                            time_s=index / video.rate_hz, origin=f"{path} [frame {index}]")  # fmt: skip
+        return TactileFrame(sensor=made.sensor, image=made.picture(video.frame(index)), reference=made.reference,
+                            index=index, time_s=index / video.rate_hz, origin=f"{path} [frame {index}]")  # fmt: skip
 
-    stream = Stream(name=name or "video", sensor=name, n_frames=video.n_frames,
+    stream = Stream(name=made.sensor or "video", sensor=made.sensor, n_frames=video.n_frames,
                     frame=checked_index(frame, video.n_frames, path))  # fmt: skip
-    return Recording(path=path, format="video", streams=(stream,), close=video.close,
-                     notes=(*notes, about, "times are counted from the frame rate that the file states"))  # fmt: skip
+    notes = (*made.notes, *about, "times are counted from the frame rate that the file states")
+    return Recording(path=path, format="video", streams=(stream,), close=video.close, notes=notes)
+
+
+def _about(reference: Path | None) -> str:
+    if reference is None:
+        return "its first frame is taken as the untouched sensor"
+    return f"{reference.name} shows the untouched sensor"
 
 
 class _Video:

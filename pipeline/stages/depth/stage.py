@@ -121,7 +121,9 @@ def _check(frame: TactileFrame, source: SensorSpec) -> None:
     where = f"frame {frame.index} of {frame.sensor or source.name}"
     image, reference = frame.image, frame.reference
     if reference is None:
-        raise ShapeError(f"no reference image for {where}; record one untouched frame or give --reference")
+        raise ShapeError(
+            f"no reference image for {where}; record one untouched frame, or name a picture of it as the reference"
+        )
     camera = frame.camera or source.camera
     wanted = camera.shape if source.kind == "bubble" else (*camera.shape, 3)
     for what, array in (("image", image), ("reference", reference)):

@@ -130,3 +130,12 @@ def test_a_session_of_before_is_read_with_what_has_become_a_method(tmp_path):
     assert session.display.gel_stretch == 5.0
     save_session(session, path)
     assert load_session(path) == session
+
+
+def test_the_unit_of_depth_is_kept_and_an_unknown_one_is_named(tmp_path):
+    path = tmp_path / "s.touch.json"
+    save_session(Session(target="gelslim", depth_unit="0.1mm"), path)
+    assert load_session(path).depth_unit == "0.1mm"
+    path.write_text(path.read_text().replace("0.1mm", "inch"))
+    with pytest.raises(FileProblem, match="depth_unit must be one of"):
+        load_session(path)

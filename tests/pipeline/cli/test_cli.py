@@ -259,3 +259,15 @@ def write_box_stl(path, side):
             "endfacet",
         ]
     path.write_text("\n".join([*lines, "endsolid box"]))
+
+
+def test_what_a_refusal_advises_the_command_knows(tmp_path, said, capsys):
+    depth = tmp_path / "touch.png"
+    cv2.imwrite(str(depth), np.full((140, 175), 770, np.uint16))
+    assert "give --depth-unit" in said("inspect", depth)
+    assert run(build(), ["inspect", str(depth), "--depth-unit", "0.1mm"]) in (0, 1)
+    assert "name one of the untouched sensor with --reference" in capsys.readouterr().out
+    for command in ("inspect", "translate"):
+        run(build(), [command, "--help"])
+        shown = capsys.readouterr().out
+        assert all(option in shown for option in ("--depth-unit", "--reference", "--sensor"))
