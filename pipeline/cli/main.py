@@ -39,6 +39,7 @@ def build(name: str = "tactoscope") -> App:
     )
     app.command(inspect)
     app.command(translate)
+    app.command(blame)
     app.command(cli_data.simulate)
     app.command(prepare)
     app.command(doctor)
@@ -146,6 +147,38 @@ def translate(
     from pipeline.cli.translate import translate_frames
 
     return translate_frames(opening.request(recording, target), out, frame, all_frames, settings, follow=follow)
+
+
+def blame(
+    recording: Path,
+    *,
+    target: str,
+    opening: Opening = NOTHING_ELSE,
+    figure: str = "felt.contact_mae_mm",
+    frame: int | None = None,
+    json: Path | None = None,
+    settings: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+) -> int:
+    """Say which slot each frame's error comes from, by putting the truth in place of one after the other.
+
+    Parameters
+    ----------
+    recording
+        File or folder of any known format that knows the truth of its touches, such as simulated ones.
+    target
+        Sensor to translate to.
+    figure
+        The error to be taken apart, slot.name as `tactoscope translate` writes it into its report.
+    frame
+        The one frame to ask about; all of them otherwise, the worst first.
+    json
+        File for the parts of every frame.
+    settings
+        `slot.parameter=value`, as often as needed.
+    """
+    from pipeline.cli.blame import show_blame
+
+    return show_blame(opening.request(recording, target), figure, frame, settings, json)
 
 
 def prepare() -> int:

@@ -11,6 +11,7 @@ from pipeline.evaluation.metrics import surface_figures
 from pipeline.pictures.layers import Layer, membrane_layer, surface_layer
 from pipeline.pictures.picture import Picture, of_heights
 from pipeline.sensors.spec import SensorSpec
+from pipeline.stages import known_truth
 from pipeline.stages.follow import element_of
 from pipeline.stages.slot import Facts, Mark, Place, Seen, Slot
 from pipeline.values.results import DepthMap
@@ -38,9 +39,12 @@ def reading(*, name: str, title: str, legend: str, place: Place, methods: tuple[
         truth = facts.source if place == "source" else facts.target
         return {} if truth is None else surface_figures(depth.indentation_mm, depth.contact, truth)
 
+    def truth(facts: Facts, there: SensorSpec) -> DepthMap | None:
+        return known_truth.membrane(facts, place, there)
+
     return Slot(
         name=name, title=title, legend=legend, place=place, methods=methods,
-        picture=picture, layers=layers, follow=follow, figures=figures,
+        picture=picture, layers=layers, follow=follow, figures=figures, truth=truth,
     )  # fmt: skip
 
 

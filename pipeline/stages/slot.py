@@ -56,6 +56,10 @@ class Mark:
     text: str  # what is there, or why the trace ends
 
 
+def _not_known(_facts: Facts, _sensor: SensorSpec) -> Any | None:
+    return None
+
+
 def _no_figures(_value: Any, _facts: Facts) -> Mapping[str, float]:
     return {}
 
@@ -73,6 +77,7 @@ class Slot:
     layers: Callable[[Any, Seen, Picture], tuple[Layer, ...]]
     follow: Callable[[Any, Mark], Mark]  # (value, mark in what it was made from) -> mark here
     figures: Callable[[Any, Facts], Mapping[str, float]] = _no_figures  # name in METRICS -> value
+    truth: Callable[[Facts, SensorSpec], Any | None] = _not_known  # (facts, sensor at its place) -> its value
     looks_at: tuple[str, ...] = ()  # other slots that the picture shows
     stretches: bool = True  # whether its 3D view draws indentation longer than it is
     scrubs: bool = False  # whether its value may keep `steps`

@@ -114,13 +114,24 @@ class Translation:
             return None
         return other.frame(index), other.truth(index)
 
-    def metrics(self, results: Mapping[str, StageResult], index: int) -> dict[str, float]:
-        """Every figure that the known truth of frame `index` allows, as slot.name; see `METRICS` for units."""
+    def facts(self, index: int) -> Facts:
+        """All that is exactly known of frame `index`."""
         other = self.truth_of_target(index)
-        facts = Facts(
+        return Facts(
             source=self.truth_of_source(index), mesh=self.mesh, symmetry=self.symmetry,
             target_frame=None if other is None else other[0], target=None if other is None else other[1],
         )  # fmt: skip
+
+    def truths(self, index: int) -> dict[str, object]:
+        """Slot -> the value that it should hold on frame `index`; slots of which that is not known are absent."""
+        facts = self.facts(index)
+        slots = [self.catalogue.slot(name) for name in self.slots]
+        values = {s.name: s.truth(facts, self.source if s.place == "source" else self.target) for s in slots}
+        return {name: value for name, value in values.items() if value is not None}
+
+    def metrics(self, results: Mapping[str, StageResult], index: int) -> dict[str, float]:
+        """Every figure that the known truth of frame `index` allows, as slot.name; see `METRICS` for units."""
+        facts = self.facts(index)
         return {
             f"{name}.{figure}": value
             for name, result in results.items()

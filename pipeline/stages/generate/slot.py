@@ -8,6 +8,7 @@ from pipeline.engine.graph import Method, unless
 from pipeline.evaluation.metrics import picture_figures
 from pipeline.pictures.layers import Layer, reading_layer, surface_layer
 from pipeline.pictures.picture import Picture, of_reading
+from pipeline.stages import known_truth
 from pipeline.stages.follow import element_of
 from pipeline.stages.generate import stage
 from pipeline.stages.slot import Facts, Mark, Seen, Slot
@@ -71,4 +72,5 @@ SLOT = Slot(
     layers=_layers,
     follow=_follow,
     figures=_figures,
+    truth=known_truth.touch,
 )

@@ -15,6 +15,7 @@ from pipeline.geometry.distance_grid_store import distance_grid
 from pipeline.pictures.colours import NO_VALUE, SCENE, ColourScale, coloured, uniform
 from pipeline.pictures.layers import Layer, cloud_layer, membrane_layer, object_layer
 from pipeline.pictures.picture import Picture, outline, pixel_mm, positions
+from pipeline.stages import known_truth
 from pipeline.stages.follow import element_of, triple
 from pipeline.stages.pose import stage
 from pipeline.stages.slot import Facts, Mark, Seen, Slot
@@ -128,6 +129,7 @@ SLOT = Slot(
     layers=_layers,
     follow=_follow,
     figures=_figures,
+    truth=known_truth.pose,
     looks_at=("touch", "felt"),
     stretches=False,
     scrubs=True,

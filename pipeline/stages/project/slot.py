@@ -8,6 +8,7 @@ from pipeline.base.arrays import freeze
 from pipeline.engine.graph import Method, unless
 from pipeline.pictures.layers import Layer, grid_layer, membrane_layer
 from pipeline.pictures.picture import INDENTATION, Picture, of_heights, rest_mm
+from pipeline.stages import known_truth
 from pipeline.stages.project import stage
 from pipeline.stages.slot import Mark, Seen, Slot
 from pipeline.values.results import TargetView
@@ -80,4 +81,5 @@ SLOT = Slot(
     picture=picture,
     layers=layers,
     follow=_follow,
+    truth=known_truth.view,
 )

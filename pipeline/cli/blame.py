@@ -1,0 +1,70 @@
+"""`tactoscope blame`: which slot the error of each frame comes from."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from pipeline.base.errors import SettingProblem
+from pipeline.base.files import write_json
+from pipeline.cli.stopping import stoppable
+from pipeline.cli.terminal import print_line
+from pipeline.engine.cache import Cache
+from pipeline.engine.graph import Graph
+from pipeline.translation.blame import Blame, blame
+from pipeline.translation.catalogue import BUILT_IN, default_params, with_setting
+from pipeline.translation.translate import Request, open_translation
+
+_CACHE_BYTES = 64 * 1024 * 1024  # one frame's slots, those with truth in their place beside those without
+
+
+def show_blame(request: Request, figure: str, frame: int | None, settings: Sequence[str], json: Path | None) -> int:
+    """Print every frame's error as a sum, worst frame first, and the median of each part; returns the exit code."""
+    params: Mapping[str, object] = default_params(BUILT_IN.methods(request.route, dict(request.methods)))
+    for assignment in settings:
+        params = with_setting(params, assignment)
+    translation = open_translation(request)
+    try:
+        indices = range(translation.n_frames) if frame is None else [translation.checked(frame)]
+        graph = translation.graph(like=Graph((), cache=Cache(_CACHE_BYTES)))
+        with Console(stderr=True).status("") as status, stoppable() as work:
+            found: list[Blame] = []
+            for index in indices:
+                status.update(f"frame {index} of {translation.n_frames}")
+                one = blame(translation, graph, params, index, figure, work)
+                if one is not None:
+                    found.append(one)
+    finally:
+        translation.recording.close()
+    if not found:
+        raise SettingProblem(
+            f"{figure} is known of none of these frames; it takes a recording that holds what "
+            f"{translation.target.name} really felt of the same touches"
+        )
+    found.sort(key=lambda one: one.total, reverse=True)
+    _print(found)
+    if json is not None:
+        write_json(json, [asdict(one) for one in found])
+    return 0
+
+
+def _print(found: Sequence[Blame]) -> None:
+    titles = list(dict.fromkeys(part.title for one in found for part in one.parts))
+    unit = found[0].unit
+    table = Table("frame", f"{found[0].figure}, {unit}", *titles, "the rest")
+    shares = [{part.title: part.share for part in one.parts} for one in found]
+    for one, by in zip(found, shares, strict=True):
+        cells = (f"{by[title]:+.3f}" if title in by else "" for title in titles)
+        table.add_row(str(one.frame), f"{one.total:.3f}", *cells, f"{one.rest:+.3f}")
+    if len(found) > 1:
+        middle = (statistics.median(by[t] for by in shares if t in by) for t in titles)
+        rest = statistics.median(one.rest for one in found)
+        total = statistics.median(one.total for one in found)
+        table.add_row("median", f"{total:.3f}", *(f"{m:+.3f}" for m in middle), f"{rest:+.3f}", style="bold")
+    Console().print(table)
+    print_line(f"frame {found[0].frame} is the worst: {found[0].sentence}")

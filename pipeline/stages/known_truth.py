@@ -1,0 +1,78 @@
+"""What a slot would hold if everything before it and its own method were perfect, from what is known of a frame.
+
+Shown beside what was worked out, and given in its place to find which slot an error comes from (`translation.blame`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.base.arrays import freeze
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.slot import Facts, Place
+from pipeline.values.frames import Truth
+from pipeline.values.pixel_index import pixel_index
+from pipeline.values.results import DepthMap, ObjectPose, TargetView, Touch
+
+_NOTE = "the truth, as the recording knows it"
+
+
+def membrane(facts: Facts, place: Place, sensor: SensorSpec) -> DepthMap | None:
+    """The true membrane of the sensor at `place`; None where indentation or contact is not known at its size."""
+    truth = facts.source if place == "source" else facts.target
+    shape = sensor.camera.shape
+    if truth is None or truth.indentation_mm is None or truth.contact is None:
+        return None
+    if truth.indentation_mm.shape != shape or truth.contact.shape != shape:
+        return None
+    return DepthMap(
+        indentation_mm=truth.indentation_mm,
+        depth_mm=freeze((sensor.rest_depth_mm - truth.indentation_mm).astype(np.float32)),
+        contact=truth.contact,
+        camera=sensor.camera,
+        source_index=pixel_index(shape),
+        notes=(_NOTE,),
+    )
+
+
+def view(facts: Facts, target: SensorSpec) -> TargetView | None:
+    """What touches the target, all of it: the object's surface is where its membrane lies in contact."""
+    felt = membrane(facts, "target", target)
+    if felt is None:
+        return None
+    shape = felt.contact.shape
+    return TargetView(
+        depth_mm=freeze(np.where(felt.contact, felt.depth_mm, np.float32(np.nan))),
+        contact=felt.contact,
+        indentation_mm=freeze(np.where(felt.contact, np.maximum(felt.indentation_mm, 0.0), 0.0).astype(np.float32)),
+        camera=felt.camera,
+        source_index=freeze(np.full(shape, -1, np.int32)),
+        known=freeze(np.ones(shape, np.bool_)),
+        notes=(_NOTE,),
+    )
+
+
+def touch(facts: Facts, target: SensorSpec) -> Touch | None:
+    """What the target recorded of the same touch, with its true membrane."""
+    frame = facts.target_frame
+    if frame is None or frame.image.shape[:2] != target.camera.shape:
+        return None
+    felt = membrane(facts, "target", target)
+    return Touch(
+        image=frame.image, camera=frame.camera or target.camera, source_index=pixel_index(target.camera.shape),
+        known=freeze(np.ones(target.camera.shape, np.bool_)), membrane=felt, notes=(_NOTE,),
+    )  # fmt: skip
+
+
+def pose(facts: Facts, target: SensorSpec) -> ObjectPose | None:
+    """Where the object really is; its points are those of the true contact, and none where that is not known."""
+    truth: Truth | None = facts.target
+    if truth is None or truth.sensor_from_object is None:
+        return None
+    felt = membrane(facts, "target", target)
+    at = np.zeros(0, np.int32) if felt is None else np.flatnonzero(felt.contact).astype(np.int32)
+    points = np.zeros((0, 3)) if felt is None else felt.camera.back_project(felt.depth_mm).reshape(-1, 3)[at]
+    return ObjectPose(
+        sensor_from_object=truth.sensor_from_object, covariance=None, observable=None, weak=(), rmse_mm=0.0,
+        fitness=1.0, scene_mm=freeze(points.astype(np.float32)), source_index=freeze(at), notes=(_NOTE,),
+    )  # fmt: skip
