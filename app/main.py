@@ -41,7 +41,8 @@ def open_window(request: Request | None, *, frame: int | None = None, tour: Path
             recording=request.recording, target=request.target, source=request.source, stream=request.stream,
             route=request.route, methods=dict(request.methods), reference=request.reference,
             calibration=request.calibration, mesh=request.mesh, mesh_unit=request.mesh_unit,
-            depth_unit=request.depth_unit, alignment=request.alignment, frame=first,
+            depth_unit=request.depth_unit, alignment=request.alignment, weights=dict(request.weights),
+            frame=first,
         )  # fmt: skip
     instrument = show_window(session)
     code = 0

@@ -37,6 +37,8 @@ FILE = (
         "Open the look-up that `tactoscope calibrate balls` made",
         icon="target",
     ),
+    Command("open_weights", "Open weights…", "Open a network's weights, for the method that takes such"),
+    Command("close_weights", "Close weights", "Go back to the weights that come along"),
     Command("open_reference", "Open reference…", "Open the image of the untouched sensor", icon=_Std.SP_FileIcon),
     Command(
         "open_alignment",

@@ -84,14 +84,15 @@ def _connect_files(instrument: Instrument, aligning: Aligning) -> None:
 
         window.on(command, run)
 
+    own = {"open_reference": instrument.open_reference, "open_weights": instrument.open_weights}
     for command in dialogs.OPENERS:
-        opens = instrument.open_reference if command == "open_reference" else instrument.open_path
-        asks(command, dialogs.to_open, opens)
+        asks(command, dialogs.to_open, own.get(command, instrument.open_path))
     asks("save_alignment", dialogs.to_save, aligning.save)
     asks("save_session", dialogs.to_save, instrument.save_session)
     asks("save_picture", dialogs.to_save, instrument.save_picture)
     window.on("open_mesh", lambda: instrument.open_mesh(*asked) if (asked := dialogs.mesh(window)) else None)
     window.on("close_mesh", lambda: instrument.open_mesh(None))
+    window.on("close_weights", lambda: instrument.open_weights(None))
     window.on("quit", window.close)
     window.on("keys", lambda: QMessageBox.information(window, "Keys", key_table(window.actions_by_name)))
 

@@ -11,6 +11,7 @@ from PyQt6.QtWidgets import QFileDialog, QWidget
 from app.session.state import SUFFIX
 
 ALIGNMENT = ".toml"
+WEIGHTS = ".safetensors"
 MESHES = (".stl", ".obj", ".ply")
 _UNITS = {
     "auto": "Meshes, in mm if that can be",
@@ -23,6 +24,7 @@ OPENERS: Mapping[str, tuple[str, str]] = {  # command -> title and kinds of file
     "open_recording": ("Open recording", "Recordings (*.h5 *.hdf5 *.pt *.npz *.mp4 *.avi *.mov *.mkv);;All files (*)"),
     "open_folder": ("Open folder of images", ""),
     "open_calibration": ("Open calibration", "Calibrations (*.npz);;All files (*)"),
+    "open_weights": ("Open weights", "Weights of a network (*.safetensors *.pth *.pt);;All files (*)"),
     "open_reference": ("Open reference", "Images (*.png *.jpg *.jpeg *.bmp *.tif *.tiff);;All files (*)"),
     "open_alignment": ("Open alignment", f"Alignments (*{ALIGNMENT});;All files (*)"),
     "open_session": ("Open session", f"Sessions (*{SUFFIX});;All files (*)"),

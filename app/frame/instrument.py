@@ -225,6 +225,7 @@ class Instrument(Documents):
                 box.setCurrentIndex(max(0, box.findData(value)))
         window.actions_by_name["link_cameras"].setChecked(session.linked)
         window.actions_by_name["close_mesh"].setEnabled(session.mesh is not None)
+        window.actions_by_name["close_weights"].setEnabled(bool(session.weights))
 
     def _ask(self, *, other_request: bool) -> None:
         session, wanted, beside = self.session, self.window.visible_columns(), self._beside

@@ -55,6 +55,8 @@ class Documents(QObject):
             self.open_mesh(path)
         elif path.suffix.lower() == dialogs.ALIGNMENT:
             self.change("open alignment", alignment=path)
+        elif path.suffix.lower() == dialogs.WEIGHTS:
+            self.open_weights(path)
         elif dialogs.is_calibration(path):
             self.change("open calibration", calibration=path)
         else:
@@ -71,6 +73,10 @@ class Documents(QObject):
     def open_mesh(self, path: Path | None, unit: str = "auto") -> None:
         """Open the touched object's mesh, whose numbers are in `unit`; None goes back to the recording's own."""
         self.change("close mesh" if path is None else "open mesh", mesh=path, mesh_unit=unit)
+
+    def open_weights(self, path: Path | None) -> None:
+        """Open a network's weights, for the first method that takes such; None goes back to those that come along."""
+        self.change("close weights" if path is None else "open weights", weights={} if path is None else {"": path})
 
     def open_reference(self, path: Path) -> None:
         """Open the image of the untouched sensor."""

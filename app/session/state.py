@@ -55,6 +55,7 @@ class Session:
     offsets: Offsets = field(default_factory=Offsets)  # how far it was moved by hand or by refining
     linked: bool = True  # 3D views of one frame share their camera
     methods: Mapping[str, str] = field(default_factory=dict)  # slot -> method in place of the route's own
+    weights: Mapping[str, Path] = field(default_factory=dict)  # slot -> file; slot "" = the first whose method takes it
     params: Mapping[str, object] = field(default_factory=dict)  # changed ones: of methods by key, of the display
 
     def params_of(self, method: Method) -> object:
@@ -97,6 +98,7 @@ def save_session(session: Session, path: Path) -> None:
         data[name] = None if value is None else _relative(value, path.parent)
     data["offsets"] = asdict(session.offsets)
     data["methods"] = dict(session.methods)
+    data["weights"] = {slot: _relative(file, path.parent) for slot, file in session.weights.items()}
     data["params"] = {
         key: {name: value for name, (value, _) in settings(params).items()} for key, params in session.params.items()
     }
@@ -133,6 +135,7 @@ def load_session(path: Path, catalogue: Catalogue = BUILT_IN) -> Session:
         offsets=_offsets(known, path),
         linked=_typed(known, "linked", bool, path),
         methods=methods,
+        weights=_weights(known, path),
         params=_params(known.get("params", {}), path, catalogue, former=version == 1),
     )
 
@@ -170,6 +173,14 @@ def _path(data: Mapping[str, Any], name: str, path: Path) -> Path | None:
     if data.get(name) is None:
         return None
     return path.parent / str(_typed(data, name, str, path))
+
+
+def _weights(data: Mapping[str, Any], path: Path) -> Mapping[str, Path]:
+    """None at all in files from before methods by network."""
+    said = data.get("weights", {})
+    if not isinstance(said, dict) or not all(isinstance(name, str) for name in cast("dict[str, Any]", said).values()):
+        raise FileProblem("weights must map slots to files", path, field="weights")
+    return {slot: path.parent / name for slot, name in cast("dict[str, str]", said).items()}
 
 
 def _offsets(data: Mapping[str, Any], path: Path) -> Offsets:

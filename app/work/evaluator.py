@@ -200,7 +200,7 @@ def request_of(session: Session) -> Request:
         recording=session.recording, target=session.target, source=session.source, stream=session.stream,
         route=session.route, methods=tuple(sorted(session.methods.items())), reference=session.reference,
         calibration=session.calibration, mesh=session.mesh, mesh_unit=session.mesh_unit, depth_unit=session.depth_unit,
-        alignment=session.alignment,
+        alignment=session.alignment, weights=tuple(sorted(session.weights.items())),
     )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from cyclopts import Parameter
 if TYPE_CHECKING:
     from pipeline.translation.translate import Request
 
+_WEIGHTS = "File of a network's weights, for the method that takes such; `slot=FILE` where several do."
 _METHODS = "`slot=method` in place of the route's own, such as `felt=reading`, as often as needed."
 
 
@@ -51,19 +52,24 @@ class Opening:
     mesh_unit: Literal["auto", "mm", "cm", "m"] = "auto"
     depth_unit: Literal["auto", "mm", "m", "0.1mm", "um"] = "auto"
     alignment: Path | None = None
+    weights: Annotated[tuple[str, ...], Parameter(negative="", help=_WEIGHTS)] = ()
 
     def request(self, recording: Path, target: str) -> Request:
         """What is to be translated into what; raises SettingProblem for a method that is not written slot=method."""
-        from pipeline.translation.catalogue import with_method
+        from pipeline.translation.catalogue import with_method, with_weights
         from pipeline.translation.translate import Request
 
         chosen: dict[str, str] = {}
         for assignment in self.methods:
             chosen = with_method(chosen, assignment)
+        weights: dict[str, Path] = {}
+        for assignment in self.weights:
+            weights = with_weights(weights, assignment)
         return Request(
             recording=recording, target=target, source=self.sensor, stream=self.stream, route=self.route,
             methods=tuple(chosen.items()), reference=self.reference, calibration=self.calibration, mesh=self.mesh,
             mesh_unit=self.mesh_unit, depth_unit=self.depth_unit, alignment=self.alignment,
+            weights=tuple(weights.items()),
         )  # fmt: skip
 
 

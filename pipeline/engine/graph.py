@@ -45,6 +45,12 @@ class Method:
     reads: tuple[str, ...]  # slots above it or inputs, in the order of `run`'s arguments
     version: int = 1  # raised whenever the same inputs give another output
     help: str = ""  # what it does, in half a sentence
+    weights: Callable[..., object] | None = None  # (source, target, file) -> input `weights_name`; None = it reads none
+
+    @property
+    def weights_name(self) -> str:
+        """The input that its weights are read under."""
+        return f"{self.slot}_weights"
 
     @property
     def key(self) -> str:

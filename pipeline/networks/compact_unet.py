@@ -5,7 +5,6 @@ thrown away, and no convolution runs at the full size, where most of the time wo
 every level, by a sum; a level halves the picture (rounded up) and widens it. Some 0.3 to 1 million parameters.
 """
 
-# ruff: noqa: TID253 (a module of this room is torch; who asks for a network imports it where it is used)
 from __future__ import annotations
 
 from itertools import pairwise

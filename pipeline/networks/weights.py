@@ -104,7 +104,9 @@ def save(path: Path, weights: Weights, *, half: bool = False) -> None:
     """Write weights and, beside them, their card as Markdown; `half` keeps them in 16 bits. Raises FileProblem."""
     from safetensors.numpy import save as to_bytes
 
-    stored = {name: np.ascontiguousarray(t, np.float16 if half else np.float32) for name, t in weights.tensors.items()}
+    with np.errstate(over="ignore"):  # what is too large for 16 bits is told below
+        kind = np.float16 if half else np.float32
+        stored = {name: np.ascontiguousarray(tensor, kind) for name, tensor in weights.tensors.items()}
     if not all(np.isfinite(tensor).all() for tensor in stored.values()):
         raise FileProblem(f"{_WHAT} hold values that no {16 if half else 32} bits can keep; nothing is written", path)
     header = {

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 from pipeline.base.errors import SettingProblem
 from pipeline.base.params import changed
@@ -105,6 +106,13 @@ def with_setting(params: Mapping[str, object], assignment: str) -> dict[str, obj
     if slot not in params:
         raise SettingProblem(f"no slot {slot!r} on this route; there are {', '.join(params)}")
     return {**params, slot: changed(params[slot], name, value.strip())}
+
+
+def with_weights(given: Mapping[str, Path], assignment: str, catalogue: Catalogue = BUILT_IN) -> dict[str, Path]:
+    """`given` (slot -> file) after one `slot=file`, or one `file` for the first slot whose method takes weights."""
+    slot, equals, name = assignment.partition("=")
+    known = equals and any(entry.name == slot.strip() for entry in catalogue.slots)
+    return {**given, slot.strip(): Path(name.strip())} if known else {**given, "": Path(assignment)}
 
 
 def with_method(chosen: Mapping[str, str], assignment: str) -> dict[str, str]:

@@ -47,6 +47,7 @@ class Request:
     mesh_unit: str = "auto"
     depth_unit: DepthUnit = "auto"
     alignment: Path | None = None  # TOML with T_S->A and T_A->T
+    weights: tuple[tuple[str, Path], ...] = ()  # (slot, file); slot "" = the first whose method takes weights
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,7 +102,18 @@ class Translation:
             "alignment": placed(self.alignment, source_shift_mm=own_shift_mm(frame, self.source), target_shift_mm=0.0),
             "mesh": self.mesh,
             "previous": previous,
+            **self._weights(),
         }
+
+    def _weights(self) -> dict[str, object]:
+        """What the methods by network read: the weights of the request's files, or else those that come along."""
+        learned, given = [m for m in self.methods if m.weights is not None], dict(self.request.weights)
+        read: dict[str, object] = {}
+        for method in learned:
+            assert method.weights is not None
+            file = given.get(method.slot, given.get("") if method is learned[0] else None)
+            read[method.weights_name] = method.weights(self.source, self.target, file)
+        return read
 
     def truth_of_source(self, index: int) -> Truth | None:
         """What is known of frame `index` on the source's side."""
@@ -147,7 +159,7 @@ class Translation:
 
 def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Translation:
     """Open and check all that `request` names; raises TouchError with what is wrong and where."""
-    catalogue.methods(request.route, dict(request.methods))
+    methods = catalogue.methods(request.route, dict(request.methods))
     target = sensor(request.target)
     recording = open_recording(
         request.recording, sensor=request.source, reference=request.reference, depth_unit=request.depth_unit
@@ -169,7 +181,7 @@ def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Trans
         alignment=_alignment(request, recording, stream, source, target),
         calibration=None if request.calibration is None else load_calibration(request.calibration),
         mesh=mesh,
-        notes=(*recording.notes, *_about_symmetry(recording, stream, mesh)),
+        notes=(*recording.notes, *_about_symmetry(recording, stream, mesh), *_about_weights(request, methods)),
         symmetry=recording.symmetry if mesh is recording.object_mesh else None,
         catalogue=catalogue,
     )
@@ -180,6 +192,17 @@ def _about_symmetry(recording: Recording, stream: Stream, mesh: Mesh | None) -> 
     if mesh is None or not stream.has_truth or (mesh is recording.object_mesh and recording.symmetry is not None):
         return ()
     return ("the object's symmetry is not known; pose errors count every turn as one",)
+
+
+def _about_weights(request: Request, methods: tuple[Method, ...]) -> tuple[str, ...]:
+    """What is to be said of weights that nobody reads."""
+    learned = {method.slot for method in methods if method.weights is not None}
+    return tuple(
+        f"the weights {file.name!r} count for nothing: {f'the method of {slot} reads none' if slot else 'no method reads any'}; "
+        "choose one that does, such as --method depth=network"
+        for slot, file in request.weights
+        if (slot not in learned if slot else not learned)
+    )
 
 
 def _alignment(

@@ -144,6 +144,22 @@ def test_a_mesh_can_be_closed_and_goes_with_its_recording(bubble_window, ball_fi
     assert bubble_window.screen.opened.translation.mesh is None
 
 
+def test_weights_are_opened_closed_and_undone(bubble_window, tmp_path, caplog):
+    close = bubble_window.window.actions_by_name["close_weights"]
+    assert not close.isEnabled()
+    file = tmp_path / "own.safetensors"
+    file.write_bytes(b"whatever it holds")
+    bubble_window.open_path(file)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.session.weights == {"": file}
+    assert "the weights 'own.safetensors' count for nothing" in caplog.text  # no method of the route reads any
+    close.trigger()
+    assert bubble_window.session.weights == {}
+    bubble_window.undo.undo()
+    assert bubble_window.session.weights == {"": file}
+    assert wait_until_shown(bubble_window, LIMIT_S)
+
+
 def test_the_unit_of_a_mesh_is_chosen_where_it_is_opened_and_kept(bubble_window, ball_file, tmp_path, monkeypatch):
     def in_metres(_parent, _title, _folder, kinds):
         return str(ball_file), next(kind for kind in kinds.split(";;") if "in metres" in kind)

@@ -21,6 +21,7 @@ from pipeline.translation.catalogue import BUILT_IN
 def a_session(folder: Path) -> Session:
     session = Session(
         recording=folder / "a.h5", target="gelslim", frame=7, mesh=folder / "m" / "ball.stl", linked=False,
+        weights={"": folder / "own.safetensors", "touch": folder / "w" / "other.safetensors"},
         offsets=Offsets(shift_mm=(0.1, 0.0, -2.0), turn_deg=(0.0, 3.0, 0.0), pivot_mm=(1.0, 2.0, 20.0)),
     )  # fmt: skip
     display = changed(DisplayParams(), "gel_stretch", 5.0)
@@ -51,6 +52,8 @@ def test_paths_are_kept_relative_so_that_a_folder_can_be_moved(tmp_path):
         ({"params": {"display": {"gel_stretch": 1000.0}}}, "params.display.gel_stretch"),
         ({"params": {"unheard": {}}}, "params.unheard"),
         ({"offsets": {"shift_mm": [0, 0]}}, "offsets"),
+        ({"weights": ["a.safetensors"]}, "weights"),
+        ({"weights": {"depth": 3}}, "weights"),
     ],
 )
 def test_a_damaged_session_names_the_field(tmp_path, change, field):

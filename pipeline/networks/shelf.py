@@ -1,0 +1,50 @@
+"""The weights that a method reads: those that come along, or those of a file; or why there are none.
+
+Nothing is raised here: whoever has no network answers without one, and says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from pipeline.base.errors import FileProblem
+from pipeline.base.memo import Memo
+from pipeline.networks.weights import SUFFIX, NoWeights, Weights, load
+
+FOLDER = Path(__file__).parents[2] / "sample_data" / "weights"  # of the source tree, and of an installed wheel
+_MOST_BYTES = 2 << 30
+_read: Memo[tuple[Any, ...], Weights] = Memo(
+    8, most_bytes=_MOST_BYTES, weigh=lambda weights: 4 * weights.n_numbers
+)  # by file and the time of its last change
+
+
+def shipped(name: str) -> Weights | NoWeights:
+    """The weights of that name that come along."""
+    path = FOLDER / f"{name}{SUFFIX}"
+    if not path.is_file():
+        return NoWeights(why=f"no weights {name!r} come along; train them with `tactoscope train`, or give --weights")
+    return in_file(path)
+
+
+def in_file(path: Path, read: Callable[[Path], Weights] = load) -> Weights | NoWeights:
+    """The weights in a file, read once by `read`, and again when the file has changed."""
+    try:
+        try:
+            known = path.stat()
+        except (OSError, ValueError):
+            return read(path)  # says in words what is wrong
+        key = (read.__module__, read.__qualname__, path, known.st_mtime_ns, known.st_size)
+        return _read.of(key, lambda: read(path))
+    except FileProblem as problem:
+        return NoWeights(why=str(problem))
+
+
+def for_task(task: str, name: str, file: Path | None) -> Weights | NoWeights:
+    """The weights of a task of `pipeline.training`: in `file`, or else those that come along as `name`."""
+    found = shipped(name) if file is None else in_file(file)
+    if isinstance(found, Weights) and found.card.get("task") != task:
+        other = found.card.get("task", "something else")
+        return NoWeights(why=f"the weights {found.name!r} have learned {other}, not {task}; give others as --weights")
+    return found

@@ -1,0 +1,113 @@
+"""Weights survive their file, halves are read as float32, and whatever is wrong with a file is one sentence."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from safetensors.numpy import save_file
+
+from pipeline.base.errors import FileProblem
+from pipeline.engine.digests import digest
+from pipeline.networks import shelf
+from pipeline.networks.weights import NoWeights, Weights, load, load_tensors, save
+
+
+def some(scale=1.0, **more):
+    rng = np.random.default_rng(2)
+    tensors = {"a.weight": scale * rng.standard_normal((3, 2)).astype(np.float32), "a.bias": np.zeros(2, np.float32)}
+    told = {"kind": "compact_unet", "config": {"inputs": 3, "name": "x"}, "card": {"task": "gel_depth", "seed": "4"}}
+    return Weights(**{"name": "some", "tensors": tensors, **told, **more})
+
+
+def test_weights_come_back_as_they_were_saved_with_a_card_to_read(tmp_path):
+    weights, path = some(), tmp_path / "some.safetensors"
+    save(path, weights)
+    back = load(path)
+    assert (back.kind, dict(back.config), dict(back.card)) == (weights.kind, weights.config, weights.card)
+    assert all(np.array_equal(back.tensors[name], t) for name, t in weights.tensors.items())
+    assert digest(back) == digest(weights)
+    assert "- seed: 4\n" in (tmp_path / "some.md").read_text()
+
+
+def test_halves_of_either_sort_are_read_as_float32(tmp_path):
+    save(tmp_path / "half.safetensors", some(), half=True)
+    half = load(tmp_path / "half.safetensors")
+    assert all(t.dtype == np.float32 for t in half.tensors.values())
+    np.testing.assert_allclose(half.tensors["a.weight"], some().tensors["a.weight"], rtol=1e-3)
+    torch = pytest.importorskip("torch")
+    from safetensors.torch import save_file as save_torch
+
+    save_torch({"x": torch.tensor([1.0, -2.5, 3e38], dtype=torch.bfloat16)}, tmp_path / "b.safetensors")
+    x = load_tensors(tmp_path / "b.safetensors")[1]["x"]
+    assert x.dtype == np.float32
+    np.testing.assert_allclose(x, [1.0, -2.5, 3e38], rtol=4e-3)
+
+
+def test_what_a_result_depends_on_makes_the_digest_and_nothing_else():
+    alike = digest(some())
+    assert digest(some(card={"seed": "5"})) == alike
+    assert digest(some(scale=1.001)) != alike
+    assert digest(some(config={"inputs": 4, "name": "x"})) != alike
+    with pytest.raises(ValueError, match="read-only"):
+        some().tensors["a.bias"][0] = 1.0
+
+
+@settings(max_examples=40, deadline=None)
+@given(data=st.data())
+def test_a_file_cut_short_anywhere_or_damaged_is_one_sentence(tmp_path_factory, data):
+    path = tmp_path_factory.mktemp("cut") / "w.safetensors"
+    save(path, some())
+    whole = path.read_bytes()
+    length = data.draw(st.integers(0, len(whole) - 1))
+    path.write_bytes(whole[:length])
+    with pytest.raises(FileProblem, match="cut short or damaged, or no safetensors"):
+        load(path)
+    assert isinstance(shelf.in_file(path), NoWeights)
+
+
+def test_a_missing_file_a_foreign_one_and_numbers_that_are_none_are_told_apart(tmp_path):
+    path = tmp_path / "w.safetensors"
+    with pytest.raises(FileProblem, match=r"cannot read the weights \(No such file"):
+        load(path)
+    save_file({"x": np.ones(3, np.float32)}, path)
+    with pytest.raises(FileProblem, match="do not say which network they are for"):
+        load(path)
+    save_file({"x": np.array([1.0, np.nan], np.float32)}, path)
+    with pytest.raises(FileProblem, match=r"not numbers \(in 'x'"):
+        load(path)
+    with pytest.raises(FileProblem, match="no 16 bits can keep"):
+        save(path, some(scale=1e6), half=True)
+
+
+def test_the_shelf_reads_a_file_again_once_it_has_changed(tmp_path):
+    path = tmp_path / "some.safetensors"
+    save(path, some())
+    first = shelf.in_file(path)
+    assert shelf.in_file(path) is first
+    save(path, some(scale=2.0))
+    os.utime(path, ns=(1, 1))
+    assert shelf.in_file(path).content != first.content
+    path.unlink()
+    assert "No such file" in shelf.in_file(path).why
+
+
+def test_weights_of_another_task_are_not_taken(tmp_path):
+    path = tmp_path / "some.safetensors"
+    save(path, some())
+    assert isinstance(shelf.for_task("gel_depth", "gel", path), Weights)
+    other = shelf.for_task("bubble_reading", "bubble", path)
+    assert other.why == "the weights 'some' have learned gel_depth, not bubble_reading; give others as --weights"
+    assert "come along; train them" in shelf.for_task("gel_depth", "unheard", None).why
+
+
+def test_what_comes_along_can_be_read_and_is_small():
+    files = sorted(shelf.FOLDER.glob("*.safetensors"))
+    for path in files:
+        assert isinstance(shelf.shipped(path.stem), Weights)
+        assert path.with_suffix(".md").is_file()
+        assert path.stat().st_size <= 16 << 20
+    assert sum(path.stat().st_size for path in files) <= 60 << 20

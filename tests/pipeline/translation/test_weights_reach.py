@@ -1,0 +1,136 @@
+"""Weights on their way to a method: from a file, from what comes along, or why another method answers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.base.arrays import freeze
+from pipeline.engine.graph import Method
+from pipeline.networks import building, shelf
+from pipeline.networks.weights import Weights, save
+from pipeline.stages.depth.slot import PHYSICS
+from pipeline.stages.learned import learned
+from pipeline.translation.catalogue import BUILT_IN, Catalogue, with_weights
+from pipeline.translation.translate import Request, open_translation
+
+SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
+TOUCH = 5
+
+
+def scale(factor):
+    import torch
+    from torch import nn
+
+    class Scale(nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.factor = nn.Parameter(torch.tensor([float(factor)]))
+
+        def forward(self, x):
+            return x * self.factor
+
+    return Scale()
+
+
+def scaled(frame, source, calibration, network, params, progress):
+    import torch
+
+    found = PHYSICS.run(frame, source, calibration, params, progress)
+    found = getattr(found, "output", found)
+    with torch.inference_mode():
+        deep = network(torch.from_numpy(found.indentation_mm.copy())).numpy()
+    return replace(found, indentation_mm=freeze(deep), notes=("by network",))
+
+
+NETWORK = Method(
+    slot="depth", name="scaled", title="Scaled", run=learned(scaled, instead=PHYSICS), params=PHYSICS.params,
+    reads=(*PHYSICS.reads, "depth_weights"), weights=lambda source, target, file: shelf.for_task("toy", "toy", file),
+)  # fmt: skip
+DEPTH = replace(BUILT_IN.slot("depth"), methods=(PHYSICS, NETWORK))
+CATALOGUE = Catalogue(
+    slots=tuple(DEPTH if slot.name == "depth" else slot for slot in BUILT_IN.slots), routes=BUILT_IN.routes
+)
+
+
+@pytest.fixture(autouse=True)
+def _shelf(monkeypatch, tmp_path):
+    monkeypatch.setitem(building.KINDS, "scale", f"{__name__}:scale")
+    monkeypatch.setattr(shelf, "FOLDER", tmp_path / "shelf")
+
+
+def weights(factor, task="toy"):
+    tensors = {"factor": np.array([factor], np.float32)}
+    return Weights(name="w", kind="scale", config={"factor": 1.0}, tensors=tensors, card={"task": task})
+
+
+def depth(method="scaled", graph=None, **more):
+    request = Request(recording=SAMPLE, source="digit", target="gelslim", methods=(("depth", method),), **more)
+    opened = open_translation(request, CATALOGUE)
+    try:
+        return (graph or opened.graph()).evaluate(["depth"], opened.inputs(TOUCH), {})["depth"], opened.notes
+    finally:
+        opened.recording.close()
+
+
+def test_a_file_is_read_and_what_it_holds_is_part_of_the_key(tmp_path):
+    plain, file = depth("physics")[0].output, tmp_path / "w.safetensors"
+    save(file, weights(2.0))
+    twice = depth(weights=(("", file),))[0]
+    np.testing.assert_allclose(twice.output.indentation_mm, 2.0 * plain.indentation_mm, rtol=1e-6)
+    assert twice.notes == ("by network",)
+    opened = open_translation(Request(recording=SAMPLE, source="digit", target="gelslim", methods=(("depth", "scaled"),),
+                                      weights=(("depth", file),)), CATALOGUE)  # fmt: skip
+    graph = opened.graph()
+    assert depth(graph=graph, weights=(("depth", file),))[0].state == "computed"
+    assert depth(graph=graph, weights=(("depth", file),))[0].state == "cached"
+    save(file, weights(3.0))
+    again = depth(graph=graph, weights=(("depth", file),))[0]
+    assert again.state == "computed"
+    np.testing.assert_allclose(again.output.indentation_mm, 3.0 * plain.indentation_mm, rtol=1e-6)
+    opened.recording.close()
+
+
+def test_what_comes_along_is_read_where_no_file_is_given():
+    save(shelf.FOLDER / "toy.safetensors", weights(1.5))
+    assert depth()[0].notes == ("by network",)
+
+
+@pytest.mark.parametrize("fault", ["missing", "cut", "foreign", "other task", "other shape", "nothing on the shelf"])
+def test_without_usable_weights_physics_answers_and_the_first_note_says_why(tmp_path, fault):
+    file, why = tmp_path / "w.safetensors", {"missing": "No such file", "cut": "cut short", "foreign": "which network",
+                                             "other task": "have learned gel", "other shape": "do not fit",
+                                             "nothing on the shelf": "no weights 'toy' come along"}[fault]  # fmt: skip
+    save(file, weights(2.0, task="gel" if fault == "other task" else "toy"))
+    if fault == "missing":
+        file.unlink()
+    elif fault == "cut":
+        file.write_bytes(file.read_bytes()[:-2])
+    elif fault == "foreign":
+        from safetensors.numpy import save_file
+
+        save_file({"x": np.zeros(3, np.float32)}, file)
+    elif fault == "other shape":
+        save(file, replace(weights(2.0), tensors={"factor": np.zeros(2, np.float32)}))
+    given = () if fault == "nothing on the shelf" else (("", file),)
+    answered, plain = depth(weights=given)[0], depth("physics")[0]
+    assert why in answered.notes[0]
+    assert answered.notes[0].endswith("; physics answers instead")
+    assert answered.notes[1:] == plain.notes
+    assert np.array_equal(answered.output.indentation_mm, plain.output.indentation_mm)
+
+
+def test_weights_that_nobody_reads_are_told(tmp_path):
+    notes = depth("physics", weights=(("", tmp_path / "w.safetensors"),))[1]
+    assert any("'w.safetensors' count for nothing" in note for note in notes)
+    notes = depth(weights=(("touch", tmp_path / "w.safetensors"),))[1]
+    assert any("the method of touch reads none" in note for note in notes)
+
+
+def test_a_file_may_be_given_for_a_slot_and_may_have_any_name():
+    assert with_weights({}, "touch=a b.safetensors") == {"touch": Path("a b.safetensors")}
+    assert with_weights({}, "run=3.safetensors") == {"": Path("run=3.safetensors")}
+    assert with_weights({"touch": Path("t")}, "x.pth") == {"touch": Path("t"), "": Path("x.pth")}
