@@ -198,7 +198,8 @@ def _about_weights(request: Request, methods: tuple[Method, ...]) -> tuple[str, 
     """What is to be said of weights that nobody reads."""
     learned = {method.slot for method in methods if method.weights is not None}
     return tuple(
-        f"the weights {file.name!r} count for nothing: {f'the method of {slot} reads none' if slot else 'no method reads any'}; "
+        f"the weights {file.name!r} count for nothing: "
+        f"{f'the method of {slot} reads none' if slot else 'no method reads any'}; "
         "choose one that does, such as --method depth=network"
         for slot, file in request.weights
         if (slot not in learned if slot else not learned)
