@@ -16,6 +16,7 @@ from pipeline.pictures.picture import Picture
 from widgets.colour_bar import ColourBar
 from widgets.colours import BACKDROP, CONTACT, FELT, FELT_CASING, TRACE, qcolor
 from widgets.looks import smaller, spaced
+from widgets.wipe import Overlay
 
 _BAR_LENGTHS_MM = (50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.5, 0.2)
 
@@ -70,7 +71,9 @@ class PictureView(QWidget):
         pen = pg.mkPen(qcolor(TRACE), width=1.2)
         self._cross_x, self._cross_y = pg.InfiniteLine(angle=90, pen=pen), pg.InfiniteLine(angle=0, pen=pen)
         lines = (self._felt_casing, self._felt, self._outline, self._bar_line)
-        for item in (self._image, *lines, self._bar_text, self._cross_x, self._cross_y):
+        self.box.addItem(self._image, ignoreBounds=True)
+        self.overlay = Overlay(self.box, self)
+        for item in (*lines, self._bar_text, self._cross_x, self._cross_y):
             self.box.addItem(item, ignoreBounds=True)
         self.show_cross(None)
 

@@ -88,6 +88,16 @@ VIEW = (
         "freeze_trace", "Freeze trace", "Keep the traced pixel where it is", icon="target", key="F", checkable=True
     ),
 )
+VERSUS = (
+    Command("show_truth", "Show truth", "The truth in place of what was worked out", icon="tick", key="T",
+            checkable=True),
+    Command("show_difference", "Show difference", "What was worked out less the truth", icon="minus", key="D",
+            checkable=True),
+    Command("show_wipe", "Wipe", "What was worked out left of a handle, the truth right of it", icon="wipe", key="W",
+            checkable=True),
+    Command("show_blink", "Blink", "What was worked out and the truth in turns", icon="blink", key="B",
+            checkable=True),
+)  # fmt: skip
 HELP = (Command("keys", "Keys", "Show the keys", icon=_Std.SP_DialogHelpButton, key="F1"),)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import get_args
 
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QAction
@@ -15,6 +16,7 @@ from app.frame.aligning import Aligning
 from app.frame.instrument import Instrument
 from app.frame.window import Window
 from app.session.state import DISPLAY
+from app.work.versus import Versus
 from pipeline.pictures.display import DisplayParams
 from pipeline.sensors.spec import names
 from pipeline.translation.catalogue import Catalogue
@@ -129,9 +131,19 @@ def _connect_view(instrument: Instrument) -> None:
     link.setChecked(instrument.session.linked)
     window.on("link_cameras", lambda: instrument.change("link cameras", linked=link.isChecked()))
     window.on("reset_view", instrument.reset_view)
+    for versus in get_args(Versus)[1:]:
+        window.on(f"show_{versus}", lambda versus=versus: _choose_versus(instrument, versus))
     window.on("cancel", instrument.cancel)
     for i, name in enumerate(window.columns):
         window.on(f"only_{i + 1}", lambda name=name: instrument.show_only(name))
+
+
+def _choose_versus(instrument: Instrument, versus: Versus) -> None:
+    """One of them at a time; a second time goes back to what was worked out."""
+    chosen: Versus = "" if instrument.screen.versus == versus else versus
+    for name in get_args(Versus)[1:]:
+        instrument.window.actions_by_name[f"show_{name}"].setChecked(name == chosen)
+    instrument.show_versus(chosen)
 
 
 def _connect_undo(instrument: Instrument) -> None:

@@ -15,6 +15,7 @@ from app.session.state import DISPLAY, Session
 from app.work.evaluator import Evaluator, FrameShown, Opened, SlotShown, SourceShown, request_of
 from app.work.jobs import LatestJob, Work
 from app.work.stopwatch import Stopwatch
+from app.work.versus import Versus
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.translate import Request
 
@@ -78,6 +79,11 @@ class Instrument(Documents):
         if beside != self._beside:
             self._beside = beside
             self.refresh()
+
+    def show_versus(self, versus: Versus) -> None:
+        """What every column shows beside, or in place of, what was worked out."""
+        self.screen.versus = versus
+        self.refresh()
 
     def refresh(self) -> None:
         """Ask for the session's frame again."""
@@ -229,11 +235,13 @@ class Instrument(Documents):
 
     def _ask(self, *, other_request: bool) -> None:
         session, wanted, beside = self.session, self.window.visible_columns(), self._beside
+        with_truth = bool(self.screen.versus)
         interrupt = other_request or not self._young.isActive()
         self._waits = True
         self._ticket = 0  # what is dropped now is not missed
         self._ticket = self.job.submit(
-            lambda report: self.evaluator.show(session, wanted, report, compared=beside), interrupt=interrupt
+            lambda report: self.evaluator.show(session, wanted, report, compared=beside, with_truth=with_truth),
+            interrupt=interrupt,
         )
         if other_request:
             self._wanted_since = self._ticket

@@ -9,6 +9,7 @@ from app.frame.tracing import Tracer
 from app.frame.window import Window
 from app.session.state import Session
 from app.work.evaluator import FrameShown, Opened, SlotShown, SourceShown
+from app.work.versus import Versus
 from pipeline.base.errors import TouchError
 from pipeline.engine.graph import Method
 from pipeline.pictures.layers import Layer
@@ -17,6 +18,7 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.values.results import PoseStep
 from widgets.colours import AXES
 from widgets.layers import Scene
+from widgets.picture import PictureView
 from widgets.timings_panel import TimingRow
 
 TIMES = "\N{MULTIPLICATION SIGN}"
@@ -32,6 +34,7 @@ class Screen:
         self._window, self._tracer = window, tracer
         self.scene = Scene()  # the 3D views
         self.opened: Opened | None = None  # the recording on screen
+        self.versus: Versus = ""  # what is shown beside, or in place of, what was worked out
         self._layers: dict[int, tuple[Layer, ...]] = {}
         self._fresh: set[str] = set()
         self._order = tuple(window.columns)
@@ -71,7 +74,7 @@ class Screen:
         """One column's picture, layers and state."""
         name = part.result.name if isinstance(part, SlotShown) else "source"
         column = self._window.columns[name]
-        column.view.show_picture(part.picture)
+        self._show_picture(column.view, part)
         if isinstance(part, SlotShown):
             self._results = {**self._results, name: part.result}
             column.show_state(part.result.state, part.result.ms, part.result.notes)
@@ -86,6 +89,22 @@ class Screen:
         self._layers[index] = part.layers
         self.scene.show_layers(index, part.layers)
         self._fresh.add(name)
+
+    def _show_picture(self, view: PictureView, part: SourceShown | SlotShown) -> None:
+        """The part's picture, its truth, their difference, or both in one place, where that is asked for and known."""
+        other = part.beside if isinstance(part, SlotShown) else None
+        picture = part.picture
+        if other is not None and self.versus == "truth":
+            picture = other.truth
+        elif other is not None and self.versus == "difference" and other.gap is not None:
+            picture = other.gap
+        view.show_picture(picture)
+        if other is not None and self.versus == "wipe":
+            view.overlay.show_wiped(other.truth)
+        elif other is not None and self.versus == "blink":
+            view.overlay.show_blinking(other.truth)
+        else:
+            view.overlay.show_none()
 
     def show_preview(self, picture: Picture, layers: tuple[Layer, ...]) -> None:
         """The target's view of a drag on its way; what rests on it is out of date."""

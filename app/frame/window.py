@@ -22,7 +22,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from app.frame.actions import EDIT, FILE, HELP, PLAY, VIEW, make_actions, stage_commands
+from app.frame.actions import EDIT, FILE, HELP, PLAY, VERSUS, VIEW, make_actions, stage_commands
 from app.frame.drawers import Drawers
 from widgets.alignment_panel import AlignmentPanel
 from widgets.banner import Banner
@@ -50,6 +50,11 @@ _TOOLS = (
     "link_cameras",
     "reset_view",
     "freeze_trace",
+    "",
+    "show_truth",
+    "show_difference",
+    "show_wipe",
+    "show_blink",
 )
 _NAMED = ("open_recording", "open_mesh", "freeze_trace")
 
@@ -68,7 +73,7 @@ class Window(QMainWindow):
         self.setDockNestingEnabled(True)
         titles = tuple(title for _, title in columns)
         self.actions_by_name: Mapping[str, QAction] = make_actions(
-            self, FILE + EDIT + PLAY + VIEW + stage_commands(titles) + HELP
+            self, FILE + EDIT + PLAY + VIEW + VERSUS + stage_commands(titles) + HELP
         )
         self.columns = {name: StageColumn(name, f"{i + 1} · {title}") for i, (name, title) in enumerate(columns)}
         self.banner, self.timeline, self.steps = Banner(), Timeline(), StepsSlider()
@@ -130,13 +135,13 @@ class Window(QMainWindow):
             ("&File", [c.name for c in FILE]),
             ("&Edit", [c.name for c in EDIT]),
             ("&Play", [c.name for c in PLAY]),
-            ("&View", [c.name for c in VIEW] + [f"only_{i + 1}" for i in range(len(self.columns))]),
+            ("&View", [c.name for c in VIEW + VERSUS] + [f"only_{i + 1}" for i in range(len(self.columns))]),
             ("&Help", [c.name for c in HELP]),
         ):
             menu = bar.addMenu(title)
             assert menu is not None
             for name in names:
-                if name in ("open_mesh", "save_session", "quit", "reset_all", "ten_back", "only_1"):
+                if name in ("open_mesh", "save_session", "quit", "reset_all", "ten_back", "show_truth", "only_1"):
                     menu.addSeparator()
                 menu.addAction(self.actions_by_name[name])
             if title == "&View":

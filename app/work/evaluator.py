@@ -12,6 +12,8 @@ import numpy as np
 from app.session.state import Session
 from app.work.comparison import Comparison, comparison_of
 from app.work.jobs import Report
+from app.work.versus import Beside
+from app.work.versus import beside as beside_truth
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.engine.graph import Graph, StageResult
 from pipeline.pictures.layers import Layer, reading_layer
@@ -56,6 +58,7 @@ class SlotShown:
     result: StageResult
     picture: Picture
     layers: tuple[Layer, ...]
+    beside: Beside | None = None  # where it was asked for and is known
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,11 +83,21 @@ class Evaluator:
         self._translation: Translation | None = None
         self._drawn: dict[str, tuple[object, SlotShown]] = {}
         self._last: tuple[tuple[int, DepthParams], Comparison] | None = None  # compared, of what is open
+        self._truths: tuple[int, Mapping[str, object]] | None = None  # of one frame of what is open
 
-    def show(self, session: Session, wanted: tuple[str, ...], report: Report, *, compared: bool = False) -> FrameShown:
+    def show(
+        self,
+        session: Session,
+        wanted: tuple[str, ...],
+        report: Report,
+        *,
+        compared: bool = False,
+        with_truth: bool = False,
+    ) -> FrameShown:
         """Work out a session's frame, handing over every part as soon as it is done; raises TouchError.
 
-        `compared` also outlines what the target really felt, where the recording holds it.
+        `compared` also outlines what the target really felt, `with_truth` draws every slot's truth and the difference
+        to it, where the recording holds them.
         """
         opened = self._opened(session, report)
         translation = replace(opened, alignment=session.offsets.applied(opened.alignment))
@@ -97,12 +110,13 @@ class Evaluator:
         picture, layer = _reading(frame, translation.source)
         report.hand_over(SourceShown(frame=frame, picture=picture, layers=(layer,), ms=ms))
         results: dict[str, StageResult] = {}
+        truths = self._truths_of(translation, index) if with_truth else None
 
         def on_stage(result: StageResult) -> None:
             results[result.name] = result
             seen = compared and result.name == _OUTLINED and "depth" in results
             other = self._compared(translation, index, results["depth"].output, session) if seen else None
-            report.hand_over(self._draw(result, results, translation, session, other))
+            report.hand_over(self._draw(result, results, translation, session, other, truths))
 
         wanted = tuple(name for name in translation.slots if name in wanted)
         self._graph = translation.graph(like=self._graph)
@@ -136,6 +150,12 @@ class Evaluator:
             self._last = (key, comparison_of(translation, *key, depth))
         return self._last[1]
 
+    def _truths_of(self, translation: Translation, index: int) -> Mapping[str, object]:
+        """Kept for the frame at hand, so that what was drawn beside it is known again."""
+        if self._truths is None or self._truths[0] != index:
+            self._truths = (index, translation.truths(index))
+        return self._truths[1]
+
     def close(self) -> None:
         """Let go of the recording's file."""
         if self._translation is not None:
@@ -156,7 +176,7 @@ class Evaluator:
         if self._translation is not None:
             self._translation.recording.close()
         self._translation, self._drawn = translation, {}
-        self._last = None
+        self._last = self._truths = None
         named = replace(session, target=translation.target.name, frame=min(session.frame, translation.n_frames - 1))
         self._request = request_of(named)
         for note in translation.notes:
@@ -171,11 +191,12 @@ class Evaluator:
         translation: Translation,
         session: Session,
         other: Comparison | None,
+        truths: Mapping[str, object] | None,
     ) -> SlotShown:
         """Pictures of an output that was drawn before are used again, so that the window need not touch them."""
         slot = translation.catalogue.slot(result.name)
         also = [results[name].digest for name in slot.looks_at if name in results]
-        key = (result.digest, session.display, also, other and (other.index, id(other)))
+        key = (result.digest, session.display, also, other and (other.index, id(other)), truths and id(truths))
         known = self._drawn.get(result.name)
         if known is not None and known[0] == key:
             shown = replace(known[1], result=result)
@@ -188,7 +209,8 @@ class Evaluator:
             layers = slot.layers(result.output, seen, picture)
             if other is not None and other.touch is not None:
                 picture = beside(picture, other.outline_px)
-            shown = SlotShown(result=result, picture=picture, layers=layers)
+            true = None if truths is None else beside_truth(slot, picture, truths, seen)
+            shown = SlotShown(result=result, picture=picture, layers=layers, beside=true)
         self._drawn[result.name] = (key, shown)
         return shown
 
