@@ -15,6 +15,9 @@ GAUGE: Rgb = (86, 140, 190)  # a figure of the score
 GAUGE_ROOM: Rgb = (226, 229, 234)
 GHOST: Rgb = (40, 44, 52)  # where it stood when a drag began
 MATTERS: Rgb = (240, 190, 120)  # how much an axis changes it
+WHOLE: Rgb = (110, 118, 130)  # of an error taken apart: a sum,
+TAKEN: Rgb = (0, 114, 178)  # what goes with the truth (Okabe-Ito blue),
+WORSE: Rgb = (213, 94, 0)  # and what comes with it (vermilion)
 AXES: tuple[Rgb, Rgb, Rgb] = ((204, 60, 60), (50, 150, 70), (50, 90, 200))  # x, y, z
 
 STATES: dict[str, Rgb] = {

@@ -13,6 +13,7 @@ from PyQt6.QtWidgets import QMessageBox, QStyle, QWidget
 from app.frame import dialogs
 from app.frame.actions import key_table
 from app.frame.aligning import Aligning
+from app.frame.blaming import Blaming
 from app.frame.instrument import Instrument
 from app.frame.window import Window
 from app.session.state import DISPLAY
@@ -52,6 +53,7 @@ def connect(instrument: Instrument) -> None:
     window.source.activated.connect(lambda: change("choose source", source=window.source.currentData(), stream=""))
     window.target.activated.connect(lambda: change("choose target", target=window.target.currentData()))
     window.route.activated.connect(lambda: change("choose route", route=window.route.currentData()))
+    Blaming(instrument)
     _connect_files(instrument, Aligning(instrument))
     _connect_play(instrument)
     _connect_view(instrument)

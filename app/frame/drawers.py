@@ -12,11 +12,11 @@ from widgets.icons import drawn
 
 _AREA = Qt.DockWidgetArea
 _SIDE_PX = {_AREA.LeftDockWidgetArea: 226, _AREA.RightDockWidgetArea: 290}
-_LOW_PX = 170
+_LOW_PX = 210
 
 
 class Drawers:
-    """Frames at the left, parameters and alignment at the right, log and timings below."""
+    """Frames at the left, parameters and alignment at the right; blame, log and timings below."""
 
     def __init__(
         self, window: QMainWindow, *, frames: QWidget, parameters: QWidget, alignment: QWidget, reading: QTabWidget
@@ -30,7 +30,7 @@ class Drawers:
         self.frames = self._drawer("Frames", frames, _AREA.LeftDockWidgetArea, "table", "F2")
         self.parameters = self._drawer("Parameters", parameters, _AREA.RightDockWidgetArea, "sliders", "F3")
         self.alignment = self._drawer("Alignment", alignment, _AREA.RightDockWidgetArea, "axes", "F4")
-        self.reading = self._drawer("Log and timings", reading, _AREA.BottomDockWidgetArea, "lines", "F5")
+        self.reading = self._drawer("Blame, log and timings", reading, _AREA.BottomDockWidgetArea, "lines", "F5")
         window.tabifyDockWidget(self.parameters, self.alignment)
         window.setCorner(Qt.Corner.BottomLeftCorner, _AREA.LeftDockWidgetArea)
         window.setCorner(Qt.Corner.BottomRightCorner, _AREA.RightDockWidgetArea)
@@ -44,7 +44,7 @@ class Drawers:
 
     def _drawer(self, title: str, widget: QWidget, area: Qt.DockWidgetArea, icon: str, key: str) -> QDockWidget:
         drawer = QDockWidget(title, self._window)
-        drawer.setObjectName(f"dock_{title.split(maxsplit=1)[0].lower()}")
+        drawer.setObjectName(f"dock_{title.split(maxsplit=1)[0].strip(',').lower()}")
         drawer.setWidget(widget)
         self._window.addDockWidget(area, drawer)
         action = drawer.toggleViewAction()

@@ -36,6 +36,7 @@ from widgets.steps import StepsSlider
 from widgets.timeline import Timeline
 from widgets.timings_panel import TimingsPanel
 from widgets.trace_panel import TracePanel
+from widgets.waterfall import BlamePanel
 
 SIZE = QSize(1600, 950)
 _TOOLS = (
@@ -78,7 +79,7 @@ class Window(QMainWindow):
         self.columns = {name: StageColumn(name, f"{i + 1} · {title}") for i, (name, title) in enumerate(columns)}
         self.banner, self.timeline, self.steps = Banner(), Timeline(), StepsSlider()
         self.frames, self.parameters, self.alignment = FramesPanel(), ParametersPanel(), AlignmentPanel()
-        self.trace, self.log, self.timings = TracePanel(), LogPanel(), TimingsPanel()
+        self.trace, self.log, self.timings, self.blame = TracePanel(), LogPanel(), TimingsPanel(), BlamePanel()
         self._scrubbed = scrubbed  # columns whose 3D view has the slider of kept states under it
         self._alone, self._off_route = "", frozenset[str]()
         self.captions = {name: _caption() for name, _ in columns}
@@ -122,7 +123,7 @@ class Window(QMainWindow):
         self.tabs = QTabWidget()
         self.tabs.setObjectName("reading_tabs")
         self.tabs.setDocumentMode(True)
-        for widget, title in ((self.log, "Log"), (self.timings, "Timings")):
+        for widget, title in ((self.blame, "Blame"), (self.log, "Log"), (self.timings, "Timings")):
             self.tabs.addTab(widget, title)
         self.drawers = Drawers(
             self, frames=self.frames, parameters=self.parameters, alignment=self.alignment, reading=self.tabs

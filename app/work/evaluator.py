@@ -23,6 +23,7 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.slot import PHYSICS
 from pipeline.stages.depth.stage import DepthParams
 from pipeline.stages.slot import Seen
+from pipeline.translation.blame import Blame, blame
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.translate import Request, Translation, open_translation
 from pipeline.values.frames import Recording, TactileFrame
@@ -142,6 +143,14 @@ class Evaluator:
         params = session.params_for(opened.methods)
         depth = self._graph.evaluate(("depth",), opened.inputs(index), params, report)["depth"]
         return opened, self._compared(opened, index, depth.output, session)
+
+    def blamed(self, session: Session, figure: str, report: Report) -> Blame | None:
+        """The session's frame with its error taken apart; None where that figure is not known of it."""
+        opened = self._opened(session, report)
+        translation = replace(opened, alignment=session.offsets.applied(opened.alignment))
+        index = min(session.frame, translation.n_frames - 1)
+        self._graph = translation.graph(like=self._graph)
+        return blame(translation, self._graph, session.params_for(translation.methods), index, figure, report)
 
     def _compared(self, translation: Translation, index: int, depth: object, session: Session) -> Comparison:
         assert isinstance(depth, DepthMap)
