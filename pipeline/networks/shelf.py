@@ -13,7 +13,8 @@ from pipeline.base.errors import FileProblem
 from pipeline.base.memo import Memo
 from pipeline.networks.weights import SUFFIX, NoWeights, Weights, load
 
-FOLDER = Path(__file__).parents[2] / "sample_data" / "weights"  # of the source tree, and of an installed wheel
+_SOURCE, _WHEEL = Path(__file__).parents[2] / "sample_data" / "weights", Path(__file__).parent / "shipped"
+FOLDER = _SOURCE if _SOURCE.is_dir() else _WHEEL
 _MOST_BYTES = 2 << 30
 _read: Memo[tuple[Any, ...], Weights] = Memo(
     8, most_bytes=_MOST_BYTES, weigh=lambda weights: 4 * weights.n_numbers

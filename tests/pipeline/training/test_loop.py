@@ -23,7 +23,7 @@ from pipeline.training.recipe import load, with_pace
 from tests.pipeline.training import toy
 
 ROOT = Path(__file__).parents[3]
-LONG_S = 100
+LONG_S = 280  # beyond any machine at rest, and most that are busy
 PROGRAM = """
 import sys
 from pipeline.cli.main import build, run
@@ -153,10 +153,11 @@ def test_by_minutes_the_learning_rate_ends_with_the_clock_also_over_a_stop(run, 
     assert done.figures[-1]["step"] == done.step
 
 
+@pytest.mark.timeout(2 * LONG_S)
 def test_a_run_that_was_killed_goes_on_and_its_workers_are_gone(recipe_file, tmp_path):
     program = tmp_path / "program.py"
     program.write_text(PROGRAM)
-    recipe_file.write_text(toy.RECIPE.replace("steps = 60", "steps = 300"))
+    recipe_file.write_text(toy.RECIPE.replace("steps = 60", "steps = 120"))
     out = tmp_path / "run"
     command = [sys.executable, program, "--recipe", recipe_file, "--out", out, "--workers", "1"]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -167,7 +168,7 @@ def test_a_run_that_was_killed_goes_on_and_its_workers_are_gone(recipe_file, tmp
     killed.send_signal(signal.SIGKILL)
     killed.wait(LONG_S)
     step = state.load(out).step
-    assert 0 < step < 300
+    assert 0 < step < 120
     done = subprocess.run(
         [*command, "--resume"], env=environment, capture_output=True, text=True, timeout=LONG_S, check=False
     )

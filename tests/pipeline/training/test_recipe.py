@@ -1,0 +1,57 @@
+"""Recipes: each one that comes along can be used, and what is wrong with another is one sentence."""
+
+from __future__ import annotations
+
+import pytest
+
+from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.training import recipe, task
+from tests.pipeline.training import toy
+
+
+def test_a_recipe_says_all_that_decides_a_run(recipe_file):
+    made = recipe.load(str(recipe_file), "discs")
+    assert made.settings == toy.Discs(noise=0.2)
+    assert (made.pace.batch, made.pace.steps, made.optimiser.warm_up, made.validation.examples) == (4, 60, 5, 6)
+    assert made.told["network"] == {"kind": "toy_net", "width": 4}
+    assert recipe.with_pace(made, seed=9).told != made.told
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "sentence"),
+    [
+        ("batch = 4", "bach = 4", "no parameter 'bach'; there are seed, batch"),
+        ("batch = 4", "batch = 0", "batch must lie within 1 and 4096, got 0"),
+        ("batch = 4", "batch = [4]", "batch must be a int"),
+        ("noise = 0.2", "noise = 7.0", r"\[settings\] noise must lie within 0 and 1"),
+        ("noise = 0.2", "nose = 0.2", r"\[settings\] no parameter 'nose'; there are noise"),
+        ("warm_up = 5", 'schedule = "up"', r"\[optimiser\] schedule must be one of cosine, poly, constant"),
+        ("times = 2", "tims = 2", r"\[validation\] no parameter 'tims'"),
+        ('task = "discs"', 'task = "dics"', "no task 'dics'; there are .*discs"),
+        ('task = "discs"', "", "it must name its task"),
+        ('kind = "toy_net"', "", r"\[network\] must name its kind"),
+        ("width = 4", "width = [4]", r"\[network\] width must be a plain value"),
+        ("warm_up = 5", 'factors = {"a" = "b"}', r"\[optimiser.factors\] must map"),
+        ("[settings]", "[[settings]]", r"settings must be a table"),
+        ("steps = 60", "steps = ", "not valid TOML"),
+    ],
+)
+def test_a_wrong_recipe_is_one_sentence(recipe_file, old, new, sentence):
+    recipe_file.write_text(toy.RECIPE.replace(old, new))
+    with pytest.raises(FileProblem, match=sentence):
+        recipe.load(str(recipe_file))
+
+
+def test_a_recipe_for_something_else_and_one_that_is_not_there_are_refused(recipe_file, tmp_path):
+    with pytest.raises(FileProblem, match="it trains discs, not depth"):
+        recipe.load(str(recipe_file), "depth")
+    with pytest.raises(SettingProblem, match=r"no recipe 'unheard'; there are .*or give a \.toml file"):
+        recipe.load("unheard", "depth")
+    with pytest.raises(FileProblem, match="cannot read the recipe"):
+        recipe.load(str(tmp_path / "missing.toml"))
+
+
+@pytest.mark.parametrize("name", recipe.shipped())
+def test_every_recipe_that_comes_along_can_be_used(name):
+    made = recipe.load(name)
+    assert name in recipe.shipped(task.TASKS[made.task].what)
