@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, freeze
+from pipeline.base.memo import Memo
+from pipeline.engine.digests import content
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.normals import area_vectors
 from pipeline.physics import lattice
@@ -33,11 +35,13 @@ def depth_from_deviation(sensor: SensorSpec, deviation_mm: NDArray[np.floating],
     )
 
 
-def reading(sensor: SensorSpec, depth_mm: NDArray[np.floating], seed: int | None) -> Floats:
+def reading(
+    sensor: SensorSpec, depth_mm: NDArray[np.floating], seed: int | None, *, cosine: NDArray[np.floating] | None = None
+) -> Floats:
     """The depth camera's image (rows, cols) float32 of a membrane; NaN = no reading.
 
     With `seed` None the exact depth comes back; else the camera errs as `sensor.depth_camera` says, the same for the
-    same seed.
+    same seed. `cosine` (rows, cols) is that of the incidence, where it is known already.
     """
     errs = sensor.depth_camera
     if seed is None or sensor.bubble is None or errs is None:
@@ -45,9 +49,10 @@ def reading(sensor: SensorSpec, depth_mm: NDArray[np.floating], seed: int | None
     rng = np.random.default_rng(seed)
     noise = _speckle(rng.standard_normal(depth_mm.shape, np.float32), errs.grain_px)
     exact = np.asarray(depth_mm, np.float64)
-    cosine = incidence_cosine(sensor.camera, exact)
+    if cosine is None:
+        cosine = incidence_cosine(sensor.camera, exact)
     sigma = sensor.bubble.depth_noise_mm * _relative_noise(exact, cosine, errs)
-    usual = _relative_noise(sensor.rest_depth_mm, incidence_cosine(sensor.camera, sensor.rest_depth_mm), errs)
+    usual = _relative_noise(sensor.rest_depth_mm, rest_cosine(sensor), errs)
     sigma /= np.sqrt(np.mean(usual * usual))
     seen = _with_flying_pixels(exact, errs, rng) + sigma * noise
     lost = rng.random(depth_mm.shape) < errs.gap_share
@@ -67,7 +72,16 @@ def incidence_cosine(camera: Camera, depth_mm: NDArray[np.floating]) -> Doubles:
     return np.divide(facing, size, out=np.zeros(depth_mm.shape), where=size > 0)
 
 
-def _relative_noise(depth_mm: Doubles, cosine: Doubles, errs: DepthCamera) -> Doubles:
+def rest_cosine(sensor: SensorSpec) -> Doubles:
+    """`incidence_cosine` of the untouched membrane; kept for the last few units."""
+    rest = sensor.rest_depth_mm
+    return _rest_cosines.of((content(rest), sensor.camera), lambda: freeze(incidence_cosine(sensor.camera, rest)))
+
+
+_rest_cosines: Memo[tuple[str, Camera], Doubles] = Memo(16)
+
+
+def _relative_noise(depth_mm: Doubles, cosine: NDArray[np.floating], errs: DepthCamera) -> Doubles:
     """Standard deviation (rows, cols) up to a factor; distance in tenths of a metre, to stay near 1."""
     distance = np.abs(depth_mm) / 100.0
     return distance**errs.distance_power / np.maximum(cosine, _LEAST_COSINE) ** errs.grazing_power

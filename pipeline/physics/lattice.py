@@ -56,6 +56,20 @@ def nearest_of_mesh(vertices_mm: Doubles, triangles: Indices, on: Lattice) -> Do
     return height
 
 
+def depth_of_mesh(vertices_mm: Doubles, triangles: Indices, camera: Camera) -> Doubles:
+    """Z (rows, cols) of the side of a mesh (in front of the camera, in its frame) that each pixel sees; NaN beside it.
+
+    1 / z is linear in the picture, so that a triangle is laid down there as it is over a lattice.
+    """
+    from pipeline.physics.lattice_kernels import lay_mesh
+
+    x, y, z = vertices_mm.T
+    nodes = np.stack([camera.fx_px * x / z + camera.cx_px, camera.fy_px * y / z + camera.cy_px, -1.0 / z], axis=-1)
+    nearness = np.full(camera.shape, np.inf)
+    lay_mesh(nodes, triangles, nearness)
+    return freeze(np.where(np.isfinite(nearness), -1.0 / nearness, np.nan))
+
+
 def depth_along_rays(camera: Camera, z_mm: Doubles, on: Lattice, guess_mm: NDArray[np.floating]) -> Doubles:
     """Z (rows, cols) where each camera ray meets the surface `z_mm` (ny, nx), level beyond the lattice."""
     from pipeline.geometry.membrane_kernels import along_rays

@@ -69,6 +69,24 @@ def paper_grid(thing: Mesh, *, n: int = 60, seed: int) -> tuple[Doubles, ...]:
     )  # fmt: skip
 
 
+def single(
+    thing: Mesh,
+    rng: np.random.Generator,
+    *,
+    spread_mm: float = SPREAD_MM,
+    angle_deg: float = ANGLE_DEG,
+    tilt_deg: float = TILT_DEG,
+    depth_mm: tuple[float, float] = DEPTH_MM,
+) -> Doubles:
+    """One press of its own, each number drawn evenly from its whole range; a grid's ranges where none is given."""
+    x_mm, y_mm = rng.uniform(-0.5 * spread_mm, 0.5 * spread_mm, 2)
+    lean, heading = math.radians(tilt_deg) * math.sqrt(rng.random()), rng.uniform(0.0, 2.0 * math.pi)
+    return _pose(thing, _Held(
+        x_mm=float(x_mm), y_mm=float(y_mm), angle_rad=math.radians(angle_deg) * rng.uniform(-1.0, 1.0),
+        tilt_rad=(lean * math.cos(heading), lean * math.sin(heading)), depth_mm=rng.uniform(*depth_mm),
+    ))  # fmt: skip
+
+
 def sequence(thing: Mesh, kind: Kind, *, n: int, seed: int) -> tuple[Doubles, ...]:
     """A smooth motion of `n` frames: one phase that starts and ends at rest, or with "full" all four in a row.
 

@@ -32,6 +32,11 @@ class DepthMap:
     notes: tuple[str, ...] = ()
     known: Mask | None = None  # (rows, cols) where "no contact" means anything; None = everywhere
     error: DepthError | None = None  # of the measurement that it comes from; None = computed without one
+    spread_mm: Floats | None = (
+        None  # (rows, cols) mean error to be expected of each pixel; NaN = no value, None = not told
+    )
+    object_mm: Floats | None = None  # (rows, cols) z of the object itself, also beside the contact where a membrane
+    # bridges it; NaN = not told, None = the membrane in contact is all that is known of it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

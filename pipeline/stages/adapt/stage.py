@@ -32,6 +32,7 @@ def adapt(depth: DepthMap, alignment: Alignment, params: AdaptParams, progress: 
     """Contact points (n, 3) in the target frame, mm, in the order of their pixels.
 
     P_T = { T_S->T (D_S'(u,v) K_S^-1 (u, v, 1)^T) : M_S'(u,v) = 1 }, computed in float64 and rounded to float32 once.
+    Where the depth tells the object's own surface, it stands for the membrane, and pixels beside the contact come too.
     Raises ShapeError when the arrays do not fit the camera, CalibrationError when the alignment is not rigid.
     """
     progress.step(0.0, "carrying contact pixels to the target frame")
@@ -74,12 +75,13 @@ def _points(depth: DepthMap, target_from_source: Doubles, stride: int) -> tuple[
     """
     from pipeline.stages.adapt import adapt_kernels as kernels
 
-    contact = np.ascontiguousarray(depth.contact)
+    surface_mm = depth.depth_mm if depth.object_mm is None else depth.object_mm
+    contact = np.ascontiguousarray(depth.contact if depth.object_mm is None else np.isfinite(depth.object_mm))
     at_most = int(np.count_nonzero(contact[::stride, ::stride]))
     points = np.empty((at_most + 1, 3), dtype=np.float32)  # one to spare: a point is written before it is judged
     pixel, wanted = np.empty(at_most + 1, dtype=np.int32), np.empty(contact.shape[1] + 1, dtype=np.int32)
     ray_x, ray_y = depth.camera.rays()
-    depth_mm = np.ascontiguousarray(for_geometry(depth.depth_mm))
+    depth_mm = np.ascontiguousarray(for_geometry(surface_mm))
     n, n_wanted = kernels.back_project(
         depth_mm, contact, stride, ray_x, ray_y, target_from_source[:3], MIN_DEPTH_MM, wanted, points, pixel
     )

@@ -52,19 +52,8 @@ def depth(frame: TactileFrame, source: SensorSpec, *, smoothing_px: float, least
     if frame.reference is None:
         raise ShapeError("a bubble's depth needs a reference depth image")
     notes: list[str] = []
-    rest = frame.reference.astype(np.float32)
-    largest = np.float32(source.limits.indentation_max_mm)
-    moved, seen = _difference(rest, frame.image.astype(np.float32), largest, notes)
-    gaps = ~seen
-    if gaps.any():
-        moved, seen = filled(moved, seen)
-        rest, _ = filled(np.where(gaps, np.float32(0.0), rest), ~gaps)
-        notes.append(f"{int((gaps & seen).sum())} pixels had no reading and were filled from around them")
-        if not seen.all():
-            notes.append(f"{int((~seen).sum())} pixels have no value: nothing was read there or close by")
-    indentation, touched = bubble_reading.read(
-        moved, seen & ~gaps, source, smoothing_px=smoothing_px, least_mm=least_mm
-    )
+    moved, rest, read, seen = as_moved(frame.reference, frame.image, source.limits.indentation_max_mm, notes)
+    indentation, touched = bubble_reading.read(moved, read, source, smoothing_px=smoothing_px, least_mm=least_mm)
     touched &= seen
     if not touched.any():
         notes.append("nothing touches the sensor")
@@ -79,6 +68,25 @@ def depth(frame: TactileFrame, source: SensorSpec, *, smoothing_px: float, least
         source_index=pixel_index(indentation.shape),
         notes=tuple(notes),
     )
+
+
+def as_moved(
+    rest_mm: NDArray[Any], now_mm: NDArray[Any], largest_mm: float, notes: list[str]
+) -> tuple[Floats, Floats, Mask, Mask]:
+    """(move, rest, where both were read, where the move is known) of two readings (rows, cols); small gaps are filled.
+
+    The move is 0 where it is not known. What had to be left out or filled in is added to `notes`.
+    """
+    rest = rest_mm.astype(np.float32)
+    moved, read = _difference(rest, now_mm.astype(np.float32), np.float32(largest_mm), notes)
+    known, gaps = read, ~read
+    if gaps.any():
+        moved, known = filled(moved, read)
+        rest, _ = filled(np.where(gaps, np.float32(0.0), rest), read)
+        notes.append(f"{int((gaps & known).sum())} pixels had no reading and were filled from around them")
+        if not known.all():
+            notes.append(f"{int((~known).sum())} pixels have no value: nothing was read there or close by")
+    return moved, rest, read, known
 
 
 def _difference(rest: Floats, now: Floats, largest: np.float32, notes: list[str]) -> tuple[Floats, Mask]:

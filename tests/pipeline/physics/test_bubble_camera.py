@@ -131,3 +131,12 @@ def test_stereo_noise_is_shared_between_neighbours():
         return np.corrcoef(off[:, :-1].ravel(), off[:, 1:].ravel())[0, 1]
 
     assert shared(STEREO) > 0.9 > shared(SPEC) > 0.5
+
+
+def test_an_incidence_that_is_known_already_changes_no_reading():
+    depth = REST - 3.0 * np.exp(-np.hypot(*np.mgrid[-70:70, -87:88]) / 20.0)
+    known = bubble_camera.incidence_cosine(SPEC.camera, depth)
+    assert np.array_equal(bubble_camera.reading(SPEC, depth, 5), bubble_camera.reading(SPEC, depth, 5, cosine=known))
+    assert np.array_equal(bubble_camera.rest_cosine(SPEC), bubble_camera.incidence_cosine(SPEC.camera, REST))
+    level = bubble_camera.reading(STEREO, depth, 5, cosine=np.ones_like(depth))
+    assert not np.array_equal(level, bubble_camera.reading(STEREO, depth, 5), equal_nan=True)

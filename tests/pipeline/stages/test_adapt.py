@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -91,3 +93,13 @@ def test_a_transform_that_is_not_rigid_and_arrays_that_do_not_fit_are_refused():
         adapt(random_depth(), by(np.diag([2.0, 2.0, 2.0, 1.0])), AdaptParams())
     with pytest.raises(ShapeError, match="shape"):
         adapt(depth_map(np.zeros((3, 3)), np.zeros((3, 3))), by(np.eye(4)), AdaptParams())
+
+
+def test_where_the_object_itself_is_told_the_cloud_is_made_of_it_also_beside_the_contact():
+    depth = depth_map(np.full(CAMERA.shape, 20.0), np.zeros(CAMERA.shape))
+    contact, told = depth.contact.copy(), np.full(CAMERA.shape, np.nan, np.float32)
+    contact[10, 10] = True
+    told[10, 10], told[10, 11] = 21.0, 22.0
+    cloud = adapt(replace(depth, contact=contact, object_mm=told), by(np.eye(4)), AdaptParams())
+    assert cloud.source_index.tolist() == [10 * CAMERA.cols + 10, 10 * CAMERA.cols + 11]
+    assert cloud.points_mm[:, 2].tolist() == [21.0, 22.0]
