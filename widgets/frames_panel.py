@@ -1,128 +1,106 @@
-"""The list of frames, with what is known of each so far."""
+"""The table of frames: what is known of each, sorted by any of it, the worst one key away."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
 
-from PyQt6.QtCore import QAbstractTableModel, QModelIndex, Qt, pyqtSignal
-from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableView, QWidget
+from PyQt6.QtCore import QModelIndex, QSignalBlocker, QSortFilterProxyModel, Qt, pyqtSignal
+from PyQt6.QtWidgets import QAbstractItemView, QComboBox, QHeaderView, QLabel, QTableView, QVBoxLayout, QWidget
 
-_COLUMNS = ("frame", "depth\nmm", "contact\nmm²", "error\nmm")
-_TIPS = (
-    "number of the frame",
-    "largest indentation of the source sensor, mm",
-    "contact area on the source sensor, mm²",
-    "mean absolute error of the generated indentation inside the true contact, mm; - where none is known",
-)
+from widgets.frames_model import FIGURE, FRAME, SORTED_BY, FramesModel
+from widgets.looks import smaller, spaced
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FrameSummary:
-    """What one frame turned out to be."""
-
-    deepest_mm: float
-    contact_mm2: float
-    error_mm: float | None  # of the generated touch; None = no truth of the target, or nothing generated
-
-    def cells(self) -> tuple[str, str, str]:
-        """As shown."""
-        if self.contact_mm2 <= 0:
-            return "-", "0", ""
-        error = "-" if self.error_mm is None else f"{self.error_mm:.3f}"
-        return f"{self.deepest_mm:.2f}", f"{self.contact_mm2:.1f}", error
-
-
-class FramesModel(QAbstractTableModel):
-    """Frame numbers and their summaries; a frame nobody has looked at costs nothing."""
-
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self._n_frames = 0
-        self._known: dict[int, FrameSummary] = {}
-
-    def show_frames(self, n_frames: int) -> None:
-        """Start over with this many frames of which nothing is known."""
-        self.beginResetModel()
-        self._n_frames = n_frames
-        self._known = {}
-        self.endResetModel()
-
-    def forget(self) -> None:
-        """Empty every row: what was known was worked out otherwise than what follows."""
-        if self._known:
-            self._known = {}
-            self.dataChanged.emit(self.index(0, 1), self.index(self._n_frames - 1, len(_COLUMNS) - 1))
-
-    def show_summary(self, frame: int, summary: FrameSummary) -> None:
-        """Fill one row."""
-        if self._known.get(frame) == summary or not 0 <= frame < self._n_frames:
-            return
-        self._known[frame] = summary
-        self.dataChanged.emit(self.index(frame, 1), self.index(frame, len(_COLUMNS) - 1))
-
-    def rowCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
-        """One row a frame."""
-        return 0 if parent.isValid() else self._n_frames
-
-    def columnCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
-        """Frame, depth, contact, error."""
-        return 0 if parent.isValid() else len(_COLUMNS)
-
-    def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
-        """The text of a cell."""
-        if not index.isValid():
-            return None
-        if role == Qt.ItemDataRole.TextAlignmentRole:
-            return int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        if role != Qt.ItemDataRole.DisplayRole:
-            return None
-        if index.column() == 0:
-            return str(index.row())
-        summary = self._known.get(index.row())
-        return "" if summary is None else summary.cells()[index.column() - 1]
-
-    def headerData(  # noqa: N802
-        self, section: int, orientation: Qt.Orientation, role: int = Qt.ItemDataRole.DisplayRole
-    ) -> object:
-        """Column titles and their explanations."""
-        if orientation == Qt.Orientation.Horizontal and 0 <= section < len(_COLUMNS):
-            if role == Qt.ItemDataRole.DisplayRole:
-                return _COLUMNS[section]
-            if role == Qt.ItemDataRole.ToolTipRole:
-                return _TIPS[section]
-        return None
-
-
-class FramesPanel(QTableView):
-    """The table of `known` frames; `frame_chosen` says which row was picked."""
+class FramesPanel(QWidget):
+    """Shows its `known` frames; `frame_chosen` says which row was picked, `figure_chosen` what the last column is."""
 
     frame_chosen = pyqtSignal(int)
+    figure_chosen = pyqtSignal(str)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.known = FramesModel(self)
-        self.setObjectName("frames")
-        self.setModel(self.known)
-        self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
-        self.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
-        self.setShowGrid(False)
-        self.setAlternatingRowColors(True)
-        rows, columns = self.verticalHeader(), self.horizontalHeader()
-        assert rows is not None
-        assert columns is not None
-        rows.hide()
-        rows.setDefaultSectionSize(self.fontMetrics().height() + 5)
-        columns.setMinimumSectionSize(30)
-        columns.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
-        columns.setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
-        self.clicked.connect(self._picked)
-        self.activated.connect(self._picked)
+        self._sorted = QSortFilterProxyModel(self)
+        self._sorted.setSourceModel(self.known)
+        self._sorted.setSortRole(SORTED_BY)
+        self._frame = 0
+        self.figure, self._told = QComboBox(), QLabel()
+        self.figure.setObjectName("frames_figure")
+        self.figure.setAccessibleName("figure of the frames")
+        self.figure.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        self.figure.activated.connect(lambda: self.figure_chosen.emit(self.figure.currentText()))
+        smaller(self._told, 1.0)
+        self.table = _table(self._sorted)
+        layout = spaced(QVBoxLayout(self), 3, (2, 2, 2, 2))
+        for widget in (self.figure, self.table, self._told):
+            layout.addWidget(widget)
+        self.table.clicked.connect(self._picked)
+        self.table.activated.connect(self._picked)
+        for signal in (self.known.dataChanged, self.known.modelReset):
+            signal.connect(self._tell)
+        self._tell()
 
     def show_frame(self, frame: int) -> None:
         """Mark the frame that is on screen."""
-        if self.currentIndex().row() != frame and 0 <= frame < self.known.rowCount():
-            self.setCurrentIndex(self.known.index(frame, 0))
-        self.scrollTo(self.known.index(frame, 0))
+        self._frame = frame
+        if not 0 <= frame < self.known.rowCount():
+            return
+        row = self._sorted.mapFromSource(self.known.index(frame, 0))
+        if self.table.currentIndex().row() != row.row():
+            self.table.setCurrentIndex(row)
+        self.table.scrollTo(row)
+
+    def offer_figures(self, names: tuple[str, ...], chosen: str, title: str) -> None:
+        """The figures to choose from, and the one that the last column shows; says nothing to anybody."""
+        with QSignalBlocker(self.figure):
+            if tuple(self.figure.itemText(i) for i in range(self.figure.count())) != names:
+                self.figure.clear()
+                self.figure.addItems(names)
+            self.figure.setCurrentText(chosen)
+        self.figure.setEnabled(bool(names))
+        self.known.show_figure(chosen, title)
+
+    def step(self, by: int, *, worst_first: Qt.SortOrder) -> None:
+        """Go `by` rows along the frames in order of the figure, those without one left out; no further than the ends.
+
+        The table takes that order; from a frame that has no figure, the first of the order comes.
+        """
+        self.table.sortByColumn(FIGURE, worst_first)
+        frames = [self._frame_of(row) for row in range(self._sorted.rowCount())]
+        ranked = [f for f in frames if self.known.data(self.known.index(f, FIGURE), SORTED_BY) != -math.inf]
+        if not ranked:
+            return
+        at = ranked.index(self._frame) + by if self._frame in ranked else 0
+        self.frame_chosen.emit(ranked[min(max(at, 0), len(ranked) - 1)])
+
+    def _frame_of(self, row: int) -> int:
+        return self._sorted.mapToSource(self._sorted.index(row, FRAME)).row()
+
+    def _tell(self) -> None:
+        frames = self.known.rowCount()
+        done = sum(self.known.known(i) is not None for i in range(frames))
+        self._told.setText(f"{done} of {frames} frames known" if frames else "")
 
     def _picked(self, index: QModelIndex) -> None:
-        self.frame_chosen.emit(index.row())
+        self.frame_chosen.emit(self._frame_of(index.row()))
+
+
+def _table(model: QSortFilterProxyModel) -> QTableView:
+    table = QTableView()
+    table.setObjectName("frames")
+    table.setModel(model)
+    table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+    table.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
+    table.setShowGrid(False)
+    table.setAlternatingRowColors(True)
+    rows, columns = table.verticalHeader(), table.horizontalHeader()
+    assert rows is not None
+    assert columns is not None
+    rows.hide()
+    rows.setDefaultSectionSize(table.fontMetrics().height() + 5)
+    columns.setMinimumSectionSize(30)
+    columns.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
+    columns.setSectionResizeMode(FRAME, QHeaderView.ResizeMode.ResizeToContents)
+    columns.setSortIndicator(FRAME, Qt.SortOrder.AscendingOrder)
+    table.setSortingEnabled(True)
+    return table

@@ -77,6 +77,8 @@ PLAY = (
     Command("last", "Last frame", "Go to the last frame", icon=_Std.SP_MediaSkipForward, key="End"),
     Command("ten_back", "Ten frames back", "Go ten frames back", key="Shift+Left"),
     Command("ten_on", "Ten frames on", "Go ten frames on", key="Shift+Right"),
+    Command("worse", "Worse frame", "The next worse frame by the figure of the frames' table", key="J"),
+    Command("better", "Better frame", "The next better frame by the figure of the frames' table", key="K"),
     Command("loop", "Loop", "Begin again after the last frame", icon="loop", key="Ctrl+L", checkable=True),
 )
 VIEW = (

@@ -15,6 +15,7 @@ from app.frame.actions import key_table
 from app.frame.aligning import Aligning
 from app.frame.blaming import Blaming
 from app.frame.instrument import Instrument
+from app.frame.triage import Triage
 from app.frame.window import Window
 from app.session.state import DISPLAY
 from app.work.versus import Versus
@@ -54,6 +55,7 @@ def connect(instrument: Instrument) -> None:
     window.target.activated.connect(lambda: change("choose target", target=window.target.currentData()))
     window.route.activated.connect(lambda: change("choose route", route=window.route.currentData()))
     Blaming(instrument)
+    Triage(instrument)
     _connect_files(instrument, Aligning(instrument))
     _connect_play(instrument)
     _connect_view(instrument)

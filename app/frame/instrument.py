@@ -37,7 +37,7 @@ class Instrument(Documents):
         self.job, self.evaluator = LatestJob("stages", self), Evaluator(catalogue)
         self.tracer = Tracer(window)
         self.screen = Screen(window, self.tracer)
-        self._ticket = self._wanted_since = self._opening = 0
+        self._ticket = self._wanted_since = self._opening = self._background = 0
         self._closed = self._waits = self._beside = False
         self._open: set[Request | None] = {None}  # what is open, as it was asked for and as it is named since
         self.latest: FrameShown | None = None  # the frame on screen
@@ -97,11 +97,16 @@ class Instrument(Documents):
         """
         if self._opening or self._closed or self.screen.opened is None:
             return 0
-        interrupt = self._waits
+        interrupt = self._waits or self.job.newest == self._background
         self._rest()
         self._ticket = 0  # what is dropped now is not missed
         self._ticket = self.job.submit(work, interrupt=interrupt)
         return self._ticket
+
+    def background(self, work: Work) -> int:
+        """As `ahead`, for what anything else goes before: the instrument counts as idle meanwhile."""
+        self._background = self.ahead(work)
+        return self._background
 
     def show_only(self, name: str) -> None:
         """One stage alone, or all again; what is hidden is not worked out."""
@@ -137,7 +142,8 @@ class Instrument(Documents):
     @property
     def idle(self) -> bool:
         """Whether everything asked for is on screen, or has failed."""
-        return not self.job.busy and not self._stale.isActive() and not self._waits
+        busy = self.job.busy and self.job.newest != self._background
+        return not busy and not self._stale.isActive() and not self._waits
 
     def take_part(self, ticket: int, part: object) -> None:
         """Show a part of the result; parts for another recording come too late."""

@@ -14,7 +14,8 @@ from app.work.comparison import Comparison, comparison_of
 from app.work.jobs import Report
 from app.work.versus import Beside
 from app.work.versus import beside as beside_truth
-from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.base.errors import FileProblem, SettingProblem, TouchError
+from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph, StageResult
 from pipeline.pictures.layers import Layer, reading_layer
 from pipeline.pictures.picture import Picture, beside, fitted, of_reading
@@ -28,9 +29,10 @@ from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.translate import Request, Translation, open_translation
 from pipeline.values.frames import Recording, TactileFrame
 from pipeline.values.results import DepthMap
-from widgets.frames_panel import FrameSummary
+from widgets.frames_model import FrameSummary
 
 log = logging.getLogger("tactoscope")
+_ASIDE_BYTES = 32 * 1024 * 1024  # a frame or two: they must not push out what people go back to
 _OUTLINED = "view"  # the slot that is compared with what the target really felt
 
 
@@ -74,12 +76,22 @@ class FrameShown:
     summary: FrameSummary | None
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameKnown:
+    """A frame that was worked out beside the one on screen."""
+
+    index: int
+    settings: Session  # that it was worked out with
+    summary: FrameSummary
+
+
 class Evaluator:
     """Holds what is open and what was worked out; used by one thread at a time."""
 
     def __init__(self, catalogue: Catalogue = BUILT_IN) -> None:
         self._catalogue = catalogue
         self._graph = Graph(())
+        self._aside = Graph((), cache=Cache(_ASIDE_BYTES))  # of frames that nobody looks at
         self._request: Request | None = None
         self._translation: Translation | None = None
         self._drawn: dict[str, tuple[object, SlotShown]] = {}
@@ -143,6 +155,22 @@ class Evaluator:
         params = session.params_for(opened.methods)
         depth = self._graph.evaluate(("depth",), opened.inputs(index), params, report)["depth"]
         return opened, self._compared(opened, index, depth.output, session)
+
+    def known(self, session: Session, index: int, report: Report) -> FrameKnown:
+        """What a frame turns out to be that nobody looks at; one that cannot be worked out has its sentence instead."""
+        opened = self._opened(session, report)
+        translation = replace(opened, alignment=session.offsets.applied(opened.alignment))
+        self._aside = translation.graph(like=self._aside)
+        try:
+            params = session.params_for(translation.methods)
+            results = self._aside.evaluate(translation.slots, translation.inputs(index), params, report)
+            metrics = translation.metrics(results, index)
+            summary = _summary(results, metrics, translation) or FrameSummary(figures=metrics)
+        except TouchError as error:
+            summary = FrameSummary(problem=str(error))
+        return FrameKnown(
+            index=index, settings=replace(session, target=translation.target.name).settings, summary=summary
+        )  # fmt: skip
 
     def blamed(self, session: Session, figure: str, report: Report) -> Blame | None:
         """The session's frame with its error taken apart; None where that figure is not known of it."""
@@ -275,5 +303,5 @@ def _summary(
     return FrameSummary(
         deepest_mm=float(inside.max()) if inside.size else 0.0,
         contact_mm2=float(depth.contact.sum()) * pixel_mm**2,
-        error_mm=metrics.get("felt.contact_mae_mm"),
+        figures=metrics,
     )

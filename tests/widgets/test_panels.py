@@ -9,7 +9,8 @@ from PyQt6.QtWidgets import QApplication, QComboBox, QPushButton
 
 from pipeline.values.results import PoseStep
 from widgets.banner import Banner
-from widgets.frames_panel import FramesPanel, FrameSummary
+from widgets.frames_model import FrameSummary
+from widgets.frames_panel import FramesPanel
 from widgets.log_panel import LogPanel
 from widgets.steps import StepsSlider
 from widgets.timings_panel import TimingRow, TimingsPanel
@@ -50,7 +51,7 @@ def test_the_list_of_frames_is_a_sound_model_and_fills_lazily(qtbot, qtmodeltest
     qtbot.addWidget(panel)
     panel.known.show_frames(5)
     qtmodeltester.check(panel.known)
-    panel.known.show_summary(2, FrameSummary(deepest_mm=0.5, contact_mm2=12.34, error_mm=None))
+    panel.known.show_summary(2, FrameSummary(deepest_mm=0.5, contact_mm2=12.34))
     cells = [panel.known.data(panel.known.index(2, c)) for c in range(4)]
     assert cells == ["2", "0.50", "12.3", "-"]
     assert panel.known.data(panel.known.index(3, 1)) == ""

@@ -1,0 +1,81 @@
+"""All frames of a recording, worked out beside everything else while somebody sees their table."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import QObject, Qt, QTimer
+
+from app.frame.instrument import Instrument
+from app.work.evaluator import FrameKnown
+from pipeline.evaluation.metrics import METRICS
+from pipeline.translation.blame import FIGURE as FIRST_CHOICE
+
+_AT_REST_MS = 400  # who looks for a frame, or has its error taken apart, comes first
+
+
+class Triage(QObject):
+    """Asks for the unknown frame nearest to the one on screen, one after the other; anything else goes before it."""
+
+    def __init__(self, instrument: Instrument) -> None:
+        super().__init__(instrument)
+        self._instrument, self._panel = instrument, instrument.window.frames
+        self._figure, self._ticket = FIRST_CHOICE, 0
+        self._rest = QTimer(self)
+        self._rest.setSingleShot(True)
+        self._rest.timeout.connect(self._ask)
+        instrument.window.drawers.frames.visibilityChanged.connect(self._seen)
+        instrument.frame_shown.connect(lambda _: self._soon(_AT_REST_MS))
+        instrument.closing.connect(self._rest.stop)
+        instrument.job.finished.connect(self._take)
+        self._panel.figure_chosen.connect(self._choose)
+        window = instrument.window
+        window.on("worse", lambda: self._step(-1))
+        window.on("better", lambda: self._step(1))
+
+    def _choose(self, figure: str) -> None:
+        self._figure = figure
+        self._offer()
+
+    def _step(self, by: int) -> None:
+        self._panel.step(by, worst_first=_worst_first(self._figure))
+
+    def _seen(self, seen: bool) -> None:
+        if seen:
+            self._soon(_AT_REST_MS)
+
+    def _soon(self, ms: int) -> None:
+        self._offer()
+        if self._instrument.window.drawers.frames.isVisible():
+            self._rest.start(ms)
+
+    def _ask(self) -> None:
+        instrument = self._instrument
+        frame = self._panel.known.unknown_from(instrument.session.frame)
+        if frame < 0 or instrument.window.timeline.playing or not instrument.idle:
+            return
+        session, evaluator = instrument.session, instrument.evaluator
+        self._ticket = instrument.background(lambda report: evaluator.known(session, frame, report))
+
+    def _take(self, ticket: int, found: object) -> None:
+        if ticket == self._ticket and isinstance(found, FrameKnown):
+            if found.settings == self._instrument.session.settings:
+                self._panel.known.show_summary(found.index, found.summary)
+            self._soon(0)
+        elif self._instrument.window.drawers.frames.isVisible() and not self._rest.isActive():
+            self._rest.start(_AT_REST_MS)
+
+    def _offer(self) -> None:
+        """The figures that are known by now, errors first."""
+        names = [name for name in self._panel.known.figures if METRICS[name.partition(".")[2]].better != "neither"]
+        if self._figure not in names and names:
+            self._figure = names[0]
+        unit = METRICS[self._figure.partition(".")[2]].unit
+        self._panel.offer_figures(tuple(names), self._figure, f"error\n{unit}" if self._errs else f"figure\n{unit}")
+
+    @property
+    def _errs(self) -> bool:
+        return METRICS[self._figure.partition(".")[2]].better == "lower"
+
+
+def _worst_first(figure: str) -> Qt.SortOrder:
+    lower = METRICS[figure.partition(".")[2]].better == "lower"
+    return Qt.SortOrder.DescendingOrder if lower else Qt.SortOrder.AscendingOrder

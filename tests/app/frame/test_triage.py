@@ -1,0 +1,62 @@
+"""The table of frames fills by itself while it is seen, and leads to the worst."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from PyQt6.QtCore import Qt
+
+from app.frame.tour import wait_until_shown
+from app.main import SAMPLE
+from widgets.frames_model import FrameSummary
+from widgets.frames_panel import FramesPanel
+
+LIMIT_MS = 120_000
+_UP, _DOWN = Qt.SortOrder.AscendingOrder, Qt.SortOrder.DescendingOrder
+
+
+@pytest.fixture
+def window(open_window):
+    instrument = open_window(SAMPLE, source="digit", target="gelslim", frame=5)
+    assert wait_until_shown(instrument, 60), instrument.window.banner.text
+    return instrument
+
+
+def test_every_frame_is_worked_out_while_the_table_is_seen_and_the_worst_is_a_key_away(window, qtbot):
+    panel = window.window.frames
+    known = panel.known
+    assert known.unknown_from(5) == 6  # only the frame on screen is known: nobody sees the table
+    window.window.drawers.frames.show()
+    qtbot.waitUntil(lambda: known.unknown_from(5) < 0, timeout=LIMIT_MS)
+    assert window.session.frame == 5
+    figures = {f: known.known(f).figures.get("felt.contact_mae_mm", math.nan) for f in range(known.rowCount())}
+    ranked = sorted((f for f, v in figures.items() if math.isfinite(v)), key=figures.__getitem__, reverse=True)
+    window.choose_frame(0)  # untouched: it has no error, so the worst of all comes first
+    assert wait_until_shown(window, 60)
+    window.window.actions_by_name["worse"].trigger()
+    assert window.session.frame == ranked[0]
+    window.window.actions_by_name["better"].trigger()
+    assert window.session.frame == ranked[1]
+    assert wait_until_shown(window, 60)
+    assert window.latest.index == ranked[1]
+
+
+def test_a_figure_chosen_is_the_one_that_ranks(qtbot):
+    panel = FramesPanel()
+    qtbot.addWidget(panel)
+    panel.known.show_frames(4)
+    for frame, (a, b) in enumerate(((0.1, 30.0), (0.4, 20.0), (0.2, 40.0))):
+        figures = {"a.mae_mm": a, "b.psnr_db": b}
+        panel.known.show_summary(frame, FrameSummary(deepest_mm=0.2, contact_mm2=3.0, figures=figures))
+    chosen = []
+    panel.frame_chosen.connect(chosen.append)
+    panel.offer_figures(("a.mae_mm", "b.psnr_db"), "a.mae_mm", "error\nmm")
+    panel.show_frame(3)  # of which nothing is known
+    panel.step(-1, worst_first=_DOWN)
+    panel.show_frame(chosen[-1])
+    panel.step(1, worst_first=_DOWN)
+    panel.offer_figures(("a.mae_mm", "b.psnr_db"), "b.psnr_db", "figure\ndB")
+    panel.show_frame(3)
+    panel.step(-1, worst_first=_UP)
+    assert chosen == [1, 2, 1]

@@ -1,0 +1,139 @@
+"""What is known of each frame so far, as rows that can be sorted by any figure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from PyQt6.QtCore import QAbstractTableModel, QModelIndex, Qt
+from PyQt6.QtWidgets import QWidget
+
+SORTED_BY = Qt.ItemDataRole.UserRole  # a number, so that 10 comes after 9; what is not known comes last
+FRAME, DEPTH, CONTACT, FIGURE = range(4)
+_TITLES = ("frame", "depth\nmm", "contact\nmm²")
+_TIPS = (
+    "number of the frame",
+    "largest indentation of the source sensor, mm",
+    "contact area on the source sensor, mm²",
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameSummary:
+    """What one frame turned out to be."""
+
+    deepest_mm: float = 0.0
+    contact_mm2: float = 0.0
+    figures: Mapping[str, float] = field(default_factory=dict[str, float])  # "slot.name" -> value
+    problem: str = ""  # why there is nothing else to say
+
+    def value(self, column: int, figure: str) -> float:
+        """The number of a cell; NaN where there is none."""
+        if self.problem or (column != CONTACT and self.contact_mm2 <= 0):
+            return math.nan
+        return {DEPTH: self.deepest_mm, CONTACT: self.contact_mm2}.get(column, self.figures.get(figure, math.nan))
+
+
+class FramesModel(QAbstractTableModel):
+    """Frame numbers and their summaries; a frame nobody has looked at costs nothing."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._n_frames, self._figure, self._title = 0, "", "error"
+        self._known: dict[int, FrameSummary] = {}
+
+    @property
+    def figures(self) -> tuple[str, ...]:
+        """The figures that any known frame has, in order of their first appearance."""
+        return tuple(dict.fromkeys(name for known in self._known.values() for name in known.figures))
+
+    def known(self, frame: int) -> FrameSummary | None:
+        """What is known of a frame."""
+        return self._known.get(frame)
+
+    def unknown_from(self, frame: int) -> int:
+        """The unknown frame nearest to `frame`, later ones first; -1 when all are known."""
+        waiting = [i for i in range(self._n_frames) if i not in self._known]
+        return min(waiting, key=lambda i: (abs(i - frame), -i), default=-1)
+
+    def show_frames(self, n_frames: int) -> None:
+        """Start over with this many frames of which nothing is known."""
+        self.beginResetModel()
+        self._n_frames = n_frames
+        self._known = {}
+        self.endResetModel()
+
+    def forget(self) -> None:
+        """Empty every row: what was known was worked out otherwise than what follows."""
+        if self._known:
+            self._known = {}
+            self._changed(0, self._n_frames - 1)
+
+    def show_figure(self, name: str, title: str) -> None:
+        """Which figure the last column shows, and its heading."""
+        if (name, title) != (self._figure, self._title):
+            self._figure, self._title = name, title
+            self.headerDataChanged.emit(Qt.Orientation.Horizontal, FIGURE, FIGURE)
+            self._changed(0, self._n_frames - 1)
+
+    def show_summary(self, frame: int, summary: FrameSummary) -> None:
+        """Fill one row."""
+        if self._known.get(frame) == summary or not 0 <= frame < self._n_frames:
+            return
+        self._known[frame] = summary
+        self._changed(frame, frame)
+
+    def rowCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
+        """One row a frame."""
+        return 0 if parent.isValid() else self._n_frames
+
+    def columnCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
+        """Frame, depth, contact, figure."""
+        return 0 if parent.isValid() else FIGURE + 1
+
+    def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
+        """The text of a cell, or the number that it is sorted by."""
+        if not index.isValid():
+            return None
+        if role == Qt.ItemDataRole.TextAlignmentRole:
+            return int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        if role == SORTED_BY:
+            return self._number(index.row(), index.column())
+        if role == Qt.ItemDataRole.DisplayRole:
+            return self._text(index.row(), index.column())
+        summary = self._known.get(index.row())
+        return summary.problem or None if summary is not None and role == Qt.ItemDataRole.ToolTipRole else None
+
+    def _number(self, frame: int, column: int) -> float:
+        if column == FRAME:
+            return float(frame)
+        summary = self._known.get(frame)
+        value = math.nan if summary is None else summary.value(column, self._figure)
+        return value if math.isfinite(value) else -math.inf
+
+    def _text(self, frame: int, column: int) -> str:
+        summary = self._known.get(frame)
+        if column == FRAME:
+            return str(frame)
+        if summary is None:
+            return ""
+        if summary.problem:
+            return "failed" if column == FIGURE else ""
+        value = summary.value(column, self._figure)
+        return f"{value:.{(2, 1, 3)[column - 1]}f}" if math.isfinite(value) else "-"
+
+    def headerData(  # noqa: N802
+        self, section: int, orientation: Qt.Orientation, role: int = Qt.ItemDataRole.DisplayRole
+    ) -> object:
+        """Column titles and their explanations."""
+        if orientation == Qt.Orientation.Horizontal and 0 <= section <= FIGURE:
+            if role == Qt.ItemDataRole.DisplayRole:
+                return self._title if section == FIGURE else _TITLES[section]
+            if role == Qt.ItemDataRole.ToolTipRole:
+                return f"{self._figure}; - where it is not known" if section == FIGURE else _TIPS[section]
+        return None
+
+    def _changed(self, first: int, last: int) -> None:
+        if last >= first:
+            self.dataChanged.emit(self.index(first, DEPTH), self.index(last, FIGURE))
