@@ -23,7 +23,7 @@ class Triage(QObject):
         self._rest.setSingleShot(True)
         self._rest.timeout.connect(self._ask)
         instrument.window.drawers.frames.visibilityChanged.connect(self._seen)
-        instrument.frame_shown.connect(lambda _: self._soon(_AT_REST_MS))
+        instrument.frame_shown.connect(self._frame_shown)
         instrument.closing.connect(self._rest.stop)
         instrument.job.finished.connect(self._take)
         self._panel.figure_chosen.connect(self._choose)
@@ -41,6 +41,9 @@ class Triage(QObject):
     def _seen(self, seen: bool) -> None:
         if seen:
             self._soon(_AT_REST_MS)
+
+    def _frame_shown(self, _: int) -> None:
+        self._soon(_AT_REST_MS)
 
     def _soon(self, ms: int) -> None:
         self._offer()
