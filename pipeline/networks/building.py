@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 KINDS: dict[str, str] = {  # kind -> module:class; torch loads with the module
     "compact_unet": "pipeline.networks.compact_unet:CompactUnet",
+    "depth_anything": "pipeline.networks.depth_anything:DepthAnything",
 }
 _MOST_BYTES = 2 << 30  # of networks kept ready: a large one takes 1.3 GB
 _ready: Memo[str, nn.Module] = Memo(
@@ -60,10 +61,24 @@ def _loaded(weights: Weights) -> nn.Module:
     return made.eval().requires_grad_(requires_grad=False)
 
 
+def begin_with(net: nn.Module, weights: Weights) -> int:
+    """Copy those tensors that have their like in the network, by name and shape, and say how many they are.
+
+    Raises ModelMissing where there is none.
+    """
+    own: dict[str, Any] = net.state_dict()
+    alike = [name for name, tensor in weights.tensors.items() if name in own and own[name].shape == tensor.shape]
+    if not alike:
+        raise ModelMissing(f"the weights {weights.name!r} have nothing in common with this network; begin with others")
+    fill(net, {name: weights.tensors[name] for name in alike})
+    return len(alike)
+
+
 def fill(net: nn.Module, tensors: Mapping[str, Any]) -> None:
-    """Copy tensors of exactly the network's own names and shapes into it."""
+    """Copy tensors of the network's own names and shapes into it."""
     import torch
 
+    own: dict[str, Any] = net.state_dict()
     with torch.no_grad():
-        for name, own in net.state_dict().items():
-            own.copy_(torch.from_numpy(tensors[name].copy()))
+        for name, tensor in tensors.items():
+            own[name].copy_(torch.from_numpy(tensor.copy()))

@@ -11,6 +11,7 @@ from typing import Any
 
 from pipeline.base.errors import FileProblem
 from pipeline.base.memo import Memo
+from pipeline.networks import depth_anything_files
 from pipeline.networks.weights import SUFFIX, NoWeights, Weights, load
 
 _SOURCE, _WHEEL = Path(__file__).parents[2] / "sample_data" / "weights", Path(__file__).parent / "shipped"
@@ -27,6 +28,11 @@ def shipped(name: str) -> Weights | NoWeights:
     if not path.is_file():
         return NoWeights(why=f"no weights {name!r} come along; train them with `tactoscope train`, or give --weights")
     return in_file(path)
+
+
+def reader(kind: str) -> Callable[[Path], Weights]:
+    """What reads files of weights for that kind of network; it raises FileProblem."""
+    return depth_anything_files.read if kind == depth_anything_files.KIND else load
 
 
 def in_file(path: Path, read: Callable[[Path], Weights] = load) -> Weights | NoWeights:

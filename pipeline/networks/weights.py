@@ -61,7 +61,7 @@ class NoWeights:
 def load(path: Path) -> Weights:
     """The weights in a file of ours, all as float32; raises FileProblem for what is missing, damaged or foreign."""
     metadata, tensors = load_tensors(path)
-    if metadata.get(_MARK) != _VERSION:
+    if not is_ours(metadata):
         raise FileProblem("these weights do not say which network they are for; give a file that Tactoscope made", path)
     try:
         config, card = (cast("dict[str, Any]", json.loads(metadata[key])) for key in ("config", "card"))
@@ -73,6 +73,11 @@ def load(path: Path) -> Weights:
         raise FileProblem(f"{_WHAT} are damaged: their header holds more than plain settings", path)
     told = {str(key): str(value) for key, value in card.items()}
     return Weights(name=path.stem, kind=kind, config=config, tensors=tensors, card=told)
+
+
+def is_ours(metadata: Mapping[str, str]) -> bool:
+    """Whether the header of a safetensors file says that it was written here."""
+    return metadata.get(_MARK) == _VERSION
 
 
 def load_tensors(path: Path) -> tuple[dict[str, str], dict[str, Floats]]:

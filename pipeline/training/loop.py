@@ -15,7 +15,8 @@ import numpy as np
 from pipeline.base.errors import FileProblem, NotConverged
 from pipeline.base.files import ready
 from pipeline.base.progress import SILENT, Cancelled, Progress
-from pipeline.networks.building import build
+from pipeline.networks import shelf
+from pipeline.networks.building import begin_with, build
 from pipeline.training import curves, optimising, state
 from pipeline.training.devices import Devices, devices, in_precision
 from pipeline.training.examples import Examples, examples
@@ -71,6 +72,8 @@ class _Training:
         self._recipe, self._task = run.recipe, run.recipe.settings
         torch.manual_seed(self._recipe.pace.seed)
         self._network = build(str(self._recipe.network["kind"]), _arguments(self._recipe)).to(here.device)
+        if not now.step:
+            self._begin()
         self._average = optimising.averaged(self._network)
         self._optimiser = optimising.optimiser(self._network, self._recipe.optimiser, self._recipe.factors)
         if now.step:
@@ -81,6 +84,14 @@ class _Training:
         self._held_out: dict[Split, list[Example]] = {}
         self._since_s = time.monotonic() - now.seconds
         self._saved_s = time.monotonic()
+
+    def _begin(self) -> None:
+        """Where the recipe says so, begin with learned weights rather than with random ones."""
+        file = self._recipe.pace.begin
+        if file:
+            weights = shelf.reader(str(self._recipe.network["kind"]))(Path(file))
+            n = begin_with(self._network, weights)
+            log.warning("begun with %d tensors of %s, %d are new", n, file, len(self._network.state_dict()) - n)
 
     def run(self) -> State:
         """Step by step to the end, or until somebody asks to stop; what asked is raised once all is kept."""

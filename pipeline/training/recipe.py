@@ -26,6 +26,7 @@ class Pace:
     seed: int = setting(0, "Seed", low=0, high=2**31)
     batch: int = setting(16, "Examples a step", low=1, high=4096, help="for each of several devices")
     steps: int = setting(10_000, "Steps", low=1, high=10**9, help="--minutes stands in place of it")
+    begin: str = setting("", "File of weights to begin with", help="empty = random ones")
     precision: Precision = setting("float32", "Precision", choices=Precision, help="of the network, not of its loss")
 
 
@@ -150,8 +151,8 @@ def _filled(part: P, table: Mapping[str, Any], where: str) -> P:
     return part
 
 
-def with_pace(recipe: Recipe, **pace: int) -> Recipe:
-    """The same with another seed or other steps."""
+def with_pace(recipe: Recipe, **pace: int | str) -> Recipe:
+    """The same with another seed, other steps or another beginning."""
     made = recipe.pace
     for name, value in pace.items():
         made = changed(made, name, value)

@@ -60,6 +60,7 @@ class Entry:
 
 TASKS: dict[str, Entry] = {
     "gel_depth": Entry(what="depth", where="pipeline.training.gel_depth:GelDepth"),
+    "depth_anything": Entry(what="depth", where="pipeline.training.depth_anything:DepthAnythingTask"),
     "bubble_reading": Entry(what="depth", where="pipeline.training.bubble_reading:BubbleReading"),
 }
 

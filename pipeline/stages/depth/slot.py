@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from pipeline.engine.graph import Method, unless
-from pipeline.stages.depth import stage
+from pipeline.stages.depth import depth_anything, stage
+from pipeline.stages.learned import learned
 from pipeline.stages.readings import reading
 
 PHYSICS = Method(
@@ -18,4 +19,16 @@ PHYSICS = Method(
 )
 
 
-SLOT = reading(name="depth", title="Depth", legend="membrane", place="source", methods=(PHYSICS,))
+DEPTH_ANYTHING = Method(
+    slot="depth",
+    name="depth_anything",
+    title="Depth Anything V2",
+    help="the paper's network, on weights that you give",
+    run=learned(depth_anything.depth, instead=PHYSICS),
+    params=depth_anything.DepthAnythingParams,
+    reads=(*PHYSICS.reads, "depth_weights"),
+    weights=depth_anything.weights,
+)
+
+
+SLOT = reading(name="depth", title="Depth", legend="membrane", place="source", methods=(PHYSICS, DEPTH_ANYTHING))

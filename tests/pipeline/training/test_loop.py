@@ -16,6 +16,7 @@ import pytest
 
 from pipeline.base.errors import FileProblem, NotConverged, SettingProblem
 from pipeline.base.progress import Cancelled
+from pipeline.networks.weights import save
 from pipeline.training import examples, loop, state
 from pipeline.training.export import weights_of
 from pipeline.training.loop import Run, train
@@ -138,6 +139,16 @@ def test_a_loss_that_is_no_number_is_left_out_loudly_and_ends_the_run_when_it_st
     with pytest.raises(NotConverged, match="no number for 10 steps"):
         train(replace(run, recipe=always, out=run.out.with_name("always")))
     assert state.load(run.out.with_name("always")).step == 10
+
+
+def test_a_run_begins_with_learned_weights_where_the_recipe_says_so(run, tmp_path, caplog):
+    first = train(replace(run, recipe=with_pace(run.recipe, steps=30)))
+    save(tmp_path / "first.safetensors", weights_of(first, "first"))
+    none = replace(run.recipe, optimiser=replace(run.recipe.optimiser, learning_rate=0.0))
+    none = with_pace(none, begin=str(tmp_path / "first.safetensors"), steps=1)
+    again = train(replace(run, recipe=none, out=tmp_path / "again"))
+    assert same(tensors(again), tensors(first))
+    assert "begun with 6 tensors of" in caplog.text
 
 
 def test_by_minutes_the_learning_rate_ends_with_the_clock_also_over_a_stop(run, monkeypatch):

@@ -1,0 +1,151 @@
+"""Depth Anything V2 with the paper's contact head, under the names of the published weights.
+
+Yang et al. 2024: a DINOv2 encoder (`pretrained.*`) and a DPT decoder (`depth_head.*`). The second head (`mask_head.*`)
+reads the decoder's finest features and tells the contact.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from pipeline.networks.dinov2 import SIZES, Encoder
+from pipeline.networks.picturing import PATCH_PX
+
+FEATURES = {"vits": 64, "vitb": 128, "vitl": 256}
+PROJECTED = {"vits": (48, 96, 192, 384), "vitb": (96, 192, 384, 768), "vitl": (256, 512, 1024, 1024)}
+MEAN, SPREAD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of the pictures that the encoder was taught on
+
+
+class DepthAnything(nn.Module):
+    """Indentation and contact from a picture of whole patches; see `forward`.
+
+    `answer` is what its depth head ends in: "metric" is a share of `largest_mm`, "relative" any number from 0, which
+    has no unit. `side` is the shorter side in pixels of the pictures it was taught on, `shows` what was on them.
+    """
+
+    def __init__(
+        self,
+        *,
+        encoder: str = "vits",
+        contact: bool = True,
+        answer: Literal["metric", "relative"] = "metric",
+        largest_mm: float = 0.0,
+        side: int = 518,
+        shows: Literal["picture", "difference"] = "picture",
+    ) -> None:
+        super().__init__()
+        if encoder not in SIZES or answer not in ("metric", "relative") or shows not in ("picture", "difference"):
+            raise ValueError(f"no encoder {encoder!r}, answer {answer!r} or picture {shows!r}")
+        self.answer, self.largest_mm, self.side, self.shows = answer, float(largest_mm), int(side), shows
+        self.pretrained = Encoder(SIZES[encoder])
+        self.depth_head = _DepthHead(SIZES[encoder].width, FEATURES[encoder], PROJECTED[encoder])
+        self.mask_head = _MaskHead(FEATURES[encoder]) if contact else None
+
+    def forward(
+        self, picture: Tensor, window: tuple[int, int, int, int] | None = None, answer: str = ""
+    ) -> tuple[Tensor, Tensor | None]:
+        """(depth, contact) from a picture (n, 3, rows, cols) of RGB in 0..1, rows and cols of whole patches.
+
+        Depth (n, rows, cols) is a share 0..1 of `largest_mm`, or relative; contact (n, rows, cols) is > 0 where it
+        touches (the logarithm of the odds), None without that head. `window` (top, left, rows, cols), all in patches,
+        says which part of a larger picture this is; the patches of the rest are then not looked at. `answer` stands
+        in place of the network's own where it is given.
+        """
+        rows, cols = picture.shape[-2] // PATCH_PX, picture.shape[-1] // PATCH_PX
+        mean, spread = (picture.new_tensor(v)[:, None, None] for v in (MEAN, SPREAD))
+        tokens = self.pretrained((picture - mean) / spread, window or (0, 0, rows, cols))
+        number, features = self.depth_head(tokens, rows, cols)
+        depth = torch.sigmoid(number) if (answer or self.answer) == "metric" else functional.relu(number)
+        contact = None if self.mask_head is None else self.mask_head(features, (rows * PATCH_PX, cols * PATCH_PX))
+        return depth[:, 0], None if contact is None else contact[:, 0]
+
+
+class _DepthHead(nn.Module):
+    """A dense prediction transformer's decoder (Ranftl et al. 2021): four levels, joined from coarse to fine."""
+
+    def __init__(self, width: int, features: int, projected: tuple[int, ...]) -> None:
+        super().__init__()
+        self.projects = nn.ModuleList(nn.Conv2d(width, channels, 1) for channels in projected)
+        self.resize_layers = nn.ModuleList([
+            nn.ConvTranspose2d(projected[0], projected[0], 4, stride=4),
+            nn.ConvTranspose2d(projected[1], projected[1], 2, stride=2),
+            nn.Identity(),
+            nn.Conv2d(projected[3], projected[3], 3, stride=2, padding=1),
+        ])  # fmt: skip
+        self.scratch = _Scratch(features, projected)
+
+    def forward(self, tokens: list[Tensor], rows: int, cols: int) -> tuple[Tensor, Tensor]:
+        """(a number (n, 1, rows, cols) for every pixel, the finest features)."""
+        levels: list[Tensor] = []
+        for project, resize, some in zip(self.projects, self.resize_layers, tokens, strict=True):
+            grid = some.transpose(1, 2).reshape(some.shape[0], -1, rows, cols)
+            levels.append(resize(project(grid)))
+        features = self.scratch.joined(levels)
+        field = self.scratch.output_conv1(features)
+        size = (rows * PATCH_PX, cols * PATCH_PX)
+        field = functional.interpolate(field, size, mode="bilinear", align_corners=True)
+        return self.scratch.output_conv2(field), features
+
+
+class _Scratch(nn.Module):
+    def __init__(self, features: int, projected: tuple[int, ...]) -> None:
+        super().__init__()
+        self.layer1_rn, self.layer2_rn, self.layer3_rn, self.layer4_rn = (
+            nn.Conv2d(channels, features, 3, padding=1, bias=False) for channels in projected
+        )
+        self.refinenet1, self.refinenet2, self.refinenet3, self.refinenet4 = (_Fusion(features) for _ in range(4))
+        self.output_conv1 = nn.Conv2d(features, features // 2, 3, padding=1)
+        self.output_conv2 = nn.Sequential(
+            nn.Conv2d(features // 2, 32, 3, padding=1), nn.ReLU(inplace=True), nn.Conv2d(32, 1, 1)
+        )
+
+    def joined(self, levels: list[Tensor]) -> Tensor:
+        """Features at twice the size of the finest level."""
+        thin = [
+            self.layer1_rn(levels[0]),
+            self.layer2_rn(levels[1]),
+            self.layer3_rn(levels[2]),
+            self.layer4_rn(levels[3]),
+        ]
+        path = self.refinenet4(thin[3], None, thin[2].shape[-2:])
+        path = self.refinenet3(path, thin[2], thin[1].shape[-2:])
+        path = self.refinenet2(path, thin[1], thin[0].shape[-2:])
+        rows, cols = path.shape[-2:]
+        return self.refinenet1(path, thin[0], (2 * rows, 2 * cols))
+
+
+class _Fusion(nn.Module):
+    def __init__(self, features: int) -> None:
+        super().__init__()
+        self.out_conv = nn.Conv2d(features, features, 1)
+        self.resConfUnit1, self.resConfUnit2 = _Residual(features), _Residual(features)  # published names
+
+    def forward(self, path: Tensor, beside: Tensor | None, size: tuple[int, int]) -> Tensor:
+        """The coarser path and the level beside it, at `size`."""
+        path = self.resConfUnit2(path if beside is None else path + self.resConfUnit1(beside))
+        return self.out_conv(functional.interpolate(path, size, mode="bilinear", align_corners=True))
+
+
+class _Residual(nn.Module):
+    def __init__(self, features: int) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(features, features, 3, padding=1)
+        self.conv2 = nn.Conv2d(features, features, 3, padding=1)
+
+    def forward(self, field: Tensor) -> Tensor:
+        return field + self.conv2(functional.relu(self.conv1(functional.relu(field))))
+
+
+class _MaskHead(nn.Module):
+    def __init__(self, features: int) -> None:
+        super().__init__()
+        self.mask_head = nn.Sequential(
+            nn.Conv2d(features, features // 2, 3, padding=1), nn.ReLU(inplace=True), nn.Conv2d(features // 2, 1, 1)
+        )
+
+    def forward(self, features: Tensor, size: tuple[int, int]) -> Tensor:
+        return self.mask_head(functional.interpolate(features, size, mode="bilinear", align_corners=True))

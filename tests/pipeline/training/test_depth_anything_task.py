@@ -1,0 +1,52 @@
+"""Depth Anything V2 is taught: its examples, and that a few steps on them lower the paper's loss."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from pipeline.networks.building import build
+from pipeline.training import optimising, recipe
+from pipeline.training.depth_anything import DepthAnythingTask
+from pipeline.training.examples import drawn
+
+TASK = DepthAnythingTask(sensor="digit", side=28, metric=1.0)
+
+
+def test_examples_are_pictures_of_whole_patches_with_the_truth_of_the_press():
+    one, again = (TASK.sample(np.random.default_rng([1, 2])) for _ in range(2))
+    other = TASK.sample(np.random.default_rng([1, 3]))
+    assert all(np.array_equal(one[name], again[name]) for name in one)
+    assert not np.array_equal(one["picture"], other["picture"])
+    rows, cols = one["indentation_mm"].shape
+    assert (min(rows, cols), rows % 14, cols % 14) == (28, 0, 0)
+    assert one["picture"].shape == (3, rows, cols)
+    assert 0.0 <= one["picture"].min() < one["picture"].max() <= 1.001
+    pressed = one["contact"] > 0.5
+    assert pressed.any()
+    assert one["indentation_mm"][pressed].mean() > one["indentation_mm"][~pressed].mean()
+
+
+def test_a_few_steps_lower_the_loss_and_the_encoder_moves_less_than_its_head():
+    made = recipe.load("depth_anything")
+    torch.manual_seed(0)
+    net = build("depth_anything", {"encoder": "vits", "side": 28})
+    start = {name: tensor.clone() for name, tensor in net.state_dict().items()}
+    batch = {name: torch.from_numpy(array) for name, array in drawn(TASK, 0, 0, 2).items()}
+    stepper = optimising.optimiser(net, made.optimiser, made.factors)
+    optimising.set_rate(stepper, 2e-4)
+    losses = []
+    for _ in range(5):
+        stepper.zero_grad()
+        loss, parts = TASK.loss(net, batch)
+        loss.backward()
+        stepper.step()
+        losses.append(float(loss.detach()))
+    assert losses[-1] < 0.9 * losses[0]
+    assert set(parts) == {"silog", "contact", "metric"}
+    moved = {name: float((t - start[name]).abs().max()) for name, t in net.state_dict().items()}
+    head = max(way for name, way in moved.items() if name.startswith("depth_head."))
+    encoder = max(way for name, way in moved.items() if name.startswith("pretrained."))
+    assert 0 < encoder < 0.3 * head
+    figures = TASK.figures(net.eval().requires_grad_(requires_grad=False), [TASK.held_out("unseen_tools", 0)])
+    assert all(np.isfinite(value) for value in figures.values())
