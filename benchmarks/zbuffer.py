@@ -22,7 +22,7 @@ from pipeline.geometry.camera import Camera
 from pipeline.racing.races import Answer, Point, Row
 from pipeline.racing.report import show
 from pipeline.stages.adapt.stage import AdaptParams, adapt
-from pipeline.stages.project.drawing import zbuffer
+from pipeline.stages.project.drawing import pixels_of, zbuffer
 from pipeline.stages.project.stage import PaperParams, project
 
 
@@ -51,7 +51,7 @@ def answer() -> Answer:
         camera = target.camera
         peer = open3d_splat(cloud, camera)
         calls = {
-            "ours": lambda c=cloud, k=camera: zbuffer(c, k)[0].reshape(k.shape),
+            "ours": lambda c=cloud, k=camera: zbuffer(c, k, pixels_of(c, k)[0])[0].reshape(k.shape),
             "the whole stage": lambda c=cloud, t=target: project(c, t, PaperParams()).depth_mm,
             "Open3D": peer,
             "numpy": lambda c=cloud, k=camera: by_sorting(c.points_mm, k),

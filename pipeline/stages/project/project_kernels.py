@@ -70,17 +70,20 @@ def nearest(flat, order, pixel, depth, source):
 
 
 @kernel(error_model="numpy")
-def splat(flat, wanted, order, pixel, image):
-    """Points drawn among triangles: as `nearest`, on 1/z and for the wanted points only."""
+def splat(flat, wanted, order, lens, image):
+    """Points drawn among triangles: as `nearest`, on 1/z and for the wanted points only; how many are in view."""
     inverse_z, _, source = image
-    for i in range(pixel.shape[0]):
-        p = pixel[i]
-        if p < 0 or not wanted[i]:
+    inside = 0
+    for i in range(wanted.shape[0]):
+        if not wanted[i]:
             continue
-        w = 1.0 / np.float64(flat[3 * i + 2])
-        if w > inverse_z[p] or (w == inverse_z[p] and order[i] < order[source[p]]):
+        x, y, z = np.float64(flat[3 * i]), np.float64(flat[3 * i + 1]), np.float64(flat[3 * i + 2])
+        _, _, w, p = pixel_of(x, y, z, lens)
+        inside += p >= 0
+        if p >= 0 and (w > inverse_z[p] or (w == inverse_z[p] and order[i] < order[source[p]])):
             inverse_z[p] = w
             source[p] = i
+    return inside
 
 
 @kernel()

@@ -8,9 +8,9 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.project.drawing import Drawing
 
 
-def arrival(drawing: Drawing, points_mm: Floats) -> tuple[str, ...]:
+def arrival(drawing: Drawing, n_inside: int, points_mm: Floats) -> tuple[str, ...]:
     """How much of the touch is in the target's image at all."""
-    n, n_outside = len(drawing.pixel), len(drawing.pixel) - drawing.n_inside
+    n, n_outside = len(points_mm), len(points_mm) - n_inside
     if n_outside == n:
         behind = bool((points_mm[:, 2] <= MIN_DEPTH_MM).all())
         where = "behind the target's camera; turn the alignment round" if behind else "outside the target's image"
@@ -21,16 +21,16 @@ def arrival(drawing: Drawing, points_mm: Floats) -> tuple[str, ...]:
     return notes
 
 
-def points(drawing: Drawing) -> tuple[str, ...]:
+def points(n_inside: int, n_drawn: int) -> tuple[str, ...]:
     """What the splat lost."""
-    if drawing.n_drawn == drawing.n_inside:
+    if n_drawn == n_inside:
         return ()
-    return (f"{drawing.n_inside - drawing.n_drawn:,} of {drawing.n_inside:,} points share a pixel with a nearer one",)
+    return (f"{n_inside - n_drawn:,} of {n_inside:,} points share a pixel with a nearer one",)
 
 
 def triangles(drawing: Drawing, jump_mm: float, grazing_deg: float, n_hidden: int) -> tuple[str, ...]:
     """What the surface left out."""
-    from pipeline.stages.project import triangle_kernels as kernels
+    from pipeline.stages.project import desk_kernels as kernels
 
     counts = drawing.counts
     jump, grazing, behind = (int(counts[k]) for k in (kernels.JUMP, kernels.GRAZING, kernels.BEHIND))

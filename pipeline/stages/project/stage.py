@@ -18,7 +18,7 @@ from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.project import sight_notes
-from pipeline.stages.project.drawing import SAME_SURFACE_MM, Drawing, flat, lens_of, rasterised, splatted
+from pipeline.stages.project.drawing import SAME_SURFACE_MM, Drawing, flat, lens_of, pixels_of, rasterised, splatted
 from pipeline.values.results import Cloud, TargetView
 
 NO_CONTACT = "no contact: the target sees nothing"
@@ -72,18 +72,16 @@ def view_of(cloud: Cloud, target: SensorSpec, params: Projection) -> TargetView:
     from pipeline.stages.project import project_kernels as kernels
 
     surface = None if isinstance(params, PaperParams) else params
+    pixel, n_inside = pixels_of(cloud, target.camera)
     if surface is None:
-        drawing = splatted(cloud, target.camera, target.membrane)
+        drawing = splatted(cloud, target.camera, target.membrane, pixel)
     else:
         drawing = _surface(cloud, target.camera, target, surface)
     shape = target.camera.shape
     indentation = np.empty(drawing.depth_mm.size, dtype=np.float32)
     kernels.push_in(drawing.depth_mm, drawing.contact, flat(target.rest_depth_mm, np.float64), indentation)
     n_contact = int(np.count_nonzero(drawing.contact))
-    arrived = sight_notes.arrival(drawing, cloud.points_mm)
-    n_hidden = kernels.hide(
-        flat(cloud.points_mm), drawing.depth_mm, lens_of(target.camera), SAME_SURFACE_MM, drawing.pixel
-    )
+    n_hidden = kernels.hide(flat(cloud.points_mm), drawing.depth_mm, lens_of(target.camera), SAME_SURFACE_MM, pixel)
     return TargetView(
         depth_mm=freeze(drawing.depth_mm.reshape(shape)),
         contact=freeze(drawing.contact.reshape(shape)),
@@ -92,15 +90,15 @@ def view_of(cloud: Cloud, target: SensorSpec, params: Projection) -> TargetView:
         source_index=freeze(drawing.source.reshape(shape)),
         known=_known(cloud, target),
         notes=(
-            *arrived,
-            *_drawing_notes(drawing, surface, int(n_hidden)),
+            *sight_notes.arrival(drawing, n_inside, cloud.points_mm),
+            *_drawing_notes(drawing, n_inside, surface, int(n_hidden)),
             *sight_notes.reach(
                 target, n_drawn=drawing.n_drawn, n_contact=n_contact,
-                short_mm=0.0 if n_contact else _short_mm(cloud, drawing, target, surface),
+                short_mm=0.0 if n_contact else _short_mm(cloud.points_mm[pixel >= 0], drawing, target, surface),
                 deepest_mm=float(indentation.max()),
             ),
         ),
-        pixel_of_point=freeze(drawing.pixel),
+        pixel_of_point=freeze(pixel),
         coverage=_coverage(cloud, target, surface) if surface is not None and surface.coverage else None,
     )  # fmt: skip
 
@@ -159,20 +157,18 @@ def _check(cloud: Cloud) -> None:
         raise ShapeError(f"source_index of the cloud points outside its grid of {rows} x {cols} pixels")
 
 
-def _short_mm(cloud: Cloud, drawing: Drawing, target: SensorSpec, surface: ProjectParams | None) -> float:
-    """The smallest signed distance to the membrane, of the points in view or of what the pixels see."""
-    if surface is None:
-        seen = cloud.points_mm[drawing.pixel >= 0]
-    else:
+def _short_mm(seen: Floats | Doubles, drawing: Drawing, target: SensorSpec, surface: ProjectParams | None) -> float:
+    """The smallest signed distance to the membrane, of the points seen or of what the pixels see of a surface."""
+    if surface is not None:
         row, col = np.nonzero(drawing.source.reshape(target.camera.shape) >= 0)
         (ray_x, ray_y), z = target.camera.rays(), drawing.depth_mm[drawing.source >= 0].astype(np.float64)
         seen = np.stack([z * ray_x[col], z * ray_y[row], z], axis=-1)
     return float(target.membrane.signed_distance_mm(seen).min(initial=np.inf))
 
 
-def _drawing_notes(drawing: Drawing, surface: ProjectParams | None, n_hidden: int) -> tuple[str, ...]:
+def _drawing_notes(drawing: Drawing, n_inside: int, surface: ProjectParams | None, n_hidden: int) -> tuple[str, ...]:
     if surface is None:
-        return sight_notes.points(drawing)
+        return sight_notes.points(n_inside, drawing.n_drawn)
     return sight_notes.triangles(drawing, surface.jump_mm, surface.grazing_deg, n_hidden)
 
 

@@ -1,15 +1,15 @@
 # pyright: basic
 """Compiled loops of the surface mode: the source grid, and which of its quads are worth a look.
 
-Most quads of a fine source lie between the pixel centres of a coarse target. They are told apart for the whole grid at
-once, on vectors, before any triangle is made. Further tuples, beside those of `project_kernels`:
+Most quads of a fine source lie between the pixel centres of a coarse target. They are told apart for a strip of the
+grid at once, on vectors, before any triangle is made. Further tuples, beside those of `project_kernels`:
 
-    corners  what triangles hang on, the points by source pixel and then room for what the rim of a touch adds (m of
-             them): x, y, z of the points in turn, mm, and apart those of the room; u and v where each is seen, px; 1/z;
-             the pixel centres that u and v lie between, see `between`; and, of the room, the point that it begins at
-    cells    source pixels with an empty one all round (rows, cols): the corner there, NONE = none; THERE
-             and UNSEEN; between which centres, both in one number; what is to be done with the quad whose upper left
-             corner this is, see `tell_apart`
+    corners  what triangles hang on, the points of a strip of the source and then room for what the rim of a touch adds:
+             x, y, z of the points in turn, mm; those of the room, each with the point that it begins at; where each is
+             seen, px, and 1/z (3, m); the pixel centres that it lies between, across and down (2, m), see `between`
+    cells    source pixels of the strip, with an empty column on either side (rows, cols): the corner there,
+             NONE = none; THERE and UNSEEN; between which centres, both in one number; what is to be done with the quad
+             whose upper left corner this is, see `tell_apart`
 """
 
 from __future__ import annotations
@@ -17,13 +17,14 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.base.kept_kernels import kernel
-from pipeline.stages.project.project_kernels import pixel_of
 
 SLACK = 1e-9  # barycentric and px: neighbours share the pixels on their common edge, so that no crack opens
 NONE = np.uint32(0xFFFFFFFF)  # no point
-THERE, UNSEEN = 1, 2  # bits of a corner: a point, and one behind the lens or not finite
+THERE, UNSEEN = np.uint8(1), np.uint8(2)  # bits of a corner: a point, and one behind the lens or not finite
 EVEN, LOW = np.int64(1 << 32 | 1), np.int64((1 << 32) - 1)  # of two places in one number
-JOINED, LOOK, RIM, BEHIND = 1, 2, 4, 8  # bits of a quad: three corners or more, a centre near them; see `tell_apart`
+JOINED, LOOK, RIM, BEHIND = (
+    np.uint8(bit) for bit in (1, 2, 4, 8)
+)  # bits of a quad: three corners or more, a centre near them; see `tell_apart`
 
 
 @kernel(error_model="numpy")
@@ -39,22 +40,22 @@ def between(u, size):
 
 
 @kernel(error_model="numpy")
-def see(lens, corners, state, pixel):
-    """Write where points are seen, and which are; anything, harmlessly, for the others. Returns as `to_pixels`."""
-    flat, _, u, v, w, across, down, _ = corners
-    _, _, _, _, rows, cols, behind = lens
-    inside = 0
-    for i in range(state.shape[0]):
+def see(lens, n, corners, state):
+    """Write where the first `n` points are seen, and which are; anything, harmlessly, for the others."""
+    flat, _, screen, between_px = corners
+    u, v, w = screen[0], screen[1], screen[2]
+    across, down = between_px[0], between_px[1]
+    fx, fy, cx, cy, rows, cols, behind = lens
+    for i in range(n):
         x, y, z = np.float64(flat[3 * i]), np.float64(flat[3 * i + 1]), np.float64(flat[3 * i + 2])
-        u[i], v[i], w[i], pixel[i] = pixel_of(x, y, z, lens)
-        inside += pixel[i] >= 0
+        near = 1.0 / z
+        u[i], v[i], w[i] = fx * x * near + cx, fy * y * near + cy, near
         ok = (z > behind) & (z < np.inf) & (abs(x) < np.inf) & (abs(y) < np.inf)
         state[i] = np.uint8(THERE if ok else THERE | UNSEEN)
-    for i in range(state.shape[0]):
+    for i in range(n):
         across[i] = between(u[i], cols)
-    for i in range(state.shape[0]):
+    for i in range(n):
         down[i] = between(v[i], rows)
-    return inside
 
 
 @kernel(error_model="numpy")
@@ -74,26 +75,34 @@ def neighbour_distances(flat, index, stride, every, behind, squares):
 
 
 @kernel(error_model="numpy")
-def place(index, starts, bounds, stride, state, corners, cells, alone):
-    """Put every corner in its cell of the flat `cells`.
+def place(index, starts, bounds, strip, state, corners, cells, alone):
+    """Put the corners of a strip in its cells.
 
     `starts` are where each source row begins in the points, `bounds` the first source row and column, the columns of
-    the source and those of the cells. Of several points of one source pixel the last stays; the others stand `alone`,
-    as do those between the rows and columns that a stride looks at.
+    the source and those of the cells, and the stride, `strip` the first source row of it and the one after its last.
+    Corners count from the strip's first point. Of several points of one source pixel the last stays; the others stand
+    `alone`, as do those between the rows and columns that a stride looks at.
     """
-    top, left, grid_cols, cols = bounds
-    _, _, _, _, _, across, down, _ = corners
+    top, left, grid_cols, cols, stride = bounds
+    from_row, to_row, first_cells = strip
+    _, _, _, between_px = corners
+    across, down = between_px[0], between_px[1]
     corner, state_at, centres_at, _ = cells
-    for r in range(starts.shape[0] - 1):
+    for g in range(corner.shape[0]):
+        corner[g] = NONE
+    for g in range(corner.shape[0]):
+        state_at[g] = 0
+    start = starts[from_row]
+    for r in range(from_row, to_row):
         begin, end = starts[r], starts[r + 1]
         first = (top + r) * grid_cols + left
-        g = ((top + r) // stride - top // stride + 1) * cols + 1
+        g = ((top + r) // stride - top // stride - first_cells) * cols + 1
         gaps = 0
         for i in range(begin, end - 1):
             gaps += index[i + 1] - index[i] != 1
         if stride == 1 and gaps == 0 and begin < end:  # most rows: on vectors
             # Unsigned places, which cannot count from an array's end: numba's checks for that keep vectors away.
-            n, to, of = np.uint64(end - begin), np.uint64(g + index[begin] - first), np.uint64(begin)
+            n, to, of = np.uint64(end - begin), np.uint64(g + index[begin] - first), np.uint64(begin - start)
             for k in range(n):
                 corner[to + k] = of + k
             for k in range(n):
@@ -107,15 +116,15 @@ def place(index, starts, bounds, stride, state, corners, cells, alone):
             if apart or (i + 1 < end and index[i + 1] == index[i]):
                 alone[i] = True
                 continue
-            at = g + ((left + column) // stride - left // stride if stride > 1 else column)
-            corner[at] = i
-            state_at[at] = state[i]
-            centres_at[at] = (np.int64(down[i]) << 32) ^ np.int64(across[i])
+            at, k = g + ((left + column) // stride - left // stride if stride > 1 else column), i - start
+            corner[at] = k
+            state_at[at] = state[k]
+            centres_at[at] = (np.int64(down[k]) << 32) ^ np.int64(across[k])
 
 
 @kernel(error_model="numpy")
 def tell_apart(cells, todo, late):
-    """Say of each quad what is to be done with it, and list those that want a look, row by row.
+    """Say of each quad what is to be done with it, and list row by row those of the strip itself that want a look.
 
     JOINED: three corners or more are there. LOOK: these, all of them seen, and a pixel centre may lie in their box.
     BEHIND: not all of them are seen. RIM: some corners are there, all of them seen, and others are not.
@@ -142,6 +151,8 @@ def tell_apart(cells, todo, late):
             seen = np.uint8(unseen ^ 1)
             joined = three | (three * quad[r, c] * seen) | (three * unseen * BEHIND)
             quad[r, c] = np.uint8(joined | ((some & ~every & seen) * RIM))
+        if r == 0 or r > rows - 3:
+            continue
         m = 0
         for c in range(cols - 1):  # no branch: which quads hold a centre is beyond guessing
             todo[n] = 2 * (r * cols + c)
@@ -157,18 +168,16 @@ def tell_apart(cells, todo, late):
 
 
 @kernel(error_model="numpy")
-def find_lonely(cells, alone):
-    """Set in `alone` the points without neighbours to form a triangle with, drawn or not."""
+def find_lonely(cells, start, alone):
+    """Set in `alone` the points, from `start` on, without neighbours to form a triangle with, drawn or not."""
     corner, state, _, quad = cells
     rows, cols = quad.shape
-    lonely = False
-    for r in range(1, rows - 1):
-        for c in range(1, cols - 1):
-            joined = (quad[r, c] | quad[r, c - 1] | quad[r - 1, c] | quad[r - 1, c - 1]) & JOINED
-            lonely |= (state[r, c] != 0) & (joined == 0)
-    if lonely:
-        for r in range(1, rows - 1):
-            for c in range(1, cols - 1):
-                joined = (quad[r, c] | quad[r, c - 1] | quad[r - 1, c] | quad[r - 1, c - 1]) & JOINED
-                if state[r, c] != 0 and joined == 0:
-                    alone[corner[r, c]] = True
+    for r in range(rows - 3):
+        above, beside, there = quad[r], quad[r + 1], state[r + 1]
+        lonely = np.uint8(0)
+        for c in range(cols - 2):
+            lonely |= (there[c + 1] != 0) & ~(above[c] | above[c + 1] | beside[c] | beside[c + 1]) & JOINED
+        if lonely:
+            for c in range(cols - 2):
+                if there[c + 1] != 0 and (above[c] | above[c + 1] | beside[c] | beside[c + 1]) & JOINED == 0:
+                    alone[start + corner[r + 1, c + 1]] = True

@@ -15,42 +15,109 @@ tuples are told in `project_kernels` and `surface_kernels`.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from pipeline.base.kept_kernels import kernel
-from pipeline.stages.project.surface_kernels import NONE, SLACK, between
+from pipeline.stages.project import desk_kernels as on
+from pipeline.stages.project.desk_kernels import settle
+from pipeline.stages.project.surface_kernels import NONE, SLACK, between, find_lonely, place, see, tell_apart
 
-# What becomes of a triangle. From GRAZING on it is drawn: that one as a veil, which is not seen and hides.
-JUMP, CROWDED, BEHIND, GRAZING, FLIPPED, KEPT = range(6)
-SPENT = 6  # how many pixels large triangles have taken so far
-N_COUNTS = 7
-LARGE_PX = 16  # pixels of a triangle's box from which on it is asked first whether it is worth drawing
-LAYERS = (
-    8  # times that large triangles may fill the image: surfaces fold over once or twice, noise at the lens endlessly
-)
-RIM_ROOM = 8  # corners that the rim of one quad adds
+RIM_ROOM = 8  # corners that the rim of one quad adds, each at a place of its own
+ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
+
+
+def _told_of_rims():
+    """By which corners round a quad are there (bits): how many triangles its rim is worth, and the corners of these.
+
+    A corner is a place round the quad, 4 more for what lies beyond it going back, or 8 more going on. The latter two
+    are listed once more, in the last four columns, -1 = none.
+    """
+    told = np.full((16, 11), -1, dtype=np.int64)
+    for there in range(1, 15):
+        triangles: list[tuple[int, int, int]] = []
+        for first in range(4):
+            if not there >> first & 1 or there >> ((first + 3) & 3) & 1:
+                continue
+            last = first  # of a run of corners
+            while there >> ((last + 1) & 3) & 1:
+                last = (last + 1) & 3
+            triangles += [(first, last, 8 + last)] if first != last else []
+            triangles += [(first, 8 + last, 4 + first)]
+        told[there, 0] = len(triangles)
+        told[there, 1 : 1 + 3 * len(triangles)] = np.ravel(triangles)
+        beyond = sorted({k for triangle in triangles for k in triangle if k >= 4})
+        told[there, 7 : 7 + len(beyond)] = beyond
+    return told
+
+
+RIMS = _told_of_rims()
 
 
 @kernel(error_model="numpy")
-def draw(todo, corner, corners, lens, limits, image, counts):
+def draw_grid(points, bounds, lens, limits, corners, cells, lists, image, counts, alone):
+    """Draw the triangles of a source grid, strip by strip of it, so that what is laid out of it stays in fast memory.
+
+    A strip is as many rows of cells as there is room for: the quads below all but the first and the last two are its
+    own, which hang on the others too.
+    """
+    flat, index, starts = points
+    top, _, _, _, stride = bounds
+    extra, screen, between_px, state = corners
+    corner, state_at, centres, quad = cells
+    todo, late, desk = lists
+    source_rows, n_rows = starts.shape[0] - 1, corner.shape[0]
+    all_rows = (top + source_rows - 1) // stride - top // stride + 1
+    for row in range(-2, all_rows - 1, n_rows - 3):
+        rows = min(n_rows, all_rows + 2 - row)
+        from_row = min(max((row + top // stride) * stride - top, 0), source_rows)
+        to_row = min(max((row + rows + top // stride) * stride - top, 0), source_rows)
+        start, n = starts[from_row], starts[to_row] - starts[from_row]
+        here = (flat[3 * start : 3 * (start + n)], extra, screen, between_px)
+        of_strip = (corner[:rows], state_at[:rows], centres[:rows], quad[:rows])
+        unrolled = (
+            of_strip[0].reshape(-1), of_strip[1].reshape(-1), of_strip[2].reshape(-1), of_strip[3].reshape(-1),
+        )  # fmt: skip
+        see(lens, n, here, state)
+        place(index, starts, bounds, (from_row, to_row, row), state, here, unrolled, alone)
+        n_todo, n_behind = tell_apart(of_strip, todo, late)
+        find_lonely(of_strip, start, alone)
+        counts[0, on.BEHIND] += n_behind
+        draw(todo[:n_todo], of_strip[0], here, lens, limits, desk, np.uint64(start), image, counts)
+
+
+@kernel(error_model="numpy")
+def draw(todo, corner, corners, lens, limits, desk, start, image, counts):
     """Draw quads, as `tell_apart` lists them; counts (2, N_COUNTS) by fate the triangles that cover a pixel centre.
 
     A whole quad is two triangles along the shorter diagonal, which follows a crease. The rim's are counted apart.
     """
+    turn = 0
+    while turn < todo.shape[0]:
+        turn, n = _lay(todo, turn, corner, corners, lens, limits, desk, start, counts)
+        settle(desk, n, lens, limits, image, counts)
+
+
+@kernel(error_model="numpy")
+def _lay(todo, turn, corner, corners, lens, limits, desk, start, counts):
+    """Lay triangles on the desk, of the quads from `turn` on; which turn is next, and how many triangles there are."""
     at, width = corner.reshape(-1), corner.shape[1]
-    flat, extra, u, v, w, across, down, origin = corners
-    n_points = u.shape[0] - RIM_ROOM
-    inverse_z, veil, source = image
+    flat, extra, screen, between_px = corners
+    u, v, w = screen[0], screen[1], screen[2]
+    across, down = between_px[0], between_px[1]
+    n_points = np.uint64(u.shape[0] - RIM_ROOM)
     _, _, _, _, rows, cols, _ = lens
     longest_sq, _ = limits
-    most = LAYERS * rows * cols
-    for turn in range(todo.shape[0]):
+    t = np.uint64(0)
+    while turn < todo.shape[0] and t + ONE < on.N_DESK:
         g, rim = np.int64(todo[turn] >> 1), np.int64(todo[turn] & 1)
         n, centre, x0, y0 = 1, False, 0, 0  # how many triangles, and the pixel that they are seen from
         here, below = np.uint64(g), np.uint64(g + width)
-        a, b, c, d = at[here], at[here + np.uint64(1)], at[below], at[below + np.uint64(1)]
+        a, b, c, d = at[here], at[here + ONE], at[below], at[below + ONE]
         if rim:
-            n, one, two = _rim(g, at, width, corners, lens, longest_sq)
+            there = (a != NONE) | (b != NONE) << 1 | (d != NONE) << 2 | (c != NONE) << 3
+            _extend(g, there, at, width, flat, extra, screen, between_px, lens, longest_sq)
+            n = RIMS[there, 0]
+            one = _three_of(RIMS, there, 1, g, at, width, n_points)
+            two = _three_of(RIMS, there, 4, g, at, width, n_points)
         elif max(a, b, c, d) == NONE:
             one = _three(a, b, c, d)
             two = one
@@ -59,7 +126,8 @@ def draw(todo, corner, corners, lens, limits, image, counts):
             # branch that goes either way costs more than what it saves.
             falling, rising = _length_sq(flat, a, d), _length_sq(flat, b, c)
             if min(falling, rising) > longest_sq:
-                counts[0, JUMP] += 2
+                counts[0, on.JUMP] += 2
+                turn += 1
                 continue
             turned = falling < rising
             i, j, k, o = (b if turned else a), (d if turned else b), (a if turned else c), (c if turned else d)
@@ -73,54 +141,35 @@ def draw(todo, corner, corners, lens, limits, image, counts):
                 if abs(beyond) > 4.0 * SLACK * abs(side):
                     n, centre, x0, y0 = 1, True, left, top
                     one = ((i if beyond * side > 0.0 else j), (j if beyond * side > 0.0 else o), k)
-            elif counts[0, SPENT] > most and (right - left + 1) * (bottom - top + 1) > LARGE_PX:
-                counts[0, CROWDED] += 2
-                continue
+            elif (right - left + 1) * (bottom - top + 1) > on.LARGE_PX:
+                if t > np.uint64(0):  # those on the desk go first: they may crowd this one out
+                    break
+                if counts[0, on.SPENT] > on.LAYERS * rows * cols:
+                    counts[0, on.CROWDED] += 2
+                    turn += 1
+                    continue
         for part in range(n):
             i, j, k = one if part == 0 else two
-            xa, ya, xb, yb, xc, yc = u[i] - x0, v[i] - y0, u[j] - x0, v[j] - y0, u[k] - x0, v[k] - y0
-            area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
-            left, right, top, bottom = 0, 0, 0, 0
+            left, right, top, bottom = x0, x0, y0, y0
             if not centre:
                 left, right = _between(across, i, j, k, k)
                 top, bottom = _between(down, i, j, k, k)
-            left, right = max(left, -x0), min(right, cols - 1 - x0)
-            top, bottom = max(top, -y0), min(bottom, rows - 1 - y0)
-            if area == 0.0 or left > right or top > bottom:
+            left, right = max(left, 0), min(right, cols - 1)
+            top, bottom = max(top, 0), min(bottom, rows - 1)
+            if left > right or top > bottom:
                 continue
-            scale = 1.0 / area
-            large, fate = (right - left + 1) * (bottom - top + 1) > LARGE_PX, -1
-            if large:
-                fate = CROWDED if counts[rim, SPENT] > most else _fate(flat, extra, i, j, k, limits)
-                counts[rim, fate] += 1
-                if fate < GRAZING:
-                    continue
-            for y in range(top, bottom + 1):
-                begin, end = left, right
-                if large:
-                    wa = ((xb - left) * (yc - y) - (xc - left) * (yb - y)) * scale
-                    wb = ((xc - left) * (ya - y) - (xa - left) * (yc - y)) * scale
-                    slopes = ((yb - yc) * scale, (yc - ya) * scale, (ya - yb) * scale)
-                    begin, end = _columns((wa, wb, 1.0 - wa - wb), slopes, left, right)
-                    counts[rim, SPENT] += max(end - begin + 1, 0) + 1
-                for x in range(begin, end + 1):
-                    wa = ((xb - x) * (yc - y) - (xc - x) * (yb - y)) * scale
-                    wb = ((xc - x) * (ya - y) - (xa - x) * (yc - y)) * scale
-                    wc = 1.0 - wa - wb
-                    if wa < -SLACK or wb < -SLACK or wc < -SLACK:
-                        continue
-                    if fate < 0:
-                        fate = _fate(flat, extra, i, j, k, limits)
-                        counts[rim, fate] += 1
-                    near, p = wa * w[i] + wb * w[j] + wc * w[k], np.uint64((y + y0) * cols + x + x0)
-                    if fate == GRAZING:
-                        veil[p] = max(veil[p], near)
-                    elif fate > GRAZING and near > inverse_z[p]:
-                        inverse_z[p] = near
-                        # The corner with the largest weight is the nearest one on screen.
-                        largest, won = (wb, j) if wb > wa else (wa, i)
-                        won = k if wc > largest else won
-                        source[p] = won if won < n_points else origin[won - n_points]
+            to = t
+            for corner_at in (i, j, k):
+                h = np.uint64(corner_at)
+                desk[to + on.AX], desk[to + on.AY], desk[to + on.AZ] = _place_of(flat, extra, h, n_points)
+                desk[to + on.AU], desk[to + on.AV], desk[to + on.AW] = u[h], v[h], w[h]
+                desk[to + on.A_POINT] = start + (h if h < n_points else np.uint64(extra[FOUR * (h - n_points) + THREE]))
+                to += on.BX
+            desk[t + on.LEFT], desk[t + on.RIGHT], desk[t + on.TOP], desk[t + on.BOTTOM] = left, right, top, bottom
+            desk[t + on.FROM_X], desk[t + on.FROM_Y], desk[t + on.RIM] = x0, y0, rim
+            t += ONE
+        turn += 1
+    return turn, t
 
 
 @kernel(error_model="numpy")
@@ -148,98 +197,59 @@ def _three(a, b, c, d):
 
 
 @kernel(error_model="numpy")
-def _fate(flat, extra, i, j, k, limits):
-    """JUMP, GRAZING, FLIPPED or KEPT, by the edges and by the angle between normal and line of sight."""
-    longest_sq, least_cos = limits
-    x, y, z = _place_of(flat, extra, i)
-    bx, by, bz = _place_of(flat, extra, j)
-    cx, cy, cz = _place_of(flat, extra, k)
-    bx, by, bz, cx, cy, cz = bx - x, by - y, bz - z, cx - x, cy - y, cz - z
-    dx, dy, dz = cx - bx, cy - by, cz - bz
-    if not (
-        bx * bx + by * by + bz * bz <= longest_sq
-        and cx * cx + cy * cy + cz * cz <= longest_sq
-        and dx * dx + dy * dy + dz * dz <= longest_sq
-    ):
-        return JUMP
-    nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
-    mx, my, mz = x + (bx + cx) / 3.0, y + (by + cy) / 3.0, z + (bz + cz) / 3.0
-    along = nx * mx + ny * my + nz * mz
-    limit_sq = least_cos * least_cos * (nx * nx + ny * ny + nz * nz) * (mx * mx + my * my + mz * mz)
-    if not (along * along >= limit_sq and along != 0.0):
-        return GRAZING
-    return KEPT if along > 0.0 else FLIPPED
-
-
-@kernel(error_model="numpy")
-def _place_of(flat, extra, i):
+def _place_of(flat, extra, i, n_points):
     """x, y, z of a corner: of a point, or of the room beyond them."""
-    i = np.int64(3 * i)
-    if i < flat.shape[0]:
-        return np.float64(flat[i]), np.float64(flat[i + 1]), np.float64(flat[i + 2])
-    i -= flat.shape[0]
-    return extra[i], extra[i + 1], extra[i + 2]
+    if i < n_points:
+        return np.float64(flat[THREE * i]), np.float64(flat[THREE * i + ONE]), np.float64(flat[THREE * i + TWO])
+    i -= n_points
+    return extra[FOUR * i], extra[FOUR * i + ONE], extra[FOUR * i + TWO]
 
 
 @kernel(error_model="numpy")
-def _columns(weights, slopes, first, last):
-    """The columns of a row in which no weight is negative, to a pixel more on either side.
+def _extend(g, there, at, width, flat, extra, screen, between_px, lens, longest_sq):
+    """Lay down what a quad's rim hangs on: the corners half a step beyond those of the quad, and itself where none is.
 
-    `weights` are those at column `first`, `slopes` what they gain per column.
+    Which there are is told in RIMS. Arrays come one by one: a tuple of them is taken apart with a count of who holds
+    each, which takes longer than all of this.
     """
-    low, high = 0.0, np.float64(last - first)
-    for k in range(3):
-        if slopes[k] != 0.0:
-            zero = -weights[k] / slopes[k]
-            if slopes[k] > 0.0 and zero - 1.0 > low:
-                low = zero - 1.0
-            elif slopes[k] < 0.0 and zero + 1.0 < high:
-                high = zero + 1.0
-    if not low <= high:
-        return first, first - 1
-    return first + np.int64(low), first + np.int64(np.ceil(high))
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def _rim(g, at, width, corners, lens, longest_sq):
-    """How many triangles (one or two) a quad is worth that lacks corners, and these; three have had theirs already."""
-    turn = (g, g + 1, g + width + 1, g + width)  # round the quad
-    n, one, two = 0, (NONE, NONE, NONE), (NONE, NONE, NONE)
-    for first in range(4):
-        if at[turn[first]] == NONE or at[turn[(first + 3) & 3]] != NONE:
-            continue
-        last = first  # of the corners in a run
-        while at[turn[(last + 1) & 3]] != NONE:
-            last = (last + 1) & 3
-        start, end = at[turn[first]], at[turn[last]]
-        inner = at[2 * turn[first] - turn[(first + 3) & 3]]
-        back = _beyond(start, inner, corners, lens, longest_sq, first)
-        inner = at[2 * turn[last] - turn[(last + 1) & 3]]
-        onward = _beyond(end, inner, corners, lens, longest_sq, 4 + last)
-        if first != last:
-            one, two, n = (start, end, onward), (start, onward, back), 2
-        elif n == 0:
-            one, n = (start, onward, back), 1
-        else:
-            two, n = (start, onward, back), 2
-    return n, one, two
+    fx, fy, cx, cy, rows, cols, behind = lens
+    n_points = screen.shape[1] - RIM_ROOM
+    for listed in range(7, 11):
+        to = RIMS[there, listed] - 4
+        if to < 0:
+            break
+        k, onward = to & 3, to >> 2
+        here, missing = _round(g, width, k), _round(g, width, k + 2 * onward - 1)
+        i, j, spare = np.uint64(at[here]), at[np.uint64(2) * here - missing], np.uint64(n_points + to)
+        x, y, z = np.float64(flat[THREE * i]), np.float64(flat[THREE * i + ONE]), np.float64(flat[THREE * i + TWO])
+        if j != NONE and flat[THREE * j + TWO] > behind:
+            dx, dy, dz = x - flat[THREE * j], y - flat[THREE * j + ONE], z - flat[THREE * j + TWO]
+            if dx * dx + dy * dy + dz * dz <= longest_sq and z + 0.5 * dz > behind:
+                x, y, z = x + 0.5 * dx, y + 0.5 * dy, z + 0.5 * dz
+        near = 1.0 / z
+        extra[4 * to], extra[4 * to + 1], extra[4 * to + 2], extra[4 * to + 3] = x, y, z, i
+        u, v = fx * x * near + cx, fy * y * near + cy
+        screen[0, spare], screen[1, spare], screen[2, spare] = u, v, near
+        between_px[0, spare], between_px[1, spare] = between(u, cols), between(v, rows)
 
 
 @kernel(error_model="numpy")
-def _beyond(here, inner, corners, lens, longest_sq, to):
-    """The corner half a step beyond `here`, coming from the `inner` one, put at `to`; `here`, if there is none."""
-    fx, fy, cx, cy, rows, cols, behind = lens
-    flat, extra, u, v, w, across, down, origin = corners
-    if inner == NONE or not flat[3 * inner + 2] > behind:
-        return here
-    i, j = 3 * here, 3 * inner
-    x, y, z = np.float64(flat[i]), np.float64(flat[i + 1]), np.float64(flat[i + 2])
-    dx, dy, dz = x - flat[j], y - flat[j + 1], z - flat[j + 2]
-    x, y, z = x + 0.5 * dx, y + 0.5 * dy, z + 0.5 * dz
-    if not (dx * dx + dy * dy + dz * dz <= longest_sq and z > behind):
-        return here
-    spare, near = u.shape[0] - RIM_ROOM + to, 1.0 / z
-    extra[3 * to], extra[3 * to + 1], extra[3 * to + 2] = x, y, z
-    u[spare], v[spare], w[spare] = fx * x * near + cx, fy * y * near + cy, near
-    across[spare], down[spare], origin[to] = between(u[spare], cols), between(v[spare], rows), here
-    return np.uint32(spare)
+def _round(g, width, k):
+    """The k-th corner round a quad, from its upper left to the right, and on; -1 and 4 are the last and the first."""
+    return np.uint64(g + (((k ^ (k >> 1)) & 1) + ((k >> 1) & 1) * width))
+
+
+@kernel(error_model="numpy")
+def _three_of(rims, there, first, g, at, width, n_points):
+    """The corners of a triangle of a rim."""
+    i, j, k = rims[there, first], rims[there, first + 1], rims[there, first + 2]
+    return (
+        _corner(i, g, at, width, n_points),
+        _corner(j, g, at, width, n_points),
+        _corner(k, g, at, width, n_points),
+    )
+
+
+@kernel(error_model="numpy")
+def _corner(k, g, at, width, n_points):
+    return at[_round(g, width, k)] if k < 4 else np.uint32(n_points + np.uint64(k - 4))

@@ -14,6 +14,7 @@ from pipeline.geometry.camera import Camera
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import sensor
 from pipeline.stages.adapt.stage import AdaptParams, adapt
+from pipeline.stages.project import drawing
 from pipeline.stages.project.stage import PaperParams, ProjectParams, project, without_contact
 from pipeline.values.results import Cloud
 from tests.pipeline.stages.test_adapt import depth_map
@@ -150,6 +151,20 @@ def test_shuffled_points_give_the_same_surface():
     assert one.depth_mm.tobytes() == two.depth_mm.tobytes()
     seen = one.source_index >= 0
     np.testing.assert_array_equal(order[two.source_index[seen]], one.source_index[seen])
+
+
+@pytest.mark.parametrize("stride", [1, 3])
+def test_what_is_laid_out_in_strips_is_drawn_as_if_at_once(monkeypatch, stride):
+    cloud, target = sphere_cloud(30.0, stride=stride), target_sensor()
+    holed = np.random.default_rng(0).random(len(cloud.points_mm)) < 0.9  # rims and lonely points in every strip
+    cloud = replace(cloud, points_mm=cloud.points_mm[holed], source_index=cloud.source_index[holed])
+    views = []
+    for cells in (1, 1 << 20):
+        monkeypatch.setattr(drawing, "_STRIP", cells)
+        views.append(project(cloud, target, SURFACE))
+    for name in ("depth_mm", "contact", "source_index", "pixel_of_point"):
+        np.testing.assert_array_equal(getattr(views[0], name), getattr(views[1], name))
+    assert views[0].notes == views[1].notes
 
 
 def test_pixels_are_half_open_squares():
