@@ -27,13 +27,19 @@ _FEWEST_PX = 20  # of a contact that a sphere is fitted to
 
 
 def reader(method: str = "physics") -> Reader:
-    """What fills the slot *depth* by this method, without a calibration: the sensor's description is all it is told."""
+    """What fills the slot *depth* by this method, without a calibration: the sensor's description is all it is told.
+
+    "network=FILE" gives weights in place of those that come along.
+    """
+    method, _, file = method.partition("=")
     found = next((m for m in SLOT.methods if m.name == method), None)
     if found is None:
         raise SettingProblem(f"no depth method {method!r}; there are {', '.join(m.name for m in SLOT.methods)}")
 
     def read(frame: TactileFrame, source: SensorSpec) -> DepthMap:
-        given = {"frame": frame, "source": source}
+        given: dict[str, object] = {"frame": frame, "source": source}
+        if found.weights is not None:
+            given[found.weights_name] = found.weights(source, source, Path(file) if file else None)
         answer = found.run(*(given.get(name) for name in found.reads), found.params(), SILENT)
         return answer.output if isinstance(answer, Skipped) else answer
 

@@ -37,12 +37,12 @@ def colour_change(sensor: SensorSpec, gx: NDArray[np.floating], gy: NDArray[np.f
     """
     from pipeline.physics.optics_kernels import lambert_change
 
-    optics_of(sensor)
+    optics = optics_of(sensor)
     if gx.shape != sensor.camera.shape or gy.shape != gx.shape:
         raise ShapeError(f"slopes must have the shape {sensor.camera.shape} of {sensor.name}, got {gx.shape}")
     rows, cols = gx.shape
-    out, (_, _, leds, strength, vignette) = np.empty((rows, 3 * cols), np.float32), _scene(sensor)
-    lambert_change(_single(gx), _single(gy), leds, strength, vignette, _scratch(cols)[1][0], out)
+    out, lamps = np.empty((rows, 3 * cols), np.float32), _lamps(optics, sensor.camera)
+    lambert_change(_single(gx), _single(gy), *lamps, np.float32(optics.vignette), _scratch(cols)[1][0], out)
     return freeze(out.reshape(rows, cols, 3))
 
 
@@ -181,7 +181,7 @@ def shade(light: Floats, sensor: SensorSpec, height_mm: Floats) -> None:
 
     optics = optics_of(sensor)
     drop = np.float32(sensor.pixel_mm * math.tan(math.radians(optics.shadow_deg)))
-    leds = _scene(sensor)[2][: len(optics.leds)]
+    leds = _lamps(optics, sensor.camera)[0][: len(optics.leds)]
     all_leds = np.maximum(leds[:, 3:].sum(axis=0), 1e-6)
     height_mm, turned = _single(height_mm), _single(height_mm.T)
     cover_turned = np.empty_like(turned)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pipeline.engine.graph import Method, unless
-from pipeline.stages.depth import depth_anything, stage
+from pipeline.stages.depth import depth_anything, network, stage
 from pipeline.stages.learned import learned
 from pipeline.stages.readings import reading
 
@@ -17,8 +17,16 @@ PHYSICS = Method(
     reads=("frame", "source", "calibration"),
     version=3,
 )
-
-
+NETWORK = Method(
+    slot="depth",
+    name="network",
+    title="Network",
+    help="a compact network that has learned from simulated presses on random units; needs no calibration",
+    run=learned(network.depth, instead=PHYSICS),
+    params=network.NetworkParams,
+    reads=(*PHYSICS.reads, "depth_weights"),
+    weights=network.weights,
+)
 DEPTH_ANYTHING = Method(
     slot="depth",
     name="depth_anything",
@@ -31,4 +39,6 @@ DEPTH_ANYTHING = Method(
 )
 
 
-SLOT = reading(name="depth", title="Depth", legend="membrane", place="source", methods=(PHYSICS, DEPTH_ANYTHING))
+SLOT = reading(
+    name="depth", title="Depth", legend="membrane", place="source", methods=(PHYSICS, NETWORK, DEPTH_ANYTHING)
+)

@@ -66,7 +66,7 @@ def depth(
     where it brings one. Raises ShapeError for a frame that cannot be read, CalibrationError for one of another sensor.
     """
     progress.step(0.0, "comparing with the untouched frame")
-    _check(frame, source)
+    checked(frame, source)
     seen_by = source if frame.camera is None else source.seen_through(frame.camera)
     if frame.is_depth:
         return bubble_depth.depth(
@@ -117,7 +117,8 @@ def untouched(
     return _at_rest(frame, seen_by)
 
 
-def _check(frame: TactileFrame, source: SensorSpec) -> None:
+def checked(frame: TactileFrame, source: SensorSpec) -> None:
+    """Raise ShapeError for a frame that no method can read."""
     where = f"frame {frame.index} of {frame.sensor or source.name}"
     image, reference = frame.image, frame.reference
     if reference is None:

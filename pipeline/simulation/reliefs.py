@@ -1,0 +1,204 @@
+"""Random things as height fields: what a network is trained on, made on the lattice itself, without a mesh.
+
+Balls of every size, flat faces from a fifth of the view to more than all of it, edges, rods, cones, ridges, threads and
+woven or rough textures, alone, tilted, in unions and several at once. A relief (n, n) tells how far, in lattice steps,
+a thing's underside is above its lowest point; lengths are steps, so that the same relief is a small thing near by or a
+large one far off.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from pipeline.base.arrays import Floats
+
+_NOWHERE = np.float32(1e6)  # above everything: the thing is not there
+_WALL = 8.0  # steps up per step out, beyond a rounded edge
+
+_Draw = Callable[[np.random.Generator, Floats, Floats, float], Floats]
+
+
+def relief(rng: np.random.Generator, n: int, view: float) -> Floats:
+    """A random thing (n, n) float32, its lowest point 0; `view` is the length, in steps, that a camera sees of it."""
+    x, y = _plane(n)
+    height = _solid(rng, x, y, view)
+    for _ in range(int(rng.choice((0, 1, 2, 4), p=(0.55, 0.22, 0.15, 0.08)))):  # unions, and several at once
+        more = _solid(rng, x, y, view) + np.float32(rng.choice((0.0, rng.exponential(2.0))))
+        height = np.minimum(height, more)
+    if rng.random() < 0.25:
+        height = height + _rough(rng, n)
+    return np.asarray(height - height.min(), np.float32)
+
+
+def _plane(n: int) -> tuple[Floats, Floats]:
+    along = (np.arange(n, dtype=np.float32) - np.float32(0.5 * (n - 1)))[None, :]
+    return np.broadcast_to(along, (n, n)), np.broadcast_to(along.T, (n, n))
+
+
+def _solid(rng: np.random.Generator, x: Floats, y: Floats, view: float) -> Floats:
+    """One thing somewhere in the view, turned and leaning a little."""
+    angle, reach = rng.uniform(0.0, 2.0 * math.pi), 0.42 * view
+    dx, dy = (rng.normal(0.0, 0.4) * reach for _ in range(2))
+    cos, sin = np.float32(math.cos(angle)), np.float32(math.sin(angle))
+    across, along = (x - dx) * cos + (y - dy) * sin, (y - dy) * cos - (x - dx) * sin
+    make = _MAKERS[int(rng.choice(len(_MAKERS), p=_SHARES))]
+    height = make(rng, np.asarray(across, np.float32), np.asarray(along, np.float32), view)
+    if make in _LEANING and rng.random() < 0.6:
+        lean = rng.normal(0.0, 0.02, 2)
+        height = height + np.float32(lean[0]) * across + np.float32(lean[1]) * along
+    return np.asarray(height - height.min(), np.float32)
+
+
+def _log(rng: np.random.Generator, low: float, high: float) -> float:
+    return math.exp(rng.uniform(math.log(low), math.log(high)))
+
+
+def _ball(rng: np.random.Generator, x: Floats, y: Floats, view: float) -> Floats:
+    return _cap(np.hypot(x, y), _log(rng, 0.06 * view, 0.8 * view))
+
+
+def _egg(rng: np.random.Generator, x: Floats, y: Floats, view: float) -> Floats:
+    radius, longer = _log(rng, 0.06 * view, 0.5 * view), _log(rng, 1.0, 6.0)
+    return _cap(np.hypot(x, y / np.float32(longer)), radius)
+
+
+def _rod(rng: np.random.Generator, x: Floats, y: Floats, view: float) -> Floats:
+    radius, half = _log(rng, 0.03 * view, 0.5 * view), _log(rng, 0.1 * view, 2.0 * view)
+    beyond = np.maximum(np.abs(y) - half, 0.0)
+    return _cap(np.abs(x), radius) + _outside(beyond, 0.3 * radius)
+
+
+def _face(rng: np.random.Generator, x: Floats, y: Floats, view: float) -> Floats:
+    """A flat face: a box, a disc, a polygon or a blob, its edge sharp or rounded."""
+    half, kind = 0.5 * _log(rng, 0.12 * view, 1.3 * view), rng.integers(4)
+    if kind == 0:
+        across = half * _log(rng, 0.25, 1.0)
+        qx, qy = np.abs(x) - half, np.abs(y) - across
+        off = np.hypot(np.maximum(qx, 0), np.maximum(qy, 0)) + np.minimum(np.maximum(qx, qy), 0)
+    elif kind == 1:
+        off = np.hypot(x, y) - half
+    else:
+        off = _polygon(rng, x, y, half) if kind == 2 else _blob(rng, x, y, half)
+    return _outside(np.asarray(off, np.float32), min(_log(rng, 0.5, 0.12 * view), 0.8 * half))
+
+
+def _polygon(rng: np.random.Generator, x: Floats, y: Floats, half: float) -> Floats:
+    corners = int(rng.integers(3, 9))
+    off = np.full(x.shape, -np.inf, np.float32)
+    for side in range(corners):
+        angle = 2.0 * math.pi * (side + 0.5 * rng.uniform(-0.5, 0.5)) / corners
+        off = np.maximum(off, np.float32(math.cos(angle)) * x + np.float32(math.sin(angle)) * y - half)
+    return off
+
+
+def _blob(rng: np.random.Generator, x: Floats, y: Floats, half: float) -> Floats:
+    angle, radius = np.arctan2(y, x), np.full(x.shape, half, np.float32)
+    for wave in range(2, 6):
+        radius += np.float32(half * rng.normal(0.0, 0.25) / wave) * np.cos(wave * angle + rng.uniform(0.0, 6.3))
+    return np.asarray((np.hypot(x, y) - radius) * 0.8, np.float32)
+
+
+def _edge(rng: np.random.Generator, x: Floats, y: Floats, view: float) -> Floats:
+    """A roof's edge, straight or bent to an arc, with a rounded crest."""
+    steep, round_ = math.tan(math.radians(rng.uniform(12.0, 75.0))), _log(rng, 0.4, 6.0)
+    if rng.random() < 0.35:
+        bend = _log(rng, 0.12 * view, 1.5 * view)
+        x = np.hypot(x - np.float32(bend), y) - np.float32(bend)
+    half = _log(rng, 0.1 * view, 2.0 * view)
+    crest = np.hypot(steep * x, round_) - round_
+    return np.asarray(crest + _outside(np.maximum(np.abs(y) - half, 0.0), round_), np.float32)
+
+
+def _ridge(rng: np.random.Generator, x: Floats, y: Floats, view: float) -> Floats:
+    """Strokes of one width: straight, rings, zigzags."""
+    half, kind = 0.5 * _log(rng, 0.025 * view, 0.16 * view), rng.integers(3)
+    if kind == 0:
+        off = np.abs(np.hypot(x, y) - np.float32(_log(rng, 0.08 * view, 0.45 * view)))
+    elif kind == 1:
+        off = np.full(x.shape, np.inf, np.float32)
+        for _ in range(int(rng.integers(1, 5))):
+            angle, long = rng.uniform(0.0, 2.0 * math.pi), _log(rng, 0.1 * view, 1.2 * view)
+            along = np.clip(x * math.cos(angle) + y * math.sin(angle), 0.0, long)
+            off = np.minimum(off, np.hypot(x - along * math.cos(angle), y - along * math.sin(angle)))
+    else:
+        wave = _log(rng, 0.1 * view, 0.6 * view)
+        off = np.abs(x - np.float32(0.25 * wave) * np.sin(y * np.float32(2.0 * math.pi / wave))) * 0.7
+    return _outside(np.asarray(off - half, np.float32), half * rng.uniform(0.2, 1.0))
+
+
+def _cone(rng: np.random.Generator, x: Floats, y: Floats, view: float) -> Floats:
+    """A tip: round, or the corner of something with three to six sides; perhaps cut flat."""
+    steep, sides = math.tan(math.radians(rng.uniform(15.0, 65.0))), int(rng.integers(2, 7))
+    away = np.hypot(x, y)
+    if sides > 2:
+        turn = 2.0 * math.pi / sides
+        angle = np.remainder(np.arctan2(y, x), turn) - 0.5 * turn
+        away = away * np.cos(angle)
+    cut = _log(rng, 0.5, 0.1 * view)
+    return np.asarray(np.hypot(steep * np.maximum(away - 0.5 * cut, 0.0), 1.0) - 1.0, np.float32)
+
+
+def _threads(rng: np.random.Generator, x: Floats, y: Floats, view: float) -> Floats:
+    """Ridges beside each other, on a level body or around a rod."""
+    pitch = _log(rng, 0.035 * view, 0.25 * view)
+    high = pitch * rng.uniform(0.1, 0.6)
+    lean = rng.uniform(-0.2, 0.2)
+    phase = (y + np.float32(lean) * x) * np.float32(2.0 * math.pi / pitch) + rng.uniform(0.0, 6.3)
+    profile = (
+        np.cos(phase) if rng.random() < 0.5 else 4.0 * np.abs(np.remainder(phase / (2 * math.pi), 1.0) - 0.5) - 1.0
+    )
+    body = _rod(rng, x, y, view) if rng.random() < 0.5 else _face(rng, x, y, view)
+    return np.asarray(body + np.float32(0.5 * high) * (1.0 - profile), np.float32)
+
+
+def _bubbles(rng: np.random.Generator, x: Floats, y: Floats, view: float) -> Floats:
+    """A lattice of caps, as on bubble wrap, studs or woven cloth."""
+    pitch = _log(rng, 0.05 * view, 0.35 * view)
+    row = np.floor(y / pitch + 0.5)
+    shifted = x + np.float32(0.5 * pitch) * np.remainder(row, 2.0)
+    near = np.remainder(shifted + 0.5 * pitch, pitch) - 0.5 * pitch
+    away = np.hypot(near, y - row * pitch)
+    cap = _cap(away, pitch * rng.uniform(0.35, 1.5))
+    return np.asarray(np.minimum(cap, 0.6 * pitch) + 0.3 * _egg(rng, x, y, 2.0 * view), np.float32)
+
+
+def _soft(rng: np.random.Generator, x: Floats, y: Floats, view: float) -> Floats:
+    """A lump without an edge anywhere."""
+    lump = _noise(rng, x.shape[0], _log(rng, 0.06 * view, 0.4 * view)) * np.float32(_log(rng, 1.0, 0.12 * view))
+    return lump + _cap(np.hypot(x, y), _log(rng, 0.4 * view, 3.0 * view))
+
+
+def _rough(rng: np.random.Generator, n: int) -> Floats:
+    """Grain of a surface: cloth, leather, print."""
+    return _noise(rng, n, _log(rng, 1.2, 6.0)) * np.float32(_log(rng, 0.08, 1.5))
+
+
+def _noise(rng: np.random.Generator, n: int, grain: float) -> Floats:
+    import cv2
+
+    coarse = max(8, math.ceil(n / max(grain, 1.0)) + 4)
+    small = rng.normal(0.0, 1.0, (coarse, coarse)).astype(np.float32)
+    return np.asarray(
+        cv2.resize(cv2.GaussianBlur(small, (0, 0), 0.8), (n, n), interpolation=cv2.INTER_CUBIC), np.float32
+    )
+
+
+def _cap(away: Floats, radius: float) -> Floats:
+    """Underside of a ball `away` from its lowest point."""
+    inside = np.maximum(np.float32(radius * radius) - away * away, 0.0)
+    return np.asarray(np.where(away < radius, radius - np.sqrt(inside), radius + _WALL * (away - radius)), np.float32)
+
+
+def _outside(off: Floats, rounding: float) -> Floats:
+    """0 inside a shape, up a quarter circle toward its edge, and a wall beyond; `off` is the distance from it."""
+    into = np.clip(off + rounding, 0.0, rounding)
+    fillet = rounding - np.sqrt(np.maximum(rounding * rounding - into * into, 0.0))
+    return np.asarray(np.minimum(fillet + _WALL * np.maximum(off, 0.0), _NOWHERE), np.float32)
+
+
+_MAKERS: tuple[_Draw, ...] = (_ball, _egg, _rod, _face, _edge, _ridge, _cone, _threads, _bubbles, _soft)
+_SHARES = (0.22, 0.08, 0.08, 0.22, 0.09, 0.11, 0.06, 0.06, 0.04, 0.04)
+_LEANING: tuple[_Draw, ...] = (_face, _edge, _rod, _ridge, _threads)

@@ -1,0 +1,38 @@
+"""Depth by network: which one reads a sensor, and where its weights come from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pipeline.base.progress import SILENT, Progress
+from pipeline.calibration.lookup import Calibration
+from pipeline.networks import shelf
+from pipeline.networks.weights import NoWeights, Weights
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.depth import gel_network
+from pipeline.stages.depth.gel_network import NetworkParams
+from pipeline.values.frames import TactileFrame
+from pipeline.values.results import DepthMap
+
+if TYPE_CHECKING:
+    from torch import nn
+
+
+def weights(source: SensorSpec, _target: SensorSpec, file: Path | None) -> Weights | NoWeights:
+    """The weights that read this source: one network for all gels."""
+    if source.kind == "gel":
+        return shelf.for_task("gel_depth", "gel_depth", file)
+    return NoWeights(why="no network reads a bubble")
+
+
+def depth(
+    frame: TactileFrame,
+    source: SensorSpec,
+    calibration: Calibration | None,
+    network: nn.Module,
+    params: NetworkParams,
+    progress: Progress = SILENT,
+) -> DepthMap:
+    """Indentation, depth and contact of a frame as a network reads it; raises ShapeError for what is no frame."""
+    return gel_network.depth(frame, source, calibration, network, params, progress)

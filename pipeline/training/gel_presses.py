@@ -1,0 +1,95 @@
+"""Presses of random things on gels of random thickness, and how one press becomes many.
+
+Solving a contact takes tens of milliseconds, so that a worker keeps its presses. Each is seen anew every time it is
+drawn: turned, moved, mirrored, nearer or farther, and deeper or shallower. All of these are exact: the mechanics know
+no direction and no unit of length, and the surface of a linear layer under a thing that is stretched along its normal
+is stretched alike, its contact the same.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from pipeline.base.arrays import Floats, Mask, freeze
+from pipeline.physics import gel
+from pipeline.sensors.spec import Gel
+from pipeline.simulation.gel_units import COLS, ROWS
+from pipeline.simulation.reliefs import relief
+
+_SIDE = 208  # lattice steps: any turn of a picture fits into it, nearly
+_VIEW = 140.0  # steps of it that a picture sees, more or less
+_THICKNESS = 10.0, 45.0  # steps; the project's gels are 18 to 24 pixels of a small picture thick
+_DEEPEST = 14.0
+_TOLERANCE, _MOST_STEPS = 4e-3, 80
+_MOST_OF_IT = 0.9  # of a picture: what lies beyond its border on all sides cannot be told from nothing
+_KEPT = 4096  # presses a worker remembers, some 200 kB each
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pressed:
+    """A gel's surface (rows, cols), in pixels of this very picture."""
+
+    indentation_px: Floats
+    contact: Mask
+
+
+def drawn(rng: np.random.Generator, pool: tuple[int, int]) -> Pressed:
+    """A press of the pool (its seed, how many there are) as one picture sees it."""
+    while True:
+        seen = _drawn(rng, pool)
+        if seen.contact.mean() < _MOST_OF_IT:
+            return seen
+
+
+def _drawn(rng: np.random.Generator, pool: tuple[int, int]) -> Pressed:
+    seed, count = pool
+    surface, touched = _press(seed, int(rng.integers(count)))
+    deepest = float(surface.max())
+    zoom = math.exp(rng.uniform(math.log(0.8), math.log(1.45)))
+    # Depths from a fiftieth of a millimetre to one and a half, at pixels of an eighth.
+    least, most = 0.18 / (deepest * zoom), min(1.3, _DEEPEST / (deepest * zoom))
+    deeper = math.exp(rng.uniform(math.log(max(least, 0.35)), math.log(max(most, 0.4))))
+    if rng.random() < 0.1:
+        deeper = max(least, 0.03) * math.exp(rng.uniform(0.0, 1.2))
+    view = _view(rng, zoom)
+    return Pressed(
+        indentation_px=_seen(surface, view) * np.float32(zoom * deeper),
+        contact=_seen(touched, view) > np.float32(0.5),
+    )
+
+
+def _view(rng: np.random.Generator, zoom: float) -> Floats:
+    """From a picture's pixels to the lattice's nodes (2, 3): a turn, a zoom, a shift, perhaps a mirror."""
+    angle, mirror = rng.uniform(0.0, 2.0 * math.pi), float(rng.choice((-1.0, 1.0)))
+    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]) / zoom
+    turn[:, 0] *= mirror
+    aside = np.clip(rng.normal(0.0, 0.12, 2), -0.3, 0.3) * (COLS, ROWS)
+    middle = np.array([0.5 * (COLS - 1), 0.5 * (ROWS - 1)]) + aside
+    shift = 0.5 * (_SIDE - 1) - turn @ middle
+    return np.column_stack([turn, shift]).astype(np.float32)
+
+
+def _seen(field: Floats, view: Floats) -> Floats:
+    import cv2
+
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    seen = cv2.warpAffine(field, view, (COLS, ROWS), flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(seen, np.float32)
+
+
+@lru_cache(maxsize=_KEPT)
+def _press(seed: int, number: int) -> tuple[Floats, Floats]:
+    """Indentation in steps and contact (0 or 1) of one press of a pool; one that touches enough to be seen."""
+    rng = np.random.default_rng([seed, number])
+    while True:
+        thickness = math.exp(rng.uniform(math.log(_THICKNESS[0]), math.log(_THICKNESS[1])))
+        layer = Gel(thickness_mm=thickness, youngs_kpa=1.0, poisson=float(rng.uniform(0.45, 0.49)))
+        depth = math.exp(rng.uniform(math.log(2.5), math.log(min(_DEEPEST, 0.55 * thickness))))
+        overlap = np.float32(depth) - relief(rng, _SIDE, _VIEW)
+        found = gel.press(layer, 1.0, overlap, tolerance_mm=_TOLERANCE, max_steps=_MOST_STEPS)
+        if found.converged and np.count_nonzero(found.contact[30:-30, 30:-30]) > 12:
+            return found.indentation_mm, freeze(found.contact.astype(np.float32))

@@ -1,0 +1,54 @@
+"""The surface that a gel's network tells: exact where slopes and rough surface agree, the nearest where they do not."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from pipeline.networks.gel_reading import GelReading, integrated
+
+REACH = 10.0
+
+
+def surface(rows=37, cols=50):
+    y, x = np.mgrid[:rows, :cols].astype(np.float32)
+    return torch.from_numpy(np.exp(-((x - 20) ** 2 + (y - 15) ** 2) / 60.0) + 0.02 * x)[None]
+
+
+def edges(z):
+    """Slopes of pixels whose means over neighbours are the differences of neighbours, for a surface that allows it."""
+    x, y = np.zeros_like(z), np.zeros_like(z)
+    for k in range(1, z.shape[-1]):
+        x[..., k] = 2 * (z[..., k] - z[..., k - 1]) - x[..., k - 1]
+    for k in range(1, z.shape[-2]):
+        y[..., k, :] = 2 * (z[..., k, :] - z[..., k - 1, :]) - y[..., k - 1, :]
+    return torch.from_numpy(x), torch.from_numpy(y)
+
+
+def test_slopes_and_a_rough_surface_that_agree_give_that_surface():
+    z = surface()
+    found = integrated(*edges(z.numpy()), z, REACH)
+    torch.testing.assert_close(found, z, atol=2e-4, rtol=0)
+
+
+def test_slopes_give_the_short_waves_and_the_rough_surface_the_long_ones():
+    z, nothing = surface(), torch.zeros(1, 37, 50)
+    by_slopes = integrated(*edges(z.numpy()), nothing, 1e4)
+    torch.testing.assert_close(by_slopes - by_slopes.mean(), z - z.mean(), atol=2e-3, rtol=0)
+    lifted = integrated(nothing, nothing, nothing + 3.0, REACH)
+    torch.testing.assert_close(lifted, nothing + 3.0, atol=1e-4, rtol=0)
+
+
+def test_the_gradient_of_one_height_reaches_slopes_everywhere():
+    x = torch.zeros(1, 20, 30, requires_grad=True)
+    integrated(x, torch.zeros(1, 20, 30), torch.zeros(1, 20, 30), REACH)[0, 10, 15].backward()
+    assert x.grad is not None
+    assert float(x.grad[0, 10].abs().min()) > 0
+
+
+def test_it_reads_fields_into_one_of_each():
+    network = GelReading(inputs=14, hint=9, first=8, levels=3, widest=16).eval()
+    with torch.inference_mode():
+        reading = network(torch.randn(2, 14, 24, 32))
+    assert {tuple(field.shape) for field in reading} == {(2, 24, 32)}
+    assert all(field.dtype is torch.float32 for field in reading)
