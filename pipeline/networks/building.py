@@ -48,6 +48,8 @@ def network(weights: Weights | NoWeights) -> nn.Module:
 
 
 def _loaded(weights: Weights) -> nn.Module:
+    import torch
+
     made = build(weights.kind, weights.config)
     own: dict[str, Any] = made.state_dict()
     wrong = own.keys() ^ weights.tensors.keys()
@@ -59,6 +61,7 @@ def _loaded(weights: Weights) -> nn.Module:
             f"too many or of another shape, such as {some}"
         )
     fill(made, weights.tensors)
+    made.to(memory_format=torch.channels_last)
     return made.eval().requires_grad_(requires_grad=False)
 
 

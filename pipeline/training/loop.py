@@ -72,6 +72,7 @@ class _Training:
         self._recipe, self._task = run.recipe, run.recipe.settings
         torch.manual_seed(self._recipe.pace.seed)
         self._network = build(str(self._recipe.network["kind"]), _arguments(self._recipe)).to(here.device)
+        self._network.to(memory_format=torch.channels_last)  # a step takes three quarters of the time
         if not now.step:
             self._begin()
         self._average = optimising.averaged(self._network)
@@ -208,10 +209,14 @@ class _Training:
 
 
 def tensors(batch: Example, device: Any) -> dict[str, Any]:
-    """A batch of arrays as tensors on a device."""
+    """A batch of arrays as tensors on a device, pictures with their channels innermost."""
     import torch
 
-    return {name: torch.from_numpy(array).to(device) for name, array in batch.items()}
+    made: dict[str, Any] = {}
+    for name, array in batch.items():
+        tensor = torch.from_numpy(array).to(device)
+        made[name] = tensor.contiguous(memory_format=torch.channels_last) if tensor.ndim == 4 else tensor
+    return made
 
 
 def _arguments(recipe: Recipe) -> dict[str, Any]:
