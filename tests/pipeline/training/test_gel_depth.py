@@ -1,0 +1,128 @@
+"""Examples of gels to learn from, and what a reading of them is judged by."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from pipeline.networks.gel_reading import Reading
+from pipeline.training import gel_presses
+from pipeline.training.gel_depth import GelDepth, _mirrored
+from pipeline.training.gel_loss import loss
+from pipeline.training.recipe import load
+
+TASK = GelDepth(presses=3)
+
+
+def sample(seed, task=TASK):
+    return task.sample(np.random.default_rng(seed))
+
+
+@pytest.fixture(scope="module")
+def examples():
+    return [sample(seed) for seed in range(16)]
+
+
+def test_an_example_depends_on_its_seed_alone(examples):
+    again = sample(2)
+    assert {name: values.shape for name, values in again.items()} == {
+        "fields": (14, 120, 160), "indentation": (120, 160), "contact": (120, 160)
+    }  # fmt: skip
+    assert all(np.array_equal(values, examples[2][name]) for name, values in again.items())
+    assert not np.array_equal(examples[2]["fields"], examples[3]["fields"])
+
+
+def test_contact_is_pushed_in_and_examples_are_finite(examples):
+    touched = [one for one in examples if one["contact"].any()]
+    assert len(touched) > 8
+    for one in examples:
+        assert np.isfinite(one["fields"]).all()
+        assert set(np.unique(one["contact"])) <= {0, 1}
+    for one in touched:
+        inside, outside = one["contact"] > 0, one["contact"] == 0
+        assert one["indentation"][inside].mean() > one["indentation"][outside].mean()
+
+
+def test_untouched_pictures_may_have_changed_but_are_level():
+    one = sample(1, GelDepth(presses=3, untouched=1.0))
+    assert not one["contact"].any()
+    assert not one["indentation"].any()
+    assert np.abs(one["fields"][0:3]).max() > 0
+
+
+def test_what_is_held_out_is_the_same_each_time_and_no_example_of_training():
+    for split in ("unseen_grasps", "unseen_tools"):
+        one, again = TASK.held_out(split, 3), TASK.held_out(split, 3)
+        assert all(np.array_equal(one[name], again[name]) for name in one)
+        assert one["fields"].shape == (14, 120, 160)
+
+
+def test_a_mirror_turns_slopes_and_leaves_the_place(examples):
+    one = next(e for e in examples if e["contact"].any())
+    seen = set()
+    for seed in range(12):
+        mirrored = _mirrored(np.random.default_rng(seed), {k: v.copy() for k, v in one.items()})
+        assert np.array_equal(mirrored["fields"][12:], one["fields"][12:])
+        for flips in ((), (-1,), (-2,), (-2, -1)):
+            if np.array_equal(mirrored["indentation"], np.flip(one["indentation"], flips)):
+                seen.add(flips)
+                for axis, field in ((-1, 9), (-2, 10)):
+                    sign = -1 if axis in flips else 1
+                    assert np.array_equal(mirrored["fields"][field], sign * np.flip(one["fields"][field], flips))
+    assert len(seen) == 4
+
+
+def test_a_press_seen_nearer_is_larger_and_deeper_by_as_much():
+    surface, touched = gel_presses._press(1, 0)
+    areas, depths = [], []
+    for zoom in (1.0, 1.4):
+        view = np.array([[1 / zoom, 0, 103.5 - 79.5 / zoom], [0, 1 / zoom, 103.5 - 59.5 / zoom]], np.float32)
+        areas.append(float((gel_presses._seen(touched, view) > 0.5).sum()))
+        depths.append(float(np.abs(np.gradient(zoom * gel_presses._seen(surface, view))[0]).max()))
+    if areas[0] and touched[30:-30, 30:-30].sum() == touched.sum():
+        assert areas[1] / areas[0] == pytest.approx(1.96, rel=0.15)
+    assert depths[1] == pytest.approx(depths[0], rel=0.2)  # slopes stay what they are
+
+
+def reading(surface, contact, spread=0.1):
+    nothing = torch.zeros_like(surface)
+    return Reading(surface=surface, rough=surface, slope_x=nothing, slope_y=nothing, contact=contact,
+                   log_spread=nothing + float(np.log(spread)))  # fmt: skip
+
+
+def test_the_truth_is_judged_better_than_anything_near_it(examples):
+    batch = [torch.from_numpy(np.stack([e[name] for e in examples])) for name in ("indentation", "contact")]
+    logit = 12.0 * (2.0 * batch[1].float() - 1.0)
+    best, parts = loss(reading(batch[0], logit), *batch)
+    assert float(parts["surface"]) == float(parts["slopes"]) == 0
+    assert float(parts["overlap"]) < 0.01
+    for worse in (reading(1.1 * batch[0], logit), reading(batch[0] + 0.1, logit), reading(batch[0], 0.5 * logit)):
+        assert float(loss(worse, *batch)[0]) > float(best)
+
+
+def test_a_spread_that_is_right_is_judged_better_than_one_twice_or_half_as_wide():
+    truth = torch.zeros(1, 60, 80)
+    noise = torch.distributions.Laplace(0.0, 0.5).sample(truth.shape)
+    told = {s: float(loss(reading(noise, truth - 5, s), truth, truth.to(torch.uint8))[1]["spread"])
+            for s in (0.25, 0.5, 1.0)}  # fmt: skip
+    assert told[0.5] == min(told.values())
+
+
+def test_figures_of_the_truth_are_perfect(examples):
+    class Knows(torch.nn.Module):
+        def forward(self, fields):
+            one = next(e for e in examples if np.array_equal(e["fields"], fields[0].numpy()))
+            contact = torch.from_numpy(one["contact"].astype(np.float32))[None]
+            return reading(torch.from_numpy(one["indentation"])[None], contact - 0.5)
+
+    figures = TASK.figures(Knows(), examples)
+    assert figures["contact IoU"] == 1
+    assert figures["error in contact, um"] == 0
+    assert figures.get("false contacts", 0) == 0
+
+
+def test_the_recipe_that_comes_along_is_one():
+    recipe = load("gel", "depth")
+    assert isinstance(recipe.settings, GelDepth)
+    assert recipe.network["kind"] == "gel_reading"
