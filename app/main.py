@@ -30,20 +30,16 @@ def open_window(request: Request | None, *, frame: int | None = None, tour: Path
     `request` None opens the sample, where there is one. See `app.frame.tour` for what a tour leaves behind.
     """
     prepare_environment()
-    from app.session.state import Session
+    from app.session.state import ASKED, Session
 
     application = make_application()
     first = _first_frame(request) if frame is None else frame
     if request is None:
         session = Session(recording=SAMPLE if SAMPLE.exists() else None, frame=first)
     else:
-        session = Session(
-            recording=request.recording, target=request.target, source=request.source, stream=request.stream,
-            route=request.route, methods=dict(request.methods), reference=request.reference,
-            calibration=request.calibration, mesh=request.mesh, mesh_unit=request.mesh_unit,
-            depth_unit=request.depth_unit, alignment=request.alignment, weights=dict(request.weights),
-            frame=first,
-        )  # fmt: skip
+        asked = {name: getattr(request, name) for name in ASKED}
+        methods, weights = dict(request.methods), dict(request.weights)
+        session = Session(**asked, methods=methods, weights=weights, frame=first)
     instrument = show_window(session)
     code = 0
     if tour is not None:

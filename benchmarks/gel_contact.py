@@ -23,7 +23,7 @@ from benchmarks.races import Bar, race, row
 from pipeline.physics import gel
 from pipeline.racing.races import Answer, Point
 from pipeline.racing.report import show
-from pipeline.sensors.spec import Gel
+from pipeline.sensors.parts import Gel
 
 _OURS, _LAYER = "ours, half-space", "ours, 2 mm bonded layer"
 _SHAPE, _WIDTH_MM = (320, 427), 18.6

@@ -21,14 +21,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.races import Bar, race, row
 from benchmarks.sphere_scene import open3d_splat, scene
-from pipeline.alignment.reprojection import reproject, scaled
 from pipeline.racing.races import Answer, Point, Row
 from pipeline.racing.report import show
+from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.adapt.stage import AdaptParams, adapt
 from pipeline.stages.project.drawing import rasterised
 from pipeline.stages.project.stage import PaperParams, ProjectParams, project
-from pipeline.values.results import Cloud
+from pipeline.values.results import Cloud, DepthMap, TargetView
 
 SURFACE, PAPER = ProjectParams(), PaperParams()
 _SCENES = ((0, 1), (20, 1), (45, 1), (20, 3))  # degrees aside, target resolution
@@ -44,7 +44,7 @@ def answer() -> Answer:
         calls = {
             "surface": lambda c=cloud, t=target: drawn(c, t),
             "surface, whole stage": lambda c=cloud, t=target: project(c, t, SURFACE).depth_mm,
-            "adapt and surface": lambda d=depth_map, a=alignment, t=target: reproject(d, a, t, SURFACE).depth_mm,
+            "adapt and surface": lambda d=depth_map, a=alignment, t=target: reproject(d, a, t).depth_mm,
             "paper": lambda c=cloud, t=target: project(c, t, PAPER).depth_mm,
             "Open3D splat": open3d_splat(cloud, target.camera),
         }
@@ -75,6 +75,11 @@ def answer() -> Answer:
                   notes=tuple(notes))  # fmt: skip
 
 
+def reproject(depth: DepthMap, alignment: Alignment, target: SensorSpec, stride: int = 1) -> TargetView:
+    """Adapt and project in one go."""
+    return project(adapt(depth, alignment, AdaptParams(stride=stride)), target, SURFACE)
+
+
 def drawn(cloud: Cloud, target: SensorSpec) -> np.ndarray:
     """The surface as a depth image (rows, cols)."""
     limits = {"jump_mm": SURFACE.jump_mm, "grazing_deg": SURFACE.grazing_deg}
@@ -85,11 +90,11 @@ def drawn(cloud: Cloud, target: SensorSpec) -> np.ndarray:
 def _preview() -> Row:
     """Adapt and project at a quarter of the resolution, as while an alignment is dragged."""
     depth_map, alignment, target, _ = scene(20, 1)
-    small = scaled(target, 0.25)
+    small = target.seen_through(target.camera.scaled(0.25))
     _, _, _, exact = scene(20, 0.25)
 
     def run() -> np.ndarray:
-        return reproject(depth_map, alignment, small, SURFACE, stride=4).depth_mm
+        return reproject(depth_map, alignment, small, stride=4).depth_mm
 
     depth = run()
     return row("quarter-resolution preview of adapt and project", ours=race({"ours": run})["ours"], unit="mm",

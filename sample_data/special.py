@@ -9,7 +9,8 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles
 from pipeline.geometry import rigid
-from pipeline.sensors.spec import Glow, SensorSpec, sensor
+from pipeline.sensors.parts import Glow
+from pipeline.sensors.spec import SensorSpec, sensor
 from pipeline.simulation import shapes
 from sample_data.writing import Shot, write
 

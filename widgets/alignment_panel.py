@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from PyQt6.QtCore import Qt, QTimer, pyqtSignal
+from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import (
     QFrame,
@@ -22,7 +22,7 @@ from pipeline.alignment.sensitivity import Sensitivity
 from widgets.axis_bars import AxisBars
 from widgets.axis_row import AxisRow
 from widgets.gauge import Gauge, GaugeScale
-from widgets.looks import bold, command_button, icon_button, smaller, spaced
+from widgets.looks import bold, command_button, icon_button, once, smaller, spaced
 from widgets.refine_box import RefineBox
 
 STILL_MS = 350  # without a turn of the wheel or a key, a change made by them is over
@@ -65,10 +65,7 @@ class AlignmentPanel(QScrollArea):
         self.gauges = {"iou": Gauge(_IOU), "edge_px": Gauge(_EDGE), "depth_mm": Gauge(depth_scale(1.0))}
         self.bars, self.refine = AxisBars(), RefineBox()
         self.dragging = False  # whether a handle is being moved
-        self._still = QTimer(self)
-        self._still.setSingleShot(True)
-        self._still.setInterval(STILL_MS)
-        self._still.timeout.connect(self._end)
+        self._still = once(self, STILL_MS, self._end)
         self._origin, self._pivot, self._reason = QLabel(), QLabel(), QLabel()
         self._lay_out()
         for row in self.rows.values():

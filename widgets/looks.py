@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TypeVar
 
+from PyQt6.QtCore import QObject, QTimer
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QLayout, QToolButton, QWidget
 
@@ -31,6 +33,15 @@ def bold(widget: QWidget) -> None:
     font = widget.font()
     font.setBold(True)
     widget.setFont(font)
+
+
+def once(parent: QObject, after_ms: int, then: Callable[[], object]) -> QTimer:
+    """A timer that, each time it is started, calls `then` that much later, counted from its last start."""
+    timer = QTimer(parent)
+    timer.setSingleShot(True)
+    timer.setInterval(after_ms)
+    timer.timeout.connect(then)
+    return timer
 
 
 def command_button(action: QAction) -> QToolButton:

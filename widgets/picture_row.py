@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from PyQt6.QtCore import QEvent, QObject, Qt, QTimer
+from PyQt6.QtCore import QEvent, QObject, Qt
 from PyQt6.QtGui import QResizeEvent
 from PyQt6.QtWidgets import QHBoxLayout, QSplitter, QWidget
 
-from widgets.looks import spaced
+from widgets.looks import once, spaced
 from widgets.stage_column import StageColumn
 
 _LEAST_BELOW = 0.3  # of the height that is left to what stands below
@@ -29,10 +29,7 @@ class PictureRow(QSplitter):
         self.addWidget(above)
         self.addWidget(below)
         self.setChildrenCollapsible(False)
-        self._soon = QTimer(self)
-        self._soon.setSingleShot(True)
-        self._soon.setInterval(0)
-        self._soon.timeout.connect(self.fit)
+        self._soon = once(self, 0, self.fit)
         self.splitterMoved.connect(self._keep)
 
     def fit(self) -> None:

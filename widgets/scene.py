@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from PyQt6.QtCore import Qt, QTimer
+from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QImage, QMouseEvent, QPainter, QPaintEvent, QResizeEvent, QWheelEvent
 from PyQt6.QtWidgets import QSizePolicy
 from vtkmodules.vtkInteractionStyle import vtkInteractorStyleTrackballCamera
@@ -17,6 +17,7 @@ from pipeline.base.arrays import Doubles
 from pipeline.pictures.layers import Layer, Sight
 from widgets.colours import BACKDROP, qcolor
 from widgets.layers import Scene
+from widgets.looks import once
 from widgets.sub_views import SubViews
 
 _TOGETHER_MS = 30  # stages arrive one by one within a few milliseconds: one picture serves them all
@@ -48,10 +49,7 @@ class LiveScene(Scene):
         self._mouse.Initialize()
         self._image: QImage | None = None
         self._finished, self._turned = False, 0
-        self._soon = QTimer(self)
-        self._soon.setSingleShot(True)
-        self._soon.setInterval(_TOGETHER_MS)
-        self._soon.timeout.connect(self._draw)
+        self._soon = once(self, _TOGETHER_MS, self._draw)
 
     def show_layers(self, column: int, layers: Sequence[Layer]) -> None:
         """Show exactly these layers in a sub-view."""

@@ -5,20 +5,21 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from PyQt6.QtCore import QObject, QTimer
+from PyQt6.QtCore import QObject
 
 from app.frame.instrument import Instrument
 from app.frame.logs import log
 from app.session.offsets import Offsets
 from app.session.state import Session
 from app.work import judging
-from app.work.evaluator import Opened
 from app.work.judging import Judged, Previewed
 from app.work.refining import Refining
 from pipeline.alignment.nudge import AXES, Axis
 from pipeline.alignment.score import Score
 from pipeline.base.errors import SettingProblem, TouchError
 from pipeline.sensors.alignment_files import AlignmentFile, save
+from pipeline.translation.translate import Translation
+from widgets.looks import once
 
 _AT_REST_MS = 120  # a frame on screen for less than this is not judged: it is being played or searched through
 _DEPTH_FULL_MM = {"gel": 0.5, "bubble": 2.0}  # where the gauge of depth is full
@@ -38,10 +39,7 @@ class Aligning(QObject):
         self._score: Score | None = None
         self._judging = 0
         self._seen = False
-        self._rest = QTimer(self)
-        self._rest.setSingleShot(True)
-        self._rest.setInterval(_AT_REST_MS)
-        self._rest.timeout.connect(self._judge)
+        self._rest = once(self, _AT_REST_MS, self._judge)
         self._connect()
 
     def _connect(self) -> None:
@@ -80,10 +78,12 @@ class Aligning(QObject):
         try:
             if opened is None:
                 raise SettingProblem("there is no alignment to save; open a recording first")
-            t = opened.translation
-            origin = f"{'opened with' if session.offsets.none else 'moved or refined on'} {t.request.recording.name}"
-            alignment = session.offsets.applied(t.alignment)
-            save(path, AlignmentFile(alignment=alignment, source=t.source.name, target=t.target.name, origin=origin))
+            how = "opened with" if session.offsets.none else "moved or refined on"
+            kept = AlignmentFile(
+                alignment=session.offsets.applied(opened.alignment), source=opened.source.name,
+                target=opened.target.name, origin=f"{how} {opened.request.recording.name}",
+            )  # fmt: skip
+            save(path, kept)
             log.info("alignment saved: '%s'", path)
         except TouchError as error:
             self._instrument.show_problem(error)
@@ -150,7 +150,7 @@ class Aligning(QObject):
             self._judging = 0
 
     def _take(self, ticket: int, part: object) -> None:
-        if isinstance(part, Opened):
+        if isinstance(part, Translation):
             self._judged = self._score = None
             self._panel.show_nothing()
         elif isinstance(part, Previewed) and self._panel.dragging:
@@ -165,7 +165,7 @@ class Aligning(QObject):
         self._judged = judged
         opened = self._instrument.screen.opened
         if opened is not None:
-            target = opened.translation.target
+            target = opened.target
             self._panel.show_ready(target.name, _DEPTH_FULL_MM[target.kind], target.pixel_mm)
         self._panel.show_score(judged.score, judged.reason)
         self._score = judged.score
@@ -185,6 +185,6 @@ class Aligning(QObject):
         here = tuple(float(v) for v in judged.pivot_mm)
         about = offsets.pivot_mm if any(offsets.turn_deg) else here
         elsewhere = max(abs(a - b) for a, b in zip(about, here, strict=True)) > _SAME_PLACE_MM
-        self._panel.show_pivot(about, opened.translation.target.name, elsewhere=elsewhere)
+        self._panel.show_pivot(about, opened.target.name, elsewhere=elsewhere)
         file = self._instrument.session.alignment
         self._panel.show_origin(judged.origin, edited=not offsets.none, from_file=file is not None)

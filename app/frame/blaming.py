@@ -5,9 +5,9 @@ from __future__ import annotations
 from PyQt6.QtCore import QEvent, QObject, QTimer
 
 from app.frame.instrument import Instrument
-from app.work.evaluator import Opened
 from pipeline.evaluation.metrics import METRICS
 from pipeline.translation.blame import FIGURE, Blame
+from pipeline.translation.translate import Translation
 from widgets.waterfall import bars
 
 _AT_REST_MS = 250  # truth in five slots costs several times a frame: not while one is searched for or played
@@ -64,7 +64,7 @@ class Blaming(QObject):
         self._ticket = instrument.ahead(lambda report: evaluator.blamed(session, figure, report))
 
     def _opened(self, _: int, part: object) -> None:
-        if isinstance(part, Opened):
+        if isinstance(part, Translation):
             self._panel.show_nothing("")
 
     def _take(self, ticket: int, found: object) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from PyQt6.QtCore import QSignalBlocker, QTimer, pyqtSignal
+from PyQt6.QtCore import QSignalBlocker, pyqtSignal
 
 from app.frame.logs import LogRelay
 from app.frame.screen import Screen
@@ -12,12 +12,13 @@ from app.frame.tracing import Tracer
 from app.frame.window import Window
 from app.session.documents import Documents
 from app.session.state import DISPLAY, Session
-from app.work.evaluator import Evaluator, FrameShown, Opened, SlotShown, SourceShown, request_of
+from app.work.evaluator import Evaluator, FrameShown, SlotShown, SourceShown, request_of
 from app.work.jobs import LatestJob, Work
 from app.work.stopwatch import Stopwatch
 from app.work.versus import Versus
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
-from pipeline.translation.translate import Request
+from pipeline.translation.translate import Request, Translation
+from widgets.looks import once
 
 _STALE_AFTER_MS = 150  # a picture that is replaced sooner need not say that it is old
 _PATIENCE_MS = 500  # younger work is let through, so that a drag shows something on its way; older work is stopped
@@ -41,11 +42,7 @@ class Instrument(Documents):
         self._closed = self._waits = self._beside = False
         self._open: set[Request | None] = {None}  # what is open, as it was asked for and as it is named since
         self.latest: FrameShown | None = None  # the frame on screen
-        self._stale, self._young = QTimer(self), QTimer(self)
-        for timer, ms in ((self._stale, _STALE_AFTER_MS), (self._young, _PATIENCE_MS)):
-            timer.setSingleShot(True)
-            timer.setInterval(ms)
-        self._stale.timeout.connect(self._mark_stale)
+        self._stale, self._young = once(self, _STALE_AFTER_MS, self._mark_stale), once(self, _PATIENCE_MS, lambda: None)
 
     def choose_frame(self, frame: int) -> None:
         """Go to a frame."""
@@ -151,15 +148,12 @@ class Instrument(Documents):
             return
         self._opening = 0
         with self.watch.timed(type(part).__name__):
-            if isinstance(part, Opened):
-                named = replace(
-                    self.session,
-                    target=part.session.target,
-                    frame=min(self.session.frame, part.translation.n_frames - 1),
-                )
+            if isinstance(part, Translation):
+                frame = min(self.session.frame, part.n_frames - 1)
+                named = replace(self.session, target=part.target.name, frame=frame)
                 self._open = {request_of(self.session), request_of(named)}
                 self.session = named
-                self.screen.show_opened(replace(part, session=self.session))
+                self.screen.show_opened(part, named)
                 self._show_controls()
             elif isinstance(part, SourceShown | SlotShown):
                 self.screen.show_part(part)

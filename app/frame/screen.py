@@ -8,13 +8,14 @@ from app.frame.places import sights
 from app.frame.tracing import Tracer
 from app.frame.window import Window
 from app.session.state import Session
-from app.work.evaluator import FrameShown, Opened, SlotShown, SourceShown
+from app.work.evaluator import FrameShown, SlotShown, SourceShown
 from app.work.versus import Versus
 from pipeline.base.errors import TouchError
 from pipeline.engine.graph import Method
 from pipeline.pictures.layers import Layer
 from pipeline.pictures.picture import Picture
 from pipeline.sensors.spec import SensorSpec
+from pipeline.translation.translate import Translation
 from pipeline.values.results import PoseStep
 from widgets.colours import AXES
 from widgets.layers import Scene
@@ -33,7 +34,7 @@ class Screen:
     def __init__(self, window: Window, tracer: Tracer) -> None:
         self._window, self._tracer = window, tracer
         self.scene = Scene()  # the 3D views
-        self.opened: Opened | None = None  # the recording on screen
+        self.opened: Translation | None = None  # the recording on screen
         self.versus: Versus = ""  # what is shown beside, or in place of, what was worked out
         self._layers: dict[int, tuple[Layer, ...]] = {}
         self._fresh: set[str] = set()
@@ -51,19 +52,18 @@ class Screen:
         """Let go of everything OpenGL."""
         self.scene.finish()
 
-    def show_opened(self, opened: Opened) -> None:
+    def show_opened(self, t: Translation, session: Session) -> None:
         """Another recording, or the same one between other sensors."""
-        old, self.opened = self.opened, opened
-        t, window = opened.translation, self._window
+        (old, self.opened), window = (self.opened, t), self._window
         window.setWindowTitle(f"{t.request.recording.name} · {t.source.title} → {t.target.title} · Tactoscope")
         window.timeline.show_frames(t.n_frames)
-        if old is None or old.translation.stream is not t.stream:
+        if old is None or old.stream is not t.stream:
             window.frames.known.show_frames(t.n_frames)
         window.source.setItemText(0, f"as recorded: {t.source.name}")
         window.leave_out(frozenset(slot.name for slot in t.catalogue.slots) - set(t.slots))
         window.banner.hide()
         self._show_columns()
-        self.look(opened.session)
+        self.look(session)
 
     def show_methods(self, methods: Sequence[Method]) -> None:
         """Which method fills each column."""
@@ -79,7 +79,7 @@ class Screen:
             self._results = {**self._results, name: part.result}
             column.show_state(part.result.state, part.result.ms, part.result.notes)
             self._tracer.show_results(self._results)
-            if self.opened is not None and self.opened.translation.catalogue.slot(name).scrubs:
+            if self.opened is not None and self.opened.catalogue.slot(name).scrubs:
                 self._window.steps.show_steps(part.result.output.steps)
         else:
             self._results = {}  # those of another frame, or of other parameters
@@ -128,7 +128,7 @@ class Screen:
             self._window.frames.known.show_summary(shown.index, shown.summary)
             self._window.frames.show_frame(shown.index)
         if self.opened is not None:
-            slot = self.opened.translation.catalogue.slot
+            slot = self.opened.catalogue.slot
             rows = [
                 TimingRow(title=slot(r.name).title, state=r.state, ms=r.ms, notes=r.notes)
                 for r in shown.results.values()
@@ -171,7 +171,7 @@ class Screen:
         """Set the cameras anew, and say which frame and stretch each 3D view has."""
         if self.opened is None:
             return
-        t, display = self.opened.translation, session.display
+        t, display = self.opened, session.display
         seen = sights(t)
         self.scene.look({self._order.index(name): sight for name, sight in seen.items()}, linked=session.linked)
         radius = 0.04 * min(s.radius_mm for s in seen.values())
@@ -202,7 +202,7 @@ class Screen:
     def _resting_on(self, name: str) -> set[str]:
         """The slots that change with an input."""
         changed = {name}
-        for method in self.opened.translation.methods if self.opened is not None else ():
+        for method in self.opened.methods if self.opened is not None else ():
             if changed.intersection(method.reads):
                 changed.add(method.slot)
         return changed - {name}

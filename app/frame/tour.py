@@ -26,7 +26,7 @@ def give_tour(instrument: Instrument, out: Path, *, show_frame: int | None = Non
     if not wait_until_shown(instrument) or instrument.screen.opened is None:
         print_line(f"the recording could not be shown: {instrument.window.banner.text}")
         return 2
-    translation = instrument.screen.opened.translation
+    translation = instrument.screen.opened
     reports: list[FrameReport] = []
     felt_px: dict[int, int] = {}
     for index in range(translation.n_frames):

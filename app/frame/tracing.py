@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from PyQt6.QtCore import QObject, QTimer, pyqtSignal
+from PyQt6.QtCore import QObject, pyqtSignal
 
 from app.frame.places import dots
 from app.frame.window import Window
@@ -16,6 +16,7 @@ from pipeline.translation import trace
 from pipeline.translation.translate import Translation
 from pipeline.values.frames import TactileFrame
 from widgets.layers import Scene
+from widgets.looks import once
 
 _NOTHING, _NOT_YET = "nothing of the source came to this pixel", "not worked out yet"
 _DOTS_AFTER_MS = 40  # 3D follows the mouse at most this often
@@ -37,10 +38,7 @@ class Tracer(QObject):
         self._radius_mm, self._display = 0.5, DisplayParams()
         self._translation: Translation | None = None
         self._marks: tuple[Mark, ...] = ()
-        self._dots = QTimer(self)
-        self._dots.setSingleShot(True)
-        self._dots.setInterval(_DOTS_AFTER_MS)
-        self._dots.timeout.connect(self._show_dots)
+        self._dots = once(self, _DOTS_AFTER_MS, self._show_dots)
 
     def show_results(self, results: Mapping[str, StageResult], frame: TactileFrame | None = None) -> None:
         """Trace through these from now on, of another `frame` if given; the traced pixel is traced anew."""

@@ -33,6 +33,7 @@ _FORMER_CHOICES = {  # parameters of version 1 that chose what is a method now
 }
 _PATHS = ("recording", "reference", "calibration", "mesh", "alignment")
 _WORDS = ("source", "target", "stream", "route", "mesh_unit")
+ASKED = (*_PATHS, *_WORDS, "depth_unit")  # what a session and a request share
 _FRAMES_OF_OFFSETS = frozenset({"source", "target", "stream", "alignment"})  # another of these is another motion
 
 

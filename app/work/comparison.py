@@ -7,7 +7,6 @@ from functools import cached_property
 
 from pipeline.alignment.felt import Felt, felt, preview_factor
 from pipeline.alignment.nudge import pivot_mm
-from pipeline.alignment.reprojection import reproject, scaled
 from pipeline.alignment.score import Score, preview
 from pipeline.alignment.sensitivity import Sensitivity, sensitivities
 from pipeline.alignment.touches import PairedTouch
@@ -17,8 +16,9 @@ from pipeline.base.progress import Progress
 from pipeline.pictures.picture import outline
 from pipeline.sensors.alignment import Alignment, placed
 from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.adapt.stage import AdaptParams, adapt
 from pipeline.stages.depth.stage import DepthParams, depth, untouched
-from pipeline.stages.project.stage import Projection
+from pipeline.stages.project.stage import Projection, project
 from pipeline.translation.translate import Translation, own_shift_mm
 from pipeline.values.results import DepthMap, TargetView
 
@@ -63,8 +63,8 @@ class Comparison:
         if self.touch is not None and self.coarse is not None:
             return preview(self.touch, alignment, self.coarse, params)[0], self.scored(alignment, params)
         there = placed(alignment, source_shift_mm=self.source_shift_mm, target_shift_mm=0.0)
-        small = scaled(self.target, 1.0 / self.factor) if self.factor > 1 else self.target
-        return reproject(self.source, there, small, params, stride=min(2, self.factor)), None
+        small = self.target.seen_through(self.target.camera.scaled(1.0 / self.factor))
+        return project(adapt(self.source, there, AdaptParams(stride=min(2, self.factor))), small, params), None
 
     def scored(self, alignment: Alignment, params: Projection) -> Score | None:
         """How well the touch agrees at full size."""

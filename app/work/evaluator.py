@@ -5,11 +5,12 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from app.session.state import Session
+from app.session.state import ASKED, Session
 from app.work.comparison import Comparison, comparison_of
 from app.work.jobs import Report
 from app.work.versus import Beside
@@ -27,21 +28,13 @@ from pipeline.stages.slot import Seen
 from pipeline.translation.blame import Blame, blame
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.translate import Request, Translation, open_translation
-from pipeline.values.frames import Recording, TactileFrame
+from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
 from widgets.frames_model import FrameSummary
 
 log = logging.getLogger("tactoscope")
 _ASIDE_BYTES = 32 * 1024 * 1024  # a frame or two: they must not push out what people go back to
 _OUTLINED = "view"  # the slot that is compared with what the target really felt
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Opened:
-    """A recording is open; `session` names what the user had left to it."""
-
-    session: Session
-    translation: Translation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -196,7 +189,7 @@ class Evaluator:
     def close(self) -> None:
         """Let go of the recording's file."""
         if self._translation is not None:
-            self._translation.recording.close()
+            self._translation.close()
             self._translation = None
 
     def _opened(self, session: Session, report: Report) -> Translation:
@@ -208,17 +201,17 @@ class Evaluator:
             request = replace(request, target=_best_target(request))
         translation = open_translation(request, self._catalogue)
         if translation.n_frames == 0:
-            translation.recording.close()
+            translation.close()
             raise FileProblem("the recording holds no frame; choose another", request.recording)
         if self._translation is not None:
-            self._translation.recording.close()
+            self._translation.close()
         self._translation, self._drawn = translation, {}
         self._last = self._truths = None
         named = replace(session, target=translation.target.name, frame=min(session.frame, translation.n_frames - 1))
         self._request = request_of(named)
         for note in translation.notes:
             log.info("%s", note)
-        report.hand_over(Opened(session=named, translation=translation))
+        report.hand_over(translation)
         return translation
 
     def _draw(
@@ -253,14 +246,10 @@ class Evaluator:
 
 
 def request_of(session: Session) -> Request:
-    """What a session asks the pipeline to open."""
-    assert session.recording is not None
-    return Request(
-        recording=session.recording, target=session.target, source=session.source, stream=session.stream,
-        route=session.route, methods=tuple(sorted(session.methods.items())), reference=session.reference,
-        calibration=session.calibration, mesh=session.mesh, mesh_unit=session.mesh_unit, depth_unit=session.depth_unit,
-        alignment=session.alignment, weights=tuple(sorted(session.weights.items())),
-    )  # fmt: skip
+    """What a session, which has a recording, asks the pipeline to open."""
+    asked = {name: getattr(session, name) for name in ASKED}
+    methods, weights = (tuple(sorted(chosen.items())) for chosen in (session.methods, session.weights))
+    return Request(**asked, methods=methods, weights=weights)
 
 
 def depth_params(session: Session) -> DepthParams:
@@ -278,14 +267,13 @@ def _reading(frame: TactileFrame, sensor: SensorSpec) -> tuple[Picture, Layer]:
 
 def _best_target(request: Request) -> str:
     """The other sensor of the same recording, else one that differs from the source."""
-    recording: Recording = open_recording(
-        request.recording, sensor=request.source, reference=request.reference, depth_unit=request.depth_unit
-    )
-    try:
+    with closing(
+        open_recording(
+            request.recording, sensor=request.source, reference=request.reference, depth_unit=request.depth_unit
+        )
+    ) as recording:
         source = recording.stream(request.stream or request.source).sensor
         others = [s.sensor for s in recording.streams if s.sensor not in ("", source)]
-    finally:
-        recording.close()
     if others:
         return others[0]
     return "soft_bubble" if source.startswith("gelslim") else "gelslim"

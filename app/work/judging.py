@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import dataclass, replace
 
 from app.session.offsets import Offsets, of_motion
@@ -86,8 +87,7 @@ def refined(session: Session, report: Report) -> Refined:
     """
     from pipeline.cli.align import split
 
-    translation = open_translation(request_of(session))
-    try:
+    with closing(open_translation(request_of(session))) as translation:
         frames = range(translation.n_frames)
         touches = paired_touches(translation, frames, depth_params(session), progress=report)
         if not touches:
@@ -96,8 +96,6 @@ def refined(session: Session, report: Report) -> Refined:
         used, held = split(touches, HELD_OUT)
         begun = session.offsets.applied(translation.alignment)
         answer = refine(used, begun, held_out=held, progress=report)
-    finally:
-        translation.recording.close()
     about = session.offsets.pivot_mm if any(session.offsets.pivot_mm) else answer.pivot_mm
     return Refined(answer=answer, offsets=of_motion(answer.motion @ session.offsets.motion(), about), begun=session)
 

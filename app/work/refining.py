@@ -73,7 +73,7 @@ class Refining(QObject):
             return
         self.answer = answer
         opened = self._instrument.screen.opened
-        self._box.show_answer(answer.answer, "" if opened is None else opened.translation.target.name)
+        self._box.show_answer(answer.answer, "" if opened is None else opened.target.name)
 
     def _failed(self, ticket: int, error: object) -> None:
         if ticket == self._ticket and isinstance(error, BaseException):

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.alignment.reprojection import scaled
 from pipeline.base.arrays import Floats, Mask, freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.geometry.camera import Camera
@@ -39,7 +38,7 @@ def felt(target: DepthMap, spec: SensorSpec, *, factor: int = 1) -> Felt:
         raise SettingProblem(f"a preview takes every n-th pixel, with n at least 1, got {factor}")
     drawn_into = spec.seen_through(target.camera)
     if factor > 1:
-        drawn_into = scaled(drawn_into, 1.0 / factor)
+        drawn_into = drawn_into.seen_through(drawn_into.camera.scaled(1.0 / factor))
     contact, depth_mm = _shrunk(target, drawn_into.camera)
     edge = edge_of(contact)
     return Felt(

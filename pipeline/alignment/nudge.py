@@ -6,21 +6,17 @@ that every turn would have to be made good by a shift. About the middle of the c
 
 from __future__ import annotations
 
-import math
 from typing import Literal
 
 import numpy as np
 
 from pipeline.base.arrays import Doubles, freeze
-from pipeline.base.errors import SettingProblem
 from pipeline.geometry import rigid
-from pipeline.sensors.alignment import Alignment, Side, corrected
+from pipeline.sensors.alignment import Alignment, corrected
 from pipeline.values.results import DepthMap
 
 Axis = Literal["x", "y", "z", "rx", "ry", "rz"]
-Frame = Literal["target", "source", "alignment"]
 AXES: tuple[Axis, ...] = ("x", "y", "z", "rx", "ry", "rz")
-FRAMES: tuple[Frame, ...] = ("target", "source", "alignment")
 
 
 def unit_of(axis: Axis) -> str:
@@ -46,28 +42,15 @@ def pivot_mm(depth: DepthMap, alignment: Alignment) -> Doubles:
     return freeze(rigid.apply(alignment.target_from_source, centre))
 
 
-def nudged(
-    alignment: Alignment,
-    axis: Axis,
-    amount: float,
-    frame: Frame = "target",
-    *,
-    pivot_mm: Doubles,
-    into: Side = "target_from_alignment",
-) -> Alignment:
+def nudged(alignment: Alignment, axis: Axis, amount: float, *, pivot_mm: Doubles) -> Alignment:
     """The alignment with the touch shifted by `amount` mm along an axis, or turned by `amount` deg about it.
 
-    The axis is one of `frame`; turns are about `pivot_mm` (3,), given in the target frame, which stays where it is.
-    Raises SettingProblem for an unknown axis or frame, or an amount that is not finite.
+    The axis is one of the target frame; turns are about `pivot_mm` (3,), which stays where it is.
     """
-    if axis not in AXES:
-        raise SettingProblem(f"an alignment has the axes {', '.join(AXES)}, got {axis!r}")
-    if not math.isfinite(amount):
-        raise SettingProblem(f"an alignment is moved by a finite amount, got {amount!r}")
-    direction = _axes_in_target(alignment, frame)[:, "xyz".index(axis[-1])]
+    direction = amount * np.eye(3)["xyz".index(axis[-1])]
     if unit_of(axis) == "deg":
-        return corrected(alignment, motion_about(pivot_mm, np.deg2rad(amount) * direction, np.zeros(3)), into)
-    return corrected(alignment, motion_about(pivot_mm, np.zeros(3), amount * direction), into)
+        return corrected(alignment, motion_about(pivot_mm, np.deg2rad(direction), np.zeros(3)))
+    return corrected(alignment, motion_about(pivot_mm, np.zeros(3), direction))
 
 
 def motion_about(pivot_mm: Doubles, rotation_rad: Doubles, shift_mm: Doubles) -> Doubles:
@@ -75,13 +58,3 @@ def motion_about(pivot_mm: Doubles, rotation_rad: Doubles, shift_mm: Doubles) ->
     motion = rigid.rotation(rotation_rad)
     motion[:3, 3] = pivot_mm - motion[:3, :3] @ pivot_mm + shift_mm
     return motion
-
-
-def _axes_in_target(alignment: Alignment, frame: Frame) -> Doubles:
-    if frame == "target":
-        return np.eye(3)
-    if frame == "source":
-        return alignment.target_from_source[:3, :3]
-    if frame == "alignment":
-        return alignment.target_from_alignment[:3, :3]
-    raise SettingProblem(f"an alignment is edited along the axes of {', '.join(FRAMES)}, got {frame!r}")

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.alignment.felt import Felt, distance_px, edge_of
-from pipeline.alignment.reprojection import reproject
 from pipeline.alignment.touches import PairedTouch
 from pipeline.base.arrays import Mask
 from pipeline.base.progress import SILENT, Progress
 from pipeline.sensors.alignment import Alignment
-from pipeline.stages.project.stage import Projection, ProjectParams
+from pipeline.stages.adapt.stage import AdaptParams, adapt
+from pipeline.stages.project.stage import Projection, ProjectParams, project
 from pipeline.values.results import TargetView
 
 
@@ -55,7 +55,8 @@ def preview(
 ) -> tuple[TargetView, Score]:
     """The touch as the alignment carries it over, on the grid of `felt`, and how well it agrees."""
     aligned, drawn = touch.placed(alignment), params or ProjectParams()
-    view = reproject(touch.source, aligned, felt.spec, drawn, stride=_stride(touch, felt))
+    cloud = adapt(touch.source, aligned, AdaptParams(stride=_stride(touch, felt)))
+    view = project(cloud, felt.spec, drawn)
     return view, score(view, felt)
 
 
@@ -63,14 +64,13 @@ def scores(
     touches: Sequence[PairedTouch],
     felts: Sequence[Felt],
     alignment: Alignment,
-    params: Projection | None = None,
     progress: Progress = SILENT,
 ) -> tuple[Score, ...]:
     """The score of every touch: what one frame gains at the cost of the others shows here."""
     found: list[Score] = []
     for done, (touch, side) in enumerate(zip(touches, felts, strict=True)):
         progress.step(done / len(touches), f"scoring frame {touch.index}")
-        found.append(preview(touch, alignment, side, params)[1])
+        found.append(preview(touch, alignment, side)[1])
     return tuple(found)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.alignment.felt import Felt
-from pipeline.alignment.nudge import AXES, Axis, Frame, nudged, unit_of
+from pipeline.alignment.nudge import AXES, Axis, nudged, unit_of
 from pipeline.alignment.score import Score, preview
 from pipeline.alignment.touches import PairedTouch, pivot_of
 from pipeline.base.arrays import Doubles
@@ -45,7 +45,6 @@ def sensitivities(
     felt: Felt,
     params: Projection | None = None,
     *,
-    frame: Frame = "target",
     pivot: Doubles | None = None,
     progress: Progress = SILENT,
 ) -> tuple[Sensitivity, ...]:
@@ -63,8 +62,7 @@ def sensitivities(
         progress.step(done / len(AXES), f"moving along {axis}")
         step = turn_deg if unit_of(axis) == "deg" else shift_mm
         down, up = (
-            preview(touch, nudged(alignment, axis, amount, frame, pivot_mm=about), felt, params)[1]
-            for amount in (-step, step)
+            preview(touch, nudged(alignment, axis, amount, pivot_mm=about), felt, params)[1] for amount in (-step, step)
         )
         told.append(
             Sensitivity(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -28,16 +29,12 @@ _RANGE = re.compile(r"([0-9]{1,12})(?:-([0-9]{1,12}))?")
 
 def show_scores(request: Request, frames: str, exact: bool) -> int:
     """Print how well every frame agrees under the alignment, and which axis matters; returns 0."""
-    translation = open_translation(request)
-    try:
-        with shown_bar() as bar:
-            touches = _touches(translation, frames, exact, Bar(bar))
-            sides = [felt(t.target, translation.target) for t in touches]
-            found = scores(touches, sides, translation.alignment, progress=Bar(bar))
-            most = int(np.argmax([s.overlap_px for s in found]))
-            axes = sensitivities(touches[most], translation.alignment, sides[most], progress=Bar(bar))
-    finally:
-        translation.recording.close()
+    with closing(open_translation(request)) as translation, shown_bar() as bar:
+        touches = _touches(translation, frames, exact, Bar(bar))
+        sides = [felt(t.target, translation.target) for t in touches]
+        found = scores(touches, sides, translation.alignment, progress=Bar(bar))
+        most = int(np.argmax([s.overlap_px for s in found]))
+        axes = sensitivities(touches[most], translation.alignment, sides[most], progress=Bar(bar))
     _print_scores(touches, found)
     _print_axes(axes, touches[most].index)
     return 0
@@ -59,16 +56,10 @@ def refine_alignment(
     if not tolerance > 0:
         raise SettingProblem(f"--tolerance must be above 0, got {tolerance:g}")
     ready_for(out)
-    translation = open_translation(request)
-    try:
-        with shown_bar() as bar:
-            touches = _touches(translation, frames, exact, Bar(bar))
-            used, held = split(touches, hold_out)
-            answer = refine(
-                used, translation.alignment, held_out=held, into=into, tolerance=tolerance, progress=Bar(bar)
-            )
-    finally:
-        translation.recording.close()
+    with closing(open_translation(request)) as translation, shown_bar() as bar:
+        touches = _touches(translation, frames, exact, Bar(bar))
+        used, held = split(touches, hold_out)
+        answer = refine(used, translation.alignment, held_out=held, into=into, tolerance=tolerance, progress=Bar(bar))
     _print_refinement(answer)
     kept = AlignmentFile(
         alignment=answer.alignment,

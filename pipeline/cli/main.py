@@ -18,7 +18,7 @@ from pipeline.cli import align_options as cli_align
 from pipeline.cli import data_options as cli_data
 from pipeline.cli import train_options as cli_train
 from pipeline.cli.opening_options import NOTHING_ELSE, Opening
-from pipeline.cli.terminal import complain
+from pipeline.cli.terminal import complain, print_line
 
 EXIT_UNEXPECTED = 1
 EXIT_USER_ERROR = 2
@@ -98,6 +98,8 @@ def inspect(
 ) -> int:
     """Say what a recording is: format, frames, sensor, truth, and whether its units and frames make sense.
 
+    Exits with 0 if every check passed or could not be made, 1 if one failed.
+
     Parameters
     ----------
     recording
@@ -109,9 +111,13 @@ def inspect(
     depth_unit
         Unit of a depth array or 16-bit picture whose name does not tell.
     """
-    from pipeline.cli.inspect import show
+    from pipeline.inspection.recording import inspect as report_on
+    from pipeline.inspection.recording import lines
 
-    return show(recording, sensor, reference, depth_unit)
+    report = report_on(recording, sensor=sensor, reference=reference, depth_unit=depth_unit)
+    for line in lines(report):
+        print_line(line)
+    return 0 if report.passed else 1
 
 
 def translate(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 
@@ -53,9 +54,8 @@ def _tasks() -> Iterator[Callable[[], object]]:
 def _translated(source: str, target: str, params: dict[str, object], methods: tuple[tuple[str, str], ...] = ()) -> None:
     from pipeline.translation.translate import Request, open_translation
 
-    translation = open_translation(Request(recording=SAMPLE, source=source, target=target, methods=methods))
-    translation.graph().evaluate(translation.slots, translation.inputs(_FRAME), params)
-    translation.recording.close()
+    with closing(open_translation(Request(recording=SAMPLE, source=source, target=target, methods=methods))) as it:
+        it.graph().evaluate(it.slots, it.inputs(_FRAME), params)
 
 
 def _surveyed() -> None:

@@ -67,7 +67,7 @@ def translate_frames(
                 n_kept += known
                 bar.advance(task)
     finally:  # also on Ctrl-C: what is finished is whole and listed
-        translation.recording.close()
+        translation.close()
         if reports:
             write_report(out, translation, reports)
     show_table(reports)
@@ -108,7 +108,9 @@ def _one(
         known = finished(out, index, key)
         if known is not None:
             return True, known
-        report = _work_out(translation, graph, params, index, before.pose if before else None, progress)
+        inputs = translation.inputs(index, before.pose if before else None)
+        results = graph.evaluate(translation.slots, inputs, params, progress)
+        report = FrameReport(index=index, results=results, metrics=translation.metrics(results, index))
         write_frame(out, translation.stream.frame(index), report, translation, key)
         return False, Finished(report=report.without_arrays, key=key, pose=_pose_of(report))
     except Exception as error:  # noqa: BLE001 - a border: whatever one frame does, the others are translated
@@ -117,19 +119,6 @@ def _one(
     return False, Finished(
         report=FrameReport(index=index, results={}, metrics={}, problem=problem, foreseen=foreseen), key=""
     )
-
-
-def _work_out(
-    translation: Translation,
-    graph: Graph,
-    params: Mapping[str, object],
-    index: int,
-    previous: ObjectPose | None,
-    progress: StageProgress,
-) -> FrameReport:
-    """All stages of one frame and its figures."""
-    results = graph.evaluate(translation.slots, translation.inputs(index, previous), params, progress)
-    return FrameReport(index=index, results=results, metrics=translation.metrics(results, index))
 
 
 def _pose_of(report: FrameReport) -> ObjectPose | None:

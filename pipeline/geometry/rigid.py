@@ -19,11 +19,6 @@ FARTHEST_MM = 1000.0  # between two sensors that feel the same touch, or one and
 _SMALL_ANGLE_RAD = 1e-4  # below it the series is exact to double precision
 
 
-def identity() -> Doubles:
-    """The transform that moves nothing."""
-    return np.eye(4)
-
-
 def translation(x_mm: float, y_mm: float, z_mm: float) -> Doubles:
     """A pure shift."""
     matrix = np.eye(4)

@@ -12,7 +12,7 @@ from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.geometry import rigid
 
-X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+X, Z = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 _SAME = 1e-9  # entries of two rotation matrices that are one
 
 

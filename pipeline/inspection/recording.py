@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -67,8 +68,7 @@ def inspect(
 
     Raises TouchError only when the recording as a whole cannot be opened.
     """
-    recording = open_recording(path, sensor=sensor, reference=reference, depth_unit=depth_unit)
-    try:
+    with closing(open_recording(path, sensor=sensor, reference=reference, depth_unit=depth_unit)) as recording:
         found = [_stream(recording, s, _spec(s.sensor, sensor), progress) for s in recording.streams]
         checks = [check for _, several in found for check in several]
         checks += inspection.pairings(recording)
@@ -82,8 +82,6 @@ def inspect(
             checks=tuple(checks),
             notes=recording.notes,
         )
-    finally:
-        recording.close()
 
 
 def lines(report: Report) -> list[str]:

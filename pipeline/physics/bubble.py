@@ -19,7 +19,7 @@ from pipeline.base.errors import SettingProblem, ShapeError
 from pipeline.base.memo import remembered
 from pipeline.physics import multigrid
 from pipeline.physics.lattice import Lattice
-from pipeline.sensors.spec import Bubble
+from pipeline.sensors.parts import Bubble
 
 STEP_MM = 0.5  # below two pixels of the depth cameras in use; a quarter of the work of 0.25 mm
 ATMOSPHERE_KPA = 101.325

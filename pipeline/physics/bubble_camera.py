@@ -16,7 +16,8 @@ from pipeline.geometry.camera import Camera
 from pipeline.geometry.normals import area_vectors
 from pipeline.physics import lattice
 from pipeline.physics.lattice import Lattice
-from pipeline.sensors.spec import DepthCamera, SensorSpec
+from pipeline.sensors.parts import DepthCamera
+from pipeline.sensors.spec import SensorSpec
 
 _LEAST_COSINE = 0.1  # noise stops growing at 84 degrees: the return is gone there
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Floats, Mask, freeze
 from pipeline.base.errors import ShapeError
 from pipeline.physics import gel_layer
-from pipeline.sensors.spec import Gel
+from pipeline.sensors.parts import Gel
 
 TOLERANCE_MM = 1e-4  # a tenth of a micrometre: far below what any camera resolves
 MAX_STEPS = 400

@@ -17,7 +17,7 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, freeze
 from pipeline.base.memo import remembered
-from pipeline.sensors.spec import Gel
+from pipeline.sensors.parts import Gel
 
 _LARGEST_X = 40.0  # K is 1 to double precision long before sinh overflows
 _REACH = 8.0  # thicknesses: there the kernel of a nearly incompressible layer has faded below 1e-4 of its peak

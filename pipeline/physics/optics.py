@@ -21,7 +21,8 @@ from pipeline.engine.digests import content
 from pipeline.geometry.camera import Camera
 from pipeline.physics.optics_markers import checked, marker_motion_px, print_on
 from pipeline.sensors.glow import untouched_light
-from pipeline.sensors.spec import Markers, Optics, SensorSpec
+from pipeline.sensors.parts import Markers, Optics
+from pipeline.sensors.spec import SensorSpec
 
 _PENUMBRA_MM = 0.25  # how far below an LED's light a point has to lie to get none of it
 _NO_SHADOW_MM = 0.02  # shallower surfaces cast none that can be seen

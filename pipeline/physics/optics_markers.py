@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Floats, freeze
 from pipeline.base.errors import SettingProblem, ShapeError
 from pipeline.geometry.camera import Camera
-from pipeline.sensors.spec import Gel, Markers, SensorSpec
+from pipeline.sensors.parts import Gel, Markers
+from pipeline.sensors.spec import SensorSpec
 
 _SHEAR_PER_THICKNESS = 0.15  # how far markers are squeezed out of a dent, per gel thickness and unit of slope
 _COARSE = 4  # the squeeze is smooth: every 4th pixel carries it

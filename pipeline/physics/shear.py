@@ -27,7 +27,7 @@ from pipeline.base.memo import remembered
 from pipeline.geometry.camera import Camera
 from pipeline.physics.gel_layer import fast_length
 from pipeline.physics.lattice import Lattice
-from pipeline.sensors.spec import Gel
+from pipeline.sensors.parts import Gel
 
 _CELL_PER_THICKNESS = 0.075  # a cell of the solve: the drag of a layer is smooth
 _PAD = 4.0  # thicknesses: the drag of a layer dies with exp(-pi r / 2 t)

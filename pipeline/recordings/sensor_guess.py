@@ -12,9 +12,7 @@ _BY_SIZE = {
 _ONE_OF = {(480, 640): "gelsight_mini, or digit on its side"}
 
 
-def named_or_guessed(
-    said: str, shape: tuple[int, int], *, is_depth: bool, flag: str = "--sensor"
-) -> tuple[str, tuple[str, ...]]:
+def named_or_guessed(said: str, shape: tuple[int, int], *, is_depth: bool) -> tuple[str, tuple[str, ...]]:
     """(sensor, notes): `said` when it is a known sensor, else a guess from the image size, "" when nothing fits.
 
     Raises SettingProblem when `said` is not a sensor.
@@ -29,4 +27,4 @@ def named_or_guessed(
     if guess:
         return guess, (f"the file does not name its sensor; taken to be {guess} by its size of {cols} x {rows} px",)
     fits = f"may be {_ONE_OF[shape]}" if shape in _ONE_OF else "fits none"
-    return "", (f"the file does not name its sensor, and {cols} x {rows} px {fits}; say which with {flag}",)
+    return "", (f"the file does not name its sensor, and {cols} x {rows} px {fits}; say which with --sensor",)

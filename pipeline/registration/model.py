@@ -25,11 +25,6 @@ class Model:
     crooked_sq: Doubles  # (n,) mean squares, in rad, of how far the facet's normal is off that of a round surface
     area_mm2: float  # of the surface that they stand for
 
-    @property
-    def spacing_mm(self) -> float:
-        """Side of the square that each point stands for."""
-        return math.sqrt(self.area_mm2 / max(len(self.points_mm), 1))
-
     def part(self, which: Mask) -> Model:
         """The points that are marked, standing for their share of the area."""
         share = float(which.mean()) if which.size else 0.0

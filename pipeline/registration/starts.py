@@ -109,7 +109,7 @@ def _turn_onto(source: Doubles, target: Doubles) -> Doubles:
     sine, cosine = float(np.linalg.norm(axis)), float(source @ target)
     if sine < 1e-9:
         if cosine > 0:
-            return rigid.identity()
+            return np.eye(4)
         aside = np.cross(source, np.eye(3)[int(np.argmin(np.abs(source)))])
         return rigid.rotation(aside / np.linalg.norm(aside) * np.pi)
     return rigid.rotation(axis / sine * np.arctan2(sine, cosine))

@@ -2,28 +2,44 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, field
+from typing import Any, NamedTuple
+
+
+class Told(NamedTuple):
+    """How a description gives a number."""
+
+    unit: str
+    low: float
+    high: float
+    key: str  # "" = the field's name without its unit
+
+
+def told(unit: str, low: float, high: float, otherwise: float | None = None, *, key: str = "") -> Any:
+    """A field that is a number of a description; `otherwise` where it may be left out."""
+    metadata = {"told": Told(unit, low, high, key)}
+    return field(default=MISSING if otherwise is None else otherwise, metadata=metadata)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gel:
     """A bonded elastic layer."""
 
-    thickness_mm: float
-    youngs_kpa: float
-    poisson: float
+    thickness_mm: float = told("mm", 0.01, 100.0)
+    youngs_kpa: float = told("kPa", 0.1, 1e7)
+    poisson: float = told("1", 0.0, 0.5)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bubble:
     """A pre-stretched membrane over an elliptic rim, inflated with sealed air."""
 
-    half_width_mm: float
-    half_height_mm: float
-    height_mm: float
-    pressure_kpa: float  # gauge, untouched
-    dead_volume_mm3: float  # air behind the rim plane
-    depth_noise_mm: float  # standard deviation of one depth reading
+    half_width_mm: float = told("mm", 1.0, 500.0)
+    half_height_mm: float = told("mm", 1.0, 500.0)
+    height_mm: float = told("mm", 0.0, 500.0)
+    pressure_kpa: float = told("kPa", 0.0, 100.0)  # gauge, untouched
+    dead_volume_mm3: float = told("mm^3", 0.0, 1e7)  # air behind the rim plane
+    depth_noise_mm: float = told("mm", 0.0, 50.0)  # standard deviation of one depth reading
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,14 +50,14 @@ class DepthCamera:
     bubble; over the picture it follows distance ** `distance_power` / cos(incidence) ** `grazing_power`.
     """
 
-    distance_power: float = 2.0  # light that comes back falls with the square of the distance
-    grazing_power: float = 0.5  # and with the cosine of the incidence, of which the noise is the root
-    grain_px: float = 0.8  # width of the noise's grain: neighbours share light, or a matching window
-    jump_mm: float = 2.0  # a bend between neighbours beyond this is a jump, where pixels fly
-    flying_share: float = 0.5  # of the pixels at a jump: these read a depth between near and far
-    steepest_deg: float = 90.0  # incidence beyond which nothing comes back; 90 = always something
-    gap_share: float = 0.0  # of all pixels, without a reading for no reason
-    step_mm: float = 0.0  # readings are multiples of this
+    distance_power: float = told("1", 0.0, 8.0, 2.0)  # light that comes back falls with the square of the distance
+    grazing_power: float = told("1", 0.0, 8.0, 0.5)  # and with the cosine of the incidence, by its root
+    grain_px: float = told("px", 0.0, 20.0, 0.8)  # width of the noise's grain: neighbours share light or a window
+    jump_mm: float = told("mm", 0.0, 1000.0, 2.0)  # a bend between neighbours beyond this is a jump, where pixels fly
+    flying_share: float = told("1", 0.0, 1.0, 0.5)  # of the pixels at a jump: these read a depth between near and far
+    steepest_deg: float = told("deg", 0.0, 90.0, 90.0)  # incidence beyond which nothing comes back
+    gap_share: float = told("1", 0.0, 1.0, 0.0)  # of all pixels, without a reading for no reason
+    step_mm: float = told("mm", 0.0, 100.0, 0.0)  # readings are multiples of this
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,25 +86,25 @@ class Optics:
 
     base_rgb: tuple[float, float, float]  # untouched colour under the glows, grey levels 0..255
     leds: tuple[Led, ...]
-    falloff: float  # share of an LED's light lost from its own side to the far side of the image
-    vignette: float  # share of light lost in the corners
-    blur_px: float
-    noise_grey: float
+    falloff: float = told("1", 0.0, 1.0)  # share of an LED's light lost from its own side to the far side of the image
+    vignette: float = told("1", 0.0, 1.0)  # share of light lost in the corners
+    blur_px: float = told("px", 0.0, 100.0)
+    noise_grey: float = told("grey", 0.0, 255.0)
     glows: tuple[Glow, ...] = ()
-    shadow: float = 0.0  # share of an LED's light that is missing right behind a dent
-    shadow_deg: float = 20.0  # how steeply that light comes in: the lower, the longer the shadow
+    shadow: float = told("1", 0.0, 1.0, 0.0)  # share of an LED's light that is missing right behind a dent
+    shadow_deg: float = told("deg", 1.0, 89.0, 20.0, key="shadow_elevation")  # of that light
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Markers:
     """A grid of dark dots printed under the gel surface."""
 
-    pitch_mm: float
-    radius_mm: float
-    darkness: float  # 1 = black
-    twin_mm: float = 0.0  # distance, across the image, of the two halves of a doubled dot; 0 = a single dot
-    jitter_mm: float = 0.0  # how far, at most and along each axis, a dot is printed off its place
-    bend: float = 0.0  # share by which the lens draws the grid's corners outward; below 0 inward
+    pitch_mm: float = told("mm", 0.1, 100.0)
+    radius_mm: float = told("mm", 0.0, 50.0)
+    darkness: float = told("1", 0.0, 1.0)  # 1 = black
+    twin_mm: float = told("mm", 0.0, 50.0, 0.0)  # across the image, between the halves of a doubled dot; 0 = single
+    jitter_mm: float = told("mm", 0.0, 50.0, 0.0)  # at most, along each axis, that a dot is off its place
+    bend: float = told("1", -0.5, 0.5, 0.0)  # share by which the lens draws the grid's corners outward; below 0 inward
     turn_deg: float = 0.0
     phase_mm: tuple[float, float] = (0.0, 0.0)  # of the dot nearest to the image centre, right and down
 
@@ -97,8 +113,8 @@ class Markers:
 class Limits:
     """What counts as a touch, and what is beyond the sensor."""
 
-    contact_min_mm: float  # smallest indentation that counts
-    indentation_max_mm: float
-    depth_rms_mm: float  # of measured depth where it touches; 0 = nobody has measured it
-    depth_correlation_mm: float  # length over which that error hangs together
+    contact_min_mm: float = told("mm", 0.0, 100.0)  # smallest indentation that counts
+    indentation_max_mm: float = told("mm", 1e-3, 100.0)
+    depth_rms_mm: float = told("mm", 0.0, 100.0, 0.0)  # of measured depth where it touches; 0 = nobody has measured it
+    depth_correlation_mm: float = 1.0  # length over which that error hangs together
     no_touch: float  # largest smoothed change from the reference of an untouched frame: grey levels, or mm of a bubble

@@ -19,24 +19,10 @@ from pipeline.engine.digests import content
 from pipeline.geometry import membrane, rigid
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.membrane import Membrane
-from pipeline.sensors.parts import Bubble, DepthCamera, Gel, Glow, Led, Limits, Markers, Optics
-from pipeline.sensors.reading import bubble_in, depth_camera_in, gel_in, limits_in, markers_in, optics_in
+from pipeline.sensors.parts import Bubble, DepthCamera, Gel, Limits, Markers, Optics
+from pipeline.sensors.reading import limits_in, optics_in, part
 from pipeline.sensors.rest import mesh_in
 from pipeline.sensors.sections import FOLDER, Section, read_description
-
-__all__ = [
-    "Bubble",
-    "DepthCamera",
-    "Gel",
-    "Glow",
-    "Led",
-    "Limits",
-    "Markers",
-    "Optics",
-    "SensorSpec",
-    "names",
-    "sensor",
-]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -122,14 +108,14 @@ def _build(name: str, data: dict[str, Any], path: Path, surface: Membrane | None
     camera = Camera(rows=rows, cols=cols, fx_px=fx_px, fy_px=fy_px, cx_px=cx_px, cy_px=cy_px)
     gel, bubble, eye, optics = None, None, None, None
     if kind == "gel":
-        gel = gel_in(section("gel"))
+        gel = part(Gel, section("gel"))
         if surface is None:
             z = section("rest").number("depth", "mm", 0.1, 1000.0)
             surface = membrane.flat(z, camera.cols * z / camera.fx_px, camera.rows * z / camera.fy_px)
         optics = optics_in(section("optics"), data, path)
     else:
-        bubble = bubble_in(section("bubble"))
-        eye = depth_camera_in(section("depth_camera")) if "depth_camera" in data else DepthCamera()
+        bubble = part(Bubble, section("bubble"))
+        eye = part(DepthCamera, section("depth_camera")) if "depth_camera" in data else DepthCamera()
         if surface is None:
             surface = membrane.dome(
                 section("rest").number("rim_depth", "mm", 1.0, 1000.0),
@@ -152,6 +138,6 @@ def _build(name: str, data: dict[str, Any], path: Path, surface: Membrane | None
         bubble=bubble,
         depth_camera=eye,
         optics=optics,
-        markers=markers_in(section("markers")) if "markers" in data else None,
+        markers=part(Markers, section("markers")) if "markers" in data else None,
         assumed=tuple(assumed),
     )

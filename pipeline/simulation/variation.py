@@ -12,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.base.errors import SettingProblem
-from pipeline.sensors.spec import Bubble, Gel, Glow, Led, Markers, Optics, SensorSpec
+from pipeline.sensors.parts import Bubble, Gel, Glow, Led, Markers, Optics
+from pipeline.sensors.spec import SensorSpec
 
 MAX_STRENGTH = 3.0
 _LED_AZIMUTH_DEG = 8.0  # standard deviations at strength 1, as all that follow
@@ -51,7 +52,7 @@ def varied(sensor: SensorSpec, seed: int, strength: float = 1.0) -> SensorSpec:
     if strength == 0.0:
         return sensor
     # One stream each, so that a part keeps its draws whatever the other parts have.
-    optics, gel, markers, bubble = (_Draw(s, strength) for s in np.random.SeedSequence(_entropy(seed)).spawn(4))
+    optics, gel, markers, bubble = (_Draw(s, strength) for s in np.random.SeedSequence(seed % 2**64).spawn(4))
     return replace(
         sensor,
         optics=None if sensor.optics is None else _optics(sensor.optics, optics),
@@ -59,10 +60,6 @@ def varied(sensor: SensorSpec, seed: int, strength: float = 1.0) -> SensorSpec:
         markers=None if sensor.markers is None else _markers(sensor.markers, markers),
         bubble=None if sensor.bubble is None else _bubble(sensor.bubble, bubble),
     )
-
-
-def _entropy(seed: int) -> int:
-    return seed % 2**64
 
 
 class _Draw:
@@ -134,11 +131,8 @@ def _dust(draw: _Draw) -> tuple[Glow, ...]:
 
 
 def _gel(g: Gel, draw: _Draw) -> Gel:
-    return Gel(
-        thickness_mm=g.thickness_mm * draw.times(_THICKNESS),
-        youngs_kpa=g.youngs_kpa * draw.times(_STIFFNESS),
-        poisson=g.poisson,
-    )
+    thickness_mm, youngs_kpa = g.thickness_mm * draw.times(_THICKNESS), g.youngs_kpa * draw.times(_STIFFNESS)
+    return replace(g, thickness_mm=thickness_mm, youngs_kpa=youngs_kpa)
 
 
 def _markers(m: Markers, draw: _Draw) -> Markers:

@@ -81,7 +81,3 @@ class Slot:
     looks_at: tuple[str, ...] = ()  # other slots that the picture shows
     stretches: bool = True  # whether its 3D view draws indentation longer than it is
     scrubs: bool = False  # whether its value may keep `steps`
-
-    def method(self, name: str) -> Method | None:
-        """The method of that name, None if there is none."""
-        return next((m for m in self.methods if m.name == name), None)

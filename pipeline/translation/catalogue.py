@@ -6,9 +6,10 @@ route is data: it names a method for each of its slots, and slots that it leaves
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from pipeline.base.errors import SettingProblem
 from pipeline.base.params import changed
@@ -31,6 +32,9 @@ class Route:
     methods: Mapping[str, str]  # slot -> method, in running order
 
 
+Named = TypeVar("Named", Slot, Route, Method)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Catalogue:
     """All slots in the order of their columns, and the routes; another one may be given wherever this is read."""
@@ -40,26 +44,15 @@ class Catalogue:
 
     def slot(self, name: str) -> Slot:
         """The slot of that name; raises SettingProblem."""
-        for slot in self.slots:
-            if slot.name == name:
-                return slot
-        raise SettingProblem(f"no slot {name!r}; there are {', '.join(s.name for s in self.slots)}")
+        return _named(self.slots, name, f"slot {name!r}")
 
     def route(self, name: str) -> Route:
         """The route of that name; raises SettingProblem."""
-        for route in self.routes:
-            if route.name == name:
-                return route
-        raise SettingProblem(f"no route {name!r}; there are {', '.join(r.name for r in self.routes)}")
+        return _named(self.routes, name, f"route {name!r}")
 
     def method(self, slot: str, name: str) -> Method:
         """A method by name; raises SettingProblem with those that the slot has."""
-        entry = self.slot(slot)
-        method = entry.method(name)
-        if method is None:
-            known = ", ".join(m.name for m in entry.methods)
-            raise SettingProblem(f"no method {name!r} for the slot {slot!r}; there are {known}")
-        return method
+        return _named(self.slot(slot).methods, name, f"method {name!r} for the slot {slot!r}")
 
     def methods(self, route: str, chosen: Mapping[str, str] | None = None) -> tuple[Method, ...]:
         """The methods of a route in running order, those in `chosen` (slot -> method) in place of its own.
@@ -71,6 +64,13 @@ class Catalogue:
         for slot, name in said.items():
             self.method(slot, name)
         return tuple(self.method(slot, said.get(slot, name)) for slot, name in self.route(route).methods.items())
+
+
+def _named(entries: Sequence[Named], name: str, what: str) -> Named:
+    for entry in entries:
+        if entry.name == name:
+            return entry
+    raise SettingProblem(f"no {what}; there are {', '.join(e.name for e in entries)}")
 
 
 BUILT_IN = Catalogue(

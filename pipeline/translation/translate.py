@@ -150,6 +150,10 @@ class Translation:
             for figure, value in self.catalogue.slot(name).figures(result.output, facts).items()
         }
 
+    def close(self) -> None:
+        """Let go of the recording's file."""
+        self.recording.close()
+
     def checked(self, index: int) -> int:
         """`index` if there is such a frame; raises SettingProblem otherwise."""
         if not 0 <= index < self.n_frames:

@@ -10,7 +10,7 @@ from pipeline.base.arrays import Doubles
 from pipeline.geometry import rigid
 from pipeline.geometry.symmetry import X, asymmetric, cyclic, revolved
 from pipeline.simulation.shapes.polygons import arc, bow
-from pipeline.simulation.shapes.prisms import bar
+from pipeline.simulation.shapes.prisms import bar, level
 from pipeline.simulation.shapes.sections import strip
 from pipeline.simulation.shapes.shape import Shape
 from pipeline.simulation.shapes.solids import loft, moved, swept
@@ -33,11 +33,10 @@ def screwdriver() -> Shape:
     angle = 2.0 * math.pi * np.arange(64) / 64.0
     round_ = np.column_stack([np.cos(angle), np.sin(angle)])
     rings = [
-        _level(_boxed(round_, 2.9, 0.4), 0.0), _level(_boxed(round_, 3.0, 0.5), 0.1),
-        _level(_boxed(round_, 3.2, 1.4), 6.0), _level(3.0 * round_, 11.0), _level(3.0 * round_, 20.0),
+        level(_boxed(round_, 2.9, 0.4), 0.0), level(_boxed(round_, 3.0, 0.5), 0.1),
+        level(_boxed(round_, 3.2, 1.4), 6.0), level(3.0 * round_, 11.0), level(3.0 * round_, 20.0),
     ]  # fmt: skip
-    mesh = loft(np.stack(rings), "screwdriver")
-    return Shape(mesh=mesh, symmetry=cyclic(2))
+    return Shape(mesh=loft(np.stack(rings), "screwdriver"), symmetry=cyclic(2))
 
 
 def spanner() -> Shape:
@@ -49,8 +48,7 @@ def spanner() -> Shape:
     tail = _turned(np.array([(24.0, -handle), (24.0, handle)]), 195.0)
     far = arc(head, 195.0 + neck, 350.0 - lip)
     floor = [(7.6, -mouth), (depth + 2.0, -mouth), (depth, -2.0), (depth, 2.0), (depth + 2.0, mouth), (7.6, mouth)]
-    mesh = bar(np.concatenate([near, tail, far, floor]), 5.0, 0.4, "spanner")
-    return Shape(mesh=mesh, symmetry=asymmetric())
+    return Shape(mesh=bar(np.concatenate([near, tail, far, floor]), 5.0, 0.4, "spanner"), symmetry=asymmetric())
 
 
 def pencil() -> Shape:
@@ -68,15 +66,13 @@ def pencil() -> Shape:
     ]
     upright = loft(np.stack(rings), "pencil")
     # The axis to x; a flat, not an edge, is lowest.
-    mesh = moved(upright, rigid.rotation((0.0, math.pi / 2.0, 0.0)))
-    return Shape(mesh=mesh, symmetry=cyclic(6, X))
+    return Shape(mesh=moved(upright, rigid.rotation((0.0, math.pi / 2.0, 0.0))), symmetry=cyclic(6, X))
 
 
 def cup_rim() -> Shape:
     """A piece of 26 mm of a cup's rim: 40 mm radius, 2.4 mm thick, rounded."""
     path = bow(40.0, math.degrees(25.0 / 40.0), 0.5, 1.2)
-    mesh = swept(path, strip(2.4, 1.2, 9.0), "cup_rim")
-    return Shape(mesh=mesh, symmetry=asymmetric())
+    return Shape(mesh=swept(path, strip(2.4, 1.2, 9.0), "cup_rim"), symmetry=asymmetric())
 
 
 def marble() -> Shape:
@@ -90,12 +86,7 @@ def notched_elbow() -> Shape:
         (-1.75, -1.75), (11.0, -1.75), (11.0, 1.75), (6.2, 1.75), (6.2, 0.2), (4.2, 0.2), (4.2, 1.75),
         (1.75, 1.75), (1.75, 22.0), (-1.75, 22.0),
     ]  # fmt: skip
-    mesh = bar(outline, height_mm=8.0, chamfer_mm=0.5, name="notched_elbow")
-    return Shape(mesh=mesh, symmetry=asymmetric())
-
-
-def _level(ring: Doubles, z_mm: float) -> Doubles:
-    return np.column_stack([ring, np.full(len(ring), z_mm)])
+    return Shape(mesh=bar(outline, height_mm=8.0, chamfer_mm=0.5, name="notched_elbow"), symmetry=asymmetric())
 
 
 def _boxed(round_: Doubles, half_x_mm: float, half_y_mm: float) -> Doubles:

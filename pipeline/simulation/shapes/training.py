@@ -39,15 +39,13 @@ def square() -> Shape:
     """A flat punch, 8 mm wide, on a square body."""
     profile = np.concatenate([[(3.7, 0.0), (4.0, 0.3)], stamp(4.0, _BACK_MM)])
     cornered = turned(profile * (math.sqrt(2.0), 1.0), 4, "square")
-    mesh = moved(cornered, rigid.rotation((0.0, 0.0, 0.25 * math.pi)))
-    return Shape(mesh=mesh, symmetry=cyclic(4))
+    return Shape(mesh=moved(cornered, rigid.rotation((0.0, 0.0, 0.25 * math.pi))), symmetry=cyclic(4))
 
 
 def edge() -> Shape:
     """The edge of a roof of 90 degrees, 60 mm long: as the lab's tools, longer than any gel."""
     section = apex(45.0, 0.3, SHOULDER_MM, _BACK_MM)
-    mesh = swept(np.array([(-_ARM_MM, 0.0), (_ARM_MM, 0.0)]), section, "edge")
-    return Shape(mesh=mesh, symmetry=cyclic(2))
+    return Shape(mesh=swept(np.array([(-_ARM_MM, 0.0), (_ARM_MM, 0.0)]), section, "edge"), symmetry=cyclic(2))
 
 
 def corner() -> Shape:
@@ -58,27 +56,23 @@ def corner() -> Shape:
 
 def lines_45() -> Shape:
     """Two lines that meet at 45 degrees."""
-    mesh = _lines((-22.5, 22.5), "lines_45")
-    return Shape(mesh=mesh, symmetry=asymmetric())
+    return Shape(mesh=_lines((-22.5, 22.5), "lines_45"), symmetry=asymmetric())
 
 
 def lines_120() -> Shape:
     """Two lines that meet at 120 degrees."""
-    mesh = _lines((-60.0, 60.0), "lines_120")
-    return Shape(mesh=mesh, symmetry=asymmetric())
+    return Shape(mesh=_lines((-60.0, 60.0), "lines_120"), symmetry=asymmetric())
 
 
 def three_lines() -> Shape:
     """Three lines, a third of a turn apart."""
-    mesh = _lines((-120.0, 0.0, 120.0), "three_lines")
-    return Shape(mesh=mesh, symmetry=cyclic(3))
+    return Shape(mesh=_lines((-120.0, 0.0, 120.0), "three_lines"), symmetry=cyclic(3))
 
 
 def cylinder() -> Shape:
     """A rod of 5 mm radius and 60 mm length, lying along x; its frame is on its axis."""
     upright = turned(np.array([(5.0, -_ARM_MM), (5.0, _ARM_MM)]), sides(5.0), "cylinder")
-    mesh = moved(upright, rigid.rotation((0.0, math.pi / 2.0, 0.0)))
-    return Shape(mesh=mesh, symmetry=revolved(X, flip=Z))
+    return Shape(mesh=moved(upright, rigid.rotation((0.0, math.pi / 2.0, 0.0))), symmetry=revolved(X, flip=Z))
 
 
 def sphere() -> Shape:
@@ -88,8 +82,7 @@ def sphere() -> Shape:
 
 def ring() -> Shape:
     """A ring of 9 mm diameter, its ridge 2 mm wide, on a round body."""
-    mesh = turned(_framed(crest(2.0, 0.5), 4.5), sides(5.5), "ring")
-    return Shape(mesh=mesh, symmetry=revolved())
+    return Shape(mesh=turned(_framed(crest(2.0, 0.5), 4.5), sides(5.5), "ring"), symmetry=revolved())
 
 
 def hexagon() -> Shape:
@@ -101,15 +94,13 @@ def hexagon() -> Shape:
 
 def peg() -> Shape:
     """The flat end of a round peg of 7 mm diameter."""
-    mesh = turned(np.array([(3.2, 0.0), (3.5, 0.3), (3.5, 20.0)]), sides(3.5), "peg")
-    return Shape(mesh=mesh, symmetry=revolved())
+    return Shape(mesh=turned(np.array([(3.2, 0.0), (3.5, 0.3), (3.5, 20.0)]), sides(3.5), "peg"), symmetry=revolved())
 
 
 def curve() -> Shape:
     """A ridge bent by 110 degrees of 10 mm radius, the lab's, with legs of 20 mm; its middle is in its origin."""
     section = on_shoulders(crest(2.6, 1.1), _BACK_MM)
-    mesh = swept(bow(10.0, 110.0, 20.0, FINE_MM), section, "curve")
-    return Shape(mesh=mesh, symmetry=asymmetric())
+    return Shape(mesh=swept(bow(10.0, 110.0, 20.0, FINE_MM), section, "curve"), symmetry=asymmetric())
 
 
 def _lines(directions_deg: tuple[float, ...], name: str) -> Mesh:

@@ -22,8 +22,7 @@ def ellipse() -> Shape:
     """An elliptic ring of 13 x 8 mm."""
     angle = np.linspace(0.0, 2.0 * math.pi, _DENSE)
     path = thinned(np.column_stack([5.7 * np.cos(angle), 3.2 * np.sin(angle)]), 0.8)[:-1]
-    mesh = swept(path, strip(1.6, 0.4, 6.0), "ellipse", endless=True)
-    return Shape(mesh=mesh, symmetry=cyclic(2))
+    return Shape(mesh=swept(path, strip(1.6, 0.4, 6.0), "ellipse", endless=True), symmetry=cyclic(2))
 
 
 def letters() -> Shape:
@@ -33,15 +32,13 @@ def letters() -> Shape:
         (-5.2, 0.85), (-5.2, 2.8), (2.1, 2.8), (2.1, -4.5), (3.9, -4.5), (3.9, 2.8), (7.0, 2.8), (7.0, 4.5),
         (-7.0, 4.5),
     ]  # fmt: skip
-    mesh = bar(outline, 6.0, 0.35, "letters")
-    return Shape(mesh=mesh, symmetry=asymmetric())
+    return Shape(mesh=bar(outline, 6.0, 0.35, "letters"), symmetry=asymmetric())
 
 
 def cross() -> Shape:
     """Four lines at right angles, 9, 6, 7 and 4 mm long."""
     outline = fork((0.0, 90.0, 180.0, 270.0), (9.0, 6.0, 7.0, 4.0), 2.6)
-    mesh = rounded(outline, _BACK_MM, 0.9, "cross")
-    return Shape(mesh=mesh, symmetry=asymmetric())
+    return Shape(mesh=rounded(outline, _BACK_MM, 0.9, "cross"), symmetry=asymmetric())
 
 
 def cone() -> Shape:
@@ -49,8 +46,7 @@ def cone() -> Shape:
     tip = arc(0.5, -90.0, -60.0, (0.0, 0.5))
     rise = (6.0 - tip[-1, 0]) * math.tan(math.radians(30.0))
     profile = np.concatenate([tip, [(6.0, tip[-1, 1] + rise), (6.0, 12.0)]])
-    mesh = turned(profile, sides(6.0), "cone")
-    return Shape(mesh=mesh, symmetry=revolved())
+    return Shape(mesh=turned(profile, sides(6.0), "cone"), symmetry=revolved())
 
 
 def wave() -> Shape:
@@ -59,8 +55,7 @@ def wave() -> Shape:
     crests = thinned(np.column_stack([x, 1.5 * np.sin(x * (2.0 * math.pi / 10.0))]), 0.7)
     leg = np.array([0.5, 0.0])  # level as the crests are, so that the ends are cut square
     path = np.concatenate([crests[:1] - leg, crests, crests[-1:] + leg])
-    mesh = swept(path, strip(1.4, 0.5, 6.0), "wave")
-    return Shape(mesh=mesh, symmetry=cyclic(2))
+    return Shape(mesh=swept(path, strip(1.4, 0.5, 6.0), "wave"), symmetry=cyclic(2))
 
 
 def star() -> Shape:
@@ -68,8 +63,7 @@ def star() -> Shape:
     angle = np.arange(10) * math.pi / 5.0
     radius = np.where(np.arange(10) % 2 == 0, 6.5, 3.2)
     outline = radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    mesh = bar(outline, _BACK_MM, 0.3, "star")
-    return Shape(mesh=mesh, symmetry=cyclic(5))
+    return Shape(mesh=bar(outline, _BACK_MM, 0.3, "star"), symmetry=cyclic(5))
 
 
 ALL = (ellipse, letters, cross, cone, wave, star)

@@ -123,7 +123,7 @@ def test_a_drag_is_one_undo_step_and_ends_at_full_size(aligned, qtbot, settled):
 def test_turns_are_about_the_middle_of_the_contact(aligned, qtbot, settled):
     depth = aligned.latest.results["depth"].output
     middle = depth.camera.back_project(depth.depth_mm)[depth.contact].mean(axis=0)
-    opened = aligned.screen.opened.translation.alignment
+    opened = aligned.screen.opened.alignment
     before = rigid.apply(opened.target_from_source, middle)
     _drag(aligned, "rz", 5.0, qtbot)
     _let_go(aligned, "rz")
@@ -222,7 +222,7 @@ def test_a_recording_without_the_targets_touch_says_so_and_still_previews(open_w
 def test_a_saved_alignment_opens_again_as_it_was_seen(aligned, tmp_path, settled):
     aligned.window.alignment.rows["x"].box.setValue(0.5)
     settled(aligned)
-    opened = aligned.screen.opened.translation.alignment
+    opened = aligned.screen.opened.alignment
     expected = aligned.session.offsets.applied(opened).target_from_source
     path = tmp_path / "mine.toml"
     aligned.findChild(Aligning).save(path)
@@ -232,7 +232,7 @@ def test_a_saved_alignment_opens_again_as_it_was_seen(aligned, tmp_path, settled
     settled(aligned)
     assert aligned.session.offsets.none
     assert "mine.toml" in aligned.window.alignment.origin
-    assert np.allclose(aligned.screen.opened.translation.alignment.target_from_source, expected, rtol=0, atol=1e-9)
+    assert np.allclose(aligned.screen.opened.alignment.target_from_source, expected, rtol=0, atol=1e-9)
 
 
 def test_an_alignment_of_other_sensors_ends_in_the_banner_and_is_taken_back(aligned, qtbot):

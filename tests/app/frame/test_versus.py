@@ -27,7 +27,7 @@ def test_truth_takes_the_place_and_gives_it_back(window):
     views = {name: column.view for name, column in window.window.columns.items()}
     made = {name: view.picture for name, view in views.items()}
     _choose(window, "truth")
-    truths = window.screen.opened.translation.truths(5)
+    truths = window.screen.opened.truths(5)
     assert set(truths) == {"depth", "view", "touch", "felt", "pose"}
     for name in truths:
         assert views[name].picture.caption.startswith("truth: "), name
@@ -42,7 +42,7 @@ def test_a_difference_is_what_was_worked_out_less_the_truth(window):
     view = window.window.columns["felt"].view
     made = view.picture.values.copy()
     _choose(window, "difference")
-    true = window.screen.opened.translation.truths(5)["felt"].indentation_mm
+    true = window.screen.opened.truths(5)["felt"].indentation_mm
     np.testing.assert_allclose(view.picture.values, made - true, atol=1e-6)
     assert view.picture.scale.low == -view.picture.scale.high
     pose = window.window.columns["pose"].view.picture
@@ -86,7 +86,7 @@ def test_blinking_shows_both_in_turns_until_it_is_switched_off(window, qtbot):
 
 
 def test_no_truth_is_worked_out_while_nobody_asks(window, monkeypatch):
-    translation = type(window.screen.opened.translation)
+    translation = type(window.screen.opened)
     asked = []
     honest = translation.truths
     monkeypatch.setattr(translation, "truths", lambda self, index: asked.append(index) or honest(self, index))

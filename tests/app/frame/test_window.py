@@ -141,7 +141,7 @@ def test_a_mesh_can_be_closed_and_goes_with_its_recording(bubble_window, ball_fi
     bubble_window.open_path(other)
     assert wait_until_shown(bubble_window, LIMIT_S)
     assert bubble_window.session.mesh is None
-    assert bubble_window.screen.opened.translation.mesh is None
+    assert bubble_window.screen.opened.mesh is None
 
 
 def test_weights_are_opened_closed_and_undone(bubble_window, tmp_path, caplog):
@@ -250,9 +250,9 @@ def test_the_error_of_a_frame_is_that_of_the_generated_touch_or_none(open_window
 def test_another_target_is_one_change(bubble_window):
     bubble_window.change("choose target", target="digit")
     assert wait_until_shown(bubble_window, LIMIT_S)
-    assert bubble_window.screen.opened.translation.target.name == "digit"
+    assert bubble_window.screen.opened.target.name == "digit"
     rows, cols = bubble_window.window.columns["touch"].view.picture.pixels.shape[:2]
-    assert (rows, cols) == bubble_window.screen.opened.translation.target.camera.shape
+    assert (rows, cols) == bubble_window.screen.opened.target.camera.shape
 
 
 def test_hovering_a_pixel_marks_it_everywhere_and_reads_its_value(bubble_window):

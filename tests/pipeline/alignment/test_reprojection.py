@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.alignment.reprojection import reproject, scaled
-from pipeline.base.errors import CalibrationError, SettingProblem
+from pipeline.base.errors import CalibrationError
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
 from pipeline.sensors.alignment import Alignment
-from pipeline.stages.project.stage import ProjectParams
+from pipeline.stages.adapt.stage import AdaptParams, adapt
+from pipeline.stages.project.stage import ProjectParams, project
 from tests.pipeline.stages.test_adapt import by, depth_map
 from tests.pipeline.stages.test_project import CENTRE_MM, PAPER, SOURCE, SURFACE, sphere_depth_mm, target_sensor
 
@@ -20,6 +20,10 @@ ROUND_TRIP_MM = 2e-4  # two interpolations between pixels of 0.045 mm on a spher
 FLOAT32_ULP = 2.0**-23  # relative
 DEPTH = sphere_depth_mm(SOURCE)
 TOUCH = depth_map(DEPTH, DEPTH < 41.0, SOURCE)
+
+
+def reproject(depth, alignment, target, params, *, stride=1):
+    return project(adapt(depth, alignment, AdaptParams(stride=stride)), target, params)
 
 
 def turned(angle_deg):
@@ -72,19 +76,13 @@ def test_the_surface_in_one_go_is_the_sphere_that_was_felt(stride, sag_mm):
 
 def test_a_preview_is_the_same_picture_smaller():
     target = target_sensor(rows=72, cols=92)
-    small = scaled(target, 0.25)
+    small = target.seen_through(target.camera.scaled(0.25))
     assert small.camera.shape == (18, 23)
-    assert scaled(target, 0.25) is small
+    assert target.seen_through(target.camera.scaled(0.25)) is small
     view = reproject(TOUCH, turned(20.0), small, SURFACE, stride=2)
     seen = np.isfinite(view.depth_mm)
     assert seen.sum() > 30
     assert np.abs(view.depth_mm - sphere_depth_mm(small.camera))[seen].max() < 3e-3  # sag of twice the pitch, sideways
-
-
-@pytest.mark.parametrize("factor", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_sensor_is_not_scaled_to_nothing(factor):
-    with pytest.raises(SettingProblem, match="positive"):
-        scaled(target_sensor(), factor)
 
 
 def test_there_and_back_again_is_where_it_was():

@@ -6,7 +6,8 @@ import pytest
 from pipeline.geometry.camera import Camera
 from pipeline.physics import bubble, bubble_camera, lattice
 from pipeline.physics.lattice import Lattice
-from pipeline.sensors.spec import DepthCamera, sensor
+from pipeline.sensors.parts import DepthCamera
+from pipeline.sensors.spec import sensor
 
 SPEC = sensor("soft_bubble")
 REST = SPEC.rest_depth_mm

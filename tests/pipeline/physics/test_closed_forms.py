@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from pipeline.physics import bubble, gel, multigrid
-from pipeline.sensors.spec import Gel, sensor
+from pipeline.sensors.parts import Gel
+from pipeline.sensors.spec import sensor
 
 HALF_SPACE = Gel(thickness_mm=math.inf, youngs_kpa=120.0, poisson=0.48)
 EFFECTIVE_N_MM2 = 0.12 / (1 - 0.48**2)

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from pipeline.base.errors import ShapeError
 from pipeline.physics import gel
-from pipeline.sensors.spec import Gel, sensor
+from pipeline.sensors.parts import Gel
+from pipeline.sensors.spec import sensor
 
 HALF_SPACE = Gel(thickness_mm=math.inf, youngs_kpa=120.0, poisson=0.48)
 PAD = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48)

@@ -6,7 +6,8 @@ from pipeline.base.errors import SettingProblem, ShapeError
 from pipeline.physics import gel, optics, shear
 from pipeline.physics.lattice import Lattice
 from pipeline.physics.shear import Load
-from pipeline.sensors.spec import Gel, sensor
+from pipeline.sensors.parts import Gel
+from pipeline.sensors.spec import sensor
 
 PAD = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48)
 PIXEL_MM = 0.1

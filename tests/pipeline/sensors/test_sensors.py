@@ -9,7 +9,8 @@ import pytest
 from pipeline.base.errors import CalibrationError, FileProblem, SettingProblem
 from pipeline.engine.digests import digest, is_frozen
 from pipeline.sensors import spec
-from pipeline.sensors.spec import DepthCamera, names, sensor
+from pipeline.sensors.parts import DepthCamera
+from pipeline.sensors.spec import names, sensor
 
 FOLDER = Path(spec.__file__).parent
 
