@@ -9,6 +9,7 @@ from pathlib import Path
 from PyQt6.QtWidgets import QFileDialog, QWidget
 
 from app.session.state import SUFFIX
+from pipeline.geometry.meshes import UnitProblem
 
 ALIGNMENT = ".toml"
 WEIGHTS = ".safetensors"
@@ -67,6 +68,11 @@ def to_save(parent: QWidget, command: str) -> Path | None:
         return None
     named = path.name.endswith(suffix) or (bool(path.suffix) and suffix != SUFFIX)
     return path if named else path.with_name(path.name + suffix)
+
+
+def in_another_unit(error: UnitProblem) -> str:
+    """The sentence of a mesh that was opened in the wrong unit, with the way out that this window has."""
+    return f"{error.size}; choose 'Open mesh…' and there '{_UNITS[error.fits]}': '{error.path}'"
 
 
 def mesh(parent: QWidget) -> tuple[Path, str] | None:

@@ -9,8 +9,10 @@ from types import TracebackType
 
 from PyQt6.QtCore import QObject, pyqtSignal
 
+from app.frame.dialogs import in_another_unit
 from pipeline.base import unexpected
 from pipeline.base.errors import TouchError
+from pipeline.geometry.meshes import UnitProblem
 
 log = logging.getLogger("tactoscope")
 
@@ -64,5 +66,5 @@ class _Handler(logging.Handler):
 def sentence_and_details(error: BaseException) -> tuple[str, str]:
     """What the banner says: a TouchError's own sentence, else a short one with the traceback as details."""
     if isinstance(error, TouchError):
-        return str(error), ""
+        return in_another_unit(error) if isinstance(error, UnitProblem) else str(error), ""
     return unexpected.sentence(error), unexpected.details(error)

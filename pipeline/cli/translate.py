@@ -45,8 +45,6 @@ def translate_frames(
     for assignment in settings:
         params = with_setting(params, assignment)
     translation = open_translation(request)
-    for note in translation.notes:
-        console.print(plain(f"note: {note}"), style="dim", highlight=False, markup=False, emoji=False, soft_wrap=True)
     graph = translation.graph(like=Graph((), cache=Cache(CACHE_BYTES)))
     with console.status("looking for a touch") as status, compiling.watched(status.update):
         indices = range(translation.n_frames) if every else [_chosen(translation, graph, params, frame)]
@@ -70,13 +68,21 @@ def translate_frames(
         translation.close()
         if reports:
             write_report(out, translation, reports)
-    show_table(reports)
     failed = [frame for frame in reports if frame.problem]
     for one in failed:
-        complain(f"frame {one.index}: {one.problem}")
+        complain(f"frame {one.index}: {one.problem}" if every else one.problem)
+    if len(failed) == len(reports) == 1:
+        return _code(failed)  # of a recording that gave nothing nothing else is of interest
+    for note in translation.notes:
+        console.print(plain(f"note: {note}"), style="dim", highlight=False, markup=False, emoji=False, soft_wrap=True)
+    show_table(reports)
     if n_kept:
         print_line(f"{n_kept} of them were finished by an earlier run and are kept as they are")
     print_line(f"{len(reports) - len(failed)} of {len(reports)} frames written to {os.fspath(out)}")
+    return _code(failed)
+
+
+def _code(failed: Sequence[FrameReport]) -> int:
     return 0 if not failed else 2 if all(frame.foreseen for frame in failed) else 1
 
 

@@ -31,6 +31,15 @@ class Mesh:
     name: str = ""
 
 
+class UnitProblem(MeshProblem):
+    """A mesh whose size cannot be right in one unit and can in another, `fits`; its sentence names the option."""
+
+    def __init__(self, size: str, fits: str, path: Path) -> None:
+        """From what is wrong with its size, in words."""
+        self.size, self.fits, self.path = size, fits, path
+        super().__init__(f"{size}; try --mesh-unit {fits}: '{path}'")
+
+
 def load_mesh(path: Path, unit: str = "auto") -> Mesh:
     """The mesh of an STL, PLY or OBJ file in mm, duplicate vertices merged and triangles without area dropped.
 
@@ -84,8 +93,10 @@ def _scale(corners: Doubles, unit: str, path: Path) -> float:
         return scale
     fits = [u for u in ("m", "cm", "mm") if SMALLEST_MM <= extent * _UNIT_MM[u] <= LARGEST_MM]
     read_as = "mm" if unit == "auto" else unit
-    hint = f"try --mesh-unit {fits[0]}" if fits else "scale it to a touchable size of 1 to 400 mm"
-    raise MeshProblem(f"the mesh is {extent * scale:.3g} mm large when read in {read_as}; {hint}: '{path}'")
+    size = f"the mesh is {extent * scale:.3g} mm large when read in {read_as}"
+    if fits:
+        raise UnitProblem(size, fits[0], path)
+    raise MeshProblem(f"{size}; scale it to a touchable size of 1 to 400 mm: '{path}'")
 
 
 def _tidied(vertices: Doubles, triangles: Indices, path: Path) -> Mesh:

@@ -62,28 +62,31 @@ def _recording(file: Any, path: Path, notes: list[str]) -> Recording:
         )
     notes += border.lines(file, "notes", path)
     groups = sorted(file["streams"].items(), key=lambda item: int(item[1].attrs["order"]))
-    streams = tuple(_stream(group, name, path, notes) for name, group in groups)
+    lost: list[str] = []
+    streams = tuple(_stream(group, name, path, lost) for name, group in groups)
     if not streams:
         raise FileProblem("the recording has no streams", path, field="streams")
-    mesh = _tolerated(lambda: _mesh(file["object"], path), None, "the object mesh", notes) if "object" in file else None
+    mesh = _tolerated(lambda: _mesh(file["object"], path), None, "the object mesh", lost) if "object" in file else None
     symmetry = None
     if mesh is not None:
-        symmetry = _tolerated(lambda: hdf5_symmetry.read(file["object"], path), None, "the object's symmetry", notes)
+        symmetry = _tolerated(lambda: hdf5_symmetry.read(file["object"], path), None, "the object's symmetry", lost)
     pairs = file.get("pairings", {})
     pairings = tuple(_pairing(pairs, key, path) for key in pairs)
+    if lost:
+        notes.append(f"{', '.join(lost)} {LOST}")
     return Recording(path=path, format=layout.FORMAT, streams=streams, object_mesh=mesh, pairings=pairings,
                      notes=tuple(notes), close=file.close, symmetry=symmetry)  # fmt: skip
 
 
-def _stream(group: Any, name: str, path: Path, notes: list[str]) -> Stream:
+def _stream(group: Any, name: str, path: Path, lost: list[str]) -> Stream:
     n, kept = _checked_stream(group, path)
     sensor, shown = border.sensor(group, path), plain(name)
 
-    def table(key: str, kinds: str, lost: float, what: str) -> NDArray[Any]:
+    def table(key: str, kinds: str, otherwise: float, what: str) -> NDArray[Any]:
         stored = border.dataset(group, key, layout.UNITS[key], kinds, (n,), path)
         kept_as = np.float64 if kinds == border.FLOAT else np.int64
         what = f"{what} of {shown!r}"
-        return _tolerated(lambda: stored[()].astype(kept_as), np.full(n, lost, kept_as), what, notes)
+        return _tolerated(lambda: stored[()].astype(kept_as), np.full(n, otherwise, kept_as), what, lost)
 
     times = table("timestamps", border.FLOAT, np.nan, "the timestamps")
     rows = table("reference_index", border.WHOLE, -1, "the table of references")
@@ -168,12 +171,12 @@ def _pairing(pairs: Any, key: str, path: Path) -> Pairing:
     return Pairing(source=source, target=target, target_from_source=freeze(matrix))
 
 
-def _tolerated(take: Callable[[], T], otherwise: T, what: str, notes: list[str]) -> T:
-    """What `take` reads, or `otherwise` and a note when that part of the file is damaged."""
+def _tolerated(take: Callable[[], T], otherwise: T, what: str, lost: list[str]) -> T:
+    """What `take` reads, or `otherwise` when that part of the file is damaged, which is then `lost`."""
     try:
         return take()
     except (OSError, RuntimeError):
-        notes.append(f"{what} {LOST}")
+        lost.append(what)
         return otherwise
 
 

@@ -74,7 +74,7 @@ def _found(plan: Plan, path: Path) -> tuple[int, bool]:
             )
         counts = [stream.n_frames for stream in recording.streams]
         good = next((k for k in range(min(counts)) if not _readable(recording, k)), min(counts))
-        if any(note.startswith(hdf5.KNOWN) for note in recording.notes):
+        if any(hdf5.KNOWN in note and note.endswith(hdf5.LOST) for note in recording.notes):
             good = 0  # frames without their truth
         damaged = any(note.startswith(hdf5.CUT_SHORT) or note.endswith(hdf5.LOST) for note in recording.notes)
         return good, good == max(counts) and not damaged

@@ -160,6 +160,20 @@ def test_weights_are_opened_closed_and_undone(bubble_window, tmp_path, caplog):
     assert wait_until_shown(bubble_window, LIMIT_S)
 
 
+def test_a_dropped_mesh_in_metres_is_told_the_windows_own_way_out(bubble_window, tmp_path):
+    corners = ((0, 0, 0), (0.02, 0, 0), (0, 0.02, 0), (0, 0, 0.02))
+    faces = ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3))
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    (tmp_path / "ball.obj").write_text("\n".join(lines) + "\n")
+    bubble_window.open_paths([tmp_path / "ball.obj"])
+    wait_until_shown(bubble_window, LIMIT_S)
+    told = bubble_window.window.banner.text
+    assert "Open mesh…" in told
+    assert "Meshes in metres" in told
+    assert "--mesh-unit" not in told
+    assert bubble_window.session.mesh is None
+
+
 def test_the_unit_of_a_mesh_is_chosen_where_it_is_opened_and_kept(bubble_window, ball_file, tmp_path, monkeypatch):
     def in_metres(_parent, _title, _folder, kinds):
         return str(ball_file), next(kind for kind in kinds.split(";;") if "in metres" in kind)

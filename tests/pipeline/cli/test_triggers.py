@@ -631,6 +631,13 @@ def tensors_in_a_list(here):
     return tensors(here, [1, "two", None])
 
 
+@trigger
+def a_recording_cut_short(here):
+    cut = here / "cut.h5"
+    cut.write_bytes(SAMPLE.read_bytes()[: SAMPLE.stat().st_size // 20])
+    return translated(cut, "--frame", "5")
+
+
 @pytest.mark.timeout(30)
 @pytest.mark.parametrize("name", TRIGGERS)
 def test_a_mistake_is_one_sentence_and_leaves_nothing_behind(name, tmp_path, capfd, log):
@@ -642,7 +649,7 @@ def test_a_mistake_is_one_sentence_and_leaves_nothing_behind(name, tmp_path, cap
     said, err = capfd.readouterr()
     assert not log.exists(), log.read_text()
     assert code == EXIT_USER_ERROR, err
-    lines = [line for line in err.splitlines() if line.strip() and not line.startswith("note: ")]
+    lines = [line for line in err.splitlines() if line.strip()]
     assert len(lines) == 1, err
     assert lines[0].startswith("tactoscope: ")
     assert len(lines[0]) < 700

@@ -28,6 +28,15 @@ def ball(shape, depth_mm, **at):
     return depth_mm - radius_mm(shape, **at) ** 2 / (2 * RADIUS_MM)  # Hertz' paraboloid
 
 
+@pytest.mark.parametrize("overlap_mm", [1e-45, 1e-40, 1e-30])
+def test_what_is_thinner_than_an_atom_presses_nothing_and_costs_no_denormal_sums(overlap_mm):
+    pressed = gel.press(PAD, PIXEL_MM, np.full((60, 80), overlap_mm))
+    assert not pressed.contact.any()
+    assert not pressed.indentation_mm.any()
+    held = gel.relax(PAD, PIXEL_MM, np.full((60, 80), overlap_mm), np.ones((60, 80), np.bool_))
+    assert not held.pressure_kpa.any()
+
+
 def test_a_ball_on_a_half_space_follows_hertz():
     shape, depth = (181, 201), 0.5
     pressed = gel.press(HALF_SPACE, PIXEL_MM, ball(shape, depth))
