@@ -17,7 +17,8 @@ import numpy as np
 from pipeline.base.arrays import Doubles, Floats, freeze
 from pipeline.geometry import membrane
 from pipeline.geometry.camera import Camera
-from pipeline.sensors.spec import Glow, Led, Markers, Optics, SensorSpec, sensor
+from pipeline.sensors.parts import Glow, Led, Markers, Optics
+from pipeline.sensors.spec import SensorSpec, sensor
 
 ROWS, COLS = 120, 160  # of the pictures: what networks look at
 PIXEL_MM = 0.125

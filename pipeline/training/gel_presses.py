@@ -16,7 +16,7 @@ import numpy as np
 
 from pipeline.base.arrays import Floats, Mask, freeze
 from pipeline.physics import gel
-from pipeline.sensors.spec import Gel
+from pipeline.sensors.parts import Gel
 from pipeline.simulation.gel_units import COLS, ROWS
 from pipeline.simulation.reliefs import relief
 
