@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from pipeline.base.arrays import Floats
+from pipeline.base.arrays import Floats, Image, Mask
 from pipeline.base.params import setting
 from pipeline.networks.picturing import as_shown, sized
 from pipeline.sensors.spec import sensor
 from pipeline.simulation import poses, shapes, variation
 from pipeline.simulation.press import photograph, press
+from pipeline.training.own import Known
 from pipeline.training.silog import silog
 
 if TYPE_CHECKING:
@@ -44,6 +45,12 @@ class DepthAnythingTask:
         """A press of a training object by another unit, at any of the paper's poses."""
         return self._example(rng, shapes.names("training"))
 
+    def of_touch(self, known: Known, rng: np.random.Generator) -> Example:  # noqa: ARG002 - nothing is left to chance
+        """A touch of the user's."""
+        reference = known.frame.reference
+        assert reference is not None
+        return self._shown(known.frame.image, reference, known.indentation_mm, known.contact)
+
     def held_out(self, split: Split, index: int) -> Example:
         """A press of another grasp, or of an object that is never learned from."""
         group = "training" if split == "unseen_grasps" else "unseen"
@@ -56,12 +63,14 @@ class DepthAnythingTask:
         felt = press(thing, poses.paper_grid(thing, n=1, seed=seeds[1])[0], unit, seed=seeds[2])
         still = np.zeros(unit.camera.shape, np.float32)
         rest = photograph(unit, still, unit.rest_depth_mm, seeds[3])
-        shown = as_shown(felt.image, rest, self.shows)
         truth = felt.truth
         assert truth.indentation_mm is not None
         assert truth.contact is not None
-        contact = truth.contact.astype(np.float32)
-        parts: list[Floats] = [sized(part, self.side) for part in (shown, truth.indentation_mm, contact)]
+        return self._shown(felt.image, rest, truth.indentation_mm, truth.contact)
+
+    def _shown(self, image: Image | Floats, rest: Image | Floats, indentation_mm: Floats, contact: Mask) -> Example:
+        shown = as_shown(image, rest, self.shows)
+        parts: list[Floats] = [sized(p, self.side) for p in (shown, indentation_mm, contact.astype(np.float32))]
         return {
             "picture": np.ascontiguousarray(parts[0].transpose(2, 0, 1)),
             "indentation_mm": parts[1], "contact": (parts[2] > 0.5).astype(np.float32),

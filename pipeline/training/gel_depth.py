@@ -13,12 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, Mask
+from pipeline.base.memo import Memo
 from pipeline.base.params import setting
+from pipeline.engine.digests import content
 from pipeline.sensors.spec import SensorSpec
 from pipeline.simulation.gel_pictures import STILL, drift, pictures
 from pipeline.simulation.gel_units import COLS, PIXEL_MM, ROWS, unit
 from pipeline.stages.depth import network_input
 from pipeline.training import gel_presses
+from pipeline.training.own import Known
 from pipeline.training.task import SPLITS, Split
 
 if TYPE_CHECKING:
@@ -42,6 +45,17 @@ class GelDepth:
     def sample(self, rng: np.random.Generator) -> Example:
         """Fields, indentation (pixels) and contact of one picture."""
         return self._drawn(rng, (_POOL_SEED, self.presses))
+
+    def of_touch(self, known: Known, rng: np.random.Generator) -> Example:
+        """A touch of the user's own sensor."""
+        assert known.frame.reference is not None
+        at = network_input.frame(known.source.camera.shape)
+        touched, untouched = (at.small(picture) for picture in (known.frame.image, known.frame.reference))
+        fields = network_input.fields(touched, untouched, _own_light(known.source))
+        pixel_mm = known.source.pixel_mm * at.pixels
+        indentation_px = at.small(known.indentation_mm[:, :, None]) / np.float32(pixel_mm)
+        contact = at.small(known.contact.astype(np.float32)[:, :, None]) > 0.5
+        return _mirrored(rng, example(fields, indentation_px, contact))
 
     def held_out(self, split: Split, index: int) -> Example:
         """Pictures of presses that training does not see; of unseen tools as the simulator presses them."""
@@ -105,6 +119,13 @@ def _inverse_light(nominal: SensorSpec) -> Floats:
         if nominal.optics is not None and nominal.optics.glows:
             _described[id(nominal)] = known
     return known[1]
+
+
+_own_lights: Memo[str, Floats] = Memo(8)
+
+
+def _own_light(source: SensorSpec) -> Floats:
+    return _own_lights.of(content(source), lambda: network_input.light_of(source))
 
 
 def example(fields: Floats, indentation_px: Floats, contact: Mask) -> Example:

@@ -20,6 +20,7 @@ from pipeline.networks.building import begin_with, build
 from pipeline.training import curves, optimising, state
 from pipeline.training.devices import Devices, devices, in_precision
 from pipeline.training.examples import Examples, examples
+from pipeline.training.own import mixed
 from pipeline.training.recipe import Recipe
 from pipeline.training.state import State
 
@@ -58,7 +59,8 @@ def train(run: Run, progress: Progress = SILENT) -> State:
     now = state.to_go_on(run.out, run.recipe) if begun else State(recipe=state.words(run.recipe), command=run.command)
     ready(run.out)
     pace = run.recipe.pace
-    with devices() as here, examples(run.recipe.settings, pace.seed, pace.batch, run.workers) as source:
+    task = mixed(run.recipe.settings, run.recipe.recordings, run.recipe.share)
+    with devices() as here, examples(task, pace.seed, pace.batch, run.workers) as source:
         return _Training(run, now, here, source, progress).run()
 
 

@@ -10,6 +10,7 @@ from typing import Any, Literal, TypeVar, cast
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import read_toml
 from pipeline.base.params import Value, changed, setting, settings
+from pipeline.training.own import Own
 from pipeline.training.task import TASKS, Task, task_class
 
 Precision = Literal["float32", "bf16"]
@@ -54,6 +55,13 @@ class Validation:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class _Data:
+    """[data]."""
+
+    share: float = setting(0.2, "Share of own touches", low=0.0, high=1.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Recipe:
     """A whole recipe."""
 
@@ -65,13 +73,17 @@ class Recipe:
     optimiser: Optimiser = field(default_factory=Optimiser)
     factors: Mapping[str, float] = field(default_factory=dict)  # beginning of a parameter's name -> times the rate
     validation: Validation = field(default_factory=Validation)
+    recordings: tuple[Own, ...] = ()  # of the user, mixed in for a share
+    share: float = 0.0
 
     @property
     def told(self) -> dict[str, Any]:
         """All of it in plain values, for files and cards; equal ones give equal runs."""
         parts = {"pace": self.pace, "optimiser": self.optimiser, "settings": self.settings}
         plain = {name: {key: value for key, (value, _) in settings(part).items()} for name, part in parts.items()}
-        return {"task": self.task, "network": dict(self.network), "factors": dict(self.factors), **plain}
+        own = [{key: value for key, (value, _) in settings(one).items()} for one in self.recordings]
+        told = {"task": self.task, "network": dict(self.network), "factors": dict(self.factors), **plain}
+        return told | ({"data": {"share": self.share, "recordings": own}} if own else {})
 
 
 def shipped(what: str = "") -> tuple[str, ...]:
@@ -91,7 +103,7 @@ def load(name: str, what: str = "") -> Recipe:
         raise SettingProblem(f"no recipe {name!r}; there are {', '.join(shipped(what))}, or give a .toml file")
     data = read_toml(path, "the recipe")
     try:
-        made = _recipe(path.stem, data)
+        made = _recipe(path.stem, data, path.parent)
         if what and TASKS[made.task].what != what:
             raise SettingProblem(f"it trains {TASKS[made.task].what}, not {what}")
     except SettingProblem as error:
@@ -103,8 +115,8 @@ def _path(name: str) -> Path:
     return SHIPPED / f"{name}.toml"
 
 
-def _recipe(name: str, data: Mapping[str, Any]) -> Recipe:
-    tables = {key: dict(_table(data, key)) for key in ("network", "optimiser", "validation", "settings")}
+def _recipe(name: str, data: Mapping[str, Any], folder: Path) -> Recipe:
+    tables = {key: dict(_table(data, key)) for key in ("network", "optimiser", "validation", "settings", "data")}
     top = {key: value for key, value in data.items() if key not in (*tables, "task", "name")}
     task = data.get("task")
     if not isinstance(task, str):
@@ -123,7 +135,23 @@ def _recipe(name: str, data: Mapping[str, Any]) -> Recipe:
         optimiser=_filled(Optimiser(), tables["optimiser"], "[optimiser] "),
         factors={key: float(value) for key, value in factors.items()},
         validation=_filled(Validation(), tables["validation"], "[validation] "),
+        recordings=_recordings(tables["data"], folder), share=_filled(_Data(), tables["data"], "[data] ").share,
     )  # fmt: skip
+
+
+def _recordings(table: dict[str, Any], folder: Path) -> tuple[Own, ...]:
+    """The [[data.recordings]], whose paths are told from the recipe's folder; what else is in [data] stays."""
+    listed = table.pop("recordings", [])
+    if not isinstance(listed, list) or not all(isinstance(one, dict) for one in cast("list[Any]", listed)):
+        raise SettingProblem("recordings must be tables, [[data.recordings]]")
+    made: list[Own] = []
+    for one in cast("list[dict[str, Any]]", listed):
+        own = _filled(Own(), one, "[[data.recordings]] ")
+        if not own.path:
+            raise SettingProblem("every one of [[data.recordings]] must name its path")
+        beside = {"path": own.path, "reference": own.reference}
+        made.append(replace(own, **{key: str(folder / name) for key, name in beside.items() if name}))
+    return tuple(made)
 
 
 def _table(data: Mapping[str, Any], key: str) -> Mapping[str, Any]:
