@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from functools import partial
 
@@ -54,6 +55,12 @@ class StageColumn(QFrame):
         layout.addWidget(self._method)
         layout.addLayout(status)
         layout.addWidget(self.view, 1)
+        self._note = QLabel()
+        self._note.setObjectName(f"note_{name}")
+        smaller(self._note, 1.0)
+        self._note.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self._note.hide()
+        layout.addWidget(self._note)
         self.setMinimumWidth(90)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
         self.state = ""
@@ -81,15 +88,22 @@ class StageColumn(QFrame):
         self._method.setToolTip(str(self._method.itemData(index, Qt.ItemDataRole.ToolTipRole) or ""))
 
     def show_state(self, state: str, ms: float | None = None, notes: tuple[str, ...] = ()) -> None:
-        """Show where the stage stands; notes become the tool tip, and the reason over a skipped picture."""
+        """Show where the stage stands; notes become the tool tip, and the reason over a skipped picture.
+
+        The first is read out below the picture, up to its first colon or comma.
+        """
         if state != self.state:
             self.state = state
             self._sign.setPixmap(state_pixmap(state))
             self._word.setText(state)
         self._ms.setText("" if ms is None else _time_text(ms))
         tip = "\n".join(notes)
-        for label in (self._sign, self._word, self._ms):
+        for label in (self._sign, self._word, self._ms, self._note):
             label.setToolTip(tip)
+        if state not in ("stale", "running"):
+            first = notes[0] if notes and state not in ("skipped", "failed") else ""
+            self._note.setText(re.split("[:;,]", first, maxsplit=1)[0])
+            self._note.setVisible(bool(first))
         old = state in ("stale", "running", "failed") and self.view.picture is not None
         self.view.show_dimmed(old)
         self.view.show_message(self._message(state, notes))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -35,18 +34,6 @@ _SAVERS = {  # command -> title, kind of file and its suffix
     "save_session": ("Save session", "Sessions", SUFFIX),
     "save_picture": ("Save picture", "Pictures", ".png"),
 }
-
-
-def is_calibration(path: Path) -> bool:
-    """Whether a file is a look-up made by `tactoscope calibrate`, told from other archives by what it holds."""
-    if path.suffix.lower() != ".npz" or not path.is_file():
-        return False
-    try:
-        with zipfile.ZipFile(path) as archive:
-            held = set(archive.namelist())
-            return {"coefficients.npy", "slope_max.npy"} <= held
-    except (OSError, zipfile.BadZipFile):
-        return False
 
 
 def to_open(parent: QWidget, command: str) -> Path | None:

@@ -18,6 +18,7 @@ from app.frame.window import Window
 from app.session.state import SUFFIX, Session, load_session, save_session
 from app.session.undo import SessionChange
 from pipeline.base.errors import TouchError
+from pipeline.calibration.lookup import is_file as is_calibration
 
 
 class Documents(QObject):
@@ -57,7 +58,7 @@ class Documents(QObject):
             self.change("open alignment", alignment=path)
         elif path.suffix.lower() == dialogs.WEIGHTS:
             self.open_weights(path)
-        elif dialogs.is_calibration(path):
+        elif is_calibration(path):
             self.change("open calibration", calibration=path)
         else:
             self.change(
@@ -67,7 +68,7 @@ class Documents(QObject):
 
     def open_paths(self, paths: list[Path]) -> None:
         """Open what was dropped: recordings first, then what goes with them."""
-        for path in sorted(paths, key=lambda p: p.suffix.lower() in dialogs.MESHES or dialogs.is_calibration(p)):
+        for path in sorted(paths, key=lambda p: p.suffix.lower() in dialogs.MESHES or is_calibration(p)):
             self.open_path(path)
 
     def open_mesh(self, path: Path | None, unit: str = "auto") -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -45,6 +46,15 @@ class BallFit:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class ExpectedError:
+    """How wrong a ball will be that is measured with the look-up anywhere in the picture: the median of many."""
+
+    diameter_share: float  # of its diameter
+    depth_share: float  # of how far it is pushed in
+    n_held_out: int  # presses that this was checked on; 0 = foreseen only
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Calibration:
     """What turns this sensor's colours into slopes."""
 
@@ -56,6 +66,13 @@ class Calibration:
     residual: float  # rms slope error of the samples it was fitted to, mm/mm
     origin: str  # a sentence for the user
     presses: tuple[BallFit, ...] = ()  # empty = from the sensor's optical description
+    kept_built_in: bool = False  # the presses did not better the look-up from the sensor's description
+    expected: ExpectedError | None = None  # None = nobody has measured it
+
+    @property
+    def is_built_in(self) -> bool:
+        """Whether this is what the sensor's description implies, whatever was pressed."""
+        return self.kept_built_in or not self.presses
 
 
 def slopes(
@@ -170,6 +187,17 @@ def _without_markers(sensor: SensorSpec) -> SensorSpec:
     return sensor if sensor.markers is None else replace(sensor, markers=None)
 
 
+def is_file(path: Path) -> bool:
+    """Whether a file is a look-up made by `tactoscope calibrate`, told from other archives by what it holds."""
+    if path.suffix.lower() != ".npz" or not path.is_file():
+        return False
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return {"coefficients.npy", "slope_max.npy"} <= set(archive.namelist())
+    except (OSError, zipfile.BadZipFile):
+        return False
+
+
 def save(calibration: Calibration, path: Path) -> None:
     """Write the look-up as .npz, beside its place first, so that no half-written file is ever found there."""
     path = path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
@@ -180,6 +208,7 @@ def save(calibration: Calibration, path: Path) -> None:
             pixel_mm=calibration.pixel_mm, coefficients=model.coefficients, colour_degree=model.colour_degree,
             position_degree=model.position_degree, slope_max=model.slope_max, residual=calibration.residual,
             origin=calibration.origin, presses=_table_of(calibration.presses),
+            kept_built_in=calibration.kept_built_in, expected=_row_of(calibration.expected),
         )  # fmt: skip
 
 
@@ -214,6 +243,9 @@ def _from_fields(fields: dict[str, NDArray[Any]]) -> Calibration:
         model=SlopeModel(colour_degree=colour_degree, position_degree=position_degree, coefficients=freeze(table),
                          slope_max=numbers["slope_max"]),
         residual=numbers["residual"], origin=str(fields["origin"]), presses=_presses_of(fields["presses"]),
+        # Files of before these were written lack them.
+        kept_built_in=bool(fields.get("kept_built_in", False)),
+        expected=_expected_of(fields.get("expected", np.zeros(0))),
     )  # fmt: skip
 
 
@@ -229,6 +261,18 @@ def _presses_of(table: NDArray[Any]) -> tuple[BallFit, ...]:
         BallFit(index=int(i), x_px=float(x), y_px=float(y), radius_px=float(r), residual=float(e), used=bool(used))
         for i, x, y, r, e, used in table
     )
+
+
+def _row_of(error: ExpectedError | None) -> Doubles:
+    return np.array([] if error is None else [error.diameter_share, error.depth_share, error.n_held_out], np.float64)
+
+
+def _expected_of(row: NDArray[Any]) -> ExpectedError | None:
+    if row.shape == (0,):
+        return None
+    if row.shape != (3,) or not np.isfinite(row).all() or row.min() < 0:
+        raise CalibrationError("its expected error must be three numbers of 0 or more")
+    return ExpectedError(diameter_share=float(row[0]), depth_share=float(row[1]), n_held_out=int(row[2]))
 
 
 def check_for(calibration: Calibration, sensor: str, image: Image) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import cast
 
-import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -13,6 +12,7 @@ from pipeline.base.arrays import Image
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import ready_for
 from pipeline.calibration.balls import calibrate_balls
+from pipeline.calibration.description import lines
 from pipeline.calibration.lookup import Calibration, save
 from pipeline.cli.terminal import Bar, print_line, shown_bar
 from pipeline.recordings import open_recording
@@ -66,14 +66,10 @@ def _pictures(folder: Path, spec: SensorSpec, reference: Path, pattern: str) -> 
 
 
 def _report(fitted: Calibration) -> None:
-    used = [p for p in fitted.presses if p.used]
     table = Table("press", "centre (px)", "contact radius (px)", "slope residual (mm/mm)")
     for p in fitted.presses:
         residual = f"{p.residual:.3f}" if p.used else "not used"
         table.add_row(str(p.index), f"{p.x_px:.1f}, {p.y_px:.1f}", f"{p.radius_px:.1f}", residual)
     Console().print(table)
-    median = float(np.median([p.residual for p in used])) if used else float("nan")
-    print_line(
-        f"{len(used)} of {len(fitted.presses)} presses used; slope residual {fitted.residual:.3f} mm/mm over all, "
-        f"median press {median:.3f}; a pixel is {fitted.pixel_mm:.4f} mm"
-    )
+    for line in lines(fitted):
+        print_line(line)

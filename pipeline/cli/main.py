@@ -98,12 +98,12 @@ def inspect(
 ) -> int:
     """Say what a recording is: format, frames, sensor, truth, and whether its units and frames make sense.
 
-    Exits with 0 if every check passed or could not be made, 1 if one failed.
+    Of a calibration's file it says what error to expect. Exits with 0 if every check passed or could not be made, 1 if one failed.
 
     Parameters
     ----------
     recording
-        File or folder of any known format.
+        File or folder of any known format, or a calibration.
     sensor
         The sensor that made it, where the file does not say.
     reference
@@ -111,9 +111,14 @@ def inspect(
     depth_unit
         Unit of a depth array or 16-bit picture whose name does not tell.
     """
+    from pipeline.calibration import description, lookup
     from pipeline.inspection.recording import inspect as report_on
     from pipeline.inspection.recording import lines
 
+    if lookup.is_file(recording):
+        for line in description.lines(lookup.load(recording)):
+            print_line(line)
+        return 0
     report = report_on(recording, sensor=sensor, reference=reference, depth_unit=depth_unit)
     for line in lines(report):
         print_line(line)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPointF
+from PyQt6.QtWidgets import QLabel
 
 from pipeline.pictures.colours import NO_VALUE, ColourScale, coloured, table
 from pipeline.pictures.picture import Picture
@@ -98,3 +99,16 @@ def test_a_skipped_column_shows_its_first_note(qtbot):
     qtbot.addWidget(column)
     column.show_state("skipped", 0.1, ("no mesh", "more"))
     assert column.view.message == "no mesh"
+
+
+def test_a_column_reads_its_first_note_out_in_short(qtbot):
+    column = StageColumn("depth", "Depth")
+    qtbot.addWidget(column)
+    column.show()
+    column.show_state("computed", 12.0, ("uncalibrated look-up: press a ball", "more"))
+    label = column.findChild(QLabel, "note_depth")
+    assert label.text() == "uncalibrated look-up"
+    assert label.isVisible()
+    assert "press a ball" in label.toolTip()
+    column.show_state("computed", 12.0)
+    assert not label.isVisible()

@@ -62,7 +62,7 @@ def applies(source: SensorSpec, calibration: Calibration) -> bool:
 
     A look-up that was fitted to presses has their shadows in it.
     """
-    return source.optics is not None and source.optics.shadow > 0 and source.markers is None and not calibration.presses
+    return source.optics is not None and source.optics.shadow > 0 and source.markers is None and calibration.is_built_in
 
 
 def seen(image: Image, reference: Image, rows: slice, cols: slice, moved: Mask, smoothing_px: float) -> Seen:

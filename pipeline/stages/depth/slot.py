@@ -12,10 +12,10 @@ PHYSICS = Method(
     name="physics",
     title="Physics",
     help="colour look-up and integration for a gel, load on the membrane for a bubble",
-    run=unless(stage.untouched, stage.depth),
+    run=unless(stage.untouched, stage.recorded),
     params=stage.DepthParams,
     reads=("frame", "source", "calibration"),
-    version=3,
+    version=4,
 )
 NETWORK = Method(
     slot="depth",

@@ -16,6 +16,7 @@ from pipeline.base.errors import ShapeError
 from pipeline.base.memo import Memo
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
+from pipeline.calibration import description
 from pipeline.calibration.lookup import Calibration, built_in
 from pipeline.engine.digests import content
 from pipeline.geometry.camera import Camera
@@ -89,6 +90,21 @@ def depth(
         return found
     error = DepthError(rms_mm=source.limits.depth_rms_mm, correlation_mm=source.limits.depth_correlation_mm)
     return replace(found, error=error)
+
+
+def recorded(
+    frame: TactileFrame,
+    source: SensorSpec,
+    calibration: Calibration | None,
+    params: DepthParams,
+    progress: Progress = SILENT,
+) -> DepthMap:
+    """`depth` of a frame that a real unit has taken: the first note says what its look-up is worth."""
+    found = depth(frame, source, calibration, params, progress)
+    if source.kind == "bubble":
+        return found
+    worth = description.UNCALIBRATED_NOTE if calibration is None else description.note(calibration)
+    return replace(found, notes=(worth, *found.notes))
 
 
 def untouched(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -10,6 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
+from pipeline.calibration import lookup
 from pipeline.cli.main import EXIT_USER_ERROR, build, run
 from pipeline.sensors.spec import sensor
 from tests.pipeline.cli.conftest import MINI, save
@@ -76,6 +78,15 @@ def test_the_sample_recording_translates_with_truth(tmp_path, capsys):
     frame = json.loads((out / "report.json").read_text())["frames"][0]
     assert frame["metrics"]["depth.contact_mae_mm"] < 0.15
     assert "felt.contact_iou" in frame["metrics"]
+
+
+def test_inspect_says_what_a_calibration_is_worth(tmp_path, capsys):
+    error = lookup.ExpectedError(diameter_share=0.08, depth_share=0.07, n_held_out=4)
+    press = lookup.BallFit(index=0, x_px=9, y_px=9, radius_px=9, residual=0.02, used=True)
+    known = replace(lookup.built_in(sensor("gelsight_mini")), presses=(press,), expected=error)
+    lookup.save(known, tmp_path / "mini.npz")
+    assert run(build(), ["inspect", str(tmp_path / "mini.npz")]) == 0
+    assert "expected error of a ball's diameter 8 %" in capsys.readouterr().out
 
 
 def test_inspect_says_what_the_sample_is(capsys):

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import CalibrationError, ShapeError
-from pipeline.calibration.lookup import built_in
+from pipeline.calibration.lookup import BallFit, built_in
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.membrane import flat
 from pipeline.physics import optics
 from pipeline.sensors.spec import sensor
 from pipeline.stages.depth import contact
-from pipeline.stages.depth.stage import DepthParams, depth, untouched
+from pipeline.stages.depth.stage import DepthParams, depth, recorded, untouched
 from pipeline.values.frames import TactileFrame
 from tests.pipeline.calibration.test_balls import hertz
 
@@ -312,3 +312,13 @@ def test_real_digit_presses_all_show_one_contact(real_data):
         frame = TactileFrame(sensor=source.name, image=read(f"{i:04d}.png"), reference=still)
         assert untouched(frame, source, None, PARAMS) is None
         assert depth(frame, source, None, PARAMS).contact.sum() > 200
+
+
+def test_a_recorded_frame_says_first_what_its_look_up_is_worth():
+    source, frame, _ = press("gelsight_mini")
+    plain = depth(frame, source, None, PARAMS)
+    found = recorded(frame, source, None, PARAMS)
+    assert found.notes[0].startswith("uncalibrated look-up")
+    assert found.notes[1:] == plain.notes
+    pressed = replace(built_in(source), presses=(BallFit(index=0, x_px=9, y_px=9, radius_px=9, residual=0, used=True),))
+    assert "uncalibrated" not in recorded(frame, source, pressed, PARAMS).notes[0]

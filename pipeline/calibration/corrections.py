@@ -1,0 +1,147 @@
+"""Look-ups that presses can give, weakest correction first, and which of them holds for presses it has not seen.
+
+The built-in look-up; the one of the field of light that the presses leave (`light_field`); and that one plus a
+polynomial of what it leaves of the slopes, held back by a ridge. A few presses are not enough for the polynomial.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles, Floats, freeze
+from pipeline.calibration import light_field, slope_model
+from pipeline.calibration.ball_samples import around, inside, surface
+from pipeline.calibration.ball_slopes import Ball, Press
+from pipeline.calibration.light_field import Fields
+from pipeline.calibration.slope_model import Samples, SlopeModel
+
+_DRAWS, _PIXELS = 40, 8000  # fields and pixels that a look-up is made from
+_QUICK_PIXELS = 4000  # while the circles are still moving
+_RIDGES = (1e-2, 3e-4)  # of the polynomial, strongest first
+_PLACE_DEGREE = 2  # of the polynomial: less than the look-up's, which the field has settled
+_ENOUGH = 8  # presses for a polynomial
+_FOLDS = 6
+_BEST_WITHIN = 1.02  # a simpler look-up is taken if it is as good as this times the best
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Presses:
+    """What corrections are made from."""
+
+    presses: tuple[Press, ...]
+    ball: Ball
+    pixel_mm: float
+    before: Fields
+    built_in: SlopeModel
+    seed: int  # of the pixels that are looked at
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the pictures."""
+        rows, cols = self.presses[0].change.shape[:2]
+        return rows, cols
+
+    def without(self, indices: set[int]) -> Presses:
+        """All but some."""
+        return replace(self, presses=tuple(p for i, p in enumerate(self.presses) if i not in indices))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Held:
+    """How the corrections do on presses that they have not seen, one row a press, one column a correction."""
+
+    slope: Doubles  # rms error, mm/mm
+    diameter: Doubles  # of the ball, less its own, over its own
+
+
+def fields_of(known: Presses) -> Fields:
+    """The field of light after the presses."""
+    rng = np.random.default_rng(known.seed)
+    return light_field.learned(known.before, [surface(p, known.ball, known.pixel_mm, rng) for p in known.presses])
+
+
+def quick(known: Presses) -> SlopeModel:
+    """The look-up of the likeliest field."""
+    fields = fields_of(known)
+    return light_field.look_up(fields.mean[None], known.shape, _QUICK_PIXELS, np.random.default_rng(known.seed))
+
+
+def corrections(known: Presses, *, polynomials: bool) -> tuple[list[SlopeModel], Fields]:
+    """All look-ups, the built-in one first, and the field that they rest on."""
+    rng = np.random.default_rng(known.seed)
+    fields = fields_of(known)
+    base = light_field.look_up(light_field.drawn(fields, _DRAWS, rng), known.shape, _PIXELS, rng)
+    models = [known.built_in, base]
+    if polynomials:
+        samples, weights = around(known.presses, known.ball, rng)
+        left = replace(samples, slopes=samples.slopes - slope_model.predict(base, samples))
+        for ridge in _RIDGES:
+            more = slope_model.fit(left, weights, colour_degree=base.colour_degree, position_degree=_PLACE_DEGREE,
+                                   ridge=ridge)  # fmt: skip
+            wider = base.position_degree - _PLACE_DEGREE
+            table = np.pad(more.coefficients, ((0, wider), (0, wider), (0, 0), (0, 0)))
+            models.append(replace(base, coefficients=freeze(base.coefficients + table)))
+    return models, fields
+
+
+def enough_for_polynomials(n_presses: int) -> bool:
+    """Whether so many presses can settle a polynomial."""
+    return n_presses >= _ENOUGH
+
+
+def held_out(known: Presses, step: Callable[[float], None]) -> Held | None:
+    """Every press measured with the look-ups of the others; None if there is only one."""
+    n = len(known.presses)
+    if n < 2:
+        return None
+    folds = np.array_split(np.random.default_rng(known.seed).permutation(n), min(n, _FOLDS))
+    rows: dict[int, tuple[list[float], list[float]]] = {}
+    for done, fold in enumerate(folds):
+        out = {int(i) for i in fold}
+        models, _ = corrections(known.without(out), polynomials=enough_for_polynomials(n))
+        for i in out:
+            samples = inside(known.presses[i], known.ball)
+            rows[i] = (
+                [slope_error(m, samples) for m in models],
+                [diameter_error(m, samples) for m in models],
+            )
+        step((done + 1) / len(folds))
+    return Held(slope=np.array([rows[i][0] for i in range(n)]), diameter=np.array([rows[i][1] for i in range(n)]))
+
+
+def chosen(held: Held | None) -> int:
+    """The simplest correction that is nearly the best for presses that it has not seen; 0 = the built-in look-up.
+
+    One that measures their diameters worse than the built-in look-up is none, however good its slopes are. A single
+    press can be held out from nothing: its correction is taken.
+    """
+    if held is None:
+        return 1
+    diameters = np.median(np.nan_to_num(np.abs(held.diameter), nan=1.0), axis=0)
+    errors = np.where(diameters <= diameters[0], held.slope.mean(axis=0), np.inf)
+    return int(np.flatnonzero(errors <= _BEST_WITHIN * errors.min())[0])
+
+
+def slope_error(model: SlopeModel, samples: Samples) -> float:
+    """Rms error of the slopes, mm/mm; infinite without pixels."""
+    if len(samples.u) == 0:
+        return float("inf")
+    return float(np.sqrt(np.mean((slope_model.predict(model, samples) - samples.slopes) ** 2)))
+
+
+def diameter_error(model: SlopeModel, samples: Samples) -> float:
+    """The diameter of the sphere nearest to the slopes of a contact, less the ball's, over the ball's; NaN = none."""
+    if len(samples.u) < 12:
+        return float("nan")
+    return float(sphere_error(slope_model.predict(model, samples), samples.slopes))
+
+
+def sphere_error(slopes: Floats | Doubles, true: Floats | Doubles) -> float:
+    """How much larger than the true sphere's the radius of the sphere nearest to slopes (n, 2) is, as a share."""
+    normal, wanted = (g / np.sqrt(1.0 + (g**2).sum(axis=1, keepdims=True)) for g in (slopes, true))
+    normal, wanted = normal - normal.mean(axis=0), wanted - wanted.mean(axis=0)
+    curvature = float((normal * wanted).sum() / (wanted**2).sum())  # over the true one
+    return 1.0 / max(curvature, 0.05) - 1.0

@@ -1,0 +1,43 @@
+"""What a look-up is worth, in words: for the terminal, the window and a frame's notes."""
+
+from __future__ import annotations
+
+from pipeline.calibration.lookup import Calibration
+
+HOW = "press a ball in four places or more and run 'tactoscope calibrate balls'"
+UNCALIBRATED = "uncalibrated look-up"
+UNCALIBRATED_NOTE = f"{UNCALIBRATED}: a real unit's sizes and depths may be wrong by half; {HOW}"
+
+
+def note(calibration: Calibration) -> str:
+    """One sentence on the sizes and depths that come from this look-up."""
+    if not calibration.presses:
+        return UNCALIBRATED_NOTE
+    if calibration.kept_built_in:
+        return f"{UNCALIBRATED}: presses did not better it; {HOW}, with other pictures"
+    n_used = sum(p.used for p in calibration.presses)
+    error = calibration.expected
+    worth = "" if error is None else f"a ball's diameter within {100 * error.diameter_share:.0f} %: "
+    return f"{worth}look-up from {n_used} presses of a ball"
+
+
+def lines(calibration: Calibration) -> list[str]:
+    """The look-up as lines for a terminal."""
+    size = f"{calibration.cols} x {calibration.rows} px of {calibration.pixel_mm:.4f} mm"
+    used = [p.residual for p in calibration.presses if p.used]
+    out = [f"calibration of {calibration.sensor}, {size}", f"  look-up: {calibration.origin}"]
+    if used:
+        out.append(f"  slope residual {calibration.residual:.3f} mm/mm over {len(used)} presses")
+    return [*out, f"  {expectation(calibration)}"]
+
+
+def expectation(calibration: Calibration) -> str:
+    """The error to be expected, and what the statement rests on."""
+    error = calibration.expected
+    if error is None:
+        return note(calibration)
+    basis = f"checked on {error.n_held_out} presses held out" if error.n_held_out else "foreseen, no press was held out"
+    return (
+        f"expected error of a ball's diameter {100 * error.diameter_share:.0f} %, of its depth "
+        f"{100 * error.depth_share:.0f} %; {basis}"
+    )

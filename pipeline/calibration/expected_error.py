@@ -1,0 +1,79 @@
+"""What error a look-up from presses of balls is to be expected to have: foreseen, and corrected by what was held out.
+
+The field of light that is left possible (`light_field`) says how wrong the look-up is anywhere in the picture, also
+where no press was: virtual presses of the ball at places all over it are coloured by possible fields and measured with
+the look-up. Presses that were held out tell how wrong it is where presses are, with all that the field knows nothing
+of: circles that are a little off, and a gel that shines otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles
+from pipeline.calibration import light_field, slope_model
+from pipeline.calibration.ball_samples import Samples
+from pipeline.calibration.corrections import Held, Presses, sphere_error
+from pipeline.calibration.light_field import Fields
+from pipeline.calibration.lookup import ExpectedError
+from pipeline.calibration.slope_model import SlopeModel
+
+_DRAWS = 12
+_PLACES = (5, 6)  # down and across
+_MARGIN = 0.1  # of the picture: touches at its very border are measured badly by anything
+_PIXELS = 60  # of a virtual press
+_WORTH = 4.0  # presses that what is foreseen counts as
+_UNFORESEEN = 2.0  # times what is foreseen: circles that are off and light that is no such field
+_LEAST = 0.005  # a median of a few errors below this is luck
+
+
+def foreseen(model: SlopeModel, fields: Fields, known: Presses) -> Doubles:
+    """Diameter errors, as shares, of virtual presses of the ball: (draws, places)."""
+    rng = np.random.default_rng(1)
+    rows, cols = known.shape
+    ball_px = known.ball.radius_px
+    contact_px = float(np.median([p.circle.radius_px for p in known.presses]))
+    u_all, v_all = slope_model.position(known.shape)
+    y, x = (
+        np.linspace(_MARGIN * (n - 1), (1 - _MARGIN) * (n - 1), k) for n, k in zip((rows, cols), _PLACES, strict=True)
+    )
+    r, turn = contact_px * np.sqrt(rng.random(_PIXELS)), rng.uniform(0.0, 2.0 * math.pi, _PIXELS)
+    dx, dy = r * np.cos(turn), r * np.sin(turn)
+    slopes = -np.stack([dx, dy], axis=1) / np.sqrt(ball_px**2 - r**2)[:, None]
+    parts = light_field.parts_of_slopes(slopes, (contact_px**2 - 0.5 * r**2) / ball_px * known.pixel_mm)
+    unit = float(u_all[1] - u_all[0])
+    out = np.empty((_DRAWS, len(y) * len(x)))
+    candidates = light_field.drawn(fields, _DRAWS, rng)
+    for place, (cy, cx) in enumerate((a, b) for a in y for b in x):
+        u = (u_all[0] + unit * (cx + dx)).astype(np.float32)
+        v = (v_all[0] + unit * (cy + dy)).astype(np.float32)
+        at = light_field.places(u, v)
+        for k, candidate in enumerate(candidates):
+            seen = light_field.colours(candidate, at, parts).astype(np.float32)
+            measured = slope_model.predict(model, Samples(change=seen, u=u, v=v, slopes=slopes.astype(np.float32)))
+            out[k, place] = sphere_error(measured, slopes)
+    return out
+
+
+def expected(model: SlopeModel, fields: Fields, known: Presses, held: Held | None, best: int) -> ExpectedError:
+    """The error to be expected of `model`, correction number `best`, in the middle of the picture's places."""
+    virtual = foreseen(model, fields, known).ravel()
+    measured = np.array([]) if held is None else held.diameter[:, best]
+    measured = measured[np.isfinite(measured)]
+    return ExpectedError(
+        diameter_share=_together(np.abs(virtual), np.abs(measured)),
+        # How far a ball of known size is pushed in goes with the curvature that is measured.
+        depth_share=_together(np.abs(1.0 / (1.0 + virtual) - 1.0), np.abs(1.0 / (1.0 + measured) - 1.0)),
+        n_held_out=len(measured),
+    )
+
+
+def _together(virtual: Doubles, measured: Doubles) -> float:
+    """The middle of what was foreseen and of what was measured, in the logarithm: the more presses, the more theirs."""
+    before = math.log(_UNFORESEEN * float(np.median(virtual)))
+    if len(measured) == 0:
+        return math.exp(before)
+    after = math.log(max(float(np.median(measured)), _LEAST))
+    return math.exp((_WORTH * before + len(measured) * after) / (_WORTH + len(measured)))

@@ -1,0 +1,92 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from pipeline.calibration import corrections
+from pipeline.calibration.ball_samples import inside
+from pipeline.calibration.ball_slopes import Ball, Press
+from pipeline.calibration.balls import calibrate_balls
+from pipeline.calibration.contact_circles import Circle
+from pipeline.calibration.corrections import Held, chosen, diameter_error
+from pipeline.calibration.lookup import built_in, relative_change
+from pipeline.physics import optics
+from pipeline.sensors.spec import sensor
+from pipeline.simulation.variation import varied
+from tests.pipeline.calibration.test_balls import hertz
+
+FEW_PRESSES_TOLERANCE = 0.12  # of the diameter, median: what four presses promise
+PLACES = [(90, 70), (230, 80), (110, 170), (220, 165)]
+ELSEWHERE = [(160, 120), (60, 130), (270, 120), (160, 50), (165, 200)]
+
+
+def press(unit, x_px, y_px, diameter_mm, seed):
+    return optics.render(unit, hertz(unit.camera.shape, unit.pixel_mm, x_px, y_px, diameter_mm, 0.6), seed=seed)
+
+
+@pytest.fixture(scope="module")
+def another_unit():
+    """A unit unlike the description, its still picture, and the calibration from four presses."""
+    unit = varied(sensor("gelsight_mini"), 11, 2.5)
+    still = optics.untouched(unit)
+    pictures = [press(unit, x, y, 6.31, i) for i, (x, y) in enumerate(PLACES)]
+    return unit, still, calibrate_balls(pictures, still, sensor("gelsight_mini"), 6.31)
+
+
+def errors_elsewhere(model, unit, still):
+    found = []
+    for k, (x, y) in enumerate(ELSEWHERE):
+        change = relative_change(press(unit, x, y, 9.5, 30 + k), still, unit.pixel_mm)
+        radius_px = np.sqrt(4.75 * 0.6) / unit.pixel_mm
+        seen = Press(index=0, change=change, circle=Circle(x_px=x, y_px=y, radius_px=radius_px))
+        ball = Ball(radius_px=4.75 / unit.pixel_mm, share=None)
+        found.append(abs(diameter_error(model, inside(seen, ball))))
+    return np.array(found)
+
+
+def test_four_presses_measure_another_ball_where_none_of_them_was(another_unit):
+    unit, still, look_up = another_unit
+    errors = errors_elsewhere(look_up.model, unit, still)
+    assert np.median(errors) < FEW_PRESSES_TOLERANCE
+    assert np.median(errors) < np.median(errors_elsewhere(built_in(sensor("gelsight_mini")).model, unit, still))
+
+
+def test_the_expected_error_is_of_the_size_of_the_error(another_unit):
+    unit, still, look_up = another_unit
+    measured = np.median(errors_elsewhere(look_up.model, unit, still))
+    assert look_up.expected is not None
+    assert look_up.expected.n_held_out == len(PLACES)
+    assert measured / 4 < look_up.expected.diameter_share < 4 * measured
+
+
+ERRORS = arrays.arrays(np.float64, (5, 4), elements=st.floats(0.001, 1.0))
+
+
+@given(ERRORS, ERRORS)
+def test_no_correction_is_chosen_that_is_worse_than_none(slope, diameter):
+    best = chosen(Held(slope=slope, diameter=diameter))
+    assert slope[:, best].mean() <= slope[:, 0].mean()
+    assert np.median(diameter[:, best]) <= np.median(diameter[:, 0])
+
+
+def test_presses_that_tell_nothing_leave_the_built_in_look_up(monkeypatch):
+    unit = sensor("gelsight_mini")
+    still, true = optics.untouched(unit), built_in(unit).model
+    pictures = [press(unit, x, y, 6.31, i) for i, (x, y) in enumerate(PLACES[:2])]
+    monkeypatch.setattr(corrections, "slope_error", lambda model, _: 0.0 if model is true else 1.0)
+    found = calibrate_balls(pictures, still, unit, 6.31)
+    assert found.kept_built_in
+    assert found.is_built_in
+    assert found.model is true
+    assert "did not better" in found.origin
+
+
+def test_a_sphere_seen_too_flat_is_said_to_be_too_large():
+    x, y = np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(-0.5, 0.5, 9))
+    true = -np.stack([x.ravel(), y.ravel()], axis=1) / np.sqrt(1 - x.ravel() ** 2 - y.ravel() ** 2)[:, None]
+    assert corrections.sphere_error(true, true) == pytest.approx(0.0, abs=1e-9)
+    flat = 0.5 * true / np.sqrt(1.0 + 0.75 * (true**2).sum(axis=1, keepdims=True))  # normals' tilt halved
+    assert corrections.sphere_error(flat, true) == pytest.approx(1.0, rel=0.02)

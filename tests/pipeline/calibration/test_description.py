@@ -1,0 +1,44 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from pipeline.calibration import description
+from pipeline.calibration.lookup import BallFit, ExpectedError, built_in
+from pipeline.sensors.spec import sensor
+
+PRESS = BallFit(index=0, x_px=10.0, y_px=20.0, radius_px=15.0, residual=0.02, used=True)
+ERROR = ExpectedError(diameter_share=0.083, depth_share=0.071, n_held_out=4)
+
+
+@pytest.fixture
+def look_up():
+    return built_in(sensor("gelsight_mini"))
+
+
+def test_a_look_up_without_presses_is_called_uncalibrated_and_what_to_do_is_said(look_up):
+    note = description.note(look_up)
+    assert note.startswith("uncalibrated look-up")
+    assert "calibrate balls" in note
+    assert any("uncalibrated" in line for line in description.lines(look_up))
+
+
+def test_a_look_up_that_presses_did_not_better_is_called_uncalibrated(look_up):
+    note = description.note(replace(look_up, presses=(PRESS,), kept_built_in=True, expected=ERROR))
+    assert note.startswith("uncalibrated look-up")
+    assert "did not better" in note
+
+
+def test_a_calibrated_look_up_says_what_error_to_expect_and_on_what_that_rests(look_up):
+    known = replace(look_up, presses=(PRESS,) * 4, expected=ERROR)
+    assert description.note(known) == "a ball's diameter within 8 %: look-up from 4 presses of a ball"
+    told = " ".join(description.lines(known))
+    assert "diameter 8 %" in told
+    assert "depth 7 %" in told
+    assert "4 presses held out" in told
+
+
+def test_an_error_that_no_press_was_held_out_for_is_called_foreseen(look_up):
+    known = replace(look_up, presses=(PRESS,), expected=replace(ERROR, n_held_out=0))
+    assert "foreseen" in description.expectation(known)
