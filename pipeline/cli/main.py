@@ -98,7 +98,8 @@ def inspect(
 ) -> int:
     """Say what a recording is: format, frames, sensor, truth, and whether its units and frames make sense.
 
-    Of a calibration's file it says what error to expect. Exits with 0 if every check passed or could not be made, 1 if one failed.
+    Of a calibration's file it says what error to expect. Exits with 0 if every check passed or could not be made, 1 if
+    one failed.
 
     Parameters
     ----------
