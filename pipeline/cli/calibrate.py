@@ -48,6 +48,11 @@ def calibrate_balls_command(
         fitted = calibrate_balls(images, untouched, spec, diameter_mm, pixel_mm=pixel_mm, progress=Bar(bar), seed=seed)
     save(fitted, out)
     _report(fitted)
+    if pixel_mm is None:
+        print_line(
+            f"presses of one ball fit any width of a pixel alike: {fitted.pixel_mm:.4f} mm is that of the description "
+            f"of {spec.name}; if it is not this unit's, measure it and give --pixel-mm: all sizes and depths go with it"
+        )
     print_line(f"look-up written to {out}; use it with --calibration")
     return 0
 

@@ -80,6 +80,20 @@ def test_the_sample_recording_translates_with_truth(tmp_path, capsys):
     assert "felt.contact_iou" in frame["metrics"]
 
 
+@pytest.mark.parametrize("known", [False, True])
+def test_calibrating_says_what_error_to_expect_and_what_one_ball_cannot_tell(known, touches, tmp_path, capsys):
+    (touches / "touch_0.png").unlink()
+    pixel = ["--pixel-mm", "0.06"] if known else []
+    out = tmp_path / "mini.npz"
+    command = ["calibrate", "balls", str(touches), "--sensor", "gelsight_mini", "--diameter-mm", "8", *pixel,
+               "--reference", str(touches / "background.png"), "--out", str(out), "--pattern", "touch_*"]  # fmt: skip
+    assert run(build(), command) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "expected error of a ball's diameter" in told
+    assert ("any width of a pixel" in told) is not known
+    assert lookup.load(out).expected is not None
+
+
 def test_inspect_says_what_a_calibration_is_worth(tmp_path, capsys):
     error = lookup.ExpectedError(diameter_share=0.08, depth_share=0.07, n_held_out=4)
     press = lookup.BallFit(index=0, x_px=9, y_px=9, radius_px=9, residual=0.02, used=True)
