@@ -60,7 +60,7 @@ def refine_alignment(
         touches = _touches(translation, frames, exact, Bar(bar))
         used, held = split(touches, hold_out)
         answer = refine(used, translation.alignment, held_out=held, into=into, tolerance=tolerance, progress=Bar(bar))
-    _print_refinement(answer)
+    print_refinement(answer)
     kept = AlignmentFile(
         alignment=answer.alignment,
         source=translation.source.name,
@@ -137,7 +137,8 @@ def _print_axes(axes: Sequence[Sensitivity], frame: int) -> None:
     print_line("size of the change to either side, and in brackets the slope along the axis")
 
 
-def _print_refinement(answer: Refinement) -> None:
+def print_refinement(answer: Refinement) -> None:
+    """Print how touches agree before and after, what moved, and what they do not tell."""
     table = Table("touches", "n", "surface mm", "outline mm", "compared")
     parts: list[tuple[str, tuple[Fit, Fit] | None]] = [("used", answer.used), ("held out", answer.held_out)]
     for name, pair in parts:

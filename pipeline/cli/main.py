@@ -47,9 +47,10 @@ def build(name: str = "tactoscope") -> App:
     calibrate = App(name="calibrate", help="Build a sensor's colour-to-slope look-up from presses of a known object.")
     calibrate.command(cli_data.balls)
     app.command(calibrate)
-    align = App(name="align", help="Judge and refine how two sensors stand to each other.")
+    align = App(name="align", help="Judge, refine and fit how two sensors stand to each other.")
     align.command(cli_align.score)
     align.command(cli_align.refine)
+    align.command(cli_align.fit)
     app.command(align)
     app.command(cli_train.build())
     return app

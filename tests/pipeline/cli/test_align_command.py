@@ -123,3 +123,23 @@ def test_frames_are_numbers_and_ranges():
     assert frames_of("4, 0-2,1", 6) == [0, 1, 2, 4]
     with pytest.raises(SettingProblem, match="no frame 6"):
         frames_of("2-6", 6)
+
+
+def test_fit_finds_an_alignment_without_one_to_begin_with_and_writes_it(typed, tmp_path):
+    out = tmp_path / "fitted.toml"
+    recording = SAMPLE.with_name("grasps_lines_120.h5")
+    words = ("--sensor", "gelslim", "--target", "soft_bubble", "--truth", "--use", "2", "--out", out)
+    code, said, error = typed("fit", recording, *words)
+    assert code == 0, error
+    assert "held out" in said
+    fitted = load(out, source="gelslim", target="soft_bubble").alignment.target_from_source
+    exact = np.diag([-1.0, -1.0, 1.0])  # how the sample's bubble is turned; 47 mm lie between the two cameras
+    off = np.degrees(np.arccos(np.clip((np.trace(fitted[:3, :3].T @ exact) - 1) / 2, -1, 1)))
+    assert off < 1.0
+    assert fitted[:3, 3] == pytest.approx((0.0, 0.0, 47.0), abs=0.3)
+
+
+def test_fit_of_a_recording_asks_for_a_place_to_write(typed):
+    code, _, error = typed("fit", SAMPLE, "--target", "soft_bubble")
+    assert code == EXIT_USER_ERROR
+    assert "name the .toml" in error

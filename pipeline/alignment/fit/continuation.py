@@ -1,0 +1,89 @@
+"""What presses beyond a gel's view: ridges that leave the picture are taken to go on straight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles, Floats
+
+_INSET = 0.047  # share of the side by which the frame that is watched lies within the picture
+_LEAST = 0.28  # of full touching, for a ridge to count where it leaves
+_APART = 0.09  # shares of the side between two that leave
+_BASELINE, _SHORTEST = 0.35, 0.14  # shares of the side along which a ridge's direction is read, and must be seen
+_STEP_DEG = 1.5
+_CLEAR = 0.3  # mean touching along it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Leaving:
+    """Ridges that leave a picture: (n,) each, in pixels, directions outward."""
+
+    x_px: Doubles
+    y_px: Doubles
+    right: Doubles
+    down: Doubles
+    strength: Doubles  # 0..1
+
+
+def leaving(touching: Floats) -> Leaving:
+    """The ridges that leave a picture (rows, cols) of what touches; directions are those with most of it behind."""
+    import cv2
+
+    smooth = np.asarray(cv2.GaussianBlur(touching, (0, 0), max(1.0, 0.012 * max(touching.shape))), np.float32)
+    x, y = _frame(touching.shape)
+    profile = _sampled(smooth, x, y)
+    apart = round(_APART * float(np.mean(touching.shape)))
+    taken = np.zeros(len(profile), np.bool_)
+    found: list[tuple[float, ...]] = []
+    for k in np.argsort(-profile):
+        if profile[k] < _LEAST:
+            break
+        if taken[k]:
+            continue
+        taken[np.arange(k - apart, k + apart + 1) % len(profile)] = True
+        right, down, clear = _inward(smooth, float(x[k]), float(y[k]))
+        if clear > _CLEAR:
+            found.append((float(x[k]), float(y[k]), -right, -down, min(1.0, profile[k] / 0.75)))
+    table = np.array(found, np.float64).reshape(-1, 5).T
+    return Leaving(x_px=table[0], y_px=table[1], right=table[2], down=table[3], strength=table[4])
+
+
+def _inward(smooth: Floats, x_px: float, y_px: float) -> tuple[float, float, float]:
+    """(right, down, mean touching along it) of the ridge that ends at a place of the frame, looking inward."""
+    rows, cols = smooth.shape
+    side, inset = float(np.mean(smooth.shape)), _INSET * float(np.mean(smooth.shape))
+    angles = np.deg2rad(np.arange(0.0, 360.0, _STEP_DEG))
+    along = np.arange(0.0, _BASELINE * side)
+    xs = x_px + along * np.cos(angles)[:, None]
+    ys = y_px + along * np.sin(angles)[:, None]
+    inside = (xs >= inset - 1) & (xs <= cols - inset) & (ys >= inset - 1) & (ys <= rows - inset)
+    passed = _sampled(smooth, xs.ravel(), ys.ravel()).reshape(xs.shape) * inside
+    n = inside.sum(axis=1)
+    mean = np.where(n >= _SHORTEST * side, passed.sum(axis=1) / np.maximum(n, len(along)), -1.0)
+    best = int(np.argmax(mean))
+    near = np.arange(best - 4, best + 5) % len(angles)
+    turn = complex((np.maximum(mean[near], 0.0) ** 8 * np.exp(1j * angles[near])).sum())
+    length = max(abs(turn), 1e-30)
+    return turn.real / length, turn.imag / length, float(mean[best])
+
+
+def _frame(shape: tuple[int, ...]) -> tuple[Doubles, Doubles]:
+    """(x, y) of the pixels of a frame a little within the picture, once around."""
+    rows, cols = shape
+    inset = round(_INSET * float(np.mean(shape)))
+    x = np.arange(inset, cols - inset, dtype=np.float64)
+    y = np.arange(inset, rows - inset, dtype=np.float64)
+    left, right, top, bottom = float(inset), float(cols - 1 - inset), float(inset), float(rows - 1 - inset)
+    return (
+        np.concatenate([x, np.full(len(y), right), x[::-1], np.full(len(y), left)]),
+        np.concatenate([np.full(len(x), top), y, np.full(len(x), bottom), y[::-1]]),
+    )
+
+
+def _sampled(picture: Floats, x_px: Doubles, y_px: Doubles) -> Doubles:
+    import cv2
+
+    there = (x_px.astype(np.float32).reshape(1, -1), y_px.astype(np.float32).reshape(1, -1))
+    return np.asarray(cv2.remap(picture, *there, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), np.float64).ravel()

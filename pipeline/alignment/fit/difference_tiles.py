@@ -1,0 +1,97 @@
+"""Difference tiles of a gel, as training sets keep them: stretched in grey levels, squeezed to squares, turned.
+
+What is left of the touch is where its ridges are. The described lights say which slope a colour stands for, up to one
+factor; the slopes of a surface have no curl, and what is pressed in is sharper on its top than at its foot. So a tile
+alone tells how it was laid.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.alignment.fit.turning import WAYS, turned, upside_down
+from pipeline.base.arrays import Doubles, Floats, Image, freeze
+from pipeline.base.errors import SettingProblem
+from pipeline.sensors.spec import SensorSpec
+
+_SMOOTHED_PX = 1.5
+_RIDGE_PX = 2.5  # half the width of a ridge's top in a tile of 128 px
+_BORDER_PX = 6  # differences of a tile's very edge are the camera's
+_STRONG = 99.5  # quantile of the ridges that counts as fully touching
+_FULL = 0.6  # share of that from which it does
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ridges:
+    """What presses into a gel, as far as a tile tells."""
+
+    touching: Floats  # (rows, cols) 0..1
+    way: int  # how the tile was laid before it lay as the sensor's camera sees: `turned(tile, way)`
+    curl_free: float  # share of the slopes' energy that a surface explains
+    next_best: float  # the same of the best way that is not this or half a turn from it
+
+
+def slopes_of_colours(spec: SensorSpec) -> Doubles:
+    """(2, 3): what makes a change of colour a slope (right, down), up to one factor; from the described lights."""
+    if spec.optics is None:
+        raise SettingProblem(f"{spec.name} has no lights to read slopes from; it measures depth itself")
+    colours = np.zeros((3, 2))
+    for led in spec.optics.leds:
+        angle = math.radians(led.azimuth_deg)
+        colours -= np.outer(led.rgb, (math.cos(angle), math.sin(angle)))
+    inverse = np.linalg.pinv(colours)
+    return inverse / np.abs(inverse).max()
+
+
+def ridges(tile: Image, spec: SensorSpec, way: int | None = None) -> Ridges:
+    """The ridges of a tile (rows, cols, 3), laid as the sensor's camera sees them; `way` None = the tile tells it."""
+    matrix = slopes_of_colours(spec)
+    explained = [_curl_free(*_slopes(turned(tile, k), matrix)) for k in WAYS]
+    best = int(np.argmax(explained)) if way is None else way
+    if way is None and _skewness(_peaks(turned(tile, best), matrix)) < 0:
+        best = upside_down(best)
+    peaks = np.maximum(_peaks(turned(tile, best), matrix), 0.0)
+    strongest = max(float(np.percentile(peaks, _STRONG)), 1e-9)
+    others = [e for k, e in enumerate(explained) if k not in (best, upside_down(best))]
+    return Ridges(touching=freeze(np.minimum(peaks / (strongest * _FULL), 1.0).astype(np.float32)), way=best,
+                  curl_free=explained[best], next_best=max(others))  # fmt: skip
+
+
+def _slopes(tile: NDArray[np.uint8], matrix: Doubles) -> tuple[Doubles, Doubles]:
+    import cv2
+
+    change = tile.astype(np.float64) - np.median(tile.reshape(-1, 3), axis=0)
+    smooth = np.asarray(cv2.GaussianBlur(change, (0, 0), _SMOOTHED_PX)) @ matrix.T
+    return smooth[..., 0], smooth[..., 1]
+
+
+def _peaks(tile: NDArray[np.uint8], matrix: Doubles) -> Doubles:
+    """How much the surface bends over, highest on the tops of what is pressed in; 0 in the tile's border."""
+    import cv2
+
+    gx, gy = (np.asarray(cv2.GaussianBlur(g, (0, 0), _RIDGE_PX - _SMOOTHED_PX + 1)) for g in _slopes(tile, matrix))
+    bend = -(np.gradient(gx, axis=1) + np.gradient(gy, axis=0))
+    inner = np.zeros_like(bend)
+    inside = slice(_BORDER_PX, -_BORDER_PX)
+    inner[inside, inside] = bend[inside, inside]
+    return inner
+
+
+def _skewness(values: Doubles) -> float:
+    return float((values**3).mean() / max(float((values**2).mean()), 1e-12) ** 1.5)
+
+
+def _curl_free(gx: Doubles, gy: Doubles) -> float:
+    """Share of the energy of slopes that is the gradient of some surface, mirrored at the borders."""
+    wide_x = np.block([[gx, -gx[:, ::-1]], [gx[::-1], -gx[::-1, ::-1]]])
+    wide_y = np.block([[gy, gy[:, ::-1]], [-gy[::-1], -gy[::-1, ::-1]]])
+    fx, fy = np.fft.fft2(wide_x), np.fft.fft2(wide_y)
+    kx, ky = np.fft.fftfreq(wide_x.shape[1])[None, :], np.fft.fftfreq(wide_x.shape[0])[:, None]
+    length_sq = kx**2 + ky**2
+    length_sq[0, 0] = 1.0
+    along = np.abs(kx * fx + ky * fy) ** 2 / length_sq
+    return float(along.sum() / max(float((np.abs(fx) ** 2 + np.abs(fy) ** 2).sum()), 1e-12))

@@ -1,0 +1,98 @@
+"""Pairs of touches to fit an alignment to: tiles of a training set, or moments of a recording of both sensors."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.alignment.fit.carry import Pair
+from pipeline.alignment.fit.difference_tiles import Ridges, ridges
+from pipeline.alignment.fit.turning import in_words, turned
+from pipeline.alignment.touches import PairedTouch
+from pipeline.base.arrays import Floats, freeze
+from pipeline.base.errors import FileProblem
+from pipeline.recordings import pictures
+from pipeline.sensors.spec import SensorSpec
+from pipeline.values.results import DepthMap
+
+_ALL_ALIKE = 0.8  # share of tiles that lie one way, from which all are taken to
+_TILE = (1.0, 1.0)  # width and height: the unit of tiles is the tile
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pairs:
+    """What was found, and what to say of it."""
+
+    pairs: tuple[Pair, ...]
+    notes: tuple[str, ...]
+
+
+def tile_pairs(folder: Path, source: SensorSpec, source_names: str, target_names: str) -> Pairs:
+    """Pictures of `folder` whose names fit both patterns (one `*` each), which stands for the same word in a pair.
+
+    A source's tile is a difference picture, a target's an imprint in grey. Where tiles were turned, each tells how;
+    the target's of the same pair is turned back with it. Raises FileProblem where nothing is paired.
+    """
+    found = _named(folder, source_names), _named(folder, target_names)
+    names = sorted(found[0].keys() & found[1].keys(), key=lambda n: pictures.natural_key(Path(n)))
+    if not names:
+        raise FileProblem(f"no two pictures are named {source_names} and {target_names}", folder)
+    read = {name: ridges(pictures.rgb(found[0][name]), source) for name in names}
+    way, often = Counter(r.way for r in read.values()).most_common(1)[0]
+    alike = often >= _ALL_ALIKE * len(names)
+    if alike:
+        read = {n: r if r.way == way else ridges(pictures.rgb(found[0][n]), source, way) for n, r in read.items()}
+        note = f"the {source.name} tiles lie alike: {in_words(way)}"
+    else:
+        ways = len({r.way for r in read.values()})
+        note = (
+            f"the {source.name} tiles lie in {ways} ways, each told by its own colours; imprints are turned with them"
+        )
+    clear = (
+        float(np.median([r.curl_free for r in read.values()])),
+        float(np.median([r.next_best for r in read.values()])),
+    )
+    said = (
+        f"their colours read as slopes are {clear[0]:.0%} a surface's (the next best way to lay them: {clear[1]:.0%})"
+    )
+    return Pairs(pairs=tuple(_tiles(n, read[n], found[1][n]) for n in names), notes=(note, said))
+
+
+def touch_pairs(touches: Sequence[PairedTouch]) -> Pairs:
+    """Moments that both sensors felt, in millimetres on either one's rest surface."""
+    made = [_touch(t) for t in touches if t.felt_by_both]
+    return Pairs(pairs=tuple(made), notes=(f"{len(made)} of {len(touches)} moments are felt by both",))
+
+
+def pixel_mm(depth: DepthMap) -> float:
+    """Width of a pixel where the sensor is touched, or at rest."""
+    seen = depth.depth_mm[np.isfinite(depth.depth_mm)]
+    return float(np.median(seen)) / depth.camera.fx_px
+
+
+def _named(folder: Path, pattern: str) -> dict[str, Path]:
+    if pattern.count("*") != 1:
+        raise FileProblem(f"a pattern of names has one '*', got {pattern!r}", folder)
+    before, after = pattern.split("*")
+    files = [p for p in folder.iterdir() if pictures.is_picture(p) and len(p.name) >= len(before) + len(after)]
+    return {p.name[len(before) : len(p.name) - len(after)]: p
+            for p in files if p.name.startswith(before) and p.name.endswith(after)}  # fmt: skip
+
+
+def _tiles(name: str, source: Ridges, target: Path) -> Pair:
+    grey = pictures.rgb(target).astype(np.float32).mean(axis=2)
+    return Pair(name=name, touching=source.touching, source_size=_TILE, target_size=_TILE,
+                imprint=freeze(np.ascontiguousarray(turned(grey, source.way))))  # fmt: skip
+
+
+def _touch(touch: PairedTouch) -> Pair:
+    def size(depth: DepthMap) -> tuple[float, float]:
+        return depth.camera.cols * pixel_mm(depth), depth.camera.rows * pixel_mm(depth)
+
+    imprint: Floats = np.nan_to_num(touch.target.indentation_mm).astype(np.float32)
+    return Pair(name=str(touch.index), touching=freeze(touch.source.contact.astype(np.float32)), metric=True,
+                source_size=size(touch.source), imprint=freeze(imprint), target_size=size(touch.target))  # fmt: skip

@@ -1,0 +1,49 @@
+"""From a carrying in millimetres to a rigid alignment, which refining then polishes in all six directions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pipeline.alignment.fit.carry import Carrying
+from pipeline.alignment.fit.pairs import pixel_mm
+from pipeline.alignment.touches import PairedTouch
+from pipeline.base.arrays import Doubles, freeze
+from pipeline.base.errors import SettingProblem
+from pipeline.geometry import rigid
+from pipeline.sensors.alignment import Alignment
+from pipeline.values.results import DepthMap
+
+
+def aligned(touches: Sequence[PairedTouch], how: Carrying, described: Alignment) -> Alignment:
+    """The alignment that lays contacts as `how` says and brings them to one depth, stored on the target's side.
+
+    Raises SettingProblem for a mirrored carrying, which no motion of two sensors makes.
+    """
+    if how.mirrored:
+        raise SettingProblem(
+            "the pictures of the two sensors agree only when one is mirrored; flip one sensor's pictures and try again"
+        )
+    cos, sin = np.cos(how.turn), np.sin(how.turn)
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    middles = [np.median([_middle_mm(d) for d in side], axis=0) for side in
+               ([t.source for t in touches], [t.target for t in touches])]  # fmt: skip
+    shift = np.array([how.right, how.down, 0.0]) + middles[1] - turn @ middles[0]
+    shift[2] = float(np.median([_contact_z(t.target) + t.target_shift_mm - _contact_z(t.source) - t.source_shift_mm
+                                for t in touches]))  # fmt: skip
+    target_from_source = np.eye(4)
+    target_from_source[:3, :3], target_from_source[:3, 3] = turn, shift
+    onward = target_from_source @ rigid.invert(described.alignment_from_source)
+    return Alignment(alignment_from_source=described.alignment_from_source, target_from_alignment=freeze(onward))
+
+
+def _middle_mm(depth: DepthMap) -> Doubles:
+    """Where a picture's middle lies from its optical axis, (3,) with z = 0."""
+    camera = depth.camera
+    off_px = np.array([(camera.cols - 1) / 2 - camera.cx_px, (camera.rows - 1) / 2 - camera.cy_px, 0.0])
+    return off_px * pixel_mm(depth)
+
+
+def _contact_z(depth: DepthMap) -> float:
+    return float(np.nanmedian(depth.depth_mm[depth.contact]))

@@ -1,0 +1,83 @@
+"""Difference tiles tell how they were laid, and pairs of tiles are found by their names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from pipeline.alignment.fit.agreement import correlation
+from pipeline.alignment.fit.difference_tiles import ridges
+from pipeline.alignment.fit.pairs import tile_pairs
+from pipeline.alignment.fit.turning import WAYS, turned, upside_down
+from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.physics.optics import colour_change
+from pipeline.sensors.spec import sensor
+from tests.pipeline.alignment.fit.scenes import strokes
+
+SPEC = sensor("gelslim")
+BACK = {k: next(j for j in WAYS if np.array_equal(turned(turned(np.arange(9).reshape(3, 3), k), j),
+                                                  np.arange(9).reshape(3, 3))) for k in WAYS}  # fmt: skip
+
+
+def tile(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """(what touches, the difference picture of it as a training set keeps it), 128 px wide."""
+    touching = cv2.resize(strokes(seed), (128, 128), interpolation=cv2.INTER_LINEAR)
+    seen = SPEC.seen_through(SPEC.camera.resized(128, 128))
+    surface = 0.4 * cv2.GaussianBlur(touching, (0, 0), 3)
+    gy, gx = np.gradient(surface, seen.pixel_mm)
+    change = colour_change(seen, gx.astype(np.float32), gy.astype(np.float32))
+    change = change + np.random.default_rng(seed).normal(0, 2, change.shape)
+    low, high = np.percentile(change, (0.5, 99.5))
+    return touching, np.clip((change - low) / (high - low) * 255, 0, 255).astype(np.uint8)
+
+
+def test_half_a_turn_twice_is_none():
+    picture = np.arange(12).reshape(3, 4)
+    for way in WAYS:
+        assert upside_down(upside_down(way)) == way
+        np.testing.assert_array_equal(turned(picture, upside_down(way)), turned(picture, way)[::-1, ::-1])
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_tile_tells_how_it_was_laid_and_where_it_is_touched(way: int):
+    touching, picture = tile(way)
+    found = ridges(np.ascontiguousarray(turned(picture, way)), SPEC)
+    assert found.way == BACK[way]
+    assert found.curl_free > found.next_best
+    assert correlation(found.touching, touching) > 0.7
+
+
+def test_a_sensor_without_lights_has_no_tiles():
+    with pytest.raises(SettingProblem, match="has no lights"):
+        ridges(tile(0)[1], sensor("soft_bubble"))
+
+
+def write(folder: Path, *, turns: bool) -> None:
+    for k in range(4):
+        touching, picture = tile(k)
+        way = k if turns else 0
+        cv2.imwrite(str(folder / f"{k}_gelslim.png"), np.ascontiguousarray(turned(picture, way))[..., ::-1])
+        cv2.imwrite(
+            str(folder / f"{k}_bubble_gt.png"), np.ascontiguousarray(turned((200 * touching).astype("u1"), way))
+        )
+
+
+@pytest.mark.parametrize("turns", [False, True])
+def test_tiles_are_paired_by_name_and_laid_alike(tmp_path: Path, turns: bool):
+    write(tmp_path, turns=turns)
+    found = tile_pairs(tmp_path, SPEC, "*_gelslim.png", "*_bubble_gt.png")
+    assert [p.name for p in found.pairs] == ["0", "1", "2", "3"]
+    for k, pair in enumerate(found.pairs):
+        np.testing.assert_allclose(pair.imprint, (200 * tile(k)[0]).astype("u1"))
+    assert ("in 4 ways" in found.notes[0]) == turns
+
+
+def test_tiles_that_do_not_pair_are_refused(tmp_path: Path):
+    write(tmp_path, turns=False)
+    with pytest.raises(FileProblem, match=r"no two pictures are named \*_gelslim\.png and \*_other\.png"):
+        tile_pairs(tmp_path, SPEC, "*_gelslim.png", "*_other.png")
+    with pytest.raises(FileProblem, match=r"one '\*'"):
+        tile_pairs(tmp_path, SPEC, "gelslim.png", "*_other.png")
