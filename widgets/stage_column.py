@@ -87,10 +87,11 @@ class StageColumn(QFrame):
             self._method.setCurrentIndex(index)
         self._method.setToolTip(str(self._method.itemData(index, Qt.ItemDataRole.ToolTipRole) or ""))
 
-    def show_state(self, state: str, ms: float | None = None, notes: tuple[str, ...] = ()) -> None:
+    def show_state(self, state: str, ms: float | None = None, notes: tuple[str, ...] = (), instead: str = "") -> None:
         """Show where the stage stands; notes become the tool tip, and the reason over a skipped picture.
 
-        The first is read out below the picture, up to its first colon or comma.
+        The first is read out below the picture, up to its first colon or comma. `instead` is why another method than
+        the chosen one answered, and lies over the picture.
         """
         if state != self.state:
             self.state = state
@@ -106,7 +107,7 @@ class StageColumn(QFrame):
             self._note.setVisible(bool(first))
         old = state in ("stale", "running", "failed") and self.view.picture is not None
         self.view.show_dimmed(old)
-        self.view.show_message(self._message(state, notes))
+        self.view.show_message(instead or self._message(state, notes))
 
     def wanted_height_px(self) -> int:
         """The height at which the picture fills the width that the column has."""

@@ -77,7 +77,7 @@ class Screen:
         self._show_picture(column.view, part)
         if isinstance(part, SlotShown):
             self._results = {**self._results, name: part.result}
-            column.show_state(part.result.state, part.result.ms, part.result.notes)
+            column.show_state(part.result.state, part.result.ms, part.result.notes, part.result.instead)
             self._tracer.show_results(self._results)
             if self.opened is not None and self.opened.catalogue.slot(name).scrubs:
                 self._window.steps.show_steps(part.result.output.steps)

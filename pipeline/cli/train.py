@@ -67,6 +67,7 @@ def train(
     console = Console(stderr=True, quiet=os.environ.get("RANK", "0") != "0")
     log, told = logging.getLogger("tactoscope"), _Told(console)
     log.addHandler(told)
+    log.setLevel(logging.INFO)
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as shown:
         bar = _Bar(shown, shown.add_task("beginning", total=1.0))
@@ -75,6 +76,7 @@ def train(
                 train_run(run, bar)
         finally:
             log.removeHandler(told)
+            log.setLevel(logging.NOTSET)
     if os.environ.get("RANK", "0") == "0":
         show(export(out, out / WEIGHTS))
         print_line(f"weights and their card are in {os.fspath(out / WEIGHTS)}")
@@ -100,12 +102,18 @@ def show(weights: Weights) -> None:
 
 
 class _Told(logging.Handler):
-    """Warnings of the loop, above the bar."""
+    """What the loop says, above the bar: figures as they come, and warnings."""
 
     def __init__(self, console: Console) -> None:
-        super().__init__(logging.WARNING)
+        super().__init__(logging.INFO)
         self._console = console
 
     def emit(self, record: logging.LogRecord) -> None:
         """Print one line."""
-        self._console.print(record.getMessage(), style="yellow", markup=False, highlight=False, soft_wrap=True)
+        self._console.print(
+            record.getMessage(),
+            style="yellow" if record.levelno > logging.INFO else "dim",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )

@@ -17,6 +17,7 @@ class Entry:
     digest: str
     n_bytes: int
     skipped: str = ""  # why there was nothing to work out
+    instead: str = ""  # why another method answered
 
 
 class Cache(Memo[str, Entry]):

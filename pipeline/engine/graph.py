@@ -34,6 +34,14 @@ class Skipped:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Instead:
+    """What a method returns when it cannot answer and another did: that one's answer, and why."""
+
+    answer: Any  # an output, or `Skipped`
+    why: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Method:
     """One way to fill a slot: a pure function, its parameters, and what it reads."""
 
@@ -69,6 +77,7 @@ class StageResult:
     ms: float
     notes: tuple[str, ...]
     digest: str
+    instead: str = ""  # why another method answered; "" = this one did
 
 
 def unless(exact: Callable[..., Any], run: Callable[..., Any]) -> Callable[..., Any]:
@@ -165,18 +174,23 @@ class Graph:
         notes = tuple(getattr(entry.output, "notes", ()))
         if entry.skipped:
             state, notes = "skipped", tuple(dict.fromkeys((entry.skipped, *notes)))
+        if entry.instead:
+            notes = (entry.instead, *notes)
         ms = 1e3 * (time.perf_counter() - compiling.spent_s() - started)
         return StageResult(
-            name=method.slot, method=method, output=entry.output, state=state, ms=ms, notes=notes, digest=entry.digest
-        )
+            name=method.slot, method=method, output=entry.output, state=state, ms=ms, notes=notes, digest=entry.digest,
+            instead=entry.instead,
+        )  # fmt: skip
 
     def _work(self, method: Method, reads: Sequence[object], params: object, progress: Progress) -> Entry:
         answer = method.run(*reads, params, progress)
+        instead = answer.why if isinstance(answer, Instead) else ""
+        answer = answer.answer if isinstance(answer, Instead) else answer
         why = answer.why if isinstance(answer, Skipped) else ""
         output = answer.output if isinstance(answer, Skipped) else answer
         # An answer without work may well be the very object that was given before.
         made = self._known.digest(output) if why else digest(output)
-        return Entry(output=output, digest=made, n_bytes=size_bytes(output), skipped=why)
+        return Entry(output=output, digest=made, n_bytes=size_bytes(output), skipped=why, instead=instead)
 
 
 def _fitting(params: Mapping[str, object], method: Method) -> object:

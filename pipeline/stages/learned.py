@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 from pipeline.base.errors import ModelMissing
-from pipeline.engine.graph import Method, Skipped
+from pipeline.engine.graph import Instead, Method
 from pipeline.networks.building import network
 
 
 def learned(run: Callable[..., Any], instead: Method) -> Callable[..., Any]:
     """A method's function that reads weights last: `run` (*reads, network, params, progress) answers by the network.
 
-    Where the weights are missing or do not fit, `instead`, which reads the same without them, answers, and the first of
-    its notes is why. Parameters that are not its own leave it on its defaults.
+    Where the weights are missing or do not fit, `instead`, which reads the same without them, answers, and the result
+    says why. Parameters that are not its own leave it on its defaults.
     """
 
     def answer(*args: Any) -> Any:
@@ -24,14 +23,9 @@ def learned(run: Callable[..., Any], instead: Method) -> Callable[..., Any]:
             ready = network(weights)
         except ModelMissing as problem:
             told = params if isinstance(params, instead.params) else instead.params()
-            why = f"{problem}; {instead.title.lower()} answers instead"
-            return _saying(why, instead.run(*reads, told, progress))
+            return Instead(
+                answer=instead.run(*reads, told, progress), why=f"{problem}; {instead.title.lower()} answers instead"
+            )
         return run(*reads, ready, params, progress)
 
     return answer
-
-
-def _saying(why: str, answer: Any) -> Any:
-    output = answer.output if isinstance(answer, Skipped) else answer
-    said = replace(output, notes=(why, *output.notes))
-    return replace(answer, output=said) if isinstance(answer, Skipped) else said

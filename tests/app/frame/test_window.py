@@ -153,6 +153,11 @@ def test_weights_are_opened_closed_and_undone(bubble_window, tmp_path, caplog):
     assert wait_until_shown(bubble_window, LIMIT_S)
     assert bubble_window.session.weights == {"": file}
     assert "the weights 'own.safetensors' count for nothing" in caplog.text  # no method of the route reads any
+    bubble_window.change("choose method", methods={"depth": "depth_anything"})
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    said = bubble_window.window.columns["depth"].view._message.text()
+    assert "cut short or damaged" in said
+    assert said.endswith("; physics answers instead")
     close.trigger()
     assert bubble_window.session.weights == {}
     bubble_window.undo.undo()

@@ -82,6 +82,7 @@ def test_a_file_is_read_and_what_it_holds_is_part_of_the_key(tmp_path):
     twice = depth(weights=(("", file),))[0]
     np.testing.assert_allclose(twice.output.indentation_mm, 2.0 * plain.indentation_mm, rtol=1e-6)
     assert twice.notes == ("by network",)
+    assert twice.instead == ""
     opened = open_translation(Request(recording=SAMPLE, source="digit", target="gelslim", methods=(("depth", "scaled"),),
                                       weights=(("depth", file),)), CATALOGUE)  # fmt: skip
     graph = opened.graph()
@@ -118,6 +119,7 @@ def test_without_usable_weights_physics_answers_and_the_first_note_says_why(tmp_
     given = () if fault == "nothing on the shelf" else (("", file),)
     answered, plain = depth(weights=given)[0], depth("physics")[0]
     assert why in answered.notes[0]
+    assert answered.instead == answered.notes[0]
     assert answered.notes[0].endswith("; physics answers instead")
     assert answered.notes[1:] == plain.notes
     assert np.array_equal(answered.output.indentation_mm, plain.output.indentation_mm)
