@@ -4,8 +4,8 @@
 
 Ten draws of each number. A draw's error is the median over the presses judged; the worst draw is held to the bar. The
 Mini's presses of 6.310 mm are drawn from and those of 9.500 mm are judged; of the GelSlim's one ball, those not drawn.
-"Expected" is what the calibration says of itself before anything is judged. The last notes show that presses of one ball
-fit any width of a pixel alike: the share of the slopes that is left over does not change with it.
+"Expected" is what the calibration says of itself before anything is judged. The last notes show that presses of one
+ball fit any width of a pixel alike: the share of the slopes that is left over does not change with it.
 """
 
 from __future__ import annotations
