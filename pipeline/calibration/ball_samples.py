@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats
 from pipeline.calibration import slope_model
@@ -57,7 +58,7 @@ def joined(parts: Sequence[Samples]) -> Samples:
     )  # fmt: skip
 
 
-def _zones(press: Press) -> tuple[Doubles, ...]:
+def _zones(press: Press) -> tuple[NDArray[np.intp], ...]:
     """Flat indices of the pixels that are trusted, of the rim's, and of those that nothing touches."""
     rows, cols = press.change.shape[:2]
     c = press.circle
@@ -66,7 +67,7 @@ def _zones(press: Press) -> tuple[Doubles, ...]:
     return tuple(np.flatnonzero(m) for m in (distance < TRUSTED_SHARE, rim, distance > _UNTOUCHED_FROM))
 
 
-def _known(press: Press, ball: Ball, where: Doubles) -> tuple[Samples, Doubles]:
+def _known(press: Press, ball: Ball, where: NDArray[np.intp]) -> tuple[Samples, Doubles]:
     """The pixels with the ball's slopes, and how far they are from its centre."""
     rows, cols = press.change.shape[:2]
     row, col = np.divmod(where, cols)
