@@ -155,4 +155,5 @@ def _draped(firm: Doubles, height: Doubles, leak: float) -> Floats:
     bands[-2, cols::cols] = 0.0  # the last cell of a row is no neighbour of the next row's first
     bands[0, cols:] = -1.0
     held = (firm * np.maximum(height, 0.0)).ravel().astype(np.float32)
-    return solveh_banded(bands, held, overwrite_ab=True, check_finite=False).reshape(rows, cols)
+    lies = solveh_banded(bands, held, overwrite_ab=True, check_finite=False)
+    return np.asarray(lies, np.float32).reshape(rows, cols)

@@ -13,6 +13,7 @@ _LEAST = 0.28  # of full touching, for a ridge to count where it leaves
 _APART = 0.09  # shares of the side between two that leave
 _BASELINE, _SHORTEST = 0.35, 0.14  # shares of the side along which a ridge's direction is read, and must be seen
 _STEP_DEG = 1.5
+_STRONG = 0.75  # touching there, from which a ridge goes on in full
 _CLEAR = 0.3  # mean touching along it
 
 
@@ -45,7 +46,7 @@ def leaving(touching: Floats) -> Leaving:
         taken[np.arange(k - apart, k + apart + 1) % len(profile)] = True
         right, down, clear = _inward(smooth, float(x[k]), float(y[k]))
         if clear > _CLEAR:
-            found.append((float(x[k]), float(y[k]), -right, -down, min(1.0, profile[k] / 0.75)))
+            found.append((float(x[k]), float(y[k]), -right, -down, min(1.0, float(profile[k]) / _STRONG)))
     table = np.array(found, np.float64).reshape(-1, 5).T
     return Leaving(x_px=table[0], y_px=table[1], right=table[2], down=table[3], strength=table[4])
 

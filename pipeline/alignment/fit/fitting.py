@@ -160,7 +160,7 @@ class _Problem:
             gained = 0.0
             for _ in range(4):
                 step = -np.linalg.solve(normal + damping * (np.diag(np.diag(normal)) + 1e-3 * np.eye(len(pull))), pull)
-                moved = self._moved(how, np.clip(step, -3.0, 3.0))
+                moved = self._moved(how, np.clip(np.asarray(step, np.float64), -3.0, 3.0))
                 there = self.residuals(moved)
                 lower = sum(float(r @ r) for r in there)
                 if lower < cost:
