@@ -79,29 +79,6 @@ def judge(desk, limits):
 
 
 @kernel(error_model="numpy")
-def settle(desk, n, lens, limits, image, counts):
-    """Draw the first `n` triangles in turn."""
-    inverse_z, veil, source = image
-    _, _, _, _, rows, cols, _ = lens
-    judge(desk, limits)
-    for t in range(n):
-        fate = np.uint64(desk[t + FATE])
-        if fate == MISSED:
-            continue
-        left, top = np.int64(desk[t + LEFT]), np.int64(desk[t + TOP])
-        if left != desk[t + RIGHT] or top != desk[t + BOTTOM]:
-            spread(desk, t, rows, cols, image, counts)
-            continue
-        counts[np.uint64(desk[t + RIM]), fate] += 1
-        p, near = np.uint64(top * cols + left), desk[t + NEAR]
-        if fate == GRAZING:
-            veil[p] = max(veil[p], near)
-        elif fate > GRAZING and near > inverse_z[p]:
-            inverse_z[p] = near
-            source[p] = np.int32(desk[t + POINT])
-
-
-@kernel(error_model="numpy")
 def spread(desk, t, rows, cols, image, counts):
     """Draw one triangle in the pixels of its box that it covers; it counts if there is one, or if the box is large."""
     inverse_z, veil, source = image

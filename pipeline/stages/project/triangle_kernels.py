@@ -18,7 +18,7 @@ import numpy as np
 
 from pipeline.base.kept_kernels import kernel
 from pipeline.stages.project import desk_kernels as on
-from pipeline.stages.project.desk_kernels import settle
+from pipeline.stages.project.desk_kernels import judge, spread
 from pipeline.stages.project.surface_kernels import NONE, SLACK, between, find_lonely, place, see, tell_apart
 
 RIM_ROOM = 8  # corners that the rim of one quad adds, each at a place of its own
@@ -56,6 +56,9 @@ RIMS = _told_of_rims()
 def draw_grid(points, bounds, lens, limits, corners, cells, lists, image, counts, alone):
     """Draw the triangles of a source grid, strip by strip of it, so that what is laid out of it stays in fast memory.
 
+    counts (2, N_COUNTS): by fate the triangles that cover a pixel centre, those of the rim apart. A whole quad is two
+    triangles along the shorter diagonal, which follows a crease.
+
     A strip is as many rows of cells as there is room for: the quads below all but the first and the last two are its
     own, which hang on the others too.
     """
@@ -64,6 +67,8 @@ def draw_grid(points, bounds, lens, limits, corners, cells, lists, image, counts
     extra, screen, between_px, state = corners
     corner, state_at, centres, quad = cells
     todo, late, desk = lists
+    inverse_z, veil, drawn = image
+    _, _, _, _, image_rows, image_cols, _ = lens
     source_rows, n_rows = starts.shape[0] - 1, corner.shape[0]
     all_rows = (top + source_rows - 1) // stride - top // stride + 1
     for row in range(-2, all_rows - 1, n_rows - 3):
@@ -81,19 +86,26 @@ def draw_grid(points, bounds, lens, limits, corners, cells, lists, image, counts
         n_todo, n_behind = tell_apart(of_strip, todo, late)
         find_lonely(of_strip, start, alone)
         counts[0, on.BEHIND] += n_behind
-        draw(todo[:n_todo], of_strip[0], here, lens, limits, desk, np.uint64(start), image, counts)
-
-
-@kernel(error_model="numpy")
-def draw(todo, corner, corners, lens, limits, desk, start, image, counts):
-    """Draw quads, as `tell_apart` lists them; counts (2, N_COUNTS) by fate the triangles that cover a pixel centre.
-
-    A whole quad is two triangles along the shorter diagonal, which follows a crease. The rim's are counted apart.
-    """
-    turn = 0
-    while turn < todo.shape[0]:
-        turn, n = _lay(todo, turn, corner, corners, lens, limits, desk, start, counts)
-        settle(desk, n, lens, limits, image, counts)
+        turn = 0
+        while turn < n_todo:
+            turn, n = _lay(todo[:n_todo], turn, of_strip[0], here, lens, limits, desk, np.uint64(start), counts)
+            judge(desk, limits)
+            # Drawn here and not in a function of its own: each that calls another is compiled together with it again.
+            for t in range(n):
+                fate = np.uint64(desk[t + on.FATE])
+                if fate == on.MISSED:
+                    continue
+                left, up = np.int64(desk[t + on.LEFT]), np.int64(desk[t + on.TOP])
+                if left != desk[t + on.RIGHT] or up != desk[t + on.BOTTOM]:
+                    spread(desk, t, image_rows, image_cols, image, counts)
+                    continue
+                counts[np.uint64(desk[t + on.RIM]), fate] += 1
+                p, near = np.uint64(up * image_cols + left), desk[t + on.NEAR]
+                if fate == on.GRAZING:
+                    veil[p] = max(veil[p], near)
+                elif fate > on.GRAZING and near > inverse_z[p]:
+                    inverse_z[p] = near
+                    drawn[p] = np.int32(desk[t + on.POINT])
 
 
 @kernel(error_model="numpy")
