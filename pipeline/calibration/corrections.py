@@ -115,13 +115,15 @@ def held_out(known: Presses, step: Callable[[float], None]) -> Held | None:
 def chosen(held: Held | None) -> int:
     """The simplest correction that is nearly the best for presses that it has not seen; 0 = the built-in look-up.
 
-    One that measures their diameters worse than the built-in look-up is none, however good its slopes are. A single
-    press can be held out from nothing: its correction is taken.
+    One that is worse than the built-in look-up in slopes times diameters is none: the diameters of a few presses may be
+    right by luck, and slopes that are a little better may bend a ball worse. A single press can be held out from
+    nothing: its correction is taken.
     """
     if held is None:
         return 1
     diameters = np.median(np.nan_to_num(np.abs(held.diameter), nan=1.0), axis=0)
-    errors = np.where(diameters <= diameters[0], held.slope.mean(axis=0), np.inf)
+    errors = held.slope.mean(axis=0)
+    errors = np.where(errors * diameters <= errors[0] * diameters[0], errors, np.inf)
     return int(np.flatnonzero(errors <= _BEST_WITHIN * errors.min())[0])
 
 

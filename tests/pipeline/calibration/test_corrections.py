@@ -69,7 +69,13 @@ ERRORS = arrays.arrays(np.float64, (5, 4), elements=st.floats(0.001, 1.0))
 def test_no_correction_is_chosen_that_is_worse_than_none(slope, diameter):
     best = chosen(Held(slope=slope, diameter=diameter))
     assert slope[:, best].mean() <= slope[:, 0].mean()
-    assert np.median(diameter[:, best]) <= np.median(diameter[:, 0])
+    worth = slope.mean(axis=0) * np.median(diameter, axis=0)
+    assert worth[best] <= worth[0]
+
+
+def test_diameters_that_are_right_by_luck_do_not_keep_slopes_that_are_wrong():
+    slope, diameter = np.array([[0.44, 0.12]] * 4), np.array([[-0.03, 0.9], [0.12, 0.04], [-0.1, 0.14], [-0.2, -0.26]])
+    assert chosen(Held(slope=slope, diameter=diameter)) == 1
 
 
 def test_presses_that_tell_nothing_leave_the_built_in_look_up(monkeypatch):
