@@ -28,7 +28,7 @@ networks = {"pipeline.networks." + name for name in ("weights", "building", "she
 for module in pkgutil.walk_packages(pipeline.__path__, "pipeline."):
     if module.name.startswith("pipeline.networks.") and module.name not in networks:
         continue  # a network is a class of torch's; its module is imported when it is built
-    if not module.name.endswith(("_kernels", "__main__")):
+    if not module.name.endswith(("_kernels", "_loss", "__main__")):  # a loss is a sum of torch's; training imports it
         importlib.import_module(module.name)
 print(json.dumps(sorted({name.partition(".")[0] for name in sys.modules})))
 """

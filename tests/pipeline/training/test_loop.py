@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import os
 import signal
 import subprocess
@@ -10,6 +11,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -152,15 +154,22 @@ def test_a_run_begins_with_learned_weights_where_the_recipe_says_so(run, tmp_pat
 
 
 def test_by_minutes_the_learning_rate_ends_with_the_clock_also_over_a_stop(run, monkeypatch):
+    """On a clock that goes on by a second whenever it is looked at."""
+    ticks = itertools.count()
+    monkeypatch.setattr(loop, "time", SimpleNamespace(monotonic=lambda: float(next(ticks))))
     monkeypatch.setattr(loop, "LINE_EVERY", 1)
-    minutes = replace(run, minutes=0.04, resume=True)
+    minutes = replace(run, minutes=2.0, resume=True)
     with pytest.raises(Cancelled):
         train(minutes, StopAt(15))
-    assert 0 < state.load(run.out).seconds < 2.4
+    stopped_s = state.load(run.out).seconds
+    assert 15 < stopped_s < 60
+    for _ in range(1000):  # what passes between the two parts does not count
+        next(ticks)
     done = train(minutes)
-    assert done.seconds >= 2.4
+    assert 120 <= done.seconds < 140
     rates = [row["learning rate"] for row in done.curve]
-    assert rates[-1] < 0.5 * max(rates)
+    assert rates[-1] < 0.1 * max(rates)
+    assert max(rates) == max(rates[:8])
     assert done.figures[-1]["step"] == done.step
 
 
