@@ -16,7 +16,8 @@ from pipeline.base.errors import SettingProblem
 from pipeline.base.progress import SILENT, Progress
 
 _FEWEST_FOR_A_MEAN = 6  # pairs, below which what they have in common is no more than one of them
-_SCALES = (0.2, 0.3, 0.45)  # of tiles, where no unit is shared
+_SCALES = (0.22, 0.38)  # of tiles, where no unit is shared
+_BEGUN_DEG = 30  # between two turns that are tried
 _BEGUN, _HOPEFUL = 3, 0.7  # beginnings that are followed at most, and how near to the best one they must do
 _BEGUN_ON = 6  # pairs that they are judged by
 _STEPS = {
@@ -104,9 +105,8 @@ def _beginnings(
 ) -> list[tuple[float, Carrying]]:
     """Every way of laying the source's picture, at the shift where the pairs agree best; best first."""
     scales = (1.0,) if pairs[0].metric else _SCALES
-    step = 30 if pairs[0].metric else 90
     found: list[tuple[float, Carrying]] = []
-    ways = list(itertools.product((False, True), range(0, 360, step), scales))
+    ways = list(itertools.product((False, True), range(0, 360, _BEGUN_DEG), scales))
     for k, (mirrored, turn, scale) in enumerate(ways):
         progress.step(0.3 * k / len(ways), "looking for a way to begin")
         how = Carrying(mirrored=mirrored, turn=math.radians(turn), log_scale=math.log(scale), log_stiff=0.5)
