@@ -12,6 +12,7 @@ from pipeline.base.arrays import Floats, Mask, freeze
 from pipeline.base.errors import ShapeError
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import bubble_reading
+from pipeline.stages.depth.bubble_input import at_rest
 from pipeline.values.frames import TactileFrame
 from pipeline.values.pixel_index import pixel_index
 from pipeline.values.results import DepthMap
@@ -46,8 +47,9 @@ def largest_change(image: NDArray[Any], reference: NDArray[Any]) -> float:
 def depth(frame: TactileFrame, source: SensorSpec, *, smoothing_px: float, least_mm: float) -> DepthMap:
     """The depth of one bubble frame, see `pipeline.stages.depth.depth`; the frame has been checked there.
 
-    Rest is the reference depth itself, so that no shape of the bubble is assumed. Small gaps are filled; where there is
-    no reading for more than a few pixels around, indentation and depth are NaN.
+    Rest is the reference depth without its noise, so that no shape of the bubble is assumed; with `smoothing_px` 0 it
+    is the reference itself. Small gaps are filled; where there is no reading for more than a few pixels around,
+    indentation and depth are NaN.
     """
     if frame.reference is None:
         raise ShapeError("a bubble's depth needs a reference depth image")
@@ -55,6 +57,8 @@ def depth(frame: TactileFrame, source: SensorSpec, *, smoothing_px: float, least
     moved, rest, read, seen = as_moved(frame.reference, frame.image, source.limits.indentation_max_mm, notes)
     indentation, touched = bubble_reading.read(moved, read, source, smoothing_px=smoothing_px, least_mm=least_mm)
     touched &= seen
+    if smoothing_px > 0:
+        rest = at_rest(rest, read, source.pixel_mm)  # its noise is no part of the membrane
     if not touched.any():
         notes.append("nothing touches the sensor")
     elif np.concatenate([touched[0], touched[-1], touched[:, 0], touched[:, -1]]).any():

@@ -15,11 +15,13 @@ from pipeline.base.arrays import Floats, Mask, freeze
 from pipeline.stages.depth.bubble_reading import denoised
 
 CHANNELS = 5
-WORK_MM = 0.43  # width of the pixels that the network was taught on, within a third either way
+WORK_MM = 0.406  # width of the pixels that the network was taught on, within a third either way
 _SMOOTHED_MM = 1.25
+_CALM_MM = 5.0  # of the mean that a reading of the untouched membrane is taken for
 _ROUGH_MM = 2.0  # what is rougher than this on an untouched membrane is the camera's
 _MOST_ROUGH_MM = 1.5
 _USUAL_CURVATURE_PER_MM = 0.027  # of an untouched bubble: pressure over tension
+_ORDER, _SPARSE, _FEWEST = 6, 4, 64  # of the dome's shape, and of the pixels that it is fitted to
 _COARSE_MM, _FINE_MM, _LOADS = 6.0, 0.5, 8.0  # units of the channels
 
 
@@ -48,31 +50,40 @@ def _load(smooth: Floats, pixel_mm: float) -> Floats:
     import cv2
 
     bend = np.asarray(cv2.Laplacian(smooth, cv2.CV_32F, ksize=1, borderType=cv2.BORDER_REFLECT), np.float32)
-    return np.clip(bend / np.float32(pixel_mm**2 * _USUAL_CURVATURE_PER_MM * _LOADS), -4.0, 4.0).astype(np.float32)
+    loads = bend / np.float32(pixel_mm**2 * _USUAL_CURVATURE_PER_MM * _LOADS)
+    return np.clip(loads, -4.0, 4.0).astype(np.float32)
+
+
+def at_rest(rest: Floats, seen: Mask, pixel_mm: float) -> Floats:
+    """The untouched membrane (rows, cols) behind a noisy reading of it: a dome, and what is wider than 10 mm on it."""
+    read = seen.astype(np.float32)
+    bowl = _bowl(rest, read)
+    return bowl + _mean(np.where(seen, rest - bowl, np.float32(0.0)).astype(np.float32), read, _CALM_MM / pixel_mm)
 
 
 def _roughness(rest: Floats, read: Floats, pixel_mm: float) -> Floats:
     """What of an untouched reading (rows, cols) no membrane can be; 0 where nothing was read."""
-    import cv2
-
     level = np.where(read > 0, rest - _bowl(rest, read), np.float32(0.0)).astype(np.float32)
-    sigma = _ROUGH_MM / pixel_mm
-    mean, share = (np.asarray(cv2.GaussianBlur(a, (0, 0), sigma), np.float32) for a in (level, read))
-    rough = (level - mean / np.maximum(share, np.float32(0.05))) * read
+    rough = (level - _mean(level, read, _ROUGH_MM / pixel_mm)) * read
     return np.clip(rough, -_MOST_ROUGH_MM, _MOST_ROUGH_MM)
 
 
+def _mean(level: Floats, read: Floats, sigma_px: float) -> Floats:
+    """A Gaussian mean of what was read; `level` is 0 elsewhere."""
+    import cv2
+
+    mean, share = (np.asarray(cv2.GaussianBlur(a, (0, 0), sigma_px), np.float32) for a in (level, read))
+    return mean / np.maximum(share, np.float32(0.05))
+
+
 def _bowl(rest: Floats, read: Floats) -> Floats:
-    """The quadric nearest to a reading: an untouched dome to a few tenths of a millimetre."""
-    rows, cols = rest.shape
-    y, x = np.linspace(-1.0, 1.0, rows, dtype=np.float32), np.linspace(-1.0, 1.0, cols, dtype=np.float32)
-
-    def terms(at_y: Floats, at_x: Floats) -> Floats:
-        u, v = np.broadcast_arrays(at_x[None, :], at_y[:, None])
-        return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v, u * u * u * u, v * v * v * v, u * u * v * v], -1)
-
-    some, weight = rest[::4, ::4], read[::4, ::4].ravel() > 0
-    if np.count_nonzero(weight) < 64:
+    """The surface of sixth order nearest to a reading: an untouched dome in perspective, to hundredths of a mm."""
+    powers = [(i, j) for i in range(_ORDER + 1) for j in range(_ORDER + 1 - i)]
+    y, x = (np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, n), _ORDER) for n in rest.shape)
+    some = read[::_SPARSE, ::_SPARSE] > 0
+    if np.count_nonzero(some) < _FEWEST:
         return np.zeros_like(rest)
-    found = np.linalg.lstsq(terms(y[::4], x[::4]).reshape(-1, 9)[weight], some.ravel()[weight], rcond=None)[0]
-    return (terms(y, x) @ found.astype(np.float32)).astype(np.float32)
+    terms = np.stack([(y[::_SPARSE, i][:, None] * x[::_SPARSE, j][None, :])[some] for i, j in powers], axis=-1)
+    shape = np.zeros((_ORDER + 1, _ORDER + 1))
+    shape[tuple(np.transpose(powers))] = np.linalg.lstsq(terms, rest[::_SPARSE, ::_SPARSE][some], rcond=None)[0]
+    return (y @ shape @ x.T).astype(np.float32)

@@ -15,7 +15,7 @@ PHYSICS = Method(
     run=unless(stage.untouched, stage.recorded),
     params=stage.DepthParams,
     reads=("frame", "source", "calibration"),
-    version=4,
+    version=5,
 )
 NETWORK = Method(
     slot="depth",

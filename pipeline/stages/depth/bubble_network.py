@@ -1,0 +1,112 @@
+"""A bubble's reading by a network: the object's own surface, where it touches, and how sure that is.
+
+Physics finds the load behind a noisy membrane; a network has seen many objects and noises, and also tells how the
+object goes on beside the contact, where a membrane bridges what a stiffer sensor would feel. It reads pixels of about
+`WORK_MM`; finer and coarser depth images are brought there and back.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.base.arrays import Floats, Mask, freeze
+from pipeline.base.errors import ShapeError
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.depth import contact
+from pipeline.stages.depth.bubble_depth import as_moved
+from pipeline.stages.depth.bubble_fields import fields
+from pipeline.stages.depth.bubble_input import WORK_MM, at_rest, shown
+from pipeline.values.frames import TactileFrame
+from pipeline.values.pixel_index import pixel_index
+from pipeline.values.results import DepthMap
+
+if TYPE_CHECKING:
+    from torch import nn
+
+_AS_IT_IS = 1.4  # times finer or coarser than `WORK_MM` that the network was taught on
+_ISLAND_MM2 = 2.0  # smaller touches are noise
+_HALF = 0.5
+
+
+def depth(
+    frame: TactileFrame, source: SensorSpec, network: nn.Module, *, certainty: float = _HALF, least_mm: float
+) -> DepthMap:
+    """The depth of one bubble frame that has been checked, as a network of `BubbleReading` tells it.
+
+    Contact is where the network holds it for likelier than `certainty`, and the membrane moved by more than `least_mm`.
+    `object_mm` is the object's surface where it touches and close by, `spread_mm` the error to be expected of it and of
+    the membrane beside it.
+    """
+    if frame.reference is None:
+        raise ShapeError("a bubble's depth needs a reference depth image")
+    notes: list[str] = []
+    moved, rest, read, known = as_moved(frame.reference, frame.image, source.limits.indentation_max_mm, notes)
+    found = _read(moved, rest, read, source.pixel_mm, network)
+    islands = max(4, round(_ISLAND_MM2 / source.pixel_mm**2))
+    touched = contact.without_specks((found.contact > certainty) & known & (found.moved_mm > least_mm), islands)
+    told = _reaching(touched, ((found.told > _HALF) & known) | touched)
+    if not touched.any():
+        notes.append("nothing touches the sensor")
+    elif np.concatenate([touched[0], touched[-1], touched[:, 0], touched[:, -1]]).any():
+        notes.append("the contact reaches the image border: what lies beyond is not seen")
+    nothing, rest = np.float32(np.nan), at_rest(rest, read, source.pixel_mm)  # its noise is no part of the membrane
+    return DepthMap(
+        indentation_mm=freeze(np.where(known, found.moved_mm, nothing)),
+        depth_mm=freeze(np.where(known, rest - found.moved_mm, nothing)),
+        contact=freeze(touched),
+        camera=source.camera,
+        source_index=pixel_index(moved.shape),
+        notes=tuple(notes),
+        object_mm=freeze(np.where(told, rest - found.object_mm, nothing)),
+        spread_mm=freeze(np.where(known, found.spread_mm, nothing)),
+    )
+
+
+class _Found:
+    """What the network says, on the grid of the frame."""
+
+    def __init__(self, stacked: Floats) -> None:
+        self.moved_mm, self.object_mm, self.spread_mm, self.contact, self.told = stacked
+
+
+def _read(moved: Floats, rest: Floats, read: Mask, pixel_mm: float, network: nn.Module) -> _Found:
+    import torch
+
+    (rows, cols), scale = moved.shape, pixel_mm / WORK_MM
+    size = (
+        (rows, cols)
+        if 1 / _AS_IT_IS < scale < _AS_IT_IS
+        else (max(8, round(rows * scale)), max(8, round(cols * scale)))
+    )
+    seen = _sized(read.astype(np.float32), size) > _HALF
+    looked_at = shown(_sized(moved, size), _sized(rest, size), seen, pixel_mm * rows / size[0])
+    with torch.inference_mode():
+        picture, smooth = (torch.from_numpy(np.array(a)[None]) for a in (looked_at.picture, looked_at.smooth_mm[None]))
+        said = fields(network(picture), smooth)
+        whole = torch.cat([
+            said.moved_mm, said.object_mm, said.log_spread.exp(), said.contact.sigmoid(), said.told.sigmoid()
+        ]).numpy()  # fmt: skip
+    return _Found(np.stack([_sized(field, (rows, cols)) for field in whole]))
+
+
+def _sized(image: Floats, size: tuple[int, int]) -> Floats:
+    """An image (rows, cols) with another number of pixels over the same view."""
+    import cv2
+
+    if image.shape == size:
+        return image
+    how = cv2.INTER_AREA if size[0] < image.shape[0] else cv2.INTER_CUBIC
+    return np.asarray(cv2.resize(image, size[::-1], interpolation=how), np.float32)
+
+
+def _reaching(touched: Mask, told: Mask) -> Mask:
+    """The regions of `told` in which something touches."""
+    import cv2
+
+    if not touched.any():
+        return touched
+    _, regions = cv2.connectedComponents(told.astype(np.uint8), connectivity=8)
+    regions = np.asarray(regions, np.int32)
+    return told & np.isin(regions, np.unique(regions[touched]))

@@ -1,0 +1,118 @@
+"""A network's reading of a bubble; what it learned is measured by benchmarks/bubble_network.py."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from pipeline.physics import bubble_camera
+from pipeline.sensors.spec import sensor
+from pipeline.stages.depth import bubble_network
+from pipeline.stages.depth.bubble_input import CHANNELS, at_rest, shown
+from pipeline.stages.depth.stage import DepthParams, depth
+from pipeline.values.frames import TactileFrame
+
+SPEC = sensor("soft_bubble")
+REST = SPEC.rest_depth_mm.astype(np.float32)
+BALL = 6.0 * np.exp(-0.5 * ((np.arange(140)[:, None] - 60) ** 2 + (np.arange(175)[None, :] - 90) ** 2) / 20.0**2)
+
+
+class Says(torch.nn.Module):
+    """A network that knows the answer: the move needs no correction, a disc is touched, a wider one is told."""
+
+    def __init__(self, shape=(140, 175), gap_mm=0.3):
+        super().__init__()
+        row, col = (torch.arange(n, dtype=torch.float32) / n for n in shape)
+        away = torch.hypot(140 * (row[:, None] - 60 / 140), 175 * (col[None, :] - 90 / 175))
+        beyond = (away > 8).float() * gap_mm
+        behind = torch.log(torch.expm1(beyond.clamp(min=1e-4)))
+        masks = [10.0 * (limit - away) for limit in (8.0, 14.0)]
+        self.answer = torch.stack([torch.zeros(shape), behind, torch.full(shape, -2.0), *masks])[None]
+        self.pictures = []
+
+    def forward(self, picture):
+        self.pictures.append(picture)
+        assert picture.shape[-2:] == self.answer.shape[-2:]
+        return self.answer
+
+
+def frame(rest=REST, moved=BALL):
+    return TactileFrame(sensor="soft_bubble", image=(rest - moved).astype(np.float32), reference=rest)
+
+
+def test_the_network_is_shown_the_parts_of_the_move_and_its_answer_is_taken_in_millimetres():
+    network = Says()
+    found = bubble_network.depth(frame(), SPEC, network, least_mm=0.7)
+    assert network.pictures[0].shape == (1, CHANNELS, 140, 175)
+    assert found.contact.sum() == pytest.approx(np.pi * 64, rel=0.05)
+    assert np.abs(found.indentation_mm - BALL).max() < 0.05, "the smooth estimate of a smooth move"
+    assert np.abs(found.depth_mm - (REST - BALL)).max() < 0.05
+    assert np.nanmax(found.spread_mm) == pytest.approx(np.exp(-2.0))
+
+
+def test_the_object_is_told_beside_the_contact_behind_the_membrane():
+    found = bubble_network.depth(frame(), SPEC, Says(), least_mm=0.7)
+    beside = np.isfinite(found.object_mm) & ~found.contact
+    assert np.isfinite(found.object_mm[found.contact]).all()
+    assert beside.sum() == pytest.approx(np.pi * (14**2 - 8**2), rel=0.1)
+    behind = (found.object_mm - found.depth_mm)[beside]
+    assert np.abs(behind - 0.3).max() < 1e-3
+
+
+def test_without_contact_no_object_is_told():
+    found = bubble_network.depth(frame(moved=0.0 * BALL), SPEC, Says(), least_mm=0.7)
+    assert not found.contact.any()
+    assert np.isnan(found.object_mm).all()
+    assert "nothing touches the sensor" in found.notes
+
+
+def test_a_finer_camera_is_read_at_the_pixels_that_the_network_knows_and_answered_at_its_own():
+    fine = SPEC.seen_through(SPEC.camera.scaled(2.0))
+    rest = fine.rest_depth_mm.astype(np.float32)
+    moved = np.kron(BALL, np.ones((2, 2)))
+    found = bubble_network.depth(frame(rest, moved), fine, Says((140, 175)), least_mm=0.7)
+    assert found.contact.shape == (280, 350)
+    assert found.contact.sum() == pytest.approx(4 * np.pi * 64, rel=0.05)
+
+
+def test_the_noise_of_the_untouched_reading_is_no_part_of_the_surface():
+    noisy = np.array(bubble_camera.reading(SPEC, SPEC.rest_depth_mm, 3))
+    calm = at_rest(noisy, np.ones(noisy.shape, bool), SPEC.pixel_mm)
+    assert np.std(noisy - REST) > 0.3
+    assert np.std(calm - REST) < 0.06
+    bias = np.abs(at_rest(REST, np.ones(noisy.shape, bool), SPEC.pixel_mm) - REST)
+    assert bias.max() < 0.03
+    assert bias[15:-15, 15:-15].max() < 0.005
+
+
+def test_pixels_without_a_reading_are_shown_as_such_and_have_no_value_far_from_any():
+    image = (REST - BALL).astype(np.float32)
+    image[20:60, 20:60] = np.nan
+    network = Says()
+    found = bubble_network.depth(replace(frame(), image=image), SPEC, network, least_mm=0.7)
+    assert (network.pictures[0][0, 4, 20:60, 20:60] == 0).all()
+    assert (network.pictures[0][0, 4, 70:, 70:] == 1).all()
+    assert np.isnan(found.depth_mm[40, 40])
+    assert np.isfinite(found.depth_mm[100, 100])
+
+
+def test_what_is_noise_in_the_reference_stands_in_two_channels_with_opposite_signs():
+    """A network can only take it out if it is there twice."""
+    noisy = np.array(bubble_camera.reading(SPEC, SPEC.rest_depth_mm, 3))
+    seen = np.ones(noisy.shape, bool)
+    looked_at = shown((noisy - REST).astype(np.float32), noisy, seen, SPEC.pixel_mm).picture
+    inner = (slice(10, -10), slice(10, -10))
+    assert np.corrcoef(looked_at[0][inner].ravel(), looked_at[3][inner].ravel())[0, 1] > 0.9
+    rough_mm = looked_at[3][inner] * 0.5
+    assert np.std(rough_mm - (noisy - REST)[inner]) < 0.35 * np.std((noisy - REST)[inner])
+
+
+def test_physics_too_leaves_the_noise_of_the_untouched_reading_out_of_the_surface():
+    noisy = np.array(bubble_camera.reading(SPEC, SPEC.rest_depth_mm, 3))
+    pressed = TactileFrame(sensor="soft_bubble", image=(REST - BALL).astype(np.float32), reference=noisy)
+    found = depth(pressed, SPEC, None, DepthParams())
+    assert found.contact.sum() > 50
+    assert np.std((found.depth_mm - (REST - BALL))[found.contact]) < 0.2 < np.std((noisy - REST)[found.contact])
+    as_read = depth(pressed, SPEC, None, DepthParams(smoothing_px=0.0))
+    assert np.abs(as_read.depth_mm - pressed.image).max() < 1e-4, "asked for as it was read, it is"
