@@ -111,7 +111,7 @@ def save(path: Path, weights: Weights, *, half: bool = False) -> None:
 
     with np.errstate(over="ignore"):  # what is too large for 16 bits is told below
         kind = np.float16 if half else np.float32
-        stored = {name: np.ascontiguousarray(tensor, kind) for name, tensor in weights.tensors.items()}
+        stored = {name: np.asarray(tensor, kind, order="C") for name, tensor in weights.tensors.items()}
     if not all(np.isfinite(tensor).all() for tensor in stored.values()):
         raise FileProblem(f"{_WHAT} hold values that no {16 if half else 32} bits can keep; nothing is written", path)
     header = {

@@ -65,7 +65,7 @@ def _roughness(rest: Floats, read: Floats, pixel_mm: float) -> Floats:
     """What of an untouched reading (rows, cols) no membrane can be; 0 where nothing was read."""
     level = np.where(read > 0, rest - _bowl(rest, read), np.float32(0.0)).astype(np.float32)
     rough = (level - _mean(level, read, _ROUGH_MM / pixel_mm)) * read
-    return np.clip(rough, -_MOST_ROUGH_MM, _MOST_ROUGH_MM)
+    return np.clip(rough, -_MOST_ROUGH_MM, _MOST_ROUGH_MM).astype(np.float32)
 
 
 def _mean(level: Floats, read: Floats, sigma_px: float) -> Floats:
@@ -73,7 +73,7 @@ def _mean(level: Floats, read: Floats, sigma_px: float) -> Floats:
     import cv2
 
     mean, share = (np.asarray(cv2.GaussianBlur(a, (0, 0), sigma_px), np.float32) for a in (level, read))
-    return mean / np.maximum(share, np.float32(0.05))
+    return np.asarray(mean / np.maximum(share, np.float32(0.05)), np.float32)
 
 
 def _bowl(rest: Floats, read: Floats) -> Floats:

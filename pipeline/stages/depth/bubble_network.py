@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 _AS_IT_IS = 1.4  # times finer or coarser than `WORK_MM` that the network was taught on
 _ISLAND_MM2 = 2.0  # smaller touches are noise
 _HALF = 0.5
+_TOLD = 0.6  # likelihood from which the object's surface is told; 0.5 fills rings, 0.7 loses faint touches
 
 
 def depth(
@@ -46,7 +47,7 @@ def depth(
     found = _read(moved, rest, read, source.pixel_mm, network)
     islands = max(4, round(_ISLAND_MM2 / source.pixel_mm**2))
     touched = contact.without_specks((found.contact > certainty) & known & (found.moved_mm > least_mm), islands)
-    told = _reaching(touched, ((found.told > _HALF) & known) | touched)
+    told = _reaching(touched, ((found.told > _TOLD) & known) | touched)
     if not touched.any():
         notes.append("nothing touches the sensor")
     elif np.concatenate([touched[0], touched[-1], touched[:, 0], touched[:, -1]]).any():

@@ -10,7 +10,7 @@ from pipeline.calibration.lookup import Calibration
 from pipeline.networks import shelf
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import gel_network
+from pipeline.stages.depth import bubble_network, gel_network, stage
 from pipeline.stages.depth.gel_network import NetworkParams
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 
 def weights(source: SensorSpec, _target: SensorSpec, file: Path | None) -> Weights | NoWeights:
-    """The weights that read this source: one network for all gels."""
+    """The weights that read this source: one network for all gels, one for all bubbles."""
     if source.kind == "gel":
         return shelf.for_task("gel_depth", "gel_depth", file)
-    return NoWeights(why="no network reads a bubble")
+    return shelf.for_task("bubble_reading", "bubble_depth", file)
 
 
 def depth(
@@ -35,4 +35,9 @@ def depth(
     progress: Progress = SILENT,
 ) -> DepthMap:
     """Indentation, depth and contact of a frame as a network reads it; raises ShapeError for what is no frame."""
-    return gel_network.depth(frame, source, calibration, network, params, progress)
+    if source.kind == "gel":
+        return gel_network.depth(frame, source, calibration, network, params, progress)
+    stage.checked(frame, source)
+    seen_by = source if frame.camera is None else source.seen_through(frame.camera)
+    least_mm = source.limits.contact_min_mm
+    return bubble_network.depth(frame, seen_by, network, certainty=params.certainty, least_mm=least_mm)

@@ -111,3 +111,13 @@ def test_what_comes_along_can_be_read_and_is_small():
         assert path.with_suffix(".md").is_file()
         assert path.stat().st_size <= 16 << 20
     assert sum(path.stat().st_size for path in files) <= 60 << 20
+
+
+def test_a_tensor_of_one_number_without_axes_keeps_none(tmp_path):
+    """Batch normalisation counts its batches in one; with an axis it would not fit its own network."""
+    save(
+        tmp_path / "some.safetensors",
+        some(tensors={"n": np.array(7.0, np.float32), "a": np.ones((2, 1), np.float32)}),
+    )
+    back = load(tmp_path / "some.safetensors")
+    assert {name: tensor.shape for name, tensor in back.tensors.items()} == {"n": (), "a": (2, 1)}

@@ -1,15 +1,25 @@
 """A network's reading of a bubble; what it learned is measured by benchmarks/bubble_network.py."""
 
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from pipeline.evaluation.metrics import iou
+from pipeline.geometry import rigid
+from pipeline.networks import building
 from pipeline.physics import bubble_camera
+from pipeline.recordings import open_recording
 from pipeline.sensors.spec import sensor
-from pipeline.stages.depth import bubble_network
+from pipeline.simulation import shapes
+from pipeline.simulation.press import press
+from pipeline.simulation.variation import varied
+from pipeline.stages.depth import bubble_network, network
 from pipeline.stages.depth.bubble_input import CHANNELS, at_rest, shown
+from pipeline.stages.depth.network import NetworkParams
 from pipeline.stages.depth.stage import DepthParams, depth
 from pipeline.values.frames import TactileFrame
 
@@ -116,3 +126,51 @@ def test_physics_too_leaves_the_noise_of_the_untouched_reading_out_of_the_surfac
     assert np.std((found.depth_mm - (REST - BALL))[found.contact]) < 0.2 < np.std((noisy - REST)[found.contact])
     as_read = depth(pressed, SPEC, None, DepthParams(smoothing_px=0.0))
     assert np.abs(as_read.depth_mm - pressed.image).max() < 1e-4, "asked for as it was read, it is"
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    weights = network.weights(SPEC, sensor("gelslim"), None)
+    assert weights.card["task"] == "bubble_reading"
+    return building.network(weights)
+
+
+def test_the_weights_that_come_along_read_a_tool_they_have_never_seen_better_than_physics(shipped):
+    """A marble on another unit, both readings with their noise; errors of the surface that the object has."""
+    unit = varied(SPEC, 5)
+    closer = replace(unit, alignment_from_sensor=rigid.translation(0, 0, 9.0) @ unit.alignment_from_sensor)
+    thing = shapes.shape("marble").mesh
+    truth = press(thing, rigid.translation(2.0, -1.0, -0.6), closer, seed=None).truth
+    exact = SPEC.rest_depth_mm - truth.indentation_mm
+    seen = frame(np.array(bubble_camera.reading(unit, SPEC.rest_depth_mm, 7)), 0.0)
+    seen = replace(seen, image=bubble_camera.reading(unit, exact, 8))
+    found = network.depth(seen, SPEC, None, shipped, NetworkParams())
+    physics = depth(seen, SPEC, None, DepthParams())
+    off, theirs = (np.abs(d.depth_mm - exact)[truth.contact].mean() for d in (found, physics))
+    assert off < 0.15
+    assert off < theirs
+    assert iou(found.contact, truth.contact) > 0.7
+    assert np.nanmean(np.abs(found.object_mm - exact)[truth.contact]) < 0.15
+    assert np.nanmean(found.spread_mm[truth.contact]) < 0.3
+
+
+def test_the_weights_that_come_along_see_no_contact_in_drift_and_noise(shipped):
+    rng = np.random.default_rng(4)
+    noisy = np.array(bubble_camera.reading(SPEC, SPEC.rest_depth_mm, 1))
+    for k in range(4):
+        hump = rng.uniform(-0.6, 0.6) * np.exp(-((np.hypot(*np.mgrid[-70:70, -87:88]) / rng.uniform(20, 60)) ** 2))
+        image = np.array(bubble_camera.reading(SPEC, SPEC.rest_depth_mm, 10 + k)) - hump.astype(np.float32)
+        found = network.depth(replace(frame(noisy, 0.0), image=image), SPEC, None, shipped, NetworkParams())
+        assert not found.contact.any()
+
+
+@pytest.mark.real_data
+def test_the_weights_that_come_along_see_no_contact_in_untouched_frames_of_a_real_bubble_and_some_in_touched(shipped):
+    path = Path(os.environ.get("TACTILE_DATA", "../shared/data")) / "punyo_bubble" / "depth_sequence.npz"
+    if not path.exists():
+        pytest.skip(f"no {path}")
+    stereo = sensor("soft_bubble_stereo")
+    stream = open_recording(path, sensor=stereo.name).stream()
+    touched = [network.depth(stream.frame(k), stereo, None, shipped, NetworkParams()).contact for k in (1, 2, 3, 4, 20)]
+    assert not np.any(touched[:4])
+    assert touched[4].sum() > 100

@@ -1,0 +1,154 @@
+"""How well does a bubble tell what a GelSlim would feel? Its reading by a network beside the load on its membrane.
+
+    python benchmarks/bubble_network.py
+
+Objects that the network was taught on, held as it has never seen, and tools that nothing was chosen by are pressed on a
+bubble (apex pushed in by 13 mm, as in data sets) and on a GelSlim, each on other units than those described (`varied`,
+strength 1), with the bubble's noise in the touched and in the untouched reading. What is read goes the whole way, depth
+to cloud to view to the GelSlim's gel pressed onto it; errors are those of that gel against the gel that was really
+pressed: 1 - intersection over union of contact, and the mean absolute difference of indentation in the true contact.
+Beside it what is left when the exact membrane, or the exact surface of the object close behind it, takes the place of
+the reading. Untouched frames of a real bubble (Punyo), where they are at hand, must show no contact.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.depth_reader import reader
+from benchmarks.races import Bar, race, row, timing
+from pipeline.evaluation.metrics import iou, mean_abs_mm
+from pipeline.geometry import rigid
+from pipeline.physics import lattice
+from pipeline.racing.races import Answer
+from pipeline.racing.report import show
+from pipeline.recordings import open_recording
+from pipeline.sensors import alignment
+from pipeline.sensors.spec import sensor
+from pipeline.simulation import datasets, poses, shapes
+from pipeline.simulation.press import photograph, press
+from pipeline.simulation.variation import varied
+from pipeline.stages.adapt.stage import AdaptParams, adapt
+from pipeline.stages.generate.stage import GenerateParams, generate
+from pipeline.stages.project.stage import ProjectParams, project
+from pipeline.values.frames import TactileFrame
+from pipeline.values.pixel_index import pixel_index
+from pipeline.values.results import DepthMap
+
+_BARS = {"unseen grasps": (0.20, 0.10), "unseen tools": (0.35, 0.15)}
+_GRASPS = {"unseen grasps": 1, "unseen tools": 2}  # of each object
+_NEAR_MM = 0.5  # behind the membrane: where the exact surface is told
+_PEER = "load on the membrane"
+_PUNYO = Path(os.environ.get("TACTILE_DATA", "../shared/data")) / "punyo_bubble" / "depth_sequence.npz"
+_PUNYO_UNTOUCHED = range(1, 5)  # frames; the first is the reference
+
+
+def answer() -> Answer:
+    methods = {"ours": reader("network"), _PEER: reader("physics")}
+    rows, notes = [], []
+    for split, bars in _BARS.items():
+        touches = list(_touches(split))
+        for kind in ("soft_bubble", "soft_bubble_stereo"):
+            found = {name: _through(read, touches, kind) for name, read in methods.items()}
+            for k, (what, unit) in enumerate((("contact", "1 - IoU"), ("indentation in contact", "mm"))):
+                rows.append(row(
+                    f"{kind} to GelSlim, {split}: {what}", ours=timing(found["ours"][1]), peer=_PEER, unit=unit,
+                    peer_timing=timing(found[_PEER][1]), ours_error=found["ours"][0][k],
+                    peer_error=found[_PEER][0][k], bar=Bar(error=bars[k]),
+                ))  # fmt: skip
+        for name, exact in (("membrane", _membrane), ("surface of the object", _object)):
+            left = np.nanmean([_felt(exact(touch), touch) for touch in touches], axis=0)
+            notes.append(f"{split}, exact {name} in place of a reading: {left[0]:.3f} 1 - IoU, {left[1]:.3f} mm")
+    if _PUNYO.exists():
+        rows += _untouched(methods)
+    return Answer(
+        title="GelSlim's contact from a bubble's reading", unit="1 - IoU", rows=tuple(rows), notes=tuple(notes)
+    )
+
+
+class _Touch:
+    """One press, felt by another unit of the bubble and of the GelSlim."""
+
+    def __init__(self, name: str, k: int) -> None:
+        thing = shapes.shape(name).mesh
+        pose = poses.single(thing, np.random.default_rng([11, k]))
+        described = sensor("soft_bubble")
+        nearer = rigid.translation(0.0, 0.0, datasets.BUBBLE_DEEPER_MM) @ described.alignment_from_sensor
+        self.source = replace(described, alignment_from_sensor=nearer)
+        self.unit, self.gel, self.seed = varied(self.source, 300 + k), varied(sensor("gelslim"), 500 + k), 2 * k
+        self.bubble, self.truth = (press(thing, pose, unit, seed=None).truth for unit in (self.unit, self.gel))
+        vertices = rigid.apply(self.bubble.sensor_from_object, thing.vertices_mm)
+        self.object_mm = lattice.depth_of_mesh(vertices, thing.triangles, self.unit.camera)
+        self.depth_mm = self.unit.rest_depth_mm - self.bubble.indentation_mm
+
+    def frame(self, kind: str) -> TactileFrame:
+        """What the bubble reads through this kind of depth camera."""
+        unit = replace(self.unit, depth_camera=sensor(kind).depth_camera)
+        nothing = np.zeros_like(self.bubble.indentation_mm)
+        image = photograph(unit, self.bubble.indentation_mm, self.depth_mm, self.seed)
+        reference = photograph(unit, nothing, unit.rest_depth_mm, self.seed + 1)
+        return TactileFrame(sensor=kind, image=image, reference=reference)
+
+
+def _touches(split: str):
+    names = shapes.names("training" if split == "unseen grasps" else "unseen")
+    for k, name in enumerate(names * _GRASPS[split]):
+        touch = _Touch(name, k)
+        if touch.truth.contact.any():
+            yield touch
+
+
+def _through(read, touches, kind: str):
+    """(mean errors, ms of each reading) of a method."""
+    found, taken = [], []
+    for touch in touches:
+        frame, started = touch.frame(kind), time.perf_counter()
+        depth = read(frame, touch.source)
+        taken.append(1e3 * (time.perf_counter() - started))
+        found.append(_felt(depth, touch))
+    return np.mean(found, axis=0), taken
+
+
+def _felt(depth: DepthMap, touch: _Touch) -> tuple[float, float]:
+    """(1 - IoU, mm in contact) of the GelSlim's gel that is pressed onto what the bubble's depth tells."""
+    gel = sensor("gelslim")
+    cloud = adapt(depth, alignment.between(touch.source, gel), AdaptParams())
+    felt = generate(project(cloud, gel, ProjectParams()), gel, GenerateParams()).membrane
+    truth = touch.truth
+    return 1 - iou(felt.contact, truth.contact), mean_abs_mm(felt.indentation_mm, truth.indentation_mm, truth.contact)
+
+
+def _membrane(touch: _Touch) -> DepthMap:
+    return DepthMap(
+        indentation_mm=touch.bubble.indentation_mm, depth_mm=touch.depth_mm.astype(np.float32),
+        contact=touch.bubble.contact, camera=touch.unit.camera, source_index=pixel_index(touch.unit.camera.shape),
+    )  # fmt: skip
+
+
+def _object(touch: _Touch) -> DepthMap:
+    near = touch.object_mm - touch.depth_mm < _NEAR_MM
+    return replace(_membrane(touch), object_mm=np.where(near, touch.object_mm, np.nan).astype(np.float32))
+
+
+def _untouched(methods):
+    """Contact pixels, in thousandths of the frame, on untouched frames of a real bubble."""
+    stream = open_recording(_PUNYO, sensor="soft_bubble_stereo").stream()
+    source, frames = sensor("soft_bubble_stereo"), [stream.frame(k) for k in _PUNYO_UNTOUCHED]
+    wrong = {name: 1e3 * np.mean([read(f, source).contact.mean() for f in frames]) for name, read in methods.items()}
+    times = race({name: partial(read, frames[0], source) for name, read in methods.items()}, runs=5)
+    yield row("untouched frames of a real bubble: contact", unit="of 1000",
+              ours=times["ours"], ours_error=wrong["ours"],
+              peer=_PEER, peer_timing=times[_PEER], peer_error=wrong[_PEER], bar=Bar(error=0.0))  # fmt: skip
+
+
+if __name__ == "__main__":
+    show(answer())
