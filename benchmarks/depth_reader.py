@@ -15,7 +15,7 @@ from scipy import optimize
 
 from pipeline.base.errors import SettingProblem
 from pipeline.base.progress import SILENT
-from pipeline.engine.graph import Skipped
+from pipeline.engine.graph import Instead, Skipped
 from pipeline.geometry.camera import Camera
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.slot import SLOT
@@ -41,6 +41,8 @@ def reader(method: str = "physics") -> Reader:
         if found.weights is not None:
             given[found.weights_name] = found.weights(source, source, Path(file) if file else None)
         answer = found.run(*(given.get(name) for name in found.reads), found.params(), SILENT)
+        if isinstance(answer, Instead):  # another method's figures would stand under this one's name
+            raise SettingProblem(answer.why)
         return answer.output if isinstance(answer, Skipped) else answer
 
     return read

@@ -56,7 +56,7 @@ def unit(rng: np.random.Generator) -> Unit:
         sensor=actual,
         still=_still(rng, drawn),
         nominal=None if rng.random() < (0.05 if family else 0.25) else nominal,
-        tone=math.exp(rng.normal(0.0, 0.25)) if sometimes[0] < 0.6 else 1.0,
+        tone=math.exp(rng.normal(0.0, 0.18)) if sometimes[0] < 0.6 else 1.0,
         mixing=np.eye(3) + (rng.normal(0.0, 0.07, (3, 3)) if sometimes[1] < 0.6 else 0.0),
         following=float(rng.uniform(0.0, 1.0)) if sometimes[2] < 0.6 else 0.0,
         nearer=float(rng.normal(0.0, 0.06)) if sometimes[3] < 0.5 else 0.0,
@@ -114,11 +114,11 @@ def _optics(described: SensorSpec) -> Optics:
 
 def _askew(rng: np.random.Generator, o: Optics, *, lights_only: bool = False) -> Optics:
     """A unit of this description, far off; `lights_only`: the description that somebody made of it."""
-    power = math.exp(rng.normal(0.0, 0.22))
+    power = math.exp(rng.normal(0.0, 0.14))
     wide = 0.0 if lights_only else float(rng.uniform(0.0, 35.0))
     leds: list[Led] = []
     for led in o.leds:
-        azimuth, rgb = led.azimuth_deg + rng.normal(0.0, 12.0), _tinted(rng, led.rgb, power, 0.14, 0.10)
+        azimuth, rgb = led.azimuth_deg + rng.normal(0.0, 12.0), _tinted(rng, led.rgb, power, 0.10, 0.08)
         elevation = float(np.clip(led.elevation_deg + rng.normal(0.0, 6.0), 7.0, 65.0))
         if not lights_only and rng.random() < 0.3:
             rgb = _bled(rng, rgb)

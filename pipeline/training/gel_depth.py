@@ -76,7 +76,7 @@ class GelDepth:
         of = unit(rng)
         indentation_mm = np.ascontiguousarray(pressed.indentation_px * np.float32(PIXEL_MM))
         touched, untouched = pictures(rng, of, indentation_mm, pressed.contact, drifted)
-        light = None if of.nominal is None else _inverse_light(of.nominal)
+        light = None if of.nominal is None else _light(of.nominal)
         fields = network_input.fields(touched, untouched, light)
         return _mirrored(rng, example(fields, pressed.indentation_px, pressed.contact))
 
@@ -109,22 +109,23 @@ class GelDepth:
         return {name: float(np.mean(values)) for name, values in named.items() if values}
 
 
-_described: dict[int, tuple[SensorSpec, Floats]] = {}  # the project's own sensors: the same values every time
+# By the identity of the project's own sensors: the same values every time.
+_described: dict[int, tuple[SensorSpec, network_input.Light]] = {}
 
 
-def _inverse_light(nominal: SensorSpec) -> Floats:
+def _light(nominal: SensorSpec) -> network_input.Light:
     known = _described.get(id(nominal))
     if known is None:
-        known = nominal, network_input.inverse_light(nominal)
+        known = nominal, network_input.light(nominal)
         if nominal.optics is not None and nominal.optics.glows:
             _described[id(nominal)] = known
     return known[1]
 
 
-_own_lights: Memo[str, Floats] = Memo(8)
+_own_lights: Memo[str, network_input.Light] = Memo(8)
 
 
-def _own_light(source: SensorSpec) -> Floats:
+def _own_light(source: SensorSpec) -> network_input.Light:
     return _own_lights.of(content(source), lambda: network_input.light_of(source))
 
 

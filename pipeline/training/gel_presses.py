@@ -52,7 +52,10 @@ def _drawn(rng: np.random.Generator, pool: tuple[int, int]) -> Pressed:
     zoom = math.exp(rng.uniform(math.log(0.8), math.log(1.45)))
     # Depths from a fiftieth of a millimetre to one and a half, at pixels of an eighth.
     least, most = 0.18 / (deepest * zoom), min(1.3, _DEEPEST / (deepest * zoom))
-    deeper = math.exp(rng.uniform(math.log(max(least, 0.35)), math.log(max(most, 0.4))))
+    if rng.random() < 0.5:
+        deeper = rng.uniform(max(least, 0.35), max(most, 0.4))
+    else:
+        deeper = math.exp(rng.uniform(math.log(max(least, 0.35)), math.log(max(most, 0.4))))
     if rng.random() < 0.1:
         deeper = max(least, 0.03) * math.exp(rng.uniform(0.0, 1.2))
     view = _view(rng, zoom)

@@ -85,10 +85,10 @@ def depth(
     )
 
 
-_lights: Memo[str, Floats] = Memo(16)
+_lights: Memo[str, network_input.Light] = Memo(16)
 
 
-def _light(sensor: SensorSpec) -> Floats | None:
+def _light(sensor: SensorSpec) -> network_input.Light | None:
     if sensor.optics is None:
         return None
     return _lights.of(content(sensor), lambda: network_input.light_of(sensor))

@@ -14,7 +14,7 @@ comes out in pixels becomes mm by the width of one.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -22,8 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, freeze
+from pipeline.geometry.camera import Camera
 from pipeline.physics import optics
 from pipeline.sensors.spec import SensorSpec
+from pipeline.simulation.gel_units import mirrored
 
 ROWS, COLS, FIELDS = 120, 160, 14
 _CHANGE_GREY = 40.0
@@ -32,6 +34,7 @@ _HINT_PX = 8.0
 _SECANT = 0.2  # mm/mm: slopes at which the light's rates are taken
 _PULL = 600.0  # grey levels squared per unit slope squared: what no lamp tells stays level
 _STEEPEST = 1.5
+_TURNS = 4  # of the slopes by the described light, the first of them linear
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,13 +83,29 @@ def frame(shape: tuple[int, int]) -> Frame:
     return Frame(shape=shape, mirrored=shape[0] > shape[1])
 
 
-def light_of(sensor: SensorSpec) -> Floats:
-    """`inverse_light` of a sensor's description, on the fields."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Light:
+    """A described light on the fields."""
+
+    sensor: SensorSpec  # (120, 160)
+    inverse: Floats  # `inverse_light` of it
+
+
+def light(sensor: SensorSpec) -> Light:
+    """The light of a sensor that takes pictures of 120 x 160."""
+    return Light(sensor=sensor, inverse=inverse_light(sensor))
+
+
+def light_of(sensor: SensorSpec) -> Light:
+    """The described light of any sensor."""
     rows, cols = sensor.camera.shape
-    at = frame((rows, cols))
-    inverse = inverse_light(sensor)
-    right, down = (at.small(part.transpose(1, 2, 0)).transpose(2, 0, 1) for part in inverse)
-    return freeze(np.stack([down, right] if at.mirrored else [right, down]))
+    at, z_mm = frame((rows, cols)), float(np.median(sensor.rest_depth_mm))
+    focal = z_mm / (sensor.pixel_mm * at.pixels)
+    camera = Camera(rows=ROWS, cols=COLS, fx_px=focal, fy_px=focal, cx_px=0.5 * (COLS - 1), cy_px=0.5 * (ROWS - 1))
+    described = optics.optics_of(sensor)
+    lit = mirrored(described) if at.mirrored else described
+    rest = freeze(np.full((ROWS, COLS), z_mm))
+    return light(replace(sensor, camera=camera, rest_depth_mm=rest, optics=lit, markers=None))
 
 
 def inverse_light(sensor: SensorSpec) -> Floats:
@@ -105,7 +124,7 @@ def inverse_light(sensor: SensorSpec) -> Floats:
     return freeze(np.stack([(yy * x - xy * y) * per, (xx * y - xy * x) * per]).astype(np.float32))
 
 
-def fields(touched: Floats, untouched: Floats, light: Floats | None) -> Floats:
+def fields(touched: Floats, untouched: Floats, light: Light | None) -> Floats:
     """The fields (14, 120, 160) of two pictures (120, 160, 3) of 0 to 255.
 
     `light`: `light_of` the sensor, None = nobody has described it.
@@ -117,12 +136,24 @@ def fields(touched: Floats, untouched: Floats, light: Floats | None) -> Floats:
     out[3:6] = 2.0 * np.log((now + np.float32(_DARK_GREY)) / (before + np.float32(_DARK_GREY)))
     out[6:9] = before * np.float32(1.0 / 127.5) - np.float32(1.0)
     if light is not None:
-        out[9:11] = np.clip([_summed(by, change) for by in light], -_STEEPEST, _STEEPEST)
+        out[9:11] = _slopes(change, light)
         surface = _surface(out[9], out[10])
         out[11] = (surface - np.median(surface[::4, ::4])) / np.float32(_HINT_PX)
     out[12] = np.linspace(-1.0, 1.0, COLS, dtype=np.float32)[None, :]
     out[13] = np.linspace(-1.0, 1.0, ROWS, dtype=np.float32)[:, None]
     return out
+
+
+def _slopes(change: Floats, light: Light) -> Floats:
+    """Slopes (2, rows, cols) whose colour is nearest to the change: light falls off where they are steep."""
+    found = np.zeros((2, ROWS, COLS), np.float32)
+    rest = change
+    for turn in range(_TURNS):
+        if turn:
+            seen = optics.colour_change(light.sensor, np.ascontiguousarray(found[0]), np.ascontiguousarray(found[1]))
+            rest = change - seen.transpose(2, 0, 1)
+        found = np.clip(found + [_summed(by, rest) for by in light.inverse], -_STEEPEST, _STEEPEST).astype(np.float32)
+    return found
 
 
 def _summed(a: Floats, b: Floats) -> Floats:

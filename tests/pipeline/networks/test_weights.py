@@ -33,6 +33,12 @@ def test_weights_come_back_as_they_were_saved_with_a_card_to_read(tmp_path):
     assert "- seed: 4\n" in (tmp_path / "some.md").read_text()
 
 
+def test_a_single_number_keeps_its_shape(tmp_path):
+    """As the batches that a normalisation has counted."""
+    save(tmp_path / "one.safetensors", some(tensors={"count": np.array(7.0, np.float32)}))
+    assert load(tmp_path / "one.safetensors").tensors["count"].shape == ()
+
+
 def test_halves_of_either_sort_are_read_as_float32(tmp_path):
     save(tmp_path / "half.safetensors", some(), half=True)
     half = load(tmp_path / "half.safetensors")

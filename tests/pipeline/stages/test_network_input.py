@@ -47,6 +47,19 @@ def test_the_described_light_gives_the_slopes_of_a_shallow_dent(name):
     assert np.corrcoef(surface.ravel(), want.ravel())[0, 1] > 0.97
 
 
+def test_steep_slopes_are_told_better_than_a_linear_light_would():
+    mini = sensor("gelsight_mini")
+    source = replace(mini, optics=replace(mini.optics, blur_px=0.0))
+    height = 1.4 * bump(240, 320, 120, 160, 45)
+    at = network_input.frame((240, 320))
+    touched, still = at.small(optics.render(source, height, seed=None)), at.small(optics.untouched(source))
+    light = network_input.light_of(source)
+    want = np.gradient(at.small(height[..., None].repeat(3, axis=2))[..., 0] / (source.pixel_mm * at.pixels))[1]
+    change = np.ascontiguousarray((touched - still).transpose(2, 0, 1))
+    linear, found = network_input._summed(light.inverse[0], change), network_input.fields(touched, still, light)[9]
+    assert np.abs(found - want).mean() < 0.8 * np.abs(linear - want).mean()
+
+
 def test_the_surface_of_the_slopes_is_that_of_the_exact_integration():
     gx, gy = np.random.default_rng(0).normal(size=(2, 120, 160)).astype(np.float32)
     np.testing.assert_allclose(network_input._surface(gx, gy), integrate(gx, gy, 1.0), atol=1e-4)
