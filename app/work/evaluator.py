@@ -248,7 +248,7 @@ class Evaluator:
 def request_of(session: Session) -> Request:
     """What a session, which has a recording, asks the pipeline to open."""
     asked = {name: getattr(session, name) for name in ASKED}
-    methods, weights = (tuple(sorted(chosen.items())) for chosen in (session.methods, session.weights))
+    methods, weights = tuple(sorted(session.methods.items())), tuple(sorted(session.weights.items()))
     return Request(**asked, methods=methods, weights=weights)
 
 
