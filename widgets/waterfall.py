@@ -99,6 +99,7 @@ class BlamePanel(QWidget):
         super().__init__(parent)
         self.figure, self._sentence, self.waterfall = QComboBox(), QLabel(), Waterfall()
         self.figure.setObjectName("blame_figure")
+        self.figure.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
         self.figure.setAccessibleName("figure that is taken apart")
         self.figure.activated.connect(lambda: self.figure_chosen.emit(self.figure.currentText()))
         self._sentence.setWordWrap(True)
