@@ -25,7 +25,8 @@ class PictureRow(QSplitter):
         for column in columns:
             row.addWidget(column, 1)
             column.view.shape_changed.connect(self._fit_soon)
-            column.installEventFilter(self)
+            for seen in (column, column.view):  # the latter also where a note takes room from it
+                seen.installEventFilter(self)
         self.addWidget(above)
         self.addWidget(below)
         self.setChildrenCollapsible(False)

@@ -69,8 +69,8 @@ class Triage(QObject):
     def _offer(self) -> None:
         """The figures that are known by now, errors first."""
         names = [name for name in self._panel.known.figures if METRICS[name.partition(".")[2]].better != "neither"]
-        if self._figure not in names and names:
-            self._figure = names[0]
+        if names and self._figure not in names:  # not known of any frame yet: it stays chosen, and others can be
+            names.insert(0, self._figure)
         unit = METRICS[self._figure.partition(".")[2]].unit
         self._panel.offer_figures(tuple(names), self._figure, f"error\n{unit}" if self._errs else f"figure\n{unit}")
 
