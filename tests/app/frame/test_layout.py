@@ -34,6 +34,8 @@ def test_every_picture_has_its_room(bubble_window, qtbot, size):
 
 
 def test_no_band_is_left_over_the_tallest_picture(bubble_window, qtbot):
+    bubble_window.window.resize(1600, 950)
+
     def snug() -> bool:
         views = [column.view for column in bubble_window.window.columns.values()]
         tallest = max(views, key=lambda view: view.tall * view.room_px.width())
