@@ -32,7 +32,7 @@ from pipeline.simulation import poses, shapes
 from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
 from pipeline.simulation.press import press
 from pipeline.simulation.variation import varied
-from pipeline.stages.depth import bubble_reading, gel_depth, gel_light, membrane_load
+from pipeline.stages.depth import bubble_reading, gel_depth, gel_light, membrane_load, moved, rest
 from pipeline.stages.depth.stage import DepthParams, depth
 from pipeline.values.frames import TactileFrame
 
@@ -45,19 +45,19 @@ _LEFT_OUT = {  # what has a reason beside it in the code
     bubble_reading: {"_MOST_PIXELS", "_USUAL_CURVATURE_PER_MM", "_SPECKLE_PX"},
     membrane_load: {"_ITERATIONS", "_SPREADS", "_FREED", "_FEWEST_BLOCKS"},
     gel_light: {"_STEP"},
-    gel_depth: {"_SATURATED_GREY"},
+    gel_depth: {"_SATURATED_GREY", "_FULL_SHARE"},
+    moved: {"_BLOCK_PX"},
+    rest: {"_CELLS", "_STEPS", "_EXACT", "_FAR_MM", "_FAR_STEPS"},
 }  # fmt: skip
 
 
 def numbers(module):
-    """The module's own numbers, and a reach's."""
+    """The module's own numbers."""
     left_out = _LEFT_OUT[module]
     for name, value in vars(module).items():
-        if name.startswith("_") and name.isupper() and name not in left_out:
-            if isinstance(value, (int, float, np.floating)) and not isinstance(value, bool):
-                yield name, value
-            elif isinstance(value, gel_depth._Reach):
-                yield f"{name}.margin_mm", value.margin_mm
+        is_number = isinstance(value, (int, float, np.floating)) and not isinstance(value, bool)
+        if is_number and name.startswith("_") and name.isupper() and name not in left_out:
+            yield name, value
 
 
 def neighbour(value, factor):
@@ -71,12 +71,11 @@ class Changed:
     """A module with one number changed, for as long as the block lasts."""
 
     def __init__(self, module, name, value):
-        self.module, (self.name, _, self.field), self.value = module, name.partition("."), value
+        self.module, self.name, self.value = module, name, value
 
     def __enter__(self):
         self.before = getattr(self.module, self.name)
-        changed = replace(self.before, **{self.field: self.value}) if self.field else self.value
-        setattr(self.module, self.name, changed)
+        setattr(self.module, self.name, self.value)
         membrane_load._lines.memo.clear()
 
     def __exit__(self, *_):

@@ -15,7 +15,7 @@ from pipeline.base.errors import CalibrationError, FileProblem
 from pipeline.base.files import read_arrays, whole_file
 from pipeline.base.memo import Memo
 from pipeline.calibration import slope_model
-from pipeline.calibration.markers import inpainted, marker_mask
+from pipeline.calibration.markers import without_markers
 from pipeline.calibration.slope_model import Samples, SlopeModel
 from pipeline.engine import store
 from pipeline.engine.digests import content
@@ -78,7 +78,7 @@ class Calibration:
 def slopes(
     calibration: Calibration,
     image: Image,
-    reference: Image,
+    reference: NDArray[Any],
     where: Mask,
     corner: tuple[int, int] = (0, 0),
     *,
@@ -112,10 +112,7 @@ def relative_change(
     change = image.astype(np.float32) - reference.astype(np.float32)
     bright = reference.astype(np.float32)
     if markers is not None:
-        printed = marker_mask(reference, markers, pixel_mm)
-        reach = max(1.0, markers.radius_mm / pixel_mm / 2)
-        change = inpainted(change, printed | marker_mask(image, markers, pixel_mm), reach)
-        bright = inpainted(bright, printed, reach)
+        change, bright = without_markers(change, image, reference, markers, pixel_mm)
     if smoothing_px > 0:
         change = cv2.GaussianBlur(change, (0, 0), smoothing_px)
     return np.asarray(change, np.float32) * slope_model.gain(bright)

@@ -13,14 +13,28 @@ from pipeline.sensors.spec import Markers
 
 _DARKER = 0.12  # share of the local brightness by which a marker lies below its surroundings
 _HALO_PX = 2  # lens blur around a dot
+_WIDEST_PX = 41  # of the disc that closes dots
+_PART_HIDDEN = 0.25  # share of a pixel
+_SHARP_PX = 3.0  # Gaussian means wider than this are taken on fewer pixels
 
 
 def marker_mask(picture: NDArray[Any], markers: Markers, pixel_mm: float) -> Mask:
-    """Pixels (rows, cols) of dark dots up to the size of the sensor's markers, with their blurred rim."""
+    """Pixels (rows, cols) of dark dots up to the size of the sensor's markers, with their blurred rim.
+
+    Where a dot has many pixels it is looked for on fewer: closing by a disc costs its area for every pixel.
+    """
     import cv2
 
-    brightest = picture.max(axis=2)
     width = 2 * math.ceil(2.2 * (markers.radius_mm + markers.twin_mm / 2) / pixel_mm) + 1
+    if width > _WIDEST_PX:
+        by = math.ceil(width / _WIDEST_PX)
+        rows, cols = picture.shape[:2]
+        small = cv2.resize(picture, (max(1, cols // by), max(1, rows // by)), interpolation=cv2.INTER_AREA)
+        found = marker_mask(small, markers, pixel_mm * cols / small.shape[1])
+        wide = cv2.resize(found.astype(np.float32), (cols, rows), interpolation=cv2.INTER_LINEAR)
+        return np.asarray(wide > _PART_HIDDEN, np.bool_)
+    red, green, blue = cv2.split(picture)
+    brightest = np.asarray(cv2.max(cv2.max(red, green), blue))
     dot = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, width))
     around = cv2.morphologyEx(brightest, cv2.MORPH_CLOSE, dot)
     dark = (around.astype(np.float32) - brightest) > _DARKER * around + 4.0
@@ -33,18 +47,39 @@ def inpainted(change: Floats, hidden: Mask, reach_px: float) -> Floats:
 
     Wider means take over where a narrower one sees nothing.
     """
-    import cv2
-
     out = change.copy()
     seen = (~hidden).astype(np.float32)
     todo = hidden
     for reach in (reach_px, 3 * reach_px, 9 * reach_px):
-        weight = np.asarray(cv2.GaussianBlur(seen, (0, 0), reach), np.float32)
+        weight = _mean(seen, reach)
         ready = todo & (weight > 0.02)
-        mean = np.asarray(cv2.GaussianBlur(change * seen[..., None], (0, 0), reach), np.float32)
+        mean = _mean(change * seen[..., None], reach)
         out[ready] = mean[ready] / weight[ready][:, None]
         todo = todo & ~ready
         if not todo.any():
             break
     out[todo] = 0.0
     return out
+
+
+def _mean(image: Floats, reach_px: float) -> Floats:
+    """The Gaussian mean around every pixel."""
+    import cv2
+
+    by = int(reach_px / _SHARP_PX * 2.0)
+    if by <= 1 or min(image.shape[:2]) < 2 * by:
+        return np.asarray(cv2.GaussianBlur(image, (0, 0), reach_px), np.float32)
+    rows, cols = image.shape[:2]
+    small = cv2.resize(image, (-(-cols // by), -(-rows // by)), interpolation=cv2.INTER_AREA)
+    blurred = cv2.GaussianBlur(small, (0, 0), reach_px / by)
+    return np.asarray(cv2.resize(blurred, (cols, rows), interpolation=cv2.INTER_LINEAR), np.float32)
+
+
+def without_markers(
+    change: Floats, image: NDArray[Any], still: NDArray[Any], markers: Markers, pixel_mm: float
+) -> tuple[Floats, Floats]:
+    """(`change`, `still`) (rows, cols, 3) as they would be without the markers, which are in `image` and `still`."""
+    printed = marker_mask(still, markers, pixel_mm)
+    reach = max(1.0, markers.radius_mm / pixel_mm / 2)
+    bright = inpainted(still.astype(np.float32), printed, reach)
+    return inpainted(change, printed | marker_mask(image, markers, pixel_mm), reach), bright

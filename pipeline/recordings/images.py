@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 from pipeline.base.arrays import Image
@@ -11,6 +12,7 @@ from pipeline.recordings import pictures
 from pipeline.recordings.folders import Found
 from pipeline.recordings.gel_pictures import gel_pictures
 from pipeline.recordings.indexing import checked_index
+from pipeline.recordings.untouched import steadied
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
 
@@ -18,8 +20,9 @@ def read(path: Path, found: Found, *, sensor: str = "", reference: Path | None =
     """The images of a folder (or one image) as one stream of RGB frames, in the order found.
 
     The reference is the file given, else the first one named background*, bg*, ref*, reference*, untouched* or
-    undeformed*; differences from it imply it; without any the frames have none, and the notes say so. Pictures of the
-    right sensor at another size are resampled. Raises FileProblem or SettingProblem.
+    undeformed*, or its median with the first frames where they show the same; differences from it imply it; without
+    any the frames have none, and the notes say so. Pictures of the right sensor at another size are resampled.
+    Raises FileProblem or SettingProblem.
     """
     chosen = reference or (found.untouched[0] if found.untouched else None)
     left_out = {os.path.realpath(p) for p in (*found.untouched, *((chosen,) if chosen else ()))}
@@ -30,6 +33,9 @@ def read(path: Path, found: Found, *, sensor: str = "", reference: Path | None =
         )
     untouched = None if chosen is None else pictures.rgb(chosen)
     shape = (_first(files) if untouched is None else untouched).shape
+    steadier = 0
+    if untouched is not None and reference is None:
+        untouched, steadier = steadied(untouched, _readable(files))
     made = gel_pictures(sensor, (shape[0], shape[1]), untouched, lambda: _first(files))
 
     def frame(index: int) -> TactileFrame:
@@ -39,7 +45,7 @@ def read(path: Path, found: Found, *, sensor: str = "", reference: Path | None =
 
     stream = Stream(name=made.sensor or "images", sensor=made.sensor, n_frames=len(files),
                     frame=checked_index(frame, len(files), path))  # fmt: skip
-    about = () if made.implied is not None else _about(chosen, found.untouched)
+    about = () if made.implied is not None else _about(chosen, found.untouched, steadier)
     return Recording(path=path, format="folder of images" if path.is_dir() else "image",
                      streams=(stream,), notes=found.notes + made.notes + about)  # fmt: skip
 
@@ -71,9 +77,19 @@ def _of_shape(file: Path, shape: tuple[int, ...], index: int) -> Image:
     return image
 
 
-def _about(chosen: Path | None, named: tuple[Path, ...]) -> tuple[str, ...]:
+def _readable(files: list[Path]) -> Iterator[Image]:
+    """The images up to the first that cannot be read."""
+    try:
+        for file in files:
+            yield pictures.rgb(file)
+    except FileProblem:
+        return
+
+
+def _about(chosen: Path | None, named: tuple[Path, ...], steadier: int) -> tuple[str, ...]:
     if chosen is None:
         return ("no picture of the untouched sensor was found; name one with --reference",)
     unused = [p.name for p in named if p != chosen]
     more = (f"other pictures of the untouched sensor are left out: {', '.join(unused)}",) if unused else ()
-    return (f"{chosen.name} shows the untouched sensor", *more)
+    alike = f", as do the first {steadier} frames: their median is the reference" if steadier else ""
+    return (f"{chosen.name} shows the untouched sensor{alike}", *more)

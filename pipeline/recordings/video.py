@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from pipeline.base.text import is_text
 from pipeline.recordings import differences, pictures
 from pipeline.recordings.gel_pictures import gel_pictures
 from pipeline.recordings.indexing import checked_index
+from pipeline.recordings.untouched import steadied
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
 _MOST_FRAMES = 10_000_000  # an hour at 2,700 Hz
@@ -22,7 +24,7 @@ SUFFIXES = frozenset({".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v"})
 
 
 def read(path: Path, *, sensor: str = "", reference: Path | None = None) -> Recording:
-    """The video as one stream of RGB frames; without `reference` its first frame is taken as untouched, and noted.
+    """The video as one stream of RGB frames; without `reference` its first frames are taken as untouched, and noted.
 
     Raises FileProblem when the video or its first frame cannot be decoded.
     """
@@ -34,8 +36,11 @@ def read(path: Path, *, sensor: str = "", reference: Path | None = None) -> Reco
         video.close()
         assert reference is not None
         raise FileProblem(f"the reference has shape {untouched.shape}, the video {first.shape}", reference)
+    steadier = 0
+    if reference is None and untouched is not None:
+        untouched, steadier = steadied(untouched, _leading(video))
     made = gel_pictures(sensor, (first.shape[0], first.shape[1]), untouched, lambda: first)
-    about = () if changes else (_about(reference),)
+    about = () if changes else (_about(reference, steadier),)
 
     def frame(index: int) -> TactileFrame:
         return TactileFrame(sensor=made.sensor, image=made.picture(video.frame(index)), reference=made.reference,
@@ -47,10 +52,21 @@ def read(path: Path, *, sensor: str = "", reference: Path | None = None) -> Reco
     return Recording(path=path, format="video", streams=(stream,), close=video.close, notes=notes)
 
 
-def _about(reference: Path | None) -> str:
-    if reference is None:
-        return "its first frame is taken as the untouched sensor"
-    return f"{reference.name} shows the untouched sensor"
+def _about(reference: Path | None, steadier: int) -> str:
+    if reference is not None:
+        return f"{reference.name} shows the untouched sensor"
+    if steadier:
+        return f"the median of its first {steadier + 1} frames, all alike, is taken as the untouched sensor"
+    return "its first frame is taken as the untouched sensor"
+
+
+def _leading(video: _Video) -> Iterator[Image]:
+    """The frames after the first, as far as they can be decoded."""
+    try:
+        for index in range(1, video.n_frames):
+            yield video.frame(index)
+    except FileProblem:
+        return
 
 
 class _Video:

@@ -30,18 +30,19 @@ import numpy as np
 from pipeline.base.arrays import Floats, Image, Mask
 from pipeline.calibration import slope_model
 from pipeline.calibration.lookup import Calibration
+from pipeline.calibration.markers import without_markers
 from pipeline.physics import optics
-from pipeline.sensors.spec import SensorSpec
+from pipeline.sensors.spec import Markers, SensorSpec
+from pipeline.stages.depth.moved import Window
 
-_ROUNDS = 2  # one leaves 4 % more error, a third changes nothing (benchmarks/depth_numbers.py)
-_PULL = 5000.0  # grey levels squared per unit slope squared: a colour in full light weighs ten times as much
+_ROUNDS = 4  # two leave a fifth more error of a GelSlim, whose lights are low
+_PULL = 500.0  # grey levels squared per unit slope squared: a colour in full light weighs a hundred times as much
 _HUBER_GREY = 20.0  # larger misfits are dust, a reflection, or an optical description that is not this unit's
 _STEEPEST = np.float32(1.43)  # mm/mm, 55 degrees: the light hardly changes beyond
 _STEP = np.float32(0.01)  # mm/mm, of the difference quotients: a grey level or so, far above float32's rounding
 _LEAST_MM = -0.5  # no gel bulges out farther
-_QUIET_SHARE = 0.4  # of the picture: a firm touch changes the light far from it too, which is no drift
-_DRIFT = 0.06  # more is no drift
 _FLANK, _FLANK_SHARE = 0.12, 0.1  # mm/mm, and of a region's pixels
+_BORDER_SHARE = 0.3  # of the deepest region
 _COARSE = 4  # pixels of the picture to one of the first guess
 
 
@@ -58,29 +59,31 @@ class Seen:
 
 
 def applies(source: SensorSpec, calibration: Calibration) -> bool:
-    """Whether the sensor's description says what casts shadows, and the look-up came from that description.
+    """Whether the sensor's description tells its optics, and the look-up came from that description.
 
-    A look-up that was fitted to presses has their shadows in it.
+    A look-up that was fitted to presses has their shadows and blur in it.
     """
-    return source.optics is not None and source.optics.shadow > 0 and source.markers is None and calibration.is_built_in
+    return source.optics is not None and calibration.is_built_in
 
 
-def seen(image: Image, reference: Image, rows: slice, cols: slice, moved: Mask, smoothing_px: float) -> Seen:
-    """The window `rows`, `cols` of a picture, ready for `corrected`; drift of the colours elsewhere is taken out."""
+def seen(
+    image: Image, still: Floats, window: Window, smoothing_px: float, markers: Markers | None, pixel_mm: float
+) -> Seen:
+    """The window of a picture, ready for `corrected`; `still` is the untouched one, in its light.
+
+    Printed markers, where they are now and where they were, are filled in from around them.
+    """
     import cv2
 
-    here = (rows, cols)
-    quiet = np.ones(image.shape[:2], np.uint8)
-    quiet[here] = ~moved
-    still = reference[here].astype(np.float32)
-    part = image[here].astype(np.float32)
-    if np.count_nonzero(quiet) > _QUIET_SHARE * quiet.size:
-        now, before = (np.array(cv2.mean(p, mask=quiet)[:3]) for p in (image, reference))
-        part *= np.clip(before / np.maximum(now, 1.0), 1.0 - _DRIFT, 1.0 + _DRIFT).astype(np.float32)
-    change = part - still
+    here = (window.rows, window.cols)
+    light = np.ascontiguousarray(still[here])
+    change = image[here].astype(np.float32) - light
+    if markers is not None:
+        change, light = without_markers(change, image[here], light, markers, pixel_mm)
     if smoothing_px > 0:
         change = np.asarray(cv2.GaussianBlur(change, (0, 0), smoothing_px), np.float32)
-    return Seen(rows=rows, cols=cols, change=change, still=still, moved=moved, smoothing_px=smoothing_px)
+    return Seen(rows=window.rows, cols=window.cols, change=change, still=light, moved=window.moved,
+                smoothing_px=smoothing_px)  # fmt: skip
 
 
 def rough_slopes(picture: Seen, calibration: Calibration) -> tuple[Floats, Floats]:
@@ -125,10 +128,11 @@ def corrected(
     return surface_mm
 
 
-def pressed_in(touched: Mask, surface_mm: Floats, pixel_mm: float) -> Mask:
+def pressed_in(touched: Mask, surface_mm: Floats, pixel_mm: float, border: Mask | None = None) -> Mask:
     """`touched` without the broad, shallow regions that drifting light leaves beside a touch; the deepest one stays.
 
-    What presses has flanks: some of its region is steep.
+    What presses has flanks: some of its region is steep. On the image's `border`, beyond which nothing holds the
+    surface, it must be a good part as deep as the deepest too: the corners of a picture are where light is least known.
     """
     import cv2
     from scipy import ndimage
@@ -139,7 +143,11 @@ def pressed_in(touched: Mask, surface_mm: Floats, pixel_mm: float) -> Mask:
     regions = np.asarray(found, np.int32)
     steep = np.hypot(*optics.slopes(surface_mm, pixel_mm)) > _FLANK
     keep = np.asarray(ndimage.mean(steep, regions, np.arange(n))) > _FLANK_SHARE
-    keep[1 + int(np.argmax(ndimage.maximum(surface_mm, regions, np.arange(1, n))))] = True
+    depths = np.asarray(ndimage.maximum(surface_mm, regions, np.arange(1, n)))
+    if border is not None:
+        cut = np.unique(regions[touched & border])
+        keep[cut[depths[cut - 1] < _BORDER_SHARE * float(depths.max())]] = False
+    keep[1 + int(np.argmax(depths))] = True
     keep[0] = False
     return np.asarray(keep[regions], np.bool_)
 

@@ -1,10 +1,11 @@
-"""From slopes back to a surface: the least-squares integral, solved exactly by cosine or sine transforms.
+"""From slopes back to a surface: the least-squares integral, solved exactly by cosine and sine transforms.
 
 Minimises the sum of |D z - g|^2 over the edges between neighbouring pixels, where the slope of an edge is the mean of
-its two pixels, g_{i+1/2} = (g_i + g_{i+1}) / 2. The normal equations are a five-point Poisson equation, which the
-DCT-II (nothing known at the border) or the DST-II (zero along the border) makes diagonal:
+its two pixels, g_{i+1/2} = (g_i + g_{i+1}) / 2. The normal equations are a five-point Poisson equation, which waves
+along each axis make diagonal, cosines at an end where nothing is known, sines at one that is held at zero:
 
-    z^(k, l) = -div^(k, l) / (4 sin^2(pi k / 2W) + 4 sin^2(pi l / 2H)),   k = 0..W-1 or, for sines, 1..W.
+    z^(k, l) = -div^(k, l) / (4 sin^2(pi k / 2W) + 4 sin^2(pi l / 2H)),
+    k = 0..W-1 both ends free (DCT-II);  1..W both flat (DST-II);  1/2..W-1/2 one of each (DCT-IV, DST-IV).
 
 Frankot & Chellappa 1988, Simchony et al. 1990. Two slips are common in public integrators and are avoided here:
 counting k from 1, which damps the long waves, and a divergence without the half of the central difference.
@@ -13,7 +14,7 @@ counting k from 1, which damps the long waves, and a divergence without the half
 from __future__ import annotations
 
 import math
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -26,69 +27,78 @@ Boundary = Literal["flat", "free"]
 _WORKERS = 2
 
 
-def integrate(gx: Floats, gy: Floats, pixel_mm: float, boundary: Boundary = "free") -> Floats:
+class Sides(NamedTuple):
+    """What is known along each side of an image."""
+
+    left: Boundary
+    right: Boundary
+    top: Boundary
+    bottom: Boundary
+
+
+def integrate(gx: Floats, gy: Floats, pixel_mm: float, boundary: Boundary | Sides = "free") -> Floats:
     """The surface z_mm (rows, cols) float32 whose slopes (mm/mm, x right, y down) are nearest to gx, gy.
 
-    "free" knows nothing at the border and returns the surface with mean zero; "flat" holds it at zero along the outer
-    edge of the border pixels. Raises ShapeError for arrays that differ in shape, are not two-dimensional, or hold a
-    value that is not finite, SettingProblem for another boundary.
+    "free" knows nothing at the border; "flat" holds it at zero along the outer edge of the border pixels; the four
+    sides may differ. Free on all of them, the surface has mean zero. Raises ShapeError for arrays that differ in shape,
+    are not two-dimensional, or hold a value that is not finite, SettingProblem for another boundary.
     """
-    from scipy import fft
-
     if gx.ndim != 2 or gx.shape != gy.shape or gx.size == 0:
         raise ShapeError(f"slopes must be two images of one shape (rows, cols), got {gx.shape} and {gy.shape}")
-    if boundary not in get_args(Boundary):
-        raise SettingProblem(f"boundary must be one of {', '.join(get_args(Boundary))}, got {boundary!r}")
+    sides = boundary if isinstance(boundary, Sides) else Sides(boundary, boundary, boundary, boundary)
+    for side in sides:
+        if side not in get_args(Boundary):
+            raise SettingProblem(f"boundary must be one of {', '.join(get_args(Boundary))}, got {side!r}")
     if not (math.isfinite(float(gx.sum(dtype=np.float64))) and math.isfinite(float(gy.sum(dtype=np.float64)))):
         raise ShapeError("slopes hold values that are not finite; fill them before integrating")
-    rows, cols = gx.shape
-    scale = _inverse_eigenvalues(rows, cols, boundary)
-    if boundary == "free":
-        wave = np.asarray(fft.dctn(_divergence_free(gx, gy), type=2, norm="ortho", workers=_WORKERS))
-        z = np.asarray(fft.idctn(wave * scale, type=2, norm="ortho", workers=_WORKERS), np.float32)
-    else:
-        wave = np.asarray(fft.dstn(_divergence_flat(gx, gy), type=2, norm="ortho", workers=_WORKERS))
-        z = np.asarray(fft.idstn(wave * scale, type=2, norm="ortho", workers=_WORKERS), np.float32)
-    return freeze(z * np.float32(pixel_mm))
+    wave = _divergence(gx, gy, sides)
+    for axis, ends in ((1, sides[:2]), (0, sides[2:])):
+        wave = _waves(wave, axis, ends, back=False)
+    wave = wave * _inverse_eigenvalues(gx.shape[0], gx.shape[1], sides)
+    for axis, ends in ((0, sides[2:]), (1, sides[:2])):
+        wave = _waves(wave, axis, ends, back=True)
+    return freeze(np.ascontiguousarray(wave * np.float32(pixel_mm), np.float32))
+
+
+def _waves(image: Floats, axis: int, ends: tuple[Boundary, ...], *, back: bool) -> Floats:
+    """The orthonormal transform along one axis whose waves fit both ends, or back from it."""
+    from scipy import fft
+
+    first, last = ends
+    kind = 2 if first == last else 4
+    transforms = (fft.dct, fft.idct) if first == "free" else (fft.dst, fft.idst)
+    return np.asarray(transforms[back](image, type=kind, axis=axis, norm="ortho", workers=_WORKERS), np.float32)
 
 
 @remembered(16)
-def _inverse_eigenvalues(rows: int, cols: int, boundary: Boundary) -> Floats:
+def _inverse_eigenvalues(rows: int, cols: int, sides: Sides) -> Floats:
     """-1 / eigenvalue of the five-point Laplacian (rows, cols); the constant has none and is left at zero."""
-    first = 0 if boundary == "free" else 1
-    ky, kx = (np.arange(first, n + first) * (math.pi / (2 * n)) for n in (rows, cols))
+    first = {("free", "free"): 0.0, ("flat", "flat"): 1.0}
+    kx, ky = (
+        (np.arange(n) + first.get(ends, 0.5)) * (math.pi / (2 * n))
+        for n, ends in ((cols, sides[:2]), (rows, sides[2:]))
+    )
     total = 4.0 * np.sin(ky)[:, None] ** 2 + 4.0 * np.sin(kx)[None, :] ** 2
     inverse = np.divide(-1.0, total, out=np.zeros_like(total), where=total > 0)
     return freeze(inverse.astype(np.float32))
 
 
-def _divergence_free(gx: Floats, gy: Floats) -> Floats:
-    """Edge slopes in minus out, edges across the border left out: the transpose of D applied to them, negated."""
-    div = np.zeros(gx.shape, dtype=np.float32)
-    if gx.shape[1] > 1:
-        np.subtract(gx[:, 2:], gx[:, :-2], out=div[:, 1:-1])
-        np.add(gx[:, 0], gx[:, 1], out=div[:, 0])
-        np.subtract(-gx[:, -2], gx[:, -1], out=div[:, -1])
-    if gy.shape[0] > 1:
-        div[1:-1] += gy[2:]
-        div[1:-1] -= gy[:-2]
-        div[0] += gy[0] + gy[1]
-        div[-1] -= gy[-2] + gy[-1]
-    div *= np.float32(0.5)
-    return div
+def _divergence(gx: Floats, gy: Floats, sides: Sides) -> Floats:
+    """Edge slopes in minus out. A flat border lies half a pixel outside: the edge to it has its pixel's own slope.
 
-
-def _divergence_flat(gx: Floats, gy: Floats) -> Floats:
-    """As above, with the level border half a pixel outside: the edge to it has the slope of the border pixel itself."""
+    The edge across a free border is left out: the divergence is the transpose of D applied to the slopes, negated.
+    """
     div = np.zeros(gx.shape, dtype=np.float32)
-    if gx.shape[1] > 1:
-        np.subtract(gx[:, 2:], gx[:, :-2], out=div[:, 1:-1])
-        np.subtract(gx[:, 1], gx[:, 0], out=div[:, 0])
-        np.subtract(gx[:, -1], gx[:, -2], out=div[:, -1])
-    if gy.shape[0] > 1:
-        div[1:-1] += gy[2:]
-        div[1:-1] -= gy[:-2]
-        div[0] += gy[1] - gy[0]
-        div[-1] += gy[-1] - gy[-2]
+    for d, g, (first, last) in ((div, gx, sides[:2]), (div.T, gy.T, sides[2:])):
+        n = g.shape[1]
+        if n > 1:
+            d[:, 1:-1] += g[:, 2:]
+            d[:, 1:-1] -= g[:, :-2]
+            d[:, 0] += g[:, 0] + g[:, 1]
+            d[:, -1] -= g[:, -2] + g[:, -1]
+        if first == "flat":
+            d[:, 0] -= 2.0 * g[:, 0]
+        if last == "flat":
+            d[:, -1] += 2.0 * g[:, -1]
     div *= np.float32(0.5)
     return div

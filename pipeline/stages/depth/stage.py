@@ -27,6 +27,7 @@ from pipeline.values.frames import TactileFrame
 from pipeline.values.pixel_index import pixel_index
 from pipeline.values.results import DepthError, DepthMap
 
+_UNTOUCHED = "nothing touches the sensor"
 _BLACK_GREY = 2  # no lit gel is this dark everywhere
 
 
@@ -122,15 +123,16 @@ def untouched(
         return None
     limit = source.limits.no_touch / params.sensitivity
     if frame.is_depth:
-        change = bubble_depth.largest_change(image, reference)
+        notes = (_UNTOUCHED,) if bubble_depth.largest_change(image, reference) < limit else None
     else:
-        change = gel_depth.largest_change(cast("Image", image), cast("Image", reference))
-    if not change < limit:
+        notes = gel_depth.untouched_notes(cast("Image", image), cast("Image", reference), limit)
+    if notes is None:
         return None
     seen_by = source if frame.camera is None else source.seen_through(frame.camera)
     if frame.image.shape[:2] != seen_by.camera.shape:
         return None
-    return _at_rest(frame, seen_by)
+    at_rest = _at_rest(frame, seen_by)
+    return at_rest if notes == at_rest.notes else replace(at_rest, notes=notes)
 
 
 def checked(frame: TactileFrame, source: SensorSpec) -> None:
@@ -174,7 +176,7 @@ def _at_rest(frame: TactileFrame, source: SensorSpec) -> DepthMap:
             contact=freeze(np.zeros(shape, np.bool_)),
             camera=source.camera,
             source_index=pixel_index(shape),
-            notes=("nothing touches the sensor",),
+            notes=(_UNTOUCHED,),
         ),
     )
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from pipeline.physics.optics import untouched as untouched_picture
 from pipeline.sensors.spec import sensor
-from pipeline.stages.depth.gel_depth import largest_change
+from pipeline.stages.depth.moved import largest_change
 from pipeline.stages.depth.stage import DepthParams, untouched
 from pipeline.values.frames import TactileFrame
 

@@ -1,0 +1,54 @@
+"""The median of a recording's untouched frames as its reference."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from pipeline.physics import optics
+from pipeline.recordings.opening import open_recording
+from pipeline.recordings.untouched import steadied
+from pipeline.sensors.spec import sensor
+from tests.pipeline.stages.test_depth import press
+
+MINI = sensor("gelsight_mini")
+STILL = optics.untouched(MINI)
+
+
+def noisy(image, seed, grey=3.0):
+    noise = np.random.default_rng(seed).normal(0.0, grey, image.shape)
+    return np.clip(np.rint(image + noise), 0, 255).astype(np.uint8)
+
+
+def test_the_median_of_untouched_frames_has_less_noise():
+    found, n = steadied(noisy(STILL, 0), (noisy(STILL, k) for k in range(1, 10)))
+    assert n == 9
+    off = [np.abs(image.astype(float) - STILL).mean() for image in (found, noisy(STILL, 0))]
+    assert off[0] < 0.5 * off[1]
+
+
+@pytest.mark.parametrize("depth_mm", [0.15, 0.5])
+def test_frames_from_the_first_touch_on_stay_out(depth_mm):
+    _, touch, _ = press("gelsight_mini", depth_mm=depth_mm)
+    frames = [noisy(STILL, 1), noisy(STILL, 2), touch.image, noisy(STILL, 3)]
+    _, n = steadied(noisy(STILL, 0), frames)
+    assert n == 2
+
+
+def test_a_single_frame_stays_as_it_is():
+    first = noisy(STILL, 0)
+    found, n = steadied(first, [noisy(STILL, 1), noisy(press("gelsight_mini")[1].image, 2)])
+    assert n == 0
+    assert found is first
+
+
+def test_a_folder_is_opened_with_the_steadier_reference(tmp_path):
+    for name, image in (("ref", noisy(STILL, 0)), *((f"{k}", noisy(STILL, k)) for k in range(1, 5))):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), image[..., ::-1])
+    recording = open_recording(tmp_path, sensor="gelsight_mini")
+    assert any("first 4 frames" in note for note in recording.notes)
+    reference = recording.streams[0].frame(0).reference
+    assert np.abs(reference.astype(float) - STILL).mean() < 0.6 * np.abs(noisy(STILL, 0).astype(float) - STILL).mean()
+    as_asked = open_recording(tmp_path, sensor="gelsight_mini", reference=tmp_path / "ref.png")
+    assert np.array_equal(as_asked.streams[0].frame(0).reference, noisy(STILL, 0))

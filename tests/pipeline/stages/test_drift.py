@@ -1,0 +1,88 @@
+"""Light and place of a picture that have drifted since its reference."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.physics import optics
+from pipeline.sensors.spec import sensor
+from pipeline.simulation.variation import varied
+from pipeline.stages.depth import drift
+from pipeline.stages.depth.stage import DepthParams, depth, untouched
+from pipeline.values.frames import TactileFrame
+from tests.pipeline.stages.test_depth import contact_of, press
+
+PARAMS = DepthParams()
+
+
+def drifted(image, *, gain=1.0, ramp_grey=0.0, shift_px=(0.0, 0.0), seed=0):
+    """The picture under more light, a ramp from left to right, and moved."""
+    import cv2
+
+    rows, cols = image.shape[:2]
+    by = np.array([[1.0, 0.0, shift_px[0]], [0.0, 1.0, shift_px[1]]])
+    moved = cv2.warpAffine(
+        image.astype(np.float32), by, (cols, rows), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+    )
+    light = gain * moved + (ramp_grey * np.linspace(-0.5, 0.5, cols))[None, :, None]
+    return np.clip(np.rint(light + np.random.default_rng(seed).normal(0, 1.5, image.shape)), 0, 255).astype(np.uint8)
+
+
+def frame(source, image, reference=None):
+    still = optics.untouched(source) if reference is None else reference
+    return TactileFrame(sensor=source.name, image=image, reference=still)
+
+
+@pytest.mark.parametrize("name", ["gelslim", "digit", "gelsight_mini"])
+@pytest.mark.parametrize("how", [{"gain": 1.06}, {"ramp_grey": 20.0}, {"shift_px": (2.0, -1.0)},
+                                 {"gain": 0.95, "ramp_grey": -12.0, "shift_px": (-1.0, 1.5)}])  # fmt: skip
+def test_a_picture_that_only_drifted_is_untouched(name, how):
+    source = sensor(name)
+    image = drifted(optics.untouched(source), **how)
+    found = untouched(frame(source, image), source, None, PARAMS)
+    if found is None:  # then a closer look must not find anything either
+        found = depth(frame(source, image), source, None, PARAMS)
+    assert not found.contact.any()
+    assert not found.indentation_mm.any()
+
+
+def test_what_was_taken_out_is_told():
+    source = sensor("gelslim")
+    image = drifted(optics.untouched(source), gain=1.08, shift_px=(2.0, 0.0))
+    told = " ".join(untouched(frame(source, image), source, None, PARAMS).notes)
+    assert "the light has drifted" in told
+    assert "moved by 2.0 px" in told
+    assert "larger than the view" in told  # nobody can tell it from one
+
+
+def test_shift_gain_and_ramp_are_measured():
+    still = optics.untouched(sensor("gelslim"))
+    found, foreign = drift.fitted(drifted(still, gain=1.04, ramp_grey=10.0, shift_px=(1.6, -0.7)), still)
+    assert not foreign
+    assert found.shift_px == pytest.approx((1.6, -0.7), abs=0.1)
+    assert found.gain == pytest.approx([1.04] * 3, abs=0.01)
+    assert found.ramp_grey[:, 0] == pytest.approx([5.0] * 3, abs=0.5)
+
+
+@pytest.mark.parametrize("name", ["digit", "gelsight_mini"])
+def test_a_touch_is_no_drift_and_is_found_through_one(name):
+    source, touch, truth = press(name, depth_mm=0.4)
+    assert drift.stilled(touch.image, touch.reference).drift is None
+    image = drifted(touch.image, gain=1.03, ramp_grey=12.0, shift_px=(0.0, 1.0))
+    found, wanted = depth(replace(touch, image=image), source, None, PARAMS), contact_of(truth)
+    assert (found.contact & wanted).sum() / (found.contact | wanted).sum() > 0.75
+
+
+def test_the_reference_of_another_unit_is_noticed():
+    source = sensor("digit")
+    image, reference = (optics.untouched(varied(source, seed, 1.5)) for seed in (1, 2))
+    found = depth(frame(source, image, reference), source, None, PARAMS)
+    assert any("another unit" in note for note in found.notes)
+
+
+def test_a_picture_all_white_is_no_drift():
+    still = optics.untouched(sensor("gelsight_mini"))
+    assert drift.fitted(np.full_like(still, 255), still)[0] is None

@@ -1,0 +1,96 @@
+"""Rest, faces and the far field of a pressed gel."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from pipeline.geometry import rigid
+from pipeline.physics import optics
+from pipeline.sensors.spec import Gel, sensor
+from pipeline.simulation import shapes
+from pipeline.simulation.press import press
+from pipeline.stages.depth import moved, rest
+from pipeline.stages.depth.stage import DepthParams, depth
+from pipeline.values.frames import TactileFrame
+
+GEL = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48)
+PIXEL_MM = 0.06
+FACE_IOU = 0.9
+
+
+@lru_cache
+def pressed_box(name, share):
+    """A level face, `share` of the view's shorter side wide, pressed in by 0.5 mm: (sensor, frame, truth)."""
+    source = sensor(name)
+    half = 0.5 * share * min(source.camera.shape) * source.pixel_mm
+    box = shapes.bar([(-half, -half), (half, -half), (half, half), (-half, half)], 8.0, 0.0, "box")
+    felt = press(box, rigid.translation(0.0, 0.0, -0.5 - box.vertices_mm[:, 2].min()), source, seed=1)
+    return source, TactileFrame(sensor=name, image=felt.image, reference=optics.untouched(source)), felt.truth
+
+
+@pytest.mark.parametrize(
+    ("name", "share"), [("gelsight_mini", 0.65), ("gelslim", 1.0), ("digit", 1.2), ("gelsight_mini", 1.2)]
+)
+def test_a_face_is_touched_all_over_whether_its_rim_is_seen_or_cut_off(name, share):
+    source, frame, truth = pressed_box(name, share)
+    found = depth(frame, source, None, DepthParams())
+    assert (found.contact & truth.contact).sum() / (found.contact | truth.contact).sum() > FACE_IOU
+
+
+def test_a_contact_that_fills_the_view_is_said_to():
+    source, frame, truth = pressed_box("gelsight_mini", 1.25)
+    assert truth.contact.mean() > 0.9
+    assert any("fills the view" in note for note in depth(frame, source, None, DepthParams()).notes)
+
+
+def test_gel_beyond_a_dent_is_brought_back_to_rest_on_either_side():
+    x = np.arange(220)
+    bar = 0.5 * np.maximum(1 - ((x - 110) / 16.0) ** 2, 0)
+    surface = np.tile(bar + 0.25 / (1 + np.exp(-(x - 118) / 3.0)), (160, 1)).astype(
+        np.float32
+    )  # one flank read too flat
+    found = rest.settled(surface, np.tile(bar > 0, (160, 1)), PIXEL_MM, GEL)
+    assert np.abs(found.surface_mm[:, :20]).max() < 0.03
+    assert np.abs(found.surface_mm[:, -20:]).max() < 0.03
+    assert not found.inside.any()
+
+
+def test_a_patch_as_deep_as_the_rim_around_it_is_the_inside_of_a_face():
+    y, x = np.mgrid[:200, :200]
+    away = np.maximum(abs(y - 100), abs(x - 100))
+    surface = np.clip((70 - away) * 0.05, 0.0, 0.5).astype(np.float32)
+    found = rest.settled(surface, abs(away - 62) < 4, PIXEL_MM, GEL)
+    assert found.inside[100, 100]
+    assert not found.inside[4, 4]
+
+
+def test_rings_are_not_filled():
+    y, x = np.mgrid[:200, :200]
+    away = np.hypot(y - 100, x - 100)
+    surface = (0.4 * np.exp(-(((away - 65) / 6.0) ** 2))).astype(np.float32)
+    assert not rest.settled(surface, abs(away - 65) < 5, PIXEL_MM, GEL).inside.any()
+
+
+def test_the_far_field_is_what_a_pressed_layer_does():
+    source, _, truth = pressed_box("gelsight_mini", 0.35)
+    around = rest.far_field(truth.indentation_mm, truth.contact, source.pixel_mm, source.gel)
+    import cv2
+
+    away = cv2.distanceTransform((~truth.contact).astype(np.uint8), cv2.DIST_L2, 5) * source.pixel_mm
+    beside = (away > 1.0) & (away < 4.0)
+    assert truth.indentation_mm[beside].min() < -0.03  # a bulge
+    assert np.abs(around - truth.indentation_mm)[beside].mean() < 0.01
+
+
+def test_what_is_looked_at_around_a_touch_ends_in_a_round_line():
+    touched = np.zeros((40, 50), np.bool_)
+    touched[20, 25] = True
+    window = moved.grown(touched, (320, 400), 0.05)
+    y, x = np.nonzero(window.moved)
+    y, x = y + window.rows.start - 163.5, x + window.cols.start - 203.5
+    edge = [np.hypot(x, y)[np.abs(np.arctan2(y, x) - angle) < 0.05].max() for angle in np.linspace(-3, 3, 25)]
+    assert np.ptp(edge) < 6.0  # 2 mm are 40 px; squares of 8 px would leave 16
+    assert (np.diff(np.sort(np.unique(window.share))) < 0.1).all()
