@@ -49,15 +49,15 @@ def test_what_the_source_never_felt_is_named(to_bubble):
 
 
 def test_a_spoilt_slot_takes_the_blame(to_bubble, monkeypatch):
-    """Depth that is 0.3 mm too deep is found to be depth's doing, and no other slot's."""
+    """Depth that is 1 mm too deep is found to be depth's doing, and no other slot's."""
     translation, graph, params = to_bubble
     clean = {part.title: part.share for part in blame(translation, graph, params, TOUCHED, "felt.mae_mm").parts}
     depth = next(method for method in translation.methods if method.slot == "depth")
 
     def deeper(*reads):
         made = depth.run(*reads)
-        more = np.where(made.contact, made.indentation_mm + 0.3, made.indentation_mm).astype(np.float32)
-        return replace(made, indentation_mm=freeze(more), depth_mm=freeze(made.depth_mm - 0.3 * made.contact))
+        more = np.where(made.contact, made.indentation_mm + 1.0, made.indentation_mm).astype(np.float32)
+        return replace(made, indentation_mm=freeze(more), depth_mm=freeze(made.depth_mm - 1.0 * made.contact))
 
     spoilt = tuple(replace(m, run=deeper, version=99) if m.slot == "depth" else m for m in translation.methods)
     found = blame(translation, graph.rerouted(spoilt), params, TOUCHED, "felt.mae_mm")
