@@ -22,7 +22,8 @@ UNDIGESTED: Mapping[str, bool] = MappingProxyType({"digest": False})
 """Metadata of a field that is kept to be looked at (states for scrubbing): it is no part of the value's digest."""
 
 _WORTH_KEEPING = 4096  # bytes; a smaller array is read sooner than looked up
-_arrays: Memo[int, tuple[NDArray[Any], bytes]] = Memo(256, most_bytes=8 * 1024 * 1024)  # what is asked for each frame
+_MOST_BYTES = 8 * 1024 * 1024  # held by a memo of digests: what is asked for each frame, not the frames of a recording
+_arrays: Memo[int, tuple[NDArray[Any], bytes]] = Memo(256, most_bytes=_MOST_BYTES)
 
 
 def digest(value: object) -> str:
@@ -43,7 +44,7 @@ class Known:
     """
 
     def __init__(self, most: int = 32) -> None:
-        self._kept: Memo[int, tuple[object, str]] = Memo(most)
+        self._kept: Memo[int, tuple[object, str]] = Memo(most, most_bytes=_MOST_BYTES)
 
     def __len__(self) -> int:
         """How many digests are remembered."""

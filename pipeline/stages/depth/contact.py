@@ -105,7 +105,7 @@ def without_specks(mask: Mask, min_pixels: int) -> Mask:
     return keep[np.asarray(labels, np.int32)]
 
 
-@remembered(64)
+@remembered(8)  # a touch has a window of its own size
 def _wavenumbers(rows: int, cols: int, smoothing_px: float, order: Literal[1, 2]) -> Floats:
     """Wavenumbers (rows, cols) of a cosine transform to the power of `order`, radians per pixel, damped by a blur."""
     ky, kx = (np.arange(n) * (math.pi / n) for n in (rows, cols))

@@ -70,7 +70,7 @@ def _waves(image: Floats, axis: int, ends: tuple[Boundary, ...], *, back: bool) 
     return np.asarray(transforms[back](image, type=kind, axis=axis, norm="ortho", workers=_WORKERS), np.float32)
 
 
-@remembered(16)
+@remembered(8)
 def _inverse_eigenvalues(rows: int, cols: int, sides: Sides) -> Floats:
     """-1 / eigenvalue of the five-point Laplacian (rows, cols); the constant has none and is left at zero."""
     first = {("free", "free"): 0.0, ("flat", "flat"): 1.0}
