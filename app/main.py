@@ -39,7 +39,7 @@ def open_window(request: Request | None, *, frame: int | None = None, tour: Path
     else:
         asked = {name: getattr(request, name) for name in ASKED}
         methods, weights = dict(request.methods), dict(request.weights)
-        session = Session(**asked, methods=methods, weights=weights, frame=first)
+        session = Session(**asked, offsets=request.offsets, methods=methods, weights=weights, frame=first)
     instrument = show_window(session)
     code = 0
     if tour is not None:

@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.races import Bar, Timing, race, row, timing
 from pipeline.alignment.felt import PREVIEW, felt
-from pipeline.alignment.nudge import AXES, motion_about, nudged
+from pipeline.alignment.nudge import nudged
 from pipeline.alignment.refine import refine
 from pipeline.alignment.score import preview
 from pipeline.alignment.touches import PairedTouch, paired_touches, pivot_of
@@ -29,6 +29,7 @@ from pipeline.geometry import rigid
 from pipeline.racing.races import Answer, Point, Row
 from pipeline.racing.report import show
 from pipeline.sensors.alignment import Alignment, corrected
+from pipeline.sensors.offsets import AXES, motion_about
 from pipeline.translation.translate import Request, Translation, open_translation
 
 RECORDING = Path(__file__).resolve().parents[1] / "sample_data" / "recordings" / "first_touch.h5"

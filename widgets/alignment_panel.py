@@ -16,9 +16,9 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from pipeline.alignment.nudge import AXES
 from pipeline.alignment.score import Score
 from pipeline.alignment.sensitivity import Sensitivity
+from pipeline.sensors.offsets import AXES
 from widgets.axis_bars import AxisBars
 from widgets.axis_row import AxisRow
 from widgets.gauge import Gauge, GaugeScale

@@ -5,7 +5,8 @@ from __future__ import annotations
 from PyQt6.QtCore import QObject, QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtWidgets import QDoubleSpinBox, QLabel, QSizePolicy, QSlider
 
-from pipeline.alignment.nudge import Axis, unit_of
+from pipeline.alignment.nudge import unit_of
+from pipeline.sensors.offsets import Axis
 from widgets.colours import AXES, qcolor
 
 _PER_UNIT = {"mm": 20, "deg": 10}  # slider positions: 0.05 mm, 0.1 deg

@@ -9,15 +9,14 @@ from PyQt6.QtCore import QObject
 
 from app.frame.instrument import Instrument
 from app.frame.logs import log
-from app.session.offsets import Offsets
 from app.session.state import Session
 from app.work import judging
 from app.work.judging import Judged, Previewed
 from app.work.refining import Refining
-from pipeline.alignment.nudge import AXES, Axis
 from pipeline.alignment.score import Score
 from pipeline.base.errors import SettingProblem, TouchError
 from pipeline.sensors.alignment_files import AlignmentFile, save
+from pipeline.sensors.offsets import AXES, Axis, Offsets
 from pipeline.translation.translate import Translation
 from widgets.looks import once
 

@@ -8,13 +8,13 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast, get_args
 
-from app.session.offsets import Offsets, from_plain
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import read_json, write_json
 from pipeline.base.params import changed, settings
 from pipeline.engine.graph import Method
 from pipeline.pictures.display import DisplayParams
 from pipeline.recordings.depth_arrays import DepthUnit
+from pipeline.sensors.offsets import Offsets, from_plain
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 
 SUFFIX = ".touch.json"

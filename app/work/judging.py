@@ -5,7 +5,6 @@ from __future__ import annotations
 from contextlib import closing
 from dataclasses import dataclass, replace
 
-from app.session.offsets import Offsets, of_motion
 from app.session.state import Session
 from app.work.evaluator import Evaluator, depth_params, request_of
 from app.work.jobs import Report
@@ -17,6 +16,7 @@ from pipeline.base.arrays import Doubles
 from pipeline.base.errors import SettingProblem
 from pipeline.pictures.layers import Layer
 from pipeline.pictures.picture import Picture, beside, enlarged
+from pipeline.sensors.offsets import Offsets, of_motion
 from pipeline.stages.project import slot as view_slot
 from pipeline.stages.project.stage import Projection
 from pipeline.stages.slot import Seen

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from pipeline.alignment.normal_equations import Noise, cost, seen
-from pipeline.alignment.nudge import motion_about
 from pipeline.alignment.residuals import Evidence, thinned
 from pipeline.base.arrays import Doubles
 from pipeline.base.progress import Progress
 from pipeline.geometry import rigid
+from pipeline.sensors.offsets import motion_about
 
 JUDGED = Noise(surface_mm=0.2, outline_mm=0.4)  # fixed, so that costs of different places compare
 JUDGED_SCALE = Noise(surface_mm=1.0, outline_mm=2.0)

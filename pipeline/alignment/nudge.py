@@ -6,17 +6,13 @@ that every turn would have to be made good by a shift. About the middle of the c
 
 from __future__ import annotations
 
-from typing import Literal
-
 import numpy as np
 
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment import Alignment, corrected
+from pipeline.sensors.offsets import Axis, motion_about
 from pipeline.values.results import DepthMap
-
-Axis = Literal["x", "y", "z", "rx", "ry", "rz"]
-AXES: tuple[Axis, ...] = ("x", "y", "z", "rx", "ry", "rz")
 
 
 def unit_of(axis: Axis) -> str:
@@ -51,10 +47,3 @@ def nudged(alignment: Alignment, axis: Axis, amount: float, *, pivot_mm: Doubles
     if unit_of(axis) == "deg":
         return corrected(alignment, motion_about(pivot_mm, np.deg2rad(direction), np.zeros(3)))
     return corrected(alignment, motion_about(pivot_mm, np.zeros(3), direction))
-
-
-def motion_about(pivot_mm: Doubles, rotation_rad: Doubles, shift_mm: Doubles) -> Doubles:
-    """The motion (4, 4) that turns about a point by a rotation vector (3,) and then shifts."""
-    motion = rigid.rotation(rotation_rad)
-    motion[:3, 3] = pivot_mm - motion[:3, :3] @ pivot_mm + shift_mm
-    return motion

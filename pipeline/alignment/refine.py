@@ -20,7 +20,6 @@ from pipeline.alignment.normal_equations import (
     seen,
     sums,
 )
-from pipeline.alignment.nudge import motion_about
 from pipeline.alignment.residuals import Evidence, evidence, thinned
 from pipeline.alignment.touches import PairedTouch
 from pipeline.base.arrays import Doubles, freeze
@@ -29,6 +28,7 @@ from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry import rigid
 from pipeline.geometry.screws import in_words
 from pipeline.sensors.alignment import Alignment, Side, corrected
+from pipeline.sensors.offsets import motion_about
 
 _START = Noise(surface_mm=2.0, outline_mm=4.0)  # loss scales to begin with: as far off as a start may be
 _START_NEAR = Noise(surface_mm=0.5, outline_mm=1.0)  # once the place is roughly known

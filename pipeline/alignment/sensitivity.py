@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.alignment.felt import Felt
-from pipeline.alignment.nudge import AXES, Axis, nudged, unit_of
+from pipeline.alignment.nudge import nudged, unit_of
 from pipeline.alignment.score import Score, preview
 from pipeline.alignment.touches import PairedTouch, pivot_of
 from pipeline.base.arrays import Doubles
 from pipeline.base.progress import SILENT, Progress
 from pipeline.sensors.alignment import Alignment
+from pipeline.sensors.offsets import AXES, Axis
 from pipeline.stages.project.stage import Projection
 
 UNIT_STEP = 0.1  # mm or deg: what all changes are stated per

@@ -11,6 +11,7 @@ from cyclopts import Parameter
 if TYPE_CHECKING:
     from pipeline.translation.translate import Request
 
+Triple = tuple[float, float, float]
 _WEIGHTS = "File of a network's weights, for the method that takes such; `slot=FILE` where several do."
 _METHODS = "`slot=method` in place of the route's own, such as `felt=reading`, as often as needed."
 
@@ -40,6 +41,12 @@ class Opening:
         Unit of a depth array or 16-bit picture whose name does not tell.
     alignment
         How the two sensors stand to each other, a .toml as `tactoscope align refine` writes it.
+    shift_mm
+        How far that alignment is moved: x, y and z in the target's frame.
+    turn_deg
+        How far it is turned: a rotation vector in the target's frame.
+    pivot_mm
+        The point in the target's frame that it is turned about.
     """
 
     sensor: str = ""
@@ -53,9 +60,13 @@ class Opening:
     depth_unit: Literal["auto", "mm", "m", "0.1mm", "um"] = "auto"
     alignment: Path | None = None
     weights: Annotated[tuple[str, ...], Parameter(negative="", help=_WEIGHTS)] = ()
+    shift_mm: Triple = (0.0, 0.0, 0.0)
+    turn_deg: Triple = (0.0, 0.0, 0.0)
+    pivot_mm: Triple = (0.0, 0.0, 0.0)
 
     def request(self, recording: Path, target: str) -> Request:
         """What is to be translated into what; raises SettingProblem for a method that is not written slot=method."""
+        from pipeline.sensors.offsets import Offsets
         from pipeline.translation.catalogue import with_method, with_weights
         from pipeline.translation.translate import Request
 
@@ -70,6 +81,7 @@ class Opening:
             methods=tuple(chosen.items()), reference=self.reference, calibration=self.calibration, mesh=self.mesh,
             mesh_unit=self.mesh_unit, depth_unit=self.depth_unit, alignment=self.alignment,
             weights=tuple(weights.items()),
+            offsets=Offsets(shift_mm=self.shift_mm, turn_deg=self.turn_deg, pivot_mm=self.pivot_mm),
         )  # fmt: skip
 
 

@@ -21,6 +21,7 @@ from pipeline.recordings.depth_arrays import DepthUnit
 from pipeline.sensors import alignment as alignments
 from pipeline.sensors.alignment import Alignment, placed
 from pipeline.sensors.alignment_files import load as load_alignment
+from pipeline.sensors.offsets import Offsets
 from pipeline.sensors.spec import SensorSpec, sensor
 from pipeline.stages.slot import Facts
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
@@ -48,6 +49,7 @@ class Request:
     depth_unit: DepthUnit = "auto"
     alignment: Path | None = None  # TOML with T_S->A and T_A->T
     weights: tuple[tuple[str, Path], ...] = ()  # (slot, file); slot "" = the first whose method takes weights
+    offsets: Offsets = field(default_factory=Offsets)  # how far that alignment is moved
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,7 +184,7 @@ def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Trans
         stream=stream,
         source=source,
         target=target,
-        alignment=_alignment(request, recording, stream, source, target),
+        alignment=request.offsets.applied(_alignment(request, recording, stream, source, target)),
         calibration=None if request.calibration is None else load_calibration(request.calibration),
         mesh=mesh,
         notes=(*recording.notes, *_about_symmetry(recording, stream, mesh), *_about_weights(request, methods)),

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.alignment.nudge import AXES
 from pipeline.alignment.score import Score
 from pipeline.alignment.sensitivity import Change, Sensitivity
+from pipeline.sensors.offsets import AXES
 from widgets.alignment_panel import AlignmentPanel
 
 SCORE = Score(iou=0.8, edge_px=3.0, depth_mm=0.05, depth_rms_mm=0.1, bias_mm=0.0, overlap_px=50)

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 from PyQt6.QtGui import QUndoStack
 
-from app.session.offsets import Offsets
 from app.session.state import Session, load_session, save_session
 from app.session.undo import SessionChange
 from pipeline.base.errors import FileProblem
 from pipeline.base.params import changed
 from pipeline.pictures.display import DisplayParams
+from pipeline.sensors.offsets import Offsets
 from pipeline.translation.catalogue import BUILT_IN
 
 

@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.alignment.nudge import AXES, nudged, pivot_mm, unit_of
+from pipeline.alignment.nudge import nudged, pivot_mm, unit_of
 from pipeline.base.arrays import freeze
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment import between, placed
+from pipeline.sensors.offsets import AXES
 from pipeline.sensors.spec import sensor
 from pipeline.values.pixel_index import pixel_index
 from pipeline.values.results import DepthMap

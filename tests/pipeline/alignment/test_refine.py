@@ -6,7 +6,6 @@ import pytest
 from pipeline.alignment import refine as refining
 from pipeline.alignment import residuals
 from pipeline.alignment.normal_equations import Sums
-from pipeline.alignment.nudge import motion_about
 from pipeline.alignment.refine import refine
 from pipeline.alignment.residuals import evidence, outline_distances, surface_distances
 from pipeline.alignment.touches import PairedTouch, pivot_of
@@ -15,6 +14,7 @@ from pipeline.base.errors import SettingProblem
 from pipeline.base.progress import SILENT, Cancelled
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment import between, corrected
+from pipeline.sensors.offsets import motion_about
 from pipeline.sensors.spec import sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.press import press

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.alignment.felt import edge_of, felt, preview_factor
-from pipeline.alignment.nudge import AXES, nudged
+from pipeline.alignment.nudge import nudged
 from pipeline.alignment.score import preview, scores, typical
 from pipeline.alignment.sensitivity import UNIT_STEP, sensitivities
 from pipeline.alignment.touches import PairedTouch, paired_touch, pivot_of
@@ -12,6 +12,7 @@ from pipeline.base.arrays import freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment import between
+from pipeline.sensors.offsets import AXES
 from pipeline.sensors.spec import sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.press import press

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.session.offsets import Offsets, from_plain, of_motion
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment import between
+from pipeline.sensors.offsets import Offsets, from_plain, of_motion
 from pipeline.sensors.spec import sensor
 
 ROUNDING_MM = 1e-9  # points within 300 mm, double precision

@@ -1,19 +1,20 @@
-"""How far the user has moved an alignment from the one that was opened: six numbers about a point."""
+"""How far an alignment is moved from the one that was opened: six numbers about a point."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 
-from pipeline.alignment.nudge import AXES, Axis, motion_about
 from pipeline.base.arrays import Doubles
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment import Alignment, corrected
 
+Axis = Literal["x", "y", "z", "rx", "ry", "rz"]
+AXES: tuple[Axis, ...] = ("x", "y", "z", "rx", "ry", "rz")
 Triple = tuple[float, float, float]
 ZERO: Triple = (0.0, 0.0, 0.0)
 
@@ -58,6 +59,13 @@ class Offsets:
     def about(self, pivot_mm: Sequence[float] | Doubles) -> Offsets:
         """The very same motion, told about another point."""
         return of_motion(self.motion(), pivot_mm)
+
+
+def motion_about(pivot_mm: Doubles, rotation_rad: Doubles, shift_mm: Doubles) -> Doubles:
+    """The motion (4, 4) that turns about a point by a rotation vector (3,) and then shifts."""
+    motion = rigid.rotation(rotation_rad)
+    motion[:3, 3] = pivot_mm - motion[:3, :3] @ pivot_mm + shift_mm
+    return motion
 
 
 def of_motion(motion: Doubles, pivot_mm: Sequence[float] | Doubles) -> Offsets:
