@@ -1,0 +1,64 @@
+"""Touches as the paper's end-to-end networks see them: the change of a reading, squeezed into a square.
+
+A gel's change is that of its picture in shares of full brightness, a bubble's is how far its membrane moved toward the
+camera. Both are brought to mean 0 and spread 1 by the published numbers of the paper's own sensors.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.base.arrays import Floats, freeze
+
+Kind = Literal["gel", "bubble"]
+
+SIDE = 128
+CHANNELS: dict[Kind, int] = {"gel": 3, "bubble": 1}
+MEANS: dict[Kind, tuple[float, ...]] = {"gel": (-0.0082, -0.0059, -0.0066), "bubble": (3.82,)}  # a bubble's in mm
+SPREADS: dict[Kind, tuple[float, ...]] = {"gel": (0.0989, 0.0746, 0.0731), "bubble": (4.24,)}
+
+
+def change(kind: Kind, image: NDArray[Any], untouched: NDArray[Any]) -> Floats:
+    """(rows, cols, channels): a gel's change of brightness in -1..1, a bubble's imprint in mm; 0 without a reading."""
+    if kind == "gel":
+        return (image.astype(np.float32) - untouched.astype(np.float32)) / np.float32(255.0)
+    moved = np.asarray(untouched, np.float32) - np.asarray(image, np.float32)
+    return np.nan_to_num(moved, nan=0.0, posinf=0.0, neginf=0.0)[..., None]
+
+
+def square(changed: Floats, side: int = SIDE) -> Floats:
+    """(channels, side, side) of a change (rows, cols, channels); what is larger is averaged."""
+    import cv2
+
+    rows, cols, channels = changed.shape
+    how = cv2.INTER_AREA if min(rows, cols) >= side else cv2.INTER_LINEAR
+    small = np.asarray(cv2.resize(changed, (side, side), interpolation=how), np.float32)
+    return freeze(np.ascontiguousarray(small.reshape(side, side, channels).transpose(2, 0, 1)))
+
+
+def unsquared(squeezed: Floats, shape: tuple[int, int]) -> Floats:
+    """The change (rows, cols, channels) of a square (channels, side, side)."""
+    import cv2
+
+    changed = cv2.resize(np.ascontiguousarray(squeezed.transpose(1, 2, 0)), shape[::-1], interpolation=cv2.INTER_CUBIC)
+    return np.asarray(changed, np.float32).reshape(*shape, len(squeezed))
+
+
+def normal(squeezed: Floats, kind: Kind) -> Floats:
+    """Squares (..., channels, side, side) of mean 0 and spread 1 over the paper's data."""
+    mean, spread = _numbers(kind)
+    return ((squeezed - mean) / spread).astype(np.float32)
+
+
+def measured(normalised: Floats, kind: Kind) -> Floats:
+    """The squares that `normal` made these of."""
+    mean, spread = _numbers(kind)
+    return (normalised * spread + mean).astype(np.float32)
+
+
+def _numbers(kind: Kind) -> tuple[Floats, Floats]:
+    mean, spread = (np.asarray(v[kind], np.float32)[:, None, None] for v in (MEANS, SPREADS))
+    return mean, spread

@@ -1,0 +1,120 @@
+"""Who is scored: every touch method that knows the direction, and what any of them must beat."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.base.arrays import Floats, freeze
+from pipeline.base.errors import SettingProblem
+from pipeline.engine.graph import Method
+from pipeline.networks.squares import change
+from pipeline.networks.weights import NoWeights
+from pipeline.physics import optics
+from pipeline.recordings import open_recording
+from pipeline.scoring.paper import MODELS
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.generate.stage import GenerateParams, without_contact
+from pipeline.translation.catalogue import BUILT_IN, Catalogue
+from pipeline.values.results import TargetView, Touch
+
+RECORDED, UNTOUCHED, MEAN = "recorded", "untouched", "mean"
+_GIVEN = {
+    RECORDED: "the target's own touch", UNTOUCHED: "untouched picture", MEAN: "mean of other touches",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Contender:
+    """One way to a touch of the target."""
+
+    name: str  # a method of the slot touch, or one of RECORDED, UNTOUCHED and MEAN
+    title: str
+    model: str = ""  # of the paper, "" = it has no such row
+
+    @property
+    def is_given(self) -> bool:
+        """Whether it needs no source: a touch that is put in the method's place."""
+        return self.name in _GIVEN
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Field:
+    """Those of one direction, and who cannot take part and why."""
+
+    contenders: tuple[Contender, ...]
+    absent: tuple[str, ...]  # sentences
+
+
+def field_of(
+    source: SensorSpec, target: SensorSpec, only: Sequence[str] = (), catalogue: Catalogue = BUILT_IN
+) -> Field:
+    """Baselines, then the catalogue's methods in its order; `only` names some of all. Raises SettingProblem."""
+    methods: tuple[Method, ...] = catalogue.slot("touch").methods
+    unknown = set(only) - {*_GIVEN, *(m.name for m in methods)}
+    if unknown:
+        known = ", ".join((*_GIVEN, *(m.name for m in methods)))
+        raise SettingProblem(f"no way to a touch is called {sorted(unknown)[0]!r}; there are {known}")
+    made = [Contender(name=name, title=title) for name, title in _GIVEN.items()]
+    absent: list[str] = []
+    for method in methods:
+        found = None if method.weights is None else method.weights(source, target, None)
+        if isinstance(found, NoWeights):
+            absent.append(f"{source.name} to {target.name} by {method.name}: {found.why}")
+        else:
+            made.append(Contender(name=method.name, title=method.title, model=MODELS.get(method.name, "")))
+    return Field(
+        contenders=tuple(c for c in made if not only or c.name in only),
+        absent=tuple(why for why in absent if not only or why.split(":")[0].split()[-1] in only),
+    )
+
+
+def touch_of(target: SensorSpec, changed: Floats) -> Touch:
+    """A change (rows, cols, channels) as a touch of the described unit, of which only the picture is known."""
+    shape = target.camera.shape
+    if target.kind == "gel":
+        grey = optics.untouched(target) + 255.0 * changed
+        image = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+    else:
+        image = (target.rest_depth_mm - changed[..., 0]).astype(np.float32)
+    return Touch(
+        image=freeze(image), camera=target.camera, source_index=freeze(np.full(shape, -1, np.int32)),
+        known=freeze(np.ones(shape, np.bool_)),
+    )  # fmt: skip
+
+
+def nothing_of(target: SensorSpec) -> Touch:
+    """The target's untouched reading with its membrane at rest."""
+    shape = target.camera.shape
+    empty = TargetView(
+        depth_mm=freeze(np.full(shape, np.nan, np.float32)), contact=freeze(np.zeros(shape, np.bool_)),
+        indentation_mm=freeze(np.zeros(shape, np.float32)), camera=target.camera,
+        source_index=freeze(np.full(shape, -1, np.int32)), known=freeze(np.ones(shape, np.bool_)),
+    )  # fmt: skip
+    touch = without_contact(empty, target, GenerateParams())
+    assert touch is not None
+    return touch
+
+
+@lru_cache(maxsize=8)
+def mean_change(usual: tuple[Path, ...], target: str) -> Floats:
+    """(rows, cols, channels): the mean change of a sensor's reading over recordings of other touches."""
+    total, count = None, 0
+    for path in usual:
+        recording = open_recording(path)
+        try:
+            stream = recording.stream(target)
+            for index in range(stream.n_frames):
+                frame = stream.frame(index)
+                assert frame.reference is not None
+                one = change("bubble" if frame.is_depth else "gel", frame.image, frame.reference).astype(np.float64)
+                total, count = one if total is None else total + one, count + 1
+        finally:
+            recording.close()
+    if total is None:
+        raise SettingProblem("there is no touch to take the mean of")
+    return freeze((total / count).astype(np.float32))

@@ -1,0 +1,39 @@
+"""What the encoder that sets of touches are compared by sees in one touch.
+
+The encoder is the network that tells an object's pose from a sensor's own touches: what it looks at is what matters to
+those who use a touch. It comes with the project; its weights are named by their digest in every report.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pipeline.base.arrays import Floats, freeze
+from pipeline.networks import shelf
+from pipeline.networks.weights import NoWeights, Weights
+from pipeline.sensors.spec import SensorSpec
+
+
+def weights(target: SensorSpec) -> Weights | NoWeights:
+    """The encoder of a sensor's touches, or why there is none."""
+    return shelf.for_task("touch_pose", f"pose_{target.name}", None)
+
+
+def of(target: SensorSpec, changed: Floats) -> Floats | None:
+    """What it sees (features,) in a change (rows, cols, channels) of a sensor; None where there is no encoder."""
+    known = weights(target)
+    return None if isinstance(known, NoWeights) else _seen(known, target, changed)
+
+
+def _seen(known: Weights, target: SensorSpec, changed: Floats) -> Floats:
+    import torch
+
+    from pipeline.networks.building import network
+    from pipeline.networks.squares import normal, square
+
+    encoder: Any = network(known)
+    with torch.inference_mode():
+        picture = torch.from_numpy(np.array(normal(square(changed), target.kind))[None])
+        return freeze(encoder.features(picture)[0].numpy().astype(np.float32))

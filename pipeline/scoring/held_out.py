@@ -1,0 +1,66 @@
+"""The touches that methods are scored on: presses that nothing was taught on, simulated once and kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from pipeline.base.errors import SettingProblem
+from pipeline.base.progress import SILENT, Progress, Share
+from pipeline.engine import store
+from pipeline.engine.digests import digest
+from pipeline.scoring.paper import Split
+from pipeline.simulation import datasets, recorder
+from pipeline.simulation.datasets import Plan
+
+SENSORS = ("gelslim", "soft_bubble", "digit")
+MOST_GRASPS = 1000
+Set = Split | Literal["usual"]  # "usual": touches of training objects, which the mean touch is taken of
+_SEEDS: dict[str, int] = {"unseen_grasps": 40_001, "unseen_tools": 40_002, "usual": 40_003}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeldOut:
+    """Which touches, and by which units of the sensors."""
+
+    grasps: int = 5  # of each object
+    vary: float = 1.0  # how far a source differs from the described unit, 1 = as those of a lab; a target never does
+    folder: Path | None = None  # where they are kept; None = the user's cache
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Presses:
+    """The same presses of one object as felt by other units and by the described ones."""
+
+    thing: str
+    source: Path
+    target: Path
+
+
+def recordings(of: Set, held_out: HeldOut, progress: Progress = SILENT) -> tuple[Presses, ...]:
+    """Recordings of every object, felt by all `SENSORS` at once; what is not there yet is simulated.
+
+    A source may be any unit; whoever generates a touch does so for the target that is described, so that it is the
+    described one that recorded what is compared with. Raises SettingProblem for a number of grasps that makes no sense,
+    FileProblem where nothing can be written.
+    """
+    if not 1 <= held_out.grasps <= MOST_GRASPS:
+        raise SettingProblem(f"--grasps must lie within 1 and {MOST_GRASPS}, got {held_out.grasps}")
+    like = Plan(sensors=SENSORS, tool="", poses=held_out.grasps, seed=_SEEDS[of], vary=held_out.vary)
+    plans = datasets.plans(("unseen" if of == "unseen_tools" else "training",), like)
+    made: list[Presses] = []
+    for index, plan in enumerate(plans):
+        part = Share(progress, index / len(plans), 1.0 / len(plans), f"simulating {plan.thing_name}")
+        paths = [_recorded(of, unit, held_out.folder, part) for unit in (plan, replace(plan, vary=0.0))]
+        made.append(Presses(thing=plan.thing_name, source=paths[0], target=paths[1]))
+    return tuple(made)
+
+
+def _recorded(of: Set, plan: Plan, folder: Path | None, progress: Progress) -> Path:
+    # What would give other readings has another name, so that old recordings are neither taken nor in the way.
+    name = f"{of}_{plan.thing_name}_{digest(datasets.told(plan))[:8]}.h5"
+    path = (folder or store.own_folder() / "held_out") / name
+    if recorder.finished(plan, path) < plan.poses:
+        recorder.record(plan, path, progress=progress)
+    return path

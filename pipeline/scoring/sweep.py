@@ -1,0 +1,119 @@
+"""Run time against error: what more steps of denoising, or more guidance, give for their time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pipeline.base.errors import SettingProblem
+from pipeline.base.files import whole_file
+from pipeline.base.params import settings
+from pipeline.base.progress import SILENT, Progress, Share
+from pipeline.scoring.evaluation import Map, Wanted, evaluated
+from pipeline.scoring.table import Row
+from pipeline.translation.catalogue import BUILT_IN
+
+SWEPT: Mapping[str, tuple[float, ...]] = {
+    "steps": (1, 2, 4, 8, 20, 50, 200), "guidance": (0.0, 1.0, 1.5, 2.54, 7.0, 15.0),
+}  # fmt: skip
+_MARKS = {"steps": "o-", "guidance": "s--"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Point:
+    """A method with one parameter at one value; "" = as it comes."""
+
+    parameter: str
+    value: float
+    row: Row
+
+    @property
+    def error_mm(self) -> float | None:
+        """Error where the target is touched."""
+        return self.row.figures.get("error_mm", {}).get("contact")
+
+
+def swept(
+    wanted: Wanted, parameters: Sequence[str], progress: Progress = SILENT, work: Map | None = None
+) -> list[Point]:
+    """Every touch method as it comes, and again with each of the parameters that it has at each of its values.
+
+    Raises SettingProblem for a parameter that is not swept.
+    """
+    for name in parameters:
+        if name not in SWEPT:
+            raise SettingProblem(f"{name!r} is not swept; there are {', '.join(SWEPT)}")
+    plain = replace(wanted, poses=(), contenders=wanted.contenders or ("mean", *_methods()))
+    rounds = list(_rounds(plain, parameters))
+    points: list[Point] = []
+    for index, (name, value, one) in enumerate(rounds):
+        part = Share(progress, index / len(rounds), 1.0 / len(rounds), f"{name} {value:g}" if name else "")
+        points += [Point(parameter=name, value=value, row=row) for row in evaluated(one, part, work).rows]
+    return points
+
+
+def _methods() -> tuple[str, ...]:
+    return tuple(method.name for method in BUILT_IN.slot("touch").methods)
+
+
+def _rounds(plain: Wanted, parameters: Sequence[str]) -> Sequence[tuple[str, float, Wanted]]:
+    """(parameter, value, what to evaluate): all methods as they come, then those that have the parameter."""
+    rounds: list[tuple[str, float, Wanted]] = [("", 0.0, plain)]
+    for name in parameters:
+        able = {
+            method.name: settings(method.params())[name][1]
+            for method in BUILT_IN.slot("touch").methods
+            if method.name in plain.contenders and name in settings(method.params())
+        }
+        for value in SWEPT[name]:
+            those = tuple(method for method, told in able.items() if told.low <= value <= told.high)
+            if those:
+                assignment = f"touch.{name}={value:g}"
+                rounds.append((name, value, replace(plain, contenders=those, settings=(*plain.settings, assignment))))
+    return rounds
+
+
+def drawn(points: Sequence[Point], folder: Path) -> list[Path]:
+    """One picture a direction: time of a touch across, error in contact up; raises FileProblem."""
+    made: list[Path] = []
+    for source, target in dict.fromkeys((p.row.source, p.row.target) for p in points if p.row.contender != "mean"):
+        those = [p for p in points if p.row.target == target and (p.row.source == source or p.row.contender == "mean")]
+        path = folder / f"{source}_to_{target}.png"
+        _draw(those, f"{source} to {target}", path)
+        made.append(path)
+    return made
+
+
+def _draw(points: Sequence[Point], title: str, path: Path) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.4, 5.2), dpi=120, layout="constrained")
+    canvas = FigureCanvasAgg(figure)
+    axes: Any = figure.add_subplot()
+    colours = {name: f"C{k}" for k, name in enumerate(dict.fromkeys(p.row.contender for p in points))}
+    for contender, colour in colours.items():
+        for parameter in dict.fromkeys(p.parameter for p in points if p.row.contender == contender):
+            those = [p for p in points if (p.row.contender, p.parameter) == (contender, parameter)]
+            _curve(axes, contender, parameter, those, colour)
+    axes.set(xscale="log", yscale="log", title=title, xlabel="time of a touch, ms", ylabel="error in contact, mm")
+    axes.grid(visible=True, which="both", alpha=0.3)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(fontsize=8)
+    with whole_file(path, "the plot") as file:
+        canvas.print_png(file)
+
+
+def _curve(axes: Any, contender: str, parameter: str, points: Sequence[Point], colour: str) -> None:
+    known = [(p.row.ms, p.error_mm, p.value) for p in points if p.error_mm is not None]
+    if contender == "mean":
+        for _, error, _ in known[:1]:
+            axes.axhline(error, color=colour, ls=":", label="mean of other touches")
+        return
+    times, errors, values = ([row[k] for row in known] for k in range(3))
+    label = f"{contender}, {parameter}" if parameter else contender
+    axes.plot(times, errors, _MARKS.get(parameter, "*"), color=colour, label=label, ms=5 if parameter else 11)
+    for ms, error, value in zip(times, errors, values, strict=True) if parameter else ():
+        axes.annotate(f"{value:g}", (ms, error), textcoords="offset points", xytext=(3, 3), fontsize=7)

@@ -1,0 +1,165 @@
+"""One touch felt by a GelSlim and by a bubble, both pictured, to learn one from the other and where the object is.
+
+Units differ from press to press as those of a lab do, readings have their cameras' noise; what a gel felt is pictured
+by the described unit as well, which is the one that touches are generated for. A press depends on a number alone and
+takes a fifth of a second, so that it is kept where a folder is given.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.base.arrays import Doubles, Floats, freeze
+from pipeline.base.errors import SettingProblem
+from pipeline.base.files import whole_file
+from pipeline.geometry import rigid
+from pipeline.geometry.meshes import Mesh
+from pipeline.networks.squares import change, square
+from pipeline.sensors.spec import SensorSpec, sensor
+from pipeline.simulation import poses, shapes, variation
+from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
+from pipeline.simulation.press import photograph, press
+from pipeline.simulation.random_bodies import body
+
+VERSION = 2  # counts up when the same number would give another touch
+Things = Literal["learned", "unseen_grasps", "unseen_tools", "own"]
+_KINDS: tuple[Things, ...] = ("learned", "unseen_grasps", "unseen_tools", "own")
+_CATALOGUE = 0.6  # share of training objects among what is learned; the others are random bodies
+_STEPS = 2.0 * 255.0  # of a kept picture: half a grey
+_MOST_EMPTY = 100  # presses in a row that one of the two does not feel
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairedTouch:
+    """Both readings of a press as squares, and what was pressed where."""
+
+    gel: Floats  # (3, side, side) change of the picture, in shares of full brightness
+    own_gel: Floats  # (3, side, side) the same surface as the described unit pictures it
+    bubble_mm: Floats  # (1, side, side) imprint as the depth camera gives it
+    exact_mm: Floats  # (1, side, side) the imprint itself
+    alignment_from_object: Doubles  # (4, 4) mm
+    thing: str  # a name of the catalogue; "" = a body of its own
+
+
+def paired_touch(things: Things, seed: int, index: int, folder: str = "") -> PairedTouch:
+    """Touch `index` of a seed, or the next one that both sensors feel: the same each time.
+
+    `own` are training objects and unseen tools alike, for what looks at one sensor's touches alone.
+    """
+    for number in range(index, index + _MOST_EMPTY):
+        path = Path(folder) / f"{things}_{seed}_{number}.npz" if folder else None
+        found = None if path is None else _kept(path)
+        if found is None:
+            found = _pressed(things, seed, number)
+            if path is not None:
+                _keep(path, found)
+        if found.exact_mm.any() and found.gel.any():
+            return found
+    raise SettingProblem(f"none of {_MOST_EMPTY} presses from {index} on is felt; choose another seed")
+
+
+def thing_names() -> tuple[str, ...]:
+    """All objects that are known by name, in the order of their labels."""
+    return (*shapes.names("training"), *shapes.names("unseen"))
+
+
+def _pressed(things: Things, seed: int, number: int) -> PairedTouch:
+    rng = np.random.default_rng([VERSION, 3, _KINDS.index(things), seed, number])
+    name, thing = _thing(things, rng, number)
+    pose = poses.single(thing, rng)
+    units = [variation.varied(unit, int(rng.integers(1 << 31)), 1.0) for unit in _described()]
+    own, felt = _described()[0], True
+    squares: list[Floats] = []
+    for unit in units:
+        seeds = [int(s) for s in rng.integers(1 << 31, size=2)]
+        touched = press(thing, pose, unit, seed=seeds[0])
+        moved, contact = touched.truth.indentation_mm, touched.truth.contact
+        assert moved is not None
+        assert contact is not None
+        felt &= touched.converged and bool(contact.any())
+        squares.append(square(change(unit.kind, touched.image, _untouched(unit, seeds[1]))))
+        if unit.kind == "gel":
+            image = photograph(own, moved, own.rest_depth_mm - moved, seeds[0])
+            squares.append(square(change("gel", image, _untouched(own, seeds[1]))))
+        else:
+            squares.append(square(moved[..., None]))
+    if not felt:
+        squares = [np.zeros_like(s) for s in squares]
+    return PairedTouch(
+        gel=_as_kept(squares[0]), own_gel=_as_kept(squares[1]), bubble_mm=_halved(squares[2]),
+        exact_mm=_halved(squares[3]), alignment_from_object=freeze(pose), thing=name,
+    )  # fmt: skip
+
+
+def _untouched(unit: SensorSpec, seed: int) -> Any:
+    return photograph(unit, np.zeros(unit.camera.shape, np.float32), unit.rest_depth_mm, seed)
+
+
+@lru_cache(maxsize=1)
+def _described() -> tuple[SensorSpec, SensorSpec]:
+    """The gel, and the bubble that comes to meet the object as in data sets."""
+    bubble = sensor("soft_bubble")
+    nearer = rigid.translation(0.0, 0.0, BUBBLE_DEEPER_MM) @ bubble.alignment_from_sensor
+    return sensor("gelslim"), replace(bubble, alignment_from_sensor=freeze(nearer))
+
+
+def _thing(things: Things, rng: np.random.Generator, number: int) -> tuple[str, Mesh]:
+    if things == "learned" and rng.random() >= _CATALOGUE:
+        return "", body(rng)
+    names = {
+        "learned": shapes.names("training"), "unseen_grasps": shapes.names("training"),
+        "unseen_tools": shapes.names("unseen"), "own": thing_names(),
+    }[things]  # fmt: skip
+    name = names[int(rng.integers(len(names))) if things == "learned" else number % len(names)]
+    return name, shapes.shape(name).mesh
+
+
+def _as_kept(a: Floats) -> Floats:
+    """As a file gives it back: kept or not, a touch is the same."""
+    return _seen(_steps(a))
+
+
+def _steps(a: Floats) -> NDArray[Any]:
+    return np.rint(a * np.float32(_STEPS)).astype(np.int16)
+
+
+def _seen(steps: NDArray[Any]) -> Floats:
+    return freeze((steps / np.float32(_STEPS)).astype(np.float32))
+
+
+def _halved(a: Floats) -> Floats:
+    return freeze(a.astype(np.float16).astype(np.float32))
+
+
+def _keep(path: Path, found: PairedTouch) -> None:
+    content = io.BytesIO()
+    np.savez_compressed(
+        content, gel=_steps(found.gel), own=_steps(found.own_gel), bubble=found.bubble_mm.astype(np.float16),
+        exact=found.exact_mm.astype(np.float16), pose=found.alignment_from_object, thing=np.array(found.thing),
+    )  # fmt: skip
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path, "a touch to learn from") as file:
+        file.write(content.getbuffer())
+
+
+def _kept(path: Path) -> PairedTouch | None:
+    try:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as data:
+            gel, own, bubble, exact, pose, thing = (
+                data[key] for key in ("gel", "own", "bubble", "exact", "pose", "thing")
+            )
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+        return None  # not there yet, or cut short: it is pressed again
+    bubble, exact = (freeze(a.astype(np.float32)) for a in (bubble, exact))
+    return PairedTouch(
+        gel=_seen(gel), own_gel=_seen(own), bubble_mm=bubble, exact_mm=exact, alignment_from_object=freeze(pose),
+        thing=str(thing),
+    )  # fmt: skip

@@ -1,0 +1,118 @@
+"""The paper's tables, from touches to rows, and the command that prints them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from pipeline.base.errors import SettingProblem
+from pipeline.cli.main import EXIT_USER_ERROR, build, run
+from pipeline.scoring import held_out, sweep
+from pipeline.scoring.evaluation import Wanted, direction, evaluated
+from pipeline.scoring.held_out import HeldOut, recordings
+from pipeline.scoring.paper import DIRECTIONS, PAPER, paper_row
+from pipeline.simulation import shapes
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """A folder of held-out touches of one object of each set, so that a table takes seconds."""
+    return tmp_path_factory.mktemp("held_out")
+
+
+@pytest.fixture
+def few(monkeypatch):
+    """One object a group in place of all."""
+    names = shapes.names
+    monkeypatch.setattr(held_out.datasets.shapes, "names", lambda group="": names(group)[:1] if group else names())
+
+
+def wanted(kept, **more):
+    small = HeldOut(grasps=1, folder=kept)
+    return Wanted(split="unseen_tools", held_out=small, directions=(("gelslim", "soft_bubble"),), poses=(), **more)
+
+
+def test_the_papers_rows_are_all_there():
+    for rows in PAPER.values():
+        assert [(r.source, r.target) for r in rows if r.model == "T2D2"] == list(DIRECTIONS)
+        assert [r.target for r in rows if not r.source] == ["soft_bubble", "gelslim"]
+    row = paper_row("unseen_tools", "soft_bubble", "gelslim", "T2T")
+    assert row is not None
+    assert (row.psnr_db, row.shift_mm) == (21.50, (2.53, 1.56))
+
+
+def test_sources_are_other_units_and_targets_the_described_one_of_the_same_presses(kept, few):
+    from pipeline.recordings import open_recording
+
+    (pressed,) = recordings("unseen_tools", HeldOut(grasps=1, folder=kept))
+    files = [open_recording(path) for path in (pressed.source, pressed.target)]
+    truths = [file.stream("gelslim").truth(0) for file in files]
+    frames = [file.stream("gelslim").frame(0) for file in files]
+    assert np.array_equal(truths[0].sensor_from_object, truths[1].sensor_from_object)
+    assert np.abs(frames[0].reference.astype(float) - frames[1].reference).mean() > 2.0
+    before = pressed.target.stat().st_mtime_ns
+    assert recordings("unseen_tools", HeldOut(grasps=1, folder=kept)) == (pressed,)
+    assert pressed.target.stat().st_mtime_ns == before  # it is kept, not made again
+
+
+def test_a_row_for_each_baseline_and_method_and_physics_beats_the_baselines(kept, few):
+    table = evaluated(wanted(kept, contenders=("recorded", "untouched", "mean", "physics")))
+    by = {row.contender: row for row in table.rows}
+    assert list(by) == ["recorded", "untouched", "mean", "physics"]
+    assert not by["recorded"].figures
+    error = {name: by[name].figures["error_mm"]["all"] for name in ("untouched", "mean", "physics")}
+    assert error["physics"] < 0.7 * error["mean"] < error["untouched"]
+    assert set(by["physics"].figures["ssim"]) == {"all", "contact", "seen", "beyond"}
+    assert by["physics"].figures["correlation"]["all"] > 0.5
+    assert "correlation" not in by["mean"].figures
+    assert by["physics"].ms > 0
+    assert by["mean"].ms == 0
+    assert any("real recordings" in note for note in table.notes)
+
+
+def test_a_sweep_asks_only_methods_that_have_the_parameter_and_draws_each_direction(kept, few, tmp_path):
+    points = sweep.swept(wanted(kept, contenders=("mean", "physics")), ("steps",))
+    assert {(p.parameter, p.row.contender) for p in points} == {("", "mean"), ("", "physics")}
+    (picture,) = sweep.drawn(points, tmp_path)
+    assert picture.name == "gelslim_to_soft_bubble.png"
+    with pytest.raises(SettingProblem, match="not swept"):
+        sweep.swept(wanted(kept), ("seed",))
+
+
+def test_the_command_prints_both_tables_and_writes_every_figure(kept, few, tmp_path, capsys):
+    out = tmp_path / "table.json"
+    code = run(build(), [
+        "evaluate", "--split", "unseen_tools", "--grasps", "1", "--folder", str(kept), "--poses", "paper_2d",
+        "--direction", "gelslim:soft_bubble", "--only", "recorded", "--only", "physics", "--json", str(out),
+    ])  # fmt: skip
+    said = capsys.readouterr()
+    assert code == 0, said.err
+    assert "(0.42 ± 0.26)" in said.out  # the paper's own row of a bubble's touches
+    told = json.loads(out.read_text())
+    assert [row["contender"] for row in told["rows"]] == ["recorded", "physics"]
+    assert told["rows"][0]["paper"]["turn_deg"] == [1.03, 0.90]
+    assert told["rows"][1]["poses"]["paper_2d"]["answers"] == 1
+
+
+@pytest.mark.parametrize(
+    ("tokens", "said"),
+    [
+        (("--direction", "gelslim"), "source:target"),
+        (("--only", "magic"), "no way to a touch is called 'magic'"),
+        (("--set", "touch.wish=3"), "no touch method has a parameter 'wish'"),
+        (("--grasps", "0"), "--grasps must lie within"),
+    ],
+)
+def test_mistakes_are_one_sentence(tokens, said, capsys, kept, few):
+    few_of = () if "--grasps" in tokens else ("--grasps", "1")
+    code = run(build(), ["evaluate", "--split", "unseen_tools", "--folder", str(kept), *few_of, *tokens])
+    assert code == EXIT_USER_ERROR
+    assert said in capsys.readouterr().err
+
+
+def test_directions_are_pairs_of_known_sensors():
+    assert direction("digit:gelslim") == ("digit", "gelslim")
+    with pytest.raises(SettingProblem):
+        direction("digit:nothing")
