@@ -55,7 +55,7 @@ class Instrument(Documents):
     def choose_method(self, slot: str, name: str) -> None:
         """Fill a slot by another method; the route's own is no choice to be kept."""
         others = {s: m for s, m in self.session.methods.items() if s != slot}
-        own = self.catalogue.route(self.session.route).methods.get(slot) == name
+        own = self.catalogue.own(self.session.route, self._kind()).get(slot) == name
         self.change(f"choose {name} for {slot}", methods=others if own else {**others, slot: name})
 
     def show_session(self, session: Session) -> None:
@@ -211,6 +211,10 @@ class Instrument(Documents):
     def _is_open(self) -> bool:
         return (None if self.session.recording is None else request_of(self.session)) in self._open
 
+    def _kind(self) -> str:
+        """Of the source on screen; "" where nothing is open."""
+        return "" if self.screen.opened is None else self.screen.opened.source.kind
+
     def _show_controls(self) -> None:
         window, session = self.window, self.session
         window.timeline.show_frame(session.frame)
@@ -219,7 +223,7 @@ class Instrument(Documents):
             for method in slot.methods:
                 window.parameters.show_params(method.key, session.params_of(method))
         window.parameters.show_params(DISPLAY, session.display)
-        methods = self.catalogue.methods(session.route, session.methods)
+        methods = self.catalogue.methods(session.route, session.methods, self._kind())
         window.parameters.show_groups((*(m.key for m in methods), DISPLAY))
         self.screen.show_methods(methods)
         for box, value in (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from pipeline.cli.terminal import print_line
 from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph
 from pipeline.translation.blame import Blame, blame
-from pipeline.translation.catalogue import BUILT_IN, default_params, with_setting
+from pipeline.translation.catalogue import with_settings
 from pipeline.translation.translate import Request, open_translation
 
 _CACHE_BYTES = 64 * 1024 * 1024  # one frame's slots, those with truth in their place beside those without
@@ -25,11 +25,9 @@ _CACHE_BYTES = 64 * 1024 * 1024  # one frame's slots, those with truth in their 
 
 def show_blame(request: Request, figure: str, frame: int | None, settings: Sequence[str], json: Path | None) -> int:
     """Print every frame's error as a sum, worst frame first, and the median of each part; returns the exit code."""
-    params: Mapping[str, object] = default_params(BUILT_IN.methods(request.route, dict(request.methods)))
-    for assignment in settings:
-        params = with_setting(params, assignment)
     translation = open_translation(request)
     try:
+        params = with_settings(translation.methods, settings)
         indices = range(translation.n_frames) if frame is None else [translation.checked(frame)]
         graph = translation.graph(like=Graph((), cache=Cache(_CACHE_BYTES)))
         with Console(stderr=True).status("") as status, stoppable() as work:

@@ -22,7 +22,7 @@ from pipeline.engine.graph import Graph
 from pipeline.reporting.finished import Finished, finished, key_of
 from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import write_frame, write_report
-from pipeline.translation.catalogue import BUILT_IN, default_params, with_setting
+from pipeline.translation.catalogue import with_settings
 from pipeline.translation.translate import Request, Translation, open_translation
 from pipeline.values.results import ObjectPose
 
@@ -41,10 +41,8 @@ def translate_frames(
     if follow and not every:
         raise SettingProblem("--follow goes from touch to touch; give it with --all")
     console = Console(stderr=True)
-    params: Mapping[str, object] = default_params(BUILT_IN.methods(request.route, dict(request.methods)))
-    for assignment in settings:
-        params = with_setting(params, assignment)
     translation = open_translation(request)
+    params = with_settings(translation.methods, settings)
     graph = translation.graph(like=Graph((), cache=Cache(CACHE_BYTES)))
     with console.status("looking for a touch") as status, compiling.watched(status.update):
         indices = range(translation.n_frames) if every else [_chosen(translation, graph, params, frame)]

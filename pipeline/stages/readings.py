@@ -17,7 +17,10 @@ from pipeline.stages.slot import Facts, Mark, Place, Seen, Slot
 from pipeline.values.results import DepthMap
 
 
-def reading(*, name: str, title: str, legend: str, place: Place, methods: tuple[Method, ...]) -> Slot:
+def reading(
+    *, name: str, title: str, legend: str, place: Place, methods: tuple[Method, ...],
+    by_kind: Mapping[str, str] | None = None,
+) -> Slot:  # fmt: skip
     """The entry of a slot that holds how far the membrane of the sensor at `place` is pushed in."""
 
     def sensor(seen: Seen) -> SensorSpec:
@@ -43,7 +46,7 @@ def reading(*, name: str, title: str, legend: str, place: Place, methods: tuple[
         return known_truth.membrane(facts, place, there)
 
     return Slot(
-        name=name, title=title, legend=legend, place=place, methods=methods,
+        name=name, title=title, legend=legend, place=place, methods=methods, by_kind=by_kind or {},
         picture=picture, layers=layers, follow=follow, figures=figures, truth=truth,
     )  # fmt: skip
 

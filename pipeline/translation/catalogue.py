@@ -54,8 +54,15 @@ class Catalogue:
         """A method by name; raises SettingProblem with those that the slot has."""
         return _named(self.slot(slot).methods, name, f"method {name!r} for the slot {slot!r}")
 
-    def methods(self, route: str, chosen: Mapping[str, str] | None = None) -> tuple[Method, ...]:
-        """The methods of a route in running order, those in `chosen` (slot -> method) in place of its own.
+    def own(self, route: str, kind: str = "") -> dict[str, str]:
+        """Slot -> method of a route in running order, as it comes for a source of that kind; raises SettingProblem.
+
+        "" is a source that is not known yet.
+        """
+        return {slot: self.slot(slot).by_kind.get(kind, name) for slot, name in self.route(route).methods.items()}
+
+    def methods(self, route: str, chosen: Mapping[str, str] | None = None, kind: str = "") -> tuple[Method, ...]:
+        """The methods of a route in running order, those in `chosen` (slot -> method) in place of its `own`.
 
         A choice for a slot that the route does not have is kept for another route and counts for nothing here.
         Raises SettingProblem for a name that does not exist.
@@ -63,7 +70,7 @@ class Catalogue:
         said = dict(chosen or {})
         for slot, name in said.items():
             self.method(slot, name)
-        return tuple(self.method(slot, said.get(slot, name)) for slot, name in self.route(route).methods.items())
+        return tuple(self.method(slot, said.get(slot, name)) for slot, name in self.own(route, kind).items())
 
 
 def _named(entries: Sequence[Named], name: str, what: str) -> Named:
@@ -106,6 +113,14 @@ def with_setting(params: Mapping[str, object], assignment: str) -> dict[str, obj
     if slot not in params:
         raise SettingProblem(f"no slot {slot!r} on this route; there are {', '.join(params)}")
     return {**params, slot: changed(params[slot], name, value.strip())}
+
+
+def with_settings(methods: tuple[Method, ...], assignments: Sequence[str]) -> dict[str, object]:
+    """`default_params` after every `slot.parameter=value`; raises SettingProblem."""
+    params = default_params(methods)
+    for assignment in assignments:
+        params = with_setting(params, assignment)
+    return params
 
 
 def with_weights(given: Mapping[str, Path], assignment: str, catalogue: Catalogue = BUILT_IN) -> dict[str, Path]:

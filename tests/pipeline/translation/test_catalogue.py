@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -87,3 +90,25 @@ def test_the_truth_may_stand_for_a_slot(toy):
     assert given["depth"].output is exact
     assert given["cloud"].state == "computed"
     assert len(given["cloud"].output.points_mm) == np.count_nonzero(truth.contact)
+
+
+def test_a_bubble_is_read_by_the_network_and_a_gel_by_physics_unless_somebody_says_otherwise():
+    assert BUILT_IN.own("t2d2", "bubble") == {**BUILT_IN.route("t2d2").methods, "depth": "network"}
+    assert BUILT_IN.own("t2d2", "gel") == BUILT_IN.own("t2d2") == BUILT_IN.route("t2d2").methods
+    assert BUILT_IN.methods("t2d2", {"depth": "physics"}, "bubble")[0].name == "physics"
+    for source, target, name in (("soft_bubble", "gelslim", "network"), ("digit", "soft_bubble", "physics")):
+        with closing(open_translation(Request(recording=SAMPLE, source=source, target=target))) as opened:
+            assert opened.methods[0].name == name
+            assert (opened.methods[0].weights_name in opened.inputs(TOUCHED)) == (name == "network")
+
+
+def test_a_gels_depth_loads_no_network():
+    code = f"""
+import sys
+from pathlib import Path
+from pipeline.translation.translate import Request, open_translation
+opened = open_translation(Request(recording=Path({str(SAMPLE)!r}), source="digit", target="soft_bubble"))
+opened.graph().evaluate(["depth"], opened.inputs({TOUCHED}), {{}})
+assert "torch" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)
