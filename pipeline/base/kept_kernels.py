@@ -15,6 +15,8 @@ FAST = {"contract", "arcp", "nsz", "reassoc"}  # not nnan: a NaN has to stay one
 
 # No kernel is called from C: without the entry for it, compiling takes a seventh less.
 kernel: Any = partial(njit, cache=True, no_cfunc_wrapper=True)  # type: ignore[reportCallIssue]
+# What only kernels call is compiled into them, and kept with them: no entry from Python either, and no file of its own.
+inner: Any = partial(njit, no_cfunc_wrapper=True, no_cpython_wrapper=True)  # type: ignore[reportCallIssue]
 
 
 class Place:

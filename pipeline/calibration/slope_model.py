@@ -73,18 +73,11 @@ def evaluate(model: SlopeModel, change: Floats, u: Floats, v: Floats, where: Mas
     from pipeline.calibration.slope_model_kernels import polynomial
 
     gx, gy = np.zeros(where.shape, np.float32), np.zeros(where.shape, np.float32)
-    polynomial(
-        change,
-        u,
-        v,
-        where,
-        powers(model.colour_degree),
-        model.coefficients,
-        model.colour_degree,
-        np.float32(model.slope_max),
-        gx,
-        gy,
-    )
+    of_colour = powers(model.colour_degree)
+    row = np.empty((len(model.coefficients), len(of_colour), 2), np.float32)
+    ladder = np.ones((3, model.colour_degree + 1), np.float32)
+    limit = np.float32(model.slope_max)
+    polynomial(change, u, v, where, of_colour, model.coefficients, limit, row, ladder, gx, gy)
     return gx, gy
 
 

@@ -9,13 +9,14 @@ from pipeline.base.kept_kernels import FAST, kernel
 
 
 @kernel(fastmath=FAST)
-def polynomial(change, u, v, where, powers, coefficients, degree, slope_max, gx, gy):
-    """Slopes of every pixel of `where`; the powers of v are summed once a row."""
+def polynomial(change, u, v, where, powers, coefficients, slope_max, row, ladder, gx, gy):
+    """Slopes of every pixel of `where`; the powers of v are summed once a row.
+
+    row (places, colours, 2): written over. ladder (3, degree + 1): ones first, the other columns written over.
+    """
     rows, cols = where.shape
     n_place = coefficients.shape[0]
     n_colour = powers.shape[0]
-    row = np.empty((n_place, n_colour, 2), np.float32)
-    ladder = np.ones((3, degree + 1), np.float32)
     for r in range(rows):
         started = False
         for c in range(cols):
@@ -33,7 +34,7 @@ def polynomial(change, u, v, where, powers, coefficients, degree, slope_max, gx,
                             row[i, m, 0] = row[i, m, 0] * v[r] + coefficients[j, i, m, 0]
                             row[i, m, 1] = row[i, m, 1] * v[r] + coefficients[j, i, m, 1]
             for k in range(3):
-                for d in range(1, degree + 1):
+                for d in range(1, ladder.shape[1]):
                     ladder[k, d] = ladder[k, d - 1] * change[r, c, k]
             x = np.float32(0.0)
             y = np.float32(0.0)

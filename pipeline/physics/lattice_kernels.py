@@ -5,10 +5,10 @@ import math
 
 import numpy as np
 
-from pipeline.base.kept_kernels import kernel
+from pipeline.base.kept_kernels import inner, kernel
 
 
-@kernel()
+@inner()
 def _triangle(xa, ya, za, xb, yb, zb, xc, yc, zc, height):
     """Lower `height` to one triangle (lattice coordinates) at the nodes that it covers."""
     area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)

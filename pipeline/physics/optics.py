@@ -137,8 +137,8 @@ def _lit(sensor: SensorSpec, optics: Optics, height_mm: Floats) -> Floats:
     from pipeline.physics.optics_kernels import light_of
 
     rows, cols = height_mm.shape
-    light, slope, part = np.empty((rows, 3 * cols), np.float32), *_scratch(cols)
-    light_of(height_mm, *_scene(sensor), slope, part[0], light)
+    light = np.empty((rows, 3 * cols), np.float32)
+    light_of(height_mm, *_scene(sensor), *_scratch(cols), light, np.empty((0, 0), np.uint8))
     light = light.reshape(rows, cols, 3)
     if _casts_shadow(optics, height_mm):
         shade(light, sensor, height_mm)
@@ -151,11 +151,11 @@ def _is_plain(sensor: SensorSpec, optics: Optics, seed: int | None) -> bool:
 
 def _plain_picture(sensor: SensorSpec, height_mm: Floats) -> Image:
     """The picture where light is all there is: no markers, shadows, blur or noise."""
-    from pipeline.physics.optics_kernels import picture_of
+    from pipeline.physics.optics_kernels import light_of
 
     rows, cols = height_mm.shape
-    out, slope, part = np.empty((rows, 3 * cols), np.uint8), *_scratch(cols)
-    picture_of(height_mm, *_scene(sensor), slope, part, out)
+    out = np.empty((rows, 3 * cols), np.uint8)
+    light_of(height_mm, *_scene(sensor), *_scratch(cols), np.empty((0, 0), np.float32), out)
     return out.reshape(rows, cols, 3)
 
 

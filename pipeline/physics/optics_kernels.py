@@ -29,31 +29,22 @@ def lambert_change(gx, gy, leds, strength, vignette, part, out):
 
 
 @kernel(fastmath=_FAST, error_model="numpy")
-def light_of(height, pixel, glow, leds, strength, vignette, slope, part, out):
-    """Light `out` (rows, 3 cols) of a surface: the glow (rows, 3 cols) and what its slopes change.
+def light_of(height, pixel, glow, leds, strength, vignette, slope, part, light, picture):
+    """`light` (rows, 3 cols) of a surface: the glow (rows, 3 cols) and what its slopes change.
 
-    slope (2, cols) and part (3 cols,): written over.
-    """
-    rows = height.shape[0]
-    gx, gy = slope[0], slope[1]
-    for r in range(rows):
-        _row_slopes(height, r, pixel, gx, gy)
-        _row_change(gx, gy, r, rows, leds, strength, vignette, part, out[r])
-        _add(glow[r], out[r])
-
-
-@kernel(fastmath=_FAST, error_model="numpy")
-def picture_of(height, pixel, glow, leds, strength, vignette, slope, part, out):
-    """`light_of`, developed without blur and noise: `out` (rows, 3 cols) of 8 bits, in one pass.
-
+    Where `light` has no rows, `picture` (rows, 3 cols) of 8 bits instead, without blur and noise, in one pass.
     slope (2, cols) and part (2, 3 cols): written over.
     """
     rows = height.shape[0]
-    gx, gy, change, more = slope[0], slope[1], part[0], part[1]
+    gx, gy, more = slope[0], slope[1], part[1]
     for r in range(rows):
+        change = light[r] if light.shape[0] else part[0]
         _row_slopes(height, r, pixel, gx, gy)
         _row_change(gx, gy, r, rows, leds, strength, vignette, more, change)
-        _row_greys(glow[r], change, out[r])
+        if light.shape[0]:
+            _add(glow[r], change)
+        else:
+            _row_greys(glow[r], change, picture[r])
 
 
 @njit(inline="always")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from pipeline.base.kept_kernels import kernel
+from pipeline.base.kept_kernels import inner, kernel
 from pipeline.geometry.distance_grid_kernels import look_up
 from pipeline.registration.step_kernels import move, step
 
@@ -19,7 +19,7 @@ _BENDS_AT = 5.0  # spreads at which a residual counts a quarter: 1.5 % less effi
 _SHRINK = 0.3  # smallest factor from one iteration's scale to the next
 
 
-@kernel(error_model="numpy")
+@inner(error_model="numpy")
 def gather(points, poses, n, grid, radius, scale, reach, bins, sums):
     """Normal equations in the object's axes about the points' middle, rotations times `radius`: into `sums`."""
     r00, r01, r02 = poses[n, 0], poses[n, 1], poses[n, 2]
@@ -75,7 +75,7 @@ def gather(points, poses, n, grid, radius, scale, reach, bins, sums):
         sums[27] += weight
 
 
-@kernel(error_model="numpy")
+@inner(error_model="numpy")
 def spread(bins, n, reach):
     """Robust standard deviation of the n residuals that were counted within `reach`; it where there are none."""
     passed = 0

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import math
 
-from pipeline.base.kept_kernels import kernel
+from pipeline.base.kept_kernels import inner, kernel
 
 _MOST_TURN_RAD = 0.3  # of one step: within it, a rotation vector is nearly what the normal equations mean by a turn
 _DAMPING = 1e-9  # share of the trace (methods 5.3)
 _SWEEPS, _ROUNDING = 30, 1e-30  # Jacobi's end: rounding squared, after six or seven sweeps
 
 
-@kernel(error_model="numpy")
+@inner(error_model="numpy")
 def factored(low):
     """Cholesky's factor in the lower triangle (in place); whether the matrix is positive definite."""
     for i in range(low.shape[0]):
@@ -33,7 +33,7 @@ def factored(low):
     return True
 
 
-@kernel(error_model="numpy")
+@inner(error_model="numpy")
 def eigen(a, vectors):
     """Eigenvectors in the columns of `vectors` and values on the diagonal of the symmetric `a`: Jacobi's rotations."""
     n = a.shape[0]
@@ -102,7 +102,7 @@ def step(sums, asked, work, motion):
     return _held_step(low, vectors, asked, motion)
 
 
-@kernel(error_model="numpy")
+@inner(error_model="numpy")
 def _held_step(h, vectors, asked, motion):
     for i in range(6):
         for j in range(6):
@@ -126,7 +126,7 @@ def _held_step(h, vectors, asked, motion):
     return n_held
 
 
-@kernel(error_model="numpy")
+@inner(error_model="numpy")
 def move(poses, n, motion, radius, most):
     """Pose n of rows (rotation, shift) after a motion of the object's axes about the points' middle; its size in mm."""
     wx, wy, wz = motion[0] / radius, motion[1] / radius, motion[2] / radius

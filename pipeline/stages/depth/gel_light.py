@@ -27,7 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Image, Mask
+from pipeline.base.arrays import Floats, Image, Mask, freeze
 from pipeline.calibration import slope_model
 from pipeline.calibration.lookup import Calibration
 from pipeline.calibration.markers import without_markers
@@ -82,7 +82,7 @@ def seen(
         change, light = without_markers(change, image[here], light, markers, pixel_mm)
     if smoothing_px > 0:
         change = np.asarray(cv2.GaussianBlur(change, (0, 0), smoothing_px), np.float32)
-    return Seen(rows=window.rows, cols=window.cols, change=change, still=light, moved=window.moved,
+    return Seen(rows=window.rows, cols=window.cols, change=change, still=freeze(light), moved=window.moved,
                 smoothing_px=smoothing_px)  # fmt: skip
 
 

@@ -44,7 +44,8 @@ def _block_change(image: Image, reference: Image) -> Image:
         change = cv2.absdiff(image, reference)
         return np.asarray(cv2.resize(change, (max(1, cols), max(1, rows)), interpolation=cv2.INTER_AREA), np.uint8)
     out = np.empty((rows, cols, 3), np.uint8)
-    block_change(_flat(image), _flat(reference), _BLOCK_PX, out)
+    of_rows = np.empty(3 * image.shape[1], np.uint16)
+    block_change(_flat(image), _flat(reference), _BLOCK_PX, of_rows, out)
     return out
 
 

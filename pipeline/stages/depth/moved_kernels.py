@@ -6,18 +6,18 @@ import numpy as np
 from pipeline.base.kept_kernels import kernel
 
 
-@kernel
-def block_change(image, reference, block, out):
+@kernel()
+def block_change(image, reference, block, total, out):
     """Write the mean absolute difference of every whole block, rounded half to even, into `out` (rows, cols, 3).
 
-    image, reference (rows, 3 x cols) uint8.
+    image, reference (rows, 3 x cols) uint8. total (at least 3 x block x blocks across,) uint16: written over.
     """
     tall, wide, colours = out.shape
     width = wide * block * colours
-    total = np.empty(width, np.uint16)  # of the rows of a block
     whole = np.int32(block * block)
     for i in range(tall):
-        total[:] = np.uint16(0)
+        for c in range(width):
+            total[c] = np.uint16(0)
         for r in range(i * block, (i + 1) * block):
             for c in range(width):
                 a, b = np.int16(image[r, c]), np.int16(reference[r, c])

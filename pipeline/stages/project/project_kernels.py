@@ -15,12 +15,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.base.kept_kernels import kernel
+from pipeline.base.kept_kernels import inner, kernel
 
 LEAST_INVERSE_Z = 1.0 / float(np.finfo(np.float32).max)  # 1/mm
 
 
-@kernel(error_model="numpy")
+@inner(error_model="numpy")
 def pixel_of(x, y, z, lens):
     """Where a point is seen (u, v), px, its 1/z, and the pixel that it falls on, -1 = not in view.
 
@@ -113,7 +113,7 @@ def hide(flat, depth, lens, tolerance, pixel):
     return hidden
 
 
-@kernel(error_model="numpy")
+@inner(error_model="numpy")
 def height(x, y, rest):
     """The rest surface at (x, y): bilinear, level beyond the border."""
     x0, y0, per_mm, z = rest

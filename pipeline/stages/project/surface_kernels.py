@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.base.kept_kernels import kernel
+from pipeline.base.kept_kernels import inner, kernel
 
 SLACK = 1e-9  # barycentric and px: neighbours share the pixels on their common edge, so that no crack opens
 NONE = np.uint32(0xFFFFFFFF)  # no point
@@ -27,7 +27,7 @@ JOINED, LOOK, RIM, BEHIND = (
 )  # bits of a quad: three corners or more, a centre near them; see `tell_apart`
 
 
-@kernel(error_model="numpy")
+@inner(error_model="numpy")
 def between(u, size):
     """The pixel centres that a coordinate lies between, as first not before + last not after.
 
@@ -39,7 +39,7 @@ def between(u, size):
     return np.int32(np.ceil(near - SLACK)) + np.int32(np.floor(near + SLACK))
 
 
-@kernel(error_model="numpy")
+@inner(error_model="numpy")
 def see(lens, n, corners, state):
     """Write where the first `n` points are seen, and which are; anything, harmlessly, for the others."""
     flat, _, screen, between_px = corners
@@ -74,7 +74,7 @@ def neighbour_distances(flat, index, stride, every, behind, squares):
     return n
 
 
-@kernel(error_model="numpy")
+@inner(error_model="numpy")
 def place(index, starts, bounds, strip, state, corners, cells, alone):
     """Put the corners of a strip in its cells.
 
@@ -122,7 +122,7 @@ def place(index, starts, bounds, strip, state, corners, cells, alone):
             centres_at[at] = (np.int64(down[k]) << 32) ^ np.int64(across[k])
 
 
-@kernel(error_model="numpy")
+@inner(error_model="numpy")
 def tell_apart(cells, todo, late):
     """Say of each quad what is to be done with it, and list row by row those of the strip itself that want a look.
 
@@ -167,7 +167,7 @@ def tell_apart(cells, todo, late):
     return n, n_behind
 
 
-@kernel(error_model="numpy")
+@inner(error_model="numpy")
 def find_lonely(cells, start, alone):
     """Set in `alone` the points, from `start` on, without neighbours to form a triangle with, drawn or not."""
     corner, state, _, quad = cells

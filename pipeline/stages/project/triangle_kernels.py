@@ -16,13 +16,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.base.kept_kernels import kernel
+from pipeline.base.kept_kernels import inner, kernel
 from pipeline.stages.project import desk_kernels as on
 from pipeline.stages.project.desk_kernels import judge, spread
 from pipeline.stages.project.surface_kernels import NONE, SLACK, between, find_lonely, place, see, tell_apart
 
 RIM_ROOM = 8  # corners that the rim of one quad adds, each at a place of its own
 ONE, TWO, THREE, FOUR = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(4)
+BEGINS = (
+    np.int64(1),
+    np.int64(4),
+)  # of the corners of either triangle in RIMS; as bare constants they would be two types
 
 
 def _told_of_rims():
@@ -86,7 +90,7 @@ def draw_grid(points, bounds, lens, limits, corners, cells, lists, image, counts
         n_todo, n_behind = tell_apart(of_strip, todo, late)
         find_lonely(of_strip, start, alone)
         counts[0, on.BEHIND] += n_behind
-        turn = 0
+        turn = np.int64(0)  # as a constant it would be a type of its own, and `_lay` compiled for both
         while turn < n_todo:
             turn, n = _lay(todo[:n_todo], turn, of_strip[0], here, lens, limits, desk, np.uint64(start), counts)
             judge(desk, limits)
@@ -108,7 +112,7 @@ def draw_grid(points, bounds, lens, limits, corners, cells, lists, image, counts
                     drawn[p] = np.int32(desk[t + on.POINT])
 
 
-@kernel(error_model="numpy")
+@inner(error_model="numpy")
 def _lay(todo, turn, corner, corners, lens, limits, desk, start, counts):
     """Lay triangles on the desk, of the quads from `turn` on; which turn is next, and how many triangles there are."""
     at, width = corner.reshape(-1), corner.shape[1]
@@ -128,8 +132,8 @@ def _lay(todo, turn, corner, corners, lens, limits, desk, start, counts):
             there = (a != NONE) | (b != NONE) << 1 | (d != NONE) << 2 | (c != NONE) << 3
             _extend(g, there, at, width, flat, extra, screen, between_px, lens, longest_sq)
             n = RIMS[there, 0]
-            one = _three_of(RIMS, there, 1, g, at, width, n_points)
-            two = _three_of(RIMS, there, 4, g, at, width, n_points)
+            one = _three_of(RIMS, there, BEGINS[0], g, at, width, n_points)
+            two = _three_of(RIMS, there, BEGINS[1], g, at, width, n_points)
         elif max(a, b, c, d) == NONE:
             one = _three(a, b, c, d)
             two = one
@@ -184,13 +188,13 @@ def _lay(todo, turn, corner, corners, lens, limits, desk, start, counts):
     return turn, t
 
 
-@kernel(error_model="numpy")
+@inner(error_model="numpy")
 def _between(place, i, j, k, o):
     """The first and the last pixel centre between corners."""
     return (min(place[i], place[j], place[k], place[o]) + 1) >> 1, max(place[i], place[j], place[k], place[o]) >> 1
 
 
-@kernel(error_model="numpy")
+@inner(error_model="numpy")
 def _length_sq(flat, i, j):
     """Of an edge, in the precision of the points."""
     i, j = 3 * i, 3 * j
@@ -198,7 +202,7 @@ def _length_sq(flat, i, j):
     return dx * dx + dy * dy + dz * dz
 
 
-@kernel(error_model="numpy")
+@inner(error_model="numpy")
 def _three(a, b, c, d):
     """The corners that are there, of a quad that lacks one."""
     if a == NONE:
@@ -208,7 +212,7 @@ def _three(a, b, c, d):
     return (a, b, d) if c == NONE else (a, b, c)
 
 
-@kernel(error_model="numpy")
+@inner(error_model="numpy")
 def _place_of(flat, extra, i, n_points):
     """x, y, z of a corner: of a point, or of the room beyond them."""
     if i < n_points:
@@ -217,7 +221,7 @@ def _place_of(flat, extra, i, n_points):
     return extra[FOUR * i], extra[FOUR * i + ONE], extra[FOUR * i + TWO]
 
 
-@kernel(error_model="numpy")
+@inner(error_model="numpy")
 def _extend(g, there, at, width, flat, extra, screen, between_px, lens, longest_sq):
     """Lay down what a quad's rim hangs on: the corners half a step beyond those of the quad, and itself where none is.
 
@@ -245,13 +249,13 @@ def _extend(g, there, at, width, flat, extra, screen, between_px, lens, longest_
         between_px[0, spare], between_px[1, spare] = between(u, cols), between(v, rows)
 
 
-@kernel(error_model="numpy")
+@inner(error_model="numpy")
 def _round(g, width, k):
     """The k-th corner round a quad, from its upper left to the right, and on; -1 and 4 are the last and the first."""
     return np.uint64(g + (((k ^ (k >> 1)) & 1) + ((k >> 1) & 1) * width))
 
 
-@kernel(error_model="numpy")
+@inner(error_model="numpy")
 def _three_of(rims, there, first, g, at, width, n_points):
     """The corners of a triangle of a rim."""
     i, j, k = rims[there, first], rims[there, first + 1], rims[there, first + 2]
@@ -262,6 +266,6 @@ def _three_of(rims, there, first, g, at, width, n_points):
     )
 
 
-@kernel(error_model="numpy")
+@inner(error_model="numpy")
 def _corner(k, g, at, width, n_points):
     return at[_round(g, width, k)] if k < 4 else np.uint32(n_points + np.uint64(k - 4))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import subprocess
@@ -55,6 +56,19 @@ def test_of_several_processes_at_once_one_compiles_and_the_others_wait_for_it(tm
     answers = [told(process) for process in processes]
     assert sum(len(said) for _, said, *_ in answers) == 1
     assert all(KERNEL not in after for _, _, _, after, _ in answers)
+
+
+def test_every_kernel_that_is_kept_is_counted_and_none_that_goes_into_others():
+    from numba.core.caching import NullCache
+    from numba.core.registry import CPUDispatcher
+
+    kept = set()
+    for name in {name.rpartition(".")[0] for name in compiling.kernels()}:
+        module = importlib.import_module(name)
+        own = [d for d in vars(module).values() if isinstance(d, CPUDispatcher) and d.__module__ == name]
+        kept |= {f"{name}.{d.__name__}" for d in own if not isinstance(d._cache, NullCache)}
+    assert kept == set(compiling.kernels())
+    assert "pipeline.stages.depth.moved_kernels.block_change" in kept
 
 
 @pytest.fixture
