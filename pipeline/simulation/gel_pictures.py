@@ -64,7 +64,7 @@ def pictures(
         shear = _shear_mm(rng, contact)
         print_on(touched, of.sensor.markers, PIXEL_MM, *marker_motion_px(of.sensor, indentation_mm, shear))
         print_on(untouched, of.sensor.markers, PIXEL_MM, still, still)
-    exposure = _exposure(rng, untouched)
+    exposure = _exposure(rng, untouched, of.exposure)
     touched, untouched = (_toned(light * exposure, of.tone) for light in (touched, untouched))
     film = _Film(rng)
     return (
@@ -133,10 +133,10 @@ def _noise_bank() -> Floats:
     return np.array(fields, np.float32)
 
 
-def _exposure(rng: np.random.Generator, light: Floats) -> np.float32:
-    """A camera's exposure: brighter or darker, never black, seldom so bright that much of the picture is clipped."""
+def _exposure(rng: np.random.Generator, light: Floats, wanted: float) -> np.float32:
+    """A camera's exposure: as wanted, yet never black, seldom so bright that much of the picture is clipped."""
     some = light[::4, ::4]
-    wanted = max(math.exp(rng.normal(0.0, 0.25)), 50.0 / max(float(np.quantile(some, 0.9)), 1.0))
+    wanted = max(wanted, 50.0 / max(float(np.quantile(some, 0.9)), 1.0))
     most = 245.0 / max(float(np.quantile(some, 0.97)), 1.0)
     return np.float32(min(wanted, most) if rng.random() < 0.9 else wanted)
 

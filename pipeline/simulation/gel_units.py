@@ -34,6 +34,7 @@ class Unit:
     sensor: SensorSpec  # (120, 160); its optics tell what slopes change, `still` what is there before
     still: Floats  # (120, 160, 3) light of the untouched gel, grey levels
     nominal: SensorSpec | None  # None = nobody has described its lights
+    exposure: float  # the camera's against the described one
     tone: float  # exponent of the camera's response
     mixing: Doubles  # (3, 3) recorded colours of the light's colours
     following: float  # 0: lamps fade as described; 1: as the untouched picture does
@@ -43,24 +44,26 @@ class Unit:
 
 
 def unit(rng: np.random.Generator) -> Unit:
-    """A random unit."""
-    family = str(rng.choice((*_FAMILIES, ""), p=(0.26, 0.26, 0.2, 0.28)))
+    """A random unit: mostly one of a known kind, near its description or far from it, seldom one that nobody knows."""
+    family = str(rng.choice((*_FAMILIES, ""), p=(0.31, 0.31, 0.28, 0.10)))
     base = _seen_small(family or "gelsight_mini")
-    drawn = _askew(rng, _optics(base)) if family else _invented(rng)
+    far = float(rng.uniform(0.2, 1.0)) if family else 1.0
+    drawn = _askew(rng, _optics(base), far) if family else _invented(rng)
     actual = replace(
         base, optics=drawn, markers=_markers(rng, base.markers, likely=0.75 if family == "gelslim" else 0.2)
     )
-    nominal = base if family else replace(base, optics=_lamps_alone(_askew(rng, drawn, lights_only=True)))
+    nominal = base if family else replace(base, optics=_lamps_alone(_askew(rng, drawn, 1.0, lights_only=True)))
     sometimes = rng.random(5)
     return Unit(
         sensor=actual,
         still=_still(rng, drawn),
-        nominal=None if rng.random() < (0.05 if family else 0.25) else nominal,
-        tone=math.exp(rng.normal(0.0, 0.18)) if sometimes[0] < 0.6 else 1.0,
-        mixing=np.eye(3) + (rng.normal(0.0, 0.07, (3, 3)) if sometimes[1] < 0.6 else 0.0),
-        following=float(rng.uniform(0.0, 1.0)) if sometimes[2] < 0.6 else 0.0,
-        nearer=float(rng.normal(0.0, 0.06)) if sometimes[3] < 0.5 else 0.0,
-        bounced=(float(rng.uniform(-0.1, 0.25)) if sometimes[4] < 0.4 else 0.0, float(rng.uniform(4.0, 25.0))),
+        nominal=None if rng.random() < (0.02 if family else 0.25) else nominal,
+        exposure=math.exp(rng.normal(0.0, 0.2 * far)),
+        tone=math.exp(rng.normal(0.0, 0.15 * far)) if sometimes[0] < 0.5 else 1.0,
+        mixing=np.eye(3) + (rng.normal(0.0, 0.06 * far, (3, 3)) if sometimes[1] < 0.5 else 0.0),
+        following=far * float(rng.uniform(0.0, 1.0)) if sometimes[2] < 0.5 else 0.0,
+        nearer=far * float(rng.normal(0.0, 0.06)) if sometimes[3] < 0.5 else 0.0,
+        bounced=(far * float(rng.uniform(-0.1, 0.2)) if sometimes[4] < 0.4 else 0.0, float(rng.uniform(4.0, 25.0))),
         grain_grey=float(rng.exponential(0.8)),
     )
 
@@ -112,14 +115,20 @@ def _optics(described: SensorSpec) -> Optics:
     return described.optics
 
 
-def _askew(rng: np.random.Generator, o: Optics, *, lights_only: bool = False) -> Optics:
-    """A unit of this description, far off; `lights_only`: the description that somebody made of it."""
-    power = math.exp(rng.normal(0.0, 0.14))
+def _askew(rng: np.random.Generator, o: Optics, far: float, *, lights_only: bool = False) -> Optics:
+    """A unit of this description, `far` (0 to 1) off; `lights_only`: the description that somebody made of it.
+
+    At 1, its lights stray one and a half times as far as units of a lab do (`variation`).
+    """
+    power = math.exp(rng.normal(0.0, 0.18 * far))
     wide = 0.0 if lights_only else float(rng.uniform(0.0, 35.0))
     leds: list[Led] = []
     for led in o.leds:
-        azimuth, rgb = led.azimuth_deg + rng.normal(0.0, 12.0), _tinted(rng, led.rgb, power, 0.10, 0.08)
-        elevation = float(np.clip(led.elevation_deg + rng.normal(0.0, 6.0), 7.0, 65.0))
+        azimuth, rgb = (
+            led.azimuth_deg + rng.normal(0.0, 12.0 * far),
+            _tinted(rng, led.rgb, power, 0.18 * far, 0.1 * far),
+        )
+        elevation = float(np.clip(led.elevation_deg + rng.normal(0.0, 5.0 * far), 7.0, 65.0))
         if not lights_only and rng.random() < 0.3:
             rgb = _bled(rng, rgb)
         leds += _bar(rng, azimuth, elevation, rgb, wide)
@@ -130,7 +139,7 @@ def _askew(rng: np.random.Generator, o: Optics, *, lights_only: bool = False) ->
         glows.append(_glow(rng, 40.0))
     return replace(
         o, leds=tuple(leds), glows=tuple(glows), base_rgb=_tinted(rng, o.base_rgb, 1.0, 0.2, 0.2),
-        **_lens(rng, o.falloff, o.vignette),
+        **_lens(rng, o.falloff, o.vignette, far),
     )  # fmt: skip
 
 
@@ -153,7 +162,7 @@ def _invented(rng: np.random.Generator) -> Optics:
         leds += _bar(rng, azimuth, float(np.clip(elevation + rng.normal(0.0, 5.0), 7.0, 65.0)), rgb, wide)
     base = _rgb(rng.uniform(10.0, 140.0) * np.exp(rng.normal(0.0, 0.4, 3)))
     glows = tuple(_glow(rng, 110.0) for _ in range(int(rng.integers(0, 7))))
-    lens = _lens(rng, 0.4, 0.2)
+    lens = _lens(rng, 0.4, 0.2, 1.0)
     return Optics(base_rgb=base, leds=tuple(leds), glows=glows, blur_px=0.0, noise_grey=0.0, **lens)
 
 
@@ -179,10 +188,11 @@ def _bar(rng: np.random.Generator, azimuth: float, elevation: float, rgb: _RGB, 
     ]
 
 
-def _lens(rng: np.random.Generator, falloff: float, vignette: float) -> dict[str, float]:
+def _lens(rng: np.random.Generator, falloff: float, vignette: float, far: float) -> dict[str, float]:
     shadow = rng.uniform(0.1, 0.9) if rng.random() < 0.5 else 0.0
     return {
-        "falloff": _share(falloff + rng.normal(0.0, 0.15)), "vignette": _share(vignette + rng.normal(0.0, 0.2)),
+        "falloff": _share(falloff + rng.normal(0.0, 0.15 * far)),
+        "vignette": _share(vignette + rng.normal(0.0, 0.2 * far)),
         "shadow": float(shadow), "shadow_deg": float(rng.uniform(8.0, 30.0)),
     }  # fmt: skip
 

@@ -13,7 +13,7 @@ from pipeline.networks.gel_reading import Reading
 
 _SHALLOW_PX, _DEPTH_SHARE = 0.6, 0.2  # an error weighs by what the touch is deep, and no more than this
 _INSIDE, _BESIDE = 3.0, 0.7
-_SLOPES, _ROUGH, _CONTACT, _OVERLAP, _SPREAD = 20.0, 0.2, 0.5, 0.3, 0.05
+_SLOPES, _ROUGH, _CONTACT, _OVERLAP, _SPREAD = 5.0, 0.2, 0.5, 0.3, 0.05
 
 
 def loss(reading: Reading, indentation: Tensor, contact: Tensor) -> tuple[Tensor, dict[str, Any]]:

@@ -40,10 +40,10 @@ def test_pictures_are_grey_levels_and_a_touch_shows_where_it_is(seed):
 
 
 def test_units_differ_in_light_and_in_what_is_known_of_it():
-    of = [unit(np.random.default_rng(seed)) for seed in range(60)]
+    of = [unit(np.random.default_rng(seed)) for seed in range(150)]
     assert len({len(one.sensor.optics.leds) for one in of}) > 4
     assert 0 < sum(one.nominal is None for one in of) < 20
-    assert 10 < sum(one.sensor.markers is not None for one in of) < 50
+    assert 25 < sum(one.sensor.markers is not None for one in of) < 125
     bright = [float(one.still.mean()) for one in of]
     assert max(bright) > 2 * min(bright)
 
