@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 KINDS: dict[str, str] = {  # kind -> module:class; torch loads with the module
     "compact_unet": "pipeline.networks.compact_unet:CompactUnet",
     "depth_anything": "pipeline.networks.depth_anything:DepthAnything",
+    "residual_denoiser": "pipeline.networks.residual_denoiser:ResidualDenoiser",
     "gel_reading": "pipeline.networks.gel_reading:GelReading",
 }
 _MOST_BYTES = 2 << 30  # of networks kept ready: a large one takes 1.3 GB

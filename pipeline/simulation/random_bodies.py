@@ -19,12 +19,15 @@ _REACH_MM = 18.0  # height of bodies: more than a bubble comes to meet them, 13 
 _FAR_MM = 1e3
 
 
-def body(rng: np.random.Generator) -> Mesh:
-    """A random object: the side that faces a sensor, z away from it, lowest at z = 0; the same for the same state."""
+def body(rng: np.random.Generator, *, bare: float = 0.25) -> Mesh:
+    """A random object: the side that faces a sensor, z away from it, lowest at z = 0; the same for the same state.
+
+    `bare`: share of the patterns that nothing but their own walls carries.
+    """
     x, y = _plane()
     way = rng.random()
     if way < 0.68:
-        height = _on_body(_pattern(rng, x, y), rng, x, y)
+        height = _on_body(_pattern(rng, x, y), rng, x, y, bare)
     elif way < 0.88:
         height = _boulder(rng, x, y)
     else:
@@ -146,7 +149,7 @@ def _lobed(rng: np.random.Generator, u: Doubles, v: Doubles, *, lobes: int, dept
     return ((out * np.cos(within) - tip[0]) * normal[0] + out * np.sin(within) * normal[1]) * stretch
 
 
-def _on_body(pattern: Doubles, rng: np.random.Generator, x: Doubles, y: Doubles) -> Doubles:
+def _on_body(pattern: Doubles, rng: np.random.Generator, x: Doubles, y: Doubles, bare: float) -> Doubles:
     """Heights of a pattern whose rim is rounded, and of the body that carries it; infinite where there is neither."""
     edge = rng.choice((rng.uniform(0.1, 0.5), rng.uniform(0.4, 1.6)))
     rise = np.clip(pattern + edge, 0.0, edge)
@@ -155,7 +158,7 @@ def _on_body(pattern: Doubles, rng: np.random.Generator, x: Doubles, y: Doubles)
     else:
         height = edge - np.sqrt(np.maximum(edge * edge - rise * rise, 0.0))
     height = np.where(pattern <= 0.0, height, np.inf)
-    if rng.random() < 0.25:  # nothing behind it but its own walls
+    if rng.random() < bare:  # nothing behind it but its own walls
         return np.where(pattern <= 0.0, height, np.where(pattern < STEP_MM, rng.uniform(4.0, _REACH_MM), np.inf))
     proud, shoulder = rng.uniform(0.5, 3.0), rng.uniform(1.0, 9.0)
     if rng.random() < 0.6:

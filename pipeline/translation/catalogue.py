@@ -95,6 +95,11 @@ BUILT_IN = Catalogue(
                 "pose": "signed_distances",
             },
         ),
+        Route(
+            name="t2t",
+            title="T2T: touch to touch, without depth between",
+            methods={"touch": "t2t", "felt": "membrane", "pose": "signed_distances"},
+        ),
     ),
 )
 

@@ -69,6 +69,15 @@ class TargetView:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class TouchStep:
+    """What a touch was expected to be on the way to its sample."""
+
+    image: Image | Floats  # as that of the touch
+    sigma: float  # of the noise that it was seen through, in units of the correction; 0 = the sample
+    membrane: DepthMap
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Touch:
     """What the target sensor would have recorded, and the membrane behind that picture where the method knows it."""
 
@@ -78,6 +87,7 @@ class Touch:
     known: Mask  # (rows, cols) as in TargetView; everywhere for a method that guesses beyond the source's window
     membrane: DepthMap | None = None  # of the very picture; None = only the picture is known
     notes: tuple[str, ...] = ()
+    steps: tuple[TouchStep, ...] = field(default=(), metadata=UNDIGESTED)  # kept states, the noisiest first
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,7 +10,9 @@ from pipeline.pictures.layers import Layer, reading_layer, surface_layer
 from pipeline.pictures.picture import Picture, of_reading
 from pipeline.stages import known_truth
 from pipeline.stages.follow import element_of
-from pipeline.stages.generate import stage
+from pipeline.stages.generate import picture_to_touch, stage, view_to_touch
+from pipeline.stages.generate.diffusion import DiffusionParams
+from pipeline.stages.learned import learned
 from pipeline.stages.slot import Facts, Mark, Seen, Slot
 from pipeline.values.results import Touch
 
@@ -23,6 +25,26 @@ PHYSICS = Method(
     params=stage.GenerateParams,
     reads=("view", "target"),
     version=2,
+)
+T2D2 = Method(
+    slot="touch",
+    name="t2d2",
+    title="T2D2, compact diffusion",
+    help="the physical render, and what a network that knows the target's touches adds to it",
+    run=unless(view_to_touch.without_contact, learned(view_to_touch.generate, instead=PHYSICS)),
+    params=DiffusionParams,
+    reads=(*PHYSICS.reads, "touch_weights"),
+    weights=view_to_touch.weights,
+)
+T2T = Method(
+    slot="touch",
+    name="t2t",
+    title="T2T, compact diffusion",
+    help="the target's touch from the source's reading alone, as pairs have taught it",
+    run=learned(picture_to_touch.generate, instead=picture_to_touch.BY_PHYSICS),
+    params=DiffusionParams,
+    reads=(*picture_to_touch.READS, "touch_weights"),
+    weights=picture_to_touch.weights,
 )
 
 
@@ -67,7 +89,7 @@ SLOT = Slot(
     title="Generated touch",
     legend="target's membrane",
     place="target",
-    methods=(PHYSICS,),
+    methods=(PHYSICS, T2D2, T2T),
     picture=_picture,
     layers=_layers,
     follow=_follow,

@@ -75,7 +75,12 @@ def without_contact(view: TargetView, target: SensorSpec, params: GenerateParams
         )
     if view.contact.any():
         return None
-    return replace(_untouched_touches.of(content(target), lambda: _untouched(target)), known=view.known)
+    return replace(at_rest(target), known=view.known)
+
+
+def at_rest(target: SensorSpec) -> Touch:
+    """The target's untouched reading; kept per sensor."""
+    return _untouched_touches.of(content(target), lambda: _untouched(target))
 
 
 _untouched_touches: Memo[str, Touch] = Memo(8)

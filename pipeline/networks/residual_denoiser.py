@@ -1,0 +1,100 @@
+"""A compact denoiser of residuals: what is to be added to a first answer, seen through noise, given a condition.
+
+A U-Net like `compact_unet` that also hears how strong the noise is: every block scales and shifts what it has
+normalised by functions of log sigma. Everything is in units of `unit_mm` and told as in `samplers`: noisy = clean +
+sigma * noise. Three things may be predicted, all turned into the clean field here: the field itself, the noise, or
+v, a mixture of both (Salimans and Ho 2022). A last channel says how far off the clean field is expected to be.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Literal, cast
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+Prediction = Literal["clean", "v", "noise"]
+STATES = 2  # channels that are denoised: indentation and contact
+REACH = 8.0  # units: no clean field goes beyond
+_WAVES = 16
+_HEARD = 64
+
+
+class ResidualDenoiser(nn.Module):
+    """(clean field, log of its expected error) (n, STATES + 1, rows, cols), from a noisy field and its condition."""
+
+    def __init__(
+        self, *, inputs: int, unit_mm: float, first: int = 32, levels: int = 4, widest: int = 112, fold: int = 2,
+        most: float = 8.0, least: float = 0.02, prediction: Prediction = "clean",
+    ) -> None:  # fmt: skip
+        super().__init__()
+        if prediction not in ("clean", "v", "noise"):
+            raise ValueError(f"prediction must be clean, v or noise, got {prediction!r}")
+        self.unit_mm, self.most, self.least, self.prediction = unit_mm, most, least, prediction
+        self.inputs, self.fold, self.reach = inputs, fold, REACH
+        widths = [min(first * 2**level, widest) for level in range(levels)]
+        self.hears = nn.Sequential(nn.Linear(2 * _WAVES, _HEARD), nn.SiLU(), nn.Linear(_HEARD, _HEARD), nn.SiLU())
+        self.start = _Block((inputs + STATES) * fold * fold, widths[0])
+        self.down = nn.ModuleList(_Pair(narrow, wide) for narrow, wide in pairwise(widths))
+        self.thin = nn.ModuleList(nn.Conv2d(wide, narrow, 1) for narrow, wide in pairwise(widths))
+        self.merge = nn.ModuleList(_Block(width, width) for width in widths[:-1])
+        self.finish = nn.Conv2d(widths[0], (STATES + 1) * fold * fold, 3, padding=1)
+        nn.init.zeros_(self.finish.weight)  # it begins by adding nothing
+        nn.init.zeros_(cast("Tensor", self.finish.bias))
+
+    def forward(self, noisy: Tensor, sigma: Tensor, condition: Tensor) -> Tensor:
+        """Of a batch: noisy (n, STATES, rows, cols), sigma (n,), condition (n, inputs, rows, cols)."""
+        level = sigma.reshape(-1, 1, 1, 1)
+        seen = noisy / torch.sqrt(1.0 + level**2)
+        answer = self._network(torch.cat([seen, condition], 1), self.hears(_waves(sigma))).float()
+        said = answer[:, :STATES]
+        if self.prediction == "noise":
+            said = noisy - level * said
+        elif self.prediction == "v":
+            said = seen / torch.sqrt(1.0 + level**2) - level / torch.sqrt(1.0 + level**2) * said
+        return torch.cat([said.clamp(-REACH, REACH), answer[:, STATES:]], 1)
+
+    def _network(self, picture: Tensor, heard: Tensor) -> Tensor:
+        rows, cols = picture.shape[-2:]
+        beyond = (0, -cols % self.fold, 0, -rows % self.fold)
+        whole = functional.pad(picture, beyond, mode="replicate") if any(beyond) else picture
+        seen = [cast("Tensor", self.start(functional.pixel_unshuffle(whole, self.fold), heard))]
+        for down in self.down:
+            seen.append(down(functional.max_pool2d(seen[-1], 2, ceil_mode=True), heard))
+        field = seen.pop()
+        for thin, merge in zip(reversed(self.thin), reversed(self.merge), strict=True):
+            beside = seen.pop()
+            field = functional.interpolate(thin(field), size=beside.shape[-2:], mode="bilinear", align_corners=False)
+            field = merge(beside + field, heard)
+        return functional.pixel_shuffle(self.finish(field), self.fold)[..., :rows, :cols]
+
+
+class _Block(nn.Module):
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.filter = nn.Conv2d(inputs, outputs, 3, padding=1, bias=False)
+        self.norm = nn.BatchNorm2d(outputs)
+        self.tune = nn.Linear(_HEARD, 2 * outputs)
+        nn.init.zeros_(self.tune.weight)
+        nn.init.zeros_(self.tune.bias)
+
+    def forward(self, field: Tensor, heard: Tensor) -> Tensor:
+        scale, shift = self.tune(heard)[..., None, None].chunk(2, 1)
+        return functional.relu(torch.addcmul(shift, self.norm(self.filter(field)), 1.0 + scale))
+
+
+class _Pair(nn.Module):
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.first, self.second = _Block(inputs, outputs), _Block(outputs, outputs)
+
+    def forward(self, field: Tensor, heard: Tensor) -> Tensor:
+        return self.second(self.first(field, heard), heard)
+
+
+def _waves(sigma: Tensor) -> Tensor:
+    """(n, 2 waves) of log sigma."""
+    phase = torch.log(sigma)[:, None] * (0.25 * 1.35 ** torch.arange(_WAVES, device=sigma.device))
+    return torch.cat([phase.sin(), phase.cos()], 1)

@@ -1,0 +1,143 @@
+"""Sampling what a first answer misses: steps, guidance, sampler and seed of the methods by diffusion.
+
+One step gives the posterior's middle, the best single guess; four and more give a sample, one touch of those that the
+condition allows. No step at all leaves the first answer as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.base.arrays import Floats, freeze
+from pipeline.base.params import setting
+from pipeline.base.progress import SILENT, Progress
+from pipeline.networks.guidance import MOST_WEIGHT, Guided, plan
+from pipeline.networks.samplers import MOST_STEPS, Solver, sample, sigmas
+
+if TYPE_CHECKING:
+    from torch import Tensor, nn
+
+_LOG_SPREAD = -5.0, 2.5  # of the expected error, in the network's unit
+_MOST_KEPT = 50  # states: a thousand of them would fill the memory
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DiffusionParams:
+    """How the target's touch is sampled."""
+
+    steps: int = setting(
+        1, "Denoising steps", low=0, high=MOST_STEPS, step=1,
+        help="0: what it begins with; 1: the likeliest touch; 4 to 8: one of those that are possible",
+    )  # fmt: skip
+    guidance: float = setting(
+        1.0, "Guidance scale", low=0.0, high=MOST_WEIGHT, step=0.1,
+        help="how much more the condition counts than it was learned to; 1 costs half as much as any other above 0",
+    )  # fmt: skip
+    sampler: Solver = setting("corrected", "Sampler", choices=Solver, help="how a step follows from those before it")
+    seed: int = setting(0, "Seed", low=0, high=2**31 - 1, step=1, help="of the sample, and of the sensor's noise")
+    caution: float = setting(
+        0.0, "Caution", low=0.0, high=1.0, step=0.1,
+        help="1 holds back what is expected to be off by as much as it changes; 0 takes it all",
+    )  # fmt: skip
+    keep_states: bool = setting(False, "Keep states", help="so that the way to the sample can be looked at")
+    noise: bool = setting(False, "Sensor noise", help="add the target sensor's own noise to the reading")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class State:
+    """A clean residual as it was expected on the way; mm and likelihood, each (rows, cols)."""
+
+    sigma: float  # of the noise that it was seen through, in the network's unit
+    residual_mm: Floats
+    contact: Floats  # what is to be added to that of the first answer
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sampled:
+    """The sample itself, what its error is expected to be, and how it was come by."""
+
+    last: State
+    spread_mm: Floats  # (rows, cols)
+    passes: int
+    states: tuple[State, ...]
+    notes: tuple[str, ...]
+
+
+def sampled(network: nn.Module, condition: Floats, params: DiffusionParams, progress: Progress = SILENT) -> Sampled:
+    """The residual that `network` (of `residual_denoiser`) samples for a condition (channels, rows, cols).
+
+    The same seed gives the same bytes. Raises Cancelled between any two passes, SettingProblem for what is out of
+    range. A guidance of 0 or 1, and every one that works nowhere, costs one pass a step.
+    """
+    import torch
+
+    net: Any = network
+    shown = torch.from_numpy(np.array(condition, np.float32)[None])
+    first: list[Tensor] = []
+    between = _Between(progress)
+
+    def by(told: Tensor) -> Callable[[Tensor, float], Tensor]:
+        def denoise(noisy: Tensor, sigma: float) -> Tensor:
+            between.again()
+            answer: Tensor = net(noisy, torch.full((1,), sigma), told)
+            if not first and told is shown:
+                first.append(answer)
+            return answer[:, :2]
+
+        return denoise
+
+    how = plan(params.guidance, params.steps, net.reach)
+    denoise = Guided(by(shown), by(torch.zeros_like(shown)), how, net.reach)
+    with torch.inference_mode():
+        rng = torch.Generator().manual_seed(params.seed)
+        noise = torch.randn((1, 2, *shown.shape[2:]), generator=rng)
+        levels = sigmas(params.steps, most=net.most, least=net.least)
+        found = sample(
+            denoise, noise, levels, solver=params.sampler, most_degree=how.most_degree, keep=params.keep_states,
+            progress=between,
+        )  # fmt: skip
+        if not first:  # never asked with its condition: guidance 0
+            first.append(net(noise * net.most, torch.full((1,), net.most), shown))
+    middle = net.unit_mm * first[0][0].numpy()
+    spread = net.unit_mm * np.exp(np.clip(first[0][0, 2].numpy(), *_LOG_SPREAD))
+    share = _share(middle[0], spread, params.caution)
+
+    def state(sigma: float, clean: Tensor) -> State:
+        field = clean[0].numpy()
+        return State(sigma=sigma, residual_mm=freeze(net.unit_mm * field[0] * share), contact=freeze(field[1].copy()))
+
+    stride = max(1, -(-len(found.steps) // _MOST_KEPT))
+    kept = found.steps[::-1][::stride][::-1]  # the last one is among them
+    return Sampled(
+        last=state(0.0, found.clean), spread_mm=freeze(spread.astype(np.float32)), passes=denoise.passes,
+        states=tuple(state(step.sigma, step.clean) for step in kept), notes=(how.note,) if how.note else (),
+    )  # fmt: skip
+
+
+def _share(middle_mm: Floats, spread_mm: Floats, caution: float) -> Floats | np.float32:
+    """What is taken of a correction: less where the middle of all samples is as small as its error."""
+    if caution == 0.0:
+        return np.float32(1.0)
+    square = middle_mm**2
+    sure = square / (square + spread_mm**2 + np.float32(1e-12))
+    return (1.0 - caution * (1.0 - sure)).astype(np.float32)
+
+
+class _Between:
+    """Passes on how far it is, and once more between the two passes of a guided step: it may be cancelled there."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress, self._told = progress, (0.0, "")
+
+    def step(self, fraction: float, text: str) -> None:
+        """Report, or raise."""
+        self._told = fraction, text
+        self.again()
+
+    def again(self) -> None:
+        """Report the same, or raise."""
+        self._progress.step(*self._told)

@@ -1,0 +1,103 @@
+"""What the denoiser of touch to touch is shown: how the source's reading changed, drawn where the target would see it.
+
+Source and target look at one plane, the gel's surface at rest: that is where the object is when both feel it. A gel's
+difference picture is drawn finer than the target's pixels and folded into channels, so that edges which a bubble's
+coarse pixels would average away are still told.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.base.arrays import Doubles, Floats, Mask, freeze
+from pipeline.geometry import rigid
+from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
+from pipeline.sensors.alignment import Alignment
+from pipeline.sensors.spec import SensorSpec
+
+FINER = {"gel": 2, "bubble": 1}  # of a source of that kind, than the target's working pixels
+CHANNELS = {"gel": 13, "bubble": 3}
+_GREY, _MM, _RELIEF_MM = 48.0, 6.0, 1.0  # units of the two kinds of readings, and of a bubble's relief
+_SMOOTHED_PX, _TOP = 1.2, 99.5  # of a bubble whose relief is told; per cent of the pixels below its top
+_SOURCE_PX_MM = 0.085  # a gel's picture is averaged to pixels of about this before it is drawn
+
+
+def of_picture(
+    change: NDArray[Any], eye: Camera, source: SensorSpec, target: SensorSpec, alignment: Alignment
+) -> Floats:
+    """(channels, rows, cols) on the grid of `target`, which is the working one.
+
+    `change` is the reading less the untouched one of a camera `eye`: (rows, cols, 3) in grey levels of a gel, (rows,
+    cols) of a bubble in mm toward the camera; NaN where there is no reading counts as no change.
+    """
+    finer = FINER[source.kind]
+    x, y, inside = _places(source, eye, target, alignment, finer)
+    field = np.nan_to_num(np.asarray(change, np.float32))
+    drawn = _drawn(field, eye, source, x, y, inside) / np.float32(_GREY if source.kind == "gel" else _MM)
+    channels = [_folded(np.ascontiguousarray(c), finer) for c in np.moveaxis(np.atleast_3d(drawn), -1, 0)]
+    known = inside[::finer, ::finer].astype(np.float32)
+    if source.kind == "bubble":
+        channels.append(_relief(field, eye, source, x, y, inside)[None])
+    return freeze(np.concatenate([*channels, known[None]]).astype(np.float32))
+
+
+def _relief(change: Floats, eye: Camera, source: SensorSpec, x: Doubles, y: Doubles, inside: Mask) -> Floats:
+    """How far a smoothed bubble stays behind its top within the target's view: what a gel feels is that top."""
+    import cv2
+
+    smooth = np.asarray(cv2.GaussianBlur(change, (0, 0), _SMOOTHED_PX), np.float32)
+    drawn = _drawn(smooth, eye, source, x, y, inside)
+    top = np.float32(np.percentile(drawn[inside], _TOP)) if inside.any() else np.float32(0.0)
+    return np.where(inside, np.clip((drawn - top) / np.float32(_RELIEF_MM), -3.0, 1.0), np.float32(-3.0))
+
+
+def _drawn(field: Floats, eye: Camera, source: SensorSpec, x: Doubles, y: Doubles, inside: Mask) -> Floats:
+    import cv2
+
+    seen_by, scale = source.seen_through(eye), 1.0
+    if source.kind == "gel":
+        scale = min(1.0, seen_by.pixel_mm / _SOURCE_PX_MM)
+        if scale < 1.0:
+            size = (max(8, round(eye.cols * scale)), max(8, round(eye.rows * scale)))
+            field = np.asarray(cv2.resize(field, size, interpolation=cv2.INTER_AREA), np.float32)
+    sx, sy = field.shape[1] / eye.cols, field.shape[0] / eye.rows
+    at_x, at_y = ((x + 0.5) * sx - 0.5).astype(np.float32), ((y + 0.5) * sy - 0.5).astype(np.float32)
+    found = cv2.remap(field, at_x, at_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    shown = inside if field.ndim == 2 else inside[..., None]
+    return np.where(shown, np.asarray(found, np.float32), np.float32(0.0))
+
+
+def _places(
+    source: SensorSpec, eye: Camera, target: SensorSpec, alignment: Alignment, finer: int
+) -> tuple[Doubles, Doubles, Mask]:
+    """(x, y) in px of the source's image for every fine pixel of the target, and where that lies inside the image."""
+    camera = target.camera.scaled(float(finer))
+    from_target = rigid.invert(rigid.checked(alignment.target_from_source, "the alignment T_S->T"))
+    if target.kind == "gel":
+        rest = float(np.median(target.rest_depth_mm))
+        points = rigid.apply(from_target, camera.back_project(np.full(camera.shape, rest)).reshape(-1, 3))
+    else:
+        origin = from_target[:3, 3]
+        ways = camera.back_project(np.ones(camera.shape)).reshape(-1, 3) @ from_target[:3, :3].T
+        rest = float(np.median(source.rest_depth_mm))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            points = origin + ways * ((rest - origin[2]) / ways[:, 2])[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = eye.fx_px * points[:, 0] / points[:, 2] + eye.cx_px
+        y = eye.fy_px * points[:, 1] / points[:, 2] + eye.cy_px
+        inside = (points[:, 2] > MIN_DEPTH_MM) & (x >= -0.5) & (x < eye.cols - 0.5) & (y >= -0.5) & (y < eye.rows - 0.5)
+    return (
+        np.where(inside, x, 0.0).reshape(camera.shape),
+        np.where(inside, y, 0.0).reshape(camera.shape),
+        inside.reshape(camera.shape),
+    )
+
+
+def _folded(fine: Floats, finer: int) -> Floats:
+    """(finer^2, rows, cols): the fine pixels of each pixel as channels."""
+    rows, cols = (n // finer for n in fine.shape)
+    parts = fine[: rows * finer, : cols * finer].reshape(rows, finer, cols, finer)
+    return parts.transpose(1, 3, 0, 2).reshape(finer * finer, rows, cols)

@@ -1,0 +1,113 @@
+"""Touch to touch, compact: the target's touch from the source's reading alone, learned from pairs; no depth between."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.base.arrays import Floats
+from pipeline.base.errors import ShapeError
+from pipeline.base.progress import SILENT, Progress, Share
+from pipeline.calibration.lookup import Calibration
+from pipeline.engine.graph import Method, Skipped
+from pipeline.networks import shelf
+from pipeline.networks.weights import NoWeights, Weights
+from pipeline.physics import optics
+from pipeline.sensors.alignment import Alignment
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.adapt import stage as adaptation
+from pipeline.stages.depth import stage as depth
+from pipeline.stages.generate import stage, view_to_touch
+from pipeline.stages.generate.corrected import corrected
+from pipeline.stages.generate.diffusion import DiffusionParams, sampled
+from pipeline.stages.generate.picture_input import of_picture
+from pipeline.stages.generate.residual_input import working
+from pipeline.stages.project import stage as projection
+from pipeline.values.frames import TactileFrame
+from pipeline.values.results import Touch
+
+if TYPE_CHECKING:
+    from torch import nn
+
+SHIPPED = {("gelslim", "bubble"): "t2t_bubble", ("soft_bubble", "gel"): "t2t_gelslim"}
+READS = ("frame", "source", "calibration", "alignment", "target")
+
+
+def weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:
+    """The weights of a source and a target: only those two that pairs were learned from."""
+    name = SHIPPED.get((source.name, target.kind))
+    if file is None and (name is None or not view_to_touch.fits(target)):
+        return NoWeights(why=f"no pairs of {source.title} and {target.title} were ever learned from")
+    return shelf.for_task("touch_to_touch", name or "", file)
+
+
+def generate(
+    frame: TactileFrame,
+    source: SensorSpec,
+    calibration: Calibration | None,
+    alignment: Alignment,
+    target: SensorSpec,
+    network: nn.Module,
+    params: DiffusionParams,
+    progress: Progress = SILENT,
+) -> Touch | Skipped:
+    """What `target` would have recorded of the touch in `frame`; raises ShapeError for a frame that cannot be read.
+
+    An untouched frame gives the untouched target and costs nothing, and so does everything at no denoising step.
+    """
+    depth.checked(frame, source)
+    rest = stage.at_rest(target)
+    if depth.untouched(frame, source, calibration, depth.DepthParams()) is not None:
+        return Skipped(output=rest, why=stage.NO_CONTACT)
+    if not params.steps:
+        return rest
+    found = sampled(network, condition(frame, source, alignment, target), params, progress)
+    return corrected(rest, target, found, params.seed if params.noise else None)
+
+
+def condition(frame: TactileFrame, source: SensorSpec, alignment: Alignment, target: SensorSpec) -> Floats:
+    """(channels, rows, cols) on the working grid; see `picture_input.of_picture`."""
+    eye = source.camera if frame.camera is None else frame.camera
+    reference: Any = frame.reference
+    if reference is None:
+        reference = optics.untouched(source.seen_through(eye)) if source.kind == "gel" else source.rest_depth_mm
+    if reference.shape != frame.image.shape:
+        raise ShapeError(f"the untouched reading must have the shape {frame.image.shape}, got {reference.shape}")
+    now, still = frame.image.astype(np.float32), reference.astype(np.float32)
+    change = now - still if source.kind == "gel" else still - now
+    return of_picture(change, eye, source, working(target), alignment)
+
+
+def by_physics(
+    frame: TactileFrame,
+    source: SensorSpec,
+    calibration: Calibration | None,
+    alignment: Alignment,
+    target: SensorSpec,
+    params: stage.GenerateParams,
+    progress: Progress = SILENT,
+) -> Touch | Skipped:
+    """The touch by depth, cloud, view and physical render, each as it comes."""
+    plain = depth.DepthParams()
+    exact = depth.untouched(frame, source, calibration, plain)
+    if exact is not None:
+        return Skipped(output=stage.at_rest(target), why=stage.NO_CONTACT)
+    felt = depth.depth(frame, source, calibration, plain, Share(progress, 0.0, 0.5))
+    cloud = adaptation.without_contact(felt, alignment, adaptation.AdaptParams())
+    if cloud is None:
+        cloud = adaptation.adapt(felt, alignment, adaptation.AdaptParams())
+    view = projection.project(cloud, target, projection.ProjectParams())
+    return stage.generate(view, target, params, Share(progress, 0.6, 0.4))
+
+
+BY_PHYSICS = Method(
+    slot="touch",
+    name="physics_from_frame",
+    title="Physical render",
+    help="depth, cloud, view and render in one",
+    run=by_physics,
+    params=stage.GenerateParams,
+    reads=READS,
+)

@@ -1,0 +1,45 @@
+"""What the residual denoiser is shown, for its teacher and its user alike; each (channels, rows, cols) float32.
+
+Of a view (touch to depth to touch): the physical render, what was felt and where that could be, and the relief of it,
+finer. Of a picture (touch to touch): how the source's reading changed, drawn where the target would see it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.base.arrays import Floats, Mask, freeze
+from pipeline.sensors.spec import SensorSpec
+
+VIEW_CHANNELS = 6
+COARSER = {"gel": 2, "bubble": 1}  # the working grid, in pixels of the target's own
+
+
+@dataclass(frozen=True, slots=True)
+class _Scale:
+    coarse_mm: float
+    relief_mm: float  # at most
+    fine_mm: float
+
+
+_SCALES = {"gel": _Scale(0.6, 1.0, 0.25), "bubble": _Scale(6.0, 2.0, 0.5)}
+
+
+def working(target: SensorSpec) -> SensorSpec:
+    """The target on the grid that the denoiser works on."""
+    coarser = COARSER[target.kind]
+    return target if coarser == 1 else target.seen_through(target.camera.scaled(1.0 / coarser))
+
+
+def of_view(kind: str, told_mm: Floats, felt: Mask, known: Mask, physical_mm: Floats, physical_contact: Mask) -> Floats:
+    """(VIEW_CHANNELS, rows, cols) for a target of that kind; each argument on the working grid."""
+    scale = _SCALES[kind]
+    deepest = float(told_mm[felt].max()) if felt.any() else 0.0
+    lowest = np.float32(-scale.relief_mm)
+    relief = np.where(felt, np.clip(told_mm - deepest, lowest, 0.0), lowest)
+    return freeze(np.stack([
+        physical_mm / scale.coarse_mm, np.where(felt, told_mm, 0.0) / scale.coarse_mm, relief / scale.fine_mm,
+        felt, known, physical_contact,
+    ]).astype(np.float32))  # fmt: skip

@@ -1,0 +1,92 @@
+"""How a denoiser learns a residual: noise of all strengths, the strongest most often, and conditions left out at times.
+
+At the strongest noise nothing is left to see but the condition: the answer there is the posterior's middle, which one
+step gives. Errors count as squares where they are small and by themselves where they are large (Huber), so that a body
+which is rarely there draws the middle less than one which mostly is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.networks.samplers import sample, sigmas
+
+if TYPE_CHECKING:
+    from torch import Tensor, nn
+
+    from pipeline.training.task import Example
+
+MOST, LEAST = 8.0, 0.02  # of the noise, in units; as the networks are built
+_AT_MOST = 0.5  # share of examples under the strongest noise
+_DROPPED = 0.1  # share without a condition
+_HUBER = 0.25  # units
+_LOG_SPREAD = (-5.0, 2.5)
+_FEW = 6  # steps of the sample among the figures
+
+
+def loss(network: nn.Module, batch: Mapping[str, Tensor], near: float) -> tuple[Tensor, dict[str, Any]]:
+    """The error of the clean residual and of the spread that is said of it; `near`: how much more contact counts."""
+    import torch
+    from torch.nn import functional
+
+    clean, condition = batch["residual"], batch["condition"]
+    n = len(clean)
+    level = torch.exp(torch.empty(n).uniform_(np.log(LEAST), np.log(MOST)))
+    sigma = torch.where(torch.rand(n) < _AT_MOST, torch.full((n,), MOST), level).to(clean.device)
+    kept = (torch.rand(n) >= _DROPPED).to(clean.device).float().reshape(-1, 1, 1, 1)
+    noisy = clean + sigma.reshape(-1, 1, 1, 1) * torch.randn_like(clean)
+    said = network(noisy, sigma, condition * kept)
+    off, wrong = said[:, 0] - clean[:, 0], said[:, 1] - clean[:, 1]
+    weight = 1.0 + near * batch["contact"][:, 0]
+    fine = ((1.0 + sigma**2) / sigma**2).clamp(max=5.0).reshape(-1, 1, 1)
+    residual = (
+        functional.huber_loss(off, torch.zeros_like(off), delta=_HUBER, reduction="none") * weight * fine
+    ).mean()
+    contact = (wrong**2 * fine).mean()
+    log = said[:, 2].clamp(*_LOG_SPREAD)
+    spread = (off.detach().abs() * torch.exp(-log) + log).mean()
+    parts = {"residual": residual, "contact": contact, "spread": spread}
+    total = residual / _HUBER + 0.5 * contact + 0.05 * spread
+    return total, {name: part.detach() for name, part in parts.items()}
+
+
+def figures(network: nn.Module, held_out: Sequence[Example], unit_mm: float) -> dict[str, float]:
+    """Errors in mm in the target's contact and over all, and overlap of contact, of four answers.
+
+    One step, a sample, one step that is held back where it is unsure, and the physics that all begin with.
+    """
+    import torch
+
+    rows: list[list[float]] = []
+    for k, example in enumerate(held_out):
+        condition = torch.from_numpy(np.array(example["condition"]))[None]
+        noise = torch.randn((1, *example["residual"].shape), generator=torch.Generator().manual_seed(k))
+
+        def denoise(noisy: Tensor, sigma: float, condition: Tensor = condition) -> Tensor:
+            return network(noisy, torch.full((1,), sigma), condition)[:, :2]
+
+        with torch.inference_mode():
+            first = network(noise * MOST, torch.full((1,), MOST), condition)[0].numpy()
+            drawn = sample(denoise, noise, sigmas(_FEW, most=MOST, least=LEAST)).clean[0].numpy()
+        held = held_back(first[0], np.exp(np.clip(first[2], *_LOG_SPREAD)))
+        mm, touched = unit_mm * example["residual"][0], example["contact"][0] > 0
+        base, right = example["contact"][1], example["contact"][0]
+        found = ((first[0], first[1]), (drawn[0], drawn[1]), (held, first[1]), (0.0 * first[0], 0.0 * first[1]))
+        rows.append([])
+        for field, change in found:
+            off, contact = np.abs(unit_mm * field - mm), base + change > 0.5
+            both = np.count_nonzero(contact | touched)
+            overlap = np.count_nonzero(contact & touched) / max(both, 1)
+            rows[-1] += [float(off[touched].mean()) if right.any() else 0.0, float(off.mean()), overlap]
+    names = [f"{who}{what}" for who in ("", "sample ", "held back ", "physics ")
+             for what in ("in contact, mm", "over all, mm", "contact, IoU")]  # fmt: skip
+    return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
+
+
+def held_back(residual: Any, spread: Any) -> Any:
+    """The residual made smaller where it is expected to be off by as much as it is large: r * r^2 / (r^2 + s^2)."""
+    square = residual * residual
+    return residual * (square / (square + spread * spread + 1e-12))

@@ -1,0 +1,181 @@
+"""Touches of one sensor alone, to learn what it feels beside what another could tell of the same object.
+
+The target is pressed onto an object; what a source would tell of that object is drawn (`told`), and the physical render
+of just that is the answer that a network has to better. No second sensor is pressed: nothing here is a pair. Worked out
+once for each number and kept where a folder is given.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal, TypeVar, cast
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles, Floats, Mask, freeze
+from pipeline.base.files import whole_file
+from pipeline.base.memo import Memo
+from pipeline.geometry import rigid
+from pipeline.geometry.meshes import Mesh
+from pipeline.physics import lattice
+from pipeline.sensors.spec import SensorSpec, sensor
+from pipeline.simulation import poses, shapes, variation
+from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
+from pipeline.simulation.press import press
+from pipeline.simulation.random_bodies import body
+from pipeline.stages.generate.residual_input import working
+from pipeline.stages.generate.stage import GenerateParams, generate
+from pipeline.training.told import Told, told
+from pipeline.values.pixel_index import pixel_index
+from pipeline.values.results import TargetView
+
+T = TypeVar("T")
+VERSION = 1  # counts up when the same number would give another touch
+Things = Literal["learned", "unseen_grasps", "unseen_tools"]
+KINDS: tuple[Things, ...] = ("learned", "unseen_grasps", "unseen_tools")
+
+_TOLERANCE_UM = 5.0  # of the physical render: what is learned is tenths of a millimetre
+_CATALOGUE, _SMALL, _AS_RECORDED = 0.4, 0.6, 0.7  # shares: training objects; of the random ones those that are small
+# and have nothing behind them; bubbles as in data sets
+_SMALL_MM = 6.0, 17.0
+_AS_GEL = {"gel": 0.45, "bubble": 0.95}  # of the sources that are drawn for a target
+_DEEPER_MM = (2.0, 11.0)
+_MOST_BYTES = 1 << 30  # of touches that a worker remembers: some two thousand
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Taught:
+    """A touch as it is told, as physics answers, and as it is; each (rows, cols) on the working grid."""
+
+    told_mm: Floats  # indentation of the object where it was felt, 0 elsewhere
+    felt: Mask
+    known: Mask
+    physical_mm: Floats  # the physical render's indentation
+    physical_contact: Mask
+    truth_mm: Floats  # the target's own
+    contact: Mask
+
+
+def own_touch(target: str, things: Things, seed: int, index: int, folder: str = "") -> Taught | None:
+    """Touch `index` of a seed: the same each time; None where nothing is told. `folder` keeps it."""
+    found = _in_memory.of((target, things, seed, index), lambda: _kept_or_made(target, things, seed, index, folder))
+    return found if found.felt.any() else None
+
+
+def _kept_or_made(target: str, things: Things, seed: int, index: int, folder: str) -> Taught:
+    path = Path(folder) / f"own_{target}_{things}_{seed}_{index}.npz" if folder else None
+    found = None if path is None else read(path, Taught)
+    if found is None:
+        rng = np.random.default_rng([VERSION, 11, KINDS.index(things), seed, index])
+        found = _made(target, things, rng, index)
+        if path is not None:
+            keep(path, found)
+    return found
+
+
+def _made(name: str, things: Things, rng: np.random.Generator, index: int) -> Taught:
+    described = _working(name)
+    unit, thing = unit_of(described, things, rng), thing_of(things, rng, index)
+    pose = poses.single(thing, rng)
+    own = press(thing, pose, unit, seed=None).truth
+    assert own.indentation_mm is not None
+    assert own.contact is not None
+    assert own.sensor_from_object is not None
+    vertices = rigid.apply(own.sensor_from_object, thing.vertices_mm)
+    surface = lattice.depth_of_mesh(vertices, thing.triangles, unit.camera)
+    said = told(rng, surface, described, as_gel=_AS_GEL[described.kind])
+    return taught(described, _view(described, said), own.indentation_mm, own.contact)
+
+
+def taught(described: SensorSpec, view: TargetView, truth_mm: Floats, contact: Mask) -> Taught:
+    """A view, its physical render and the target's own touch, as they are learned from."""
+    rendered = generate(view, described, GenerateParams(tolerance_um=_TOLERANCE_UM)).membrane
+    assert rendered is not None
+    return Taught(
+        told_mm=_as_kept(np.where(view.contact, view.indentation_mm, np.float32(0.0))), felt=view.contact,
+        known=view.known, physical_mm=_as_kept(rendered.indentation_mm), physical_contact=rendered.contact,
+        truth_mm=_as_kept(truth_mm), contact=contact,
+    )  # fmt: skip
+
+
+def _view(target: SensorSpec, said: Told) -> TargetView:
+    """As projection would hand it on: contact where the surface told lies beyond the target's rest surface."""
+    rest = target.rest_depth_mm
+    with np.errstate(invalid="ignore"):
+        contact = said.felt & (said.depth_mm <= rest)
+    deep: Floats = np.where(contact, rest - said.depth_mm, 0.0).astype(np.float32)
+    index = np.where(said.felt, pixel_index(rest.shape), np.int32(-1)).astype(np.int32)
+    return TargetView(
+        depth_mm=said.depth_mm, contact=freeze(contact), indentation_mm=freeze(deep), camera=target.camera,
+        source_index=freeze(index), known=said.known,
+    )  # fmt: skip
+
+
+def unit_of(described: SensorSpec, things: Things, rng: np.random.Generator) -> SensorSpec:
+    """Another unit of a sensor; a bubble's comes as far to meet the object as in data sets, or nearly so."""
+    unit = variation.varied(described, int(rng.integers(1 << 31)), 1.0)
+    if unit.kind != "bubble":
+        return unit
+    usual = things != "learned" or rng.random() < _AS_RECORDED
+    return nearer(unit, BUBBLE_DEEPER_MM if usual else rng.uniform(*_DEEPER_MM))
+
+
+def nearer(bubble: SensorSpec, by_mm: float) -> SensorSpec:
+    """A bubble that comes so much farther to meet the object than described."""
+    moved: Doubles = freeze(rigid.translation(0.0, 0.0, by_mm) @ bubble.alignment_from_sensor)
+    return replace(bubble, alignment_from_sensor=moved)
+
+
+def thing_of(things: Things, rng: np.random.Generator, index: int) -> Mesh:
+    """An object to learn from: of the catalogue or random, with a body behind it or none; or one that is held out."""
+    names = shapes.names("unseen" if things == "unseen_tools" else "training")
+    if things != "learned":
+        return shapes.shape(names[index % len(names)]).mesh
+    if rng.random() < _CATALOGUE:
+        return shapes.shape(names[int(rng.integers(len(names)))]).mesh
+    return _small(rng) if rng.random() < _SMALL else body(rng)
+
+
+def _small(rng: np.random.Generator) -> Mesh:
+    """A random object that a gel feels nearly all of: nothing but the walls of a pattern, drawn smaller."""
+    large = body(rng, bare=1.0)
+    extent = float(np.ptp(large.vertices_mm[:, :2], axis=0).max())
+    scale = min(1.0, rng.uniform(*_SMALL_MM) / extent)
+    return replace(large, vertices_mm=freeze(large.vertices_mm * (scale, scale, 1.0)))
+
+
+_in_memory: Memo[tuple[str, Things, int, int], Taught] = Memo(most_bytes=_MOST_BYTES)
+
+
+@lru_cache(maxsize=4)
+def _working(name: str) -> SensorSpec:
+    return working(sensor(name))
+
+
+def _as_kept(a: Floats) -> Floats:
+    """As a file gives it back: kept or not, a touch is the same."""
+    return freeze(a.astype(np.float16).astype(np.float32))
+
+
+def keep(path: Path, found: object) -> None:
+    """Bring a dataclass of arrays to the disk, its floating-point ones as float16."""
+    arrays = {f.name: getattr(found, f.name) for f in fields(cast("Any", found))}
+    content = io.BytesIO()
+    np.savez(content, **{k: a.astype(np.float16) if a.dtype == np.float32 else a for k, a in arrays.items()})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path, "a touch to learn from") as file:
+        file.write(content.getbuffer())
+
+
+def read(path: Path, kind: type[T]) -> T | None:
+    """What `keep` wrote; None where it is not there yet, or cut short: it is worked out again."""
+    try:
+        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as data:
+            arrays = {f.name: data[f.name] for f in fields(cast("Any", kind))}
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+        return None
+    return kind(**{k: freeze(a.astype(np.float32) if a.dtype == np.float16 else a) for k, a in arrays.items()})

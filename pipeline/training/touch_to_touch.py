@@ -1,0 +1,89 @@
+"""Touch to touch: the target's touch from the source's reading alone, learned from pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from pipeline.base.arrays import Floats
+from pipeline.base.errors import SettingProblem
+from pipeline.base.params import setting
+from pipeline.sensors import alignment
+from pipeline.stages.generate.picture_input import of_picture
+from pipeline.training import denoising
+from pipeline.training.own_touches import Things
+from pipeline.training.residual import UNITS_MM, example
+from pipeline.training.touch_pairs import Pair, pair, units
+
+if TYPE_CHECKING:
+    from torch import Tensor, nn
+
+    from pipeline.training.task import Example, Split
+
+Target = Literal["soft_bubble", "gelslim"]
+_HELD_OUT_SEED = 7
+_MOST_EMPTY = 100  # pairs in a row that no gel feels
+_NOISE_MM, _GRAIN_PX = 0.4, 0.8  # of a bubble's reading, each of the two
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TouchToTouch:
+    """How examples are made, and what counts for how much."""
+
+    target: Target = setting("soft_bubble", "Target", choices=Target, help="the other one of the two is the source")
+    presses: int = setting(1000, "Presses", low=1, high=10_000_000, help="that all examples are drawn from")
+    press_seed: int = setting(1, "Seed of the presses", low=0, high=2**31 - 1)
+    folder: str = setting("", "Folder", help="keeps the presses for other runs; empty = worked out each time")
+    near: float = setting(1.0, "Weight of the contact", low=0.0, high=100.0)
+
+    def sample(self, rng: np.random.Generator) -> Example:
+        """A pair as it is; the source's light knows left and right, so that it is neither turned nor mirrored."""
+        return self._example(self._pair("learned", self.press_seed, int(rng.integers(self.presses))), rng)
+
+    def held_out(self, split: Split, index: int) -> Example:
+        """A touch of a training object as it was never held, or of one that is never learned from."""
+        return self._example(self._pair(split, _HELD_OUT_SEED, index), np.random.default_rng([17, index]))
+
+    def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
+        """See `denoising.loss`."""
+        return denoising.loss(network, batch, self.near)
+
+    def figures(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
+        """See `denoising.figures`; what they begin with is the untouched target."""
+        return denoising.figures(network, held_out, UNITS_MM[self._kind])
+
+    @property
+    def _kind(self) -> str:
+        return "bubble" if self.target == "soft_bubble" else "gel"
+
+    def _pair(self, things: Things, seed: int, index: int) -> Pair:
+        """Pair `index`, or the next one that the gel feels."""
+        for k in range(index, index + _MOST_EMPTY):
+            found = pair(things, seed, k, self.folder)
+            if found is not None:
+                return found
+        raise SettingProblem(f"no gel feels any of {_MOST_EMPTY} touches in a row from {index} on; choose another seed")
+
+    def _example(self, touch: Pair, rng: np.random.Generator) -> Example:
+        gel, bubble = units(float(touch.deeper_mm[0]))
+        if self._kind == "bubble":
+            change = touch.change_grey + rng.normal(0.0, 1.0, touch.change_grey.shape).astype(np.float32)
+            shown = of_picture(change, gel.camera, gel, bubble, alignment.between(gel, bubble))
+            truth, contact = touch.bubble_mm, touch.bubble_contact
+        else:
+            change = touch.bubble_mm + _reading_noise(rng, touch.bubble_mm.shape)
+            shown = of_picture(change, bubble.camera, bubble, gel, alignment.between(bubble, gel))
+            truth, contact = touch.gel_mm, touch.gel_contact
+        return example(shown, truth, contact, np.zeros(contact.shape, np.bool_), self._kind)
+
+
+def _reading_noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Floats:
+    """Of the difference of two readings of a depth camera."""
+    import cv2
+
+    white = rng.standard_normal(shape).astype(np.float32)
+    grains = np.asarray(cv2.GaussianBlur(white, (0, 0), _GRAIN_PX), np.float32)
+    return grains * np.float32(np.sqrt(2.0) * _NOISE_MM * rng.uniform(0.7, 1.2) / grains.std())

@@ -1,0 +1,60 @@
+"""The denoiser of residuals: three ways to predict, one answer; noise and condition are both heard."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from pipeline.networks.residual_denoiser import REACH, ResidualDenoiser
+
+PREDICTIONS = ("clean", "v", "noise")
+
+
+def small(prediction="clean", seed=0, scale=0.3, levels=2):
+    """A network that says something: as built, the last layer adds nothing."""
+    torch.manual_seed(seed)
+    net = ResidualDenoiser(inputs=3, unit_mm=1.0, first=8, levels=levels, widest=16, prediction=prediction).eval()
+    torch.nn.init.normal_(net.finish.weight, std=scale)
+    for part in net.modules():
+        if hasattr(part, "tune"):
+            torch.nn.init.normal_(part.tune.weight, std=0.1)
+    return net
+
+
+@pytest.mark.parametrize("prediction", PREDICTIONS)
+@pytest.mark.parametrize("size", [(24, 32), (23, 17)])
+def test_every_prediction_gives_fields_of_the_picture_s_size_within_reach_at_every_noise(prediction, size):
+    net = small(prediction)
+    condition = torch.randn(2, 3, *size)
+    with torch.inference_mode():
+        for sigma in (0.001, 0.02, 1.0, 8.0, 80.0):
+            answer = net(sigma * torch.randn(2, 2, *size), torch.full((2,), sigma), condition)
+            assert answer.shape == (2, 3, *size)
+            assert torch.isfinite(answer).all()
+            assert answer[:, :2].abs().max() <= REACH
+
+
+def test_a_fresh_network_adds_nothing():
+    net = ResidualDenoiser(inputs=3, unit_mm=1.0, first=8, levels=2, widest=16).eval()
+    assert not net(torch.randn(1, 2, 16, 16), torch.ones(1), torch.randn(1, 3, 16, 16)).any()
+
+
+def test_what_is_seen_through_little_noise_is_nearly_kept_where_noise_or_v_is_predicted():
+    noisy, condition = torch.randn(1, 2, 16, 16), torch.randn(1, 3, 16, 16)
+    for prediction in ("v", "noise"):
+        with torch.inference_mode():
+            answer = small(prediction, scale=0.05)(noisy, torch.full((1,), 1e-3), condition)
+        assert (answer[:, :2] - noisy).abs().max() < 0.05
+
+
+def test_noise_level_and_condition_are_heard():
+    net, noisy, condition = small(), torch.randn(1, 2, 16, 16), torch.randn(1, 3, 16, 16)
+    with torch.inference_mode():
+        plain = net(noisy, torch.ones(1), condition)
+        assert not torch.allclose(plain, net(noisy, torch.full((1,), 4.0), condition), atol=1e-3)
+        assert not torch.allclose(plain, net(noisy, torch.ones(1), 0 * condition), atol=1e-3)
+
+
+def test_another_prediction_is_refused():
+    with pytest.raises(ValueError, match="prediction"):
+        ResidualDenoiser(inputs=3, unit_mm=1.0, prediction="image")

@@ -1,0 +1,209 @@
+"""Touches by diffusion between real sensors: what a network adds to physics, and what it may not change."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from pipeline.base.progress import SILENT
+from pipeline.engine.graph import Instead, Skipped
+from pipeline.geometry import rigid
+from pipeline.networks.weights import NoWeights
+from pipeline.physics import optics
+from pipeline.sensors import alignment
+from pipeline.sensors.spec import sensor
+from pipeline.simulation import poses, shapes
+from pipeline.simulation.press import press
+from pipeline.stages.generate import picture_to_touch, stage, view_to_touch
+from pipeline.stages.generate.diffusion import DiffusionParams
+from pipeline.stages.generate.picture_input import CHANNELS
+from pipeline.stages.generate.residual_input import VIEW_CHANNELS, working
+from pipeline.stages.generate.slot import PHYSICS, T2D2, T2T
+from pipeline.values.frames import TactileFrame
+from pipeline.values.pixel_index import pixel_index
+from pipeline.values.results import TargetView
+
+GEL, BUBBLE = sensor("gelslim"), sensor("soft_bubble")
+
+
+class Says(torch.nn.Module):
+    """A denoiser that answers one number everywhere, and remembers what it was shown."""
+
+    unit_mm, most, least, reach = 1.0, 8.0, 0.02, 8.0
+
+    def __init__(self, residual, contact=0.0, spread=0.1):
+        super().__init__()
+        self.said, self.shown = (residual, contact, float(np.log(spread))), []
+
+    def forward(self, noisy, sigma, condition):
+        self.shown.append(condition)
+        return torch.stack([torch.full(noisy.shape[2:], float(v)) for v in self.said])[None]
+
+
+def view_of(target, deep_mm=3.0):
+    shape = target.camera.shape
+    away = np.hypot(*np.meshgrid(*(np.arange(n) - n // 2 for n in shape), indexing="ij"))
+    contact = (away < shape[0] / 12) & (deep_mm > 0)
+    known = np.zeros(shape, bool)
+    known[shape[0] // 3 : -shape[0] // 3, shape[1] // 3 : -shape[1] // 3] = True
+    indentation = np.where(contact, np.float32(deep_mm), np.float32(0)).astype(np.float32)
+    depth = np.where(contact, target.rest_depth_mm - deep_mm, np.nan).astype(np.float32)
+    index = np.where(contact, pixel_index(shape), -1).astype(np.int32)
+    return TargetView(
+        depth_mm=depth, contact=contact, indentation_mm=indentation, camera=target.camera, source_index=index,
+        known=known,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("target", [BUBBLE, GEL], ids=["bubble", "gel"])
+def test_no_step_is_physics_to_the_byte_and_asks_no_network(target):
+    view, net = view_of(target, 0.5), Says(1.0)
+    physics = stage.generate(view, target, stage.GenerateParams(noise=True, seed=3))
+    touch = view_to_touch.generate(view, target, net, DiffusionParams(steps=0, noise=True, seed=3))
+    assert touch.image.tobytes() == physics.image.tobytes()
+    assert touch.membrane.indentation_mm.tobytes() == physics.membrane.indentation_mm.tobytes()
+    assert not net.shown
+
+
+@pytest.mark.parametrize("target", [BUBBLE, GEL], ids=["bubble", "gel"])
+def test_a_residual_is_added_to_the_render_and_the_picture_follows(target):
+    view = view_of(target, 0.5)
+    physics = stage.generate(view, target, stage.GenerateParams())
+    touch = view_to_touch.generate(view, target, Says(0.2), DiffusionParams(steps=2))
+    assert np.abs(touch.membrane.indentation_mm - physics.membrane.indentation_mm - 0.2).max() < 1e-5
+    assert np.allclose(touch.membrane.depth_mm, target.rest_depth_mm - touch.membrane.indentation_mm, atol=1e-4)
+    assert np.allclose(touch.membrane.spread_mm, 0.1)
+    assert touch.known.all()
+    if target is BUBBLE:
+        assert np.allclose(touch.image, touch.membrane.depth_mm)
+    else:
+        same = optics.render(target, touch.membrane.indentation_mm, seed=None)
+        assert np.array_equal(touch.image, same)
+    assert any("expected to be off by 0.1 mm" in note for note in touch.notes)
+
+
+def test_a_residual_of_nothing_leaves_the_render_and_contact_follows_the_network():
+    view = view_of(GEL, 0.5)
+    physics = stage.generate(view, GEL, stage.GenerateParams())
+    nothing = view_to_touch.generate(view, GEL, Says(0.0), DiffusionParams())
+    assert np.array_equal(nothing.image, physics.image)
+    assert np.array_equal(nothing.membrane.contact, physics.membrane.contact)
+    assert view_to_touch.generate(view, GEL, Says(0.0, contact=1.0), DiffusionParams()).membrane.contact.all()
+    assert not view_to_touch.generate(view, GEL, Says(0.0, contact=-1.0), DiffusionParams()).membrane.contact.any()
+
+
+def test_what_a_gel_felt_stays_in_contact_with_a_bubble():
+    view = view_of(BUBBLE)
+    touch = view_to_touch.generate(view, BUBBLE, Says(0.0, contact=-1.0), DiffusionParams())
+    assert touch.membrane.contact[view.contact].mean() > 0.95
+
+
+def test_no_membrane_goes_deeper_than_the_sensor_can():
+    touch = view_to_touch.generate(view_of(GEL, 0.5), GEL, Says(8.0), DiffusionParams())
+    assert touch.membrane.indentation_mm.max() <= GEL.limits.indentation_max_mm + 1e-6
+
+
+def test_a_touch_that_is_not_there_asks_neither_weights_nor_network():
+    answer = T2D2.run(view_of(BUBBLE, 0.0), BUBBLE, NoWeights(why="none"), DiffusionParams(steps=200), SILENT)
+    assert isinstance(answer, Skipped)
+    assert not answer.output.membrane.contact.any()
+
+
+def test_without_weights_physics_answers_and_says_so():
+    view = view_of(BUBBLE)
+    answer = T2D2.run(view, BUBBLE, NoWeights(why="none at hand"), DiffusionParams(), SILENT)
+    assert isinstance(answer, Instead)
+    assert "none at hand" in answer.why
+    physics = PHYSICS.run(view, BUBBLE, stage.GenerateParams(), SILENT)
+    assert answer.answer.image.tobytes() == physics.image.tobytes()
+
+
+def test_kept_states_are_pictures_and_the_last_of_them_is_the_touch():
+    touch = view_to_touch.generate(view_of(GEL, 0.5), GEL, Says(0.2), DiffusionParams(steps=3, keep_states=True))
+    assert len(touch.steps) == 3
+    assert np.array_equal(touch.steps[-1].image, touch.image)
+    assert touch.steps[0].sigma == pytest.approx(8.0)
+
+
+def test_the_network_sees_the_working_grid():
+    net = Says(0.0)
+    view_to_touch.generate(view_of(GEL, 0.5), GEL, net, DiffusionParams())
+    shown = net.shown[0]
+    assert shown.shape == (1, VIEW_CHANNELS, *working(GEL).camera.shape)
+    felt = shown[0, 3]
+    assert 0.5 < felt.sum() * 4 / view_of(GEL, 0.5).contact.sum() < 1.5
+    assert torch.allclose(shown[0, 1][felt > 0], torch.tensor(0.5 / 0.6), atol=1e-3)
+
+
+@pytest.fixture(scope="module")
+def felt():
+    """(frame of a GelSlim, frame of a bubble, its truth) under one ball."""
+    thing = shapes.shape("sphere").mesh
+    pose = poses.single(thing, np.random.default_rng(2), spread_mm=0.0, depth_mm=(0.8, 0.8))
+    under, over = press(thing, pose, GEL, seed=1), press(thing, pose, BUBBLE, seed=1)
+    return (
+        TactileFrame(sensor="gelslim", image=under.image, reference=optics.untouched(GEL)), under.truth,
+        TactileFrame(sensor="soft_bubble", image=over.image, reference=BUBBLE.rest_depth_mm.astype(np.float32)),
+        over.truth,
+    )  # fmt: skip
+
+
+def test_a_picture_is_drawn_where_the_target_feels_the_same(felt):
+    gel_frame, gel_truth, bubble_frame, bubble_truth = felt
+    for frame, source, target, truth in (
+        (gel_frame, GEL, BUBBLE, bubble_truth), (bubble_frame, BUBBLE, GEL, gel_truth),
+    ):  # fmt: skip
+        shown = picture_to_touch.condition(frame, source, alignment.between(source, target), target)
+        assert shown.shape == (CHANNELS[source.kind], *working(target).camera.shape)
+        change, known = np.abs(shown[: -1 if source is GEL else 1]).sum(0), shown[-1] > 0
+        at = np.argwhere(truth.contact).mean(0) * np.array(change.shape) / truth.contact.shape
+        weight = change * known * (change > 0.5 * change[known].max())
+        found = (np.argwhere(weight > 0) * weight[weight > 0][:, None]).sum(0) / weight.sum()
+        assert np.hypot(*(found - at)) * working(target).pixel_mm < 1.0, (source.name, found, at)
+
+
+def test_a_moved_alignment_moves_what_is_shown(felt):
+    between = alignment.between(GEL, BUBBLE)
+    moved = alignment.corrected(between, rigid.translation(4.3, 0.0, 0.0))
+    plain, other = (picture_to_touch.condition(felt[0], GEL, a, BUBBLE)[-1] for a in (between, moved))
+    shift = np.argwhere(other > 0).mean(0) - np.argwhere(plain > 0).mean(0)
+    assert shift[1] == pytest.approx(4.3 * BUBBLE.camera.fx_px / 76.0, abs=0.8)
+    assert abs(shift[0]) < 0.3
+
+
+def test_touch_to_touch_starts_from_the_untouched_target_and_takes_all_from_the_network(felt):
+    frame, between = felt[0], alignment.between(GEL, BUBBLE)
+    net = Says(1.0, contact=1.0)
+    touch = picture_to_touch.generate(frame, GEL, None, between, BUBBLE, net, DiffusionParams())
+    assert np.allclose(touch.membrane.indentation_mm, 1.0)
+    assert touch.membrane.contact.all()
+    none = picture_to_touch.generate(frame, GEL, None, between, BUBBLE, net, DiffusionParams(steps=0))
+    assert not none.membrane.indentation_mm.any()
+
+
+def test_an_untouched_frame_costs_touch_to_touch_nothing(felt):
+    net = Says(1.0)
+    still = replace(felt[0], image=felt[0].reference)
+    answer = picture_to_touch.generate(
+        still, GEL, None, alignment.between(GEL, BUBBLE), BUBBLE, net, DiffusionParams(steps=200)
+    )
+    assert isinstance(answer, Skipped)
+    assert not net.shown
+
+
+def test_without_weights_touch_to_touch_goes_by_depth_and_render(felt):
+    frame, between = felt[0], alignment.between(GEL, BUBBLE)
+    answer = T2T.run(frame, GEL, None, between, BUBBLE, NoWeights(why="none"), DiffusionParams(), SILENT)
+    assert isinstance(answer, Instead)
+    assert answer.answer.membrane.contact.any()
+    assert answer.answer.membrane.indentation_mm.max() > 1.0
+
+
+def test_which_weights_serve_which_sensors():
+    for source in ("gelslim", "digit", "gelsight_mini"):
+        assert isinstance(T2T.weights(sensor("digit"), BUBBLE, None), NoWeights)
+        found = T2D2.weights(sensor(source), BUBBLE, None)
+        assert getattr(found, "why", "").find("pixels") < 0, "a source is no matter for T2D2"
+    other = T2D2.weights(GEL, sensor("digit"), None)
+    assert isinstance(other, NoWeights) == (not view_to_touch.fits(sensor("digit")))

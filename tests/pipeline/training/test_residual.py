@@ -1,0 +1,114 @@
+"""What the compact diffusion learns from: own touches and no pair for touch to depth to touch, pairs for touch to touch."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.networks.building import build
+from pipeline.stages.generate.residual_input import VIEW_CHANNELS
+from pipeline.training import denoising, own_touches, touch_pairs
+from pipeline.training.own_touches import own_touch
+from pipeline.training.recipe import load, shipped
+from pipeline.training.residual import UNITS_MM, ResidualOfView
+from pipeline.training.touch_to_touch import TouchToTouch
+
+SPLITS = ("unseen_grasps", "unseen_tools")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return str(tmp_path_factory.mktemp("touches"))
+
+
+@pytest.fixture(scope="module")
+def task(folder):
+    return ResidualOfView(target="gelslim", presses=2, folder=folder)
+
+
+def test_no_recipe_of_touch_to_depth_to_touch_reads_a_pair(monkeypatch):
+    pressed = []
+
+    def press(thing, pose, sensor, **how):
+        pressed.append(sensor.name)
+        raise StopIteration
+
+    monkeypatch.setattr(own_touches, "press", press)
+    monkeypatch.setattr(touch_pairs, "press", press)
+    names = shipped("t2d2")
+    assert len(names) >= 2
+    for name in names:
+        task = load(name, "t2d2").settings
+        for make in (lambda t: t.sample(np.random.default_rng(1)), lambda t: t.held_out(SPLITS[0], 987_654)):
+            pressed.clear()
+            with pytest.raises(StopIteration):
+                make(replace(task, folder="", press_seed=987_654))
+            assert pressed == [task.target], "a second sensor took part"
+
+
+def test_a_touch_is_the_same_whether_it_was_kept_or_not(folder, monkeypatch):
+    first = own_touch("gelslim", "unseen_tools", 7, 0, folder)
+    for again in range(2):
+        monkeypatch.setattr(own_touches, "_in_memory", own_touches.Memo(8))
+        found = own_touch("gelslim", "unseen_tools", 7, 0, folder if again else "")
+        for name in ("told_mm", "felt", "known", "physical_mm", "physical_contact", "truth_mm", "contact"):
+            assert np.array_equal(getattr(first, name), getattr(found, name)), name
+
+
+def test_physics_is_right_where_all_is_told_and_the_residual_is_what_it_misses(task):
+    for index in range(2):
+        touch = own_touch("gelslim", "unseen_tools", 7, index, task.folder)
+        example = task.held_out("unseen_tools", index)
+        assert example["condition"].shape == (VIEW_CHANNELS, *touch.contact.shape)
+        whole = touch.physical_mm + UNITS_MM["gel"] * example["residual"][0]
+        assert np.allclose(whole, touch.truth_mm, atol=1e-4)
+        change = touch.physical_contact.astype(float) + example["residual"][1]
+        assert np.array_equal(change > 0.5, touch.contact)
+        assert touch.felt[~touch.known].sum() == 0
+
+
+def test_an_example_depends_on_its_number_alone(task):
+    a, b = (task.sample(np.random.default_rng([1, 5])) for _ in range(2))
+    assert all(np.array_equal(a[name], b[name]) for name in a)
+    assert {name: array.dtype for name, array in a.items()} == dict.fromkeys(a, np.dtype(np.float32))
+
+
+def test_a_network_comes_nearer_to_a_touch_and_the_figures_begin_with_physics(task):
+    import torch
+
+    example = task.held_out("unseen_tools", 0)
+    batch = {k: torch.tensor(v)[None].repeat(4, 1, 1, 1) for k, v in example.items()}
+    config = {"inputs": VIEW_CHANNELS, "unit_mm": 0.2, "first": 8, "levels": 2, "widest": 16}
+    torch.manual_seed(0)
+    net = build("residual_denoiser", config)
+    before = task.figures(net.eval(), [example])
+    for what in ("in contact, mm", "over all, mm", "contact, IoU"):
+        assert before[what] == pytest.approx(before[f"physics {what}"])
+    optimiser, losses = torch.optim.Adam(net.train().parameters(), lr=5e-3), []
+    for _ in range(25):
+        optimiser.zero_grad()
+        loss, parts = task.loss(net, batch)
+        loss.backward()
+        optimiser.step()
+        losses.append(float(loss.detach()))
+    assert np.mean(losses[-5:]) < 0.8 * np.mean(losses[:5])
+    assert set(parts) == {"residual", "contact", "spread"}
+
+
+def test_held_back_is_less_where_the_error_is_as_large():
+    assert denoising.held_back(np.float64(2.0), 0.0) == pytest.approx(2.0)
+    assert denoising.held_back(np.float64(2.0), 2.0) == pytest.approx(1.0)
+    assert abs(denoising.held_back(np.float64(-0.1), 2.0)) < 0.001
+
+
+@pytest.mark.parametrize(("target", "channels"), [("soft_bubble", 13), ("gelslim", 3)])
+def test_a_pair_gives_the_source_s_reading_and_all_of_the_target_s_touch(folder, target, channels):
+    task = TouchToTouch(target=target, presses=2, folder=folder)
+    example = task.held_out("unseen_tools", 0)
+    pair = touch_pairs.pair("unseen_tools", 7, 0, folder)
+    truth = pair.bubble_mm if target == "soft_bubble" else pair.gel_mm
+    assert example["condition"].shape == (channels, *truth.shape)
+    unit = UNITS_MM["bubble" if target == "soft_bubble" else "gel"]
+    assert np.allclose(unit * example["residual"][0], truth, atol=1e-4)
+    assert not example["contact"][1].any()
+    assert load(f"t2t_{'bubble' if channels == 13 else 'gelslim'}", "t2t").network["inputs"] == channels
