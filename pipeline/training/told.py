@@ -64,7 +64,7 @@ def _through_gel(rng: np.random.Generator, surface_mm: Doubles, pixel_mm: float)
         return near
     top = float(near.min())
     uneven = np.float32(rng.uniform(0.0, 0.06)) * _clouds(rng, surface_mm.shape, pixel_mm, rng.uniform(1.0, 4.0))
-    return top + (near - top) * np.float32(rng.normal(1.0, 0.1)) + uneven
+    return np.asarray(top + (near - top) * np.float32(rng.normal(1.0, 0.1)) + uneven, np.float32)
 
 
 def _through_bubble(rng: np.random.Generator, surface_mm: Doubles, pixel_mm: float) -> Floats:
@@ -83,7 +83,7 @@ def _through_bubble(rng: np.random.Generator, surface_mm: Doubles, pixel_mm: flo
     blurred = np.asarray(cv2.GaussianBlur(near, (0, 0), max(sigma, 0.3)), np.float32)
     noise = np.float32(rng.uniform(0.0, 0.2)) * _clouds(rng, near.shape, pixel_mm, rng.uniform(0.6, 1.2))
     bias = np.float32(rng.uniform(0.0, 0.2)) * _clouds(rng, near.shape, pixel_mm, rng.uniform(4.0, 12.0))
-    return blurred + noise + bias + np.float32(rng.normal(0.0, 0.08))
+    return np.asarray(blurred + noise + bias + np.float32(rng.normal(0.0, 0.08)), np.float32)
 
 
 def _clouds(rng: np.random.Generator, shape: tuple[int, ...], pixel_mm: float, grain_mm: float) -> Floats:
