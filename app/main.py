@@ -27,7 +27,8 @@ _THREADS_LEFT_ALONE = "PASSIVE"  # waiting OpenMP threads that spin would take t
 def open_window(request: Request | None, *, frame: int | None = None, tour: Path | None = None) -> int:
     """Show the window until it is closed, or give the `tour` and close; returns the exit code of the process.
 
-    `request` None opens the sample, where there is one. See `app.frame.tour` for what a tour leaves behind.
+    `request` None shows the welcome page, or opens the sample where a frame or a tour is asked for. See
+    `app.frame.tour` for what a tour leaves behind.
     """
     prepare_environment()
     from app.session.state import ASKED, Session
@@ -35,12 +36,13 @@ def open_window(request: Request | None, *, frame: int | None = None, tour: Path
     application = make_application()
     first = _first_frame(request) if frame is None else frame
     if request is None:
-        session = Session(recording=SAMPLE if SAMPLE.exists() else None, frame=first)
+        asked_for = SAMPLE.exists() and (frame is not None or tour is not None)
+        session = Session(recording=SAMPLE if asked_for else None, frame=first)
     else:
         asked = {name: getattr(request, name) for name in ASKED}
         methods, weights = dict(request.methods), dict(request.weights)
         session = Session(**asked, offsets=request.offsets, methods=methods, weights=weights, frame=first)
-    instrument = show_window(session)
+    instrument = show_window(session, remembers=tour is None)
     code = 0
     if tour is not None:
         from app.frame.tour import give_tour
@@ -71,10 +73,13 @@ def make_application() -> QApplication:
     return application
 
 
-def show_window(session: Session, *, with_scene: bool = True, catalogue: Catalogue | None = None) -> Instrument:
+def show_window(
+    session: Session, *, with_scene: bool = True, catalogue: Catalogue | None = None, remembers: bool = False
+) -> Instrument:
     """A window on `session`, on screen before the recording is read and before OpenGL is loaded.
 
-    `catalogue` None is what this program knows of slots, methods and routes.
+    `catalogue` None is what this program knows of slots, methods and routes. One that `remembers` stands where the
+    last one stood, and offers the session of one that was ended from outside.
     """
     from PyQt6.QtCore import QTimer
     from PyQt6.QtWidgets import QApplication
@@ -91,7 +96,9 @@ def show_window(session: Session, *, with_scene: bool = True, catalogue: Catalog
     scrubbed = frozenset(slot.name for slot in catalogue.slots if slot.scrubs)
     window = Window([("source", "Source"), *((slot.name, slot.title) for slot in catalogue.slots)], scrubbed)
     instrument = Instrument(window, catalogue)
-    connect(instrument)
+    keeping = connect(instrument)
+    if remembers:
+        keeping.take_place()
     instrument.relay.catch_uncaught()
     window.show()
     _wait_until_seen(window)
@@ -99,6 +106,9 @@ def show_window(session: Session, *, with_scene: bool = True, catalogue: Catalog
         QTimer.singleShot(0, lambda: _add_scene(instrument))
     if session.recording is not None:
         instrument.show_session(session)
+        instrument.saved = session
+    if remembers:
+        keeping.offer_recovery()
     logging.getLogger("tactoscope").info("Tactoscope is ready")
     return instrument
 

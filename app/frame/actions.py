@@ -27,6 +27,7 @@ class Command:
 
 
 FILE = (
+    Command("open_sample", "Open the sample", "Open the recording that comes along", icon="target"),
     Command("open_recording", "Open recording…", "Open a recorded touch", icon=_Std.SP_DialogOpenButton, key="Ctrl+O"),
     Command("open_folder", "Open folder…", "Open a folder of images", icon=_Std.SP_DirOpenIcon, key="Ctrl+Shift+O"),
     Command("open_mesh", "Open mesh…", "Open the touched object's mesh, for its pose", icon="cube", key="Ctrl+M"),
@@ -54,8 +55,9 @@ FILE = (
     ),
     Command("open_session", "Open session…", "Open a saved session", icon=_Std.SP_FileDialogDetailedView),
     Command(
-        "save_session", "Save session…", "Save what is open, shown and set", icon=_Std.SP_DialogSaveButton, key="Ctrl+S"
+        "save_session", "Save session", "Save what is open, shown and set", icon=_Std.SP_DialogSaveButton, key="Ctrl+S"
     ),
+    Command("save_session_as", "Save session as…", "Save the session under another name", key="Ctrl+Shift+S"),
     Command("save_picture", "Save picture…", "Save a picture of the window", icon="picture", key="Ctrl+E"),
     Command("quit", "Quit", "Close the window", icon=_Std.SP_DialogCloseButton, key="Ctrl+Q"),
 )

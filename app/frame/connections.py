@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
-from typing import get_args
+from typing import TypeVar, get_args
 
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QAction
@@ -14,7 +13,9 @@ from app.frame import dialogs
 from app.frame.actions import key_table
 from app.frame.aligning import Aligning
 from app.frame.blaming import Blaming
+from app.frame.greeting import Greeting
 from app.frame.instrument import Instrument
+from app.frame.keeping import Keeping
 from app.frame.triage import Triage
 from app.frame.window import Window
 from app.session.state import DISPLAY
@@ -23,9 +24,11 @@ from pipeline.pictures.display import DisplayParams
 from pipeline.sensors.spec import names
 from pipeline.translation.catalogue import Catalogue
 
+T = TypeVar("T")
 
-def connect(instrument: Instrument) -> None:
-    """Fill the window's choices and connect everything."""
+
+def connect(instrument: Instrument) -> Keeping:
+    """Fill the window's choices and connect everything; returns what outlives the window."""
     window, job, tracer = instrument.window, instrument.job, instrument.tracer
     _fill(window, instrument.catalogue)
 
@@ -56,10 +59,13 @@ def connect(instrument: Instrument) -> None:
     window.route.activated.connect(lambda: change("choose route", route=window.route.currentData()))
     Blaming(instrument)
     Triage(instrument)
-    _connect_files(instrument, Aligning(instrument))
+    keeping = Keeping(instrument)
+    Greeting(instrument, keeping)
+    _connect_files(instrument, Aligning(instrument), keeping)
     _connect_play(instrument)
     _connect_view(instrument)
     _connect_undo(instrument)
+    return keeping
 
 
 def _fill(window: Window, catalogue: Catalogue) -> None:
@@ -79,14 +85,14 @@ def _fill(window: Window, catalogue: Catalogue) -> None:
     window.parameters.add_group(DISPLAY, "Display", DisplayParams())
 
 
-def _connect_files(instrument: Instrument, aligning: Aligning) -> None:
+def _connect_files(instrument: Instrument, aligning: Aligning, keeping: Keeping) -> None:
     window = instrument.window
 
-    def asks(command: str, ask: Callable[[QWidget, str], Path | None], then: Callable[[Path], object]) -> None:
+    def asks(command: str, ask: Callable[[QWidget, str, str], T | None], then: Callable[[T], object]) -> None:
         def run() -> None:
-            path = ask(window, command)
-            if path is not None:
-                then(path)
+            said = ask(window, command, keeping.folder)
+            if said is not None:
+                then(said)
 
         window.on(command, run)
 
@@ -94,9 +100,10 @@ def _connect_files(instrument: Instrument, aligning: Aligning) -> None:
     for command in dialogs.OPENERS:
         asks(command, dialogs.to_open, own.get(command, instrument.open_path))
     asks("save_alignment", dialogs.to_save, aligning.save)
-    asks("save_session", dialogs.to_save, instrument.save_session)
+    asks("save_session_as", dialogs.to_save, instrument.save_session)
+    window.on("save_session", keeping.save)
     asks("save_picture", dialogs.to_save, instrument.save_picture)
-    window.on("open_mesh", lambda: instrument.open_mesh(*asked) if (asked := dialogs.mesh(window)) else None)
+    asks("open_mesh", dialogs.mesh, lambda asked: instrument.open_mesh(*asked))
     window.on("close_mesh", lambda: instrument.open_mesh(None))
     window.on("close_weights", lambda: instrument.open_weights(None))
     window.on("quit", window.close)

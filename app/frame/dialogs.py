@@ -32,24 +32,25 @@ OPENERS: Mapping[str, tuple[str, str]] = {  # command -> title and kinds of file
 _SAVERS = {  # command -> title, kind of file and its suffix
     "save_alignment": ("Save alignment", "Alignments", ALIGNMENT),
     "save_session": ("Save session", "Sessions", SUFFIX),
+    "save_session_as": ("Save session as", "Sessions", SUFFIX),
     "save_picture": ("Save picture", "Pictures", ".png"),
 }
 
 
-def to_open(parent: QWidget, command: str) -> Path | None:
-    """Ask for what a command opens."""
+def to_open(parent: QWidget, command: str, folder: str = "") -> Path | None:
+    """Ask for what a command opens, beginning in `folder`."""
     title, kinds = OPENERS[command]
     if kinds:
-        chosen, _ = QFileDialog.getOpenFileName(parent, title, "", kinds)
+        chosen, _ = QFileDialog.getOpenFileName(parent, title, folder, kinds)
     else:
-        chosen = QFileDialog.getExistingDirectory(parent, title)
+        chosen = QFileDialog.getExistingDirectory(parent, title, folder)
     return Path(chosen) if chosen else None
 
 
-def to_save(parent: QWidget, command: str) -> Path | None:
+def to_save(parent: QWidget, command: str, folder: str = "") -> Path | None:
     """Ask where a command writes to; a name without a suffix gets one, and a session always its own."""
     title, kind, suffix = _SAVERS[command]
-    chosen, _ = QFileDialog.getSaveFileName(parent, title, "", f"{kind} (*{suffix})")
+    chosen, _ = QFileDialog.getSaveFileName(parent, title, folder, f"{kind} (*{suffix})")
     path = Path(chosen)
     if not chosen:
         return None
@@ -62,8 +63,8 @@ def in_another_unit(error: UnitProblem) -> str:
     return f"{error.size}; choose 'Open mesh…' and there '{_UNITS[error.fits]}': '{error.path}'"
 
 
-def mesh(parent: QWidget) -> tuple[Path, str] | None:
+def mesh(parent: QWidget, _command: str, folder: str = "") -> tuple[Path, str] | None:
     """Ask for an object mesh and the unit it is in, which no mesh file says."""
     kinds = {f"{text} ({' '.join('*' + s for s in MESHES)})": unit for unit, text in _UNITS.items()}
-    chosen, kind = QFileDialog.getOpenFileName(parent, "Open mesh", "", ";;".join(kinds))
+    chosen, kind = QFileDialog.getOpenFileName(parent, "Open mesh", folder, ";;".join(kinds))
     return (Path(chosen), kinds.get(kind, "auto")) if chosen else None

@@ -137,6 +137,11 @@ class Instrument(Documents):
         self.relay.close()
 
     @property
+    def closed(self) -> bool:
+        """Whether nothing is worked out any more."""
+        return self._closed
+
+    @property
     def idle(self) -> bool:
         """Whether everything asked for is on screen, or has failed."""
         busy = self.job.busy and self.job.newest != self._background

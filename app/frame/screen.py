@@ -55,7 +55,7 @@ class Screen:
     def show_opened(self, t: Translation, session: Session) -> None:
         """Another recording, or the same one between other sensors."""
         (old, self.opened), window = (self.opened, t), self._window
-        window.setWindowTitle(f"{t.request.recording.name} · {t.source.title} → {t.target.title} · Tactoscope")
+        window.setWindowTitle(f"{t.request.recording.name}[*] · {t.source.title} → {t.target.title} · Tactoscope")
         window.timeline.show_frames(t.n_frames)
         if old is None or old.stream is not t.stream:
             window.frames.known.show_frames(t.n_frames)

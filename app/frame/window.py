@@ -12,6 +12,7 @@ from PyQt6.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QMainWindow,
+    QMenu,
     QProgressBar,
     QPushButton,
     QSizePolicy,
@@ -72,6 +73,7 @@ class Window(QMainWindow):
         self._take_room()
         self.setAcceptDrops(True)
         self.setDockNestingEnabled(True)
+        self.may_close: Callable[[], bool] = lambda: True  # asked before the window goes
         titles = tuple(title for _, title in columns)
         self.actions_by_name: Mapping[str, QAction] = make_actions(
             self, FILE + EDIT + PLAY + VIEW + VERSUS + stage_commands(titles) + HELP
@@ -97,6 +99,23 @@ class Window(QMainWindow):
         screen = self.screen()
         self.resize(SIZE if screen is None else SIZE.boundedTo(screen.availableSize()))
 
+    def stay_on_screen(self) -> None:
+        """Come back from a screen that is gone or has become smaller."""
+        screen = self.screen()
+        if screen is None or self.isMaximized() or self.isFullScreen():
+            return
+        room, frame = screen.availableGeometry(), self.frameGeometry()
+        edges = frame.size() - self.size()
+        self.resize(self.size().boundedTo(room.size() - edges))
+        frame = self.frameGeometry()
+        left = min(max(frame.left(), room.left()), room.right() + 1 - frame.width())
+        top = min(max(frame.top(), room.top()), room.bottom() + 1 - frame.height())
+        self.move(max(left, room.left()), max(top, room.top()))
+
+    def add_strip(self, strip: QWidget) -> None:
+        """Give a strip its place over the stages."""
+        self._strips.addWidget(strip)
+
     def _build_centre(self) -> None:
         below = QWidget()
         under = spaced(QVBoxLayout(below), 1)
@@ -111,6 +130,8 @@ class Window(QMainWindow):
         self.rows = PictureRow(tuple(self.columns.values()), below)
         centre = QWidget()
         layout = spaced(QVBoxLayout(centre), 2, (2, 2, 2, 0))
+        self._strips = spaced(QVBoxLayout(), 2)
+        layout.addLayout(self._strips)
         layout.addWidget(self.banner)
         layout.addWidget(self.rows, 1)
         layout.addWidget(self.timeline)
@@ -132,6 +153,7 @@ class Window(QMainWindow):
     def _build_menus(self) -> None:
         bar = self.menuBar()
         assert bar is not None
+        self.menus: dict[str, QMenu] = {}
         for title, names in (
             ("&File", [c.name for c in FILE]),
             ("&Edit", [c.name for c in EDIT]),
@@ -141,6 +163,7 @@ class Window(QMainWindow):
         ):
             menu = bar.addMenu(title)
             assert menu is not None
+            self.menus[title.replace("&", "")] = menu
             for name in names:
                 if name in ("open_mesh", "save_session", "quit", "reset_all", "ten_back", "show_truth", "only_1"):
                     menu.addSeparator()
@@ -149,6 +172,10 @@ class Window(QMainWindow):
                 menu.addSeparator()
                 for drawer in self.drawers.all:
                     menu.addAction(drawer.toggleViewAction())
+
+    def add_menu(self, menu: str, below: QMenu, *, before: str) -> None:
+        """Give a menu of its own a place in one of the bar's, before a command."""
+        self.menus[menu].insertMenu(self.actions_by_name[before], below)
 
     def _build_tool_bar(self) -> None:
         bar = QToolBar("Commands", self)
@@ -252,7 +279,10 @@ class Window(QMainWindow):
             self.paths_dropped.emit(paths)
 
     def closeEvent(self, a0: QCloseEvent | None) -> None:  # noqa: N802
-        """Let the background come to rest first."""
+        """Ask where something would be lost, and let the background come to rest first."""
+        if a0 is not None and not self.may_close():
+            a0.ignore()
+            return
         self.closing.emit()
         super().closeEvent(a0)
 

@@ -15,6 +15,7 @@ from app.frame import dialogs
 from app.frame.grabbing import write_picture
 from app.frame.logs import log, sentence_and_details
 from app.frame.window import Window
+from app.session.contents import changed_since, contents
 from app.session.state import SUFFIX, Session, load_session, save_session
 from app.session.undo import SessionChange
 from pipeline.base.errors import TouchError
@@ -27,6 +28,8 @@ class Documents(QObject):
     def __init__(self, window: Window, session: Session) -> None:
         super().__init__(window)
         self.window, self.session, self.undo = window, session, QUndoStack(self)
+        self.saved = session  # as it was saved or opened last
+        self.session_file: Path | None = None  # where
 
     @abstractmethod
     def show_session(self, session: Session) -> None:
@@ -86,13 +89,20 @@ class Documents(QObject):
     def open_session(self, path: Path) -> None:
         """Replace everything by what a session file says."""
         with self._told():
-            self.push(load_session(path), "open session")
+            opened = load_session(path)
+            self.saved, self.session_file = opened, path
+            self.push(opened, "open session")
+            for sentence in changed_since(path, opened):
+                log.warning("%s", sentence)
+                self.window.banner.show_problem(sentence)
 
     def save_session(self, path: Path) -> None:
         """Write the session file."""
         with self._told():
-            save_session(self.session, path)
+            save_session(self.session, path, contents(self.session))
+            self.saved, self.session_file = self.session, path
             self.undo.setClean()
+            self.window.setWindowModified(False)
             log.info("session saved: '%s'", path)
 
     def save_picture(self, path: Path) -> None:

@@ -31,9 +31,9 @@ _FORMER_CHOICES = {  # parameters of version 1 that chose what is a method now
     ("project", "mode", "paper"): ("view", "paper"),
     ("pose", "method", "paper 2D"): ("pose", "paper_2d"),
 }
-_PATHS = ("recording", "reference", "calibration", "mesh", "alignment")
+PATHS = ("recording", "reference", "calibration", "mesh", "alignment")
 _WORDS = ("source", "target", "stream", "route", "mesh_unit")
-ASKED = (*_PATHS, *_WORDS, "depth_unit")  # what a session and a request share
+ASKED = (*PATHS, *_WORDS, "depth_unit")  # what a session and a request share
 _FRAMES_OF_OFFSETS = frozenset({"source", "target", "stream", "alignment"})  # another of these is another motion
 
 
@@ -90,11 +90,14 @@ class Session:
         return cast("DisplayParams", self.params.get(DISPLAY, DisplayParams()))
 
 
-def save_session(session: Session, path: Path) -> None:
-    """Write `session`, beside the old file first so that a crash leaves one of the two whole."""
+def save_session(session: Session, path: Path, contents: Mapping[str, str] | None = None) -> None:
+    """Write `session`, beside the old file first so that a crash leaves one of the two whole.
+
+    `contents` says what the files held that it names, see `app.session.contents`.
+    """
     data: dict[str, Any] = {"tactoscope session": _VERSION, "frame": session.frame, "linked": session.linked}
     data |= {name: getattr(session, name) for name in (*_WORDS, "depth_unit")}
-    for name in _PATHS:
+    for name in PATHS:
         value: Path | None = getattr(session, name)
         data[name] = None if value is None else _relative(value, path.parent)
     data["offsets"] = asdict(session.offsets)
@@ -103,6 +106,8 @@ def save_session(session: Session, path: Path) -> None:
     data["params"] = {
         key: {name: value for name, (value, _) in settings(params).items()} for key, params in session.params.items()
     }
+    if contents is not None:
+        data["contents"] = dict(contents)
     write_json(path, data, "the session")
 
 
@@ -129,7 +134,7 @@ def load_session(path: Path, catalogue: Catalogue = BUILT_IN) -> Session:
     if frame < 0:
         raise FileProblem(f"frame must not be negative, got {frame}", path, field="frame")
     return Session(
-        **{name: _path(known, name, path) for name in _PATHS},
+        **{name: _path(known, name, path) for name in PATHS},
         **words,
         depth_unit=unit,
         frame=frame,

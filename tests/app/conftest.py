@@ -66,6 +66,17 @@ def ball_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.fixture(autouse=True)
+def remembered_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """What the program remembers between two starts, of its own for every test."""
+    from PyQt6.QtCore import QSettings
+
+    folder = tmp_path / "remembered"
+    monkeypatch.setenv("XDG_STATE_HOME", str(folder))
+    QSettings.setPath(QSettings.Format.IniFormat, QSettings.Scope.UserScope, str(folder))
+    return folder
+
+
 @pytest.fixture
 def open_window(qtbot) -> Iterator[Callable[..., Instrument]]:
     """Opens windows without 3D unless asked, and closes them."""
@@ -74,7 +85,7 @@ def open_window(qtbot) -> Iterator[Callable[..., Instrument]]:
     def open_one(recording: Path | None = None, *, gl: bool = False, **session) -> Instrument:
         instrument = show_window(Session(recording=recording, **session), with_scene=gl)
         made.append(instrument)
-        qtbot.addWidget(instrument.window)
+        qtbot.addWidget(instrument.window, before_close_func=lambda _: instrument.close())  # asks about nothing then
         return instrument
 
     yield open_one

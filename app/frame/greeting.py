@@ -1,0 +1,44 @@
+"""The welcome page: over the empty stages until something is open."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import QObject
+
+from app.frame.instrument import Instrument
+from app.frame.keeping import Keeping
+from app.main import SAMPLE, SAMPLE_TOUCH
+from app.session.state import Session
+from widgets.welcome import Welcome
+
+_COMMANDS = ("open_sample", "open_recording", "open_folder")
+
+
+class Greeting(QObject):
+    """Between the page and the instrument."""
+
+    def __init__(self, instrument: Instrument, keeping: Keeping) -> None:
+        super().__init__(instrument)
+        self._instrument, self._keeping, window = instrument, keeping, instrument.window
+        centre = window.centralWidget()
+        assert centre is not None
+        actions = window.actions_by_name
+        self.page = Welcome(centre, window.rows, [actions[name] for name in _COMMANDS])
+        self.page.recent_chosen.connect(instrument.open_path)
+        self.page.hide()
+        actions["open_sample"].setEnabled(SAMPLE.exists())
+        window.on("open_sample", self.open_sample)
+        instrument.session_shown.connect(self.show_session)
+        self.show_session(instrument.session)
+
+    def open_sample(self) -> None:
+        """Open the recording that comes along, on its first touch."""
+        self._instrument.open_path(SAMPLE)
+        self._instrument.choose_frame(SAMPLE_TOUCH)
+
+    def show_session(self, session: Session) -> None:
+        """Show the page while nothing is open."""
+        empty = session.recording is None
+        if empty and self.page.isHidden():
+            self.page.show_recent(self._keeping.remembered.recent)
+            self.page.raise_()
+        self.page.setVisible(empty)

@@ -1,0 +1,71 @@
+"""What the program remembers between two starts, for all sessions: where windows were and what was opened last."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import cast
+
+from PyQt6.QtCore import QByteArray, QSettings
+
+_MOST_RECENT = 12
+_LAYOUT = 2  # counts up when docks or tool bars change their names, so that an old arrangement is not forced on them
+
+
+class Remembered:
+    """The program's own settings file; nothing scientific is in it."""
+
+    def __init__(self) -> None:
+        kind, scope = QSettings.Format.IniFormat, QSettings.Scope.UserScope
+        self._kept = QSettings(kind, scope, "Tactoscope", "Tactoscope")
+
+    @property
+    def recent(self) -> tuple[Path, ...]:
+        """What was opened, the latest first, as far as it is still there."""
+        said: object = self._kept.value("recent", [])
+        names = cast("Sequence[object]", [said] if isinstance(said, str) else said or [])
+        paths = [Path(name) for name in names if isinstance(name, str)]
+        return tuple(path for path in paths if _is_there(path))
+
+    def add_recent(self, path: Path) -> None:
+        """Put `path` first among the recent ones, and remember its folder."""
+        path = path.absolute()
+        others = [str(old) for old in self.recent if old != path]
+        self._kept.setValue("recent", [str(path), *others][:_MOST_RECENT])
+        self.folder = path.parent
+
+    def forget_recent(self) -> None:
+        """Empty the list."""
+        self._kept.remove("recent")
+
+    @property
+    def folder(self) -> Path | None:
+        """Where a file was chosen last; None if that is gone."""
+        path = Path(str(self._kept.value("folder", "")))
+        return path if path.name and _is_there(path) else None
+
+    @folder.setter
+    def folder(self, path: Path) -> None:
+        self._kept.setValue("folder", str(path))
+
+    @property
+    def place(self) -> tuple[QByteArray, QByteArray] | None:
+        """(geometry, arrangement) of the last window, as Qt tells them; None where there is none of this layout."""
+        geometry, state = (self._kept.value(f"window{_LAYOUT}/{key}") for key in ("geometry", "state"))
+        return (geometry, state) if isinstance(geometry, QByteArray) and isinstance(state, QByteArray) else None
+
+    @place.setter
+    def place(self, place: tuple[QByteArray, QByteArray]) -> None:
+        for key, value in zip(("geometry", "state"), place, strict=True):
+            self._kept.setValue(f"window{_LAYOUT}/{key}", value)
+
+    def write(self) -> None:
+        """Bring it to disk now."""
+        self._kept.sync()
+
+
+def _is_there(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:
+        return False

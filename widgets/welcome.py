@@ -1,0 +1,113 @@
+"""What an empty window shows: the sample, what was open lately, and that files can be dropped."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from PyQt6.QtCore import QEvent, QObject, QPoint, QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QAction
+from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QListWidget, QListWidgetItem, QToolButton, QVBoxLayout, QWidget
+
+from pipeline.base.text import plain
+from widgets.looks import bold, smaller, spaced
+
+_WIDTH_PX, _ROW_PX = 620, 24
+_PURPOSE = (
+    "See how one tactile sensor's touch becomes another's: every stage side by side, measured against the truth where "
+    "the recording knows it."
+)
+_DROP = (
+    "Drop a recording here: .h5 of ours, a folder of images, a video, depth arrays, .pt of touch2touch or gelslim_depth"
+)
+
+
+class Welcome(QWidget):
+    """Lies over `first` and all below it in its parent until something is open; `recent_chosen` says which file."""
+
+    recent_chosen = pyqtSignal(object)  # Path
+
+    def __init__(self, over: QWidget, first: QWidget, commands: Sequence[QAction]) -> None:
+        super().__init__(over)
+        self._first = first
+        self.setObjectName("welcome")
+        self.setAutoFillBackground(True)
+        title, purpose, drop = QLabel("Tactoscope"), QLabel(_PURPOSE), QLabel(_DROP)
+        bold(title)
+        smaller(title, -9.0)
+        for label in (purpose, drop):
+            label.setWordWrap(True)
+        drop.setFrameShape(QFrame.Shape.StyledPanel)
+        drop.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        drop.setMinimumHeight(72)
+        drop.setMargin(10)
+        row = spaced(QHBoxLayout(), 8)
+        self.buttons = [_button(command) for command in commands]
+        for button in self.buttons:
+            row.addWidget(button)
+        row.addStretch(1)
+        self._told = QLabel("Recent")
+        bold(self._told)
+        self.recent = QListWidget()
+        self.recent.setObjectName("recent")
+        self.recent.setAccessibleName("recent recordings")
+        self.recent.itemActivated.connect(self._chosen)
+        self.recent.itemClicked.connect(self._chosen)
+        self._sheet = QWidget()
+        self._sheet.setMaximumWidth(_WIDTH_PX)
+        column = spaced(QVBoxLayout(self._sheet), 12)
+        for widget in (title, purpose):
+            column.addWidget(widget)
+        column.addLayout(row)
+        for widget in (drop, self._told, self.recent):
+            column.addWidget(widget)
+        outer = QHBoxLayout(self)
+        outer.addStretch(1)
+        middle = QVBoxLayout()
+        middle.addStretch(1)
+        middle.addWidget(self._sheet)
+        middle.addStretch(2)
+        outer.addLayout(middle, 10)
+        outer.addStretch(1)
+        for widget in (over, first):
+            widget.installEventFilter(self)
+        self._cover()
+
+    def show_recent(self, paths: Sequence[Path]) -> None:
+        """What was open lately, the latest first."""
+        self.recent.clear()
+        for path in paths:
+            item = QListWidgetItem(f"{plain(path.name)}    {plain(str(path.parent))}")
+            item.setData(Qt.ItemDataRole.UserRole, path)
+            item.setToolTip(plain(str(path)))
+            item.setSizeHint(QSize(10, _ROW_PX))
+            self.recent.addItem(item)
+        for widget in (self._told, self.recent):
+            widget.setVisible(bool(paths))
+        self.recent.setFixedHeight(min(len(paths), 8) * _ROW_PX + 6)
+
+    def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
+        """Stay as large as what it lies over, and on top of it."""
+        if a1 is not None and a1.type() in (QEvent.Type.Resize, QEvent.Type.Move):
+            self._cover()
+        return super().eventFilter(a0, a1)
+
+    def _cover(self) -> None:
+        over = self.parentWidget()
+        if over is not None:
+            top = self._first.mapTo(over, QPoint(0, 0)).y()
+            self.setGeometry(0, top, over.width(), over.height() - top)
+            self.raise_()
+
+    def _chosen(self, item: QListWidgetItem) -> None:
+        self.recent_chosen.emit(item.data(Qt.ItemDataRole.UserRole))
+
+
+def _button(command: QAction) -> QToolButton:
+    button = QToolButton()
+    button.setDefaultAction(command)
+    button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
+    button.setIconSize(QSize(20, 20))
+    button.setMinimumHeight(34)
+    button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+    return button
