@@ -19,6 +19,8 @@ KINDS: dict[str, str] = {  # kind -> module:class; torch loads with the module
     "depth_anything": "pipeline.networks.depth_anything:DepthAnything",
     "residual_denoiser": "pipeline.networks.residual_denoiser:ResidualDenoiser",
     "gel_reading": "pipeline.networks.gel_reading:GelReading",
+    "touch_pose": "pipeline.networks.touch_pose:TouchPose",
+    "vqvae": "pipeline.networks.vqvae:VqVae",
 }
 _MOST_BYTES = 2 << 30  # of networks kept ready: a large one takes 1.3 GB
 _ready: Memo[str, nn.Module] = Memo(

@@ -6,24 +6,17 @@ either; halves become float32, which this processor computes a hundred times fas
 
 from __future__ import annotations
 
-import io
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, cast
 
-import numpy as np
-
-from pipeline.base.arrays import Floats
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import read_bytes
 from pipeline.base.params import Value
+from pipeline.networks.tensor_files import read_tensors
 from pipeline.networks.weights import SUFFIX, Weights, is_ours, load, load_tensors
 
 KIND = "depth_anything"
 _ENCODERS = {384: "vits", 768: "vitb", 1024: "vitl"}
 _CONTACT = "mask_head.mask_head.0.weight"
 _LAST = "depth_head.scratch.output_conv2.2.weight"
-_WRAPPED = ("model", "state_dict", "model_state_dict")  # keys that training scripts put the tensors under
 
 
 def read(path: Path) -> Weights:
@@ -33,7 +26,7 @@ def read(path: Path) -> Weights:
         if is_ours(metadata):
             return _checked(load(path), path)
     else:
-        tensors = _of_torch(path)
+        tensors = read_tensors(path)
     tensors = {name.removeprefix("module."): tensor for name, tensor in tensors.items()}
     if "pretrained.cls_token" not in tensors or _LAST not in tensors:
         raise FileProblem(
@@ -52,28 +45,3 @@ def _checked(weights: Weights, path: Path) -> Weights:
     if weights.kind != KIND:
         raise FileProblem(f"these are weights of {weights.kind!r}, not of Depth Anything V2", path)
     return weights
-
-
-def _of_torch(path: Path) -> dict[str, Floats]:
-    """Every tensor of a file of torch's, read without running any code."""
-    content = read_bytes(path, "the weights")
-    import torch
-
-    try:
-        held: Any = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
-    except Exception as error:  # torch's errors of a damaged file have no common root
-        raise FileProblem(
-            "the weights cannot be read: the file is cut short or damaged, no file of torch's, or holds code", path
-        ) from error
-    for key in _WRAPPED:
-        if isinstance(held, Mapping) and isinstance(held.get(key), Mapping):
-            held = held[key]
-    if not isinstance(held, Mapping):
-        raise FileProblem("the weights are no table of tensors by name", path)
-    tensors: dict[str, Floats] = {}
-    for name, tensor in cast("Mapping[Any, Any]", held).items():
-        if isinstance(tensor, torch.Tensor):
-            tensors[str(name)] = np.ascontiguousarray(tensor.float().numpy())
-    if not all(np.isfinite(tensor).all() for tensor in tensors.values()):
-        raise FileProblem("the weights hold values that are not numbers; fetch them anew", path)
-    return tensors

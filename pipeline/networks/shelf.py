@@ -11,7 +11,7 @@ from typing import Any
 
 from pipeline.base.errors import FileProblem
 from pipeline.base.memo import Memo
-from pipeline.networks import depth_anything_files
+from pipeline.networks import depth_anything_files, vqvae_files
 from pipeline.networks.weights import SUFFIX, NoWeights, Weights, load
 
 _SOURCE, _WHEEL = Path(__file__).parents[2] / "sample_data" / "weights", Path(__file__).parent / "shipped"
@@ -32,7 +32,7 @@ def shipped(name: str) -> Weights | NoWeights:
 
 def reader(kind: str) -> Callable[[Path], Weights]:
     """What reads files of weights for that kind of network; it raises FileProblem."""
-    return depth_anything_files.read if kind == depth_anything_files.KIND else load
+    return {depth_anything_files.KIND: depth_anything_files.read, vqvae_files.KIND: vqvae_files.read}.get(kind, load)
 
 
 def in_file(path: Path, read: Callable[[Path], Weights] = load) -> Weights | NoWeights:
@@ -48,9 +48,9 @@ def in_file(path: Path, read: Callable[[Path], Weights] = load) -> Weights | NoW
         return NoWeights(why=str(problem))
 
 
-def for_task(task: str, name: str, file: Path | None) -> Weights | NoWeights:
-    """The weights of a task of `pipeline.training`: in `file`, or else those that come along as `name`."""
-    found = shipped(name) if file is None else in_file(file)
+def for_task(task: str, name: str, file: Path | None, read: Callable[[Path], Weights] = load) -> Weights | NoWeights:
+    """The weights of a task of `pipeline.training`: in `file`, by `read`, or else those that come along as `name`."""
+    found = shipped(name) if file is None else in_file(file, read)
     if isinstance(found, Weights) and found.card.get("task") != task:
         other = found.card.get("task", "something else")
         return NoWeights(why=f"the weights {found.name!r} have learned {other}, not {task}; give others as --weights")

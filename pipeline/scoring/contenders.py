@@ -14,13 +14,10 @@ from pipeline.base.errors import SettingProblem
 from pipeline.engine.graph import Method
 from pipeline.networks.squares import change
 from pipeline.networks.weights import NoWeights
-from pipeline.physics import optics
 from pipeline.recordings import open_recording
 from pipeline.scoring.paper import MODELS
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.generate.stage import GenerateParams, without_contact
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
-from pipeline.values.results import TargetView, Touch
 
 RECORDED, UNTOUCHED, MEAN = "recorded", "untouched", "mean"
 _GIVEN = {
@@ -71,33 +68,6 @@ def field_of(
         contenders=tuple(c for c in made if not only or c.name in only),
         absent=tuple(why for why in absent if not only or why.split(":")[0].split()[-1] in only),
     )
-
-
-def touch_of(target: SensorSpec, changed: Floats) -> Touch:
-    """A change (rows, cols, channels) as a touch of the described unit, of which only the picture is known."""
-    shape = target.camera.shape
-    if target.kind == "gel":
-        grey = optics.untouched(target) + 255.0 * changed
-        image = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
-    else:
-        image = (target.rest_depth_mm - changed[..., 0]).astype(np.float32)
-    return Touch(
-        image=freeze(image), camera=target.camera, source_index=freeze(np.full(shape, -1, np.int32)),
-        known=freeze(np.ones(shape, np.bool_)),
-    )  # fmt: skip
-
-
-def nothing_of(target: SensorSpec) -> Touch:
-    """The target's untouched reading with its membrane at rest."""
-    shape = target.camera.shape
-    empty = TargetView(
-        depth_mm=freeze(np.full(shape, np.nan, np.float32)), contact=freeze(np.zeros(shape, np.bool_)),
-        indentation_mm=freeze(np.zeros(shape, np.float32)), camera=target.camera,
-        source_index=freeze(np.full(shape, -1, np.int32)), known=freeze(np.ones(shape, np.bool_)),
-    )  # fmt: skip
-    touch = without_contact(empty, target, GenerateParams())
-    assert touch is not None
-    return touch
 
 
 @lru_cache(maxsize=8)

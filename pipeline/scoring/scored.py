@@ -15,9 +15,11 @@ from pipeline.engine.graph import Graph, StageResult
 from pipeline.recordings import open_recording
 from pipeline.scoring import features
 from pipeline.scoring.compared import Recorded, generated, recorded
-from pipeline.scoring.contenders import MEAN, RECORDED, UNTOUCHED, Contender, mean_change, nothing_of, touch_of
+from pipeline.scoring.contenders import MEAN, RECORDED, UNTOUCHED, Contender, mean_change
 from pipeline.scoring.figures import TouchFigures, touch_figures
 from pipeline.scoring.held_out import Presses
+from pipeline.stages.generate.pictured import touch_of
+from pipeline.stages.generate.stage import at_rest
 from pipeline.translation.catalogue import default_params, with_setting
 from pipeline.translation.translate import Request, Translation, open_translation
 from pipeline.values.results import DepthMap, ObjectPose, TargetView, Touch
@@ -126,9 +128,9 @@ class _Touch:
         """What stands in place of the slots for those that need no source."""
         target = self._translation.target
         if contender.name == UNTOUCHED:
-            return {"touch": nothing_of(target)}
+            return {"touch": at_rest(target)}
         if contender.name == MEAN:
-            return {"touch": touch_of(target, self._mean)} if self._mean is not None else {"touch": nothing_of(target)}
+            return {"touch": touch_of(target, self._mean)} if self._mean is not None else {"touch": at_rest(target)}
         if contender.name == RECORDED:
             own = self._translation.recording.stream_of_sensor(target.name)
             assert own is not None

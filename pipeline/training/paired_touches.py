@@ -2,7 +2,7 @@
 
 Units differ from press to press as those of a lab do, readings have their cameras' noise; what a gel felt is pictured
 by the described unit as well, which is the one that touches are generated for. A press depends on a number alone and
-takes a fifth of a second, so that it is kept where a folder is given.
+takes a sixth of a second, so that it is kept where a folder is given.
 """
 
 from __future__ import annotations
@@ -29,11 +29,13 @@ from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
 from pipeline.simulation.press import photograph, press
 from pipeline.simulation.random_bodies import body
 
-VERSION = 2  # counts up when the same number would give another touch
+VERSION = 3  # counts up when the same number would give another touch
 Things = Literal["learned", "unseen_grasps", "unseen_tools", "own"]
 _KINDS: tuple[Things, ...] = ("learned", "unseen_grasps", "unseen_tools", "own")
 _CATALOGUE = 0.6  # share of training objects among what is learned; the others are random bodies
 _STEPS = 2.0 * 255.0  # of a kept picture: half a grey
+_COARSER = 3  # times a picture's pixels that a gel's contact is worked out at: still finer than a square's
+_MOST_KEPT = 4096  # touches in a worker's memory, a quarter of a megabyte each
 _MOST_EMPTY = 100  # presses in a row that one of the two does not feel
 
 
@@ -80,16 +82,18 @@ def _pressed(things: Things, seed: int, number: int) -> PairedTouch:
     squares: list[Floats] = []
     for unit in units:
         seeds = [int(s) for s in rng.integers(1 << 31, size=2)]
-        touched = press(thing, pose, unit, seed=seeds[0])
-        moved, contact = touched.truth.indentation_mm, touched.truth.contact
+        looked_at = unit if unit.kind == "bubble" else unit.seen_through(unit.camera.scaled(1.0 / _COARSER))
+        truth = press(thing, pose, looked_at, seed=None)
+        moved, contact = truth.truth.indentation_mm, truth.truth.contact
         assert moved is not None
         assert contact is not None
-        felt &= touched.converged and bool(contact.any())
-        squares.append(square(change(unit.kind, touched.image, _untouched(unit, seeds[1]))))
-        if unit.kind == "gel":
-            image = photograph(own, moved, own.rest_depth_mm - moved, seeds[0])
-            squares.append(square(change("gel", image, _untouched(own, seeds[1]))))
-        else:
+        felt &= truth.converged and bool(contact.any())
+        moved = _sized(moved, unit.camera.shape)
+        for pictured in (unit, own) if unit.kind == "gel" else (unit,):
+            image = photograph(pictured, moved, pictured.rest_depth_mm - moved, seeds[0])
+            untouched = photograph(pictured, np.zeros_like(moved), pictured.rest_depth_mm, seeds[1])
+            squares.append(square(change(pictured.kind, image, untouched)))
+        if unit.kind == "bubble":
             squares.append(square(moved[..., None]))
     if not felt:
         squares = [np.zeros_like(s) for s in squares]
@@ -99,8 +103,12 @@ def _pressed(things: Things, seed: int, number: int) -> PairedTouch:
     )  # fmt: skip
 
 
-def _untouched(unit: SensorSpec, seed: int) -> Any:
-    return photograph(unit, np.zeros(unit.camera.shape, np.float32), unit.rest_depth_mm, seed)
+def _sized(field: Floats, shape: tuple[int, int]) -> Floats:
+    import cv2
+
+    if field.shape == shape:
+        return field
+    return np.asarray(cv2.resize(field, shape[::-1], interpolation=cv2.INTER_CUBIC), np.float32)
 
 
 @lru_cache(maxsize=1)
@@ -152,14 +160,17 @@ def _keep(path: Path, found: PairedTouch) -> None:
 
 def _kept(path: Path) -> PairedTouch | None:
     try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as data:
-            gel, own, bubble, exact, pose, thing = (
-                data[key] for key in ("gel", "own", "bubble", "exact", "pose", "thing")
-            )
+        gel, own, bubble, exact, pose, thing = _packed(path)
     except (OSError, ValueError, KeyError, zipfile.BadZipFile):
         return None  # not there yet, or cut short: it is pressed again
-    bubble, exact = (freeze(a.astype(np.float32)) for a in (bubble, exact))
     return PairedTouch(
-        gel=_seen(gel), own_gel=_seen(own), bubble_mm=bubble, exact_mm=exact, alignment_from_object=freeze(pose),
-        thing=str(thing),
+        gel=_seen(gel), own_gel=_seen(own), bubble_mm=freeze(bubble.astype(np.float32)),
+        exact_mm=freeze(exact.astype(np.float32)), alignment_from_object=freeze(pose), thing=str(thing),
     )  # fmt: skip
+
+
+@lru_cache(maxsize=_MOST_KEPT)
+def _packed(path: Path) -> tuple[NDArray[Any], ...]:
+    """The arrays of a file, kept small in memory: every touch is drawn many times."""
+    with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as data:
+        return tuple(data[key] for key in ("gel", "own", "bubble", "exact", "pose", "thing"))

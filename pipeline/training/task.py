@@ -61,6 +61,8 @@ class Entry:
 TASKS: dict[str, Entry] = {
     "gel_depth": Entry(what="depth", where="pipeline.training.gel_depth:GelDepth"),
     "depth_anything": Entry(what="depth", where="pipeline.training.depth_anything:DepthAnythingTask"),
+    "vqvae": Entry(what="vqvae", where="pipeline.training.vqvae:VqVaeTask"),
+    "touch_pose": Entry(what="pose", where="pipeline.training.touch_pose:TouchPoseTask"),
     "bubble_reading": Entry(what="depth", where="pipeline.training.bubble_reading:BubbleReading"),
     "residual_of_view": Entry(what="t2d2", where="pipeline.training.residual:ResidualOfView"),
     "touch_to_touch": Entry(what="t2t", where="pipeline.training.touch_to_touch:TouchToTouch"),

@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.base.errors import SettingProblem
 from pipeline.base.params import NoParams
 from pipeline.base.progress import SILENT, Progress
+from pipeline.engine.graph import Instead
 from pipeline.physics import optics
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import stage as depth
@@ -21,14 +21,18 @@ from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap, Touch
 
 NO_CONTACT = "no contact: the target's membrane is at rest"
+NO_MEMBRANE = "the generated touch is a picture without a membrane: it is read as a recording of the target"
 
 
-def membrane(touch: Touch, target: SensorSpec, params: NoParams, progress: Progress = SILENT) -> DepthMap:  # noqa: ARG001 - a method's arguments
-    """The membrane that the touch was made with; raises SettingProblem where its method knows only the picture."""
+def membrane(
+    touch: Touch,
+    target: SensorSpec,
+    params: NoParams,  # noqa: ARG001 - a method's arguments
+    progress: Progress = SILENT,
+) -> DepthMap | Instead:
+    """The membrane that the touch was made with; where its method knows only the picture, that is read."""
     if touch.membrane is None:
-        raise SettingProblem(
-            "the generated touch is a picture without a membrane; choose the method 'reading' for the slot 'felt'"
-        )
+        return Instead(answer=reading(touch, target, DepthParams(), progress), why=NO_MEMBRANE)
     return replace(touch.membrane, known=touch.known)
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from pipeline.base.params import NoParams
 from pipeline.engine.graph import Method, unless
 from pipeline.evaluation.metrics import picture_figures
 from pipeline.pictures.layers import Layer, reading_layer, surface_layer
 from pipeline.pictures.picture import Picture, of_reading
 from pipeline.stages import known_truth
 from pipeline.stages.follow import element_of
-from pipeline.stages.generate import picture_to_touch, stage, view_to_touch
+from pipeline.stages.generate import picture_to_touch, stage, view_to_touch, vqvae
 from pipeline.stages.generate.diffusion import DiffusionParams
 from pipeline.stages.learned import learned
 from pipeline.stages.slot import Facts, Mark, Seen, Slot
@@ -45,6 +46,16 @@ T2T = Method(
     params=DiffusionParams,
     reads=(*picture_to_touch.READS, "touch_weights"),
     weights=picture_to_touch.weights,
+)
+VQVAE = Method(
+    slot="touch",
+    name="vqvae",
+    title="VQ-VAE, the paper's baseline",
+    help="picture to picture at 128 x 128 through a codebook; needs no depth and no alignment",
+    run=learned(vqvae.generate, instead=picture_to_touch.BY_PHYSICS),
+    params=NoParams,
+    reads=(*picture_to_touch.READS, "touch_weights"),
+    weights=vqvae.weights,
 )
 
 
@@ -89,7 +100,7 @@ SLOT = Slot(
     title="Generated touch",
     legend="target's membrane",
     place="target",
-    methods=(PHYSICS, T2D2, T2T),
+    methods=(PHYSICS, T2D2, T2T, VQVAE),
     picture=_picture,
     layers=_layers,
     follow=_follow,

@@ -17,7 +17,8 @@ from pipeline.pictures.layers import Layer, cloud_layer, membrane_layer, object_
 from pipeline.pictures.picture import Picture, outline, pixel_mm, positions
 from pipeline.stages import known_truth
 from pipeline.stages.follow import element_of, triple
-from pipeline.stages.pose import stage
+from pipeline.stages.learned import learned
+from pipeline.stages.pose import network, stage
 from pipeline.stages.slot import Facts, Mark, Seen, Slot
 from pipeline.values.results import DepthMap, ObjectPose
 
@@ -53,6 +54,16 @@ ICP = Method(
     run=unless(stage.without_contact, stage.icp),
     params=stage.PoseParams,
     reads=("felt", "mesh"),
+)
+NETWORK = Method(
+    slot="pose",
+    name="network",
+    title="Network",
+    help="the paper's tactile metric: shift and turn of objects that it was taught, from the touch's picture",
+    run=learned(network.pose, instead=network.REGISTRATION),
+    params=stage.PoseParams,
+    reads=(*network.READS, "pose_weights"),
+    weights=network.weights,
 )
 
 
@@ -124,7 +135,7 @@ SLOT = Slot(
     title="Object pose",
     legend="registered points, object, target at rest",
     place="target",
-    methods=(SIGNED_DISTANCES, PAPER_2D, ICP),
+    methods=(SIGNED_DISTANCES, PAPER_2D, ICP, NETWORK),
     picture=_picture,
     layers=_layers,
     follow=_follow,

@@ -1,0 +1,30 @@
+"""Published and own weights of the VQ-VAE: told apart by the names and shapes of their tensors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pipeline.base.errors import FileProblem
+from pipeline.base.params import Value
+from pipeline.networks.tensor_files import read_tensors
+from pipeline.networks.weights import SUFFIX, Weights, is_ours, load, load_tensors
+
+KIND = TASK = "vqvae"
+_FIRST, _LAST, _CODES = "encoder.0.weight", "decoder.5.weight", "codebook.embedding.weight"
+
+
+def read(path: Path) -> Weights:
+    """Ours, or a state of the released `VQ-VAE-small`; raises FileProblem where it is neither."""
+    if path.suffix == SUFFIX and is_ours(load_tensors(path)[0]):
+        return load(path)
+    tensors = {name.removeprefix("module."): tensor for name, tensor in read_tensors(path).items()}
+    if not {_FIRST, _LAST, _CODES} <= tensors.keys():
+        raise FileProblem(
+            f"these are no weights of the paper's VQ-VAE under their original names ({_FIRST}, {_CODES}, {_LAST})", path
+        )
+    codes, width = tensors[_CODES].shape
+    config: dict[str, Value] = {
+        "inputs": tensors[_FIRST].shape[1], "outputs": tensors[_LAST].shape[1], "width": width, "codes": codes,
+        "half_turn": True,
+    }  # fmt: skip
+    return Weights(name=path.stem, kind=KIND, config=config, tensors=tensors, card={"task": TASK, "file": path.name})

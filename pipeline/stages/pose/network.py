@@ -1,0 +1,104 @@
+"""Pose by a network that has learned objects by a sensor's own touches: the paper's tactile metric.
+
+It knows where the objects lie that it was taught, in the plane: their shift and turn. What a plane does not tell is
+taken from the touch: the object stands level on the nearest point that was felt.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles, Floats, Indices, freeze
+from pipeline.base.progress import SILENT, Progress
+from pipeline.engine.graph import Method, Skipped
+from pipeline.geometry import rigid
+from pipeline.geometry.meshes import Mesh
+from pipeline.networks import shelf
+from pipeline.networks.squares import change, normal, square
+from pipeline.networks.weights import NoWeights, Weights
+from pipeline.physics import optics
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.pose import stage
+from pipeline.stages.pose.stage import PoseParams
+from pipeline.values.results import DepthMap, ObjectPose, Touch
+
+if TYPE_CHECKING:
+    from torch import nn
+
+READS = ("touch", "felt", "target", "mesh")
+NOTE = "by network: shift and turn in the plane of an object that it was taught; level, and as high as was felt"
+
+
+def weights(_source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:
+    """The network that reads touches of this target."""
+    return shelf.for_task("touch_pose", f"pose_{target.name}", file)
+
+
+def pose(
+    touch: Touch,
+    felt: DepthMap,
+    target: SensorSpec,
+    mesh: Mesh | None,
+    network: nn.Module,
+    params: PoseParams,
+    progress: Progress = SILENT,
+) -> ObjectPose | Skipped:
+    """sensor_from_object (4, 4) in mm of the object whose mesh is given, as its network tells it from the picture."""
+    nothing = stage.without_contact(felt, mesh, params)
+    if nothing is not None or mesh is None:
+        assert nothing is not None
+        return Skipped(output=nothing, why=nothing.notes[0])
+    untouched = optics.untouched(target) if target.kind == "gel" else target.rest_depth_mm
+    shown = normal(square(change(target.kind, touch.image, untouched)), target.kind)
+    x, y, turn = _told(network, shown)
+    level = rigid.translation(x, y, 0.0) @ rigid.rotation((0.0, 0.0, turn))
+    at = rigid.invert(target.alignment_from_sensor) @ level
+    points, pixel = _felt_points(felt, params)
+    nearest = float(points[:, 2].min()) - float(rigid.apply(at, mesh.vertices_mm)[:, 2].min())
+    progress.step(1.0, "told")
+    return ObjectPose(
+        sensor_from_object=freeze(rigid.translation(0.0, 0.0, nearest) @ at), covariance=None, observable=None, weak=(),
+        rmse_mm=math.nan, fitness=0.0, scene_mm=points, source_index=pixel, notes=(NOTE,),
+    )  # fmt: skip
+
+
+def _told(network: nn.Module, shown: Floats) -> tuple[float, float, float]:
+    """(x mm, y mm, turn rad) of the object's origin in the alignment frame."""
+    import torch
+
+    with torch.inference_mode():
+        told = network(torch.from_numpy(np.array(shown)[None]))
+    (x, y), (cosine, sine) = told.shift_mm[0].tolist(), told.heading[0].tolist()
+    return x, y, math.atan2(sine, cosine)
+
+
+def _felt_points(felt: DepthMap, params: PoseParams) -> tuple[Floats, Indices]:
+    """Contact points (n, 3) in mm and their pixels, `max_points` at most."""
+    usable = np.flatnonzero(felt.contact & np.isfinite(felt.depth_mm)).astype(np.int32)
+    chosen = usable[:: max(1, math.ceil(len(usable) / params.max_points))]
+    points: Doubles = felt.camera.back_project(felt.depth_mm).reshape(-1, 3)[chosen]
+    return freeze(points.astype(np.float32)), freeze(chosen)
+
+
+def _registered(
+    touch: Touch,  # noqa: ARG001 - what the network in whose place it stands reads
+    felt: DepthMap,
+    target: SensorSpec,  # noqa: ARG001 - as above
+    mesh: Mesh | None,
+    params: PoseParams,
+    progress: Progress = SILENT,
+) -> ObjectPose | Skipped:
+    nothing = stage.without_contact(felt, mesh, params)
+    if nothing is not None:
+        return Skipped(output=nothing, why=nothing.notes[0])
+    return stage.pose(felt, mesh, params, progress)
+
+
+REGISTRATION = Method(
+    slot="pose", name="registration_of_touch", title="Signed distances", run=_registered, params=PoseParams, reads=READS
+)
+"""In place of a network for which there are no weights; it is no entry of the catalogue."""

@@ -1,0 +1,85 @@
+"""To take one sensor's change for another's by a VQ-VAE: the paper's baseline."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from pipeline.base.params import setting
+from pipeline.networks.squares import Kind, measured, normal
+from pipeline.training.paired_touches import PairedTouch, paired_touch
+
+if TYPE_CHECKING:
+    from torch import Tensor, nn
+
+    from pipeline.training.task import Example, Split
+
+Direction = Literal["gel_to_bubble", "bubble_to_gel"]
+_HELD_OUT_SEED = 7
+_TOUCHED = 0.05  # of the largest change: where a touch shows
+_UNITS: dict[Kind, tuple[str, float]] = {"gel": ("grey", 255.0), "bubble": ("mm", 1.0)}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VqVaeTask:
+    """How examples are made, and what counts for how much."""
+
+    direction: Direction = setting("gel_to_bubble", "Direction", choices=Direction)
+    presses: int = setting(2000, "Presses", low=1, high=10_000_000, help="that all examples are drawn from")
+    press_seed: int = setting(1, "Seed of the presses", low=0, high=2**31 - 1)
+    folder: str = setting("", "Folder", help="keeps the presses for other runs; empty = worked out each time")
+    mirrored: float = setting(
+        0.0, "Share of mirrored touches", low=0.0, high=1.0, help="as the paper's; a mirrored gel has mirrored lamps"
+    )
+    codebook: float = setting(1.0, "Weight of the codebook", low=0.0, high=100.0)
+    commitment: float = setting(0.25, "Weight of the encoder's keeping to it", low=0.0, high=100.0)
+
+    def sample(self, rng: np.random.Generator) -> Example:
+        """A pair of normalised squares; mirrored together."""
+        touch = paired_touch("learned", self.press_seed, int(rng.integers(self.presses)), self.folder)
+        one = self._example(touch)
+        for axis in (-1, -2):
+            if rng.random() < self.mirrored / 2:
+                one = {name: np.ascontiguousarray(np.flip(a, axis)) for name, a in one.items()}
+        return one
+
+    def held_out(self, split: Split, index: int) -> Example:
+        """A pair of a training object as it was never held, or of a tool that is never learned from."""
+        return self._example(paired_touch(split, _HELD_OUT_SEED, index, self.folder))
+
+    def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
+        """Mean squares: of what comes out, of codes from the encoder, and of the encoder from its codes."""
+        from torch.nn import functional
+
+        found = network(batch["source"])
+        made = functional.mse_loss(found.made, batch["target"])
+        codebook = functional.mse_loss(found.quantised, found.encoded.detach())
+        commitment = functional.mse_loss(found.encoded, found.quantised.detach())
+        loss = made + self.codebook * codebook + self.commitment * commitment
+        return loss, {"made": made.detach(), "codebook": codebook.detach()}
+
+    def figures(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
+        """Mean absolute error over all, and where the touch shows."""
+        import torch
+
+        kind: Kind = "bubble" if self.direction == "gel_to_bubble" else "gel"
+        unit, times = _UNITS[kind]
+        rows: list[tuple[float, float]] = []
+        for one in held_out:
+            with torch.inference_mode():
+                made = network(torch.from_numpy(np.array(one["source"]))[None]).made[0].numpy()
+            truth = measured(one["target"], kind)
+            off, size = np.abs(measured(made, kind) - truth), np.abs(truth)
+            rows.append((times * float(off.mean()), times * float(off[size > _TOUCHED * size.max()].mean())))
+        return dict(
+            zip((f"error, {unit}", f"error where touched, {unit}"), np.mean(rows, axis=0).tolist(), strict=True)
+        )
+
+    def _example(self, touch: PairedTouch) -> Example:
+        """The source as any unit records it, the target as the described unit does; a bubble's without noise."""
+        if self.direction == "gel_to_bubble":
+            return {"source": normal(touch.gel, "gel"), "target": normal(touch.exact_mm, "bubble")}
+        return {"source": normal(touch.bubble_mm, "bubble"), "target": normal(touch.own_gel, "gel")}

@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from pipeline.base.errors import FileProblem
+from pipeline.networks import shelf, vqvae_files
+from pipeline.networks.building import build, network
+from pipeline.networks.vqvae import VqVae
+from pipeline.networks.weights import NoWeights
+
+SMALL = {"inputs": 3, "outputs": 1, "width": 8, "codes": 16}
+
+
+def small(seed=0, **other):
+    torch.manual_seed(seed)
+    return VqVae(**{**SMALL, **other})
+
+
+def test_the_papers_width_has_the_released_names_and_shapes():
+    with torch.device("meta"):
+        shapes = {name: tuple(t.shape) for name, t in VqVae().state_dict().items()}
+    assert shapes["encoder.0.weight"] == (256, 3, 4, 4)
+    assert shapes["encoder.2.weight"] == (256, 256, 4, 4)
+    assert shapes["encoder.4.block.3.weight"] == (256, 256, 1, 1)
+    assert shapes["codebook.embedding.weight"] == (16_385, 256)
+    assert shapes["decoder.1.block.1.bias"] == (256,)
+    assert shapes["decoder.3.weight"] == (256, 256, 4, 4)
+    assert shapes["decoder.5.weight"] == (256, 1, 4, 4)
+    assert len(shapes) == 25
+
+
+def test_a_residual_block_adds_to_what_its_first_activation_leaves():
+    """The released blocks work in place: their first ReLU changes what the sum adds to."""
+    block = small().encoder[3]
+    field = torch.randn(1, 8, 6, 6)
+    inner = block.block(field)
+    assert torch.allclose(block(field), torch.relu(field) + inner, atol=1e-6)
+
+
+def test_every_place_becomes_its_nearest_code_and_gradients_pass_by():
+    net = small().train()
+    net.codebook.embedding.weight.data.normal_()
+    x = torch.randn(2, 3, 16, 16, requires_grad=True)
+    found = net(x)
+    gaps = (found.encoded[:, :, None] - net.codebook.embedding.weight.T[None, :, :, None, None]).pow(2).sum(1)
+    told = net.codebook.embedding.weight[gaps.argmin(1)].permute(0, 3, 1, 2)
+    assert torch.allclose(found.quantised, told)
+    found.made.sum().backward()
+    assert x.grad.abs().sum() > 0
+
+
+def test_a_new_codebook_begins_at_what_the_encoder_says_and_a_taught_one_stays():
+    net = small().train()
+    x = torch.randn(4, 3, 32, 32)
+    found = net(x)
+    assert len(torch.unique(net.codebook.nearest(found.encoded.permute(0, 2, 3, 1).reshape(-1, 8)))) > 4
+    before = net.codebook.embedding.weight.detach().clone()
+    net(x)
+    assert torch.equal(net.codebook.embedding.weight.detach(), before)
+
+
+def test_a_state_of_the_released_network_is_known_by_its_tensors(tmp_path):
+    net = small(codes=33)
+    torch.save(net.state_dict(), tmp_path / "best.pt")
+    found = vqvae_files.read(tmp_path / "best.pt")
+    assert dict(found.config) == {"inputs": 3, "outputs": 1, "width": 8, "codes": 33, "half_turn": True}
+    x = torch.randn(1, 3, 16, 16)
+    assert torch.allclose(network(found)(x).made, net.eval()(x).made, atol=1e-6)
+
+
+def test_something_else_is_no_vqvae(tmp_path):
+    torch.save({"weight": torch.zeros(3)}, tmp_path / "other.pt")
+    with pytest.raises(FileProblem, match=r"encoder\.0\.weight"):
+        vqvae_files.read(tmp_path / "other.pt")
+    assert isinstance(shelf.in_file(tmp_path / "other.pt", vqvae_files.read), NoWeights)
+
+
+@pytest.mark.slow
+def test_the_papers_width_learns_a_few_steps():
+    torch.manual_seed(1)
+    net = build("vqvae", {"inputs": 3, "outputs": 1}).train()
+    optimiser = torch.optim.Adam(net.parameters(), 2e-4)
+    x = torch.randn(1, 3, 128, 128)
+    target = x.mean(1, keepdim=True)
+    losses = []
+    for _ in range(4):
+        found = net(x)
+        loss = (found.made - target).pow(2).mean() + (found.quantised - found.encoded.detach()).pow(2).mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        losses.append(float(loss))
+    assert losses[-1] < losses[0]
+    assert np.isfinite(losses).all()

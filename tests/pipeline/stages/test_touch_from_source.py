@@ -1,0 +1,137 @@
+"""Methods that make a touch of the source's reading itself, and what stands in their place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from pipeline.engine.graph import Graph
+from pipeline.networks.building import build
+from pipeline.networks.weights import NoWeights, Weights
+from pipeline.physics import optics
+from pipeline.sensors import alignment
+from pipeline.sensors.spec import sensor
+from pipeline.stages.feel.stage import NO_MEMBRANE
+from pipeline.stages.generate import vqvae
+from pipeline.stages.generate.pictured import touch_of
+from pipeline.stages.generate.stage import at_rest
+from pipeline.stages.pose import network as pose_network
+from pipeline.translation.catalogue import BUILT_IN
+from pipeline.values.frames import TactileFrame
+
+GEL, BUBBLE = sensor("gelslim"), sensor("soft_bubble")
+
+
+def weights_of(kind, task, **config):
+    torch.manual_seed(0)
+    net = build(kind, config)
+    if kind == "touch_pose":
+        with torch.no_grad():
+            net.pose.weight.zero_()
+            net.pose.bias.copy_(torch.tensor([0.4, -0.2, 1.0, 0.0]))
+    tensors = {name: tensor.numpy() for name, tensor in net.state_dict().items()}
+    return Weights(name="test", kind=kind, config=config, tensors=tensors, card={"task": task})
+
+
+@pytest.fixture(scope="module")
+def touched():
+    y, x = np.mgrid[: GEL.camera.rows, : GEL.camera.cols] * GEL.pixel_mm
+    dent = np.maximum(0.6 - ((x - 9.0) ** 2 + (y - 7.0) ** 2) / 12.0, 0.0).astype(np.float32)
+    image = optics.render(GEL, dent, seed=1)
+    return TactileFrame(sensor="gelslim", image=image, reference=optics.untouched(GEL))
+
+
+def inputs(frame, **more):
+    return {
+        "frame": frame, "source": GEL, "target": BUBBLE, "calibration": None, "mesh": None, "previous": None,
+        "alignment": alignment.between(GEL, BUBBLE), **more,
+    }  # fmt: skip
+
+
+def run(frame, weights, slot="touch"):
+    graph = Graph(BUILT_IN.methods("t2d2", {"touch": "vqvae"}))
+    return graph.evaluate([slot], inputs(frame, touch_weights=weights), {})
+
+
+def test_a_picture_is_made_of_the_picture_alone_and_felt_by_reading_it(touched):
+    found = run(touched, weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8), "felt")
+    assert list(found) == ["touch", "felt"]  # no depth, no cloud, no view
+    touch = found["touch"].output
+    assert touch.image.shape == BUBBLE.camera.shape
+    assert touch.membrane is None
+    assert found["felt"].instead == NO_MEMBRANE
+
+
+def test_without_weights_the_physical_chain_answers_and_says_so(touched):
+    found = run(touched, NoWeights(why="none come along"))["touch"]
+    assert "none come along; physical render answers instead" in found.notes[0]
+    assert found.output.membrane.contact.any()
+    direct = Graph(BUILT_IN.methods("t2d2", {})).evaluate(["touch"], inputs(touched), {})["touch"].output
+    assert np.array_equal(found.output.image, direct.image)
+
+
+def test_an_untouched_frame_costs_no_look_of_the_network(touched, monkeypatch):
+    still = replace(touched, image=touched.reference)
+    weights = weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8)
+    monkeypatch.setattr(vqvae, "_answer", lambda *_: pytest.fail("the network was asked"))
+    found = run(still, weights)["touch"]
+    assert found.state == "skipped"
+    assert np.array_equal(found.output.image, at_rest(BUBBLE).image)
+
+
+def test_weights_of_another_direction_are_refused_in_words(tmp_path):
+    from pipeline.networks.weights import save
+
+    file = tmp_path / "other.safetensors"
+    save(file, weights_of("vqvae", "vqvae", inputs=1, outputs=3, width=4, codes=8))
+    found = vqvae.weights(GEL, BUBBLE, file)
+    assert isinstance(found, NoWeights)
+    assert "do not take a gel's change for a bubble's" in found.why
+    assert isinstance(vqvae.weights(BUBBLE, GEL, file), Weights)
+
+
+def test_half_a_turn_turns_the_answer(touched):
+    plain, turned = (
+        run(touched, weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8, half_turn=turn))[
+            "touch"
+        ].output
+        for turn in (False, True)
+    )
+    made = [BUBBLE.rest_depth_mm - touch.image for touch in (plain, turned)]
+    assert np.allclose(made[0][::-1, ::-1], made[1], atol=0.05)
+
+
+def test_a_change_is_laid_onto_the_untouched_reading():
+    change = np.zeros((*GEL.camera.shape, 3), np.float32)
+    change[10, 20] = (0.1, -0.1, 2.0)
+    image = touch_of(GEL, change).image
+    rest = optics.untouched(GEL)
+    changed = (image != rest).any(axis=2)
+    assert np.argwhere(changed).tolist() == [[10, 20]]
+    assert image[10, 20, 2] == 255
+    assert abs(int(image[10, 20, 0]) - int(rest[10, 20, 0]) - 25.5) <= 1
+
+
+def test_a_pose_by_network_is_the_told_one_on_the_felt_surface(touched):
+    from pipeline.geometry import rigid
+    from pipeline.simulation import shapes
+
+    mesh = shapes.shape("star").mesh
+    weights = weights_of("touch_pose", "touch_pose", inputs=1, things=2, first=4)
+    graph = Graph(BUILT_IN.methods("t2d2", {"pose": "network"}))
+    found = graph.evaluate(["pose"], inputs(touched, mesh=mesh, pose_weights=weights), {})
+    pose, felt = found["pose"].output, found["felt"].output
+    placed = BUBBLE.alignment_from_sensor @ pose.sensor_from_object
+    assert np.allclose(placed[:2, 3], (2.0, -1.0), atol=1e-5)
+    lowest = rigid.apply(pose.sensor_from_object, mesh.vertices_mm)[:, 2].min()
+    assert lowest == pytest.approx(float(felt.depth_mm[felt.contact].min()), abs=0.01)
+    assert pose.notes == (pose_network.NOTE,)
+
+
+def test_a_pose_by_network_without_weights_is_registered(touched):
+    graph = Graph(BUILT_IN.methods("t2d2", {"pose": "network"}))
+    given = inputs(touched, mesh=None, pose_weights=NoWeights(why="none come along"))
+    assert "signed distances answers instead" in graph.evaluate(["pose"], given, {})["pose"].notes[0]

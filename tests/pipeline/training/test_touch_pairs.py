@@ -1,0 +1,133 @@
+"""Pairs of touches, and the tasks that learn from them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from pipeline.networks.building import build
+from pipeline.training import paired_touches, recipe
+from pipeline.training.loop import tensors
+from pipeline.training.paired_touches import paired_touch, thing_names
+from pipeline.training.touch_pose import TouchPoseTask, fold_of, turn_cost
+from pipeline.training.vqvae import VqVaeTask
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return str(tmp_path_factory.mktemp("pairs"))
+
+
+def test_a_kept_touch_is_the_one_that_was_pressed(folder):
+    pressed = paired_touch("own", 3, 0)
+    first, again = paired_touch("own", 3, 0, folder), paired_touch("own", 3, 0, folder)
+    for one in (first, again):
+        assert all(
+            np.array_equal(getattr(one, name), getattr(pressed, name))
+            for name in ("gel", "own_gel", "bubble_mm", "exact_mm", "alignment_from_object")
+        )
+    assert pressed.thing in thing_names()
+    assert pressed.gel.shape == (3, 128, 128)
+    assert pressed.exact_mm.max() > 1.0
+
+
+def test_a_damaged_file_is_pressed_again(folder):
+    first = paired_touch("own", 3, 0, folder)
+    paired_touches._packed.cache_clear()
+    (file,) = (p for p in paired_touches.Path(folder).iterdir() if p.name == "own_3_0.npz")
+    file.write_bytes(file.read_bytes()[:100])
+    assert np.array_equal(paired_touch("own", 3, 0, folder).gel, first.gel)
+
+
+def test_the_described_gel_pictures_the_same_touch_as_the_other_unit(folder):
+    """Where one picture changes the other does, though they are lit and printed differently."""
+    touch = paired_touch("own", 3, 0, folder)
+    a, b = (np.abs(picture).sum(0).ravel() for picture in (touch.gel, touch.own_gel))
+    assert not np.array_equal(touch.gel, touch.own_gel)
+    assert np.corrcoef(a, b)[0, 1] > 0.6
+
+
+@pytest.mark.parametrize(("direction", "left"), [("gel_to_bubble", 0.7), ("bubble_to_gel", 0.96)])
+def test_a_vqvae_learns_a_pair_by_heart(direction, left, folder):
+    task = VqVaeTask(direction=direction, presses=1, folder=folder)
+    batch = tensors({k: v[None] for k, v in task.sample(np.random.default_rng(0)).items()}, "cpu")
+    torch.manual_seed(0)
+    inputs, outputs = (3, 1) if direction == "gel_to_bubble" else (1, 3)
+    net = build("vqvae", {"inputs": inputs, "outputs": outputs, "width": 12, "codes": 64}).train()
+    optimiser = torch.optim.Adam(net.parameters(), 5e-3)
+    losses = []
+    for _ in range(30):
+        loss, parts = task.loss(net, batch)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        losses.append(float(parts["made"]))
+    assert losses[-1] < left * losses[0]
+    figures = task.figures(net.eval(), [{k: v[0].numpy() for k, v in batch.items()}])
+    unit = "mm" if direction == "gel_to_bubble" else "grey"
+    assert set(figures) == {f"error, {unit}", f"error where touched, {unit}"}
+
+
+def test_mirroring_keeps_source_and_target_together(folder):
+    plain = VqVaeTask(presses=1, folder=folder).sample(np.random.default_rng(0))
+    seen = set()
+    for seed in range(40):
+        made = VqVaeTask(presses=1, folder=folder, mirrored=1.0).sample(np.random.default_rng(seed))
+        flips = [
+            axes
+            for axes in ((), (-1,), (-2,), (-1, -2))
+            if np.array_equal(np.flip(plain["source"], axes), made["source"])
+        ]
+        assert len(flips) == 1
+        assert np.array_equal(np.flip(plain["target"], flips[0]), made["target"])
+        seen.add(flips[0])
+    assert len(seen) == 4
+
+
+def test_turns_that_map_an_object_onto_itself_cost_nothing():
+    heading = torch.tensor([[math.cos(0.1), math.sin(0.1)]])
+    fifth = 2 * math.pi / 5
+    cost = lambda turn, fold: float(turn_cost(heading, torch.tensor([turn]), torch.tensor([fold])))  # noqa: E731
+    assert cost(0.1 + fifth, 5.0) == pytest.approx(0.0, abs=1e-4)
+    assert cost(0.1 + fifth, 1.0) > 1.0
+    assert cost(2.0, 0.0) == 0.0
+    assert cost(0.15, 5.0) == pytest.approx(cost(0.15, 1.0), rel=0.05)  # a small turn costs the same for all
+
+
+def test_folds_are_those_of_the_catalogue():
+    assert fold_of("star") == 5
+    assert fold_of("cone") == 0
+    assert fold_of("letters") == 1
+    assert fold_of("ellipse") == 2
+
+
+@pytest.mark.parametrize("sensor", ["gelslim", "soft_bubble"])
+def test_a_pose_network_learns_where_things_are(sensor, folder):
+    task = TouchPoseTask(sensor=sensor, presses=4, folder=folder)
+    examples = [task.sample(np.random.default_rng(k)) for k in range(8)]
+    batch = tensors({name: np.stack([one[name] for one in examples]) for name in examples[0]}, "cpu")
+    torch.manual_seed(0)
+    inputs = 3 if sensor == "gelslim" else 1
+    net = build("touch_pose", {"inputs": inputs, "things": len(thing_names()), "first": 8}).train()
+    optimiser = torch.optim.Adam(net.parameters(), 3e-3)
+    before = task.figures(net, examples)
+    for _ in range(60):
+        loss, _ = task.loss(net, batch)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    after = task.figures(net, examples)
+    assert after["shift, mm"] < 0.5 * before["shift, mm"]
+    assert after["named"] == 1.0
+    assert net.features(batch["square"]).shape == (8, 32)
+
+
+@pytest.mark.parametrize("name", ["vqvae", "vqvae_gel", "pose", "pose_gel"])
+def test_the_recipes_that_come_along_build_their_networks(name):
+    made = recipe.load(name)
+    arguments = {key: value for key, value in made.network.items() if key != "kind"}
+    net = build(str(made.network["kind"]), arguments)
+    assert sum(p.numel() for p in net.parameters()) * 2 < 16 * 2**20
