@@ -58,7 +58,18 @@ FILE = (
         "save_session", "Save session", "Save what is open, shown and set", icon=_Std.SP_DialogSaveButton, key="Ctrl+S"
     ),
     Command("save_session_as", "Save session as…", "Save the session under another name", key="Ctrl+Shift+S"),
-    Command("save_picture", "Save picture…", "Save a picture of the window", icon="picture", key="Ctrl+E"),
+    Command(
+        "export",
+        "Export…",
+        "Write a pane or all of them as picture, points, arrays, table or video",
+        icon="picture",
+        key="Ctrl+E",
+    ),
+    Command(
+        "copy_command", "Copy as command", "Copy the command line that makes what is on screen", key="Ctrl+Shift+C"
+    ),
+    Command("make_case", "Make a case…", "Put this frame and all that it was made of into a folder that can be sent"),
+    Command("save_picture", "Save picture…", "Save a picture of the window", key="Ctrl+Shift+E"),
     Command("quit", "Quit", "Close the window", icon=_Std.SP_DialogCloseButton, key="Ctrl+Q"),
 )
 EDIT = (

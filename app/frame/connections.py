@@ -14,6 +14,7 @@ from app.frame.actions import key_table
 from app.frame.aligning import Aligning
 from app.frame.blaming import Blaming
 from app.frame.greeting import Greeting
+from app.frame.handing import Handing
 from app.frame.instrument import Instrument
 from app.frame.keeping import Keeping
 from app.frame.triage import Triage
@@ -61,6 +62,7 @@ def connect(instrument: Instrument) -> Keeping:
     Triage(instrument)
     keeping = Keeping(instrument)
     Greeting(instrument, keeping)
+    Handing(instrument, keeping)
     _connect_files(instrument, Aligning(instrument), keeping)
     _connect_play(instrument)
     _connect_view(instrument)

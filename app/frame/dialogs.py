@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -34,6 +35,7 @@ _SAVERS = {  # command -> title, kind of file and its suffix
     "save_session": ("Save session", "Sessions", SUFFIX),
     "save_session_as": ("Save session as", "Sessions", SUFFIX),
     "save_picture": ("Save picture", "Pictures", ".png"),
+    "make_case": ("Make a case", "Cases", ".case"),
 }
 
 
@@ -56,6 +58,21 @@ def to_save(parent: QWidget, command: str, folder: str = "") -> Path | None:
         return None
     named = path.name.endswith(suffix) or (bool(path.suffix) and suffix != SUFFIX)
     return path if named else path.with_name(path.name + suffix)
+
+
+def to_save_as(parent: QWidget, title: str, suffix: str, folder: str = "") -> Path | None:
+    """Ask for a file's name that ends in `suffix`."""
+    kind = suffix.removeprefix(".").upper()
+    chosen, _ = QFileDialog.getSaveFileName(parent, title, folder, f"{kind} (*{suffix})")
+    if not chosen:
+        return None
+    path = Path(chosen)
+    return path if path.suffix.lower() == suffix else path.with_name(path.name + suffix)
+
+
+def quoted(path: Path) -> str:
+    """A path as a word of a command line."""
+    return shlex.quote(str(path.absolute()))
 
 
 def in_another_unit(error: UnitProblem) -> str:

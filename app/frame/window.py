@@ -44,7 +44,7 @@ _TOOLS = (
     "open_recording",
     "open_folder",
     "open_mesh",
-    "save_picture",
+    "export",
     "",
     "undo",
     "redo",
@@ -57,6 +57,9 @@ _TOOLS = (
     "show_difference",
     "show_wipe",
     "show_blink",
+)
+_FIRST_OF_THEIR_KIND = frozenset(
+    ("open_mesh", "save_session", "export", "quit", "reset_all", "ten_back", "show_truth", "only_1")
 )
 _NAMED = ("open_recording", "open_mesh", "freeze_trace")
 
@@ -165,7 +168,7 @@ class Window(QMainWindow):
             assert menu is not None
             self.menus[title.replace("&", "")] = menu
             for name in names:
-                if name in ("open_mesh", "save_session", "quit", "reset_all", "ten_back", "show_truth", "only_1"):
+                if name in _FIRST_OF_THEIR_KIND:
                     menu.addSeparator()
                 menu.addAction(self.actions_by_name[name])
             if title == "&View":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Sequence
 from contextlib import closing
 from pathlib import Path
@@ -19,12 +18,11 @@ from pipeline.alignment.sensitivity import UNIT_STEP, Change, Sensitivity, sensi
 from pipeline.alignment.touches import PairedTouch, paired_touches
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import ready_for
+from pipeline.base.frame_lists import frames_of
 from pipeline.cli.terminal import Bar, print_line, shown_bar
 from pipeline.sensors.alignment import Side
 from pipeline.sensors.alignment_files import SUFFIX, AlignmentFile, save
 from pipeline.translation.translate import Request, Translation, open_translation
-
-_RANGE = re.compile(r"([0-9]{1,12})(?:-([0-9]{1,12}))?")
 
 
 def show_scores(request: Request, frames: str, exact: bool) -> int:
@@ -77,24 +75,6 @@ def split(touches: Sequence[PairedTouch], hold_out: float) -> tuple[list[PairedT
     n = min(round(hold_out * len(touches)), len(touches) - 1)
     out = {int((k + 0.5) * len(touches) / n) for k in range(n)} if n > 0 else set[int]()
     return [t for k, t in enumerate(touches) if k not in out], [t for k, t in enumerate(touches) if k in out]
-
-
-def frames_of(listed: str, n_frames: int) -> list[int]:
-    """Frame numbers of a text such as `0,3-7`; all of them if it is empty. Raises SettingProblem."""
-    if not listed.strip():
-        return list(range(n_frames))
-    chosen: set[int] = set()
-    for part in listed.split(","):
-        words = _RANGE.fullmatch(part.strip())
-        if words is None:
-            raise SettingProblem(f"frames are given as numbers and ranges such as 0,3-7, got {listed[:40]!r}")
-        first, last = int(words[1]), int(words[2] or words[1])
-        if max(first, last) >= n_frames:
-            raise SettingProblem(f"no frame {max(first, last)}; the recording has frames 0 to {n_frames - 1}")
-        if last < first:
-            raise SettingProblem(f"a range of frames goes from the smaller number to the larger, got {part.strip()!r}")
-        chosen.update(range(first, last + 1))
-    return sorted(chosen)
 
 
 def _touches(translation: Translation, frames: str, exact: bool, progress: Bar) -> tuple[PairedTouch, ...]:

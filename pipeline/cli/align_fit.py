@@ -20,7 +20,8 @@ from pipeline.alignment.refine import refine
 from pipeline.alignment.touches import paired_touches
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import ready_for
-from pipeline.cli.align import frames_of, print_refinement
+from pipeline.base.frame_lists import frames_of
+from pipeline.cli.align import print_refinement
 from pipeline.cli.terminal import Bar, print_line, shown_bar
 from pipeline.sensors.alignment_files import SUFFIX, AlignmentFile, save
 from pipeline.sensors.spec import sensor

@@ -23,11 +23,26 @@ if TYPE_CHECKING:
 
 _BAR_LENGTHS_MM = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 _PANEL_IN = 3.5  # width of a panel
+DISPLAYED = DisplayParams()
 _CONTACT, _FELT = "#E6550D", "#FFFFFF"
 
 
 def write_sheet(path: Path, frame: TactileFrame, report: FrameReport, translation: Translation) -> None:
     """Draw the columns of the window as one PNG."""
+    drawn = sheet(frame, report, translation)
+    with whole_file(path, "the sheet") as file:
+        drawn.savefig(file, format="png")
+
+
+def sheet(
+    frame: TactileFrame,
+    report: FrameReport,
+    translation: Translation,
+    *,
+    display: DisplayParams = DISPLAYED,
+    timed: bool = True,
+) -> Figure:
+    """The columns of the window as one drawing; `timed` also says what each took and whether it was known already."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -38,10 +53,10 @@ def write_sheet(path: Path, frame: TactileFrame, report: FrameReport, translatio
     axes = [figure.add_axes(((0.07 + i) / n, 0.2, 0.76 / n, 0.6)) for i in range(n)]
     camera = fitted(frame.camera or source.camera, frame.image.shape)
     reading = of_reading(frame.image, camera, source, reference=frame.reference)
-    _panel(figure, axes[0], reading, f"Source · {source.title}")
+    draw_panel(figure, axes[0], reading, f"Source · {source.title}")
     seen = Seen(
         outputs={name: result.output for name, result in report.results.items()}, source=source,
-        target=translation.target, mesh=translation.mesh, display=DisplayParams(),
+        target=translation.target, mesh=translation.mesh, display=display,
     )  # fmt: skip
     for ax, name in zip(axes[1:], translation.slots, strict=True):
         slot, result = translation.catalogue.slot(name), report.results.get(name)
@@ -49,15 +64,15 @@ def write_sheet(path: Path, frame: TactileFrame, report: FrameReport, translatio
             ax.set_axis_off()
             continue
         title = slot.title if result.method is None else f"{slot.title} · {result.method.title}"
-        _panel(figure, ax, slot.picture(result.output, seen), title)
-        _footer(ax, result)
+        draw_panel(figure, ax, slot.picture(result.output, seen), title)
+        _footer(ax, result, timed=timed)
     figure.suptitle(f"frame {report.index}   {source.name} → {translation.target.name}", fontsize=11, y=0.985)
     figure.text(0.5, 0.925, _figures(report), fontsize=8, ha="center", va="top", color="0.3")
-    with whole_file(path, "the sheet") as file:
-        figure.savefig(file, format="png")
+    return figure
 
 
-def _panel(figure: Figure, ax: Axes, picture: Picture, title: str) -> None:
+def draw_panel(figure: Figure, ax: Axes, picture: Picture, title: str) -> None:
+    """Draw a picture with its outlines, scale bar, caption and colour bar."""
     ax.imshow(picture.pixels, interpolation="nearest")
     ax.set_title(title, fontsize=10)
     for border, colour in ((picture.outline_px, _CONTACT), (picture.felt_px, _FELT)):
@@ -95,11 +110,11 @@ def _scale_bar(ax: Axes, picture: Picture) -> None:
     ax.text(share + 0.02, -0.035, f"{length_mm:g} mm", transform=ax.transAxes, fontsize=8, va="center")
 
 
-def _footer(ax: Axes, result: StageResult) -> None:
+def _footer(ax: Axes, result: StageResult, *, timed: bool) -> None:
     """Time, state and the first note below a panel."""
-    note = f"\n{result.notes[0][:62]}" if result.notes else ""
-    text = f"{result.ms:.2f} ms · {result.state}{note}"
-    ax.text(0.0, -0.13, text, transform=ax.transAxes, fontsize=7.5, va="top")
+    lines = [f"{result.ms:.2f} ms · {result.state}"] if timed else []
+    lines += [result.notes[0][:62]] if result.notes else []
+    ax.text(0.0, -0.13, "\n".join(lines), transform=ax.transAxes, fontsize=7.5, va="top")
 
 
 def _figures(report: FrameReport) -> str:

@@ -1,0 +1,101 @@
+"""The commands that hand something on: one file of a translation, a case, and a case played again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from pipeline.cli.opening_options import NOTHING_ELSE, Opening
+
+_Settings = Annotated[tuple[str, ...], Parameter(name="--set", negative="")]
+
+
+def export(
+    recording: Path,
+    *,
+    target: str,
+    out: Path,
+    opening: Opening = NOTHING_ELSE,
+    pane: str = "sheet",
+    shown: Literal["computed", "truth", "difference"] = "computed",
+    frame: int = 0,
+    frames: str = "",
+    settings: _Settings = (),
+) -> int:
+    """Write one file of a translation, the same as the window's Export: picture, points, arrays, table or video.
+
+    Parameters
+    ----------
+    recording
+        File or folder of any known format.
+    target
+        Sensor to translate to.
+    out
+        The file: .png or .pdf of a pane or the sheet, .ply of a pane's points in mm, .npz of its arrays, .csv of every
+        frame's figures, .mp4 or .avi of a pane through the frames.
+    pane
+        A slot, `source`, or `sheet` for all of them side by side.
+    shown
+        What the pane shows: what was worked out, the truth, or their difference, where the recording knows it.
+    frame
+        The frame of a picture, of points or of arrays.
+    frames
+        Frames of a table or a video, such as `0,3-7`; all otherwise.
+    settings
+        `slot.parameter=value`, or `display.parameter=value` for how it is drawn, as often as needed.
+    """
+    from pipeline.cli.hand_on import write_export
+    from pipeline.reporting.asked import Asked
+
+    request = opening.request(recording, target)
+    return write_export(
+        Asked(request=request, settings=settings, pane=pane, shown=shown, frame=frame, frames=frames, path=out)
+    )
+
+
+def make_case(
+    recording: Path,
+    *,
+    target: str,
+    out: Path,
+    opening: Opening = NOTHING_ELSE,
+    frame: int = 0,
+    note: str = "",
+    settings: _Settings = (),
+) -> int:
+    """Put one frame with all that its translation reads, and what came out of it, into a folder that can be sent.
+
+    Parameters
+    ----------
+    recording
+        File or folder of any known format.
+    target
+        Sensor to translate to.
+    out
+        The folder, which must not be there yet.
+    frame
+        Which frame.
+
+    Note:
+        What is to be seen in it.
+    settings
+        `slot.parameter=value`, as often as needed.
+    """
+    from pipeline.cli.hand_on import write_case
+
+    return write_case(opening.request(recording, target), settings, frame, out, note)
+
+
+def case(folder: Path) -> int:
+    """Play a case again: exits with 0 if every slot comes out as it did when the case was made, with 1 otherwise.
+
+    Parameters
+    ----------
+    folder
+        A folder as `tactoscope make-case` or the window's "Make a case" leaves it.
+    """
+    from pipeline.cli.hand_on import replay_case
+
+    return replay_case(folder)

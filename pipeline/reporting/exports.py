@@ -1,0 +1,196 @@
+"""One file of a translation, as the window shows it: a picture, points, arrays, a table or a video, by its suffix.
+
+The window and the command line both come through `export`, so that they leave the same bytes.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.base.files import ready_for, whole_file, write_arrays
+from pipeline.base.frame_lists import frames_of
+from pipeline.base.progress import SILENT, Progress
+from pipeline.engine.cache import Cache
+from pipeline.engine.graph import Graph, StageResult
+from pipeline.reporting import panes
+from pipeline.reporting.asked import SHEET, SOURCE, Asked
+from pipeline.reporting.frame_report import FrameReport
+from pipeline.reporting.report import stage_arrays
+from pipeline.translation.translate import Translation, open_translation
+from pipeline.values.frames import TactileFrame
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+USUAL_RATE_HZ = 10.0  # of a video, where the recording keeps no times
+_CACHE_BYTES = 32 * 1024 * 1024
+_CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
+_UNDATED: Mapping[str, Mapping[str, None]] = {  # the same content gives the same bytes, today and tomorrow
+    "png": {"Software": None}, "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+}  # fmt: skip
+
+
+def export(asked: Asked, progress: Progress = SILENT) -> None:
+    """Write what is asked for, whole or not at all; raises TouchError."""
+    write = _WRITERS.get(asked.path.suffix.lower())
+    if write is None:
+        raise FileProblem(f"nothing is written as this kind of file; known are {', '.join(_WRITERS)}", asked.path)
+    ready_for(asked.path)
+    with closing(open_translation(asked.request)) as translation:
+        if asked.pane not in (SHEET, SOURCE, *translation.slots):
+            known = ", ".join((SHEET, SOURCE, *translation.slots))
+            raise SettingProblem(f"no pane {asked.pane!r} on this route; there are {known}")
+        write(_Work(asked, translation, progress))
+
+
+class _Work:
+    """What is open for one export."""
+
+    def __init__(self, asked: Asked, translation: Translation, progress: Progress) -> None:
+        self.asked, self.translation, self.progress = asked, translation, progress
+        self.params, self.display = asked.params(translation.methods), asked.display
+        self._graph = translation.graph(like=Graph((), cache=Cache(_CACHE_BYTES)))
+
+    @property
+    def indices(self) -> list[int]:
+        """The frames of a table or a video."""
+        return frames_of(self.asked.frames, self.translation.n_frames)
+
+    def results(self, index: int, *, every: bool = False) -> tuple[TactileFrame, dict[str, StageResult]]:
+        """A frame and its slots up to the asked one, or `every` one of them."""
+        slots = self.translation.slots
+        if self.asked.pane in slots and not every:
+            slots = slots[: slots.index(self.asked.pane) + 1]
+        elif self.asked.pane == SOURCE and not every:
+            slots = ()
+        inputs = self.translation.inputs(index)
+        frame = inputs["frame"]
+        assert isinstance(frame, TactileFrame)
+        return frame, self._graph.evaluate(slots, inputs, self.params, self.progress) if slots else {}
+
+    def drawn(self, index: int) -> Figure:
+        """The sheet or the pane of a frame."""
+        frame, results = self.results(index)
+        if self.asked.pane == SHEET:
+            from pipeline.reporting.sheet import sheet
+
+            metrics = self.translation.metrics(results, index)
+            report = FrameReport(index=index, results=results, metrics=metrics)
+            return sheet(frame, report, self.translation, display=self.display, timed=False)
+        time = f", {frame.time_s:.2f} s" if np.isfinite(frame.time_s) else ""
+        return panes.figure(self._pane(frame, results), f"frame {index}{time}")
+
+    def pane(self, index: int) -> panes.Pane:
+        """The asked pane of a frame."""
+        if self.asked.pane == SHEET:
+            raise SettingProblem("a sheet is no cloud of points; name one pane of it with --pane")
+        return self._pane(*self.results(index))
+
+    def _pane(self, frame: TactileFrame, results: Mapping[str, StageResult]) -> panes.Pane:
+        asked = self.asked
+        return panes.pane(asked.pane, frame, results, self.translation, self.display, asked.shown)
+
+
+def _picture(work: _Work) -> None:
+    kind = work.asked.path.suffix.lower().removeprefix(".")
+    drawn = work.drawn(work.translation.checked(work.asked.frame))
+    with whole_file(work.asked.path, "the picture") as file:
+        drawn.savefig(file, format=kind, metadata=dict(_UNDATED[kind]))
+
+
+def _points(work: _Work) -> None:
+    shown = work.pane(work.translation.checked(work.asked.frame))
+    head = (
+        f"ply\nformat binary_little_endian 1.0\ncomment {shown.title}, mm, {shown.picture.frame_name}\n"
+        f"element vertex {len(shown.points_mm)}\nproperty float x\nproperty float y\nproperty float z\n"
+        "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n"
+    )
+    rows: Any = np.empty(len(shown.points_mm), dtype=[("xyz", "<f4", 3), ("rgb", "u1", 3)])
+    rows["xyz"], rows["rgb"] = shown.points_mm, shown.rgb
+    with whole_file(work.asked.path, "the points") as file:
+        file.write(head.encode("ascii", "replace"))
+        file.write(rows.tobytes())
+
+
+def _arrays(work: _Work) -> None:
+    frame, results = work.results(work.translation.checked(work.asked.frame))
+    pane = work.asked.pane
+    wanted = results if pane == SHEET else {name: result for name, result in results.items() if name == pane}
+    write_arrays(work.asked.path, stage_arrays(frame, wanted))
+
+
+def _table(work: _Work) -> None:
+    """Every figure that the truth of a frame allows, a row a frame."""
+    rows: list[tuple[int, float, Mapping[str, float]]] = []
+    indices = work.indices
+    for done, index in enumerate(indices):
+        work.progress.step(done / len(indices), f"frame {index}")
+        frame, results = work.results(index, every=True)
+        rows.append((index, frame.time_s, work.translation.metrics(results, index)))
+    names = sorted({name for _, _, metrics in rows for name in metrics})
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(["frame", "time_s", *names])
+    for index, time_s, metrics in rows:
+        table.writerow([index, _number(time_s), *(_number(metrics.get(name, np.nan)) for name in names)])
+    with whole_file(work.asked.path, "the table") as file:
+        file.write(text.getvalue().encode())
+
+
+def _video(work: _Work) -> None:
+    """Frame after frame at the recording's own pace."""
+    import cv2
+
+    codec: Any = cv2.VideoWriter.fourcc(*_CODECS[work.asked.path.suffix.lower()])
+    indices = work.indices
+    with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder) / f"video{work.asked.path.suffix.lower()}"
+        writer: Any = None
+        for done, index in enumerate(indices):
+            work.progress.step(done / len(indices), f"frame {index}")
+            pixels = _rgb(work.drawn(index))
+            if writer is None:
+                size = (pixels.shape[1], pixels.shape[0])
+                writer = cv2.VideoWriter(str(made), codec, _rate_hz(work.translation, indices), size)
+            writer.write(np.ascontiguousarray(pixels[:, :, ::-1]))
+        if writer is None or not writer.isOpened():
+            raise FileProblem("this machine's OpenCV cannot write such a video; try .avi or .mp4", work.asked.path)
+        writer.release()
+        with made.open("rb") as video, whole_file(work.asked.path, "the video") as file:
+            shutil.copyfileobj(video, file)
+
+
+def _rgb(drawn: Figure) -> Any:
+    """(rows, cols, 3) uint8, both even, as most codecs want them."""
+    canvas: Any = drawn.canvas
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())
+    return pixels[: pixels.shape[0] // 2 * 2, : pixels.shape[1] // 2 * 2, :3]
+
+
+def _rate_hz(translation: Translation, indices: Sequence[int]) -> float:
+    times = np.array([translation.stream.frame(index).time_s for index in indices[:32]])
+    steps = np.diff(times)
+    steps = steps[np.isfinite(steps) & (steps > 0)]
+    return float(np.clip(1.0 / np.median(steps), 1.0, 120.0)) if steps.size else USUAL_RATE_HZ
+
+
+def _number(value: float) -> str:
+    return f"{value:.9g}" if np.isfinite(value) else ""
+
+
+_WRITERS: Mapping[str, Callable[[_Work], None]] = {
+    ".png": _picture, ".pdf": _picture, ".ply": _points, ".npz": _arrays, ".csv": _table,
+    ".mp4": _video, ".avi": _video,
+}  # fmt: skip
+SUFFIXES = tuple(_WRITERS)

@@ -1,0 +1,109 @@
+"""What one pane of the window shows, as a drawing: its picture with scale bar, colour bar and caption."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.base.arrays import Floats, Image
+from pipeline.base.errors import SettingProblem
+from pipeline.engine.graph import StageResult
+from pipeline.pictures.difference import difference
+from pipeline.pictures.display import DisplayParams
+from pipeline.pictures.picture import Picture, fitted, of_reading, positions, rest_mm
+from pipeline.reporting.asked import SOURCE, Shown
+from pipeline.stages.slot import Seen
+from pipeline.translation.translate import Translation
+from pipeline.values.frames import TactileFrame
+from pipeline.values.results import Cloud
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_INCHES, _DPI = (5.6, 4.6), 150
+_AXES = (0.04, 0.13, 0.8, 0.77)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pane:
+    """One pane on one frame."""
+
+    title: str
+    picture: Picture
+    points_mm: Floats  # (n, 3) what it shows as points, in the frame of its place
+    rgb: Image  # (n, 3) their colours
+
+
+def pane(
+    name: str,
+    frame: TactileFrame,
+    results: Mapping[str, StageResult],
+    translation: Translation,
+    display: DisplayParams,
+    shown: Shown = "computed",
+) -> Pane:
+    """A slot's pane, or the reading's; raises SettingProblem where the truth that is to be shown is not known."""
+    if name == SOURCE:
+        return _reading(frame, translation)
+    slot = translation.catalogue.slot(name)
+    outputs = {key: result.output for key, result in results.items()}
+    seen = Seen(
+        outputs=outputs, source=translation.source, target=translation.target, mesh=translation.mesh, display=display
+    )
+    picture, value, title = slot.picture(outputs[name], seen), outputs[name], slot.title
+    if shown != "computed":
+        truths = translation.truths(frame.index)
+        if name not in truths:
+            raise SettingProblem(f"the truth of {name} is not known of frame {frame.index} of this recording")
+        value, title = truths[name], f"{title}, {shown}"
+        true = slot.picture(value, replace(seen, outputs={**outputs, **truths}))
+        picture = true if shown == "truth" else _less(picture, true, name)
+    points_mm, rgb = _points(value, picture)
+    return Pane(title=title, picture=picture, points_mm=points_mm, rgb=rgb)
+
+
+def figure(shown: Pane, about: str) -> Figure:
+    """A drawing of a pane, with a line `about` what it is of."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from pipeline.reporting.sheet import draw_panel
+
+    drawn = Figure(figsize=_INCHES, dpi=_DPI)
+    FigureCanvasAgg(drawn)
+    draw_panel(drawn, drawn.add_axes(_AXES), shown.picture, f"{shown.title} · {about}")
+    return drawn
+
+
+def _reading(frame: TactileFrame, translation: Translation) -> Pane:
+    sensor = translation.source
+    camera = fitted(frame.camera or sensor.camera, frame.image.shape)
+    picture = of_reading(frame.image, camera, sensor, reference=frame.reference)
+    surface = frame.image if frame.is_depth else rest_mm(sensor, camera)
+    laid = replace(picture, positions_mm=positions(camera, np.asarray(surface, np.float32)))
+    points_mm, rgb = _points(None, laid)
+    return Pane(title="Source", picture=picture, points_mm=points_mm, rgb=rgb)
+
+
+def _less(made: Picture, true: Picture, name: str) -> Picture:
+    gap = difference(made, true)
+    if gap is None:
+        raise SettingProblem(f"what was worked out of {name} and its truth cannot be subtracted; show one of them")
+    return gap
+
+
+def _points(value: Any, picture: Picture) -> tuple[Floats, Image]:
+    """All that the value has of points, coloured as its picture is."""
+    if isinstance(value, Cloud):
+        grey = np.full((len(value.points_mm), 3), 128, np.uint8)
+        if picture.element is not None:
+            there = picture.element >= 0
+            grey[picture.element[there]] = picture.pixels[there]
+        return value.points_mm, grey
+    if picture.positions_mm is None:
+        return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8)
+    known = np.isfinite(picture.positions_mm).all(axis=-1)
+    return picture.positions_mm[known], picture.pixels[known]

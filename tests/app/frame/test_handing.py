@@ -1,0 +1,145 @@
+"""Exports of the window and the commands that it copies leave the same bytes; a case plays again."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PyQt6.QtCore import QCoreApplication
+from PyQt6.QtGui import QGuiApplication
+from PyQt6.QtWidgets import QApplication
+
+from app.frame.handing import Handing
+from app.frame.tour import wait_until_shown
+from app.main import SAMPLE
+from pipeline.base.params import changed
+from pipeline.cli.main import build, run
+from pipeline.reporting.asked import command
+from pipeline.sensors.offsets import Offsets
+from pipeline.stages.depth.slot import PHYSICS
+from pipeline.stages.depth.stage import DepthParams
+
+LIMIT_S = 60
+
+
+def handing_of(instrument) -> Handing:
+    return next(child for child in instrument.children() if isinstance(child, Handing))
+
+
+@pytest.fixture(scope="module")
+def edited(qapp):
+    """The sample with a parameter, the display and the alignment moved."""
+    from app.main import show_window
+    from app.session.state import Session
+
+    made = show_window(Session(recording=SAMPLE, source="digit", target="gelslim", frame=5), with_scene=False)
+    assert wait_until_shown(made, LIMIT_S), made.window.banner.text
+    name = next(n for n, value in vars_of(DepthParams()).items() if isinstance(value, float))
+    params = changed(DepthParams(), name, vars_of(DepthParams())[name] * 1.01)
+    display = changed(made.session.display, "gel_limit_mm", 1.1)
+    made.change("edit", params={PHYSICS.key: params, "display": display}, offsets=Offsets(shift_mm=(-0.3, 1e-5, 0.0)))
+    assert wait_until_shown(made, LIMIT_S), made.window.banner.text
+    yield made
+    made.close()
+    made.window.close()
+
+
+def vars_of(params) -> dict:
+    from pipeline.base.params import settings
+
+    return {name: value for name, (value, _) in settings(params).items()}
+
+
+def wait(handing: Handing) -> None:
+    end_s = time.monotonic() + LIMIT_S
+    while (handing.job.busy or "written" not in handing.offer.text.lower()) and time.monotonic() < end_s:
+        QCoreApplication.processEvents()
+        time.sleep(0.002)
+    assert "written" in handing.offer.text.lower(), handing.offer.text
+
+
+@pytest.mark.parametrize(
+    ("pane", "shown", "suffix", "frames"),
+    [
+        ("sheet", "computed", ".png", ""),
+        ("view", "difference", ".pdf", ""),
+        ("cloud", "computed", ".ply", ""),
+        ("depth", "computed", ".npz", ""),
+        ("sheet", "computed", ".csv", "4-5"),
+        ("depth", "truth", ".mp4", "3-5"),
+    ],
+)
+def test_an_export_and_its_command_leave_the_same_bytes(edited, tmp_path, pane, shown, suffix, frames):
+    handing = handing_of(edited)
+    path = tmp_path / f"window{suffix}"
+    asked = handing.asked(path, pane, shown, frames)
+    handing.export(asked)
+    wait(handing)
+    handing.offer.buttons[0].click()
+    copied = QApplication.clipboard().text()
+    assert copied == command(asked)
+    typed = shlex.split(copied.replace(str(path), str(tmp_path / f"typed{suffix}")))
+    assert run(build(), typed[1:]) == 0
+    assert path.read_bytes() == (tmp_path / f"typed{suffix}").read_bytes()
+    assert path.stat().st_size > 200
+
+
+def test_the_copied_command_is_whole_in_a_process_of_its_own(edited, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    edited.window.actions_by_name["copy_command"].trigger()
+    words = shlex.split(QGuiApplication.clipboard().text())
+    assert words[:2] == ["tactoscope", "export"]
+    script = Path(sys.executable).with_name("tactoscope")
+    done = subprocess.run([script, *words[1:]], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert cv2.imread(str(tmp_path / "sheet.png")).shape[1] > 1500
+
+
+def test_exported_arrays_are_those_on_screen(edited, tmp_path):
+    handing = handing_of(edited)
+    handing.export(handing.asked(tmp_path / "a.npz"))
+    wait(handing)
+    with np.load(tmp_path / "a.npz") as arrays:
+        for slot, field in (("depth", "indentation_mm"), ("view", "depth_mm"), ("touch", "image")):
+            on_screen = getattr(edited.latest.results[slot].output, field)
+            assert np.array_equal(arrays[f"{slot}.{field}"], on_screen, equal_nan=True)
+
+
+def test_a_case_plays_again_and_tells_when_something_changed(edited, tmp_path, capsys):
+    handing, folder = handing_of(edited), tmp_path / "worst.case"
+    handing.make_case(folder, "the gel saw a part of it")
+    wait(handing)
+    assert run(build(), ["case", str(folder)]) == 0
+    assert "the gel saw a part of it" in capsys.readouterr().out
+    expected = dict(np.load(folder / "expected.npz"))
+    on_screen = edited.latest.results["view"].output
+    assert np.allclose(expected["view.indentation_mm"], on_screen.indentation_mm, atol=1e-6)
+    moved = tmp_path / "moved"
+    folder.rename(moved)
+    said = json.loads((moved / "case.json").read_text())
+    said["settings"] = [line for line in said["settings"] if not line.startswith("depth")] + ["depth.contact_mm=0.5"]
+    (moved / "case.json").write_text(json.dumps(said))
+    code = run(build(), ["case", str(moved)])
+    assert code in (1, 2)
+    assert code == 1 or "contact_mm" in capsys.readouterr().err
+
+
+def test_what_cannot_be_exported_is_told_in_one_sentence(edited, tmp_path):
+    for typed, words in (
+        (("--out", str(tmp_path / "a.xyz")), "known are .png"),
+        (("--out", str(tmp_path / "a.ply")), "a sheet is no cloud"),
+        (("--pane", "nose", "--out", str(tmp_path / "a.png")), "no pane 'nose'"),
+        (("--frames", "1-99", "--out", str(tmp_path / "a.csv")), "no frame 99"),
+    ):
+        with pytest.MonkeyPatch.context() as patch:
+            said: list[str] = []
+            patch.setattr("pipeline.cli.main.complain", said.append)
+            assert run(build(), ["export", str(SAMPLE), "--target", "gelslim", "--sensor", "digit", *typed]) == 2
+        assert words in said[0]

@@ -1,0 +1,88 @@
+"""What to export, and as what: a small dialog that stays open beside the window until it is answered."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from PyQt6.QtCore import pyqtSignal
+from PyQt6.QtWidgets import QComboBox, QDialog, QFormLayout, QHBoxLayout, QLabel, QLineEdit, QPushButton, QWidget
+
+KINDS = (  # suffix, words, what it can be of
+    (".png", "picture, PNG", "every"),
+    (".pdf", "picture, PDF", "every"),
+    (".ply", "points in mm, PLY", "pane"),
+    (".npz", "arrays, NPZ", "every"),
+    (".csv", "figures of all frames, CSV", "frames"),
+    (".mp4", "video through the frames, MP4", "frames"),
+    (".avi", "video through the frames, AVI", "frames"),
+)
+SHEET = "sheet"
+
+
+class ExportDialog(QDialog):
+    """`export_wanted` and `command_wanted` carry pane, what is shown, suffix and frames."""
+
+    export_wanted = pyqtSignal(str, str, str, str)
+    command_wanted = pyqtSignal(str, str, str, str)
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Export")
+        self.setObjectName("export_dialog")
+        self.pane, self.shown, self.kind, self.frames = QComboBox(), QComboBox(), QComboBox(), QLineEdit()
+        for word in ("computed", "truth", "difference"):
+            self.shown.addItem(word, word)
+        for suffix, words, _ in KINDS:
+            self.kind.addItem(words, suffix)
+        self.frames.setPlaceholderText("all, or such as 0,3-7")
+        self.frames.setToolTip("frames of a table or a video, by number")
+        form = QFormLayout(self)
+        for label, widget in (("pane", self.pane), ("shows", self.shown), ("as", self.kind), ("frames", self.frames)):
+            widget.setObjectName(f"export_{label}")
+            widget.setAccessibleName(f"export {label}")
+            form.addRow(label, widget)
+        self._told = QLabel()
+        self._told.setWordWrap(True)
+        form.addRow(self._told)
+        self.copy, self.write = QPushButton("Copy as command"), QPushButton("Export…")
+        self.write.setDefault(True)
+        row = QHBoxLayout()
+        row.addStretch(1)
+        row.addWidget(self.copy)
+        row.addWidget(self.write)
+        form.addRow(row)
+        self.copy.clicked.connect(lambda: self.command_wanted.emit(*self.chosen))
+        self.write.clicked.connect(self._export)
+        for box in (self.pane, self.kind):
+            box.currentIndexChanged.connect(self._fit)
+
+    @property
+    def chosen(self) -> tuple[str, str, str, str]:
+        """Pane, what it shows, suffix, frames."""
+        shown = self.shown.currentData() if self.shown.isEnabled() else "computed"
+        frames = self.frames.text().strip() if self.frames.isEnabled() else ""
+        return self.pane.currentData(), shown, self.kind.currentData(), frames
+
+    def show_panes(self, panes: Sequence[tuple[str, str]], chosen: str, shown: str) -> None:
+        """Offer these panes (name, title), one of them chosen, showing this."""
+        self.pane.clear()
+        for name, title in panes:
+            self.pane.addItem(title, name)
+        self.pane.setCurrentIndex(max(0, self.pane.findData(chosen)))
+        self.shown.setCurrentIndex(max(0, self.shown.findData(shown)))
+        self._fit()
+
+    def _fit(self) -> None:
+        """Ask only what matters for the pane and the kind."""
+        pane = self.pane.currentData()
+        of = next((of for suffix, _, of in KINDS if suffix == self.kind.currentData()), "every")
+        self.shown.setEnabled(pane not in (SHEET, "source", None))
+        self.frames.setEnabled(of == "frames")
+        wrong = of == "pane" and pane == SHEET
+        self._told.setText("a sheet is no cloud of points; choose one pane" if wrong else "")
+        for button in (self.copy, self.write):
+            button.setEnabled(not wrong)
+
+    def _export(self) -> None:
+        self.export_wanted.emit(*self.chosen)
+        self.accept()
