@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
@@ -29,6 +30,7 @@ from pipeline.base.params import Setting, Value, changed, settings
 from widgets.looks import bold, icon_button, spaced
 
 _SLIDER_STEPS = 400
+_MANY, _TOO_MANY, _BEND = 200, 10_000, 3.0  # whole numbers of such a range have a slider, the small ones the most room
 _WIDEST = 1e9  # stands for "no limit" in a spin box
 
 
@@ -44,6 +46,7 @@ class ParametersPanel(QScrollArea):
     """One group per method; `params_edited(key, params)` carries the whole new parameter value."""
 
     params_edited = pyqtSignal(str, object)
+    drag_ended = pyqtSignal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -55,6 +58,7 @@ class ParametersPanel(QScrollArea):
         self._layout.setContentsMargins(6, 4, 6, 4)
         self._layout.addStretch(1)
         self.setWidget(self._body)
+        self.dragging = False  # whether a slider is held: what is edited then will soon be something else
         self._params: dict[str, object] = {}
         self._controls: dict[str, dict[str, _Control]] = {}
         self._groups: dict[str, QWidget] = {}
@@ -72,6 +76,9 @@ class ParametersPanel(QScrollArea):
             tip = f"{told.help or told.label} ({key.partition('/')[0]}.{name})"  # as the command line calls it
             label.setToolTip(tip)
             control.widget.setToolTip(tip)
+            for slider in control.widget.findChildren(QSlider):
+                slider.sliderPressed.connect(partial(self._hold, held=True))
+                slider.sliderReleased.connect(partial(self._hold, held=False))
             control.widget.setAccessibleName(told.label)
             control.widget.setObjectName(f"{key}.{name}")
             form.addRow(label, control.widget)
@@ -118,6 +125,11 @@ class ParametersPanel(QScrollArea):
         form.setSpacing(3)
         outer.addLayout(form)
         return group, form
+
+    def _hold(self, *, held: bool) -> None:
+        self.dragging = held
+        if not held:
+            self.drag_ended.emit()
 
     def _edited(self, key: str, name: str, value: Value) -> None:
         params = changed(self._params[key], name, value)
@@ -178,8 +190,44 @@ def _whole(value: int, told: Setting, edited: Callable[[Value], None]) -> _Contr
     box.setSingleStep(max(1, int(told.step)))
     box.setKeyboardTracking(False)
     box.setValue(value)
-    box.valueChanged.connect(edited)
-    return _quiet(box, box.setValue)
+    if not _MANY <= told.high - told.low <= _TOO_MANY:
+        box.valueChanged.connect(edited)
+        return _quiet(box, box.setValue)
+    low, span = int(told.low), told.high - told.low
+    slider = QSlider(Qt.Orientation.Horizontal)
+    slider.setRange(0, _SLIDER_STEPS)
+    slider.setMinimumWidth(40)
+
+    def place(new: float) -> None:
+        with QSignalBlocker(slider):
+            slider.setValue(round(((new - low) / span) ** (1 / _BEND) * _SLIDER_STEPS))
+
+    def typed(new: int) -> None:
+        place(new)
+        edited(new)
+
+    def show(new: Value) -> None:
+        with QSignalBlocker(box):
+            box.setValue(int(new))
+        place(float(new))
+
+    def dragged(at: int) -> None:
+        box.setValue(low + round(span * (at / _SLIDER_STEPS) ** _BEND))
+
+    place(value)
+    box.valueChanged.connect(typed)
+    slider.valueChanged.connect(dragged)
+    return _Control(widget=_side_by_side(slider, box), show=show)
+
+
+def _side_by_side(slider: QSlider | None, box: QWidget) -> QWidget:
+    both = QWidget()
+    row = QHBoxLayout(both)
+    row.setContentsMargins(0, 0, 0, 0)
+    if slider is not None:
+        row.addWidget(slider, 1)
+    row.addWidget(box, int(slider is None))
+    return both
 
 
 def _number(value: float, told: Setting, edited: Callable[[Value], None]) -> _Control:
@@ -196,7 +244,6 @@ def _number(value: float, told: Setting, edited: Callable[[Value], None]) -> _Co
     slider = QSlider(Qt.Orientation.Horizontal)
     slider.setRange(0, _SLIDER_STEPS)
     slider.setMinimumWidth(40)
-    slider.setVisible(bounded)
 
     def place(new: float) -> None:
         if bounded:
@@ -218,9 +265,4 @@ def _number(value: float, told: Setting, edited: Callable[[Value], None]) -> _Co
     place(value)
     box.valueChanged.connect(typed)
     slider.valueChanged.connect(dragged)
-    both = QWidget()
-    row = QHBoxLayout(both)
-    row.setContentsMargins(0, 0, 0, 0)
-    row.addWidget(slider, 1)
-    row.addWidget(box, 0 if bounded else 1)
-    return _Control(widget=both, show=show)
+    return _Control(widget=_side_by_side(slider if bounded else None, box), show=show)

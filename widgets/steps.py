@@ -1,27 +1,30 @@
-"""A slider over the kept iterations of the registration."""
+"""A slider over the kept states of a slot: iterations of a registration, steps of a sampler."""
 
 from __future__ import annotations
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QSlider, QWidget
 
-from pipeline.values.results import PoseStep
+from pipeline.values.results import PoseStep, TouchStep
 from widgets.looks import smaller, spaced
+
+Step = PoseStep | TouchStep
 
 
 class StepsSlider(QWidget):
-    """Which iteration is shown, and how good it was; `step_chosen` carries the `PoseStep`."""
+    """Which state of a slot is shown, and how good it was; `step_chosen` carries the slot, the state and its number."""
 
-    step_chosen = pyqtSignal(object)
+    step_chosen = pyqtSignal(str, object, int)
 
-    def __init__(self, parent: QWidget | None = None) -> None:
+    def __init__(self, slot: str = "pose", parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._steps: tuple[PoseStep, ...] = ()
+        self._slot = slot
+        self._steps: tuple[Step, ...] = ()
         self.slider = QSlider(Qt.Orientation.Horizontal)
-        self.slider.setObjectName("pose_steps")
-        self.slider.setAccessibleName("iteration of the registration")
-        self.slider.setToolTip("Iteration of the registration")
-        self._text = QLabel("no registration")
+        self.slider.setObjectName(f"{slot}_steps")
+        self.slider.setAccessibleName(f"state of the {slot}")
+        self.slider.setToolTip(f"States on the way to the {slot}")
+        self._text = QLabel()
         self.slider.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         smaller(self._text)
         layout = spaced(QHBoxLayout(self), 4)
@@ -30,8 +33,8 @@ class StepsSlider(QWidget):
         self.slider.valueChanged.connect(self._chosen)
         self.show_steps(())
 
-    def show_steps(self, steps: tuple[PoseStep, ...]) -> None:
-        """Offer these iterations and stand on the last."""
+    def show_steps(self, steps: tuple[Step, ...]) -> None:
+        """Offer these states and stand on the last."""
         self._steps = steps
         with QSignalBlocker(self.slider):
             self.slider.setRange(0, max(0, len(steps) - 1))
@@ -42,13 +45,18 @@ class StepsSlider(QWidget):
     def _chosen(self, at: int) -> None:
         if 0 <= at < len(self._steps):
             self._tell(at)
-            self.step_chosen.emit(self._steps[at])
+            self.step_chosen.emit(self._slot, self._steps[at], at)
 
     def _tell(self, at: int) -> None:
         if not 0 <= at < len(self._steps):
-            self._text.setText("no registration")
+            self._text.setText("no states kept")
+            self._text.setToolTip("a method keeps them where its parameters say so")
             return
-        step = self._steps[at]
-        self._text.setText(f"{at + 1}/{len(self._steps)}: {step.rmse_mm:.2f} mm")
+        step, place = self._steps[at], f"{at + 1}/{len(self._steps)}"
+        if isinstance(step, TouchStep):
+            self._text.setText(f"{place}: noise {step.sigma:.2g}")
+            self._text.setToolTip(f"state {at + 1} of {len(self._steps)}, seen through noise of {step.sigma:.3g} units")
+            return
+        self._text.setText(f"{place}: {step.rmse_mm:.2f} mm")
         matched = f"{100 * step.fitness:.0f} % of the points matched"
         self._text.setToolTip(f"iteration {at + 1} of {len(self._steps)}: rms {step.rmse_mm:.3f} mm, {matched}")

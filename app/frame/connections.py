@@ -45,7 +45,9 @@ def connect(instrument: Instrument) -> Keeping:
     window.timeline.frame_chosen.connect(instrument.choose_frame)
     window.frames.frame_chosen.connect(instrument.choose_frame)
     window.parameters.params_edited.connect(instrument.choose_params)
-    window.steps.step_chosen.connect(instrument.screen.show_step)
+    for slider in window.steps.values():
+        slider.step_chosen.connect(instrument.screen.show_step)
+    window.parameters.drag_ended.connect(instrument.refresh)
     for column in window.columns.values():
         column.pixel_hovered.connect(tracer.hover)
         column.pixel_clicked.connect(tracer.click)

@@ -243,7 +243,7 @@ class Instrument(Documents):
         window.actions_by_name["close_weights"].setEnabled(bool(session.weights))
 
     def _ask(self, *, other_request: bool) -> None:
-        session, wanted, beside = self.session, self.window.visible_columns(), self._beside
+        session, wanted, beside = self._drafted(), self.window.visible_columns(), self._beside
         with_truth = bool(self.screen.versus)
         interrupt = other_request or not self._young.isActive()
         self._waits = True
@@ -262,6 +262,13 @@ class Instrument(Documents):
         self.window.timeline.show_ready(ready=False)
         if not self._stale.isActive():
             self._stale.start()
+
+    def _drafted(self) -> Session:
+        """The session, or while a parameter is dragged one that is quick to show."""
+        session = self.session
+        if not self.window.parameters.dragging:
+            return session
+        return session.drafted(self.catalogue.methods(session.route, session.methods))
 
     def _rest(self) -> None:
         self._waits = False

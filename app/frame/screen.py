@@ -20,6 +20,7 @@ from pipeline.values.results import PoseStep
 from widgets.colours import AXES
 from widgets.layers import Scene
 from widgets.picture import PictureView
+from widgets.steps import Step
 from widgets.timings_panel import TimingRow
 
 TIMES = "\N{MULTIPLICATION SIGN}"
@@ -37,6 +38,7 @@ class Screen:
         self.opened: Translation | None = None  # the recording on screen
         self.versus: Versus = ""  # what is shown beside, or in place of, what was worked out
         self._layers: dict[int, tuple[Layer, ...]] = {}
+        self._states: dict[str, tuple[Picture, ...]] = {}  # slot -> those kept on the way to its value
         self._fresh: set[str] = set()
         self._order = tuple(window.columns)
 
@@ -79,8 +81,9 @@ class Screen:
             self._results = {**self._results, name: part.result}
             column.show_state(part.result.state, part.result.ms, part.result.notes, part.result.instead)
             self._tracer.show_results(self._results)
-            if self.opened is not None and self.opened.catalogue.slot(name).scrubs:
-                self._window.steps.show_steps(part.result.output.steps)
+            if name in self._window.steps:
+                self._states[name] = part.states
+                self._window.steps[name].show_steps(part.result.output.steps)
         else:
             self._results = {}  # those of another frame, or of other parameters
             column.show_state("read", part.ms)
@@ -181,9 +184,12 @@ class Screen:
             place = t.source if slot.place == "source" else t.target
             self._caption(slot.name, slot.legend, place, display.stretch(place) if slot.stretches else 1.0)
 
-    def show_step(self, step: PoseStep) -> None:
-        """Put the object where it was at an iteration."""
-        self.scene.place(self._order.index("pose"), "object", step.sensor_from_object)
+    def show_step(self, slot: str, step: Step, at: int) -> None:
+        """Put the object where it was at an iteration, or show the picture of a state."""
+        if isinstance(step, PoseStep):
+            self.scene.place(self._order.index(slot), "object", step.sensor_from_object)
+        elif at < len(self._states.get(slot, ())):
+            self._window.columns[slot].view.show_picture(self._states[slot][at])
 
     def show_only(self, name: str | None) -> None:
         """One slot alone, or all of the route for None."""

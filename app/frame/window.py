@@ -82,10 +82,10 @@ class Window(QMainWindow):
             self, FILE + EDIT + PLAY + VIEW + VERSUS + stage_commands(titles) + HELP
         )
         self.columns = {name: StageColumn(name, f"{i + 1} · {title}") for i, (name, title) in enumerate(columns)}
-        self.banner, self.timeline, self.steps = Banner(), Timeline(), StepsSlider()
+        self.banner, self.timeline = Banner(), Timeline()
+        self.steps = {name: StepsSlider(name) for name in sorted(scrubbed)}  # under the 3D views of these columns
         self.frames, self.parameters, self.alignment = FramesPanel(), ParametersPanel(), AlignmentPanel()
         self.trace, self.log, self.timings, self.blame = TracePanel(), LogPanel(), TimingsPanel(), BlamePanel()
-        self._scrubbed = scrubbed  # columns whose 3D view has the slider of kept states under it
         self._alone, self._off_route = "", frozenset[str]()
         self.captions = {name: _caption() for name, _ in columns}
         self.legends = {name: _caption() for name, _ in columns}
@@ -257,7 +257,7 @@ class Window(QMainWindow):
 
     def _under(self, name: str) -> QWidget:
         """What stands under a 3D view: the slider of kept states or a legend."""
-        return self.steps if name in self._scrubbed else self.legends[name]
+        return self.steps.get(name, self.legends[name])
 
     def visible_columns(self) -> tuple[str, ...]:
         """The stages that somebody can see."""

@@ -79,6 +79,11 @@ class Session:
         other = other or (new.recording != self.recording and self.alignment is None)
         return replace(new, offsets=Offsets()) if other else new
 
+    def drafted(self, methods: Iterable[Method]) -> Session:
+        """The same with cheaper parameters of those methods that have some: to show while one is dragged."""
+        cheap = {m.key: m.draft(self.params_of(m)) for m in methods if m.draft is not None}
+        return replace(self, params={**self.params, **cheap}) if cheap else self
+
     @property
     def settings(self) -> Session:
         """What figures rest on besides the frame: those of sessions with equal settings may stand side by side."""

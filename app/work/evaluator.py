@@ -55,6 +55,7 @@ class SlotShown:
     picture: Picture
     layers: tuple[Layer, ...]
     beside: Beside | None = None  # where it was asked for and is known
+    states: tuple[Picture, ...] = ()  # kept on the way to it, where they are pictures of their own
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -226,7 +227,8 @@ class Evaluator:
         """Pictures of an output that was drawn before are used again, so that the window need not touch them."""
         slot = translation.catalogue.slot(result.name)
         also = [results[name].digest for name in slot.looks_at if name in results]
-        key = (result.digest, session.display, also, other and (other.index, id(other)), truths and id(truths))
+        n_kept = len(getattr(result.output, "steps", ()))  # which the digest does not count
+        key = (result.digest, n_kept, session.display, also, other and (other.index, id(other)), truths and id(truths))
         known = self._drawn.get(result.name)
         if known is not None and known[0] == key:
             shown = replace(known[1], result=result)
@@ -240,7 +242,8 @@ class Evaluator:
             if other is not None and other.touch is not None:
                 picture = beside(picture, other.outline_px)
             true = None if truths is None else beside_truth(slot, picture, truths, seen)
-            shown = SlotShown(result=result, picture=picture, layers=layers, beside=true)
+            states = tuple(slot.picture(state, seen) for state in slot.states(result.output))
+            shown = SlotShown(result=result, picture=picture, layers=layers, beside=true, states=states)
         self._drawn[result.name] = (key, shown)
         return shown
 

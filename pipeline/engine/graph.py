@@ -55,6 +55,10 @@ class Method:
     help: str = ""  # what it does, in half a sentence
     weights: Callable[..., object] | None = None  # (source, target, file) -> input `weights_name`; None = it reads none
 
+    draft: Callable[[Any], Any] | None = (
+        None  # parameters -> cheaper ones, while somebody drags one; None = as they are
+    )
+
     @property
     def weights_name(self) -> str:
         """The input that its weights are read under."""

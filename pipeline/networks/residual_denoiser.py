@@ -27,7 +27,7 @@ class ResidualDenoiser(nn.Module):
 
     def __init__(
         self, *, inputs: int, unit_mm: float, first: int = 32, levels: int = 4, widest: int = 112, fold: int = 2,
-        most: float = 8.0, least: float = 0.02, prediction: Prediction = "clean",
+        most: float = 200.0, least: float = 0.02, prediction: Prediction = "clean",
     ) -> None:  # fmt: skip
         super().__init__()
         if prediction not in ("clean", "v", "noise"):

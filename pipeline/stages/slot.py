@@ -60,6 +60,10 @@ def _not_known(_facts: Facts, _sensor: SensorSpec) -> Any | None:
     return None
 
 
+def _no_states(_value: Any) -> tuple[Any, ...]:
+    return ()
+
+
 def _no_figures(_value: Any, _facts: Facts) -> Mapping[str, float]:
     return {}
 
@@ -82,3 +86,4 @@ class Slot:
     looks_at: tuple[str, ...] = ()  # other slots that the picture shows
     stretches: bool = True  # whether its 3D view draws indentation longer than it is
     scrubs: bool = False  # whether its value may keep `steps`
+    states: Callable[[Any], tuple[Any, ...]] = _no_states  # of those steps that are pictures of their own, as values

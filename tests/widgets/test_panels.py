@@ -5,9 +5,9 @@ from __future__ import annotations
 import logging
 
 import numpy as np
-from PyQt6.QtWidgets import QApplication, QComboBox, QPushButton
+from PyQt6.QtWidgets import QApplication, QComboBox, QLabel, QPushButton
 
-from pipeline.values.results import PoseStep
+from pipeline.values.results import PoseStep, TouchStep
 from widgets.banner import Banner
 from widgets.frames_model import FrameSummary
 from widgets.frames_panel import FramesPanel
@@ -100,4 +100,14 @@ def test_steps_stand_on_the_last_and_tell_which_is_chosen(qtbot):
     assert slider.slider.value() == 3
     with qtbot.waitSignal(slider.step_chosen) as signal:
         slider.slider.setValue(1)
-    assert signal.args[0] is steps[1]
+    assert signal.args == ["pose", steps[1], 1]
+
+
+def test_states_of_a_sample_tell_their_noise(qtbot):
+    slider = StepsSlider("touch")
+    qtbot.addWidget(slider)
+    frame = TouchStep(image=np.zeros((4, 4), np.float32), sigma=0.5, membrane=None)
+    slider.show_steps((frame, frame))
+    assert "noise 0.5" in next(label.text() for label in slider.findChildren(QLabel))
+    slider.show_steps(())
+    assert not slider.slider.isEnabled()

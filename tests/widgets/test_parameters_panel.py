@@ -81,3 +81,35 @@ def test_every_stage_of_the_pipeline_can_be_shown(qtbot):
         panel.add_group(method.key, method.title, method.params())
     named = {control.objectName() for control in panel.findChildren(QWidget)}
     assert named >= {f"{method.key}.{name}" for method in methods for name in settings(method.params())}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Many:
+    """A whole number of a wide range."""
+
+    steps: int = setting(1, "Steps", low=0, high=1000)
+
+
+def test_a_whole_number_of_a_wide_range_has_a_slider_with_the_most_room_for_small_ones(qtbot):
+    panel = ParametersPanel()
+    qtbot.addWidget(panel)
+    panel.add_group("some", "Some", Many())
+    slider, box = panel.findChild(QSlider), panel.findChild(QSpinBox)
+    seen = []
+    panel.params_edited.connect(lambda _key, params: seen.append(params.steps))
+    slider.setValue(slider.maximum())
+    slider.setValue(slider.maximum() // 5)
+    assert seen == [1000, 8]
+    assert box.value() == 8
+    panel.show_params("some", Many(steps=1000))
+    assert slider.value() == slider.maximum()
+    assert seen == [1000, 8], "shown, not edited"
+
+
+def test_a_held_slider_is_a_drag_until_it_is_let_go(panel, qtbot):
+    slider = panel.findChild(QSlider)
+    slider.sliderPressed.emit()
+    assert panel.dragging
+    with qtbot.waitSignal(panel.drag_ended):
+        slider.sliderReleased.emit()
+    assert not panel.dragging

@@ -7,7 +7,7 @@ condition allows. No step at all leaves the first answer as it is.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from torch import Tensor, nn
 
 _LOG_SPREAD = -5.0, 2.5  # of the expected error, in the network's unit
+_DRAFTED = 4  # steps
 _MOST_KEPT = 50  # states: a thousand of them would fill the memory
 
 
@@ -45,6 +46,11 @@ class DiffusionParams:
     )  # fmt: skip
     keep_states: bool = setting(False, "Keep states", help="so that the way to the sample can be looked at")
     noise: bool = setting(False, "Sensor noise", help="add the target sensor's own noise to the reading")
+
+
+def draft(params: DiffusionParams) -> DiffusionParams:
+    """What to show while a parameter is dragged: the fewest steps in which guidance does anything, no states."""
+    return replace(params, steps=min(params.steps, _DRAFTED), keep_states=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

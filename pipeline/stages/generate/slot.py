@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from pipeline.base.params import NoParams
 from pipeline.engine.graph import Method, unless
@@ -12,7 +13,7 @@ from pipeline.pictures.picture import Picture, of_reading
 from pipeline.stages import known_truth
 from pipeline.stages.follow import element_of
 from pipeline.stages.generate import picture_to_touch, stage, view_to_touch, vqvae
-from pipeline.stages.generate.diffusion import DiffusionParams
+from pipeline.stages.generate.diffusion import DiffusionParams, draft
 from pipeline.stages.learned import learned
 from pipeline.stages.slot import Facts, Mark, Seen, Slot
 from pipeline.values.results import Touch
@@ -36,6 +37,7 @@ T2D2 = Method(
     params=DiffusionParams,
     reads=(*PHYSICS.reads, "touch_weights"),
     weights=view_to_touch.weights,
+    draft=draft,
 )
 T2T = Method(
     slot="touch",
@@ -46,6 +48,7 @@ T2T = Method(
     params=DiffusionParams,
     reads=(*picture_to_touch.READS, "touch_weights"),
     weights=picture_to_touch.weights,
+    draft=draft,
 )
 VQVAE = Method(
     slot="touch",
@@ -91,6 +94,10 @@ def _follow(touch: Touch, before: Mark) -> Mark:
     return Mark(slot="touch", index=index, row=row, col=col, point_mm=before.point_mm, text=text)
 
 
+def _states(touch: Touch) -> tuple[Touch, ...]:
+    return tuple(replace(touch, image=step.image, membrane=step.membrane, steps=()) for step in touch.steps)
+
+
 def _figures(touch: Touch, facts: Facts) -> Mapping[str, float]:
     return {} if facts.target_frame is None else picture_figures(touch.image, facts.target_frame)
 
@@ -106,4 +113,6 @@ SLOT = Slot(
     follow=_follow,
     figures=_figures,
     truth=known_truth.touch,
+    scrubs=True,
+    states=_states,
 )

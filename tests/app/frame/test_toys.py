@@ -36,7 +36,7 @@ def test_the_window_shows_a_toy_route_and_goes_back(toys):
     assert np.ptp(window.columns["brightness"].view.picture.pixels) > 0
     assert window.columns["brightness"].view.picture.caption == "toy brightness"
     assert window.parameters.findChild(object, "touch/melt.gain").isVisibleTo(window.parameters)
-    assert [window.route.itemData(i) for i in range(window.route.count())] == ["t2d2", "toy"]
+    assert [window.route.itemData(i) for i in range(window.route.count())] == ["t2d2", "t2t", "toy"]
     toys.change("choose route", route="t2d2")
     assert wait_until_shown(toys, LIMIT_S)
     assert shown(window) == ["source", "depth", "cloud", "view", "touch", "felt", "pose"]
