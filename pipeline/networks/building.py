@@ -19,6 +19,7 @@ KINDS: dict[str, str] = {  # kind -> module:class; torch loads with the module
     "depth_anything": "pipeline.networks.depth_anything:DepthAnything",
     "residual_denoiser": "pipeline.networks.residual_denoiser:ResidualDenoiser",
     "gel_reading": "pipeline.networks.gel_reading:GelReading",
+    "latent": "pipeline.networks.latent:LatentDiffusion",
     "touch_pose": "pipeline.networks.touch_pose:TouchPose",
     "vqvae": "pipeline.networks.vqvae:VqVae",
 }

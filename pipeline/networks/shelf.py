@@ -11,7 +11,7 @@ from typing import Any
 
 from pipeline.base.errors import FileProblem
 from pipeline.base.memo import Memo
-from pipeline.networks import depth_anything_files, vqvae_files
+from pipeline.networks import depth_anything_files, latent_files, vqvae_files
 from pipeline.networks.weights import SUFFIX, NoWeights, Weights, load
 
 _SOURCE, _WHEEL = Path(__file__).parents[2] / "sample_data" / "weights", Path(__file__).parent / "shipped"
@@ -32,7 +32,8 @@ def shipped(name: str) -> Weights | NoWeights:
 
 def reader(kind: str) -> Callable[[Path], Weights]:
     """What reads files of weights for that kind of network; it raises FileProblem."""
-    return {depth_anything_files.KIND: depth_anything_files.read, vqvae_files.KIND: vqvae_files.read}.get(kind, load)
+    files = (depth_anything_files, latent_files, vqvae_files)
+    return {of.KIND: of.read for of in files}.get(kind, load)
 
 
 def in_file(path: Path, read: Callable[[Path], Weights] = load) -> Weights | NoWeights:

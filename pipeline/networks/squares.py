@@ -62,3 +62,28 @@ def measured(normalised: Floats, kind: Kind) -> Floats:
 def _numbers(kind: Kind) -> tuple[Floats, Floats]:
     mean, spread = (np.asarray(v[kind], np.float32)[:, None, None] for v in (MEANS, SPREADS))
     return mean, spread
+
+
+LEAST_MM, MOST_MM = -11.6, 22.5  # of the paper's bubble, between which pictures of latent diffusion tell an imprint
+
+
+def picture(squeezed: Floats, kind: Kind) -> Floats:
+    """Three channels in -1..1, as latent diffusion pictures a change: an imprint is tiled."""
+    if kind == "gel":
+        return np.clip(squeezed, -1.0, 1.0).astype(np.float32)
+    share = (squeezed - LEAST_MM) / (MOST_MM - LEAST_MM)
+    return np.repeat(np.clip(2.0 * share - 1.0, -1.0, 1.0).astype(np.float32), 3, axis=-3)
+
+
+def pictured(shown: Floats, kind: Kind, *, twice: bool = False) -> Floats:
+    """The change that `picture` made this of; of an imprint the mean of its channels, then mm (paper, steps 1 and 2).
+
+    `twice` maps an imprint to mm as the released scripts do, which take -1..1 to 0..1 two times: all of it comes out in
+    the upper half of the range.
+    """
+    if kind == "gel":
+        return shown
+    share = 0.5 * (np.clip(shown, -1.0, 1.0).mean(axis=-3, keepdims=True) + 1.0)
+    if twice:
+        share = 0.5 * (share + 1.0)
+    return (LEAST_MM + share * (MOST_MM - LEAST_MM)).astype(np.float32)

@@ -42,7 +42,7 @@ def _of_torch(path: Path) -> dict[str, Floats]:
     tensors: dict[str, Floats] = {}
     for name, tensor in cast("Mapping[Any, Any]", held).items():
         if isinstance(tensor, torch.Tensor):
-            tensors[str(name)] = np.ascontiguousarray(tensor.float().numpy())
+            tensors[str(name)] = np.array(tensor.float().numpy(), order="C")
     if not all(np.isfinite(tensor).all() for tensor in tensors.values()):
         raise FileProblem("the weights hold values that are not numbers; fetch them anew", path)
     return tensors

@@ -62,6 +62,7 @@ TASKS: dict[str, Entry] = {
     "gel_depth": Entry(what="depth", where="pipeline.training.gel_depth:GelDepth"),
     "depth_anything": Entry(what="depth", where="pipeline.training.depth_anything:DepthAnythingTask"),
     "vqvae": Entry(what="vqvae", where="pipeline.training.vqvae:VqVaeTask"),
+    "latent": Entry(what="latent", where="pipeline.training.latent:LatentTask"),
     "touch_pose": Entry(what="pose", where="pipeline.training.touch_pose:TouchPoseTask"),
     "bubble_reading": Entry(what="depth", where="pipeline.training.bubble_reading:BubbleReading"),
     "residual_of_view": Entry(what="t2d2", where="pipeline.training.residual:ResidualOfView"),

@@ -94,7 +94,8 @@ class TouchPoseTask:
         if self.sensor == "gelslim":
             square = normal(touch.own_gel, "gel")
         else:  # what is generated has less noise than what is recorded
-            square = normal(touch.exact_mm + np.float32(noise) * (touch.bubble_mm - touch.exact_mm), "bubble")
+            seen = touch.exact_mm + np.float32(noise) * (touch.bubble_mm - touch.exact_mm)
+            square = normal(seen.astype(np.float32), "bubble")
         pose = touch.alignment_from_object
         turn = math.atan2(pose[1, 0], pose[0, 0])
         place = (pose[0, 3], pose[1, 3], turn, fold_of(touch.thing), thing_names().index(touch.thing))

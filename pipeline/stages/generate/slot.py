@@ -12,8 +12,9 @@ from pipeline.pictures.layers import Layer, reading_layer, surface_layer
 from pipeline.pictures.picture import Picture, of_reading
 from pipeline.stages import known_truth
 from pipeline.stages.follow import element_of
-from pipeline.stages.generate import picture_to_touch, stage, view_to_touch, vqvae
+from pipeline.stages.generate import latent, picture_to_touch, stage, view_to_touch, vqvae
 from pipeline.stages.generate.diffusion import DiffusionParams, draft
+from pipeline.stages.generate.latent import LatentParams
 from pipeline.stages.learned import learned
 from pipeline.stages.slot import Facts, Mark, Seen, Slot
 from pipeline.values.results import Touch
@@ -49,6 +50,16 @@ T2T = Method(
     reads=(*picture_to_touch.READS, "touch_weights"),
     weights=picture_to_touch.weights,
     draft=draft,
+)
+LATENT = Method(
+    slot="touch",
+    name="latent",
+    title="T2T, latent diffusion",
+    help="the paper's own: 200 steps from noise, guided by what an encoder sees in the source's picture",
+    run=learned(latent.generate, instead=picture_to_touch.BY_PHYSICS),
+    params=LatentParams,
+    reads=(*picture_to_touch.READS, "touch_weights"),
+    weights=latent.weights,
 )
 VQVAE = Method(
     slot="touch",
@@ -107,7 +118,7 @@ SLOT = Slot(
     title="Generated touch",
     legend="target's membrane",
     place="target",
-    methods=(PHYSICS, T2D2, T2T, VQVAE),
+    methods=(PHYSICS, T2D2, T2T, LATENT, VQVAE),
     picture=_picture,
     layers=_layers,
     follow=_follow,

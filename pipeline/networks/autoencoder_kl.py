@@ -1,0 +1,158 @@
+"""The autoencoder of latent diffusion, under the names of the published one (`kl-f8` of Rombach et al. 2022).
+
+Pictures of three channels become a few channels at an eighth of the side and come back.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import cast
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+LATENT = 4
+_EPS = 1e-6
+
+
+class AutoencoderKl(nn.Module):
+    """Means and log variances of latents from pictures (n, 3, side, side), and pictures from latents."""
+
+    def __init__(
+        self, *, width: int = 128, times: tuple[int, ...] = (1, 2, 4, 4), blocks: int = 2, groups: int = 32
+    ) -> None:
+        super().__init__()
+        self.encoder = _Encoder(width, times, blocks, groups)
+        self.decoder = _Decoder(width, times, blocks, groups)
+        self.quant_conv = nn.Conv2d(2 * LATENT, 2 * LATENT, 1)
+        self.post_quant_conv = nn.Conv2d(LATENT, LATENT, 1)
+
+    def encode(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
+        """(mean, log variance), each (n, 4, rows / 8, cols / 8) with four levels."""
+        mean, log_variance = self.quant_conv(self.encoder(pictures)).chunk(2, dim=1)
+        return mean, log_variance.clamp(-30.0, 20.0)
+
+    def decode(self, latents: Tensor) -> Tensor:
+        """Pictures (n, 3, rows, cols)."""
+        return self.decoder(self.post_quant_conv(latents))
+
+
+class _Encoder(nn.Module):
+    def __init__(self, width: int, times: tuple[int, ...], blocks: int, groups: int) -> None:
+        super().__init__()
+        widths = [width, *(width * t for t in times)]
+        self.conv_in = nn.Conv2d(3, width, 3, padding=1)
+        self.down = nn.ModuleList()
+        for level, (narrow, wide) in enumerate(pairwise(widths)):
+            step = nn.Module()
+            step.block = nn.ModuleList(_Block(narrow if k == 0 else wide, wide, groups) for k in range(blocks))
+            if level < len(times) - 1:
+                step.downsample = _Halved(wide)
+            self.down.append(step)
+        self.mid = _Middle(widths[-1], groups)
+        self.norm_out = nn.GroupNorm(groups, widths[-1], _EPS)
+        self.conv_out = nn.Conv2d(widths[-1], 2 * LATENT, 3, padding=1)
+
+    def forward(self, pictures: Tensor) -> Tensor:
+        """Moments before they are mixed."""
+        field = self.conv_in(pictures)
+        for step in self.down:
+            for block in cast("nn.ModuleList", step.block):
+                field = block(field)
+            if hasattr(step, "downsample"):
+                field = cast("nn.Module", step.downsample)(field)
+        return self.conv_out(functional.silu(self.norm_out(self.mid(field))))
+
+
+class _Decoder(nn.Module):
+    def __init__(self, width: int, times: tuple[int, ...], blocks: int, groups: int) -> None:
+        super().__init__()
+        widths = [width * t for t in times]
+        self.conv_in = nn.Conv2d(LATENT, widths[-1], 3, padding=1)
+        self.mid = _Middle(widths[-1], groups)
+        self.up = nn.ModuleList()
+        for level, wide in enumerate(widths):
+            step, deeper = nn.Module(), widths[min(level + 1, len(widths) - 1)]
+            step.block = nn.ModuleList(_Block(deeper if k == 0 else wide, wide, groups) for k in range(blocks + 1))
+            if level:
+                step.upsample = _Doubled(wide)
+            self.up.append(step)
+        self.norm_out = nn.GroupNorm(groups, widths[0], _EPS)
+        self.conv_out = nn.Conv2d(widths[0], 3, 3, padding=1)
+
+    def forward(self, latents: Tensor) -> Tensor:
+        """Pictures."""
+        field = self.mid(self.conv_in(latents))
+        for step in reversed(self.up):
+            for block in cast("nn.ModuleList", step.block):
+                field = block(field)
+            if hasattr(step, "upsample"):
+                field = cast("nn.Module", step.upsample)(field)
+        return self.conv_out(functional.silu(self.norm_out(field)))
+
+
+class _Middle(nn.Module):
+    def __init__(self, width: int, groups: int) -> None:
+        super().__init__()
+        self.block_1, self.block_2 = _Block(width, width, groups), _Block(width, width, groups)
+        self.attn_1 = _Attention(width, groups)
+
+    def forward(self, field: Tensor) -> Tensor:
+        """The same shape."""
+        return self.block_2(self.attn_1(self.block_1(field)))
+
+
+class _Block(nn.Module):
+    def __init__(self, inputs: int, outputs: int, groups: int) -> None:
+        super().__init__()
+        self.norm1, self.norm2 = nn.GroupNorm(groups, inputs, _EPS), nn.GroupNorm(groups, outputs, _EPS)
+        self.conv1 = nn.Conv2d(inputs, outputs, 3, padding=1)
+        self.conv2 = nn.Conv2d(outputs, outputs, 3, padding=1)
+        if inputs != outputs:
+            self.nin_shortcut = nn.Conv2d(inputs, outputs, 1)
+
+    def forward(self, field: Tensor) -> Tensor:
+        """What is added to the field."""
+        inner = self.conv1(functional.silu(self.norm1(field)))
+        inner = self.conv2(functional.silu(self.norm2(inner)))
+        return inner + (self.nin_shortcut(field) if hasattr(self, "nin_shortcut") else field)
+
+
+class _Attention(nn.Module):
+    def __init__(self, width: int, groups: int) -> None:
+        super().__init__()
+        self.norm = nn.GroupNorm(groups, width, _EPS)
+        self.q, self.k, self.v, self.proj_out = (nn.Conv2d(width, width, 1) for _ in range(4))
+
+    def forward(self, field: Tensor) -> Tensor:
+        """Every place looks at every other."""
+        normed = self.norm(field)
+        asked, told, said = (part(normed).flatten(2).transpose(1, 2) for part in (self.q, self.k, self.v))
+        found = functional.scaled_dot_product_attention(asked, told, said)
+        return field + self.proj_out(found.transpose(1, 2).reshape(field.shape))
+
+
+class _Halved(nn.Module):
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.conv = nn.Conv2d(width, width, 3, stride=2)
+
+    def forward(self, field: Tensor) -> Tensor:
+        """Half the side; the published one pads right and below alone."""
+        return self.conv(functional.pad(field, (0, 1, 0, 1)))
+
+
+class _Doubled(nn.Module):
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.conv = nn.Conv2d(width, width, 3, padding=1)
+
+    def forward(self, field: Tensor) -> Tensor:
+        """Twice the side."""
+        return self.conv(functional.interpolate(field, scale_factor=2.0, mode="nearest"))
+
+
+def drawn(mean: Tensor, log_variance: Tensor, noise: Tensor) -> Tensor:
+    """Latents of these moments."""
+    return mean + torch.exp(0.5 * log_variance) * noise

@@ -1,0 +1,99 @@
+"""The paper's touch to touch: latent diffusion, told the source's touch by what an encoder sees of it.
+
+The parts lie under the names of the published checkpoint: `first_stage_model` (autoencoder), `cond_stage_model` (the
+encoder of the source's touch), `model.diffusion_model` (denoiser) and `scale_factor`, which brings latents to spread 1.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from pipeline.base.arrays import Doubles
+from pipeline.networks.autoencoder_kl import LATENT, AutoencoderKl, drawn
+from pipeline.networks.condition_encoder import ConditionEncoder
+from pipeline.networks.latent_unet import LatentUnet
+
+TIMES = 1000
+BETAS = 0.0015, 0.0155  # of the first and the last time; their roots rise evenly
+REACH = 5.0  # latents of spread 1 beyond this are none of the data's
+
+
+class Learned(NamedTuple):
+    """What a step of training is judged by."""
+
+    rebuilt: Tensor  # the target's picture, through the autoencoder
+    mean: Tensor  # of its latents
+    log_variance: Tensor
+    noise: Tensor  # (n, 4, ...) as it was held for, and
+    true_noise: Tensor  # as it was
+
+
+class LatentDiffusion(nn.Module):
+    """Three-channel pictures in -1..1 of side `side`; the numbers that come as they are are the paper's.
+
+    `raw_condition`: it was taught on changes of 0..255 where the spread is that of 0..1, as the published weights were.
+    `half_turn`: its pictures are to be turned by half a turn for the target's camera. `made_*` and `true_*` are mean
+    and spread in mm of generated and true imprints over what it learned from, by which small biases are taken out; a
+    spread of 0 leaves that out.
+    """
+
+    def __init__(
+        self, *, side: int = 256, width: int = 192, times: str = "1 2 2 4 4", blocks: int = 2,
+        attention: str = "1 2 4 8", heads: int = 8, groups: int = 32, first_width: int = 128,
+        first_times: str = "1 2 4 4", first_blocks: int = 2, seen: int = 64, raw_condition: bool = False,
+        half_turn: bool = False, made_mean: float = 0.0, made_spread: float = 0.0, true_mean: float = 0.0,
+        true_spread: float = 0.0,
+    ) -> None:  # fmt: skip
+        super().__init__()
+        self.side, self.raw_condition, self.half_turn = side, bool(raw_condition), bool(half_turn)
+        self.made, self.true = (made_mean, made_spread), (true_mean, true_spread)
+        self.first_stage_model = AutoencoderKl(
+            width=first_width, times=_numbers(first_times), blocks=first_blocks, groups=groups
+        )
+        self.cond_stage_model = ConditionEncoder(width=seen)
+        self.model = nn.ModuleDict({"diffusion_model": LatentUnet(
+            inputs=LATENT + seen, width=width, times=_numbers(times), blocks=blocks, attention=_numbers(attention),
+            heads=heads, groups=groups,
+        )})  # fmt: skip
+        self.register_buffer("scale_factor", torch.tensor(1.0))
+        self.register_buffer("left", torch.tensor(signal_left().tolist()), persistent=False)
+
+    def forward(self, target: Tensor, source: Tensor, time: Tensor, told: Tensor, noises: Tensor) -> Learned:
+        """For training: pictures of both, times (n,), whether each is told its source (n,), noise (2, n, 4, ...)."""
+        mean, log_variance = self.first_stage_model.encode(target)
+        latents = drawn(mean, log_variance, noises[0])
+        rebuilt = self.first_stage_model.decode(latents)
+        if self.training:
+            self._follow_spread(latents.detach().float())
+        left = self.left[time][:, None, None, None]
+        noisy = left.sqrt() * self.scale_factor * latents.detach() + (1 - left).sqrt() * noises[1]
+        shown = self.cond_stage_model(source) * told[:, None, None, None]
+        held = self.model["diffusion_model"](torch.cat([noisy, shown], dim=1), time)
+        return Learned(rebuilt=rebuilt, mean=mean, log_variance=log_variance, noise=held, true_noise=noises[1])
+
+    def noise(self, noisy: Tensor, time: Tensor, shown: Tensor) -> Tensor:
+        """What it holds the noise for, of latents as they are at that time."""
+        return self.model["diffusion_model"](torch.cat([noisy, shown], dim=1), time)
+
+    def pictures(self, latents: Tensor) -> Tensor:
+        """Pictures (n, 3, side, side) in -1..1 of latents of spread 1."""
+        return self.first_stage_model.decode(latents / self.scale_factor)
+
+    def _follow_spread(self, latents: Tensor) -> None:
+        """The scale that brings latents to spread 1, followed while the autoencoder still changes."""
+        with torch.no_grad():
+            self.scale_factor.lerp_(1.0 / latents.std().clamp(min=1e-3), 0.1)
+
+
+def signal_left() -> Doubles:
+    """(TIMES,) share of the signal's power that is left at each time."""
+    roots = np.linspace(BETAS[0] ** 0.5, BETAS[1] ** 0.5, TIMES)
+    return np.cumprod(1.0 - roots**2)
+
+
+def _numbers(words: str) -> tuple[int, ...]:
+    return tuple(int(word) for word in words.split())

@@ -1,0 +1,125 @@
+"""The target's touch by latent diffusion: the paper's touch to touch, with its three steps that lead back to mm."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from pipeline.base.arrays import Floats
+from pipeline.base.errors import ShapeError
+from pipeline.base.params import setting
+from pipeline.base.progress import SILENT, Progress
+from pipeline.calibration.lookup import Calibration
+from pipeline.engine.graph import Skipped
+from pipeline.networks import latent_files, shelf
+from pipeline.networks.guidance import MOST_WEIGHT, Guided, plan
+from pipeline.networks.samplers import MOST_STEPS, Solver, sample, sigmas_of_times
+from pipeline.networks.squares import change, normal, pictured, square, unsquared
+from pipeline.networks.weights import NoWeights, Weights
+from pipeline.sensors.alignment import Alignment
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.depth import stage as depth
+from pipeline.stages.generate import stage
+from pipeline.stages.generate.pictured import touch_of
+from pipeline.values.frames import TactileFrame
+from pipeline.values.results import Touch
+
+if TYPE_CHECKING:
+    from torch import Tensor, nn
+
+AsTaught = Literal["as taught", "yes", "no"]
+NOTE = "a picture alone, sampled from the source's picture alone: no depth, no alignment and no membrane is behind it"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LatentParams:
+    """How a touch is sampled; as they come, the paper's numbers."""
+
+    steps: int = setting(200, "Denoising steps", low=1, high=MOST_STEPS, step=1)
+    guidance: float = setting(
+        2.54, "Guidance scale", low=0.0, high=MOST_WEIGHT, step=0.1,
+        help="how much more the source counts than it was learned to; 1 costs half as much as any other above 0",
+    )  # fmt: skip
+    sampler: Solver = setting("ddim", "Sampler", choices=Solver, help="how a step follows from those before it")
+    seed: int = setting(0, "Seed", low=0, high=2**31 - 1, step=1)
+    unbiased: bool = setting(True, "Bring to the taught mean and spread", help="the paper's third step, of a bubble")
+    raw_condition: AsTaught = setting(
+        "as taught", "Condition in greys", choices=AsTaught,
+        help="the published weights were taught on changes of 0..255 with the spread of 0..1",
+    )  # fmt: skip
+    double_mapping: bool = setting(
+        False, "Map to mm twice", help="as the released scripts do: all of an imprint in the upper half of its range"
+    )  # fmt: skip
+
+
+def weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:
+    """The weights of that very direction."""
+    return shelf.for_task(latent_files.TASK, f"latent_{source.name}_to_{target.name}", file, latent_files.read)
+
+
+def generate(
+    frame: TactileFrame,
+    source: SensorSpec,
+    calibration: Calibration | None,
+    alignment: Alignment,  # noqa: ARG001 - what physics in its place reads
+    target: SensorSpec,
+    network: nn.Module,
+    params: LatentParams,
+    progress: Progress = SILENT,
+) -> Touch | Skipped:
+    """What `target` would have recorded; the same seed gives the same bytes. Raises ShapeError without a reference."""
+    depth.checked(frame, source)
+    if frame.reference is None:
+        raise ShapeError(f"the touch by latent diffusion needs {source.name}'s untouched reading; give --reference")
+    if depth.untouched(frame, source, calibration, depth.DepthParams()) is not None:
+        return Skipped(output=stage.at_rest(target), why=stage.NO_CONTACT)
+    net: Any = network
+    changed = square(change(source.kind, frame.image, frame.reference), net.side)
+    if params.raw_condition == "yes" or (params.raw_condition == "as taught" and net.raw_condition):
+        changed = changed * np.float32(255.0 if source.kind == "gel" else 1.0)
+    shown = normal(changed, source.kind)
+    found, notes = sampled(net, np.broadcast_to(shown, (3, *shown.shape[1:])), params, progress)
+    made = pictured(found, target.kind, twice=params.double_mapping)
+    if target.kind == "bubble" and params.unbiased:
+        made = _unbiased(made, net.made, net.true)
+    if net.half_turn:
+        made = made[:, ::-1, ::-1]
+    return touch_of(target, unsquared(np.ascontiguousarray(made), target.camera.shape), (NOTE, *notes))
+
+
+def sampled(
+    net: Any, shown: Floats, params: LatentParams, progress: Progress = SILENT
+) -> tuple[Floats, tuple[str, ...]]:
+    """A picture (3, side, side) in -1..1 for a condition of the same shape, and what was done otherwise than asked."""
+    import torch
+
+    from pipeline.networks.latent import REACH, signal_left
+
+    levels, times = sigmas_of_times(params.steps, signal_left())
+    time_of = {float(level): time for level, time in zip(levels, times, strict=False)}
+    how = plan(params.guidance, len(times), REACH)
+
+    def by(told: Tensor) -> Any:
+        def denoise(noisy: Tensor, sigma: float) -> Tensor:
+            at = noisy / (1.0 + sigma * sigma) ** 0.5  # the network was taught on noise that keeps the spread
+            return noisy - sigma * net.noise(at, torch.tensor([time_of[sigma]]), told)
+
+        return denoise
+
+    with torch.inference_mode():
+        told = net.cond_stage_model(torch.from_numpy(np.array(shown, np.float32)[None]))
+        rng = torch.Generator().manual_seed(params.seed)
+        noise = torch.randn((1, 4, net.side // 8, net.side // 8), generator=rng)
+        guided = Guided(by(told), by(torch.zeros_like(told)), how, REACH)
+        found = sample(guided, noise, levels, solver=params.sampler, most_degree=how.most_degree, progress=progress)
+        return net.pictures(found.clean)[0].numpy(), (how.note,) if how.note else ()
+
+
+def _unbiased(made_mm: Floats, made: tuple[float, float], true: tuple[float, float]) -> Floats:
+    """An imprint renormalised from the mean and spread that the network's imprints had to those of true ones."""
+    if made[1] <= 0.0 or true[1] <= 0.0:
+        return made_mm
+    return ((made_mm - made[0]) * (true[1] / made[1]) + true[0]).astype(np.float32)

@@ -1,0 +1,154 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from pipeline.base.errors import FileProblem
+from pipeline.networks import latent_files
+from pipeline.networks.autoencoder_kl import drawn
+from pipeline.networks.building import build, network
+from pipeline.networks.latent import LatentDiffusion, signal_left
+
+SMALL = {
+    "side": 32, "width": 8, "times": "1 2", "blocks": 1, "attention": "2", "heads": 2, "groups": 4, "first_width": 8,
+    "first_times": "1 1 2 2", "first_blocks": 1, "seen": 4,
+}  # fmt: skip
+
+
+def small(seed=0, **other):
+    torch.manual_seed(seed)
+    return LatentDiffusion(**{**SMALL, **other})
+
+
+def batch(n=2, side=32):
+    torch.manual_seed(1)
+    return {
+        "target": torch.tanh(torch.randn(n, 3, side, side)), "source": torch.randn(n, 3, side, side),
+        "time": torch.tensor([10, 900][:n]), "told": torch.ones(n), "noises": torch.randn(2, n, 4, side // 8, side // 8),
+    }  # fmt: skip
+
+
+def paper():
+    with torch.device("meta"):
+        return LatentDiffusion()
+
+
+def test_the_papers_width_has_the_published_parts():
+    """Names, shapes and counts of the released configuration: 295.08 million numbers in 520 tensors."""
+    shapes = {name: tuple(t.shape) for name, t in paper().state_dict().items()}
+    unet = {n.removeprefix("model.diffusion_model."): s for n, s in shapes.items() if n.startswith("model.diffusion")}
+    assert len(unet) == 520
+    assert round(sum(int(np.prod(s)) for s in unet.values()) / 1e6, 2) == 295.08
+    assert unet["input_blocks.0.0.weight"] == (192, 68, 3, 3)
+    assert unet["input_blocks.1.1.qkv.weight"] == (576, 192, 1)
+    assert unet["input_blocks.3.0.emb_layers.1.weight"] == (384, 768)
+    assert unet["output_blocks.2.1.in_layers.2.weight"] == (768, 768, 3, 3)
+    assert unet["out.2.weight"] == (4, 192, 3, 3)
+    assert shapes["first_stage_model.encoder.down.1.block.0.nin_shortcut.weight"] == (256, 128, 1, 1)
+    assert shapes["first_stage_model.decoder.up.3.block.2.conv2.weight"] == (512, 512, 3, 3)
+    assert shapes["first_stage_model.decoder.mid.attn_1.proj_out.bias"] == (512,)
+    assert shapes["first_stage_model.quant_conv.weight"] == (8, 8, 1, 1)
+    assert shapes["cond_stage_model.resnet.layer4.0.downsample.0.weight"] == (512, 256, 1, 1)
+    assert shapes["cond_stage_model.deconv2.weight"] == (256, 64, 4, 4)
+    assert shapes["scale_factor"] == ()
+
+
+def test_noise_rises_as_published():
+    left = signal_left()
+    assert left[0] == pytest.approx(1 - 0.0015)
+    assert left[-1] == pytest.approx(left[-2] * (1 - 0.0155))
+    assert (np.diff(left) < 0).all()
+
+
+def test_pictures_become_latents_of_an_eighth_and_come_back():
+    net = small().eval()
+    mean, log_variance = net.first_stage_model.encode(batch()["target"])
+    assert mean.shape == log_variance.shape == (2, 4, 4, 4)
+    assert net.pictures(mean).shape == (2, 3, 32, 32)
+
+
+def test_the_denoiser_does_not_teach_the_autoencoder():
+    net = small().train()
+    found = net(**batch())
+    (found.noise - found.true_noise).abs().mean().backward()
+    assert all(p.grad is None for p in net.first_stage_model.parameters())
+    assert any(p.grad is not None for p in net.cond_stage_model.parameters())
+
+
+def test_an_untold_example_is_not_shown_its_source():
+    net = small().eval()
+    one = batch()
+    with torch.no_grad():
+        net.model["diffusion_model"].out[2].weight.normal_()
+        told = net(**one).noise
+        other = net(**{**one, "source": one["source"].flip(0)}).noise
+        untold = net(**{**one, "told": torch.zeros(2)}).noise
+        untold_other = net(**{**one, "told": torch.zeros(2), "source": one["source"].flip(0)}).noise
+    assert not torch.allclose(told, other)
+    assert torch.equal(untold, untold_other)
+
+
+def test_latents_are_brought_to_spread_one():
+    net = small().train()
+    for _ in range(80):
+        net(**batch())
+    latents = drawn(*net.first_stage_model.encode(batch()["target"]), batch()["noises"][0])
+    assert float(net.scale_factor * latents.detach().std()) == pytest.approx(1.0, rel=0.02)
+
+
+def released(net, changed=None):
+    """A checkpoint as the released training writes it: EMA, the source's encoder twice, a loss, a schedule."""
+    state = dict(net.state_dict())
+    for name, tensor in list(state.items()):
+        if name.startswith("model."):
+            state["model_ema." + name.removeprefix("model.").replace(".", "")] = tensor + (changed or 0.0)
+    state["model_ema.decay"] = torch.tensor(0.9999)
+    state["cond_stage_model.features.0.weight"] = state["cond_stage_model.resnet.conv1.weight"]
+    state["cond_stage_model.resnet.fc.weight"] = torch.zeros(1000, 8)
+    state["first_stage_model.loss.logvar"] = torch.tensor(0.0)
+    state["betas"] = torch.linspace(0, 1, 10)
+    return {"state_dict": state, "global_step": 7}
+
+
+def test_a_released_checkpoint_is_known_and_its_average_is_taken(tmp_path):
+    like = {
+        "side": 256, "times": "1 2 2 4 4", "blocks": 2, "attention": "1 2 4 8", "heads": 8, "groups": 32,
+        "first_times": "1 2 4 4", "first_blocks": 2,
+    }  # fmt: skip
+    net = small(**like, width=32, first_width=32, seen=2)
+    torch.save(released(net, 0.5), tmp_path / "model.ckpt")
+    found = latent_files.read(tmp_path / "model.ckpt")
+    assert (found.config["width"], found.config["first_width"], found.config["seen"]) == (32, 32, 2)
+    assert found.config["raw_condition"]
+    ready = network(found)  # every tensor fits
+    name = "model.diffusion_model.time_embed.0.bias"
+    assert torch.allclose(ready.state_dict()[name], net.state_dict()[name] + 0.5)
+    first = "first_stage_model.quant_conv.bias"
+    assert torch.equal(ready.state_dict()[first], net.state_dict()[first])
+
+
+def test_something_else_is_no_latent_diffusion(tmp_path):
+    torch.save({"state_dict": {"weight": torch.zeros(3)}}, tmp_path / "other.ckpt")
+    with pytest.raises(FileProblem, match="latent diffusion under their original names"):
+        latent_files.read(tmp_path / "other.ckpt")
+
+
+@pytest.mark.slow
+def test_the_papers_width_learns_a_few_steps():
+    torch.manual_seed(0)
+    net = build("latent", {"side": 64}).train()
+    one = {name: tensor[:1] for name, tensor in batch(2, 64).items() if name != "noises"}
+    one["noises"] = batch(1, 64)["noises"]
+    one["time"] = torch.tensor([500])
+    optimiser = torch.optim.SGD(net.parameters(), 1e-3)
+    losses = []
+    for _ in range(3):
+        found = net(**one)
+        loss = (found.noise - found.true_noise).abs().mean() + (found.rebuilt - one["target"]).abs().mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        losses.append(float(loss))
+    assert np.isfinite(losses).all()
+    assert losses[-1] < losses[0]
