@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -30,6 +30,7 @@ from pipeline.values.results import Touch
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
+_DRAFTED = 4
 AsTaught = Literal["as taught", "yes", "no"]
 NOTE = "a picture alone, sampled from the source's picture alone: no depth, no alignment and no membrane is behind it"
 
@@ -53,6 +54,11 @@ class LatentParams:
     double_mapping: bool = setting(
         False, "Map to mm twice", help="as the released scripts do: all of an imprint in the upper half of its range"
     )  # fmt: skip
+
+
+def draft(params: LatentParams) -> LatentParams:
+    """What to show while a parameter is dragged: the fewest steps in which guidance does anything."""
+    return replace(params, steps=min(params.steps, _DRAFTED))
 
 
 def weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:

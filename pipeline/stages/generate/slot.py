@@ -60,6 +60,7 @@ LATENT = Method(
     params=LatentParams,
     reads=(*picture_to_touch.READS, "touch_weights"),
     weights=latent.weights,
+    draft=latent.draft,
 )
 VQVAE = Method(
     slot="touch",
