@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from pipeline.translation.translate import Request
 
 SAMPLE = Path(__file__).resolve().parents[1] / "sample_data" / "recordings" / "first_touch.h5"
-SAMPLE_TOUCH = 3  # the first frame of the sample that its gel feels
 _PATIENCE_S = 1.0  # for the window to be on screen; one that is opened minimised never is
 _THREADS_LEFT_ALONE = "PASSIVE"  # waiting OpenMP threads that spin would take the processor from the window
 
@@ -31,10 +30,10 @@ def open_window(request: Request | None, *, frame: int | None = None, tour: Path
     `app.frame.tour` for what a tour leaves behind.
     """
     prepare_environment()
-    from app.session.state import ASKED, Session
+    from app.session.state import ASKED, ON_A_TOUCH, Session
 
     application = make_application()
-    first = _first_frame(request) if frame is None else frame
+    first = ON_A_TOUCH if frame is None else frame
     if request is None:
         asked_for = SAMPLE.exists() and (frame is not None or tour is not None)
         session = Session(recording=SAMPLE if asked_for else None, frame=first)
@@ -111,11 +110,6 @@ def show_window(
         keeping.offer_recovery()
     logging.getLogger("tactoscope").info("Tactoscope is ready")
     return instrument
-
-
-def _first_frame(request: Request | None) -> int:
-    """Where a recording opens: the sample on its first touch, since most of an untouched frame is skipped."""
-    return SAMPLE_TOUCH if request is None or request.recording.resolve() == SAMPLE else 0
 
 
 def _wait_until_seen(window: Window) -> None:

@@ -25,6 +25,7 @@ STATES: dict[str, Rgb] = {
     "read": (0, 128, 96),
     "cached": (40, 105, 180),
     "unchanged": (40, 105, 180),
+    "doubtful": (180, 95, 0),
     "skipped": (110, 115, 125),
     "running": (190, 120, 0),
     "preview": (190, 120, 0),

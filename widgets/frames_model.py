@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from PyQt6.QtCore import QAbstractTableModel, QModelIndex, Qt
 from PyQt6.QtWidgets import QWidget
 
+from widgets.icons import state_pixmap
+
 SORTED_BY = Qt.ItemDataRole.UserRole  # a number, so that 10 comes after 9; what is not known comes last
 FRAME, DEPTH, CONTACT, FIGURE = range(4)
 _TITLES = ("frame", "depth\nmm", "contact\nmm²")
@@ -27,6 +29,7 @@ class FrameSummary:
     contact_mm2: float = 0.0
     figures: Mapping[str, float] = field(default_factory=dict[str, float])  # "slot.name" -> value
     problem: str = ""  # why there is nothing else to say
+    doubts: tuple[str, ...] = ()  # "slot: sentence"
 
     def value(self, column: int, figure: str) -> float:
         """The number of a cell; NaN where there is none."""
@@ -56,6 +59,17 @@ class FramesModel(QAbstractTableModel):
         """The unknown frame nearest to `frame`, later ones first; -1 when all are known."""
         waiting = [i for i in range(self._n_frames) if i not in self._known]
         return min(waiting, key=lambda i: (abs(i - frame), -i), default=-1)
+
+    @property
+    def common_doubts(self) -> frozenset[str]:
+        """Those of every touched frame that is known: they tell no frame from another."""
+        told = [set(known.doubts) for known in self._known.values() if known.contact_mm2 > 0]
+        return frozenset[str]() if len(told) < 2 else frozenset(set.intersection(*told))
+
+    def own_doubts(self, frame: int) -> tuple[str, ...]:
+        """A frame's doubts less the common ones."""
+        known, common = self._known.get(frame), self.common_doubts
+        return () if known is None else tuple(doubt for doubt in known.doubts if doubt not in common)
 
     def show_frames(self, n_frames: int) -> None:
         """Start over with this many frames of which nothing is known."""
@@ -96,14 +110,24 @@ class FramesModel(QAbstractTableModel):
         """The text of a cell, or the number that it is sorted by."""
         if not index.isValid():
             return None
+        if role in (Qt.ItemDataRole.ToolTipRole, Qt.ItemDataRole.DecorationRole):
+            return self._remark(index.row(), index.column(), Qt.ItemDataRole(role))
         if role == Qt.ItemDataRole.TextAlignmentRole:
             return int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         if role == SORTED_BY:
             return self._number(index.row(), index.column())
         if role == Qt.ItemDataRole.DisplayRole:
             return self._text(index.row(), index.column())
-        summary = self._known.get(index.row())
-        return summary.problem or None if summary is not None and role == Qt.ItemDataRole.ToolTipRole else None
+        return None
+
+    def _remark(self, frame: int, column: int, role: Qt.ItemDataRole) -> object:
+        """Why a frame failed or is doubted; the sign of a doubt stands beside its number."""
+        summary = self._known.get(frame)
+        if summary is None:
+            return None
+        if role == Qt.ItemDataRole.ToolTipRole:
+            return summary.problem or "\n".join(summary.doubts) or None
+        return state_pixmap("doubtful") if column == FRAME and self.own_doubts(frame) else None
 
     def _number(self, frame: int, column: int) -> float:
         if column == FRAME:

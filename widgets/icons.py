@@ -32,6 +32,7 @@ _MARKS = {
     "skipped": _Sign(strokes=("10,16 22,16",)),
     "running": _Sign(arcs=((10, 10, 12, 12, 90, -250),)),
     "preview": _STACK,
+    "doubtful": _Sign(strokes=("16,8 16,18", "16,23 16.01,23")),
     "failed": _Sign(strokes=("11,11 21,21", "21,11 11,21")),
     "stale": _Sign(strokes=("16,9 16,16 21,19",)),
     "waiting": _Sign(strokes=("16,16 16.01,16",)),  # a dot

@@ -63,7 +63,7 @@ class StageColumn(QFrame):
         layout.addWidget(self._note)
         self.setMinimumWidth(90)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
-        self.state = ""
+        self.state, self.doubts = "", tuple[str, ...]()
         self.view.pixel_hovered.connect(partial(self.pixel_hovered.emit, name))
         self.view.pixel_clicked.connect(partial(self.pixel_clicked.emit, name))
         self.show_state("waiting")
@@ -108,6 +108,14 @@ class StageColumn(QFrame):
         old = state in ("stale", "running", "failed") and self.view.picture is not None
         self.view.show_dimmed(old)
         self.view.show_message(instead or self._message(state, notes))
+
+    def show_result(
+        self, state: str, ms: float, notes: tuple[str, ...], doubts: tuple[str, ...], instead: str = ""
+    ) -> None:
+        """As `show_state`; doubts come before other notes, and make the state doubtful."""
+        plain = tuple(note for note in notes if note not in doubts)
+        self.doubts = doubts
+        self.show_state("doubtful" if doubts else state, ms, (*doubts, *plain), instead)
 
     def wanted_height_px(self) -> int:
         """The height at which the picture fills the width that the column has."""

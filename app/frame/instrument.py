@@ -12,7 +12,7 @@ from app.frame.tracing import Tracer
 from app.frame.window import Window
 from app.session.documents import Documents
 from app.session.state import DISPLAY, Session
-from app.work.evaluator import Evaluator, FrameShown, SlotShown, SourceShown, request_of
+from app.work.evaluator import BeginsAt, Evaluator, FrameShown, SlotShown, SourceShown, request_of
 from app.work.jobs import LatestJob, Work
 from app.work.stopwatch import Stopwatch
 from app.work.versus import Versus
@@ -153,7 +153,10 @@ class Instrument(Documents):
             return
         self._opening = 0
         with self.watch.timed(type(part).__name__):
-            if isinstance(part, Translation):
+            if isinstance(part, BeginsAt):
+                self.session = replace(self.session, frame=part.index)
+                self._show_controls()
+            elif isinstance(part, Translation):
                 frame = min(self.session.frame, part.n_frames - 1)
                 named = replace(self.session, target=part.target.name, frame=frame)
                 self._open = {request_of(self.session), request_of(named)}

@@ -79,7 +79,9 @@ class Screen:
         self._show_picture(column.view, part)
         if isinstance(part, SlotShown):
             self._results = {**self._results, name: part.result}
-            column.show_state(part.result.state, part.result.ms, part.result.notes, part.result.instead)
+            column.show_result(
+                part.result.state, part.result.ms, part.result.notes, part.result.doubts, part.result.instead
+            )
             self._tracer.show_results(self._results)
             if name in self._window.steps:
                 self._states[name] = part.states

@@ -16,7 +16,7 @@ from app.frame.grabbing import write_picture
 from app.frame.logs import log, sentence_and_details
 from app.frame.window import Window
 from app.session.contents import changed_since, contents
-from app.session.state import SUFFIX, Session, load_session, save_session
+from app.session.state import ON_A_TOUCH, SUFFIX, Session, load_session, save_session
 from app.session.undo import SessionChange
 from pipeline.base.errors import TouchError
 from pipeline.calibration.lookup import is_file as is_calibration
@@ -65,8 +65,8 @@ class Documents(QObject):
             self.change("open calibration", calibration=path)
         else:
             self.change(
-                "open recording", recording=path, frame=0, source="", stream="", reference=None, calibration=None,
-                mesh=None, mesh_unit="auto", depth_unit="auto",
+                "open recording", recording=path, frame=ON_A_TOUCH, source="", stream="", reference=None,
+                calibration=None, mesh=None, mesh_unit="auto", depth_unit="auto",
             )  # fmt: skip
 
     def open_paths(self, paths: list[Path]) -> None:

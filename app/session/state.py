@@ -19,6 +19,7 @@ from pipeline.translation.catalogue import BUILT_IN, Catalogue
 
 SUFFIX = ".touch.json"
 DISPLAY = "display"  # the key of its parameters
+ON_A_TOUCH = -1  # in place of a frame: one on which something touches, found when the recording is open
 _VERSION = 2
 _FORMER = {  # stages of version 1 -> keys of methods
     "depth": "depth/physics",
@@ -46,7 +47,7 @@ class Session:
     target: str = ""  # "" = the first sensor that is not the source
     stream: str = ""
     route: str = "t2d2"
-    frame: int = 0
+    frame: int = 0  # or `ON_A_TOUCH`
     reference: Path | None = None
     calibration: Path | None = None
     mesh: Path | None = None
@@ -100,7 +101,7 @@ def save_session(session: Session, path: Path, contents: Mapping[str, str] | Non
 
     `contents` says what the files held that it names, see `app.session.contents`.
     """
-    data: dict[str, Any] = {"tactoscope session": _VERSION, "frame": session.frame, "linked": session.linked}
+    data: dict[str, Any] = {"tactoscope session": _VERSION, "frame": max(0, session.frame), "linked": session.linked}
     data |= {name: getattr(session, name) for name in (*_WORDS, "depth_unit")}
     for name in PATHS:
         value: Path | None = getattr(session, name)

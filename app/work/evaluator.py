@@ -27,6 +27,8 @@ from pipeline.stages.depth.stage import DepthParams
 from pipeline.stages.slot import Seen
 from pipeline.translation.blame import Blame, blame
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
+from pipeline.translation.doubts import with_truth as with_facts
+from pipeline.translation.touched import touched_frame
 from pipeline.translation.translate import Request, Translation, open_translation
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
@@ -56,6 +58,13 @@ class SlotShown:
     layers: tuple[Layer, ...]
     beside: Beside | None = None  # where it was asked for and is known
     states: tuple[Picture, ...] = ()  # kept on the way to it, where they are pictures of their own
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BeginsAt:
+    """The frame that a session without one begins with; told ahead of everything else."""
+
+    index: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,6 +98,7 @@ class Evaluator:
         self._request: Request | None = None
         self._translation: Translation | None = None
         self._drawn: dict[str, tuple[object, SlotShown]] = {}
+        self._begins_at = 0  # of what is open
         self._last: tuple[tuple[int, DepthParams], Comparison] | None = None  # compared, of what is open
         self._truths: tuple[int, Mapping[str, object]] | None = None  # of one frame of what is open
 
@@ -108,7 +118,9 @@ class Evaluator:
         """
         opened = self._opened(session, report)
         translation = replace(opened, alignment=session.offsets.applied(opened.alignment))
-        index = min(session.frame, translation.n_frames - 1)
+        index = self._index(session, translation)
+        if session.frame < 0:
+            report.hand_over(BeginsAt(index=index))
         started_s = time.perf_counter()
         inputs = translation.inputs(index)
         ms = 1e3 * (time.perf_counter() - started_s)
@@ -117,9 +129,11 @@ class Evaluator:
         picture, layer = _reading(frame, translation.source)
         report.hand_over(SourceShown(frame=frame, picture=picture, layers=(layer,), ms=ms))
         results: dict[str, StageResult] = {}
+        facts = translation.facts(index)
         truths = self._truths_of(translation, index) if with_truth else None
 
         def on_stage(result: StageResult) -> None:
+            result = with_facts(result, facts)
             results[result.name] = result
             seen = compared and result.name == _OUTLINED and "depth" in results
             other = self._compared(translation, index, results["depth"].output, session) if seen else None
@@ -134,13 +148,17 @@ class Evaluator:
             results=results, metrics=metrics, summary=_summary(results, metrics, translation),
         )  # fmt: skip
 
+    def _index(self, session: Session, translation: Translation) -> int:
+        """The session's frame, where it names one; else the one that what is open began with."""
+        return min(self._begins_at if session.frame < 0 else session.frame, translation.n_frames - 1)
+
     def comparison(self, session: Session, report: Report) -> tuple[Translation, Comparison]:
         """The translation as it was opened, without offsets, and the session's frame on both sides.
 
         A drag asks for the same frame again and again: it is neither read nor looked up anew.
         """
         opened = self._opened(session, report)
-        index = min(session.frame, opened.n_frames - 1)
+        index = self._index(session, opened)
         if self._last is not None and self._last[0] == (index, depth_params(session)):
             return opened, self._last[1]
         if "depth" not in opened.slots:
@@ -159,6 +177,8 @@ class Evaluator:
             params = session.params_for(translation.methods)
             results = self._aside.evaluate(translation.slots, translation.inputs(index), params, report)
             metrics = translation.metrics(results, index)
+            facts = translation.facts(index)
+            results = {name: with_facts(result, facts) for name, result in results.items()}
             summary = _summary(results, metrics, translation) or FrameSummary(figures=metrics)
         except TouchError as error:
             summary = FrameSummary(problem=str(error))
@@ -170,7 +190,7 @@ class Evaluator:
         """The session's frame with its error taken apart; None where that figure is not known of it."""
         opened = self._opened(session, report)
         translation = replace(opened, alignment=session.offsets.applied(opened.alignment))
-        index = min(session.frame, translation.n_frames - 1)
+        index = self._index(session, translation)
         self._graph = translation.graph(like=self._graph)
         return blame(translation, self._graph, session.params_for(translation.methods), index, figure, report)
 
@@ -208,8 +228,10 @@ class Evaluator:
             self._translation.close()
         self._translation, self._drawn = translation, {}
         self._last = self._truths = None
-        named = replace(session, target=translation.target.name, frame=min(session.frame, translation.n_frames - 1))
-        self._request = request_of(named)
+        self._request = request_of(replace(session, target=translation.target.name))
+        self._begins_at = touched_frame(translation.stream) if session.frame < 0 else session.frame
+        if session.frame < 0:
+            report.hand_over(BeginsAt(index=self._begins_at))
         for note in translation.notes:
             log.info("%s", note)
         report.hand_over(translation)
@@ -295,4 +317,9 @@ def _summary(
         deepest_mm=float(inside.max()) if inside.size else 0.0,
         contact_mm2=float(depth.contact.sum()) * pixel_mm**2,
         figures=metrics,
+        doubts=tuple(
+            f"{translation.catalogue.slot(name).title.lower()}: {doubt}"
+            for name, result in results.items()
+            for doubt in result.doubts
+        ),
     )

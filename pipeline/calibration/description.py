@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from pipeline.base.doubts import Doubt
 from pipeline.calibration.lookup import Calibration
 
 HOW = "press a ball in four places or more and run 'tactoscope calibrate balls'"
 UNCALIBRATED = "uncalibrated look-up"
-UNCALIBRATED_NOTE = f"{UNCALIBRATED}: a real unit's sizes and depths may be wrong by half; {HOW}"
+UNCALIBRATED_NOTE = Doubt(f"{UNCALIBRATED}: a real unit's sizes and depths may be wrong by half; {HOW}")
 
 
 def note(calibration: Calibration) -> str:
@@ -14,7 +15,7 @@ def note(calibration: Calibration) -> str:
     if not calibration.presses:
         return UNCALIBRATED_NOTE
     if calibration.kept_built_in:
-        return f"{UNCALIBRATED}: presses did not better it; {HOW}, with other pictures"
+        return Doubt(f"{UNCALIBRATED}: presses did not better it; {HOW}, with other pictures")
     n_used = sum(p.used for p in calibration.presses)
     error = calibration.expected
     worth = "" if error is None else f"a ball's diameter within {100 * error.diameter_share:.0f} %: "

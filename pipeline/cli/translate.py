@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from pipeline.reporting.finished import Finished, finished, key_of
 from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import write_frame, write_report
 from pipeline.translation.catalogue import with_settings
+from pipeline.translation.doubts import with_truth
 from pipeline.translation.translate import Request, Translation, open_translation
 from pipeline.values.results import ObjectPose
 
@@ -74,6 +76,8 @@ def translate_frames(
     for note in translation.notes:
         console.print(plain(f"note: {note}"), style="dim", highlight=False, markup=False, emoji=False, soft_wrap=True)
     show_table(reports)
+    for told in doubtful_lines(reports):
+        print_line(told)
     if n_kept:
         print_line(f"{n_kept} of them were finished by an earlier run and are kept as they are")
     print_line(f"{len(reports) - len(failed)} of {len(reports)} frames written to {os.fspath(out)}")
@@ -97,6 +101,26 @@ def show_table(reports: Sequence[FrameReport]) -> None:
     Console().print(table)
 
 
+def doubtful_lines(reports: Sequence[FrameReport]) -> list[str]:
+    """Every doubt once, without what differs from frame to frame, and the frames that it is about."""
+    frames: dict[tuple[str, str], list[int]] = {}
+    for one in reports:
+        for name, result in one.results.items():
+            for doubt in result.doubts:
+                kind = re.sub(r"[\d.,]*\d", "N", doubt) if len(reports) > 1 else doubt
+                frames.setdefault((name, kind), []).append(one.index)
+    return [
+        f"doubtful: {name}: {kind}" + (f" ({_listed(at)})" if len(reports) > 1 else "")
+        for (name, kind), at in frames.items()
+    ]
+
+
+def _listed(frames: Sequence[int]) -> str:
+    """Frame numbers, the first few of many."""
+    few = ", ".join(str(n) for n in frames[:8])
+    return f"frame {few}" if len(frames) == 1 else f"{len(frames)} frames: {few}{', …' if len(frames) > 8 else ''}"
+
+
 def _one(
     translation: Translation,
     graph: Graph,
@@ -114,6 +138,8 @@ def _one(
             return True, known
         inputs = translation.inputs(index, before.pose if before else None)
         results = graph.evaluate(translation.slots, inputs, params, progress)
+        facts = translation.facts(index)
+        results = {name: with_truth(result, facts) for name, result in results.items()}
         report = FrameReport(index=index, results=results, metrics=translation.metrics(results, index))
         write_frame(out, translation.stream.frame(index), report, translation, key)
         return False, Finished(report=report.without_arrays, key=key, pose=_pose_of(report))

@@ -16,6 +16,7 @@ from typing import Any, Literal
 import xxhash
 
 from pipeline.base import compiling
+from pipeline.base.doubts import Doubt, doubts
 from pipeline.base.errors import SettingProblem
 from pipeline.base.memo import size_bytes
 from pipeline.base.progress import SILENT, Progress, Share
@@ -82,6 +83,11 @@ class StageResult:
     notes: tuple[str, ...]
     digest: str
     instead: str = ""  # why another method answered; "" = this one did
+
+    @property
+    def doubts(self) -> tuple[Doubt, ...]:
+        """What speaks against the answer; none of one that needed no work."""
+        return () if self.state == "skipped" else doubts(self.notes)
 
 
 def unless(exact: Callable[..., Any], run: Callable[..., Any]) -> Callable[..., Any]:

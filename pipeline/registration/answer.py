@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.base.arrays import Doubles, freeze
+from pipeline.base.doubts import Doubt
 from pipeline.geometry import rigid
 from pipeline.geometry.screws import SLIDE, told
 from pipeline.registration.observability import Observability
@@ -42,7 +43,8 @@ def answered(search: Search, found: Sequence[Minimum]) -> Answered | None:
     others = search.equals(first, [m.fit.sensor_from_object for m in found[1:]], unseen)
     chosen = _in_the_middle(search, found[0], unseen, search.fine())
     notes = tuple(
-        f"{words}: {OUTLINE_ONLY if seen else _kept(words)}" for words, seen in zip(known.weak, shown, strict=True)
+        f"{words}: {OUTLINE_ONLY}" if seen else Doubt(f"{words}: {_kept(words)}")
+        for words, seen in zip(known.weak, shown, strict=True)
     )
     return Answered(
         minimum=chosen, known=known, alternatives=tuple(freeze(pose) for pose in others),
@@ -88,7 +90,7 @@ def _about_others(search: Search, chosen: Minimum, others: Sequence[Doubles]) ->
         return ()
     how = _in_words(search, chosen.fit.sensor_from_object, others[0])
     which = how if len(others) == 1 else f"the next one {how}"
-    return (f"{len(others) + 1} poses fit equally well: {which}",)
+    return (Doubt(f"{len(others) + 1} poses fit equally well: {which}"),)
 
 
 def _in_words(search: Search, a: Doubles, b: Doubles) -> str:
@@ -107,10 +109,11 @@ def _in_words(search: Search, a: Doubles, b: Doubles) -> str:
 def _about_fit(search: Search, chosen: Minimum) -> tuple[str, ...]:
     fit = chosen.fit
     if fit.fitness < _DOUBTFUL:
-        return (f"only {fit.fitness:.0%} of the contact lies on the object; the pose is doubtful",)
+        return (Doubt(f"only {fit.fitness:.0%} of the contact lies on the object; the pose is doubtful"),)
     if search.explains(chosen):
         return ()
-    return (
+    told = (
         f"{fit.fitness:.0%} of the contact lies on the object, {fit.rmse_mm:.2g} mm off where the depth's error "
-        f"makes up {search.limit_mm:.2g} mm; the pose, or the mesh, is doubtful",
+        f"makes up {search.limit_mm:.2g} mm; the pose, or the mesh, is doubtful"
     )
+    return (Doubt(told),)

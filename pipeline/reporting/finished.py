@@ -14,6 +14,7 @@ import numpy as np
 
 from pipeline import __version__
 from pipeline.base.arrays import freeze
+from pipeline.base.doubts import Doubt
 from pipeline.engine.digests import digest
 from pipeline.engine.graph import StageResult
 from pipeline.reporting.frame_report import FrameReport
@@ -64,7 +65,7 @@ def finished(out: Path, index: int, key: str) -> Finished | None:
 def _report(told: Mapping[str, Any]) -> FrameReport:
     results = {
         s["name"]: StageResult(name=s["name"], method=None, output=None, state=s["state"], ms=s["ms"],
-                               notes=tuple(s["notes"]), digest="")
+                               notes=tuple(Doubt(n) if n in s["doubts"] else n for n in s["notes"]), digest="")
         for s in told["stages"]
     }  # fmt: skip
     metrics = {name: float("nan") if value is None else float(value) for name, value in told["metrics"].items()}

@@ -90,9 +90,10 @@ def _figure_names(frames: Sequence[FrameReport]) -> list[str]:
 
 def _told(frame: FrameReport) -> dict[str, object]:
     stages = [
-        {"name": r.name, "ms": round(r.ms, 3), "skipped": r.state == "skipped", "state": r.state, "notes": r.notes}
+        {"name": r.name, "ms": round(r.ms, 3), "skipped": r.state == "skipped", "state": r.state, "notes": r.notes,
+         "doubts": r.doubts}
         for r in frame.results.values()
-    ]
+    ]  # fmt: skip
     lines: dict[str, object] = {"index": frame.index, "stages": stages, "metrics": dict(frame.metrics)}
     if frame.problem:
         lines["problem"] = frame.problem

@@ -111,9 +111,10 @@ def _scale_bar(ax: Axes, picture: Picture) -> None:
 
 
 def _footer(ax: Axes, result: StageResult, *, timed: bool) -> None:
-    """Time, state and the first note below a panel."""
-    lines = [f"{result.ms:.2f} ms · {result.state}"] if timed else []
-    lines += [result.notes[0][:62]] if result.notes else []
+    """Time, state and the first doubt, or else note, below a panel."""
+    notes = result.doubts or result.notes
+    lines = [f"{result.ms:.2f} ms · {'doubtful' if result.doubts else result.state}"] if timed else []
+    lines += [notes[0][:62]] if notes else []
     ax.text(0.0, -0.13, "\n".join(lines), transform=ax.transAxes, fontsize=7.5, va="top")
 
 

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-from app.main import SAMPLE, SAMPLE_TOUCH, _first_frame
-from pipeline.recordings import open_recording
-from pipeline.translation.translate import Request
+from app.frame.tour import wait_until_shown
+from app.main import SAMPLE
+from app.session.state import ON_A_TOUCH
 
 
-def test_the_sample_opens_on_its_first_touch_and_other_recordings_on_their_first_frame(tmp_path, monkeypatch):
-    stream = open_recording(SAMPLE).stream("gelslim")
-    touched = [stream.truth(frame).contact.any() for frame in range(SAMPLE_TOUCH + 1)]
-    assert touched == [False] * SAMPLE_TOUCH + [True]
-    monkeypatch.chdir(SAMPLE.parent)
-    here = Request(recording=Path(SAMPLE.name), target="")
-    assert _first_frame(None) == _first_frame(here) == SAMPLE_TOUCH
-    assert _first_frame(Request(recording=tmp_path / "other.h5", target="")) == 0
+def test_a_recording_opens_on_a_touched_frame_whatever_comes_first(open_window, touch_file):
+    """The sample begins untouched; so does what is opened later."""
+    instrument = open_window(SAMPLE, frame=ON_A_TOUCH)
+    assert wait_until_shown(instrument, 60), instrument.window.banner.text
+    assert instrument.latest.results["depth"].output.contact.any()
+    assert instrument.window.timeline.frame == instrument.session.frame == instrument.latest.index > 0
+    instrument.open_path(touch_file)
+    assert wait_until_shown(instrument, 60), instrument.window.banner.text
+    assert instrument.session.frame == 2  # pressed deepest
+    assert instrument.latest.results["depth"].output.contact.any()

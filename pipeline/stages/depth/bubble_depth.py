@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, Mask, freeze
+from pipeline.base.doubts import AT_BORDER, Doubt
 from pipeline.base.errors import ShapeError
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import bubble_reading
@@ -21,6 +22,7 @@ _BLOCK_PX = 8
 _FEWEST_READINGS = 0.5  # share of pixels with a reading below which a frame is not called untouched
 _GAP_PX = 3.0  # reach of the filling
 _FEWEST_AROUND = 0.15  # share of readings, weighted by that reach, from which a gap is filled
+_MANY_WILD = 0.02  # of the pixels: fewer are filled in without harm
 _FARTHEST = 3.0  # times the median rest depth: beyond any membrane
 
 
@@ -62,7 +64,7 @@ def depth(frame: TactileFrame, source: SensorSpec, *, smoothing_px: float, least
     if not touched.any():
         notes.append("nothing touches the sensor")
     elif np.concatenate([touched[0], touched[-1], touched[:, 0], touched[:, -1]]).any():
-        notes.append("the contact reaches the image border: what lies beyond is not seen")
+        notes.append(AT_BORDER)
     nothing = np.float32(np.nan)
     return DepthMap(
         indentation_mm=freeze(np.where(seen, indentation, nothing)),
@@ -102,9 +104,8 @@ def _difference(rest: Floats, now: Floats, largest: np.float32, notes: list[str]
         moved = rest - now
         wild = seen & ~(np.abs(moved) <= largest)
     if wild.any():
-        notes.append(
-            f"{int(wild.sum())} pixels jumped farther than the sensor's {largest:g} mm and were taken for no reading"
-        )
+        told = f"{int(wild.sum())} pixels jumped farther than the sensor's {largest:g} mm and were taken for no reading"
+        notes.append(Doubt(told) if wild.mean() > _MANY_WILD else told)
     seen &= ~wild
     return np.where(seen, moved, np.float32(0.0)), np.asarray(seen, np.bool_)
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.base.arrays import Floats, Mask, freeze
+from pipeline.base.doubts import AT_BORDER
 from pipeline.base.errors import ShapeError
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import contact
@@ -51,7 +52,7 @@ def depth(
     if not touched.any():
         notes.append("nothing touches the sensor")
     elif np.concatenate([touched[0], touched[-1], touched[:, 0], touched[:, -1]]).any():
-        notes.append("the contact reaches the image border: what lies beyond is not seen")
+        notes.append(AT_BORDER)
     nothing, rest = np.float32(np.nan), at_rest(rest, read, source.pixel_mm)  # its noise is no part of the membrane
     return DepthMap(
         indentation_mm=freeze(np.where(known, found.moved_mm, nothing)),

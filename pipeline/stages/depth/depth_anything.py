@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pipeline.base.arrays import Floats, Mask, freeze
+from pipeline.base.doubts import Doubt
 from pipeline.base.params import setting
 from pipeline.base.progress import Progress
 from pipeline.calibration.lookup import Calibration
@@ -149,9 +150,11 @@ def _scaled(answer: Floats, physical_mm: Floats, notes: list[str]) -> Floats:
     stretch, shift = 0.0, 0.0
     if known.any() and float(np.ptp(answer[known])) > 0:
         stretch, shift = np.polyfit(answer[known].astype(np.float64), physical_mm[known].astype(np.float64), 1)
-    notes.append("the network's answer has no unit: it is brought to the physical estimate by a stretch and a shift")
+    told = "the network's answer has no unit: it is brought to the physical estimate by a stretch and a shift"
+    notes.append(Doubt(told))
     if stretch <= 0:
-        notes.append("it runs against that estimate, so that nothing of it is left; give weights of a metric depth")
+        told = "it runs against that estimate, so that nothing of it is left; give weights of a metric depth"
+        notes.append(Doubt(told))
         stretch, shift = 0.0, 0.0
     return (stretch * answer + shift).astype(np.float32)
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Image, freeze
+from pipeline.base.doubts import Doubt
 from pipeline.base.memo import Memo
 from pipeline.engine.digests import content
 
@@ -91,8 +92,8 @@ _stilled: Memo[tuple[str, str], Still] = Memo(2)  # the short cut and the stage 
 
 def _made(image: Image, reference: Image) -> Still:
     drift, foreign = fitted(image, reference)
-    told = "most of the picture differs from the reference: it may be of another unit, or of another day"
-    notes = (told,) if foreign else ()
+    told = Doubt("most of the picture differs from the reference: it may be of another unit, or of another day")
+    notes: tuple[str, ...] = (told,) if foreign else ()
     if drift is None:
         return Still(picture=freeze(reference.astype(np.float32)), grey=reference, drift=None, notes=notes)
     picture = applied(reference, drift)

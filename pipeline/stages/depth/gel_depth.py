@@ -15,6 +15,7 @@ from typing import cast
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Mask, freeze
+from pipeline.base.doubts import AT_BORDER, Doubt
 from pipeline.base.errors import CalibrationError, ShapeError
 from pipeline.base.progress import Progress
 from pipeline.calibration.lookup import Calibration, check_for, slopes
@@ -29,6 +30,7 @@ from pipeline.values.results import DepthMap
 
 _FADES_FROM, _GONE_AT = 0.2, 0.6  # thicknesses from the contact, see `_relaxed`
 _SATURATED_GREY = 254  # noise of a grey level takes what is clipped at 255 down to here
+_TELL_SATURATED = 0.01  # of the touch
 _PRESSURE_BLUR_PX = 1.5
 _CERTAIN, _CERTAIN_SHARE = 0.04, 0.1  # mm/mm, and of the peak: pressure, in slopes, that noise does not make
 _SPECK_MM2 = 0.15  # smaller contacts are camera noise
@@ -179,9 +181,9 @@ def _doubts(part: Image, source: SensorSpec, window: Window) -> list[str]:
     notes: list[str] = []
     if source.markers is not None:
         notes.append("slopes under the printed markers were filled in from around them")
-    clipped = int(np.count_nonzero((part >= _SATURATED_GREY)[window.moved].any(axis=1)))
-    if clipped > 0.01 * np.count_nonzero(window.moved):
-        notes.append(f"{clipped} pixels are saturated: slopes there are doubtful")
+    clipped = (part >= _SATURATED_GREY)[window.moved].any(axis=1)
+    if np.count_nonzero(clipped) > _TELL_SATURATED * clipped.size:
+        notes.append(Doubt(f"{clipped.mean():.0%} of the touch is saturated: slopes there are doubtful"))
     return notes
 
 
@@ -190,13 +192,14 @@ def _limits(indentation: Floats, touched: Mask, largest_mm: float) -> list[str]:
     notes: list[str] = []
     beyond = indentation > largest_mm
     if beyond.any():
-        notes.append(f"{int(beyond.sum())} pixels were deeper than the sensor's {largest_mm:g} mm and were cut to that")
+        told = f"{int(beyond.sum())} pixels were deeper than the sensor's {largest_mm:g} mm and were cut to that"
+        notes.append(Doubt(told))
         np.minimum(indentation, np.float32(largest_mm), out=indentation)
     edge = np.concatenate([touched[0], touched[-1], touched[:, 0], touched[:, -1]])
     if touched.sum() > _FULL_SHARE * touched.size:
-        notes.append("the contact fills the view: how deep it is was guessed from what little lies beside it")
+        notes.append(Doubt("the contact fills the view: how deep it is was guessed from what little lies beside it"))
     elif edge.any():
-        notes.append("the contact reaches the image border: what lies beyond is not seen")
+        notes.append(AT_BORDER)
     if not touched.any():
         notes.append("the picture has changed, but nothing presses hard enough to be a contact")
     return notes

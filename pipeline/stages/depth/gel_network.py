@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Mask, freeze
+from pipeline.base.doubts import AT_BORDER, Doubt
 from pipeline.base.memo import Memo
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
@@ -118,8 +119,8 @@ def _limited(indentation: Floats, touched: Mask, sensor: SensorSpec) -> list[str
     most = sensor.limits.indentation_max_mm
     beyond = int(np.count_nonzero(indentation > most))
     if beyond:
-        notes.append(f"{beyond} pixels were deeper than the sensor's {most:g} mm and were cut to that")
+        notes.append(Doubt(f"{beyond} pixels were deeper than the sensor's {most:g} mm and were cut to that"))
         np.minimum(indentation, np.float32(most), out=indentation)
     if touched[0].any() or touched[-1].any() or touched[:, 0].any() or touched[:, -1].any():
-        notes.append("the contact reaches the image border: what lies beyond is not seen")
+        notes.append(AT_BORDER)
     return notes

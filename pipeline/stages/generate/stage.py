@@ -13,6 +13,7 @@ from typing import Literal, assert_never
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Indices, Mask, freeze
+from pipeline.base.doubts import Doubt
 from pipeline.base.errors import SettingProblem, ShapeError
 from pipeline.base.memo import Memo
 from pipeline.base.params import setting
@@ -27,6 +28,8 @@ from pipeline.values.results import DepthMap, TargetView, Touch
 Surface = Literal["press", "follow"]
 
 NO_CONTACT = "no contact: the target's untouched reading is the exact answer"
+
+_TELL_CLIPPED = 0.02  # of the pixels
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,7 +122,7 @@ def _within_limits(view: TargetView, target: SensorSpec) -> tuple[Floats, list[s
     if not deeper.any():
         return view.indentation_mm, []
     deepest = float(view.indentation_mm[deeper].max())
-    note = (
+    note = Doubt(
         f"{int(deeper.sum())} of {int(view.contact.sum())} contact pixels lie up to {deepest:.2f} mm deep and were "
         f"cut at the {limit:g} mm that {target.title} can be pressed"
     )
@@ -146,10 +149,12 @@ def _gel_touch(
     inner = (slice(margin, margin + rows), slice(margin, margin + cols))
     surface: Floats = np.ascontiguousarray(answer.indentation_mm[inner])
     if not answer.converged:
-        notes.append(
-            f"the gel's surface is only known to {1e3 * answer.residual_mm:.1f} um: its solve ran out of steps"
-        )
+        told = f"the gel's surface is only known to {1e3 * answer.residual_mm:.1f} um: its solve ran out of steps"
+        notes.append(Doubt(told))
     image: Image = optics.render(target, surface, seed=params.seed if params.noise else None)
+    clipped = float(((image == 0) | (image == 255)).any(axis=2).mean())
+    if clipped > _TELL_CLIPPED:
+        notes.append(Doubt(f"{clipped:.0%} of the picture's colours are clipped: it is brighter or darker than shown"))
     contact: Mask = np.ascontiguousarray(answer.contact[inner])
     if params.surface == "follow":
         contact = view.contact.copy()
@@ -166,7 +171,7 @@ def _bubble_touch(
     ceiling = bubble_camera.ceiling_from_depth(target, seen, on)
     answer = bubble.press(target.bubble, ceiling, on, tolerance_mm=1e-3 * params.tolerance_um)
     if not answer.converged:
-        notes.append("the air pressure of the bubble was not settled; its bulge is doubtful")
+        notes.append(Doubt("the air pressure of the bubble was not settled; its bulge is doubtful"))
     depth = bubble_camera.depth_from_deviation(target, answer.deviation_mm, on)
     pressed = lattice.seen_at_pixels(target.camera, answer.contact, on, depth)
     # A membrane bridges every dent of an estimated surface, so that its force sits on the bumps of the noise alone.

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pipeline.base.doubts import AT_BORDER, doubts
 from pipeline.base.errors import CalibrationError, ShapeError
 from pipeline.calibration.lookup import BallFit, built_in
 from pipeline.geometry.camera import Camera
@@ -95,7 +96,7 @@ def test_a_saturated_picture_is_doubted_and_stays_finite():
     source, frame, _ = press("gelsight_mini")
     found = depth(replace(frame, image=np.full_like(frame.image, 255)), source, None, PARAMS)
     assert np.isfinite(found.indentation_mm).all()
-    assert any("saturated" in note for note in found.notes)
+    assert any("saturated" in doubt for doubt in doubts(found.notes))
 
 
 def test_a_contact_at_the_image_border_is_told():
@@ -105,7 +106,7 @@ def test_a_contact_at_the_image_border_is_told():
         sensor=source.name, image=optics.render(source, truth, seed=1), reference=optics.untouched(source)
     )
     found = depth(frame, source, None, PARAMS)
-    assert any("image border" in note for note in found.notes)
+    assert AT_BORDER in doubts(found.notes)
     assert found.indentation_mm.max() == pytest.approx(truth.max(), rel=PEAK_TOLERANCE)
 
 

@@ -1,0 +1,67 @@
+"""What only the truth tells against a result, and which frame is looked at first."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.main import SAMPLE
+from pipeline.base.arrays import freeze
+from pipeline.base.doubts import Doubt, doubts
+from pipeline.engine.graph import StageResult
+from pipeline.geometry.camera import Camera
+from pipeline.recordings import open_recording
+from pipeline.stages.slot import Facts
+from pipeline.translation.doubts import with_truth
+from pipeline.translation.touched import touched_frame
+from pipeline.values.frames import TactileFrame, Truth
+from pipeline.values.results import TargetView
+
+SHAPE = (12, 16)
+
+
+def _view(known_cols: int) -> StageResult:
+    known = np.zeros(SHAPE, bool)
+    known[:, :known_cols] = True
+    zero = np.zeros(SHAPE, np.float32)
+    camera = Camera(rows=SHAPE[0], cols=SHAPE[1], fx_px=10.0, fy_px=10.0, cx_px=8.0, cy_px=6.0)
+    view = TargetView(depth_mm=zero, contact=known, indentation_mm=zero, camera=camera,
+                      source_index=np.full(SHAPE, -1, np.int32), known=known)  # fmt: skip
+    return StageResult(name="view", method=None, output=view, state="computed", ms=0.0, notes=("plain",), digest="")
+
+
+@pytest.mark.parametrize(("known_cols", "share"), [(8, "50%"), (16, None), (2, "12%")])
+def test_a_touch_of_which_the_source_saw_a_part_is_doubted(known_cols, share):
+    facts = Facts(target=Truth(contact=np.ones(SHAPE, bool)))
+    told = with_truth(_view(known_cols), facts)
+    assert told.notes[-1] == "plain"
+    assert [d.split()[3] for d in told.doubts] == ([] if share is None else [share])
+    assert with_truth(_view(known_cols), Facts()).doubts == ()  # nobody knows
+
+
+def test_doubts_are_told_apart_from_notes_and_count_for_nothing_where_no_work_was_done():
+    notes = ("a", Doubt("b"), "c", Doubt("d"))
+    assert doubts(notes) == ("b", "d")
+    result = replace(_view(2), notes=notes)
+    assert result.doubts == ("b", "d")
+    assert replace(result, state="skipped").doubts == ()
+
+
+def test_the_first_frame_looked_at_is_a_touched_one():
+    stream = open_recording(SAMPLE).stream("gelslim")
+    index = touched_frame(stream)
+    assert stream.truth(index).contact.any()
+    assert not stream.truth(0).contact.any()
+
+
+def test_frames_without_an_untouched_reading_begin_at_the_first():
+    stream = open_recording(SAMPLE).stream("gelslim")
+
+    def bare(index: int) -> TactileFrame:
+        return replace(stream.frame(index), reference=None)
+
+    assert touched_frame(replace(stream, frame=bare)) == 0
+    dark = freeze(np.zeros_like(stream.frame(0).image))
+    assert touched_frame(replace(stream, frame=lambda _: replace(stream.frame(0), image=dark, reference=dark))) == 0
