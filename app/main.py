@@ -127,4 +127,4 @@ def _wait_until_seen(window: Window) -> None:
 def _add_scene(instrument: Instrument) -> None:
     from widgets.scene import best_scene
 
-    instrument.screen.take_scene(best_scene(len(instrument.window.columns)), instrument.session)
+    instrument.screen.take_scene(best_scene(instrument.window.solids), instrument.session)

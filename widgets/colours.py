@@ -15,6 +15,7 @@ GAUGE: Rgb = (86, 140, 190)  # a figure of the score
 GAUGE_ROOM: Rgb = (226, 229, 234)
 GHOST: Rgb = (40, 44, 52)  # where it stood when a drag began
 MATTERS: Rgb = (240, 190, 120)  # how much an axis changes it
+DOUBT: Rgb = (180, 95, 0)
 WHOLE: Rgb = (110, 118, 130)  # of an error taken apart: a sum,
 TAKEN: Rgb = (0, 114, 178)  # what goes with the truth (Okabe-Ito blue),
 WORSE: Rgb = (213, 94, 0)  # and what comes with it (vermilion)
@@ -38,6 +39,12 @@ STATES: dict[str, Rgb] = {
 def qcolor(colour: Rgb, alpha: int = 255) -> QColor:
     """The Qt colour of a triple."""
     return QColor(*colour, alpha)
+
+
+def backdrop(palette: QPalette) -> QColor:
+    """What lies behind pictures and 3D views."""
+    base = palette.color(QPalette.ColorRole.Base)
+    return qcolor(BACKDROP) if base.lightness() > 128 else base
 
 
 def light_palette() -> QPalette:

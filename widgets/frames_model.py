@@ -45,6 +45,7 @@ class FramesModel(QAbstractTableModel):
         super().__init__(parent)
         self._n_frames, self._figure, self._title = 0, "", "error"
         self._known: dict[int, FrameSummary] = {}
+        self._common: frozenset[str] | None = None  # None = to be worked out
 
     @property
     def figures(self) -> tuple[str, ...]:
@@ -63,25 +64,32 @@ class FramesModel(QAbstractTableModel):
     @property
     def common_doubts(self) -> frozenset[str]:
         """Those of every touched frame that is known: they tell no frame from another."""
-        told = [set(known.doubts) for known in self._known.values() if known.contact_mm2 > 0]
-        return frozenset[str]() if len(told) < 2 else frozenset(set.intersection(*told))
+        if self._common is None:
+            told = [set(known.doubts) for known in self._known.values() if known.contact_mm2 > 0]
+            self._common = frozenset[str]() if len(told) < 2 else frozenset(set.intersection(*told))
+        return self._common
 
     def own_doubts(self, frame: int) -> tuple[str, ...]:
         """A frame's doubts less the common ones."""
-        known, common = self._known.get(frame), self.common_doubts
-        return () if known is None else tuple(doubt for doubt in known.doubts if doubt not in common)
+        known = self._known.get(frame)
+        return () if known is None else tuple(doubt for doubt in known.doubts if doubt not in self.common_doubts)
+
+    def values(self, figure: str) -> tuple[float, ...]:
+        """A figure of every frame, NaN where it is not known."""
+        unknown = FrameSummary()
+        return tuple(self._known.get(i, unknown).value(FIGURE, figure) for i in range(self._n_frames))
 
     def show_frames(self, n_frames: int) -> None:
         """Start over with this many frames of which nothing is known."""
         self.beginResetModel()
         self._n_frames = n_frames
-        self._known = {}
+        self._known, self._common = {}, None
         self.endResetModel()
 
     def forget(self) -> None:
         """Empty every row: what was known was worked out otherwise than what follows."""
         if self._known:
-            self._known = {}
+            self._known, self._common = {}, None
             self._changed(0, self._n_frames - 1)
 
     def show_figure(self, name: str, title: str) -> None:
@@ -95,7 +103,7 @@ class FramesModel(QAbstractTableModel):
         """Fill one row."""
         if self._known.get(frame) == summary or not 0 <= frame < self._n_frames:
             return
-        self._known[frame] = summary
+        self._known[frame], self._common = summary, None
         self._changed(frame, frame)
 
     def rowCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default

@@ -4,35 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QLabel
+from PyQt6.QtCore import QObject
 
 from pipeline.base.arrays import Doubles
 from pipeline.pictures.layers import Layer, Sight
+from widgets.solid_view import SolidView
+
+Place = tuple[float, float, float]
 
 
-class Scene(QLabel):
-    """What the window asks of 3D; by itself it stands in until the views are there, or says why there are none."""
+class Scene(QObject):
+    """What the window asks of 3D; by itself it stands in until OpenGL is there, or says why there is none."""
 
-    def __init__(self, notice: str = "") -> None:
-        super().__init__(notice)
-        self.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        self.setWordWrap(True)
+    def __init__(self, views: Sequence[SolidView], notice: str = "") -> None:
+        super().__init__()
+        self.views = tuple(views)
+        for view in self.views if notice else ():
+            view.show_notice(notice)
 
     def show_layers(self, column: int, layers: Sequence[Layer]) -> None:
-        """Show exactly these layers in a sub-view."""
+        """Show exactly these layers in a view."""
 
     def place(self, column: int, name: str, placed: Doubles) -> None:
-        """Move one layer as a whole."""
+        """Move one layer as a whole, until its layers are shown anew."""
 
     def look(self, sights: Mapping[int, Sight], *, linked: bool) -> None:
         """Set the cameras; views of one frame share theirs when `linked`."""
 
-    def mark(self, column: int, place_mm: tuple[float, float, float] | None, radius_mm: float) -> None:
-        """Put the traced pixel's dot into a sub-view, or take it away."""
-
-    def show_columns(self, visible: Sequence[int]) -> None:
-        """Give the room to these sub-views, in equal shares."""
+    def mark(self, column: int, place_mm: Place | None) -> None:
+        """Put the traced pixel's dot into a view, or take it away."""
 
     def settle(self) -> None:
         """Draw now what was going to be drawn soon."""

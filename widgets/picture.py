@@ -6,19 +6,16 @@ import math
 from typing import Any
 
 import numpy as np
-import pyqtgraph as pg
-from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QFont
+from PyQt6.QtCore import QPointF, QSize, Qt, pyqtSignal
 from PyQt6.QtWidgets import QLabel, QSizePolicy, QVBoxLayout, QWidget
 
-from pipeline.base.arrays import Floats
 from pipeline.pictures.picture import Picture
+from widgets.canvas import Canvas
 from widgets.colour_bar import ColourBar
-from widgets.colours import BACKDROP, CONTACT, FELT, FELT_CASING, TRACE, qcolor
 from widgets.looks import smaller, spaced
 from widgets.wipe import Overlay
 
-_BAR_LENGTHS_MM = (50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.5, 0.2)
+_AROUND = 1.3  # times the contact that is fitted
 
 
 class PictureView(QWidget):
@@ -27,103 +24,84 @@ class PictureView(QWidget):
     pixel_hovered = pyqtSignal(int, int)  # row, col; (-1, -1) once the mouse has left
     pixel_clicked = pyqtSignal(int, int)
     shape_changed = pyqtSignal()  # a picture of another size
+    look_changed = pyqtSignal()  # panned or zoomed by hand
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.picture: Picture | None = None  # what is shown
         self._shape: tuple[int, int] | None = None
-        self._view = _Canvas()
-        self.box: Any = pg.ViewBox(lockAspect=True, invertY=True, enableMenu=False, border=None)
-        self.box.setDefaultPadding(0.0)
-        self._view.setCentralItem(self.box)
-        self._build_items()
+        self.canvas = Canvas()
+        self.overlay = Overlay(self.canvas)
         self._bar = ColourBar()
         self._caption = QLabel()
         self._caption.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self._caption.setWordWrap(True)
         self._caption.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
-        self._message = QLabel(self._view)
+        self._message = QLabel(self.canvas)
         self._message.setWordWrap(True)
         self._message.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self._message.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
-        self._message.setStyleSheet("background: rgba(255, 255, 255, 215); border-radius: 4px; padding: 4px;")
+        self._message.setAutoFillBackground(True)
         self._message.hide()
         layout = spaced(QVBoxLayout(self), 2)
-        layout.addWidget(self._view, 1)
+        layout.addWidget(self.canvas, 1)
         layout.addWidget(self._bar)
         layout.addWidget(self._caption)
         smaller(self._caption)
-        self._caption.setFixedHeight(2 * self._caption.fontMetrics().lineSpacing() + 3)
-        self._view.mouse_moved.connect(self._report_hover)
-        self._view.mouse_left.connect(lambda: self.pixel_hovered.emit(-1, -1))
-        self._view.clicked.connect(self._report_click)
+        self.show_lines(2)
+        self.canvas.mouse_moved.connect(self._report_hover)
+        self.canvas.mouse_left.connect(lambda: self.pixel_hovered.emit(-1, -1))
+        self.canvas.clicked.connect(self._report_click)
+        self.canvas.look_changed.connect(self.look_changed)
 
-    def _build_items(self) -> None:
-        self._image = pg.ImageItem(axisOrder="row-major")
-        self._outline = pg.PlotCurveItem(pen=pg.mkPen(qcolor(CONTACT), width=1.6), connect="finite")
-        self._felt_casing = pg.PlotCurveItem(pen=pg.mkPen(qcolor(FELT_CASING, 190), width=3.4), connect="finite")
-        self._felt = pg.PlotCurveItem(pen=pg.mkPen(qcolor(FELT), width=1.6), connect="finite")
-        self._bar_line = pg.PlotCurveItem()
-        self._bar_text = pg.TextItem("", anchor=(0.5, 1.0))
-        font = QFont()
-        font.setPointSizeF(7.5)
-        self._bar_text.setFont(font)
-        pen = pg.mkPen(qcolor(TRACE), width=1.2)
-        self._cross_x, self._cross_y = pg.InfiniteLine(angle=90, pen=pen), pg.InfiniteLine(angle=0, pen=pen)
-        lines = (self._felt_casing, self._felt, self._outline, self._bar_line)
-        self.box.addItem(self._image, ignoreBounds=True)
-        self.overlay = Overlay(self.box, self)
-        for item in (*lines, self._bar_text, self._cross_x, self._cross_y):
-            self.box.addItem(item, ignoreBounds=True)
-        self.show_cross(None)
+    def show_lines(self, lines: int) -> None:
+        """How many lines the caption has."""
+        self._caption.setFixedHeight(lines * self._caption.fontMetrics().lineSpacing() + 3)
 
     @property
     def message(self) -> str:
         """The sentence over the picture."""
         return self._message.text()
 
+    @property
+    def cross(self) -> tuple[int, int] | None:
+        """Where the trace's crosshair is, (row, col)."""
+        return self.canvas.cross
+
     def show_picture(self, picture: Picture) -> None:
         """Show a picture; the view moves only when the number of pixels changed."""
         if picture is self.picture:
             return
         self.picture = picture
-        self._image.setImage(picture.pixels, autoLevels=False, levels=(0, 255))
-        _draw_border(self._outline, picture.outline_px)
-        for curve in (self._felt_casing, self._felt):
-            _draw_border(curve, picture.felt_px)
+        self.canvas.show_picture(picture)
         self._bar.show_scale(picture.scale)
         self._caption.setText(picture.caption)
         self._caption.setToolTip(picture.caption)
         shape = (picture.pixels.shape[0], picture.pixels.shape[1])
         if shape != self._shape:
             self._shape = shape
-            self.reset_view()
             self.shape_changed.emit()
-        self._place_scale_bar(picture)
 
     def show_message(self, text: str) -> None:
         """Lay a sentence over the picture (why it was skipped, or that it is out of date); "" removes it."""
+        if text == self._message.text():
+            return
         self._message.setText(text)
         self._message.setVisible(bool(text))
         self._place_message()
 
     def show_dimmed(self, dimmed: bool) -> None:
         """Fade the picture while a newer one is being made."""
-        self._image.setOpacity(0.45 if dimmed else 1.0)
+        self.canvas.show_dimmed(dimmed)
 
-    def show_cross(self, pixel: tuple[int, int] | None) -> None:
-        """Put the trace's crosshair on (row, col), or take it away."""
-        self.cross = pixel  # where the trace's crosshair is
-        for line in (self._cross_x, self._cross_y):
-            line.setVisible(pixel is not None)
-        if pixel is not None:
-            self._cross_x.setPos(pixel[1] + 0.5)
-            self._cross_y.setPos(pixel[0] + 0.5)
+    def show_cross(self, pixel: tuple[int, int] | None, tag: str = "") -> None:
+        """Put the trace's crosshair on (row, col) with what is read there, or take it away."""
+        self.canvas.show_cross(pixel, tag)
 
     @property
     def room_px(self) -> QSize:
         """What the picture itself has of the widget."""
-        return self._view.size()
+        return self.canvas.size()
 
     @property
     def tall(self) -> float:
@@ -132,9 +110,23 @@ class PictureView(QWidget):
 
     def reset_view(self) -> None:
         """Fit the whole picture."""
-        if self._shape is not None:
-            rows, cols = self._shape
-            self.box.setRange(QRectF(0, 0, cols, rows), padding=0.0)
+        self.canvas.fit()
+
+    def fit_to(self, box_px: tuple[float, float, float, float]) -> None:
+        """Fit a part of the picture, given by its left, top, right and lower end in pixels, with some room around."""
+        left, top, right, below = box_px
+        room = self.canvas.size()
+        wide, high = max(right - left, 4.0) * _AROUND, max(below - top, 4.0) * _AROUND
+        scale = min(room.width() / wide, room.height() / high)
+        self.canvas.look(QPointF(0.5 * (left + right), 0.5 * (top + below)), scale)
+
+    def contact_box_px(self) -> tuple[float, float, float, float] | None:
+        """Left, top, right and lower end of the contact's outline; None without one."""
+        border = None if self.picture is None else self.picture.outline_px
+        if border is None or not np.isfinite(border).any():
+            return None
+        (left, top), (right, below) = np.nanmin(border, axis=0), np.nanmax(border, axis=0)
+        return float(left), float(top), float(right), float(below)
 
     def resizeEvent(self, a0: Any) -> None:  # noqa: N802
         """Keep the message in the middle."""
@@ -148,31 +140,13 @@ class PictureView(QWidget):
     def _place_message(self) -> None:
         if self._message.isHidden():
             return
-        room = self._view.size()
+        room = self.canvas.size()
         width = max(60, room.width() - 12)
         height = min(room.height() - 8, max(20, self._message.heightForWidth(width) + 4))
         self._message.setGeometry((room.width() - width) // 2, (room.height() - height) // 2, width, height)
 
-    def _place_scale_bar(self, picture: Picture) -> None:
-        rows, cols = picture.pixels.shape[:2]
-        shown = bool(math.isfinite(picture.pixel_mm) and picture.pixel_mm > 0)
-        self._bar_line.setVisible(shown)
-        self._bar_text.setVisible(shown)
-        if not shown:
-            return
-        width_mm = cols * picture.pixel_mm
-        length_mm = next((n for n in _BAR_LENGTHS_MM if n <= 0.3 * width_mm), _BAR_LENGTHS_MM[-1])
-        right, y = 0.95 * cols, 0.95 * rows
-        left = right - length_mm / picture.pixel_mm
-        self._bar_line.setData(x=np.array([left, right]), y=np.array([y, y]))
-        dark = picture.pixels[-(rows // 6) :, -(cols // 3) :].mean() < 130
-        ink = (255, 255, 255) if dark else (30, 32, 36)
-        self._bar_line.setPen(pg.mkPen(ink, width=3))
-        self._bar_text.setText(f"{length_mm:g} mm", color=ink)
-        self._bar_text.setPos(0.5 * (left + right), y - 0.02 * rows)
-
     def _pixel_at(self, place: QPointF) -> tuple[int, int] | None:
-        point = self.box.mapSceneToView(self._view.mapToScene(place.toPoint()))
+        point = self.canvas.to_picture(place)
         row, col = math.floor(point.y()), math.floor(point.x())
         if self._shape is None or not (0 <= row < self._shape[0] and 0 <= col < self._shape[1]):
             return None
@@ -186,47 +160,3 @@ class PictureView(QWidget):
         pixel = self._pixel_at(place)
         if pixel is not None:
             self.pixel_clicked.emit(*pixel)
-
-
-def _draw_border(curve: Any, border_px: Floats | None) -> None:
-    if border_px is None or len(border_px) == 0:
-        curve.setData(x=[], y=[])
-    else:
-        curve.setData(x=border_px[:, 0], y=border_px[:, 1])
-
-
-class _Canvas(pg.GraphicsView):  # pyright: ignore[reportUntypedBaseClass]
-    """A graphics view that tells where the mouse is, and a click from the end of a drag."""
-
-    mouse_moved = pyqtSignal(QPointF)
-    mouse_left = pyqtSignal()
-    clicked = pyqtSignal(QPointF)
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.setBackground(qcolor(BACKDROP))
-        self._pressed: QPointF | None = None
-        self.setMinimumSize(60, 60)
-        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
-
-    def mouseMoveEvent(self, ev: Any) -> None:  # noqa: N802
-        """Pass on, and report."""
-        super().mouseMoveEvent(ev)
-        self.mouse_moved.emit(ev.position())
-
-    def leaveEvent(self, ev: Any) -> None:  # noqa: N802
-        """Report that the mouse is elsewhere."""
-        super().leaveEvent(ev)
-        self.mouse_left.emit()
-
-    def mousePressEvent(self, ev: Any) -> None:  # noqa: N802
-        """Remember where a click began."""
-        super().mousePressEvent(ev)
-        self._pressed = ev.position() if ev.button() == Qt.MouseButton.LeftButton else None
-
-    def mouseReleaseEvent(self, ev: Any) -> None:  # noqa: N802
-        """A release near the press is a click, one far from it the end of a drag."""
-        super().mouseReleaseEvent(ev)
-        if self._pressed is not None and (ev.position() - self._pressed).manhattanLength() < 4:
-            self.clicked.emit(ev.position())
-        self._pressed = None

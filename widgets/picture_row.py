@@ -9,34 +9,48 @@ from PyQt6.QtGui import QResizeEvent
 from PyQt6.QtWidgets import QHBoxLayout, QSplitter, QWidget
 
 from widgets.looks import once, spaced
+from widgets.solid_cell import SolidCell
 from widgets.stage_column import StageColumn
 
 _LEAST_BELOW = 0.3  # of the height that is left to what stands below
 
 
 class PictureRow(QSplitter):
-    """A row of columns over one widget; follows the pictures until somebody drags the handle."""
+    """A row of columns over a row of cells; follows the pictures until somebody drags the handle."""
 
-    def __init__(self, columns: Sequence[StageColumn], below: QWidget) -> None:
+    def __init__(self) -> None:
         super().__init__(Qt.Orientation.Vertical)
-        self._columns, self._dragged = tuple(columns), False
-        above = QWidget()
-        row = spaced(QHBoxLayout(above), 2)
-        for column in columns:
-            row.addWidget(column, 1)
-            column.view.shape_changed.connect(self._fit_soon)
-            for seen in (column, column.view):  # the latter also where a note takes room from it
-                seen.installEventFilter(self)
-        self.addWidget(above)
-        self.addWidget(below)
+        self._columns: tuple[StageColumn, ...] = ()
+        self._watched: set[QObject] = set()
+        self._dragged = False
+        self._above, self.below = QWidget(), QWidget()
+        self._upper, self._lower = spaced(QHBoxLayout(self._above), 2), spaced(QHBoxLayout(self.below), 2)
+        self.addWidget(self._above)
+        self.addWidget(self.below)
         self.setChildrenCollapsible(False)
         self._soon = once(self, 0, self.fit)
         self.splitterMoved.connect(self._keep)
 
+    def take(self, pairs: Sequence[tuple[StageColumn, SolidCell]]) -> None:
+        """Hold these, in this order, from now on; whether they can be seen is theirs to say."""
+        self._columns = tuple(column for column, _ in pairs)
+        for column, cell in pairs:
+            column.show_wide(False)
+            self._upper.addWidget(column, 1)
+            self._lower.addWidget(cell, 1)
+            for seen in (column, column.view):  # the latter also where a note takes room from it
+                if seen not in self._watched:
+                    self._watched.add(seen)
+                    seen.installEventFilter(self)
+                    if seen is column.view:
+                        column.view.shape_changed.connect(self._fit_soon)
+        self._fit_soon()
+
     def fit(self) -> None:
         """Share the height out by what the pictures need, where nobody chose another share."""
-        shown = [column for column in self._columns if column.isVisibleTo(self)]
-        if self._dragged or not shown:
+        here = [column for column in self._columns if column.parentWidget() is self._above]
+        shown = [column for column in here if column.isVisibleTo(self)]
+        if self._dragged or not shown or self.below.isHidden():
             return
         room = self.height() - self.handleWidth()
         above = min(max(column.wanted_height_px() for column in shown), round((1.0 - _LEAST_BELOW) * room))

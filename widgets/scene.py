@@ -1,153 +1,192 @@
-"""The row of 3D views: one picture with a sub-view per stage, drawn off screen once for all that changed."""
+"""The 3D views: each is drawn off screen when it is seen and has changed, and pictures of what was seen are kept."""
 
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from PyQt6.QtCore import Qt
-from PyQt6.QtGui import QImage, QMouseEvent, QPainter, QPaintEvent, QResizeEvent, QWheelEvent
-from PyQt6.QtWidgets import QSizePolicy
+from PyQt6.QtCore import QPointF, Qt
+from PyQt6.QtGui import QImage
 from vtkmodules.vtkInteractionStyle import vtkInteractorStyleTrackballCamera
 from vtkmodules.vtkRenderingUI import vtkGenericRenderWindowInteractor
 
 from pipeline.base.arrays import Doubles
+from pipeline.base.memo import Memo, size_bytes
 from pipeline.pictures.layers import Layer, Sight
-from widgets.colours import BACKDROP, qcolor
-from widgets.layers import Scene
+from widgets.colours import backdrop
+from widgets.layers import Place, Scene
 from widgets.looks import once
+from widgets.solid_view import SolidView
 from widgets.sub_views import SubViews
 
-_TOGETHER_MS = 30  # stages arrive one by one within a few milliseconds: one picture serves them all
+_TOGETHER_MS = 10  # what changes together within this is drawn once
+_KEPT_BYTES = 96 * 1024 * 1024
 _ONE_TURN = 120  # eighths of a degree, as Qt counts what a wheel goes on by
 _BUTTONS = {
     Qt.MouseButton.LeftButton: "LeftButton",  # turns
     Qt.MouseButton.MiddleButton: "MiddleButton",  # shifts
     Qt.MouseButton.RightButton: "RightButton",  # nears
 }
+_ENDS = {"press": "PressEvent", "release": "ReleaseEvent"}
+
+Picture = tuple[QImage, tuple[Layer, ...]]  # layers are held so that none takes another's identity
 
 
 class LiveScene(Scene):
-    """All sub-views as one picture, turned with the mouse.
+    """All views, turned with the mouse; one is drawn a turn of the event loop, so that the window stays awake.
 
     An OpenGL widget would make Qt build the whole window anew once it comes, and compose every later repaint in
-    OpenGL, which costs most where there is no graphics card; reading the picture back costs a millisecond.
+    OpenGL, which costs most where there is no graphics card; reading a picture back costs less than a millisecond.
     """
 
-    def __init__(self, columns: int) -> None:
-        super().__init__()
-        self.setMinimumSize(60, 60)
-        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored)  # the picture follows the room
-        self._stage = SubViews(columns, _samples())
+    def __init__(self, views: Sequence[SolidView]) -> None:
+        super().__init__(views)
+        self._stage = SubViews(len(self.views), _samples())
         self.renderers: Sequence[Any] = self._stage.renderers
         self._mouse: Any = vtkGenericRenderWindowInteractor()
         self._mouse.SetRenderWindow(self._stage.window)
         self._mouse.SetInteractorStyle(vtkInteractorStyleTrackballCamera())
         self._mouse.EnableRenderOff()  # drawn together with everything else
         self._mouse.Initialize()
-        self._image: QImage | None = None
+        self._layers: dict[int, tuple[Layer, ...]] = {}
+        self._placed: dict[int, dict[str, Doubles]] = {}
+        self._marks: dict[int, Place] = {}
+        self._due: list[int] = []
+        self._kept: Memo[object, Picture] = Memo(most_bytes=_KEPT_BYTES, weigh=_bytes)
         self._finished, self._turned = False, 0
-        self._soon = once(self, _TOGETHER_MS, self._draw)
+        self.drawn = 0  # pictures made by OpenGL,
+        self.drawing_s = 0.0  # and the processor's time that they took
+        self._soon = once(self, _TOGETHER_MS, self._draw_one)
+        for column, view in enumerate(self.views):
+            view.wanted.connect(partial(self._draw_soon, column))
+            view.mouse = partial(self._tell, column)
 
     def show_layers(self, column: int, layers: Sequence[Layer]) -> None:
-        """Show exactly these layers in a sub-view."""
-        if self._stage.show(column, layers):
-            self._draw_soon()
+        """Show exactly these layers in a view."""
+        shown = tuple(layers)
+        old = self._layers.get(column, ())
+        if self._placed.pop(column, None) or [id(layer) for layer in old] != [id(layer) for layer in shown]:
+            self._layers[column] = shown
+            self._draw_soon(column)
 
     def place(self, column: int, name: str, placed: Doubles) -> None:
-        """Move one layer as a whole."""
-        self._stage.place(column, name, placed)
-        self._draw_soon()
+        """Move one layer as a whole, until its layers are shown anew."""
+        self._placed.setdefault(column, {})[name] = placed
+        self._draw_soon(column)
 
     def look(self, sights: Mapping[int, Sight], *, linked: bool) -> None:
         """Set the cameras; views of one frame share theirs when `linked`."""
         self._stage.look(sights, linked)
-        self._draw_soon()
+        for column in range(len(self.views)):
+            self._draw_soon(column)
 
-    def mark(self, column: int, place_mm: tuple[float, float, float] | None, radius_mm: float) -> None:
-        """Put the traced pixel's dot into a sub-view, or take it away."""
-        if self._stage.mark(column, place_mm, radius_mm):
-            self._draw_soon()
-
-    def show_columns(self, visible: Sequence[int]) -> None:
-        """Give the room to these sub-views, in equal shares."""
-        self._stage.show_columns(visible)
-        self._draw_soon()
+    def mark(self, column: int, place_mm: Place | None) -> None:
+        """Put the traced pixel's dot over a view, or take it away; nothing is drawn anew for it."""
+        if place_mm is None:
+            self._marks.pop(column, None)
+        else:
+            self._marks[column] = place_mm
+        self._show_dot(column)
 
     def settle(self) -> None:
         """Draw now what was going to be drawn soon."""
-        if self._soon.isActive():
-            self._draw()
+        while self._due:
+            self._draw_one()
 
     def finish(self) -> None:
-        """Let go of everything OpenGL; the last picture stays."""
+        """Let go of everything OpenGL; the last pictures stay."""
         self._soon.stop()
         self._finished = True  # a late change of size would open OpenGL again
+        self._due.clear()
         self._stage.close()
 
-    def paintEvent(self, a0: QPaintEvent | None) -> None:  # noqa: N802
-        """The last picture, or the backdrop until there is one."""
-        del a0
-        painter = QPainter(self)
-        painter.fillRect(self.rect(), qcolor(BACKDROP))
-        if self._image is not None:
-            painter.drawImage(self.rect(), self._image)
-
-    def resizeEvent(self, a0: QResizeEvent | None) -> None:  # noqa: N802
-        """Draw at the new size."""
-        super().resizeEvent(a0)
-        self._draw_soon()
-
-    def mousePressEvent(self, ev: QMouseEvent | None) -> None:  # noqa: N802
-        """Take hold of a view."""
-        self._button(ev, "PressEvent")
-
-    def mouseReleaseEvent(self, ev: QMouseEvent | None) -> None:  # noqa: N802
-        """Let go of it."""
-        self._button(ev, "ReleaseEvent")
-
-    def mouseMoveEvent(self, ev: QMouseEvent | None) -> None:  # noqa: N802
-        """Turn, shift or near it; Qt tells of motion only while a button is down."""
-        if ev is not None:
-            self._tell(ev, "MouseMoveEvent")
-
-    def wheelEvent(self, a0: QWheelEvent | None) -> None:  # noqa: N802
-        """Go nearer or farther; a touch pad tells of many small turns that make up one of a wheel."""
-        if a0 is None:
+    def _draw_soon(self, column: int) -> None:
+        if self._finished:
             return
-        self._turned += a0.angleDelta().y()
-        if abs(self._turned) >= _ONE_TURN:
-            self._tell(a0, f"MouseWheel{'Forward' if self._turned > 0 else 'Backward'}Event")
-            self._turned = 0
-
-    def _button(self, event: QMouseEvent | None, what: str) -> None:
-        if event is not None and event.button() in _BUTTONS:
-            self._tell(event, _BUTTONS[event.button()] + what)
-
-    def _tell(self, event: QMouseEvent | QWheelEvent, what: str) -> None:
-        """Pass on to VTK, in the pixels of its picture."""
-        place, scale = event.position(), self.devicePixelRatioF()
-        keys = Qt.KeyboardModifier
-        control, shift = (bool(event.modifiers() & key) for key in (keys.ControlModifier, keys.ShiftModifier))
-        x, y = round(place.x() * scale), round(place.y() * scale)
-        self._mouse.SetEventInformationFlipY(x, y, control, shift, chr(0), 0, None)
-        self._mouse.InvokeEvent(what)
-        self._draw_soon()
-
-    def _draw_soon(self) -> None:
-        if not self._finished and not self._soon.isActive():
+        if column not in self._due:
+            self._due.append(column)
+        if not self._soon.isActive():
             self._soon.start()
 
-    def _draw(self) -> None:
-        self._soon.stop()
-        scale = self.devicePixelRatioF()
-        pixels = self._stage.pixels(max(1, round(scale * self.width())), max(1, round(scale * self.height())))
-        rows, cols = pixels.shape[:2]
-        self._mouse.SetSize(cols, rows)
-        self._image = QImage(pixels.tobytes(), cols, rows, 3 * cols, QImage.Format.Format_RGB888).copy()
-        self.update()
+    def _draw_one(self) -> None:
+        """Kept pictures are shown at once; of those to be drawn one, the others in later turns."""
+        made = False
+        waiting = [column for column in self._due if self.views[column].isVisible()]
+        self._due.clear()  # a view that is not seen asks for its picture when it is shown
+        while waiting and not made:
+            made = self._show(waiting.pop(0))
+        self._due.extend(waiting)
+        if waiting:
+            self._soon.start(0)
+            self._soon.setInterval(_TOGETHER_MS)
+
+    def _show(self, column: int) -> bool:
+        """Whether a picture had to be drawn."""
+        view, layers = self.views[column], self._layers.get(column, ())
+        behind = backdrop(view.palette()).getRgb()[:3]
+        placed = self._placed.get(column, {})
+        key = (
+            column, view.size_px, behind, tuple(id(layer) for layer in layers), self._stage.camera_of(column),
+            tuple((name, at.tobytes()) for name, at in placed.items()),
+        )  # fmt: skip
+        kept = self._kept.get(key)
+        if kept is None:
+            begun_s = time.thread_time()
+            self._stage.show(column, layers, placed)
+            pixels = self._stage.pixels(column, *view.size_px, behind)
+            rows, cols = pixels.shape[:2]
+            image = QImage(pixels.tobytes(), cols, rows, 3 * cols, QImage.Format.Format_RGB888)
+            image = image.convertToFormat(QImage.Format.Format_RGB32)
+            self._kept.put(key, (image, layers))
+            self.drawn += 1
+            self.drawing_s += time.thread_time() - begun_s
+            view.show_image(image)
+        else:
+            view.show_image(kept[0])
+        self._show_dot(column)
+        return kept is None
+
+    def _show_dot(self, column: int) -> None:
+        place = self._marks.get(column)
+        view = self.views[column]
+        at = None if place is None else self._stage.seen_at(column, place, view.width() / max(1, view.height()))
+        view.show_dot(None if at is None else QPointF(*at))
+
+    def _tell(self, column: int, event: Any, what: str) -> None:
+        """Pass on to VTK, in the pixels of its picture; a touch pad tells of many small turns that make up one."""
+        if self._finished:
+            return
+        name = {"move": "MouseMoveEvent"}.get(what, "")
+        if what in _ENDS and event.button() in _BUTTONS:
+            name = _BUTTONS[event.button()] + _ENDS[what]
+        elif what == "wheel":
+            self._turned += event.angleDelta().y()
+            if abs(self._turned) >= _ONE_TURN:
+                name = f"MouseWheel{'Forward' if self._turned > 0 else 'Backward'}Event"
+                self._turned = 0
+        if not name:
+            return
+        view = self.views[column]
+        place, dense, keys = event.position(), view.devicePixelRatioF(), Qt.KeyboardModifier
+        control, shift = (bool(event.modifiers() & key) for key in (keys.ControlModifier, keys.ShiftModifier))
+        self._stage.turn_to(column, *view.size_px)
+        self._mouse.SetSize(*view.size_px)
+        x, y = round(place.x() * dense), round(place.y() * dense)
+        self._mouse.SetEventInformationFlipY(x, y, control, shift, chr(0), 0, None)
+        before = self._stage.camera_of(column)
+        self._mouse.InvokeEvent(name)
+        if self._stage.camera_of(column) != before:
+            for other in self._stage.sharing(column):
+                self._draw_soon(other)
+
+
+def _bytes(picture: Picture) -> int:
+    image, layers = picture
+    return image.sizeInBytes() + sum(size_bytes(layer.points_mm) + size_bytes(layer.rgb) for layer in layers)
 
 
 def _samples() -> int:
@@ -156,9 +195,9 @@ def _samples() -> int:
     return 0 if sys.platform == "linux" and not devices else 4
 
 
-def best_scene(columns: int) -> Scene:
+def best_scene(views: Sequence[SolidView]) -> Scene:
     """A live scene, or a notice where nothing can be drawn in 3D."""
     try:
-        return LiveScene(columns)
+        return LiveScene(views)
     except Exception as error:  # noqa: BLE001 - drivers fail in their own ways; the rest of the window must work
-        return Scene(f"3D needs OpenGL, which this machine does not offer ({error})")
+        return Scene(views, f"3D needs OpenGL, which this machine does not offer ({error})")

@@ -8,11 +8,13 @@ from collections.abc import Sequence
 from functools import partial
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtWidgets import QComboBox, QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QBoxLayout, QComboBox, QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from widgets.icons import state_pixmap
 from widgets.looks import bold, smaller, spaced
 from widgets.picture import PictureView
+
+_AN_END = re.compile(r"[:;]|,(?![^(]*\))")  # of the first part of a sentence; a vector is one word
 
 
 class StageColumn(QFrame):
@@ -50,10 +52,12 @@ class StageColumn(QFrame):
         self._only.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self._only.setFixedHeight(self._method.sizeHint().height())
         self._method.hide()
-        layout.addWidget(self._title)
-        layout.addWidget(self._only)
-        layout.addWidget(self._method)
-        layout.addLayout(status)
+        self._head = QBoxLayout(QBoxLayout.Direction.TopToBottom)
+        self._head.setSpacing(2)
+        for widget in (self._title, self._only, self._method):
+            self._head.addWidget(widget)
+        self._head.addLayout(status)
+        layout.addLayout(self._head)
         layout.addWidget(self.view, 1)
         self._note = QLabel()
         self._note.setObjectName(f"note_{name}")
@@ -67,6 +71,15 @@ class StageColumn(QFrame):
         self.view.pixel_hovered.connect(partial(self.pixel_hovered.emit, name))
         self.view.pixel_clicked.connect(partial(self.pixel_clicked.emit, name))
         self.show_state("waiting")
+
+    def show_wide(self, wide: bool) -> None:
+        """Title, method and state beside each other where there is width, below each other in a narrow column."""
+        way = QBoxLayout.Direction
+        self._head.setDirection(way.LeftToRight if wide else way.TopToBottom)
+        self._head.setSpacing(10 if wide else 2)
+        for place, share in ((self._title, 2), (self._only, 2), (self._method, 2)):
+            self._head.setStretchFactor(place, share if wide else 0)
+        self.view.show_lines(1 if wide else 2)
 
     def offer_methods(self, methods: Sequence[tuple[str, str, str]]) -> None:
         """(name, title, help) of the ways to fill this slot; one alone is only named."""
@@ -103,7 +116,7 @@ class StageColumn(QFrame):
             label.setToolTip(tip)
         if state not in ("stale", "running"):
             first = notes[0] if notes and state not in ("skipped", "failed") else ""
-            self._note.setText(re.split("[:;,]", first, maxsplit=1)[0])
+            self._note.setText(_AN_END.split(first, maxsplit=1)[0])
             self._note.setVisible(bool(first))
         old = state in ("stale", "running", "failed") and self.view.picture is not None
         self.view.show_dimmed(old)

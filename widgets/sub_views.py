@@ -1,4 +1,4 @@
-"""The contents of a row of 3D sub-views: layers, cameras, lights, axes and the traced pixel's dot, drawn off screen."""
+"""The contents of the 3D views: layers, cameras, lights and axes, drawn off screen one view at a time."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from vtkmodules.vtkRenderingCore import (
 from pipeline.base.arrays import Doubles, Image
 from pipeline.pictures.colours import Rgb
 from pipeline.pictures.layers import Layer, Sight
-from widgets.colours import AXES, BACKDROP, TRACE
+from widgets.colours import AXES, BACKDROP
 
 
 class SubViews:
-    """Keeps the layers of all sub-views of one picture; points are written in place, actors are never rebuilt."""
+    """Draws one view after the other into one window; points are written in place, actors are never rebuilt."""
 
     def __init__(self, columns: int, samples: int) -> None:
         self.window = vtkRenderWindow()
@@ -34,36 +34,44 @@ class SubViews:
         self.window.SetMultiSamples(samples)
         self.renderers = [_view() for _ in range(columns)]
         for renderer in self.renderers:
+            renderer.SetDraw(False)
+            renderer.SetInteractive(False)
             self.window.AddRenderer(renderer)
         self._kept: list[dict[str, tuple[Layer, Any, Any]]] = [{} for _ in range(columns)]
         self._axes = [[_arrow(renderer, axis) for axis in range(3)] for renderer in self.renderers]
-        self._tall = True
-        self._marks: dict[int, tuple[tuple[float, float, float] | None, float]] = {}
-        self._dots: dict[int, Any] = {}
-        self.show_columns(range(columns))
 
-    def pixels(self, width_px: int, height_px: int) -> Image:
-        """Everything drawn at this size (rows, cols, 3)."""
-        self._fit(width_px, height_px)
-        self.window.SetSize(width_px, height_px)
+    def pixels(self, column: int, width_px: int, height_px: int, behind: tuple[int, ...]) -> Image:
+        """One view drawn at this size over a colour, (rows, cols, 3)."""
+        self.turn_to(column, width_px, height_px)
+        self.renderers[column].SetBackground(*(c / 255 for c in behind))
         self.window.Render()
         drawn = vtkUnsignedCharArray()
         self.window.GetPixelData(0, 0, width_px - 1, height_px - 1, 0, drawn, 0)
         return np.ascontiguousarray(vtk_to_numpy(drawn).reshape(height_px, width_px, 3)[::-1])
 
+    def turn_to(self, column: int, width_px: int, height_px: int) -> None:
+        """From now on the window is this view's: for drawing, and for the mouse.
+
+        The view angle holds for the shorter side, so that the same sphere fits tall and wide views.
+        """
+        for other, renderer in enumerate(self.renderers):
+            renderer.SetDraw(other == column)
+            renderer.SetInteractive(other == column)
+        if tuple(self.window.GetSize()) != (width_px, height_px):
+            self.window.SetSize(width_px, height_px)
+        self.renderers[column].GetActiveCamera().SetUseHorizontalViewAngle(width_px < height_px)
+
     def close(self) -> None:
         """Let go of everything OpenGL."""
         self.window.Finalize()
 
-    def show(self, column: int, layers: Sequence[Layer]) -> bool:
-        """Whether anything had to change."""
-        kept, changed = self._kept[column], False
+    def show(self, column: int, layers: Sequence[Layer], placed: Mapping[str, Doubles]) -> None:
+        """Exactly these layers, some of them moved as a whole."""
+        kept = self._kept[column]
         layers = [layer for layer in layers if len(layer.points_mm)]  # VTK takes no empty arrays
         wanted = {layer.name for layer in layers}
         for name, (_, _, actor) in kept.items():
-            if name not in wanted and actor.GetVisibility():
-                actor.SetVisibility(False)
-                changed = True
+            actor.SetVisibility(name in wanted)
         for layer in layers:
             old = kept.get(layer.name)
             if old is None:
@@ -72,46 +80,32 @@ class SubViews:
                 actor = _added(self.renderers[column], mesh, layer)
             else:
                 mesh, actor = old[1], old[2]
-                if old[0] is layer and actor.GetVisibility():
-                    continue
-                _write(mesh, layer, old[0])
-                actor.SetVisibility(True)
-            if layer.placed is not None:
-                actor.SetUserMatrix(pv.vtkmatrix_from_array(layer.placed))
+                if old[0] is not layer:
+                    _write(mesh, layer, old[0])
+            at = placed.get(layer.name, layer.placed)
+            actor.SetUserMatrix(None if at is None else pv.vtkmatrix_from_array(at))
             kept[layer.name] = (layer, mesh, actor)
-            changed = True
-        return changed
 
-    def place(self, column: int, name: str, placed: Doubles) -> None:
-        """Move a layer that is there."""
-        found = self._kept[column].get(name)
-        if found is not None:
-            found[2].SetUserMatrix(pv.vtkmatrix_from_array(placed))
+    def camera_of(self, column: int) -> tuple[float, ...]:
+        """Where a view looks from and to: equal for equal views."""
+        camera = self.renderers[column].GetActiveCamera()
+        return (*camera.GetPosition(), *camera.GetFocalPoint(), *camera.GetViewUp(), camera.GetViewAngle())
 
-    def mark(self, column: int, place_mm: tuple[float, float, float] | None, radius_mm: float) -> bool:
-        """Whether the dot had to change."""
-        if self._marks.get(column) == (place_mm, radius_mm):
-            return False
-        self._marks[column] = (place_mm, radius_mm)
-        actor = self._dots.get(column)
-        if actor is None:
-            ball = pv.Sphere(radius=1.0, theta_resolution=16, phi_resolution=12)
-            actor = self._dots[column] = _actor(self.renderers[column], ball, TRACE)
-        actor.SetVisibility(place_mm is not None)
-        if place_mm is not None:
-            actor.SetScale(radius_mm)
-            actor.SetPosition(*place_mm)
-        return True
+    def sharing(self, column: int) -> list[int]:
+        """The views that share a camera with this one, itself first."""
+        own = self.renderers[column].GetActiveCamera()
+        others = [i for i, r in enumerate(self.renderers) if i != column and r.GetActiveCamera() is own]
+        return [column, *others]
 
-    def show_columns(self, visible: Sequence[int]) -> None:
-        """Equal shares of the width for these; no room for the others."""
-        for column, renderer in enumerate(self.renderers):
-            renderer.SetDraw(column in visible)
-            if column in visible:
-                at = list(visible).index(column)
-                renderer.SetViewport(at / len(visible), 0.0, (at + 1) / len(visible), 1.0)
-            else:
-                renderer.SetViewport(0.0, 0.0, 0.0, 0.0)
+    def seen_at(self, column: int, place_mm: tuple[float, float, float], aspect: float) -> tuple[float, float] | None:
+        """Where a point is in a view, in shares of its width and height from the upper left; None if it is not."""
+        camera = self.renderers[column].GetActiveCamera()
+        camera.SetUseHorizontalViewAngle(aspect < 1.0)
+        matrix = pv.array_from_vtkmatrix(camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0))
+        x, y, _, w = matrix @ (*place_mm, 1.0)
+        if w <= 0 or max(abs(x), abs(y)) > w:
+            return None
+        return 0.5 + 0.5 * float(x / w), 0.5 - 0.5 * float(y / w)
 
     def look(self, sights: Mapping[int, Sight], linked: bool) -> None:
         """Cameras seen from the sensor's side, so that what is pushed in bulges toward the viewer."""
@@ -120,20 +114,12 @@ class SubViews:
             camera = shared.get(sight.frame) if linked else None
             if camera is None:
                 camera = shared[sight.frame] = _camera(sight)
-                camera.SetUseHorizontalViewAngle(self._tall)
             self.renderers[column].SetActiveCamera(camera)
             corner = np.array(sight.centre_mm) + sight.radius_mm * np.array([-0.62, 0.72, 0.0])
             for actor in self._axes[column]:
                 actor.SetPosition(*corner)
                 actor.SetScale(0.25 * sight.radius_mm)
                 actor.SetVisibility(True)
-
-    def _fit(self, width_px: int, height_px: int) -> None:
-        """Make the view angle hold for the shorter side, so that the same sphere fits tall and wide sub-views."""
-        shown = sum(bool(renderer.GetDraw()) for renderer in self.renderers)
-        self._tall = width_px < height_px * max(1, shown)
-        for renderer in self.renderers:
-            renderer.GetActiveCamera().SetUseHorizontalViewAngle(self._tall)
 
 
 def _view() -> Any:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 
 from PyQt6.QtCore import QSignalBlocker, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSlider, QSpinBox, QWidget
+from PyQt6.QtWidgets import QComboBox, QGridLayout, QHBoxLayout, QLabel, QSlider, QSpinBox, QWidget
 
-from widgets.looks import command_button
+from widgets.error_strip import ErrorStrip
+from widgets.looks import command_button, smaller
 
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0)
 FRAMES_PER_SECOND = 10.0  # at speed 1, when the recording keeps no times
@@ -35,6 +37,7 @@ class Timeline(QWidget):
         self.number = QSpinBox()
         self.number.setObjectName("frame_number")
         self.number.setKeyboardTracking(False)
+        self.errors, self._figure, self._worst = ErrorStrip(), QLabel(), QLabel()
         self._of, self._time = QLabel(), QLabel()
         self._time.setMinimumWidth(self.fontMetrics().horizontalAdvance("t = 0000.00 s"))
         self.speed = QComboBox()
@@ -49,16 +52,26 @@ class Timeline(QWidget):
         self._lay_out()
         self.slider.valueChanged.connect(self._choose)
         self.number.valueChanged.connect(self._choose)
+        self.errors.frame_chosen.connect(self._choose)
         self.show_frames(0)
 
     def _lay_out(self) -> None:
-        layout = QHBoxLayout(self)
+        layout = QGridLayout(self)
         layout.setContentsMargins(6, 2, 6, 2)
+        layout.setVerticalSpacing(0)
+        layout.setColumnStretch(1, 1)
         self._buttons.setSpacing(1)
-        layout.addLayout(self._buttons)
-        layout.addWidget(self.slider, 1)
+        layout.addLayout(self._buttons, 0, 0)
+        layout.addWidget(self.slider, 0, 1)
+        right = QHBoxLayout()
+        right.setSpacing(6)
         for widget in (QLabel("frame"), self.number, self._of, self._time, QLabel("speed"), self.speed):
-            layout.addWidget(widget)
+            right.addWidget(widget)
+        layout.addLayout(right, 0, 2)
+        for column, widget in enumerate((self._figure, self.errors, self._worst)):
+            layout.addWidget(widget, 1, column)
+        for label in (self._figure, self._worst):
+            smaller(label, 1.0)
 
     def add_command(self, action: QAction) -> None:
         """Give a command a button at the left of the slider."""
@@ -78,6 +91,7 @@ class Timeline(QWidget):
             self.number.setRange(0, last)
         self._of.setText(f"of {n_frames}")
         self.setEnabled(n_frames > 0)
+        self.show_errors("", (), {})
         if n_frames <= 1:
             self.play(on=False)
 
@@ -87,7 +101,18 @@ class Timeline(QWidget):
         with QSignalBlocker(self.slider), QSignalBlocker(self.number):
             self.slider.setValue(frame)
             self.number.setValue(frame)
+        self.errors.show_frame(frame)
         self._time.setText(f"t = {time_s:.2f} s" if math.isfinite(time_s) else "")
+
+    def show_errors(self, figure: str, values: Sequence[float], doubts: Mapping[int, Sequence[str]]) -> None:
+        """An error of every frame under the slider, NaN where it is not known, and what is doubted of which."""
+        unit = figure.rpartition(" ")[2]
+        self.errors.show_values(values, unit, doubts)
+        worst = self.errors.worst
+        known = sum(math.isfinite(value) for value in values)
+        self._figure.setText(figure if known else "no error known" if values else "")
+        told = f"worst: frame {worst}, {values[worst]:.3g} {unit}" if worst >= 0 else ""
+        self._worst.setText(told)
 
     def show_ready(self, *, ready: bool) -> None:
         """Whether the chosen frame is on screen: playing waits for it instead of running ahead."""

@@ -2,79 +2,85 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import pyqtgraph as pg
-from PyQt6.QtCore import QObject, QRectF, Qt, QTimer
+from PyQt6.QtCore import QEvent, QObject, QTimer
+from PyQt6.QtGui import QMouseEvent
 
 from pipeline.pictures.picture import Picture
-from widgets.colours import TRACE, qcolor
+from widgets.canvas import Canvas
 
 _BLINK_MS = 500  # two pictures a second
 
 
 class Overlay(QObject):
-    """Lies in a picture's view box; shows nothing until it is given a picture of the same size."""
+    """Lies in a picture's canvas; shows nothing until it is given a picture of the same size."""
 
-    def __init__(self, box: Any, parent: QObject) -> None:
-        super().__init__(parent)
-        self._image = pg.ImageItem(axisOrder="row-major")
-        self.handle: Any = pg.InfiniteLine(angle=90, movable=True, pen=pg.mkPen(qcolor(TRACE), width=2))
-        self.handle.setHoverPen(pg.mkPen(qcolor(TRACE), width=4))
-        self.handle.setCursor(Qt.CursorShape.SplitHCursor)
-        for item in (self._image, self.handle):
-            box.addItem(item, ignoreBounds=True)
-            item.hide()
+    def __init__(self, canvas: Canvas) -> None:
+        super().__init__(canvas)
+        self._canvas = canvas
         self._picture: Picture | None = None
-        self._share = 0.5  # of the width that is left to the picture below
+        self.share = 0.5  # of the width that is left to the picture below
+        self.shown = False  # whether any of the second picture can be seen now
+        self._held = False  # the handle, by the mouse
         self._blink = QTimer(self)
         self._blink.setInterval(_BLINK_MS)
-        self._blink.timeout.connect(lambda: self._image.setVisible(not self._image.isVisible()))
-        self.handle.sigPositionChanged.connect(self._dragged)
+        self._blink.timeout.connect(self._turn)
+        canvas.installEventFilter(self)
 
     @property
-    def shown(self) -> bool:
-        """Whether the second picture can be seen now."""
-        return bool(self._image.isVisible())
+    def blinking(self) -> bool:
+        """Whether the two pictures come in turns."""
+        return self._blink.isActive()
 
     def show_none(self) -> None:
         """Take the second picture away."""
-        self._picture = None
+        if self._picture is None:
+            return
+        self._picture, self._canvas.handle, self.shown = None, None, False
         self._blink.stop()
-        self._image.hide()
-        self.handle.hide()
+        self._canvas.show_second(None)
 
     def show_wiped(self, picture: Picture) -> None:
         """The second picture right of the handle, which stays where it was dragged to."""
         self._blink.stop()
-        self._picture = picture
-        width = picture.pixels.shape[1]
-        self.handle.setBounds((0, width))
-        self.handle.show()
-        self.handle.setValue(self._share * width)
-        self._cut()
+        if picture is not self._picture or not self.shown:
+            self._picture = picture
+            self._canvas.show_second(picture.pixels, self.share)
+        self.drag_to(self.share)
 
     def show_blinking(self, picture: Picture) -> None:
         """The second picture in turns with the one below."""
-        self._picture = picture
-        self.handle.hide()
-        self._place(0)
+        self._picture, self._canvas.handle = picture, None
+        self._place(shown=True)
         if not self._blink.isActive():
             self._blink.start()
 
-    def _dragged(self) -> None:
-        if self._picture is not None and self.handle.isVisible():
-            self._share = float(self.handle.value()) / self._picture.pixels.shape[1]
-            self._cut()
+    def drag_to(self, share: float) -> None:
+        """Put the handle at this share of the width, no farther than the picture."""
+        self.share = min(max(share, 0.0), 1.0)
+        self._canvas.handle = self.share
+        self._canvas.move_second(self.share)
+        self.shown = self._picture is not None and self.share < 1.0
 
-    def _cut(self) -> None:
-        if self._picture is not None:
-            self._place(round(self._share * self._picture.pixels.shape[1]))
+    def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
+        """The handle is dragged before the picture is."""
+        if self._canvas.handle is None or self._picture is None or not isinstance(a1, QMouseEvent):
+            return super().eventFilter(a0, a1)
+        if a1.type() == QEvent.Type.MouseButtonPress and self._canvas.near_handle(a1.position()):
+            self._held = True
+            return True
+        if a1.type() == QEvent.Type.MouseButtonRelease and self._held:
+            self._held = False
+            return True
+        if a1.type() == QEvent.Type.MouseMove and self._held:
+            self.drag_to(self._canvas.to_picture(a1.position()).x() / self._picture.pixels.shape[1])
+            return True
+        return super().eventFilter(a0, a1)
 
-    def _place(self, first: int) -> None:
+    def _turn(self) -> None:
+        if self._canvas.isVisible():
+            self._place(shown=not self.shown)
+
+    def _place(self, *, shown: bool) -> None:
+        self.shown = shown
         assert self._picture is not None
-        rows, cols = self._picture.pixels.shape[:2]
-        self._image.setVisible(first < cols)
-        if first < cols:
-            self._image.setImage(self._picture.pixels[:, first:], autoLevels=False, levels=(0, 255))
-            self._image.setRect(QRectF(first, 0, cols - first, rows))
+        self._canvas.show_second(self._picture.pixels if shown else None)

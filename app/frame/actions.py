@@ -91,18 +91,24 @@ PLAY = (
     Command("ten_back", "Ten frames back", "Go ten frames back", key="Shift+Left"),
     Command("ten_on", "Ten frames on", "Go ten frames on", key="Shift+Right"),
     Command("worse", "Worse frame", "The next worse frame by the figure of the frames' table", key="J"),
+    Command("worst", "Worst frame", "Go to the frame with the largest error that is known", icon="worst",
+            key="Shift+J"),
     Command("better", "Better frame", "The next better frame by the figure of the frames' table", key="K"),
     Command("loop", "Loop", "Begin again after the last frame", icon="loop", key="Ctrl+L", checkable=True),
-)
+)  # fmt: skip
 VIEW = (
     Command(
         "link_cameras", "Link cameras", "3D views of one frame turn together", icon="link", key="L", checkable=True
     ),
     Command("reset_view", "Reset view", "Fit every picture and 3D view", icon="reset", key="R"),
+    Command("fit_contact", "Fit contact", "Zoom every picture to the contact, or back to the sensor", icon="fit",
+            key="Z", checkable=True),
+    Command("link_pictures", "Link pictures", "Pan and zoom all pictures together, in millimetres", icon="link",
+            key="Shift+L", checkable=True),
     Command(
         "freeze_trace", "Freeze trace", "Keep the traced pixel where it is", icon="target", key="F", checkable=True
     ),
-)
+)  # fmt: skip
 VERSUS = (
     Command("show_truth", "Show truth", "The truth in place of what was worked out", icon="tick", key="T",
             checkable=True),
@@ -112,6 +118,16 @@ VERSUS = (
             checkable=True),
     Command("show_blink", "Blink", "What was worked out and the truth in turns", icon="blink", key="B",
             checkable=True),
+)  # fmt: skip
+ARRANGE = (
+    Command("inspect_or_stages", "Inspect or stages", "Change between a few large panes and all stages", icon="panes",
+            key="I"),
+    Command("layout_stages", "Stages", "Every slot side by side, pictures over 3D views", key="Ctrl+1", checkable=True),
+    Command("layout_inspect", "Inspect", "Large panes under a filmstrip of all slots", key="Ctrl+2", checkable=True),
+    Command("layout_align", "Align", "Felt against carried over in one large pane, the handles beside it",
+            key="Ctrl+3", checkable=True),
+    Command("layout_sweep", "Sweep", "Any two parameters against error and time", key="Ctrl+4", checkable=True),
+    Command("layout_demo", "Demo", "Source, generated touch and truth, large", key="Ctrl+5", checkable=True),
 )  # fmt: skip
 HELP = (Command("keys", "Keys", "Show the keys", icon=_Std.SP_DialogHelpButton, key="F1"),)
 

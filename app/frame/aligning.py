@@ -154,7 +154,7 @@ class Aligning(QObject):
             self._panel.show_nothing()
         elif isinstance(part, Previewed) and self._panel.dragging:
             with self._instrument.watch.timed("Previewed"):
-                self._instrument.screen.show_preview(part.picture, part.layers)
+                self._instrument.screen.show_preview(part.picture, part.beside, part.layers)
                 self._show_score(part.score)
         elif isinstance(part, Judged) and ticket == self._judging and not self._panel.dragging:
             with self._instrument.watch.timed("Judged"):

@@ -17,6 +17,9 @@ from app.frame.greeting import Greeting
 from app.frame.handing import Handing
 from app.frame.instrument import Instrument
 from app.frame.keeping import Keeping
+from app.frame.layouts import Layouts
+from app.frame.looking import Looking
+from app.frame.sweeping import Sweeping
 from app.frame.triage import Triage
 from app.frame.window import Window
 from app.session.state import DISPLAY
@@ -62,12 +65,13 @@ def connect(instrument: Instrument) -> Keeping:
     window.route.activated.connect(lambda: change("choose route", route=window.route.currentData()))
     Blaming(instrument)
     Triage(instrument)
+    Sweeping(instrument)
     keeping = Keeping(instrument)
     Greeting(instrument, keeping)
     Handing(instrument, keeping)
     _connect_files(instrument, Aligning(instrument), keeping)
     _connect_play(instrument)
-    _connect_view(instrument)
+    _connect_view(instrument, Layouts(instrument))
     _connect_undo(instrument)
     return keeping
 
@@ -137,7 +141,7 @@ def _connect_play(instrument: Instrument) -> None:
     window.actions_by_name["loop"].toggled.connect(line.set_looping)
 
 
-def _connect_view(instrument: Instrument) -> None:
+def _connect_view(instrument: Instrument, layouts: Layouts) -> None:
     window, tracer = instrument.window, instrument.tracer
     freeze = window.actions_by_name["freeze_trace"]
     freeze.toggled.connect(tracer.freeze)
@@ -145,20 +149,26 @@ def _connect_view(instrument: Instrument) -> None:
     link = window.actions_by_name["link_cameras"]
     link.setChecked(instrument.session.linked)
     window.on("link_cameras", lambda: instrument.change("link cameras", linked=link.isChecked()))
+    Looking(instrument)
     window.on("reset_view", instrument.reset_view)
     for versus in get_args(Versus)[1:]:
         window.on(f"show_{versus}", lambda versus=versus: _choose_versus(instrument, versus))
     window.on("cancel", instrument.cancel)
     for i, name in enumerate(window.columns):
-        window.on(f"only_{i + 1}", lambda name=name: instrument.show_only(name))
+        window.on(f"only_{i + 1}", lambda name=name: _choose_column(instrument, layouts, name))
+
+
+def _choose_column(instrument: Instrument, layouts: Layouts, name: str) -> None:
+    """Alone among the stages, else into the active pane."""
+    if instrument.session.layout.name == "inspect":
+        layouts.show_slot(name)
+    else:
+        instrument.show_only(name)
 
 
 def _choose_versus(instrument: Instrument, versus: Versus) -> None:
     """One of them at a time; a second time goes back to what was worked out."""
-    chosen: Versus = "" if instrument.screen.versus == versus else versus
-    for name in get_args(Versus)[1:]:
-        instrument.window.actions_by_name[f"show_{name}"].setChecked(name == chosen)
-    instrument.show_versus(chosen)
+    instrument.show_versus("" if instrument.screen.versus == versus else versus)
 
 
 def _connect_undo(instrument: Instrument) -> None:

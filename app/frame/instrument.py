@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import get_args
 
 from PyQt6.QtCore import QSignalBlocker, pyqtSignal
 
@@ -12,7 +13,8 @@ from app.frame.tracing import Tracer
 from app.frame.window import Window
 from app.session.documents import Documents
 from app.session.state import DISPLAY, Session
-from app.work.evaluator import BeginsAt, Evaluator, FrameShown, SlotShown, SourceShown, request_of
+from app.work.drawing import SlotShown, SourceShown
+from app.work.evaluator import BeginsAt, Evaluator, FrameShown, request_of
 from app.work.jobs import LatestJob, Work
 from app.work.stopwatch import Stopwatch
 from app.work.versus import Versus
@@ -62,6 +64,8 @@ class Instrument(Documents):
         """Show a session: controls at once, stages when the background has them."""
         with self.watch.timed("show_session"):
             old, self.session = self.session, session
+            if session.layout != self.window.layout_shown:
+                self.window.show_layout(session.layout)
             self._show_controls()
             if session.settings != old.settings:
                 self.window.frames.known.forget()
@@ -80,6 +84,8 @@ class Instrument(Documents):
     def show_versus(self, versus: Versus) -> None:
         """What every column shows beside, or in place of, what was worked out."""
         self.screen.versus = versus
+        for name in get_args(Versus)[1:]:
+            self.window.actions_by_name[f"show_{name}"].setChecked(name == versus)
         self.refresh()
 
     def refresh(self) -> None:
@@ -112,9 +118,7 @@ class Instrument(Documents):
         self.refresh()
 
     def reset_view(self) -> None:
-        """Fit every picture and 3D view."""
-        for column in self.window.columns.values():
-            column.view.reset_view()
+        """Look at every 3D view as at first."""
         self.screen.look(self.session)
 
     def cancel(self) -> None:
@@ -247,7 +251,7 @@ class Instrument(Documents):
 
     def _ask(self, *, other_request: bool) -> None:
         session, wanted, beside = self._drafted(), self.window.visible_columns(), self._beside
-        with_truth = bool(self.screen.versus)
+        with_truth = bool(self.screen.versus) or session.layout.name == "demo"
         interrupt = other_request or not self._young.isActive()
         self._waits = True
         self._ticket = 0  # what is dropped now is not missed

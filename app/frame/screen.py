@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from app.frame.places import sights
 from app.frame.tracing import Tracer
 from app.frame.window import Window
 from app.session.state import Session
-from app.work.evaluator import FrameShown, SlotShown, SourceShown
-from app.work.versus import Versus
+from app.work.drawing import SlotShown, SourceShown
+from app.work.evaluator import FrameShown
+from app.work.versus import Beside, Versus
 from pipeline.base.errors import TouchError
-from pipeline.engine.graph import Method
+from pipeline.engine.graph import Method, StageResult
 from pipeline.pictures.layers import Layer
 from pipeline.pictures.picture import Picture
 from pipeline.sensors.spec import SensorSpec
@@ -26,6 +27,7 @@ from widgets.timings_panel import TimingRow
 TIMES = "\N{MULTIPLICATION SIGN}"
 _AXES = " ".join(f"<b style='color:rgb{colour}'>{name}</b>" for name, colour in zip("xyz", AXES, strict=True))
 _PREVIEWED = "view"  # the slot that a drag of the alignment shows on its way
+_GENERATED = "touch"  # the slot whose truth demonstrations show
 _SOURCE_LEGEND = "reading on its surface"
 
 
@@ -34,18 +36,19 @@ class Screen:
 
     def __init__(self, window: Window, tracer: Tracer) -> None:
         self._window, self._tracer = window, tracer
-        self.scene = Scene()  # the 3D views
+        self.scene = Scene(window.solids)  # the 3D views
         self.opened: Translation | None = None  # the recording on screen
         self.versus: Versus = ""  # what is shown beside, or in place of, what was worked out
         self._layers: dict[int, tuple[Layer, ...]] = {}
         self._states: dict[str, tuple[Picture, ...]] = {}  # slot -> those kept on the way to its value
         self._fresh: set[str] = set()
         self._order = tuple(window.columns)
+        self._results: Mapping[str, StageResult] = {}  # on screen
+        self._parts: dict[str, SourceShown | SlotShown] = {}
 
     def take_scene(self, scene: Scene, session: Session) -> None:
         """Take up the 3D views, which come after the window is on screen."""
         self.scene = scene
-        self._window.scene_place.addWidget(scene)
         self.look(session)
         for column, layers in self._layers.items():
             scene.show_layers(column, layers)
@@ -61,10 +64,10 @@ class Screen:
         window.timeline.show_frames(t.n_frames)
         if old is None or old.stream is not t.stream:
             window.frames.known.show_frames(t.n_frames)
+        window.warning.show_doubts(())
         window.source.setItemText(0, f"as recorded: {t.source.name}")
         window.leave_out(frozenset(slot.name for slot in t.catalogue.slots) - set(t.slots))
         window.banner.hide()
-        self._show_columns()
         self.look(session)
 
     def show_methods(self, methods: Sequence[Method]) -> None:
@@ -76,8 +79,11 @@ class Screen:
         """One column's picture, layers and state."""
         name = part.result.name if isinstance(part, SlotShown) else "source"
         column = self._window.columns[name]
-        self._show_picture(column.view, part)
+        self._show_picture(column.view, part.picture, part.beside if isinstance(part, SlotShown) else None)
+        self._window.panes.filmstrip.thumbnails[name].show_picture(column.view.picture or part.picture)
         if isinstance(part, SlotShown):
+            if name == _GENERATED:
+                self._show_truth(part)
             self._results = {**self._results, name: part.result}
             column.show_result(
                 part.result.state, part.result.ms, part.result.notes, part.result.doubts, part.result.instead
@@ -89,16 +95,20 @@ class Screen:
         else:
             self._results = {}  # those of another frame, or of other parameters
             column.show_state("read", part.ms)
-            self._tracer.show_results(self._results, part.frame)
+            self._tracer.show_results(self._results, part.frame, part.facts)
+        self._tell_state(name)
         index = self._order.index(name)
         self._layers[index] = part.layers
         self.scene.show_layers(index, part.layers)
         self._fresh.add(name)
+        self._parts[name] = part
 
-    def _show_picture(self, view: PictureView, part: SourceShown | SlotShown) -> None:
-        """The part's picture, its truth, their difference, or both in one place, where that is asked for and known."""
-        other = part.beside if isinstance(part, SlotShown) else None
-        picture = part.picture
+    def shown(self, name: str) -> SourceShown | SlotShown | None:
+        """What a column shows, with all that may be shown beside it."""
+        return self._parts.get(name)
+
+    def _show_picture(self, view: PictureView, picture: Picture, other: Beside | None) -> None:
+        """A picture, its truth, their difference, or both in one place, where that is asked for and known."""
         if other is not None and self.versus == "truth":
             picture = other.truth
         elif other is not None and self.versus == "difference" and other.gap is not None:
@@ -111,7 +121,30 @@ class Screen:
         else:
             view.overlay.show_none()
 
-    def show_preview(self, picture: Picture, layers: tuple[Layer, ...]) -> None:
+    def _show_truth(self, part: SlotShown) -> None:
+        """The truth of the generated touch in a column of its own, which demonstrations show."""
+        column, other = self._window.truth, part.beside
+        if column.isHidden():
+            return
+        if other is None:
+            column.show_state("skipped", None, ("the recording does not hold what the target really felt",))
+            return
+        column.view.show_picture(other.truth)
+        column.show_state("read")
+        self.scene.show_layers(len(self._order), other.layers)
+
+    def _tell_state(self, name: str) -> None:
+        """The filmstrip's sign, and the line of warnings."""
+        column = self._window.columns[name]
+        self._window.panes.filmstrip.thumbnails[name].show_state(column.state, column.doubts)
+        if self.opened is not None:
+            slot, common = self.opened.catalogue.slot, self._window.frames.known.common_doubts
+            here = [(slot(key).title, doubt) for key, r in self._results.items() for doubt in r.doubts]
+            # What is doubted of every frame comes last: it is no news.
+            here.sort(key=lambda pair: f"{pair[0].lower()}: {pair[1]}" in common)
+            self._window.warning.show_doubts(here)
+
+    def show_preview(self, picture: Picture, other: Beside | None, layers: tuple[Layer, ...]) -> None:
         """The target's view of a drag on its way; what rests on it is out of date."""
         changed = self._resting_on("alignment")
         self._fresh -= changed
@@ -123,7 +156,7 @@ class Screen:
             if column.state != "stale":
                 column.show_state("stale")
         column = self._window.columns[_PREVIEWED]
-        column.view.show_picture(picture)
+        self._show_picture(column.view, picture, other)
         column.show_state("preview")
         self.scene.show_layers(self._order.index(_PREVIEWED), layers)
 
@@ -148,6 +181,7 @@ class Screen:
         """Dim what has not been replaced in time, and say where the work is."""
         for name in self._unfinished():
             self._window.columns[name].show_state("stale")
+            self._tell_state(name)
         self.mark_running()
 
     def mark_running(self) -> None:
@@ -155,6 +189,7 @@ class Screen:
         waiting = self._unfinished()
         if waiting and self._window.columns[waiting[0]].state == "stale":
             self._window.columns[waiting[0]].show_state("running")
+            self._tell_state(waiting[0])
 
     def mark_failed(self, error: object) -> None:
         """The first column without a fresh result failed, those after it wait for it."""
@@ -166,11 +201,13 @@ class Screen:
                 column.show_state("failed", None, (text,))
             else:
                 column.show_state("waiting", None, (f"waits for {waiting[0]}",))
+            self._tell_state(name)
 
     def mark_cancelled(self) -> None:
         """What has not come will not come."""
         for name in self._unfinished():
             self._window.columns[name].show_state("waiting", None, ("cancelled",))
+            self._tell_state(name)
 
     def look(self, session: Session) -> None:
         """Set the cameras anew, and say which frame and stretch each 3D view has."""
@@ -178,9 +215,12 @@ class Screen:
             return
         t, display = self.opened, session.display
         seen = sights(t)
-        self.scene.look({self._order.index(name): sight for name, sight in seen.items()}, linked=session.linked)
-        radius = 0.04 * min(s.radius_mm for s in seen.values())
-        self._tracer.show_scene(self.scene, radius, display, t)
+        places = {self._order.index(name): sight for name, sight in seen.items()}
+        if _GENERATED in seen:
+            places[len(self._order)] = seen[_GENERATED]
+            self._window.truth_cell.caption.setText(f"{t.target.name} frame {_AXES}")
+        self.scene.look(places, linked=session.linked)
+        self._tracer.show_scene(self.scene, display, t)
         self._caption("source", _SOURCE_LEGEND, t.source, 1.0)
         for slot in t.catalogue.slots:
             place = t.source if slot.place == "source" else t.target
@@ -196,16 +236,12 @@ class Screen:
     def show_only(self, name: str | None) -> None:
         """One slot alone, or all of the route for None."""
         self._window.show_only(name)
-        self._show_columns()
-
-    def _show_columns(self) -> None:
-        shown = self._window.visible_columns()
-        self.scene.show_columns([i for i, n in enumerate(self._order) if n in shown])
 
     def _caption(self, name: str, legend: str, place: SensorSpec, times: float) -> None:
-        self._window.legends[name].setText(legend)
+        cell = self._window.cells[name]
+        cell.legend.setText(legend)
         stretch = "" if times == 1.0 else f", depth {TIMES}{times:g}"
-        self._window.captions[name].setText(f"{place.name} frame {_AXES}{stretch}")
+        cell.caption.setText(f"{place.name} frame {_AXES}{stretch}")
 
     def _resting_on(self, name: str) -> set[str]:
         """The slots that change with an input."""

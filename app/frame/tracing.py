@@ -11,7 +11,7 @@ from app.frame.places import dots
 from app.frame.window import Window
 from pipeline.engine.graph import StageResult
 from pipeline.pictures.display import DisplayParams
-from pipeline.stages.slot import Mark
+from pipeline.stages.slot import Facts, Mark
 from pipeline.translation import trace
 from pipeline.translation.translate import Translation
 from pipeline.values.frames import TactileFrame
@@ -32,29 +32,34 @@ class Tracer(QObject):
         self._window = window
         self._results: Mapping[str, StageResult] = {}
         self._frame: TactileFrame | None = None
+        self._facts = Facts()
         self._at: tuple[str, int, int] | None = None
         self._frozen = False
         self._scene: Scene | None = None
-        self._radius_mm, self._display = 0.5, DisplayParams()
+        self._display = DisplayParams()
         self._translation: Translation | None = None
         self._marks: tuple[Mark, ...] = ()
         self._dots = once(self, _DOTS_AFTER_MS, self._show_dots)
 
-    def show_results(self, results: Mapping[str, StageResult], frame: TactileFrame | None = None) -> None:
+    def show_results(
+        self, results: Mapping[str, StageResult], frame: TactileFrame | None = None, facts: Facts | None = None
+    ) -> None:
         """Trace through these from now on, of another `frame` if given; the traced pixel is traced anew."""
-        self._results, self._frame = results, frame or self._frame
+        self._results, self._frame, self._facts = results, frame or self._frame, facts or self._facts
         if self._at is not None:
             self._trace(*self._at)
 
-    def show_scene(self, scene: Scene, radius_mm: float, display: DisplayParams, translation: Translation) -> None:
+    def show_scene(self, scene: Scene, display: DisplayParams, translation: Translation) -> None:
         """Where the dots go, and how far depth is stretched there."""
-        self._scene, self._radius_mm, self._display, self._translation = scene, radius_mm, display, translation
+        self._scene, self._display, self._translation = scene, display, translation
 
     def hover(self, column: str, row: int, col: int) -> None:
         """The mouse is over a pixel of a picture, or over none (-1, -1)."""
         picture = self._window.columns[column].view.picture
         text = picture.probe(row, col) if picture is not None and row >= 0 else ""
-        self._window.probe.setText(f"{self._title(column)} {text}" if text else "")
+        true = self._truth(column, row, col) if text else ""
+        ending = f" · truth {true}" if true else ""
+        self._window.probe.setText(f"{self._title(column)} {text}{ending}" if text else "")
         if not self._frozen and row >= 0:
             self._trace(column, row, col)
 
@@ -92,17 +97,34 @@ class Tracer(QObject):
             crosses[mark.slot] = (mark.row, mark.col) if mark.row >= 0 else self._in_picture(mark)
         crosses[column] = (row, col)
         for name, shown in self._window.columns.items():
-            shown.view.show_cross(crosses[name])
+            shown.view.show_cross(crosses[name], self._reads(name, crosses[name]))
         steps = [(self._title(m.slot), m.text) for m in marks]
         ending = "" if marks else _NOTHING
         if not self._results or (column != trace.SOURCE and column not in self._results):
             ending = _NOT_YET
         if not marks:
             steps = [(self._title(column), f"({col}, {row})")]
+        true = self._last_truth(marks, (column, row, col))
+        if true:
+            steps.append(("truth", true))
         self._window.trace.show_steps(steps, pinned=self._frozen, ending=ending)
         self._marks = marks
         if not self._dots.isActive():
             self._dots.start()
+
+    def _reads(self, column: str, pixel: tuple[int, int] | None) -> str:
+        """What a column's picture reads at the crosshair."""
+        picture = self._window.columns[column].view.picture
+        return picture.reads(*pixel) if picture is not None and pixel is not None else ""
+
+    def _last_truth(self, marks: tuple[Mark, ...], at: tuple[str, int, int]) -> str:
+        """The truth where the trace ends, or where it was asked for if it leads nowhere."""
+        ends = [(mark.slot, mark.row, mark.col) for mark in marks if mark.row >= 0] or [at]
+        return next((true for end in reversed(ends) if (true := self._truth(*end))), "")
+
+    def _truth(self, column: str, row: int, col: int) -> str:
+        known = self._translation
+        return "" if known is None else trace.truth_at(column, row, col, self._facts, known.catalogue)
 
     def _marks_of(self, column: str, row: int, col: int) -> tuple[Mark, ...]:
         picture = self._window.columns[column].view.picture
@@ -134,4 +156,4 @@ class Tracer(QObject):
             return
         found = dots(self._marks, self._translation, self._display)
         for column, name in enumerate(self._window.columns):
-            self._scene.mark(column, found.get(name), self._radius_mm)
+            self._scene.mark(column, found.get(name))

@@ -8,7 +8,9 @@ from app.frame.instrument import Instrument
 from app.work.evaluator import FrameKnown
 from pipeline.evaluation.metrics import METRICS
 from pipeline.translation.blame import FIGURE as FIRST_CHOICE
+from widgets.looks import once
 
+_TOGETHER_MS = 60  # frames that become known within this are drawn once
 _AT_REST_MS = 400  # who looks for a frame, or has its error taken apart, comes first
 
 
@@ -28,12 +30,40 @@ class Triage(QObject):
         instrument.job.finished.connect(self._take)
         self._panel.figure_chosen.connect(self._choose)
         window = instrument.window
+        self._panel.known.dataChanged.connect(self._tell_soon)
+        self._panel.known.modelReset.connect(self._tell_soon)
+        self._told = once(self, _TOGETHER_MS, self._tell)
+        window.on("worst", self._go_to_worst)
         window.on("worse", lambda: self._step(-1))
         window.on("better", lambda: self._step(1))
 
     def _choose(self, figure: str) -> None:
         self._figure = figure
         self._offer()
+        self._tell()
+
+    def _go_to_worst(self) -> None:
+        worst = self._instrument.window.timeline.errors.worst
+        if worst >= 0:
+            self._instrument.choose_frame(worst)
+
+    def _tell_soon(self) -> None:
+        if not self._told.isActive():
+            self._told.start()
+
+    def _tell(self) -> None:
+        """The timeline shows what the table knows; doubts that every frame has tell none from another."""
+        known = self._panel.known
+        unit = METRICS[self._figure.partition(".")[2]].unit
+        doubts = {i: own for i in range(known.rowCount()) if (own := known.own_doubts(i))}
+        values = known.values(self._figure) if known.rowCount() > 1 else ()
+        self._instrument.window.timeline.show_errors(f"{self._figure}, {unit}", values, doubts)
+
+    @property
+    def _wanted(self) -> bool:
+        """Whether somebody sees the table, or errors can be known, which the timeline shows."""
+        opened = self._instrument.screen.opened
+        return self._instrument.window.drawers.frames.isVisible() or (opened is not None and opened.stream.has_truth)
 
     def _step(self, by: int) -> None:
         self._panel.step(by, worst_first=_worst_first(self._figure))
@@ -47,7 +77,7 @@ class Triage(QObject):
 
     def _soon(self, ms: int) -> None:
         self._offer()
-        if self._instrument.window.drawers.frames.isVisible():
+        if self._wanted:
             self._rest.start(ms)
 
     def _ask(self) -> None:
@@ -63,7 +93,7 @@ class Triage(QObject):
             if found.settings == self._instrument.session.settings:
                 self._panel.known.show_summary(found.index, found.summary)
             self._soon(0)
-        elif self._instrument.window.drawers.frames.isVisible() and not self._rest.isActive():
+        elif self._wanted and not self._rest.isActive():
             self._rest.start(_AT_REST_MS)
 
     def _offer(self) -> None:

@@ -9,13 +9,13 @@ from PyQt6.QtCore import QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QCloseEvent, QDragEnterEvent, QDropEvent
 from PyQt6.QtWidgets import (
     QComboBox,
-    QHBoxLayout,
     QLabel,
     QMainWindow,
     QMenu,
     QProgressBar,
     QPushButton,
     QSizePolicy,
+    QStackedWidget,
     QTabWidget,
     QToolBar,
     QToolButton,
@@ -23,23 +23,30 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from app.frame.actions import EDIT, FILE, HELP, PLAY, VERSUS, VIEW, make_actions, stage_commands
+from app.frame.actions import ARRANGE, EDIT, FILE, HELP, PLAY, VERSUS, VIEW, make_actions, stage_commands
 from app.frame.drawers import Drawers
+from app.session.layout import LAYOUTS, Layout
 from widgets.alignment_panel import AlignmentPanel
 from widgets.banner import Banner
 from widgets.frames_panel import FramesPanel
 from widgets.log_panel import LogPanel
-from widgets.looks import smaller, spaced
+from widgets.looks import spaced
+from widgets.panes import PanesPage
 from widgets.parameters_panel import ParametersPanel
 from widgets.picture_row import PictureRow
+from widgets.solid_cell import SolidCell
+from widgets.solid_view import SolidView
 from widgets.stage_column import StageColumn
 from widgets.steps import StepsSlider
+from widgets.sweep_page import SweepPage
 from widgets.timeline import Timeline
 from widgets.timings_panel import TimingsPanel
 from widgets.trace_panel import TracePanel
+from widgets.warning_line import WarningLine
 from widgets.waterfall import BlamePanel
 
 SIZE = QSize(1600, 950)
+LOW_STRIP_PX, HIGH_STRIP_PX = 24, 44  # of the errors
 _TOOLS = (
     "open_recording",
     "open_folder",
@@ -79,17 +86,19 @@ class Window(QMainWindow):
         self.may_close: Callable[[], bool] = lambda: True  # asked before the window goes
         titles = tuple(title for _, title in columns)
         self.actions_by_name: Mapping[str, QAction] = make_actions(
-            self, FILE + EDIT + PLAY + VIEW + VERSUS + stage_commands(titles) + HELP
+            self, FILE + EDIT + PLAY + VIEW + VERSUS + ARRANGE + stage_commands(titles) + HELP
         )
         self.columns = {name: StageColumn(name, f"{i + 1} · {title}") for i, (name, title) in enumerate(columns)}
         self.banner, self.timeline = Banner(), Timeline()
         self.steps = {name: StepsSlider(name) for name in sorted(scrubbed)}  # under the 3D views of these columns
         self.frames, self.parameters, self.alignment = FramesPanel(), ParametersPanel(), AlignmentPanel()
         self.trace, self.log, self.timings, self.blame = TracePanel(), LogPanel(), TimingsPanel(), BlamePanel()
-        self._alone, self._off_route = "", frozenset[str]()
-        self.captions = {name: _caption() for name, _ in columns}
-        self.legends = {name: _caption() for name, _ in columns}
-        self.scene_place = QVBoxLayout()
+        self._alone, self._off_route, self.layout_shown = "", frozenset[str](), Layout()
+        self.cells = {name: SolidCell(self.steps.get(name)) for name, _ in columns}
+        self.truth, self.truth_cell = StageColumn("truth", "Truth"), SolidCell()  # of the touch, for demonstrations
+        self.warning = WarningLine()
+        self.pages, self.rows, self.sweep = QStackedWidget(), PictureRow(), SweepPage()
+        self.panes = PanesPage({name: f"{i + 1} · {title}" for i, (name, title) in enumerate(columns)})
         self.source, self.target, self.route = (self._chooser(n) for n in ("source", "target", "route"))
         self._build_centre()
         self._build_drawers()
@@ -120,23 +129,15 @@ class Window(QMainWindow):
         self._strips.addWidget(strip)
 
     def _build_centre(self) -> None:
-        below = QWidget()
-        under = spaced(QVBoxLayout(below), 1)
-        under.addLayout(self.scene_place, 1)
-        captions = spaced(QHBoxLayout(), 2)
-        for name, caption in self.captions.items():
-            cell = spaced(QVBoxLayout(), 0)
-            cell.addWidget(self._under(name))
-            cell.addWidget(caption)
-            captions.addLayout(cell, 1)
-        under.addLayout(captions)
-        self.rows = PictureRow(tuple(self.columns.values()), below)
+        for page in (self.rows, self.panes, self.sweep):
+            self.pages.addWidget(page)
         centre = QWidget()
         layout = spaced(QVBoxLayout(centre), 2, (2, 2, 2, 0))
         self._strips = spaced(QVBoxLayout(), 2)
         layout.addLayout(self._strips)
         layout.addWidget(self.banner)
-        layout.addWidget(self.rows, 1)
+        layout.addWidget(self.pages, 1)
+        layout.addWidget(self.warning)
         layout.addWidget(self.timeline)
         layout.addWidget(self.trace)
         self.setCentralWidget(centre)
@@ -162,6 +163,7 @@ class Window(QMainWindow):
             ("&Edit", [c.name for c in EDIT]),
             ("&Play", [c.name for c in PLAY]),
             ("&View", [c.name for c in VIEW + VERSUS] + [f"only_{i + 1}" for i in range(len(self.columns))]),
+            ("&Layout", [c.name for c in ARRANGE]),
             ("&Help", [c.name for c in HELP]),
         ):
             menu = bar.addMenu(title)
@@ -235,33 +237,61 @@ class Window(QMainWindow):
         if fraction is not None:
             self.bar.setValue(round(1000 * fraction))
 
+    @property
+    def solids(self) -> tuple[SolidView, ...]:
+        """The 3D views: one a column, and the truth's last."""
+        return (*(cell.view for cell in self.cells.values()), self.truth_cell.view)
+
     def show_only(self, name: str | None) -> None:
         """Show one column alone, or all of the route for None."""
         self._alone = name or ""
-        self._show_columns()
+        self.show_layout(self.layout_shown)
 
     def leave_out(self, names: frozenset[str]) -> None:
         """Hide the columns that the route does not have."""
         self._off_route = names
         self._alone = "" if self._alone in names else self._alone
-        self._show_columns()
+        self.panes.leave_out(names)
+        self.show_layout(self.layout_shown)
 
-    def _show_columns(self) -> None:
-        for i, (key, column) in enumerate(self.columns.items()):
-            shown = key not in self._off_route and self._alone in ("", key)
-            for widget in (column, self._under(key), self.captions[key]):
-                widget.setVisible(shown)
+    def show_layout(self, layout: Layout) -> None:
+        """Arrange the columns."""
+        self.layout_shown = layout
+        pairs = {name: (column, self.cells[name]) for name, column in self.columns.items()}
+        if layout.name == "inspect":
+            panes = layout.panes_of(self.here)
+            self.panes.take([(name, *pairs[name], dims) for name, dims in panes])
+            shown = [name for name, _ in panes]
+        else:
+            self.panes.let_go()
+            self.rows.take((*pairs.values(), (self.truth, self.truth_cell)))
+            shown = layout.columns_of(self.here, self._alone)
+        for name, widgets in pairs.items():
+            for widget in widgets:
+                if layout.name != "inspect" or name not in shown:
+                    widget.setVisible(name in shown)
+        for widget in (self.truth, self.truth_cell):
+            widget.setVisible(layout.name == "demo")
+        self.rows.below.setVisible(layout.name != "align")
+        pages = {"inspect": self.panes, "sweep": self.sweep}
+        self.pages.setCurrentWidget(pages.get(layout.name, self.rows))
+        self.timeline.errors.show_high(HIGH_STRIP_PX if layout.name == "inspect" else LOW_STRIP_PX)
+        for i, key in enumerate(self.columns):
             action = self.actions_by_name[f"only_{i + 1}"]
-            action.setChecked(key == self._alone)
-            action.setEnabled(key not in self._off_route)
+            action.setChecked(layout.name == "stages" and key == self._alone)
+            action.setEnabled(key in self.here)
+        for name in LAYOUTS:
+            self.actions_by_name[f"layout_{name}"].setChecked(name == layout.name)
 
-    def _under(self, name: str) -> QWidget:
-        """What stands under a 3D view: the slider of kept states or a legend."""
-        return self.steps.get(name, self.legends[name])
+    @property
+    def here(self) -> list[str]:
+        """The columns that the route has."""
+        return [name for name in self.columns if name not in self._off_route]
 
     def visible_columns(self) -> tuple[str, ...]:
-        """The stages that somebody can see."""
-        return tuple(name for name, column in self.columns.items() if not column.isHidden())
+        """The stages that somebody can see, in large or in small."""
+        inspected = self.layout_shown.name == "inspect"
+        return tuple(self.here if inspected else self.layout_shown.columns_of(self.here, self._alone))
 
     def on(self, name: str, what: Callable[[], object]) -> None:
         """Connect a command."""
@@ -288,11 +318,3 @@ class Window(QMainWindow):
             return
         self.closing.emit()
         super().closeEvent(a0)
-
-
-def _caption() -> QLabel:
-    label = QLabel()
-    smaller(label)
-    label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-    label.setAlignment(Qt.AlignmentFlag.AlignHCenter)
-    return label

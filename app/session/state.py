@@ -8,6 +8,8 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast, get_args
 
+from app.session.layout import Layout
+from app.session.layout import from_plain as layout_from_plain
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import read_json, write_json
 from pipeline.base.params import changed, settings
@@ -55,6 +57,7 @@ class Session:
     depth_unit: DepthUnit = "auto"  # of depth whose file does not tell
     alignment: Path | None = None  # TOML with T_S->A and T_A->T; None = the recording's or the descriptions'
     offsets: Offsets = field(default_factory=Offsets)  # how far it was moved by hand or by refining
+    layout: Layout = field(default_factory=Layout)
     linked: bool = True  # 3D views of one frame share their camera
     methods: Mapping[str, str] = field(default_factory=dict)  # slot -> method in place of the route's own
     weights: Mapping[str, Path] = field(default_factory=dict)  # slot -> file; slot "" = the first whose method takes it
@@ -88,7 +91,7 @@ class Session:
     @property
     def settings(self) -> Session:
         """What figures rest on besides the frame: those of sessions with equal settings may stand side by side."""
-        return replace(self, frame=0, linked=True, params={**self.params, "display": DisplayParams()})
+        return replace(self, frame=0, linked=True, layout=Layout(), params={**self.params, "display": DisplayParams()})
 
     @property
     def display(self) -> DisplayParams:
@@ -106,7 +109,7 @@ def save_session(session: Session, path: Path, contents: Mapping[str, str] | Non
     for name in PATHS:
         value: Path | None = getattr(session, name)
         data[name] = None if value is None else _relative(value, path.parent)
-    data["offsets"] = asdict(session.offsets)
+    data["offsets"], data["layout"] = asdict(session.offsets), session.layout.plain
     data["methods"] = dict(session.methods)
     data["weights"] = {slot: _relative(file, path.parent) for slot, file in session.weights.items()}
     data["params"] = {
@@ -145,6 +148,7 @@ def load_session(path: Path, catalogue: Catalogue = BUILT_IN) -> Session:
         depth_unit=unit,
         frame=frame,
         offsets=_offsets(known, path),
+        layout=_layout(known, path),
         linked=_typed(known, "linked", bool, path),
         methods=methods,
         weights=_weights(known, path),
@@ -203,6 +207,14 @@ def _offsets(data: Mapping[str, Any], path: Path) -> Offsets:
         return from_plain(data["offsets"])
     except ValueError as error:
         raise FileProblem(f"the session's offsets cannot be used ({error})", path, field="offsets") from error
+
+
+def _layout(data: Mapping[str, Any], path: Path) -> Layout:
+    """The usual one in files from before there were others."""
+    try:
+        return layout_from_plain(data.get("layout"))
+    except ValueError as error:
+        raise FileProblem(f"the session's layout cannot be used ({error})", path, field="layout") from error
 
 
 def _params(data: object, path: Path, catalogue: Catalogue, *, former: bool) -> Mapping[str, object]:

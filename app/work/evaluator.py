@@ -8,23 +8,16 @@ from collections.abc import Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from app.session.state import ASKED, Session
 from app.work.comparison import Comparison, comparison_of
+from app.work.drawing import Drawing, SourceShown, summary_of
 from app.work.jobs import Report
-from app.work.versus import Beside
-from app.work.versus import beside as beside_truth
 from pipeline.base.errors import FileProblem, SettingProblem, TouchError
 from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph, StageResult
-from pipeline.pictures.layers import Layer, reading_layer
-from pipeline.pictures.picture import Picture, beside, fitted, of_reading
 from pipeline.recordings import open_recording
-from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.slot import PHYSICS
 from pipeline.stages.depth.stage import DepthParams
-from pipeline.stages.slot import Seen
 from pipeline.translation.blame import Blame, blame
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.doubts import with_truth as with_facts
@@ -37,27 +30,6 @@ from widgets.frames_model import FrameSummary
 log = logging.getLogger("tactoscope")
 _ASIDE_BYTES = 32 * 1024 * 1024  # a frame or two: they must not push out what people go back to
 _OUTLINED = "view"  # the slot that is compared with what the target really felt
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SourceShown:
-    """The frame itself, before any method."""
-
-    frame: TactileFrame
-    picture: Picture
-    layers: tuple[Layer, ...]
-    ms: float  # reading it
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SlotShown:
-    """One slot's result, drawn."""
-
-    result: StageResult
-    picture: Picture
-    layers: tuple[Layer, ...]
-    beside: Beside | None = None  # where it was asked for and is known
-    states: tuple[Picture, ...] = ()  # kept on the way to it, where they are pictures of their own
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,7 +69,7 @@ class Evaluator:
         self._aside = Graph((), cache=Cache(_ASIDE_BYTES))  # of frames that nobody looks at
         self._request: Request | None = None
         self._translation: Translation | None = None
-        self._drawn: dict[str, tuple[object, SlotShown]] = {}
+        self._drawing = Drawing()  # of what is open
         self._begins_at = 0  # of what is open
         self._last: tuple[tuple[int, DepthParams], Comparison] | None = None  # compared, of what is open
         self._truths: tuple[int, Mapping[str, object]] | None = None  # of one frame of what is open
@@ -122,14 +94,12 @@ class Evaluator:
         if session.frame < 0:
             report.hand_over(BeginsAt(index=index))
         started_s = time.perf_counter()
-        inputs = translation.inputs(index)
+        read = self._drawing.frame(translation, index)
+        inputs, facts = translation.inputs_of(read.frame), read.facts
         ms = 1e3 * (time.perf_counter() - started_s)
-        frame = inputs["frame"]
-        assert isinstance(frame, TactileFrame)
-        picture, layer = _reading(frame, translation.source)
-        report.hand_over(SourceShown(frame=frame, picture=picture, layers=(layer,), ms=ms))
+        source = SourceShown(frame=read.frame, facts=facts, picture=read.picture, layers=(read.layer,), ms=ms)
+        report.hand_over(source)
         results: dict[str, StageResult] = {}
-        facts = translation.facts(index)
         truths = self._truths_of(translation, index) if with_truth else None
 
         def on_stage(result: StageResult) -> None:
@@ -137,15 +107,16 @@ class Evaluator:
             results[result.name] = result
             seen = compared and result.name == _OUTLINED and "depth" in results
             other = self._compared(translation, index, results["depth"].output, session) if seen else None
-            report.hand_over(self._draw(result, results, translation, session, other, truths))
+            report.hand_over(self._drawing.draw(result, results, translation, session, other, truths))
 
         wanted = tuple(name for name in translation.slots if name in wanted)
         self._graph = translation.graph(like=self._graph)
         self._graph.evaluate(wanted, inputs, session.params_for(translation.methods), report, on_stage)
-        metrics = translation.metrics(results, index)
+        metrics = self._drawing.figures(translation, results, index, facts)
         return FrameShown(
-            index=index, settings=replace(session, target=translation.target.name).settings, frame=frame,
-            results=results, metrics=metrics, summary=_summary(results, metrics, translation),
+            index=index, settings=replace(session, target=translation.target.name).settings, frame=read.frame,
+            results=results, metrics=metrics,
+            summary=summary_of(results, metrics, translation) if set(results) == set(translation.slots) else None,
         )  # fmt: skip
 
     def _index(self, session: Session, translation: Translation) -> int:
@@ -179,7 +150,7 @@ class Evaluator:
             metrics = translation.metrics(results, index)
             facts = translation.facts(index)
             results = {name: with_facts(result, facts) for name, result in results.items()}
-            summary = _summary(results, metrics, translation) or FrameSummary(figures=metrics)
+            summary = summary_of(results, metrics, translation) or FrameSummary(figures=metrics)
         except TouchError as error:
             summary = FrameSummary(problem=str(error))
         return FrameKnown(
@@ -226,7 +197,8 @@ class Evaluator:
             raise FileProblem("the recording holds no frame; choose another", request.recording)
         if self._translation is not None:
             self._translation.close()
-        self._translation, self._drawn = translation, {}
+        self._translation = translation
+        self._drawing = Drawing()
         self._last = self._truths = None
         self._request = request_of(replace(session, target=translation.target.name))
         self._begins_at = touched_frame(translation.stream) if session.frame < 0 else session.frame
@@ -236,38 +208,6 @@ class Evaluator:
             log.info("%s", note)
         report.hand_over(translation)
         return translation
-
-    def _draw(
-        self,
-        result: StageResult,
-        results: Mapping[str, StageResult],
-        translation: Translation,
-        session: Session,
-        other: Comparison | None,
-        truths: Mapping[str, object] | None,
-    ) -> SlotShown:
-        """Pictures of an output that was drawn before are used again, so that the window need not touch them."""
-        slot = translation.catalogue.slot(result.name)
-        also = [results[name].digest for name in slot.looks_at if name in results]
-        n_kept = len(getattr(result.output, "steps", ()))  # which the digest does not count
-        key = (result.digest, n_kept, session.display, also, other and (other.index, id(other)), truths and id(truths))
-        known = self._drawn.get(result.name)
-        if known is not None and known[0] == key:
-            shown = replace(known[1], result=result)
-        else:
-            seen = Seen(
-                outputs={name: r.output for name, r in results.items()}, source=translation.source,
-                target=translation.target, mesh=translation.mesh, display=session.display,
-            )  # fmt: skip
-            picture = slot.picture(result.output, seen)
-            layers = slot.layers(result.output, seen, picture)
-            if other is not None and other.touch is not None:
-                picture = beside(picture, other.outline_px)
-            true = None if truths is None else beside_truth(slot, picture, truths, seen)
-            states = tuple(slot.picture(state, seen) for state in slot.states(result.output))
-            shown = SlotShown(result=result, picture=picture, layers=layers, beside=true, states=states)
-        self._drawn[result.name] = (key, shown)
-        return shown
 
 
 def request_of(session: Session) -> Request:
@@ -284,12 +224,6 @@ def depth_params(session: Session) -> DepthParams:
     return params
 
 
-def _reading(frame: TactileFrame, sensor: SensorSpec) -> tuple[Picture, Layer]:
-    camera = fitted(frame.camera or sensor.camera, frame.image.shape)
-    picture = of_reading(frame.image, camera, sensor, reference=frame.reference)
-    return picture, reading_layer("source", frame.image, camera, picture.pixels, sensor)
-
-
 def _best_target(request: Request) -> str:
     """The other sensor of the same recording, else one that differs from the source."""
     with closing(
@@ -302,24 +236,3 @@ def _best_target(request: Request) -> str:
     if others:
         return others[0]
     return "soft_bubble" if source.startswith("gelslim") else "gelslim"
-
-
-def _summary(
-    results: Mapping[str, StageResult], metrics: Mapping[str, float], translation: Translation
-) -> FrameSummary | None:
-    depth = results["depth"].output if "depth" in results else None
-    if not isinstance(depth, DepthMap):
-        return None
-    inside = depth.indentation_mm[depth.contact]
-    inside = inside[np.isfinite(inside)]
-    pixel_mm = float(np.median(translation.source.rest_depth_mm)) / depth.camera.fx_px
-    return FrameSummary(
-        deepest_mm=float(inside.max()) if inside.size else 0.0,
-        contact_mm2=float(depth.contact.sum()) * pixel_mm**2,
-        figures=metrics,
-        doubts=tuple(
-            f"{translation.catalogue.slot(name).title.lower()}: {doubt}"
-            for name, result in results.items()
-            for doubt in result.doubts
-        ),
-    )

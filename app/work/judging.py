@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from app.session.state import Session
 from app.work.evaluator import Evaluator, depth_params, request_of
 from app.work.jobs import Report
+from app.work.versus import Beside, beside_felt
 from pipeline.alignment.refine import Refinement, refine
 from pipeline.alignment.score import Score
 from pipeline.alignment.sensitivity import Sensitivity
@@ -30,6 +31,7 @@ class Previewed:
     """A drag on its way: what the target would see, coarse."""
 
     picture: Picture
+    beside: Beside | None  # what the target felt itself, where it took part
     layers: tuple[Layer, ...]
     score: Score | None
 
@@ -63,9 +65,11 @@ def preview(evaluator: Evaluator, session: Session, report: Report) -> Previewed
     seen = Seen(outputs={}, source=opened.source, target=opened.target, mesh=None, display=session.display)
     picture = view_slot.picture(view, seen)
     whole = enlarged(picture, opened.target.camera.shape)
+    own = None if frame.touch is None else beside_felt(whole, frame.touch.target, opened.target, session.display)
     return Previewed(
-        picture=beside(whole, frame.outline_px), layers=view_slot.layers(view, seen, picture), score=agreement
-    )
+        picture=beside(whole, frame.outline_px), beside=own, layers=view_slot.layers(view, seen, picture),
+        score=agreement,
+    )  # fmt: skip
 
 
 def judge(evaluator: Evaluator, session: Session, report: Report) -> Judged:

@@ -14,11 +14,11 @@ _SHARE = 0.2  # of a quantity's own scale, either way: errors are smaller than w
 _GREY = 50.0  # levels of a colour picture, either way
 
 
-def difference(made: Picture, true: Picture) -> Picture | None:
+def difference(made: Picture, true: Picture, words: str = "computed less truth") -> Picture | None:
     """`made` less `true`, pixel by pixel; None where the two cannot be subtracted.
 
     Heights and distances in mm. Of colours the mean of the three in grey levels. A value that is itself a signed
-    distance has no difference that means anything.
+    distance has no difference that means anything. `words` say which is which.
     """
     if made.pixels.shape != true.pixels.shape:
         return None
@@ -26,19 +26,19 @@ def difference(made: Picture, true: Picture) -> Picture | None:
         if made.scale is not None or true.scale is not None:
             return None
         gap = made.pixels.mean(axis=-1, dtype=np.float32) - true.pixels.mean(axis=-1, dtype=np.float32)
-        return _drawn(made, true, gap, _GREY, "grey")
+        return _drawn(made, true, gap, _GREY, "grey", words)
     if made.scale is None or made.scale.map == "diverging" or made.values.shape != true.values.shape:
         return None
     limit = _SHARE * (made.scale.high - made.scale.low)
-    return _drawn(made, true, (made.values - true.values).astype(np.float32), limit, made.scale.unit)
+    return _drawn(made, true, (made.values - true.values).astype(np.float32), limit, made.scale.unit, words)
 
 
-def _drawn(made: Picture, true: Picture, gap: Floats, limit: float, unit: str) -> Picture:
-    scale = ColourScale(map="diverging", low=-limit, high=limit, unit=unit, quantity="computed less truth")
+def _drawn(made: Picture, true: Picture, gap: Floats, limit: float, unit: str, words: str) -> Picture:
+    scale = ColourScale(map="diverging", low=-limit, high=limit, unit=unit, quantity=words)
     known = gap[np.isfinite(gap)]
     mean = float(np.abs(known).mean()) if known.size else 0.0
-    caption = f"computed less truth: mean {mean:.3g} {unit}" if known.size else "no pixel has both a value and a truth"
+    caption = f"{words}: mean {mean:.3g} {unit}" if known.size else "no pixel has both a value and a truth"
     return replace(
         made, pixels=coloured(gap, scale), values=freeze(gap), scale=scale, felt_px=true.outline_px,
-        caption=f"{caption}; white: true contact" if true.outline_px is not None and known.size else caption,
+        caption=f"{caption}; white: the other's contact" if true.outline_px is not None and known.size else caption,
     )  # fmt: skip

@@ -37,6 +37,16 @@ class Picture:
     )
     camera: Camera | None = None  # that sees this picture, where it is not one pixel for each element
 
+    def reads(self, row: int, col: int) -> str:
+        """The value of one pixel with its unit, or its colour; "" outside the picture."""
+        rows, cols = self.pixels.shape[:2]
+        if not (0 <= row < rows and 0 <= col < cols):
+            return ""
+        if self.values is None or self.scale is None:
+            return "rgb {} {} {}".format(*(int(v) for v in self.pixels[row, col]))
+        value = float(self.values[row, col])
+        return f"{value:.3f} {self.scale.unit}" if math.isfinite(value) else "none"
+
     def probe(self, row: int, col: int) -> str:
         """What one pixel says: (x, y) in pixels, value with unit, position with frame; "" outside the picture."""
         rows, cols = self.pixels.shape[:2]
@@ -44,7 +54,7 @@ class Picture:
             return ""
         parts = [f"({col}, {row})"]
         if self.values is None or self.scale is None:
-            parts.append("rgb {} {} {}".format(*(int(v) for v in self.pixels[row, col])))
+            parts.append(self.reads(row, col))
         else:
             value = float(self.values[row, col])
             quantity = self.scale.quantity.split(",")[0]

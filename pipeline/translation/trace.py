@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from pipeline.engine.graph import StageResult
-from pipeline.stages.slot import Mark, Slot
+from pipeline.stages.slot import Facts, Mark, Slot
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 
 SOURCE = "source"
@@ -34,6 +34,19 @@ def back(results: Mapping[str, StageResult], name: str, index: int, catalogue: C
         index = int(flat[index]) if index < flat.size else -1
         name = _made_from(result, catalogue.slot(name))
     return index
+
+
+def truth_at(column: str, row: int, col: int, facts: Facts, catalogue: Catalogue = BUILT_IN) -> str:
+    """What is known to be true at a pixel of a column, in words; "" where nothing is."""
+    at_source = column == SOURCE or catalogue.slot(column).place == "source"
+    truth = facts.source if at_source else facts.target
+    if truth is None or truth.indentation_mm is None:
+        return ""
+    rows, cols = truth.indentation_mm.shape
+    if not (0 <= row < rows and 0 <= col < cols):
+        return ""
+    touched = "" if truth.contact is None or truth.contact[row, col] else ", not in contact"
+    return f"{float(truth.indentation_mm[row, col]):.3f} mm{touched}"
 
 
 def _made_from(result: StageResult, slot: Slot) -> str:

@@ -145,7 +145,10 @@ class Translation:
 
     def metrics(self, results: Mapping[str, StageResult], index: int) -> dict[str, float]:
         """Every figure that the known truth of frame `index` allows, as slot.name; see `METRICS` for units."""
-        facts = self.facts(index)
+        return self.figures(results, self.facts(index))
+
+    def figures(self, results: Mapping[str, StageResult], facts: Facts) -> dict[str, float]:
+        """The same of a frame of which all that is known is at hand."""
         return {
             f"{name}.{figure}": value
             for name, result in results.items()

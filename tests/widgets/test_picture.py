@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from PyQt6.QtCore import QPointF
+from PyQt6.QtCore import QPoint, QPointF, Qt
+from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtWidgets import QLabel
 
 from pipeline.pictures.colours import NO_VALUE, ColourScale, coloured, table
@@ -66,21 +67,57 @@ def test_a_pixel_outside_reads_nothing():
 def test_the_pixel_under_the_mouse_is_the_pixel_that_is_drawn_there(view, qtbot):
     view.show_picture(a_picture())
     qtbot.wait(30)
-    scene = view.box.mapViewToScene(QPointF(7.5, 5.5))
-    place = view._view.mapFromScene(scene)
+    place = view.canvas.to_screen(QPointF(7.5, 5.5))
     with qtbot.waitSignal(view.pixel_hovered) as signal:
-        view._report_hover(QPointF(place))
+        qtbot.mouseMove(view.canvas, place.toPoint())
     assert signal.args == [5, 7]
 
 
 def test_another_size_of_picture_is_fitted_and_the_same_size_keeps_the_zoom(view):
     view.show_picture(a_picture())
-    view.box.setRange(xRange=(0, 10), yRange=(0, 10), padding=0)
-    zoomed = view.box.viewRange()
+    view.fit_to((0.0, 0.0, 10.0, 10.0))
+    zoomed = view.canvas.centre, view.canvas.scale
     view.show_picture(a_picture())
-    assert view.box.viewRange() == zoomed
+    assert (view.canvas.centre, view.canvas.scale) == zoomed
     view.show_picture(a_picture(60, 80))
-    assert view.box.viewRange() != zoomed
+    assert view.canvas.fitted
+
+
+def test_a_crosshair_that_moves_draws_no_picture_anew(view, qtbot):
+    view.show_picture(a_picture())
+    qtbot.wait(50)
+    view.canvas.repaint()
+    before = view.canvas.drawn
+    for row in range(5):
+        view.show_cross((row, row), f"{row} mm")
+        view.canvas.repaint()
+    assert view.canvas.drawn == before
+    view.show_dimmed(True)
+    view.canvas.repaint()
+    assert view.canvas.drawn == before + 1
+
+
+def test_the_wheel_zooms_about_the_pixel_under_it(view):
+    view.show_picture(a_picture())
+    at = QPointF(90.0, 120.0)
+    under = view.canvas.to_picture(at)
+    keys, buttons = Qt.KeyboardModifier.NoModifier, Qt.MouseButton.NoButton
+    turned = QWheelEvent(at, at, QPoint(), QPoint(0, 240), buttons, keys, Qt.ScrollPhase.NoScrollPhase, False)
+    before = view.canvas.scale
+    view.canvas.wheelEvent(turned)
+    assert view.canvas.scale > 1.5 * before
+    still = view.canvas.to_picture(at) - under
+    assert abs(still.x()) + abs(still.y()) < 1e-6
+
+
+def test_a_contact_is_fitted_by_its_outline(view):
+    view.show_picture(a_picture())
+    box = view.contact_box_px()
+    assert box == (1.0, 1.0, 5.0, 5.0)
+    view.fit_to(box)
+    assert view.canvas.centre == QPointF(3.0, 3.0)
+    corner = view.canvas.to_screen(QPointF(5.0, 5.0))
+    assert 0.6 * view.canvas.width() < corner.x() < view.canvas.width()
 
 
 def test_a_stale_column_keeps_its_picture_and_says_updating(qtbot):

@@ -12,6 +12,7 @@ from pipeline.pictures.colours import uniform
 from pipeline.pictures.layers import Layer, Sight
 from widgets.layers import Scene
 from widgets.scene import LiveScene, best_scene
+from widgets.solid_view import SolidView
 
 pytestmark = pytest.mark.gl
 
@@ -37,42 +38,52 @@ SIGHTS = {
 
 @pytest.fixture
 def scene(qtbot):
-    made = LiveScene(2)
-    made.resize(300, 150)
-    qtbot.addWidget(made)
-    made.show()
-    qtbot.waitExposed(made)
-    yield made
-    made.finish()
+    """Two views side by side, each 150 px wide."""
+    made = [SolidView(), SolidView()]
+    for view in made:
+        qtbot.addWidget(view)
+        view.resize(150, 150)
+        view.show()
+        qtbot.waitExposed(view)
+    live = LiveScene(made)
+    yield live
+    live.finish()
 
 
 def test_nothing_is_rebuilt_while_the_count_stays(scene):
     scene.show_layers(0, [points(50)])
+    scene.settle()
     actors = scene.renderers[0].GetActors().GetNumberOfItems()
     scene.show_layers(0, [points(50, z=12.0)])
+    scene.settle()
     scene.show_layers(0, [points(70)])
+    scene.settle()
     assert scene.renderers[0].GetActors().GetNumberOfItems() == actors
 
 
 def test_points_are_those_of_the_newest_layer(scene):
     newest = points(70, z=12.0)
     scene.show_layers(0, [points(50)])
+    scene.settle()
     scene.show_layers(0, [newest])
+    scene.settle()
     mesh = scene._stage._kept[0]["cloud"][1]
     np.testing.assert_array_equal(np.asarray(mesh.points), newest.points_mm)
 
 
 def test_a_layer_that_is_no_longer_wanted_is_hidden(scene):
     scene.show_layers(0, [points(50), surface(10.0)])
+    scene.settle()
     scene.show_layers(0, [surface(10.0)])
+    scene.settle()
     assert not scene._stage._kept[0]["cloud"][2].GetVisibility()
     assert scene._stage._kept[0]["sheet"][2].GetVisibility()
 
 
 def test_an_empty_layer_is_no_error(scene):
-    scene.show_layers(0, [points(0)])
-    scene.show_layers(0, [points(5)])
-    scene.show_layers(0, [points(0)])
+    for n in (0, 5, 0):
+        scene.show_layers(0, [points(n)])
+        scene.settle()
 
 
 def test_linked_views_share_a_camera_and_others_do_not(scene):
@@ -85,23 +96,17 @@ def test_linked_views_share_a_camera_and_others_do_not(scene):
 def test_a_surface_seen_from_the_sensor_is_lit(scene, qtbot):
     scene.look(SIGHTS, linked=True)
     scene.show_layers(0, [surface(10.0)])
-    scene.update()
-    qtbot.wait(100)
-    image = scene.grab().toImage()
-    middle = image.pixelColor(image.width() // 4, image.height() // 2)
+    scene.settle()
+    image = scene.views[0].image
+    middle = image.pixelColor(image.width() // 2, image.height() // 2)
     assert middle.green() > 90  # the colour given is (40, 160, 60); an unlit back face has a third of it
 
 
-def ink(scene, qtbot) -> list[int]:
-    """How many pixels of each sub-view are green, as the sheet is."""
+def ink(scene) -> list[int]:
+    """How many pixels of each view are green, as the sheet is."""
     scene.settle()
-    qtbot.wait(100)
-    image = scene.grab().toImage()
-    half = image.width() // 2
-    seen = [
-        [image.pixelColor(x, y) for x in range(start, start + half) for y in range(image.height())]
-        for start in (0, half)
-    ]
+    images = [view.image for view in scene.views]
+    seen = [[i.pixelColor(x, y) for x in range(i.width()) for y in range(i.height())] for i in images]
     return [sum(c.green() > c.red() + 30 for c in view) for view in seen]
 
 
@@ -111,39 +116,83 @@ def test_layers_that_come_after_the_cameras_were_set_anew_are_drawn_whole(scene,
     scene.look(SIGHTS, linked=linked)
     for column in SIGHTS:
         scene.show_layers(column, [surface(10.0)])
-    whole = ink(scene, qtbot)
+    whole = ink(scene)
     assert min(whole) > 500
     scene.look({i: replace(sight, centre_mm=(0, 0, 110)) for i, sight in SIGHTS.items()}, linked=linked)
     scene.settle()
-    qtbot.wait(50)
     scene.show_layers(0, [surface(110.0)])
     scene.show_layers(1, [surface(110.0)])
-    assert ink(scene, qtbot) == pytest.approx(whole, rel=0.05)
+    assert ink(scene) == pytest.approx(whole, rel=0.05)
 
 
 def test_the_mouse_turns_the_view_under_it_and_those_that_share_its_camera(scene, qtbot):
     scene.look(SIGHTS, linked=True)
     scene.show_layers(0, [surface(10.0)])
     scene.show_layers(1, [surface(10.0)])
-    before = ink(scene, qtbot)
-    qtbot.mousePress(scene, Qt.MouseButton.LeftButton, pos=QPoint(75, 75))
-    qtbot.mouseMove(scene, QPoint(120, 60))
-    qtbot.mouseRelease(scene, Qt.MouseButton.LeftButton, pos=QPoint(120, 60))
-    after = ink(scene, qtbot)
+    before = ink(scene)
+    view = scene.views[0]
+    qtbot.mousePress(view, Qt.MouseButton.LeftButton, pos=QPoint(75, 75))
+    qtbot.mouseMove(view, QPoint(120, 60))
+    qtbot.mouseRelease(view, Qt.MouseButton.LeftButton, pos=QPoint(120, 60))
+    after = ink(scene)
     assert abs(after[0] - before[0]) > 0.05 * before[0]
     assert after[1] == pytest.approx(after[0], rel=0.05)
 
 
-def test_what_comes_together_is_drawn_once(scene, qtbot, monkeypatch):
-    drawn = []
-    pixels = scene._stage.pixels
-    qtbot.wait(100)
-    monkeypatch.setattr(scene._stage, "pixels", lambda *size: (drawn.append(size), pixels(*size))[1])
-    scene.look(SIGHTS, linked=True)
+def test_what_comes_together_is_drawn_once_and_what_has_not_changed_not_at_all(scene, qtbot):
+    scene.look(SIGHTS, linked=False)
+    scene.settle()
+    before = scene.drawn
     for z in (10.0, 11.0, 12.0):
         scene.show_layers(0, [surface(z)])
-    qtbot.wait(200)
-    assert len(drawn) == 1
+    qtbot.waitUntil(lambda: scene.drawn > before)
+    qtbot.wait(50)
+    assert scene.drawn == before + 1
+
+
+def test_a_view_that_nobody_sees_is_not_drawn_until_it_is_shown(scene, qtbot):
+    scene.look(SIGHTS, linked=True)
+    scene.settle()
+    scene.views[1].hide()
+    before = scene.drawn
+    for z in (10.0, 11.0, 12.0):
+        scene.show_layers(1, [surface(z)])
+        scene.settle()
+        qtbot.wait(30)
+    assert scene.drawn == before
+    scene.views[1].show()
+    qtbot.waitUntil(lambda: scene.drawn == before + 1)
+
+
+def test_a_view_seen_before_is_not_drawn_again(scene):
+    scene.look(SIGHTS, linked=True)
+    frames = [[surface(10.0)], [surface(11.0)]]
+    for layers in frames:
+        scene.show_layers(0, layers)
+        scene.settle()
+    before, newest = scene.drawn, scene.views[0].image
+    scene.show_layers(0, frames[0])
+    scene.settle()
+    assert scene.drawn == before
+    assert scene.views[0].image is not newest
+    scene.place(0, "sheet", np.diag([0.5, 0.5, 0.5, 1.0]))  # moved as a whole: another picture
+    scene.settle()
+    assert scene.drawn == before + 1
+
+
+def test_the_traced_dot_lies_where_its_point_is_drawn_and_costs_no_drawing(scene):
+    scene.look(SIGHTS, linked=True)
+    scene.settle()
+    before = scene.drawn
+    scene.mark(0, (0.0, 0.0, 10.0))  # what the camera looks at
+    dot = scene.views[0].dot
+    assert (dot.x(), dot.y()) == pytest.approx((0.5, 0.5), abs=1e-6)
+    scene.mark(0, (1.0, 0.0, 10.0))
+    assert scene.views[0].dot.x() != pytest.approx(0.5, abs=0.05)
+    scene.mark(0, None)
+    assert scene.views[0].dot is None
+    scene.settle()
+    assert scene.drawn == before
 
 
 def test_a_driver_that_fails_leaves_a_window_that_works(qtbot, monkeypatch):
@@ -151,8 +200,9 @@ def test_a_driver_that_fails_leaves_a_window_that_works(qtbot, monkeypatch):
         raise RuntimeError("no OpenGL here")
 
     monkeypatch.setattr("widgets.scene.LiveScene", fails)
-    scene = best_scene(2)
-    qtbot.addWidget(scene)
+    view = SolidView()
+    qtbot.addWidget(view)
+    scene = best_scene([view])
     assert type(scene) is Scene
-    assert "no OpenGL here" in scene.text()
+    assert "no OpenGL here" in view.notice
     scene.finish()

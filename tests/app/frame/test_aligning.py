@@ -110,7 +110,7 @@ def test_a_drag_is_one_undo_step_and_ends_at_full_size(aligned, qtbot, settled):
     assert aligned.undo.count() == steps + 1
     assert "x" in aligned.undo.undoText()
     assert aligned.session.offsets.values == (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    assert aligned.window.columns["view"].state == "computed"
+    assert aligned.latest.results["view"].state == "computed"
     assert panel.gauges["iou"].value < good
     assert "moved" in panel.origin
     aligned.undo.undo()
@@ -150,7 +150,7 @@ def test_a_drag_that_comes_back_leaves_no_trace(aligned, qtbot, settled):
     _let_go(aligned, "y")
     settled(aligned)
     assert aligned.undo.count() == steps
-    assert aligned.window.columns["view"].state == "cached"
+    assert aligned.latest.results["view"].state == "cached"
 
 
 def test_offsets_are_in_the_session_file_and_old_files_have_none(aligned, open_window, tmp_path, settled):

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
-from PyQt6.QtCore import Qt
+from PyQt6.QtCore import QPoint, Qt
 
 from app.frame.tour import wait_until_shown
 from app.main import SAMPLE
@@ -23,15 +24,19 @@ def window(open_window):
     return instrument
 
 
-def test_every_frame_is_worked_out_while_the_table_is_seen_and_the_worst_is_a_key_away(window, qtbot):
+def test_every_frame_of_known_truth_is_worked_out_and_the_worst_is_a_key_away(window, qtbot):
     panel = window.window.frames
     known = panel.known
-    assert known.unknown_from(5) == 6  # only the frame on screen is known: nobody sees the table
-    window.window.drawers.frames.show()
     qtbot.waitUntil(lambda: known.unknown_from(5) < 0, timeout=LIMIT_MS)
     assert window.session.frame == 5
     figures = {f: known.known(f).figures.get("felt.contact_mae_mm", math.nan) for f in range(known.rowCount())}
     ranked = sorted((f for f, v in figures.items() if math.isfinite(v)), key=figures.__getitem__, reverse=True)
+    line = window.window.timeline.errors
+    qtbot.waitUntil(lambda: line.worst == ranked[0], timeout=LIMIT_MS)  # nobody opened the table
+    np.testing.assert_array_equal(line.values, [figures[f] for f in range(known.rowCount())])
+    assert set(line.doubts) == {f for f in range(known.rowCount()) if known.own_doubts(f)} != set()
+    window.window.actions_by_name["worst"].trigger()
+    assert window.session.frame == ranked[0]
     window.choose_frame(0)  # untouched: it has no error, so the worst of all comes first
     assert wait_until_shown(window, 60)
     window.window.actions_by_name["worse"].trigger()
@@ -40,6 +45,24 @@ def test_every_frame_is_worked_out_while_the_table_is_seen_and_the_worst_is_a_ke
     assert window.session.frame == ranked[1]
     assert wait_until_shown(window, 60)
     assert window.latest.index == ranked[1]
+
+
+def test_a_click_in_the_timeline_goes_there(window, qtbot):
+    line = window.window.timeline.errors
+    n = window.screen.opened.n_frames
+    qtbot.waitUntil(lambda: len(line.values) == n, timeout=LIMIT_MS)
+    places = [line.frame_at(x) for x in range(line.width())]
+    assert sorted(set(places)) == list(range(n))
+    qtbot.mouseClick(line, Qt.MouseButton.LeftButton, pos=QPoint(places.index(9) + 3, 10))
+    assert window.session.frame == 9
+
+
+def test_without_truth_nothing_is_worked_out_that_nobody_sees(bubble_window, qtbot):
+    known = bubble_window.window.frames.known
+    qtbot.wait(700)
+    assert known.unknown_from(2) == 1
+    bubble_window.window.drawers.frames.show()
+    qtbot.waitUntil(lambda: known.unknown_from(2) < 0, timeout=LIMIT_MS)
 
 
 def test_a_figure_chosen_is_the_one_that_ranks(qtbot):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from PyQt6.QtCore import QPointF
 
 from app.frame.tour import wait_until_shown
 from app.main import SAMPLE
@@ -64,15 +65,21 @@ def test_the_truth_lies_right_of_the_wipe_handle(window):
     overlay = view.overlay
     assert overlay.shown
     assert not window.window.columns["source"].view.overlay.shown
-    width = view.picture.pixels.shape[1]
-    overlay.handle.setValue(0.25 * width)
-    assert overlay._image.image.shape[1] == width - round(0.25 * width)
-    overlay.handle.setValue(2 * width)  # no farther than the picture
-    assert overlay.handle.value() == width
+    seen = {}
+    for share in (1.0, 0.0, 0.25):
+        overlay.drag_to(share)
+        seen[share] = view.canvas.grab().toImage()
+    row, handle = seen[0.25].height() // 2, view.canvas.to_screen(QPointF(0.25 * view.picture.pixels.shape[1], 0.0)).x()
+    for x in (round(0.5 * handle), round(handle + 0.5 * (seen[0.25].width() - handle))):
+        whose = seen[1.0] if x < handle else seen[0.0]
+        assert seen[0.25].pixelColor(x, row) == whose.pixelColor(x, row)
+    assert seen[1.0] != seen[0.0]
+    overlay.drag_to(2.0)  # no farther than the picture
+    assert overlay.share == 1.0
     assert not overlay.shown
     window.choose_frame(6)  # the handle stays where it was put
     assert wait_until_shown(window, LIMIT_S)
-    assert overlay.handle.value() == width
+    assert overlay.share == 1.0
 
 
 def test_blinking_shows_both_in_turns_until_it_is_switched_off(window, qtbot):
@@ -82,7 +89,7 @@ def test_blinking_shows_both_in_turns_until_it_is_switched_off(window, qtbot):
     qtbot.waitUntil(lambda: len(seen.union({overlay.shown}) and (seen.add(overlay.shown) or seen)) == 2, timeout=5000)
     _choose(window, "blink")
     assert not overlay.shown
-    assert not overlay._blink.isActive()
+    assert not overlay.blinking
 
 
 def test_no_truth_is_worked_out_while_nobody_asks(window, monkeypatch):

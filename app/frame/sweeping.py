@@ -1,0 +1,174 @@
+"""*Sweep* at work: two parameters in a thread of their own, cell by cell; a click uses a cell."""
+
+from __future__ import annotations
+
+import time
+
+from PyQt6.QtCore import QObject
+
+from app.frame.instrument import Instrument
+from app.session.state import Session
+from app.work import sweeping
+from app.work.evaluator import request_of
+from app.work.jobs import LatestJob
+from app.work.sweeping import Cell, Plan
+from pipeline.base.errors import SettingProblem, TouchError
+from pipeline.base.params import Setting, Value
+from pipeline.engine.graph import Method
+from pipeline.evaluation.metrics import METRICS
+from pipeline.translation.blame import FIGURE
+from widgets.sweep_grid import Tried
+
+_NO_FIGURE = "time only"
+_FIRST_TWO = ("guidance", "steps")  # parameters that are offered first where some method has them
+
+_Offer = tuple[str, str, str, Value, Setting]
+
+
+class Sweeping(QObject):
+    """Between the page and the instrument. What was begun for another recording or frame is stopped."""
+
+    def __init__(self, instrument: Instrument) -> None:
+        super().__init__(instrument)
+        self._instrument, self._page = instrument, instrument.window.sweep
+        self._job = LatestJob("sweep", self)
+        self._offers: list[_Offer] = []
+        self._plan: Plan | None = None
+        self._begun: Session | None = None
+        self._ticket, self._begun_s, self._done = 0, 0.0, 0
+        page, job = self._page, self._job
+        page.axis_chosen.connect(self._choose_axis)
+        page.sweep_wanted.connect(self._start)
+        page.cancel_wanted.connect(job.cancel)
+        page.cell_chosen.connect(self._use)
+        job.delivered.connect(self._take)
+        job.finished.connect(self._finished)
+        job.failed.connect(self._failed)
+        job.cancelled.connect(self._cancelled)
+        instrument.session_shown.connect(self._show_session)
+        instrument.frame_shown.connect(self._offer_figures)
+        instrument.closing.connect(job.close)
+
+    @property
+    def busy(self) -> bool:
+        """Whether cells are still to come."""
+        return self._job.busy
+
+    def _show_session(self, session: Session) -> None:
+        """Offer what the route's methods can be set to, and stop what is about something else."""
+        begun = self._begun
+        if begun is not None and (request_of(begun) != request_of(session) or begun.frame != session.frame):
+            self._job.cancel()
+            self._begun = None
+        if session.layout.name != "sweep":
+            return
+        old = [offer[:2] for offer in self._offers]
+        self._offers = sweeping.offered(session, self._methods())
+        now = [offer[:2] for offer in self._offers]
+        chosen = tuple(box.currentIndex() for box in self._page.axes)
+        if now != old or min(chosen, default=-1) < 0:
+            chosen = self._first_two()
+        figures = self._figures()
+        figure = self._page.figure.currentText()
+        words = [offer[2] for offer in self._offers]
+        self._page.offer(words, (chosen[0], chosen[1]), figures, figure if figure in figures else figures[0])
+        if now != old:
+            for which in (0, 1):
+                self._choose_axis(which)
+
+    def _methods(self) -> tuple[Method, ...]:
+        session = self._instrument.session
+        return self._instrument.catalogue.methods(session.route, session.methods)
+
+    def _figures(self) -> list[str]:
+        """The errors that any frame is known to have, the usual one first."""
+        known = self._instrument.window.frames.known.figures
+        names = [name for name in known if METRICS[name.partition(".")[2]].better == "lower"]
+        return [*sorted(names, key=lambda name: name != FIGURE), _NO_FIGURE]
+
+    def _offer_figures(self, _: int) -> None:
+        if self._instrument.session.layout.name == "sweep":
+            self._show_session(self._instrument.session)
+
+    def _first_two(self) -> tuple[int, int]:
+        """Guidance and steps where there are such, else the first two numbers of the depth or what comes first."""
+        wanted = [i for word in _FIRST_TWO for i, offer in enumerate(self._offers) if offer[1] == word]
+        numbers = [i for i, offer in enumerate(self._offers) if isinstance(offer[3], (int, float))]
+        ranked = [*wanted, *(i for i in numbers if i not in wanted)]
+        return (ranked[0], ranked[1]) if len(ranked) > 1 else (0, 0)
+
+    def _choose_axis(self, which: int) -> None:
+        index = self._page.axes[which].currentIndex()
+        if 0 <= index < len(self._offers):
+            *_, value, told = self._offers[index]
+            self._page.show_values(which, sweeping.usual_values(value, told))
+
+    def _planned(self) -> Plan:
+        """What the page says; raises SettingProblem."""
+        methods = {method.key: method for method in self._methods()}
+        axes: list[sweeping.Axis] = []
+        for box, line in zip(self._page.axes, self._page.values, strict=True):
+            if not 0 <= box.currentIndex() < len(self._offers):
+                raise SettingProblem("there is nothing to sweep; open a recording first")
+            key, name, *_ = self._offers[box.currentIndex()]
+            axes.append(sweeping.axis(self._instrument.session, methods[key], name, line.text()))
+        if (axes[0].key, axes[0].name) == (axes[1].key, axes[1].name):
+            raise SettingProblem("columns and rows are the same parameter; choose another for one of them")
+        figure = self._page.figure.currentText()
+        return Plan(across=axes[0], down=axes[1], figure="" if figure == _NO_FIGURE else figure)
+
+    def _start(self) -> None:
+        try:
+            if self._instrument.session.recording is None:
+                raise SettingProblem("there is nothing to sweep; open a recording first")
+            plan = self._planned()
+        except TouchError as error:
+            self._page.show_progress(None, str(error))
+            return
+        session = self._instrument.session
+        self._plan, self._begun, self._done, self._begun_s = plan, session, 0, time.monotonic()
+        unit = METRICS[plan.figure.partition(".")[2]].unit if plan.figure else ""
+        across, down = ((f"{a.key.partition('/')[0]}.{a.name}", _words(a.values)) for a in (plan.across, plan.down))
+        self._page.show_begun(across, down, unit)
+        self._page.show_progress(0.0, "opening the recording")
+        self._ticket = self._job.submit(lambda report: sweeping.swept(session, plan, report))
+
+    def _take(self, ticket: int, cell: object) -> None:
+        if ticket != self._ticket or self._plan is None or not isinstance(cell, Cell):
+            return
+        self._done += 1
+        tried = Tried(error=cell.error, ms=cell.ms, picture=cell.picture, problem=cell.problem)
+        self._page.show_cell(cell.row, cell.col, tried)
+        whole = len(self._plan.order)
+        left_s = (time.monotonic() - self._begun_s) / self._done * (whole - self._done)
+        self._page.show_progress(self._done / whole, f"{self._done} of {whole} tried, about {left_s:.0f} s to go")
+
+    def _finished(self, ticket: int, count: object) -> None:
+        if ticket == self._ticket:
+            self._page.show_progress(None, f"{count} tried; a click on a cell uses its values")
+
+    def _failed(self, ticket: int, error: object) -> None:
+        if ticket == self._ticket and isinstance(error, BaseException):
+            self._page.show_progress(None, str(error))
+            self._instrument.show_problem(error)
+
+    def _cancelled(self, ticket: int) -> None:
+        if ticket == self._ticket:
+            self._page.show_progress(None, f"stopped after {self._done}; what was tried stays")
+
+    def _use(self, row: int, col: int) -> None:
+        """Work with a cell's values from now on, as one change."""
+        plan = self._plan
+        if plan is None:
+            return
+        methods = {method.key: method for method in self._methods()}
+        session = self._instrument.session
+        if plan.across.key in methods and plan.down.key in methods:
+            session = plan.across.put(session, methods[plan.across.key], plan.across.values[col])
+            session = plan.down.put(session, methods[plan.down.key], plan.down.values[row])
+            self._instrument.change("use a cell of the sweep", params=session.params)
+            self._page.show_used(row, col)
+
+
+def _words(values: tuple[Value, ...]) -> list[str]:
+    return [f"{value:g}" if isinstance(value, float) else str(value).lower() for value in values]

@@ -1,0 +1,85 @@
+"""How the window is arranged: a value that a session keeps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, cast, get_args
+
+LayoutName = Literal["stages", "inspect", "align", "sweep", "demo"]
+Dims = Literal["2D", "3D", "both"]
+DIMS: tuple[Dims, ...] = get_args(Dims)
+LAYOUTS: tuple[LayoutName, ...] = get_args(LayoutName)
+_ALIGNED, _DEMONSTRATED = ("view",), ("source", "touch")
+_MOST_PANES = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layout:
+    """Which arrangement, and what stands in the panes of *Inspect*."""
+
+    name: LayoutName = "stages"
+    panes: tuple[tuple[str, Dims], ...] = (("depth", "both"), ("felt", "both"))  # slot and what is shown of it
+
+    def panes_of(self, here: Sequence[str]) -> tuple[tuple[str, Dims], ...]:
+        """The panes where only these slots are here: others take the place of those that are not."""
+        spare = [name for name in here if name not in dict(self.panes)]
+        found: list[tuple[str, Dims]] = []
+        for name, dims in self.panes:
+            if name in here or spare:
+                found.append((name if name in here else spare.pop(0), dims))
+        return tuple(found)
+
+    def columns_of(self, here: Sequence[str], alone: str = "") -> list[str]:
+        """The columns in large of those that are here, outside *Inspect*."""
+        wanted: Mapping[str, Sequence[str]] = {"align": _ALIGNED, "demo": _DEMONSTRATED, "sweep": ()}
+        found = [name for name in wanted.get(self.name, here) if name in here]
+        return [alone] if self.name == "stages" and alone in here else found
+
+    def with_slot(self, pane: int, slot: str) -> Layout:
+        """The same with another slot in a pane; one that stands in another pane changes places with it."""
+        if not 0 <= pane < len(self.panes):
+            return self
+        panes = list(self.panes)
+        other = next((i for i, (name, _) in enumerate(panes) if name == slot), pane)
+        panes[other] = (panes[pane][0], panes[other][1])
+        panes[pane] = (slot, panes[pane][1])
+        return replace(self, panes=tuple(panes))
+
+    def with_dims(self, pane: int, dims: Dims) -> Layout:
+        """The same with a pane that shows 2D, 3D or both."""
+        if not 0 <= pane < len(self.panes):
+            return self
+        panes = list(self.panes)
+        panes[pane] = (panes[pane][0], dims)
+        return replace(self, panes=tuple(panes))
+
+    def with_count(self, count: int, here: Sequence[str]) -> Layout:
+        """The same with so many panes, filled up from the last slots that are here."""
+        panes = list(self.panes[:count])
+        spare = [name for name in reversed(here) if name not in dict(panes)]
+        while len(panes) < count and spare:
+            panes.append((spare.pop(0), "both"))
+        return replace(self, panes=tuple(panes))
+
+    @property
+    def plain(self) -> dict[str, object]:
+        """As a session file keeps it."""
+        return {"name": self.name, "panes": [list(pane) for pane in self.panes]}
+
+
+def from_plain(data: object) -> Layout:
+    """Of what a session file holds, the usual one where it holds none; raises ValueError that says what is wrong."""
+    if data is None:
+        return Layout()
+    table = cast("Mapping[str, Any]", data) if isinstance(data, dict) else {}
+    name, panes = table.get("name"), table.get("panes")
+    if name not in LAYOUTS:
+        raise ValueError(f"name must be one of {', '.join(LAYOUTS)}, got {name!r}")
+    pairs = cast("list[Any]", panes) if isinstance(panes, list) else []
+    for pair in pairs:
+        if not (isinstance(pair, list) and len(cast("list[Any]", pair)) == 2 and pair[1] in DIMS):
+            raise ValueError(f"panes must be pairs of a slot and 2D, 3D or both, got {pair!r}")
+    if not 1 <= len(pairs) <= _MOST_PANES:
+        raise ValueError(f"there must be one to {_MOST_PANES} panes, got {len(pairs)}")
+    return Layout(name=name, panes=tuple((str(slot), dims) for slot, dims in pairs))

@@ -1,0 +1,89 @@
+"""Two parameters tried against each other: corners first, live, stopped at will; a click uses a cell."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from app.frame.tour import wait_until_shown
+from app.work.sweeping import Axis, Plan, axis, usual_values
+from pipeline.base.errors import SettingProblem
+from pipeline.base.params import Setting
+from pipeline.stages.adapt.slot import SLOT as CLOUD
+from widgets.sweep_grid import Tried, best_of
+
+LIMIT_MS = 120_000
+
+
+@pytest.fixture
+def swept(bubble_window, qtbot):
+    """A sweep of how dense the cloud is and how far triangles may jump, two values each."""
+    instrument = bubble_window
+    instrument.window.actions_by_name["layout_sweep"].trigger()
+    assert wait_until_shown(instrument, 60)
+    page = instrument.window.sweep
+    for which, (words, values) in enumerate((("cloud.stride", "1, 4"), ("view.jump_mm", "1, 2"))):
+        page.axes[which].setCurrentText(words)
+        page.axis_chosen.emit(which)
+        page.values[which].setText(values)
+    return instrument, page
+
+
+def test_all_pairs_are_tried_and_a_click_uses_one(swept, qtbot):
+    instrument, page = swept
+    assert instrument.latest.results == {}  # nothing that nobody sees
+    page.go.click()
+    qtbot.waitUntil(lambda: len(page.grid.tried) == 4, timeout=LIMIT_MS)
+    qtbot.waitUntil(lambda: page.go.text() == "Sweep", timeout=LIMIT_MS)
+    assert all(t.picture is not None and t.ms > 0 and math.isnan(t.error) for t in page.grid.tried.values())
+    assert (page.grid.tried[0, 0].picture.pixels != page.grid.tried[0, 1].picture.pixels).any()  # other points
+    steps = instrument.undo.count()
+    page.grid.chosen.emit(1, 1)
+    params = instrument.session.params
+    assert params["cloud/back_projection"].stride == 4
+    assert params["view/surface"].jump_mm == 2.0
+    assert instrument.undo.count() == steps + 1
+    assert page.grid.used == page.plot.used == (1, 1)
+
+
+def test_values_that_cannot_be_are_told_and_nothing_begins(swept):
+    _, page = swept
+    for values, told in (("1, none", "stride must be a int"), ("0", "must lie within"), ("", "give one to")):
+        page.values[0].setText(values)
+        page.go.click()
+        assert told in page.told.text()
+        assert page.go.text() == "Sweep"
+    page.axes[0].setCurrentText("view.jump_mm")
+    page.values[0].setText("1, 2")
+    page.go.click()
+    assert "same parameter" in page.told.text()
+
+
+def test_corners_come_first_and_every_cell_once():
+    plan = Plan(across=Axis(key="a/b", name="x", values=(1, 2, 3)), down=Axis(key="a/b", name="y", values=(1, 2, 3)),
+                figure="")  # fmt: skip
+    order = plan.order
+    assert set(order[:4]) == {(0, 0), (0, 2), (2, 0), (2, 2)}
+    assert sorted(order) == [(r, c) for r in range(3) for c in range(3)]
+
+
+def test_usual_values_stay_within_limits_and_typed_ones_are_checked(bubble_window):
+    told = Setting(label="x", low=0.5, high=3.0)
+    tried = usual_values(2.0, told)
+    assert min(tried) >= 0.5
+    assert max(tried) <= 3.0
+    assert 2.0 in tried
+    assert usual_values(True, told) == (False, True)
+    method = CLOUD.methods[0]
+    assert axis(bubble_window.session, method, "stride", " 2,3, 2").values == (2, 3)
+    with pytest.raises(SettingProblem):
+        axis(bubble_window.session, method, "stride", "1.5")
+
+
+def test_the_best_are_beaten_by_none():
+    def tried(error: float, ms: float) -> Tried:
+        return Tried(error=error, ms=ms, picture=None)
+
+    known = {(0, 0): tried(3.0, 1.0), (0, 1): tried(2.0, 2.0), (1, 0): tried(2.5, 3.0), (1, 1): tried(math.nan, 0.5)}
+    assert best_of(known) == [(0, 0), (0, 1)]

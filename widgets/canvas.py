@@ -1,0 +1,215 @@
+"""Where a picture is looked at: panned, zoomed, with a crosshair over it.
+
+The picture as it lies on the screen is kept, so that a crosshair that follows the mouse costs a copy and two lines.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QColor, QFont, QPainter, QPen, QPixmap
+from PyQt6.QtWidgets import QSizePolicy, QWidget
+
+from pipeline.base.arrays import Image
+from pipeline.pictures.picture import Picture
+from widgets.colours import TRACE, backdrop, qcolor
+from widgets.plate import LEAST_ZOOM, MOST_ZOOM, Plate, image_of
+
+_A_CLICK_PX = 4.0  # a release nearer to its press than this ends no drag
+_ZOOM_STEP = 1.25
+_PER_NOTCH = 120.0  # as Qt counts a wheel's turn
+_NEAR_PX = 6.0
+
+
+class Canvas(QWidget):
+    """Draws one `Picture`; tells where the mouse is, a click from the end of a drag, and that somebody moved it."""
+
+    mouse_moved = pyqtSignal(QPointF)
+    mouse_left = pyqtSignal()
+    clicked = pyqtSignal(QPointF)
+    look_changed = pyqtSignal()  # by hand
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setMinimumSize(60, 60)
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
+        self.setMouseTracking(True)
+        self._plate = Plate()
+        self.fitted = True  # the whole picture is in view, whatever room there is
+        self._kept: QPixmap | None = None
+        self.cross: tuple[int, int] | None = None  # row, col
+        self.tag = ""  # what is read at the crosshair
+        self.handle: float | None = None  # share of the width at which the second picture begins, None = no handle
+        self._pressed: QPointF | None = None
+        self._dragged: QPointF | None = None
+        self.drawn = 0  # how often the picture was put together anew
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """A column's share of a laptop screen."""
+        return QSize(200, 160)
+
+    def show_picture(self, picture: Picture) -> None:
+        """Draw another picture; one of the same size stays where it is."""
+        if self._plate.take(picture):
+            self.fit()
+        self.redraw()
+
+    def show_second(self, pixels: Image | None, share: float = 0.0) -> None:
+        """A picture of the same size over the first, from this share of the width on; None takes it away."""
+        self._plate.second = None if pixels is None else (image_of(pixels), share)
+        self.redraw()
+
+    def move_second(self, share: float) -> None:
+        """Where the second picture begins."""
+        if self._plate.second is not None:
+            self._plate.second = (self._plate.second[0], share)
+            self.redraw()
+
+    def show_dimmed(self, dimmed: bool) -> None:
+        """Fade what is shown, or bring it back."""
+        if dimmed != self._plate.dimmed:
+            self._plate.dimmed = dimmed
+            self.redraw()
+
+    def show_cross(self, pixel: tuple[int, int] | None, tag: str = "") -> None:
+        """The crosshair on (row, col) and what is read there."""
+        if (pixel, tag) != (self.cross, self.tag):
+            self.cross, self.tag = pixel, tag
+            self.update()
+
+    def fit(self) -> None:
+        """Bring the whole picture into view."""
+        self.fitted = True
+        self._plate.room = self.size()
+        self._plate.fit()
+        self.redraw()
+
+    def look(self, centre: QPointF, scale: float) -> None:
+        """Put a picture pixel into the middle, at so many screen pixels a picture pixel."""
+        self.fitted = False
+        self._plate.centre, self._plate.scale = centre, min(max(scale, LEAST_ZOOM), MOST_ZOOM)
+        self.redraw()
+
+    @property
+    def centre(self) -> QPointF:
+        """The picture pixel in the middle."""
+        return QPointF(self._plate.centre)
+
+    @property
+    def scale(self) -> float:
+        """Screen pixels a picture pixel; 0 without a picture."""
+        return self._plate.scale
+
+    def to_screen(self, at: QPointF) -> QPointF:
+        """Where a point of the picture, in its pixels, is drawn."""
+        return self._plate.to_screen(at)
+
+    def to_picture(self, at: QPointF) -> QPointF:
+        """The point of the picture that is drawn here."""
+        return self._plate.to_picture(at)
+
+    def redraw(self) -> None:
+        """What is kept is old."""
+        self._kept = None
+        self.update()
+
+    def resizeEvent(self, a0: Any) -> None:  # noqa: N802
+        """More room shows the fitted picture larger, and more of one that was zoomed."""
+        super().resizeEvent(a0)
+        self._plate.room = self.size()
+        if self.fitted:
+            self._plate.fit()
+        self.redraw()
+
+    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+        """The kept picture, and what moves over it."""
+        del a0
+        dense = self.devicePixelRatioF()
+        if self._kept is None or self._kept.devicePixelRatioF() != dense:
+            self.drawn += 1
+            self._kept = self._plate.drawn(dense, backdrop(self.palette()), self.font())
+        painter = QPainter(self)
+        painter.drawPixmap(0, 0, self._kept)
+        if self._plate.image is None:
+            return
+        if self.handle is not None:
+            x = self._handle_x()
+            painter.setPen(QPen(qcolor(TRACE), 2))
+            painter.drawLine(QPointF(x, 0), QPointF(x, self.height()))
+        if self.cross is not None:
+            self._draw_cross(painter, *self.cross)
+
+    def _draw_cross(self, painter: QPainter, row: int, col: int) -> None:
+        at = self.to_screen(QPointF(col + 0.5, row + 0.5))
+        painter.setPen(QPen(qcolor(TRACE), 1.2))
+        painter.drawLine(QPointF(at.x(), 0), QPointF(at.x(), self.height()))
+        painter.drawLine(QPointF(0, at.y()), QPointF(self.width(), at.y()))
+        if not self.tag:
+            return
+        font = QFont(self.font())
+        font.setPointSizeF(max(7.5, font.pointSizeF() - 1.0))
+        painter.setFont(font)
+        box = QRectF(painter.fontMetrics().boundingRect(self.tag)).adjusted(-4, -1, 4, 2)
+        left = at.x() + 6 if at.x() + 8 + box.width() < self.width() else at.x() - 6 - box.width()
+        top = at.y() + 5 if at.y() + 8 + box.height() < self.height() else at.y() - 5 - box.height()
+        box.moveTo(max(1.0, min(left, self.width() - box.width() - 1)), max(1.0, top))
+        painter.setPen(Qt.PenStyle.NoPen)
+        painter.setBrush(QColor(20, 24, 30, 205))
+        painter.drawRoundedRect(box, 3, 3)
+        painter.setPen(QColor(255, 255, 255))
+        painter.drawText(box, Qt.AlignmentFlag.AlignCenter, self.tag)
+
+    def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
+        """Remember where a click or a drag began."""
+        left = a0.button() == Qt.MouseButton.LeftButton
+        self._pressed = a0.position() if left else None
+        self._dragged = a0.position() if left or a0.button() == Qt.MouseButton.MiddleButton else None
+
+    def mouseMoveEvent(self, a0: Any) -> None:  # noqa: N802
+        """Drag the handle of the second picture, else the picture; without a button, tell where the mouse is."""
+        at: QPointF = a0.position()
+        if self._dragged is None:
+            self.setCursor(Qt.CursorShape.SplitHCursor if self.near_handle(at) else Qt.CursorShape.ArrowCursor)
+            self.mouse_moved.emit(at)
+        elif self._pressed is None or (at - self._pressed).manhattanLength() >= _A_CLICK_PX:
+            self.look(self._plate.centre - (at - self._dragged) / max(self._plate.scale, 1e-3), self._plate.scale)
+            self._dragged = at
+            self.look_changed.emit()
+
+    def mouseReleaseEvent(self, a0: Any) -> None:  # noqa: N802
+        """A release near the press is a click, one far from it the end of a drag."""
+        if self._pressed is not None and (a0.position() - self._pressed).manhattanLength() < _A_CLICK_PX:
+            self.clicked.emit(a0.position())
+        self._pressed = self._dragged = None
+
+    def mouseDoubleClickEvent(self, a0: Any) -> None:  # noqa: N802
+        """Bring the whole picture back."""
+        del a0
+        self.fit()
+        self.look_changed.emit()
+
+    def wheelEvent(self, a0: Any) -> None:  # noqa: N802
+        """Zoom about the pixel under the mouse."""
+        if self._plate.image is None or not a0.angleDelta().y():
+            return
+        at = a0.position()
+        fixed = self.to_picture(at)
+        wanted = self._plate.scale * _ZOOM_STEP ** (a0.angleDelta().y() / _PER_NOTCH)
+        scale = min(max(wanted, LEAST_ZOOM), MOST_ZOOM)
+        self.look(fixed - (at - QPointF(0.5 * self.width(), 0.5 * self.height())) / scale, scale)
+        self.look_changed.emit()
+
+    def leaveEvent(self, a0: Any) -> None:  # noqa: N802
+        """Tell that the mouse is elsewhere."""
+        super().leaveEvent(a0)
+        self.mouse_left.emit()
+
+    def near_handle(self, at: QPointF) -> bool:
+        """Whether the handle of the second picture is here."""
+        return self.handle is not None and abs(self._handle_x() - at.x()) < _NEAR_PX
+
+    def _handle_x(self) -> float:
+        image = self._plate.image
+        wide = 0 if image is None or self.handle is None else self.handle * image.width()
+        return self.to_screen(QPointF(wide, 0.0)).x()

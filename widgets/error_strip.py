@@ -1,0 +1,126 @@
+"""The error of every frame under the slider: which frames are bad, which are doubted, and where we are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QHelpEvent, QPainter, QPalette, QPen, QPolygonF
+from PyQt6.QtWidgets import QSizePolicy, QToolTip, QWidget
+
+from widgets.colours import DOUBT, TAKEN, WORSE, qcolor
+
+_INSET_PX = 6  # half the slider's handle
+_MARK_PX = 7.0
+_WIDEST_PX = 26.0
+
+
+class ErrorStrip(QWidget):
+    """A bar a frame, a mark over what is doubted; `frame_chosen` by click and drag."""
+
+    frame_chosen = pyqtSignal(int)
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setObjectName("error_strip")
+        self.setAccessibleName("error of every frame")
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+        self.values: tuple[float, ...] = ()  # NaN = not known
+        self.doubts: Mapping[int, Sequence[str]] = {}
+        self.frame, self._unit, self._high = 0, "", 28
+
+    @property
+    def worst(self) -> int:
+        """The frame with the largest value, -1 while none is known."""
+        known = [i for i, value in enumerate(self.values) if math.isfinite(value)]
+        return max(known, key=self.values.__getitem__, default=-1)
+
+    def show_values(self, values: Sequence[float], unit: str, doubts: Mapping[int, Sequence[str]]) -> None:
+        """A value for every frame, NaN where it is not known, and what is doubted of which."""
+        self.values, self._unit, self.doubts = tuple(values), unit, doubts
+        self.update()
+
+    def show_frame(self, frame: int) -> None:
+        """Mark where we are."""
+        if frame != self.frame:
+            self.frame = frame
+            self.update()
+
+    def show_high(self, high_px: int) -> None:
+        """How high it stands."""
+        self._high = high_px
+        self.updateGeometry()
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """As wide as the slider over it."""
+        return QSize(200, self._high)
+
+    def told(self, frame: int) -> str:
+        """What is known of a frame, in words."""
+        if not 0 <= frame < len(self.values):
+            return ""
+        value = self.values[frame]
+        text = f"frame {frame}: " + (f"{value:.3g} {self._unit}" if math.isfinite(value) else "no error known")
+        return "\n".join((text, *self.doubts.get(frame, ())))
+
+    def frame_at(self, x: float) -> int:
+        """The frame under a place."""
+        n = len(self.values)
+        if n < 2:
+            return 0
+        share = (x - _INSET_PX) / max(1, self.width() - 2 * _INSET_PX)
+        return min(max(round(share * (n - 1)), 0), n - 1)
+
+    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+        """Bars on one line, marks over them."""
+        del a0
+        painter, n = QPainter(self), len(self.values)
+        if not n:
+            return
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing, n < 200)
+        base, top = self.height() - 2.0, _MARK_PX + 2.0
+        painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Mid), 1))
+        painter.drawLine(QPointF(_INSET_PX, base), QPointF(self.width() - _INSET_PX, base))
+        step = (self.width() - 2 * _INSET_PX) / max(1, n - 1)
+        wide = max(1.5, min(0.7 * step, _WIDEST_PX))
+        most, worst = max((v for v in self.values if math.isfinite(v)), default=0.0), self.worst
+        for frame, value in enumerate(self.values):
+            x = _INSET_PX + frame * step
+            if frame == self.frame:
+                here = QRectF(x - 0.5 * wide - 2, 0, wide + 4, self.height())
+                painter.fillRect(here, self.palette().color(QPalette.ColorRole.Midlight))
+            if math.isfinite(value) and most > 0:
+                tall = max(1.5, value / most * (base - top))
+                bar = QRectF(x - 0.5 * wide, base - tall, wide, tall)
+                painter.fillRect(bar, qcolor(WORSE if frame == worst else TAKEN))
+            if frame in self.doubts:
+                self._draw_mark(painter, x)
+
+    def _draw_mark(self, painter: QPainter, x: float) -> None:
+        half = 0.5 * _MARK_PX
+        painter.save()
+        painter.setPen(Qt.PenStyle.NoPen)
+        painter.setBrush(qcolor(DOUBT))
+        painter.drawPolygon(QPolygonF([QPointF(x - half, 0), QPointF(x + half, 0), QPointF(x, _MARK_PX)]))
+        painter.restore()
+
+    def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
+        """Go there."""
+        self._choose(a0)
+
+    def mouseMoveEvent(self, a0: Any) -> None:  # noqa: N802
+        """Go along."""
+        self._choose(a0)
+
+    def event(self, a0: Any) -> bool:
+        """Tell of the frame under the mouse."""
+        if isinstance(a0, QHelpEvent):
+            QToolTip.showText(a0.globalPos(), self.told(self.frame_at(a0.pos().x())), self)
+            return True
+        return super().event(a0)
+
+    def _choose(self, event: Any) -> None:
+        if self.values and event.buttons() & Qt.MouseButton.LeftButton:
+            self.frame_chosen.emit(self.frame_at(event.position().x()))

@@ -1,0 +1,134 @@
+"""All slots as small pictures with their state and what is doubted; a click chooses one."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from functools import partial
+from typing import Any
+
+from PyQt6.QtCore import QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QFont, QFontMetrics, QPainter, QPalette, QPen, QPixmap
+from PyQt6.QtWidgets import QAbstractButton, QHBoxLayout, QSizePolicy, QWidget
+
+from pipeline.pictures.picture import Picture
+from widgets.colours import BACKDROP, qcolor
+from widgets.icons import state_pixmap
+from widgets.looks import spaced
+from widgets.plate import image_of
+
+_PICTURE_PX = QSize(132, 62)
+_SIGN_PX, _EDGE_PX = 16, 4
+
+
+class Thumbnail(QAbstractButton):
+    """One slot: its picture, title, state, and the sign of a doubt."""
+
+    def __init__(self, title: str, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setText(title)
+        self.setAccessibleName(title)
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+        self.state, self.doubts = "waiting", tuple[str, ...]()
+        self.shown = self.active = False
+        self._picture: Picture | None = None
+        self._pixmap: QPixmap | None = None
+
+    def show_picture(self, picture: Picture) -> None:
+        """Take another picture; it is made small when somebody sees it."""
+        if picture is not self._picture:
+            self._picture, self._pixmap = picture, None
+            self.update()
+
+    def show_state(self, state: str, doubts: tuple[str, ...]) -> None:
+        """Where the slot stands, and what is doubted of it."""
+        if (state, doubts) != (self.state, self.doubts):
+            self.state, self.doubts = state, doubts
+            self.setToolTip("\n".join((f"{self.text()}: {state}", *doubts)))
+            self.update()
+
+    def show_place(self, *, shown: bool, active: bool) -> None:
+        """Whether it stands in a pane, and whether that is the one that a click fills."""
+        self.shown, self.active = shown, active
+        self.update()
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """The picture under a line of letters."""
+        return QSize(_PICTURE_PX.width() + 2 * _EDGE_PX, _PICTURE_PX.height() + self._line_px() + 2 * _EDGE_PX)
+
+    def minimumSizeHint(self) -> QSize:  # noqa: N802
+        """Narrower where there are many."""
+        return QSize(74, self.sizeHint().height())
+
+    def paintEvent(self, e: Any) -> None:  # noqa: N802
+        """Sign and title over the picture, a frame around what is in a pane."""
+        del e
+        painter, palette = QPainter(self), self.palette()
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        room = QRectF(self.rect()).adjusted(1, 1, -1, -1)
+        painter.setBrush(palette.color(QPalette.ColorRole.Base if self.shown else QPalette.ColorRole.Window))
+        rim = palette.color(QPalette.ColorRole.Highlight if self.shown else QPalette.ColorRole.Mid)
+        painter.setPen(QPen(rim, 2.4 if self.active or self.hasFocus() else 1.0))
+        painter.drawRoundedRect(room, 4, 4)
+        line = self._line_px()
+        painter.drawPixmap(_EDGE_PX, _EDGE_PX, state_pixmap(self.state, _SIGN_PX))
+        font = self._font()
+        painter.setFont(font)
+        painter.setPen(palette.color(QPalette.ColorRole.WindowText))
+        wide = self.width() - _SIGN_PX - 3 * _EDGE_PX
+        title = QFontMetrics(font).elidedText(self.text(), Qt.TextElideMode.ElideRight, wide)
+        painter.drawText(QRectF(_SIGN_PX + 2 * _EDGE_PX, _EDGE_PX, wide, line), Qt.AlignmentFlag.AlignVCenter, title)
+        if self._picture is None:
+            return
+        size = QSize(self.width() - 2 * _EDGE_PX, _PICTURE_PX.height())
+        if self._pixmap is None or self._pixmap.width() > size.width():
+            image = image_of(self._picture.pixels)
+            fit, smooth = Qt.AspectRatioMode.KeepAspectRatio, Qt.TransformationMode.SmoothTransformation
+            self._pixmap = QPixmap.fromImage(image.scaled(size, fit, smooth))
+        left = (self.width() - self._pixmap.width()) // 2
+        top = _EDGE_PX + line + (size.height() - self._pixmap.height()) // 2
+        painter.setOpacity(0.5 if self.state in ("stale", "running", "waiting") else 1.0)
+        painter.fillRect(left, top, self._pixmap.width(), self._pixmap.height(), qcolor(BACKDROP))
+        painter.drawPixmap(left, top, self._pixmap)
+
+    def resizeEvent(self, a0: Any) -> None:  # noqa: N802
+        """Another width is another picture."""
+        super().resizeEvent(a0)
+        self._pixmap = None
+
+    def _font(self) -> QFont:
+        font = QFont(self.font())
+        font.setPointSizeF(max(7.5, font.pointSizeF() - 1.0))
+        font.setBold(self.active)
+        return font
+
+    def _line_px(self) -> int:
+        return max(_SIGN_PX, QFontMetrics(self._font()).height()) + 2
+
+
+class Filmstrip(QWidget):
+    """Thumbnails in the order of the slots; `chosen` carries a slot's name."""
+
+    chosen = pyqtSignal(str)
+
+    def __init__(self, titles: Mapping[str, str], parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setObjectName("filmstrip")
+        self.thumbnails = {name: Thumbnail(title) for name, title in titles.items()}
+        self._row = spaced(QHBoxLayout(self), 3, (2, 2, 2, 2))
+        for name, thumbnail in self.thumbnails.items():
+            thumbnail.clicked.connect(partial(self.chosen.emit, name))
+            self._row.addWidget(thumbnail, 1)
+
+    def add(self, widget: QWidget) -> None:
+        """Put a control at the end."""
+        self._row.addWidget(widget)
+
+    def leave_out(self, names: Collection[str]) -> None:
+        """Hide what the route does not have."""
+        for name, thumbnail in self.thumbnails.items():
+            thumbnail.setVisible(name not in names)
+
+    def show_places(self, shown: Collection[str], active: str) -> None:
+        """Which slots stand in panes, and which of them a click would replace."""
+        for name, thumbnail in self.thumbnails.items():
+            thumbnail.show_place(shown=name in shown, active=name == active)
