@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtWidgets import (
@@ -47,7 +48,7 @@ class SweepPage(QWidget):
             line.setAccessibleName(f"values of the {word}")
             line.setToolTip("Values, with commas between them")
             box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
-            box.activated.connect(lambda _, which=which: self.axis_chosen.emit(which))
+            box.activated.connect(partial(self._choose, which))
             line.returnPressed.connect(self.sweep_wanted)
             head.addWidget(QLabel(word), which, 0)
             head.addWidget(box, which, 1)
@@ -78,6 +79,9 @@ class SweepPage(QWidget):
             one.pointed.connect(one.point)
             one.pointed.connect(other.point)
             one.chosen.connect(self.cell_chosen)
+
+    def _choose(self, which: int, _: int) -> None:
+        self.axis_chosen.emit(which)
 
     def _start_or_stop(self) -> None:
         signal = self.cancel_wanted if self._busy else self.sweep_wanted

@@ -6,7 +6,7 @@ from PyQt6.QtCore import QObject
 
 from app.frame.instrument import Instrument
 from app.frame.keeping import Keeping
-from app.main import SAMPLE, SAMPLE_TOUCH
+from app.main import SAMPLE
 from app.session.state import Session
 from widgets.welcome import Welcome
 
@@ -22,7 +22,7 @@ class Greeting(QObject):
         centre = window.centralWidget()
         assert centre is not None
         actions = window.actions_by_name
-        self.page = Welcome(centre, window.rows, [actions[name] for name in _COMMANDS])
+        self.page = Welcome(centre, window.pages, [actions[name] for name in _COMMANDS])
         self.page.recent_chosen.connect(instrument.open_path)
         self.page.hide()
         actions["open_sample"].setEnabled(SAMPLE.exists())
@@ -31,9 +31,8 @@ class Greeting(QObject):
         self.show_session(instrument.session)
 
     def open_sample(self) -> None:
-        """Open the recording that comes along, on its first touch."""
+        """Open the recording that comes along."""
         self._instrument.open_path(SAMPLE)
-        self._instrument.choose_frame(SAMPLE_TOUCH)
 
     def show_session(self, session: Session) -> None:
         """Show the page while nothing is open."""

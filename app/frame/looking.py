@@ -28,7 +28,7 @@ class Looking(QObject):
         for name, view in self._views.items():
             view.look_changed.connect(partial(self._moved, name))
         self._fit.toggled.connect(self._fit_all)
-        self._link.toggled.connect(lambda linked: self._moved("depth") if linked else None)
+        self._link.toggled.connect(partial(self._moved, "depth"))
         self._window.on("reset_view", self._reset)
         instrument.frame_shown.connect(self._frame_shown)
 
@@ -60,7 +60,7 @@ class Looking(QObject):
         left, top, right, below = box
         return left * times, top * times, right * times, below * times
 
-    def _moved(self, name: str) -> None:
+    def _moved(self, name: str, *_: object) -> None:
         """What one picture looks at, the others look at, as large."""
         opened, view = self._instrument.screen.opened, self._views.get(name)
         if not self._link.isChecked() or opened is None or view is None or view.picture is None:

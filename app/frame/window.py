@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from PyQt6.QtCore import QSize, Qt, pyqtSignal
+from PyQt6.QtCore import QSize, pyqtSignal
 from PyQt6.QtGui import QAction, QCloseEvent, QDragEnterEvent, QDropEvent
 from PyQt6.QtWidgets import (
     QComboBox,
@@ -17,13 +17,12 @@ from PyQt6.QtWidgets import (
     QSizePolicy,
     QStackedWidget,
     QTabWidget,
-    QToolBar,
-    QToolButton,
     QVBoxLayout,
     QWidget,
 )
 
 from app.frame.actions import ARRANGE, EDIT, FILE, HELP, PLAY, VERSUS, VIEW, make_actions, stage_commands
+from app.frame.bars import build_menus, build_tool_bar
 from app.frame.drawers import Drawers
 from app.session.layout import LAYOUTS, Layout
 from widgets.alignment_panel import AlignmentPanel
@@ -47,28 +46,6 @@ from widgets.waterfall import BlamePanel
 
 SIZE = QSize(1600, 950)
 LOW_STRIP_PX, HIGH_STRIP_PX = 24, 44  # of the errors
-_TOOLS = (
-    "open_recording",
-    "open_folder",
-    "open_mesh",
-    "export",
-    "",
-    "undo",
-    "redo",
-    "",
-    "link_cameras",
-    "reset_view",
-    "freeze_trace",
-    "",
-    "show_truth",
-    "show_difference",
-    "show_wipe",
-    "show_blink",
-)
-_FIRST_OF_THEIR_KIND = frozenset(
-    ("open_mesh", "save_session", "export", "quit", "reset_all", "ten_back", "show_truth", "only_1")
-)
-_NAMED = ("open_recording", "open_mesh", "freeze_trace")
 
 
 class Window(QMainWindow):
@@ -102,8 +79,9 @@ class Window(QMainWindow):
         self.source, self.target, self.route = (self._chooser(n) for n in ("source", "target", "route"))
         self._build_centre()
         self._build_drawers()
-        self._build_menus()
-        self._build_tool_bar()
+        self.menus: dict[str, QMenu] = {}  # of the bar, by title
+        build_menus(self)
+        build_tool_bar(self)
         self._build_status()
 
     def _take_room(self) -> None:
@@ -154,58 +132,9 @@ class Window(QMainWindow):
             self, frames=self.frames, parameters=self.parameters, alignment=self.alignment, reading=self.tabs
         )
 
-    def _build_menus(self) -> None:
-        bar = self.menuBar()
-        assert bar is not None
-        self.menus: dict[str, QMenu] = {}
-        for title, names in (
-            ("&File", [c.name for c in FILE]),
-            ("&Edit", [c.name for c in EDIT]),
-            ("&Play", [c.name for c in PLAY]),
-            ("&View", [c.name for c in VIEW + VERSUS] + [f"only_{i + 1}" for i in range(len(self.columns))]),
-            ("&Layout", [c.name for c in ARRANGE]),
-            ("&Help", [c.name for c in HELP]),
-        ):
-            menu = bar.addMenu(title)
-            assert menu is not None
-            self.menus[title.replace("&", "")] = menu
-            for name in names:
-                if name in _FIRST_OF_THEIR_KIND:
-                    menu.addSeparator()
-                menu.addAction(self.actions_by_name[name])
-            if title == "&View":
-                menu.addSeparator()
-                for drawer in self.drawers.all:
-                    menu.addAction(drawer.toggleViewAction())
-
     def add_menu(self, menu: str, below: QMenu, *, before: str) -> None:
         """Give a menu of its own a place in one of the bar's, before a command."""
         self.menus[menu].insertMenu(self.actions_by_name[before], below)
-
-    def _build_tool_bar(self) -> None:
-        bar = QToolBar("Commands", self)
-        bar.setObjectName("tool_bar")
-        bar.setMovable(False)
-        bar.setIconSize(QSize(20, 20))
-        self.addToolBar(bar)
-        for name in _TOOLS:
-            if name:
-                bar.addAction(self.actions_by_name[name])
-            else:
-                bar.addSeparator()
-        bar.addSeparator()
-        for label, box in (("source", self.source), ("target", self.target), ("route", self.route)):
-            word = QLabel(f"  {label} ")
-            word.setBuddy(box)
-            bar.addWidget(word)
-            bar.addWidget(box)
-        for name in _NAMED:  # the others' names are in their tips and in the menus
-            button = bar.widgetForAction(self.actions_by_name[name])
-            if isinstance(button, QToolButton):
-                button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
-        for name in ("first", "previous", "play", "next", "last"):
-            self.timeline.add_command(self.actions_by_name[name])
-        self.timeline.add_command(self.actions_by_name["loop"])
 
     def _chooser(self, name: str) -> QComboBox:
         box = QComboBox()
