@@ -187,6 +187,7 @@ class Evaluator:
     def _opened(self, session: Session, report: Report) -> Translation:
         request = request_of(session)
         if self._translation is not None and request == self._request:
+            self._translation = self._translation.grown()
             return self._translation
         report.step(0.0, "opening the recording")
         if not request.target:

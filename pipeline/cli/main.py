@@ -18,6 +18,7 @@ from pipeline.cli import align_options as cli_align
 from pipeline.cli import data_options as cli_data
 from pipeline.cli import evaluate_options as cli_evaluate
 from pipeline.cli import hand_on_options as cli_hand_on
+from pipeline.cli import live_options as cli_live
 from pipeline.cli import train_options as cli_train
 from pipeline.cli.opening_options import NOTHING_ELSE, Opening
 from pipeline.cli.terminal import complain, print_line
@@ -45,6 +46,7 @@ def build(name: str = "tactoscope") -> App:
     app.command(cli_hand_on.export)
     app.command(cli_hand_on.make_case)
     app.command(cli_hand_on.case)
+    app.command(cli_live.live)
     app.command(cli_evaluate.evaluate)
     app.command(cli_data.simulate)
     app.command(prepare)

@@ -25,6 +25,7 @@ from pipeline.values.frames import Pairing, Recording, Stream, TactileFrame, Tru
 
 T = TypeVar("T")
 
+NOT_CLOSED = "the recording was not closed: it is being written, or its program was ended"
 CUT_SHORT, LOST = "the file is cut short", "cannot be read: that part of the file is damaged"
 KNOWN = "the table of what is known"
 
@@ -80,13 +81,16 @@ def _recording(file: Any, path: Path, notes: list[str]) -> Recording:
 
 def _stream(group: Any, name: str, path: Path, lost: list[str]) -> Stream:
     n, kept = _checked_stream(group, path)
+    grows = bool(group.file.swmr_mode)
+    if grows:  # a frame of which only a part is there does not count yet
+        n = min([n, *(len(group[key]) for key in ("timestamps", "reference_index", "truth/known") if key in group)])
     sensor, shown = border.sensor(group, path), plain(name)
 
     def table(key: str, kinds: str, otherwise: float, what: str) -> NDArray[Any]:
-        stored = border.dataset(group, key, layout.UNITS[key], kinds, (n,), path)
+        stored = border.dataset(group, key, layout.UNITS[key], kinds, (None if grows else n,), path)
         kept_as = np.float64 if kinds == border.FLOAT else np.int64
         what = f"{what} of {shown!r}"
-        return _tolerated(lambda: stored[()].astype(kept_as), np.full(n, otherwise, kept_as), what, lost)
+        return _tolerated(lambda: stored[:n].astype(kept_as), np.full(n, otherwise, kept_as), what, lost)
 
     times = table("timestamps", border.FLOAT, np.nan, "the timestamps")
     rows = table("reference_index", border.WHOLE, -1, "the table of references")
@@ -186,6 +190,8 @@ def _opened(path: Path, notes: list[str]) -> Any:
     try:
         return h5py.File(path, "r")
     except OSError as error:
+        if "already open for write" in str(error):
+            return _not_closed(path, notes)
         if "truncated file" not in str(error):
             raise FileProblem(f"the HDF5 file cannot be opened ({_short(error)})", path) from error
     data = path.read_bytes()
@@ -200,6 +206,18 @@ def _opened(path: Path, notes: list[str]) -> Any:
     except (OSError, ValueError, struct.error) as error:
         raise FileProblem("the HDF5 file is cut short before its table of contents", path) from error
     notes.append(f"{CUT_SHORT}: {len(data)} of {whole} bytes are there; frames beyond cannot be read")
+    return file
+
+
+def _not_closed(path: Path, notes: list[str]) -> Any:
+    """A recording that grows, or did until its program was ended: the writer keeps it in order on disk."""
+    import h5py
+
+    try:
+        file = h5py.File(path, "r", swmr=True)
+    except OSError as error:
+        raise FileProblem(f"the recording is being written by another program ({_short(error)})", path) from error
+    notes.append(NOT_CLOSED)
     return file
 
 

@@ -8,7 +8,7 @@ from collections.abc import Generator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,7 +86,11 @@ class Writer:
         self._last_reference: dict[str, NDArray[Any]] = {}
         self._n_before: dict[str, int] = {}
         self._place = ExitStack()
-        self._beside = self._place.enter_context(whole_file(path, "the recording"))
+        self._beside = self._place_of(path)
+
+    def _place_of(self, path: Path) -> BinaryIO:
+        """The file that is written into, open until the writer's end."""
+        return self._place.enter_context(whole_file(path, "the recording"))
 
     def _open(self, mode: str) -> None:
         import h5py

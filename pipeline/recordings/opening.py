@@ -27,6 +27,7 @@ from pipeline.recordings import (
 from pipeline.recordings.depth_arrays import DepthUnit
 from pipeline.recordings.folders import PICKLED, Found, found_in
 from pipeline.recordings.hdf5_layout import SIGNATURE
+from pipeline.recordings.mounted import mounted
 from pipeline.values.frames import Recording
 
 _KINDS = (
@@ -45,6 +46,9 @@ def open_recording(
     tell. Raises FileProblem, SettingProblem or CalibrationError with what is wrong, where, and what to try.
     """
     path = Path(path)
+    held = mounted(path)
+    if held is not None:
+        return _said(held, sensor, reference, depth_unit)
     try:
         path.stat()
     except (OSError, ValueError) as error:

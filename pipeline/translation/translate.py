@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -82,6 +82,13 @@ class Translation:
     def slots(self) -> tuple[str, ...]:
         """The slots of the route, in order."""
         return tuple(method.slot for method in self.methods)
+
+    def grown(self) -> Translation:
+        """The same with the frames that have come since, of a recording that grows."""
+        if self.recording.now is None:
+            return self
+        recording = self.recording.now()
+        return replace(self, recording=recording, stream=recording.stream(self.stream.name))
 
     def graph(self, like: Graph | None = None) -> Graph:
         """What evaluates the route; one that remembers what `like` has worked out, where that is given."""

@@ -87,6 +87,7 @@ class Recording:
     notes: tuple[str, ...] = field(default=())  # plain sentences: what was assumed, converted or left out
     close: Callable[[], None] = _nothing
     symmetry: Symmetry | None = None  # of the object; None = not known, so that no two of its poses count as one
+    now: Callable[[], Recording] | None = None  # the same with what has come since; None = nothing comes any more
 
     def stream(self, wanted: str = "") -> Stream:
         """The stream with this name or sensor, the first one when `wanted` is empty."""

@@ -1,0 +1,337 @@
+"""Sensors that are there now: read, lost, found again, zeroed, recorded and scrubbed back through."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.cli.main import build, run
+from pipeline.live import device, reader, zero
+from pipeline.live.device import Device, found
+from pipeline.live.folder import GrowingFolder
+from pipeline.live.reader import Reader
+from pipeline.live.recorder import Recorder
+from pipeline.live.simulated import Simulated
+from pipeline.live.source import Reading, SourceLost
+from pipeline.recordings import hdf5, mounted, open_recording
+from pipeline.sensors.spec import sensor
+
+LIMIT_S = 60.0
+SCRIPT = Path(sys.executable).with_name("tactoscope")
+DIGIT = sensor("digit")
+
+
+def until(met: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + LIMIT_S
+    while not met():
+        assert time.monotonic() < end_s, "not in time"
+        time.sleep(0.005)
+
+
+class Counted:
+    """A sensor whose pictures are their numbers; it can be pulled out."""
+
+    title, sensor = "counted", "digit"
+
+    def __init__(self, *, every_s: float = 0.002, skip: int = 0) -> None:
+        self.plugged, self._every_s, self._skip, self._n = True, every_s, skip, 0
+
+    def open(self) -> None:
+        if not self.plugged:
+            raise SourceLost("it is not there")
+
+    def read(self) -> Reading:
+        if not self.plugged:
+            raise SourceLost("it is gone")
+        time.sleep(self._every_s)
+        number, self._n = self._n, self._n + 1 + self._skip
+        image = np.full((*DIGIT.camera.shape, 3), 100 + number % 2, np.uint8)
+        return Reading(image=image, time_s=time.monotonic(), number=number)
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.fixture
+def running():
+    made: list[Reader] = []
+
+    def start(source, **options) -> Reader:
+        made.append(Reader(source, **options))
+        made[-1].start()
+        return made[-1]
+
+    yield start
+    for one in made:
+        assert one.stop(LIMIT_S)
+
+
+def test_a_simulated_sensor_gives_touches_with_their_truth_and_an_untouched_zero(running):
+    watched = running(Simulated(sensor="digit", rate_hz=60.0))
+    until(lambda: watched.n_frames > 30)
+    status = watched.status()
+    assert status.state == "running"
+    assert status.rate_hz > 0
+    deepest = [float(watched.truth(i).indentation_mm.max()) for i in range(watched.first, watched.n_frames)]
+    assert deepest[0] == 0.0
+    assert max(deepest) > 0.1
+    last = watched.frame(watched.n_frames - 1)
+    assert last.image.shape == last.reference.shape == (*DIGIT.camera.shape, 3)
+    still = watched.frame(watched.first)
+    assert np.abs(still.image.astype(float) - last.reference).mean() < 3.0  # noise alone
+
+
+def test_an_unplugged_sensor_is_told_and_taken_up_again(running, monkeypatch):
+    monkeypatch.setattr(reader, "RETRY_S", 0.01)
+    source = Counted()
+    watched = running(source)
+    until(lambda: watched.n_frames > 10)
+    source.plugged = False
+    until(lambda: watched.status().state == "lost")
+    before = watched.n_frames
+    assert watched.status().rate_hz == 0.0
+    assert "not there" in watched.status().sentence or "gone" in watched.status().sentence
+    assert watched.frame(before - 1).index == before - 1  # what came can still be looked at
+    source.plugged = True
+    until(lambda: watched.n_frames > before + 5)
+    assert watched.status().state == "running"
+    assert watched.status().sentence == ""
+
+
+def test_lost_frames_are_counted_and_a_drivers_own_errors_end_nothing(running, monkeypatch):
+    monkeypatch.setattr(reader, "RETRY_S", 0.01)
+    source = Counted(skip=2)
+    watched = running(source)
+    until(lambda: watched.n_frames > 10)
+    assert watched.status().n_lost == pytest.approx(2 * (watched.n_frames - 1), abs=6)
+    right = source.read
+    source.read = lambda: 1 / 0
+    until(lambda: watched.status().state == "lost")
+    assert "ZeroDivisionError" in watched.status().sentence
+    source.read = right
+    until(lambda: watched.status().state == "running")
+
+
+def test_memory_is_bounded_and_old_frames_say_that_they_are_gone(running):
+    size = 3 * DIGIT.camera.rows * DIGIT.camera.cols
+    watched = running(Counted(every_s=0.0005), most_bytes=30 * size)
+    until(lambda: watched.n_frames > 60)
+    assert 0 < watched.n_frames - watched.first <= 31
+    with pytest.raises(FileProblem, match="frame 0 is not held any more"):
+        watched.frame(0)
+
+
+def test_zero_is_the_median_of_the_last_readings_and_says_when_it_is_none():
+    rng = np.random.default_rng(0)
+    still = [np.clip(rng.normal(120, 2, (*DIGIT.camera.shape, 3)), 0, 255).astype(np.uint8) for _ in range(15)]
+    reference = zero.median_of(still)
+    assert np.abs(reference.astype(float) - 119.5).mean() < 0.7  # one picture's: 1.6
+    assert zero.problem_of(still, DIGIT) == ""
+    touched = still[-1].copy()
+    touched[100:200, 80:160] += 60
+    assert "touched or moved" in zero.problem_of([*still[:-1], touched], DIGIT)
+    assert zero.drift_of(touched, reference, DIGIT) == ""  # a touch is no drift
+    assert "set zero again" in zero.drift_of(still[0] + 40, reference, DIGIT)
+
+
+def test_a_bubbles_zero_keeps_gaps_only_where_most_readings_have_them():
+    readings = [np.full((4, 4), 90.0 + i, np.float32) for i in range(3)]
+    readings[0][0, 0] = np.nan
+    for one in readings[:2]:
+        one[1, 1] = np.nan
+    reference = zero.median_of(readings)
+    assert reference[0, 0] == pytest.approx(91.5)
+    assert np.isnan(reference[1, 1])
+    assert reference[2, 2] == 91.0
+
+
+def test_a_folder_shows_the_newest_whole_picture_and_counts_the_others(tmp_path):
+    shape = (*DIGIT.camera.shape, 3)
+
+    def write(name: str, grey: int, age_s: float) -> None:
+        cv2.imwrite(str(tmp_path / name), np.full(shape, grey, np.uint8))
+        os.utime(tmp_path / name, (time.time() - age_s,) * 2)
+
+    write("before.png", 10, 100.0)
+    source = GrowingFolder(tmp_path, sensor="digit")
+    source.open()
+    assert source.read() is None  # what was there before is not watched
+    for i in range(3):
+        write(f"{i}.png", 50 + i, 3.0 - i)
+    (tmp_path / "half.png").write_bytes((tmp_path / "2.png").read_bytes()[:500])
+    newest = source.read()
+    assert newest.image[0, 0].tolist() == [52, 52, 52]
+    assert newest.number == 3
+    shutil.copy(tmp_path / "0.png", tmp_path / "half.png")  # it is whole now
+    assert source.read().image[0, 0].tolist() == [50, 50, 50]
+    shutil.rmtree(tmp_path)
+    with pytest.raises(SourceLost, match="is gone"):
+        source.read()
+
+
+def test_a_camera_is_found_by_name_and_serial_and_not_by_its_second_node(tmp_path):
+    for name in ("usb-Facebook_DIGIT_D20123-video-index0", "usb-Facebook_DIGIT_D20123-video-index1",
+                 "usb-Arducam_GelSight_Mini_R0B_28WZ-video-index0", "usb-HD_Webcam-video-index0"):  # fmt: skip
+        (tmp_path / name).touch()
+    cameras = found(tmp_path)
+    assert [camera.kind.sensor for camera in cameras] == ["gelsight_mini", "digit", ""]
+    assert all(camera.node.name.endswith("index0") for camera in cameras)
+    asked = []
+
+    def opened(node, kind):
+        asked.append((node.name, kind.sensor, kind.size_px))
+        return _Stream(np.zeros((240, 320, 3), np.uint8))
+
+    source = Device("d20123", by_id=tmp_path, opened=opened)
+    source.open()
+    assert asked == [("usb-Facebook_DIGIT_D20123-video-index0", "digit", (320, 240))]
+    with pytest.raises(SourceLost, match="there are: "):
+        Device("D99999", by_id=tmp_path).open()
+
+
+class _Stream:
+    """What OpenCV gives of a camera."""
+
+    def __init__(self, bgr: np.ndarray) -> None:
+        self._bgr = bgr
+
+    def isOpened(self) -> bool:
+        return True
+
+    def read(self):
+        return (self._bgr is not None), self._bgr
+
+    def release(self) -> None:
+        self._bgr = None
+
+
+def test_a_digits_stream_is_turned_as_its_own_driver_turns_it_and_its_end_is_a_loss(tmp_path):
+    bgr = np.zeros((240, 320, 3), np.uint8)
+    bgr[0, 0] = (255, 0, 0)  # blue, above left of the raw picture
+    stream = _Stream(bgr)
+    source = Device("DIGIT", by_id=_node(tmp_path), opened=lambda node, kind: stream)
+    source.open()
+    image = source.read().image
+    assert image.shape == (320, 240, 3)
+    assert image[319, 0].tolist() == [0, 0, 255]
+    stream.release()
+    with pytest.raises(SourceLost, match="no picture comes"):
+        source.read()
+
+
+def test_a_gelsight_minis_whole_camera_is_cut_and_made_smaller(tmp_path):
+    stream = _Stream(np.full((2464, 3280, 3), 90, np.uint8))
+    source = Device("GelSight", by_id=_node(tmp_path, "GelSight_Mini_R0B"), opened=lambda node, kind: stream)
+    source.open()
+    assert source.read().image.shape == (*sensor("gelsight_mini").camera.shape, 3)
+    assert source.sensor == "gelsight_mini"
+
+
+def _node(folder: Path, name: str = "Facebook_DIGIT_D1") -> Path:
+    (folder / f"usb-{name}-video-index0").touch()
+    return folder
+
+
+def test_a_recorded_stream_goes_through_the_cameras_own_code(tmp_path, running, monkeypatch):
+    monkeypatch.setattr(reader, "RETRY_S", 0.01)
+    path, size = tmp_path / "stream.avi", (240, 320)
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, size)
+    for i in range(20):
+        writer.write(np.full((320, 240, 3), 100 + i, np.uint8))
+    writer.release()
+    watched = running(Device(str(path), sensor="gelsight_mini"))
+    until(lambda: watched.n_frames > 30)  # it ended once, and was opened again
+    assert watched.frame(watched.n_frames - 1).image.shape == (*sensor("gelsight_mini").camera.shape, 3)
+
+
+def test_what_is_watched_opens_as_a_recording_that_grows(running):
+    watched, path = running(Counted()), Path("live:/counted")
+    until(lambda: watched.n_frames > 20)
+    mounted.mount(path, lambda: watched.recording(path))
+    try:
+        recording = open_recording(path)
+        n = recording.streams[0].n_frames
+        until(lambda: watched.n_frames > n)
+        assert recording.now().streams[0].n_frames > n
+        assert recording.streams[0].frame(n - 1).index == n - 1
+    finally:
+        mounted.unmount(path)
+    with pytest.raises(FileProblem, match="no such file"):
+        open_recording(path)
+
+
+def test_a_recording_can_be_read_while_it_grows_and_holds_what_was_watched(tmp_path, running):
+    watched = running(Simulated(sensor="digit", rate_hz=120.0))
+    until(lambda: watched.n_frames > 10)
+    recorder = Recorder(tmp_path / "a.h5", "test")
+    watched.listen(recorder.offer)
+    until(lambda: recorder.n_written > 5)
+    meanwhile = hdf5.read(tmp_path / "a.h5")
+    assert meanwhile.streams[0].n_frames > 0
+    assert meanwhile.streams[0].frame(0).image.any()
+    meanwhile.close()
+    watched.listen(None)
+    assert recorder.close()
+    whole = hdf5.read(tmp_path / "a.h5")
+    stream = whole.streams[0]
+    assert stream.n_frames == recorder.n_written
+    assert not any(hdf5.NOT_CLOSED in note for note in whole.notes)
+    first = stream.frame(0)
+    held = next(
+        watched.frame(i) for i in range(watched.first, watched.n_frames) if watched.frame(i).time_s == first.time_s
+    )
+    assert np.array_equal(first.image, held.image)
+    assert np.array_equal(first.reference, held.reference)
+    whole.close()
+
+
+def test_a_recording_outlives_a_kill_at_any_moment(tmp_path):
+    path = tmp_path / "killed.h5"
+    command = [SCRIPT, "live", "--sensor", "digit", "--rate", "60", "--record", path]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as other:
+        for line in other.stdout:
+            if " recorded" in line and int(line.split(" recorded")[0].split()[-1]) > 10:
+                break
+        other.send_signal(signal.SIGKILL)
+    recording = open_recording(path)
+    stream = recording.streams[0]
+    assert any(hdf5.NOT_CLOSED in note for note in recording.notes)
+    assert stream.n_frames > 5
+    for index in range(stream.n_frames):
+        assert stream.frame(index).image.shape == (*DIGIT.camera.shape, 3)
+        assert stream.truth(index).indentation_mm is not None
+    recording.close()
+    assert run(build(), ["inspect", str(path)]) == 0
+
+
+def test_the_command_says_what_arrives(capsys, tmp_path):
+    assert run(build(), ["live", "--source", "simulated", "--sensor", "digit", "--seconds", "2.5"]) == 0
+    said = capsys.readouterr().out
+    assert "running: " in said
+    assert " Hz, " in said
+    assert run(build(), ["live", "--source", "folder", str(tmp_path / "none"), "--seconds", "1.2"]) == 1
+    assert "there is no folder" in capsys.readouterr().out
+    assert run(build(), ["live", "--list"]) == 0
+
+
+@pytest.mark.parametrize("words", [("nothing",), ("folder",), ("device", "a", "b")])
+def test_words_that_are_no_source_are_told(words):
+    from pipeline.live.sources import source_of
+
+    with pytest.raises(SettingProblem, match="a source is simulated, folder DIR or device NAME"):
+        source_of(words)
+
+
+def test_the_light_of_a_digit_is_full():
+    assert next(kind for kind in device.KINDS if kind.sensor == "digit").light == 0xFFF
