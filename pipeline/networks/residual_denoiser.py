@@ -3,7 +3,8 @@
 A U-Net like `compact_unet` that also hears how strong the noise is: every block scales and shifts what it has
 normalised by functions of log sigma. Everything is in units of `unit_mm` and told as in `samplers`: noisy = clean +
 sigma * noise. Three things may be predicted, all turned into the clean field here: the field itself, the noise, or
-v, a mixture of both (Salimans and Ho 2022). A last channel says how far off the clean field is expected to be.
+v, a mixture of both (Salimans and Ho 2022). At the strongest noise nothing can be seen, and nothing is shown: the first
+step, and an answer in one, rest on the condition alone. A last channel says how far off the clean field is expected.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ class ResidualDenoiser(nn.Module):
     def forward(self, noisy: Tensor, sigma: Tensor, condition: Tensor) -> Tensor:
         """Of a batch: noisy (n, STATES, rows, cols), sigma (n,), condition (n, inputs, rows, cols)."""
         level = sigma.reshape(-1, 1, 1, 1)
-        seen = noisy / torch.sqrt(1.0 + level**2)
+        seen = torch.where(level < self.most, noisy / torch.sqrt(1.0 + level**2), torch.zeros_like(noisy))
         answer = self._network(torch.cat([seen, condition], 1), self.hears(_waves(sigma))).float()
         said = answer[:, :STATES]
         if self.prediction == "noise":

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pipeline.training.task import Example
 
 MOST, LEAST = 200.0, 0.02  # of the noise, in units; as the networks are built
-_AT_MOST = 0.5  # share of examples of which nothing but the strongest noise is shown
+_AT_MOST = 0.65  # share of examples under the strongest noise, of which a network is shown nothing
 _DROPPED = 0.1  # share without a condition
 _HUBER = 0.25  # units
 _LOG_SPREAD = (-5.0, 2.5)
@@ -39,9 +39,8 @@ def loss(network: nn.Module, batch: Mapping[str, Tensor], near: float) -> tuple[
     level = torch.exp(torch.empty(n).uniform_(np.log(LEAST), np.log(MOST)))
     hidden = torch.rand(n) < _AT_MOST
     sigma = torch.where(hidden, torch.full((n,), MOST), level).to(clean.device)
-    there = (~hidden).to(clean.device).float().reshape(-1, 1, 1, 1)
     kept = (torch.rand(n) >= _DROPPED).to(clean.device).float().reshape(-1, 1, 1, 1)
-    noisy = clean * there + sigma.reshape(-1, 1, 1, 1) * torch.randn_like(clean)
+    noisy = clean + sigma.reshape(-1, 1, 1, 1) * torch.randn_like(clean)
     said = network(noisy, sigma, condition * kept)
     off, wrong = said[:, 0] - clean[:, 0], said[:, 1] - clean[:, 1]
     weight = 1.0 + near * batch["contact"][:, 0]

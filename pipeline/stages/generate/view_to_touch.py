@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.base.arrays import Floats
+from pipeline.base.memo import Memo
 from pipeline.base.progress import SILENT, Progress, Share
+from pipeline.engine.digests import content
 from pipeline.networks import shelf
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.spec import SensorSpec
@@ -65,7 +67,7 @@ def generate(
 ) -> Touch:
     """What `target` would have recorded of `view`; raises ShapeError when the view is of another image size."""
     rendering = Share(progress, 0.0, 0.3) if params.steps else progress
-    physical = stage.generate(view, target, GenerateParams(noise=params.noise, seed=params.seed), rendering)
+    physical = _render(view, target, GenerateParams(noise=params.noise, seed=params.seed), rendering)
     at_first = physical.membrane
     if not params.steps or at_first is None or not at_first.contact.any():
         return physical
@@ -79,6 +81,15 @@ def generate(
     note = f"{where} the touch is learned, and expected to be off by {told:.2g} mm"
     found = replace(found, notes=(*found.notes, note))
     return corrected(physical, target, found, params.seed if params.noise else None)
+
+
+def _render(view: TargetView, target: SensorSpec, params: GenerateParams, progress: Progress) -> Touch:
+    """The physical render; the last few are kept, so that a dragged slider costs passes of the network alone."""
+    key = content(view), content(target), params
+    return _rendered.of(key, lambda: stage.generate(view, target, params, progress))
+
+
+_rendered: Memo[tuple[str, str, GenerateParams], Touch] = Memo(4)
 
 
 def condition(view: TargetView, physical: DepthMap, target: SensorSpec) -> Floats:

@@ -1,0 +1,209 @@
+"""What does the compact diffusion add to the physical render, in how many steps, and do its samples know their error?
+
+    python benchmarks/residual_diffusion.py [soft_bubble | gelslim]
+
+Objects that it was taught on, held as it has never seen, and tools that nothing was chosen by are pressed on a GelSlim
+and on a bubble (apex pushed in by 13 mm, as in data sets). The source is another unit than described and has recorded
+a reading, which goes the whole way to the target's touch; the target is the described unit. Errors are mean absolute
+differences of the target's indentation: in its true contact, over all, inside and outside what the source could feel.
+One step is the middle of all samples, four and eight are samples; 200 guided steps are the paper's setting.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.races import Bar, row, timing
+from pipeline.base.progress import SILENT
+from pipeline.engine.graph import Instead, Skipped
+from pipeline.evaluation.metrics import iou
+from pipeline.evaluation.similarity import similarity
+from pipeline.geometry import rigid
+from pipeline.physics import bubble_camera, optics
+from pipeline.racing.races import Answer, Point
+from pipeline.racing.report import show
+from pipeline.sensors import alignment
+from pipeline.sensors.spec import sensor
+from pipeline.simulation import datasets, poses, shapes
+from pipeline.simulation.press import press
+from pipeline.simulation.variation import varied
+from pipeline.stages.adapt.stage import AdaptParams, adapt
+from pipeline.stages.depth.slot import SLOT as DEPTH
+from pipeline.stages.generate.diffusion import DiffusionParams
+from pipeline.stages.generate.slot import PHYSICS, T2D2
+from pipeline.stages.generate.stage import GenerateParams
+from pipeline.stages.project.stage import ProjectParams, project
+from pipeline.values.frames import TactileFrame
+
+_SPLITS = {"unseen grasps": ("training", 2), "unseen tools": ("unseen", 4)}  # group, grasps of each object
+_SHARES = {"unseen grasps": 0.5, "unseen tools": 0.75}  # of physics' error in contact that may be left, for a bubble
+_DIRECTIONS = (("gelslim", "soft_bubble"), ("soft_bubble", "gelslim"))
+_WAYS = {"1 step": DiffusionParams(), "4 steps": DiffusionParams(steps=4), "8 steps": DiffusionParams(steps=8)}
+_PAPER = DiffusionParams(steps=200, guidance=2.54)
+_LONG, _SEEDS, _SPREAD_TOUCHES = 1, 6, 4  # touches of the paper's setting; samples and touches of the calibration
+_REGIONS = ("in contact", "over all", "inside the view", "outside the view")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Felt:
+    """A touch on its way to the target, and what the target really felt."""
+
+    view: object
+    truth_mm: np.ndarray
+    contact: np.ndarray
+    image: np.ndarray
+    known: np.ndarray
+
+
+def answer(only: str = "") -> Answer:
+    rows, points, notes = [], [], []
+    for source, target in (both for both in _DIRECTIONS if only in ("", both[1])):
+        for split, (group, grasps) in _SPLITS.items():
+            felt = _all_felt(source, target, group, grasps)
+            _race(f"{source} to {target}, {split}", split, felt, _described(target), rows, points, notes)
+    return Answer(
+        title="residual diffusion beside the physical render", unit="mm", rows=tuple(rows), points=tuple(points),
+        notes=tuple(notes),
+    )  # fmt: skip
+
+
+def _race(what, split, felt, target, rows, points, notes) -> None:
+    by_physics, spent = _touches(PHYSICS, GenerateParams(), felt, target)
+    theirs = _errors(by_physics, felt)
+    notes.append(f"{what}: {len(felt)} touches; physics {_said(by_physics, felt, target)}")
+    for way, params in _WAYS.items():
+        made, taken = _touches(T2D2, params, felt, target)
+        if made is None:
+            notes.append(f"{what}: {taken}")
+            return
+        ours = _errors(made, felt)
+        for k, region in enumerate(_REGIONS):
+            closer = {0: 1 / _SHARES[split] if target.kind == "bubble" else 1.0, 1: 1.0}.get(k)
+            bar = Bar(closer=closer) if way == "1 step" and closer else Bar()
+            rows.append(row(f"{what}, {way}: {region}", peer="physics", ours=taken, peer_timing=spent, unit="mm",
+                            ours_error=ours[k], peer_error=theirs[k], bar=bar))  # fmt: skip
+        points.append(Point(method=f"{what}, {way}", ms=taken.median_ms, error=ours[0], ours=True))
+        notes.append(f"{what}: {way} {_said(made, felt, target)}")
+    notes += [f"{what}: {said}" for said in (_long(felt[:_LONG], target), _calibration(felt[:_SPREAD_TOUCHES], target))]
+
+
+def _long(felt, target) -> str:
+    """The paper's number of steps and guidance beside one and eight steps of the same network, physics left out."""
+    told = []
+    for params in (_PAPER, DiffusionParams(), DiffusionParams(steps=8)):
+        made, taken = _touches(T2D2, params, felt, target)
+        _, without = _touches(T2D2, replace(params, steps=0), felt, target)
+        alike = np.mean([similarity(m.image, f.image, _range(target)) for m, f in zip(made, felt, strict=True)])
+        name = f"{params.steps} steps at {params.guidance:g}"
+        told.append(f"{name} {taken.median_ms - without.median_ms:.0f} ms, SSIM {alike:.4f}")
+    return "; ".join(told)
+
+
+def _calibration(felt, target) -> str:
+    """How large the spread over seeds is where the error of the samples' mean is of some size, and how they agree."""
+    spread, off, told = [], [], []
+    for f in felt:
+        made = [_touches(T2D2, DiffusionParams(steps=8, seed=s), [f], target)[0][0].membrane for s in range(_SEEDS)]
+        stack = np.stack([m.indentation_mm for m in made])
+        spread.append(stack.std(0, ddof=1).ravel())
+        off.append(np.abs(stack.mean(0) - f.truth_mm).ravel())
+        told.append(made[0].spread_mm.ravel())
+    spread, off, told = map(np.concatenate, (spread, off, told))
+    said = []
+    for name, guess in (("spread over seeds", spread), ("said spread", told)):
+        order = np.array_split(np.argsort(guess), 5)
+        fifths = ", ".join(f"{guess[o].mean():.2g}/{off[o].mean():.2g}" for o in order)
+        said.append(f"{name} against error by fifths {fifths} mm")
+    return "; ".join(said)
+
+
+def _all_felt(source: str, target: str, group: str, grasps: int) -> list[_Felt]:
+    return [f for k, name in enumerate(shapes.names(group) * grasps) if (f := _felt(source, target, name, k))]
+
+
+def _felt(source_name: str, target_name: str, name: str, k: int) -> _Felt | None:
+    thing = shapes.shape(name).mesh
+    pose = poses.single(thing, np.random.default_rng([13, k]))
+    described, target = _described(source_name), _described(target_name)
+    unit = varied(described, 900 + k)
+    reading = press(thing, pose, unit, seed=2 * k)
+    if not reading.truth.contact.any():
+        return None
+    own = press(thing, pose, target, seed=None)
+    if unit.kind == "gel":
+        reference = optics.untouched(unit)
+    else:
+        reference = bubble_camera.reading(unit, unit.rest_depth_mm, 2 * k + 1)
+    frame = TactileFrame(sensor=source_name, image=reading.image, reference=reference)
+    cloud = adapt(_read(frame, described), alignment.between(described, target), AdaptParams())
+    view = project(cloud, target, ProjectParams())
+    if not own.truth.contact.any() or not view.contact.any():
+        return None
+    truth = own.truth
+    return _Felt(
+        view=view, truth_mm=truth.indentation_mm, contact=truth.contact, image=own.image, known=view.known
+    )  # fmt: skip
+
+
+def _read(frame: TactileFrame, source):
+    """The depth of a frame, by the method that is meant for its kind of sensor."""
+    method = next(m for m in DEPTH.methods if m.name == DEPTH.by_kind.get(source.kind, "physics"))
+    extra = () if method.weights is None else (method.weights(source, source, None),)
+    found = method.run(frame, source, None, *extra, method.params(), SILENT)
+    found = found.answer if isinstance(found, Instead) else found
+    return found.output if isinstance(found, Skipped) else found
+
+
+def _described(name: str):
+    spec = sensor(name)
+    if spec.kind != "bubble":
+        return spec
+    nearer = rigid.translation(0.0, 0.0, datasets.BUBBLE_DEEPER_MM) @ spec.alignment_from_sensor
+    return replace(spec, alignment_from_sensor=nearer)
+
+
+def _touches(method, params, felt, target):
+    """(touches, time), or (None, why) where there are no weights."""
+    extra = () if method.weights is None else (method.weights(target, target, None),)
+    made, taken = [], []
+    for f in felt:
+        started = time.perf_counter()
+        touch = method.run(f.view, target, *extra, params, SILENT)
+        taken.append(1e3 * (time.perf_counter() - started))
+        if isinstance(touch, Instead):
+            return None, touch.why
+        made.append(touch.output if isinstance(touch, Skipped) else touch)
+    return made, timing(taken)
+
+
+def _errors(made, felt) -> tuple[float, ...]:
+    found = []
+    for touch, f in zip(made, felt, strict=True):
+        off = np.abs(touch.membrane.indentation_mm - f.truth_mm)
+        regions = (f.contact, np.ones_like(f.contact), f.known, ~f.known)
+        found.append([off[r].mean() if r.any() else np.nan for r in regions])
+    return tuple(np.nanmean(found, axis=0)) if np.isfinite(found).any() else (np.nan,) * 4
+
+
+def _said(made, felt, target) -> str:
+    overlap = np.mean([iou(m.membrane.contact, f.contact) for m, f in zip(made, felt, strict=True)])
+    pairs = [(np.asarray(m.image, float), np.asarray(f.image, float)) for m, f in zip(made, felt, strict=True)]
+    span = _range(target)
+    noise = np.mean([min(100.0, 10 * np.log10(span**2 / max(((a - b) ** 2).mean(), 1e-12))) for a, b in pairs])
+    alike = np.mean([similarity(m.image, f.image, _range(target)) for m, f in zip(made, felt, strict=True)])
+    return f"IoU {overlap:.3f}, PSNR {noise:.2f} dB, SSIM {alike:.4f}"
+
+
+def _range(target) -> float:
+    return 255.0 if target.kind == "gel" else target.limits.indentation_max_mm
+
+
+if __name__ == "__main__":
+    show(answer(*sys.argv[1:]))
