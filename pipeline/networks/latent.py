@@ -41,6 +41,10 @@ class LatentDiffusion(nn.Module):
     spread of 0 leaves that out.
     """
 
+    model: nn.ModuleDict
+    scale_factor: Tensor
+    left: Tensor
+
     def __init__(
         self, *, side: int = 256, width: int = 192, times: str = "1 2 2 4 4", blocks: int = 2,
         attention: str = "1 2 4 8", heads: int = 8, groups: int = 32, first_width: int = 128,
