@@ -37,7 +37,7 @@ def _felt(poses, n, felt, felt_normals, grid, limit, out):
 def _unfelt(poses, n, model, view, limit, out, pixel):
     """Mean squared length, at most limit^2, by which points should have been felt but were not; and their pixels."""
     points, normals = model
-    fx, fy, cx, cy, free, beside, membrane, off_contact = view
+    fx, fy, cx, cy, noise, free, beside, membrane, off_contact = view
     rows, cols = membrane.shape
     r00, r01, r02, t0 = poses[n, 0, 0], poses[n, 0, 1], poses[n, 0, 2], poses[n, 0, 3]
     r10, r11, r12, t1 = poses[n, 1, 0], poses[n, 1, 1], poses[n, 1, 2], poses[n, 1, 3]
@@ -58,7 +58,7 @@ def _unfelt(poses, n, model, view, limit, out, pixel):
             continue
         i, j = int(row), int(col)
         reach = membrane[i, j] - pz
-        if reach > 0.0:  # not where the membrane has no reading: nothing is known there
+        if reach > noise:  # not where the membrane has no reading: nothing is known there
             wrong = min(max(reach - free, off_contact[i, j] - beside, 0.0), limit)
             out[k], pixel[k] = wrong * wrong, i * cols + j
             total += out[k]
@@ -69,8 +69,9 @@ def _unfelt(poses, n, model, view, limit, out, pixel):
 def unexplained(poses, felt, felt_normals, grid, model, view, limit, means, last):
     """`means` (n, 2) squares of each pose (n, 4, 4): of the felt points, and of the object's; `last`: one by one.
 
-    `model` is points and normals; `view` the camera, how far before the membrane and beside the contact an object may
-    be, the membrane and how far off the contact each pixel is; `last` squares of the felt points, the object's, pixels.
+    `model` is points and normals; `view` the camera, how far noise may put the membrane behind an object, how far an
+    object may be before it and beside the contact, the membrane, and how far off the contact each pixel is; `last`
+    squares of the felt points, the object's, pixels.
     """
     of_felt, of_points, pixel = last
     for n in range(poses.shape[0]):

@@ -41,6 +41,7 @@ _PER_GROUP, _N_REGISTERED, _N_POLISHED, _N_DENSE = 2, 96, 6, 2
 _QUICK_POINTS, _QUICK_ITERATIONS, _QUICK_SETTLED_MM = 100, 10, 0.02
 _POLISHED_SHARE = 4.0  # the last registration searches this many times nearer
 _OUTLINE_REACH_MM = 4.0  # object this far beyond the contact may stick out beside it
+_OF_SPREAD = 1.16  # standard error of a spread that the median tells, times the root of how many points
 _SAME_SURFACE = 0.5  # cosine of felt and modelled normal from which on both show one surface
 _FEWEST = 20  # points that observability rests on
 LASTING_MM = 0.0006  # of all depths together: between nodes 0.1 mm apart a sphere of 5 mm radius sags by half of it
@@ -98,10 +99,23 @@ class Search:
             asked[tried[k].group] = asked.get(tried[k].group, 0) + 1
             if asked[tried[k].group] <= _PER_GROUP:
                 chosen.append(int(k))
-        chosen = chosen[:_N_REGISTERED]
+        return self._distinct(self._roughly(poses[chosen[:_N_REGISTERED]]))
+
+    def followed(self, starts: Sequence[Doubles]) -> list[Minimum]:
+        """The minima that poses of the touch before lead to, best first; none where not even the best one fits.
+
+        From within the whole search distance or, where that leads astray, from near by.
+        """
+        for tried in (list(self._roughly(np.array(starts))), starts):
+            found = self.best(tried)
+            if found and self.explains(found[0]) and found[0].misfit_mm <= self.limit_mm:
+                return found
+        return []
+
+    def _roughly(self, poses: Doubles) -> Doubles:
+        """Where poses (n, 4, 4) lead within the whole search distance, by a few of the points."""
         quick = How(max_distance_mm=self.max_distance_mm, n_iterations=_QUICK_ITERATIONS, settled_mm=_QUICK_SETTLED_MM)
-        ended = registered(self.points.thinned(_QUICK_POINTS), self.object.grid, poses[chosen], quick)
-        return self._distinct(ended)
+        return registered(self.points.thinned(_QUICK_POINTS), self.object.grid, poses, quick)
 
     def _distinct(self, poses: Doubles) -> list[Doubles]:
         misfits_mm = self._middle().misfit_mm(poses)
@@ -164,6 +178,12 @@ class Search:
             tried = [first @ a @ b for a in joined for b in joined]
         return equal
 
+    def between_mm(self, a: Doubles, b: Doubles) -> float:
+        """How far two poses are from each other at the contact: turned about its middle, and shifted there."""
+        relative = b @ rigid.invert(a)
+        shift_mm = np.linalg.norm(rigid.apply(relative, self.middle_mm) - self.middle_mm)
+        return math.radians(rigid.angle_deg(relative)) * self.points.radius_mm + float(shift_mm)
+
     def differ(self, a: Doubles, b: Doubles, free: Doubles) -> bool:
         """Whether two poses differ by more than the motions (k, 6) of (rotation rad, translation mm) at the middle."""
         turning_mm, sliding_mm = (np.linalg.norm(free[:, k : k + 3], axis=1) for k in (0, 3))
@@ -206,10 +226,10 @@ class Search:
         found: list[Minimum] = []
         for k, start in enumerate(starts):
             progress.step(k / len(starts), f"refining {k + 1} of {len(starts)}")
-            minimum = self.polished(start, dense=len(starts) <= _N_DENSE)
+            minimum = self.polished(start)
             found += [] if minimum is None else [minimum]
         found.sort(key=lambda m: m.misfit_mm)
-        for k, minimum in enumerate(found[: _N_DENSE if len(starts) > _N_DENSE else 0]):
+        for k, minimum in enumerate(found[:_N_DENSE]):
             again = self.polished(minimum.fit.sensor_from_object, dense=True)
             if again is not None:
                 found[k] = again
@@ -238,7 +258,8 @@ class Search:
             felt[:] = True
         error = self.scene.error
         noise_mm = min(self.scene.noise_mm, spread_mm)
-        shape_mm = max(math.sqrt(spread_mm**2 - noise_mm**2), error.rms_mm)
+        told_mm = max(spread_mm * (1.0 - _OF_SPREAD / math.sqrt(len(points))), noise_mm)
+        shape_mm = max(math.sqrt(told_mm**2 - noise_mm**2), error.rms_mm)
         area_mm2 = self.scene.area_mm2 * float(felt.mean())
         n_places = effective_count(int(felt.sum()), area_mm2, error.correlation_mm)
         return observability(

@@ -34,7 +34,6 @@ NO_MESH = "no object mesh was given; a pose needs one"
 _MIN_POINTS = 20  # six unknowns, three times over
 _MIN_FITNESS = 0.05  # share of the contact on the object below which there is no pose to speak of
 _LARGEST = 100.0  # times the contact's size: a larger object's surface would be one plane
-_FOLLOWED_FITNESS, _FOLLOWED_MM = 0.8, 0.15  # a pose followed from the last touch fits at least this well
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,19 +60,7 @@ def pose(felt: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progre
     Raises MeshProblem when the mesh has no surface, SettingProblem for an unknown face.
     """
     begun = _begun(felt, mesh, params, progress)
-    if isinstance(begun, ObjectPose):
-        return begun
-    search, checked = begun
-    progress.step(0.2, "comparing first guesses")
-    tried = starts(search.scene, search.object.model, params.face, params.n_starts)
-    progress.step(0.21, "registering the most promising")
-    found = search.best(search.promising(tried), Share(progress, 0.3, 0.4))
-    if not (found and search.explains(found[0])):
-        progress.step(0.7, "comparing first guesses on edges and corners")
-        further = edge_starts(search.scene, search.object.model, params.face, params.n_starts)
-        more = search.best(search.promising(further), Share(progress, 0.75, 0.25))
-        tried, found = [*tried, *further], sorted([*found, *more], key=lambda m: m.misfit_mm)
-    return _told(search, checked, found, len(tried), ())
+    return begun if isinstance(begun, ObjectPose) else _searched(*begun, params, progress, None)
 
 
 def pose_from(
@@ -88,19 +75,18 @@ def pose_from(
     """`pose` of the next touch of a sequence: followed from the `previous` sensor_from_object (4, 4) where that fits.
 
     `others` are the poses that fitted the last touch as well (`ObjectPose.alternatives`): they are followed too, so
-    that a touch that tells them apart does. Where the contact does not lie on the object within 0.15 mm, everything
-    is searched anew. Raises what `pose` does, CalibrationError when `previous` is no
-    rigid transform.
+    that a touch that tells them apart does. Where that leaves more than the depth's error explains, everything is
+    searched anew. Of poses that fit equally well, the one nearest to `previous` is answered. Raises what `pose` does,
+    CalibrationError when `previous` is no rigid transform.
     """
     begun = _begun(felt, mesh, params, progress)
     if isinstance(begun, ObjectPose):
         return begun
     search, checked = begun
-    found = search.best([rigid.checked(start, "the previous pose") for start in (previous, *others)])
-    best = found[0] if found else None
-    if best is not None and best.fit.fitness >= _FOLLOWED_FITNESS and best.misfit_mm <= _FOLLOWED_MM:
-        return _told(search, checked, found, 0, ("followed from the touch before",))
-    return pose(felt, mesh, params, progress)
+    found = search.followed([rigid.checked(start, "the previous pose") for start in (previous, *others)])
+    if found:
+        return _told(search, checked, found, 0, ("followed from the touch before",), previous)
+    return _searched(search, checked, params, progress, previous)
 
 
 def posed(
@@ -184,11 +170,34 @@ def _check(params: PoseParams) -> None:
         raise SettingProblem(f"pose.face must be one of auto, {', '.join(FACES)}, got {params.face!r}")
 
 
-def _told(search: Search, mesh: Mesh, found: list[Minimum], n_tried: int, notes: tuple[str, ...]) -> ObjectPose:
-    """The best of the minima, the others that fit as well, and what is not known."""
+def _searched(
+    search: Search, mesh: Mesh, params: PoseParams, progress: Progress, near: Doubles | None
+) -> ObjectPose:  # fmt: skip
+    """The answer from all first guesses."""
+    progress.step(0.2, "comparing first guesses")
+    tried = starts(search.scene, search.object.model, params.face, params.n_starts)
+    progress.step(0.21, "registering the most promising")
+    found = search.best(search.promising(tried), Share(progress, 0.3, 0.4))
+    if not (found and search.explains(found[0])):
+        progress.step(0.7, "comparing first guesses on edges and corners")
+        further = edge_starts(search.scene, search.object.model, params.face, params.n_starts)
+        more = search.best(search.promising(further), Share(progress, 0.75, 0.25))
+        tried, found = [*tried, *further], sorted([*found, *more], key=lambda m: m.misfit_mm)
+    return _told(search, mesh, found, len(tried), (), near)
+
+
+def _told(
+    search: Search, mesh: Mesh, found: list[Minimum], n_tried: int, notes: tuple[str, ...], near: Doubles | None
+) -> ObjectPose:
+    """The best of the minima, the others that fit as well, and what is not known; of equals, the one `near` a pose."""
     best = answered(search, found)
     if best is None or best.minimum.fit.fitness < _MIN_FITNESS:
         return _unknown(_not_laid(mesh), search.scene)
+    if near is not None and best.alternatives:
+        equal = (best.minimum.fit.sensor_from_object, *best.alternatives)
+        nearest = min(equal, key=lambda pose: search.between_mm(near, pose))
+        other = None if nearest is equal[0] else search.polished(nearest, dense=True)
+        best = (answered(search, [other, *found]) if other is not None else None) or best
     return _pose_of(search, best, n_tried, notes)
 
 

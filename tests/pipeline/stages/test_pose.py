@@ -8,6 +8,9 @@ from pipeline.base.progress import Cancelled
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.registration.observability import observability
+from pipeline.registration.prepared import prepared
+from pipeline.registration.ranking import judge
+from pipeline.registration.scene import felt_surface
 from pipeline.stages.pose.stage import PoseParams, icp, planar, pose, pose_from, posed, without_contact
 from tests.pipeline.registration.solids import (
     CAMERA,
@@ -221,6 +224,49 @@ def test_the_next_touch_is_followed_and_a_far_one_is_searched():
         assert deg < TURN_TOLERANCE_DEG
         assert ("followed from the touch before" in found.notes) == is_followed
         assert (found.starts_tried == 0) == is_followed
+
+
+def noisy(touch):
+    """With noise on the whole membrane, touched or not."""
+    noise = NOISE_MM * np.random.default_rng(3).standard_normal(touch.depth_mm.shape)
+    return touch_of(touch.depth_mm + noise, touch.contact)
+
+
+@pytest.mark.parametrize(
+    ("solid", "place"), [(l_bar(), (1.0, -0.5, 0.6, 4.0, 20.0)), (notched_wedge(), (0.3, 0.2, 0.8, 2.0, 30.0))]
+)
+@pytest.mark.parametrize(
+    ("shift_mm", "turn_deg"), [((1.5, -1.0, 0.3), (0.0, 0.0, 15.0)), ((-1.5, 1.0, 0.5), (3.0, 3.0, -15.0)), ((1.0, 1.5, 0.3), (4.0, -4.0, 18.0))]
+)  # fmt: skip
+def test_a_touch_farther_on_is_found_to_the_end_and_not_turned_over(solid, place, shift_mm, turn_deg):
+    truth = lying(*place, tilt_deg=(1.5, -2.0))
+    touch = noisy(felt(solid, truth))
+    middle = touch.camera.back_project(touch.depth_mm)[touch.contact].mean(axis=0)
+    turn = rigid.translation(*middle) @ rigid.rotation(np.deg2rad(turn_deg)) @ rigid.translation(*-middle)
+    found = pose_from(touch, solid.mesh, PoseParams(), rigid.translation(*shift_mm) @ turn @ truth)
+    mm, deg = error(found, truth)
+    assert mm < POSITION_TOLERANCE_MM
+    assert deg < TURN_TOLERANCE_DEG
+
+
+@pytest.mark.parametrize("angle_deg", [17.0, 197.0])
+def test_of_poses_that_fit_equally_well_the_one_nearest_to_the_touch_before_is_answered(angle_deg):
+    corners = [(-4, -2), (4, -2), (4, 2), (-4, 2)]
+    box = extruded(corners, [corners], 0.0, 6.0)
+    touch = felt(box, lying(1.3, -0.9, 0.5, 6.0, 17.0))
+    before = rigid.translation(30.0, 0.0, 0.0) @ lying(1.3, -0.9, 0.5, 6.0, angle_deg)  # too far off to be followed
+    found = pose_from(touch, box.mesh, PoseParams(face="+z"), before)
+    assert found.starts_tried > 0
+    assert len(found.alternatives) == 1
+    assert rigid.angle_deg(found.sensor_from_object @ rigid.invert(before)) < TURN_TOLERANCE_DEG
+
+
+def test_a_face_that_only_nears_the_membrane_beside_its_contact_is_not_unfelt():
+    truth = lying(0.0, 0.0, 0.3, 5.0, 10.0, tilt_deg=(0.0, 2.0))
+    scene = felt_surface(noisy(felt(slab(), truth)), 1500, 0)
+    plate = prepared(slab().mesh, 0)
+    by = judge(scene, plate.grid, plate.model, 750, 15_000, 2.0)
+    assert by.misfit_mm([truth])[0] < 1.2 * NOISE_MM
 
 
 def test_the_stage_follows_a_touch_that_had_a_pose_and_searches_after_one_that_had_none():
