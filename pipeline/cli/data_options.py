@@ -19,6 +19,7 @@ def simulate(
     bubble_deeper_mm: float = 9.0,
     drag_mm: float = 0.0,
     jobs: int = 2,
+    scheduler: str = "",
     mesh_unit: Literal["auto", "mm", "cm", "m"] = "auto",
     mesh_face: Literal["-x", "+x", "-y", "+y", "-z", "+z"] = "-z",
 ) -> int:
@@ -51,6 +52,8 @@ def simulate(
         How far each object has gone along the gels since it touched them, at a friction of 0.8: markers move with it.
     jobs
         Processes that work at once.
+    scheduler
+        Address of a Dask scheduler whose workers press in their place, such as `tcp://host:8786`.
     mesh_unit
         Unit of a mesh file.
     mesh_face
@@ -64,7 +67,7 @@ def simulate(
         bubble_deeper_mm=bubble_deeper_mm, drag_mm=drag_mm,
         mesh_unit=mesh_unit, mesh_face=mesh_face,
     )  # fmt: skip
-    return simulate_recordings(_words(tools), like, out, jobs)
+    return simulate_recordings(_words(tools), like, out, jobs, scheduler)
 
 
 def balls(

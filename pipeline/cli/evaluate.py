@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table as Shown
 
+from pipeline.base.elsewhere import workers_of
 from pipeline.base.files import ready, ready_for, write_json
 from pipeline.base.progress import Progress, Share
 from pipeline.cli.stopping import Stoppable, stoppable
@@ -38,19 +40,21 @@ class _Watched:
         self._bar.step(fraction, text)
 
 
-def evaluate(wanted: Wanted, json: Path | None, sweep: Sequence[str], plots: Path | None) -> int:
-    """Score, print and write; returns the exit code."""
+def evaluate(wanted: Wanted, json: Path | None, sweep: Sequence[str], plots: Path | None, scheduler: str) -> int:
+    """Score, here or on a scheduler's workers, print and write; returns the exit code."""
     if json is not None:
         ready_for(json)
     if plots is not None:
         ready(plots)
     about = machine()
     points: list[Point] = []
-    with stoppable() as work, shown_bar() as bar:
+    with ExitStack() as open_now:
+        work, bar = open_now.enter_context(stoppable()), open_now.enter_context(shown_bar())
+        elsewhere = open_now.enter_context(workers_of(scheduler)).map if scheduler else None
         watched: Progress = _Watched(Bar(bar), work)
-        table = evaluated(wanted, Share(watched, 0.0, 0.5 if sweep else 1.0))
+        table = evaluated(wanted, Share(watched, 0.0, 0.5 if sweep else 1.0), elsewhere)
         if sweep:
-            points = swept(wanted, sweep, Share(watched, 0.5, 0.5))
+            points = swept(wanted, sweep, Share(watched, 0.5, 0.5), elsewhere)
     _show(table)
     if sweep:
         _show_sweep(points)

@@ -22,6 +22,7 @@ def evaluate(
     sweep: str = "",
     plots: Path | None = None,
     folder: Path | None = None,
+    scheduler: str = "",
 ) -> int:
     """Score every way to a touch as the paper's two tables do, its figures beside ours.
 
@@ -55,6 +56,8 @@ def evaluate(
         Folder for a picture of each direction's sweep.
     folder
         Where the simulated touches are kept; the user's cache if not given.
+    scheduler
+        Address of a Dask scheduler whose workers score the recordings, such as `tcp://host:8786`.
     """
     from pipeline.cli.evaluate import evaluate as score
     from pipeline.scoring.evaluation import POSES, Wanted, direction
@@ -71,7 +74,7 @@ def evaluate(
         directions=tuple(direction(text) for text in directions) or DIRECTIONS, contenders=only, methods=chosen,
         settings=settings, poses=judges,
     )  # fmt: skip
-    return score(wanted, json, _words(sweep), plots)
+    return score(wanted, json, _words(sweep), plots, scheduler)
 
 
 def _words(listed: str) -> tuple[str, ...]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
+from pipeline.base.elsewhere import workers_of
 from pipeline.base.errors import FileProblem
 from pipeline.base.progress import Cancelled
 from pipeline.cli.stopping import asking
@@ -36,7 +37,7 @@ class _Bar:
             raise Cancelled
 
 
-def simulate_recordings(tools: tuple[str, ...], like: Plan, out: Path, jobs: int) -> int:
+def simulate_recordings(tools: tuple[str, ...], like: Plan, out: Path, jobs: int, scheduler: str = "") -> int:
     """Simulate and write what is missing at `out`; Ctrl-C and SIGTERM end in KeyboardInterrupt, all finished kept."""
     plans = datasets.plans(tools, like)
     files = [recorder.file_of(plan, out, len(plans)) for plan in plans]
@@ -45,12 +46,17 @@ def simulate_recordings(tools: tuple[str, ...], like: Plan, out: Path, jobs: int
     if sum(had) == total:
         raise FileProblem("all of this is simulated already and is kept; choose another --out or --seed", out)
     left = total - sum(had)
-    pool = recorder.workers(jobs)  # checks the number; starts no process before there is work
     unsolved = 0
-    with pool, _bar(total, sum(had)) as bar:
+    with ExitStack() as open_now:
+        local = open_now.enter_context(
+            recorder.workers(jobs)
+        )  # checks the number; starts no process before there is work
+        pool = open_now.enter_context(workers_of(scheduler)).pool if scheduler else local
+        bar = open_now.enter_context(_bar(total, sum(had)))
         try:
             for plan, path in zip(plans, files, strict=True):
-                shared = pool if jobs > 1 and left >= recorder.WORTH_A_POOL else None
+                worth_it = jobs > 1 and left >= recorder.WORTH_A_POOL
+                shared = pool if scheduler or worth_it else None
                 unsolved += recorder.record(plan, path, pool=shared, progress=bar).n_unsolved
         except Cancelled:
             raise KeyboardInterrupt from None

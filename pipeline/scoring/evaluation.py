@@ -19,7 +19,7 @@ from pipeline.scoring.table import Row, rows
 from pipeline.sensors.spec import SensorSpec, sensor
 from pipeline.translation.catalogue import BUILT_IN
 
-Map = Callable[[Callable[..., Any], Sequence[Job]], Sequence[list[Scored]]]
+Map = Callable[[Callable[..., Any], Sequence[Job], Progress], Sequence[list[Scored]]]
 USUAL_GRASPS = 3  # of each training object: what the mean touch is taken of
 POSES = tuple(m.name for m in BUILT_IN.slot("pose").methods if m.name in ("signed_distances", "network"))
 
@@ -70,7 +70,7 @@ def evaluated(wanted: Wanted, progress: Progress = SILENT, work: Map | None = No
             )
             for one in pressed
         ]  # fmt: skip
-        made = _here(jobs, part) if work is None else work(scored, jobs)
+        made = _here(jobs, part) if work is None else work(scored, jobs, part)
         found += rows(wanted.split, source, target, entrants.contenders, [one for those in made for one in those])
     return Table(
         split=wanted.split, rows=tuple(_without_doubles(found)), notes=(*_about(wanted), *dict.fromkeys(notes))

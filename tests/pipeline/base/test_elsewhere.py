@@ -1,0 +1,105 @@
+"""Work on other machines, tried on a cluster of two processes of which one is killed midway."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+import warnings
+from pathlib import Path
+
+import pytest
+
+from pipeline.base.elsewhere import workers_of
+from pipeline.base.errors import SettingProblem
+from pipeline.cli.main import EXIT_USER_ERROR, build, run
+from pipeline.recordings import hdf5
+from pipeline.simulation import shapes
+
+distributed = pytest.importorskip("distributed", reason="Dask is not installed")
+ONE = shapes.names("training")[0]
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """Two workers, each a process of its own."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        made = distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1",
+            env={"PYTHONPATH": os.pathsep.join(p for p in sys.path if p), "OMP_NUM_THREADS": "1"},
+        )  # fmt: skip
+        yield made
+        made.close()
+
+
+def noted(piece):
+    """The square of a number, told in a file each time that it is worked out to the end."""
+    number, folder = piece
+    time.sleep(0.3)
+    with Path(folder, f"{number}_{os.getpid()}_{time.monotonic_ns()}").open("x"):
+        pass
+    return number * number
+
+
+def pids(cluster):
+    return [worker.pid for worker in cluster.workers.values()]
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_killed_worker_loses_nothing_and_what_is_here_is_not_done_again(cluster, tmp_path):
+    class KillsOne:
+        """Kills a worker once a quarter is done."""
+
+        killed = False
+
+        def step(self, fraction, text):
+            if fraction >= 0.25 and not self.killed:
+                self.killed, self.here = True, round(12 * fraction)
+                os.kill(pids(cluster)[0], signal.SIGKILL)
+                self.done = len(list(tmp_path.iterdir()))
+
+    watching = KillsOne()
+    with workers_of(cluster.scheduler_address) as elsewhere:
+        found = elsewhere.map(noted, [(n, str(tmp_path)) for n in range(12)], watching)
+    assert watching.killed
+    assert found == [n * n for n in range(12)]
+    done = [name.name.split("_")[0] for name in tmp_path.iterdir()]
+    assert set(done) == {str(n) for n in range(12)}
+    # Done again is at most what the killed worker had finished, or was about to, and had not handed over.
+    assert len(done) - 12 <= watching.done - watching.here + 1
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_recording_made_elsewhere_has_the_same_bytes(cluster, tmp_path):
+    paths = tmp_path / "here.h5", tmp_path / "there.h5"
+    common = ["simulate", "--sensors", "digit", "--tools", ONE, "--poses", "3", "--jobs", "1"]
+    assert run(build(), [*common, "--out", str(paths[0])]) == 0
+    assert run(build(), [*common, "--out", str(paths[1]), "--scheduler", cluster.scheduler_address]) == 0
+    here, there = (hdf5.read(path) for path in paths)
+    for index in range(3):
+        a, b = (file.stream("digit").frame(index) for file in (here, there))
+        assert a.image.tobytes() == b.image.tobytes()
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+def test_an_address_without_a_scheduler_is_one_sentence(capsys, monkeypatch):
+    monkeypatch.setattr("pipeline.base.elsewhere.CONNECT_S", 0.3)
+    with pytest.raises(SettingProblem, match="no scheduler answers"), workers_of("tcp://127.0.0.1:1"):
+        pass
+    tokens = [
+        "simulate",
+        "--sensors",
+        "digit",
+        "--tools",
+        ONE,
+        "--poses",
+        "1",
+        "--out",
+        "x.h5",
+        "--scheduler",
+        "nonsense://",
+    ]
+    assert run(build(), tokens) == EXIT_USER_ERROR
+    assert "no scheduler answers" in capsys.readouterr().err
