@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.networks.samplers import sample, sigmas
+from pipeline.stages.generate.diffusion import LOG_SPREAD, taken
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -25,7 +26,6 @@ MOST, LEAST = 200.0, 0.02  # of the noise, in units; as the networks are built
 _AT_MOST = 0.65  # share of examples under the strongest noise, of which a network is shown nothing
 _DROPPED = 0.1  # share without a condition
 _HUBER = 0.25  # units
-_LOG_SPREAD = (-5.0, 2.5)
 _FEW = 6  # steps of the sample among the figures
 
 
@@ -49,7 +49,7 @@ def loss(network: nn.Module, batch: Mapping[str, Tensor], near: float) -> tuple[
         functional.huber_loss(off, torch.zeros_like(off), delta=_HUBER, reduction="none") * weight * fine
     ).mean()
     contact = (wrong**2 * fine).mean()
-    log = said[:, 2].clamp(*_LOG_SPREAD)
+    log = said[:, 2].clamp(*LOG_SPREAD)
     spread = (off.detach().abs() * torch.exp(-log) + log).mean()
     parts = {"residual": residual, "contact": contact, "spread": spread}
     total = residual / _HUBER + 0.5 * contact + 0.05 * spread
@@ -74,7 +74,7 @@ def figures(network: nn.Module, held_out: Sequence[Example], unit_mm: float) -> 
         with torch.inference_mode():
             first = network(noise * MOST, torch.full((1,), MOST), condition)[0].numpy()
             drawn = sample(denoise, noise, sigmas(_FEW, most=MOST, least=LEAST)).clean[0].numpy()
-        held = held_back(first[0], np.exp(np.clip(first[2], *_LOG_SPREAD)))
+        held = first[0] * taken(first[0], np.exp(np.clip(first[2], *LOG_SPREAD)), 1.0)
         mm, touched = unit_mm * example["residual"][0], example["contact"][0] > 0
         base, right = example["contact"][1], example["contact"][0]
         found = ((first[0], first[1]), (drawn[0], drawn[1]), (held, first[1]), (0.0 * first[0], 0.0 * first[1]))
@@ -87,9 +87,3 @@ def figures(network: nn.Module, held_out: Sequence[Example], unit_mm: float) -> 
     names = [f"{who}{what}" for who in ("", "sample ", "held back ", "physics ")
              for what in ("in contact, mm", "over all, mm", "contact, IoU")]  # fmt: skip
     return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
-
-
-def held_back(residual: Any, spread: Any) -> Any:
-    """The residual made smaller where it is expected to be off by as much as it is large: r * r^2 / (r^2 + s^2)."""
-    square = residual * residual
-    return residual * (square / (square + spread * spread + 1e-12))

@@ -21,7 +21,7 @@ from pipeline.networks.samplers import MOST_STEPS, Solver, sample, sigmas
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
-_LOG_SPREAD = -5.0, 2.5  # of the expected error, in the network's unit
+LOG_SPREAD = -5.0, 2.5  # of the expected error, in the network's unit
 _DRAFTED = 4  # steps
 _MOST_KEPT = 50  # states: a thousand of them would fill the memory
 
@@ -109,8 +109,8 @@ def sampled(network: nn.Module, condition: Floats, params: DiffusionParams, prog
         if not first:  # never asked with its condition: guidance 0
             first.append(net(noise * net.most, torch.full((1,), net.most), shown))
     middle = net.unit_mm * first[0][0].numpy()
-    spread = net.unit_mm * np.exp(np.clip(first[0][0, 2].numpy(), *_LOG_SPREAD))
-    share = _share(middle[0], spread, params.caution)
+    spread = net.unit_mm * np.exp(np.clip(first[0][0, 2].numpy(), *LOG_SPREAD))
+    share = taken(middle[0], spread, params.caution)
 
     def state(sigma: float, clean: Tensor) -> State:
         field = clean[0].numpy()
@@ -124,10 +124,8 @@ def sampled(network: nn.Module, condition: Floats, params: DiffusionParams, prog
     )  # fmt: skip
 
 
-def _share(middle_mm: Floats, spread_mm: Floats, caution: float) -> Floats | np.float32:
-    """What is taken of a correction: less where the middle of all samples is as small as its error."""
-    if caution == 0.0:
-        return np.float32(1.0)
+def taken(middle_mm: Floats, spread_mm: Floats, caution: float) -> Floats:
+    """The share 0..1 of a correction that is taken: less where the middle of all samples is as small as its error."""
     square = middle_mm**2
     sure = square / (square + spread_mm**2 + np.float32(1e-12))
     return (1.0 - caution * (1.0 - sure)).astype(np.float32)

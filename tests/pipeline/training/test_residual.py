@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.networks.building import build
 from pipeline.stages.generate.residual_input import VIEW_CHANNELS
-from pipeline.training import denoising, own_touches, touch_pairs
+from pipeline.training import own_touches, touch_pairs
 from pipeline.training.own_touches import own_touch
 from pipeline.training.recipe import load, shipped
 from pipeline.training.residual import UNITS_MM, ResidualOfView
@@ -93,12 +93,6 @@ def test_a_network_comes_nearer_to_a_touch_and_the_figures_begin_with_physics(ta
         losses.append(float(loss.detach()))
     assert np.mean(losses[-5:]) < 0.8 * np.mean(losses[:5])
     assert set(parts) == {"residual", "contact", "spread"}
-
-
-def test_held_back_is_less_where_the_error_is_as_large():
-    assert denoising.held_back(np.float64(2.0), 0.0) == pytest.approx(2.0)
-    assert denoising.held_back(np.float64(2.0), 2.0) == pytest.approx(1.0)
-    assert abs(denoising.held_back(np.float64(-0.1), 2.0)) < 0.001
 
 
 @pytest.mark.parametrize(("target", "channels"), [("soft_bubble", 13), ("gelslim", 3)])
