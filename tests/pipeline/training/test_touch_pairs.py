@@ -125,9 +125,36 @@ def test_a_pose_network_learns_where_things_are(sensor, folder):
     assert net.features(batch["square"]).shape == (8, 32)
 
 
-@pytest.mark.parametrize("name", ["vqvae", "vqvae_gel", "pose", "pose_gel"])
+@pytest.mark.parametrize("name", ["vqvae", "vqvae_gel", "pose", "pose_gel", "latent"])
 def test_the_recipes_that_come_along_build_their_networks(name):
     made = recipe.load(name)
     arguments = {key: value for key, value in made.network.items() if key != "kind"}
     net = build(str(made.network["kind"]), arguments)
     assert sum(p.numel() for p in net.parameters()) * 2 < 16 * 2**20
+
+
+def test_a_latent_diffusion_learns_a_touch_by_heart(folder):
+    from pipeline.training.latent import LatentTask
+
+    task = LatentTask(presses=1, folder=folder, side=32)
+    examples = [task.sample(np.random.default_rng(k)) for k in range(2)]
+    batch = tensors({name: np.stack([one[name] for one in examples]) for name in examples[0]}, "cpu")
+    assert batch["target"].shape == (2, 3, 32, 32)
+    assert float(batch["target"].abs().max()) <= 1.0
+    torch.manual_seed(0)
+    net = build("latent", {
+        "side": 32, "width": 8, "times": "1 2", "blocks": 1, "attention": "2", "heads": 2, "groups": 4,
+        "first_width": 8, "first_times": "1 1 2 2", "first_blocks": 1, "seen": 4,
+    }).train()  # fmt: skip
+    optimiser = torch.optim.Adam(net.parameters(), 3e-3)
+    losses = []
+    for _ in range(40):
+        loss, parts = task.loss(net, batch)
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        losses.append((float(parts["noise"]), float(parts["rebuilt"])))
+    assert losses[-1][0] < 0.9 * losses[0][0]
+    assert losses[-1][1] < 0.5 * losses[0][1]
+    figures = task.figures(net.eval(), [task.held_out("unseen_grasps", 0)])
+    assert set(figures) == {"rebuilt, mm", "noise"}
