@@ -9,7 +9,7 @@ TORCH_FOR_CPU := torch==$(shell sed -n 's/^torch==//p' constraints.txt)+cpu
 READY := $(VENV)/.ready
 SAMPLE := sample_data/recordings/first_touch.h5
 
-.PHONY: run test setup lint slow stability bench samples clean
+.PHONY: run test setup lint slow monkey tour stability bench samples clean
 
 run: $(READY)
 	@if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
@@ -44,6 +44,16 @@ lint: $(READY)
 
 slow: $(READY)
 	$(BIN)/python -m pytest -q -m slow
+
+# A seeded monkey over commands, controls and files for an hour; MONKEY_MINUTES says otherwise.
+MONKEY_MINUTES ?= 60
+monkey: $(READY)
+	MONKEY_MINUTES=$(MONKEY_MINUTES) $(BIN)/python -m pytest -q tests/app/frame/test_hands.py -k monkey \
+		--timeout 14400 -o faulthandler_timeout=0
+
+# The pictures of docs/tour.md, as the window is now.
+tour: $(READY)
+	xvfb-run -a -s "-screen 0 1600x950x24" $(BIN)/python docs/make_tour.py
 
 # Up to 10,000 cases a row, fewer where one is slow; the table with their numbers is left in out/stability.json.
 stability: $(READY)

@@ -86,6 +86,13 @@ class FramesModel(QAbstractTableModel):
         self._known, self._common = {}, None
         self.endResetModel()
 
+    def grow(self, n_frames: int) -> None:
+        """Add rows for frames that have come since."""
+        if n_frames > self._n_frames:
+            self.beginInsertRows(QModelIndex(), self._n_frames, n_frames - 1)
+            self._n_frames = n_frames
+            self.endInsertRows()
+
     def forget(self) -> None:
         """Empty every row: what was known was worked out otherwise than what follows."""
         if self._known:

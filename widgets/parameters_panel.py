@@ -73,7 +73,8 @@ class ParametersPanel(QScrollArea):
             self._controls[key][name] = control
             label = QLabel(f"{told.label}, {told.unit}" if told.unit and told.unit not in told.label else told.label)
             label.setWordWrap(True)
-            tip = f"{told.help or told.label} ({key.partition('/')[0]}.{name})"  # as the command line calls it
+            called = f"{key.partition('/')[0]}.{name}"  # by the command line
+            tip = f"{told.help or told.label} ({called}{_range(told)})"
             label.setToolTip(tip)
             control.widget.setToolTip(tip)
             for slider in control.widget.findChildren(QSlider):
@@ -150,6 +151,14 @@ class ParametersPanel(QScrollArea):
         if isinstance(value, float):
             return _number(value, told, edited)
         return _text(value, edited)
+
+
+def _range(told: Setting) -> str:
+    """The numbers that it may be, with their unit."""
+    unit = f" {told.unit}" if told.unit else ""
+    if math.isfinite(told.low) and math.isfinite(told.high):
+        return f", {told.low:g} to {told.high:g}{unit}"
+    return f", in{unit}" if unit else ""
 
 
 def _quiet(box: QWidget, put: Callable[[Any], object]) -> _Control:

@@ -59,6 +59,13 @@ FILE = (
     ),
     Command("save_session_as", "Save session as…", "Save the session under another name", key="Ctrl+Shift+S"),
     Command(
+        "live",
+        "Live…",
+        "Watch a sensor: simulated, plugged in, or a folder that grows",
+        icon="blink",
+        key="Ctrl+Shift+L",
+    ),
+    Command(
         "export",
         "Export…",
         "Write a pane or all of them as picture, points, arrays, table or video",
@@ -129,7 +136,10 @@ ARRANGE = (
     Command("layout_sweep", "Sweep", "Any two parameters against error and time", key="Ctrl+4", checkable=True),
     Command("layout_demo", "Demo", "Source, generated touch and truth, large", key="Ctrl+5", checkable=True),
 )  # fmt: skip
-HELP = (Command("keys", "Keys", "Show the keys", icon=_Std.SP_DialogHelpButton, key="F1"),)
+HELP = (
+    Command("palette", "Commands…", "Find any command by a few letters of its name", key="Ctrl+K"),
+    Command("keys", "Keys", "Show the keys", icon=_Std.SP_DialogHelpButton, key="F1"),
+)
 
 
 def stage_commands(titles: tuple[str, ...]) -> tuple[Command, ...]:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TypeVar, get_args
 
 from PyQt6.QtCore import Qt
-from PyQt6.QtGui import QAction
+from PyQt6.QtGui import QAction, QKeySequence
 from PyQt6.QtWidgets import QMessageBox, QStyle, QWidget
 
 from app.frame import dialogs
@@ -18,6 +18,7 @@ from app.frame.handing import Handing
 from app.frame.instrument import Instrument
 from app.frame.keeping import Keeping
 from app.frame.layouts import Layouts
+from app.frame.living import Living
 from app.frame.looking import Looking
 from app.frame.sweeping import Sweeping
 from app.frame.triage import Triage
@@ -27,6 +28,8 @@ from app.work.versus import Versus
 from pipeline.pictures.display import DisplayParams
 from pipeline.sensors.spec import names
 from pipeline.translation.catalogue import Catalogue
+from widgets.hands import Hands
+from widgets.palette import Palette
 
 T = TypeVar("T")
 
@@ -69,10 +72,12 @@ def connect(instrument: Instrument) -> Keeping:
     keeping = Keeping(instrument)
     Greeting(instrument, keeping)
     Handing(instrument, keeping)
+    Living(instrument, keeping)
     _connect_files(instrument, Aligning(instrument), keeping)
     _connect_play(instrument)
     _connect_view(instrument, Layouts(instrument))
     _connect_undo(instrument)
+    _connect_hands(window)
     return keeping
 
 
@@ -169,6 +174,14 @@ def _choose_column(instrument: Instrument, layouts: Layouts, name: str) -> None:
 def _choose_versus(instrument: Instrument, versus: Versus) -> None:
     """One of them at a time; a second time goes back to what was worked out."""
     instrument.show_versus("" if instrument.screen.versus == versus else versus)
+
+
+def _connect_hands(window: Window) -> None:
+    """Every command by its name, and controls that leave wheel and keys to the window."""
+    palette, command = Palette(window), window.actions_by_name["palette"]
+    command.setShortcuts([command.shortcut(), QKeySequence("Ctrl+Shift+P")])
+    window.on("palette", lambda: palette.ask([a for a in window.actions() if a is not command and a.text()]))
+    Hands(window)
 
 
 def _connect_undo(instrument: Instrument) -> None:

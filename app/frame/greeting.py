@@ -10,7 +10,7 @@ from app.main import SAMPLE
 from app.session.state import Session
 from widgets.welcome import Welcome
 
-_COMMANDS = ("open_sample", "open_recording", "open_folder")
+_COMMANDS = ("open_sample", "open_recording", "open_folder", "live")
 
 
 class Greeting(QObject):

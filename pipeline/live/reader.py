@@ -6,7 +6,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -54,6 +54,8 @@ class Reader:
         self._first = self._n_bytes = self._lost = 0
         self._arrived: deque[float] = deque()
         self._reference: Image | Floats | None = None
+        self._first_zero: Image | Floats | None = None
+        self._start_s = time.monotonic()
         self._state: State = "looking"
         self._problem = self._drift = ""
         self._number, self._began_s, self._checked_s = -1, 0.0, 0.0
@@ -94,8 +96,9 @@ class Reader:
         return self._reference is not None
 
     def frame(self, index: int) -> TactileFrame:
-        """A frame that is held; raises FileProblem for one that is not any more."""
-        return self._at(index).frame
+        """A frame that is held, also one from before zero was first set; raises FileProblem for one that is gone."""
+        frame = self._at(index).frame
+        return frame if frame.reference is not None else replace(frame, reference=self._first_zero)
 
     def truth(self, index: int) -> Truth | None:
         """What is known of it, where the sensor is simulated."""
@@ -108,6 +111,8 @@ class Reader:
         if len(images) < zero.FEWEST:
             return f"zero needs {zero.FEWEST} readings, there are {len(images)}"
         self._reference = zero.median_of(images)
+        if self._first_zero is None or self._first_zero.shape != self._reference.shape:
+            self._first_zero = self._reference
         self._problem = zero.problem_of(images, sensor_named(self.source.sensor))
         self._drift = ""
         return self._problem
@@ -182,7 +187,7 @@ class Reader:
             index = self._first + len(self._held)
             frame = TactileFrame(
                 sensor=self.source.sensor, image=image, reference=self._reference, index=index,
-                time_s=reading.time_s, origin=f"{self.source.title} [frame {index}]",
+                time_s=reading.time_s - self._start_s, origin=f"{self.source.title} [frame {index}]",
             )  # fmt: skip
             self._held.append(_Held(frame=frame, truth=reading.truth))
             self._n_bytes += image.nbytes

@@ -28,7 +28,7 @@ class Recorder:
         self._thread.start()
 
     def offer(self, frame: TactileFrame, truth: Truth | None) -> None:
-        """Write it soon; it is left out where the disk is that far behind, and before zero is set there is nothing yet."""
+        """Write it soon, once zero is set; it is left out where the disk is that far behind."""
         if frame.reference is None:
             return
         try:

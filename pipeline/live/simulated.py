@@ -20,7 +20,10 @@ _NAP_S = 0.2
 
 
 class Simulated:
-    """The first round may be slower than the rate that is asked for; what is missed counts as lost, as of a camera."""
+    """The first round may be slower than the rate that is asked for: each of its moments is worked out when it is due.
+
+    After it a reader that is too slow loses readings, as of a camera.
+    """
 
     def __init__(self, *, sensor: str = "gelslim", tool: str = "sphere", rate_hz: float = 15.0, seed: int = 0) -> None:
         """Raises SettingProblem for a sensor, an object or a rate that cannot be."""
@@ -56,6 +59,7 @@ class Simulated:
         """Begin with the object clear of the sensor."""
         if not self._plugged:
             raise SourceLost("the simulated sensor is unplugged; plug it in")
+        self._moment(0)  # what is compiled and looked up once is no delay of the sensor
         self._due_s, self._number = time.monotonic(), 0
 
     def read(self) -> Reading | None:
@@ -67,9 +71,11 @@ class Simulated:
             time.sleep(min(wait_s, _NAP_S))
             if wait_s > _NAP_S:
                 return None
+        if self._number % MOMENTS not in self._known:
+            self._moment(self._number % MOMENTS)
+            self._due_s = time.monotonic()
         missed = max(0, int((time.monotonic() - self._due_s) * self.rate_hz))
-        self._number += missed
-        number = self._number
+        number = self._number + missed
         frame, truth = self._moment(number % MOMENTS)
         self._number, self._due_s = number + 1, self._due_s + (missed + 1) / self.rate_hz
         image = frame.image if truth is None else self._taken(truth)

@@ -26,4 +26,5 @@ def source_of(words: Sequence[str], *, sensor: str = "", tool: str = "sphere", r
             return GrowingFolder(Path(name), sensor=sensor)
         case ["device", name]:
             return Device(name, sensor=sensor)
-    raise SettingProblem(f"a source is simulated, folder DIR or device NAME, got {' '.join(words)!r}")
+        case _:
+            raise SettingProblem(f"a source is simulated, folder DIR or device NAME, got {' '.join(words)!r}")

@@ -1,0 +1,160 @@
+"""A seeded monkey: it triggers commands, moves controls and opens files good and bad, and says what it broke."""
+
+from __future__ import annotations
+
+import random
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from PyQt6.QtCore import QCoreApplication, Qt
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QAbstractSlider, QAbstractSpinBox, QApplication, QCheckBox, QComboBox, QDialog, QScrollBar
+
+from app.frame.instrument import Instrument
+from app.frame.tour import wait_until_shown
+from app.main import SAMPLE
+
+_LEFT_ALONE = frozenset(  # those that ask for a file by a box of the system's, close the window or show a box
+    ("open_recording", "open_folder", "open_mesh", "open_calibration", "open_weights", "open_reference", "open_alignment",
+     "save_alignment", "open_session", "save_session", "save_session_as", "save_picture", "make_case", "quit", "keys")
+)  # fmt: skip
+_REST_EVERY = 25  # acts; then everything must come to rest and every pane must have ink
+_REST_S = 120.0
+
+
+class Monkey:
+    """Plays with one window; `complaints` says what went wrong, with the acts that led there."""
+
+    def __init__(self, instrument: Instrument, rng: random.Random, *, folder: Path, good: tuple[Path, ...]) -> None:
+        self._instrument, self._rng, self._window = instrument, rng, instrument.window
+        self._files = [*good, SAMPLE, *_bad_files(folder)]
+        self.complaints: list[str] = []
+        self.n_acts = 0
+        self._lately: list[str] = []
+        self._acts: tuple[tuple[int, Callable[[], str]], ...] = (
+            (5, self._command), (5, self._control), (3, self._frame), (2, self._hover), (1, self._file), (2, self._key),
+        )  # fmt: skip
+
+    def play(self, seconds: float) -> None:
+        """Act until the time is over; what is not caught anywhere is a complaint."""
+        hook, sys.excepthook = sys.excepthook, self._uncaught
+        weights, acts = zip(*self._acts, strict=True)
+        end_s = time.monotonic() + seconds
+        try:
+            while time.monotonic() < end_s and not self.complaints:
+                self._lately.append(self._rng.choices(acts, weights)[0]())
+                self.n_acts += 1
+                QCoreApplication.processEvents()
+                self._close_boxes()
+                if self.n_acts % _REST_EVERY == 0:
+                    self._come_to_rest()
+            self._come_to_rest()
+        finally:
+            sys.excepthook = hook
+
+    def _command(self) -> str:
+        actions = [a for name, a in self._window.actions_by_name.items() if a.isEnabled() and name not in _LEFT_ALONE]
+        action = self._rng.choice(actions)
+        action.trigger()
+        return f"command {action.objectName()}"
+
+    def _control(self) -> str:
+        kinds = (QComboBox, QAbstractSpinBox, QAbstractSlider, QCheckBox)
+        found = [
+            c for kind in kinds for c in self._window.findChildren(kind)
+            if c.isVisible() and c.isEnabled() and not isinstance(c, QScrollBar)
+        ]  # fmt: skip
+        if not found:
+            return "no control"
+        control: Any = self._rng.choice(found)
+        if isinstance(control, QComboBox):
+            index = self._rng.randrange(max(1, control.count()))
+            control.setCurrentIndex(index)
+            control.activated.emit(index)
+        elif isinstance(control, QCheckBox):
+            control.toggle()
+        elif isinstance(control, QAbstractSpinBox):
+            control.stepBy(self._rng.choice((-10, -1, 1, 10)))
+        else:
+            control.setValue(self._rng.randint(control.minimum(), control.maximum()))
+        return f"{type(control).__name__} {control.objectName()}"
+
+    def _frame(self) -> str:
+        line = self._window.timeline
+        line.step_to(self._rng.randint(0, line.slider.maximum()))
+        return f"frame {line.frame}"
+
+    def _hover(self) -> str:
+        name = self._rng.choice(list(self._window.columns))
+        view = self._window.columns[name].view
+        row, col = self._rng.randint(-1, 400), self._rng.randint(-1, 500)
+        (view.pixel_hovered if self._rng.random() < 0.8 else view.pixel_clicked).emit(row, col)
+        return f"hover {name} {row} {col}"
+
+    def _file(self) -> str:
+        path = self._rng.choice(self._files)
+        self._instrument.open_paths([path])
+        return f"open {path.name}"
+
+    def _key(self) -> str:
+        key = self._rng.choice((Qt.Key.Key_Left, Qt.Key.Key_Right, Qt.Key.Key_Escape, Qt.Key.Key_J, Qt.Key.Key_R))
+        QTest.keyClick(self._window, key)
+        return f"key {key.name}"
+
+    def _close_boxes(self) -> None:
+        popup = QApplication.activePopupWidget()
+        if popup is not None:
+            popup.close()
+        for dialog in self._window.findChildren(QDialog):
+            if dialog.isVisible():
+                dialog.reject()
+
+    def _come_to_rest(self) -> None:
+        self._window.timeline.play(on=False)
+        wait_until_shown(self._instrument, _REST_S)
+        self._window.banner.hide()
+        if not self._instrument.idle:
+            self._complain("it does not come to rest")
+        if self._instrument.session.recording is None:
+            return
+        for name in self._window.visible_columns():
+            column = self._window.columns[name]
+            if column.state in ("computed", "cached", "unchanged", "read") and not _has_ink(column.view):
+                self._complain(f"{name} is {column.state} and blank")
+
+    def _uncaught(self, kind: type[BaseException], error: BaseException, _trace: TracebackType | None) -> None:
+        self._complain(f"{kind.__name__}: {error}")
+
+    def _complain(self, what: str) -> None:
+        self.complaints.append(f"{what}; lately: {', '.join(self._lately[-12:])}")
+
+
+def _has_ink(view: Any) -> bool:
+    """Whether the middle of a picture is anything but one colour."""
+    if not view.isVisible() or view.width() < 20 or view.height() < 20:
+        return True
+    grabbed = view.grab().toImage().convertToFormat(view.grab().toImage().Format.Format_RGB888)
+    bits = grabbed.constBits()
+    bits.setsize(grabbed.sizeInBytes())
+    pixels = np.frombuffer(bits, np.uint8).reshape(grabbed.height(), grabbed.bytesPerLine())[:, : 3 * grabbed.width()]
+    return bool(pixels.std() > 0.5)
+
+
+def _bad_files(folder: Path) -> list[Path]:
+    """Empty, cut short, of another kind, poisoned, and not there."""
+    whole = SAMPLE.read_bytes()
+    contents = {
+        "empty.h5": b"", "cut.h5": whole[: len(whole) // 3], "text.png": b"no picture", "no.stl": b"solid nothing",
+        "poison.obj": b"v nan 0 0\nv 1e308 0 0\nv 0 inf 0\nf 1 2 3\n", "bad.touch.json": b'{"tactoscope session": 99}',
+        "bad.toml": b"[alignment_from_source]\n", "bad.npz": b"PK\x03\x04 and no more", "bad.safetensors": b"\xff" * 64,
+    }  # fmt: skip
+    paths = [folder / name for name in contents]
+    for path in paths:
+        path.write_bytes(contents[path.name])
+    np.save(folder / "depth_nan.npy", np.full((3, 140, 175), np.nan, np.float32))
+    return [*paths, folder / "depth_nan.npy", folder / "missing.h5", folder]

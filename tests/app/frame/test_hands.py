@@ -1,0 +1,95 @@
+"""Commands by name, wheels that scroll, Enter that gives the focus back, and a monkey that breaks nothing."""
+
+from __future__ import annotations
+
+import os
+import random
+from pathlib import Path
+
+import pytest
+from PyQt6.QtCore import QCoreApplication, QPoint, QPointF, Qt
+from PyQt6.QtGui import QWheelEvent
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication, QComboBox, QMenu
+
+from app.frame.actions import EDIT, FILE, HELP, PLAY, VERSUS, VIEW
+from app.frame.tour import wait_until_shown
+from tests.app.frame.monkey import Monkey
+from widgets.palette import Palette
+
+LIMIT_S = 60
+
+
+def wheel(widget) -> QWheelEvent:
+    at = QPointF(widget.rect().center())
+    return QWheelEvent(
+        at, widget.mapToGlobal(at), QPoint(0, 0), QPoint(0, -120), Qt.MouseButton.NoButton,
+        Qt.KeyboardModifier.NoModifier, Qt.ScrollPhase.NoScrollPhase, False,
+    )  # fmt: skip
+
+
+def test_every_command_is_in_a_menu_and_in_the_palette(bubble_window):
+    window = bubble_window.window
+    in_menus = {a.objectName() for menu in window.menuBar().findChildren(QMenu) for a in menu.actions()}
+    assert {c.name for c in FILE + EDIT + PLAY + VIEW + VERSUS + HELP} <= in_menus
+    window.actions_by_name["palette"].trigger()
+    palette = window.findChild(Palette)
+    assert palette.isVisible()
+    assert palette.found.count() >= len(window.actions_by_name) - 1
+    assert {"Ctrl+K", "Ctrl+Shift+P"} == {k.toString() for k in window.actions_by_name["palette"].shortcuts()}
+
+
+def test_the_palette_runs_what_a_few_letters_name(bubble_window):
+    bubble_window.choose_frame(0)
+    bubble_window.window.actions_by_name["palette"].trigger()
+    palette = bubble_window.window.findChild(Palette)
+    QTest.keyClicks(palette.line, "lst fr")
+    assert palette.found.currentItem().text().startswith("Last frame")
+    QTest.keyClick(palette.line, Qt.Key.Key_Return)
+    assert not palette.isVisible()
+    assert bubble_window.session.frame == 2
+    assert wait_until_shown(bubble_window, LIMIT_S)
+
+
+def test_a_wheel_over_a_control_that_nobody_works_with_changes_nothing(bubble_window):
+    window = bubble_window.window
+    window.drawers.parameters.show()
+    before, boxes = bubble_window.session, window.findChildren(QComboBox)
+    assert len(boxes) > 3
+    for control in (*boxes, window.timeline.slider, window.timeline.number):
+        event = wheel(control)
+        QApplication.sendEvent(control, event)
+        assert not event.isAccepted() or control.hasFocus(), control.objectName()
+    assert bubble_window.session == before
+    assert wait_until_shown(bubble_window, LIMIT_S)
+
+
+def test_enter_takes_the_number_and_gives_the_keys_back(bubble_window, qtbot):
+    window = bubble_window.window
+    window.activateWindow()
+    number = window.timeline.number
+    number.setFocus()
+    number.selectAll()
+    QTest.keyClicks(number, "1")
+    QTest.keyClick(number, Qt.Key.Key_Return)
+    qtbot.waitUntil(lambda: not number.hasFocus())
+    assert bubble_window.session.frame == 1
+    assert wait_until_shown(bubble_window, LIMIT_S)
+
+
+def test_tips_of_parameters_say_their_unit_and_range(bubble_window):
+    panel = bubble_window.window.parameters
+    tips = [w.toolTip() for w in panel.findChildren(QComboBox.__base__) if "gel_limit_mm" in w.objectName()]
+    assert any("0.1 to 3 mm" in tip for tip in tips)
+
+
+@pytest.mark.parametrize("seed", [1])
+def test_a_monkey_breaks_nothing(bubble_window, tmp_path, touch_file, ball_file, seed):
+    """Short here; `make monkey` lets it run for an hour."""
+    minutes = float(os.environ.get("MONKEY_MINUTES", "0.15"))
+    monkey = Monkey(bubble_window, random.Random(seed), folder=tmp_path, good=(touch_file, ball_file))
+    monkey.play(minutes * 60.0)
+    assert monkey.complaints == []
+    assert monkey.n_acts > 10
+    QCoreApplication.processEvents()
+    assert Path(tmp_path).exists()

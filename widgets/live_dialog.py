@@ -1,0 +1,99 @@
+"""Which sensor to watch: a simulated one, a camera that is plugged in, or a folder that grows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from PyQt6.QtCore import pyqtSignal
+from PyQt6.QtWidgets import (
+    QComboBox,
+    QDialog,
+    QDoubleSpinBox,
+    QFormLayout,
+    QHBoxLayout,
+    QLabel,
+    QLineEdit,
+    QPushButton,
+    QWidget,
+)
+
+
+class LiveDialog(QDialog):
+    """`watch_wanted` carries the words of the source, the sensor, the object and the rate in Hz."""
+
+    watch_wanted = pyqtSignal(list, str, str, float)
+    folder_wanted = pyqtSignal()
+    cameras_wanted = pyqtSignal()
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Live")
+        self.setObjectName("live_dialog")
+        self.source, self.sensor, self.tool = QComboBox(), QComboBox(), QComboBox()
+        self.rate, self.folder = QDoubleSpinBox(), QLineEdit()
+        browse, look = QPushButton("Choose…"), QPushButton("Look again")
+        self.rate.setRange(0.5, 120.0)
+        self.rate.setSuffix(" Hz")
+        self.rate.setValue(15.0)
+        self.rate.setToolTip("readings a second of a simulated sensor, Hz")
+        self.folder.setToolTip("a folder that another program writes pictures into")
+        form = QFormLayout(self)
+        first, second = QHBoxLayout(), QHBoxLayout()
+        first.addWidget(self.source, 1)
+        first.addWidget(look)
+        second.addWidget(self.folder, 1)
+        second.addWidget(browse)
+        form.addRow("source", first)
+        form.addRow("folder", second)
+        for label, widget in (("sensor", self.sensor), ("object", self.tool), ("rate", self.rate)):
+            widget.setObjectName(f"live_{label}")
+            form.addRow(label, widget)
+        self._told = QLabel()
+        self._told.setWordWrap(True)
+        form.addRow(self._told)
+        self.watch = QPushButton("Watch")
+        self.watch.setDefault(True)
+        form.addRow(self.watch)
+        look.clicked.connect(self.cameras_wanted)
+        browse.clicked.connect(self.folder_wanted)
+        self.watch.clicked.connect(self._watch)
+        self.source.currentIndexChanged.connect(self._fit)
+        self.folder.textChanged.connect(self._fit)
+
+    def show_choices(self, sensors: Sequence[str], tools: Sequence[str]) -> None:
+        """The sensors and the objects there are."""
+        self.sensor.addItem("as its name or pictures tell", "")
+        for name in sensors:
+            self.sensor.addItem(name, name)
+        for name in tools:
+            self.tool.addItem(name, name)
+        self.tool.setCurrentIndex(max(0, self.tool.findData("sphere")))
+
+    def show_cameras(self, cameras: Sequence[tuple[str, str]]) -> None:
+        """(name, words) of what is plugged in."""
+        self.source.clear()
+        self.source.addItem("simulated sensor", ["simulated"])
+        for name, words in cameras:
+            self.source.addItem(words, ["device", name])
+        self.source.addItem("folder that grows", ["folder"])
+        self._told.setText("" if cameras else "no camera is plugged in")
+        self._fit()
+
+    def show_folder(self, folder: str) -> None:
+        """The folder that was chosen."""
+        self.folder.setText(folder)
+        self.source.setCurrentIndex(self.source.count() - 1)
+
+    def _fit(self) -> None:
+        words = self.source.currentData() or ["simulated"]
+        self.folder.setEnabled(words[0] == "folder")
+        for widget in (self.tool, self.rate):
+            widget.setEnabled(words[0] == "simulated")
+        self.watch.setEnabled(words[0] != "folder" or bool(self.folder.text().strip()))
+
+    def _watch(self) -> None:
+        words = list(self.source.currentData() or ["simulated"])
+        if words[0] == "folder":
+            words.append(self.folder.text().strip())
+        self.watch_wanted.emit(words, self.sensor.currentData(), self.tool.currentData(), self.rate.value())
+        self.accept()
