@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Floats, Mask
+from pipeline.base.arrays import Floats, Mask, freeze
+from pipeline.base.memo import Memo
+from pipeline.engine.digests import content
 from pipeline.sensors.spec import Markers
 
 _DARKER = 0.12  # share of the local brightness by which a marker lies below its surroundings
@@ -75,11 +77,26 @@ def _mean(image: Floats, reach_px: float) -> Floats:
     return np.asarray(cv2.resize(blurred, (cols, rows), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
-def without_markers(
-    change: Floats, image: NDArray[Any], still: NDArray[Any], markers: Markers, pixel_mm: float
-) -> tuple[Floats, Floats]:
-    """(`change`, `still`) (rows, cols, 3) as they would be without the markers, which are in `image` and `still`."""
+def unprinted(still: NDArray[Any], markers: Markers, pixel_mm: float) -> tuple[Mask, Floats]:
+    """(where the markers of an untouched picture are, the picture (rows, cols, 3) without them).
+
+    Both are kept: the same untouched picture is read with every touch.
+    """
+    return _unprinted.of((content(still), markers, pixel_mm), lambda: _without(still, markers, pixel_mm))
+
+
+def without_markers(change: Floats, image: NDArray[Any], printed: Mask, markers: Markers, pixel_mm: float) -> Floats:
+    """`change` (rows, cols, 3) as it would be without the markers: those of `image`, and the untouched, `printed`."""
+    return inpainted(change, printed | marker_mask(image, markers, pixel_mm), _reach_px(markers, pixel_mm))
+
+
+_unprinted: Memo[tuple[str, Markers, float], tuple[Mask, Floats]] = Memo(4)
+
+
+def _without(still: NDArray[Any], markers: Markers, pixel_mm: float) -> tuple[Mask, Floats]:
     printed = marker_mask(still, markers, pixel_mm)
-    reach = max(1.0, markers.radius_mm / pixel_mm / 2)
-    bright = inpainted(still.astype(np.float32), printed, reach)
-    return inpainted(change, printed | marker_mask(image, markers, pixel_mm), reach), bright
+    return freeze(printed), freeze(inpainted(still.astype(np.float32), printed, _reach_px(markers, pixel_mm)))
+
+
+def _reach_px(markers: Markers, pixel_mm: float) -> float:
+    return max(1.0, markers.radius_mm / pixel_mm / 2)

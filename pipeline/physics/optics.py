@@ -42,8 +42,8 @@ def colour_change(sensor: SensorSpec, gx: NDArray[np.floating], gy: NDArray[np.f
     if gx.shape != sensor.camera.shape or gy.shape != gx.shape:
         raise ShapeError(f"slopes must have the shape {sensor.camera.shape} of {sensor.name}, got {gx.shape}")
     rows, cols = gx.shape
-    out, lamps = np.empty((rows, 3 * cols), np.float32), _lamps(optics, sensor.camera)
-    lambert_change(_single(gx), _single(gy), *lamps, np.float32(optics.vignette), _scratch(cols)[1][0], out)
+    out, lit_by = np.empty((rows, 3 * cols), np.float32), lamps(optics, sensor.camera)
+    lambert_change(_single(gx), _single(gy), *lit_by, np.float32(optics.vignette), _scratch(cols)[1][0], out)
     return freeze(out.reshape(rows, cols, 3))
 
 
@@ -100,22 +100,22 @@ def _single(array: NDArray[np.floating]) -> Floats:
 
 
 @remembered(32)
-def _lamps(optics: Optics, camera: Camera) -> tuple[Floats, Floats]:
-    """Light directions and colours (n, 6), and how each weakens over the image (n, 3), as the kernel wants them."""
+def lamps(optics: Optics, camera: Camera) -> tuple[Floats, Floats]:
+    """Light directions and colours (n, 6), and how each weakens over the image (n, 3), as the kernels want them."""
     half_w, half_h = camera.cols / 2, camera.rows / 2
-    lamps, strength = [], []
+    found, strength = [], []
     for led in optics.leds:
         azimuth, elevation = math.radians(led.azimuth_deg), math.radians(led.elevation_deg)
         cos_a, sin_a = math.cos(azimuth), math.sin(azimuth)
-        lamps.append((math.cos(elevation) * cos_a, math.cos(elevation) * sin_a, math.sin(elevation), *led.rgb))
+        found.append((math.cos(elevation) * cos_a, math.cos(elevation) * sin_a, math.sin(elevation), *led.rgb))
         # The share is 1 at the LED's own side and 1 - falloff at the far one, linear between.
         per_px = 0.5 * optics.falloff / (half_w * abs(cos_a) + half_h * abs(sin_a))
         first = 1.0 - 0.5 * optics.falloff - per_px * ((half_w - 0.5) * cos_a + (half_h - 0.5) * sin_a)
         strength.append((first, per_px * cos_a, per_px * sin_a))
-    while len(lamps) % 3:  # the kernel takes three at a time
-        lamps.append((0.0,) * 6)
+    while len(found) % 3:  # the kernel takes three at a time
+        found.append((0.0,) * 6)
         strength.append((0.0,) * 3)
-    return freeze(np.array(lamps, np.float32)), freeze(np.array(strength, np.float32))
+    return freeze(np.array(found, np.float32)), freeze(np.array(strength, np.float32))
 
 
 @remembered(32)
@@ -141,7 +141,7 @@ def _lit(sensor: SensorSpec, optics: Optics, height_mm: Floats) -> Floats:
     light_of(height_mm, *_scene(sensor), *_scratch(cols), light, np.empty((0, 0), np.uint8))
     light = light.reshape(rows, cols, 3)
     if _casts_shadow(optics, height_mm):
-        shade(light, sensor, height_mm)
+        shade(light, sensor, height_mm, sensor.pixel_mm)
     return light
 
 
@@ -168,7 +168,7 @@ def _scene(sensor: SensorSpec) -> _Scene:
     return _scenes.of(
         content(sensor),
         lambda: (np.float32(sensor.pixel_mm), untouched_light(camera, optics).reshape(camera.rows, -1),
-                 *_lamps(optics, camera), np.float32(optics.vignette)),
+                 *lamps(optics, camera), np.float32(optics.vignette)),
     )  # fmt: skip
 
 
@@ -176,13 +176,13 @@ def _casts_shadow(optics: Optics, height_mm: Floats) -> bool:
     return optics.shadow > 0 and float(height_mm.max()) > _NO_SHADOW_MM
 
 
-def shade(light: Floats, sensor: SensorSpec, height_mm: Floats) -> None:
+def shade(light: Floats, sensor: SensorSpec, height_mm: Floats, pixel_mm: float) -> None:
     """Take from `light` (rows, cols, 3) what does not get past a surface pressed in by `height_mm`, LED by LED."""
     from pipeline.physics.optics_kernels import cast_shadow, darken
 
     optics = optics_of(sensor)
-    drop = np.float32(sensor.pixel_mm * math.tan(math.radians(optics.shadow_deg)))
-    leds = _lamps(optics, sensor.camera)[0][: len(optics.leds)]
+    drop = np.float32(pixel_mm * math.tan(math.radians(optics.shadow_deg)))
+    leds = lamps(optics, sensor.camera)[0][: len(optics.leds)]
     all_leds = np.maximum(leds[:, 3:].sum(axis=0), 1e-6)
     height_mm, turned = _single(height_mm), _single(height_mm.T)
     cover_turned = np.empty_like(turned)

@@ -17,6 +17,7 @@ import numpy as np
 
 from pipeline.base.arrays import Floats, Mask, freeze
 from pipeline.base.memo import remembered
+from pipeline.physics.optics import slopes
 
 _WORKERS = 2
 _SPECK_SHARE = 0.05  # of the largest region: dust and scratches that the press has shifted
@@ -57,7 +58,8 @@ def touched(
     n, found = cv2.connectedComponents(deep.astype(np.uint8), connectivity=8)
     regions = np.asarray(found, np.int32)
     pressure = relative_pressure(indentation_mm, smoothing_px, order)
-    peaks = np.asarray(ndimage.maximum(pressure, regions, np.arange(n)))
+    peaks = np.zeros(n, np.float32)
+    np.maximum.at(peaks, regions[deep], pressure[deep])
     limit = (np.maximum(peaks, 1e-9) * pressure_share).astype(np.float32)[regions]
     mask = deep & (pressure > limit)
     return mask | _faces(indentation_mm, mask, deep) if order == 1 else np.asarray(ndimage.binary_fill_holes(mask))
@@ -73,22 +75,23 @@ def _faces(indentation_mm: Floats, pressed: Mask, deep: Mask) -> Mask:
 
     if not pressed.any():
         return pressed
-    gy, gx = np.gradient(cv2.GaussianBlur(indentation_mm, (0, 0), _PRESSURE_FREE_BLUR_PX))
-    slope = np.hypot(gx, gy)
-    _, labels = cv2.distanceTransformWithLabels(
+    smooth = np.asarray(cv2.GaussianBlur(indentation_mm, (0, 0), _PRESSURE_FREE_BLUR_PX), np.float32)
+    slope = np.hypot(*slopes(smooth, 1.0))
+    _, nearest = cv2.distanceTransformWithLabels(
         (~pressed).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
-    labels = np.asarray(labels, np.int32)
+    labels = np.asarray(nearest, np.int32)
     depth_of = np.zeros(int(labels.max()) + 1, np.float32)
     depth_of[labels[pressed]] = indentation_mm[pressed]
     steep = float(np.percentile(slope[deep], 95.0))
     level = deep & ~pressed & (slope < _FLAT_SLOPE_SHARE * steep)
     level &= indentation_mm >= _FLAT_DEPTH_SHARE * depth_of[labels]
-    n, regions = cv2.connectedComponents((level | pressed).astype(np.uint8), connectivity=4)
+    n, found = cv2.connectedComponents((level | pressed).astype(np.uint8), connectivity=4)
+    regions = np.asarray(found, np.int32)
     with_rim = np.zeros(n, np.bool_)
-    with_rim[np.unique(np.asarray(regions)[pressed])] = True
+    with_rim[np.unique(regions[pressed])] = True
     with_rim[0] = False
-    joined = with_rim[np.asarray(regions)].astype(np.uint8)
+    joined = with_rim[regions].astype(np.uint8)
     # The rim's pressure ridge and the face meet in a line of pixels that are neither.
     closed = cv2.morphologyEx(joined, cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
     return np.asarray(closed, np.bool_) & deep

@@ -10,6 +10,7 @@ less or half as much again: the best of these take 3 % off the error, the worst 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -32,6 +33,7 @@ _FADES_FROM, _GONE_AT = 0.2, 0.6  # thicknesses from the contact, see `_relaxed`
 _SATURATED_GREY = 254  # noise of a grey level takes what is clipped at 255 down to here
 _TELL_SATURATED = 0.01  # of the touch
 _PRESSURE_BLUR_PX = 1.5
+_PRESSURE_CELLS = 220  # of the grid on which it is told what certainly presses, along the longer side
 _CERTAIN, _CERTAIN_SHARE = 0.04, 0.1  # mm/mm, and of the peak: pressure, in slopes, that noise does not make
 _SPECK_MM2 = 0.15  # smaller contacts are camera noise
 _FULL_SHARE = 0.9  # of the view
@@ -116,8 +118,17 @@ def _surface(
         )  # fmt: skip
         return integrated(*_finite(gx, gy, source))
     picture = gel_light.seen(image, still.picture, window, smoothing_px, source.markers, pixel_mm)
-    guess = integrated(*_finite(*gel_light.rough_slopes(picture, calibration), source))
-    return gel_light.corrected(guess, picture, source, integrated)
+    small = gel_light.coarser(picture, image.shape)
+
+    def roughly(gx: Floats, gy: Floats) -> Floats:
+        return _integrated(gx, gy, replace(window, moved=small.moved), pixel_mm * small.by, boundary, image.shape)
+
+    guess = roughly(*_finite(*gel_light.rough_slopes(small, calibration), source))
+    surface, light = gel_light.best(guess, small, source, roughly)
+    if small is picture:
+        return surface
+    surface = gel_light.finer(surface, small.by, window.moved.shape)
+    return gel_light.corrected(surface, picture, source, light, integrated, 1)[0]
 
 
 def _finite(gx: Floats, gy: Floats, source: SensorSpec) -> tuple[Floats, Floats]:
@@ -145,9 +156,14 @@ def _settled(surface: Floats, window: Window, source: SensorSpec, pixel_mm: floa
     """The surface with its rest at zero, and the inside of faces."""
     if source.gel is None:
         return surface, np.zeros_like(window.moved)
-    pressure = contact.relative_pressure(surface, _PRESSURE_BLUR_PX) / np.float32(pixel_mm)
-    pressed = window.moved & (pressure > max(_CERTAIN, _CERTAIN_SHARE * float(pressure[window.moved].max())))
-    found = rest.settled(surface, pressed, pixel_mm, source.gel)
+    by = max(1, round(max(source.camera.shape) / _PRESSURE_CELLS))
+    small, moved_share = rest.coarse(surface, by), rest.coarse(window.moved.astype(np.float32), by)
+    pressure = contact.relative_pressure(small, _PRESSURE_BLUR_PX / by) / np.float32(pixel_mm * by)
+    pressure[moved_share == 0] = 0.0
+    pressed = rest.fine(
+        (pressure > max(_CERTAIN, _CERTAIN_SHARE * float(pressure.max()))).astype(np.float32), surface.shape
+    )
+    found = rest.settled(surface, pressed > 0.5, pixel_mm, source.gel)
     return found.surface_mm, found.inside
 
 

@@ -13,7 +13,11 @@ rest r (Gauss-Newton on every pixel, J = s dc/dg),
     dg = (J' W J + pull)^-1 J' W r,    W: Huber's weight of a colour, 0 where the camera sees nothing any more,
 
 and integrates. What a pixel cannot say (a dark colour, light from one side) is left as the integration has it. The
-look-up is only where the rounds start from, so that a coarse grid of it does.
+rounds run on a coarse grid, one more on the picture's own pixels.
+
+c is as described in grey levels, or, where the lamps of a unit light its gel unevenly, a share of R: the one that
+leaves less of the picture unexplained is taken. Simulated units come out as the first, a real GelSight Mini as the
+second.
 
 Numbers without a source beside them are those that `benchmarks/depth_numbers.py` finds no better neighbour of: a third
 less or half as much again changes the error by less than it does for the rounds.
@@ -24,14 +28,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Mask, freeze
+from pipeline.base.memo import remembered
 from pipeline.calibration import slope_model
 from pipeline.calibration.lookup import Calibration
-from pipeline.calibration.markers import without_markers
+from pipeline.calibration.markers import unprinted, without_markers
+from pipeline.geometry.camera import Camera
 from pipeline.physics import optics
+from pipeline.sensors.glow import untouched_light
+from pipeline.sensors.parts import Optics
 from pipeline.sensors.spec import Markers, SensorSpec
 from pipeline.stages.depth.moved import Window
 
@@ -39,23 +48,31 @@ _ROUNDS = 4  # two leave a fifth more error of a GelSlim, whose lights are low
 _PULL = 500.0  # grey levels squared per unit slope squared: a colour in full light weighs a hundred times as much
 _HUBER_GREY = 20.0  # larger misfits are dust, a reflection, or an optical description that is not this unit's
 _STEEPEST = np.float32(1.43)  # mm/mm, 55 degrees: the light hardly changes beyond
-_STEP = np.float32(0.01)  # mm/mm, of the difference quotients: a grey level or so, far above float32's rounding
 _LEAST_MM = -0.5  # no gel bulges out farther
 _FLANK, _FLANK_SHARE = 0.12, 0.1  # mm/mm, and of a region's pixels
 _BORDER_SHARE = 0.3  # of the deepest region
-_COARSE = 4  # pixels of the picture to one of the first guess
+_CELLS = 160  # of the rounds' grid, along the longer side of a picture
+_BRIGHT_BLUR_PX = 3.0
+_MOST_OF_LAMPS = np.float32(0.68)  # of the untouched picture: the mean of the strongest colour of `near_lamps`
+_NO_BLUR = 0.3  # pixels: a Gaussian that narrow changes nothing
+_AS_GOOD = 1.02  # times the least misfit: then the light is taken as it is described
+
+
+# What a slope changes: everywhere what the description says, or a share of the untouched picture there.
+Light = Literal["even", "following"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Seen:
-    """The part of a picture that is worked on."""
+    """The part of a picture that is worked on, at its own pixels or at coarser ones."""
 
-    rows: slice
-    cols: slice
+    x_px: Floats  # (cols,) places in the whole picture, in its pixels
+    y_px: Floats  # (rows,)
     change: Floats  # (rows, cols, 3) grey levels, smoothed
     still: Floats  # (rows, cols, 3) the untouched picture
     moved: Mask  # (rows, cols) where the surface is looked for
-    smoothing_px: float  # of the change
+    by: int  # pixels of the picture to one of these, along each axis
+    smoothing_px: float  # of the change, in pixels of the picture
 
 
 def applies(source: SensorSpec, calibration: Calibration) -> bool:
@@ -76,56 +93,102 @@ def seen(
     import cv2
 
     here = (window.rows, window.cols)
-    light = np.ascontiguousarray(still[here])
+    light = np.array(still[here], np.float32)
     change = image[here].astype(np.float32) - light
     if markers is not None:
-        change, light = without_markers(change, image[here], light, markers, pixel_mm)
+        printed, bright = unprinted(still, markers, pixel_mm)
+        change = without_markers(change, image[here], printed[here], markers, pixel_mm)
+        light = np.array(bright[here])
     if smoothing_px > 0:
         change = np.asarray(cv2.GaussianBlur(change, (0, 0), smoothing_px), np.float32)
-    return Seen(rows=window.rows, cols=window.cols, change=change, still=freeze(light), moved=window.moved,
-                smoothing_px=smoothing_px)  # fmt: skip
+    x, y = (np.arange(a.start, a.stop, dtype=np.float32) for a in (window.cols, window.rows))
+    return Seen(x_px=x, y_px=y, change=change, still=light, moved=window.moved, by=1, smoothing_px=smoothing_px)
+
+
+def coarser(picture: Seen, shape: tuple[int, ...]) -> Seen:
+    """The same on a grid of at most `_CELLS` cells along a picture of `shape`; each is the mean of its pixels.
+
+    Lens blur leaves nothing finer in the light, and the rounds cost the same at any resolution.
+    """
+    import cv2
+
+    by = max(1, round(max(shape) / _CELLS))
+    if by == 1:
+        return picture
+    rows, cols = (-(-n // by) for n in picture.moved.shape)
+
+    def mean(image: Floats) -> Floats:
+        more = (0, rows * by - image.shape[0], 0, cols * by - image.shape[1])
+        whole = cv2.copyMakeBorder(image, *more, cv2.BORDER_REPLICATE)
+        return np.asarray(cv2.resize(whole, (cols, rows), interpolation=cv2.INTER_AREA), np.float32)
+
+    middle = np.float32(0.5 * (by - 1))
+    return Seen(
+        x_px=picture.x_px[0] + middle + by * np.arange(cols, dtype=np.float32),
+        y_px=picture.y_px[0] + middle + by * np.arange(rows, dtype=np.float32),
+        change=mean(picture.change), still=mean(picture.still), moved=mean(picture.moved.astype(np.float32)) > 0,
+        by=by, smoothing_px=picture.smoothing_px,
+    )  # fmt: skip
+
+
+def finer(surface_mm: Floats, by: int, shape: tuple[int, ...]) -> Floats:
+    """A surface of `coarser` at the picture's own pixels (rows, cols)."""
+    import cv2
+
+    if by == 1:
+        return surface_mm
+    rows, cols = surface_mm.shape
+    fine = cv2.resize(surface_mm, (cols * by, rows * by), interpolation=cv2.INTER_CUBIC)
+    return np.ascontiguousarray(fine[: shape[0], : shape[1]], np.float32)
 
 
 def rough_slopes(picture: Seen, calibration: Calibration) -> tuple[Floats, Floats]:
-    """What the look-up makes of the window, (gx, gy) in mm/mm, worked out on a coarse grid."""
-    import cv2
+    """What the look-up makes of the pixels, (gx, gy) in mm/mm."""
+    half = 0.5 * max(calibration.rows, calibration.cols)
+    u, v = (picture.x_px - 0.5 * (calibration.cols - 1)) / half, (picture.y_px - 0.5 * (calibration.rows - 1)) / half
+    change = picture.change * slope_model.gain(picture.still)
+    return slope_model.evaluate(calibration.model, change, u.astype(np.float32), v.astype(np.float32), picture.moved)
 
-    rows, cols = picture.moved.shape
-    size = (-(-cols // _COARSE), -(-rows // _COARSE))
 
-    def coarse(a: Floats, to: tuple[int, int]) -> Floats:
-        return np.asarray(cv2.resize(a, to, interpolation=cv2.INTER_AREA), np.float32)
+def best(
+    surface_mm: Floats, picture: Seen, source: SensorSpec, integrated: Callable[[Floats, Floats], Floats]
+) -> tuple[Floats, Light]:
+    """`corrected` by the light that explains most of the picture, and that light.
 
-    u, v = slope_model.position((calibration.rows, calibration.cols))
-    u, v = coarse(u[None, picture.cols], (size[0], 1))[0], coarse(v[picture.rows, None], (1, size[1]))[:, 0]
-    change = coarse(picture.change * slope_model.gain(picture.still), size)
-    everywhere = np.ones((size[1], size[0]), np.bool_)
-    gx, gy = (
-        np.asarray(cv2.resize(g, (cols, rows), interpolation=cv2.INTER_LINEAR), np.float32) * picture.moved
-        for g in slope_model.evaluate(calibration.model, change, u, np.ascontiguousarray(v), everywhere)
-    )
-    return gx, gy
+    Lamps that cast shadows stand low and aside: they shine evenly.
+    """
+    surface, misfit = corrected(surface_mm, picture, source, "even", integrated)
+    if optics.optics_of(source).shadow > 0:
+        return surface, "even"
+    other, left = corrected(surface_mm, picture, source, "following", integrated)
+    return (surface, "even") if misfit <= _AS_GOOD * left else (other, "following")
 
 
 def corrected(
-    surface_mm: Floats, picture: Seen, source: SensorSpec, integrated: Callable[[Floats, Floats], Floats]
-) -> Floats:
-    """The surface (rows, cols) of the window whose picture comes nearest to the one seen, from a first guess of it.
+    surface_mm: Floats, picture: Seen, source: SensorSpec, light: Light, integrated: Callable[[Floats, Floats], Floats],
+    rounds: int = _ROUNDS,
+) -> tuple[Floats, float]:  # fmt: skip
+    """The surface (rows, cols) of the pixels whose picture comes nearest to the one seen, and what it leaves of it.
 
-    `integrated` makes slopes (gx, gy) of the window a surface in mm. Needs a sensor that `applies`.
+    From a first guess of the surface; what is left is in grey levels, summed over the pixels, before the last round.
+    `integrated` makes slopes (gx, gy) of these pixels a surface in mm. Needs a sensor that `applies`.
     """
-    from pipeline.stages.depth.gel_light_kernels import explained
+    from pipeline.stages.depth.gel_light_kernels import explained, lit
 
-    for _ in range(_ROUNDS):
+    told, camera = optics.optics_of(source), source.camera
+    pixel_mm, size = source.pixel_mm * picture.by, np.array([camera.cols, camera.rows], np.float32)
+    place = (picture.x_px, picture.y_px, size, *optics.lamps(told, camera), np.float32(told.vignette))
+    bright, out, misfit = _brightness(source, picture, light), np.empty_like(picture.change), 0.0
+    for _ in range(rounds):
         z = np.clip(surface_mm, _LEAST_MM, source.limits.indentation_max_mm) * picture.moved
-        gx, gy = optics.slopes(z, source.pixel_mm)
-        light, by_x, by_y = _colours(source, gx, gy, picture)
-        share = _passed(source, z)
-        rest = picture.change - _blurred((picture.still + light) * share - picture.still, source, picture)
-        explained(rest, picture.change, picture.still, share, by_x, by_y, picture.moved,
-                  np.float32(_PULL), np.float32(_HUBER_GREY), _STEEPEST, gx, gy)  # fmt: skip
+        gx, gy = optics.slopes(z, pixel_mm)
+        share = _passed(source, z, pixel_mm)
+        lit(gx, gy, *place, bright, picture.still, share, out)
+        rest = picture.change - _blurred(out, source, picture)
+        misfit = explained(rest, picture.change, picture.still, share, bright, picture.moved, *place,
+                           np.float32(_PULL), np.float32(_HUBER_GREY), _STEEPEST, gx, gy)  # fmt: skip
         surface_mm = integrated(gx, gy)
-    return surface_mm
+    return surface_mm, misfit
 
 
 def pressed_in(touched: Mask, surface_mm: Floats, pixel_mm: float, border: Mask | None = None) -> Mask:
@@ -135,15 +198,16 @@ def pressed_in(touched: Mask, surface_mm: Floats, pixel_mm: float, border: Mask 
     surface, it must be a good part as deep as the deepest too: the corners of a picture are where light is least known.
     """
     import cv2
-    from scipy import ndimage
 
     n, found = cv2.connectedComponents(touched.astype(np.uint8), connectivity=8)
     if n <= 2:  # the background and one region
         return touched
     regions = np.asarray(found, np.int32)
     steep = np.hypot(*optics.slopes(surface_mm, pixel_mm)) > _FLANK
-    keep = np.asarray(ndimage.mean(steep, regions, np.arange(n))) > _FLANK_SHARE
-    depths = np.asarray(ndimage.maximum(surface_mm, regions, np.arange(1, n)))
+    keep = np.bincount(regions[touched & steep], minlength=n) > _FLANK_SHARE * np.bincount(regions.ravel(), minlength=n)
+    depths = np.full(n, -np.inf, np.float32)
+    np.maximum.at(depths, regions[touched], surface_mm[touched])
+    depths = depths[1:]
     if border is not None:
         cut = np.unique(regions[touched & border])
         keep[cut[depths[cut - 1] < _BORDER_SHARE * float(depths.max())]] = False
@@ -152,26 +216,43 @@ def pressed_in(touched: Mask, surface_mm: Floats, pixel_mm: float, border: Mask 
     return np.asarray(keep[regions], np.bool_)
 
 
-def _colours(source: SensorSpec, gx: Floats, gy: Floats, picture: Seen) -> tuple[Floats, Floats, Floats]:
-    """What the slopes add to the light (rows, cols, 3), and its rates of change with gx and gy."""
-    here = (picture.rows, picture.cols)
-    x, y = np.zeros(source.camera.shape, np.float32), np.zeros(source.camera.shape, np.float32)
-    x[here], y[here] = gx, gy
-    light = optics.colour_change(source, x, y)[here]
-    by_x = (optics.colour_change(source, x + _STEP, y)[here] - light) / _STEP
-    by_y = (optics.colour_change(source, x, y + _STEP)[here] - light) / _STEP
-    return light, by_x, by_y
+def _brightness(source: SensorSpec, picture: Seen, light: Light) -> Floats:
+    """By how much each colour's light (rows, cols, 3) is stronger here than it is described.
+
+    Paint, lens, exposure, and lamps that shine on a part of the gel make a place bright, and its change strong as well.
+    """
+    import cv2
+
+    if light == "even":
+        return np.ones_like(picture.still)
+    width = _BRIGHT_BLUR_PX / picture.by
+    here = np.asarray(cv2.GaussianBlur(picture.still, (0, 0), width) if width > _NO_BLUR else picture.still)
+    usual, of_lamps = _usual(source.camera, optics.optics_of(source))
+    offset = np.float32(slope_model.OFFSET_GREY)
+    most = np.minimum(np.float32(1.0), _MOST_OF_LAMPS * usual / of_lamps)
+    return np.asarray((here + offset) * (most / (usual + offset)), np.float32)
 
 
-def _passed(source: SensorSpec, surface_mm: Floats) -> Floats:
+@remembered(16)
+def _usual(camera: Camera, told: Optics) -> tuple[Floats, Floats]:
+    """The described colour (3,) of the untouched picture, in its mean, and what of it the lamps give."""
+    leds, _ = optics.lamps(told, camera)
+    falls = 1.0 - 0.5 * told.falloff
+    given = (leds[:, 3:] * (falls * leds[:, 2] / (1.0 - leds[:, 2]))[:, None]).sum(axis=0)
+    usual = untouched_light(camera, told).reshape(-1, 3).mean(axis=0)
+    return freeze(usual.astype(np.float32)), freeze(np.maximum(given, 1.0).astype(np.float32))
+
+
+def _passed(source: SensorSpec, surface_mm: Floats, pixel_mm: float) -> Floats:
     """The share of every colour's light (rows, cols, 3) that no dent keeps from a pixel."""
     share = np.ones((*surface_mm.shape, 3), np.float32)
-    optics.shade(share, source, np.ascontiguousarray(surface_mm, np.float32))
+    if optics.optics_of(source).shadow > 0:
+        optics.shade(share, source, np.ascontiguousarray(surface_mm, np.float32), pixel_mm)
     return share
 
 
 def _blurred(change: Floats, source: SensorSpec, picture: Seen) -> Floats:
     import cv2
 
-    width = math.hypot(optics.optics_of(source).blur_px, picture.smoothing_px)
-    return np.asarray(cv2.GaussianBlur(change, (0, 0), width), np.float32) if width > 0 else change
+    width = math.hypot(optics.optics_of(source).blur_px, picture.smoothing_px) / picture.by
+    return np.asarray(cv2.GaussianBlur(change, (0, 0), width), np.float32) if width > _NO_BLUR else change

@@ -1,9 +1,10 @@
-"""Compiled Gauss-Newton step from the slopes of a surface to those that explain a picture (`gel_light`)."""
+"""Compiled light of a surface, and the Gauss-Newton step to slopes that explain a picture (`gel_light`)."""
 # pyright: basic
 
 import math
 
 import numpy as np
+from numba import njit
 
 from pipeline.base.kept_kernels import FAST, kernel
 
@@ -12,41 +13,112 @@ _NOISE = np.float32(1.5)  # grey levels
 _LONGEST = np.float32(0.3)  # mm/mm of one step: the light is linear in the slope for about that far
 
 
+@njit(inline="always")
+def _facing(led, sx, sy, slant):
+    """How much a lamp's light grows on a slope, and its rates with both slopes; `slant` is 1 / sqrt(1 + slope^2)."""
+    nothing = np.float32(0.0)
+    facing = (led[2] - sx * led[0] - sy * led[1]) * slant
+    if facing <= nothing:
+        return -led[2], nothing, nothing
+    bent = facing * slant * slant
+    return facing - led[2], -led[0] * slant - bent * sx, -led[1] * slant - bent * sy
+
+
+@njit(inline="always")
+def _strength(strength, led, lens, x, y):
+    return lens * (strength[0] + strength[1] * x + strength[2] * y) / (np.float32(1.0) - led[2])
+
+
+@njit(inline="always")
+def _lens(x, y, cols, rows, vignette):
+    """The share of light that the lens leaves at a pixel of a picture of `cols` x `rows`."""
+    one, two, half = np.float32(1.0), np.float32(2.0), np.float32(0.5)
+    u, v = (x + half) * two / cols - one, (y + half) * two / rows - one
+    corner = (u * u + v * v) * half
+    return one - vignette * corner * corner
+
+
 @kernel(fastmath=FAST, error_model="numpy")
-def explained(rest, change, still, share, by_x, by_y, moved, pull, huber, steepest, gx, gy):
+def lit(gx, gy, x, y, size, leds, strength, vignette, bright, still, share, out):
+    """Write to `out` (rows, cols, 3) what slopes gx, gy change of the untouched picture `still`, shadows and all.
+
+    x (cols,), y (rows,): places in the picture, which has `size` (cols, rows) pixels. leds, strength: as
+    `optics.lamps` has them. bright (rows, cols, 3): by how much the unit's own light is stronger than described.
+    share (rows, cols, 3): of the light that gets there.
+    """
+    rows, cols = gx.shape
+    one = np.float32(1.0)
+    for r in range(rows):
+        for c in range(cols):
+            sx, sy = gx[r, c], gy[r, c]
+            slant = one / np.sqrt(one + sx * sx + sy * sy)
+            lens = _lens(x[c], y[r], size[0], size[1], vignette)
+            red = green = blue = np.float32(0.0)
+            for k in range(leds.shape[0]):
+                gain, _, _ = _facing(leds[k], sx, sy, slant)
+                gain *= _strength(strength[k], leds[k], lens, x[c], y[r])
+                red += gain * leds[k, 3]
+                green += gain * leds[k, 4]
+                blue += gain * leds[k, 5]
+            out[r, c, 0] = (still[r, c, 0] + red * bright[r, c, 0]) * share[r, c, 0] - still[r, c, 0]
+            out[r, c, 1] = (still[r, c, 1] + green * bright[r, c, 1]) * share[r, c, 1] - still[r, c, 1]
+            out[r, c, 2] = (still[r, c, 2] + blue * bright[r, c, 2]) * share[r, c, 2] - still[r, c, 2]
+
+
+@kernel(fastmath=FAST, error_model="numpy")
+def explained(
+    rest, change, still, share, bright, moved, x, y, size, leds, strength, vignette, pull, huber, steepest, gx, gy
+):
     """Add to the slopes gx, gy of every pixel of `moved` the step that best explains `rest`; zero them elsewhere.
 
-    rest, change, still, share, by_x, by_y (rows, cols, 3): what the rendered change lacks, the change seen and the
-    untouched picture in grey levels, the share of light that gets there, and the light's rates with the slopes.
+    rest, change, still (rows, cols, 3): what the rendered change lacks, the change seen and the untouched picture in
+    grey levels; the others as in `lit`. pull holds every step back; a misfit beyond `huber` pulls no harder. Returns
+    the sum of what was left before the step, each no larger than twice that.
     """
     rows, cols = moved.shape
+    one, two, misfit = np.float32(1.0), np.float32(2.0), 0.0
+    by_x, by_y = np.empty(3, np.float32), np.empty(3, np.float32)
     for r in range(rows):
         for c in range(cols):
             if not moved[r, c]:
                 gx[r, c] = gy[r, c] = np.float32(0.0)
                 continue
+            sx, sy = gx[r, c], gy[r, c]
+            slant = one / np.sqrt(one + sx * sx + sy * sy)
+            lens = _lens(x[c], y[r], size[0], size[1], vignette)
+            by_x[:] = np.float32(0.0)
+            by_y[:] = np.float32(0.0)
+            for n in range(leds.shape[0]):
+                _, across, down = _facing(leds[n], sx, sy, slant)
+                weight = _strength(strength[n], leds[n], lens, x[c], y[r])
+                for k in range(3):
+                    by_x[k] += across * weight * leds[n, 3 + k]
+                    by_y[k] += down * weight * leds[n, 3 + k]
             xx, xy, yy = pull, np.float32(0.0), pull
-            x, y = np.float32(0.0), np.float32(0.0)
+            to_x, to_y = np.float32(0.0), np.float32(0.0)
             for k in range(3):
                 off = rest[r, c, k]
                 seen = still[r, c, k] + change[r, c, k]
                 drawn = seen - off
                 if (drawn < _DARK and seen < _DARK + _NOISE) or (drawn > _BRIGHT and seen > _BRIGHT - _NOISE):
                     continue
-                weight = min(np.float32(1.0), huber / max(abs(off), np.float32(1e-6)))
-                jx, jy = by_x[r, c, k] * share[r, c, k], by_y[r, c, k] * share[r, c, k]
+                weight = min(one, huber / max(abs(off), np.float32(1e-6)))
+                light = bright[r, c, k] * share[r, c, k]
+                jx, jy = by_x[k] * light, by_y[k] * light
                 xx += weight * jx * jx
                 xy += weight * jx * jy
                 yy += weight * jy * jy
-                x += weight * jx * off
-                y += weight * jy * off
-            per = np.float32(1.0) / (xx * yy - xy * xy)
-            step_x, step_y = (yy * x - xy * y) * per, (xx * y - xy * x) * per
+                to_x += weight * jx * off
+                to_y += weight * jy * off
+                misfit += min(abs(off), two * huber)
+            per = one / (xx * yy - xy * xy)
+            step_x, step_y = (yy * to_x - xy * to_y) * per, (xx * to_y - xy * to_x) * per
             length = math.sqrt(step_x * step_x + step_y * step_y)
-            cut = _LONGEST / length if length > _LONGEST else np.float32(1.0)
-            gx[r, c] += step_x * cut
-            gy[r, c] += step_y * cut
-            length = math.sqrt(gx[r, c] * gx[r, c] + gy[r, c] * gy[r, c])
-            if length > steepest:
-                gx[r, c] *= steepest / length
-                gy[r, c] *= steepest / length
+            cut = _LONGEST / length if length > _LONGEST else one
+            sx += step_x * cut
+            sy += step_y * cut
+            length = math.sqrt(sx * sx + sy * sy)
+            cut = steepest / length if length > steepest else one
+            gx[r, c] = sx * cut
+            gy[r, c] = sy * cut
+    return misfit

@@ -24,7 +24,9 @@ from pipeline.sensors.spec import Gel
 
 _CELLS = 56  # of the coarse grid along the longer side
 _QUIET_FROM = 0.7  # thicknesses from what presses
-_FACE_SHARE = 0.7  # of the rim's depth: a patch that deep is the inside of a face
+_FACE_SHARE = 0.7  # of the rim's depth: a patch that deep, which a rim encloses, is the inside of a face
+_OPEN_SHARE = 0.87  # the same for one that the picture's border cuts: slopes that are a little wrong lift it as well
+_FACE_RELIEF = 0.3  # of the whole relief, that a face's rim is deep at least
 _LOWEST = 2.0  # percentile of a surface that stands for its lowest part: a bulge, or what lies beside a face
 _AT_REST = 0.4  # of the whole relief: patches that lie no farther apart are at rest as they are
 _HELD = 0.3  # weight w of a cell at rest beside one step of the surface between two cells
@@ -45,7 +47,7 @@ class Settled:
 def settled(surface_mm: Floats, pressed: Mask, pixel_mm: float, gel: Gel) -> Settled:
     """The surface (rows, cols) with its rest at zero; `pressed` is where anything certainly presses."""
     by = max(1, round(max(surface_mm.shape) / _CELLS))
-    z, held = _coarse(surface_mm, by), _coarse(pressed.astype(np.float32), by) > 0
+    z, held = coarse(surface_mm, by), coarse(pressed.astype(np.float32), by) > 0
     inside = np.zeros(z.shape, np.bool_)
     reach = _QUIET_FROM * gel.thickness_mm / (pixel_mm * by)
     quiet, patches = _quiet(held, reach)
@@ -57,17 +59,21 @@ def settled(surface_mm: Floats, pressed: Mask, pixel_mm: float, gel: Gel) -> Set
         if level - lowest > _FACE_SHARE * (highest - lowest):
             level = lowest  # all that is quiet lies higher than what surrounds it
         for patch, own in zip(patches, levels, strict=True):
-            if own - level > _FACE_SHARE * (_rim(z, patch, reach) - level) > 0:
+            deep = _rim(z, patch, reach) - level
+            share = _OPEN_SHARE if _is_cut(patch) else _FACE_SHARE
+            if deep > _FACE_RELIEF * (highest - lowest) and own - level > share * deep:
                 inside |= patch
+        if not inside.any():
+            level = min(levels)
         if not inside.any() and max(levels) - min(levels) < _AT_REST * (highest - lowest):
             return Settled(surface_mm=surface_mm, inside=np.zeros_like(pressed))
         rest &= ~inside
     z = z - np.float32(level)
     added = _brought(z, rest)
     shape = surface_mm.shape
-    settled_mm = surface_mm - np.float32(level) + _fine(added, shape)
+    settled_mm = surface_mm - np.float32(level) + fine(added, shape)
     return Settled(
-        surface_mm=settled_mm, inside=_up_to_its_rim(settled_mm, _fine(inside.astype(np.float32), shape) > 0.5)
+        surface_mm=settled_mm, inside=_up_to_its_rim(settled_mm, fine(inside.astype(np.float32), shape) > 0.5)
     )
 
 
@@ -77,10 +83,10 @@ def far_field(surface_mm: Floats, touched: Mask, pixel_mm: float, gel: Gel) -> F
     The surface of least energy that passes through the touched part as it was measured, on a coarse grid.
     """
     by = max(1, round(max(surface_mm.shape) / _CELLS))
-    share = _coarse(touched.astype(np.float32), by)
-    depth = _coarse(np.where(touched, surface_mm, np.float32(0.0)), by) / np.maximum(share, np.float32(1e-6))
+    share = coarse(touched.astype(np.float32), by)
+    depth = coarse(np.where(touched, surface_mm, np.float32(0.0)), by) / np.maximum(share, np.float32(1e-6))
     held = share > min(_CELL_TOUCHED, 0.5 * float(share.max()))
-    return _fine(_relaxed(np.asarray(depth, np.float32), held, pixel_mm * by, gel), surface_mm.shape)
+    return fine(_relaxed(np.asarray(depth, np.float32), held, pixel_mm * by, gel), surface_mm.shape)
 
 
 def _relaxed(depth_mm: Floats, held: Mask, cell_mm: float, gel: Gel) -> Floats:
@@ -112,6 +118,11 @@ def _quiet(held: Mask, reach: float) -> tuple[Mask, list[Mask]]:
     quiet = np.asarray(away > reach, np.bool_)
     n, labels = cv2.connectedComponents(quiet.astype(np.uint8), connectivity=4)
     return quiet, [np.asarray(labels == k, np.bool_) for k in range(1, n)]
+
+
+def _is_cut(patch: Mask) -> bool:
+    """Whether the picture's border cuts a patch."""
+    return bool(patch[0].any() or patch[-1].any() or patch[:, 0].any() or patch[:, -1].any())
 
 
 def _rim(z: Floats, patch: Mask, reach: float) -> float:
@@ -164,14 +175,16 @@ def _laplacian(a: Doubles) -> Doubles:
     return out
 
 
-def _coarse(image: Floats, by: int) -> Floats:
+def coarse(image: Floats, by: int) -> Floats:
+    """Means of an image (rows, cols) over cells of `by` x `by` pixels, about; the last of a row may be narrower."""
     import cv2
 
     size = (-(-image.shape[1] // by), -(-image.shape[0] // by))
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _fine(image: Floats, shape: tuple[int, ...]) -> Floats:
+def fine(image: Floats, shape: tuple[int, ...]) -> Floats:
+    """An image of `coarse` at `shape` (rows, cols)."""
     import cv2
 
     return np.asarray(cv2.resize(image, (shape[1], shape[0]), interpolation=cv2.INTER_LINEAR), np.float32)

@@ -86,3 +86,13 @@ def test_the_reference_of_another_unit_is_noticed():
 def test_a_picture_all_white_is_no_drift():
     still = optics.untouched(sensor("gelsight_mini"))
     assert drift.fitted(np.full_like(still, 255), still)[0] is None
+
+
+def test_a_picture_with_large_markers_that_has_moved_is_put_back():
+    source = sensor("gelslim")
+    assert source.markers is not None
+    markers = replace(source.markers, pitch_mm=0.9, radius_mm=0.2, darkness=0.95)
+    still = optics.untouched(replace(source, markers=markers))
+    found, _ = drift.fitted(drifted(still, shift_px=(-2.0, 2.0)), still)
+    assert found is not None
+    assert found.shift_px == pytest.approx((-2.0, 2.0), abs=0.1)

@@ -21,6 +21,7 @@ PARAMS = DepthParams()
 TIMES_CLOSER = 2.0  # than the look-up alone; three to four are usual where shadows are long
 FLAT_SHARE = 0.75  # of the depth of a flat face: the blur loses some of a steep flank
 LIGHT_MM = 0.02  # of 0.15 mm; the look-up alone, without blur and shadows, is nearer here: 0.013
+EITHER_MM = 0.04  # of 0.4 mm, where the lamps may give a sixth more or less than they are described to
 CONTACT_MM = 0.06  # a flat face of 0.6 mm: vertical flanks, of which the blur keeps nine tenths
 
 
@@ -107,6 +108,35 @@ def test_a_shallow_plate_beside_a_touch_is_left_out_and_a_second_touch_kept():
     assert kept[60, 40]
     assert kept[60, 100]
     assert not kept[60, 170]
+
+
+@lru_cache
+def pressed_mini(*, following):
+    """An object on a Mini whose lamps light its gel evenly, or where it is bright: (frame, truth)."""
+    import cv2
+
+    source, thing = sensor("gelsight_mini"), shapes.shape("star").mesh
+    truth = press(thing, translation(-6.0, 3.5, -0.4 - thing.vertices_mm[:, 2].min()), source, seed=None).truth
+    still = optics.untouched(source).astype(np.float32)
+    change = optics.colour_change(source, *optics.slopes(truth.indentation_mm, source.pixel_mm))
+    light = still + change * (0.9 * still / still.mean(axis=(0, 1)) if following else 1.0)
+    image = optics.recorded(cv2.GaussianBlur(light, (0, 0), optics.optics_of(source).blur_px), 1.8, 1)
+    return TactileFrame(sensor=source.name, image=image, reference=optics.untouched(source)), truth
+
+
+@pytest.mark.parametrize("following", [False, True])
+def test_the_light_that_explains_the_picture_is_taken(following, monkeypatch):
+    frame, truth = pressed_mini(following=following)
+    corrected, taken = gel_light.corrected, []
+
+    def watched(surface_mm, picture, source, light, *rest):
+        taken.append(light)
+        return corrected(surface_mm, picture, source, light, *rest)
+
+    monkeypatch.setattr(gel_light, "corrected", watched)
+    found = depth(frame, sensor("gelsight_mini"), None, PARAMS)
+    assert taken[-1] == ("following" if following else "even")
+    assert error_mm(found, truth) < EITHER_MM
 
 
 @pytest.mark.real_data

@@ -46,6 +46,26 @@ def test_a_contact_that_fills_the_view_is_said_to():
     assert any("fills the view" in note for note in depth(frame, source, None, DepthParams()).notes)
 
 
+@pytest.mark.parametrize("lifted_mm", [0.3, 0.42])
+def test_gel_that_the_pictures_border_cuts_is_no_face_because_one_flank_was_read_too_flat(lifted_mm):
+    x = np.arange(220)
+    bar = 0.5 * np.maximum(1 - ((x - 110) / 16.0) ** 2, 0)
+    lifted = lifted_mm / (1 + np.exp(-(x - 118) / 3.0))
+    surface = np.tile(np.maximum(bar, lifted), (160, 1)).astype(np.float32)
+    found = rest.settled(surface, np.tile(bar > 0, (160, 1)), PIXEL_MM, GEL)
+    assert not found.inside.any()
+    assert np.abs(found.surface_mm[:, -20:]).max() < 0.05
+
+
+def test_a_faint_ridge_beside_a_deep_dent_encloses_no_face():
+    x = np.arange(300)
+    dent = 0.8 * np.maximum(1 - ((x - 60) / 16.0) ** 2, 0)
+    ridge = 0.12 / (1 + np.exp(-(x - 170) / 2.0))
+    surface = np.tile(dent + ridge, (160, 1)).astype(np.float32)
+    pressed = np.tile((dent > 0) | (np.abs(x - 175) < 5), (160, 1))
+    assert not rest.settled(surface, pressed, PIXEL_MM, GEL).inside.any()
+
+
 def test_gel_beyond_a_dent_is_brought_back_to_rest_on_either_side():
     x = np.arange(220)
     bar = 0.5 * np.maximum(1 - ((x - 110) / 16.0) ** 2, 0)
