@@ -17,7 +17,7 @@ _DARKER = 0.12  # share of the local brightness by which a marker lies below its
 _HALO_PX = 2  # lens blur around a dot
 _WIDEST_PX = 41  # of the disc that closes dots
 _PART_HIDDEN = 0.25  # share of a pixel
-_SHARP_PX = 3.0  # Gaussian means wider than this are taken on fewer pixels
+_SHARP_PX = 1.6  # Gaussian means wider than this are taken on fewer pixels
 
 
 def marker_mask(picture: NDArray[Any], markers: Markers, pixel_mm: float) -> Mask:
