@@ -23,6 +23,7 @@ _WORKERS = 2
 _SPECK_SHARE = 0.05  # of the largest region: dust and scratches that the press has shifted
 _FLAT_DEPTH_SHARE = 0.8  # of the depth of the nearest rim: a face that is level with its rim is touched as well
 _PRESSURE_FREE_BLUR_PX = 1.0
+_CORNER_MM = 0.12  # untouched frames of real Minis and drift on a real GelSlim make corners up to 0.1 mm deep
 _FLAT_SLOPE_SHARE = 0.3  # of the region's steep slopes: beside a contact the gel falls away, on a face it does not
 
 
@@ -106,6 +107,28 @@ def without_specks(mask: Mask, min_pixels: int) -> Mask:
     areas = stats[1:, cv2.CC_STAT_AREA]
     keep[1:] = areas >= max(min_pixels, _SPECK_SHARE * int(areas.max(initial=0)))
     return keep[np.asarray(labels, np.int32)]
+
+
+def without_corners(mask: Mask, indentation_mm: Floats, rows: slice, cols: slice, shape: tuple[int, int]) -> Mask:
+    """The mask without shallow regions that a corner of the picture cuts; it is the part `rows`, `cols` of `shape`.
+
+    The corners of a gel slide under load, and light is least known there.
+    """
+    import cv2
+
+    if not mask.any():
+        return mask
+    n, found = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
+    regions, keep = np.asarray(found, np.int32), np.ones(n, np.bool_)
+    none = regions[:0, 0]
+    top, bottom = regions[0] if rows.start == 0 else none, regions[-1] if rows.stop >= shape[0] else none
+    left, right = regions[:, 0] if cols.start == 0 else none, regions[:, -1] if cols.stop >= shape[1] else none
+    for k in range(1, n):
+        across, along = [bool((a == k).any()) for a in (top, bottom)], [bool((a == k).any()) for a in (left, right)]
+        if sum(across) == 1 and sum(along) == 1:
+            keep[k] = float(indentation_mm[regions == k].max()) > _CORNER_MM
+    keep[0] = False
+    return np.asarray(keep[regions], np.bool_)
 
 
 @remembered(8)  # a touch has a window of its own size

@@ -73,7 +73,8 @@ def depth(
             surface, least_mm=least_mm, pressure_share=pressure_share, smoothing_px=_PRESSURE_BLUR_PX
         )
         pressed = contact.without_specks(pressed & (window.moved | inside), max(4, round(_SPECK_MM2 / pixel_mm**2)))
-        touched[here] = gel_light.pressed_in(pressed, surface, pixel_mm, _border(shape)[here])
+        pressed = gel_light.pressed_in(pressed, surface, pixel_mm, _border(shape)[here])
+        touched[here] = contact.without_corners(pressed, surface, *here, shape)
         progress.step(0.8, "relaxing the gel around the contact")
         indentation[here] = _relaxed(surface, touched[here], window, source, pixel_mm)
         notes += _limits(indentation, touched, source.limits.indentation_max_mm)
