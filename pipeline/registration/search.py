@@ -39,6 +39,7 @@ _POLISH_POINTS = 500  # that it is registered with, all of them once more
 _DENSE_FELT, _DENSE_MODEL = 400, 4000  # and once more the best
 _PER_GROUP, _N_REGISTERED, _N_POLISHED, _N_DENSE = 2, 96, 6, 2
 _QUICK_POINTS, _QUICK_ITERATIONS, _QUICK_SETTLED_MM = 100, 10, 0.02
+_GAIN = 0.95  # of the misfit: while a registration gains more, it is not at its end
 _POLISHED_SHARE = 4.0  # the last registration searches this many times nearer
 _OUTLINE_REACH_MM = 4.0  # object this far beyond the contact may stick out beside it
 _OF_SPREAD = 1.16  # standard error of a spread that the median tells, times the root of how many points
@@ -222,17 +223,19 @@ class Search:
         return judge(self.scene, self.object.grid, self.object.model, _FINE_FELT, _FINE_MODEL, self.max_distance_mm)
 
     def best(self, starts: Sequence[Doubles], progress: Progress = SILENT) -> list[Minimum]:
-        """The minima that the starts lead to, best first; the best is set by the outline once more, more exactly."""
+        """The minima that the starts lead to, best first; the best are set by the outline more exactly, to the end."""
         found: list[Minimum] = []
         for k, start in enumerate(starts):
             progress.step(k / len(starts), f"refining {k + 1} of {len(starts)}")
             minimum = self.polished(start)
             found += [] if minimum is None else [minimum]
         found.sort(key=lambda m: m.misfit_mm)
-        for k, minimum in enumerate(found[:_N_DENSE]):
-            again = self.polished(minimum.fit.sensor_from_object, dense=True)
-            if again is not None:
+        for k in range(min(_N_DENSE, len(found))):
+            again = self.polished(found[k].fit.sensor_from_object, dense=True)
+            while again is not None:
+                gains = again.misfit_mm < _GAIN * found[k].misfit_mm
                 found[k] = again
+                again = self.polished(again.fit.sensor_from_object, dense=True) if gains else None
         return sorted(found, key=lambda m: m.misfit_mm)
 
     def outline(self, pose: Doubles, *, dense: bool = False) -> Judge:
