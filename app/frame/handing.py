@@ -160,7 +160,9 @@ class Handing(QObject):
             self._instrument.show_problem(error)
 
     def _pane_on_screen(self) -> str:
-        shown = self._window.visible_columns()
+        shown, layout = self._window.visible_columns(), self._instrument.session.layout
+        if layout.name == "inspect" and (panes := layout.panes_of(self._window.here)):
+            return panes[min(self._window.panes.active, len(panes) - 1)][0]
         return shown[0] if len(shown) == 1 else SHEET
 
     def _shown_on_screen(self, pane: str) -> str:

@@ -63,6 +63,7 @@ class Keeping(QObject):
         """Have the session written beside, in the background."""
         self._soon.stop()
         session = self._instrument.session
+        session = replace(session, frame=max(0, session.frame))  # one that is not open yet has no frame
         self._job.submit(lambda _report: self.kept.write(session), interrupt=False)
 
     def take_place(self) -> None:

@@ -1,0 +1,153 @@
+"""Make the pictures of docs/tour.md: the window itself, as it is now, on the sample recordings.
+
+    xvfb-run -a -s "-screen 0 1600x950x24" python docs/make_tour.py [FOLDER [NAME ...]]
+
+`make tour` does so. Nothing is retouched: each picture is what the window shows after the steps that the text tells.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from app.main import SAMPLE, make_application, prepare_environment, show_window
+
+prepare_environment()
+
+from PyQt6.QtCore import QCoreApplication, QEvent, QSettings
+
+from app.frame.instrument import Instrument
+from app.frame.living import Living
+from app.frame.tour import save_window_picture, wait_until_shown
+from app.session.state import Session
+from pipeline.live.simulated import Simulated
+from pipeline.sensors.offsets import Offsets
+
+SIZE_PX = (1600, 950)
+LIMIT_S, QUIET_S = 300.0, 3.0
+PAIRED = SAMPLE.with_name("digit_gelslim.h5")
+
+
+def until(met: Callable[[], bool]) -> None:
+    """Let the window work until `met`; ends the program if that takes too long."""
+    end_s = time.monotonic() + LIMIT_S
+    while not met():
+        if time.monotonic() > end_s:
+            raise SystemExit("the window did not come to where the tour wants it")
+        QCoreApplication.processEvents()
+        time.sleep(0.005)
+
+
+def shown(instrument: Instrument) -> None:
+    """Wait for everything that was asked for."""
+    if not wait_until_shown(instrument, LIMIT_S):
+        raise SystemExit(instrument.window.banner.text or "not shown in time")
+
+
+def at_rest(instrument: Instrument) -> None:
+    """Wait until nothing has been worked out for a while, beside the stages too."""
+    since_s = time.monotonic()
+    while time.monotonic() - since_s < QUIET_S:
+        until(lambda: instrument.idle)
+        if instrument.job.busy:
+            since_s = time.monotonic()
+        QCoreApplication.processEvents()
+        time.sleep(0.005)
+
+
+def command(instrument: Instrument, name: str) -> None:
+    """Trigger a command by its name."""
+    instrument.window.actions_by_name[name].trigger()
+
+
+def welcome(instrument: Instrument, path: Path) -> None:
+    """An empty window."""
+    save_window_picture(instrument, path)
+
+
+def inspect(instrument: Instrument, path: Path) -> None:
+    """The worst frame, with the truth beside it and its error taken apart."""
+    instrument.show_session(Session(recording=SAMPLE, source="gelslim", target="soft_bubble", frame=5))
+    shown(instrument)
+    window = instrument.window
+    window.drawers.frames.show()
+    n = instrument.screen.opened.n_frames
+    until(lambda: all(window.frames.known.known(i) is not None for i in range(n)) and instrument.idle)
+    command(instrument, "worse")
+    shown(instrument)
+    for _ in range(n):
+        command(instrument, "worse")
+    shown(instrument)
+    command(instrument, "show_wipe")
+    shown(instrument)
+    window.drawers.reading.show()
+    window.tabs.setCurrentWidget(window.blame)
+    at_rest(instrument)
+    save_window_picture(instrument, path)
+
+
+def demo(instrument: Instrument, path: Path) -> None:
+    """Source, generated and truth, large."""
+    instrument.show_session(Session(recording=PAIRED, source="digit", target="gelslim", frame=3))
+    shown(instrument)
+    command(instrument, "layout_demo")
+    shown(instrument)
+    save_window_picture(instrument, path)
+
+
+def align(instrument: Instrument, path: Path) -> None:
+    """A handle two millimetres off."""
+    instrument.show_session(Session(recording=PAIRED, source="digit", target="gelslim", frame=3))
+    shown(instrument)
+    command(instrument, "layout_align")
+    shown(instrument)
+    instrument.change("move the alignment", offsets=Offsets(shift_mm=(2.0, 0.0, 0.0), pivot_mm=(0.0, 0.0, 22.0)))
+    shown(instrument)
+    at_rest(instrument)
+    save_window_picture(instrument, path)
+
+
+def live(instrument: Instrument, path: Path) -> None:
+    """A simulated sensor, watched."""
+    living = next(child for child in instrument.children() if isinstance(child, Living))
+    instrument.show_session(Session(target="gelslim"))
+    living.watch(Simulated(sensor="digit", tool="sphere", rate_hz=15.0))
+    until(lambda: living.reader.n_frames > 24 and living.on_screen)
+    living.follow(on=False)
+    instrument.choose_frame(20)
+    shown(instrument)
+    save_window_picture(instrument, path)
+    living.stop()
+
+
+PICTURES = {"welcome": welcome, "inspect": inspect, "demo": demo, "align": align, "live": live}
+
+
+def main() -> None:
+    """Make them all, or those that are named."""
+    out = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "tour"
+    out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as forgotten:  # what people had open is nobody's business
+        QSettings.setPath(QSettings.Format.IniFormat, QSettings.Scope.UserScope, forgotten)
+        for name, make in PICTURES.items():
+            if len(sys.argv) > 2 and name not in sys.argv[2:]:
+                continue
+            instrument = show_window(Session())
+            instrument.window.resize(*SIZE_PX)
+            QCoreApplication.processEvents()
+            make(instrument, out / f"{name}.png")
+            instrument.close()
+            instrument.window.close()
+            instrument.window.deleteLater()  # before the application, which outlives this function
+            QCoreApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete.value)
+            print(out / f"{name}.png", flush=True)
+
+
+if __name__ == "__main__":
+    application = make_application()
+    main()

@@ -1,0 +1,26 @@
+"""The tour's text and the script that makes its pictures speak of the same ones."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+from app.frame.actions import FILE
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+
+
+def test_every_picture_of_the_tour_is_made_by_its_script_and_there():
+    shown = set(re.findall(r"\(tour/(\w+)\.png\)", (DOCS / "tour.md").read_text()))
+    tree = ast.parse((DOCS / "make_tour.py").read_text())
+    table = next(n.value for n in tree.body if isinstance(n, ast.Assign) and n.targets[0].id == "PICTURES")
+    assert shown == {key.value for key in table.keys}
+    assert all((DOCS / "tour" / f"{name}.png").stat().st_size > 20_000 for name in shown)
+
+
+def test_commands_that_the_tour_names_are_in_the_menu():
+    text = (DOCS / "tour.md").read_text()
+    titles = {command.text for command in FILE}
+    for named in re.findall(r"\*File > ([^*]+)\*", text):
+        assert named in titles
