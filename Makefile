@@ -1,6 +1,7 @@
 # Two commands: `make run` shows the whole chain on the sample recording, `make test` passes the tests.
 # Both set up what they need, once.
 PYTHON ?= python3
+JOBS ?= 2
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install -q --disable-pip-version-check -c constraints.txt
@@ -19,8 +20,9 @@ run: $(READY)
 			$(BIN)/tactoscope view $(SAMPLE) --target soft_bubble --sensor gelslim --tour out; \
 	fi
 
+# Two processes, a file's tests in one of them; each adds on one thread, so that they do not get in each other's way.
 test: $(READY)
-	$(BIN)/python -m pytest -q -m "not slow"
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -m "not slow" -n $(JOBS) --dist loadfile
 
 setup: $(READY)
 
