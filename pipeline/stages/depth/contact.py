@@ -109,25 +109,32 @@ def without_specks(mask: Mask, min_pixels: int) -> Mask:
     return keep[np.asarray(labels, np.int32)]
 
 
-def without_corners(mask: Mask, indentation_mm: Floats, rows: slice, cols: slice, shape: tuple[int, int]) -> Mask:
-    """The mask without shallow regions that a corner of the picture cuts; it is the part `rows`, `cols` of `shape`.
+def without_margins(
+    mask: Mask, indentation_mm: Floats, rows: slice, cols: slice, shape: tuple[int, int], narrow_px: float
+) -> Mask:
+    """The mask without what the picture's border alone makes; it is the part `rows`, `cols` of a picture of `shape`.
 
-    The corners of a gel slide under load, and light is least known there.
+    Shallow regions that a corner cuts: the corners of a gel slide under load. Strips along the border no wider than
+    `narrow_px`, beside a larger contact that the border does not cut: what lies beyond the border is not known to be at
+    rest, and light is least known there.
     """
     import cv2
 
     if not mask.any():
         return mask
-    n, found = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
+    n, found, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
     regions, keep = np.asarray(found, np.int32), np.ones(n, np.bool_)
-    none = regions[:0, 0]
-    top, bottom = regions[0] if rows.start == 0 else none, regions[-1] if rows.stop >= shape[0] else none
-    left, right = regions[:, 0] if cols.start == 0 else none, regions[:, -1] if cols.stop >= shape[1] else none
-    for k in range(1, n):
-        across, along = [bool((a == k).any()) for a in (top, bottom)], [bool((a == k).any()) for a in (left, right)]
-        if sum(across) == 1 and sum(along) == 1:
-            keep[k] = float(indentation_mm[regions == k].max()) > _CORNER_MM
     keep[0] = False
+    left, top, wide, tall, area = (np.asarray(stats[:, k], np.int64) for k in range(5))
+    across = np.stack([top + rows.start == 0, top + tall + rows.start == shape[0]])
+    along = np.stack([left + cols.start == 0, left + wide + cols.start == shape[1]])
+    cut = across.any(axis=0) | along.any(axis=0)
+    largest = int(area[1:][~cut[1:]].max(initial=0))
+    for k in (int(k) for k in np.flatnonzero(cut & keep)):
+        if np.count_nonzero(across[:, k]) == np.count_nonzero(along[:, k]) == 1:
+            keep[k] = float(indentation_mm[np.equal(regions, k)].max()) > _CORNER_MM
+        narrow = min(tall[k] if across[:, k].any() else wide[k], wide[k] if along[:, k].any() else tall[k])
+        keep[k] &= narrow > narrow_px or area[k] > largest
     return np.asarray(keep[regions], np.bool_)
 
 

@@ -37,6 +37,7 @@ _PRESSURE_CELLS = 220  # of the grid on which it is told what certainly presses,
 _CERTAIN, _CERTAIN_SHARE = 0.04, 0.1  # mm/mm, and of the peak: pressure, in slopes, that noise does not make
 _SPECK_MM2 = 0.15  # smaller contacts are camera noise
 _FULL_SHARE = 0.9  # of the view
+_NARROW = 0.5  # thicknesses, within which the gel beyond the border bears on what is seen
 
 
 def depth(
@@ -74,7 +75,8 @@ def depth(
         )
         pressed = contact.without_specks(pressed & (window.moved | inside), max(4, round(_SPECK_MM2 / pixel_mm**2)))
         pressed = gel_light.pressed_in(pressed, surface, pixel_mm, _border(shape)[here])
-        touched[here] = contact.without_corners(pressed, surface, *here, shape)
+        narrow_px = _NARROW * (0.0 if source.gel is None else source.gel.thickness_mm) / pixel_mm
+        touched[here] = contact.without_margins(pressed, surface, *here, shape, narrow_px)
         progress.step(0.8, "relaxing the gel around the contact")
         indentation[here] = _relaxed(surface, touched[here], window, source, pixel_mm)
         notes += _limits(indentation, touched, source.limits.indentation_max_mm)

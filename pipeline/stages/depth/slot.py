@@ -15,7 +15,7 @@ PHYSICS = Method(
     run=unless(stage.untouched, stage.recorded),
     params=stage.DepthParams,
     reads=("frame", "source", "calibration"),
-    version=6,
+    version=7,
 )
 NETWORK = Method(
     slot="depth",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.stages.depth.contact import without_corners
+from pipeline.stages.depth.contact import without_margins
 
 SHAPE = (60, 80)
 
@@ -23,11 +23,24 @@ SHAPE = (60, 80)
 def test_shallow_regions_in_a_corner_are_left_out(rows, cols, depth_mm, kept):
     mask, surface = np.zeros(SHAPE, np.bool_), np.zeros(SHAPE, np.float32)
     mask[rows, cols], surface[rows, cols] = True, depth_mm
-    found = without_corners(mask, surface, slice(0, 60), slice(0, 80), SHAPE)
+    found = without_margins(mask, surface, slice(0, 60), slice(0, 80), SHAPE, 6.0)
     assert np.array_equal(found, mask if kept else np.zeros_like(mask))
 
 
 def test_the_end_of_the_part_that_is_worked_on_is_no_side_of_the_picture():
     mask, surface = np.ones((10, 10), np.bool_), np.full((10, 10), 0.05, np.float32)
-    assert without_corners(mask, surface, slice(5, 15), slice(5, 15), SHAPE).all()
-    assert not without_corners(mask, surface, slice(0, 10), slice(0, 10), SHAPE).any()
+    assert without_margins(mask, surface, slice(5, 15), slice(5, 15), SHAPE, 6.0).all()
+    assert not without_margins(mask, surface, slice(0, 10), slice(0, 10), SHAPE, 6.0).any()
+
+
+@pytest.mark.parametrize(("wide", "kept"), [(5, False), (9, True)])
+def test_a_strip_along_the_border_beside_a_larger_contact_is_left_out(wide, kept):
+    mask = np.zeros(SHAPE, np.bool_)
+    mask[25:45, 25:45] = True
+    whole = mask.copy()
+    whole[10:40, :wide] = True
+    surface = whole.astype(np.float32)
+    found = without_margins(whole, surface, slice(0, 60), slice(0, 80), SHAPE, 6.0)
+    assert np.array_equal(found, whole if kept else mask)
+    alone = whole & ~mask
+    assert np.array_equal(without_margins(alone, surface, slice(0, 60), slice(0, 80), SHAPE, 6.0), alone)
