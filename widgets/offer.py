@@ -7,11 +7,16 @@ from collections.abc import Callable, Sequence
 from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QProgressBar, QPushButton, QSizePolicy, QToolButton, QWidget
 
-_BAR_PX = 160
+from widgets.looks import once
+
+_BAR_PX, _READ_AFTER_MS = 160, 10_000
 
 
 class Offer(QFrame):
-    """Hidden until `show_offer`; each button does its work once and takes the strip away."""
+    """Hidden until `show_offer`; each button does its work once and takes the strip away.
+
+    What offers nothing goes by itself once it can have been read.
+    """
 
     def __init__(self, name: str, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -36,6 +41,7 @@ class Offer(QFrame):
         self._row.addWidget(self._bar)
         self._row.addWidget(self._away)
         self.buttons: list[QPushButton] = []
+        self._read = once(self, _READ_AFTER_MS, self.hide)
         self.hide()
 
     @property
@@ -54,6 +60,10 @@ class Offer(QFrame):
         self._text.setText(sentence[:1].upper() + sentence[1:])
         self._bar.hide()
         self.show()
+        if choices:
+            self._read.stop()
+        else:
+            self._read.start()
 
     def show_progress(self, fraction: float) -> None:
         """How far the work is that the sentence tells of."""

@@ -103,6 +103,10 @@ class Device:
         """The sensor that was said, that its name tells, or the size of its pictures."""
         return self._said or self._kind.sensor or (self._made.sensor if self._made is not None else "")
 
+    @property
+    def touched(self) -> None:
+        """Nobody knows."""
+
     def open(self) -> None:
         """Look for it by name and begin; raises SourceLost where it is not there or does not answer."""
         node = self._node()

@@ -39,6 +39,10 @@ class GrowingFolder:
         """The sensor that was said, or that the first picture's size tells."""
         return self._said or (self._made.sensor if self._made is not None else "")
 
+    @property
+    def touched(self) -> None:
+        """Nobody knows."""
+
     def open(self) -> None:
         """Note what is there; raises SourceLost without such a folder."""
         if not self._folder.is_dir():

@@ -134,9 +134,10 @@ class Reader:
         stream = Stream(
             name=sensor, sensor=sensor, n_frames=self.n_frames, frame=self.frame, truth=self.truth, has_truth=True
         )
+        mesh, symmetry = self.source.touched or (None, None)
         return Recording(
             path=path, format="live sensor", streams=(stream,), notes=(f"watched now: {self.source.title}",),
-            now=lambda: self.recording(path),
+            object_mesh=mesh, symmetry=symmetry, now=lambda: self.recording(path),
         )  # fmt: skip
 
     def _at(self, index: int) -> _Held:

@@ -7,6 +7,8 @@ import time
 import numpy as np
 
 from pipeline.base.errors import SettingProblem
+from pipeline.geometry.meshes import Mesh
+from pipeline.geometry.symmetry import Symmetry
 from pipeline.live.source import Reading, SourceLost
 from pipeline.sensors.spec import sensor as sensor_named
 from pipeline.simulation import datasets
@@ -46,6 +48,11 @@ class Simulated:
     def sensor(self) -> str:
         """Its description's name."""
         return self._spec.name
+
+    @property
+    def touched(self) -> tuple[Mesh, Symmetry | None]:
+        """The object that touches it, and what maps it onto itself."""
+        return datasets.thing(self._plan), datasets.symmetry(self._plan)
 
     def unplug(self) -> None:
         """As a cable that is pulled."""

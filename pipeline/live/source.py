@@ -7,6 +7,8 @@ from typing import Protocol
 
 from pipeline.base.arrays import Floats, Image
 from pipeline.base.errors import TouchError
+from pipeline.geometry.meshes import Mesh
+from pipeline.geometry.symmetry import Symmetry
 from pipeline.values.frames import Truth
 
 
@@ -35,6 +37,11 @@ class Source(Protocol):
     @property
     def sensor(self) -> str:
         """Its description's name."""
+        ...
+
+    @property
+    def touched(self) -> tuple[Mesh, Symmetry | None] | None:
+        """The object that touches it, where that is known: a simulated one's."""
         ...
 
     def open(self) -> None:

@@ -42,7 +42,7 @@ def until(met: Callable[[], bool]) -> None:
 class Counted:
     """A sensor whose pictures are their numbers; it can be pulled out."""
 
-    title, sensor = "counted", "digit"
+    title, sensor, touched = "counted", "digit", None
 
     def __init__(self, *, every_s: float = 0.002, skip: int = 0) -> None:
         self.plugged, self._every_s, self._skip, self._n = True, every_s, skip, 0
@@ -88,6 +88,9 @@ def test_a_simulated_sensor_gives_touches_with_their_truth_and_an_untouched_zero
     assert max(deepest) > 0.1
     last = watched.frame(watched.n_frames - 1)
     assert last.image.shape == last.reference.shape == (*DIGIT.camera.shape, 3)
+    recording = watched.recording(Path("live:/a"))
+    assert recording.object_mesh.name
+    assert recording.symmetry is not None
     still = watched.frame(watched.first)
     assert np.abs(still.image.astype(float) - last.reference).mean() < 3.0  # noise alone
 
