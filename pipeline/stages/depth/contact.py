@@ -128,13 +128,13 @@ def without_margins(
     left, top, wide, tall, area = (np.asarray(stats[:, k], np.int64) for k in range(5))
     across = np.stack([top + rows.start == 0, top + tall + rows.start == shape[0]])
     along = np.stack([left + cols.start == 0, left + wide + cols.start == shape[1]])
-    cut = across.any(axis=0) | along.any(axis=0)
+    cut = np.asarray(across.any(axis=0) | along.any(axis=0), np.bool_)
     largest = int(area[1:][~cut[1:]].max(initial=0))
     for k in (int(k) for k in np.flatnonzero(cut & keep)):
-        if np.count_nonzero(across[:, k]) == np.count_nonzero(along[:, k]) == 1:
-            keep[k] = float(indentation_mm[np.equal(regions, k)].max()) > _CORNER_MM
+        at_corner = np.count_nonzero(across[:, k]) == np.count_nonzero(along[:, k]) == 1
         narrow = min(tall[k] if across[:, k].any() else wide[k], wide[k] if along[:, k].any() else tall[k])
-        keep[k] &= narrow > narrow_px or area[k] > largest
+        shallow = at_corner and float(indentation_mm[np.equal(regions, k)].max()) <= _CORNER_MM
+        keep[k] = not shallow and (narrow > narrow_px or area[k] > largest)
     return np.asarray(keep[regions], np.bool_)
 
 
