@@ -41,7 +41,7 @@ class DiffusionParams:
     sampler: Solver = setting("corrected", "Sampler", choices=Solver, help="how a step follows from those before it")
     seed: int = setting(0, "Seed", low=0, high=2**31 - 1, step=1, help="of the sample, and of the sensor's noise")
     caution: float = setting(
-        0.0, "Caution", low=0.0, high=1.0, step=0.1,
+        1.0, "Caution", low=0.0, high=1.0, step=0.1,
         help="1 holds back what is expected to be off by as much as it changes; 0 takes it all",
     )  # fmt: skip
     keep_states: bool = setting(False, "Keep states", help="so that the way to the sample can be looked at")

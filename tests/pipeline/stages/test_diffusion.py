@@ -15,6 +15,11 @@ SAMPLERS = ("ddim", "dpmpp_2m", "corrected")
 CONDITION = np.random.default_rng(0).normal(size=(3, 12, 16)).astype(np.float32)
 
 
+def taking_all(**how):
+    """Parameters that hold nothing back, unless told to."""
+    return DiffusionParams(**{"caution": 0.0, **how})
+
+
 class Counts(torch.nn.Module):
     """A denoiser of a known field that counts its passes and those without a condition."""
 
@@ -36,7 +41,7 @@ class Counts(torch.nn.Module):
 @pytest.mark.parametrize("guidance", [0.0, 1.0])
 def test_without_guidance_a_step_costs_one_pass(steps, guidance):
     net = Counts()
-    found = sampled(net, CONDITION, DiffusionParams(steps=steps, guidance=guidance))
+    found = sampled(net, CONDITION, taking_all(steps=steps, guidance=guidance))
     assert found.passes == steps
     assert net.passes == steps + (guidance == 0.0), "its spread has to be asked for where no condition ever was"
     assert net.bare == (steps if guidance == 0.0 else 0)
@@ -44,20 +49,20 @@ def test_without_guidance_a_step_costs_one_pass(steps, guidance):
 
 def test_guidance_costs_two_passes_a_step():
     net = Counts()
-    assert sampled(net, CONDITION, DiffusionParams(steps=40, guidance=2.5)).passes == net.passes == 80
+    assert sampled(net, CONDITION, taking_all(steps=40, guidance=2.5)).passes == net.passes == 80
 
 
 def test_one_step_is_the_middle_whatever_the_seed_and_many_are_a_sample_near_it():
     told = 2.0 * np.clip(CONDITION[0], -1, 1)
-    first = [sampled(Counts(), CONDITION, DiffusionParams(seed=seed)).last.residual_mm for seed in (0, 1)]
+    first = [sampled(Counts(), CONDITION, taking_all(seed=seed)).last.residual_mm for seed in (0, 1)]
     assert np.abs(first[0] - first[1]).max() < 0.02
     assert np.abs(first[0] - told).max() < 0.02
-    many = sampled(Counts(), CONDITION, DiffusionParams(steps=30, seed=3)).last.residual_mm
+    many = sampled(Counts(), CONDITION, taking_all(steps=30, seed=3)).last.residual_mm
     assert 0.1 < (many - told).std() < 0.3  # 0.1 of the network's unit around it
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_one_does_not():
-    params = DiffusionParams(steps=6, seed=5)
+    params = taking_all(steps=6, seed=5)
     a, b, other = (sampled(small(), CONDITION, p).last for p in (params, params, replace(params, seed=6)))
     assert a.residual_mm.tobytes() == b.residual_mm.tobytes()
     assert a.contact.tobytes() == b.contact.tobytes()
@@ -74,23 +79,21 @@ def test_it_can_be_stopped_between_any_two_passes(stop_after):
                 raise Cancelled
 
     with pytest.raises(Cancelled):
-        sampled(net, CONDITION, DiffusionParams(steps=40, guidance=2.5), Stops())
+        sampled(net, CONDITION, taking_all(steps=40, guidance=2.5), Stops())
     assert net.passes == stop_after
 
 
 @pytest.mark.parametrize("steps", [1, 7, 50, 51, 333])
 def test_kept_states_lead_to_the_sample_and_are_not_too_many(steps):
-    found = sampled(Counts(), CONDITION, DiffusionParams(steps=steps, keep_states=True))
+    found = sampled(Counts(), CONDITION, taking_all(steps=steps, keep_states=True))
     assert 1 <= len(found.states) <= min(50, steps)
     assert found.states[-1].residual_mm.tobytes() == found.last.residual_mm.tobytes()
     assert [s.sigma for s in found.states] == sorted((s.sigma for s in found.states), reverse=True)
-    assert not sampled(Counts(), CONDITION, DiffusionParams(steps=steps)).states
+    assert not sampled(Counts(), CONDITION, taking_all(steps=steps)).states
 
 
 def test_caution_takes_back_what_is_as_small_as_its_error():
-    plain, careful = (
-        sampled(Counts(spread=0.5), CONDITION, DiffusionParams(caution=caution)) for caution in (0.0, 1.0)
-    )
+    plain, careful = (sampled(Counts(spread=0.5), CONDITION, taking_all(caution=caution)) for caution in (0.0, 1.0))
     share = careful.last.residual_mm / plain.last.residual_mm
     middle = plain.last.residual_mm
     assert np.allclose(share, middle**2 / (middle**2 + 1.0), atol=0.02)
@@ -98,7 +101,7 @@ def test_caution_takes_back_what_is_as_small_as_its_error():
 
 
 def test_few_steps_for_much_guidance_are_said():
-    assert "without it" in sampled(Counts(), CONDITION, DiffusionParams(steps=2, guidance=7.0)).notes[0]
+    assert "without it" in sampled(Counts(), CONDITION, taking_all(steps=2, guidance=7.0)).notes[0]
 
 
 @pytest.mark.parametrize("prediction", PREDICTIONS)
@@ -108,7 +111,7 @@ def test_every_number_of_steps_guidance_and_sampler_stays_finite_and_within_reac
     table = itertools.product((1, 2, 3, 4, 5, 8, 11, 12, 19, 20), (0.0, 1.0, 1.5, 2.54, 7.0, 15.0), SAMPLERS)
     long = [(50, 7.0, "corrected"), (999, 2.54, "dpmpp_2m"), (1000, 15.0, "corrected")]
     for steps, guidance, sampler in (*table, *long):
-        found = sampled(net, tiny, DiffusionParams(steps=steps, guidance=guidance, sampler=sampler))
+        found = sampled(net, tiny, taking_all(steps=steps, guidance=guidance, sampler=sampler))
         told = prediction, steps, guidance, sampler
         assert np.isfinite(found.last.residual_mm).all(), told
         assert np.abs(found.last.residual_mm).max() <= net.reach * net.unit_mm + 1e-5, told
