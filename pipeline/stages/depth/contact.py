@@ -23,6 +23,7 @@ _WORKERS = 2
 _SPECK_SHARE = 0.05  # of the largest region: dust and scratches that the press has shifted
 _FLAT_DEPTH_SHARE = 0.8  # of the depth of the nearest rim: a face that is level with its rim is touched as well
 _PRESSURE_FREE_BLUR_PX = 1.0
+_CORNER_WIDE = 3.0  # times `narrow_px`
 _CORNER_MM = 0.12  # untouched frames of real Minis and drift on a real GelSlim make corners up to 0.1 mm deep
 _FLAT_SLOPE_SHARE = 0.3  # of the region's steep slopes: beside a contact the gel falls away, on a face it does not
 
@@ -114,9 +115,9 @@ def without_margins(
 ) -> Mask:
     """The mask without what the picture's border alone makes; it is the part `rows`, `cols` of a picture of `shape`.
 
-    Shallow regions that a corner cuts: the corners of a gel slide under load. Strips along the border no wider than
-    `narrow_px`, beside a larger contact that the border does not cut: what lies beyond the border is not known to be at
-    rest, and light is least known there.
+    Small and shallow regions that a corner cuts: the corners of a gel slide under load. Strips along the border no
+    wider than `narrow_px`, beside a larger contact that the border does not cut: what lies beyond the border is not
+    known to be at rest, and light is least known there.
     """
     import cv2
 
@@ -132,6 +133,7 @@ def without_margins(
     largest = int(area[1:][~cut[1:]].max(initial=0))
     for k in (int(k) for k in np.flatnonzero(cut & keep)):
         at_corner = np.count_nonzero(across[:, k]) == np.count_nonzero(along[:, k]) == 1
+        at_corner &= max(int(wide[k]), int(tall[k])) <= _CORNER_WIDE * narrow_px
         narrow = min(tall[k] if across[:, k].any() else wide[k], wide[k] if along[:, k].any() else tall[k])
         shallow = at_corner and float(indentation_mm[np.equal(regions, k)].max()) <= _CORNER_MM
         keep[k] = not shallow and (narrow > narrow_px or area[k] > largest)

@@ -15,6 +15,7 @@ SHAPE = (60, 80)
     [
         (slice(0, 9), slice(0, 12), 0.08, False),  # a corner of the gel that slid
         (slice(0, 9), slice(0, 12), 0.30, True),  # too deep for that
+        (slice(0, 9), slice(0, 60), 0.08, True),  # longer than any corner
         (slice(0, 9), slice(20, 40), 0.08, True),  # at one side
         (slice(0, 60), slice(0, 12), 0.08, True),  # a face along three sides
         (slice(20, 30), slice(20, 30), 0.08, True),
