@@ -132,7 +132,9 @@ class Told:
 
 def asked(script: str, ways, caches: Path, *, watched: bool = False, display: str = "") -> Told:
     """Run the script in a new process; its time counts from before the process is there."""
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(caches / "numba"), "XDG_CACHE_HOME": str(caches / "user")}
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    environment |= {"NUMBA_CACHE_DIR": str(caches / "numba"), "XDG_CACHE_HOME": str(caches / "user")}
+    environment["PYTHONPYCACHEPREFIX"] = str(caches / "bytecode")  # kept as a user's Python keeps it
     if display:
         environment |= {"DISPLAY": display, "QT_QPA_PLATFORM": "xcb"}
     code = (COMPILED if watched else "") + script + TELL

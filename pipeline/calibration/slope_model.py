@@ -12,7 +12,6 @@ is cut at `slope_max`, beyond which nothing was seen.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -138,11 +137,6 @@ def predict(model: SlopeModel, samples: Samples) -> Floats:
     g = f @ flat
     length = np.linalg.norm(g, axis=1, keepdims=True)
     return np.asarray(g * np.minimum(1.0, model.slope_max / np.maximum(length, 1e-9)), np.float32)
-
-
-def n_terms(colour_degree: int, position_degree: int) -> int:
-    """How many coefficients each slope has."""
-    return (math.comb(colour_degree + 3, 3) - 1) * math.comb(position_degree + 2, 2)
 
 
 def _place_powers(degree: int) -> list[tuple[int, int]]:
