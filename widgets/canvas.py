@@ -114,6 +114,18 @@ class Canvas(QWidget):
         self._kept = None
         self.update()
 
+    def prepare(self) -> None:
+        """Put the picture together now, so that the next painting of the whole window need not."""
+        if self.isVisible():
+            self._put_together()
+
+    def _put_together(self) -> QPixmap:
+        dense = self.devicePixelRatioF()
+        if self._kept is None or self._kept.devicePixelRatioF() != dense:
+            self.drawn += 1
+            self._kept = self._plate.drawn(dense, backdrop(self.palette()), self.font())
+        return self._kept
+
     def resizeEvent(self, a0: Any) -> None:  # noqa: N802
         """More room shows the fitted picture larger, and more of one that was zoomed."""
         super().resizeEvent(a0)
@@ -125,12 +137,9 @@ class Canvas(QWidget):
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
         """The kept picture, and what moves over it."""
         del a0
-        dense = self.devicePixelRatioF()
-        if self._kept is None or self._kept.devicePixelRatioF() != dense:
-            self.drawn += 1
-            self._kept = self._plate.drawn(dense, backdrop(self.palette()), self.font())
+        kept = self._put_together()
         painter = QPainter(self)
-        painter.drawPixmap(0, 0, self._kept)
+        painter.drawPixmap(0, 0, kept)
         if self._plate.image is None:
             return
         if self.handle is not None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+from numpy.typing import NDArray
 from PyQt6.QtCore import QPointF, QRect, QRectF, QSize, QSizeF, Qt
 from PyQt6.QtGui import QColor, QFont, QImage, QPainter, QPen, QPixmap, QPolygonF
 
@@ -96,15 +98,14 @@ class Plate:
         if border_px is None or not len(border_px):
             return
         painter.setPen(pen)
+        middle, centre = self._middle, self.centre
+        at = (border_px - (centre.x(), centre.y())) * self.scale + (middle.x(), middle.y())
         step = max(1, math.floor(0.7 / self.scale))
-        piece: list[QPointF] = []
-        for n, (x, y) in enumerate(border_px.tolist()):
-            if math.isnan(x):  # a gap
-                painter.drawPolyline(QPolygonF(piece))
-                piece = []
-            elif n % step == 0 or not piece:
-                piece.append(self.to_screen(QPointF(x, y)))
-        painter.drawPolyline(QPolygonF(piece))
+        gaps = np.flatnonzero(np.isnan(at[:, 0]))
+        for piece in np.split(at, gaps):
+            known = piece[~np.isnan(piece[:, 0])]
+            if len(known) > 1:
+                painter.drawPolyline(_polygon(np.concatenate([known[:-1:step], known[-1:]])))
 
     def _draw_scale_bar(self, painter: QPainter, picture: Picture, font: QFont) -> None:
         if not (math.isfinite(picture.pixel_mm) and picture.pixel_mm > 0):
@@ -127,6 +128,17 @@ class Plate:
         painter.setFont(small)
         room = QRectF(end - length_mm * px_of_mm - 40, y - 18, length_mm * px_of_mm + 80, 15)
         painter.drawText(room, Qt.AlignmentFlag.AlignCenter, f"{length_mm:g} mm")
+
+
+def _polygon(points: NDArray[np.floating]) -> QPolygonF:
+    """Points (n, 2) for Qt, copied as a whole: one by one they cost more than drawing them."""
+    polygon = QPolygonF()
+    polygon.resize(len(points))
+    held = polygon.data()
+    assert held is not None
+    held.setsize(len(points) * 2 * 8)
+    np.frombuffer(held, np.float64).reshape(-1, 2)[:] = points
+    return polygon
 
 
 def image_of(pixels: Image) -> QImage:

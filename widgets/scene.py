@@ -97,6 +97,11 @@ class LiveScene(Scene):
         while self._due:
             self._draw_one()
 
+    @property
+    def waiting(self) -> bool:
+        """Whether a view that is seen has still to be drawn."""
+        return any(self.views[column].isVisible() for column in self._due)
+
     def finish(self) -> None:
         """Let go of everything OpenGL; the last pictures stay."""
         self._soon.stop()

@@ -1,4 +1,4 @@
-"""One line for what is doubted of the frame on screen; not there while nothing is."""
+"""One line for what is doubted of the frame on screen; empty while nothing is."""
 
 from __future__ import annotations
 
@@ -19,15 +19,18 @@ class WarningLine(QWidget):
         super().__init__(parent)
         self.setObjectName("warning_line")
         self.text = ""  # all of it, however much there is room for
-        sign = QLabel()
-        sign.setPixmap(state_pixmap("doubtful"))
+        self._sign = QLabel()
+        self._sign.setPixmap(state_pixmap("doubtful"))
+        room = self._sign.sizePolicy()
+        room.setRetainSizeWhenHidden(True)  # nothing moves when doubts come and go
+        self._sign.setSizePolicy(room)
         self._label = QLabel()
         self._label.setTextFormat(Qt.TextFormat.PlainText)
         self._label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         layout = spaced(QHBoxLayout(self), 5, (6, 0, 6, 0))
-        layout.addWidget(sign)
+        layout.addWidget(self._sign)
         layout.addWidget(self._label, 1)
-        self.hide()
+        self._sign.hide()
 
     def show_doubts(self, doubts: Sequence[tuple[str, str]]) -> None:
         """(title of a slot, what is doubted of it), the most telling first."""
@@ -37,7 +40,7 @@ class WarningLine(QWidget):
             self.text = text
             self.setToolTip("\n".join(told))
             self._elide()
-            self.setVisible(bool(told))
+            self._sign.setVisible(bool(told))
 
     def resizeEvent(self, a0: Any) -> None:  # noqa: N802
         """As much as there is room for."""

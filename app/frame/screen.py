@@ -97,6 +97,7 @@ class Screen:
             column.show_state("read", part.ms)
             self._tracer.show_results(self._results, part.frame, part.facts)
         self._tell_state(name)
+        column.view.canvas.prepare()
         index = self._order.index(name)
         self._layers[index] = part.layers
         self.scene.show_layers(index, part.layers)
@@ -134,15 +135,9 @@ class Screen:
         self.scene.show_layers(len(self._order), other.layers)
 
     def _tell_state(self, name: str) -> None:
-        """The filmstrip's sign, and the line of warnings."""
+        """The filmstrip's sign."""
         column = self._window.columns[name]
         self._window.panes.filmstrip.thumbnails[name].show_state(column.state, column.doubts)
-        if self.opened is not None:
-            slot, common = self.opened.catalogue.slot, self._window.frames.known.common_doubts
-            here = [(slot(key).title, doubt) for key, r in self._results.items() for doubt in r.doubts]
-            # What is doubted of every frame comes last: it is no news.
-            here.sort(key=lambda pair: f"{pair[0].lower()}: {pair[1]}" in common)
-            self._window.warning.show_doubts(here)
 
     def show_preview(self, picture: Picture, other: Beside | None, layers: tuple[Layer, ...]) -> None:
         """The target's view of a drag on its way; what rests on it is out of date."""
@@ -167,6 +162,11 @@ class Screen:
             self._window.frames.show_frame(shown.index)
         if self.opened is not None:
             slot = self.opened.catalogue.slot
+            common = self._window.frames.known.common_doubts
+            here = [(slot(key).title, doubt) for key, r in shown.results.items() for doubt in r.doubts]
+            # What is doubted of every frame comes last: it is no news.
+            here.sort(key=lambda pair: f"{pair[0].lower()}: {pair[1]}" in common)
+            self._window.warning.show_doubts(here)
             rows = [
                 TimingRow(title=slot(r.name).title, state=r.state, ms=r.ms, notes=r.notes)
                 for r in shown.results.values()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from PyQt6.QtCore import QSize, pyqtSignal
+from PyQt6.QtCore import QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QCloseEvent, QDragEnterEvent, QDropEvent
 from PyQt6.QtWidgets import (
     QComboBox,
@@ -45,6 +45,7 @@ from widgets.warning_line import WarningLine
 from widgets.waterfall import BlamePanel
 
 SIZE = QSize(1600, 950)
+_DOING_PX = 260  # for what the background does, in words
 LOW_STRIP_PX, HIGH_STRIP_PX = 24, 44  # of the errors
 
 
@@ -149,6 +150,12 @@ class Window(QMainWindow):
         self.probe.setObjectName("probe")
         self.bar.setRange(0, 1000)
         self.bar.setFixedWidth(140)
+        self.doing.setFixedWidth(_DOING_PX)
+        self.doing.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        for widget in (self.bar, self.stop):  # nothing moves when work begins and ends
+            room = widget.sizePolicy()
+            room.setRetainSizeWhenHidden(True)
+            widget.setSizePolicy(room)
         self.bar.setTextVisible(False)
         self.stop.setObjectName("cancel_button")
         status = self.statusBar()

@@ -1,0 +1,218 @@
+"""How long does one event keep the window's thread busy: sliders dragged, pictures hovered, frames played?
+
+Run under a display: python benchmarks/window_events.py. Time is the processor's of the GUI thread, per event of Qt;
+what OpenGL draws, which a processor does where there is no graphics card, is taken out and told apart. The promise:
+16 ms for 99 of 100, 33 ms for every one; a frame seen before is whole in 60 ms; 10 frames a second play at speed 1.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.races import Bar, Timing, row
+from pipeline.racing.races import Answer, Row
+from pipeline.racing.report import show
+
+NEEDS = "a display"
+STEPS, HOVERS, PLAYED_S = 60, 200, 12.0
+P99_MS, MAX_MS, SEEN_MS, FPS = 16.0, 33.0, 60.0, 10.0
+
+
+def answer() -> Answer:
+    from app import main as app_main
+
+    app_main.prepare_environment()
+    application, clock = _timed_application()
+    from app.frame.tour import wait_until_shown
+    from app.session.state import Session
+
+    session = Session(recording=app_main.SAMPLE, source="gelslim", target="soft_bubble", frame=5)
+    instrument = app_main.show_window(session)
+    instrument.window.resize(1600, 950)
+    wait_until_shown(instrument)
+    clock.instrument = instrument
+    _rest(instrument, application)  # all frames known: the background is quiet
+    rows = list(_events(instrument, application, clock))
+    seen, fps, notes = _frames(instrument, application)
+    rows.append(row("frame seen before, whole window", ours=seen, ours_error=math.nan, unit="", bar=Bar(ms=SEEN_MS)))
+    play = Timing(median_ms=1e3 / fps, p95_ms=math.nan)
+    rows.append(row("a frame at speed 1", ours=play, ours_error=math.nan, unit="", bar=Bar(ms=1.05e3 / FPS)))
+    instrument.window.may_close = lambda: True
+    instrument.window.close()
+    return Answer(title="One event of the window", unit="", rows=tuple(rows), notes=(*notes, *clock.told))
+
+
+class _Clock:
+    """CPU of the GUI thread by event, what OpenGL drew in it taken out."""
+
+    def __init__(self) -> None:
+        self.instrument: Any = None
+        self.ms: list[float] = []
+        self.gl_ms: list[float] = []
+        self.told: list[str] = []
+        self._deep = 0
+
+    @contextmanager
+    def event(self) -> Iterator[None]:
+        """Time the outermost of nested events."""
+        if self._deep or self.instrument is None:
+            yield
+            return
+        self._deep += 1
+        scene = self.instrument.screen.scene
+        drawn_s, begun_s = getattr(scene, "drawing_s", 0.0), time.thread_time()
+        try:
+            yield
+        finally:
+            self._deep -= 1
+            gl_s = getattr(scene, "drawing_s", 0.0) - drawn_s
+            self.ms.append(1e3 * (time.thread_time() - begun_s - gl_s))
+            if gl_s:
+                self.gl_ms.append(1e3 * gl_s)
+
+    def begin(self) -> None:
+        self.ms, self.gl_ms = [], []
+
+
+def _timed_application() -> tuple[Any, _Clock]:
+    from PyQt6.QtWidgets import QApplication
+
+    clock = _Clock()
+
+    class Timed(QApplication):
+        def notify(self, receiver: Any, event: Any) -> bool:
+            with clock.event():
+                return super().notify(receiver, event)
+
+    return Timed([sys.argv[0]]), clock
+
+
+def _spin(instrument: Any, application: Any, limit_s: float = 60.0) -> None:
+    """Until what was asked for is on screen, 3D views too."""
+    end_s = time.monotonic() + limit_s
+    while time.monotonic() < end_s:
+        application.processEvents()
+        if instrument.idle and not getattr(instrument.screen.scene, "waiting", False):
+            return
+        time.sleep(0.0005)
+
+
+def _rest(instrument: Any, application: Any, limit_s: float = 240.0) -> None:
+    known, end_s = instrument.window.frames.known, time.monotonic() + limit_s
+    while known.unknown_from(0) >= 0 and time.monotonic() < end_s:
+        application.processEvents()
+        time.sleep(0.002)
+    _spin(instrument, application)
+
+
+def _events(instrument: Any, application: Any, clock: _Clock) -> Iterator[Row]:
+    window = instrument.window
+    for drawer in (window.drawers.parameters, window.drawers.alignment):
+        drawer.show()
+    _spin(instrument, application)
+
+    def slider_of(name: str) -> Any:
+        from PyQt6.QtWidgets import QSlider
+
+        box = next(w for w in window.parameters.findChildren(object) if w.objectName() == name)
+        return box.findChild(QSlider)
+
+    def drag(slider: Any, low: int, high: int) -> Callable[[int], None]:
+        return lambda n: slider.setValue(round(low + (high - low) * 0.5 * (1 - math.cos(0.2 * n))))
+
+    x = window.alignment.rows["x"].slider
+    middle = (x.minimum() + x.maximum()) // 2
+    canvas = window.columns["depth"].view.canvas
+    for name, act, count in (
+        ("display slider", drag(slider_of("display.bubble_limit_mm"), 100, 250), STEPS),
+        ("depth slider", drag(slider_of("depth/physics.sensitivity"), 40, 120), STEPS),
+        ("alignment slider", drag(x, middle - 40, middle + 40), STEPS),
+        ("hovering", lambda n: _hover(application, canvas, n), HOVERS),
+    ):
+        clock.begin()
+        for n in range(count):
+            with clock.event():
+                act(n)
+            end_s = time.monotonic() + 0.03  # as fast as a hand moves
+            while time.monotonic() < end_s:
+                application.processEvents()
+                time.sleep(0.0005)
+        _spin(instrument, application)
+        yield _row(name, clock)
+    clock.begin()
+    instrument.choose_frame(0)
+    _spin(instrument, application)
+    _play(instrument, application)
+    yield _row("playing", clock)
+
+
+def _hover(application: Any, canvas: Any, n: int) -> None:
+    from PyQt6.QtCore import QEvent, QPointF, Qt
+    from PyQt6.QtGui import QMouseEvent
+
+    at = QPointF(canvas.width() * (0.5 + 0.4 * math.sin(0.11 * n)), canvas.height() * (0.5 + 0.4 * math.sin(0.07 * n)))
+    none, keys = Qt.MouseButton.NoButton, Qt.KeyboardModifier.NoModifier
+    place = canvas.mapToGlobal(at)
+    application.sendEvent(canvas, QMouseEvent(QEvent.Type.MouseMove, at, place, none, none, keys))
+
+
+def _row(name: str, clock: _Clock) -> Row:
+    ms = np.array(clock.ms)
+    p99, most = float(np.percentile(ms, 99)), float(ms.max())
+    gl = f"; OpenGL apart: {len(clock.gl_ms)} drawings, median {np.median(clock.gl_ms):.1f}, largest " \
+         f"{max(clock.gl_ms):.1f} ms" if clock.gl_ms else "; OpenGL drew nothing"  # fmt: skip
+    clock.told.append(f"{name}: {len(ms)} events, p99 {p99:.1f} ms, largest {most:.1f} ms{gl}")
+    # The longest stands where a median would: the promise is about every single one.
+    return row(f"{name}, longest event", ours=Timing(median_ms=most, p95_ms=p99), ours_error=math.nan, unit="",
+               bar=Bar(ms=MAX_MS))  # fmt: skip
+
+
+def _play(instrument: Any, application: Any) -> tuple[int, float]:
+    """(frames shown, seconds) of one run through the recording at speed 1."""
+    shown: list[int] = []
+    instrument.frame_shown.connect(shown.append)
+    begun_s = time.perf_counter()
+    instrument.window.timeline.play(on=True)
+    while instrument.window.timeline.playing and time.perf_counter() - begun_s < PLAYED_S:
+        application.processEvents()
+        time.sleep(0.0005)
+    took_s = time.perf_counter() - begun_s
+    _spin(instrument, application)
+    instrument.frame_shown.disconnect(shown.append)
+    return len(shown), took_s
+
+
+def _frames(instrument: Any, application: Any) -> tuple[Timing, float, list[str]]:
+    """Going back to frames seen before, and playing them; wall and CPU of the whole process."""
+    wall, cpu = [], []
+    for index in [4, 5, 6, 7] * 5:
+        begun_s, begun_cpu_s = time.perf_counter(), time.process_time()
+        instrument.choose_frame(index)
+        _spin(instrument, application)
+        wall.append(1e3 * (time.perf_counter() - begun_s))
+        cpu.append(1e3 * (time.process_time() - begun_cpu_s))
+    seen = cpu[4:]  # the first round may be new
+    instrument.choose_frame(0)
+    _spin(instrument, application)
+    frames, took_s = _play(instrument, application)
+    n_all = instrument.screen.opened.n_frames
+    notes = [
+        f"a frame seen before: CPU of all threads, median {np.median(seen):.0f} ms, largest {max(seen):.0f}; "
+        f"by the wall clock, median {np.median(wall[4:]):.0f} ms",
+        f"playing: {frames} of {n_all} frames shown in {took_s:.2f} s = {frames / took_s:.1f} frames a second",
+    ]
+    return Timing(median_ms=float(np.median(seen)), p95_ms=float(np.percentile(seen, 95))), frames / took_s, notes
+
+
+if __name__ == "__main__":
+    show(answer())
