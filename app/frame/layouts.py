@@ -22,6 +22,8 @@ class Layouts(QObject):
         super().__init__(instrument)
         self._instrument, self._window = instrument, instrument.window
         self._before: Versus | None = None  # what was shown before *Align*
+        self._opened = False  # whether its drawer came with it
+        self._shown: LayoutName = "stages"
         window, panes = self._window, self._window.panes
         for name in LAYOUTS:
             window.on(f"layout_{name}", partial(self.choose, name))
@@ -64,14 +66,20 @@ class Layouts(QObject):
         self._arrange(self._now.with_dims(pane, known))
 
     def _show_session(self, session: Session) -> None:
-        """*Align* comes with its drawer and the difference to what was felt."""
-        aligned = session.layout.name == "align"
+        """*Align* comes with its drawer and the difference to what was felt, *Demo* without any."""
+        drawer, name = self._window.drawers.alignment, session.layout.name
+        aligned = name == "align"
+        if name == "demo" and self._shown != "demo":
+            for other in self._window.drawers.all:
+                other.hide()
+        self._shown = name
         if aligned and self._before is None:
-            self._before = self._instrument.screen.versus
-            drawer = self._window.drawers.alignment
+            self._before, self._opened = self._instrument.screen.versus, drawer.isHidden()
             drawer.show()
             drawer.raise_()
             self._instrument.show_versus(self._before or "difference")
         elif not aligned and self._before is not None:
             before, self._before = self._before, None
+            if self._opened:
+                drawer.hide()
             self._instrument.show_versus(before)

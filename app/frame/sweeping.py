@@ -82,7 +82,8 @@ class Sweeping(QObject):
 
     def _figures(self) -> list[str]:
         """The errors that any frame is known to have, the usual one first."""
-        known = self._instrument.window.frames.known.figures
+        judged = () if self._plan is None or not self._plan.figure else (self._plan.figure,)
+        known = dict.fromkeys((*self._instrument.window.frames.known.figures, *judged))
         names = [name for name in known if METRICS[name.partition(".")[2]].better == "lower"]
         return [*sorted(names, key=lambda name: name != FIGURE), _NO_FIGURE]
 

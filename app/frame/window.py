@@ -161,7 +161,7 @@ class Window(QMainWindow):
         status = self.statusBar()
         assert status is not None
         status.addWidget(self.probe, 1)
-        for widget in (self.doing, self.bar, self.stop):
+        for widget in (self.bar, self.stop, self.doing):
             status.addPermanentWidget(widget)
         self.show_progress(None)
 

@@ -27,7 +27,6 @@ _PACKAGES = (
     "PyQt6",
     "pyvista",
     "vtk",
-    "pyqtgraph",
 )
 _LIBRARIES = {
     "GL": "libgl1",

@@ -104,8 +104,9 @@ def test_align_shows_what_is_carried_over_less_what_was_felt(window):
     assert wait_until_shown(window, LIMIT_S)
     shown = window.window.columns["view"].view.picture
     assert shown.caption.startswith("carried over less felt")
-    _arrange(window, "stages")
+    _arrange(window, "demo")
     assert window.screen.versus == ""
+    assert not any(drawer.isVisible() for drawer in window.window.drawers.all)
 
 
 def test_a_session_keeps_the_layout(window, open_window, tmp_path):
