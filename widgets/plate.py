@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,8 +135,7 @@ def _polygon(points: NDArray[np.floating]) -> QPolygonF:
     """Points (n, 2) for Qt, copied as a whole: one by one they cost more than drawing them."""
     polygon = QPolygonF()
     polygon.resize(len(points))
-    held = polygon.data()
-    assert held is not None
+    held: Any = polygon.data()
     held.setsize(len(points) * 2 * 8)
     np.frombuffer(held, np.float64).reshape(-1, 2)[:] = points
     return polygon

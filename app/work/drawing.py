@@ -75,7 +75,8 @@ class Drawing:
         if kept is None:
             frame = translation.stream.frame(translation.checked(index))
             kept = Read(frame, translation.facts(index), *_reading(frame, translation.source))
-            self._read.put(index, kept)
+            if translation.recording.now is None:  # one that grows may be set to zero anew, or forget its oldest
+                self._read.put(index, kept)
         return kept
 
     def figures(
