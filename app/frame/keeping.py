@@ -17,6 +17,7 @@ from app.session.remembered import Remembered
 from app.session.state import DISPLAY, Session
 from app.work.jobs import LatestJob
 from pipeline.base.text import plain
+from pipeline.recordings.mounted import is_mounted
 from pipeline.translation.translate import Translation
 from widgets.looks import once
 from widgets.offer import Offer
@@ -64,6 +65,8 @@ class Keeping(QObject):
         self._soon.stop()
         session = self._instrument.session
         session = replace(session, frame=max(0, session.frame))  # one that is not open yet has no frame
+        if session.recording is not None and is_mounted(session.recording):
+            session = replace(session, recording=None)  # a sensor that is watched is not there after a crash
         self._job.submit(lambda _report: self.kept.write(session), interrupt=False)
 
     def take_place(self) -> None:

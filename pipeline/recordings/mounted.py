@@ -24,6 +24,12 @@ def unmount(path: Path) -> None:
         _held.pop(str(path), None)
 
 
+def is_mounted(path: Path) -> bool:
+    """Whether something is held under a name."""
+    with _lock:
+        return str(path) in _held
+
+
 def mounted(path: Path) -> Recording | None:
     """What is held under a name; None for a path like any other."""
     with _lock:

@@ -6,7 +6,6 @@ import os
 import random
 from pathlib import Path
 
-import pytest
 from PyQt6.QtCore import QCoreApplication, QPoint, QPointF, Qt
 from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtTest import QTest
@@ -83,9 +82,9 @@ def test_tips_of_parameters_say_their_unit_and_range(bubble_window):
     assert any("0.1 to 3 mm" in tip for tip in tips)
 
 
-@pytest.mark.parametrize("seed", [1])
-def test_a_monkey_breaks_nothing(bubble_window, tmp_path, touch_file, ball_file, seed):
+def test_a_monkey_breaks_nothing(bubble_window, tmp_path, touch_file, ball_file):
     """Short here; `make monkey` lets it run for an hour."""
+    seed = int(os.environ.get("MONKEY_SEED", "1"))
     minutes = float(os.environ.get("MONKEY_MINUTES", "0.15"))
     monkey = Monkey(bubble_window, random.Random(seed), folder=tmp_path, good=(touch_file, ball_file))
     monkey.play(minutes * 60.0)
