@@ -30,7 +30,7 @@ from pipeline.stages.pose.stage import PoseParams, pose_from
 from pipeline.values.results import DepthMap
 
 TRIALS, TOUCHES, _TURN_DEG, _SHIFT_MM = 200, 24, 20.0, 2.5
-_FIRST_SEED = 50_000  # none of these contacts was looked at while anything here was chosen
+_FIRST_SEED = 90_000  # none of these contacts was looked at while anything here was chosen
 _FOUND_MM, _FOUND_DEG = 0.1, 0.5
 _CAMERA = Camera(rows=120, cols=160, fx_px=120.0, fy_px=120.0, cx_px=79.5, cy_px=59.5)  # 0.17 mm a pixel
 _REST_MM, _DEEP_MM, _TILT_DEG, _SLID_MM = 20.0, 1.2, 4.0, 2.0
