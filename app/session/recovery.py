@@ -13,6 +13,7 @@ from typing import IO
 from app.session.contents import contents
 from app.session.state import SUFFIX, Session, load_session, save_session
 from pipeline.base.errors import TouchError
+from pipeline.base.files import open_lock
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 
 _LOCK = ".lock"
@@ -46,9 +47,7 @@ class Kept:
     def write(self, session: Session) -> None:
         """Put `session` in the place of what was kept; raises FileProblem."""
         if self._lock is None:
-            self._folder.mkdir(parents=True, exist_ok=True)
-            self._lock = (self._folder / f"{self._name}{_LOCK}").open("wb")
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self._lock = open_lock(self._folder / f"{self._name}{_LOCK}")
         save_session(session, self.path, contents(session))
 
     def forget(self) -> None:

@@ -90,6 +90,33 @@ def ready_for(path: Path) -> None:
     ready(path.parent)
 
 
+def open_to_grow(path: Path, what: str) -> BinaryIO:
+    """A new file in its place at once, for what is to be read while it grows; raises FileProblem.
+
+    Nothing is replaced at the end: who writes it keeps it whole at every moment.
+    """
+    try:
+        return path.open("w+b")
+    except OSError as error:
+        raise FileProblem(f"cannot write {what} ({reason(error)})", path) from error
+
+
+def open_lock(path: Path) -> BinaryIO:
+    """An empty file that other processes see as locked for as long as it is open, however this one ends.
+
+    Raises FileProblem.
+    """
+    import fcntl
+
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        lock = path.open("wb")
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        raise FileProblem(f"cannot lock this file ({reason(error)})", path) from error
+    return lock
+
+
 def write_text(path: Path, text: str, what: str) -> None:
     """`text` as UTF-8, whole or not at all; raises FileProblem."""
     with whole_file(path, what) as file:

@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import BinaryIO
 
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import ready_for, reason
+from pipeline.base.files import open_to_grow, ready_for
 from pipeline.recordings import hdf5_layout as layout
 from pipeline.recordings.hdf5_layout import Coding
 from pipeline.recordings.hdf5_writer import Writer
@@ -32,10 +32,7 @@ class GrowingWriter(Writer):
         self._flushed_s = 0.0
 
     def _place_of(self, path: Path) -> BinaryIO:
-        try:
-            return self._place.enter_context(path.open("w+b"))
-        except OSError as error:
-            raise FileProblem(f"cannot write the recording ({reason(error)})", path) from error
+        return self._place.enter_context(open_to_grow(path, "the recording"))
 
     def append(self, stream: str, frame: TactileFrame, truth: Truth | None = None) -> None:
         """Add one frame to the one stream; raises ShapeError when it does not agree with the first."""

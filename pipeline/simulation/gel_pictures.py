@@ -86,7 +86,7 @@ def _light(of: Unit, height_mm: Floats) -> Floats:
         change = change * (bright / bright.mean(axis=(0, 1))) ** np.float32(of.following)
     light = np.asarray(still + change, np.float32)
     if optics.optics_of(of.sensor).shadow > 0:
-        optics.shade(light, of.sensor, height_mm)
+        optics.shade(light, of.sensor, height_mm, PIXEL_MM)
     share, reach = of.bounced
     if share:
         small = cv2.resize(light - still, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)

@@ -14,6 +14,7 @@ import pytest
 from pipeline.base.errors import SettingProblem
 from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import stage_arrays, write_frame, write_report
+from pipeline.stages.feel.stage import NO_MEMBRANE
 from pipeline.translation import trace
 from pipeline.translation.catalogue import BUILT_IN, default_params, with_method, with_setting
 from pipeline.translation.translate import Request, open_translation
@@ -69,10 +70,13 @@ def test_parameters_and_methods_of_a_toy_are_set_by_name(toy, results):
         with_method({}, "touch")
 
 
-def test_a_membrane_is_refused_where_the_method_knows_none_and_the_sentence_says_what_to_choose(toy):
+def test_a_touch_without_a_membrane_is_read_as_recorded_and_the_note_says_so(toy):
     asked = replace(toy, request=replace(toy.request, methods=(("felt", "membrane"),)))
-    with pytest.raises(SettingProblem, match="choose the method 'reading'"):
-        asked.graph().evaluate(["felt"], asked.inputs(TOUCHED), {})
+    felt = asked.graph().evaluate(["felt"], asked.inputs(TOUCHED), {})["felt"]
+    assert NO_MEMBRANE in (*felt.notes, *felt.output.notes)
+    read = replace(toy, request=replace(toy.request, methods=(("felt", "reading"),)))
+    same = read.graph().evaluate(["felt"], read.inputs(TOUCHED), {})["felt"].output
+    assert np.array_equal(felt.output.indentation_mm, same.indentation_mm)
 
 
 def test_the_truth_may_stand_for_a_slot(toy):
