@@ -43,7 +43,8 @@ def view(
     """
     if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in _SCREENS):
         raise SettingProblem("there is no display to show a window on; run it under xvfb-run, or use translate")
-    from app.main import SAMPLE, open_window
+    from app.main import open_window
+    from app.session.sample import SAMPLE
 
     nothing = recording is None and not target and opening == NOTHING_ELSE
     request = None if nothing else opening.request(recording or SAMPLE, target)

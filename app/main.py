@@ -10,6 +10,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from app.session.sample import SAMPLE
+
 if TYPE_CHECKING:
     from PyQt6.QtWidgets import QApplication
 
@@ -19,7 +21,6 @@ if TYPE_CHECKING:
     from pipeline.translation.catalogue import Catalogue
     from pipeline.translation.translate import Request
 
-SAMPLE = Path(__file__).resolve().parents[1] / "sample_data" / "recordings" / "first_touch.h5"
 _PATIENCE_S = 1.0  # for the window to be on screen; one that is opened minimised never is
 # Objects made until the youngest, and rounds until the older ones are looked through. Loading Qt, VTK and numba makes
 # millions that stay: as Python has it, looking through them takes a tenth of the time to the first touch.

@@ -15,7 +15,8 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from app.main import SAMPLE, make_application, prepare_environment, show_window
+from app.main import make_application, prepare_environment, show_window
+from app.session.sample import SAMPLE
 
 prepare_environment()
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Mapping, Sequence
 
 from PyQt6.QtCore import QSize, Qt
-from PyQt6.QtWidgets import QLabel, QToolBar, QToolButton
+from PyQt6.QtGui import QAction
+from PyQt6.QtWidgets import QDockWidget, QLabel, QMainWindow, QMenu, QToolBar, QToolButton, QWidget
 
 from app.frame.actions import ARRANGE, EDIT, FILE, HELP, PLAY, VERSUS, VIEW
-
-if TYPE_CHECKING:
-    from app.frame.window import Window
+from widgets.timeline import Timeline
 
 _TOOLS = (
     "open_recording",
@@ -36,33 +35,38 @@ _FIRST_OF_THEIR_KIND = frozenset(
 _NAMED = ("open_recording", "open_mesh", "freeze_trace")
 
 
-def build_menus(window: Window) -> None:
-    """Every command once, by what it is about."""
-    bar = window.menuBar()
+def build_menus(
+    window: QMainWindow, actions: Mapping[str, QAction], n_columns: int, drawers: Iterable[QDockWidget]
+) -> dict[str, QMenu]:
+    """Every command once, by what it is about; the menus by their names."""
+    bar, menus = window.menuBar(), dict[str, QMenu]()
     assert bar is not None
     for title, names in (
         ("&File", [c.name for c in FILE]),
         ("&Edit", [c.name for c in EDIT]),
         ("&Play", [c.name for c in PLAY]),
-        ("&View", [c.name for c in VIEW + VERSUS] + [f"only_{i + 1}" for i in range(len(window.columns))]),
+        ("&View", [c.name for c in VIEW + VERSUS] + [f"only_{i + 1}" for i in range(n_columns)]),
         ("&Layout", [c.name for c in ARRANGE]),
         ("&Help", [c.name for c in HELP]),
     ):
         menu = bar.addMenu(title)
         assert menu is not None
-        window.menus[title.replace("&", "")] = menu
+        menus[title.replace("&", "")] = menu
         for name in names:
             if name in _FIRST_OF_THEIR_KIND:
                 menu.addSeparator()
-            menu.addAction(window.actions_by_name[name])
+            menu.addAction(actions[name])
         if title == "&View":
             menu.addSeparator()
-            for drawer in window.drawers.all:
+            for drawer in drawers:
                 menu.addAction(drawer.toggleViewAction())
+    return menus
 
 
-def build_tool_bar(window: Window) -> None:
-    """What is used most, and which sensors and route."""
+def build_tool_bar(
+    window: QMainWindow, actions: Mapping[str, QAction], choosers: Sequence[tuple[str, QWidget]], timeline: Timeline
+) -> None:
+    """What is used most, `choosers` with their labels, and the buttons of the timeline."""
     bar = QToolBar("Commands", window)
     bar.setObjectName("tool_bar")
     bar.setMovable(False)
@@ -70,19 +74,19 @@ def build_tool_bar(window: Window) -> None:
     window.addToolBar(bar)
     for name in _TOOLS:
         if name:
-            bar.addAction(window.actions_by_name[name])
+            bar.addAction(actions[name])
         else:
             bar.addSeparator()
     bar.addSeparator()
-    for label, box in (("source", window.source), ("target", window.target), ("route", window.route)):
+    for label, box in choosers:
         word = QLabel(f"  {label} ")
         word.setBuddy(box)
         bar.addWidget(word)
         bar.addWidget(box)
     for name in _NAMED:  # the others' names are in their tips and in the menus
-        button = bar.widgetForAction(window.actions_by_name[name])
+        button = bar.widgetForAction(actions[name])
         if isinstance(button, QToolButton):
             button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
     for name in ("first", "previous", "play", "next", "last"):
-        window.timeline.add_command(window.actions_by_name[name])
-    window.timeline.add_command(window.actions_by_name["loop"])
+        timeline.add_command(actions[name])
+    timeline.add_command(actions["loop"])

@@ -6,7 +6,7 @@ from PyQt6.QtCore import QObject
 
 from app.frame.instrument import Instrument
 from app.frame.keeping import Keeping
-from app.main import SAMPLE
+from app.session.sample import SAMPLE
 from app.session.state import Session
 from widgets.welcome import Welcome
 

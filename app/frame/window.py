@@ -80,9 +80,9 @@ class Window(QMainWindow):
         self.source, self.target, self.route = (self._chooser(n) for n in ("source", "target", "route"))
         self._build_centre()
         self._build_drawers()
-        self.menus: dict[str, QMenu] = {}  # of the bar, by title
-        build_menus(self)
-        build_tool_bar(self)
+        self.menus = build_menus(self, self.actions_by_name, len(self.columns), self.drawers.all)
+        choosers = ("source", self.source), ("target", self.target), ("route", self.route)
+        build_tool_bar(self, self.actions_by_name, choosers, self.timeline)
         self._build_status()
 
     def _take_room(self) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from app.frame.tour import wait_until_shown
-from app.main import SAMPLE
+from app.session.sample import SAMPLE
 from app.session.state import ON_A_TOUCH
 
 

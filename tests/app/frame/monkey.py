@@ -17,7 +17,7 @@ from PyQt6.QtWidgets import QAbstractSlider, QAbstractSpinBox, QApplication, QCh
 
 from app.frame.instrument import Instrument
 from app.frame.tour import wait_until_shown
-from app.main import SAMPLE
+from app.session.sample import SAMPLE
 
 _LEFT_ALONE = frozenset(  # those that ask for a file by a box of the system's, close the window or show a box
     ("open_recording", "open_folder", "open_mesh", "open_calibration", "open_weights", "open_reference", "open_alignment",

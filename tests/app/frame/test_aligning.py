@@ -12,7 +12,7 @@ import pytest
 from app.frame.aligning import Aligning
 from app.frame.instrument import Instrument
 from app.frame.tour import wait_until_shown
-from app.main import SAMPLE
+from app.session.sample import SAMPLE
 from app.session.state import Session
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment_files import load

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from app.frame.tour import wait_until_shown
-from app.main import SAMPLE
+from app.session.sample import SAMPLE
 from pipeline.translation.blame import UNSEEN
 from widgets.waterfall import bars
 

@@ -18,7 +18,7 @@ from PyQt6.QtWidgets import QApplication
 
 from app.frame.handing import Handing
 from app.frame.tour import wait_until_shown
-from app.main import SAMPLE
+from app.session.sample import SAMPLE
 from pipeline.base.params import changed
 from pipeline.cli.main import build, run
 from pipeline.reporting.asked import command

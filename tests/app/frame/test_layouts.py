@@ -6,8 +6,8 @@ import pytest
 from PyQt6.QtCore import QSize, Qt
 
 from app.frame.tour import wait_until_shown
-from app.main import SAMPLE
 from app.session.layout import Layout, from_plain
+from app.session.sample import SAMPLE
 from app.session.state import load_session
 
 LIMIT_S = 60

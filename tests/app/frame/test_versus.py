@@ -7,7 +7,7 @@ import pytest
 from PyQt6.QtCore import QPointF
 
 from app.frame.tour import wait_until_shown
-from app.main import SAMPLE
+from app.session.sample import SAMPLE
 
 LIMIT_S = 60
 

@@ -15,7 +15,7 @@ from PyQt6.QtGui import QDropEvent, QSurface
 from PyQt6.QtWidgets import QLabel
 
 from app.frame.tour import give_tour, save_window_picture, wait_until_shown
-from app.main import SAMPLE
+from app.session.sample import SAMPLE
 from app.session.state import load_session
 from app.work.stopwatch import LIMIT_MS
 from pipeline.base.params import changed

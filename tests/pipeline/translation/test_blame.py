@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.main import SAMPLE
+from app.session.sample import SAMPLE
 from pipeline.base.arrays import freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.engine.graph import StageResult

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.main import SAMPLE
+from app.session.sample import SAMPLE
 from pipeline.base.arrays import freeze
 from pipeline.base.doubts import Doubt, doubts
 from pipeline.engine.graph import StageResult
