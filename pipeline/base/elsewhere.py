@@ -43,6 +43,7 @@ class Elsewhere:
         try:
             for future in as_completed(futures, loop=self._client.loop):
                 found[place[future.key]] = future.result()
+                future.release()  # else the scheduler has it done again when the worker that keeps it dies
                 progress.step(len(found) / len(pieces), f"{len(found)} of {len(pieces)} done elsewhere")
         except KilledWorker as error:
             raise NotConverged(

@@ -11,6 +11,9 @@ from pipeline.cli.opening_options import NOTHING_ELSE, Opening
 
 _Settings = Annotated[tuple[str, ...], Parameter(name="--set", negative="")]
 
+# Told here: in a docstring the word is the heading of a section.
+_Note = Annotated[str, Parameter(help="What is to be seen in it.")]
+
 
 def export(
     recording: Path,
@@ -62,7 +65,7 @@ def make_case(
     out: Path,
     opening: Opening = NOTHING_ELSE,
     frame: int = 0,
-    note: str = "",
+    note: _Note = "",
     settings: _Settings = (),
 ) -> int:
     """Put one frame with all that its translation reads, and what came out of it, into a folder that can be sent.
@@ -77,9 +80,6 @@ def make_case(
         The folder, which must not be there yet.
     frame
         Which frame.
-
-    Note:
-        What is to be seen in it.
     settings
         `slot.parameter=value`, as often as needed.
     """
