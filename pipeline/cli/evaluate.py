@@ -21,7 +21,7 @@ from pipeline.scoring.compared import REGIONS
 from pipeline.scoring.evaluation import Table, Wanted, evaluated
 from pipeline.scoring.figures import FIGURES
 from pipeline.scoring.paper import Spread
-from pipeline.scoring.sweep import Point, drawn, swept
+from pipeline.scoring.sweep import Point, drawn, must_be_swept, swept
 from pipeline.scoring.table import Row
 from pipeline.sensors.spec import sensor
 
@@ -42,6 +42,7 @@ class _Watched:
 
 def evaluate(wanted: Wanted, json: Path | None, sweep: Sequence[str], plots: Path | None, scheduler: str) -> int:
     """Score, here or on a scheduler's workers, print and write; returns the exit code."""
+    must_be_swept(sweep)
     if json is not None:
         ready_for(json)
     if plots is not None:

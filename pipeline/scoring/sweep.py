@@ -42,9 +42,7 @@ def swept(
 
     Raises SettingProblem for a parameter that is not swept.
     """
-    for name in parameters:
-        if name not in SWEPT:
-            raise SettingProblem(f"{name!r} is not swept; there are {', '.join(SWEPT)}")
+    must_be_swept(parameters)
     plain = replace(wanted, poses=(), contenders=wanted.contenders or ("mean", *_methods()))
     rounds = list(_rounds(plain, parameters))
     points: list[Point] = []
@@ -52,6 +50,13 @@ def swept(
         part = Share(progress, index / len(rounds), 1.0 / len(rounds), f"{name} {value:g}" if name else "")
         points += [Point(parameter=name, value=value, row=row) for row in evaluated(one, part, work).rows]
     return points
+
+
+def must_be_swept(parameters: Sequence[str]) -> None:
+    """Raise SettingProblem for a parameter that is not swept, before anything is worked out."""
+    for name in parameters:
+        if name not in SWEPT:
+            raise SettingProblem(f"{name!r} is not swept; there are {', '.join(SWEPT)}")
 
 
 def _methods() -> tuple[str, ...]:
