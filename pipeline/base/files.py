@@ -90,13 +90,16 @@ def ready_for(path: Path) -> None:
     ready(path.parent)
 
 
-def open_to_grow(path: Path, what: str) -> BinaryIO:
-    """A new file in its place at once, for what is to be read while it grows; raises FileProblem.
+@contextlib.contextmanager
+def file_to_grow(path: Path, what: str) -> Generator[BinaryIO, None, None]:
+    """A new file in its place at once, for what is to be read while it grows.
 
-    Nothing is replaced at the end: who writes it keeps it whole at every moment.
+    Nothing is replaced at the end: who writes it keeps it whole at every moment. Raises FileProblem, also for an
+    OSError of the block itself.
     """
     try:
-        return path.open("w+b")
+        with path.open("w+b") as file:
+            yield file
     except OSError as error:
         raise FileProblem(f"cannot write {what} ({reason(error)})", path) from error
 

@@ -51,7 +51,8 @@ def watch(source: Source, record: Path | None, seconds: float) -> int:
 def _say(reader: Reader, recorder: Recorder | None) -> None:
     status = reader.status()
     written = "" if recorder is None else f", {recorder.n_written} recorded"
-    wrong = f"; {status.sentence}" if status.sentence else ""
+    sentence = status.sentence or ("" if recorder is None else recorder.problem)
+    wrong = f"; {sentence}" if sentence else ""
     print_line(
         f"{status.state}: {status.rate_hz:.1f} Hz, {status.n_frames} frames, {status.n_lost} lost{written}"
         f"{'' if reader.has_zero else ', no zero yet'}{wrong}"
@@ -65,7 +66,10 @@ def _result(reader: Reader, recorder: Recorder | None) -> int:
         return 1
     if recorder is None:
         return 0
-    print_line(f"{recorder.n_written} frames in {os.fspath(recorder.path)}, {recorder.n_left_out} left out")
+    if recorder.n_written:
+        print_line(f"{recorder.n_written} frames in {os.fspath(recorder.path)}, {recorder.n_left_out} left out")
+    else:
+        print_line("nothing was recorded, as zero was never set: no file is left")
     if recorder.problem:
         print_line(recorder.problem)
     return 2 if recorder.problem else 0

@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import BinaryIO
 
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import open_to_grow, ready_for
+from pipeline.base.files import file_to_grow, ready_for
 from pipeline.recordings import hdf5_layout as layout
 from pipeline.recordings.hdf5_layout import Coding
 from pipeline.recordings.hdf5_writer import Writer
@@ -32,7 +32,7 @@ class GrowingWriter(Writer):
         self._flushed_s = 0.0
 
     def _place_of(self, path: Path) -> BinaryIO:
-        return self._place.enter_context(open_to_grow(path, "the recording"))
+        return self._place.enter_context(file_to_grow(path, "the recording"))
 
     def append(self, stream: str, frame: TactileFrame, truth: Truth | None = None) -> None:
         """Add one frame to the one stream; raises ShapeError when it does not agree with the first."""
@@ -47,9 +47,13 @@ class GrowingWriter(Writer):
     def __exit__(
         self, _kind: type[BaseException] | None, error: BaseException | None, _at: TracebackType | None
     ) -> None:
-        """What was recorded stays, whatever ended it."""
+        """What was recorded stays, whatever ended it; a file without a single frame goes."""
         with self._place:
-            self._file.close()
-            layout.cut_to_size(self._beside)
-        if error is not None:
-            raise error
+            empty = self._file is None or not len(self._file.get("streams", ()))
+            if self._file is not None:
+                self._file.close()
+                layout.cut_to_size(self._beside)
+            if empty:
+                self._path.unlink(missing_ok=True)
+            if error is not None:
+                raise error

@@ -85,6 +85,7 @@ class Writer:
         self._depth_step_mm = depth_step_mm
         self._last_reference: dict[str, NDArray[Any]] = {}
         self._n_before: dict[str, int] = {}
+        self._file: Any = None
         self._place = ExitStack()
         self._beside = self._place_of(path)
 
@@ -97,7 +98,7 @@ class Writer:
 
         # Chunks go to the file at once: what the library still held when a disk is full would end the process.
         options: dict[str, Any] = {"libver": ("v110", "latest"), "meta_block_size": layout.METADATA_BYTES}
-        self._file: Any = self._place.enter_context(h5py.File(self._beside.name, mode, rdcc_nbytes=0, **options))
+        self._file = self._place.enter_context(h5py.File(self._beside.name, mode, rdcc_nbytes=0, **options))
 
     @contextmanager
     def _removed_if_it_fails(self) -> Generator[None, None, None]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import signal
@@ -316,6 +317,47 @@ def test_a_recording_outlives_a_kill_at_any_moment(tmp_path):
         assert stream.truth(index).indentation_mm is not None
     recording.close()
     assert run(build(), ["inspect", str(path)]) == 0
+
+
+def full_from(monkeypatch: pytest.MonkeyPatch, n_bytes: int) -> None:
+    """Let files grow to `n_bytes` and no farther, as a disk that is full then."""
+    plenty = os.posix_fallocate
+
+    def taken(descriptor: int, offset: int, length: int) -> None:
+        if length > n_bytes:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        plenty(descriptor, offset, length)
+
+    monkeypatch.setattr(os, "posix_fallocate", taken)
+
+
+def test_a_disk_that_is_full_is_said_and_what_was_recorded_stays(tmp_path, running, monkeypatch, capsys):
+    watched = running(Simulated(sensor="digit", rate_hz=120.0))
+    until(lambda: watched.n_frames > 10)
+    full_from(monkeypatch, 4 << 20)
+    path = tmp_path / "a.h5"
+    recorder = Recorder(path, "test")
+    watched.listen(recorder.offer)
+    until(lambda: bool(recorder.problem))
+    watched.listen(None)
+    assert recorder.close()
+    assert "cannot write the recording (No space left on device)" in recorder.problem
+    kept = open_recording(path)
+    assert kept.streams[0].n_frames == recorder.n_written > 0
+    assert kept.streams[0].frame(recorder.n_written - 1).image.any()
+    kept.close()
+
+    full_from(monkeypatch, 0)
+    assert run(build(), ["live", "--record", str(tmp_path / "b.h5"), "--seconds", "2"]) == 2
+    assert "No space left on device" in capsys.readouterr().err
+    assert not (tmp_path / "b.h5").exists()
+
+
+def test_a_recording_of_nothing_leaves_no_file(tmp_path):
+    recorder = Recorder(tmp_path / "a.h5", "test")
+    assert recorder.close()
+    assert recorder.n_written == 0
+    assert not any(tmp_path.iterdir())
 
 
 def test_the_command_says_what_arrives(capsys, tmp_path):
