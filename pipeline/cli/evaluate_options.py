@@ -16,7 +16,7 @@ def evaluate(
     vary: float = 1.0,
     directions: Annotated[tuple[str, ...], Parameter(name="--direction", negative="")] = (),
     only: Annotated[tuple[str, ...], Parameter(negative="")] = (),
-    methods: Annotated[tuple[str, ...], Parameter(name="--method", negative="")] = (),
+    fill: Annotated[tuple[str, ...], Parameter(name="--method", negative="")] = (),
     settings: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
     poses: str = "signed_distances,network",
     sweep: str = "",
@@ -43,8 +43,7 @@ def evaluate(
         `source:target`, as often as needed; the paper's four if none is given.
     only
         `recorded`, `untouched`, `mean` or a touch method, as often as needed; all if none is given.
-
-    Methods:
+    fill
         `slot=method` of the other slots in place of the route's own, such as `depth=network`.
     settings
         `slot.parameter=value`, as often as needed; one of the touch is for the methods that have it.
@@ -66,7 +65,7 @@ def evaluate(
     from pipeline.translation.catalogue import with_method
 
     chosen: dict[str, str] = {}
-    for assignment in methods:
+    for assignment in fill:
         chosen = with_method(chosen, assignment)
     judges = () if poses == "none" else tuple(name for name in _words(poses) if name in POSES or name != "network")
     wanted = Wanted(
