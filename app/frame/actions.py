@@ -135,6 +135,8 @@ ARRANGE = (
             key="Ctrl+3", checkable=True),
     Command("layout_sweep", "Sweep", "Any two parameters against error and time", key="Ctrl+4", checkable=True),
     Command("layout_demo", "Demo", "Source, generated touch and truth, large", key="Ctrl+5", checkable=True),
+    Command("layout_compare", "Compare", "One frame several ways: by every method, by other settings, by other seeds",
+            key="Ctrl+6", checkable=True),
 )  # fmt: skip
 HELP = (
     Command("palette", "Commands…", "Find any command by a few letters of its name", key="Ctrl+K"),

@@ -13,6 +13,7 @@ from app.frame import dialogs
 from app.frame.actions import key_table
 from app.frame.aligning import Aligning
 from app.frame.blaming import Blaming
+from app.frame.comparing import Comparing
 from app.frame.greeting import Greeting
 from app.frame.handing import Handing
 from app.frame.instrument import Instrument
@@ -69,6 +70,7 @@ def connect(instrument: Instrument) -> Keeping:
     Blaming(instrument)
     Triage(instrument)
     Sweeping(instrument)
+    Comparing(instrument)
     keeping = Keeping(instrument)
     Greeting(instrument, keeping)
     Handing(instrument, keeping)

@@ -27,6 +27,7 @@ from app.frame.drawers import Drawers
 from app.session.layout import LAYOUTS, Layout
 from widgets.alignment_panel import AlignmentPanel
 from widgets.banner import Banner
+from widgets.compare_page import ComparePage
 from widgets.frames_panel import FramesPanel
 from widgets.log_panel import LogPanel
 from widgets.looks import spaced
@@ -75,7 +76,7 @@ class Window(QMainWindow):
         self.cells = {name: SolidCell(self.steps.get(name)) for name, _ in columns}
         self.truth, self.truth_cell = StageColumn("truth", "Truth"), SolidCell()  # of the touch, for demonstrations
         self.warning = WarningLine()
-        self.pages, self.rows, self.sweep = QStackedWidget(), PictureRow(), SweepPage()
+        self.pages, self.rows, self.sweep, self.compare = QStackedWidget(), PictureRow(), SweepPage(), ComparePage()
         self.panes = PanesPage({name: f"{i + 1} · {title}" for i, (name, title) in enumerate(columns)})
         self.source, self.target, self.route = (self._chooser(n) for n in ("source", "target", "route"))
         self._build_centre()
@@ -108,7 +109,7 @@ class Window(QMainWindow):
         self._strips.addWidget(strip)
 
     def _build_centre(self) -> None:
-        for page in (self.rows, self.panes, self.sweep):
+        for page in (self.rows, self.panes, self.sweep, self.compare):
             self.pages.addWidget(page)
         centre = QWidget()
         layout = spaced(QVBoxLayout(centre), 2, (2, 2, 2, 0))
@@ -209,7 +210,7 @@ class Window(QMainWindow):
         for widget in (self.truth, self.truth_cell):
             widget.setVisible(layout.name == "demo")
         self.rows.below.setVisible(layout.name != "align")
-        pages = {"inspect": self.panes, "sweep": self.sweep}
+        pages = {"inspect": self.panes, "sweep": self.sweep, "compare": self.compare}
         self.pages.setCurrentWidget(pages.get(layout.name, self.rows))
         self.timeline.errors.show_high(HIGH_STRIP_PX if layout.name == "inspect" else LOW_STRIP_PX)
         for i, key in enumerate(self.columns):

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, cast, get_args
 
-LayoutName = Literal["stages", "inspect", "align", "sweep", "demo"]
+LayoutName = Literal["stages", "inspect", "align", "sweep", "demo", "compare"]
 Dims = Literal["2D", "3D", "both"]
 DIMS: tuple[Dims, ...] = get_args(Dims)
 LAYOUTS: tuple[LayoutName, ...] = get_args(LayoutName)
@@ -32,7 +32,7 @@ class Layout:
 
     def columns_of(self, here: Sequence[str], alone: str = "") -> list[str]:
         """The columns in large of those that are here, outside *Inspect*."""
-        wanted: Mapping[str, Sequence[str]] = {"align": _ALIGNED, "demo": _DEMONSTRATED, "sweep": ()}
+        wanted: Mapping[str, Sequence[str]] = {"align": _ALIGNED, "demo": _DEMONSTRATED, "sweep": (), "compare": ()}
         found = [name for name in wanted.get(self.name, here) if name in here]
         return [alone] if self.name == "stages" and alone in here else found
 

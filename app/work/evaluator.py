@@ -88,9 +88,7 @@ class Evaluator:
         `compared` also outlines what the target really felt, `with_truth` draws every slot's truth and the difference
         to it, where the recording holds them.
         """
-        opened = self._opened(session, report)
-        translation = replace(opened, alignment=session.offsets.applied(opened.alignment))
-        index = self._index(session, translation)
+        translation, index = self.at(session, report)
         if session.frame < 0:
             report.hand_over(BeginsAt(index=index))
         started_s = time.perf_counter()
@@ -118,6 +116,12 @@ class Evaluator:
             results=results, metrics=metrics,
             summary=summary_of(results, metrics, translation) if set(results) == set(translation.slots) else None,
         )  # fmt: skip
+
+    def at(self, session: Session, report: Report) -> tuple[Translation, int]:
+        """What a session opens, moved by its offsets, and which of its frames it means; raises TouchError."""
+        opened = self._opened(session, report)
+        translation = replace(opened, alignment=session.offsets.applied(opened.alignment))
+        return translation, self._index(session, translation)
 
     def _index(self, session: Session, translation: Translation) -> int:
         """The session's frame, where it names one; else the one that what is open began with."""
@@ -159,9 +163,7 @@ class Evaluator:
 
     def blamed(self, session: Session, figure: str, report: Report) -> Blame | None:
         """The session's frame with its error taken apart; None where that figure is not known of it."""
-        opened = self._opened(session, report)
-        translation = replace(opened, alignment=session.offsets.applied(opened.alignment))
-        index = self._index(session, translation)
+        translation, index = self.at(session, report)
         self._graph = translation.graph(like=self._graph)
         return blame(translation, self._graph, session.params_for(translation.methods), index, figure, report)
 

@@ -8,7 +8,7 @@ change is therefore put onto the recorded unit's own untouched picture.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -69,13 +69,21 @@ def recorded(frame: TactileFrame, truth: Truth | None) -> Recorded:
         raise SettingProblem(
             f"frame {frame.index} has no untouched reading, or its truth is not known: not to score by"
         )
+    return replace(recorded_only(frame), indentation_mm=truth.indentation_mm, contact=truth.contact)
+
+
+def recorded_only(frame: TactileFrame) -> Recorded:
+    """The same of a touch of which nothing else is known: no indentation (NaN), no contact. Raises SettingProblem."""
+    if frame.reference is None:
+        raise SettingProblem(f"frame {frame.index} has no untouched reading to compare with; give --reference")
     kind: Kind = "bubble" if frame.is_depth else "gel"
     changed = change(kind, frame.image, frame.reference)
     untouched = None if frame.is_depth else frame.reference.astype(np.float64)
     picture = changed.astype(np.float64) if untouched is None else frame.image.astype(np.float64)
+    shape = frame.image.shape[:2]
     return Recorded(
-        change=changed, picture=picture, untouched=untouched, indentation_mm=truth.indentation_mm,
-        contact=truth.contact, kind=kind,
+        change=changed, picture=picture, untouched=untouched, indentation_mm=np.full(shape, np.nan, np.float32),
+        contact=np.zeros(shape, np.bool_), kind=kind,
     )  # fmt: skip
 
 

@@ -1,0 +1,127 @@
+"""One frame several ways, as tiles: the touch by every method that can make it, beside the truth."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from app.session.state import Session
+from app.work.evaluator import Evaluator
+from app.work.jobs import Report
+from pipeline.pictures.difference import difference
+from pipeline.pictures.display import DisplayParams
+from pipeline.pictures.picture import Picture, of_heights, of_reading
+from pipeline.scoring.compared import generated, recorded_only
+from pipeline.scoring.versions import Kept, Version, able, versions
+from pipeline.stages.slot import Facts
+from pipeline.translation.translate import Translation
+from pipeline.values.results import Touch
+from widgets.tiles import Tile
+
+_NO_TRUTH = "the recording does not hold what {target} felt, so that no error is known"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tiles:
+    """What a tab shows: the tiles so far, and a sentence."""
+
+    tiles: tuple[Tile, ...]
+    told: str
+
+
+def by_method(evaluator: Evaluator, session: Session, order: str, kept: Kept, report: Report) -> Tiles:
+    """The session's frame by every method of its touch, handed over one by one; raises TouchError."""
+    translation, frame = evaluator.at(session, report)
+    display, facts = session.display, translation.facts(frame)
+    true = _truth(translation, facts, display)
+    ways = able(translation)
+    first = () if true is None else (Tile(title="truth", told=f"{translation.target.title}'s own", picture=true),)
+    begun = Tiles(tiles=first, told=_sentence(translation, frame, len(ways.ways), ways.absent, known=true is not None))
+    report.hand_over(begun)
+    found: list[Version] = []
+    shown = begun
+    for version in versions(translation, frame, session.params, kept, report):
+        found.append(version)
+        tiles = tuple(_tile(v, translation, true, display) for v in ordered(found, order))
+        shown = replace(begun, tiles=(*first, *tiles))
+        report.hand_over(shown)
+    return shown
+
+
+def ordered(found: Sequence[Version], order: str) -> list[Version]:
+    """By what their touch is off where it really is, those of which that is not known last."""
+
+    def error(version: Version) -> float:
+        known = [e for e in (version.contact_error_mm, version.error_mm, -version.psnr_db) if math.isfinite(e)]
+        return known[0] if known and not version.problem else math.nan
+
+    if order == "in order":
+        return list(found)
+    sign = -1.0 if order == "worst first" else 1.0
+    return sorted(found, key=lambda v: (math.isnan(error(v)), sign * error(v) if math.isfinite(error(v)) else 0.0))
+
+
+def told(version: Version) -> str:
+    """The figures in a line; those that are not known are left out."""
+    parts = [
+        words.format(f"{value:.3g}")
+        for value, words in (
+            (version.contact_error_mm, "contact {}"), (version.error_mm, "all {} mm"), (version.psnr_db, "{} dB"),
+            (version.ssim, "SSIM {}"),
+        )
+        if math.isfinite(value)
+    ]  # fmt: skip
+    return " · ".join([*parts, f"{version.ms:.0f} ms"] if math.isfinite(version.ms) else parts)
+
+
+def _tile(version: Version, translation: Translation, true: Picture | None, display: DisplayParams) -> Tile:
+    if version.touch is None or version.problem:
+        return Tile(title=version.method.title, problem=version.problem)
+    made = _drawn(version.touch, translation, display)
+    return Tile(
+        title=version.method.title, told=told(version), picture=made, truth=true,
+        gap=None if true is None else difference(made, true),
+    )  # fmt: skip
+
+
+def _drawn(touch: Touch, translation: Translation, display: DisplayParams) -> Picture:
+    """A gel's picture in its colours; a bubble as what it is pushed in, on the scale of all indentations."""
+    target, membrane = translation.target, touch.membrane
+    contact = None if membrane is None else membrane.contact
+    if touch.image.ndim == 2:
+        nowhere = np.zeros(touch.image.shape, np.bool_)
+        heights, depth = generated(touch, target)[..., 0], np.asarray(touch.image, np.float32)
+        return of_heights(heights, depth, nowhere if contact is None else contact, touch.camera, target, display)
+    return of_reading(
+        touch.image, touch.camera, target, depth_mm=None if membrane is None else membrane.depth_mm, contact=contact
+    )  # fmt: skip
+
+
+def _truth(translation: Translation, facts: Facts, display: DisplayParams) -> Picture | None:
+    """What the target felt itself, drawn as the methods' answers are; None where it took no part."""
+    slot = translation.catalogue.slot("touch")
+    true = slot.truth(facts, translation.target)
+    frame = facts.target_frame
+    if not isinstance(true, Touch) or frame is None or frame.reference is None:
+        return None
+    if true.membrane is not None and true.image.ndim == 2:
+        felt = true.membrane
+        return of_heights(felt.indentation_mm, felt.depth_mm, felt.contact, felt.camera, translation.target, display)
+    if true.image.ndim == 2:  # off the recorded unit's own rest, which is not the described one's
+        heights, nowhere = recorded_only(frame).change[..., 0], np.zeros(true.image.shape, np.bool_)
+        return of_heights(
+            heights, np.asarray(true.image, np.float32), nowhere, true.camera, translation.target, display
+        )
+    return _drawn(true, translation, display)
+
+
+def _sentence(translation: Translation, frame: int, count: int, absent: Sequence[str], *, known: bool) -> str:
+    words = [f"frame {frame}, {translation.source.title} to {translation.target.title}: {count} methods"]
+    if not known:
+        words.append(_NO_TRUTH.format(target=translation.target.title))
+    if absent:
+        words.append(f"left out: {'; '.join(absent)}")
+    return " · ".join(words)

@@ -1,0 +1,95 @@
+"""One frame several ways, side by side."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from PyQt6.QtCore import QPointF
+
+from app.frame.comparing import Comparing
+from app.frame.tour import wait_until_shown
+from app.session.sample import SAMPLE
+from app.work.side_by_side import ordered
+from pipeline.networks import shelf
+from pipeline.scoring.versions import Version
+from pipeline.stages.generate.slot import PHYSICS, VQVAE
+
+LIMIT_S, LIMIT_MS = 60, 60_000
+
+
+@pytest.fixture
+def compared(open_window, qtbot, tmp_path, monkeypatch):
+    """*Compare* on a touched frame, with the weights of the small baseline alone."""
+    for name in ("vqvae_gelslim_to_soft_bubble.safetensors", "vqvae_gelslim_to_soft_bubble.md"):
+        (tmp_path / name).symlink_to(shelf.FOLDER / name)
+    monkeypatch.setattr(shelf, "FOLDER", tmp_path)
+    instrument = open_window(SAMPLE, source="gelslim", target="soft_bubble", frame=5)
+    assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
+    instrument.window.actions_by_name["layout_compare"].trigger()
+    assert wait_until_shown(instrument, LIMIT_S)
+    comparing = next(child for child in instrument.children() if isinstance(child, Comparing))
+    qtbot.waitUntil(lambda: not comparing.busy and bool(_tiles(instrument)), timeout=LIMIT_MS)
+    return instrument, comparing
+
+
+def _tiles(instrument):
+    return instrument.window.compare.tab.grid.tiles
+
+
+def _settled(qtbot, instrument, comparing, tiles):
+    qtbot.waitUntil(lambda: instrument.idle and not comparing.busy and _tiles(instrument) is not tiles, timeout=LIMIT_MS)
+
+
+def test_every_way_stands_beside_the_truth_worst_first(compared, qtbot):
+    instrument, comparing = compared
+    page, tiles = instrument.window.compare, _tiles(instrument)
+    assert [tile.title for tile in tiles] == ["truth", VQVAE.title, PHYSICS.title]
+    assert all("contact" in tile.told and "dB" in tile.told and "ms" in tile.told for tile in tiles[1:])
+    assert "left out: T2D2" in page.tab.told.text()
+    assert len({tile.picture.scale for tile in tiles}) == 1  # one colour scale
+    assert instrument.latest.results == {}  # nothing is worked out for columns that nobody sees
+    page.order.setCurrentText("in order")
+    page.choice_changed.emit()
+    _settled(qtbot, instrument, comparing, tiles)
+    assert [tile.title for tile in _tiles(instrument)] == ["truth", PHYSICS.title, VQVAE.title]
+
+
+def test_one_key_shows_the_difference_and_all_look_at_one_place(compared):
+    instrument, _ = compared
+    views = instrument.window.compare.tab.grid.views
+    instrument.window.actions_by_name["show_difference"].trigger()
+    assert wait_until_shown(instrument, LIMIT_S)
+    assert all(v.view.picture is v.tile.gap for v in views[1:])
+    assert views[0].view.picture is views[0].tile.picture
+    views[1].view.canvas.look(QPointF(100.0, 60.0), 2.0)
+    views[1].view.look_changed.emit()
+    assert {(v.view.canvas.centre.x(), v.view.canvas.centre.y(), v.view.canvas.scale) for v in views} == {(100, 60, 2)}
+    views[2].view.pixel_hovered.emit(60, 100)
+    assert all(v.view.cross == (60, 100) for v in views)
+    assert PHYSICS.title in instrument.window.probe.text()
+
+
+def test_another_frame_is_followed_and_a_hidden_page_works_nothing_out(compared, qtbot):
+    instrument, comparing = compared
+    tiles = _tiles(instrument)
+    instrument.choose_frame(6)
+    _settled(qtbot, instrument, comparing, tiles)
+    assert "frame 6" in instrument.window.compare.tab.told.text()
+    instrument.window.actions_by_name["layout_stages"].trigger()
+    assert wait_until_shown(instrument, LIMIT_S)
+    tiles = _tiles(instrument)
+    instrument.choose_frame(5)
+    assert wait_until_shown(instrument, LIMIT_S)
+    assert not comparing.busy
+    assert _tiles(instrument) is tiles
+
+
+def test_what_cannot_be_judged_comes_last_in_any_order():
+    def off(mm: float) -> Version:
+        return Version(method=PHYSICS, touch=None, contact_error_mm=mm)
+
+    found = [off(1.0), off(math.nan), off(3.0), off(2.0)]
+    for order, wanted in (("worst first", [3.0, 2.0, 1.0]), ("best first", [1.0, 2.0, 3.0])):
+        assert [v.contact_error_mm for v in ordered(found, order)][:3] == wanted
+    assert ordered(found, "in order") == found

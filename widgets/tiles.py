@@ -1,0 +1,198 @@
+"""Pictures side by side that are looked at as one: panned, zoomed and pointed at together, in millimetres."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from PyQt6.QtCore import QPointF, QSize, Qt, pyqtSignal
+from PyQt6.QtWidgets import QFrame, QGridLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
+
+from pipeline.pictures.picture import Picture
+from widgets.looks import bold, smaller, spaced
+from widgets.picture import PictureView
+
+_MOST_COLUMNS = 8
+_WORDS_PX = 84  # of a tile's height that are not picture, near enough to choose how many stand in a row
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tile:
+    """One picture with its words; `truth` and `gap` are what may be shown in its place."""
+
+    title: str
+    told: str = ""  # figures, under the title
+    picture: Picture | None = None
+    truth: Picture | None = None
+    gap: Picture | None = None  # the picture less the truth
+    problem: str = ""  # over the picture, or in its place
+    apart: bool = False  # whether it begins a row
+
+
+class TileView(QFrame):
+    """One tile."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setFrameShape(QFrame.Shape.StyledPanel)
+        self.tile = Tile(title="")
+        self._title, self._told, self.view = QLabel(), QLabel(), PictureView()
+        bold(self._title)
+        smaller(self._told, 0.5)
+        for label in (self._title, self._told):
+            label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+            label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.view.show_lines(1)
+        layout = spaced(QVBoxLayout(self), 2, (3, 3, 3, 2))
+        layout.addWidget(self._title)
+        layout.addWidget(self._told)
+        layout.addWidget(self.view, 1)
+
+    def show_tile(self, tile: Tile, versus: str) -> None:
+        """Show a tile, or what is to be seen in its place ("", truth, difference, wipe, blink)."""
+        self.tile = tile
+        for label, text in ((self._title, tile.title), (self._told, tile.told)):
+            label.setText(text)
+            label.setToolTip(text)
+        shown = tile.picture
+        if tile.truth is not None and versus == "truth":
+            shown = tile.truth
+        elif tile.gap is not None and versus == "difference":
+            shown = tile.gap
+        if shown is not None:
+            self.view.show_picture(shown)
+        self.view.canvas.setVisible(shown is not None or bool(tile.problem))
+        self.view.show_message(tile.problem)
+        if shown is not None and tile.truth is not None and versus == "wipe":
+            self.view.overlay.show_wiped(tile.truth)
+        elif shown is not None and tile.truth is not None and versus == "blink":
+            self.view.overlay.show_blinking(tile.truth)
+        else:
+            self.view.overlay.show_none()
+
+
+class TileGrid(QWidget):
+    """Shows tiles as large as they fit; `pointed` tells what the pixel under the mouse reads, "" for none."""
+
+    pointed = pyqtSignal(str)
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
+        self._grid = spaced(QGridLayout(self), 4)
+        self._views: list[TileView] = []
+        self._versus = ""
+        self.tiles: tuple[Tile, ...] = ()
+        self._placed: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def views(self) -> tuple[TileView, ...]:
+        """Of the tiles that are shown, in their order."""
+        return tuple(self._views[: len(self.tiles)])
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """Room for a few."""
+        return QSize(900, 500)
+
+    def show_tiles(self, tiles: Sequence[Tile]) -> None:
+        """Show these in place of what was shown; one of the same size stays where it was looked at."""
+        self.tiles = tuple(tiles)
+        while len(self._views) < len(self.tiles):
+            self._add()
+        for view, tile in zip(self._views, self.tiles, strict=False):
+            view.show_tile(tile, self._versus)
+        self._place()
+
+    def show_versus(self, versus: str) -> None:
+        """What every tile shows in place of its picture, or beside it."""
+        if versus != self._versus:
+            self._versus = versus
+            self.show_tiles(self.tiles)
+
+    def reset_view(self) -> None:
+        """Fit every picture."""
+        for view in self.views:
+            view.view.reset_view()
+
+    def resizeEvent(self, a0: Any) -> None:  # noqa: N802
+        """Another shape has room for another number in a row."""
+        super().resizeEvent(a0)
+        self._place()
+
+    def _add(self) -> None:
+        made = TileView()
+        made.view.look_changed.connect(partial(self._looked, made))
+        made.view.pixel_hovered.connect(partial(self._point, made))
+        self._views.append(made)
+
+    def _place(self) -> None:
+        """Rows and columns: as the tiles say where rows begin, else so that pictures are largest."""
+        places = _places([tile.apart for tile in self.tiles], self._columns())
+        if places != self._placed:
+            self._placed = places
+            for k in range(self._grid.columnCount()):
+                self._grid.setColumnStretch(k, 0)
+            for k in range(self._grid.rowCount()):
+                self._grid.setRowStretch(k, 0)
+            for view, (row, col) in zip(self._views, places, strict=False):
+                self._grid.addWidget(view, row, col)
+                self._grid.setColumnStretch(col, 1)
+                self._grid.setRowStretch(row, 1)
+        for index, view in enumerate(self._views):
+            view.setVisible(index < len(self.tiles))
+
+    def _columns(self) -> int:
+        count = max(1, len(self.tiles))
+        tall = max((view.view.tall for view in self.views if view.tile.picture is not None), default=0.75)
+
+        def wide(cols: int) -> float:
+            return min(self.width() / cols, max(1.0, self.height() / math.ceil(count / cols) - _WORDS_PX) / tall)
+
+        return max(range(1, min(_MOST_COLUMNS, count) + 1), key=wide)
+
+    def _looked(self, at: TileView) -> None:
+        """What one picture looks at, the others look at, as large."""
+        own = at.view.picture
+        if own is None or not own.pixel_mm > 0:
+            return
+        canvas, (rows, cols) = at.view.canvas, own.pixels.shape[:2]
+        x_mm = (canvas.centre.x() - 0.5 * cols) * own.pixel_mm
+        y_mm = (canvas.centre.y() - 0.5 * rows) * own.pixel_mm
+        for other in self.views:
+            there = other.view.picture
+            if other is at or there is None or not there.pixel_mm > 0:
+                continue
+            high, wide = there.pixels.shape[:2]
+            centre = QPointF(0.5 * wide + x_mm / there.pixel_mm, 0.5 * high + y_mm / there.pixel_mm)
+            other.view.canvas.look(centre, canvas.scale / own.pixel_mm * there.pixel_mm)
+
+    def _point(self, at: TileView, row: int, col: int) -> None:
+        """A crosshair on the same place of all, with what is read there."""
+        own = at.view.picture
+        if own is None or row < 0:
+            for view in self.views:
+                view.view.show_cross(None)
+            self.pointed.emit("")
+            return
+        shape = own.pixels.shape
+        for view in self.views:
+            there = view.view.picture
+            same = there is not None and there.pixels.shape == shape
+            view.view.show_cross((row, col) if same else None, there.reads(row, col) if same and there else "")
+        self.pointed.emit(f"{at.tile.title} {own.probe(row, col)}")
+
+
+def _places(apart: Sequence[bool], columns: int) -> tuple[tuple[int, int], ...]:
+    """(row, col) of each tile: `columns` in a row, or as many as stand between those that begin one."""
+    told = any(apart)
+    places: list[tuple[int, int]] = []
+    row = col = 0
+    for begins in apart:
+        if places and (begins if told else col == columns):
+            row, col = row + 1, 0
+        places.append((row, col))
+        col += 1
+    return tuple(places)
