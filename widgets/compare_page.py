@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from PyQt6.QtCore import pyqtSignal
+from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import (
     QComboBox,
     QHBoxLayout,
@@ -12,16 +13,20 @@ from PyQt6.QtWidgets import (
     QProgressBar,
     QPushButton,
     QSizePolicy,
+    QSpinBox,
     QTabWidget,
     QVBoxLayout,
     QWidget,
 )
 
-from widgets.looks import spaced
+from widgets.looks import command_button, spaced
+from widgets.solid_cell import SolidCell
+from widgets.spread_plot import SpreadPlot
 from widgets.tiles import TileGrid
 
 ORDERS = ("worst first", "best first", "in order")
 ALL_SLOTS = "all slots"
+MOST_SEEDS = 64
 
 
 class CompareTab(QWidget):
@@ -40,7 +45,7 @@ class CompareTab(QWidget):
         self._stop.clicked.connect(self.cancel_wanted)
         self.told.setWordWrap(True)
         self.told.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Minimum)
-        head = spaced(QHBoxLayout(), 6)
+        self.head = head = spaced(QHBoxLayout(), 6)
         for widget in self.controls:
             head.addWidget(widget)
         head.addWidget(self.told, 1)
@@ -51,9 +56,9 @@ class CompareTab(QWidget):
             head.addWidget(widget)
         self.body = spaced(QHBoxLayout(), 6)
         self.body.addWidget(self.grid, 1)
-        layout = spaced(QVBoxLayout(self), 4, (4, 4, 4, 2))
+        self.stack = layout = spaced(QVBoxLayout(self), 4, (4, 4, 4, 2))
         layout.addLayout(head)
-        layout.addLayout(self.body, 1)
+        layout.addLayout(self.body, 3)
         self.show_progress(None)
 
     def show_progress(self, fraction: float | None) -> None:
@@ -69,17 +74,45 @@ class ComparePage(QWidget):
 
     tab_chosen = pyqtSignal()
     choice_changed = pyqtSignal()
+    draw_wanted = pyqtSignal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.order = _box("compare_order", "order of the methods", ORDERS)
         self.order.activated.connect(self._changed)
+        self.slot, self.count, self.draw = QComboBox(), QSpinBox(), QPushButton("Draw")
+        self.slot.setObjectName("compare_slot")
+        self.slot.setAccessibleName("slot that is compared")
+        self.slot.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
+        self.slot.activated.connect(self._changed)
+        self.count.setObjectName("compare_seeds")
+        self.count.setAccessibleName("how many seeds")
+        self.count.setRange(2, MOST_SEEDS)
+        self.count.setValue(8)
+        self.draw.setObjectName("compare_draw")
+        self.draw.clicked.connect(self.draw_wanted)
         self.methods = CompareTab([QLabel("order"), self.order])
-        self._names: Mapping[str, CompareTab] = {"methods": self.methods}
-        self._tabs = QTabWidget()
+        self.two, self.seeds = (
+            CompareTab([QLabel("slot"), self.slot]),
+            CompareTab([QLabel("seeds"), self.count, self.draw]),
+        )
+        self.plot = SpreadPlot()
+        self.plot.hide()
+        self.seeds.body.addWidget(self.plot)
+        self.solids, self._below = (SolidCell(), SolidCell()), QWidget()
+        row = spaced(QHBoxLayout(self._below), 4)
+        for cell in self.solids:
+            row.addWidget(cell, 1)
+        row.addStretch(1)  # under the difference, which has no 3D
+        row.setStretch(2, 1)
+        self.two.stack.addWidget(self._below, 2)
+        self._below.hide()
+        self._names: Mapping[str, CompareTab] = {"methods": self.methods, "two": self.two, "seeds": self.seeds}
+        self._tabs, self._commands = QTabWidget(), 0
         self._tabs.setDocumentMode(True)
         self._tabs.setObjectName("compare_tabs")
-        self._tabs.addTab(self.methods, "Methods")
+        for tab, title in ((self.methods, "Methods"), (self.two, "Two at once"), (self.seeds, "Seeds")):
+            self._tabs.addTab(tab, title)
         layout = spaced(QVBoxLayout(self), 0)
         layout.addWidget(self._tabs)
         self._tabs.currentChanged.connect(self._turned)
@@ -104,6 +137,29 @@ class ComparePage(QWidget):
 
     def _turned(self, _: int) -> None:
         self.tab_chosen.emit()
+
+    def add_command(self, action: QAction) -> None:
+        """Give a command of the tab with two a button."""
+        button = command_button(action)
+        button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
+        self.two.head.insertWidget(2 + self._commands, button)
+        self._commands += 1
+
+    def offer_slots(self, slots: Mapping[str, str]) -> None:
+        """Name -> title of the slots that can be compared, all of them first; says nothing to anybody."""
+        names = ["", *slots]
+        if [self.slot.itemData(i) for i in range(self.slot.count())] == names:
+            return
+        chosen = self.slot.currentData()
+        with QSignalBlocker(self.slot):
+            self.slot.clear()
+            for name in names:
+                self.slot.addItem(slots[name] if name else ALL_SLOTS, name)
+            self.slot.setCurrentIndex(names.index(chosen) if chosen in names else len(names) - 1)
+
+    def show_solids(self, shown: bool) -> None:
+        """Whether the two have 3D views under them."""
+        self._below.setVisible(shown)
 
     def show_tab(self, name: str) -> None:
         """Bring a tab to the front."""

@@ -30,6 +30,7 @@ class Tile:
     gap: Picture | None = None  # the picture less the truth
     problem: str = ""  # over the picture, or in its place
     apart: bool = False  # whether it begins a row
+    usual: str = ""  # what is shown where nothing of its own is asked for, such as the difference
 
 
 class TileView(QFrame):
@@ -57,6 +58,7 @@ class TileView(QFrame):
         for label, text in ((self._title, tile.title), (self._told, tile.told)):
             label.setText(text)
             label.setToolTip(text)
+        versus = versus if versus in ("wipe", "blink") or not tile.usual else tile.usual
         shown = tile.picture
         if tile.truth is not None and versus == "truth":
             shown = tile.truth

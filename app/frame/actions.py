@@ -137,6 +137,11 @@ ARRANGE = (
     Command("layout_demo", "Demo", "Source, generated touch and truth, large", key="Ctrl+5", checkable=True),
     Command("layout_compare", "Compare", "One frame several ways: by every method, by other settings, by other seeds",
             key="Ctrl+6", checkable=True),
+    Command("hold_settings", "Hold these settings", "These settings stay as B beside what is set from now on",
+            icon="link", key="Ctrl+H"),
+    Command("hold_recording", "Beside another recording…", "Another recording as B, with these settings",
+            icon=_Std.SP_DialogOpenButton),
+    Command("let_go", "Let B go", "Compare with nothing", icon="minus"),
 )  # fmt: skip
 HELP = (
     Command("palette", "Commands…", "Find any command by a few letters of its name", key="Ctrl+K"),

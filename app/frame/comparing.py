@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
 
 from PyQt6.QtCore import QObject
 
 from app.frame.instrument import Instrument
+from app.session.differences import differences
 from app.session.layout import Layout
 from app.session.state import Session
-from app.work import side_by_side
+from app.work.by_seed import by_seed
 from app.work.evaluator import Evaluator, request_of
 from app.work.jobs import LatestJob, Report
-from app.work.side_by_side import Tiles
+from app.work.side_by_side import Tiles, by_method
+from app.work.two_at_once import two_at_once
 from pipeline.base.errors import TouchError
 from pipeline.scoring.versions import Kept
 
 Work = Callable[[Report], Tiles]
+_NO_OTHER = "hold these settings and change some, or choose another recording: both are shown on the same frame"
+_NOT_DRAWN = "Draw makes this frame's touch with several seeds: how far they spread tells luck from bias"
+_SAME = "no setting differs yet: what is changed from now on is A's (F3 has the parameters)"
 
 
 class Comparing(QObject):
@@ -26,16 +33,21 @@ class Comparing(QObject):
         super().__init__(instrument)
         self._instrument, self._page = instrument, instrument.window.compare
         self._job = LatestJob("compare", self)
-        self._own, self._kept = Evaluator(instrument.catalogue), Kept()
+        self._own, self._kept = Evaluator(instrument.catalogue, like=instrument.evaluator), Kept()
+        self._other = Evaluator(instrument.catalogue, like=instrument.evaluator)
         self._asked: tuple[object, ...] = ()
-        self._ticket = 0
-        self._works: Mapping[str, Callable[[Session], Work]] = {"methods": self._by_method}
-        page, job = self._page, self._job
+        self._ticket, self._since, self._drawn = 0, 0, False
+        self.held: Session | None = None  # B
+        self._works: Mapping[str, Callable[[Session], Work | str]] = {
+            "methods": self._by_method, "two": self._two, "seeds": self._seeds,
+        }  # fmt: skip
+        page, job, window = self._page, self._job, instrument.window
         page.tab_chosen.connect(self._ask)
         page.choice_changed.connect(self._ask)
+        page.draw_wanted.connect(self._draw)
         for tab in page.tabs.values():
             tab.cancel_wanted.connect(job.cancel)
-            tab.grid.pointed.connect(instrument.window.probe.setText)
+            tab.grid.pointed.connect(window.probe.setText)
         job.delivered.connect(self._take)
         job.finished.connect(self._finished)
         job.failed.connect(self._failed)
@@ -44,24 +56,78 @@ class Comparing(QObject):
         instrument.frame_shown.connect(self._frame_shown)
         instrument.session_shown.connect(self._session_shown)
         instrument.closing.connect(self._close)
-        instrument.window.on("cancel", job.cancel)
-        instrument.window.on("reset_view", self._fit)
-
-    def _fit(self) -> None:
-        self._page.tab.grid.reset_view()
+        window.on("cancel", job.cancel)
+        window.on("reset_view", self._fit)
+        window.on("hold_settings", self.hold_settings)
+        window.on("let_go", self.let_go)
+        window.actions_by_name["let_go"].setEnabled(False)
 
     @property
     def busy(self) -> bool:
         """Whether tiles are still to come."""
         return self._job.busy
 
+    def hold_settings(self) -> None:
+        """What is set now is B from now on."""
+        self._hold(self._instrument.session)
+
+    def hold_recording(self, path: Path) -> None:
+        """Another recording is B, with what is set now."""
+        self._hold(replace(self._instrument.session, recording=path))
+
+    def let_go(self) -> None:
+        """There is no B any more."""
+        self._hold(None)
+
+    def _hold(self, session: Session | None) -> None:
+        if session is not None and self._instrument.session.recording is None:
+            return
+        self.held = session
+        self._instrument.window.actions_by_name["let_go"].setEnabled(session is not None)
+        layout = self._instrument.session.layout
+        if session is not None:
+            self._page.show_tab("two")
+            if layout.name != "compare":
+                self._instrument.change("show compare", layout=replace(layout, name="compare"))
+                return
+        self._ask()
+
     def _by_method(self, session: Session) -> Work:
         order = self._page.order.currentText()
-        return lambda report: side_by_side.by_method(self._own, session, order, self._kept, report)
+        return lambda report: by_method(self._own, session, order, self._kept, report)
+
+    def _two(self, session: Session) -> Work | str:
+        if self.held is None:
+            return _NO_OTHER
+        other = replace(self.held, frame=session.frame, params={**self.held.params, "display": session.display})
+        opened, slot = self._instrument.screen.opened, str(self._page.slot.currentData() or "")
+        kind = "" if opened is None else opened.source.kind
+        told = "; ".join(differences(session, other, self._instrument.catalogue, kind)) or _SAME
+        both, sessions = (self._own, self._other), (session, other)
+        return lambda report: two_at_once(both, sessions, slot, told, report)
+
+    def _seeds(self, session: Session) -> Work | str:
+        if not self._drawn:
+            return _NOT_DRAWN
+        self._drawn = False
+        count = self._page.count.value()
+        return lambda report: by_seed(self._own, session, count, report)
+
+    def _draw(self) -> None:
+        self._drawn, self._asked = True, ()
+        self._ask()
 
     def _choices(self) -> tuple[object, ...]:
-        """What a tab's controls say."""
-        return (self._page.name, self._page.order.currentText())
+        """What the controls of the tab in front say."""
+        page = self._page
+        own = {"methods": page.order.currentText(), "two": (page.slot.currentData(), self.held)}
+        return (page.name, own.get(page.name))
+
+    def _frame_shown(self, _: int) -> None:
+        self._ask()
+
+    def _fit(self) -> None:
+        self._page.tab.grid.reset_view()
 
     def _session_shown(self, session: Session) -> None:
         """Whoever looks elsewhere wants nothing of this."""
@@ -69,15 +135,13 @@ class Comparing(QObject):
             self._job.cancel()
             self._asked = ()
 
-    def _frame_shown(self, _: int) -> None:
-        self._ask()
-
     def _ask(self) -> None:
         """Work the tab in front out, unless that is what it shows."""
         instrument, page = self._instrument, self._page
-        session = instrument.session
-        if session.layout.name != "compare" or instrument.screen.opened is None or instrument.closed:
+        session, opened = instrument.session, instrument.screen.opened
+        if session.layout.name != "compare" or opened is None or instrument.closed:
             return
+        page.offer_slots({name: opened.catalogue.slot(name).title for name in opened.slots})
         for tab in page.tabs.values():
             tab.grid.show_versus(instrument.screen.versus)
         asked = (*self._choices(), session.updated(layout=Layout(), linked=True))
@@ -87,20 +151,34 @@ class Comparing(QObject):
         # The next frame waits for the one that is worked out, so that playing shows something on its way.
         same = isinstance(old, Session) and request_of(old) == request_of(session) and asked[:-1] == self._asked[:-1]
         self._asked = asked
+        work = self._works[page.name](session)
+        if isinstance(work, str):
+            self._job.cancel()
+            self._ticket = self._since = self._job.newest + 1  # what is on its way is for another tab
+            self._rest()
+            self._show(Tiles(tiles=(), told=work))
+            return
         page.tab.show_progress(0.0)
-        self._ticket = self._job.submit(self._works[page.name](session), interrupt=not same)
+        self._ticket = self._job.submit(work, interrupt=not same)
+        self._since = self._since if same else self._ticket
 
     def _take(self, ticket: int, part: object) -> None:
         if isinstance(part, Tiles) and ticket == self._ticket:
             self._show(part)
 
     def _show(self, shown: Tiles) -> None:
+        page = self._page
         with self._instrument.watch.timed("Tiles"):
-            self._page.tab.grid.show_tiles(shown.tiles)
-            self._page.tab.told.setText(shown.told)
+            page.tab.grid.show_tiles(shown.tiles)
+            page.tab.told.setText(shown.told)
+            if page.name == "seeds":
+                page.plot.show_points(shown.curve)
+            if page.name == "two":
+                page.show_solids(bool(shown.solids))
+                self._instrument.screen.show_others(shown.slot, shown.solids, self._instrument.session)
 
     def _finished(self, ticket: int, shown: object) -> None:
-        if isinstance(shown, Tiles) and self._asked:
+        if isinstance(shown, Tiles) and self._asked and ticket >= self._since:
             self._show(shown)
         if ticket == self._ticket:
             self._rest()
@@ -109,8 +187,7 @@ class Comparing(QObject):
         if ticket != self._ticket or not isinstance(error, BaseException):
             return
         self._rest()
-        self._page.tab.grid.show_tiles(())
-        self._page.tab.told.setText(str(error))
+        self._show(Tiles(tiles=(), told=str(error)))
         if not isinstance(error, TouchError):
             self._instrument.show_problem(error)
 
@@ -129,4 +206,5 @@ class Comparing(QObject):
 
     def _close(self) -> None:
         self._job.close()
-        self._own.close()
+        for evaluator in (self._own, self._other):
+            evaluator.close()

@@ -70,12 +70,12 @@ def connect(instrument: Instrument) -> Keeping:
     Blaming(instrument)
     Triage(instrument)
     Sweeping(instrument)
-    Comparing(instrument)
+    comparing = Comparing(instrument)
     keeping = Keeping(instrument)
     Greeting(instrument, keeping)
     Handing(instrument, keeping)
     Living(instrument, keeping)
-    _connect_files(instrument, Aligning(instrument), keeping)
+    _connect_files(instrument, Aligning(instrument), keeping, comparing)
     _connect_play(instrument)
     _connect_view(instrument, Layouts(instrument))
     _connect_undo(instrument)
@@ -100,7 +100,7 @@ def _fill(window: Window, catalogue: Catalogue) -> None:
     window.parameters.add_group(DISPLAY, "Display", DisplayParams())
 
 
-def _connect_files(instrument: Instrument, aligning: Aligning, keeping: Keeping) -> None:
+def _connect_files(instrument: Instrument, aligning: Aligning, keeping: Keeping, comparing: Comparing) -> None:
     window = instrument.window
 
     def asks(command: str, ask: Callable[[QWidget, str, str], T | None], then: Callable[[T], object]) -> None:
@@ -111,7 +111,10 @@ def _connect_files(instrument: Instrument, aligning: Aligning, keeping: Keeping)
 
         window.on(command, run)
 
-    own = {"open_reference": instrument.open_reference, "open_weights": instrument.open_weights}
+    own = {
+        "open_reference": instrument.open_reference, "open_weights": instrument.open_weights,
+        "hold_recording": comparing.hold_recording,
+    }  # fmt: skip
     for command in dialogs.OPENERS:
         asks(command, dialogs.to_open, own.get(command, instrument.open_path))
     asks("save_alignment", dialogs.to_save, aligning.save)

@@ -23,6 +23,10 @@ _UNITS = {
 
 OPENERS: Mapping[str, tuple[str, str]] = {  # command -> title and kinds of files, none for a folder
     "open_recording": ("Open recording", "Recordings (*.h5 *.hdf5 *.pt *.npz *.mp4 *.avi *.mov *.mkv);;All files (*)"),
+    "hold_recording": (
+        "Beside another recording",
+        "Recordings (*.h5 *.hdf5 *.pt *.npz *.mp4 *.avi *.mov *.mkv);;All files (*)",
+    ),
     "open_folder": ("Open folder of images", ""),
     "open_calibration": ("Open calibration", "Calibrations (*.npz);;All files (*)"),
     "open_weights": ("Open weights", "Weights of a network (*.safetensors *.pth *.pt);;All files (*)"),

@@ -44,6 +44,7 @@ class Screen:
         self._fresh: set[str] = set()
         self._order = tuple(window.columns)
         self._results: Mapping[str, StageResult] = {}  # on screen
+        self._others: tuple[tuple[str, Translation | None], ...] = ()  # a slot of other sessions, and what they opened
         self._parts: dict[str, SourceShown | SlotShown] = {}
 
     def take_scene(self, scene: Scene, session: Session) -> None:
@@ -219,12 +220,26 @@ class Screen:
         if _GENERATED in seen:
             places[len(self._order)] = seen[_GENERATED]
             self._window.truth_cell.caption.setText(f"{t.target.name} frame {_AXES}")
+        for k, (slot, other) in enumerate(self._others):
+            if slot in seen and other is not None:
+                places[len(self._order) + 1 + k] = sights(other)[slot]
         self.scene.look(places, linked=session.linked)
         self._tracer.show_scene(self.scene, display, t)
         self._caption("source", _SOURCE_LEGEND, t.source, 1.0)
         for slot in t.catalogue.slots:
             place = t.source if slot.place == "source" else t.target
             self._caption(slot.name, slot.legend, place, display.stretch(place) if slot.stretches else 1.0)
+
+    def show_others(
+        self, slot: str, others: Sequence[tuple[tuple[Layer, ...], Translation | None]], session: Session
+    ) -> None:
+        """A slot of other sessions, in 3D views of their own, which look from where the columns do."""
+        old, self._others = self._others, tuple((slot, other) for _, other in others)
+        if old != self._others:
+            self.look(session)
+        for k, (layers, _) in enumerate(others):
+            self.scene.show_layers(len(self._order) + 1 + k, layers)
+            self._layers[len(self._order) + 1 + k] = layers
 
     def show_step(self, slot: str, step: Step, at: int) -> None:
         """Put the object where it was at an iteration, or show the picture of a state."""

@@ -130,6 +130,8 @@ class Window(QMainWindow):
         self.tabs.setDocumentMode(True)
         for widget, title in ((self.blame, "Blame"), (self.log, "Log"), (self.timings, "Timings")):
             self.tabs.addTab(widget, title)
+        for name in ("hold_settings", "hold_recording", "let_go"):
+            self.compare.add_command(self.actions_by_name[name])
         self.drawers = Drawers(
             self, frames=self.frames, parameters=self.parameters, alignment=self.alignment, reading=self.tabs
         )
@@ -176,8 +178,12 @@ class Window(QMainWindow):
 
     @property
     def solids(self) -> tuple[SolidView, ...]:
-        """The 3D views: one a column, and the truth's last."""
-        return (*(cell.view for cell in self.cells.values()), self.truth_cell.view)
+        """The 3D views: one a column, then the truth's, then those of two sessions at once."""
+        return (
+            *(cell.view for cell in self.cells.values()),
+            self.truth_cell.view,
+            *(c.view for c in self.compare.solids),
+        )
 
     def show_only(self, name: str | None) -> None:
         """Show one column alone, or all of the route for None."""

@@ -62,11 +62,11 @@ class Read(NamedTuple):
 class Drawing:
     """What was read, drawn and judged of one translation; used by one thread at a time."""
 
-    def __init__(self) -> None:
-        self._drawn: Memo[object, SlotShown] = Memo(most_bytes=_DRAWN_BYTES)
+    def __init__(self, most_bytes: int = _DRAWN_BYTES) -> None:
+        self._drawn: Memo[object, SlotShown] = Memo(most_bytes=most_bytes)
         # Beside a truth or what was felt only the last of each slot: those are of one frame.
         self._beside: dict[str, tuple[object, object, object, SlotShown]] = {}
-        self._read: Memo[int, Read] = Memo(most_bytes=_READ_BYTES)
+        self._read: Memo[int, Read] = Memo(most_bytes=min(most_bytes, _READ_BYTES))
         self._judged: Memo[object, dict[str, float]] = Memo(_MOST_JUDGED)
 
     def frame(self, translation: Translation, index: int) -> Read:

@@ -63,13 +63,15 @@ class FrameKnown:
 class Evaluator:
     """Holds what is open and what was worked out; used by one thread at a time."""
 
-    def __init__(self, catalogue: Catalogue = BUILT_IN) -> None:
+    def __init__(self, catalogue: Catalogue = BUILT_IN, like: Evaluator | None = None) -> None:
+        """One `like` another remembers what that one has worked out."""
         self._catalogue = catalogue
-        self._graph = Graph(())
+        self._graph = Graph(()) if like is None else like.graph
         self._aside = Graph((), cache=Cache(_ASIDE_BYTES))  # of frames that nobody looks at
         self._request: Request | None = None
         self._translation: Translation | None = None
-        self._drawing = Drawing()  # of what is open
+        self._drawn_bytes = () if like is None else (_ASIDE_BYTES,)  # pictures that are gone back to
+        self._drawing = Drawing(*self._drawn_bytes)  # of what is open
         self._begins_at = 0  # of what is open
         self._last: tuple[tuple[int, DepthParams], Comparison] | None = None  # compared, of what is open
         self._truths: tuple[int, Mapping[str, object]] | None = None  # of one frame of what is open
@@ -122,6 +124,11 @@ class Evaluator:
         opened = self._opened(session, report)
         translation = replace(opened, alignment=session.offsets.applied(opened.alignment))
         return translation, self._index(session, translation)
+
+    @property
+    def graph(self) -> Graph:
+        """What remembers all that was worked out of the frames people look at."""
+        return self._graph
 
     def _index(self, session: Session, translation: Translation) -> int:
         """The session's frame, where it names one; else the one that what is open began with."""
@@ -201,7 +208,7 @@ class Evaluator:
         if self._translation is not None:
             self._translation.close()
         self._translation = translation
-        self._drawing = Drawing()
+        self._drawing = Drawing(*self._drawn_bytes)
         self._last = self._truths = None
         self._request = request_of(replace(session, target=translation.target.name))
         self._begins_at = touched_frame(translation.stream) if session.frame < 0 else session.frame

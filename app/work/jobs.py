@@ -18,7 +18,7 @@ class Report:
     """What running work is given: tells how far it is and what is done, and stops once nobody wants it."""
 
     def __init__(self, job: LatestJob, ticket: int) -> None:
-        self._job, self.ticket, self.stopped = job, ticket, threading.Event()
+        self.job, self.ticket, self.stopped = job, ticket, threading.Event()
         self._told_s = self._fraction = 0.0
 
     def step(self, fraction: float, text: str) -> None:
@@ -28,17 +28,31 @@ class Report:
         now_s = time.monotonic()
         if now_s - self._told_s >= _REPORT_EVERY_S:
             self._told_s, self._fraction = now_s, fraction
-            self._job.progressed.emit(self.ticket, fraction, text)
+            self.job.progressed.emit(self.ticket, fraction, text)
 
     def tell(self, text: str) -> None:
         """Say what is going on, however far it is; never stops the work, which may be in the midst of the compiler."""
-        self._job.progressed.emit(self.ticket, self._fraction, text)
+        self.job.progressed.emit(self.ticket, self._fraction, text)
 
     def hand_over(self, part: object) -> None:
         """Deliver a part of the result ahead of the rest; raises `Cancelled` like `step`."""
         if self.stopped.is_set():
             raise Cancelled
-        self._job.delivered.emit(self.ticket, part)
+        self.job.delivered.emit(self.ticket, part)
+
+
+class Gathered(Report):
+    """Tells of the progress of another report, and keeps what is handed over in `parts`."""
+
+    def __init__(self, of: Report) -> None:
+        super().__init__(of.job, of.ticket)
+        self.stopped, self.parts = of.stopped, list[object]()
+
+    def hand_over(self, part: object) -> None:
+        """Keep a part; raises `Cancelled` like `step`."""
+        if self.stopped.is_set():
+            raise Cancelled
+        self.parts.append(part)
 
 
 Work = Callable[[Report], object]

@@ -13,6 +13,7 @@ from app.work.evaluator import Evaluator
 from app.work.jobs import Report
 from pipeline.pictures.difference import difference
 from pipeline.pictures.display import DisplayParams
+from pipeline.pictures.layers import Layer
 from pipeline.pictures.picture import Picture, of_heights, of_reading
 from pipeline.scoring.compared import generated, recorded_only
 from pipeline.scoring.versions import Kept, Version, able, versions
@@ -30,6 +31,9 @@ class Tiles:
 
     tiles: tuple[Tile, ...]
     told: str
+    curve: tuple[tuple[float, float], ...] = ()  # spread and error, mm
+    slot: str = ""  # that is also shown in 3D,
+    solids: tuple[tuple[tuple[Layer, ...], Translation | None], ...] = ()  # from where it is seen in each
 
 
 def by_method(evaluator: Evaluator, session: Session, order: str, kept: Kept, report: Report) -> Tiles:

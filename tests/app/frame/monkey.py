@@ -20,7 +20,7 @@ from app.frame.tour import wait_until_shown
 from app.session.sample import SAMPLE
 
 _LEFT_ALONE = frozenset(  # those that ask for a file by a box of the system's, close the window or show a box
-    ("open_recording", "open_folder", "open_mesh", "open_calibration", "open_weights", "open_reference", "open_alignment",
+    ("open_recording", "hold_recording", "open_folder", "open_mesh", "open_calibration", "open_weights", "open_reference", "open_alignment",
      "save_alignment", "open_session", "save_session", "save_session_as", "save_picture", "make_case", "quit", "keys")
 )  # fmt: skip
 _REST_EVERY = 25  # acts; then everything must come to rest and every pane must have ink

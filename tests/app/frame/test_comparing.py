@@ -38,7 +38,9 @@ def _tiles(instrument):
 
 
 def _settled(qtbot, instrument, comparing, tiles):
-    qtbot.waitUntil(lambda: instrument.idle and not comparing.busy and _tiles(instrument) is not tiles, timeout=LIMIT_MS)
+    qtbot.waitUntil(
+        lambda: instrument.idle and not comparing.busy and _tiles(instrument) is not tiles, timeout=LIMIT_MS
+    )
 
 
 def test_every_way_stands_beside_the_truth_worst_first(compared, qtbot):

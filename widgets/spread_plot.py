@@ -1,0 +1,74 @@
+"""How far pixels are off against how far they spread: on the diagonal a sampler knows what it does not know."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+from PyQt6.QtCore import QPointF, QRectF, QSize, Qt
+from PyQt6.QtGui import QPainter, QPalette, QPen
+from PyQt6.QtWidgets import QSizePolicy, QWidget
+
+from widgets.colours import TAKEN, qcolor
+from widgets.looks import smaller
+
+_LEFT_PX, _BELOW_PX, _ROOM_PX, _DOT_PX = 46.0, 34.0, 14.0, 4.0
+
+
+class SpreadPlot(QWidget):
+    """Points (spread, error) in mm, both axes from zero and as long, with the diagonal; nothing without points."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        smaller(self)
+        self.points: tuple[tuple[float, float], ...] = ()
+        self.setMinimumWidth(240)
+        self.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Expanding)
+        self.setToolTip("Pixels with about as much spread each: their mean spread, and the rms error of the mean")
+
+    def show_points(self, points: Sequence[tuple[float, float]]) -> None:
+        """Show these instead."""
+        self.points = tuple(points)
+        self.setVisible(bool(self.points))
+        self.update()
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """A square with room for its words."""
+        return QSize(280, 280)
+
+    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+        """Axes, diagonal and dots."""
+        del a0
+        if not self.points:
+            return
+        painter, palette = QPainter(self), self.palette()
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        most = 1.05 * max(max(point) for point in self.points) or 1.0
+        side = min(self.width() - _LEFT_PX - _ROOM_PX, self.height() - _BELOW_PX - 2 * _ROOM_PX)
+        left, low = _LEFT_PX, _ROOM_PX + side
+
+        def at(x: float, y: float) -> QPointF:
+            return QPointF(left + side * x / most, low - side * y / most)
+
+        painter.setPen(palette.color(QPalette.ColorRole.Mid))
+        painter.drawRect(QRectF(left, _ROOM_PX, side, side))
+        painter.setPen(QPen(palette.color(QPalette.ColorRole.Mid), 1, Qt.PenStyle.DashLine))
+        painter.drawLine(at(0, 0), at(most, most))
+        painter.setPen(palette.color(QPalette.ColorRole.WindowText))
+        centre, right = Qt.AlignmentFlag.AlignHCenter, Qt.AlignmentFlag.AlignRight
+        painter.drawText(QRectF(left, low + 2, side, 16), right, f"{most:.2g}")
+        painter.drawText(QRectF(left, low + 16, side, 16), centre, "spread of a sample, mm")
+        painter.drawText(QRectF(0, _ROOM_PX - 4, left - 4, 16), right, f"{most:.2g}")
+        painter.save()
+        painter.translate(12, low)
+        painter.rotate(-90)
+        painter.drawText(QRectF(0, 0, side, 16), centre, "error of the mean (rms), mm")
+        painter.restore()
+        dots = [at(*point) for point in self.points]
+        painter.setPen(QPen(qcolor(TAKEN), 1.5))
+        for one, other in pairwise(dots):
+            painter.drawLine(one, other)
+        painter.setBrush(qcolor(TAKEN))
+        for dot in dots:
+            painter.drawEllipse(dot, _DOT_PX, _DOT_PX)
