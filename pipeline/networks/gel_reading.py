@@ -1,13 +1,14 @@
-"""The network that reads a gel: slopes, the surface they integrate to, contact, and how sure it is.
+"""The network that corrects what physics reads of a gel: its slopes, the surface they integrate to, and its contact.
 
 What a picture tells at a place is a slope; a convolution tells slopes well and heights badly, as those depend on what
-is far away. So the U-Net tells slopes (gx, gy) and a rough surface z0, and the surface is the one nearest to both,
+is far away. So the U-Net tells by what the slopes of the physical surface z are off, (gx, gy), and roughly by how much
+the surface itself is, d0, and the correction d is the surface nearest to both,
 
-    minimise  sum |D z - g|^2 + (z - z0)^2 / reach^2,
+    minimise  sum |D d - g|^2 + (d - d0)^2 / reach^2,
 
-solved exactly by a cosine transform (two products with a matrix), which gradients pass through. The slopes are those
-that the described light would make of the picture, times a factor from 0 to 7, and more: what is learned is where the
-description is wrong, by how much, and what is no slope at all (dots, drift, shadows).
+solved exactly by a cosine transform (two products with a matrix), which gradients pass through. g is a share of the
+slopes of z, and more: walls steeper than light can tell come out too low everywhere alike. A network that has learned
+nothing yet corrects nothing: its last layer begins at zero.
 """
 
 from __future__ import annotations
@@ -22,17 +23,18 @@ from torch.nn import functional
 
 from pipeline.networks.compact_unet import CompactUnet
 
-_ROUGH_PX = 4.0  # brings the rough surface to the order of 1
+DEEP_PX = 8.0  # pixels to 1 of the physical indentation among the fields
+SURE = 2.0  # logit of what physics holds for contact
+_ROUGH_PX = 4.0  # brings the rough correction to the order of 1
 
 
 class Reading(NamedTuple):
     """Each (n, rows, cols) float32; lengths in pixels. A tuple, as networks that learn on several devices answer."""
 
-    surface: Tensor  # pushed in, positive toward the camera
-    rough: Tensor  # z0 of the formula
-    slope_x: Tensor
-    slope_y: Tensor
+    surface: Tensor  # pushed in, positive toward the camera: physics and its correction
+    correction: Tensor
     contact: Tensor  # logit
+    more_contact: Tensor  # what of it is not physics'
     log_spread: Tensor  # logarithm of the Laplace scale of `surface`
 
 
@@ -43,29 +45,36 @@ class GelReading(nn.Module):
         self,
         *,
         inputs: int,
-        hint: int,
+        physical: int,
         first: int = 32,
         levels: int = 4,
         widest: int = 120,
-        reach_px: float = 60.0,
+        reach_px: float = 25.0,
     ) -> None:
-        """`hint`: the first of two inputs that are slopes by the described light, right and down."""
+        """`physical`: the first of four inputs by physics: slopes right and down, indentation, share in contact."""
         super().__init__()
-        self.hint = hint
+        self.physical = physical
         self.body = CompactUnet(inputs=inputs, outputs=6, first=first, levels=levels, widest=widest)
+        for last in (self.body.finish.weight, self.body.finish.bias):
+            assert last is not None
+            nn.init.zeros_(last)
         self.reach_px = reach_px
 
     def forward(self, fields: Tensor) -> Reading:
         """What the fields show."""
         fields = fields.contiguous(memory_format=torch.channels_last)  # a third of the time less
-        rough, more_x, more_y, factor, contact, log_spread = self.body(fields).float().unbind(1)
-        rough, factor = _ROUGH_PX * rough, torch.exp(0.5 * factor.clamp(-8.0, 4.0))
-        slope_x = factor * fields[:, self.hint] + more_x
-        slope_y = factor * fields[:, self.hint + 1] + more_y
+        rough, more_x, more_y, factor, more_contact, log_spread = self.body(fields).float().unbind(1)
+        slope_x, slope_y, deep, pressed = fields[:, self.physical : self.physical + 4].unbind(1)
+        share = torch.expm1(0.5 * factor.clamp(-8.0, 4.0))
         with torch.autocast(fields.device.type, enabled=False):
-            surface = integrated(slope_x, slope_y, rough, self.reach_px)
-        return Reading(surface=surface, rough=rough, slope_x=slope_x, slope_y=slope_y, contact=contact,
-                       log_spread=log_spread.clamp(-6.0, 3.0))  # fmt: skip
+            correction = integrated(
+                share * slope_x + more_x, share * slope_y + more_y, _ROUGH_PX * rough, self.reach_px
+            )
+        return Reading(
+            surface=DEEP_PX * deep + correction, correction=correction,
+            contact=SURE * (2.0 * pressed - 1.0) + more_contact, more_contact=more_contact,
+            log_spread=log_spread.clamp(-6.0, 3.0),
+        )  # fmt: skip
 
 
 def integrated(slope_x: Tensor, slope_y: Tensor, rough: Tensor, reach: float) -> Tensor:
@@ -84,14 +93,16 @@ def integrated(slope_x: Tensor, slope_y: Tensor, rough: Tensor, reach: float) ->
 @lru_cache(maxsize=16)
 def _transform(n: int) -> Tensor:
     """The orthonormal cosine transform (n, n): row k is the wave k."""
-    k, i = torch.arange(n, dtype=torch.float64)[:, None], torch.arange(n, dtype=torch.float64)[None, :]
-    table = torch.cos(math.pi * (i + 0.5) * k / n) * math.sqrt(2.0 / n)
-    table[0] *= math.sqrt(0.5)
-    return table.float()
+    with torch.inference_mode(False):  # whoever asks first: gradients pass through it later
+        k, i = torch.arange(n, dtype=torch.float64)[:, None], torch.arange(n, dtype=torch.float64)[None, :]
+        table = torch.cos(math.pi * (i + 0.5) * k / n) * math.sqrt(2.0 / n)
+        table[0] *= math.sqrt(0.5)
+        return table.float()
 
 
 @lru_cache(maxsize=16)
 def _laplacian(rows: int, cols: int) -> Tensor:
     """Eigenvalues (rows, cols) of D'D."""
-    ky, kx = (2.0 * torch.sin(torch.arange(n, dtype=torch.float64) * (0.5 * math.pi / n)) for n in (rows, cols))
-    return (ky[:, None] ** 2 + kx[None, :] ** 2).float()
+    with torch.inference_mode(False):
+        ky, kx = (2.0 * torch.sin(torch.arange(n, dtype=torch.float64) * (0.5 * math.pi / n)) for n in (rows, cols))
+        return (ky[:, None] ** 2 + kx[None, :] ** 2).float()

@@ -1,7 +1,7 @@
 """The pictures that a random unit takes, untouched and touched, and all that can befall them on the way.
 
 Between the two the light may have drifted, the camera may have moved by a pixel or two; both may be noisy, blurred,
-coarse, compressed. What comes out are grey levels as floating point: a picture that was averaged to this size.
+coarse, compressed.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Mask
+from pipeline.base.arrays import Floats, Image, Mask, freeze
 from pipeline.physics import optics
 from pipeline.physics.optics_markers import marker_motion_px, print_on
-from pipeline.simulation.gel_units import PIXEL_MM, Unit
+from pipeline.simulation.gel_units import Unit
 
 _WHITE = 1 << 22  # numbers that camera noise is cut from: drawing them anew takes longer than the light
 
@@ -54,16 +54,16 @@ def drift(rng: np.random.Generator, strength: float) -> Drift:
 
 def pictures(
     rng: np.random.Generator, of: Unit, indentation_mm: Floats, contact: Mask, drifted: Drift
-) -> tuple[Floats, Floats]:
-    """(touched, untouched), each (rows, cols, 3) float32 of 0 to 255."""
+) -> tuple[Image, Image]:
+    """(touched, untouched), each (rows, cols, 3) of 8 bits."""
     still = np.zeros_like(indentation_mm)
     grain = _grain(rng, of.sensor.camera.shape) * np.float32(of.grain_grey)
-    blur = float(rng.uniform(0.3, 1.5))
+    blur = optics.optics_of(of.sensor).blur_px
     touched, untouched = (np.maximum(_light(of, z) + grain, 0.0) for z in (indentation_mm, still))
     if of.sensor.markers is not None:
         shear = _shear_mm(rng, contact)
-        print_on(touched, of.sensor.markers, PIXEL_MM, *marker_motion_px(of.sensor, indentation_mm, shear))
-        print_on(untouched, of.sensor.markers, PIXEL_MM, still, still)
+        print_on(touched, of.sensor.markers, of.sensor.pixel_mm, *marker_motion_px(of.sensor, indentation_mm, shear))
+        print_on(untouched, of.sensor.markers, of.sensor.pixel_mm, still, still)
     exposure = _exposure(rng, untouched, of.exposure)
     touched, untouched = (_toned(light * exposure, of.tone) for light in (touched, untouched))
     film = _Film(rng)
@@ -80,18 +80,20 @@ def _light(of: Unit, height_mm: Floats) -> Floats:
     still = of.still
     if not height_mm.any():
         return np.maximum(still @ of.mixing.T.astype(np.float32), 0.0)
-    change = optics.colour_change(of.sensor, *optics.slopes(height_mm, PIXEL_MM))
+    change = optics.colour_change(of.sensor, *optics.slopes(height_mm, of.sensor.pixel_mm))
     if of.following > 0:
         bright = np.clip(still, 4.0, None)
         change = change * (bright / bright.mean(axis=(0, 1))) ** np.float32(of.following)
     light = np.asarray(still + change, np.float32)
     if optics.optics_of(of.sensor).shadow > 0:
-        optics.shade(light, of.sensor, height_mm, PIXEL_MM)
-    share, reach = of.bounced
+        optics.shade(light, of.sensor, height_mm, of.sensor.pixel_mm)
+    share, reach_mm = of.bounced
     if share:
         small = cv2.resize(light - still, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
         wide = cv2.resize(
-            cv2.GaussianBlur(small, (0, 0), 0.25 * reach), light.shape[1::-1], interpolation=cv2.INTER_LINEAR
+            cv2.GaussianBlur(small, (0, 0), 0.25 * reach_mm / of.sensor.pixel_mm),
+            light.shape[1::-1],
+            interpolation=cv2.INTER_LINEAR,
         )
         light += np.float32(share) * wide
     light *= (1.0 + np.float32(of.nearer) * height_mm)[..., None]
@@ -105,7 +107,7 @@ def _shear_mm(rng: np.random.Generator, contact: Mask) -> Floats | None:
     if rng.random() < 0.5 or not contact.any():
         return None
     small = cv2.resize(contact.astype(np.float32), None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
-    small = cv2.GaussianBlur(small, (0, 0), float(rng.uniform(1.5, 7.0)))
+    small = cv2.GaussianBlur(small, (0, 0), float(rng.uniform(3.0, 16.0)))
     around = cv2.resize(small, contact.shape[::-1], interpolation=cv2.INTER_LINEAR)
     return np.asarray(around[..., None] * rng.normal(0.0, 0.25, 2), np.float32)
 
@@ -127,7 +129,7 @@ def _noise_bank() -> Floats:
     import cv2
 
     rng, fields = np.random.default_rng(20), []
-    for grain in (0.6, 1.0, 1.6, 2.5, 4.0):
+    for grain in (0.8, 1.5, 2.5, 5.0, 8.0):
         field = cv2.GaussianBlur(rng.normal(0.0, 1.0, (400, 500)).astype(np.float32), (0, 0), grain)
         fields.append(field / field.std())
     return np.array(fields, np.float32)
@@ -178,38 +180,32 @@ class _Film:
     """What a camera and its files make of light: noise, 8 bits, fewer pixels, compression."""
 
     def __init__(self, rng: np.random.Generator) -> None:
-        self._noise = math.exp(rng.uniform(math.log(0.15), math.log(2.0)))
-        self._eight_bits = rng.random() < 0.5
-        self._coarse = float(rng.uniform(0.45, 0.9)) if rng.random() < 0.12 else 1.0
+        self._noise = math.exp(rng.uniform(math.log(0.4), math.log(3.0)))
+        self._coarse = float(rng.uniform(0.3, 0.9)) if rng.random() < 0.12 else 1.0
         if self._coarse < 1.0 and rng.random() < 0.6:
             self._noise = float(rng.uniform(2.0, 6.0))  # as the dithered panels of an animation
         self._quality = int(rng.integers(40, 97)) if rng.random() < 0.12 else 0
 
-    def recorded(self, rng: np.random.Generator, light: Floats, noise: float) -> Floats:
+    def recorded(self, rng: np.random.Generator, light: Floats, noise: float) -> Image:
         import cv2
 
         rows, cols = light.shape[:2]
         seen = light
         if self._coarse < 1.0:
-            fewer = cv2.resize(light, None, fx=self._coarse, fy=self._coarse, interpolation=cv2.INTER_AREA)
-            seen = np.asarray(fewer, np.float32)
+            seen = cv2.resize(light, None, fx=self._coarse, fy=self._coarse, interpolation=cv2.INTER_AREA)
         first = int(rng.integers(_WHITE - seen.size))
         grain = _white()[first : first + seen.size].reshape(seen.shape)
-        seen = np.clip(seen + grain * np.float32(self._noise * noise), 0.0, 255.0).astype(np.float32, copy=False)
-        if self._eight_bits or self._coarse < 1.0:
-            seen = np.rint(seen)
+        grey = np.clip(np.rint(seen + grain * np.float32(self._noise * noise)), 0, 255).astype(np.uint8)
         if self._coarse < 1.0:
-            seen = np.asarray(cv2.resize(seen, (cols, rows), interpolation=cv2.INTER_LINEAR), np.float32)
-        return _compressed(seen, self._quality) if self._quality else seen
+            grey = np.asarray(cv2.resize(grey, (cols, rows), interpolation=cv2.INTER_LINEAR), np.uint8)
+        return freeze(_compressed(grey, self._quality) if self._quality else grey)
 
 
-def _compressed(light: Floats, quality: int) -> Floats:
-    """Through a JPEG file of twice this size, as recordings are larger than what is looked at."""
+def _compressed(picture: Image, quality: int) -> Image:
+    """Through a JPEG file."""
     import cv2
 
-    rows, cols = light.shape[:2]
-    large = cv2.resize(np.asarray(np.rint(light), np.uint8), (2 * cols, 2 * rows), interpolation=cv2.INTER_LINEAR)
-    _, file = cv2.imencode(".jpg", large[..., ::-1], (cv2.IMWRITE_JPEG_QUALITY, quality))
+    _, file = cv2.imencode(".jpg", picture[..., ::-1], (cv2.IMWRITE_JPEG_QUALITY, quality))
     back = cv2.imdecode(file, cv2.IMREAD_COLOR)
     assert back is not None
-    return np.asarray(cv2.resize(back[..., ::-1], (cols, rows), interpolation=cv2.INTER_AREA), np.float32)
+    return np.ascontiguousarray(back[..., ::-1], np.uint8)

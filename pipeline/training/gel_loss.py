@@ -1,4 +1,4 @@
-"""What the network that reads gels is judged by while it learns."""
+"""What the network that corrects physics is judged by while it learns."""
 
 # ruff: noqa: TID253 (imported where a loss is asked for)
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pipeline.networks.gel_reading import Reading
 
 _SHALLOW_PX, _DEPTH_SHARE = 0.6, 0.2  # an error weighs by what the touch is deep, and no more than this
 _INSIDE, _BESIDE = 3.0, 0.7
-_SLOPES, _ROUGH, _CONTACT, _OVERLAP, _SPREAD = 5.0, 0.2, 0.5, 0.3, 0.05
+_SLOPES, _CONTACT, _OVERLAP, _SPREAD = 5.0, 0.5, 0.3, 0.05
 
 
 def loss(reading: Reading, indentation: Tensor, contact: Tensor) -> tuple[Tensor, dict[str, Any]]:
@@ -23,7 +23,6 @@ def loss(reading: Reading, indentation: Tensor, contact: Tensor) -> tuple[Tensor
     weight = (_BESIDE + (_INSIDE - _BESIDE) * touched) / scale
     off = (reading.surface - indentation).abs()
     surface = (weight * off).mean()
-    rough = (weight * (reading.rough - indentation).abs()).mean()
     slopes = 0.5 * (
         (weight[..., 1:] * (_across(reading.surface) - _across(indentation)).abs()).mean()
         + (weight[..., 1:, :] * (_down(reading.surface) - _down(indentation)).abs()).mean()
@@ -31,15 +30,8 @@ def loss(reading: Reading, indentation: Tensor, contact: Tensor) -> tuple[Tensor
     told = functional.binary_cross_entropy_with_logits(reading.contact, touched)
     overlap = _overlap(torch.sigmoid(reading.contact), touched)
     spread = (off.detach() * torch.exp(-reading.log_spread) + reading.log_spread).mean()
-    whole = surface + _ROUGH * rough + _SLOPES * slopes + _CONTACT * told + _OVERLAP * overlap + _SPREAD * spread
-    parts = {
-        "surface": surface,
-        "rough": rough,
-        "slopes": slopes,
-        "contact": told,
-        "overlap": overlap,
-        "spread": spread,
-    }
+    whole = surface + _SLOPES * slopes + _CONTACT * told + _OVERLAP * overlap + _SPREAD * spread
+    parts = {"surface": surface, "slopes": slopes, "contact": told, "overlap": overlap, "spread": spread}
     return whole, {name: part.detach() for name, part in parts.items()}
 
 

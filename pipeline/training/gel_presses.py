@@ -17,12 +17,13 @@ import numpy as np
 from pipeline.base.arrays import Floats, Mask, freeze
 from pipeline.physics import gel
 from pipeline.sensors.parts import Gel
-from pipeline.simulation.gel_units import COLS, ROWS
+from pipeline.sensors.spec import SensorSpec
 from pipeline.simulation.reliefs import relief
 
 _SIDE = 208  # lattice steps: any turn of a picture fits into it, nearly
+_ALONG = 160  # steps to the longer side of a picture, before it is seen nearer or farther
 _VIEW = 140.0  # steps of it that a picture sees, more or less
-_THICKNESS = 10.0, 45.0  # steps; the project's gels are 18 to 24 pixels of a small picture thick
+_THICKNESS = 14.0, 30.0  # steps; the project's gels are 18 to 24 pixels of a small picture thick
 _DEEPEST = 14.0
 _TOLERANCE, _MOST_STEPS = 4e-3, 80
 _MOST_OF_IT = 0.9  # of a picture: what lies beyond its border on all sides cannot be told from nothing
@@ -31,26 +32,26 @@ _KEPT = 4096  # presses a worker remembers, some 200 kB each
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pressed:
-    """A gel's surface (rows, cols), in pixels of this very picture."""
+    """A gel's surface (rows, cols) on a sensor's own pixels."""
 
-    indentation_px: Floats
+    indentation_mm: Floats
     contact: Mask
 
 
-def drawn(rng: np.random.Generator, pool: tuple[int, int]) -> Pressed:
-    """A press of the pool (its seed, how many there are) as one picture sees it."""
+def drawn(rng: np.random.Generator, pool: tuple[int, int], source: SensorSpec) -> Pressed:
+    """A press of the pool (its seed, how many there are) as one picture of a sensor sees it."""
     while True:
-        seen = _drawn(rng, pool)
+        seen = _drawn(rng, pool, source)
         if seen.contact.mean() < _MOST_OF_IT:
             return seen
 
 
-def _drawn(rng: np.random.Generator, pool: tuple[int, int]) -> Pressed:
+def _drawn(rng: np.random.Generator, pool: tuple[int, int], source: SensorSpec) -> Pressed:
     seed, count = pool
     surface, touched = _press(seed, int(rng.integers(count)))
     deepest = float(surface.max())
     zoom = math.exp(rng.uniform(math.log(0.8), math.log(1.45)))
-    # Depths from a fiftieth of a millimetre to one and a half, at pixels of an eighth.
+    # Depths from a fiftieth of a millimetre to one and a half, at steps of an eighth.
     least, most = 0.18 / (deepest * zoom), min(1.3, _DEEPEST / (deepest * zoom))
     if rng.random() < 0.5:
         deeper = rng.uniform(max(least, 0.35), max(most, 0.4))
@@ -58,29 +59,31 @@ def _drawn(rng: np.random.Generator, pool: tuple[int, int]) -> Pressed:
         deeper = math.exp(rng.uniform(math.log(max(least, 0.35)), math.log(max(most, 0.4))))
     if rng.random() < 0.1:
         deeper = max(least, 0.03) * math.exp(rng.uniform(0.0, 1.2))
-    view = _view(rng, zoom)
+    shape = source.camera.shape
+    view = _view(rng, zoom * max(shape) / _ALONG, shape)
+    step_mm = source.pixel_mm * max(shape) / _ALONG
     return Pressed(
-        indentation_px=_seen(surface, view) * np.float32(zoom * deeper),
-        contact=_seen(touched, view) > np.float32(0.5),
+        indentation_mm=_seen(surface, view, shape) * np.float32(zoom * deeper * step_mm),
+        contact=_seen(touched, view, shape) > np.float32(0.5),
     )
 
 
-def _view(rng: np.random.Generator, zoom: float) -> Floats:
+def _view(rng: np.random.Generator, zoom: float, shape: tuple[int, int]) -> Floats:
     """From a picture's pixels to the lattice's nodes (2, 3): a turn, a zoom, a shift, perhaps a mirror."""
     angle, mirror = rng.uniform(0.0, 2.0 * math.pi), float(rng.choice((-1.0, 1.0)))
     turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]]) / zoom
     turn[:, 0] *= mirror
-    aside = np.clip(rng.normal(0.0, 0.12, 2), -0.3, 0.3) * (COLS, ROWS)
-    middle = np.array([0.5 * (COLS - 1), 0.5 * (ROWS - 1)]) + aside
+    aside = np.clip(rng.normal(0.0, 0.12, 2), -0.3, 0.3) * shape[::-1]
+    middle = 0.5 * (np.array(shape[::-1]) - 1.0) + aside
     shift = 0.5 * (_SIDE - 1) - turn @ middle
     return np.column_stack([turn, shift]).astype(np.float32)
 
 
-def _seen(field: Floats, view: Floats) -> Floats:
+def _seen(field: Floats, view: Floats, shape: tuple[int, int]) -> Floats:
     import cv2
 
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
-    seen = cv2.warpAffine(field, view, (COLS, ROWS), flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    seen = cv2.warpAffine(field, view, shape[::-1], flags=flags, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(seen, np.float32)
 
 

@@ -1,13 +1,14 @@
-"""Depth of a gel by the network that reads all gels: no look-up is asked for, and a unit need not be calibrated.
+"""Depth of a gel by physics, corrected by the network that has learned where it errs on units that nobody calibrated.
 
 The network looks at 120 x 160 pixels whatever the sensor has (`network_input`), so that its time does not depend on the
-picture: a gel's picture is blurred by more than such a pixel. What it tells in pixels becomes mm by the width of one.
+picture; what it adds is smooth, and what physics tells more finely stays. Where physics finds no contact, and for a
+unit that is calibrated, its answer stands: neither was learned from.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -20,9 +21,8 @@ from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.lookup import Calibration
 from pipeline.engine.digests import content
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import contact, network_input, stage
+from pipeline.stages.depth import contact, drift, network_input, stage
 from pipeline.values.frames import TactileFrame
-from pipeline.values.pixel_index import pixel_index
 from pipeline.values.results import DepthError, DepthMap
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 _SPECK_MM2 = 0.15  # smaller contacts are camera noise
 _CORRELATION_PX = 8.0  # of the network's pixels: its errors go together over about what it integrates over
+_SURE = 2.0  # logit of what physics holds for contact, as the network has learned
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,63 +46,71 @@ class NetworkParams:
 def depth(
     frame: TactileFrame,
     source: SensorSpec,
-    calibration: Calibration | None,  # noqa: ARG001 - a unit that is calibrated is the look-up's
+    calibration: Calibration | None,
     network: nn.Module,
     params: NetworkParams,
     progress: Progress = SILENT,
 ) -> DepthMap:
     """Indentation, depth and contact of a gel's frame, with the error that the network itself expects.
 
-    Raises ShapeError for a frame that cannot be read.
+    Raises what physics raises.
     """
-    progress.step(0.0, "comparing with the untouched frame")
-    stage.checked(frame, source)
+    if calibration is not None and not calibration.is_built_in:
+        found = stage.recorded(frame, source, calibration, stage.DepthParams(), progress)
+        return replace(found, notes=(*found.notes, "the unit is calibrated: the network has nothing to correct"))
+    physical, seen = looked_at(frame, source, progress)
+    if not physical.contact.any():
+        return physical
+    progress.step(0.9, "correcting physics")
     seen_by = source if frame.camera is None else source.seen_through(frame.camera)
-    at, pixel_mm = network_input.frame(seen_by.camera.shape), 0.0
-    pixel_mm = seen_by.pixel_mm * at.pixels
-    image, reference = cast("Image", frame.image), cast("Image", frame.reference)
-    fields = network_input.fields(at.small(image), at.small(reference), _light(seen_by))
-    progress.step(0.3, "reading")
-    surface, likely, spread = _read(network, fields)
-    limit = np.float32(math.log(params.certainty / (1.0 - params.certainty)))
-    touched = contact.without_specks(at.large(likely) > limit, max(4, round(_SPECK_MM2 / seen_by.pixel_mm**2)))
-    notes: list[str] = []
-    indentation = np.zeros(seen_by.camera.shape, np.float32)
-    error = None
-    if touched.any():
-        indentation = at.large(surface) * np.float32(pixel_mm)
-        notes += _limited(indentation, touched, seen_by)
-        error = _error(spread, likely > limit, pixel_mm)
-    else:
-        notes.append("nothing touches the sensor")
-    progress.step(1.0, "depth is ready")
-    return DepthMap(
+    return corrected(physical, seen, seen_by, network, params)
+
+
+def corrected(
+    physical: DepthMap, seen: network_input.Seen, source: SensorSpec, network: nn.Module, params: NetworkParams
+) -> DepthMap:
+    """The physical answer with what the network makes of it; `source` as it is seen through the frame's camera."""
+    at = network_input.frame(source.camera.shape)
+    pixel_mm = np.float32(source.pixel_mm * at.pixels)
+    correction, more, spread = _read(network, network_input.fields(seen))
+    likely = np.float32(_SURE) * (2.0 * physical.contact.astype(np.float32) - 1.0) + at.large(more)
+    limit = math.log(params.certainty / (1.0 - params.certainty))
+    touched = contact.without_specks(likely > limit, max(4, round(_SPECK_MM2 / source.pixel_mm**2)))
+    indentation = np.asarray(physical.indentation_mm + at.large(correction) * pixel_mm, np.float32)
+    notes = _limited(indentation, touched, source)
+    return replace(
+        physical,
         indentation_mm=freeze(indentation),
-        depth_mm=freeze((seen_by.rest_depth_mm - indentation).astype(np.float32)),
+        depth_mm=freeze((source.rest_depth_mm - indentation).astype(np.float32)),
         contact=freeze(touched),
-        camera=seen_by.camera,
-        source_index=pixel_index(seen_by.camera.shape),
-        notes=tuple(notes),
-        error=error,
+        notes=(*(note for note in physical.notes if note not in notes), *notes),
+        error=_error(spread, at.small(touched.astype(np.float32)) > np.float32(0.5), float(pixel_mm)),
+        spread_mm=freeze(np.maximum(at.large(spread), 0.0) * pixel_mm),
     )
+
+
+def looked_at(
+    frame: TactileFrame, source: SensorSpec, progress: Progress = SILENT
+) -> tuple[DepthMap, network_input.Seen]:
+    """The physical answer of a frame, and what the network sees of both."""
+    physical = stage.recorded(frame, source, None, stage.DepthParams(), progress)
+    seen_by = source if frame.camera is None else source.seen_through(frame.camera)
+    image, reference = cast("Image", frame.image), cast("Image", frame.reference)
+    still = drift.stilled(image, reference).picture
+    light = _lights.of(content(seen_by), lambda: network_input.light_of(seen_by))
+    return physical, network_input.seen(image, still, physical.indentation_mm, physical.contact, seen_by, light)
 
 
 _lights: Memo[str, network_input.Light] = Memo(16)
 
 
-def _light(sensor: SensorSpec) -> network_input.Light | None:
-    if sensor.optics is None:
-        return None
-    return _lights.of(content(sensor), lambda: network_input.light_of(sensor))
-
-
 def _read(network: nn.Module, fields: Floats) -> tuple[Floats, Floats, Floats]:
-    """(surface in pixels, logit of contact, Laplace scale of the surface in pixels), each (120, 160)."""
+    """(correction in pixels, logit of contact beside physics', Laplace scale in pixels), each (120, 160)."""
     import torch
 
     with torch.inference_mode():
         reading = network(torch.from_numpy(fields)[None])
-    return reading.surface[0].numpy(), reading.contact[0].numpy(), np.exp(reading.log_spread[0].numpy())
+    return reading.correction[0].numpy(), reading.more_contact[0].numpy(), np.exp(reading.log_spread[0].numpy())
 
 
 def _error(spread_px: Floats, touched: Mask, pixel_mm: float) -> DepthError | None:

@@ -1,36 +1,39 @@
-"""What the network that reads gels looks at: 14 fields of 120 x 160, free of any unit of length.
+"""What the network that corrects physics looks at: 17 fields of 120 x 160, free of any unit of length.
 
     0-2    change of colour, in 40 grey levels
     3-5    the same as a ratio of brightness: twice the difference of logarithms
     6-8    the untouched picture, from -1 (black) to 1
     9, 10  slopes that the described lights would make of the change (least squares, linear): right and down
-    11     the surface that these slopes integrate to, in 8 pixels
-    12, 13 place in the picture, from -1 to 1
+    11, 12 slopes of the physical answer
+    13, 14 its indentation in 8 pixels, and where it is in contact, from 0 to 1
+    15, 16 place in the picture, from -1 to 1
 
-Slopes are lengths over lengths and the surface is told in pixels, so that a sensor's size does not enter at all: what
-comes out in pixels becomes mm by the width of one.
+The untouched picture is the one that physics compares with, drift taken out. Slopes are lengths over lengths and the
+surface is told in pixels, so that a sensor's size does not enter at all: what comes out in pixels becomes mm by the
+width of one.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Floats, freeze
+from pipeline.base.arrays import Floats, Image, Mask, freeze
 from pipeline.geometry.camera import Camera
 from pipeline.physics import optics
+from pipeline.sensors.parts import Glow, Optics
 from pipeline.sensors.spec import SensorSpec
-from pipeline.simulation.gel_units import mirrored
 
-ROWS, COLS, FIELDS = 120, 160, 14
+ROWS, COLS, FIELDS = 120, 160, 17
+SLOPE_FIELDS = (9, 11), (10, 12)  # to the right, down
+SURFACE, PRESSED, PLACE = 13, 14, 15
+SURFACE_PX = 8.0
 _CHANGE_GREY = 40.0
 _DARK_GREY = 8.0  # added to both pictures, so that camera noise in the dark has no large logarithm
-_HINT_PX = 8.0
 _SECANT = 0.2  # mm/mm: slopes at which the light's rates are taken
 _PULL = 600.0  # grey levels squared per unit slope squared: what no lamp tells stays level
 _STEEPEST = 1.5
@@ -56,10 +59,10 @@ class Frame:
         return self.whole[1] / COLS
 
     def small(self, picture: NDArray[Any]) -> Floats:
-        """A picture (rows, cols, 3) of the sensor as the fields have it, (120, 160, 3) of 0 to 255."""
+        """A picture (rows, cols, 3) or a field (rows, cols) of the sensor on 120 x 160."""
         import cv2
 
-        turned = picture.transpose(1, 0, 2) if self.mirrored else picture
+        turned = np.asarray(picture.swapaxes(0, 1) if self.mirrored else picture, np.float32)
         rows, cols = turned.shape[:2]
         below, beside = self.whole[0] - rows, self.whole[1] - cols
         if below or beside:
@@ -91,11 +94,6 @@ class Light:
     inverse: Floats  # `inverse_light` of it
 
 
-def light(sensor: SensorSpec) -> Light:
-    """The light of a sensor that takes pictures of 120 x 160."""
-    return Light(sensor=sensor, inverse=inverse_light(sensor))
-
-
 def light_of(sensor: SensorSpec) -> Light:
     """The described light of any sensor."""
     rows, cols = sensor.camera.shape
@@ -103,9 +101,17 @@ def light_of(sensor: SensorSpec) -> Light:
     focal = z_mm / (sensor.pixel_mm * at.pixels)
     camera = Camera(rows=ROWS, cols=COLS, fx_px=focal, fy_px=focal, cx_px=0.5 * (COLS - 1), cy_px=0.5 * (ROWS - 1))
     described = optics.optics_of(sensor)
-    lit = mirrored(described) if at.mirrored else described
+    lit = _mirrored(described) if at.mirrored else described
     rest = freeze(np.full((ROWS, COLS), z_mm))
-    return light(replace(sensor, camera=camera, rest_depth_mm=rest, optics=lit, markers=None))
+    small = replace(sensor, camera=camera, rest_depth_mm=rest, optics=lit, markers=None)
+    return Light(sensor=small, inverse=inverse_light(small))
+
+
+def _mirrored(optics: Optics) -> Optics:
+    """The same light with x and y exchanged."""
+    leds = tuple(replace(led, azimuth_deg=(90.0 - led.azimuth_deg) % 360.0) for led in optics.leds)
+    glows = tuple(Glow(x=g.y, y=g.x, width=g.height, height=g.width, rgb=g.rgb) for g in optics.glows)
+    return replace(optics, leds=leds, glows=glows)
 
 
 def inverse_light(sensor: SensorSpec) -> Floats:
@@ -124,24 +130,46 @@ def inverse_light(sensor: SensorSpec) -> Floats:
     return freeze(np.stack([(yy * x - xy * y) * per, (xx * y - xy * x) * per]).astype(np.float32))
 
 
-def fields(touched: Floats, untouched: Floats, light: Light | None) -> Floats:
-    """The fields (14, 120, 160) of two pictures (120, 160, 3) of 0 to 255.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Seen:
+    """A frame and its physical answer on 120 x 160 pixels: what the fields are made of."""
 
-    `light`: `light_of` the sensor, None = nobody has described it.
-    """
+    touched: Floats  # (120, 160, 3) of 0 to 255
+    untouched: Floats  # the same, in the light and at the place of `touched`
+    slopes: Floats  # (2, 120, 160) that the described lights would make of the change: right and down
+    physical_px: Floats  # (120, 160) indentation
+    pressed: Floats  # (120, 160) share in contact
+
+
+def seen(image: Image, still: Floats, physical_mm: Floats, contact: Mask, source: SensorSpec, light: Light) -> Seen:
+    """A sensor's picture and its physical answer, each (rows, cols, ...) of the sensor; `light`: `light_of` it."""
+    at = frame(source.camera.shape)
+    touched, untouched = at.small(image), at.small(still)
+    return Seen(
+        touched=touched, untouched=untouched, slopes=_slopes(_planes(touched - untouched), light),
+        physical_px=at.small(physical_mm) / np.float32(source.pixel_mm * at.pixels),
+        pressed=at.small(contact.astype(np.float32)),
+    )  # fmt: skip
+
+
+def fields(of: Seen) -> Floats:
+    """The fields (17, 120, 160)."""
     out = np.zeros((FIELDS, ROWS, COLS), np.float32)
-    now, before = (np.ascontiguousarray(picture.transpose(2, 0, 1)) for picture in (touched, untouched))
-    change = now - before
-    out[0:3] = change * np.float32(1.0 / _CHANGE_GREY)
+    now, before = _planes(of.touched), np.maximum(_planes(of.untouched), 0.0)  # where drift took all light away
+    out[0:3] = (now - before) * np.float32(1.0 / _CHANGE_GREY)
     out[3:6] = 2.0 * np.log((now + np.float32(_DARK_GREY)) / (before + np.float32(_DARK_GREY)))
     out[6:9] = before * np.float32(1.0 / 127.5) - np.float32(1.0)
-    if light is not None:
-        out[9:11] = _slopes(change, light)
-        surface = _surface(out[9], out[10])
-        out[11] = (surface - np.median(surface[::4, ::4])) / np.float32(_HINT_PX)
-    out[12] = np.linspace(-1.0, 1.0, COLS, dtype=np.float32)[None, :]
-    out[13] = np.linspace(-1.0, 1.0, ROWS, dtype=np.float32)[:, None]
+    out[9:11] = of.slopes
+    out[11], out[12] = optics.slopes(of.physical_px, 1.0)
+    out[SURFACE] = of.physical_px * np.float32(1.0 / SURFACE_PX)
+    out[PRESSED] = of.pressed
+    out[15] = np.linspace(-1.0, 1.0, COLS, dtype=np.float32)[None, :]
+    out[16] = np.linspace(-1.0, 1.0, ROWS, dtype=np.float32)[:, None]
     return out
+
+
+def _planes(picture: Floats) -> Floats:
+    return np.ascontiguousarray(picture.transpose(2, 0, 1))
 
 
 def _slopes(change: Floats, light: Light) -> Floats:
@@ -159,28 +187,3 @@ def _slopes(change: Floats, light: Light) -> Floats:
 def _summed(a: Floats, b: Floats) -> Floats:
     """The sum over three colours of a product (3, rows, cols)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _surface(gx: Floats, gy: Floats) -> Floats:
-    """What `poisson.integrate` gives with a free border and pixels of length 1, for this one size: by two tables."""
-    down, across, weight = _tables()
-    div = np.zeros_like(gx)
-    edges = 0.5 * (gx[:, 1:] + gx[:, :-1])
-    div[:, 1:] += edges
-    div[:, :-1] -= edges
-    edges = 0.5 * (gy[1:] + gy[:-1])
-    div[1:] += edges
-    div[:-1] -= edges
-    return np.asarray(down.T @ ((down @ div @ across.T) * weight) @ across, np.float32)
-
-
-@lru_cache(maxsize=1)
-def _tables() -> tuple[Floats, Floats, Floats]:
-    """Cosine transforms of the columns (120, 120) and the rows (160, 160), and what each wave is multiplied with."""
-    from scipy import fft
-
-    down, across = (np.asarray(fft.dct(np.eye(n), axis=0, norm="ortho"), np.float32) for n in (ROWS, COLS))
-    ky, kx = (4.0 * np.sin(np.arange(n) * (0.5 * np.pi / n)) ** 2 for n in (ROWS, COLS))
-    total = ky[:, None] + kx[None, :]
-    weight = np.divide(1.0, total, out=np.zeros_like(total), where=total > 0)
-    return freeze(down), freeze(across), freeze(weight.astype(np.float32))

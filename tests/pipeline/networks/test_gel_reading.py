@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from pipeline.networks.gel_reading import GelReading, integrated
+from pipeline.networks.gel_reading import DEEP_PX, GelReading, integrated
 
 REACH = 10.0
 
@@ -46,9 +46,21 @@ def test_the_gradient_of_one_height_reaches_slopes_everywhere():
     assert float(x.grad[0, 10].abs().min()) > 0
 
 
-def test_it_reads_fields_into_one_of_each():
-    network = GelReading(inputs=14, hint=9, first=8, levels=3, widest=16).eval()
+def test_what_has_learned_nothing_answers_physics():
+    network = GelReading(inputs=17, physical=11, first=8, levels=3, widest=16).eval()
+    fields = torch.randn(2, 17, 24, 32)
     with torch.inference_mode():
-        reading = network(torch.randn(2, 14, 24, 32))
+        reading = network(fields)
     assert {tuple(field.shape) for field in reading} == {(2, 24, 32)}
     assert all(field.dtype is torch.float32 for field in reading)
+    assert torch.equal(reading.surface, DEEP_PX * fields[:, 13])
+    assert torch.equal(reading.contact > 0, fields[:, 14] > 0.5)
+    assert not reading.correction.any()
+    assert not reading.more_contact.any()
+
+
+def test_the_first_step_changes_what_it_answers():
+    network = GelReading(inputs=17, physical=11, first=8, levels=3, widest=16).train()
+    fields = torch.randn(2, 17, 24, 32)
+    network(fields).surface.square().mean().backward()
+    assert float(network.body.finish.weight.grad.abs().max()) > 0

@@ -1,14 +1,20 @@
-"""Depth of a gel by a network: what becomes of what it tells."""
+"""Depth of a gel by physics and a network: what becomes of what it tells."""
 
 from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
 from pipeline.base.errors import ShapeError
+from pipeline.base.progress import SILENT
+from pipeline.calibration.lookup import BallFit, built_in
 from pipeline.networks.weights import NoWeights
-from pipeline.physics import optics
+from pipeline.physics import gel, optics
 from pipeline.sensors.spec import sensor
+from pipeline.stages.depth import stage
 from pipeline.stages.depth.gel_network import NetworkParams, depth
 from pipeline.stages.depth.slot import NETWORK
 from pipeline.values.frames import TactileFrame
@@ -19,7 +25,7 @@ def disc(row, col, radius):
     return (x - col) ** 2 + (y - row) ** 2 < radius**2
 
 
-def told(surface_px, contact, spread_px=0.1):
+def told(correction_px, more, spread_px=0.1):
     """A network that tells this, whatever it sees."""
     import torch
     from torch import nn
@@ -28,72 +34,106 @@ def told(surface_px, contact, spread_px=0.1):
 
     class Told(nn.Module):
         def forward(self, fields):
-            assert fields.shape == (1, 14, 120, 160)
-            wide = [np.asarray(a, np.float32)[None] for a in (surface_px, np.where(contact, 4.0, -4.0))]
-            surface, logit = (torch.from_numpy(a) for a in wide)
-            nothing = torch.zeros_like(surface)
-            return Reading(surface=surface, rough=nothing, slope_x=nothing, slope_y=nothing, contact=logit,
-                           log_spread=nothing + float(np.log(spread_px)))  # fmt: skip
+            assert fields.shape == (1, 17, 120, 160)
+            off, logit = (torch.from_numpy(np.asarray(a, np.float32)[None]) for a in (correction_px, more))
+            return Reading(surface=off, correction=off, contact=logit, more_contact=logit,
+                           log_spread=0 * off + float(np.log(spread_px)))  # fmt: skip
 
     return Told().eval()
 
 
-def frame(source, **more):
-    still = optics.untouched(source)
-    return TactileFrame(sensor=source.name, image=still, reference=still, **more)
+NOTHING = np.zeros((120, 160))
+
+
+@cache
+def frame(name="gelsight_mini", depth_mm=0.5):
+    """A square punch in the middle."""
+    source = sensor(name)
+    rows, cols = source.camera.shape
+    y, x = (source.pixel_mm * (np.arange(n) - n / 2) for n in (rows, cols))
+    beside = np.maximum(np.abs(x)[None, :], np.abs(y)[:, None]) - 2.5
+    pressed = gel.press(source.gel, source.pixel_mm, (depth_mm - 8 * np.maximum(beside, 0.0)).astype(np.float32))
+    image = optics.render(source, pressed.indentation_mm, seed=1)
+    return TactileFrame(sensor=source.name, image=image, reference=optics.untouched(source))
+
+
+@cache
+def physics(name="gelsight_mini"):
+    return stage.recorded(frame(name), sensor(name), None, stage.DepthParams())
+
+
+@pytest.mark.parametrize("name", ["gelsight_mini", "digit", "gelslim"])
+def test_a_network_that_corrects_nothing_answers_physics_to_the_byte(name):
+    found = depth(frame(name), sensor(name), None, told(NOTHING, NOTHING), NetworkParams())
+    assert np.array_equal(found.indentation_mm, physics(name).indentation_mm)
+    assert np.array_equal(found.contact, physics(name).contact)
+    assert found.notes == physics(name).notes
 
 
 @pytest.mark.parametrize("name", ["gelsight_mini", "digit", "gelslim"])
 def test_pixels_become_mm_on_the_sensors_own_picture(name):
     source, there = sensor(name), disc(40, 110, 25)
-    found = depth(frame(source), source, None, told(np.where(there, 4.0, 0.0), there), NetworkParams())
+    network = told(np.where(there, 2.0, 0.0), np.where(there, 9.0, -9.0))
+    found, before = depth(frame(name), source, None, network, NetworkParams()), physics(name)
     rows, cols = source.camera.shape
     pixel_mm = source.pixel_mm * max(rows, cols) / 160
     row, col = (110 / 160, 40 / 120) if rows > cols else (40 / 120, 110 / 160)
     middle = round(row * rows), round(col * cols)
-    assert found.indentation_mm[middle] == pytest.approx(4.0 * pixel_mm, rel=0.01)
+    more = found.indentation_mm[middle] - before.indentation_mm[middle]
+    assert more == pytest.approx(2.0 * pixel_mm, rel=0.02)
     assert found.contact[middle]
+    assert not found.contact[rows // 20, cols // 20]
     assert found.contact.mean() == pytest.approx(there.mean(), rel=0.05)
     np.testing.assert_allclose(found.depth_mm, source.rest_depth_mm - found.indentation_mm, atol=1e-5)
     assert found.error.rms_mm == pytest.approx(0.1 * np.sqrt(2) * pixel_mm, rel=1e-4)
+    assert found.spread_mm[middle] == pytest.approx(0.1 * pixel_mm, rel=1e-4)
 
 
-def test_no_contact_means_no_indentation_and_a_note():
+def test_where_physics_finds_nothing_the_network_is_not_asked():
     source = sensor("gelsight_mini")
-    found = depth(frame(source), source, None, told(np.full((120, 160), 0.3), disc(0, 0, 0)), NetworkParams())
+    still = optics.untouched(source)
+    network = told(NOTHING + 3.0, NOTHING + 9.0)
+    untouched = TactileFrame(sensor=source.name, image=still, reference=still)
+    found = depth(untouched, source, None, network, NetworkParams())
     assert not found.contact.any()
     assert not found.indentation_mm.any()
-    assert found.error is None
-    assert found.notes == ("nothing touches the sensor",)
+
+
+def test_a_calibrated_unit_is_left_to_its_look_up():
+    source = sensor("gelsight_mini")
+    press = BallFit(index=0, x_px=1.0, y_px=1.0, radius_px=1.0, residual=0.1, used=True)
+    own = replace(built_in(source), presses=(press,))
+    found = depth(frame(), source, own, told(NOTHING + 3.0, NOTHING), NetworkParams())
+    by_look_up = stage.recorded(frame(), source, own, stage.DepthParams())
+    assert np.array_equal(found.indentation_mm, by_look_up.indentation_mm)
+    assert "the unit is calibrated" in found.notes[-1]
 
 
 def test_a_speck_is_no_contact():
-    source = sensor("gelsight_mini")
-    found = depth(frame(source), source, None, told(disc(60, 80, 1.4), disc(60, 80, 1.4)), NetworkParams())
-    assert not found.contact.any()
+    network = told(NOTHING, np.where(disc(60, 80, 1.4), 9.0, -9.0))
+    assert not depth(frame(), sensor("gelsight_mini"), None, network, NetworkParams()).contact.any()
 
 
 def test_what_is_deeper_than_the_sensor_is_cut_and_told():
-    source, there = sensor("gelsight_mini"), disc(60, 80, 30)
-    found = depth(frame(source), source, None, told(np.where(there, 40.0, 0.0), there), NetworkParams())
+    source = sensor("gelsight_mini")
+    found = depth(frame(), source, None, told(NOTHING + 40.0, NOTHING), NetworkParams())
     assert found.indentation_mm.max() == np.float32(source.limits.indentation_max_mm)
     assert any("were cut to that" in note for note in found.notes)
 
 
 def test_a_contact_at_the_border_is_told():
-    source, there = sensor("gelsight_mini"), disc(0, 80, 30)
-    found = depth(frame(source), source, None, told(np.where(there, 4.0, 0.0), there), NetworkParams())
-    assert any("reaches the image border" in note for note in found.notes)
+    network = told(NOTHING, np.where(disc(0, 80, 30), 9.0, 0.0))
+    found = depth(frame(), sensor("gelsight_mini"), None, network, NetworkParams())
+    assert sum("reaches the image border" in note for note in found.notes) == 1
 
 
 def test_a_picture_of_another_size_is_refused_as_physics_does():
     source = sensor("gelsight_mini")
-    other = frame(sensor("digit"))
     with pytest.raises(ShapeError, match="choose the right sensor"):
-        depth(other, source, None, told(disc(0, 0, 0), disc(0, 0, 0)), NetworkParams())
+        depth(frame("digit"), source, None, told(NOTHING, NOTHING), NetworkParams())
 
 
 def test_without_weights_physics_answers_and_says_so():
     source = sensor("gelsight_mini")
-    answer = NETWORK.run(frame(source), source, None, NoWeights(why="no weights come along"), NetworkParams(), None)
+    answer = NETWORK.run(frame(), source, None, NoWeights(why="no weights come along"), NetworkParams(), SILENT)
     assert answer.why == "no weights come along; physics answers instead"

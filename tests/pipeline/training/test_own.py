@@ -56,7 +56,9 @@ def test_presses_of_a_ball_are_known_by_the_mechanics_of_the_layer(balls):
         assert off[truth.contact].mean() < MOST_OFF * DEEP_MM
 
 
-@pytest.mark.parametrize("task", [GelDepth(presses=2), DepthAnythingTask(sensor="digit", side=56)], ids=["gel", "dav2"])
+@pytest.mark.parametrize(
+    "task", [GelDepth(presses=2, pictures=4), DepthAnythingTask(sensor="digit", side=56)], ids=["gel", "dav2"]
+)
 def test_a_recorded_touch_makes_the_same_arrays_as_a_simulated_one(task):
     simulated, known = task.sample(np.random.default_rng(0)), own.touch(SAMPLE, own.count(SAMPLE) // 2)
     made = task.of_touch(known, np.random.default_rng(1))

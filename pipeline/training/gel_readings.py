@@ -1,0 +1,112 @@
+"""What physics reads of random things on random units, and what is true of it: pictures, kept, to learn from.
+
+A picture's physical answer takes a tenth of a second, so that it is worked out once for each number and kept where a
+folder is given. Physics sees what it sees of a real unit: eight bits at the sensor's own size, the sensor's description
+for all it knows, no calibration. Pictures in which it finds no contact are left out: there its answer stands.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.base.arrays import Floats, Mask
+from pipeline.geometry import rigid
+from pipeline.physics import optics
+from pipeline.sensors.spec import SensorSpec, sensor
+from pipeline.simulation import shapes
+from pipeline.simulation.gel_pictures import STILL, drift, pictures
+from pipeline.simulation.gel_units import unit
+from pipeline.simulation.press import press
+from pipeline.simulation.variation import varied
+from pipeline.stages.depth import gel_network, network_input
+from pipeline.stages.depth.network_input import Seen
+from pipeline.training import gel_presses
+from pipeline.training.gel_presses import Pressed
+from pipeline.training.own_touches import keep, read
+from pipeline.values.frames import TactileFrame
+
+VERSION = 1  # counts up when the same number would give another picture
+_UNTOUCHED, _DRIFTING = 0.12, 0.6  # shares: of the pictures, and of the touched ones with drift
+_SENSORS = ("gelsight_mini", "gelslim", "digit")
+_DEPTHS_MM = (0.15, 0.4, 0.8)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Taught:
+    """A picture as `network_input.Seen` has it, and what is true of it; each (120, 160)."""
+
+    touched: Floats
+    untouched: Floats
+    slopes: Floats
+    physical_px: Floats
+    pressed: Floats
+    indentation_px: Floats
+    contact: Mask
+
+    @property
+    def seen(self) -> Seen:
+        """What the network looks at."""
+        return Seen(**{field.name: getattr(self, field.name) for field in fields(Seen)})
+
+
+def reading(seed: int, index: int, presses: int, folder: str = "") -> Taught:
+    """Picture `index` of a seed, of its `presses`: the same each time. `folder` keeps it."""
+    path = Path(folder) / f"gel_{VERSION}_{seed}_{presses}_{index}.npz" if folder else None
+    found = None if path is None else read(path, Taught)
+    if found is None:
+        found = _drawn(np.random.default_rng([VERSION, 12, seed, index]), (seed, presses))
+        if path is not None:
+            keep(path, found)
+    return found
+
+
+def _drawn(rng: np.random.Generator, pool: tuple[int, int]) -> Taught:
+    while True:
+        of = unit(rng)
+        source = of.described
+        if rng.random() < _UNTOUCHED:
+            level = np.zeros(source.camera.shape, np.float32)
+            pressed = Pressed(indentation_mm=level, contact=np.zeros(level.shape, np.bool_))
+            drifted = drift(rng, float(rng.uniform(0.1, 1.0)))
+        else:
+            pressed = gel_presses.drawn(rng, pool, source)
+            drifted = drift(rng, float(rng.exponential(0.3))) if rng.random() < _DRIFTING else STILL
+        touched, untouched = pictures(rng, of, pressed.indentation_mm, pressed.contact, drifted)
+        frame = TactileFrame(sensor=source.name, image=touched, reference=untouched)
+        found = taught(frame, source, pressed.indentation_mm, pressed.contact)
+        if found.pressed.any():
+            return found
+
+
+def taught(frame: TactileFrame, source: SensorSpec, indentation_mm: Floats, contact: Mask) -> Taught:
+    """A frame as physics and the network see it, and what is true of it, told on the frame's own pixels."""
+    _, seen = gel_network.looked_at(frame, source)
+    at = network_input.frame(source.camera.shape)
+    return Taught(
+        **{field.name: getattr(seen, field.name) for field in fields(Seen)},
+        indentation_px=at.small(indentation_mm) / np.float32(source.pixel_mm * at.pixels),
+        contact=at.small(contact.astype(np.float32)) > np.float32(0.5),
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=256)
+def tool(index: int) -> Taught:
+    """A tool of the group "unseen" as the simulator presses it, by one of three depths, on another unit of a gel."""
+    rng = np.random.default_rng([9, index])
+    source = sensor(_SENSORS[index % 3])
+    other, names = varied(source, 5000 + index), shapes.names("unseen")
+    thing = shapes.shape(names[(index // 3) % len(names)]).mesh
+    while True:
+        x, y = rng.uniform(-2.5, 2.5, 2)
+        pose = rigid.translation(x, y, 0.0) @ rigid.rotation((0.0, 0.0, rng.uniform(-3.0, 3.0)))
+        pose[2, 3] = -_DEPTHS_MM[(index // 9) % 3] - rigid.apply(pose, thing.vertices_mm)[:, 2].min()
+        felt = press(thing, pose, other, seed=index)
+        if felt.converged and felt.truth.contact is not None and felt.truth.contact.any():
+            break
+    assert felt.truth.indentation_mm is not None
+    frame = TactileFrame(sensor=source.name, image=felt.image, reference=optics.untouched(other))
+    return taught(frame, source, felt.truth.indentation_mm, felt.truth.contact)
