@@ -3,8 +3,9 @@
 A U-Net like `compact_unet` that also hears how strong the noise is: every block scales and shifts what it has
 normalised by functions of log sigma. Everything is in units of `unit_mm` and told as in `samplers`: noisy = clean +
 sigma * noise. Three things may be predicted, all turned into the clean field here: the field itself, the noise, or
-v, a mixture of both (Salimans and Ho 2022). At the strongest noise nothing can be seen, and nothing is shown: the first
-step, and an answer in one, rest on the condition alone. A last channel says how far off the clean field is expected.
+v, a mixture of both (Salimans and Ho 2022). The noise is as smooth as `smooth` says (`smooth_noise`). At the strongest
+one nothing can be seen, and nothing is shown: the first step, and an answer in one, rest on the condition alone. A last
+channel says how far off the clean field is expected.
 """
 
 from __future__ import annotations
@@ -28,13 +29,13 @@ class ResidualDenoiser(nn.Module):
 
     def __init__(
         self, *, inputs: int, unit_mm: float, first: int = 32, levels: int = 4, widest: int = 112, fold: int = 2,
-        most: float = 200.0, least: float = 0.02, prediction: Prediction = "clean",
+        most: float = 200.0, least: float = 0.02, prediction: Prediction = "clean", smooth: float = 0.0,
     ) -> None:  # fmt: skip
         super().__init__()
         if prediction not in ("clean", "v", "noise"):
             raise ValueError(f"prediction must be clean, v or noise, got {prediction!r}")
         self.unit_mm, self.most, self.least, self.prediction = unit_mm, most, least, prediction
-        self.inputs, self.fold, self.reach = inputs, fold, REACH
+        self.inputs, self.fold, self.reach, self.smooth = inputs, fold, REACH, smooth
         widths = [min(first * 2**level, widest) for level in range(levels)]
         self.hears = nn.Sequential(nn.Linear(2 * _WAVES, _HEARD), nn.SiLU(), nn.Linear(_HEARD, _HEARD), nn.SiLU())
         self.start = _Block((inputs + STATES) * fold * fold, widths[0])

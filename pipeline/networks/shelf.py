@@ -49,10 +49,15 @@ def in_file(path: Path, read: Callable[[Path], Weights] = load) -> Weights | NoW
         return NoWeights(why=str(problem))
 
 
-def for_task(task: str, name: str, file: Path | None, read: Callable[[Path], Weights] = load) -> Weights | NoWeights:
-    """The weights of a task of `pipeline.training`: in `file`, by `read`, or else those that come along as `name`."""
+def for_task(
+    task: str | tuple[str, ...], name: str, file: Path | None, read: Callable[[Path], Weights] = load
+) -> Weights | NoWeights:
+    """The weights of a task of `pipeline.training`, or of one of some: in `file`, by `read`, or the shipped `name`."""
+    tasks = (task,) if isinstance(task, str) else task
     found = shipped(name) if file is None else in_file(file, read)
-    if isinstance(found, Weights) and found.card.get("task") != task:
+    if isinstance(found, Weights) and found.card.get("task") not in tasks:
         other = found.card.get("task", "something else")
-        return NoWeights(why=f"the weights {found.name!r} have learned {other}, not {task}; give others as --weights")
+        return NoWeights(
+            why=f"the weights {found.name!r} have learned {other}, not {tasks[0]}; give others as --weights"
+        )
     return found

@@ -80,6 +80,13 @@ def in_precision(network: nn.Module, precision: str, device: torch.device) -> nn
     return InBf16()
 
 
+def bare(network: Any) -> Any:
+    """The network itself, inside what computes in a precision or on several devices."""
+    while (inner := getattr(network, "module", None) or getattr(network, "network", None)) is not None:
+        network = inner
+    return network
+
+
 def _wide(answer: Any) -> Any:
     """Tensors of floating point, however nested, as float32."""
     if isinstance(answer, dict):

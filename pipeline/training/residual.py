@@ -41,11 +41,7 @@ class ResidualOfView:
     def sample(self, rng: np.random.Generator) -> Example:
         """A touch as it is or, half the time, turned by 180 degrees or mirrored."""
         found = self._example(self._touch("learned", self.press_seed, int(rng.integers(self.presses))))
-        turns, way = rng.random() < self.turned, int(rng.integers(3))
-        if not turns:
-            return found
-        axes = ((-1,), (-2,), (-2, -1))[way]
-        return {name: np.ascontiguousarray(np.flip(a, axes)) for name, a in found.items()}
+        return turned(found, rng, self.turned)
 
     def held_out(self, split: Split, index: int) -> Example:
         """A touch of a training object as it was never held, or of one that is never learned from."""
@@ -76,6 +72,15 @@ class ResidualOfView:
             self._kind, touch.told_mm, touch.felt, touch.known, touch.physical_mm, touch.physical_contact
         )  # fmt: skip
         return example(shown, touch.truth_mm - touch.physical_mm, touch.contact, touch.physical_contact, self._kind)
+
+
+def turned(found: Example, rng: np.random.Generator, share: float) -> Example:
+    """An example, a share of all times turned by 180 degrees or mirrored."""
+    turns, way = rng.random() < share, int(rng.integers(3))
+    if not turns:
+        return found
+    axes = ((-1,), (-2,), (-2, -1))[way]
+    return {name: np.ascontiguousarray(np.flip(a, axes)) for name, a in found.items()}
 
 
 def example(shown: Floats, residual_mm: Floats, contact: Any, base: Any, kind: str) -> Example:

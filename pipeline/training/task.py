@@ -41,7 +41,7 @@ class Task(Protocol):
         """The loss, a mean over the examples, and its parts by name (numbers or tensors of one number).
 
         `network` is called, `network(x)`, never reached into: it may be one of several that learn together. What it
-        answers is float32 whatever it computes in.
+        was built with is told by `devices.bare`. What it answers is float32 whatever it computes in.
         """
         ...
 
@@ -67,6 +67,7 @@ TASKS: dict[str, Entry] = {
     "bubble_reading": Entry(what="depth", where="pipeline.training.bubble_reading:BubbleReading"),
     "residual_of_view": Entry(what="t2d2", where="pipeline.training.residual:ResidualOfView"),
     "touch_to_touch": Entry(what="t2t", where="pipeline.training.touch_to_touch:TouchToTouch"),
+    "kept_pairs": Entry(what="t2t", where="pipeline.training.kept_pairs:KeptPairs"),
 }
 
 

@@ -15,7 +15,7 @@ from pipeline.sensors import alignment
 from pipeline.stages.generate.picture_input import of_picture
 from pipeline.training import denoising
 from pipeline.training.own_touches import Things
-from pipeline.training.residual import UNITS_MM, example
+from pipeline.training.residual import UNITS_MM, example, turned
 from pipeline.training.touch_pairs import Pair, pair, units
 
 if TYPE_CHECKING:
@@ -38,10 +38,14 @@ class TouchToTouch:
     press_seed: int = setting(1, "Seed of the presses", low=0, high=2**31 - 1)
     folder: str = setting("", "Folder", help="keeps the presses for other runs; empty = worked out each time")
     near: float = setting(1.0, "Weight of the contact", low=0.0, high=100.0)
+    turned: float = setting(
+        0.5, "Share of turned and mirrored examples", low=0.0, high=1.0, help="of a bubble as source"
+    )
 
     def sample(self, rng: np.random.Generator) -> Example:
-        """A pair as it is; the source's light knows left and right, so that it is neither turned nor mirrored."""
-        return self._example(self._pair("learned", self.press_seed, int(rng.integers(self.presses))), rng)
+        """A pair as it is or, of a bubble, turned or mirrored: a gel's light knows left and right."""
+        found = self._example(self._pair("learned", self.press_seed, int(rng.integers(self.presses))), rng)
+        return found if self._kind == "bubble" else turned(found, rng, self.turned)
 
     def held_out(self, split: Split, index: int) -> Example:
         """A touch of a training object as it was never held, or of one that is never learned from."""

@@ -42,7 +42,7 @@ class DiffusionParams:
     seed: int = setting(0, "Seed", low=0, high=2**31 - 1, step=1, help="of the sample, and of the sensor's noise")
     caution: float = setting(
         1.0, "Caution", low=0.0, high=1.0, step=0.1,
-        help="1 holds back what is expected to be off by as much as it changes; 0 takes it all",
+        help="in one step: 1 holds back what is expected to be off by as much as it changes; 0 takes it all",
     )  # fmt: skip
     keep_states: bool = setting(False, "Keep states", help="so that the way to the sample can be looked at")
     noise: bool = setting(False, "Sensor noise", help="add the target sensor's own noise to the reading")
@@ -81,6 +81,8 @@ def sampled(network: nn.Module, condition: Floats, params: DiffusionParams, prog
     """
     import torch
 
+    from pipeline.networks.smooth_noise import smoothed
+
     net: Any = network
     shown = torch.from_numpy(np.array(condition, np.float32)[None])
     first: list[Tensor] = []
@@ -100,7 +102,7 @@ def sampled(network: nn.Module, condition: Floats, params: DiffusionParams, prog
     denoise = Guided(by(shown), by(torch.zeros_like(shown)), how, net.reach)
     with torch.inference_mode():
         rng = torch.Generator().manual_seed(params.seed)
-        noise = torch.randn((1, 2, *shown.shape[2:]), generator=rng)
+        noise = smoothed(torch.randn((1, 2, *shown.shape[2:]), generator=rng), net.smooth)
         levels = sigmas(params.steps, most=net.most, least=net.least)
         found = sample(
             denoise, noise, levels, solver=params.sampler, most_degree=how.most_degree, keep=params.keep_states,
@@ -110,7 +112,7 @@ def sampled(network: nn.Module, condition: Floats, params: DiffusionParams, prog
             first.append(net(noise * net.most, torch.full((1,), net.most), shown))
     middle = net.unit_mm * first[0][0].numpy()
     spread = net.unit_mm * np.exp(np.clip(first[0][0, 2].numpy(), *LOG_SPREAD))
-    share = taken(middle[0], spread, params.caution)
+    share = taken(middle[0], spread, params.caution if params.steps == 1 else 0.0)  # a sample is one of many: all of it
 
     def state(sigma: float, clean: Tensor) -> State:
         field = clean[0].numpy()

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from torch import nn
 
 SHIPPED = {("gelslim", "bubble"): "t2t_bubble", ("soft_bubble", "gel"): "t2t_gelslim"}
+LEARNED = "touch_to_touch", "kept_pairs"  # tasks: pairs that were simulated, and real ones on top
 READS = ("frame", "source", "calibration", "alignment", "target")
 
 
@@ -40,7 +41,7 @@ def weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weight
     name = SHIPPED.get((source.name, target.kind))
     if file is None and (name is None or not view_to_touch.fits(target)):
         return NoWeights(why=f"no pairs of {source.title} and {target.title} were ever learned from")
-    return shelf.for_task("touch_to_touch", name or "", file)
+    return shelf.for_task(LEARNED, name or "", file)
 
 
 def generate(

@@ -23,7 +23,7 @@ def taking_all(**how):
 class Counts(torch.nn.Module):
     """A denoiser of a known field that counts its passes and those without a condition."""
 
-    unit_mm, most, least, reach = 2.0, 8.0, 0.02, 8.0
+    unit_mm, most, least, reach, smooth = 2.0, 8.0, 0.02, 8.0, 0.0
 
     def __init__(self, spread=0.5):
         super().__init__()

@@ -1,0 +1,165 @@
+"""What do ten and thirty real pairs teach the weights of simulated touch to touch?
+
+    python benchmarks/few_pairs.py [DATA_FOLDER] [WEIGHTS]
+
+Tiles of touch2touch (`t2t_pairs`): so many of the training split are learned from, drawn three times; all other tiles
+are scored by the partial correlation of expected and real imprint at 128 x 128 px, the mean imprint of those learned
+from regressed out of both (a mean imprint alone has 0 there). Beside it: the simulated weights before any real pair,
+and the physical fit of the same pairs (`align_fit`), which also says where a gel's tile lies in a bubble's. What is
+learned here is not kept. Steps, rate of learning and how pairs are moved were chosen on draws of other seeds.
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.races import Bar, row, timing
+from benchmarks.recorded import recorded_data
+from pipeline.alignment.fit.agreement import correlation
+from pipeline.alignment.fit.difference_tiles import ridges
+from pipeline.alignment.fit.fitting import PairsFit, fit, score_of
+from pipeline.alignment.fit.pairs import tile_pairs
+from pipeline.alignment.fit.turning import turned
+from pipeline.geometry import rigid
+from pipeline.geometry.camera import Camera
+from pipeline.networks import shelf
+from pipeline.networks.building import network
+from pipeline.networks.weights import load as load_weights
+from pipeline.racing.races import Answer
+from pipeline.racing.report import show
+from pipeline.recordings import pictures
+from pipeline.sensors import alignment
+from pipeline.sensors.spec import sensor
+from pipeline.stages.generate.picture_input import of_picture
+from pipeline.training.export import export
+from pipeline.training.kept_pairs import Drawn, draw
+from pipeline.training.loop import Run, train
+from pipeline.training.recipe import load
+
+NEEDS = "recorded data"
+RECIPE, WEIGHTS = "t2t_few_pairs", "t2t_bubble"
+DRAWS = (0, 1, 2)
+BARS = {10: 0.60, 30: 0.75}
+SIDE = 128
+_STRONG_GREY, _DEEP_MM = 60.0, 6.0  # what the strongest of a tile stands for: tiles are stretched in grey levels
+_LOW, _HIGH, _TOUCHED = 2.0, 99.5, 0.35
+
+
+def laid(folder: Path, name: str, spec, imprint: np.ndarray, found: PairsFit) -> Drawn:
+    """A pair of tiles as simulated ones are drawn: half a turn from each other, pixels of the bubble's own size."""
+    gel, bubble = spec, sensor("soft_bubble")
+    picture = pictures.rgb(folder / f"{name}_gelslim.png")
+    tile = turned(picture, ridges(picture, gel).way).astype(np.float32)
+    change = tile - np.median(tile.reshape(-1, 3), axis=0)
+    change *= _STRONG_GREY / max(float(np.percentile(np.abs(change), _HIGH)), 1.0)
+    eye = Camera(
+        rows=SIDE, cols=SIDE, cx_px=(SIDE - 1) / 2, cy_px=(SIDE - 1) / 2,
+        fx_px=gel.camera.fx_px * SIDE / gel.camera.cols, fy_px=gel.camera.fy_px * SIDE / gel.camera.rows,
+    )  # fmt: skip
+    both = alignment.between(gel, bubble)
+    rest = float(np.median(gel.rest_depth_mm))
+    middle = rigid.apply(both.target_from_source, np.array([[0.0, 0.0, rest]]))[0]
+    per_px = rest * bubble.camera.fx_px / middle[2] / found.carrying.scale
+    cols, rows = round(per_px * SIDE / eye.fx_px), round(per_px * SIDE / eye.fy_px)
+    seen = Camera(
+        rows=rows, cols=cols, fx_px=bubble.camera.fx_px, fy_px=bubble.camera.fy_px,
+        cx_px=(0.5 - found.carrying.right) * cols - 0.5 - bubble.camera.fx_px * middle[0] / middle[2],
+        cy_px=(0.5 - found.carrying.down) * rows - 0.5 - bubble.camera.fy_px * middle[1] / middle[2],
+    )  # fmt: skip
+    shown = of_picture(change, eye, gel, bubble.seen_through(seen), both)
+    low, high = np.percentile(imprint, (_LOW, _HIGH))
+    share = np.clip((imprint - low) / max(float(high - low), 1e-6), 0.0, 1.2)
+    touch = _DEEP_MM * _sized(turned(share, 2), (rows, cols))
+    return Drawn(shown=shown, touch_mm=touch, contact=touch > _TOUCHED * _DEEP_MM)
+
+
+def expected(net, one: Drawn) -> np.ndarray:
+    """The imprint (SIDE, SIDE) in one step, laid as the tile is."""
+    import torch
+
+    with torch.inference_mode():
+        told = torch.from_numpy(np.array(one.shown))[None]
+        most = torch.full((1,), float(net.most))
+        return turned(_sized(net(torch.zeros(1, 2, *told.shape[2:]), most, told)[0, 0].numpy(), (SIDE, SIDE)), 2)
+
+
+def learned(folder: Path, begin: Path, pairs: int):
+    """The network once it has seen the first pairs of a folder."""
+    recipe = load(RECIPE, "t2t")
+    recipe = replace(recipe, settings=replace(recipe.settings, folder=str(folder), pairs=pairs),
+                     pace=replace(recipe.pace, begin=str(begin)))  # fmt: skip
+    out = folder / "run"
+    train(Run(recipe=recipe, out=out, workers=0))
+    export(out, out / "weights.safetensors")
+    return network(load_weights(out / "weights.safetensors"))
+
+
+def tiles(folder: Path, begin: Path, draws=DRAWS) -> tuple[list, list[str]]:
+    spec = sensor("gelslim")
+    told = {r["base"]: r for r in csv.DictReader((folder / "index.csv").open())}
+    found = tile_pairs(folder, spec, "*_gelslim.png", "*_bubble_gt.png").pairs
+    training = [k for k, p in enumerate(found) if told[p.name]["split"] == "Training"]
+    rows, notes = [], []
+    for pairs, bar in BARS.items():
+        ways = {name: [] for name in ("ours", "physics", "before", "both")}
+        plain, seconds, held = [], [], []
+        for seed in draws:
+            used = sorted(np.random.default_rng(seed).choice(training, pairs, replace=False).tolist())
+            rest = [k for k in range(len(found)) if k not in used]
+            answer = fit([found[k] for k in used])
+            drawn = {k: laid(folder, found[k].name, spec, found[k].imprint, answer) for k in (*used, *rest)}
+            with tempfile.TemporaryDirectory() as kept:
+                for number, k in enumerate((*used, *rest)):
+                    draw(Path(kept), number, drawn[k])
+                started = time.process_time()
+                net = learned(Path(kept), begin, pairs)
+                seconds.append(1e3 * (time.process_time() - started))
+            first = network(load_weights(begin))
+            for k in rest:
+                one, true = found[k], found[k].imprint
+                ways["ours"].append(correlation(expected(net, drawn[k]), true, answer.common))
+                ways["before"].append(correlation(expected(first, drawn[k]), true, answer.common))
+                ways["physics"].append(score_of(one, answer.carrying, answer.common))
+                plain.append(correlation(answer.common, true))
+                held.append(told[one.name]["split"] != "Training")
+        means = {name: float(np.mean(values)) for name, values in ways.items() if values}
+        centres = float(np.mean(np.array(ways["ours"])[held]))
+        rows.append(row(f"{pairs} real pairs, the other {len(found) - pairs} tiles", ours=timing(seconds),
+                        ours_error=1 - means["ours"], peer="physical fit of the same pairs",
+                        peer_error=1 - means["physics"], unit="1 - partial correlation",
+                        bar=Bar(error=1 - bar)))  # fmt: skip
+        notes.append(
+            f"{pairs} pairs: {means['ours']:.3f} beyond the mean imprint (held-out centres alone {centres:.3f}), "
+            f"simulated weights alone {means['before']:.3f}, physical fit {means['physics']:.3f}; the mean imprint "
+            f"itself correlates plainly by {np.mean(plain):.2f}"
+        )
+    return rows, notes
+
+
+def _sized(field: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    import cv2
+
+    how = cv2.INTER_AREA if shape[0] < field.shape[0] else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(np.ascontiguousarray(field), shape[::-1], interpolation=how), np.float32)
+
+
+def answer(data: str = "", weights: str = "") -> Answer:
+    begin = Path(weights) if weights else shelf.FOLDER / f"{WEIGHTS}.safetensors"
+    rows, notes = tiles(recorded_data(data) / "t2t_pairs", begin)
+    return Answer(
+        title="Touch to touch after a few real pairs", unit="1 - partial correlation", rows=tuple(rows),
+        notes=tuple(notes),
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    show(answer(*sys.argv[1:3]))

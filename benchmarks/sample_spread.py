@@ -1,0 +1,160 @@
+"""Are samples of the diffusion methods samples: does their spread over seeds say how far off they are?
+
+    python benchmarks/sample_spread.py [METHOD] [SOURCE:TARGET] [SPLIT] [PLOT.png] [RECORDINGS_FOLDER]
+
+Held-out touches of `tactoscope evaluate` (two grasps of each object, or four of each unseen tool) are sampled with some
+seeds in eight steps. Were the samples draws of what the condition allows, two of them would lie as far apart as one
+lies from the truth, and where the spread is some size the error of their mean would be nearly so large. Sets of
+touches are compared by the Frechet distance of `tactoscope evaluate`: the sample of one seed, the answer in one step
+(the middle of all samples, nothing held back) and what either begins with, beside two halves of the true touches.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.races import row, timing
+from pipeline.base.files import whole_file
+from pipeline.evaluation import distances
+from pipeline.networks.weights import NoWeights
+from pipeline.racing.races import Answer
+from pipeline.racing.report import show
+from pipeline.recordings import open_recording
+from pipeline.scoring import features
+from pipeline.scoring.compared import generated, recorded
+from pipeline.scoring.evaluation import direction
+from pipeline.scoring.held_out import HeldOut, recordings
+from pipeline.sensors.spec import sensor
+from pipeline.translation.catalogue import BUILT_IN, default_params
+from pipeline.translation.translate import Request, open_translation
+
+SEEDS, STEPS, PARTS = 5, 8, 5
+GRASPS = {"unseen_grasps": 2, "unseen_tools": 4}
+
+
+class Measured:
+    """What is added up over touches."""
+
+    def __init__(self) -> None:
+        self.spread: list[np.ndarray] = []
+        self.off: list[np.ndarray] = []
+        self.said: list[np.ndarray] = []
+        self.apart: list[float] = []
+        self.astray: list[float] = []
+        self.seen: dict[str, list[np.ndarray]] = {"sample": [], "one step": [], "physics": [], "true": []}
+        self.ms: list[float] = []
+
+
+def measured(method: str, source: str, target: str, split: str, folder: str = "") -> Measured:
+    found = Measured()
+    held_out = HeldOut(grasps=GRASPS[split], folder=Path(folder) if folder else None)
+    for presses in recordings(split, held_out):
+        request = Request(recording=presses.source, source=source, target=target, methods=(("touch", method),))
+        with closing(open_translation(request)) as one, closing(open_recording(presses.target)) as other:
+            both = replace(one.recording, streams=(one.recording.stream(source), other.stream(target)))
+            one = replace(one, recording=both)
+            for index in range(one.n_frames):
+                _touch(found, one, index)
+    return found
+
+
+def _touch(found: Measured, one, index: int) -> None:
+    true = recorded(*one.truth_of_target(index))
+    usual = default_params(one.methods)
+    plain, graph = replace(usual["touch"], caution=0.0), one.graph()
+
+    def touch(params):
+        return graph.evaluate(["touch"], one.inputs(index), {**usual, "touch": params})["touch"].output
+
+    def seen(what, made):
+        feature = features.of(one.target, generated(made, one.target))
+        if feature is not None:
+            found.seen[what].append(feature)
+
+    middle, samples = touch(plain), []
+    if middle.membrane is None or middle.membrane.spread_mm is None:
+        return  # physics answered: nothing was felt
+    for seed in range(SEEDS):
+        started = time.perf_counter()
+        samples.append(touch(replace(plain, steps=STEPS, seed=seed)))
+        found.ms.append(1e3 * (time.perf_counter() - started))
+    stack = np.stack([s.membrane.indentation_mm for s in samples])
+    where = true.contact | (np.abs(stack).max(0) > 0.02 * stack.max())  # where nothing ever is, nothing is to be told
+    found.spread.append(stack.std(0, ddof=1)[where])
+    found.off.append(np.abs(stack.mean(0) - true.indentation_mm)[where])
+    found.said.append(middle.membrane.spread_mm[where])
+    found.apart.append(float(np.abs(stack[1:] - stack[:-1])[:, where].mean()))
+    found.astray.append(float(np.abs(stack - true.indentation_mm)[:, where].mean()))
+    seen("sample", samples[0])
+    seen("one step", middle)
+    seen("physics", touch(replace(plain, steps=0)))
+    seen("true", _own(one, true))
+
+
+def _own(one, true):
+    from pipeline.stages.generate.pictured import touch_of
+
+    return touch_of(one.target, true.change)
+
+
+def by_parts(guess: np.ndarray, off: np.ndarray) -> list[tuple[float, float]]:
+    """(mean guess, mean error) of as many pixels each, in the order of the guess."""
+    return [(float(guess[p].mean()), float(off[p].mean())) for p in np.array_split(np.argsort(guess), PARTS)]
+
+
+def answer(
+    method: str = "t2t", way: str = "gelslim:soft_bubble", split: str = "unseen_tools", plot: str = "", folder: str = ""
+) -> Answer:
+    source, target = direction(way)
+    known = BUILT_IN.method("touch", method).weights(sensor(source), sensor(target), None)
+    if isinstance(known, NoWeights):
+        return Answer(title="spread of samples", unit="mm", rows=(), notes=(known.why,))
+    found = measured(method, source, target, split, folder)
+    spread, off, said = (np.concatenate(v) for v in (found.spread, found.off, found.said))
+    parts = {"spread over seeds": by_parts(spread, off), "spread that one step tells": by_parts(said, off)}
+    notes = [f"{name} against the error of the samples' mean, by fifths of the pixels, mm: "
+             + ", ".join(f"{a:.2g}/{b:.2g}" for a, b in told) for name, told in parts.items()]  # fmt: skip
+    notes.append(
+        f"two samples lie {np.mean(found.apart):.3g} mm apart, a sample {np.mean(found.astray):.3g} mm from the truth, "
+        f"where anything is; correlation of spread and error {np.corrcoef(spread, off)[0, 1]:.2f}"
+    )
+    true = np.array(found.seen.pop("true"))
+    if len(true) >= 2 * distances.FEWEST:
+        told = {k: distances.across_halves(distances.frechet, np.array(v), true) for k, v in found.seen.items() if v}
+        floor = distances.floor(distances.frechet, true)
+        notes.append("Frechet distance: " + ", ".join(f"{k} {v:.3g}" for k, v in told.items())
+                     + f"; two halves of the true touches {floor:.3g}")  # fmt: skip
+    if plot:
+        _draw(parts, Path(plot), f"{method}, {source} to {target}, {split.replace('_', ' ')}")
+    one = row(f"{method}, {source} to {target}, {split}: sample from truth", ours=timing(found.ms), unit="mm",
+              ours_error=float(np.mean(found.astray)))  # fmt: skip
+    return Answer(title="spread of samples", unit="mm", rows=(one,), notes=tuple(notes))
+
+
+def _draw(parts, path: Path, title: str) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(5.6, 4.8), dpi=120, layout="constrained")
+    canvas, axes = FigureCanvasAgg(figure), figure.add_subplot()
+    for name, told in parts.items():
+        axes.plot(*zip(*told, strict=True), "o-", label=name)
+    most = 1.1 * max(max(pair) for told in parts.values() for pair in told)
+    axes.plot([0, most], [0, most], ":", color="0.5", label="as large as the error")
+    axes.set(title=title, xlabel="spread, mm", ylabel="error of the samples' mean, mm")
+    axes.grid(visible=True, alpha=0.3)
+    axes.legend(fontsize=8)
+    with whole_file(path, "the plot") as file:
+        canvas.print_png(file)
+
+
+if __name__ == "__main__":
+    show(answer(*sys.argv[1:]))

@@ -1,0 +1,118 @@
+"""A few pairs that were really recorded, drawn beforehand: what weights of simulated pairs are taught on with.
+
+A folder holds them by number (`draw`), each on the target's own grid: the first ones are learned from, all others are
+held out. Of so few, every one is moved, turned and brightened a little each time that it is shown.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from pipeline.base.arrays import Floats, Mask, freeze
+from pipeline.base.errors import FileProblem
+from pipeline.base.params import setting
+from pipeline.training import denoising
+from pipeline.training.own_touches import keep, read
+from pipeline.training.residual import UNITS_MM, example
+
+if TYPE_CHECKING:
+    from torch import Tensor, nn
+
+    from pipeline.training.task import Example, Split
+
+_TURNED_DEG, _LARGER, _SHIFTED = 5.0, 0.05, 0.03  # at most; of a picture's rows
+_BRIGHTER = 0.25
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Drawn:
+    """A pair on the target's grid."""
+
+    shown: Floats  # (channels, rows, cols) as `picture_input.of_picture` draws it
+    touch_mm: Floats  # (rows, cols) the target's membrane
+    contact: Mask
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KeptPairs:
+    """Which pairs are learned from."""
+
+    target: Literal["soft_bubble", "gelslim"] = setting(
+        "soft_bubble",
+        "Target",
+        choices=Literal["soft_bubble", "gelslim"],
+        help="the other one of the two is the source",
+    )
+    folder: str = setting("", "Folder", help="of drawn pairs, by number")
+    pairs: int = setting(10, "Pairs", low=1, high=1_000_000, help="the first ones, that are learned from")
+    near: float = setting(1.0, "Weight of the contact", low=0.0, high=100.0)
+
+    def sample(self, rng: np.random.Generator) -> Example:
+        """One of the pairs, moved a little."""
+        return self._example(moved(drawn(self.folder)[int(rng.integers(self._learned))], rng))
+
+    def held_out(self, split: Split, index: int) -> Example:  # noqa: ARG002 - recorded pairs are of one kind
+        """One of the others; where there are none, one that was learned from."""
+        known = drawn(self.folder)
+        rest = known[self._learned :] or known
+        return self._example(rest[index % len(rest)])
+
+    def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
+        """See `denoising.loss`."""
+        return denoising.loss(network, batch, self.near)
+
+    def figures(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
+        """See `denoising.figures`; what they begin with is the untouched target."""
+        return denoising.figures(network, held_out, UNITS_MM[self._kind])
+
+    @property
+    def _kind(self) -> str:
+        return "bubble" if self.target == "soft_bubble" else "gel"
+
+    @property
+    def _learned(self) -> int:
+        return min(self.pairs, len(drawn(self.folder)))
+
+    def _example(self, one: Drawn) -> Example:
+        return example(one.shown, one.touch_mm, one.contact, np.zeros(one.contact.shape, np.bool_), self._kind)
+
+
+def draw(folder: Path, number: int, one: Drawn) -> None:
+    """Keep a pair under its number."""
+    keep(folder / f"pair_{number:05}.npz", one)
+
+
+@lru_cache(maxsize=4)
+def drawn(folder: str) -> tuple[Drawn, ...]:
+    """The pairs of a folder in their order; raises FileProblem where there is none."""
+    found = tuple(one for path in sorted(Path(folder).glob("pair_*.npz")) if (one := read(path, Drawn)) is not None)
+    if not found:
+        raise FileProblem("there is no drawn pair here (pair_00000.npz and so on)", folder)
+    return found
+
+
+def moved(one: Drawn, rng: np.random.Generator) -> Drawn:
+    """The same pair a little turned, larger and shifted, its source's reading as much stronger or weaker."""
+    import cv2
+
+    rows, cols = one.contact.shape
+    turn, larger = math.radians(rng.uniform(-_TURNED_DEG, _TURNED_DEG)), 1.0 + rng.uniform(-_LARGER, _LARGER)
+    across, down = rng.uniform(-_SHIFTED, _SHIFTED, 2) * rows
+    cos, sin = larger * math.cos(turn), larger * math.sin(turn)
+    x, y = (cols - 1) / 2, (rows - 1) / 2
+    how = np.array([[cos, -sin, x - cos * x + sin * y + across], [sin, cos, y - sin * x - cos * y + down]])
+
+    def laid(field: Any) -> Floats:
+        return np.asarray(cv2.warpAffine(np.asarray(field, np.float32), how, (cols, rows), flags=cv2.INTER_LINEAR,
+                                         borderMode=cv2.BORDER_REPLICATE), np.float32)  # fmt: skip
+
+    shown = np.stack([laid(channel) for channel in one.shown])
+    shown[:-1] *= np.float32(1.0 + rng.uniform(-_BRIGHTER, _BRIGHTER))  # the last channel says where there is a reading
+    return Drawn(shown=freeze(shown), touch_mm=freeze(laid(one.touch_mm)), contact=freeze(laid(one.contact) > 0.5))

@@ -1,0 +1,72 @@
+"""A few real pairs: kept by number, the first ones learned from, moved a little each time."""
+
+import numpy as np
+import pytest
+
+from pipeline.base.errors import FileProblem
+from pipeline.training.kept_pairs import Drawn, KeptPairs, draw, drawn, moved
+from pipeline.training.loop import Run, train
+from pipeline.training.recipe import load
+
+ROWS, COLS = 20, 28
+
+
+def pair(number, channels=13):
+    y, x = np.mgrid[:ROWS, :COLS]
+    touch = 6.0 * np.exp(-((x - 8 - 2 * number) ** 2 + (y - 10) ** 2) / 20.0).astype(np.float32)
+    shown = np.stack([touch / 6.0] * (channels - 1) + [np.ones_like(touch)]).astype(np.float32)
+    return Drawn(shown=shown, touch_mm=touch, contact=touch > 2.0)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for number in range(5):
+        draw(tmp_path, number, pair(number))
+    return str(tmp_path)
+
+
+def test_the_first_pairs_are_learned_from_and_the_others_held_out(folder):
+    task = KeptPairs(folder=folder, pairs=2)
+    assert len(drawn(folder)) == 5
+    held = [task.held_out("unseen_tools", k)["residual"][0] for k in range(3)]
+    for k, residual in enumerate(held):
+        assert np.allclose(3.0 * residual, pair(2 + k).touch_mm, atol=0.01)
+    peaks = set()
+    for seed in range(40):
+        example = task.sample(np.random.default_rng(seed))
+        assert example["condition"].shape == (13, ROWS, COLS)
+        assert not example["contact"][1].any()
+        peaks.add(int(example["residual"][0].max(0).argmax()))
+    assert max(peaks) <= 13 < 16, "a held-out pair was learned from"
+    assert len(peaks) > 3, "pairs are not moved"
+
+
+def test_a_pair_is_moved_as_one(folder):
+    one = pair(1)
+    for seed in range(5):
+        other = moved(one, np.random.default_rng(seed))
+        alike = np.corrcoef(other.shown[0].ravel(), other.touch_mm.ravel())[0, 1]
+        assert alike > 0.999
+        assert not np.array_equal(other.touch_mm, one.touch_mm)
+        assert np.array_equal(other.contact, other.contact & (other.touch_mm > 1.0))
+        assert (other.shown[-1] == 1.0).all(), "where there is a reading is no brightness"
+
+
+def test_no_pairs_are_one_sentence(tmp_path):
+    with pytest.raises(FileProblem, match="no drawn pair"):
+        KeptPairs(folder=str(tmp_path)).sample(np.random.default_rng(0))
+
+
+def test_its_recipe_trains_a_network_that_touch_to_touch_takes(folder, tmp_path):
+    recipe = tmp_path / "few.toml"
+    text = "\n".join([
+        'task = "kept_pairs"', "batch = 2", "steps = 3", "[network]", 'kind = "residual_denoiser"', "inputs = 13",
+        "unit_mm = 3.0", "first = 8", "levels = 2", "widest = 16", "most = 10.0", "smooth = 0.125", "[settings]",
+        f'folder = "{folder}"', "pairs = 3", "[validation]", "times = 1", "examples = 2",
+    ])  # fmt: skip
+    recipe.write_text(text)
+    found = train(Run(recipe=load(str(recipe), "t2t"), out=tmp_path / "run", workers=0))
+    assert found.step == 3
+    names = {row["name"] for row in found.figures}
+    assert {"in contact, mm", "two samples apart in contact, mm"} <= names
+    assert load("t2t_few_pairs", "t2t").network["inputs"] == 13
