@@ -117,3 +117,8 @@ def test_every_number_of_steps_guidance_and_sampler_stays_finite_and_within_reac
         assert np.abs(found.last.residual_mm).max() <= net.reach * net.unit_mm + 1e-5, told
         assert np.isfinite(found.last.contact).all(), told
         assert np.isfinite(found.spread_mm).all(), told
+
+
+def test_a_sample_is_taken_as_it_is_and_only_the_middle_is_held_back():
+    careful, plain = (sampled(Counts(spread=0.5), CONDITION, taking_all(steps=4, caution=c)) for c in (1.0, 0.0))
+    assert np.array_equal(careful.last.residual_mm, plain.last.residual_mm)

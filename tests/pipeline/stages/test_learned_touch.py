@@ -37,7 +37,7 @@ def taking_all(**how):
 class Says(torch.nn.Module):
     """A denoiser that answers one number everywhere, and remembers what it was shown."""
 
-    unit_mm, most, least, reach = 1.0, 8.0, 0.02, 8.0
+    unit_mm, most, least, reach, smooth = 1.0, 8.0, 0.02, 8.0, 0.0
 
     def __init__(self, residual, contact=0.0, spread=0.1):
         super().__init__()
