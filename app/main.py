@@ -90,17 +90,19 @@ def show_window(
 
     from app.frame.connections import connect
     from app.frame.instrument import Instrument
+    from app.frame.themes import put_on
     from app.frame.window import Window
+    from app.session.remembered import Remembered
     from pipeline.translation.catalogue import BUILT_IN
-    from widgets.colours import light_palette
 
     QApplication.setStyle("Fusion")
-    QApplication.setPalette(light_palette())
+    theme = Remembered().theme if remembers else "light"
+    put_on(theme)
     catalogue = catalogue or BUILT_IN
     scrubbed = frozenset(slot.name for slot in catalogue.slots if slot.scrubs)
     window = Window([("source", "Source"), *((slot.name, slot.title) for slot in catalogue.slots)], scrubbed)
     instrument = Instrument(window, catalogue)
-    keeping = connect(instrument)
+    keeping = connect(instrument, theme)
     if remembers:
         keeping.take_place()
     instrument.relay.catch_uncaught()

@@ -22,7 +22,7 @@ from pipeline.sensors.offsets import AXES
 from widgets.axis_bars import AxisBars
 from widgets.axis_row import AxisRow
 from widgets.gauge import Gauge, GaugeScale
-from widgets.looks import bold, command_button, icon_button, once, smaller, spaced
+from widgets.looks import InkLabel, bold, command_button, icon_button, once, smaller, spaced
 from widgets.refine_box import RefineBox
 
 STILL_MS = 350  # without a turn of the wheel or a key, a change made by them is over
@@ -66,7 +66,7 @@ class AlignmentPanel(QScrollArea):
         self.bars, self.refine = AxisBars(), RefineBox()
         self.dragging = False  # whether a handle is being moved
         self._still = once(self, STILL_MS, self._end)
-        self._origin, self._pivot, self._reason = QLabel(), QLabel(), QLabel()
+        self._origin, self._pivot, self._reason = QLabel(), QLabel(), InkLabel(lambda inks: inks.alarm)
         self._lay_out()
         for row in self.rows.values():
             row.grabbed.connect(self._begin)
@@ -87,7 +87,6 @@ class AlignmentPanel(QScrollArea):
         layout.addLayout(self._foot())
         layout.addWidget(_title("Agreement with what was felt"))
         self._reason.setWordWrap(True)
-        self._reason.setStyleSheet("color: #96401f")
         layout.addWidget(self._reason)
         for gauge in self.gauges.values():
             layout.addWidget(gauge)

@@ -9,7 +9,7 @@ from PyQt6.QtGui import QPainter, QPaintEvent
 from PyQt6.QtWidgets import QSizePolicy, QWidget
 
 from pipeline.alignment.sensitivity import UNIT_STEP, Change, Sensitivity
-from widgets.colours import GAUGE_ROOM, MATTERS, qcolor
+from widgets.colours import inks, qcolor
 from widgets.looks import smaller
 
 # title, unit, digits, whether more is better
@@ -77,10 +77,13 @@ class AxisBars(QWidget):
                 self._draw_cell(painter, QRectF(left + i * width, top + 1, width - 4, row - 2), change, i)
 
     def _draw_cell(self, painter: QPainter, cell: QRectF, change: Change, figure: int) -> None:
-        painter.fillRect(cell, qcolor(GAUGE_ROOM))
+        painter.fillRect(cell, qcolor(inks(self.palette()).gauge_room))
         if change.size is not None:
             share = min(1.0, change.size / self._full[figure])
-            painter.fillRect(QRectF(cell.left(), cell.top(), share * cell.width(), cell.height()), qcolor(MATTERS))
+            painter.fillRect(
+                QRectF(cell.left(), cell.top(), share * cell.width(), cell.height()),
+                qcolor(inks(self.palette()).matters),
+            )
         right = int(Qt.AlignmentFlag.AlignVCenter | Qt.AlignmentFlag.AlignRight)
         painter.drawText(cell.adjusted(2, 0, -3, 0), right, _told(change, figure))
 

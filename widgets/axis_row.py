@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import QObject, QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtWidgets import QDoubleSpinBox, QLabel, QSizePolicy, QSlider
+from PyQt6.QtWidgets import QDoubleSpinBox, QSizePolicy, QSlider
 
 from pipeline.alignment.nudge import unit_of
 from pipeline.sensors.offsets import Axis
-from widgets.colours import AXES, qcolor
+from widgets.looks import InkLabel, bold
 
 _PER_UNIT = {"mm": 20, "deg": 10}  # slider positions: 0.05 mm, 0.1 deg
 _REACH = {"mm": 5, "deg": 10}  # of the slider to either side
@@ -29,9 +29,8 @@ class AxisRow(QObject):
         self.axis: Axis = axis
         unit = unit_of(axis)
         self._per_unit = _PER_UNIT[unit]
-        self.label = QLabel(axis)
-        colour = qcolor(AXES["xyz".index(axis[-1])]).name()
-        self.label.setStyleSheet(f"color: {colour}; font-weight: bold")
+        self.label = InkLabel(lambda inks: inks.axes["xyz".index(axis[-1])], axis)
+        bold(self.label)
         self.slider = QSlider(Qt.Orientation.Horizontal)
         self.slider.setRange(-_REACH[unit] * self._per_unit, _REACH[unit] * self._per_unit)
         self.slider.setSingleStep(1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from PyQt6.QtCore import Qt
+from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtGui import QGuiApplication
 from PyQt6.QtWidgets import (
     QFrame,
@@ -10,11 +10,15 @@ from PyQt6.QtWidgets import (
     QLabel,
     QPlainTextEdit,
     QPushButton,
-    QStyle,
     QToolButton,
     QVBoxLayout,
     QWidget,
 )
+
+from widgets.colours import is_dark
+from widgets.icons import StateSign
+
+_ON_LIGHT, _ON_DARK = ("#fdecea", "#d9a09a", "#5c1a14"), ("#4a2522", "#8c4a44", "#ffd9d4")
 
 
 class Banner(QFrame):
@@ -23,14 +27,9 @@ class Banner(QFrame):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setObjectName("banner")
-        self.setStyleSheet(
-            "#banner { background: #fdecea; border: 1px solid #d9a09a; } #banner QLabel { color: #5c1a14; }"
-        )
-        self._sign, self._text = QLabel(), QLabel()
-        style = self.style()
-        assert style is not None
-        warning = style.standardIcon(QStyle.StandardPixmap.SP_MessageBoxWarning)
-        self._sign.setPixmap(warning.pixmap(20, 20))
+        self._take_colours()
+        self._sign, self._text = StateSign(20), QLabel()
+        self._sign.show_state("failed")
         self._text.setWordWrap(True)
         self._text.setTextFormat(Qt.TextFormat.PlainText)  # names of files are no markup
         self._text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
@@ -57,6 +56,18 @@ class Banner(QFrame):
         self._away.clicked.connect(self.hide)
         self._details.hide()
         self.hide()
+
+    def changeEvent(self, a0: QEvent | None) -> None:  # noqa: N802
+        """Another theme has another red."""
+        super().changeEvent(a0)
+        if a0 is not None and a0.type() == QEvent.Type.PaletteChange:
+            self._take_colours()
+
+    def _take_colours(self) -> None:
+        ground, rim, letters = _ON_DARK if is_dark(self.palette()) else _ON_LIGHT
+        sheet = f"#banner {{ background: {ground}; border: 1px solid {rim}; }} #banner QLabel {{ color: {letters}; }}"
+        if sheet != self.styleSheet():
+            self.setStyleSheet(sheet)
 
     @property
     def text(self) -> str:

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QFont, QPainter, QPen, QPixmap
 from PyQt6.QtWidgets import QSizePolicy, QWidget
 
 from pipeline.base.arrays import Image
 from pipeline.pictures.picture import Picture
-from widgets.colours import TRACE, backdrop, qcolor
-from widgets.plate import LEAST_ZOOM, MOST_ZOOM, Plate, image_of
+from widgets.colours import TRACE, backdrop, inks, qcolor
+from widgets.plate import LEAST_ZOOM, MOST_ZOOM, Plate
 
 _A_CLICK_PX = 4.0  # a release nearer to its press than this ends no drag
 _ZOOM_STEP = 1.25
@@ -36,6 +36,7 @@ class Canvas(QWidget):
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
         self.setMouseTracking(True)
         self._plate = Plate()
+        self._plate.take_ground(inks(self.palette()).no_value)
         self.fitted = True  # the whole picture is in view, whatever room there is
         self._kept: QPixmap | None = None
         self.cross: tuple[int, int] | None = None  # row, col
@@ -57,7 +58,7 @@ class Canvas(QWidget):
 
     def show_second(self, pixels: Image | None, share: float = 0.0) -> None:
         """A picture of the same size over the first, from this share of the width on; None takes it away."""
-        self._plate.second = None if pixels is None else (image_of(pixels), share)
+        self._plate.take_second(pixels, share)
         self.redraw()
 
     def move_second(self, share: float) -> None:
@@ -133,6 +134,13 @@ class Canvas(QWidget):
         if self.fitted:
             self._plate.fit()
         self.redraw()
+
+    def changeEvent(self, a0: Any) -> None:  # noqa: N802
+        """Another theme has another ground."""
+        super().changeEvent(a0)
+        if a0.type() == QEvent.Type.PaletteChange:
+            self._plate.take_ground(inks(self.palette()).no_value)
+            self.redraw()
 
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
         """The kept picture, and what moves over it."""

@@ -1,39 +1,67 @@
-"""Colours of the window itself; those of quantities are `pipeline.pictures.colours`."""
+"""Colours of the window itself; those of quantities are `pipeline.pictures.colours`.
+
+What lies over a picture (outlines, crosshair) is the same in every theme. What is read against the window's own ground
+is an `Inks`: one set for a light ground, one for a dark one, words and signs at 4.5 to 1 or better on either.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+
 from PyQt6.QtGui import QColor, QPalette
 
-from pipeline.pictures.colours import Rgb
+from pipeline.pictures.colours import NO_VALUE, Rgb
 
 CONTACT: Rgb = (230, 85, 13)  # outline of the contact mask
 FELT: Rgb = (255, 255, 255)  # outline of what the target really felt, dark on both sides: seen on every colour
 FELT_CASING: Rgb = (20, 24, 30)
 TRACE: Rgb = (230, 0, 115)  # crosshair of the traced pixel
-BACKDROP: Rgb = (250, 250, 252)
-GAUGE: Rgb = (86, 140, 190)  # a figure of the score
-GAUGE_ROOM: Rgb = (226, 229, 234)
-GHOST: Rgb = (40, 44, 52)  # where it stood when a drag began
-MATTERS: Rgb = (240, 190, 120)  # how much an axis changes it
-DOUBT: Rgb = (180, 95, 0)
-WHOLE: Rgb = (110, 118, 130)  # of an error taken apart: a sum,
-TAKEN: Rgb = (0, 114, 178)  # what goes with the truth (Okabe-Ito blue),
-WORSE: Rgb = (213, 94, 0)  # and what comes with it (vermilion)
-AXES: tuple[Rgb, Rgb, Rgb] = ((204, 60, 60), (50, 150, 70), (50, 90, 200))  # x, y, z
 
-STATES: dict[str, Rgb] = {
-    "computed": (0, 128, 96),
-    "read": (0, 128, 96),
-    "cached": (40, 105, 180),
-    "unchanged": (40, 105, 180),
-    "doubtful": (180, 95, 0),
-    "skipped": (110, 115, 125),
-    "running": (190, 120, 0),
-    "preview": (190, 120, 0),
-    "failed": (190, 40, 40),
-    "stale": (150, 110, 30),
-    "waiting": (140, 145, 150),
-}
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Inks:
+    """What is drawn and written on one ground."""
+
+    backdrop: Rgb  # behind pictures and 3D views
+    no_value: Rgb  # of a picture's pixels that hold none
+    icon: Rgb
+    soft: Rgb  # words that say what the words beside them are
+    alarm: Rgb  # words of warning
+    doubt: Rgb
+    whole: Rgb  # of an error taken apart: a sum,
+    taken: Rgb  # what goes with the truth (Okabe-Ito blue),
+    worse: Rgb  # and what comes with it (vermilion)
+    gauge: Rgb  # a figure of the score,
+    gauge_room: Rgb  # what it may come to,
+    ghost: Rgb  # where it stood when a drag began,
+    matters: Rgb  # and how much an axis changes it
+    axes: tuple[Rgb, Rgb, Rgb]  # x, y, z
+    states: Mapping[str, Rgb]
+
+
+_LIGHT = Inks(
+    backdrop=(250, 250, 252), no_value=NO_VALUE, icon=(60, 66, 76), soft=(92, 98, 110), alarm=(150, 64, 31),
+    doubt=(160, 82, 0), whole=(100, 108, 120), taken=(0, 114, 178), worse=(205, 85, 0), gauge=(70, 125, 180),
+    gauge_room=(226, 229, 234), ghost=(40, 44, 52), matters=(240, 190, 120),
+    axes=((190, 45, 45), (28, 118, 48), (50, 90, 200)),
+    states={
+        "computed": (0, 115, 86), "read": (0, 115, 86), "cached": (40, 105, 180), "unchanged": (40, 105, 180),
+        "doubtful": (160, 82, 0), "skipped": (96, 101, 111), "running": (146, 90, 0), "preview": (146, 90, 0),
+        "failed": (190, 40, 40), "stale": (125, 90, 20), "waiting": (96, 102, 110),
+    },
+)  # fmt: skip
+_DARK = Inks(
+    backdrop=(24, 26, 30), no_value=(58, 61, 68), icon=(205, 210, 218), soft=(160, 168, 180), alarm=(245, 165, 120),
+    doubt=(245, 175, 80), whole=(150, 158, 170), taken=(86, 180, 233), worse=(240, 140, 70), gauge=(110, 165, 215),
+    gauge_room=(62, 66, 74), ghost=(225, 228, 232), matters=(150, 105, 45),
+    axes=((248, 125, 118), (115, 208, 130), (135, 170, 255)),
+    states={
+        "computed": (85, 203, 165), "read": (85, 203, 165), "cached": (125, 182, 245), "unchanged": (125, 182, 245),
+        "doubtful": (245, 175, 80), "skipped": (165, 170, 180), "running": (240, 195, 95), "preview": (240, 195, 95),
+        "failed": (255, 138, 128), "stale": (216, 188, 115), "waiting": (162, 168, 177),
+    },
+)  # fmt: skip
 
 
 def qcolor(colour: Rgb, alpha: int = 255) -> QColor:
@@ -41,24 +69,55 @@ def qcolor(colour: Rgb, alpha: int = 255) -> QColor:
     return QColor(*colour, alpha)
 
 
+def hexed(colour: Rgb) -> str:
+    """A triple as rich text and style sheets write it."""
+    return "#{:02x}{:02x}{:02x}".format(*colour)
+
+
+def is_dark(palette: QPalette) -> bool:
+    """Whether light letters stand on a dark ground."""
+    return palette.color(QPalette.ColorRole.Base).lightness() < 128
+
+
+def inks(palette: QPalette) -> Inks:
+    """What is drawn and written with under this palette."""
+    return _DARK if is_dark(palette) else _LIGHT
+
+
 def backdrop(palette: QPalette) -> QColor:
     """What lies behind pictures and 3D views."""
-    base = palette.color(QPalette.ColorRole.Base)
-    return qcolor(BACKDROP) if base.lightness() > 128 else base
+    return qcolor(inks(palette).backdrop)
 
 
-def light_palette() -> QPalette:
-    """A calm light palette, set by hand: without a desktop theme Qt does not know which one to take."""
+def contrast(one: Rgb, other: Rgb) -> float:
+    """How far two colours stand apart, 1 to 21, as WCAG 2.1 measures it."""
+    brighter, darker = sorted((_luminance(one), _luminance(other)), reverse=True)
+    return (brighter + 0.05) / (darker + 0.05)
+
+
+def _luminance(colour: Rgb) -> float:
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (v / 255 for v in colour)]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def palette_of(*, dark: bool) -> QPalette:
+    """The window's palette, set by hand: without a desktop theme Qt does not know which one to take."""
     palette = QPalette()
     role, group = QPalette.ColorRole, QPalette.ColorGroup
-    for which, rgb in (
-        (role.Window, (243, 244, 247)), (role.WindowText, (28, 30, 34)), (role.Base, (255, 255, 255)),
-        (role.AlternateBase, (247, 248, 250)), (role.Text, (28, 30, 34)), (role.Button, (238, 240, 244)),
-        (role.ButtonText, (28, 30, 34)), (role.ToolTipBase, (255, 255, 240)), (role.ToolTipText, (28, 30, 34)),
-        (role.Highlight, (45, 110, 190)), (role.HighlightedText, (255, 255, 255)), (role.Link, (30, 95, 180)),
-        (role.PlaceholderText, (125, 130, 138)), (role.Mid, (200, 204, 210)), (role.Midlight, (226, 229, 234)),
-    ):  # fmt: skip
-        palette.setColor(which, qcolor(rgb))
+    table = (  # role, light, dark
+        (role.Window, (243, 244, 247), (38, 41, 47)), (role.WindowText, (28, 30, 34), (226, 229, 234)),
+        (role.Base, (255, 255, 255), (26, 28, 33)), (role.AlternateBase, (247, 248, 250), (33, 36, 41)),
+        (role.Text, (28, 30, 34), (226, 229, 234)), (role.Button, (238, 240, 244), (52, 56, 63)),
+        (role.ButtonText, (28, 30, 34), (226, 229, 234)), (role.BrightText, (190, 40, 40), (255, 138, 128)),
+        (role.ToolTipBase, (255, 255, 240), (58, 62, 70)), (role.ToolTipText, (28, 30, 34), (236, 238, 242)),
+        (role.Highlight, (45, 110, 190), (48, 106, 184)), (role.HighlightedText, (255, 255, 255), (255, 255, 255)),
+        (role.Link, (30, 95, 180), (125, 182, 245)), (role.PlaceholderText, (96, 102, 110), (160, 166, 175)),
+        (role.Light, (255, 255, 255), (66, 71, 80)), (role.Midlight, (226, 229, 234), (62, 66, 74)),
+        (role.Mid, (200, 204, 210), (84, 90, 100)), (role.Dark, (160, 165, 173), (18, 20, 24)),
+        (role.Shadow, (110, 115, 124), (8, 9, 11)),
+    )  # fmt: skip
+    for which, light, night in table:
+        palette.setColor(which, qcolor(night if dark else light))
     for which in (role.WindowText, role.Text, role.ButtonText):
-        palette.setColor(group.Disabled, which, qcolor((150, 154, 160)))
+        palette.setColor(group.Disabled, which, qcolor((116, 122, 132) if dark else (150, 154, 160)))
     return palette

@@ -10,7 +10,7 @@ from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QHelpEvent, QPainter, QPalette, QPen, QPolygonF
 from PyQt6.QtWidgets import QSizePolicy, QToolTip, QWidget
 
-from widgets.colours import DOUBT, TAKEN, WORSE, qcolor
+from widgets.colours import inks, qcolor
 
 _INSET_PX = 6  # half the slider's handle
 _MARK_PX = 7.0
@@ -29,7 +29,7 @@ class ErrorStrip(QWidget):
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.values: tuple[float, ...] = ()  # NaN = not known
         self.doubts: Mapping[int, Sequence[str]] = {}
-        self.frame, self._unit, self._high = 0, "", 28
+        self.frame, self._unit, self.high_px = 0, "", 28
 
     @property
     def worst(self) -> int:
@@ -50,12 +50,13 @@ class ErrorStrip(QWidget):
 
     def show_high(self, high_px: int) -> None:
         """How high it stands."""
-        self._high = high_px
-        self.updateGeometry()
+        if high_px != self.high_px:
+            self.high_px = high_px
+            self.updateGeometry()
 
     def sizeHint(self) -> QSize:  # noqa: N802
         """As wide as the slider over it."""
-        return QSize(200, self._high)
+        return QSize(200, self.high_px)
 
     def told(self, frame: int) -> str:
         """What is known of a frame, in words."""
@@ -80,6 +81,7 @@ class ErrorStrip(QWidget):
         if not n:
             return
         painter.setRenderHint(QPainter.RenderHint.Antialiasing, n < 200)
+        ink = inks(self.palette())
         base, top = self.height() - 2.0, _MARK_PX + 2.0
         painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Mid), 1))
         painter.drawLine(QPointF(_INSET_PX, base), QPointF(self.width() - _INSET_PX, base))
@@ -94,7 +96,7 @@ class ErrorStrip(QWidget):
             if math.isfinite(value) and most > 0:
                 tall = max(1.5, value / most * (base - top))
                 bar = QRectF(x - 0.5 * wide, base - tall, wide, tall)
-                painter.fillRect(bar, qcolor(WORSE if frame == worst else TAKEN))
+                painter.fillRect(bar, qcolor(ink.worse if frame == worst else ink.taken))
             if frame in self.doubts:
                 self._draw_mark(painter, x)
 
@@ -102,7 +104,7 @@ class ErrorStrip(QWidget):
         half = 0.5 * _MARK_PX
         painter.save()
         painter.setPen(Qt.PenStyle.NoPen)
-        painter.setBrush(qcolor(DOUBT))
+        painter.setBrush(qcolor(inks(self.palette()).doubt))
         painter.drawPolygon(QPolygonF([QPointF(x - half, 0), QPointF(x + half, 0), QPointF(x, _MARK_PX)]))
         painter.restore()
 

@@ -6,15 +6,15 @@ from collections.abc import Collection, Mapping
 from functools import partial
 from typing import Any
 
-from PyQt6.QtCore import QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtCore import QEvent, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QFont, QFontMetrics, QPainter, QPalette, QPen, QPixmap
 from PyQt6.QtWidgets import QAbstractButton, QHBoxLayout, QSizePolicy, QWidget
 
 from pipeline.pictures.picture import Picture
-from widgets.colours import BACKDROP, qcolor
-from widgets.icons import state_pixmap
+from widgets.colours import backdrop
+from widgets.icons import paint_state
 from widgets.looks import spaced
-from widgets.plate import image_of
+from widgets.plate import image_under
 
 _PICTURE_PX = QSize(132, 62)
 _SIGN_PX, _EDGE_PX = 16, 4
@@ -70,7 +70,7 @@ class Thumbnail(QAbstractButton):
         painter.setPen(QPen(rim, 2.4 if self.active or self.hasFocus() else 1.0))
         painter.drawRoundedRect(room, 4, 4)
         line = self._line_px()
-        painter.drawPixmap(_EDGE_PX, _EDGE_PX, state_pixmap(self.state, _SIGN_PX))
+        paint_state(painter, QRectF(_EDGE_PX, _EDGE_PX, _SIGN_PX, _SIGN_PX), self.state, palette)
         font = self._font()
         painter.setFont(font)
         painter.setPen(palette.color(QPalette.ColorRole.WindowText))
@@ -81,19 +81,25 @@ class Thumbnail(QAbstractButton):
             return
         size = QSize(self.width() - 2 * _EDGE_PX, _PICTURE_PX.height())
         if self._pixmap is None or self._pixmap.width() > size.width():
-            image = image_of(self._picture.pixels)
+            image = image_under(palette, self._picture)
             fit, smooth = Qt.AspectRatioMode.KeepAspectRatio, Qt.TransformationMode.SmoothTransformation
             self._pixmap = QPixmap.fromImage(image.scaled(size, fit, smooth))
         left = (self.width() - self._pixmap.width()) // 2
         top = _EDGE_PX + line + (size.height() - self._pixmap.height()) // 2
         painter.setOpacity(0.5 if self.state in ("stale", "running", "waiting") else 1.0)
-        painter.fillRect(left, top, self._pixmap.width(), self._pixmap.height(), qcolor(BACKDROP))
+        painter.fillRect(left, top, self._pixmap.width(), self._pixmap.height(), backdrop(palette))
         painter.drawPixmap(left, top, self._pixmap)
 
     def resizeEvent(self, a0: Any) -> None:  # noqa: N802
         """Another width is another picture."""
         super().resizeEvent(a0)
         self._pixmap = None
+
+    def changeEvent(self, e: Any) -> None:  # noqa: N802
+        """Another theme is another one too."""
+        super().changeEvent(e)
+        if e.type() == QEvent.Type.PaletteChange:
+            self._pixmap = None
 
     def _font(self) -> QFont:
         font = QFont(self.font())

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from PyQt6.QtCore import QAbstractTableModel, QModelIndex, Qt
 from PyQt6.QtWidgets import QWidget
 
-from widgets.icons import state_pixmap
+from widgets.icons import state_icon
 
 SORTED_BY = Qt.ItemDataRole.UserRole  # a number, so that 10 comes after 9; what is not known comes last
 FRAME, DEPTH, CONTACT, FIGURE = range(4)
@@ -142,7 +142,7 @@ class FramesModel(QAbstractTableModel):
             return None
         if role == Qt.ItemDataRole.ToolTipRole:
             return summary.problem or "\n".join(summary.doubts) or None
-        return state_pixmap("doubtful") if column == FRAME and self.own_doubts(frame) else None
+        return state_icon("doubtful") if column == FRAME and self.own_doubts(frame) else None
 
     def _number(self, frame: int, column: int) -> float:
         if column == FRAME:

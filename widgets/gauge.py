@@ -9,7 +9,7 @@ from PyQt6.QtCore import QPointF, QRectF, QSize, Qt
 from PyQt6.QtGui import QPainter, QPaintEvent, QPen, QPolygonF
 from PyQt6.QtWidgets import QSizePolicy, QWidget
 
-from widgets.colours import GAUGE, GAUGE_ROOM, GHOST, qcolor
+from widgets.colours import inks, qcolor
 
 _BAR_PX = 9
 
@@ -87,20 +87,20 @@ class Gauge(QWidget):
         painter.drawText(number, middle | int(Qt.AlignmentFlag.AlignRight), self.text)
         bar = QRectF(left, (height - _BAR_PX) / 2, max(10.0, self.width() - left - right), _BAR_PX)
         painter.setPen(Qt.PenStyle.NoPen)
-        painter.setBrush(qcolor(GAUGE_ROOM))
+        painter.setBrush(qcolor(inks(self.palette()).gauge_room))
         painter.drawRoundedRect(bar, 2, 2)
         if self.value is not None and math.isfinite(self.value):
-            painter.setBrush(qcolor(GAUGE))
+            painter.setBrush(qcolor(inks(self.palette()).gauge))
             painter.drawRoundedRect(QRectF(bar.left(), bar.top(), bar.width() * self._share(self.value), _BAR_PX), 2, 2)
         if self.ghost is not None and math.isfinite(self.ghost):
             self._draw_ghost(painter, bar)
 
     def _draw_ghost(self, painter: QPainter, bar: QRectF) -> None:
         x = bar.left() + bar.width() * self._share(self.ghost or 0.0)
-        painter.setPen(QPen(qcolor(GHOST), 1.6))
+        painter.setPen(QPen(qcolor(inks(self.palette()).ghost), 1.6))
         painter.drawLine(QPointF(x, bar.top() - 2), QPointF(x, bar.bottom() + 2))
         painter.setPen(Qt.PenStyle.NoPen)
-        painter.setBrush(qcolor(GHOST))
+        painter.setBrush(qcolor(inks(self.palette()).ghost))
         top = bar.top() - 1
         painter.drawPolygon(QPolygonF([QPointF(x - 3, top - 3), QPointF(x + 3, top - 3), QPointF(x, top + 1)]))
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TypeVar
 
-from PyQt6.QtCore import QObject, QTimer
-from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QLayout, QToolButton, QWidget
+from PyQt6.QtCore import QEvent, QObject, QTimer
+from PyQt6.QtGui import QAction, QPalette
+from PyQt6.QtWidgets import QLabel, QLayout, QToolButton, QWidget
 
+from pipeline.pictures.colours import Rgb
+from widgets.colours import Inks, inks, qcolor
 from widgets.icons import drawn
 
 _Layout = TypeVar("_Layout", bound=QLayout)
@@ -61,3 +63,26 @@ def icon_button(icon: str, name: str, tip: str) -> QToolButton:
     button.setToolTip(tip)
     button.setAccessibleName(tip)
     return button
+
+
+class InkLabel(QLabel):
+    """Words in one of the inks of the theme that is on."""
+
+    def __init__(self, ink: Callable[[Inks], Rgb], text: str = "", parent: QWidget | None = None) -> None:
+        super().__init__(text, parent)
+        self._ink = ink
+        self._take_ink()
+
+    def changeEvent(self, a0: QEvent | None) -> None:  # noqa: N802
+        """Another theme has another ink."""
+        super().changeEvent(a0)
+        if a0 is not None and a0.type() == QEvent.Type.PaletteChange:
+            self._take_ink()
+
+    def _take_ink(self) -> None:
+        colour = qcolor(self._ink(inks(self.palette())))
+        if self.palette().color(QPalette.ColorRole.WindowText) != colour:
+            own = QPalette()
+            for group in (QPalette.ColorGroup.Active, QPalette.ColorGroup.Inactive):
+                own.setColor(group, QPalette.ColorRole.WindowText, colour)
+            self.setPalette(own)

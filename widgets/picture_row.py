@@ -1,10 +1,10 @@
-"""Pictures over 3D views: the upper row is as high as its pictures need at the width they have."""
+"""Pictures over 3D views: both rows are as high as what they show needs at the width it has."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from PyQt6.QtCore import QEvent, QObject, Qt
+from PyQt6.QtCore import QEvent, QObject, Qt, pyqtSignal
 from PyQt6.QtGui import QResizeEvent
 from PyQt6.QtWidgets import QHBoxLayout, QSplitter, QWidget
 
@@ -13,14 +13,21 @@ from widgets.solid_cell import SolidCell
 from widgets.stage_column import StageColumn
 
 _LEAST_BELOW = 0.3  # of the height that is left to what stands below
+_TALL_BELOW = 1.15  # a 3D view's height in widths: in a taller one there is only ground above and below
 
 
 class PictureRow(QSplitter):
-    """A row of columns over a row of cells; follows the pictures until somebody drags the handle."""
+    """A row of columns over a row of cells; follows the pictures until somebody drags the handle.
+
+    `spare_found` says how much higher than needed it is, in pixels; lower than needed is less than 0.
+    """
+
+    spare_found = pyqtSignal(int)
 
     def __init__(self) -> None:
         super().__init__(Qt.Orientation.Vertical)
         self._columns: tuple[StageColumn, ...] = ()
+        self._cells: tuple[SolidCell, ...] = ()
         self._watched: set[QObject] = set()
         self._dragged = False
         self._above, self.below = QWidget(), QWidget()
@@ -31,11 +38,14 @@ class PictureRow(QSplitter):
         self._soon = once(self, 0, self.fit)
         self.splitterMoved.connect(self._keep)
 
-    def take(self, pairs: Sequence[tuple[StageColumn, SolidCell]]) -> None:
-        """Hold these, in this order, from now on; whether they can be seen is theirs to say."""
-        self._columns = tuple(column for column, _ in pairs)
+    def take(self, pairs: Sequence[tuple[StageColumn, SolidCell]], *, wide: bool = False) -> None:
+        """Hold these, in this order, from now on; whether they can be seen is theirs to say.
+
+        `wide` where few are seen, so that each has room beside its title.
+        """
+        self._columns, self._cells = tuple(column for column, _ in pairs), tuple(cell for _, cell in pairs)
         for column, cell in pairs:
-            column.show_wide(False)
+            column.show_wide(wide)
             self._upper.addWidget(column, 1)
             self._lower.addWidget(cell, 1)
             for seen in (column, column.view):  # the latter also where a note takes room from it
@@ -53,9 +63,12 @@ class PictureRow(QSplitter):
         if self._dragged or not shown or self.below.isHidden():
             return
         room = self.height() - self.handleWidth()
-        above = min(max(column.wanted_height_px() for column in shown), round((1.0 - _LEAST_BELOW) * room))
+        wanted = max(column.wanted_height_px() for column in shown)
+        above = min(wanted, round((1.0 - _LEAST_BELOW) * room))
         if abs(self.sizes()[0] - above) > 1:
             self.setSizes([above, room - above])
+        below = [cell.height_px(_TALL_BELOW) for cell in self._cells if cell.isVisibleTo(self)]
+        self.spare_found.emit(room - wanted - max(below, default=0))
 
     def resizeEvent(self, a0: QResizeEvent | None) -> None:  # noqa: N802
         """Other widths need other heights."""

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from PyQt6.QtCore import QPointF, QRect, QRectF, QSize, QSizeF, Qt
-from PyQt6.QtGui import QColor, QFont, QImage, QPainter, QPen, QPixmap, QPolygonF
+from PyQt6.QtGui import QColor, QFont, QImage, QPainter, QPalette, QPen, QPixmap, QPolygonF
 
 from pipeline.base.arrays import Floats, Image
+from pipeline.pictures.colours import NO_VALUE, Rgb
 from pipeline.pictures.picture import Picture
-from widgets.colours import CONTACT, FELT, FELT_CASING, qcolor
+from widgets.colours import CONTACT, FELT, FELT_CASING, inks, qcolor
 
 MOST_ZOOM, LEAST_ZOOM = 60.0, 0.02
 _BAR_LENGTHS_MM = (50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1)
@@ -27,14 +28,36 @@ class Plate:
         self.picture: Picture | None = None
         self.image: QImage | None = None
         self.second: tuple[QImage, float] | None = None  # and the share of the width that is left to the first
+        self.no_value: Rgb = NO_VALUE  # what pixels without a value look like here
+        self._beside: Image | None = None  # the second's pixels
         self.dimmed = False
         self.centre, self.scale = QPointF(), 0.0  # picture pixel in the middle; screen pixels a picture pixel
         self.room = QSize()
 
     def take(self, picture: Picture) -> bool:
         """Draw another picture from now on; whether it has another size."""
-        old, self.picture, self.image = self.picture, picture, image_of(picture.pixels)
+        old, self.picture = self.picture, picture
+        self.image = image_of(self._grounded(picture.pixels))
         return old is None or old.pixels.shape[:2] != picture.pixels.shape[:2]
+
+    def take_second(self, pixels: Image | None, share: float) -> None:
+        """Lay pixels of the same size over it from this share of the width on; None takes them away."""
+        self._beside = pixels
+        self.second = None if pixels is None else (image_of(self._grounded(pixels)), share)
+
+    def take_ground(self, no_value: Rgb) -> None:
+        """Show pixels without a value in another colour from now on."""
+        if no_value == self.no_value:
+            return
+        self.no_value = no_value
+        if self.picture is not None:
+            self.take(self.picture)
+        if self.second is not None:
+            self.take_second(self._beside, self.second[1])
+
+    def _grounded(self, pixels: Image) -> Image:
+        coloured = self.picture is not None and self.picture.scale is None
+        return pixels if coloured else grounded(pixels, self.no_value)
 
     def fit(self) -> None:
         """The whole picture, as large as there is room."""
@@ -120,7 +143,7 @@ class Plate:
         if not length_mm or wide < 60:
             return
         end, y = right - 0.05 * wide, below - 8.0
-        dark = picture.pixels[-(rows // 6) :: 3, -(cols // 3) :: 3].mean() < 130
+        dark = self._grounded(picture.pixels[-(rows // 6) :: 3, -(cols // 3) :: 3]).mean() < 130
         ink = QColor(255, 255, 255) if dark else QColor(30, 32, 36)
         painter.setPen(QPen(ink, 3))
         painter.drawLine(QPointF(end - length_mm * px_of_mm, y), QPointF(end, y))
@@ -146,3 +169,17 @@ def image_of(pixels: Image) -> QImage:
     rows, cols = pixels.shape[:2]
     held = pixels.tobytes()
     return QImage(held, cols, rows, 3 * cols, QImage.Format.Format_RGB888).convertToFormat(QImage.Format.Format_RGB32)
+
+
+def grounded(pixels: Image, no_value: Rgb) -> Image:
+    """The same with another colour where there is no value: that grey is in no map."""
+    if no_value == NO_VALUE:
+        return pixels
+    out = pixels.copy()
+    out[(pixels == NO_VALUE).all(axis=-1)] = no_value
+    return out
+
+
+def image_under(palette: QPalette, picture: Picture) -> QImage:
+    """A picture by itself, on the ground of a palette."""
+    return image_of(picture.pixels if picture.scale is None else grounded(picture.pixels, inks(palette).no_value))

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
-from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtCore import QEvent, Qt, pyqtSignal
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
 from pipeline.alignment.refine import Fit, Refinement
 from pipeline.base.arrays import Doubles
+from pipeline.pictures.colours import Rgb
+from widgets.colours import Inks, hexed, inks
 from widgets.looks import spaced
 
 _IDLE = "least squares over all frames that both sensors feel; a quarter of them only judges"
@@ -59,18 +62,28 @@ class RefineBox(QWidget):
     def show_idle(self, note: str = _IDLE) -> None:
         """Ready to begin."""
         self._show(running=False, done=False)
-        self._text.setText(f"<span style='color:#6b7280'>{note}</span>")
+        self._say(lambda ink: _in(ink.soft, note))
 
     def show_progress(self, fraction: float, text: str) -> None:
         """On its way."""
         self._show(running=True, done=False)
         self.bar.setValue(round(1000 * fraction))
-        self._text.setText(f"<span style='color:#6b7280'>{text}</span>")
+        self._say(lambda ink: _in(ink.soft, text))
 
     def show_answer(self, answer: Refinement, target: str) -> None:
         """Before and after, what is not observable, and the choice."""
         self._show(running=False, done=True)
-        self._text.setText(_table(answer) + _words(answer, target))
+        self._say(lambda ink: _table(answer, ink) + _words(answer, target, ink))
+
+    def changeEvent(self, a0: QEvent | None) -> None:  # noqa: N802
+        """The same in the inks of another theme."""
+        super().changeEvent(a0)
+        if a0 is not None and a0.type() == QEvent.Type.PaletteChange:
+            self._say(self._told)
+
+    def _say(self, told: Callable[[Inks], str]) -> None:
+        self._told = told
+        self._text.setText(told(inks(self.palette())))
 
     def _show(self, *, running: bool, done: bool) -> None:
         for widget, seen in (
@@ -80,16 +93,20 @@ class RefineBox(QWidget):
             widget.setVisible(seen)
 
 
+def _in(colour: Rgb, text: str) -> str:
+    return f"<span style='color:{hexed(colour)}'>{text}</span>"
+
+
 def _button(text: str, name: str) -> QPushButton:
     button = QPushButton(text)
     button.setObjectName(name)
     return button
 
 
-def _table(answer: Refinement) -> str:
+def _table(answer: Refinement, ink: Inks) -> str:
     rows = [
-        "<tr><td></td><td align='right'><span style='color:#6b7280'>surface mm</span></td>"
-        "<td align='right'><span style='color:#6b7280'>outline mm</span></td></tr>"
+        f"<tr><td></td><td align='right'>{_in(ink.soft, 'surface mm')}</td>"
+        f"<td align='right'>{_in(ink.soft, 'outline mm')}</td></tr>"
     ]
     for name, pair in (("used", answer.used), ("held out", answer.held_out)):
         if pair is None:
@@ -110,17 +127,17 @@ def _told(value: float) -> str:
     return f"{value:.3f}" if math.isfinite(value) else "-"
 
 
-def _words(answer: Refinement, target: str) -> str:
+def _words(answer: Refinement, target: str, ink: Inks) -> str:
     turn, shift = answer.spread[:3], answer.spread[3:]
     said = [
         f"predicted spread of what is observable, {target} frame: "
         f"{_named(('x', 'y', 'z'), shift, 3)} mm; {_named(('rx', 'ry', 'rz'), turn, 2)}°",
-        *(f"<span style='color:#96401f'>not observable: {words}; left as it was</span>" for words in answer.weak),
-        *(f"<span style='color:#96401f'>{note}</span>" for note in answer.notes),
+        *(_in(ink.alarm, f"not observable: {words}; left as it was") for words in answer.weak),
+        *(_in(ink.alarm, note) for note in answer.notes),
     ]
     worse = _worse(answer.held_out)
     if worse:
-        said.append(f"<span style='color:#96401f'>{worse}</span>")
+        said.append(_in(ink.alarm, worse))
     return "<br>".join(said)
 
 

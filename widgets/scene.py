@@ -17,7 +17,7 @@ from vtkmodules.vtkRenderingUI import vtkGenericRenderWindowInteractor
 from pipeline.base.arrays import Doubles
 from pipeline.base.memo import Memo, size_bytes
 from pipeline.pictures.layers import Layer, Sight
-from widgets.colours import backdrop
+from widgets.colours import inks
 from widgets.layers import Place, Scene
 from widgets.looks import once
 from widgets.solid_view import SolidView
@@ -132,17 +132,17 @@ class LiveScene(Scene):
     def _show(self, column: int) -> bool:
         """Whether a picture had to be drawn."""
         view, layers = self.views[column], self._layers.get(column, ())
-        behind = backdrop(view.palette()).getRgb()[:3]
+        ink = inks(view.palette())
         placed = self._placed.get(column, {})
         key = (
-            column, view.size_px, behind, tuple(id(layer) for layer in layers), self._stage.camera_of(column),
+            column, view.size_px, ink.backdrop, tuple(id(layer) for layer in layers), self._stage.camera_of(column),
             tuple((name, at.tobytes()) for name, at in placed.items()),
         )  # fmt: skip
         kept = self._kept.get(key)
         if kept is None:
             begun_s = time.thread_time()
             self._stage.show(column, layers, placed)
-            pixels = self._stage.pixels(column, *view.size_px, behind)
+            pixels = self._stage.pixels(column, *view.size_px, ink)
             rows, cols = pixels.shape[:2]
             image = QImage(pixels.tobytes(), cols, rows, 3 * cols, QImage.Format.Format_RGB888)
             image = image.convertToFormat(QImage.Format.Format_RGB32)

@@ -20,6 +20,10 @@ class SolidCell(QWidget):
         for widget in (self.legend if under is None else under, self.caption):
             layout.addWidget(widget)
 
+    def height_px(self, tall: float) -> int:
+        """How high it is with a view of this height in widths."""
+        return self.height() - self.view.height() + round(tall * self.view.width())
+
 
 def _small() -> QLabel:
     label = QLabel()

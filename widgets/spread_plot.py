@@ -10,7 +10,7 @@ from PyQt6.QtCore import QPointF, QRectF, QSize, Qt
 from PyQt6.QtGui import QPainter, QPalette, QPen
 from PyQt6.QtWidgets import QSizePolicy, QWidget
 
-from widgets.colours import TAKEN, qcolor
+from widgets.colours import inks, qcolor
 from widgets.looks import smaller
 
 _LEFT_PX, _BELOW_PX, _ROOM_PX, _DOT_PX = 46.0, 34.0, 14.0, 4.0
@@ -66,9 +66,9 @@ class SpreadPlot(QWidget):
         painter.drawText(QRectF(0, 0, side, 16), centre, "error of the mean (rms), mm")
         painter.restore()
         dots = [at(*point) for point in self.points]
-        painter.setPen(QPen(qcolor(TAKEN), 1.5))
+        painter.setPen(QPen(qcolor(inks(self.palette()).taken), 1.5))
         for one, other in pairwise(dots):
             painter.drawLine(one, other)
-        painter.setBrush(qcolor(TAKEN))
+        painter.setBrush(qcolor(inks(self.palette()).taken))
         for dot in dots:
             painter.drawEllipse(dot, _DOT_PX, _DOT_PX)

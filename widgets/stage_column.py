@@ -10,7 +10,7 @@ from functools import partial
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtWidgets import QBoxLayout, QComboBox, QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
-from widgets.icons import state_pixmap
+from widgets.icons import StateSign
 from widgets.looks import bold, smaller, spaced
 from widgets.picture import PictureView
 
@@ -33,7 +33,7 @@ class StageColumn(QFrame):
         smaller(self._title, 0.5)
         self._title.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self._title.setToolTip(title)
-        self._sign, self._word, self._ms = QLabel(), QLabel(), QLabel()
+        self._sign, self._word, self._ms = StateSign(), QLabel(), QLabel()
         self._ms.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         self.view = PictureView()
         status = spaced(QHBoxLayout(), 4)
@@ -63,7 +63,9 @@ class StageColumn(QFrame):
         self._note.setObjectName(f"note_{name}")
         smaller(self._note, 1.0)
         self._note.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        self._note.hide()
+        self._note.setWordWrap(True)
+        self._note.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
+        self._show_lines(2)
         layout.addWidget(self._note)
         self.setMinimumWidth(90)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
@@ -79,7 +81,12 @@ class StageColumn(QFrame):
         self._head.setSpacing(10 if wide else 2)
         for place, share in ((self._title, 2), (self._only, 2), (self._method, 2)):
             self._head.setStretchFactor(place, share if wide else 0)
-        self.view.show_lines(1 if wide else 2)
+        self._show_lines(1 if wide else 2)
+
+    def _show_lines(self, lines: int) -> None:
+        """The room of caption and note, theirs whether they say something or not: pictures stand in one line."""
+        self.view.show_lines(lines)
+        self._note.setFixedHeight(lines * self._note.fontMetrics().lineSpacing() + 2)
 
     def offer_methods(self, methods: Sequence[tuple[str, str, str]]) -> None:
         """(name, title, help) of the ways to fill this slot; one alone is only named."""
@@ -108,7 +115,7 @@ class StageColumn(QFrame):
         """
         if state != self.state:
             self.state = state
-            self._sign.setPixmap(state_pixmap(state))
+            self._sign.show_state(state)
             self._word.setText(state)
         self._ms.setText("" if ms is None else _time_text(ms))
         tip = "\n".join(notes)
@@ -117,7 +124,6 @@ class StageColumn(QFrame):
         if state not in ("stale", "running"):
             first = notes[0] if notes and state not in ("skipped", "failed") else ""
             self._note.setText(_AN_END.split(first, maxsplit=1)[0])
-            self._note.setVisible(bool(first))
         old = state in ("stale", "running", "failed") and self.view.picture is not None
         self.view.show_dimmed(old)
         self.view.show_message(instead or self._message(state, notes))

@@ -22,7 +22,7 @@ from vtkmodules.vtkRenderingCore import (
 from pipeline.base.arrays import Doubles, Image
 from pipeline.pictures.colours import Rgb
 from pipeline.pictures.layers import Layer, Sight
-from widgets.colours import AXES, BACKDROP
+from widgets.colours import Inks
 
 
 class SubViews:
@@ -40,10 +40,12 @@ class SubViews:
         self._kept: list[dict[str, tuple[Layer, Any, Any]]] = [{} for _ in range(columns)]
         self._axes = [[_arrow(renderer, axis) for axis in range(3)] for renderer in self.renderers]
 
-    def pixels(self, column: int, width_px: int, height_px: int, behind: tuple[int, ...]) -> Image:
-        """One view drawn at this size over a colour, (rows, cols, 3)."""
+    def pixels(self, column: int, width_px: int, height_px: int, ink: Inks) -> Image:
+        """One view drawn at this size in the theme's colours, (rows, cols, 3)."""
         self.turn_to(column, width_px, height_px)
-        self.renderers[column].SetBackground(*(c / 255 for c in behind))
+        self.renderers[column].SetBackground(*_shares(ink.backdrop))
+        for arrow, colour in zip(self._axes[column], ink.axes, strict=True):
+            arrow.GetProperty().SetColor(*_shares(colour))
         self.window.Render()
         drawn = vtkUnsignedCharArray()
         self.window.GetPixelData(0, 0, width_px - 1, height_px - 1, 0, drawn, 0)
@@ -115,7 +117,7 @@ class SubViews:
             if camera is None:
                 camera = shared[sight.frame] = _camera(sight)
             self.renderers[column].SetActiveCamera(camera)
-            corner = np.array(sight.centre_mm) + sight.radius_mm * np.array([-0.62, 0.72, 0.0])
+            corner = np.array(sight.centre_mm) + sight.radius_mm * np.array([-0.62, 0.66, 0.0])
             for actor in self._axes[column]:
                 actor.SetPosition(*corner)
                 actor.SetScale(0.25 * sight.radius_mm)
@@ -125,7 +127,6 @@ class SubViews:
 def _view() -> Any:
     """An empty sub-view; a lamp at the viewer lets colours read true, one from the upper left lets dents cast shade."""
     renderer: Any = vtkRenderer()
-    renderer.SetBackground(*_shares(BACKDROP))
     renderer.SetAutomaticLightCreation(False)
     lamp, side = vtkLight(), vtkLight()
     lamp.SetLightTypeToHeadlight()
@@ -147,7 +148,7 @@ def _cut_to_its_own(renderer: Any, _: str) -> None:
 def _camera(sight: Sight) -> Any:
     """Looking along the sensor's own view, somewhat from below, so far away that the sphere fills the width."""
     camera = vtkCamera()
-    direction = np.array([0.0, 0.85, -1.0]) / np.linalg.norm([0.0, 0.85, -1.0])
+    direction = np.array([0.0, 0.6, -1.0]) / np.linalg.norm([0.0, 0.6, -1.0])
     camera.SetFocalPoint(*sight.centre_mm)
     camera.SetPosition(*(np.array(sight.centre_mm) + 3.7 * sight.radius_mm * direction))
     camera.SetViewUp(0.0, -1.0, 0.0)
@@ -155,16 +156,15 @@ def _camera(sight: Sight) -> Any:
     return camera
 
 
-def _actor(renderer: Any, mesh: Any, colour: Rgb | None = None) -> Any:
-    """A mesh in a sub-view, in one colour or in those of its points."""
+def _actor(renderer: Any, mesh: Any, *, own_colours: bool = True) -> Any:
+    """A mesh in a sub-view, in the colours of its points or in one that is told later."""
     mapper, actor = vtkPolyDataMapper(), vtkActor()
     mapper.SetInputData(mesh)
-    if colour is None:
+    if own_colours:
         mapper.SetScalarModeToUsePointFieldData()
         mapper.SelectColorArray("rgb")
     else:
         mapper.ScalarVisibilityOff()
-        actor.GetProperty().SetColor(*_shares(colour))
     actor.SetMapper(mapper)
     renderer.AddActor(actor)
     return actor
@@ -174,7 +174,7 @@ def _arrow(renderer: Any, axis: int) -> Any:
     """A unit arrow along x, y or z of the frame; hidden until it is known where it belongs."""
     tip = np.zeros(3)
     tip[axis] = 1.0
-    actor = _actor(renderer, pv.Line((0.0, 0.0, 0.0), tip), AXES[axis])
+    actor = _actor(renderer, pv.Line((0.0, 0.0, 0.0), tip), own_colours=False)
     actor.GetProperty().SetLineWidth(3)
     actor.GetProperty().LightingOff()
     actor.SetVisibility(False)

@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QFontMetrics, QPainter, QPalette, QPen, QPixmap, QPolygonF
 from PyQt6.QtWidgets import QSizePolicy, QToolTip, QWidget
 
 from pipeline.pictures.picture import Picture
-from widgets.colours import TAKEN, WORSE, qcolor
-from widgets.plate import image_of
+from widgets.colours import inks, qcolor
+from widgets.plate import image_under
 
 Place = tuple[int, int]  # row, col
 _GAP_PX, _EDGE_PX = 3, 6
@@ -134,6 +134,12 @@ class SweepGrid(_Tries):
         super().resizeEvent(a0)
         self._small = {}
 
+    def changeEvent(self, a0: Any) -> None:  # noqa: N802
+        """And in another theme on another ground."""
+        super().changeEvent(a0)
+        if a0.type() == QEvent.Type.PaletteChange:
+            self._small = {}
+
     def _cell(self, row: int, col: int) -> QRectF:
         line = QFontMetrics(self.font()).height()
         left, top = max(70.0, _LEFT_SHARE * self.width()), 2.0 * line + _EDGE_PX
@@ -192,7 +198,7 @@ class SweepGrid(_Tries):
         small = self._small.get(place)
         if small is None:
             fit, smooth = Qt.AspectRatioMode.KeepAspectRatio, Qt.TransformationMode.SmoothTransformation
-            small = QPixmap.fromImage(image_of(picture.pixels).scaled(room.size().toSize(), fit, smooth))
+            small = QPixmap.fromImage(image_under(self.palette(), picture).scaled(room.size().toSize(), fit, smooth))
             self._small[place] = small
         left = room.left() + 0.5 * (room.width() - small.width())
         painter.drawPixmap(QPointF(left, room.top() + 0.5 * (room.height() - small.height())), small)
@@ -258,11 +264,11 @@ class SweepPlot(_Tries):
         painter.drawText(low, Qt.AlignmentFlag.AlignRight, _time(1.06 * most_ms))
         painter.drawText(QRectF(0, frame.top() - 4, 48, line), Qt.AlignmentFlag.AlignRight, f"{1.06 * most:.3g}")
         best = best_of(self.tried)
-        painter.setPen(QPen(qcolor(TAKEN), 1.5))
+        painter.setPen(QPen(qcolor(inks(palette).taken), 1.5))
         painter.drawPolyline(QPolygonF([self._dot(place) for place in best]))
         for place in known:
             painter.setPen(QPen(palette.color(QPalette.ColorRole.WindowText), 2.5 if place == self.at else 0.6))
-            painter.setBrush(qcolor(TAKEN if place in best else WORSE))
+            painter.setBrush(qcolor(inks(palette).taken if place in best else inks(palette).worse))
             big = _DOT_PX + (3.0 if place == self.used else 0.0)
             painter.drawEllipse(self._dot(place), big, big)
 

@@ -72,6 +72,7 @@ class Timeline(QWidget):
             layout.addWidget(widget, 1, column)
         for label in (self._figure, self._worst):
             smaller(label, 1.0)
+            label.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)  # beside the bars' upper end
 
     def add_command(self, action: QAction) -> None:
         """Give a command a button at the left of the slider."""

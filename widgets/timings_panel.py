@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableWidget, QTableWidgetItem, QWidget
 
-from widgets.icons import state_pixmap
+from widgets.icons import state_icon
 
 _HEADER = ("stage", "state", "time, ms", "notes")
 
@@ -63,4 +63,4 @@ class TimingsPanel(QTableWidget):
                 item.setText(text)
                 item.setToolTip(text)
                 if column == 1 and state:
-                    item.setData(Qt.ItemDataRole.DecorationRole, state_pixmap(state))
+                    item.setData(Qt.ItemDataRole.DecorationRole, state_icon(state))

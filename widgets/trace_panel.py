@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
-from PyQt6.QtCore import Qt
+from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtWidgets import QFrame, QLabel, QScrollArea, QVBoxLayout, QWidget
+
+from widgets.colours import hexed, inks
 
 _INVITATION = (
     "Move the mouse over a picture to follow that pixel through every stage. "
@@ -36,15 +38,25 @@ class TracePanel(QScrollArea):
         self.setWidget(body)
         self.setFixedHeight(_LINES * self.fontMetrics().lineSpacing() + 6)
         self.text = ""
+        self._shown: tuple[Sequence[tuple[str, str]], bool, str] = ((), False, "")
+
+    def changeEvent(self, a0: QEvent | None) -> None:  # noqa: N802
+        """The same in the inks of another theme."""
+        super().changeEvent(a0)
+        if a0 is not None and a0.type() == QEvent.Type.PaletteChange:
+            steps, pinned, ending = self._shown
+            self.show_steps(steps, pinned=pinned, ending=ending)
 
     def show_steps(self, steps: Sequence[tuple[str, str]], *, pinned: bool = False, ending: str = "") -> None:
         """Show (stage title, what is there) pairs in order, and why the trace ends."""
+        self._shown = steps, pinned, ending
         self.text = " → ".join(text for _, text in steps)
         if not steps:
             self._label.setText(_INVITATION)
             return
-        parts = [f"<span style='color:#6b7280'>{escape(title)}</span> <b>{escape(text)}</b>" for title, text in steps]
+        soft, alarm = hexed(inks(self.palette()).soft), hexed(inks(self.palette()).alarm)
+        parts = [f"<span style='color:{soft}'>{escape(title)}</span> <b>{escape(text)}</b>" for title, text in steps]
         sentence = " &nbsp;→&nbsp; ".join(parts)
         if ending:
-            sentence += f" &nbsp; <span style='color:#96401f'>{escape(ending)}</span>"
+            sentence += f" &nbsp; <span style='color:{alarm}'>{escape(ending)}</span>"
         self._label.setText(sentence + (" &nbsp; <i>pinned</i>" if pinned else ""))

@@ -2,51 +2,84 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QWidget
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QToolTip, QWidget
 
-from widgets.icons import state_pixmap
+from widgets.icons import StateSign
 from widgets.looks import spaced
+
+_BETWEEN = "   ·   "
+_A_REASON = re.compile("[:;]")  # what follows one says why, or what to do
 
 
 class WarningLine(QWidget):
-    """The doubts of every slot in one line, whole sentences in the tool tip."""
+    """The doubts of every slot in one line; all of them in whole in the tool tip, which a click shows at once."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setObjectName("warning_line")
         self.text = ""  # all of it, however much there is room for
-        self._sign = QLabel()
-        self._sign.setPixmap(state_pixmap("doubtful"))
-        room = self._sign.sizePolicy()
-        room.setRetainSizeWhenHidden(True)  # nothing moves when doubts come and go
-        self._sign.setSizePolicy(room)
-        self._label = QLabel()
+        self._told: tuple[str, ...] = ()
+        self._sign, self._label = StateSign(), QLabel()
         self._label.setTextFormat(Qt.TextFormat.PlainText)
         self._label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         layout = spaced(QHBoxLayout(self), 5, (6, 0, 6, 0))
         layout.addWidget(self._sign)
         layout.addWidget(self._label, 1)
-        self._sign.hide()
+
+    @property
+    def shown(self) -> str:
+        """What there is room for."""
+        return self._label.text()
 
     def show_doubts(self, doubts: Sequence[tuple[str, str]]) -> None:
         """(title of a slot, what is doubted of it), the most telling first."""
-        told = [f"{title}: {doubt}" for title, doubt in doubts]
-        text = "   ·   ".join(told)
-        if text != self.text:
-            self.text = text
+        told = tuple(f"{title}: {doubt}" for title, doubt in doubts)
+        if told != self._told:
+            self._told, self.text = told, _BETWEEN.join(told)
             self.setToolTip("\n".join(told))
-            self._elide()
-            self._sign.setVisible(bool(told))
+            self._sign.show_state("doubtful" if told else "")
+            self._fit()
 
     def resizeEvent(self, a0: Any) -> None:  # noqa: N802
         """As much as there is room for."""
         super().resizeEvent(a0)
-        self._elide()
+        self._fit()
 
-    def _elide(self) -> None:
-        end = Qt.TextElideMode.ElideRight
-        self._label.setText(self._label.fontMetrics().elidedText(self.text, end, max(60, self._label.width())))
+    def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
+        """All of it, now."""
+        QToolTip.showText(a0.globalPosition().toPoint(), self.toolTip(), self)
+
+    def _fit(self) -> None:
+        metrics, layout = self._label.fontMetrics(), self.layout()
+        assert layout is not None
+        around = layout.contentsMargins()
+        room = max(60, self.width() - self._sign.width() - layout.spacing() - around.left() - around.right())
+        text = fitted(self._told, lambda words: metrics.horizontalAdvance(words) <= room)
+        self._label.setText(metrics.elidedText(text, Qt.TextElideMode.ElideRight, room))
+
+
+def fitted(told: Sequence[str], fits: Callable[[str], bool]) -> str:
+    """As many of these sentences as fit, none of them cut: first what is doubted, then why, as far as there is room."""
+    brief = [_without_reason(sentence) for sentence in told]
+    count = next((n for n in range(len(told), 1, -1) if fits(_joined(brief[:n], len(told)))), min(1, len(told)))
+    shown = brief[:count]
+    for i in range(count):
+        whole = [*shown[:i], told[i], *shown[i + 1 :]]
+        if fits(_joined(whole, len(told))):
+            shown = whole
+    return _joined(shown, len(told))
+
+
+def _without_reason(sentence: str) -> str:
+    title, _, doubt = sentence.partition(": ")
+    return f"{title}: {_A_REASON.split(doubt, maxsplit=1)[0]}"
+
+
+def _joined(shown: Sequence[str], n_all: int) -> str:
+    more = [f"and {n_all - len(shown)} more"] if n_all > len(shown) else []
+    return _BETWEEN.join([*shown, *more])

@@ -9,7 +9,7 @@ from PyQt6.QtCore import QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QPainter, QPaintEvent, QPalette
 from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
-from widgets.colours import TAKEN, WHOLE, WORSE, qcolor
+from widgets.colours import inks, qcolor
 from widgets.looks import bold, spaced
 
 _BAR_SHARE = 0.62  # of a row's height
@@ -71,7 +71,7 @@ class Waterfall(QWidget):
         high = max(1e-9, *(max(bar.begin, bar.end) for bar in self.bars))
         left, right = _TITLE_SHARE * self.width(), (1.0 - _VALUE_SHARE) * self.width()
         per_unit = (right - left) / (high - low)
-        tall = self.height() / len(self.bars)
+        tall, ink = self.height() / len(self.bars), inks(self.palette())
         for row, bar in enumerate(self.bars):
             top = row * tall
             painter.setPen(self.palette().color(QPalette.ColorRole.WindowText))
@@ -80,7 +80,7 @@ class Waterfall(QWidget):
             value = f"{bar.end:.3f} {self._unit}" if bar.whole else f"{bar.change:+.3f}"
             painter.drawText(QRectF(right + 6, top, self.width() - right - 8, tall), align, value)
             ends = sorted((bar.begin, bar.end))
-            colour = WHOLE if bar.whole else TAKEN if bar.change <= 0 else WORSE
+            colour = ink.whole if bar.whole else ink.taken if bar.change <= 0 else ink.worse
             painter.fillRect(
                 QRectF(
                     left + (ends[0] - low) * per_unit, top + 0.5 * (1 - _BAR_SHARE) * tall,

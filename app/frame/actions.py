@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
 
-from PyQt6.QtGui import QAction, QIcon, QKeySequence
-from PyQt6.QtWidgets import QMainWindow, QStyle
+from PyQt6.QtGui import QAction, QKeySequence
+from PyQt6.QtWidgets import QMainWindow
 
 from widgets.icons import drawn
-
-_Std = QStyle.StandardPixmap
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,15 +19,15 @@ class Command:
     text: str
     tip: str
     _: KW_ONLY
-    icon: _Std | str | None = None
+    icon: str = ""
     key: str = ""
     checkable: bool = False
 
 
 FILE = (
     Command("open_sample", "Open the sample", "Open the recording that comes along", icon="target"),
-    Command("open_recording", "Open recording…", "Open a recorded touch", icon=_Std.SP_DialogOpenButton, key="Ctrl+O"),
-    Command("open_folder", "Open folder…", "Open a folder of images", icon=_Std.SP_DirOpenIcon, key="Ctrl+Shift+O"),
+    Command("open_recording", "Open recording…", "Open a recorded touch", icon="open", key="Ctrl+O"),
+    Command("open_folder", "Open folder…", "Open a folder of images", icon="folder", key="Ctrl+Shift+O"),
     Command("open_mesh", "Open mesh…", "Open the touched object's mesh, for its pose", icon="cube", key="Ctrl+M"),
     Command("close_mesh", "Close mesh", "Go back to the recording's own mesh, or to none"),
     Command(
@@ -40,23 +38,21 @@ FILE = (
     ),
     Command("open_weights", "Open weights…", "Open a network's weights, for the method that takes such"),
     Command("close_weights", "Close weights", "Go back to the weights that come along"),
-    Command("open_reference", "Open reference…", "Open the image of the untouched sensor", icon=_Std.SP_FileIcon),
+    Command("open_reference", "Open reference…", "Open the image of the untouched sensor", icon="file"),
     Command(
         "open_alignment",
         "Open alignment…",
         "Open how the two sensors stand to each other, a .toml as `tactoscope align refine` writes it",
-        icon=_Std.SP_DialogOpenButton,
+        icon="open",
     ),
     Command(
         "save_alignment",
         "Save alignment as…",
         "Save how the two sensors stand to each other, with what was moved, as .toml",
-        icon=_Std.SP_DialogSaveButton,
+        icon="save",
     ),
-    Command("open_session", "Open session…", "Open a saved session", icon=_Std.SP_FileDialogDetailedView),
-    Command(
-        "save_session", "Save session", "Save what is open, shown and set", icon=_Std.SP_DialogSaveButton, key="Ctrl+S"
-    ),
+    Command("open_session", "Open session…", "Open a saved session", icon="session"),
+    Command("save_session", "Save session", "Save what is open, shown and set", icon="save", key="Ctrl+S"),
     Command("save_session_as", "Save session as…", "Save the session under another name", key="Ctrl+Shift+S"),
     Command(
         "live",
@@ -77,24 +73,20 @@ FILE = (
     ),
     Command("make_case", "Make a case…", "Put this frame and all that it was made of into a folder that can be sent"),
     Command("save_picture", "Save picture…", "Save a picture of the window", key="Ctrl+Shift+E"),
-    Command("quit", "Quit", "Close the window", icon=_Std.SP_DialogCloseButton, key="Ctrl+Q"),
+    Command("quit", "Quit", "Close the window", icon="close", key="Ctrl+Q"),
 )
 EDIT = (
-    Command("undo", "Undo", "Take the last change back", icon=_Std.SP_ArrowBack, key="Ctrl+Z"),
-    Command("redo", "Redo", "Bring the change back", icon=_Std.SP_ArrowForward, key="Ctrl+Shift+Z"),
-    Command(
-        "reset_all", "Reset all parameters", "Put every stage back to its defaults", icon=_Std.SP_DialogResetButton
-    ),
-    Command(
-        "cancel", "Cancel", "Stop the running work, or take the crosshairs away", icon=_Std.SP_BrowserStop, key="Esc"
-    ),
+    Command("undo", "Undo", "Take the last change back", icon="undo", key="Ctrl+Z"),
+    Command("redo", "Redo", "Bring the change back", icon="redo", key="Ctrl+Shift+Z"),
+    Command("reset_all", "Reset all parameters", "Put every stage back to its defaults", icon="reset"),
+    Command("cancel", "Cancel", "Stop the running work, or take the crosshairs away", icon="stop", key="Esc"),
 )
 PLAY = (
-    Command("first", "First frame", "Go to the first frame", icon=_Std.SP_MediaSkipBackward, key="Home"),
-    Command("previous", "Previous frame", "Go one frame back", icon=_Std.SP_MediaSeekBackward, key="Left"),
-    Command("play", "Play", "Play or pause", icon=_Std.SP_MediaPlay, key="Space", checkable=True),
-    Command("next", "Next frame", "Go one frame on", icon=_Std.SP_MediaSeekForward, key="Right"),
-    Command("last", "Last frame", "Go to the last frame", icon=_Std.SP_MediaSkipForward, key="End"),
+    Command("first", "First frame", "Go to the first frame", icon="first", key="Home"),
+    Command("previous", "Previous frame", "Go one frame back", icon="previous", key="Left"),
+    Command("play", "Play", "Play or pause", icon="play", key="Space", checkable=True),
+    Command("next", "Next frame", "Go one frame on", icon="next", key="Right"),
+    Command("last", "Last frame", "Go to the last frame", icon="last", key="End"),
     Command("ten_back", "Ten frames back", "Go ten frames back", key="Shift+Left"),
     Command("ten_on", "Ten frames on", "Go ten frames on", key="Shift+Right"),
     Command("worse", "Worse frame", "The next worse frame by the figure of the frames' table", key="J"),
@@ -140,12 +132,17 @@ ARRANGE = (
     Command("hold_settings", "Hold these settings", "These settings stay as B beside what is set from now on",
             icon="link", key="Ctrl+H"),
     Command("hold_recording", "Beside another recording…", "Another recording as B, with these settings",
-            icon=_Std.SP_DialogOpenButton),
+            icon="open"),
     Command("let_go", "Let B go", "Compare with nothing", icon="minus"),
 )  # fmt: skip
+THEME = (
+    Command("theme_light", "Light theme", "Dark letters on a light ground", icon="sun", checkable=True),
+    Command("theme_dark", "Dark theme", "Light letters on a dark ground", icon="moon", checkable=True),
+    Command("theme_system", "Theme of the system", "Light or dark, as the desktop says", checkable=True),
+)
 HELP = (
     Command("palette", "Commands…", "Find any command by a few letters of its name", key="Ctrl+K"),
-    Command("keys", "Keys", "Show the keys", icon=_Std.SP_DialogHelpButton, key="F1"),
+    Command("keys", "Keys", "Show the keys", icon="help", key="F1"),
 )
 
 
@@ -169,7 +166,8 @@ def make_actions(window: QMainWindow, commands: tuple[Command, ...]) -> dict[str
     for command in commands:
         action = QAction(command.text, window)
         action.setObjectName(command.name)
-        action.setIcon(_icon(window, command.icon))
+        if command.icon:
+            action.setIcon(drawn(command.icon))
         action.setCheckable(command.checkable)
         action.setShortcut(QKeySequence(command.key))
         action.setToolTip(f"{command.tip} ({command.key})" if command.key else command.tip)
@@ -186,10 +184,3 @@ def key_table(actions: Mapping[str, QAction]) -> str:
         if action.shortcuts()
     ]
     return f"<table>{''.join(rows)}</table>"
-
-
-def _icon(window: QMainWindow, icon: _Std | str | None) -> QIcon:
-    style = window.style()
-    if icon is None or style is None:
-        return QIcon()
-    return drawn(icon) if isinstance(icon, str) else style.standardIcon(icon)

@@ -8,7 +8,7 @@ from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QDockWidget, QLabel, QMainWindow, QMenu, QToolBar, QToolButton, QWidget
 
-from app.frame.actions import ARRANGE, EDIT, FILE, HELP, PLAY, VERSUS, VIEW
+from app.frame.actions import ARRANGE, EDIT, FILE, HELP, PLAY, THEME, VERSUS, VIEW
 from widgets.timeline import Timeline
 
 _TOOLS = (
@@ -60,6 +60,8 @@ def build_menus(
             menu.addSeparator()
             for drawer in drawers:
                 menu.addAction(drawer.toggleViewAction())
+            menu.addSeparator()
+            menu.addActions([actions[command.name] for command in THEME])
     return menus
 
 

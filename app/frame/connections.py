@@ -7,7 +7,7 @@ from typing import TypeVar, get_args
 
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QAction, QKeySequence
-from PyQt6.QtWidgets import QMessageBox, QStyle, QWidget
+from PyQt6.QtWidgets import QMessageBox, QWidget
 
 from app.frame import dialogs
 from app.frame.actions import key_table
@@ -22,21 +22,27 @@ from app.frame.layouts import Layouts
 from app.frame.living import Living
 from app.frame.looking import Looking
 from app.frame.sweeping import Sweeping
+from app.frame.themes import Themes
 from app.frame.triage import Triage
 from app.frame.window import Window
+from app.session.remembered import Theme
 from app.session.state import DISPLAY
 from app.work.versus import Versus
 from pipeline.pictures.display import DisplayParams
 from pipeline.sensors.spec import names
 from pipeline.translation.catalogue import Catalogue
 from widgets.hands import Hands
+from widgets.icons import drawn
 from widgets.palette import Palette
 
 T = TypeVar("T")
 
 
-def connect(instrument: Instrument) -> Keeping:
-    """Fill the window's choices and connect everything; returns what outlives the window."""
+def connect(instrument: Instrument, theme: Theme = "light") -> Keeping:
+    """Fill the window's choices and connect everything; returns what outlives the window.
+
+    `theme` is the one that is on.
+    """
     window, job, tracer = instrument.window, instrument.job, instrument.tracer
     _fill(window, instrument.catalogue)
 
@@ -73,6 +79,7 @@ def connect(instrument: Instrument) -> Keeping:
     comparing = Comparing(instrument)
     keeping = Keeping(instrument)
     Greeting(instrument, keeping)
+    Themes(instrument, keeping, theme)
     Handing(instrument, keeping)
     Living(instrument, keeping)
     _connect_files(instrument, Aligning(instrument), keeping, comparing)
@@ -135,10 +142,7 @@ def _connect_play(instrument: Instrument) -> None:
     def show_playing(playing: bool) -> None:
         play.setChecked(playing)
         play.setText("Pause" if playing else "Play")
-        style = window.style()
-        if style is not None:
-            icon = QStyle.StandardPixmap.SP_MediaPause if playing else QStyle.StandardPixmap.SP_MediaPlay
-            play.setIcon(style.standardIcon(icon))
+        play.setIcon(drawn("pause" if playing else "play"))
 
     line.play_toggled.connect(show_playing)
     window.on("play", lambda: line.play(on=not line.playing))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from PyQt6.QtGui import QGuiApplication
+
 from app.frame.places import sights
 from app.frame.tracing import Tracer
 from app.frame.window import Window
@@ -18,14 +20,13 @@ from pipeline.pictures.picture import Picture
 from pipeline.sensors.spec import SensorSpec
 from pipeline.translation.translate import Translation
 from pipeline.values.results import PoseStep
-from widgets.colours import AXES
+from widgets.colours import hexed, inks
 from widgets.layers import Scene
 from widgets.picture import PictureView
 from widgets.steps import Step
 from widgets.timings_panel import TimingRow
 
 TIMES = "\N{MULTIPLICATION SIGN}"
-_AXES = " ".join(f"<b style='color:rgb{colour}'>{name}</b>" for name, colour in zip("xyz", AXES, strict=True))
 _PREVIEWED = "view"  # the slot that a drag of the alignment shows on its way
 _GENERATED = "touch"  # the slot whose truth demonstrations show
 _SOURCE_LEGEND = "reading on its surface"
@@ -211,7 +212,7 @@ class Screen:
             self._tell_state(name)
 
     def look(self, session: Session) -> None:
-        """Set the cameras anew, and say which frame and stretch each 3D view has."""
+        """Set the cameras anew, and say what each 3D view shows."""
         if self.opened is None:
             return
         t, display = self.opened, session.display
@@ -219,12 +220,19 @@ class Screen:
         places = {self._order.index(name): sight for name, sight in seen.items()}
         if _GENERATED in seen:
             places[len(self._order)] = seen[_GENERATED]
-            self._window.truth_cell.caption.setText(f"{t.target.name} frame {_AXES}")
         for k, (slot, other) in enumerate(self._others):
             if slot in seen and other is not None:
                 places[len(self._order) + 1 + k] = sights(other)[slot]
         self.scene.look(places, linked=session.linked)
         self._tracer.show_scene(self.scene, display, t)
+        self.caption(session)
+
+    def caption(self, session: Session) -> None:
+        """Say which frame and stretch each 3D view has, its axes in the colours that are on."""
+        if self.opened is None:
+            return
+        t, display = self.opened, session.display
+        self._window.truth_cell.caption.setText(f"{t.target.name} frame {self._axes()}")
         self._caption("source", _SOURCE_LEGEND, t.source, 1.0)
         for slot in t.catalogue.slots:
             place = t.source if slot.place == "source" else t.target
@@ -256,7 +264,11 @@ class Screen:
         cell = self._window.cells[name]
         cell.legend.setText(legend)
         stretch = "" if times == 1.0 else f", depth {TIMES}{times:g}"
-        cell.caption.setText(f"{place.name} frame {_AXES}{stretch}")
+        cell.caption.setText(f"{place.name} frame {self._axes()}{stretch}")
+
+    def _axes(self) -> str:
+        colours = zip("xyz", inks(QGuiApplication.palette()).axes, strict=True)
+        return " ".join(f"<b style='color:{hexed(colour)}'>{name}</b>" for name, colour in colours)
 
     def _resting_on(self, name: str) -> set[str]:
         """The slots that change with an input."""

@@ -21,7 +21,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from app.frame.actions import ARRANGE, EDIT, FILE, HELP, PLAY, VERSUS, VIEW, make_actions, stage_commands
+from app.frame.actions import ARRANGE, EDIT, FILE, HELP, PLAY, THEME, VERSUS, VIEW, make_actions, stage_commands
 from app.frame.bars import build_menus, build_tool_bar
 from app.frame.drawers import Drawers
 from app.session.layout import LAYOUTS, Layout
@@ -47,7 +47,7 @@ from widgets.waterfall import BlamePanel
 
 SIZE = QSize(1600, 950)
 _DOING_PX = 260  # for what the background does, in words
-LOW_STRIP_PX, HIGH_STRIP_PX = 24, 44  # of the errors
+LOW_STRIP_PX, HIGH_STRIP_PX, MOST_STRIP_PX = 24, 44, 220  # of the errors
 
 
 class Window(QMainWindow):
@@ -65,7 +65,7 @@ class Window(QMainWindow):
         self.may_close: Callable[[], bool] = lambda: True  # asked before the window goes
         titles = tuple(title for _, title in columns)
         self.actions_by_name: Mapping[str, QAction] = make_actions(
-            self, FILE + EDIT + PLAY + VIEW + VERSUS + ARRANGE + stage_commands(titles) + HELP
+            self, FILE + EDIT + PLAY + VIEW + VERSUS + ARRANGE + THEME + stage_commands(titles) + HELP
         )
         self.columns = {name: StageColumn(name, f"{i + 1} · {title}") for i, (name, title) in enumerate(columns)}
         self.banner, self.timeline = Banner(), Timeline()
@@ -111,6 +111,7 @@ class Window(QMainWindow):
     def _build_centre(self) -> None:
         for page in (self.rows, self.panes, self.sweep, self.compare):
             self.pages.addWidget(page)
+        self.rows.spare_found.connect(self._share_spare)
         centre = QWidget()
         layout = spaced(QVBoxLayout(centre), 2, (2, 2, 2, 0))
         self._strips = spaced(QVBoxLayout(), 2)
@@ -121,6 +122,12 @@ class Window(QMainWindow):
         layout.addWidget(self.timeline)
         layout.addWidget(self.trace)
         self.setCentralWidget(centre)
+
+    def _share_spare(self, spare_px: int) -> None:
+        """What pictures and 3D views do not need is the errors'."""
+        strip = self.timeline.errors  # counted from its height now: what was asked for may not be laid out yet
+        if abs(spare_px) > 1:
+            strip.show_high(min(max(strip.height() + spare_px, LOW_STRIP_PX), MOST_STRIP_PX))
 
     def _build_drawers(self) -> None:
         for name in ("open_alignment", "save_alignment"):
@@ -207,7 +214,8 @@ class Window(QMainWindow):
             shown = [name for name, _ in panes]
         else:
             self.panes.let_go()
-            self.rows.take((*pairs.values(), (self.truth, self.truth_cell)))
+            few = layout.name in ("align", "demo")
+            self.rows.take((*pairs.values(), (self.truth, self.truth_cell)), wide=few)
             shown = layout.columns_of(self.here, self._alone)
         for name, widgets in pairs.items():
             for widget in widgets:
@@ -218,7 +226,8 @@ class Window(QMainWindow):
         self.rows.below.setVisible(layout.name != "align")
         pages = {"inspect": self.panes, "sweep": self.sweep, "compare": self.compare}
         self.pages.setCurrentWidget(pages.get(layout.name, self.rows))
-        self.timeline.errors.show_high(HIGH_STRIP_PX if layout.name == "inspect" else LOW_STRIP_PX)
+        if layout.name not in ("stages", "demo"):  # in these, as high as the rows leave it
+            self.timeline.errors.show_high(HIGH_STRIP_PX if layout.name == "inspect" else LOW_STRIP_PX)
         for i, key in enumerate(self.columns):
             action = self.actions_by_name[f"only_{i + 1}"]
             action.setChecked(layout.name == "stages" and key == self._alone)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import cast
+from typing import Literal, cast, get_args
 
 from PyQt6.QtCore import QByteArray, QSettings
 
+Theme = Literal["light", "dark", "system"]
 _MOST_RECENT = 12
 _LAYOUT = 2  # counts up when docks or tool bars change their names, so that an old arrangement is not forced on them
 
@@ -58,6 +59,16 @@ class Remembered:
     def place(self, place: tuple[QByteArray, QByteArray]) -> None:
         for key, value in zip(("geometry", "state"), place, strict=True):
             self._kept.setValue(f"window{_LAYOUT}/{key}", value)
+
+    @property
+    def theme(self) -> Theme:
+        """How the window is coloured; the system's where nothing was chosen."""
+        said: object = self._kept.value("theme", "system")
+        return next((theme for theme in get_args(Theme) if theme == said), "system")
+
+    @theme.setter
+    def theme(self, theme: Theme) -> None:
+        self._kept.setValue("theme", theme)
 
     def write(self) -> None:
         """Bring it to disk now."""

@@ -24,7 +24,7 @@ from pipeline.recordings.hdf5_writer import Writer
 from pipeline.stages.adapt.stage import AdaptParams
 from pipeline.stages.depth.stage import DepthParams
 from tests.app.conftest import bubble_frames
-from widgets.colours import BACKDROP
+from widgets.colours import inks
 from widgets.layers import Scene
 
 LIMIT_S = 60
@@ -406,7 +406,7 @@ def test_the_window_is_not_built_anew_when_3d_comes(open_window, qtbot):
     view = instrument.window.solids[0]
     assert handle.surfaceType() == QSurface.SurfaceType.RasterSurface
     assert int(instrument.window.winId()) == number
-    assert view.grab().toImage().pixelColor(5, 5).getRgb()[:3] == BACKDROP
+    assert view.grab().toImage().pixelColor(5, 5).getRgb()[:3] == inks(view.palette()).backdrop
 
 
 @pytest.mark.gl
