@@ -12,6 +12,7 @@ from PyQt6.QtWidgets import QMessageBox, QWidget
 from app.frame import dialogs
 from app.frame.actions import key_table
 from app.frame.aligning import Aligning
+from app.frame.basins import BasinsTab
 from app.frame.blaming import Blaming
 from app.frame.comparing import Comparing
 from app.frame.greeting import Greeting
@@ -74,6 +75,7 @@ def connect(instrument: Instrument, theme: Theme = "light") -> Keeping:
     window.target.activated.connect(lambda: change("choose target", target=window.target.currentData()))
     window.route.activated.connect(lambda: change("choose route", route=window.route.currentData()))
     Blaming(instrument)
+    BasinsTab(instrument)
     Triage(instrument)
     Sweeping(instrument)
     comparing = Comparing(instrument)

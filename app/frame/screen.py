@@ -13,6 +13,7 @@ from app.session.state import Session
 from app.work.drawing import SlotShown, SourceShown
 from app.work.evaluator import FrameShown
 from app.work.versus import Beside, Versus
+from pipeline.base.arrays import Doubles
 from pipeline.base.errors import TouchError
 from pipeline.engine.graph import Method, StageResult
 from pipeline.pictures.layers import Layer
@@ -255,6 +256,12 @@ class Screen:
             self.scene.place(self._order.index(slot), "object", step.sensor_from_object)
         elif at < len(self._states.get(slot, ())):
             self._window.columns[slot].view.show_picture(self._states[slot][at])
+
+    def show_pose(self, sensor_from_object: Doubles, picture: Picture | None) -> None:
+        """Put the object elsewhere, with the picture that goes with it, until the slot is filled anew."""
+        self.scene.place(self._order.index("pose"), "object", sensor_from_object)
+        if picture is not None:
+            self._window.columns["pose"].view.show_picture(picture)
 
     def show_only(self, name: str | None) -> None:
         """One slot alone, or all of the route for None."""

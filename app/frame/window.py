@@ -27,6 +27,7 @@ from app.frame.drawers import Drawers
 from app.session.layout import LAYOUTS, Layout
 from widgets.alignment_panel import AlignmentPanel
 from widgets.banner import Banner
+from widgets.basin_map import BasinPanel
 from widgets.compare_page import ComparePage
 from widgets.frames_panel import FramesPanel
 from widgets.log_panel import LogPanel
@@ -72,6 +73,7 @@ class Window(QMainWindow):
         self.steps = {name: StepsSlider(name) for name in sorted(scrubbed)}  # under the 3D views of these columns
         self.frames, self.parameters, self.alignment = FramesPanel(), ParametersPanel(), AlignmentPanel()
         self.trace, self.log, self.timings, self.blame = TracePanel(), LogPanel(), TimingsPanel(), BlamePanel()
+        self.basins = BasinPanel()
         self._alone, self._off_route, self.layout_shown = "", frozenset[str](), Layout()
         self.cells = {name: SolidCell(self.steps.get(name)) for name, _ in columns}
         self.truth, self.truth_cell = StageColumn("truth", "Truth"), SolidCell()  # of the touch, for demonstrations
@@ -135,7 +137,8 @@ class Window(QMainWindow):
         self.tabs = QTabWidget()
         self.tabs.setObjectName("reading_tabs")
         self.tabs.setDocumentMode(True)
-        for widget, title in ((self.blame, "Blame"), (self.log, "Log"), (self.timings, "Timings")):
+        tabs = (self.blame, "Blame"), (self.basins, "Basins"), (self.log, "Log"), (self.timings, "Timings")
+        for widget, title in tabs:
             self.tabs.addTab(widget, title)
         for name in ("hold_settings", "hold_recording", "let_go"):
             self.compare.add_command(self.actions_by_name[name])

@@ -52,6 +52,12 @@ def answered(search: Search, found: Sequence[Minimum]) -> Answered | None:
     )  # fmt: skip
 
 
+def unseen(search: Search, pose: Doubles) -> Doubles:
+    """Motions (k, 6) that neither the contact's surface nor its outline shows: poses that differ by them are one."""
+    known = search.determined(pose)
+    return known.weak_motions[[not shown for shown in _shown(search, pose, known)]]
+
+
 def _kept(words: str) -> str:
     """What was done about a motion that nothing shows."""
     done = "where the contact's middle is" if words.startswith("slides") else "as first guessed"

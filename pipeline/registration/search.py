@@ -100,20 +100,20 @@ class Search:
             asked[tried[k].group] = asked.get(tried[k].group, 0) + 1
             if asked[tried[k].group] <= _PER_GROUP:
                 chosen.append(int(k))
-        return self._distinct(self._roughly(poses[chosen[:_N_REGISTERED]]))
+        return self._distinct(self.roughly(poses[chosen[:_N_REGISTERED]]))
 
     def followed(self, starts: Sequence[Doubles]) -> list[Minimum]:
         """The minima that poses of the touch before lead to, best first; none where not even the best one fits.
 
         From within the whole search distance or, where that leads astray, from near by.
         """
-        for tried in (list(self._roughly(np.array(starts))), starts):
+        for tried in (list(self.roughly(np.array(starts))), starts):
             found = self.best(tried)
             if found and self.explains(found[0]) and found[0].misfit_mm <= self.limit_mm:
                 return found
         return []
 
-    def _roughly(self, poses: Doubles) -> Doubles:
+    def roughly(self, poses: Doubles) -> Doubles:
         """Where poses (n, 4, 4) lead within the whole search distance, by a few of the points."""
         quick = How(max_distance_mm=self.max_distance_mm, n_iterations=_QUICK_ITERATIONS, settled_mm=_QUICK_SETTLED_MM)
         return registered(self.points.thinned(_QUICK_POINTS), self.object.grid, poses, quick)

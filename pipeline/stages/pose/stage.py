@@ -59,8 +59,8 @@ def pose(felt: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progre
 
     Raises MeshProblem when the mesh has no surface, SettingProblem for an unknown face.
     """
-    begun = _begun(felt, mesh, params, progress)
-    return begun if isinstance(begun, ObjectPose) else _searched(*begun, params, progress, None)
+    ready = begun(felt, mesh, params, progress)
+    return ready if isinstance(ready, ObjectPose) else _searched(*ready, params, progress, None)
 
 
 def pose_from(
@@ -79,10 +79,10 @@ def pose_from(
     searched anew. Of poses that fit equally well, the one nearest to `previous` is answered. Raises what `pose` does,
     CalibrationError when `previous` is no rigid transform.
     """
-    begun = _begun(felt, mesh, params, progress)
-    if isinstance(begun, ObjectPose):
-        return begun
-    search, checked = begun
+    ready = begun(felt, mesh, params, progress)
+    if isinstance(ready, ObjectPose):
+        return ready
+    search, checked = ready
     found = search.followed([rigid.checked(start, "the previous pose") for start in (previous, *others)])
     if found:
         return _told(search, checked, found, 0, ("followed from the touch before",), previous)
@@ -100,10 +100,10 @@ def posed(
 
 def planar(felt: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT) -> ObjectPose:
     """The pose by the paper's released planar evaluation, for comparison; raises what `pose` does."""
-    begun = _begun(felt, mesh, params, progress)
-    if isinstance(begun, ObjectPose):
-        return begun
-    search, checked = begun
+    ready = begun(felt, mesh, params, progress)
+    if isinstance(ready, ObjectPose):
+        return ready
+    search, checked = ready
     return planar_pose(
         search.scene, checked, search.object.model, params.face, params.n_iterations, keep_steps=params.keep_steps,
         progress=progress,
@@ -112,10 +112,10 @@ def planar(felt: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Prog
 
 def icp(felt: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT) -> ObjectPose:
     """The pose by Open3D's point-to-plane ICP, the paper's own way; raises what `pose` does."""
-    begun = _begun(felt, mesh, params, progress)
-    if isinstance(begun, ObjectPose):
-        return begun
-    search, checked = begun
+    ready = begun(felt, mesh, params, progress)
+    if isinstance(ready, ObjectPose):
+        return ready
+    search, checked = ready
     return icp_pose(
         search.scene, checked, search.object.model, face=params.face, n_starts=params.n_starts,
         n_iterations=params.n_iterations, max_distance_mm=params.max_distance_mm, seed=params.seed,
@@ -140,8 +140,8 @@ def without_contact(felt: DepthMap, mesh: Mesh | None, params: PoseParams) -> Ob
     return _unknown(NO_MESH) if mesh is None else None
 
 
-def _begun(
-    felt: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress
+def begun(
+    felt: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT
 ) -> ObjectPose | tuple[Search, Mesh]:  # fmt: skip
     """What a search needs, or the answer where there is nothing to search."""
     early = without_contact(felt, mesh, params)

@@ -1,4 +1,4 @@
-"""A seeded monkey: it triggers commands, moves controls and opens files good and bad, and says what it broke."""
+"""A seeded monkey: it triggers commands, moves controls, turns views, opens files good and bad, and says what it broke."""
 
 from __future__ import annotations
 
@@ -11,20 +11,35 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-from PyQt6.QtCore import QCoreApplication, Qt
+from PyQt6.QtCore import QCoreApplication, QPoint, QPointF, Qt
+from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QAbstractSlider, QAbstractSpinBox, QApplication, QCheckBox, QComboBox, QDialog, QScrollBar
+from PyQt6.QtWidgets import (
+    QAbstractButton,
+    QAbstractSlider,
+    QAbstractSpinBox,
+    QApplication,
+    QCheckBox,
+    QComboBox,
+    QDialog,
+    QScrollBar,
+    QTabWidget,
+    QToolButton,
+    QWidget,
+)
 
 from app.frame.instrument import Instrument
-from app.frame.tour import wait_until_shown
 from app.session.sample import SAMPLE
+from tests.app.frame.watched import Watched
 
 _LEFT_ALONE = frozenset(  # those that ask for a file by a box of the system's, close the window or show a box
-    ("open_recording", "hold_recording", "open_folder", "open_mesh", "open_calibration", "open_weights", "open_reference", "open_alignment",
-     "save_alignment", "open_session", "save_session", "save_session_as", "save_picture", "make_case", "quit", "keys")
+    ("open_recording", "hold_recording", "open_folder", "open_mesh", "open_calibration", "open_weights", "open_reference",
+     "open_alignment", "save_alignment", "open_session", "save_session", "save_session_as", "save_picture", "make_case",
+     "quit", "keys")
 )  # fmt: skip
-_REST_EVERY = 25  # acts; then everything must come to rest and every pane must have ink
-_REST_S = 120.0
+_NO_BUTTONS = ("record", "browse", "write", "folder")  # parts of names of buttons that ask for a file
+_REST_EVERY = 25  # acts; then everything must come to rest, every pane must have ink, and memory is taken
+_SIZES = ((1366, 768), (1600, 950), (1100, 700), (1900, 1100))
 
 
 class Monkey:
@@ -32,12 +47,14 @@ class Monkey:
 
     def __init__(self, instrument: Instrument, rng: random.Random, *, folder: Path, good: tuple[Path, ...]) -> None:
         self._instrument, self._rng, self._window = instrument, rng, instrument.window
-        self._files = [*good, SAMPLE, *_bad_files(folder)]
+        self._files = [*good, *sorted(SAMPLE.parent.glob("*.h5")), *_bad_files(folder)]
         self.complaints: list[str] = []
         self.n_acts = 0
         self._lately: list[str] = []
+        self.watched = Watched(instrument, self._complain)
         self._acts: tuple[tuple[int, Callable[[], str]], ...] = (
             (5, self._command), (5, self._control), (3, self._frame), (2, self._hover), (1, self._file), (2, self._key),
+            (2, self._button), (2, self._mouse), (1, self._tab), (1, self._resize),
         )  # fmt: skip
 
     def play(self, seconds: float) -> None:
@@ -47,13 +64,14 @@ class Monkey:
         end_s = time.monotonic() + seconds
         try:
             while time.monotonic() < end_s and not self.complaints:
-                self._lately.append(self._rng.choices(acts, weights)[0]())
+                self._lately.append("?")
+                self._lately[-1] = self._rng.choices(acts, weights)[0]()
                 self.n_acts += 1
                 QCoreApplication.processEvents()
                 self._close_boxes()
                 if self.n_acts % _REST_EVERY == 0:
-                    self._come_to_rest()
-            self._come_to_rest()
+                    self.watched.come_to_rest()
+            self.watched.come_to_rest()
         finally:
             sys.excepthook = hook
 
@@ -83,6 +101,53 @@ class Monkey:
         else:
             control.setValue(self._rng.randint(control.minimum(), control.maximum()))
         return f"{type(control).__name__} {control.objectName()}"
+
+    def _button(self) -> str:
+        """Those that are no command of the window's: commands have a turn of their own."""
+        found = [
+            b for b in self._window.findChildren(QAbstractButton)
+            if b.isVisible() and b.isEnabled() and not any(part in b.objectName() for part in _NO_BUTTONS)
+            and not (isinstance(b, QToolButton) and (b.defaultAction() is not None or b.menu() is not None))
+        ]  # fmt: skip
+        if not found:
+            return "no button"
+        button = self._rng.choice(found)
+        told = f"button {button.objectName() or button.text()}"
+        button.click()
+        return told
+
+    def _mouse(self) -> str:
+        """Drag, or turn the wheel, over a picture or a 3D view."""
+        seen = [v for v in (*self.watched.canvases, *self._window.solids) if v.isVisible() and v.width() > 20]
+        if not seen:
+            return "no view"
+        view: QWidget = self._rng.choice(seen)
+        ends = [QPoint(self._rng.randrange(view.width()), self._rng.randrange(view.height())) for _ in range(2)]
+        what = self._rng.choice(("drag", "wheel", "click", "double"))
+        if what == "wheel":
+            QApplication.sendEvent(view, _wheel(view, ends[0], self._rng.choice((-240, -120, 120, 240))))
+        elif what == "double":
+            QTest.mouseDClick(view, Qt.MouseButton.LeftButton, pos=ends[0])
+        else:
+            button = self._rng.choice((Qt.MouseButton.LeftButton, Qt.MouseButton.MiddleButton))
+            QTest.mousePress(view, button, pos=ends[0])
+            if what == "drag":
+                QTest.mouseMove(view, ends[1])
+            QTest.mouseRelease(view, button, pos=ends[1] if what == "drag" else ends[0])
+        return f"{what} on {type(view).__name__} {view.width()}x{view.height()}"
+
+    def _tab(self) -> str:
+        tabs = [t for t in self._window.findChildren(QTabWidget) if t.isVisible() and t.count() > 1]
+        if not tabs:
+            return "no tabs"
+        tab = self._rng.choice(tabs)
+        tab.setCurrentIndex(self._rng.randrange(tab.count()))
+        return f"tab {tab.objectName()} {tab.currentIndex()}"
+
+    def _resize(self) -> str:
+        size = self._rng.choice(_SIZES)
+        self._window.resize(*size)
+        return f"resize {size}"
 
     def _frame(self) -> str:
         line = self._window.timeline
@@ -114,19 +179,6 @@ class Monkey:
             if dialog.isVisible():
                 dialog.reject()
 
-    def _come_to_rest(self) -> None:
-        self._window.timeline.play(on=False)
-        wait_until_shown(self._instrument, _REST_S)
-        self._window.banner.hide()
-        if not self._instrument.idle:
-            self._complain("it does not come to rest")
-        if self._instrument.session.recording is None:
-            return
-        for name in self._window.visible_columns():
-            column = self._window.columns[name]
-            if column.state in ("computed", "cached", "unchanged", "read") and not _has_ink(column.view):
-                self._complain(f"{name} is {column.state} and blank")
-
     def _uncaught(self, kind: type[BaseException], error: BaseException, _trace: TracebackType | None) -> None:
         self._complain(f"{kind.__name__}: {error}")
 
@@ -134,15 +186,12 @@ class Monkey:
         self.complaints.append(f"{what}; lately: {', '.join(self._lately[-12:])}")
 
 
-def _has_ink(view: Any) -> bool:
-    """Whether the middle of a picture is anything but one colour."""
-    if not view.isVisible() or view.width() < 20 or view.height() < 20:
-        return True
-    grabbed = view.grab().toImage().convertToFormat(view.grab().toImage().Format.Format_RGB888)
-    bits = grabbed.constBits()
-    bits.setsize(grabbed.sizeInBytes())
-    pixels = np.frombuffer(bits, np.uint8).reshape(grabbed.height(), grabbed.bytesPerLine())[:, : 3 * grabbed.width()]
-    return bool(pixels.std() > 0.5)
+def _wheel(view: QWidget, at: QPoint, by: int) -> QWheelEvent:
+    place = QPointF(at)
+    return QWheelEvent(
+        place, view.mapToGlobal(place), QPoint(0, 0), QPoint(0, by), Qt.MouseButton.NoButton,
+        Qt.KeyboardModifier.NoModifier, Qt.ScrollPhase.NoScrollPhase, False,
+    )  # fmt: skip
 
 
 def _bad_files(folder: Path) -> list[Path]:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import os
 import random
-from pathlib import Path
 
-from PyQt6.QtCore import QCoreApplication, QPoint, QPointF, Qt
+from PyQt6.QtCore import QPoint, QPointF, Qt
 from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QComboBox, QMenu
 
 from app.frame.actions import EDIT, FILE, HELP, PLAY, VERSUS, VIEW
 from app.frame.tour import wait_until_shown
+from pipeline.cli.terminal import print_line
 from tests.app.frame.monkey import Monkey
 from widgets.palette import Palette
 
@@ -82,13 +82,20 @@ def test_tips_of_parameters_say_their_unit_and_range(bubble_window):
     assert any("0.1 to 3 mm" in tip for tip in tips)
 
 
-def test_a_monkey_breaks_nothing(bubble_window, tmp_path, touch_file, ball_file):
+def test_a_monkey_breaks_nothing(open_window, tmp_path, touch_file, ball_file):
     """Short here; `make monkey` lets it run for an hour."""
+    window = open_window(touch_file, gl=True, target="gelslim", frame=2)
+    assert wait_until_shown(window, LIMIT_S), window.window.banner.text
     seed = int(os.environ.get("MONKEY_SEED", "1"))
     minutes = float(os.environ.get("MONKEY_MINUTES", "0.15"))
-    monkey = Monkey(bubble_window, random.Random(seed), folder=tmp_path, good=(touch_file, ball_file))
+    monkey = Monkey(window, random.Random(seed), folder=tmp_path, good=(touch_file, ball_file))
     monkey.play(minutes * 60.0)
+    watched = monkey.watched
+    print_line(f"seed {seed}, {monkey.n_acts} acts, {watched.panes_looked_at} panes looked at, {watched.solids_drawn} "
+          f"3D pictures, memory growth {watched.growth_mb():+.0f} MB")  # fmt: skip
+    for seconds, process, kept in watched.memory_mb[:: max(1, len(watched.memory_mb) // 20)]:
+        print_line(f"{seconds / 60:6.1f} min {process:6.0f} MB, {kept:5.0f} MB of it kept on purpose")
     assert monkey.complaints == []
     assert monkey.n_acts > 10
-    QCoreApplication.processEvents()
-    assert Path(tmp_path).exists()
+    assert watched.solids_drawn > 0
+    assert watched.growth_mb() < 50.0
