@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Mapping, Sequence
 
 from PyQt6.QtCore import QSignalBlocker, Qt, QTimer, pyqtSignal
@@ -14,7 +15,8 @@ from widgets.looks import command_button, smaller
 
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0)
 FRAMES_PER_SECOND = 10.0  # at speed 1, when the recording keeps no times
-_TICK_MS = 30
+_TICK_MS = 10
+_MOST_DUE = 4.0  # frames: who has waited longer goes on from there instead of catching up
 
 
 class Timeline(QWidget):
@@ -27,9 +29,10 @@ class Timeline(QWidget):
         super().__init__(parent)
         self._n_frames, self._ready = 0, True
         self.frame = 0  # the chosen one
-        self._due = 0.0  # share of the next frame that playing has waited for
+        self._due = self._ticked_s = 0.0  # share of the next frame that playing has waited for, and until when
         self._clock = QTimer(self)
         self._clock.setInterval(_TICK_MS)
+        self._clock.setTimerType(Qt.TimerType.PreciseTimer)
         self._clock.timeout.connect(self._tick)
         self.slider = QSlider(Qt.Orientation.Horizontal)
         self.slider.setObjectName("frame_slider")
@@ -127,7 +130,7 @@ class Timeline(QWidget):
         if on:
             if self.frame >= self._n_frames - 1:
                 self.step_to(0)
-            self._due = 0.0
+            self._due, self._ticked_s = 0.0, time.monotonic()
             self._clock.start()
         else:
             self._clock.stop()
@@ -156,7 +159,9 @@ class Timeline(QWidget):
         self.frame_chosen.emit(frame)
 
     def _tick(self) -> None:
-        self._due = min(self._due + _TICK_MS * 1e-3 * FRAMES_PER_SECOND * float(self.speed.currentData()), 4.0)
+        now_s = time.monotonic()  # ticks come late where there is work: the clock tells what is due, not their number
+        waited_s, self._ticked_s = now_s - self._ticked_s, now_s
+        self._due = min(self._due + waited_s * FRAMES_PER_SECOND * float(self.speed.currentData()), _MOST_DUE)
         if self._due < 1.0 or not self._ready:
             return
         by = int(self._due)

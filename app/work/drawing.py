@@ -12,7 +12,7 @@ from app.session.state import Session
 from app.work.comparison import Comparison
 from app.work.versus import Beside, beside_felt
 from app.work.versus import beside as beside_truth
-from pipeline.base.memo import Memo
+from pipeline.base.memo import Memo, size_bytes
 from pipeline.engine.graph import StageResult
 from pipeline.pictures.layers import Layer, reading_layer
 from pipeline.pictures.picture import Picture, beside, fitted, of_reading
@@ -24,7 +24,7 @@ from pipeline.values.results import DepthMap
 from widgets.frames_model import FrameSummary
 
 _DRAWN_BYTES = 160 * 1024 * 1024  # two dozen frames of the usual size, seven pictures each
-_READ_BYTES = 64 * 1024 * 1024
+_READ_BYTES = _BESIDE_BYTES = 64 * 1024 * 1024
 _MOST_JUDGED = 512
 
 
@@ -64,8 +64,10 @@ class Drawing:
 
     def __init__(self, most_bytes: int = _DRAWN_BYTES) -> None:
         self._drawn: Memo[object, SlotShown] = Memo(most_bytes=most_bytes)
-        # Beside a truth or what was felt only the last of each slot: those are of one frame.
-        self._beside: dict[str, tuple[object, object, object, SlotShown]] = {}
+        # Beside a truth or what was felt: with those, since equal keys may stand beside others.
+        self._beside: Memo[object, tuple[object, object, SlotShown]] = Memo(
+            most_bytes=min(most_bytes, _BESIDE_BYTES), weigh=lambda kept: _weight(kept[2])
+        )
         self._read: Memo[int, Read] = Memo(most_bytes=min(most_bytes, _READ_BYTES))
         self._judged: Memo[object, dict[str, float]] = Memo(_MOST_JUDGED)
 
@@ -104,17 +106,15 @@ class Drawing:
         also = tuple(results[name].digest for name in slot.looks_at if name in results)
         n_kept = len(getattr(result.output, "steps", ()))  # which the digest does not count
         key = (result.name, result.digest, n_kept, session.display, also)
-        if truths is None and other is None:
-            shown = self._drawn.get(key) or _drawn(slot, result, results, translation, session)
-            self._drawn.put(key, shown)
-            return replace(shown, result=result)
-        last = self._beside.get(result.name)
-        if last is not None and last[0] == key and last[1] is other and last[2] is truths:
-            return replace(last[3], result=result)
-        shown = _drawn(slot, result, results, translation, session)
-        shown = _with_others(slot, shown, results, translation, session, other, truths)
-        self._beside[result.name] = (key, other, truths, shown)
-        return shown
+        beside = None if truths is None and other is None else self._beside.get(key)
+        if beside is not None and beside[0] is other and beside[1] is truths:
+            return replace(beside[2], result=result)
+        shown = self._drawn.get(key) or _drawn(slot, result, results, translation, session)
+        self._drawn.put(key, shown)
+        if truths is not None or other is not None:
+            shown = _with_others(slot, shown, results, translation, session, other, truths)
+            self._beside.put(key, (other, truths, shown))
+        return replace(shown, result=result)
 
 
 def _drawn(
@@ -125,6 +125,11 @@ def _drawn(
     layers = slot.layers(result.output, seen, picture)
     states = tuple(slot.picture(state, seen) for state in slot.states(result.output))
     return SlotShown(result=result, picture=picture, layers=layers, states=states)
+
+
+def _weight(shown: SlotShown) -> int:
+    """Its result is the graph's to weigh."""
+    return size_bytes((shown.picture, shown.layers, shown.beside))
 
 
 def _with_others(

@@ -13,6 +13,7 @@ from app.work.comparison import Comparison, comparison_of
 from app.work.drawing import Drawing, SourceShown, summary_of
 from app.work.jobs import Report
 from pipeline.base.errors import FileProblem, SettingProblem, TouchError
+from pipeline.base.memo import Memo, size_bytes
 from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph, StageResult
 from pipeline.recordings import open_recording
@@ -29,6 +30,7 @@ from widgets.frames_model import FrameSummary
 
 log = logging.getLogger("tactoscope")
 _ASIDE_BYTES = 32 * 1024 * 1024  # a frame or two: they must not push out what people go back to
+_BESIDE_BYTES = 32 * 1024 * 1024
 _OUTLINED = "view"  # the slot that is compared with what the target really felt
 
 
@@ -73,8 +75,9 @@ class Evaluator:
         self._drawn_bytes = () if like is None else (_ASIDE_BYTES,)  # pictures that are gone back to
         self._drawing = Drawing(*self._drawn_bytes)  # of what is open
         self._begins_at = 0  # of what is open
-        self._last: tuple[tuple[int, DepthParams], Comparison] | None = None  # compared, of what is open
-        self._truths: tuple[int, Mapping[str, object]] | None = None  # of one frame of what is open
+        # Of what is open, so that who plays or goes back has them at once.
+        self._comparisons: Memo[tuple[int, DepthParams], Comparison] = Memo(most_bytes=_BESIDE_BYTES)
+        self._truths: Memo[int, Mapping[str, object]] = Memo(most_bytes=_BESIDE_BYTES, weigh=_weight)
 
     def show(
         self,
@@ -141,8 +144,9 @@ class Evaluator:
         """
         opened = self._opened(session, report)
         index = self._index(session, opened)
-        if self._last is not None and self._last[0] == (index, depth_params(session)):
-            return opened, self._last[1]
+        known = self._comparisons.get((index, depth_params(session)))
+        if known is not None:
+            return opened, known
         if "depth" not in opened.slots:
             raise SettingProblem(f"the route {opened.request.route!r} has no depth to align; choose another route")
         self._graph = opened.graph(like=self._graph)
@@ -177,15 +181,30 @@ class Evaluator:
     def _compared(self, translation: Translation, index: int, depth: object, session: Session) -> Comparison:
         assert isinstance(depth, DepthMap)
         key = (index, depth_params(session))
-        if self._last is None or self._last[0] != key:
-            self._last = (key, comparison_of(translation, *key, depth))
-        return self._last[1]
+        known = self._comparisons.get(key)
+        if known is None:
+            known = comparison_of(translation, *key, depth)
+            self._forget_what_grows(translation)
+            self._comparisons.put(key, known)
+        return known
 
     def _truths_of(self, translation: Translation, index: int) -> Mapping[str, object]:
-        """Kept for the frame at hand, so that what was drawn beside it is known again."""
-        if self._truths is None or self._truths[0] != index:
-            self._truths = (index, translation.truths(index))
-        return self._truths[1]
+        """Kept, so that what was drawn beside it is known again."""
+        known = self._truths.get(index)
+        if known is None:
+            known = translation.truths(index)
+            self._forget_what_grows(translation)
+            self._truths.put(index, known)
+        return known
+
+    def _forget_what_grows(self, translation: Translation) -> None:
+        """Only the last frame's is kept of a recording that may be set to zero anew, or forget its oldest."""
+        if translation.recording.now is not None:
+            self._forget_beside()
+
+    def _forget_beside(self) -> None:
+        self._comparisons.clear()
+        self._truths.clear()
 
     def close(self) -> None:
         """Let go of the recording's file."""
@@ -209,7 +228,7 @@ class Evaluator:
             self._translation.close()
         self._translation = translation
         self._drawing = Drawing(*self._drawn_bytes)
-        self._last = self._truths = None
+        self._forget_beside()
         self._request = request_of(replace(session, target=translation.target.name))
         self._begins_at = touched_frame(translation.stream) if session.frame < 0 else session.frame
         if session.frame < 0:
@@ -218,6 +237,10 @@ class Evaluator:
             log.info("%s", note)
         report.hand_over(translation)
         return translation
+
+
+def _weight(values: Mapping[str, object]) -> int:
+    return sum(size_bytes(value) for value in values.values())
 
 
 def request_of(session: Session) -> Request:

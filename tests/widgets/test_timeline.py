@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from widgets.timeline import SPEEDS, Timeline
+from widgets.timeline import FRAMES_PER_SECOND, SPEEDS, Timeline
 
 
 @pytest.fixture
@@ -57,6 +57,22 @@ def test_playing_waits_for_a_frame_that_is_not_shown_yet(line, qtbot):
     assert seen == []
     line.show_ready(ready=True)
     qtbot.waitUntil(lambda: bool(seen), timeout=2000)
+
+
+@pytest.mark.parametrize("late_s", [0.01, 0.034, 0.07])
+def test_late_ticks_do_not_slow_playing_down(line, monkeypatch, late_s):
+    """Frames are due by the clock: ticks come late where the window has work to do."""
+    now = [100.0]
+    monkeypatch.setattr("widgets.timeline.time.monotonic", lambda: now[0])
+    line.show_frames(1000)
+    seen: list[int] = []
+    line.frame_chosen.connect(seen.append)
+    line.play(on=True)
+    while now[0] < 130.0:
+        now[0] += late_s
+        line._tick()
+    assert abs(len(seen) - 30 * FRAMES_PER_SECOND) <= 2
+    assert seen == list(range(1, len(seen) + 1))
 
 
 def test_a_loop_begins_again(line, qtbot):

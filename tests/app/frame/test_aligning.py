@@ -250,6 +250,25 @@ def test_nothing_is_judged_while_the_dock_is_hidden(open_window, qtbot):
     assert instrument.window.columns["view"].view.picture.felt_px is None
 
 
+def test_who_goes_back_has_what_was_felt_at_once(aligned, settled, monkeypatch):
+    """Playing with the dock open asks for the outline of what was felt on every frame."""
+    from app.work import evaluator
+
+    asked: list[int] = []
+
+    def counted(translation, index, *rest):
+        asked.append(index)
+        return comparison_of(translation, index, *rest)
+
+    comparison_of = evaluator.comparison_of
+    monkeypatch.setattr(evaluator, "comparison_of", counted)
+    for frame in (TOUCHED + 1, TOUCHED, TOUCHED + 1, TOUCHED):
+        aligned.choose_frame(frame)
+        settled(aligned)
+    assert aligned.screen.shown("view").picture.felt_px is not None
+    assert asked == [TOUCHED + 1]
+
+
 def test_offsets_go_with_the_sensors_they_were_made_for(aligned, settled):
     aligned.window.alignment.rows["x"].box.setValue(0.5)
     settled(aligned)
