@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from PyQt6.QtCore import QObject
+from PyQt6.QtCore import QObject, QPointF
 
 from pipeline.base.arrays import Doubles
 from pipeline.pictures.layers import Layer, Sight
@@ -33,6 +33,11 @@ class Scene(QObject):
 
     def mark(self, column: int, place_mm: Place | None) -> None:
         """Put the traced pixel's dot into a view, or take it away."""
+
+    def nearest(self, column: int, at: QPointF, points_mm: Doubles) -> int:
+        """Which of the points (n, 3) is seen at a place of a view, the foremost of those near; -1 for none."""
+        del column, at, points_mm
+        return -1
 
     def settle(self) -> None:
         """Draw now what was going to be drawn soon."""

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from PyQt6.QtCore import QPointF, Qt
 from PyQt6.QtGui import QImage
 from vtkmodules.vtkInteractionStyle import vtkInteractorStyleTrackballCamera
@@ -25,6 +26,7 @@ from widgets.sub_views import SubViews
 
 _TOGETHER_MS = 10  # what changes together within this is drawn once
 _KEPT_BYTES = 96 * 1024 * 1024
+_NEAR_PX, _ONE_SURFACE = 6.0, 0.02  # of a place in a view; share of the distance that a surface is thick
 _ONE_TURN = 120  # eighths of a degree, as Qt counts what a wheel goes on by
 _BUTTONS = {
     Qt.MouseButton.LeftButton: "LeftButton",  # turns
@@ -91,6 +93,16 @@ class LiveScene(Scene):
         else:
             self._marks[column] = place_mm
         self._show_dot(column)
+
+    def nearest(self, column: int, at: QPointF, points_mm: Doubles) -> int:
+        """The foremost of the points (n, 3) that are drawn within a few pixels of a place; -1 for none."""
+        view = self.views[column]
+        shares, depth = self._stage.all_seen_at(column, points_mm, view.width() / max(1, view.height()))
+        off_px = np.hypot(shares[:, 0] * view.width() - at.x(), shares[:, 1] * view.height() - at.y())
+        near = np.flatnonzero(off_px < _NEAR_PX)
+        # Of what lies behind one another the foremost is seen; of neighbours on one surface the nearest is meant.
+        front = near[depth[near] <= depth[near].min() + _ONE_SURFACE] if near.size else near
+        return int(front[np.argmin(off_px[front])]) if front.size else -1
 
     def settle(self) -> None:
         """Draw now what was going to be drawn soon."""

@@ -13,12 +13,15 @@ from widgets.colours import TRACE, backdrop, qcolor
 
 _DOT_PX = 5.0
 _MARGIN_PX = 12
+_A_CLICK_PX = 4.0  # a release nearer to its press than this turned nothing
 
 
 class SolidView(QWidget):
     """Shows what it is given; `wanted` says that a picture of the present size is needed."""
 
     wanted = pyqtSignal()
+    hovered = pyqtSignal(QPointF)  # the mouse is here, no button down
+    pointed = pyqtSignal(QPointF)  # a click, not the end of a turn
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -27,6 +30,8 @@ class SolidView(QWidget):
         self.image: QImage | None = None
         self.notice = ""  # in place of a picture
         self.dot: QPointF | None = None  # shares of width and height
+        self._pressed: QPointF | None = None
+        self.setMouseTracking(True)
         self.mouse: Callable[[Any, str], None] | None = None  # (event, press, release, move or wheel)
 
     @property
@@ -91,15 +96,22 @@ class SolidView(QWidget):
 
     def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
         """Take hold of the view."""
+        self._pressed = a0.position() if a0.button() == Qt.MouseButton.LeftButton else None
         self._pass_on(a0, "press")
 
     def mouseReleaseEvent(self, a0: Any) -> None:  # noqa: N802
-        """Let go of it."""
+        """Let go of it; where it was not turned meanwhile, that was a click."""
         self._pass_on(a0, "release")
+        if self._pressed is not None and (a0.position() - self._pressed).manhattanLength() < _A_CLICK_PX:
+            self.pointed.emit(a0.position())
+        self._pressed = None
 
     def mouseMoveEvent(self, a0: Any) -> None:  # noqa: N802
-        """Turn, shift or near it; Qt tells of motion only while a button is down."""
-        self._pass_on(a0, "move")
+        """Turn, shift or near it while a button is down; else say where the mouse is."""
+        if a0.buttons() == Qt.MouseButton.NoButton:
+            self.hovered.emit(a0.position())
+        else:
+            self._pass_on(a0, "move")
 
     def wheelEvent(self, a0: Any) -> None:  # noqa: N802
         """Go nearer or farther."""

@@ -109,6 +109,16 @@ class SubViews:
             return None
         return 0.5 + 0.5 * float(x / w), 0.5 - 0.5 * float(y / w)
 
+    def all_seen_at(self, column: int, points_mm: Doubles, aspect: float) -> tuple[Doubles, Doubles]:
+        """Where points (n, 3) are in a view, in shares (n, 2), and how far away (n,) in shares of the nearest one's."""
+        camera = self.renderers[column].GetActiveCamera()
+        camera.SetUseHorizontalViewAngle(aspect < 1.0)
+        matrix = pv.array_from_vtkmatrix(camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0))
+        seen = points_mm @ matrix[:, :3].T + matrix[:, 3]
+        w = np.where(seen[:, 3] > 0, seen[:, 3], np.nan)
+        shares = np.stack([0.5 + 0.5 * seen[:, 0] / w, 0.5 - 0.5 * seen[:, 1] / w], axis=-1)
+        return np.nan_to_num(shares, nan=-9.0), np.nan_to_num(w / np.nanmin(w), nan=np.inf)
+
     def look(self, sights: Mapping[int, Sight], linked: bool) -> None:
         """Cameras seen from the sensor's side, so that what is pushed in bulges toward the viewer."""
         shared: dict[str, Any] = {}

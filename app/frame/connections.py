@@ -22,6 +22,7 @@ from app.frame.keeping import Keeping
 from app.frame.layouts import Layouts
 from app.frame.living import Living
 from app.frame.looking import Looking
+from app.frame.pointing import Pointing
 from app.frame.sweeping import Sweeping
 from app.frame.themes import Themes
 from app.frame.triage import Triage
@@ -76,6 +77,7 @@ def connect(instrument: Instrument, theme: Theme = "light") -> Keeping:
     window.route.activated.connect(lambda: change("choose route", route=window.route.currentData()))
     Blaming(instrument)
     BasinsTab(instrument)
+    Pointing(instrument)
     Triage(instrument)
     Sweeping(instrument)
     comparing = Comparing(instrument)

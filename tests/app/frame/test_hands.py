@@ -95,6 +95,8 @@ def test_a_monkey_breaks_nothing(open_window, tmp_path, touch_file, ball_file):
           f"3D pictures, memory growth {watched.growth_mb():+.0f} MB")  # fmt: skip
     for seconds, process, kept in watched.memory_mb[:: max(1, len(watched.memory_mb) // 20)]:
         print_line(f"{seconds / 60:6.1f} min {process:6.0f} MB, {kept:5.0f} MB of it kept on purpose")
+    for complaint in monkey.complaints:
+        print_line(complaint)
     assert monkey.complaints == []
     assert monkey.n_acts > 10
     assert watched.solids_drawn > 0

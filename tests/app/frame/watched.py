@@ -24,6 +24,7 @@ from widgets.canvas import Canvas
 from widgets.solid_view import SolidView
 
 REST_S = 180.0  # seeds, sweeps and a scan of all frames may go on; on a busy machine they take their time
+SETTLED_S = 20.0
 _FILLED = ("computed", "cached", "unchanged", "read", "doubtful")
 
 
@@ -64,11 +65,35 @@ class Watched:
             time.sleep(0.005)
         for job in self._busy():
             self._complain(f"the background of {type(job.parent()).__name__} does not come to rest")
-        self._instrument.screen.scene.settle()
-        QCoreApplication.processEvents()
+        self._settle()
         self._take_memory()
         if self._instrument.session.recording is not None and self._instrument.idle:
             self._look_at_panes()
+
+    def _settle(self) -> None:
+        """Let what was typed take effect, and what is seen be drawn; a column that still waits for work is stuck."""
+        end_s = time.monotonic() + SETTLED_S
+        while time.monotonic() < end_s:
+            QCoreApplication.processEvents()
+            time.sleep(0.005)
+            stuck = self._stuck()
+            if self._instrument.idle and not stuck and not self._window.alignment.dragging:
+                break
+        else:
+            kept = {
+                name: getattr(self._instrument, f"_{name}") for name in ("ticket", "opening", "background", "waits")
+            }
+            self._complain(f"{self._stuck()} wait for nothing: {kept}, newest {self._instrument.job.newest}")
+        self._instrument.screen.scene.settle()
+        QCoreApplication.processEvents()
+
+    def _stuck(self) -> list[str]:
+        if self._instrument.session.recording is None:
+            return []
+        columns = self._window.columns
+        return [
+            name for name in self._window.visible_columns() if columns[name].state in ("stale", "running", "preview")
+        ]
 
     def _busy(self) -> list[LatestJob]:
         """Jobs beside the one of the stages, which goes on with frames that nobody looks at."""
@@ -80,8 +105,6 @@ class Watched:
         window = self._window
         for name in window.visible_columns():
             column, view = window.columns[name], window.columns[name].view
-            if column.state not in (*_FILLED, "skipped", "failed", "waiting"):
-                self._complain(f"{name} is still {column.state}")
             self.panes_looked_at += 1
             if column.state in _FILLED and view.isVisible() and not _in_view(view.canvas):
                 continue  # moved out of the pane by hand
