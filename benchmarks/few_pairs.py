@@ -54,11 +54,10 @@ _STRONG_GREY, _DEEP_MM = 60.0, 6.0  # what the strongest of a tile stands for: t
 _LOW, _HIGH, _TOUCHED = 2.0, 99.5, 0.35
 
 
-def laid(folder: Path, name: str, spec, imprint: np.ndarray, found: PairsFit) -> Drawn:
+def laid(picture: np.ndarray, way: int, spec, imprint: np.ndarray, found: PairsFit) -> Drawn:
     """A pair of tiles as simulated ones are drawn: half a turn from each other, pixels of the bubble's own size."""
     gel, bubble = spec, sensor("soft_bubble")
-    picture = pictures.rgb(folder / f"{name}_gelslim.png")
-    tile = turned(picture, ridges(picture, gel).way).astype(np.float32)
+    tile = turned(picture, way).astype(np.float32)
     change = tile - np.median(tile.reshape(-1, 3), axis=0)
     change *= _STRONG_GREY / max(float(np.percentile(np.abs(change), _HIGH)), 1.0)
     eye = Camera(
@@ -108,15 +107,17 @@ def tiles(folder: Path, begin: Path, draws=DRAWS) -> tuple[list, list[str]]:
     told = {r["base"]: r for r in csv.DictReader((folder / "index.csv").open())}
     found = tile_pairs(folder, spec, "*_gelslim.png", "*_bubble_gt.png").pairs
     training = [k for k, p in enumerate(found) if told[p.name]["split"] == "Training"]
+    seen = [pictures.rgb(folder / f"{p.name}_gelslim.png") for p in found]
+    ways_laid = [ridges(picture, spec).way for picture in seen]
     rows, notes = [], []
     for pairs, bar in BARS.items():
-        ways = {name: [] for name in ("ours", "physics", "before", "both")}
+        ways = {name: [] for name in ("ours", "physics", "before")}
         plain, seconds, held = [], [], []
         for seed in draws:
             used = sorted(np.random.default_rng(seed).choice(training, pairs, replace=False).tolist())
             rest = [k for k in range(len(found)) if k not in used]
             answer = fit([found[k] for k in used])
-            drawn = {k: laid(folder, found[k].name, spec, found[k].imprint, answer) for k in (*used, *rest)}
+            drawn = {k: laid(seen[k], ways_laid[k], spec, found[k].imprint, answer) for k in (*used, *rest)}
             with tempfile.TemporaryDirectory() as kept:
                 for number, k in enumerate((*used, *rest)):
                     draw(Path(kept), number, drawn[k])

@@ -58,9 +58,9 @@ def measured(method: str, source: str, target: str, split: str, folder: str = ""
     held_out = HeldOut(grasps=GRASPS[split], folder=Path(folder) if folder else None)
     for presses in recordings(split, held_out):
         request = Request(recording=presses.source, source=source, target=target, methods=(("touch", method),))
-        with closing(open_translation(request)) as one, closing(open_recording(presses.target)) as other:
-            both = replace(one.recording, streams=(one.recording.stream(source), other.stream(target)))
-            one = replace(one, recording=both)
+        with closing(open_translation(request)) as opened, closing(open_recording(presses.target)) as other:
+            both = replace(opened.recording, streams=(opened.recording.stream(source), other.stream(target)))
+            one = replace(opened, recording=both)
             for index in range(one.n_frames):
                 _touch(found, one, index)
     return found

@@ -26,12 +26,12 @@ class Alignment:
         return self.target_from_alignment @ self.alignment_from_source
 
 
-def between(source: SensorSpec, target: SensorSpec) -> Alignment:
-    """The alignment that the two sensor descriptions state."""
-    return Alignment(
-        alignment_from_source=source.alignment_from_sensor,
-        target_from_alignment=freeze(rigid.invert(target.alignment_from_sensor)),
-    )
+def between(source: SensorSpec, target: SensorSpec, recorded: Doubles | None = None) -> Alignment:
+    """The alignment that the two sensor descriptions state, or that of a recording which knows T_S->T (4, 4), mm."""
+    inward, onward = source.alignment_from_sensor, rigid.invert(target.alignment_from_sensor)
+    if recorded is not None:
+        onward = rigid.checked(recorded, "target_from_source of the recording") @ rigid.invert(inward)
+    return Alignment(alignment_from_source=inward, target_from_alignment=freeze(onward))
 
 
 def corrected(alignment: Alignment, motion: Doubles, into: Side = "target_from_alignment") -> Alignment:

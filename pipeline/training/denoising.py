@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     from pipeline.training.task import Example
 
-_AT_MOST = 0.5  # share of examples under the strongest noise, of which a network is shown nothing
-_USUAL = 0.0, 1.5  # of the logarithm of all other noise, in units: mean and deviation
+_AT_MOST = 0.4  # share of examples under the strongest noise, of which a network is shown nothing
+_USUAL = 0.5, 1.5  # of the logarithm of all other noise, in units: mean and deviation
 _DROPPED = 0.1  # share without a condition
 _HUBER = 0.25  # units
 _FEW = 6  # steps of the sample among the figures
@@ -63,7 +63,7 @@ def loss(network: nn.Module, batch: Mapping[str, Tensor], near: float) -> tuple[
 def figures(network: nn.Module, held_out: Sequence[Example], unit_mm: float) -> dict[str, float]:
     """Errors in mm in the target's contact and over all, and overlap of contact, of four answers.
 
-    One step, a sample, one step that is held back where it is unsure, and the physics that all begin with. Another
+    One step, a sample, one step that is held back where it is unsure, and what all of them are added to. Another
     sample lies as far from the first as the truth does, if both are what the condition allows.
     """
     import torch
@@ -96,7 +96,7 @@ def figures(network: nn.Module, held_out: Sequence[Example], unit_mm: float) -> 
             rows[-1] += [float(off[touched].mean()) if right.any() else 0.0, float(off.mean()), overlap]
         apart = unit_mm * np.abs(drawn[0] - other[0])
         rows[-1] += [float(apart[touched].mean()) if right.any() else 0.0, float(apart.mean())]
-    names = [f"{who}{what}" for who in ("", "sample ", "held back ", "physics ")
+    names = [f"{who}{what}" for who in ("", "sample ", "held back ", "none of it ")
              for what in ("in contact, mm", "over all, mm", "contact, IoU")]  # fmt: skip
     names += ["two samples apart in contact, mm", "two samples apart over all, mm"]
     return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))

@@ -1,7 +1,8 @@
 """A few pairs that were really recorded, drawn beforehand: what weights of simulated pairs are taught on with.
 
-A folder holds them by number (`draw`), each on the target's own grid: the first ones are learned from, all others are
-held out. Of so few, every one is moved, turned and brightened a little each time that it is shown.
+A recording of both sensors holds them, or a folder by number (`draw`), each on the target's own grid: the first ones
+are learned from, all others are held out. Of so few, every one is moved, turned and brightened a little each time that
+it is shown.
 """
 
 from __future__ import annotations
@@ -50,17 +51,18 @@ class KeptPairs:
         choices=Literal["soft_bubble", "gelslim"],
         help="the other one of the two is the source",
     )
+    recording: str = setting("", "Recording", help="of both sensors; in place of a folder")
     folder: str = setting("", "Folder", help="of drawn pairs, by number")
     pairs: int = setting(10, "Pairs", low=1, high=1_000_000, help="the first ones, that are learned from")
     near: float = setting(1.0, "Weight of the contact", low=0.0, high=100.0)
 
     def sample(self, rng: np.random.Generator) -> Example:
         """One of the pairs, moved a little."""
-        return self._example(moved(drawn(self.folder)[int(rng.integers(self._learned))], rng))
+        return self._example(moved(self._known()[int(rng.integers(self._learned))], rng))
 
     def held_out(self, split: Split, index: int) -> Example:  # noqa: ARG002 - recorded pairs are of one kind
         """One of the others; where there are none, one that was learned from."""
-        known = drawn(self.folder)
+        known = self._known()
         rest = known[self._learned :] or known
         return self._example(rest[index % len(rest)])
 
@@ -78,7 +80,15 @@ class KeptPairs:
 
     @property
     def _learned(self) -> int:
-        return min(self.pairs, len(drawn(self.folder)))
+        return min(self.pairs, len(self._known()))
+
+    def _known(self) -> tuple[Drawn, ...]:
+        if not self.recording:
+            return drawn(self.folder)
+        from pipeline.training.recorded_pairs import recorded_pairs
+
+        source = "gelslim" if self._kind == "bubble" else "soft_bubble"
+        return recorded_pairs(self.recording, source, self.target)
 
     def _example(self, one: Drawn) -> Example:
         return example(one.shown, one.touch_mm, one.contact, np.zeros(one.contact.shape, np.bool_), self._kind)

@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.base.arrays import freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.calibration.lookup import Calibration
 from pipeline.calibration.lookup import load as load_calibration
 from pipeline.engine.graph import Graph, Method, StageResult
-from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh, load_mesh
 from pipeline.recordings import open_recording
 from pipeline.recordings.depth_arrays import DepthUnit
@@ -229,13 +227,9 @@ def _alignment(
     """The file's; else what the recording knows of how its two streams stand; else what the descriptions say."""
     if request.alignment is not None:
         return load_alignment(request.alignment, source=source.name, target=target.name).alignment
-    described = alignments.between(source, target)
     other = recording.stream_of_sensor(target.name)
     known = None if other is None else recording.target_from_source(stream.name, other.name)
-    if known is None:
-        return described
-    onward = rigid.checked(known, "target_from_source of the recording") @ rigid.invert(described.alignment_from_source)
-    return Alignment(alignment_from_source=described.alignment_from_source, target_from_alignment=freeze(onward))
+    return alignments.between(source, target, known)
 
 
 def own_shift_mm(frame: TactileFrame, spec: SensorSpec) -> float:

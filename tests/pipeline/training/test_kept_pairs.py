@@ -1,13 +1,20 @@
 """A few real pairs: kept by number, the first ones learned from, moved a little each time."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from pipeline.base.errors import FileProblem
+from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.recordings import open_recording
+from pipeline.sensors.spec import sensor
+from pipeline.stages.generate.corrected import on_grid
+from pipeline.stages.generate.residual_input import working
 from pipeline.training.kept_pairs import Drawn, KeptPairs, draw, drawn, moved
 from pipeline.training.loop import Run, train
 from pipeline.training.recipe import load
 
+SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
 ROWS, COLS = 20, 28
 
 
@@ -70,3 +77,23 @@ def test_its_recipe_trains_a_network_that_touch_to_touch_takes(folder, tmp_path)
     names = {row["name"] for row in found.figures}
     assert {"in contact, mm", "two samples apart in contact, mm"} <= names
     assert load("t2t_few_pairs", "t2t").network["inputs"] == 13
+
+
+@pytest.mark.parametrize(("target", "channels"), [("soft_bubble", 13), ("gelslim", 3)])
+def test_a_recording_of_both_sensors_gives_its_own_pairs(target, channels):
+    task = KeptPairs(target=target, recording=str(SAMPLE), pairs=1)
+    example = task.held_out("unseen_tools", 0)
+    recording = open_recording(SAMPLE)
+    truths = [recording.stream_of_sensor(target).truth(k) for k in range(recording.streams[0].n_frames)]
+    recording.close()
+    shape = working(sensor(target)).camera.shape
+    assert example["condition"].shape == (channels, *shape)
+    touch = example["residual"][0] * (3.0 if target == "soft_bubble" else 0.2)
+    near = [float(np.abs(touch - on_grid(t.indentation_mm, shape)).max()) for t in truths]
+    assert min(near) < 1e-4
+    assert example["contact"][0].any()
+
+
+def test_a_recording_without_the_other_sensor_is_refused():
+    with pytest.raises(SettingProblem, match="no pairs of"):
+        KeptPairs(recording=str(SAMPLE.with_name("digit_gelslim.h5"))).held_out("unseen_tools", 0)

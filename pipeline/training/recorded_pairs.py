@@ -1,0 +1,70 @@
+"""A user's own recording of both sensors as pairs to learn touch to touch from.
+
+The source's frame is drawn as it will be in use; of the target counts the recording's truth, or what its own reading
+says where it has none.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.recordings import open_recording
+from pipeline.sensors import alignment as alignments
+from pipeline.sensors.alignment import Alignment
+from pipeline.sensors.spec import SensorSpec, sensor
+from pipeline.stages.depth import stage as depth
+from pipeline.stages.generate import picture_to_touch
+from pipeline.stages.generate.corrected import on_grid
+from pipeline.stages.generate.residual_input import working
+from pipeline.training.kept_pairs import Drawn
+from pipeline.values.frames import Stream
+
+_HALF = 0.5
+
+
+@lru_cache(maxsize=4)
+def recorded_pairs(path: str, source_name: str, target_name: str) -> tuple[Drawn, ...]:
+    """Every moment of a recording at which both sensors were touched, in its order.
+
+    Raises FileProblem where there is none, SettingProblem where one of the two took no part.
+    """
+    recording, source, target = open_recording(Path(path)), sensor(source_name), sensor(target_name)
+    try:
+        streams = [recording.stream_of_sensor(name) for name in (source_name, target_name)]
+        if streams[0] is None or streams[1] is None:
+            raise SettingProblem(f"{path!r} holds no pairs of {source.title} and {target.title}")
+        one, other = streams
+        stand = alignments.between(source, target, recording.target_from_source(one.name, other.name))
+        made = [_pair(one, other, index, source, target, stand) for index in range(min(one.n_frames, other.n_frames))]
+    finally:
+        recording.close()
+    found = tuple(pair for pair in made if pair is not None)
+    if not found:
+        raise FileProblem("both sensors are touched at no moment of this recording", path)
+    return found
+
+
+def _pair(
+    one: Stream, other: Stream, index: int, source: SensorSpec, target: SensorSpec, stand: Alignment
+) -> Drawn | None:
+    frame, own, truth = one.frame(index), other.frame(index), other.truth(index)
+    if depth.untouched(frame, source, None, depth.DepthParams()) is not None:
+        return None
+    if truth is not None and truth.indentation_mm is not None and truth.contact is not None:
+        touch, contact = truth.indentation_mm, truth.contact
+    else:
+        if depth.untouched(own, target, None, depth.DepthParams()) is not None:
+            return None
+        read = depth.depth(own, target, None, depth.DepthParams())
+        touch, contact = np.nan_to_num(read.indentation_mm), read.contact
+    if not contact.any():
+        return None
+    shape = working(target).camera.shape
+    return Drawn(
+        shown=picture_to_touch.condition(frame, source, stand, target), touch_mm=on_grid(touch, shape),
+        contact=on_grid(contact, shape) > _HALF,
+    )  # fmt: skip
