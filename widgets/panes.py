@@ -49,6 +49,7 @@ class Pane(QFrame):
             head.addWidget(button)
         self._both = QSplitter(Qt.Orientation.Vertical)
         self._both.setChildrenCollapsible(False)
+        self._both.setObjectName(f"split_pane_{number}")
         layout = spaced(QVBoxLayout(self), 0)
         layout.addWidget(self._rim)
         layout.addLayout(head)

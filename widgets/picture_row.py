@@ -29,7 +29,8 @@ class PictureRow(QSplitter):
         self._columns: tuple[StageColumn, ...] = ()
         self._cells: tuple[SolidCell, ...] = ()
         self._watched: set[QObject] = set()
-        self._dragged = False
+        self.setObjectName("split_rows")
+        self.dragged = False  # from then on the rows keep their share
         self._above, self.below = QWidget(), QWidget()
         self._upper, self._lower = spaced(QHBoxLayout(self._above), 2), spaced(QHBoxLayout(self.below), 2)
         self.addWidget(self._above)
@@ -60,7 +61,7 @@ class PictureRow(QSplitter):
         """Share the height out by what the pictures need, where nobody chose another share."""
         here = [column for column in self._columns if column.parentWidget() is self._above]
         shown = [column for column in here if column.isVisibleTo(self)]
-        if self._dragged or not shown or self.below.isHidden():
+        if self.dragged or not shown or self.below.isHidden():
             return
         room = self.height() - self.handleWidth()
         wanted = max(column.wanted_height_px() for column in shown)
@@ -84,5 +85,13 @@ class PictureRow(QSplitter):
     def _fit_soon(self) -> None:
         self._soon.start()
 
+    def take_sizes(self, sizes: Sequence[int]) -> None:
+        """Stand as somebody dragged it once; without sizes, follow the pictures again."""
+        self.dragged = len(sizes) == self.count()
+        if self.dragged:
+            self.setSizes(list(sizes))
+        else:
+            self._fit_soon()
+
     def _keep(self) -> None:
-        self._dragged = True
+        self.dragged = True

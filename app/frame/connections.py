@@ -22,6 +22,7 @@ from app.frame.keeping import Keeping
 from app.frame.layouts import Layouts
 from app.frame.living import Living
 from app.frame.looking import Looking
+from app.frame.own_layouts import OwnLayouts
 from app.frame.pointing import Pointing
 from app.frame.sweeping import Sweeping
 from app.frame.themes import Themes
@@ -84,6 +85,7 @@ def connect(instrument: Instrument, theme: Theme = "light") -> Keeping:
     keeping = Keeping(instrument)
     Greeting(instrument, keeping)
     Themes(instrument, keeping, theme)
+    OwnLayouts(instrument, keeping)
     Handing(instrument, keeping)
     Living(instrument, keeping)
     _connect_files(instrument, Aligning(instrument), keeping, comparing)

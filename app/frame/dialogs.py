@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Mapping
 from pathlib import Path
 
-from PyQt6.QtWidgets import QFileDialog, QWidget
+from PyQt6.QtWidgets import QFileDialog, QInputDialog, QWidget
 
 from app.session.state import SUFFIX
 from pipeline.geometry.meshes import UnitProblem
@@ -72,6 +72,12 @@ def to_save_as(parent: QWidget, title: str, suffix: str, folder: str = "") -> Pa
         return None
     path = Path(chosen)
     return path if path.suffix.lower() == suffix else path.with_name(path.name + suffix)
+
+
+def name_of(parent: QWidget, title: str, now: str) -> str:
+    """Ask for a name; "" for none."""
+    name, said = QInputDialog.getText(parent, title, "name", text=now)
+    return name.strip() if said else ""
 
 
 def quoted(path: Path) -> str:

@@ -42,7 +42,8 @@ class Layouts(QObject):
 
     def choose(self, name: LayoutName) -> None:
         """Arrange the window so."""
-        self._instrument.change(f"show {name}", layout=replace(self._instrument.session.layout, name=name))
+        layout = replace(self._instrument.session.layout, name=name, own=None)
+        self._instrument.change(f"show {name}", layout=layout)
         self._window.show_layout(self._instrument.session.layout)  # the command's tick, if it was chosen already
 
     def show_slot(self, slot: str) -> None:

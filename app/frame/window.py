@@ -22,9 +22,10 @@ from PyQt6.QtWidgets import (
 )
 
 from app.frame.actions import ARRANGE, EDIT, FILE, HELP, PLAY, THEME, VERSUS, VIEW, make_actions, stage_commands
+from app.frame.arranged import arrange, arranged
 from app.frame.bars import build_menus, build_tool_bar
 from app.frame.drawers import Drawers
-from app.session.layout import LAYOUTS, Layout
+from app.session.layout import LAYOUTS, Layout, Own
 from widgets.alignment_panel import AlignmentPanel
 from widgets.banner import Banner
 from widgets.basin_map import BasinPanel
@@ -207,9 +208,16 @@ class Window(QMainWindow):
         self.panes.leave_out(names)
         self.show_layout(self.layout_shown)
 
-    def show_layout(self, layout: Layout) -> None:
-        """Arrange the columns."""
+    def arranged(self, name: str) -> Own:
+        """How the window stands, under a name."""
+        return arranged(self, name, self._alone)
+
+    def show_layout(self, layout: Layout, *, anew: bool = False) -> None:
+        """Arrange the columns; a user's own arrangement also what it came with, where it is another or wanted anew."""
+        begins = layout.own is not None and (anew or layout.own != self.layout_shown.own)
         self.layout_shown = layout
+        if begins and layout.own is not None:
+            self._alone = layout.own.alone if layout.own.alone in self.here else ""
         pairs = {name: (column, self.cells[name]) for name, column in self.columns.items()}
         if layout.name == "inspect":
             panes = layout.panes_of(self.here)
@@ -237,6 +245,8 @@ class Window(QMainWindow):
             action.setEnabled(key in self.here)
         for name in LAYOUTS:
             self.actions_by_name[f"layout_{name}"].setChecked(name == layout.name)
+        if begins and layout.own is not None and not arrange(self, layout.own):
+            self.banner.show_problem(f"the drawers of {layout.own.name!r} were kept by another version and stay closed")
 
     @property
     def here(self) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any, Literal, cast, get_args
 
 LayoutName = Literal["stages", "inspect", "align", "sweep", "demo", "compare"]
@@ -14,12 +14,24 @@ _ALIGNED, _DEMONSTRATED = ("view",), ("source", "touch")
 _MOST_PANES = 3
 
 
+@dataclass(frozen=True, slots=True)
+class Own:
+    """What a user's arrangement has besides: whatever can be dragged, as the window tells it."""
+
+    name: str
+    _: KW_ONLY
+    alone: str = ""  # the only slot of *Stages*, "" = all
+    docks: str = ""  # drawers and tool bars, Qt's state in base64
+    splits: Mapping[str, tuple[int, ...]] = field(default_factory=dict)  # handles that were dragged -> sizes in pixels
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layout:
     """Which arrangement, and what stands in the panes of *Inspect*."""
 
     name: LayoutName = "stages"
     panes: tuple[tuple[str, Dims], ...] = (("depth", "both"), ("felt", "both"))  # slot and what is shown of it
+    own: Own | None = None  # the user's arrangement that it began as
 
     def panes_of(self, here: Sequence[str]) -> tuple[tuple[str, Dims], ...]:
         """The panes where only these slots are here: others take the place of those that are not."""
@@ -65,7 +77,12 @@ class Layout:
     @property
     def plain(self) -> dict[str, object]:
         """As a session file keeps it."""
-        return {"name": self.name, "panes": [list(pane) for pane in self.panes]}
+        data: dict[str, object] = {"name": self.name, "panes": [list(pane) for pane in self.panes]}
+        own = self.own
+        if own is not None:
+            splits = {key: list(sizes) for key, sizes in own.splits.items()}
+            data["own"] = {"name": own.name, "alone": own.alone, "docks": own.docks, "splits": splits}
+        return data
 
 
 def from_plain(data: object) -> Layout:
@@ -82,4 +99,25 @@ def from_plain(data: object) -> Layout:
             raise ValueError(f"panes must be pairs of a slot and 2D, 3D or both, got {pair!r}")
     if not 1 <= len(pairs) <= _MOST_PANES:
         raise ValueError(f"there must be one to {_MOST_PANES} panes, got {len(pairs)}")
-    return Layout(name=name, panes=tuple((str(slot), dims) for slot, dims in pairs))
+    return Layout(name=name, panes=tuple((str(slot), dims) for slot, dims in pairs), own=_own(table.get("own")))
+
+
+def _own(data: object) -> Own | None:
+    if data is None:
+        return None
+    table = cast("Mapping[str, Any]", data) if isinstance(data, dict) else {}
+    words = {key: table.get(key, "") for key in ("name", "alone", "docks")}
+    if not words["name"] or not all(isinstance(word, str) for word in words.values()):
+        raise ValueError(f"an arrangement of one's own needs a name, and texts for alone and docks, got {data!r}")
+    splits = table.get("splits", {})
+    if not isinstance(splits, dict):
+        raise ValueError(f"splits must map handles to whole numbers of pixels, got {splits!r}")
+    known = {str(key): _sizes(sizes) for key, sizes in cast("Mapping[Any, Any]", splits).items()}
+    return Own(**words, splits=known)
+
+
+def _sizes(data: object) -> tuple[int, ...]:
+    sizes = cast("list[Any]", data) if isinstance(data, list) else [None]
+    if not all(type(size) is int for size in sizes):
+        raise ValueError(f"splits must map handles to whole numbers of pixels, got {data!r}")
+    return tuple(sizes)

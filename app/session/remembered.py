@@ -61,6 +61,11 @@ class Remembered:
             self._kept.setValue(f"window{_LAYOUT}/{key}", value)
 
     @property
+    def folder_of_settings(self) -> Path:
+        """Where the settings lie, for what is too large to be one of them."""
+        return Path(self._kept.fileName()).parent
+
+    @property
     def theme(self) -> Theme:
         """How the window is coloured; the system's where nothing was chosen."""
         said: object = self._kept.value("theme", "system")

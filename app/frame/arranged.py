@@ -1,0 +1,39 @@
+"""What of the window can be dragged, as a value and back: drawers, tool bars, handles between views."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from PyQt6.QtCore import QByteArray
+from PyQt6.QtWidgets import QMainWindow, QSplitter
+
+from app.session.layout import Own
+from widgets.picture_row import PictureRow
+
+
+def arranged(window: QMainWindow, name: str, alone: str) -> Own:
+    """How the window stands, under a name."""
+    docks = bytes(window.saveState().toBase64().data()).decode("ascii")
+    splits = {key: tuple(split.sizes()) for key, split in _splits(window).items() if _dragged(split)}
+    return Own(name, alone=alone, docks=docks, splits=splits)
+
+
+def arrange(window: QMainWindow, own: Own) -> bool:
+    """Have it stand so; False where the drawers are of another version of the window, and stay as they are."""
+    same = window.restoreState(QByteArray.fromBase64(QByteArray(own.docks.encode("ascii", "replace"))))
+    for key, split in _splits(window).items():
+        sizes = own.splits.get(key, ())
+        if isinstance(split, PictureRow):
+            split.take_sizes(sizes)
+        elif len(sizes) == split.count():
+            split.setSizes(list(sizes))
+    return same
+
+
+def _splits(window: QMainWindow) -> Mapping[str, QSplitter]:
+    found = window.findChildren(QSplitter)
+    return {split.objectName(): split for split in found if split.objectName().startswith("split_")}
+
+
+def _dragged(split: QSplitter) -> bool:
+    return split.isVisible() and (not isinstance(split, PictureRow) or split.dragged)
