@@ -117,7 +117,7 @@ def _own(data: object) -> Own | None:
 
 
 def _sizes(data: object) -> tuple[int, ...]:
-    sizes = cast("list[Any]", data) if isinstance(data, list) else [None]
+    sizes: list[Any] = cast("list[Any]", data) if isinstance(data, list) else [None]
     if not all(type(size) is int for size in sizes):
         raise ValueError(f"splits must map handles to whole numbers of pixels, got {data!r}")
     return tuple(sizes)
