@@ -29,6 +29,7 @@ class ErrorStrip(QWidget):
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.values: tuple[float, ...] = ()  # NaN = not known
         self.doubts: Mapping[int, Sequence[str]] = {}
+        self.span: tuple[int, int] | None = None  # that playing loops over
         self.frame, self._unit, self.high_px = 0, "", 28
 
     @property
@@ -46,6 +47,12 @@ class ErrorStrip(QWidget):
         """Mark where we are."""
         if frame != self.frame:
             self.frame = frame
+            self.update()
+
+    def show_span(self, span: tuple[int, int] | None) -> None:
+        """Mark the frames that are looped over, None where all are."""
+        if span != self.span:
+            self.span = span
             self.update()
 
     def show_high(self, high_px: int) -> None:
@@ -87,6 +94,12 @@ class ErrorStrip(QWidget):
         painter.drawLine(QPointF(_INSET_PX, base), QPointF(self.width() - _INSET_PX, base))
         step = (self.width() - 2 * _INSET_PX) / max(1, n - 1)
         wide = max(1.5, min(0.7 * step, _WIDEST_PX))
+        if self.span is not None:
+            first, last = (_INSET_PX + frame * step for frame in self.span)
+            painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Highlight), 2.5))
+            painter.drawLine(QPointF(first, base), QPointF(last, base))
+            for x in (first, last):
+                painter.drawLine(QPointF(x, base - 6.0), QPointF(x, base))
         most, worst = max((v for v in self.values if math.isfinite(v)), default=0.0), self.worst
         for frame, value in enumerate(self.values):
             x = _INSET_PX + frame * step

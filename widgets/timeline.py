@@ -50,7 +50,7 @@ class Timeline(QWidget):
         self.speed.setToolTip(
             f"playing speed; 1\N{MULTIPLICATION SIGN} shows {FRAMES_PER_SECOND:g} frames a second at most"
         )
-        self._looping = False
+        self._looping, self.span = False, (0, 0)  # first and last frame of a loop
         self._buttons = QHBoxLayout()
         self._lay_out()
         self.slider.valueChanged.connect(self._choose)
@@ -88,7 +88,10 @@ class Timeline(QWidget):
 
     def show_frames(self, n_frames: int) -> None:
         """Offer frames 0 to `n_frames` - 1."""
-        self._n_frames = n_frames
+        if n_frames != self._n_frames:
+            kept = self.span if self.errors.span is not None and n_frames > self._n_frames else (0, n_frames - 1)
+            self._n_frames = n_frames
+            self.loop_over(*kept)
         last = max(0, n_frames - 1)
         with QSignalBlocker(self.slider), QSignalBlocker(self.number):
             self.slider.setRange(0, last)
@@ -140,6 +143,13 @@ class Timeline(QWidget):
         """Whether playing begins again after the last frame."""
         self._looping = looping
 
+    def loop_over(self, first: int, last: int) -> None:
+        """Loop over these frames; whoever names them the wrong way round means the same."""
+        most = max(0, self._n_frames - 1)
+        first, last = sorted((min(max(first, 0), most), min(max(last, 0), most)))
+        self.span = (first, last)
+        self.errors.show_span(None if self.span == (0, most) else self.span)
+
     def step(self, by: int) -> None:
         """Go `by` frames on, no further than the ends."""
         self.step_to(self.frame + by)
@@ -167,10 +177,11 @@ class Timeline(QWidget):
         by = int(self._due)
         self._due -= by
         following = self.frame + by
-        if following >= self._n_frames:
-            if not self._looping:
-                self.step_to(self._n_frames - 1)
-                self.play(on=False)
-                return
-            following %= self._n_frames
-        self.step_to(following)
+        if self._looping:
+            first, last = self.span
+            self.step_to(following if first <= self.frame and following <= last else first)
+        elif following >= self._n_frames:
+            self.step_to(self._n_frames - 1)
+            self.play(on=False)
+        else:
+            self.step_to(following)

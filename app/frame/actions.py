@@ -94,6 +94,9 @@ PLAY = (
             key="Shift+J"),
     Command("better", "Better frame", "The next better frame by the figure of the frames' table", key="K"),
     Command("loop", "Loop", "Begin again after the last frame", icon="loop", key="Ctrl+L", checkable=True),
+    Command("loop_from", "Loop from here", "Playing loops from this frame on", key="["),
+    Command("loop_to", "Loop to here", "Playing loops up to this frame", key="]"),
+    Command("loop_all", "Loop over all frames", "Playing loops over the whole recording"),
 )  # fmt: skip
 VIEW = (
     Command(

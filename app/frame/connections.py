@@ -158,7 +158,16 @@ def _connect_play(instrument: Instrument) -> None:
     window.on("next", lambda: line.step(1))
     window.on("ten_back", lambda: line.step(-10))
     window.on("ten_on", lambda: line.step(10))
-    window.actions_by_name["loop"].toggled.connect(line.set_looping)
+    loop = window.actions_by_name["loop"]
+    loop.toggled.connect(line.set_looping)
+
+    def loop_over(first: int, last: int) -> None:
+        line.loop_over(first, last)
+        loop.setChecked(True)
+
+    window.on("loop_from", lambda: loop_over(line.frame, max(line.frame, line.span[1])))
+    window.on("loop_to", lambda: loop_over(min(line.frame, line.span[0]), line.frame))
+    window.on("loop_all", lambda: loop_over(0, line.slider.maximum()))
 
 
 def _connect_view(instrument: Instrument, layouts: Layouts) -> None:

@@ -90,3 +90,23 @@ def test_one_frame_cannot_be_played(line):
     line.show_frames(1)
     line.play(on=True)
     assert not line.playing
+
+
+def test_a_loop_stays_within_its_frames(line, qtbot):
+    seen: list[int] = []
+    line.set_looping(True)
+    line.loop_over(5, 3)  # the wrong way round means the same
+    assert line.errors.span == (3, 5)
+    line.frame_chosen.connect(seen.append)
+    line.speed.setCurrentIndex(SPEEDS.index(4.0))
+    line.play(on=True)
+    qtbot.waitUntil(lambda: len(seen) >= 7, timeout=5000)
+    line.play(on=False)
+    assert seen[0] == 3  # from outside it goes to the beginning
+    assert set(seen) <= {3, 4, 5}
+    assert seen.count(3) > 1
+    line.show_frames(12)  # a recording that grows keeps it
+    assert line.span == (3, 5)
+    line.show_frames(4)
+    assert line.span == (0, 3)
+    assert line.errors.span is None

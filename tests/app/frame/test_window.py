@@ -441,3 +441,15 @@ def test_real_touches_go_through_all_columns(open_window, real_data, folder, sou
     assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
     assert all(column.view.picture is not None for column in instrument.window.columns.values())
     assert instrument.latest.results["depth"].output.contact.any()
+
+
+def test_a_loop_begins_and_ends_where_one_says(bubble_window):
+    window = bubble_window.window
+    for frame, command in ((1, "loop_from"), (2, "loop_to")):
+        window.timeline.step_to(frame)
+        window.actions_by_name[command].trigger()
+    assert window.timeline.span == (1, 2)
+    assert window.actions_by_name["loop"].isChecked()
+    window.actions_by_name["loop_all"].trigger()
+    assert window.timeline.span == (0, 2)
+    assert wait_until_shown(bubble_window, LIMIT_S)
