@@ -6,13 +6,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from PyQt6.QtCore import QAbstractTableModel, QModelIndex, Qt
+from PyQt6.QtCore import QAbstractTableModel, QModelIndex, Qt, pyqtSignal
 from PyQt6.QtWidgets import QWidget
 
 from widgets.icons import state_icon
 
 SORTED_BY = Qt.ItemDataRole.UserRole  # a number, so that 10 comes after 9; what is not known comes last
-FRAME, DEPTH, CONTACT, FIGURE = range(4)
+FRAME, DEPTH, CONTACT, FIGURE, NOTE = range(5)
 _TITLES = ("frame", "depth\nmm", "contact\nmm²")
 _TIPS = (
     "number of the frame",
@@ -39,12 +39,18 @@ class FrameSummary:
 
 
 class FramesModel(QAbstractTableModel):
-    """Frame numbers and their summaries; a frame nobody has looked at costs nothing."""
+    """Frame numbers, their summaries and notes; a frame nobody has looked at costs nothing.
+
+    `noted(frame, text)` when somebody has written a note.
+    """
+
+    noted = pyqtSignal(int, str)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._n_frames, self._figure, self._title = 0, "", "error"
         self._known: dict[int, FrameSummary] = {}
+        self._notes: Mapping[int, str] = {}
         self._common: frozenset[str] | None = None  # None = to be worked out
 
     @property
@@ -113,27 +119,52 @@ class FramesModel(QAbstractTableModel):
         self._known[frame], self._common = summary, None
         self._changed(frame, frame)
 
+    def show_notes(self, notes: Mapping[int, str]) -> None:
+        """What somebody wrote of which frames."""
+        if notes != self._notes:
+            self._notes = notes
+            if self._n_frames:
+                self.dataChanged.emit(self.index(0, NOTE), self.index(self._n_frames - 1, NOTE))
+
+    def note(self, frame: int) -> str:
+        """What somebody wrote of a frame."""
+        return self._notes.get(frame, "")
+
+    def flags(self, index: QModelIndex) -> Qt.ItemFlag:
+        """Notes are written here."""
+        usual = super().flags(index)
+        return usual | Qt.ItemFlag.ItemIsEditable if index.column() == NOTE else usual
+
+    def setData(self, index: QModelIndex, value: object, role: int = Qt.ItemDataRole.EditRole) -> bool:  # noqa: N802
+        """Somebody wrote a note: who keeps the notes is told, and shows them."""
+        if not index.isValid() or index.column() != NOTE or role != Qt.ItemDataRole.EditRole:
+            return False
+        self.noted.emit(index.row(), str(value).strip())
+        return True
+
     def rowCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
         """One row a frame."""
         return 0 if parent.isValid() else self._n_frames
 
     def columnCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
-        """Frame, depth, contact, figure."""
-        return 0 if parent.isValid() else FIGURE + 1
+        """Frame, depth, contact, figure, note."""
+        return 0 if parent.isValid() else NOTE + 1
 
     def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
         """The text of a cell, or the number that it is sorted by."""
         if not index.isValid():
             return None
+        if index.column() == NOTE and role != SORTED_BY:
+            kept = self.note(index.row())
+            shown = Qt.ItemDataRole.DisplayRole, Qt.ItemDataRole.EditRole, Qt.ItemDataRole.ToolTipRole
+            return kept if role in shown else None
         if role in (Qt.ItemDataRole.ToolTipRole, Qt.ItemDataRole.DecorationRole):
             return self._remark(index.row(), index.column(), Qt.ItemDataRole(role))
         if role == Qt.ItemDataRole.TextAlignmentRole:
             return int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         if role == SORTED_BY:
             return self._number(index.row(), index.column())
-        if role == Qt.ItemDataRole.DisplayRole:
-            return self._text(index.row(), index.column())
-        return None
+        return self._text(index.row(), index.column()) if role == Qt.ItemDataRole.DisplayRole else None
 
     def _remark(self, frame: int, column: int, role: Qt.ItemDataRole) -> object:
         """Why a frame failed or is doubted; the sign of a doubt stands beside its number."""
@@ -147,6 +178,8 @@ class FramesModel(QAbstractTableModel):
     def _number(self, frame: int, column: int) -> float:
         if column == FRAME:
             return float(frame)
+        if column == NOTE:
+            return 1.0 if self.note(frame) else 0.0
         summary = self._known.get(frame)
         value = math.nan if summary is None else summary.value(column, self._figure)
         return value if math.isfinite(value) else -math.inf
@@ -166,6 +199,9 @@ class FramesModel(QAbstractTableModel):
         self, section: int, orientation: Qt.Orientation, role: int = Qt.ItemDataRole.DisplayRole
     ) -> object:
         """Column titles and their explanations."""
+        if orientation == Qt.Orientation.Horizontal and section == NOTE:
+            shown = {Qt.ItemDataRole.DisplayRole: "note", Qt.ItemDataRole.ToolTipRole: "what you write of a frame"}
+            return shown.get(Qt.ItemDataRole(role))
         if orientation == Qt.Orientation.Horizontal and 0 <= section <= FIGURE:
             if role == Qt.ItemDataRole.DisplayRole:
                 return self._title if section == FIGURE else _TITLES[section]

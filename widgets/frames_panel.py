@@ -5,9 +5,19 @@ from __future__ import annotations
 import math
 
 from PyQt6.QtCore import QModelIndex, QSignalBlocker, QSortFilterProxyModel, Qt, pyqtSignal
-from PyQt6.QtWidgets import QAbstractItemView, QComboBox, QHeaderView, QLabel, QTableView, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import (
+    QAbstractItemView,
+    QComboBox,
+    QHeaderView,
+    QLabel,
+    QLineEdit,
+    QTableView,
+    QVBoxLayout,
+    QWidget,
+)
 
-from widgets.frames_model import FIGURE, FRAME, SORTED_BY, FramesModel
+from widgets.frames_filter import FramesFilter
+from widgets.frames_model import FIGURE, FRAME, NOTE, SORTED_BY, FramesModel
 from widgets.looks import smaller, spaced
 
 
@@ -20,11 +30,18 @@ class FramesPanel(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.known = FramesModel(self)
-        self._sorted = QSortFilterProxyModel(self)
+        self._sorted = FramesFilter(self)
         self._sorted.setSourceModel(self.known)
         self._sorted.setSortRole(SORTED_BY)
         self._frame = 0
-        self.figure, self._told = QComboBox(), QLabel()
+        self.figure, self._told, self.wanted = QComboBox(), QLabel(), QLineEdit()
+        self.wanted.setObjectName("frames_filter")
+        self.wanted.setAccessibleName("which frames are listed")
+        self.wanted.setPlaceholderText("filter: >0.3, <2, touched, doubted, noted, a word")
+        self.wanted.setToolTip("Frames of which all of these hold: a limit of the figure, touched, doubted, noted, "
+                               "or a word of a note or a doubt")  # fmt: skip
+        self.wanted.setClearButtonEnabled(True)
+        self.wanted.textChanged.connect(self._filter)
         self.figure.setObjectName("frames_figure")
         self.figure.setAccessibleName("figure of the frames")
         self.figure.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
@@ -32,9 +49,9 @@ class FramesPanel(QWidget):
         smaller(self._told, 1.0)
         self.table = _table(self._sorted)
         layout = spaced(QVBoxLayout(self), 3, (2, 2, 2, 2))
-        for widget in (self.figure, self.table, self._told):
+        for widget in (self.figure, self.wanted, self.table, self._told):
             layout.addWidget(widget)
-        self.table.clicked.connect(self._picked)
+        self.table.clicked.connect(self._picked)  # a double click writes a note
         self.table.activated.connect(self._picked)
         for signal in (self.known.dataChanged, self.known.modelReset):
             signal.connect(self._tell)
@@ -46,6 +63,9 @@ class FramesPanel(QWidget):
         if not 0 <= frame < self.known.rowCount():
             return
         row = self._sorted.mapFromSource(self.known.index(frame, 0))
+        if not row.isValid():  # not among those that are listed
+            self.table.clearSelection()
+            return
         if self.table.currentIndex().row() != row.row():
             self.table.setCurrentIndex(row)
         self.table.scrollTo(row)
@@ -79,7 +99,14 @@ class FramesPanel(QWidget):
     def _tell(self) -> None:
         frames = self.known.rowCount()
         done = sum(self.known.known(i) is not None for i in range(frames))
-        self._told.setText(f"{done} of {frames} frames known" if frames else "")
+        listed = self._sorted.rowCount()
+        some = f", {listed} listed" if listed != frames else ""
+        self._told.setText(f"{done} of {frames} frames known{some}" if frames else "")
+
+    def _filter(self, words: str) -> None:
+        self._sorted.show_only(words)
+        self._tell()
+        self.show_frame(self._frame)
 
     def _picked(self, index: QModelIndex) -> None:
         self.frame_chosen.emit(self._frame_of(index.row()))
@@ -101,6 +128,7 @@ def _table(model: QSortFilterProxyModel) -> QTableView:
     columns.setMinimumSectionSize(30)
     columns.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
     columns.setSectionResizeMode(FRAME, QHeaderView.ResizeMode.ResizeToContents)
+    columns.setSectionResizeMode(NOTE, QHeaderView.ResizeMode.Stretch)
     columns.setSortIndicator(FRAME, Qt.SortOrder.AscendingOrder)
     table.setSortingEnabled(True)
     return table

@@ -5,6 +5,7 @@ from __future__ import annotations
 from PyQt6.QtCore import QObject, Qt, QTimer
 
 from app.frame.instrument import Instrument
+from app.session.state import Session
 from app.work.evaluator import FrameKnown
 from pipeline.evaluation.metrics import METRICS
 from pipeline.translation.blame import FIGURE as FIRST_CHOICE
@@ -33,6 +34,8 @@ class Triage(QObject):
         self._panel.known.dataChanged.connect(self._tell_soon)
         self._panel.known.modelReset.connect(self._tell_soon)
         self._told = once(self, _TOGETHER_MS, self._tell)
+        self._panel.known.noted.connect(self._note)
+        instrument.session_shown.connect(self._show_notes)
         window.on("worst", self._go_to_worst)
         window.on("worse", lambda: self._step(-1))
         window.on("better", lambda: self._step(1))
@@ -46,6 +49,14 @@ class Triage(QObject):
         worst = self._instrument.window.timeline.errors.worst
         if worst >= 0:
             self._instrument.choose_frame(worst)
+
+    def _note(self, frame: int, text: str) -> None:
+        """Keep what somebody wrote of a frame in the session."""
+        others = {at: kept for at, kept in self._instrument.session.notes.items() if at != frame}
+        self._instrument.change(f"note frame {frame}", notes={**others, frame: text} if text else others)
+
+    def _show_notes(self, session: Session) -> None:
+        self._panel.known.show_notes(session.notes)
 
     def _tell_soon(self) -> None:
         if not self._told.isActive():

@@ -62,6 +62,7 @@ class Session:
     methods: Mapping[str, str] = field(default_factory=dict)  # slot -> method in place of the route's own
     weights: Mapping[str, Path] = field(default_factory=dict)  # slot -> file; slot "" = the first whose method takes it
     params: Mapping[str, object] = field(default_factory=dict)  # changed ones: of methods by key, of the display
+    notes: Mapping[int, str] = field(default_factory=dict)  # frame -> what somebody wrote of it
 
     def params_of(self, method: Method) -> object:
         """The parameters of a method, as they come where nobody changed them."""
@@ -77,6 +78,8 @@ class Session:
         Another recording keeps those from a file, which says how its two sensors stand whoever recorded them.
         """
         new = replace(self, **updates)
+        if new.recording != self.recording and "notes" not in updates:
+            new = replace(new, notes={})
         if "offsets" in updates:
             return new
         other = any(getattr(new, name) != getattr(self, name) for name in _FRAMES_OF_OFFSETS)
@@ -91,7 +94,9 @@ class Session:
     @property
     def settings(self) -> Session:
         """What figures rest on besides the frame: those of sessions with equal settings may stand side by side."""
-        return replace(self, frame=0, linked=True, layout=Layout(), params={**self.params, "display": DisplayParams()})
+        return replace(
+            self, frame=0, linked=True, layout=Layout(), notes={}, params={**self.params, "display": DisplayParams()}
+        )
 
     @property
     def display(self) -> DisplayParams:
@@ -115,6 +120,7 @@ def save_session(session: Session, path: Path, contents: Mapping[str, str] | Non
     data["params"] = {
         key: {name: value for name, (value, _) in settings(params).items()} for key, params in session.params.items()
     }
+    data["notes"] = {str(frame): text for frame, text in sorted(session.notes.items())}
     if contents is not None:
         data["contents"] = dict(contents)
     write_json(path, data, "the session")
@@ -153,6 +159,7 @@ def load_session(path: Path, catalogue: Catalogue = BUILT_IN) -> Session:
         methods=methods,
         weights=_weights(known, path),
         params=_params(known.get("params", {}), path, catalogue, former=version == 1),
+        notes=_notes(known, path),
     )
 
 
@@ -197,6 +204,15 @@ def _weights(data: Mapping[str, Any], path: Path) -> Mapping[str, Path]:
     if not isinstance(said, dict) or not all(isinstance(name, str) for name in cast("dict[str, Any]", said).values()):
         raise FileProblem("weights must map slots to files", path, field="weights")
     return {slot: path.parent / name for slot, name in cast("dict[str, str]", said).items()}
+
+
+def _notes(data: Mapping[str, Any], path: Path) -> Mapping[int, str]:
+    """None at all in files from before frames could be noted."""
+    said = data.get("notes", {})
+    known = cast("dict[str, Any]", said) if isinstance(said, dict) else {"": None}
+    if not all(frame.isdigit() and isinstance(text, str) for frame, text in known.items()):
+        raise FileProblem("notes must map frames to texts", path, field="notes")
+    return {int(frame): str(text) for frame, text in known.items()}
 
 
 def _offsets(data: Mapping[str, Any], path: Path) -> Offsets:

@@ -187,5 +187,10 @@ def rest_mm(sensor: SensorSpec, camera: Camera) -> NDArray[np.float64]:
 
 
 def fitted(camera: Camera, shape: tuple[int, ...]) -> Camera:
-    """The camera, brought to the size of an image that was taken at another resolution."""
-    return camera if camera.shape == shape[:2] else camera.scaled(shape[1] / camera.cols)
+    """The camera, brought to the size of an image that was taken at another resolution.
+
+    One of another height, which no such camera takes, is shown too: the method that reads it says what is wrong.
+    """
+    if camera.shape == shape[:2]:
+        return camera
+    return replace(camera.scaled(shape[1] / camera.cols), rows=shape[0], cols=shape[1])

@@ -10,7 +10,8 @@ from PyQt6.QtCore import QPoint, Qt
 
 from app.frame.tour import wait_until_shown
 from app.session.sample import SAMPLE
-from widgets.frames_model import FrameSummary
+from app.session.state import Session, load_session
+from widgets.frames_model import NOTE, FrameSummary
 from widgets.frames_panel import FramesPanel
 
 LIMIT_MS = 120_000
@@ -83,3 +84,41 @@ def test_a_figure_chosen_is_the_one_that_ranks(qtbot):
     panel.show_frame(3)
     panel.step(-1, worst_first=_UP)
     assert chosen == [1, 2, 1]
+
+
+def test_notes_are_kept_in_the_session_and_frames_are_filtered_by_what_is_known(bubble_window, qtbot, tmp_path):
+    panel = bubble_window.window.frames
+    known = panel.known
+    known.show_figure("felt.contact_mae_mm", "error")
+    for frame, error in ((0, None), (1, 0.2), (2, 0.5)):
+        figures = {} if error is None else {"felt.contact_mae_mm": error}
+        area = 0.0 if error is None else 5.0
+        known.show_summary(frame, FrameSummary(deepest_mm=1.0, contact_mm2=area, figures=figures))
+    index = known.index(1, NOTE)
+    assert known.flags(index) & Qt.ItemFlag.ItemIsEditable
+    assert known.setData(index, " slipped, look again ")
+    assert bubble_window.session.notes == {1: "slipped, look again"}
+    assert known.data(index) == "slipped, look again"
+    assert known.known(2) is not None  # figures do not rest on notes
+    for words, listed in (
+        ("", [0, 1, 2]), (">0.3", [2]), ("<0.3", [1]), ("touched", [1, 2]), ("untouched", [0]), ("noted", [1]),
+        ("slip", [1]), ("touched >0.1 again", [1]), ("nothing-of-the-kind", []),
+    ):  # fmt: skip
+        panel.wanted.setText(words)
+        assert sorted(panel._frame_of(row) for row in range(panel._sorted.rowCount())) == listed, words
+    panel.wanted.setText("noted")
+    assert "1 listed" in panel._told.text()
+    panel.step(1, worst_first=_DOWN)
+    assert bubble_window.session.frame == 1
+    bubble_window.save_session(tmp_path / "noted.touch.json")
+    assert load_session(tmp_path / "noted.touch.json").notes == {1: "slipped, look again"}
+    bubble_window.undo.undo()  # the step to frame 1,
+    bubble_window.undo.undo()  # and the note
+    assert known.note(1) == ""
+    assert wait_until_shown(bubble_window, 60)
+
+
+def test_notes_of_another_recording_are_not_taken_along():
+    noted = Session(recording=SAMPLE, notes={3: "good"})
+    assert noted.updated(frame=4).notes == {3: "good"}
+    assert noted.updated(recording=SAMPLE.with_name("no_contact.h5")).notes == {}

@@ -453,3 +453,11 @@ def test_a_loop_begins_and_ends_where_one_says(bubble_window):
     window.actions_by_name["loop_all"].trigger()
     assert window.timeline.span == (0, 2)
     assert wait_until_shown(bubble_window, LIMIT_S)
+
+
+def test_a_recording_of_another_kind_of_sensor_is_shown_and_refused_in_words(open_window, touch_file):
+    instrument = open_window(touch_file, source="gelslim", target="soft_bubble", frame=1)
+    assert not wait_until_shown(instrument, LIMIT_S)
+    assert "choose the right sensor" in instrument.window.banner.text
+    assert instrument.window.columns["source"].view.picture is not None
+    assert instrument.window.columns["depth"].state == "failed"

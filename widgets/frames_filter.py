@@ -1,0 +1,53 @@
+"""Which frames are listed: those of which every word of a filter holds."""
+
+from __future__ import annotations
+
+import re
+
+from PyQt6.QtCore import QModelIndex, QSortFilterProxyModel
+
+from widgets.frames_model import FIGURE, SORTED_BY, FramesModel
+
+_LIMIT = re.compile(r"([<>])=?(-?\d+(?:\.\d*)?|-?\.\d+)$")
+
+
+class FramesFilter(QSortFilterProxyModel):
+    """Sorts as the table says; lists what `show_only` says."""
+
+    def __init__(self, parent: object = None) -> None:
+        super().__init__(parent)  # type: ignore[arg-type]
+        self._words: tuple[str, ...] = ()
+        self.setSortRole(SORTED_BY)
+
+    def show_only(self, words: str) -> None:
+        """Frames of which all of these hold; all frames for none."""
+        wanted = tuple(words.lower().split())
+        if wanted != self._words:
+            self._words = wanted
+            self.invalidateFilter()
+
+    def filterAcceptsRow(self, source_row: int, source_parent: QModelIndex) -> bool:  # noqa: N802
+        """Whether a frame is listed."""
+        model = self.sourceModel()
+        assert isinstance(model, FramesModel)
+        return not source_parent.isValid() and all(holds(model, source_row, word) for word in self._words)
+
+
+def holds(model: FramesModel, frame: int, word: str) -> bool:
+    """Whether a word of a filter holds of a frame; what is not known of it does not."""
+    summary, limit = model.known(frame), _LIMIT.match(word)
+    if limit is not None:
+        value = float(str(model.data(model.index(frame, FIGURE), SORTED_BY)))
+        bound = float(limit.group(2))
+        return value > bound if limit.group(1) == ">" else -float("inf") < value < bound
+    own = {
+        "touched": summary is not None and summary.contact_mm2 > 0,
+        "untouched": summary is not None and not summary.problem and summary.contact_mm2 <= 0,
+        "doubted": bool(model.own_doubts(frame)),
+        "noted": bool(model.note(frame)),
+        "failed": summary is not None and bool(summary.problem),
+    }
+    if word in own:
+        return own[word]
+    told = (model.note(frame), *(() if summary is None else (*summary.doubts, summary.problem)))
+    return any(word in text.lower() for text in told)
