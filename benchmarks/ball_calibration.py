@@ -19,10 +19,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.races import Bar, row, timing
 from benchmarks.recorded import recorded_data
-from pipeline.calibration.balls import calibrate_balls
 from pipeline.racing.races import Answer
 from pipeline.racing.report import show
 from pipeline.sensors.spec import sensor
+from pipeline.stages.depth.ball_calibration import calibrated
 from pipeline.stages.depth.stage import DepthParams, depth
 from pipeline.values.frames import TactileFrame
 
@@ -96,11 +96,11 @@ def answer(data: str = "") -> Answer:
 def minis(folder: Path):
     mini, still = sensor("gelsight_mini"), read(folder / "background.png")
     small, large = ([read(p) for p in numbered(folder, f"ball_{d}mm_*.png")] for d in ("6.310", "9.500"))
-    whole = calibrate_balls(small, still, mini, 6.31, pixel_mm=_MINI_MM_PER_PX)
+    whole = calibrated(small, still, mini, 6.31, pixel_mm=_MINI_MM_PER_PX)
     label = f"Mini {len(small)} of 6.310 mm -> {len(large)} of 9.500 mm"
     yield measured(label, large, still, mini, whole, 9.5, (Bar(error=10), Bar(error=0.03)))
     for k in (0, 1):
-        half = calibrate_balls(small[k::2], still, mini, 6.31, pixel_mm=_MINI_MM_PER_PX)
+        half = calibrated(small[k::2], still, mini, 6.31, pixel_mm=_MINI_MM_PER_PX)
         yield measured(f"Mini half of 6.310 mm -> other half ({k})", small[1 - k :: 2], still, mini, half, 6.31)
 
 
@@ -113,7 +113,7 @@ def others(data: Path):
         still = read(folder / reference)
         pictures = [read(p) for p in numbered(folder, pattern)]
         for diameter_mm, pixel_mm in sizes:
-            half = calibrate_balls(pictures[::2], still, source, diameter_mm, pixel_mm=pixel_mm)
+            half = calibrated(pictures[::2], still, source, diameter_mm, pixel_mm=pixel_mm)
             label = f"{name} {diameter_mm:g} mm at {half.pixel_mm:.4f} mm/px, half -> half"
             yield measured(label, pictures[1::2], still, source, half, diameter_mm)
 

@@ -44,7 +44,7 @@ _GEL_DEPTHS_MM = (0.2, 0.5)
 _LEFT_OUT = {  # what has a reason beside it in the code
     bubble_reading: {"_MOST_PIXELS", "_USUAL_CURVATURE_PER_MM", "_SPECKLE_PX"},
     membrane_load: {"_ITERATIONS", "_SPREADS", "_FREED", "_FEWEST_BLOCKS"},
-    gel_light: {"_CELLS", "_MOST_OF_LAMPS", "_NO_BLUR"},
+    gel_light: {"_CELLS", "_NO_BLUR"},
     gel_depth: {"_SATURATED_GREY", "_FULL_SHARE", "_PRESSURE_CELLS"},
     moved: {"_BLOCK_PX"},
     rest: {"_CELLS", "_STEPS", "_EXACT", "_FAR_MM", "_FAR_STEPS"},

@@ -22,11 +22,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from benchmarks.ball_calibration import numbered, read, sphere
 from benchmarks.races import Bar, row, timing
 from benchmarks.recorded import recorded_data
-from pipeline.calibration.balls import calibrate_balls
 from pipeline.calibration.lookup import built_in
 from pipeline.racing.races import Answer
 from pipeline.racing.report import show
 from pipeline.sensors.spec import sensor
+from pipeline.stages.depth.ball_calibration import calibrated
 from pipeline.stages.depth.stage import DepthParams, depth
 from pipeline.values.frames import TactileFrame
 
@@ -58,7 +58,7 @@ def _widths(folder: Path) -> Iterator[str]:
         still, pictures = read(folder / place / still_name), [read(p) for p in numbered(folder / place, pattern)][:8]
         told = []
         for width in (0.67 * pixel_mm, pixel_mm, 1.5 * pixel_mm):
-            look_up = calibrate_balls(pictures, still, sensor(name), diameter_mm, pixel_mm=width)
+            look_up = calibrated(pictures, still, sensor(name), diameter_mm, pixel_mm=width)
             steep = np.array([p.radius_px for p in look_up.presses if p.used]) * width / (0.5 * diameter_mm)
             rms = 0.5 * 0.85 * float(np.sqrt(np.mean(steep**2)))  # of one axis, over the trusted disc
             told.append(
@@ -88,9 +88,7 @@ def _drawn(source, still, pictures, n, diameters_mm, pixel_mm, judged, label):
     for seed in range(_DRAWS if n < len(pictures) else 1):
         drawn = {int(i) for i in np.random.default_rng(seed).choice(len(pictures), n, replace=False)}
         started = time.perf_counter()
-        look_up = calibrate_balls(
-            [pictures[i] for i in sorted(drawn)], still, source, diameters_mm[0], pixel_mm=pixel_mm
-        )
+        look_up = calibrated([pictures[i] for i in sorted(drawn)], still, source, diameters_mm[0], pixel_mm=pixel_mm)
         ms.append(1e3 * (time.perf_counter() - started))
         others = judged if judged is not None else [p for i, p in enumerate(pictures) if i not in drawn]
         errors.append(_errors(source, still, look_up, others, diameters_mm[1]))

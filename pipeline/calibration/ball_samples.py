@@ -37,6 +37,12 @@ def inside(press: Press, ball: Ball) -> Samples:
     return _known(press, ball, _zones(press)[0])[0]
 
 
+def inside_of(press: Press, gx: Floats, gy: Floats) -> Floats:
+    """What images of slopes (rows, cols) hold at the pixels of `inside`, (n, 2)."""
+    where = _zones(press)[0]
+    return np.stack([gx.ravel()[where], gy.ravel()[where]], axis=1)
+
+
 def around(presses: Sequence[Press], ball: Ball, rng: np.random.Generator) -> tuple[Samples, Floats]:
     """Pixels of the contacts, of their rims where the slope there is known, and untouched ones, with their weights."""
     parts: list[Samples] = []

@@ -6,7 +6,8 @@ slope g says where the centre must be, c = p + R g / sqrt(1 + g^2), and the medi
 trusted part of the contact, which lens blur leaves alone, the slope is not the ball's, but it is the same to all sides
 and, in units of the contact's radius, in all presses: the median profile of all presses stops a centre from drifting
 together with the look-up around it. The presses correct what is known of the sensor instead of replacing it
-(`corrections`), and a correction that does not hold for presses that it has not seen is not made.
+(`corrections`), and a correction that does not hold for presses that it has not seen is not made, nor one that is no
+better than what is read without.
 """
 
 from __future__ import annotations
@@ -26,14 +27,17 @@ from pipeline.calibration.ball_slopes import Ball, Press, common_profile, refine
 from pipeline.calibration.contact_circles import Circle, contact_circle
 from pipeline.calibration.corrections import (
     Presses,
+    Read,
+    betters,
     chosen,
     corrections,
     enough_for_polynomials,
     held_out,
     quick,
     slope_error,
+    without_any,
 )  # fmt: skip
-from pipeline.calibration.expected_error import expected
+from pipeline.calibration.expected_error import expected, of_errors
 from pipeline.calibration.lookup import BallFit, Calibration, built_in, relative_change
 from pipeline.calibration.slope_model import SlopeModel
 from pipeline.sensors.spec import SensorSpec
@@ -51,11 +55,13 @@ def calibrate_balls(
     pixel_mm: float | None = None,
     progress: Progress = SILENT,
     seed: int = 0,
+    read: Read | None = None,
 ) -> Calibration:
     """The look-up of `sensor` from pictures (rows, cols, 3) of presses of one ball; `presses` tells of each.
 
-    `pixel_mm` None takes the sensor's own. Raises ShapeError for pictures of another size, CalibrationError when no
-    picture shows a ball or the size cannot be right.
+    `pixel_mm` None takes the sensor's own. `read` tells what is read of the pictures without a calibration, which the
+    presses have to better; None = no more than the built-in look-up. Raises ShapeError for pictures of another size,
+    CalibrationError when no picture shows a ball or the size cannot be right.
     """
     scale = sensor.pixel_mm if pixel_mm is None else pixel_mm
     ball_px = 0.5 * diameter_mm / scale if scale > 0 else math.nan
@@ -68,13 +74,17 @@ def calibrate_balls(
     held = held_out(known, lambda share: progress.step(0.6 + 0.3 * share, "measuring presses that were held out"))
     models, fields = corrections(known, polynomials=enough_for_polynomials(len(known.presses)))
     best = chosen(held)
+    worth = expected(models[best], fields, known, held, best)
+    without = None if read is None else without_any(known, read)
+    if without is not None and not (best and betters(worth.diameter_share, without)):
+        best, worth = 0, of_errors(without)
     model = models[best]
     progress.step(1.0, "look-up is ready")
     return Calibration(
         sensor=sensor.name, rows=reference.shape[0], cols=reference.shape[1], pixel_mm=scale, model=model,
         residual=float(np.sqrt(np.mean([slope_error(model, inside(p, known.ball)) ** 2 for p in known.presses]))),
         origin=_origin(len(known.presses), len(images), diameter_mm, best), kept_built_in=best == 0,
-        presses=_report(len(images), known, model), expected=expected(model, fields, known, held, best),
+        presses=_report(len(images), known, model), expected=worth,
     )  # fmt: skip
 
 

@@ -2,10 +2,14 @@
 
 The built-in look-up; the one of the field of light that the presses leave (`light_field`); and that one plus a
 polynomial of what it leaves of the slopes, held back by a ridge. A few presses are not enough for the polynomial.
+
+Whoever reads pictures without a calibration may do better than the built-in look-up alone. He is asked what he reads
+(`Read`), and a correction has to better that by more than the middle of so few errors is known.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -13,7 +17,7 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, freeze
 from pipeline.calibration import light_field, slope_model
-from pipeline.calibration.ball_samples import around, inside, surface
+from pipeline.calibration.ball_samples import around, inside, inside_of, surface
 from pipeline.calibration.ball_slopes import Ball, Press
 from pipeline.calibration.light_field import Fields
 from pipeline.calibration.slope_model import Samples, SlopeModel
@@ -25,6 +29,11 @@ _PLACE_DEGREE = 2  # of the polynomial: less than the look-up's, which the field
 _ENOUGH = 8  # presses for a polynomial
 _FOLDS = 6
 _BEST_WITHIN = 1.02  # a simpler look-up is taken if it is as good as this times the best
+_MEDIAN_UNSURE = 1.17  # standard deviation of the median size of n normal errors, over itself, times sqrt(n)
+_FEWEST_PX = 12  # that a sphere is told from
+_UNSEEN = 1.0  # error of a ball that is not seen at all
+
+Read = Callable[[int], tuple[Floats, Floats]]  # slopes (rows, cols) that are read of a picture, without calibration
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,6 +136,20 @@ def chosen(held: Held | None) -> int:
     return int(np.flatnonzero(errors <= _BEST_WITHIN * errors.min())[0])
 
 
+def without_any(known: Presses, read: Read) -> Doubles:
+    """Diameter errors, as shares, of what is read of the presses without a calibration."""
+    found = [diameter_of(inside_of(p, *read(p.index)), inside(p, known.ball)) for p in known.presses]
+    return np.minimum(np.nan_to_num(found, nan=_UNSEEN), _UNSEEN)
+
+
+def betters(share: float, without: Doubles) -> bool:
+    """Whether a correction of which the diameter error `share` is expected is better than errors without any.
+
+    The fewer presses these are of, the surer it has to be: their middle may be large by luck.
+    """
+    return share * math.exp(_MEDIAN_UNSURE / math.sqrt(len(without))) < float(np.median(np.abs(without)))
+
+
 def slope_error(model: SlopeModel, samples: Samples) -> float:
     """Rms error of the slopes, mm/mm; infinite without pixels."""
     if len(samples.u) == 0:
@@ -136,9 +159,12 @@ def slope_error(model: SlopeModel, samples: Samples) -> float:
 
 def diameter_error(model: SlopeModel, samples: Samples) -> float:
     """The diameter of the sphere nearest to the slopes of a contact, less the ball's, over the ball's; NaN = none."""
-    if len(samples.u) < 12:
-        return float("nan")
-    return float(sphere_error(slope_model.predict(model, samples), samples.slopes))
+    return diameter_of(slope_model.predict(model, samples), samples)
+
+
+def diameter_of(slopes: Floats, samples: Samples) -> float:
+    """`diameter_error` of slopes (n, 2) that are read at the samples."""
+    return sphere_error(slopes, samples.slopes) if len(slopes) >= _FEWEST_PX else float("nan")
 
 
 def sphere_error(slopes: Floats | Doubles, true: Floats | Doubles) -> float:

@@ -14,12 +14,13 @@ def note(calibration: Calibration) -> str:
     """One sentence on the sizes and depths that come from this look-up."""
     if not calibration.presses:
         return UNCALIBRATED_NOTE
-    if calibration.kept_built_in:
-        return Doubt(f"{UNCALIBRATED}: presses did not better it; {HOW}, with other pictures")
     n_used = sum(p.used for p in calibration.presses)
     error = calibration.expected
-    worth = "" if error is None else f"a ball's diameter within {100 * error.diameter_share:.0f} %: "
-    return f"{worth}look-up from {n_used} presses of a ball"
+    worth = "" if error is None else f"a ball's diameter within {100 * error.diameter_share:.0f} %"
+    if calibration.kept_built_in:
+        told = f"; {worth}" if worth else ""
+        return Doubt(f"{UNCALIBRATED}: {n_used} presses did not better it{told}; {HOW}, with other pictures")
+    return f"{worth}{': ' if worth else ''}look-up from {n_used} presses of a ball"
 
 
 def lines(calibration: Calibration) -> list[str]:

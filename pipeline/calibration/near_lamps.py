@@ -10,12 +10,18 @@ misfit is the one that does best on simulated units of lamps far away, with ligh
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from pipeline.base.arrays import Doubles
+from pipeline.base.arrays import Doubles, Floats, freeze
 from pipeline.base.errors import CalibrationError
+from pipeline.base.memo import Memo
 from pipeline.calibration import slope_model
 from pipeline.calibration.light_field import N_PARTS, N_PLACES, Fields, places
+from pipeline.engine import store
+from pipeline.engine.digests import content
+from pipeline.sensors.glow import untouched_light
 from pipeline.sensors.spec import Optics, SensorSpec
 
 _N_UNITS = 1200
@@ -33,6 +39,12 @@ _AMBIENT = (0.05, 1.0)  # light that no slope changes, in units of the lamps' me
 _AMBIENT_SPREAD, _AMBIENT_TILT = 0.3, 0.3  # between colours, and over half of the picture
 _MISFIT, _MISFIT_REACH = 0.2, 0.7  # of the field's size, and halves of the picture over which it hangs together
 _SURE = 1e-9
+_GAINS = (0.05, 3.0)  # beyond, a colour tells nothing, or the middle of units rests on a few
+_SMALL_SLOPE = 1e-3  # mm/mm: the light is linear there
+_CODE = (
+    "pipeline.calibration.near_lamps", "pipeline.calibration.light_field", "pipeline.calibration.slope_model",
+    "pipeline.physics.optics", "pipeline.physics.optics_kernels", "pipeline.sensors.glow",
+)  # fmt: skip
 _LEVEL_MISFIT = 0.3  # of it, along z: what a tilt takes from all light alike is sure
 
 
@@ -66,6 +78,47 @@ def units(optics: Optics, pixel_mm: float, shape: tuple[int, int], count: int, r
     ambient = (share * still.mean(axis=(1, 2))[:, None])[..., None] * np.exp(tilt[0] * u + tilt[1] * v)
     relative = slope_model.SPAN_GREY * change / (still + ambient + slope_model.OFFSET_GREY)[..., None]
     return np.einsum("cp,nkpi->nkci", np.linalg.pinv(places(u, v)), relative)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Gains:
+    table: Floats  # (rows, cols, 3)
+
+
+_kept_gains: Memo[str, Floats] = Memo(16)
+
+
+def gains(sensor: SensorSpec) -> Floats:
+    """How strongly a slope changes the colours of a unit with near lamps, in units of what is described.
+
+    On a grid (rows, cols, 3) whose corners are the picture's, the middle of all possible units. Both changes are
+    relative to the untouched picture, the unit's own there and the described one, in its mean. Needs optics.
+    """
+    if sensor.optics is None:
+        raise CalibrationError(f"{sensor.name} has no optics to derive its light from; it measures depth itself")
+
+    def make() -> Floats:
+        made_of = (sensor.camera, sensor.optics, sensor.pixel_mm)
+        return store.kept(_Gains, made_of, _CODE, lambda: _Gains(table=_gains(sensor)), "look_ups").table
+
+    return _kept_gains.of(content((sensor.camera, sensor.optics, sensor.pixel_mm)), make)
+
+
+def _gains(sensor: SensorSpec) -> Floats:
+    from pipeline.physics import optics
+
+    told, shape = optics.optics_of(sensor), sensor.camera.shape
+    u, v = _grid(shape)
+    fields = units(told, sensor.pixel_mm, shape, _N_UNITS, np.random.default_rng(0))
+    tilted = np.einsum("gp,nkpi->nkgi", places(u, v), fields[..., :2])
+    row, col = (np.rint(0.5 * (max(shape) * w + n - 1)).astype(np.intp) for w, n in zip((v, u), shape, strict=True))
+    level, steep = np.zeros(shape, np.float32), np.full(shape, _SMALL_SLOPE, np.float32)
+    change = [optics.colour_change(sensor, *g)[row, col] / -_SMALL_SLOPE for g in ((steep, level), (level, steep))]
+    usual = untouched_light(sensor.camera, told).reshape(-1, 3).mean(axis=0) + slope_model.OFFSET_GREY
+    described = slope_model.SPAN_GREY * np.stack(change, axis=-1) / usual[:, None]  # (places, colours, 2)
+    size = np.maximum((described**2).sum(axis=-1), 1e-9)
+    found = np.median(np.einsum("nkgi,gki->ngk", tilted, described) / size, axis=0)
+    return freeze(np.clip(found, *_GAINS).reshape(*_GRID, 3).astype(np.float32))
 
 
 class _Lamps:

@@ -11,13 +11,13 @@ from rich.table import Table
 from pipeline.base.arrays import Image
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import ready_for
-from pipeline.calibration.balls import calibrate_balls
 from pipeline.calibration.description import lines
 from pipeline.calibration.lookup import Calibration, save
 from pipeline.cli.terminal import Bar, print_line, shown_bar
 from pipeline.recordings import open_recording
 from pipeline.sensors.spec import SensorSpec
 from pipeline.sensors.spec import sensor as sensor_named
+from pipeline.stages.depth.ball_calibration import calibrated
 
 LARGEST_BALL_MM = 1000.0  # flat, as far as any gel can tell
 
@@ -45,7 +45,7 @@ def calibrate_balls_command(
     spec = sensor_named(sensor)
     images, untouched = _pictures(presses, spec, reference, pattern)
     with shown_bar() as bar:
-        fitted = calibrate_balls(images, untouched, spec, diameter_mm, pixel_mm=pixel_mm, progress=Bar(bar), seed=seed)
+        fitted = calibrated(images, untouched, spec, diameter_mm, pixel_mm=pixel_mm, progress=Bar(bar), seed=seed)
     save(fitted, out)
     _report(fitted)
     if pixel_mm is None:

@@ -124,7 +124,7 @@ def _surface(
     small = gel_light.coarser(picture, image.shape)
 
     def roughly(gx: Floats, gy: Floats) -> Floats:
-        return _integrated(gx, gy, replace(window, moved=small.moved), pixel_mm * small.by, boundary, image.shape)
+        return _integrated(gx, gy, replace(window, moved=small.moved), small.pixel_mm, boundary, image.shape)
 
     guess = roughly(*_finite(*gel_light.rough_slopes(small, calibration), source))
     surface, light = gel_light.best(guess, small, source, roughly)

@@ -15,9 +15,9 @@ rest r (Gauss-Newton on every pixel, J = s dc/dg),
 and integrates. What a pixel cannot say (a dark colour, light from one side) is left as the integration has it. The
 rounds run on a coarse grid, one more on the picture's own pixels.
 
-c is as described in grey levels, or, where the lamps of a unit light its gel unevenly, a share of R: the one that
-leaves less of the picture unexplained is taken. Simulated units come out as the first, a real GelSight Mini as the
-second.
+c is as described, from lamps far away, or what lamps close beside the gel make of it on the unit's own untouched
+picture (`near_lamps.gains`): the one that leaves less of the picture unexplained is taken. Simulated units come out as
+the first, a real GelSight Mini as the second.
 
 Numbers without a source beside them are those that `benchmarks/depth_numbers.py` finds no better neighbour of: a third
 less or half as much again changes the error by less than it does for the rounds.
@@ -32,15 +32,12 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Image, Mask, freeze
-from pipeline.base.memo import remembered
-from pipeline.calibration import slope_model
+from pipeline.base.arrays import Floats, Image, Mask
+from pipeline.calibration import near_lamps, slope_model
 from pipeline.calibration.lookup import Calibration
 from pipeline.calibration.markers import unprinted, without_markers
-from pipeline.geometry.camera import Camera
 from pipeline.physics import optics
 from pipeline.sensors.glow import untouched_light
-from pipeline.sensors.parts import Optics
 from pipeline.sensors.spec import Markers, SensorSpec
 from pipeline.stages.depth.moved import Window
 
@@ -50,16 +47,15 @@ _HUBER_GREY = 20.0  # larger misfits are dust, a reflection, or an optical descr
 _STEEPEST = np.float32(1.43)  # mm/mm, 55 degrees: the light hardly changes beyond
 _LEAST_MM = -0.5  # no gel bulges out farther
 _FLANK, _FLANK_SHARE = 0.12, 0.1  # mm/mm, and of a region's pixels
-_BORDER_SHARE = 0.3  # of the deepest region
+_BORDER_SHARE = 0.4  # of the deepest region: corners beside a real GelSlim's presses come out up to 0.36
 _CELLS = 160  # of the rounds' grid, along the longer side of a picture
 _BRIGHT_BLUR_PX = 3.0
-_MOST_OF_LAMPS = np.float32(0.68)  # of the untouched picture: the mean of the strongest colour of `near_lamps`
 _NO_BLUR = 0.3  # pixels: a Gaussian that narrow changes nothing
-_AS_GOOD = 1.02  # times the least misfit: then the light is taken as it is described
+_CLEARLY = 0.95  # of near lamps' misfit: simulated units as described leave 0.56 to 0.94 of it, real ones mostly more
 
 
-# What a slope changes: everywhere what the description says, or a share of the untouched picture there.
-Light = Literal["even", "following"]
+# What a slope changes: what the description says, or what it is from lamps that stand close.
+Light = Literal["even", "near"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,6 +68,7 @@ class Seen:
     still: Floats  # (rows, cols, 3) the untouched picture
     moved: Mask  # (rows, cols) where the surface is looked for
     by: int  # pixels of the picture to one of these, along each axis
+    pixel_mm: float  # width of one of these: of the look-up, which may have been told another than the sensor's
     smoothing_px: float  # of the change, in pixels of the picture
 
 
@@ -102,7 +99,10 @@ def seen(
     if smoothing_px > 0:
         change = np.asarray(cv2.GaussianBlur(change, (0, 0), smoothing_px), np.float32)
     x, y = (np.arange(a.start, a.stop, dtype=np.float32) for a in (window.cols, window.rows))
-    return Seen(x_px=x, y_px=y, change=change, still=light, moved=window.moved, by=1, smoothing_px=smoothing_px)
+    return Seen(
+        x_px=x, y_px=y, change=change, still=light, moved=window.moved, by=1, pixel_mm=pixel_mm,
+        smoothing_px=smoothing_px,
+    )  # fmt: skip
 
 
 def coarser(picture: Seen, shape: tuple[int, ...]) -> Seen:
@@ -127,7 +127,7 @@ def coarser(picture: Seen, shape: tuple[int, ...]) -> Seen:
         x_px=picture.x_px[0] + middle + by * np.arange(cols, dtype=np.float32),
         y_px=picture.y_px[0] + middle + by * np.arange(rows, dtype=np.float32),
         change=mean(picture.change), still=mean(picture.still), moved=mean(picture.moved.astype(np.float32)) > 0,
-        by=by, smoothing_px=picture.smoothing_px,
+        by=by, pixel_mm=by * picture.pixel_mm, smoothing_px=picture.smoothing_px,
     )  # fmt: skip
 
 
@@ -160,8 +160,8 @@ def best(
     surface, misfit = corrected(surface_mm, picture, source, "even", integrated)
     if optics.optics_of(source).shadow > 0:
         return surface, "even"
-    other, left = corrected(surface_mm, picture, source, "following", integrated)
-    return (surface, "even") if misfit <= _AS_GOOD * left else (other, "following")
+    other, left = corrected(surface_mm, picture, source, "near", integrated)
+    return (surface, "even") if misfit <= _CLEARLY * left else (other, "near")
 
 
 def corrected(
@@ -176,7 +176,7 @@ def corrected(
     from pipeline.stages.depth.gel_light_kernels import explained, lit
 
     told, camera = optics.optics_of(source), source.camera
-    pixel_mm, size = source.pixel_mm * picture.by, np.array([camera.cols, camera.rows], np.float32)
+    pixel_mm, size = picture.pixel_mm, np.array([camera.cols, camera.rows], np.float32)
     place = (picture.x_px, picture.y_px, size, *optics.lamps(told, camera), np.float32(told.vignette))
     bright, out, misfit = _brightness(source, picture, light), np.empty_like(picture.change), 0.0
     for _ in range(rounds):
@@ -227,20 +227,21 @@ def _brightness(source: SensorSpec, picture: Seen, light: Light) -> Floats:
         return np.ones_like(picture.still)
     width = _BRIGHT_BLUR_PX / picture.by
     here = np.asarray(cv2.GaussianBlur(picture.still, (0, 0), width) if width > _NO_BLUR else picture.still)
-    usual, of_lamps = _usual(source.camera, optics.optics_of(source))
     offset = np.float32(slope_model.OFFSET_GREY)
-    most = np.minimum(np.float32(1.0), _MOST_OF_LAMPS * usual / of_lamps)
-    return np.asarray((here + offset) * (most / (usual + offset)), np.float32)
+    usual = untouched_light(source.camera, optics.optics_of(source)).reshape(-1, 3).mean(axis=0)
+    return np.asarray((here + offset) / (usual + offset) * _gains(source, picture), np.float32)
 
 
-@remembered(16)
-def _usual(camera: Camera, told: Optics) -> tuple[Floats, Floats]:
-    """The described colour (3,) of the untouched picture, in its mean, and what of it the lamps give."""
-    leds, _ = optics.lamps(told, camera)
-    falls = 1.0 - 0.5 * told.falloff
-    given = (leds[:, 3:] * (falls * leds[:, 2] / (1.0 - leds[:, 2]))[:, None]).sum(axis=0)
-    usual = untouched_light(camera, told).reshape(-1, 3).mean(axis=0)
-    return freeze(usual.astype(np.float32)), freeze(np.maximum(given, 1.0).astype(np.float32))
+def _gains(source: SensorSpec, picture: Seen) -> Floats:
+    """By how much near lamps' light changes more, beside the brightness, at the pixels (rows, cols, 3)."""
+    import cv2
+
+    table = near_lamps.gains(source)
+    camera = source.camera
+    x = picture.x_px * np.float32((table.shape[1] - 1) / (camera.cols - 1))
+    y = picture.y_px * np.float32((table.shape[0] - 1) / (camera.rows - 1))
+    wide, tall = np.meshgrid(x, y)
+    return np.asarray(cv2.remap(table, wide, tall, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
 
 
 def _passed(source: SensorSpec, surface_mm: Floats, pixel_mm: float) -> Floats:

@@ -8,11 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Mask, freeze
+from pipeline.stages.depth.drift import block_means
 
 _BLOCK_PX = 8  # changes are looked for in blocks of this width
 _GROWS_FROM = 0.35  # share of the no-touch limit down to which a touched region is followed outward
 _DRIFT_FACTOR = 2.5  # times the picture's typical change, above which a block is part of a touch
 _TYPICAL = 0.25  # quantile of the blocks' changes that stands for what the whole picture does: a touch may fill most
+_TOGETHER = 1.2  # blocks over which a touch changes colours alike, and noise does not
+_ABOVE_NOISE = 16.0  # times the noise of neighbours: a dithered film's untouched frames reach 15, its touches 16 to 100
 _MARGIN_MM = 2.0  # beyond the last visible change: the gel relaxes to nothing within about this distance
 _FADES = 0.5  # share of the margin over which the surface fades out
 
@@ -55,7 +58,10 @@ def _flat(image: Image) -> Image:
 
 
 def window(image: Image, reference: Image, no_touch_grey: float, pixel_mm: float) -> Window | None:
-    """The box around everything that has changed, grown by the gel's relaxation; None where nothing has."""
+    """The box around everything that has changed, grown by the gel's relaxation; None where nothing has.
+
+    A block has changed by a share of the limit or more, and together with its neighbours by more than noise does.
+    """
     import cv2
     from scipy import ndimage
 
@@ -64,15 +70,34 @@ def window(image: Image, reference: Image, no_touch_grey: float, pixel_mm: float
     low = max(_GROWS_FROM * no_touch_grey, _DRIFT_FACTOR * float(np.quantile(blocks, _TYPICAL)))
     if float(blocks.max()) < low:  # all of it has changed alike: a touch larger than the picture
         low = no_touch_grey
-    n, regions = cv2.connectedComponents((blocks > low).astype(np.uint8), connectivity=8)
+    above = _above_noise(image, reference)
+    n, regions = cv2.connectedComponents(((blocks > low) & (above > _GROWS_FROM)).astype(np.uint8), connectivity=8)
     strong = np.zeros(n, np.bool_)
-    strong[np.unique(regions[blocks >= max(no_touch_grey, low)])] = True
+    strong[np.unique(regions[(blocks >= max(no_touch_grey, low)) & (above >= 1.0)])] = True
     strong[0] = False
     if not strong.any():
         return None
     # A flat face changes no colours, but it is not at rest: what a touch encloses belongs to it.
     whole = np.asarray(ndimage.binary_fill_holes(strong[regions]), np.bool_)
     return grown(whole, image.shape[:2], pixel_mm)
+
+
+def _above_noise(image: Image, reference: Image) -> Floats:
+    """How far the change of every block (rows // 8, cols // 8) and its neighbours lies above what noise makes, 1 = so.
+
+    Dither and strong compression make grains of many pixels that no block averages out. Noise is told from how a block
+    lies between its neighbours; all that is smooth, a touch and drift, does not count for it.
+    """
+    import cv2
+
+    rows, cols = image.shape[0] // _BLOCK_PX, image.shape[1] // _BLOCK_PX
+    if min(rows, cols) < 3:
+        return np.full((max(1, rows), max(1, cols)), np.inf, np.float32)
+    change = block_means(image, _BLOCK_PX) - block_means(reference, _BLOCK_PX)
+    smooth = np.asarray(cv2.GaussianBlur(change, (0, 0), _TOGETHER), np.float32)
+    bent = np.abs(smooth[:, 2:] - 2.0 * smooth[:, 1:-1] + smooth[:, :-2])
+    noise = 1.48 * float(np.median(bent))  # a Gaussian's standard deviation
+    return np.abs(smooth).max(axis=2) / np.float32(max(_ABOVE_NOISE * noise, 1e-6))
 
 
 def grown(touched: Mask, shape: tuple[int, ...], pixel_mm: float) -> Window:

@@ -96,3 +96,12 @@ def test_a_sphere_seen_too_flat_is_said_to_be_too_large():
     assert corrections.sphere_error(true, true) == pytest.approx(0.0, abs=1e-9)
     flat = 0.5 * true / np.sqrt(1.0 + 0.75 * (true**2).sum(axis=1, keepdims=True))  # normals' tilt halved
     assert corrections.sphere_error(flat, true) == pytest.approx(1.0, rel=0.02)
+
+
+@given(st.integers(1, 60), st.floats(0.01, 0.9))
+def test_the_fewer_presses_the_surer_a_correction_has_to_be(count, error):
+    few, many = np.full(count, error), np.full(4 * count, error)
+    assert not corrections.betters(error, many)
+    worth = error * np.exp(-1.0 / np.sqrt(count))
+    assert not corrections.betters(worth, few)
+    assert corrections.betters(worth, many)

@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from pipeline.calibration import near_lamps
 from pipeline.calibration.lookup import BallFit, built_in
 from pipeline.geometry.rigid import translation
 from pipeline.physics import optics
@@ -111,22 +112,24 @@ def test_a_shallow_plate_beside_a_touch_is_left_out_and_a_second_touch_kept():
 
 
 @lru_cache
-def pressed_mini(*, following):
-    """An object on a Mini whose lamps light its gel evenly, or where it is bright: (frame, truth)."""
+def pressed_mini(*, near):
+    """An object on a Mini whose lamps light its gel evenly, or stand close beside it: (frame, truth)."""
     import cv2
 
     source, thing = sensor("gelsight_mini"), shapes.shape("star").mesh
     truth = press(thing, translation(-6.0, 3.5, -0.4 - thing.vertices_mm[:, 2].min()), source, seed=None).truth
     still = optics.untouched(source).astype(np.float32)
     change = optics.colour_change(source, *optics.slopes(truth.indentation_mm, source.pixel_mm))
-    light = still + change * (0.9 * still / still.mean(axis=(0, 1)) if following else 1.0)
+    table = near_lamps.gains(source)
+    gains = cv2.resize(table, still.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+    light = still + change * (gains * still / still.mean(axis=(0, 1)) if near else 1.0)
     image = optics.recorded(cv2.GaussianBlur(light, (0, 0), optics.optics_of(source).blur_px), 1.8, 1)
     return TactileFrame(sensor=source.name, image=image, reference=optics.untouched(source)), truth
 
 
-@pytest.mark.parametrize("following", [False, True])
-def test_the_light_that_explains_the_picture_is_taken(following, monkeypatch):
-    frame, truth = pressed_mini(following=following)
+@pytest.mark.parametrize("near", [False, True])
+def test_the_light_that_explains_the_picture_is_taken(near, monkeypatch):
+    frame, truth = pressed_mini(near=near)
     corrected, taken = gel_light.corrected, []
 
     def watched(surface_mm, picture, source, light, *rest):
@@ -135,8 +138,27 @@ def test_the_light_that_explains_the_picture_is_taken(following, monkeypatch):
 
     monkeypatch.setattr(gel_light, "corrected", watched)
     found = depth(frame, sensor("gelsight_mini"), None, PARAMS)
-    assert taken[-1] == ("following" if following else "even")
+    assert taken[-1] == ("near" if near else "even")
     assert error_mm(found, truth) < EITHER_MM
+
+
+def test_a_lamp_that_stands_close_tells_little_of_slopes_beside_it():
+    source = sensor("gelsight_mini")
+    table = near_lamps.gains(source)  # corners are the picture's
+    away = np.stack(np.meshgrid(np.linspace(-1, 1, table.shape[1]), np.linspace(-1, 1, table.shape[0])), axis=-1)
+    for led in optics.optics_of(source).leds:
+        azimuth, colour = np.radians(led.azimuth_deg), int(np.argmax(led.rgb))
+        side = away @ (np.cos(azimuth), np.sin(azimuth))
+        near, far = (table[..., colour][m].mean() for m in (side > 0.7, side < -0.7))
+        assert near < 0.7 * far
+
+
+def test_pixels_of_another_width_give_the_same_shape_in_other_units():
+    source = sensor("gelsight_mini")
+    frame, _ = pressed_mini(near=False)
+    wide = replace(built_in(source), pixel_mm=1.5 * source.pixel_mm)
+    plain, wider = (depth(frame, source, look_up, PARAMS).indentation_mm for look_up in (built_in(source), wide))
+    assert float(wider.max() / plain.max()) == pytest.approx(1.5, rel=0.1)
 
 
 @pytest.mark.real_data

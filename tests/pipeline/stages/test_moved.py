@@ -1,0 +1,45 @@
+"""What counts as a change of a gel's picture."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.physics import optics
+from pipeline.sensors.spec import sensor
+from pipeline.stages.depth.stage import DepthParams, depth
+from pipeline.values.frames import TactileFrame
+from tests.pipeline.calibration.test_balls import hertz
+
+GRAIN_PX, GRAIN_GREY = 5, 9.0  # of a small film that was dithered and then enlarged
+
+
+def grainy(picture, seed):
+    import cv2
+
+    rows, cols = picture.shape[:2]
+    small = np.random.default_rng(seed).normal(0, GRAIN_GREY, (rows // GRAIN_PX, cols // GRAIN_PX, 3))
+    grain = cv2.resize(small.astype(np.float32), (cols, rows), interpolation=cv2.INTER_CUBIC)
+    return np.clip(np.rint(picture.astype(np.float32) + grain), 0, 255).astype(np.uint8)
+
+
+def read(source, picture, seed):
+    frame = TactileFrame(
+        sensor=source.name, image=grainy(picture, seed), reference=grainy(optics.untouched(source), 99)
+    )
+    return depth(frame, source, None, DepthParams())
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_grain_is_no_touch(seed):
+    source = sensor("gelslim")
+    assert not read(source, optics.untouched(source), seed).contact.any()
+
+
+def test_a_touch_is_found_through_grain():
+    source = sensor("gelslim")
+    pressed = hertz(source.camera.shape, source.pixel_mm, 200, 150, 7.6, 0.4)
+    contact = read(source, optics.render(source, pressed, seed=None), 1).contact
+    y, x = np.nonzero(contact)
+    assert abs(x.mean() - 200) < 10
+    assert abs(y.mean() - 150) < 10
