@@ -11,7 +11,7 @@ from PyQt6.QtWidgets import QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from pipeline.pictures.picture import Picture
 from widgets.canvas import Canvas
-from widgets.colour_bar import ColourBar
+from widgets.levels import Levels
 from widgets.looks import smaller, spaced
 from widgets.wipe import Overlay
 
@@ -32,7 +32,7 @@ class PictureView(QWidget):
         self._shape: tuple[int, int] | None = None
         self.canvas = Canvas()
         self.overlay = Overlay(self.canvas)
-        self._bar = ColourBar()
+        self.levels = Levels()
         self._caption = QLabel()
         self._caption.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self._caption.setWordWrap(True)
@@ -45,7 +45,7 @@ class PictureView(QWidget):
         self._message.hide()
         layout = spaced(QVBoxLayout(self), 2)
         layout.addWidget(self.canvas, 1)
-        layout.addWidget(self._bar)
+        layout.addWidget(self.levels)
         layout.addWidget(self._caption)
         smaller(self._caption)
         self.show_lines(2)
@@ -74,7 +74,7 @@ class PictureView(QWidget):
             return
         self.picture = picture
         self.canvas.show_picture(picture)
-        self._bar.show_scale(picture.scale)
+        self.levels.show_scale(picture.scale, picture.values)
         self._caption.setText(picture.caption)
         self._caption.setToolTip(picture.caption)
         shape = (picture.pixels.shape[0], picture.pixels.shape[1])

@@ -20,6 +20,7 @@ from app.frame.handing import Handing
 from app.frame.instrument import Instrument
 from app.frame.keeping import Keeping
 from app.frame.layouts import Layouts
+from app.frame.limits import Limits
 from app.frame.living import Living
 from app.frame.looking import Looking
 from app.frame.own_layouts import OwnLayouts
@@ -179,6 +180,7 @@ def _connect_view(instrument: Instrument, layouts: Layouts) -> None:
     link.setChecked(instrument.session.linked)
     window.on("link_cameras", lambda: instrument.change("link cameras", linked=link.isChecked()))
     Looking(instrument)
+    Limits(instrument)
     window.on("reset_view", instrument.reset_view)
     for versus in get_args(Versus)[1:]:
         window.on(f"show_{versus}", lambda versus=versus: _choose_versus(instrument, versus))

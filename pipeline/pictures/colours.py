@@ -39,6 +39,8 @@ class ColourScale:
     high: float
     unit: str
     quantity: str  # what is shown and its sign, such as "indentation, + toward camera"
+    sets_low: str = ""  # the setting of the display that the lowest is, "" = none;
+    sets_high: str = ""  # and the highest; one for both is the larger of two equal sides
 
 
 @lru_cache(maxsize=2)

@@ -143,7 +143,10 @@ def enlarged(picture: Picture, shape: tuple[int, int]) -> Picture:
 
 def indentation_scale(sensor: SensorSpec, display: DisplayParams) -> ColourScale:
     """The fixed scale of indentations of this kind of sensor."""
-    return ColourScale(map="viridis", low=0.0, high=display.limit_mm(sensor), unit="mm", quantity=INDENTATION)
+    return ColourScale(
+        map="viridis", low=display.floor_mm(sensor), high=display.limit_mm(sensor), unit="mm", quantity=INDENTATION,
+        sets_low=f"{sensor.kind}_floor_mm", sets_high=f"{sensor.kind}_limit_mm",
+    )  # fmt: skip
 
 
 def distance_scale(sensor: SensorSpec, reference: NDArray[np.generic] | None = None) -> ColourScale:

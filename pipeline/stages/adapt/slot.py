@@ -66,10 +66,11 @@ def _follow(cloud: Cloud, before: Mark) -> Mark:
 
 
 def _scale(seen: Seen) -> ColourScale:
-    limit = seen.display.limit_mm(seen.target)
+    limit, sets = seen.display.limit_mm(seen.target), f"{seen.target.kind}_limit_mm"
     return ColourScale(
-        map="diverging", low=-limit, high=limit, unit="mm", quantity="past rest surface, + toward camera"
-    )
+        map="diverging", low=-limit, high=limit, unit="mm", quantity="past rest surface, + toward camera",
+        sets_low=sets, sets_high=sets,
+    )  # fmt: skip
 
 
 def _splat(cloud: Cloud, camera: Camera) -> Indices:
