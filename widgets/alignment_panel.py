@@ -18,7 +18,7 @@ from PyQt6.QtWidgets import (
 
 from pipeline.alignment.score import Score
 from pipeline.alignment.sensitivity import Sensitivity
-from pipeline.sensors.offsets import AXES
+from pipeline.sensors.offsets import AXES, Axis
 from widgets.axis_bars import AxisBars
 from widgets.axis_row import AxisRow
 from widgets.gauge import Gauge, GaugeScale
@@ -190,6 +190,20 @@ class AlignmentPanel(QScrollArea):
         """Show which axis matters."""
         self.bars.setEnabled(True)
         self.bars.show_axes(axes)
+
+    def take_hold(self) -> None:
+        """Somebody takes hold of the touch elsewhere than here."""
+        self._begin()
+
+    def drag(self, axis: Axis, value: float) -> None:
+        """It is being moved there: the handles follow."""
+        self._begin()
+        self.rows[axis].show_value(value)
+        self.moved.emit(axis, value)
+
+    def let_go(self) -> None:
+        """That is over."""
+        self._end()
 
     def _begin(self) -> None:
         if not self.dragging:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from PyQt6.QtCore import QObject
+from PyQt6.QtCore import QObject, pyqtSignal
 
 from app.frame.instrument import Instrument
 from app.frame.logs import log
@@ -14,7 +14,9 @@ from app.work import judging
 from app.work.judging import Judged, Previewed
 from app.work.refining import Refining
 from pipeline.alignment.score import Score
+from pipeline.base.arrays import Doubles
 from pipeline.base.errors import SettingProblem, TouchError
+from pipeline.geometry import rigid
 from pipeline.sensors.alignment_files import AlignmentFile, save
 from pipeline.sensors.offsets import AXES, Axis, Offsets
 from pipeline.translation.translate import Translation
@@ -26,7 +28,9 @@ _SAME_PLACE_MM = 1e-6
 
 
 class Aligning(QObject):
-    """Between the dock and the instrument: nothing runs while nobody sees the dock."""
+    """Between the dock and the instrument: nothing runs while nobody sees the dock. `placed` when the touch moved."""
+
+    placed = pyqtSignal()
 
     def __init__(self, instrument: Instrument) -> None:
         super().__init__(instrument)
@@ -62,6 +66,16 @@ class Aligning(QObject):
     def idle(self) -> bool:
         """Whether the dock shows all that it will show."""
         return not (self._panel.dragging or self._rest.isActive() or self._judging or self.refining.busy)
+
+    @property
+    def offsets(self) -> Offsets:
+        """As the handles stand."""
+        return self._offsets
+
+    @property
+    def middle_mm(self) -> Doubles | None:
+        """Where the middle of the contact is carried to (3,), in the target frame; None while that is not known."""
+        return None if self._judged is None else rigid.apply(self._offsets.motion(), self._judged.pivot_mm)
 
     def show_session(self, session: Session) -> None:
         """Show a session's offsets; one that is undone under a drag ends it."""
@@ -179,6 +193,7 @@ class Aligning(QObject):
     def _show_place(self) -> None:
         """Whose alignment it is, and where turns are about."""
         opened, judged, offsets = self._instrument.screen.opened, self._judged, self._offsets
+        self.placed.emit()
         if opened is None or judged is None:
             return
         here = tuple(float(v) for v in judged.pivot_mm)

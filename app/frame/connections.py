@@ -15,6 +15,7 @@ from app.frame.aligning import Aligning
 from app.frame.basins import BasinsTab
 from app.frame.blaming import Blaming
 from app.frame.comparing import Comparing
+from app.frame.grasping import Grasping
 from app.frame.greeting import Greeting
 from app.frame.handing import Handing
 from app.frame.instrument import Instrument
@@ -89,7 +90,9 @@ def connect(instrument: Instrument, theme: Theme = "light") -> Keeping:
     OwnLayouts(instrument, keeping)
     Handing(instrument, keeping)
     Living(instrument, keeping)
-    _connect_files(instrument, Aligning(instrument), keeping, comparing)
+    aligning = Aligning(instrument)
+    Grasping(instrument, aligning)
+    _connect_files(instrument, aligning, keeping, comparing)
     _connect_play(instrument)
     _connect_view(instrument, Layouts(instrument))
     _connect_undo(instrument)

@@ -1,0 +1,60 @@
+"""The gizmo over *Align*'s large pane: what is dragged there are the same six offsets as the handles of the dock."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import QObject, QPointF
+
+from app.frame.aligning import Aligning
+from app.frame.instrument import Instrument
+from pipeline.sensors.offsets import Axis
+from widgets.gizmo import Gizmo
+
+_WHERE = "view"  # the slot that alignments are judged by
+
+
+class Grasping(QObject):
+    """Stands on the middle of the contact, wherever it was moved to."""
+
+    def __init__(self, instrument: Instrument, aligning: Aligning) -> None:
+        super().__init__(instrument)
+        self._instrument, self._aligning, self._panel = instrument, aligning, instrument.window.alignment
+        self._view = instrument.window.columns[_WHERE].view
+        self.gizmo = Gizmo(self._view.canvas)
+        self._begun, self._mm_of_px = aligning.offsets, 0.0
+        aligning.placed.connect(self._place)
+        instrument.session_shown.connect(self._session_shown)
+        self.gizmo.grabbed.connect(self._grab)
+        self.gizmo.dragged.connect(self._drag)
+        self.gizmo.released.connect(self._panel.let_go)
+
+    def _session_shown(self, _: object) -> None:
+        self._place()
+
+    def _place(self) -> None:
+        opened, middle, picture = self._instrument.screen.opened, self._aligning.middle_mm, self._view.picture
+        if self._instrument.session.layout.name != "align" or opened is None or middle is None or picture is None:
+            self.gizmo.show_at(None)
+            return
+        camera = opened.target.camera
+        times = picture.pixels.shape[1] / camera.cols
+        x, y, z = (float(v) for v in middle)
+        self._mm_of_px = z / (camera.fx_px * times)
+        self.gizmo.show_at(QPointF(
+            (camera.fx_px * x / z + camera.cx_px + 0.5) * times, (camera.fy_px * y / z + camera.cy_px + 0.5) * times
+        ))  # fmt: skip
+
+    def _grab(self) -> None:
+        self._panel.take_hold()
+        self._begun = self._aligning.offsets
+
+    def _drag(self, part: str, x_px: float, y_px: float, turned_deg: float) -> None:
+        x, y, _ = self._begun.shift_mm
+        moves: dict[Axis, float] = {}
+        if "x" in part:
+            moves["x"] = x + x_px * self._mm_of_px
+        if "y" in part:
+            moves["y"] = y + y_px * self._mm_of_px
+        if part == "rz":
+            moves["rz"] = self._begun.turn_deg[2] + turned_deg
+        for axis, value in moves.items():
+            self._panel.drag(axis, value)
