@@ -2,9 +2,10 @@
 
     python benchmarks/gel_network.py [WEIGHTS]
 
-The method *network* reads a touched frame of every gel sensor, its resizing and its notes included; the peer is a U-Net
-as large as the lab's published one (31 million numbers) on the change of colour at 160 x 213, the network alone, with
-random numbers: it takes the same time. Then the same touch seen by a sensor of 1280 x 1708 pixels, beside the one of
+What the network adds to the physical answer of a touched frame of every gel sensor, resizing and notes included;
+the peer is a U-Net as large as the lab's published one (31 million numbers) on the change of colour at 160 x 213, with
+random numbers: it takes the same time. Beside it the method *network* as a whole, physics included, the peer physics
+alone. Then the same touch seen by a sensor of 1280 x 1708 pixels, beside the one of
 320 x 427: the error is the ratio of the times over that of the pixels, 16. Last, untouched pictures of every simulated
 sensor under more drift than `drift.py` asks for: every colour's gain within 10 %, ramps of up to 20 grey levels in any
 direction, shifts of up to 3 pixels; the error is the number of frames in which any pixel is contact.
@@ -29,12 +30,16 @@ from benchmarks.drift import drifted, read_through
 from benchmarks.races import Bar, Timing, race, row, timing
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
+from pipeline.networks import building
 from pipeline.physics import optics
 from pipeline.racing.races import Answer
 from pipeline.racing.report import show
 from pipeline.sensors.spec import sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.press import press
+from pipeline.stages.depth import gel_network
+from pipeline.stages.depth import network as depth_network
+from pipeline.stages.depth.gel_network import NetworkParams
 from pipeline.values.frames import TactileFrame
 
 _SENSORS = ("gelslim", "gelslim_dotless", "gelsight_mini", "digit")
@@ -99,7 +104,7 @@ def enlarged(frame):
     return replace(frame, image=times(frame.image), reference=times(frame.reference))
 
 
-def costs(read):
+def costs(read, network):
     peer, change = Large().eval(), torch.zeros(1, 3, 160, 213)
     size = sum(p.numel() for p in peer.parameters()) / 1e6
 
@@ -107,12 +112,23 @@ def costs(read):
         with torch.inference_mode():
             peer(change)
 
+    alone = reader("physics")
     for name in _SENSORS:
         source = sensor(name)
         frame = touched(source)
-        taken = race({"ours": lambda f=frame, s=source: read(f, s), "peer": by_peer}, runs=_RUNS)
-        yield row(f"a frame of {name}", peer=f"U-Net of {size:.0f} M numbers", ours=taken["ours"],
-                  peer_timing=taken["peer"], ours_error=0.0, unit="", bar=Bar(ms=15, faster=10))  # fmt: skip
+        physical, seen = gel_network.looked_at(frame, source)
+
+        def adds(p=physical, s=seen, of=source):
+            gel_network.corrected(p, s, of, network, NetworkParams())
+
+        taken = race({"ours": adds, "peer": by_peer}, runs=_RUNS)
+        yield row(f"what the network adds to a frame of {name}", peer=f"U-Net of {size:.0f} M numbers",
+                  ours=taken["ours"], peer_timing=taken["peer"], ours_error=0.0, unit="",
+                  bar=Bar(ms=15, faster=10))  # fmt: skip
+        taken = race({"ours": lambda f=frame, s=source: read(f, s), "peer": lambda f=frame, s=source: alone(f, s)},
+                     runs=_RUNS)  # fmt: skip
+        yield row(f"a frame of {name}, physics and network", peer="physics", ours=taken["ours"],
+                  peer_timing=taken["peer"], ours_error=0.0, unit="", bar=Bar())  # fmt: skip
 
 
 def growth(read):
@@ -148,10 +164,12 @@ def drifts(read):
 
 def answer(weights: str = "") -> Answer:
     read = reader(f"network={weights}" if weights else "network")
+    mini = sensor("gelsight_mini")
+    network = building.network(depth_network.weights(mini, mini, Path(weights) if weights else None))
     return Answer(
         title="What reading a gel by network costs, and what drift does to it",
         unit="frames",
-        rows=(*costs(read), growth(read), *drifts(read)),
+        rows=(*costs(read, network), growth(read), *drifts(read)),
     )
 
 

@@ -39,7 +39,7 @@ class Unit:
 def unit(rng: np.random.Generator) -> Unit:
     """A random unit of a known kind, near its description or far from it."""
     name = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
-    base, far = sensor(name), float(rng.uniform(0.1, 1.0))
+    base, far = sensor(name), float(rng.uniform(0.05, 0.8))
     drawn, markers = _askew(rng, _optics(base), far), _markers(rng, base, likely=0.97 if base.markers else 0.1)
     sometimes = rng.random(5)
     return Unit(

@@ -25,10 +25,10 @@ def relief(rng: np.random.Generator, n: int, view: float) -> Floats:
     """A random thing (n, n) float32, its lowest point 0; `view` is the length, in steps, that a camera sees of it."""
     x, y = _plane(n)
     height = _solid(rng, x, y, view)
-    for _ in range(int(rng.choice((0, 1, 2, 4), p=(0.55, 0.22, 0.15, 0.08)))):  # unions, and several at once
+    for _ in range(int(rng.choice((0, 1, 2, 4), p=(0.75, 0.14, 0.08, 0.03)))):  # unions, and several at once
         more = _solid(rng, x, y, view) + np.float32(rng.choice((0.0, rng.exponential(2.0))))
         height = np.minimum(height, more)
-    if rng.random() < 0.25:
+    if rng.random() < 0.12:
         height = height + _rough(rng, n)
     return np.asarray(height - height.min(), np.float32)
 
@@ -44,7 +44,7 @@ def _solid(rng: np.random.Generator, x: Floats, y: Floats, view: float) -> Float
     dx, dy = (rng.normal(0.0, 0.4) * reach for _ in range(2))
     cos, sin = np.float32(math.cos(angle)), np.float32(math.sin(angle))
     across, along = (x - dx) * cos + (y - dy) * sin, (y - dy) * cos - (x - dx) * sin
-    make = _MAKERS[int(rng.choice(len(_MAKERS), p=_SHARES))]
+    make = _MAKERS[int(rng.choice(len(_MAKERS), p=list(_SHARES.values())))]
     height = make(rng, np.asarray(across, np.float32), np.asarray(along, np.float32), view)
     if make in _LEANING and rng.random() < 0.6:
         lean = rng.normal(0.0, 0.02, 2)
@@ -72,17 +72,37 @@ def _rod(rng: np.random.Generator, x: Floats, y: Floats, view: float) -> Floats:
 
 
 def _face(rng: np.random.Generator, x: Floats, y: Floats, view: float) -> Floats:
-    """A flat face: a box, a disc, a polygon or a blob, its edge sharp or rounded."""
-    half, kind = 0.5 * _log(rng, 0.12 * view, 1.3 * view), rng.integers(4)
+    """A flat face with a rounded edge."""
+    half = 0.5 * _log(rng, 0.12 * view, 1.3 * view)
+    return _outside(_outline(rng, x, y, half), min(_log(rng, 0.5, 0.12 * view), 0.8 * half))
+
+
+def _punch(rng: np.random.Generator, x: Floats, y: Floats, view: float) -> Floats:
+    """A flat face with a sharp edge, as tools and printed letters have it."""
+    if rng.random() < 0.6:
+        off = _outline(rng, x, y, 0.5 * _log(rng, 0.1 * view, 0.7 * view))
+    else:
+        off = _strokes(rng, x, y, view) - np.float32(0.5 * _log(rng, 0.03 * view, 0.12 * view))
+    return _outside(off, _log(rng, 0.1, 1.2))
+
+
+def _outline(rng: np.random.Generator, x: Floats, y: Floats, half: float) -> Floats:
+    """Distance from a box, an ellipse, a polygon, a blob or a star, about; negative inside."""
+    kind = rng.integers(5)
     if kind == 0:
         across = half * _log(rng, 0.25, 1.0)
         qx, qy = np.abs(x) - half, np.abs(y) - across
         off = np.hypot(np.maximum(qx, 0), np.maximum(qy, 0)) + np.minimum(np.maximum(qx, qy), 0)
     elif kind == 1:
-        off = np.hypot(x, y) - half
+        wide = _log(rng, 0.4, 1.0)
+        off = (np.hypot(x, y / np.float32(wide)) - half) * np.float32(math.sqrt(wide))
+    elif kind == 4:
+        points, deep = int(rng.integers(3, 8)), rng.uniform(0.1, 0.35)
+        reach = 1.0 + deep * np.cos(points * np.arctan2(y, x))
+        off = (np.hypot(x, y) - np.float32(half) * reach) * 0.8
     else:
         off = _polygon(rng, x, y, half) if kind == 2 else _blob(rng, x, y, half)
-    return _outside(np.asarray(off, np.float32), min(_log(rng, 0.5, 0.12 * view), 0.8 * half))
+    return np.asarray(off, np.float32)
 
 
 def _polygon(rng: np.random.Generator, x: Floats, y: Floats, half: float) -> Floats:
@@ -113,8 +133,14 @@ def _edge(rng: np.random.Generator, x: Floats, y: Floats, view: float) -> Floats
 
 
 def _ridge(rng: np.random.Generator, x: Floats, y: Floats, view: float) -> Floats:
-    """Strokes of one width: straight, rings, zigzags."""
-    half, kind = 0.5 * _log(rng, 0.025 * view, 0.16 * view), rng.integers(3)
+    """Strokes of one width, their edges rounded."""
+    half = 0.5 * _log(rng, 0.025 * view, 0.16 * view)
+    return _outside(_strokes(rng, x, y, view) - np.float32(half), half * rng.uniform(0.2, 1.0))
+
+
+def _strokes(rng: np.random.Generator, x: Floats, y: Floats, view: float) -> Floats:
+    """Distance from lines: straight ones, rings, zigzags."""
+    kind = rng.integers(3)
     if kind == 0:
         off = np.abs(np.hypot(x, y) - np.float32(_log(rng, 0.08 * view, 0.45 * view)))
     elif kind == 1:
@@ -126,7 +152,7 @@ def _ridge(rng: np.random.Generator, x: Floats, y: Floats, view: float) -> Float
     else:
         wave = _log(rng, 0.1 * view, 0.6 * view)
         off = np.abs(x - np.float32(0.25 * wave) * np.sin(y * np.float32(2.0 * math.pi / wave))) * 0.7
-    return _outside(np.asarray(off - half, np.float32), half * rng.uniform(0.2, 1.0))
+    return np.asarray(off, np.float32)
 
 
 def _cone(rng: np.random.Generator, x: Floats, y: Floats, view: float) -> Floats:
@@ -199,6 +225,9 @@ def _outside(off: Floats, rounding: float) -> Floats:
     return np.asarray(np.minimum(fillet + _WALL * np.maximum(off, 0.0), _NOWHERE), np.float32)
 
 
-_MAKERS: tuple[_Draw, ...] = (_ball, _egg, _rod, _face, _edge, _ridge, _cone, _threads, _bubbles, _soft)
-_SHARES = (0.22, 0.08, 0.08, 0.22, 0.09, 0.11, 0.06, 0.06, 0.04, 0.04)
-_LEANING: tuple[_Draw, ...] = (_face, _edge, _rod, _ridge, _threads)
+_SHARES: dict[_Draw, float] = {
+    _punch: 0.34, _ball: 0.18, _face: 0.12, _rod: 0.08, _edge: 0.07, _egg: 0.06, _ridge: 0.05, _cone: 0.04,
+    _threads: 0.03, _bubbles: 0.015, _soft: 0.015,
+}  # fmt: skip
+_MAKERS = tuple(_SHARES)
+_LEANING: tuple[_Draw, ...] = (_punch, _face, _edge, _rod, _ridge, _threads)

@@ -29,7 +29,7 @@ from pipeline.training.gel_presses import Pressed
 from pipeline.training.own_touches import keep, read
 from pipeline.values.frames import TactileFrame
 
-VERSION = 1  # counts up when the same number would give another picture
+VERSION = 2  # counts up when the same number would give another picture
 _UNTOUCHED, _DRIFTING = 0.12, 0.6  # shares: of the pictures, and of the touched ones with drift
 _SENSORS = ("gelsight_mini", "gelslim", "digit")
 _DEPTHS_MM = (0.15, 0.4, 0.8)
