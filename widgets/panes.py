@@ -16,7 +16,7 @@ from widgets.stage_column import StageColumn
 
 MOST_PANES = 3
 DIMS = ("2D", "3D", "both")
-_FLAT_SHARE = 0.7  # of a pane's height, where it shows both
+_FLAT_SHARE = 0.74  # of a pane's height, where it shows both
 
 
 class Pane(QFrame):

@@ -11,7 +11,8 @@ from app.frame.instrument import Instrument
 from app.frame.logs import log
 from app.session.state import Session
 from app.work import judging
-from app.work.judging import Judged, Previewed
+from app.work.jobs import Report
+from app.work.judging import BeforeAfter, Judged, Previewed
 from app.work.refining import Refining
 from pipeline.alignment.score import Score
 from pipeline.base.arrays import Doubles
@@ -50,6 +51,7 @@ class Aligning(QObject):
         instrument.session_shown.connect(self.show_session)
         instrument.frame_shown.connect(self._frame_shown)
         instrument.closing.connect(self._rest.stop)
+        self.refining.answered.connect(self._answered)
         instrument.job.delivered.connect(self._take)
         instrument.job.finished.connect(self._take_last)
         instrument.job.failed.connect(self._not_judged)
@@ -116,7 +118,21 @@ class Aligning(QObject):
         if not self._seen or instrument.window.timeline.playing or not instrument.idle:
             return
         session, evaluator = instrument.session, instrument.evaluator
-        self._judging = instrument.ahead(lambda report: judging.judge(evaluator, session, report))
+        answer = self.refining.answer
+
+        def work(report: Report) -> Judged:
+            if answer is not None:
+                report.hand_over(judging.before_and_after(evaluator, session, answer.offsets, report))
+            return judging.judge(evaluator, session, report)
+
+        self._judging = instrument.ahead(work)
+
+    def _answered(self) -> None:
+        """A refinement is looked at beside what is, on every frame until it is taken or not."""
+        if self.refining.answer is not None:
+            self._frame_shown(0)
+        elif not self._instrument.closed:
+            self._instrument.refresh()
 
     def _begin(self) -> None:
         self._rest.stop()
@@ -166,6 +182,8 @@ class Aligning(QObject):
         if isinstance(part, Translation):
             self._judged = self._score = None
             self._panel.show_nothing()
+        elif isinstance(part, BeforeAfter) and ticket == self._judging and self.refining.answer is not None:
+            self._instrument.screen.show_wiped(part.before, part.after)
         elif isinstance(part, Previewed) and self._panel.dragging:
             with self._instrument.watch.timed("Previewed"):
                 self._instrument.screen.show_preview(part.picture, part.beside, part.layers)

@@ -142,6 +142,12 @@ class Screen:
         column = self._window.columns[name]
         self._window.panes.filmstrip.thumbnails[name].show_state(column.state, column.doubts)
 
+    def show_wiped(self, before: Picture, after: Picture) -> None:
+        """Two pictures of the target's view, the second right of the handle, until its part comes again."""
+        view = self._window.columns[_PREVIEWED].view
+        view.show_picture(before)
+        view.overlay.show_wiped(after)
+
     def show_preview(self, picture: Picture, other: Beside | None, layers: tuple[Layer, ...]) -> None:
         """The target's view of a drag on its way; what rests on it is out of date."""
         changed = self._resting_on("alignment")

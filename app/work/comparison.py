@@ -66,6 +66,13 @@ class Comparison:
         small = self.target.seen_through(self.target.camera.scaled(1.0 / self.factor))
         return project(adapt(self.source, there, AdaptParams(stride=min(2, self.factor))), small, params), None
 
+    def view(self, alignment: Alignment, params: Projection) -> TargetView:
+        """The touch as the alignment carries it over, at full size."""
+        if self.touch is not None and self.full is not None:
+            return preview(self.touch, alignment, self.full, params)[0]
+        there = placed(alignment, source_shift_mm=self.source_shift_mm, target_shift_mm=0.0)
+        return project(adapt(self.source, there, AdaptParams()), self.target, params)
+
     def scored(self, alignment: Alignment, params: Projection) -> Score | None:
         """How well the touch agrees at full size."""
         return None if self.touch is None or self.full is None else preview(self.touch, alignment, self.full, params)[1]

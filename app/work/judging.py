@@ -57,6 +57,31 @@ class Refined:
     begun: Session
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BeforeAfter:
+    """The target's view of a frame as it is aligned, and as a refinement would have it, drawn alike."""
+
+    before: Picture
+    after: Picture
+
+
+def before_and_after(evaluator: Evaluator, session: Session, refined_to: Offsets, report: Report) -> BeforeAfter:
+    """The session's frame under its offsets and under others: less what the target felt, where that is known."""
+    opened, frame = evaluator.comparison(session, report)
+    params = project_params(session)
+    seen = Seen(outputs={}, source=opened.source, target=opened.target, mesh=None, display=session.display)
+
+    def drawn(offsets: Offsets) -> Picture:
+        picture = view_slot.picture(frame.view(offsets.applied(opened.alignment), params), seen)
+        if frame.touch is not None:
+            gap = beside_felt(picture, frame.touch.target, opened.target, session.display).gap
+            picture = picture if gap is None else gap
+        # One outline would lie over both sides of the handle; what was felt is the same on either.
+        return replace(picture, outline_px=None, felt_px=frame.outline_px, caption="left: as it is; right: as refined")
+
+    return BeforeAfter(before=drawn(session.offsets), after=drawn(refined_to))
+
+
 def preview(evaluator: Evaluator, session: Session, report: Report) -> Previewed:
     """The session's frame under its offsets, coarse; raises TouchError."""
     opened, frame = evaluator.comparison(session, report)

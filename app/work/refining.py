@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from PyQt6.QtCore import QObject
+from PyQt6.QtCore import QObject, pyqtSignal
 
 from app.frame.instrument import Instrument
 from app.session.state import Session
@@ -14,6 +14,8 @@ from app.work.judging import Refined
 
 class Refining(QObject):
     """Starts, shows, cancels, accepts. An answer for another alignment than the opened one is dropped."""
+
+    answered = pyqtSignal()  # there is an answer to be looked at, or none any more
 
     def __init__(self, instrument: Instrument) -> None:
         super().__init__(instrument)
@@ -55,8 +57,10 @@ class Refining(QObject):
 
     def discard(self) -> None:
         """Forget the answer."""
-        self._begun = self.answer = None
+        seen, self._begun, self.answer = self.answer is not None, None, None
         self._box.show_idle()
+        if seen:
+            self.answered.emit()
 
     def show_session(self, session: Session) -> None:
         """Another recording or alignment is open: what was begun is of no use."""
@@ -74,6 +78,7 @@ class Refining(QObject):
         self.answer = answer
         opened = self._instrument.screen.opened
         self._box.show_answer(answer.answer, "" if opened is None else opened.target.name)
+        self.answered.emit()
 
     def _failed(self, ticket: int, error: object) -> None:
         if ticket == self._ticket and isinstance(error, BaseException):

@@ -191,6 +191,30 @@ def test_refining_shows_before_and_after_and_accepting_is_one_step(aligned, qtbo
     assert not panel.refine.accept.isVisible()
 
 
+def test_a_refinement_is_seen_beside_what_is_until_it_is_taken(aligned, qtbot, settled):
+    """Before left of a handle, after right of it, on whichever frame one goes to."""
+    refining, view = aligned.findChild(Aligning).refining, aligned.window.columns["view"].view
+    aligned.window.alignment.rows["x"].box.setValue(1.0)
+    settled(aligned)
+    plain = view.picture
+    aligned.window.alignment.refine.button.click()
+    qtbot.waitUntil(lambda: refining.answer is not None and view.overlay.shown, timeout=WAIT_MS)
+    settled(aligned)
+    before, after = view.picture, view.overlay._picture
+    assert before.values.shape == after.values.shape
+    gaps = [float(np.nanmean(np.abs(picture.values))) for picture in (before, after)]
+    assert gaps[1] < gaps[0]  # of what is carried over less what was felt
+    aligned.choose_frame(TOUCHED + 1)
+    settled(aligned)
+    aligned.choose_frame(TOUCHED)
+    settled(aligned)
+    assert view.overlay.shown
+    aligned.window.alignment.refine.discard.click()
+    settled(aligned)
+    assert not view.overlay.shown
+    assert view.picture is plain
+
+
 def test_refining_can_be_cancelled_and_changes_nothing(aligned, qtbot):
     refining = aligned.findChild(Aligning).refining
     aligned.window.alignment.refine.button.click()
