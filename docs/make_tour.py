@@ -11,6 +11,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -22,6 +23,8 @@ prepare_environment()
 
 from PyQt6.QtCore import QCoreApplication, QEvent, QSettings
 
+from app.frame.basins import BasinsTab
+from app.frame.comparing import Comparing
 from app.frame.instrument import Instrument
 from app.frame.living import Living
 from app.frame.tour import save_window_picture, wait_until_shown
@@ -92,6 +95,63 @@ def inspect(instrument: Instrument, path: Path) -> None:
     save_window_picture(instrument, path)
 
 
+def compare(instrument: Instrument, path: Path) -> None:
+    """The same frame by every method that has weights."""
+    comparing = _compared(instrument)
+    until(lambda: not comparing.busy and len(instrument.window.compare.tab.grid.tiles) > 2)
+    at_rest(instrument)
+    save_window_picture(instrument, path)
+
+
+def two(instrument: Instrument, path: Path) -> None:
+    """Two ways to the target's view on one frame and view."""
+    comparing = _compared(instrument)
+    command(instrument, "hold_settings")
+    instrument.choose_method("view", "paper")
+    shown(instrument)
+    box = instrument.window.compare.slot
+    box.setCurrentIndex(box.findData("view"))
+    box.activated.emit(box.currentIndex())
+    until(lambda: not comparing.busy and len(instrument.window.compare.tab.grid.tiles) == 3)
+    at_rest(instrument)
+    save_window_picture(instrument, path)
+
+
+def seeds(instrument: Instrument, path: Path) -> None:
+    """Eight samples of one touch."""
+    comparing = _compared(instrument)
+    instrument.window.compare.show_tab("seeds")
+    method = instrument.catalogue.method("touch", "t2d2")
+    instrument.choose_method("touch", "t2d2")
+    instrument.choose_params(method.key, replace(method.params(), steps=4))
+    shown(instrument)
+    instrument.window.compare.draw.click()
+    until(lambda: not comparing.busy and len(instrument.window.compare.tab.grid.tiles) == 5)
+    at_rest(instrument)
+    save_window_picture(instrument, path)
+
+
+def basins(instrument: Instrument, path: Path) -> None:
+    """Where the registration of one touch ends, from all around."""
+    instrument.show_session(Session(recording=SAMPLE, source="gelslim", target="soft_bubble", frame=8))
+    shown(instrument)
+    at_rest(instrument)
+    command(instrument, "map_basins")
+    tab = next(child for child in instrument.children() if isinstance(child, BasinsTab))
+    until(lambda: tab.found is not None)
+    at_rest(instrument)
+    save_window_picture(instrument, path)
+
+
+def _compared(instrument: Instrument) -> Comparing:
+    """*Compare* on a touched frame."""
+    instrument.show_session(Session(recording=SAMPLE, source="gelslim", target="soft_bubble", frame=5))
+    shown(instrument)
+    command(instrument, "layout_compare")
+    shown(instrument)
+    return next(child for child in instrument.children() if isinstance(child, Comparing))
+
+
 def demo(instrument: Instrument, path: Path) -> None:
     """Source, generated and truth, large."""
     instrument.show_session(Session(recording=PAIRED, source="digit", target="gelslim", frame=3))
@@ -126,7 +186,10 @@ def live(instrument: Instrument, path: Path) -> None:
     living.stop()
 
 
-PICTURES = {"welcome": welcome, "inspect": inspect, "demo": demo, "align": align, "live": live}
+PICTURES = {
+    "welcome": welcome, "inspect": inspect, "compare": compare, "two": two, "seeds": seeds, "basins": basins,
+    "demo": demo, "align": align, "live": live,
+}  # fmt: skip
 
 
 def main() -> None:
