@@ -34,10 +34,9 @@ def recorded_pairs(path: str, source_name: str, target_name: str) -> tuple[Drawn
     """
     recording, source, target = open_recording(Path(path)), sensor(source_name), sensor(target_name)
     try:
-        streams = [recording.stream_of_sensor(name) for name in (source_name, target_name)]
-        if streams[0] is None or streams[1] is None:
+        one, other = recording.stream_of_sensor(source_name), recording.stream_of_sensor(target_name)
+        if one is None or other is None:
             raise SettingProblem(f"{path!r} holds no pairs of {source.title} and {target.title}")
-        one, other = streams
         stand = alignments.between(source, target, recording.target_from_source(one.name, other.name))
         made = [_pair(one, other, index, source, target, stand) for index in range(min(one.n_frames, other.n_frames))]
     finally:

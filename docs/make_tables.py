@@ -1,0 +1,84 @@
+"""The paper's tables as Markdown, from what `tactoscope evaluate --json` wrote: one file a split, or one a direction.
+
+    python docs/make_tables.py FILE.json... > docs/tables/README.md
+
+Of several files the later one counts where both have a row. The paper's own figures stand in brackets.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+HEAD = """# The paper's tables
+
+Simulated touches that nothing was taught on; the source is another unit than the described one, the target is as
+described. In brackets what the paper tells of real recordings of its own sensors: it shows what is hard, not who is
+better. Its FID is Inception's; ours is the Frechet distance on the features of the pose network that comes along,
+beside the distance of two halves of the true touches. Poses are told by that network from the touch; registration is
+not in these tables. Errors are of the target's membrane: over all, and where the target is really touched. Weights as
+they come along; one step each; one busy machine of two cores, so that times compare within a table only.
+
+    tactoscope evaluate --split unseen_tools --grasps 4 --poses network --json tools.json
+    tactoscope evaluate --split unseen_grasps --grasps 2 --poses network --json grasps.json
+    python docs/make_tables.py tools.json grasps.json > docs/tables/README.md
+"""
+COLUMNS = (
+    "transfer", "by", "PSNR, dB", "SSIM", "Frechet (floor; FID)", "error, mm", "in contact, mm", "IoU",
+    "corr. less mean", "shift, mm", "turn, deg", "ms",
+)  # fmt: skip
+SHORT = {"soft_bubble": "bubble", "gelslim": "GelSlim", "digit": "DIGIT", "gelsight_mini": "Mini"}
+
+
+def main(files: list[str]) -> str:
+    """The page."""
+    tables: dict[str, dict[tuple[str, str, str], Mapping[str, Any]]] = {}
+    for file in files:
+        told = json.loads(Path(file).read_text("utf-8"))
+        rows = tables.setdefault(told["split"], {})
+        for row in told["rows"]:
+            own = row["contender"] in ("recorded", "untouched", "mean")
+            rows["" if own else row["source"], row["target"], row["contender"]] = row
+    parts = [HEAD]
+    for split, rows in tables.items():
+        touches = max(row["touches"] for row in rows.values())
+        parts.append(f"\n## {split.replace('_', ' ').capitalize()}: {touches} touches a transfer\n")
+        parts += ["| " + " | ".join(COLUMNS) + " |", "|" + " --- |" * len(COLUMNS)]
+        ordered = sorted(rows.items(), key=lambda item: (item[0][1] != "soft_bubble", item[0][0] != "", item[0][0]))
+        parts += ["| " + " | ".join(_cells(*key, row)) + " |" for key, row in ordered]
+    return "\n".join(parts)
+
+
+def _cells(source: str, target: str, contender: str, row: Mapping[str, Any]) -> list[str]:
+    figures, paper = row["figures"], row["paper"] or {}
+
+    def value(name: str, region: str = "all") -> str:
+        found = figures.get(name, {}).get(region)
+        return "-" if found is None else f"{found:.3g}"
+
+    def beside(ours: str, theirs: str, digits: int = 2) -> str:
+        known = paper.get(theirs)
+        return ours if known is None else f"{ours} ({known:.{digits}f})"
+
+    sets, pose = row["sets"], row["poses"].get("network")
+    frechet = "-" if not sets else f"{sets['frechet']:.3g} ({sets['frechet_floor']:.3g}"
+    if sets:
+        frechet += f"; {paper['fid']:.0f})" if paper.get("fid") is not None else ")"
+    shift, turn = (
+        "-" if pose is None else f"{pose[name][0]:.2f} ± {pose[name][1]:.2f}" for name in ("shift_mm", "turn_deg")
+    )
+    if paper:
+        shift, turn = f"{shift} ({paper['shift_mm'][0]:.2f})", f"{turn} ({paper['turn_deg'][0]:.2f})"
+    way = SHORT[target] if not source else f"{SHORT[source]} > {SHORT[target]}"
+    return [
+        way, row["title"] if not source else contender, beside(value("psnr_db"), "psnr_db"),
+        beside(value("ssim"), "ssim"), frechet, value("error_mm"), value("error_mm", "contact"), value("iou"),
+        value("correlation"), shift, turn, f"{row['ms']:.0f}" if row["ms"] else "-",
+    ]  # fmt: skip
+
+
+if __name__ == "__main__":
+    print(main(sys.argv[1:]))
