@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-from PyQt6.QtCore import QCoreApplication, QPoint, QPointF, Qt
+from PyQt6.QtCore import QCoreApplication, QPoint, QPointF, Qt, QTimer
 from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import (
@@ -60,6 +60,9 @@ class Monkey:
     def play(self, seconds: float) -> None:
         """Act until the time is over; what is not caught anywhere is a complaint."""
         hook, sys.excepthook = sys.excepthook, self._uncaught
+        closing = QTimer()  # a box that waits for an answer has an event loop of its own
+        closing.timeout.connect(_dismiss)
+        closing.start(200)
         weights, acts = zip(*self._acts, strict=True)
         end_s = time.monotonic() + seconds
         try:
@@ -73,6 +76,7 @@ class Monkey:
                     self.watched.come_to_rest()
             self.watched.come_to_rest()
         finally:
+            closing.stop()
             sys.excepthook = hook
 
     def _command(self) -> str:
@@ -184,6 +188,13 @@ class Monkey:
 
     def _complain(self, what: str) -> None:
         self.complaints.append(f"{what}; lately: {', '.join(self._lately[-12:])}")
+
+
+def _dismiss() -> None:
+    """Give the box that waits for an answer none."""
+    box = QApplication.activeModalWidget()
+    if box is not None:
+        box.close()
 
 
 def _wheel(view: QWidget, at: QPoint, by: int) -> QWheelEvent:
