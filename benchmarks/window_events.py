@@ -41,7 +41,7 @@ def answer() -> Answer:
     instrument.window.resize(1600, 950)
     wait_until_shown(instrument)
     clock.instrument = instrument
-    _rest(instrument, application)  # all frames known: the background is quiet
+    rest(instrument, application)  # all frames known: the background is quiet
     rows = list(_events(instrument, application, clock))
     seen, played, notes = _frames(instrument, application)
     rows.append(row("frame seen before, whole window", ours=seen, ours_error=math.nan, unit="", bar=Bar(ms=SEEN_MS)))
@@ -96,7 +96,7 @@ def _timed_application() -> tuple[Any, _Clock]:
     return Timed([sys.argv[0]]), clock
 
 
-def _spin(instrument: Any, application: Any, limit_s: float = 60.0) -> None:
+def spin(instrument: Any, application: Any, limit_s: float = 60.0) -> None:
     """Until what was asked for is on screen, 3D views too."""
     end_s = time.monotonic() + limit_s
     while time.monotonic() < end_s:
@@ -106,19 +106,19 @@ def _spin(instrument: Any, application: Any, limit_s: float = 60.0) -> None:
         time.sleep(0.0005)
 
 
-def _rest(instrument: Any, application: Any, limit_s: float = 240.0) -> None:
+def rest(instrument: Any, application: Any, limit_s: float = 240.0) -> None:
     known, end_s = instrument.window.frames.known, time.monotonic() + limit_s
     while known.unknown_from(0) >= 0 and time.monotonic() < end_s:
         application.processEvents()
         time.sleep(0.002)
-    _spin(instrument, application)
+    spin(instrument, application)
 
 
 def _events(instrument: Any, application: Any, clock: _Clock) -> Iterator[Row]:
     window = instrument.window
     for drawer in (window.drawers.parameters, window.drawers.alignment):
         drawer.show()
-    _spin(instrument, application)
+    spin(instrument, application)
 
     def slider_of(name: str) -> Any:
         from PyQt6.QtWidgets import QSlider
@@ -146,11 +146,11 @@ def _events(instrument: Any, application: Any, clock: _Clock) -> Iterator[Row]:
             while time.monotonic() < end_s:
                 application.processEvents()
                 time.sleep(0.0005)
-        _spin(instrument, application)
+        spin(instrument, application)
         yield _row(name, clock)
     clock.begin()
     instrument.choose_frame(0)
-    _spin(instrument, application)
+    spin(instrument, application)
     _play(instrument, application)
     yield _row("playing", clock)
 
@@ -189,7 +189,7 @@ def _play(instrument: Any, application: Any) -> tuple[int, float]:
     while instrument.window.timeline.playing and time.perf_counter() - begun_s < PLAYED_S:
         application.processEvents()
         time.sleep(0.0005)
-    _spin(instrument, application)
+    spin(instrument, application)
     instrument.frame_shown.disconnect(note)
     return len(shown_s), shown_s[-1] - shown_s[0]
 
@@ -200,13 +200,13 @@ def _frames(instrument: Any, application: Any) -> tuple[Timing, Timing, list[str
     for index in [4, 5, 6, 7] * 5:
         begun_s, begun_cpu_s = time.perf_counter(), time.process_time()
         instrument.choose_frame(index)
-        _spin(instrument, application)
+        spin(instrument, application)
         wall.append(1e3 * (time.perf_counter() - begun_s))
         cpu.append(1e3 * (time.process_time() - begun_cpu_s))
     seen = cpu[4:]  # the first round may be new
     for index in (*range(instrument.screen.opened.n_frames), 0):
         instrument.choose_frame(index)
-        _spin(instrument, application)
+        spin(instrument, application)
     begun_cpu_s = time.process_time()
     frames, took_s = _play(instrument, application)
     played_ms = 1e3 * (time.process_time() - begun_cpu_s) / max(1, frames)

@@ -63,10 +63,10 @@ class ParametersPanel(QScrollArea):
         self._controls: dict[str, dict[str, _Control]] = {}
         self._groups: dict[str, QWidget] = {}
 
-    def add_group(self, key: str, title: str, params: object) -> None:
-        """Add the controls of a method; nothing is shown for one without parameters."""
+    def add_group(self, key: str, title: str, params: object, tip: str = "") -> None:
+        """Add the controls of a method, `tip` saying what it does; nothing is shown for one without parameters."""
         self._params[key] = params
-        group, form = self._group(key, title)
+        group, form = self._group(key, title, tip)
         self._controls[key] = {}
         for name, (value, told) in settings(params).items():
             control = self._control(key, name, value, told)
@@ -75,6 +75,7 @@ class ParametersPanel(QScrollArea):
             label.setWordWrap(True)
             called = f"{key.partition('/')[0]}.{name}"  # by the command line
             tip = f"{told.help or told.label} ({called}{_range(told)})"
+            tip += f"\nequation: {told.source}" if told.source else ""
             label.setToolTip(tip)
             control.widget.setToolTip(tip)
             for slider in control.widget.findChildren(QSlider):
@@ -107,11 +108,12 @@ class ParametersPanel(QScrollArea):
             self.show_params(key, params)
             self.params_edited.emit(key, params)
 
-    def _group(self, key: str, title: str) -> tuple[QWidget, QFormLayout]:
+    def _group(self, key: str, title: str, tip: str) -> tuple[QWidget, QFormLayout]:
         group = QWidget()
         outer = spaced(QVBoxLayout(group), 3, (0, 2, 0, 6))
         head = QHBoxLayout()
         name = QLabel(title)
+        name.setToolTip(tip)
         bold(name)
         button = icon_button("reset", f"reset_{key}", f"Reset {title.lower()} to its defaults")
         button.setAccessibleName(f"reset {key}")

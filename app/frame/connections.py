@@ -113,7 +113,7 @@ def _fill(window: Window, catalogue: Catalogue) -> None:
         window.columns[slot.name].offer_methods([(m.name, m.title, m.help) for m in slot.methods])
         for method in slot.methods:
             title = slot.title if len(slot.methods) == 1 else f"{slot.title} · {method.title}"
-            window.parameters.add_group(method.key, title, method.params())
+            window.parameters.add_group(method.key, title, method.params(), method.help)
     window.parameters.add_group(DISPLAY, "Display", DisplayParams())
 
 

@@ -29,6 +29,7 @@ class Setting:
     step: float = 0.0  # of a spin box; 0 = a tenth of the range
     choices: tuple[str, ...] = ()
     help: str = ""
+    source: str = ""  # where the equation comes from that it stands in
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,10 +47,11 @@ def setting(
     step: float = 0.0,
     choices: Any = (),
     help: str = "",  # noqa: A002 - the word users know
+    source: str = "",
 ) -> Any:
     """A dataclass field with a default and its `Setting`; `choices` is the `Literal` that the field is declared as."""
     words = get_args(choices) or tuple(choices)
-    told = Setting(label=label, unit=unit, low=low, high=high, step=step, choices=words, help=help)
+    told = Setting(label=label, unit=unit, low=low, high=high, step=step, choices=words, help=help, source=source)
     return field(default=default, metadata={"setting": told})
 
 

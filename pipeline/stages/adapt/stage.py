@@ -24,7 +24,14 @@ class AdaptParams:
     """How densely the source grid is carried over."""
 
     stride: int = setting(
-        1, "Every n-th pixel", unit="px", low=1, high=16, step=1, help="more than 1 is a faster, coarser preview"
+        1,
+        "Every n-th pixel",
+        unit="px",
+        low=1,
+        high=16,
+        step=1,
+        help="more than 1 is a faster, coarser preview",
+        source="the paper, eq. P_T",
     )
 
 

@@ -42,12 +42,14 @@ class DepthParams:
     pressure_share: float = setting(
         0.25, "Pressure share", low=0.02, high=0.8, step=0.02,
         help="contact is where the pressure exceeds this share of its peak",
+        source="Johnson, Contact Mechanics, 1985",
     )  # fmt: skip
     smoothing_px: float = setting(1.0, "Smoothing", unit="px", low=0.0, high=5.0, step=0.25,
                                   help="blur of the colour change, or of a bubble's depth")  # fmt: skip
     boundary: Boundary = setting(
         "flat", "Integration border", choices=Boundary,
         help="flat: the gel is at rest around the touched part; free: nothing is known there",
+        source="least-squares integral: Frankot and Chellappa 1988, Simchony et al. 1990",
     )  # fmt: skip
     sensitivity: float = setting(
         1.0, "Sensitivity", unit="x", low=0.2, high=5.0, step=0.1,

@@ -33,12 +33,20 @@ class DiffusionParams:
     steps: int = setting(
         1, "Denoising steps", low=0, high=MOST_STEPS, step=1,
         help="0: what it begins with; 1: the likeliest touch; 4 to 8: one of those that are possible",
+        source="Karras et al. 2022, eq. 5",
     )  # fmt: skip
     guidance: float = setting(
         1.0, "Guidance scale", low=0.0, high=MOST_WEIGHT, step=0.1,
         help="how much more the condition counts than it was learned to; 1 costs half as much as any other above 0",
+        source="Ho and Salimans 2022",
     )  # fmt: skip
-    sampler: Solver = setting("corrected", "Sampler", choices=Solver, help="how a step follows from those before it")
+    sampler: Solver = setting(
+        "corrected",
+        "Sampler",
+        choices=Solver,
+        help="how a step follows from those before it",
+        source="DDIM: Song et al. 2021; DPM-Solver++ 2M: Lu et al. 2022; corrected: after Zhao et al. 2023",
+    )
     seed: int = setting(0, "Seed", low=0, high=2**31 - 1, step=1, help="of the sample, and of the sensor's noise")
     caution: float = setting(
         1.0, "Caution", low=0.0, high=1.0, step=0.1,

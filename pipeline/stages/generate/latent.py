@@ -43,8 +43,15 @@ class LatentParams:
     guidance: float = setting(
         2.54, "Guidance scale", low=0.0, high=MOST_WEIGHT, step=0.1,
         help="how much more the source counts than it was learned to; 1 costs half as much as any other above 0",
+        source="Ho and Salimans 2022",
     )  # fmt: skip
-    sampler: Solver = setting("ddim", "Sampler", choices=Solver, help="how a step follows from those before it")
+    sampler: Solver = setting(
+        "ddim",
+        "Sampler",
+        choices=Solver,
+        help="how a step follows from those before it",
+        source="DDIM: Song et al. 2021; DPM-Solver++ 2M: Lu et al. 2022; corrected: after Zhao et al. 2023",
+    )
     seed: int = setting(0, "Seed", low=0, high=2**31 - 1, step=1)
     unbiased: bool = setting(True, "Bring to the taught mean and spread", help="the paper's third step, of a bubble")
     raw_condition: AsTaught = setting(

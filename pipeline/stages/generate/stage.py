@@ -41,15 +41,18 @@ class GenerateParams:
         "Gel surface",
         choices=Surface,
         help="press: the gel rests on the object and may lift off dents of the depth; follow: it takes every value",
+        source="contact of a bonded layer: Johnson 1985, Polonsky and Keer 1999",
     )
     noise: bool = setting(False, "Sensor noise", help="add the target sensor's own noise to the reading")
     seed: int = setting(0, "Seed", low=0, high=2**31 - 1, step=1, help="of the noise")
     contact_gap_mm: float = setting(
         0.1, "Contact gap", unit="mm", low=0.0, high=2.0, step=0.05,
         help="a bubble's membrane this close to the object counts as touching it: it bridges the depth's own noise",
+        source="obstacle problem: Kinderlehrer and Stampacchia 1980",
     )  # fmt: skip
     tolerance_um: float = setting(
-        0.5, "Solver tolerance", unit="um", low=0.01, high=50.0, step=0.1, help="of the surface where it touches"
+        0.5, "Solver tolerance", unit="um", low=0.01, high=50.0, step=0.1, help="of the surface where it touches",
+        source="truncated multigrid: Graeser and Kornhuber 2009",
     )  # fmt: skip
 
 

@@ -48,6 +48,7 @@ class PoseParams:
     max_distance_mm: float = setting(
         2.0, "Search distance", unit="mm", low=0.05, high=20.0, step=0.1,
         help="points farther from the object do not count as on it",
+        source="point to surface on signed distances; covariance: Bonnabel 2014",
     )  # fmt: skip
     max_points: int = setting(1500, "Points", low=50, high=100_000, step=100, help="contact points that are used")
     keep_steps: bool = setting(True, "Keep iterations")

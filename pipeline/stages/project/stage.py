@@ -37,10 +37,12 @@ class ProjectParams:
     jump_mm: float = setting(
         1.0, "Depth jump", unit="mm", low=0.01, high=50.0, step=0.1,
         help="neighbours farther apart than this, beyond their usual spacing, are an edge and not joined",
+        source="the paper, eqs. D_T'' and M_T'', on surfaces",
     )  # fmt: skip
     grazing_deg: float = setting(
         84.0, "Grazing limit", unit="deg", low=1.0, high=90.0, step=1.0,
         help="triangles seen at a flatter angle than this from their normal are left out",
+        source="the paper, eqs. D_T'' and M_T'', on surfaces",
     )  # fmt: skip
     coverage: bool = setting(
         False, "Sub-pixel coverage", help="also say how much of each target pixel is in contact, in sixteenths"

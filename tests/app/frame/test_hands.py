@@ -8,11 +8,13 @@ import random
 from PyQt6.QtCore import QPoint, QPointF, Qt
 from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QComboBox, QMenu
+from PyQt6.QtWidgets import QApplication, QComboBox, QMenu, QWidget
 
-from app.frame.actions import EDIT, FILE, HELP, PLAY, VERSUS, VIEW
+from app.frame.actions import EDIT, FILE, HELP, PLAY, THEME, VERSUS, VIEW
 from app.frame.tour import wait_until_shown
+from pipeline.base.params import settings
 from pipeline.cli.terminal import print_line
+from pipeline.translation.catalogue import BUILT_IN
 from tests.app.frame.monkey import Monkey
 from widgets.palette import Palette
 
@@ -30,7 +32,7 @@ def wheel(widget) -> QWheelEvent:
 def test_every_command_is_in_a_menu_and_in_the_palette(bubble_window):
     window = bubble_window.window
     in_menus = {a.objectName() for menu in window.menuBar().findChildren(QMenu) for a in menu.actions()}
-    assert {c.name for c in FILE + EDIT + PLAY + VIEW + VERSUS + HELP} <= in_menus
+    assert {c.name for c in FILE + EDIT + PLAY + VIEW + VERSUS + THEME + HELP} <= in_menus
     window.actions_by_name["palette"].trigger()
     palette = window.findChild(Palette)
     assert palette.isVisible()
@@ -80,6 +82,19 @@ def test_tips_of_parameters_say_their_unit_and_range(bubble_window):
     panel = bubble_window.window.parameters
     tips = [w.toolTip() for w in panel.findChildren(QComboBox.__base__) if "gel_limit_mm" in w.objectName()]
     assert any("0.1 to 3 mm" in tip for tip in tips)
+
+
+def test_tips_of_parameters_say_where_their_equation_comes_from(bubble_window):
+    """Every number that stands in somebody's equation names it; what it is in is said too."""
+    panel, sourced = bubble_window.window.parameters, 0
+    for slot in BUILT_IN.slots:
+        for method in slot.methods:
+            for name, (_, told) in settings(method.params()).items():
+                tip = panel.findChild(QWidget, f"{method.key}.{name}").toolTip()
+                assert told.unit in tip
+                assert (f"equation: {told.source}" in tip) == bool(told.source)
+                sourced += bool(told.source)
+    assert sourced >= 10
 
 
 def test_a_monkey_breaks_nothing(open_window, tmp_path, touch_file, ball_file):

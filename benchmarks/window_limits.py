@@ -1,0 +1,198 @@
+"""How soon the window answers and what it takes at rest: first pane, preview, cancel, idle, memory.
+
+Run under a display: python benchmarks/window_limits.py [FRAME CHANGES]. Waiting is told by the wall clock, and as the
+processor's time of the whole process meanwhile, which a busy machine does not lengthen; the bars are on the latter.
+Memory is the process's largest resident size over frame changes in fourteen openings: each sample both ways.
+"""
+
+from __future__ import annotations
+
+import math
+import resource
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.races import Bar, Timing, row
+from benchmarks.window_events import rest, spin
+from pipeline.racing.races import Answer, Row
+from pipeline.racing.report import show
+
+NEEDS = "a display"
+CHANGES, OPENINGS, NEW_FRAMES, DRAGS, CANCELS, IDLE_S = 500, 14, 8, 8, 6, 10.0
+ANSWER_MS, IDLE_PERCENT, MOST_MB, GROWTH_MB = 100.0, 1.0, 800.0, 50.0
+_LIMIT_S = 60.0
+_WARM_UP = 2  # the first ones load and compile
+
+
+def answer(*given: str) -> Answer:
+    changes = int(given[0]) if given else CHANGES
+    from app import main as app_main
+
+    app_main.prepare_environment()
+    application = app_main.make_application()
+    from app.session.state import Session
+
+    instrument = app_main.show_window(
+        Session(recording=app_main.SAMPLE, source="gelslim", target="soft_bubble", frame=5)
+    )
+    instrument.window.resize(1600, 950)
+    instrument.window.may_close = lambda: True
+    spin(instrument, application)
+    told: list[str] = []
+    rows = [
+        _waits("new frame to its first pane", told, _new_frames(instrument, application)),
+        _waits("parameter slider to its stage's preview", told, _drafts(instrument, application)),
+        _waits("alignment slider to the preview", told, _previews(instrument, application)),
+        _waits("cancel", told, _cancels(instrument, application)),
+        _idle(instrument, application, told),
+        *_memory(instrument, application, changes, told),
+    ]
+    instrument.window.close()
+    return Answer(title="What the window answers and takes", unit="", rows=tuple(rows), notes=tuple(told))
+
+
+def _wait(application: Any, until: Callable[[], bool]) -> tuple[float, float]:
+    """Wall and processor's milliseconds until something holds."""
+    begun_s, begun_cpu_s = time.perf_counter(), time.process_time()
+    while not until() and time.perf_counter() - begun_s < _LIMIT_S:
+        application.processEvents()
+        time.sleep(0.0003)
+    return 1e3 * (time.perf_counter() - begun_s), 1e3 * (time.process_time() - begun_cpu_s)
+
+
+def _waits(name: str, told: list[str], waits: list[tuple[float, float]]) -> Row:
+    wall, cpu = np.array(waits[_WARM_UP:]).T
+    told.append(
+        f"{name}: processor median {np.median(cpu):.0f}, largest {cpu.max():.0f} ms; "
+        f"wall clock median {np.median(wall):.0f}, largest {wall.max():.0f} ms, of {len(cpu)}"
+    )
+    taken = Timing(median_ms=float(np.median(cpu)), p95_ms=float(np.percentile(cpu, 95)))
+    return row(name, ours=taken, ours_error=math.nan, unit="", bar=Bar(ms=ANSWER_MS))
+
+
+def _new_frames(instrument: Any, application: Any) -> list[tuple[float, float]]:
+    waits = []
+    for index in range(6, 6 + NEW_FRAMES):
+        source = instrument.screen.shown("source")
+        instrument.choose_frame(index)
+        waits.append(_wait(application, lambda old=source: instrument.screen.shown("source") is not old))
+        spin(instrument, application)
+    return waits
+
+
+def _drafts(instrument: Any, application: Any) -> list[tuple[float, float]]:
+    from pipeline.base.params import changed
+    from pipeline.stages.depth.slot import PHYSICS
+
+    waits, panel = [], instrument.window.parameters
+    panel.dragging = True
+    for n in range(DRAGS):
+        depth = instrument.screen.shown("depth")
+        params = changed(instrument.session.params_of(PHYSICS), "sensitivity", 1.0 + 0.02 * (n + 1))
+        instrument.choose_params(PHYSICS.key, params)
+        waits.append(_wait(application, lambda old=depth: instrument.screen.shown("depth") is not old))
+        spin(instrument, application)
+    panel.dragging = False
+    panel.drag_ended.emit()
+    instrument.change("back", params={})
+    spin(instrument, application)
+    return waits
+
+
+def _previews(instrument: Any, application: Any) -> list[tuple[float, float]]:
+    window = instrument.window
+    window.drawers.alignment.show()
+    spin(instrument, application)
+    slider, view, waits = window.alignment.rows["x"].slider, window.columns["view"], []
+    slider.setSliderDown(True)
+    for n in range(DRAGS):
+        old = view.view.picture
+        slider.setValue(slider.value() + 3 + n)
+        waits.append(_wait(application, lambda old=old: view.state == "preview" and view.view.picture is not old))
+    slider.setSliderDown(False)
+    spin(instrument, application)
+    instrument.undo.undo()
+    window.drawers.alignment.hide()
+    spin(instrument, application)
+    return waits
+
+
+def _cancels(instrument: Any, application: Any) -> list[tuple[float, float]]:
+    """Of frames on their way, asked a little later each time."""
+    waits = []
+    for n in range(CANCELS + _WARM_UP):
+        instrument.evaluator.graph.cache.clear()  # so that there is something to stop
+        instrument.choose_frame(n % 4)
+        _wait(application, lambda: instrument.job.busy)
+        end_s = time.perf_counter() + 0.02 * (n + 1)
+        while time.perf_counter() < end_s:
+            application.processEvents()
+        instrument.cancel()
+        waits.append(_wait(application, lambda: not instrument.job.busy))
+    instrument.refresh()
+    spin(instrument, application)
+    return waits
+
+
+def _idle(instrument: Any, application: Any, told: list[str]) -> Row:
+    """The share of one core that an open window takes while nobody touches it."""
+    from PyQt6.QtCore import QEventLoop, QTimer
+
+    rest(instrument, application)  # the errors of all frames are worked out as long as some are not known
+    loop = QEventLoop()
+    QTimer.singleShot(round(1e3 * IDLE_S), loop.quit)
+    begun_s = time.process_time()
+    loop.exec()
+    percent = 100 * (time.process_time() - begun_s) / IDLE_S
+    told.append(f"idle for {IDLE_S:g} s: {percent:.2f} % of one core")
+    return row("idle, share of one core", ours=_NO_TIME, ours_error=percent, unit="%", bar=Bar(error=IDLE_PERCENT))
+
+
+def _memory(instrument: Any, application: Any, changes: int, told: list[str]) -> list[Row]:
+    from app import main as app_main
+    from app.frame.tour import wait_until_shown
+
+    rng, held_mb = np.random.default_rng(0), []
+    recordings = sorted(app_main.SAMPLE.parent.glob("*.h5"))
+    done = 0
+    for opening in range(OPENINGS):
+        path, swap = recordings[opening % len(recordings)], opening >= len(recordings)
+        instrument.open_path(path)
+        wait_until_shown(instrument, _LIMIT_S)
+        if swap and instrument.screen.opened is not None:
+            t = instrument.screen.opened
+            instrument.change("swap", source=t.target.name, target=t.source.name, stream="")
+            wait_until_shown(instrument, _LIMIT_S)
+        n = instrument.screen.opened.n_frames  # pyright: ignore[reportOptionalMemberAccess]
+        for _ in range(changes * (opening + 1) // OPENINGS - done):
+            instrument.choose_frame(int(rng.integers(min(n, 12))))
+            spin(instrument, application)
+            done += 1
+        held_mb.append(_resident_mb())
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    growth = held_mb[-1] - held_mb[len(held_mb) // 2]
+    told.append(f"memory after each of {len(held_mb)} openings, {done} frame changes, MB: "
+                + " ".join(f"{mb:.0f}" for mb in held_mb))  # fmt: skip
+    return [
+        row("memory, largest", ours=_NO_TIME, ours_error=most, unit="MB", bar=Bar(error=MOST_MB)),
+        row("memory, second half's growth", ours=_NO_TIME, ours_error=growth, unit="MB", bar=Bar(error=GROWTH_MB)),
+    ]
+
+
+_NO_TIME = Timing(median_ms=math.nan, p95_ms=math.nan)
+
+
+def _resident_mb() -> float:
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 2**20
+
+
+if __name__ == "__main__":
+    show(answer(*sys.argv[1:]))
