@@ -37,12 +37,13 @@ from pipeline.calibration.corrections import (
     slope_error,
     without_any,
 )  # fmt: skip
-from pipeline.calibration.expected_error import expected, of_errors
+from pipeline.calibration.expected_error import coverage, expected, of_errors
 from pipeline.calibration.lookup import BallFit, Calibration, built_in, relative_change
 from pipeline.calibration.slope_model import SlopeModel
 from pipeline.sensors.spec import SensorSpec
 
 _TURNS = 6
+_FEWEST_COVERED = 0.5  # of the picture: with less, how it is read in the middle of its places is a guess
 _OUTLIER = 3.0  # times the median residual: a press that is not one ball on a clean gel
 
 
@@ -76,20 +77,23 @@ def calibrate_balls(
     best = chosen(held)
     worth = expected(models[best], fields, known, held, best)
     without = None if read is None else without_any(known, read)
-    if without is not None and not (best and betters(worth.diameter_share, without)):
+    narrow = coverage(known) < _FEWEST_COVERED
+    if without is not None and (narrow or not best or not betters(worth.diameter_share, without)):
         best, worth = 0, of_errors(without)
     model = models[best]
     progress.step(1.0, "look-up is ready")
     return Calibration(
         sensor=sensor.name, rows=reference.shape[0], cols=reference.shape[1], pixel_mm=scale, model=model,
         residual=float(np.sqrt(np.mean([slope_error(model, inside(p, known.ball)) ** 2 for p in known.presses]))),
-        origin=_origin(len(known.presses), len(images), diameter_mm, best), kept_built_in=best == 0,
+        origin=_origin(len(known.presses), len(images), diameter_mm, best, narrow=narrow), kept_built_in=best == 0,
         presses=_report(len(images), known, model), expected=worth,
     )  # fmt: skip
 
 
-def _origin(used: int, given: int, diameter_mm: float, best: int) -> str:
+def _origin(used: int, given: int, diameter_mm: float, best: int, *, narrow: bool) -> str:
     presses = f"{used} of {given} presses of a ball of {diameter_mm:g} mm"
+    if best == 0 and narrow:
+        return f"the built-in look-up: {presses} lie in less than half of the picture, press elsewhere too"
     if best == 0:
         return f"the built-in look-up, which {presses} did not better"
     return f"{presses} correct the built-in look-up"

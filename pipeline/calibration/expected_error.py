@@ -22,8 +22,10 @@ from pipeline.calibration.slope_model import SlopeModel
 
 _DRAWS = 12
 _PLACES = (5, 6)  # down and across
+_COVERED = 24  # places along each side, for the share that presses cover
 _MARGIN = 0.1  # of the picture: touches at its very border are measured badly by anything
 _PIXELS = 60  # of a virtual press
+_NEAR = 0.5  # halves of the picture from a press: within that three quarters of the light hang together
 _WORTH = 4.0  # presses that what is foreseen counts as
 _UNFORESEEN = 2.0  # times what is foreseen: circles that are off and light that is no such field
 _ALWAYS = 0.03  # where the contact ends is not known better, however many presses: a real Mini, forty of them
@@ -69,6 +71,14 @@ def expected(model: SlopeModel, fields: Fields, known: Presses, held: Held | Non
         depth_share=_together(np.abs(1.0 / (1.0 + virtual) - 1.0), np.abs(1.0 / (1.0 + measured) - 1.0)),
         n_held_out=len(measured),
     )
+
+
+def coverage(known: Presses) -> float:
+    """The share of the picture that lies near a press: in the rest the field of light is guessed."""
+    rows, cols = known.shape
+    x, y = np.meshgrid(np.arange(0.5, _COVERED) / _COVERED * cols, np.arange(0.5, _COVERED) / _COVERED * rows)
+    away = np.min([np.hypot(x - p.circle.x_px, y - p.circle.y_px) for p in known.presses], axis=0)
+    return float((away < _NEAR * 0.5 * max(rows, cols)).mean())
 
 
 def of_errors(errors: Doubles) -> ExpectedError:

@@ -51,6 +51,18 @@ def test_presses_are_asked_beside_what_the_stage_reads_not_beside_the_look_up_al
     assert calibrate_balls(pictures, still, told, DIAMETER_MM, read=exact).kept_built_in
 
 
+def test_presses_in_one_corner_do_not_speak_for_the_picture(another_unit):
+    unit, _ = another_unit
+    still, flat = optics.untouched(unit), np.zeros(unit.camera.shape, np.float32)
+    corner = [
+        optics.render(unit, hertz(unit.camera.shape, unit.pixel_mm, x, y, DIAMETER_MM, 0.6), seed=x)
+        for x, y in ((60, 60), (85, 70), (60, 90), (90, 95))
+    ]
+    found = calibrate_balls(corner, still, sensor("gelsight_mini"), DIAMETER_MM, read=lambda _: (flat, flat))
+    assert found.kept_built_in
+    assert "press elsewhere" in found.origin
+
+
 def test_pixels_of_another_width_are_compared_in_that_width():
     told = sensor("gelsight_mini")
     pictures, still = presses(told), optics.untouched(told)
