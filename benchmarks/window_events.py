@@ -33,6 +33,8 @@ def answer() -> Answer:
 
     app_main.prepare_environment()
     application, clock = _timed_application()
+    from PyQt6 import sip
+
     from app.frame.tour import wait_until_shown
     from app.session.state import Session
 
@@ -48,6 +50,7 @@ def answer() -> Answer:
     rows.append(row("frame played, all threads", ours=played, ours_error=math.nan, unit="", bar=Bar(ms=1e3 / FPS)))
     instrument.window.may_close = lambda: True
     instrument.window.close()
+    sip.delete(instrument.window)  # before the application, which Python would call for every event of its end
     return Answer(title="One event of the window", unit="", rows=tuple(rows), notes=(*notes, *clock.told))
 
 

@@ -29,6 +29,7 @@ from pipeline.values.results import DepthMap
 from widgets.frames_model import FrameSummary
 
 log = logging.getLogger("tactoscope")
+_SEEN_BYTES = 192 * 1024 * 1024  # two dozen frames of the usual size
 _ASIDE_BYTES = 32 * 1024 * 1024  # a frame or two: they must not push out what people go back to
 _BESIDE_BYTES = 32 * 1024 * 1024
 _OUTLINED = "view"  # the slot that is compared with what the target really felt
@@ -68,7 +69,7 @@ class Evaluator:
     def __init__(self, catalogue: Catalogue = BUILT_IN, like: Evaluator | None = None) -> None:
         """One `like` another remembers what that one has worked out."""
         self._catalogue = catalogue
-        self._graph = Graph(()) if like is None else like.graph
+        self._graph = Graph((), cache=Cache(_SEEN_BYTES)) if like is None else like.graph
         self._aside = Graph((), cache=Cache(_ASIDE_BYTES))  # of frames that nobody looks at
         self._request: Request | None = None
         self._translation: Translation | None = None
