@@ -47,16 +47,23 @@ def open_window(request: Request | None, *, frame: int | None = None, tour: Path
         methods, weights = dict(request.methods), dict(request.weights)
         session = Session(**asked, offsets=request.offsets, methods=methods, weights=weights, frame=first)
     instrument = show_window(session, remembers=tour is None)
-    code = 0
-    if tour is not None:
+    try:
+        if tour is None:
+            return application.exec()
         from app.frame.tour import give_tour
 
-        code = give_tour(instrument, tour, show_frame=frame)
-        instrument.window.close()
-    else:
-        code = application.exec()
+        return give_tour(instrument, tour, show_frame=frame)
+    finally:
+        let_go(instrument)
+
+
+def let_go(instrument: Instrument) -> None:
+    """Close the window and destroy it: one that outlives its application ends the process with a crash."""
+    from PyQt6 import sip
+
     instrument.close()
-    return code
+    if not sip.isdeleted(instrument.window):
+        sip.delete(instrument.window)
 
 
 def prepare_environment() -> None:

@@ -33,8 +33,6 @@ def answer() -> Answer:
 
     app_main.prepare_environment()
     application, clock = _timed_application()
-    from PyQt6 import sip
-
     from app.frame.tour import wait_until_shown
     from app.session.state import Session
 
@@ -49,8 +47,7 @@ def answer() -> Answer:
     rows.append(row("frame seen before, whole window", ours=seen, ours_error=math.nan, unit="", bar=Bar(ms=SEEN_MS)))
     rows.append(row("frame played, all threads", ours=played, ours_error=math.nan, unit="", bar=Bar(ms=1e3 / FPS)))
     instrument.window.may_close = lambda: True
-    instrument.window.close()
-    sip.delete(instrument.window)  # before the application, which Python would call for every event of its end
+    app_main.let_go(instrument)
     return Answer(title="One event of the window", unit="", rows=tuple(rows), notes=(*notes, *clock.told))
 
 

@@ -54,7 +54,7 @@ def answer(*given: str) -> Answer:
         _idle(instrument, application, told),
         *_memory(instrument, application, changes, told),
     ]
-    instrument.window.close()
+    app_main.let_go(instrument)
     return Answer(title="What the window answers and takes", unit="", rows=tuple(rows), notes=tuple(told))
 
 

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 from app.frame.tour import wait_until_shown
 from app.session.sample import SAMPLE
 from app.session.state import ON_A_TOUCH
@@ -17,3 +22,27 @@ def test_a_recording_opens_on_a_touched_frame_whatever_comes_first(open_window, 
     assert wait_until_shown(instrument, 60), instrument.window.banner.text
     assert instrument.session.frame == 2  # pressed deepest
     assert instrument.latest.results["depth"].output.contact.any()
+
+
+_QUITS = """
+import sys
+from PyQt6.QtWidgets import QApplication
+
+class Watched(QApplication):  # Python hears of every event, to the last
+    def notify(self, receiver, event):
+        return super().notify(receiver, event)
+
+application = Watched(["tactoscope"])
+QApplication.exec = staticmethod(lambda: 0)
+from app.main import open_window
+sys.exit(open_window(None))
+"""
+
+
+def test_the_process_ends_well_after_its_window(tmp_path):
+    """A window that outlived its application was called in the application's end, and the process crashed."""
+    places = {"XDG_CONFIG_HOME": str(tmp_path), "XDG_STATE_HOME": str(tmp_path), "PYTHONPATH": str(Path.cwd())}
+    ended = subprocess.run(
+        [sys.executable, "-c", _QUITS], env={**os.environ, **places}, capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 0, ended.stderr[-2000:]
