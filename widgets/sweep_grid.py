@@ -253,7 +253,8 @@ class SweepPlot(_Tries):
         painter.setPen(palette.color(QPalette.ColorRole.WindowText))
         known = self._known
         line = QFontMetrics(self.font()).height()
-        painter.drawText(QRectF(0, 0, self.width(), line), Qt.AlignmentFlag.AlignCenter, f"error, {self.unit}" if self.unit else "error")
+        title = f"error, {self.unit}" if self.unit else "error"
+        painter.drawText(QRectF(0, 0, self.width(), line), Qt.AlignmentFlag.AlignCenter, title)
         low = QRectF(frame.left(), frame.bottom() + 2, frame.width(), line)
         painter.drawText(low.translated(0, line), Qt.AlignmentFlag.AlignCenter, "time of the frame, worked out afresh")
         if not known:
