@@ -16,6 +16,7 @@ from widgets.looks import bold, smaller, spaced
 from widgets.picture import PictureView
 
 _MOST_COLUMNS = 8
+_NARROW_PX = 360
 _WORDS_PX = 84  # of a tile's height that are not picture, near enough to choose how many stand in a row
 
 
@@ -46,11 +47,18 @@ class TileView(QFrame):
         for label in (self._title, self._told):
             label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
             label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self._told.setWordWrap(True)
+        self._told.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
         self.view.show_lines(1)
         layout = spaced(QVBoxLayout(self), 2, (3, 3, 3, 2))
         layout.addWidget(self._title)
         layout.addWidget(self._told)
         layout.addWidget(self.view, 1)
+
+    def resizeEvent(self, a0: Any) -> None:  # noqa: N802
+        """A narrow tile has its figures in two lines."""
+        super().resizeEvent(a0)
+        self._told.setFixedHeight((2 if self.width() < _NARROW_PX else 1) * self._told.fontMetrics().lineSpacing() + 2)
 
     def show_tile(self, tile: Tile, versus: str) -> None:
         """Show a tile, or what is to be seen in its place ("", truth, difference, wipe, blink)."""
