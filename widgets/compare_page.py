@@ -48,16 +48,19 @@ class CompareTab(QWidget):
         self.head = head = spaced(QHBoxLayout(), 6)
         for widget in self.controls:
             head.addWidget(widget)
-        head.addWidget(self.told, 1)
+        head.addStretch(1)
+        below = spaced(QHBoxLayout(), 6)
+        below.addWidget(self.told, 1)
         for widget in (self._bar, self._stop):
             room = widget.sizePolicy()
             room.setRetainSizeWhenHidden(True)
             widget.setSizePolicy(room)
-            head.addWidget(widget)
+            below.addWidget(widget)
         self.body = spaced(QHBoxLayout(), 6)
         self.body.addWidget(self.grid, 1)
         self.stack = layout = spaced(QVBoxLayout(self), 4, (4, 4, 4, 2))
         layout.addLayout(head)
+        layout.addLayout(below)
         layout.addLayout(self.body, 3)
         self.show_progress(None)
 

@@ -107,7 +107,7 @@ def test_a_monkey_breaks_nothing(open_window, tmp_path, touch_file, ball_file):
     monkey.play(minutes * 60.0)
     watched = monkey.watched
     print_line(f"seed {seed}, {monkey.n_acts} acts, {watched.panes_looked_at} panes looked at, {watched.solids_drawn} "
-          f"3D pictures, memory growth {watched.growth_mb():+.0f} MB")  # fmt: skip
+          f"3D pictures, {watched.n_cancelled} times cancelled, memory growth {watched.growth_mb():+.0f} MB")  # fmt: skip
     for seconds, process, kept in watched.memory_mb[:: max(1, len(watched.memory_mb) // 20)]:
         print_line(f"{seconds / 60:6.1f} min {process:6.0f} MB, {kept:5.0f} MB of it kept on purpose")
     for complaint in monkey.complaints:

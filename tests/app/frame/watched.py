@@ -23,7 +23,8 @@ from pipeline.base.memo import Memo
 from widgets.canvas import Canvas
 from widgets.solid_view import SolidView
 
-REST_S = 180.0  # seeds, sweeps and a scan of all frames may go on; on a busy machine they take their time
+PATIENCE_S = 20.0  # before what goes on is cancelled
+REST_S = 120.0  # seeds, sweeps and a scan of all frames may go on; on a busy machine they take their time
 SETTLED_S = 20.0
 _FILLED = ("computed", "cached", "unchanged", "read", "doubtful")
 
@@ -34,7 +35,7 @@ class Watched:
     def __init__(self, instrument: Instrument, complain: Callable[[str], None]) -> None:
         self._instrument, self._window, self._complain = instrument, instrument.window, complain
         self.memory_mb: list[tuple[float, float, float]] = []  # seconds, of the process, of that kept on purpose
-        self.solids_drawn = self.panes_looked_at = 0
+        self.solids_drawn = self.panes_looked_at = self.n_cancelled = 0
         self._begun_s = time.monotonic()
         for job in instrument.findChildren(LatestJob):
             job.failed.connect(self._failed)
@@ -55,20 +56,30 @@ class Watched:
         """Everything is still, and what is seen has ink."""
         window = self._window
         window.timeline.play(on=False)
-        wait_until_shown(self._instrument, REST_S)
+        wait_until_shown(self._instrument, PATIENCE_S)
+        self._wait(PATIENCE_S)
+        if not self._instrument.idle or self._busy():  # a thousand steps, sixty seeds: whoever is tired of them cancels
+            self.n_cancelled += 1
+            window.actions_by_name["cancel"].trigger()
+            for job in self._busy():
+                job.cancel()
+            wait_until_shown(self._instrument, REST_S)
+            self._wait(REST_S)
         window.banner.hide()
         if not self._instrument.idle:
             self._complain("it does not come to rest")
-        end_s = time.monotonic() + REST_S
-        while self._busy() and time.monotonic() < end_s:
-            QCoreApplication.processEvents()
-            time.sleep(0.005)
         for job in self._busy():
             self._complain(f"the background of {type(job.parent()).__name__} does not come to rest")
         self._settle()
         self._take_memory()
         if self._instrument.session.recording is not None and self._instrument.idle:
             self._look_at_panes()
+
+    def _wait(self, limit_s: float) -> None:
+        end_s = time.monotonic() + limit_s
+        while self._busy() and time.monotonic() < end_s:
+            QCoreApplication.processEvents()
+            time.sleep(0.005)
 
     def _settle(self) -> None:
         """Let what was typed take effect, and what is seen be drawn; a column that still waits for work is stuck."""
