@@ -21,7 +21,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import row, timing
+from benchmarks.races import Bar, row, timing
 from pipeline.base.files import whole_file
 from pipeline.evaluation import distances
 from pipeline.networks.weights import NoWeights
@@ -49,7 +49,7 @@ class Measured:
         self.said: list[np.ndarray] = []
         self.apart: list[float] = []
         self.astray: list[float] = []
-        self.seen: dict[str, list[np.ndarray]] = {"sample": [], "one step": [], "physics": [], "true": []}
+        self.seen: dict[str, list[np.ndarray]] = {"sample": [], "one step": [], "begun with": [], "true": []}
         self.ms: list[float] = []
 
 
@@ -95,7 +95,7 @@ def _touch(found: Measured, one, index: int) -> None:
     found.astray.append(float(np.abs(stack - true.indentation_mm)[:, where].mean()))
     seen("sample", samples[0])
     seen("one step", middle)
-    seen("physics", touch(replace(plain, steps=0)))
+    seen("begun with", touch(replace(plain, steps=0)))
     seen("true", _own(one, true))
 
 
@@ -135,7 +135,7 @@ def answer(
     if plot:
         _draw(parts, Path(plot), f"{method}, {source} to {target}, {split.replace('_', ' ')}")
     one = row(f"{method}, {source} to {target}, {split}: sample from truth", ours=timing(found.ms), unit="mm",
-              ours_error=float(np.mean(found.astray)))  # fmt: skip
+              ours_error=float(np.mean(found.astray)), bar=Bar())  # fmt: skip
     return Answer(title="spread of samples", unit="mm", rows=(one,), notes=tuple(notes))
 
 

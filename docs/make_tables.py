@@ -25,6 +25,9 @@ they come along; one step each; one busy machine of two cores, so that times com
     tactoscope evaluate --split unseen_tools --grasps 4 --poses network --json tools.json
     tactoscope evaluate --split unseen_grasps --grasps 2 --poses network --json grasps.json
     python docs/make_tables.py tools.json grasps.json > docs/tables/README.md
+
+The files beside this page were made so, one direction after the other (`--direction`). What samples, steps and a few
+real pairs give is told in [samples.md](samples.md).
 """
 COLUMNS = (
     "transfer", "by", "PSNR, dB", "SSIM", "Frechet (floor; FID)", "error, mm", "in contact, mm", "IoU",

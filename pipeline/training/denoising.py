@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     from pipeline.training.task import Example
 
-_AT_MOST = 0.4  # share of examples under the strongest noise, of which a network is shown nothing
-_USUAL = 0.5, 1.5  # of the logarithm of all other noise, in units: mean and deviation
+_AT_MOST = 0.5  # share of examples under the strongest noise, of which a network is shown nothing
+_USUAL = 0.0, 1.5  # of the logarithm of all other noise, in units: mean and deviation
 _DROPPED = 0.1  # share without a condition
 _HUBER = 0.25  # units
 _FEW = 6  # steps of the sample among the figures
