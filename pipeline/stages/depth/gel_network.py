@@ -1,8 +1,8 @@
 """Depth of a gel by physics, corrected by the network that has learned where it errs on units that nobody calibrated.
 
 The network looks at 120 x 160 pixels whatever the sensor has (`network_input`), so that its time does not depend on the
-picture; what it adds is smooth, and what physics tells more finely stays. Where physics finds no contact, and for a
-unit that is calibrated, its answer stands: neither was learned from.
+picture; what it adds is smooth, and what physics tells more finely stays, as does its scale. Where physics finds no
+contact, and for a unit that is calibrated, its answer stands: neither was learned from.
 """
 
 from __future__ import annotations
@@ -77,7 +77,10 @@ def corrected(
     limit = math.log(params.certainty / (1.0 - params.certainty))
     touched = contact.without_specks(likely > limit, max(4, round(_SPECK_MM2 / source.pixel_mm**2)))
     indentation = np.asarray(physical.indentation_mm + at.large(correction) * pixel_mm, np.float32)
+    indentation *= _as_deep(indentation, physical.indentation_mm, touched)
     notes = _limited(indentation, touched, source)
+    if not touched.any():
+        notes.append("the network holds what has changed for no contact: nothing touches the sensor")
     return replace(
         physical,
         indentation_mm=freeze(indentation),
@@ -111,6 +114,16 @@ def _read(network: nn.Module, fields: Floats) -> tuple[Floats, Floats, Floats]:
     with torch.inference_mode():
         reading = network(torch.from_numpy(fields)[None])
     return reading.correction[0].numpy(), reading.more_contact[0].numpy(), np.exp(reading.log_spread[0].numpy())
+
+
+def _as_deep(indentation: Floats, physical: Floats, touched: Mask) -> np.float32:
+    """What brings a surface to the scale of the physical one, by least squares over the contact; 0 where none is left.
+
+    No picture tells how bright a unit's lamps are, and so how deep all of a touch is: what the network makes of that is
+    what its training's units were like (a tenth to a fifth of the depth, another share for every kind of sensor).
+    """
+    own = indentation[touched].astype(np.float64)
+    return np.float32(own @ physical[touched] / max(float(own @ own), 1e-9))
 
 
 def _error(spread_px: Floats, touched: Mask, pixel_mm: float) -> DepthError | None:

@@ -14,7 +14,7 @@ from pipeline.calibration.lookup import BallFit, built_in
 from pipeline.networks.weights import NoWeights
 from pipeline.physics import gel, optics
 from pipeline.sensors.spec import sensor
-from pipeline.stages.depth import stage
+from pipeline.stages.depth import network_input, stage
 from pipeline.stages.depth.gel_network import NetworkParams, depth
 from pipeline.stages.depth.slot import NETWORK
 from pipeline.values.frames import TactileFrame
@@ -79,14 +79,37 @@ def test_pixels_become_mm_on_the_sensors_own_picture(name):
     pixel_mm = source.pixel_mm * max(rows, cols) / 160
     row, col = (110 / 160, 40 / 120) if rows > cols else (40 / 120, 110 / 160)
     middle = round(row * rows), round(col * cols)
-    more = found.indentation_mm[middle] - before.indentation_mm[middle]
-    assert more == pytest.approx(2.0 * pixel_mm, rel=0.02)
+    beside = rows // 2, cols // 2  # pressed in, and not corrected
+    scale = found.indentation_mm[beside] / before.indentation_mm[beside]
+    assert found.indentation_mm[middle] / scale - before.indentation_mm[middle] == pytest.approx(2 * pixel_mm, rel=0.02)
     assert found.contact[middle]
     assert not found.contact[rows // 20, cols // 20]
     assert found.contact.mean() == pytest.approx(there.mean(), rel=0.05)
     np.testing.assert_allclose(found.depth_mm, source.rest_depth_mm - found.indentation_mm, atol=1e-5)
     assert found.error.rms_mm == pytest.approx(0.1 * np.sqrt(2) * pixel_mm, rel=1e-4)
     assert found.spread_mm[middle] == pytest.approx(0.1 * pixel_mm, rel=1e-4)
+
+
+def test_what_is_added_to_all_of_a_touch_alike_is_left_out():
+    source = sensor("gelsight_mini")
+    before = physics()
+    at = network_input.frame(source.camera.shape)
+    deeper = at.small(before.indentation_mm) / (source.pixel_mm * at.pixels)
+    found = depth(frame(), source, None, told(deeper, NOTHING), NetworkParams())
+    inside = before.contact
+    off = np.abs(found.indentation_mm - before.indentation_mm)[inside].mean()
+    assert off < 0.02 * before.indentation_mm[inside].mean()
+    share = float(
+        (found.indentation_mm * before.indentation_mm)[inside].sum() / (found.indentation_mm[inside] ** 2).sum()
+    )
+    assert share == pytest.approx(1.0, abs=1e-4)
+
+
+def test_a_touch_that_is_none_to_the_network_leaves_no_depth_and_is_told():
+    found = depth(frame(), sensor("gelsight_mini"), None, told(NOTHING, NOTHING - 9.0), NetworkParams())
+    assert not found.contact.any()
+    assert not found.indentation_mm.any()
+    assert "nothing touches the sensor" in found.notes[-1]
 
 
 def test_where_physics_finds_nothing_the_network_is_not_asked():
@@ -116,7 +139,8 @@ def test_a_speck_is_no_contact():
 
 def test_what_is_deeper_than_the_sensor_is_cut_and_told():
     source = sensor("gelsight_mini")
-    found = depth(frame(), source, None, told(NOTHING + 40.0, NOTHING), NetworkParams())
+    spike = np.where(disc(60, 80, 2), 400.0, 0.0)
+    found = depth(frame(depth_mm=1.2), source, None, told(spike, NOTHING), NetworkParams())
     assert found.indentation_mm.max() == np.float32(source.limits.indentation_max_mm)
     assert any("were cut to that" in note for note in found.notes)
 
