@@ -86,6 +86,7 @@ class _Gains:
 
 
 _kept_gains: Memo[str, Floats] = Memo(16)
+_kept_changes: Memo[str, Floats] = Memo(16)
 
 
 def gains(sensor: SensorSpec) -> Floats:
@@ -111,14 +112,31 @@ def _gains(sensor: SensorSpec) -> Floats:
     u, v = _grid(shape)
     fields = units(told, sensor.pixel_mm, shape, _N_UNITS, np.random.default_rng(0))
     tilted = np.einsum("gp,nkpi->nkgi", places(u, v), fields[..., :2])
+    usual = untouched_light(sensor.camera, told).reshape(-1, 3).mean(axis=0) + slope_model.OFFSET_GREY
+    change = described(sensor).reshape(-1, 3, 2)
+    change = -slope_model.SPAN_GREY * change / usual[:, None]  # of a normal's tilt, (places, colours, 2)
+    size = np.maximum((change**2).sum(axis=-1), 1e-9)
+    found = np.median(np.einsum("nkgi,gki->ngk", tilted, change) / size, axis=0)
+    return freeze(np.clip(found, *_GAINS).reshape(*_GRID, 3).astype(np.float32))
+
+
+def described(sensor: SensorSpec) -> Floats:
+    """Grey levels by which a slope of 1 along x and y changes the colours, on the grid of `gains`: (rows, cols, 3, 2).
+
+    As described, from lamps far away, and for small slopes. Needs optics.
+    """
+    return _kept_changes.of(content((sensor.camera, sensor.optics)), lambda: _described(sensor))
+
+
+def _described(sensor: SensorSpec) -> Floats:
+    from pipeline.physics import optics
+
+    shape = sensor.camera.shape
+    u, v = _grid(shape)
     row, col = (np.rint(0.5 * (max(shape) * w + n - 1)).astype(np.intp) for w, n in zip((v, u), shape, strict=True))
     level, steep = np.zeros(shape, np.float32), np.full(shape, _SMALL_SLOPE, np.float32)
-    change = [optics.colour_change(sensor, *g)[row, col] / -_SMALL_SLOPE for g in ((steep, level), (level, steep))]
-    usual = untouched_light(sensor.camera, told).reshape(-1, 3).mean(axis=0) + slope_model.OFFSET_GREY
-    described = slope_model.SPAN_GREY * np.stack(change, axis=-1) / usual[:, None]  # (places, colours, 2)
-    size = np.maximum((described**2).sum(axis=-1), 1e-9)
-    found = np.median(np.einsum("nkgi,gki->ngk", tilted, described) / size, axis=0)
-    return freeze(np.clip(found, *_GAINS).reshape(*_GRID, 3).astype(np.float32))
+    change = [optics.colour_change(sensor, *g)[row, col] / _SMALL_SLOPE for g in ((steep, level), (level, steep))]
+    return freeze(np.stack(change, axis=-1).reshape(*_GRID, 3, 2).astype(np.float32))
 
 
 class _Lamps:

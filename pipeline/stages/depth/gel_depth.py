@@ -23,6 +23,7 @@ from pipeline.calibration.lookup import Calibration, check_for, slopes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import contact, drift, gel_light, moved, rest
 from pipeline.stages.depth.drift import Still
+from pipeline.stages.depth.gel_light import Light
 from pipeline.stages.depth.moved import Window
 from pipeline.stages.depth.poisson import Boundary, Sides, integrate
 from pipeline.values.frames import TactileFrame
@@ -37,6 +38,7 @@ _PRESSURE_CELLS = 220  # of the grid on which it is told what certainly presses,
 _CERTAIN, _CERTAIN_SHARE = 0.04, 0.1  # mm/mm, and of the peak: pressure, in slopes, that noise does not make
 _SPECK_MM2 = 0.15  # smaller contacts are camera noise
 _FULL_SHARE = 0.9  # of the view
+_HARDLY_TOLD = Doubt("the touch lies where the lamps hardly tell slopes: sizes and depths there may be wrong by half")
 _NARROW = 0.5  # thicknesses, within which the gel beyond the border bears on what is seen
 
 
@@ -68,7 +70,7 @@ def depth(
         here = (window.rows, window.cols)
         notes += _doubts(image[here], source, window)
         progress.step(0.2, "integrating slopes")
-        surface = _surface(image, still, window, source, calibration, smoothing_px, boundary)
+        surface, light = _surface(image, still, window, source, calibration, smoothing_px, boundary)
         surface, inside = _settled(surface, window, source, pixel_mm)
         pressed = inside | contact.touched(
             surface, least_mm=least_mm, pressure_share=pressure_share, smoothing_px=_PRESSURE_BLUR_PX
@@ -79,6 +81,8 @@ def depth(
         touched[here] = contact.without_margins(pressed, surface, *here, shape, narrow_px)
         progress.step(0.8, "relaxing the gel around the contact")
         indentation[here] = _relaxed(surface, touched[here], window, source, pixel_mm)
+        if light == "near" and gel_light.hardly_told(touched, still.picture, source):
+            notes.append(_HARDLY_TOLD)
         notes += _limits(indentation, touched, source.limits.indentation_max_mm)
     progress.step(1.0, "depth is ready")
     return DepthMap(
@@ -107,8 +111,8 @@ def untouched_notes(image: Image, reference: Image, no_touch_grey: float) -> tup
 def _surface(
     image: Image, still: Still, window: Window, source: SensorSpec, calibration: Calibration,
     smoothing_px: float, boundary: Boundary,
-) -> Floats:  # fmt: skip
-    """The surface of the window in mm, its rest still to be found."""
+) -> tuple[Floats, Light | None]:  # fmt: skip
+    """The surface of the window in mm, its rest still to be found, and the light that it was read by, if any."""
     here, pixel_mm = (window.rows, window.cols), calibration.pixel_mm
 
     def integrated(gx: Floats, gy: Floats) -> Floats:
@@ -119,7 +123,7 @@ def _surface(
             calibration, image[here], still.picture[here], window.moved, (window.rows.start, window.cols.start),
             markers=source.markers, smoothing_px=smoothing_px,
         )  # fmt: skip
-        return integrated(*_finite(gx, gy, source))
+        return integrated(*_finite(gx, gy, source)), None
     picture = gel_light.seen(image, still.picture, window, smoothing_px, source.markers, pixel_mm)
     small = gel_light.coarser(picture, image.shape)
 
@@ -129,9 +133,9 @@ def _surface(
     guess = roughly(*_finite(*gel_light.rough_slopes(small, calibration), source))
     surface, light = gel_light.best(guess, small, source, roughly)
     if small is picture:
-        return surface
+        return surface, light
     surface = gel_light.finer(surface, small.by, window.moved.shape)
-    return gel_light.corrected(surface, picture, source, light, integrated, 1)[0]
+    return gel_light.corrected(surface, picture, source, light, integrated, 1)[0], light
 
 
 def _finite(gx: Floats, gy: Floats, source: SensorSpec) -> tuple[Floats, Floats]:

@@ -48,6 +48,7 @@ _STEEPEST = np.float32(1.43)  # mm/mm, 55 degrees: the light hardly changes beyo
 _LEAST_MM = -0.5  # no gel bulges out farther
 _FLANK, _FLANK_SHARE = 0.12, 0.1  # mm/mm, and of a region's pixels
 _BORDER_SHARE = 0.4  # of the deepest region: corners beside a real GelSlim's presses come out up to 0.36
+_HARDLY = 0.8  # of what is usual: balls on a real Mini are read wrong by 60 % there, by 12 % elsewhere
 _CELLS = 160  # of the rounds' grid, along the longer side of a picture
 _BRIGHT_BLUR_PX = 3.0
 _NO_BLUR = 0.3  # pixels: a Gaussian that narrow changes nothing
@@ -189,6 +190,27 @@ def corrected(
                            np.float32(_PULL), np.float32(_HUBER_GREY), _STEEPEST, gx, gy)  # fmt: skip
         surface_mm = integrated(gx, gy)
     return surface_mm, misfit
+
+
+def hardly_told(touched: Mask, still: Floats, source: SensorSpec) -> bool:
+    """Whether a touch (rows, cols) lies where near lamps change the colours of `still` little, whatever its slope.
+
+    The weakest direction counts, beside what it is in the middle of all places.
+    """
+    import cv2
+
+    if not touched.any():
+        return False
+    table, change = near_lamps.gains(source), near_lamps.described(source)
+    rows, cols = table.shape[:2]
+    here = np.asarray(cv2.resize(still, (cols, rows), interpolation=cv2.INTER_AREA), np.float32)
+    offset = np.float32(slope_model.OFFSET_GREY)
+    bright = table * (here + offset) / (here.reshape(-1, 3).mean(axis=0) + offset)
+    by_slope = bright[..., None] * change  # (rows, cols, colours, 2)
+    least = np.linalg.eigvalsh(np.einsum("rcki,rckj->rcij", by_slope, by_slope))[..., 0]
+    share = np.sqrt(np.maximum(least, 0.0) / max(float(np.median(least)), 1e-6)).astype(np.float32)
+    full = np.asarray(cv2.resize(share, touched.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
+    return float(np.median(full[touched])) < _HARDLY
 
 
 def pressed_in(touched: Mask, surface_mm: Floats, pixel_mm: float, border: Mask | None = None) -> Mask:

@@ -153,6 +153,23 @@ def test_a_lamp_that_stands_close_tells_little_of_slopes_beside_it():
         assert near < 0.7 * far
 
 
+def test_a_touch_where_lamps_tell_little_is_doubted(monkeypatch):
+    source = sensor("gelsight_mini")
+    still = optics.untouched(source).astype(np.float32)
+    told = []
+    for row, col in ((120, 160), (8, 8), (8, 311), (231, 8), (231, 311)):
+        touched = np.zeros(still.shape[:2], np.bool_)
+        touched[row - 5 : row + 5, col - 5 : col + 5] = True
+        told.append(gel_light.hardly_told(touched, still, source))
+    assert not told[0]
+    assert any(told[1:])
+    assert not gel_light.hardly_told(np.zeros_like(touched), still, source)
+    frame, _ = pressed_mini(near=True)
+    assert not any("hardly tell" in note for note in depth(frame, source, None, PARAMS).notes)
+    monkeypatch.setattr(gel_light, "hardly_told", lambda *_: True)
+    assert any("hardly tell" in note for note in depth(frame, source, None, PARAMS).notes)
+
+
 def test_pixels_of_another_width_give_the_same_shape_in_other_units():
     source = sensor("gelsight_mini")
     frame, _ = pressed_mini(near=False)
