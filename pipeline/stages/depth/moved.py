@@ -60,7 +60,7 @@ def _flat(image: Image) -> Image:
 def window(image: Image, reference: Image, no_touch_grey: float, pixel_mm: float) -> Window | None:
     """The box around everything that has changed, grown by the gel's relaxation; None where nothing has.
 
-    A block has changed by a share of the limit or more, and together with its neighbours by more than noise does.
+    Some block must have changed together with its neighbours by more than noise does.
     """
     import cv2
     from scipy import ndimage
@@ -71,11 +71,11 @@ def window(image: Image, reference: Image, no_touch_grey: float, pixel_mm: float
     if float(blocks.max()) < low:  # all of it has changed alike: a touch larger than the picture
         low = no_touch_grey
     above = _above_noise(image, reference)
-    n, regions = cv2.connectedComponents(((blocks > low) & (above > _GROWS_FROM)).astype(np.uint8), connectivity=8)
+    n, regions = cv2.connectedComponents((blocks > low).astype(np.uint8), connectivity=8)
     strong = np.zeros(n, np.bool_)
-    strong[np.unique(regions[(blocks >= max(no_touch_grey, low)) & (above >= 1.0)])] = True
+    strong[np.unique(regions[blocks >= max(no_touch_grey, low)])] = True
     strong[0] = False
-    if not strong.any():
+    if not (strong[regions] & (above >= 1.0)).any():
         return None
     # A flat face changes no colours, but it is not at rest: what a touch encloses belongs to it.
     whole = np.asarray(ndimage.binary_fill_holes(strong[regions]), np.bool_)
