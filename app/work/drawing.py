@@ -23,8 +23,8 @@ from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
 from widgets.frames_model import FrameSummary
 
-_DRAWN_BYTES = 112 * 1024 * 1024  # a dozen and a half of frames of the usual size, seven pictures each
-_READ_BYTES = _BESIDE_BYTES = 48 * 1024 * 1024
+_DRAWN_BYTES = 160 * 1024 * 1024  # two dozen frames of the usual size, seven pictures each
+_READ_BYTES = _BESIDE_BYTES = 64 * 1024 * 1024
 _MOST_JUDGED = 512
 
 
