@@ -1,22 +1,28 @@
 """How kernels are declared, where numba keeps what it compiles of them, and what it tells `compiling`."""
 # pyright: basic
 
+import gc
 import os
 from functools import partial
 from pathlib import Path
 from typing import Any
+
+# While numba finds out types it words thousands of errors that nobody is shown; in colour they take longer.
+os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
 
 from numba import njit
 from numba.core import config, event
 
 from pipeline.base import compiling
 
+inlined: Any = partial(njit, inline="always")  # becomes part of what calls it before that is compiled
+
 FAST = {"contract", "arcp", "nsz", "reassoc"}  # not nnan: a NaN has to stay one
 
 # No kernel is called from C: without the entry for it, compiling takes a seventh less.
-kernel: Any = partial(njit, cache=True, no_cfunc_wrapper=True)  # type: ignore[reportCallIssue]
+kernel: Any = partial(njit, cache=True, no_cfunc_wrapper=True, error_model="numpy")  # type: ignore[reportCallIssue]
 # What only kernels call is compiled into them, and kept with them: no entry from Python either, and no file of its own.
-inner: Any = partial(njit, no_cfunc_wrapper=True, no_cpython_wrapper=True)  # type: ignore[reportCallIssue]
+inner: Any = partial(njit, no_cfunc_wrapper=True, no_cpython_wrapper=True, error_model="numpy")  # type: ignore[reportCallIssue]
 
 
 class Place:
@@ -46,12 +52,23 @@ class Place:
 
 
 class _Compiling(event.Listener):
+    """Tells what is compiled, and has no garbage looked for meanwhile: little of what the compiler makes is any."""
+
+    _depth = 0  # one kernel compiles another; changed under the compiler's lock, as is the other
+    _collects = False
+
     def on_start(self, event):
+        if self._depth == 0:
+            self._collects = gc.isenabled()
+            gc.disable()
+        self._depth += 1
         function = event.data["dispatcher"].py_func
         compiling.begun(f"{function.__module__}.{function.__qualname__}")
 
-    def on_end(self, event):
-        pass
+    def on_end(self, event):  # noqa: ARG002
+        self._depth -= 1
+        if self._depth == 0 and self._collects:
+            gc.enable()
 
 
 class _Asking(event.Listener):

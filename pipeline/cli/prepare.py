@@ -12,7 +12,6 @@ import numpy as np
 from rich.console import Console
 
 from pipeline.base import compiling
-from pipeline.base.arrays import freeze
 from pipeline.cli.terminal import print_line
 
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "recordings" / "first_touch.h5"
@@ -48,7 +47,7 @@ def _tasks() -> Iterator[Callable[[], object]]:
     # Points: the paper's, and those too sparse for a surface.
     yield partial(_translated, *_WAYS[0], params, (("view", "paper"),))
     yield partial(_translated, *_WAYS[0], with_setting(params, "cloud.stride=16"))
-    yield from (_surveyed, _pressed, _calibrated)
+    yield from (_surveyed, _pressed)
 
 
 def _translated(source: str, target: str, params: dict[str, object], methods: tuple[tuple[str, str], ...] = ()) -> None:
@@ -75,8 +74,7 @@ def _surveyed() -> None:
 
 
 def _pressed() -> None:
-    """The same press, felt by a bubble and by a gel that prints no markers; and a membrane that never settles."""
-    from pipeline.physics import multigrid
+    """The same press, felt by a bubble and by a gel that prints no markers."""
     from pipeline.sensors.spec import sensor
     from pipeline.simulation import shapes
     from pipeline.simulation.poses import paper_grid
@@ -86,19 +84,3 @@ def _pressed() -> None:
     pose = paper_grid(thing, n=1, seed=0)[0]
     for name in _PRESSED:
         press(thing, pose, sensor(name), seed=0)
-    room = np.full((65, 65), 1.0)
-    free = freeze(np.pad(np.ones((63, 63), np.bool_), 1))
-    multigrid.solve(multigrid.Grid(room_mm=room, free=free, step_mm=1.0, halvings=2), 0.0 * room, 0.01, -1.0)
-
-
-def _calibrated() -> None:
-    """A picture of light alone."""
-    from dataclasses import replace
-
-    from pipeline.physics import optics
-    from pipeline.sensors.spec import sensor
-
-    spec = sensor(_WAYS[1][1])
-    level = np.zeros(spec.camera.shape)
-    bare = replace(optics.optics_of(spec), blur_px=0.0, noise_grey=0.0)
-    optics.render(replace(spec, optics=bare), level, seed=None)

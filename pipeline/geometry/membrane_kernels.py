@@ -6,12 +6,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from pipeline.base.kept_kernels import kernel
+from pipeline.base.kept_kernels import inlined, kernel
 
 
-@njit(inline="always")
+@inlined()
 def sample(surface, nx, ny, u, v):
     """(z, its change per node to the right, per node down) at lattice place (u, v): bilinear, level beyond the border.
 
@@ -30,7 +29,7 @@ def sample(surface, nx, ny, u, v):
     return z, (z01 - z00) * (1 - b) + (z11 - z10) * b, (z10 - z00) * (1 - a) + (z11 - z01) * a
 
 
-@kernel(error_model="numpy")
+@kernel()
 def signed_distance(flat, x0, y0, step, surface, nx, ny, out):
     """Write into `out` (n,) the distance of the points of `flat` (3 n) to the height field, negative camera's side.
 
@@ -45,7 +44,7 @@ def signed_distance(flat, x0, y0, step, surface, nx, ny, out):
         out[k] = distance if (x == x) & (y == y) else np.nan
 
 
-@kernel(error_model="numpy")
+@kernel()
 def level_distance(flat, height, out):
     """As `signed_distance`, of a level pad: z - height."""
     for k in range(out.shape[0]):
@@ -53,7 +52,7 @@ def level_distance(flat, height, out):
         out[k] = np.float64(z) - height if (x == x) & (y == y) else np.nan
 
 
-@kernel(error_model="numpy", fastmath={"contract", "arcp", "nsz", "reassoc"})
+@kernel(fastmath={"contract", "arcp", "nsz", "reassoc"})
 def along_rays(surface, nx, ny, x0, y0, step, ray_x, ray_y, far, out):
     """z at which each camera ray meets the height field, from the guesses in `out` (rows, cols).
 

@@ -10,7 +10,7 @@ from pipeline.base.kept_kernels import kernel
 _SLACK = 1e-9  # barycentric: nodes on a common edge belong to both triangles
 
 
-@kernel(error_model="numpy")
+@kernel()
 def heights(vertices, triangles, x, y, first, step, shape, nearest, farthest):
     """Write z of the nearest and of the farthest triangle at each node; both come as NaN = none."""
     rows, cols = shape

@@ -9,6 +9,7 @@ nodes not come to rest, monotone cycles (Kornhuber 1994), slower but sure, take 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -50,8 +51,6 @@ class Grid:
 
 def solve(grid: Grid, start_mm: Doubles, load_per_mm: float, tolerance_mm: float) -> tuple[Doubles, bool]:
     """(v, converged) under a uniform load, from a starting shape; ends when a whole cycle moves nothing any more."""
-    from pipeline.physics import bubble_kernels as kernels
-
     v = np.minimum(start_mm, grid.room_mm)
     v[~grid.free] = 0.0
     load = np.full(v.shape, load_per_mm)
@@ -61,8 +60,9 @@ def solve(grid: Grid, start_mm: Doubles, load_per_mm: float, tolerance_mm: float
         if cycle < _TRUNCATED_CYCLES:
             loose = _truncated_cycle(v, load, grid, careful)
         else:
-            _monotone_cycle(v, load, grid.room_mm, grid.free, grid.step_mm, grid.halvings)
-        if kernels.largest_change(v, before) <= tolerance_mm:
+            _cycle(v, load, grid.room_mm, grid.free, grid.step_mm, grid.halvings)
+        np.subtract(v, before, out=before)
+        if max(float(before.max()), -float(before.min())) <= tolerance_mm:
             return v, True
         if 0 < cycle < _TRUNCATED_CYCLES and np.count_nonzero(loose != was_loose) <= _FEW_NODES:
             _settle(v, load, grid, loose, careful, tolerance_mm)
@@ -82,10 +82,10 @@ def finer(v: Doubles) -> Doubles:
 
 def held(grid: Grid, v: Doubles, load_per_mm: float) -> Doubles:
     """What the object adds to the load where it holds the membrane (1/mm), 0 elsewhere."""
-    from pipeline.physics import bubble_kernels
-
-    force = np.zeros_like(v)
-    bubble_kernels.held(v, np.full(v.shape, load_per_mm), grid.room_mm, grid.free, grid.step_mm**2, force)
+    force, inner = np.zeros_like(v), (slice(1, -1), slice(1, -1))
+    lap = (v[:-2, 1:-1] + v[2:, 1:-1] + v[1:-1, :-2] + v[1:-1, 2:] - 4.0 * v[inner]) / grid.step_mm**2
+    holds = grid.free[inner] & (v[inner] >= grid.room_mm[inner])
+    force[inner] = np.where(holds, np.maximum(load_per_mm + lap, 0.0), 0.0)
     return force
 
 
@@ -93,82 +93,97 @@ def _truncated_cycle(v: Doubles, load: Doubles, grid: Grid, careful: bool) -> Ma
     """One cycle whose coarse levels leave the held nodes where they are; the nodes that were not held."""
     from pipeline.physics import bubble_kernels as kernels
 
-    step_sq = grid.step_mm**2
+    step_sq, left = grid.step_mm**2, np.empty_like(v)
     kernels.smooth(v, load, grid.room_mm, grid.free, step_sq, 2)
-    left, loose = np.empty_like(v), np.empty_like(grid.free)
     kernels.residual(v, load, grid.room_mm, grid.free, step_sq, left)
-    kernels.not_held(v, left, grid.room_mm, grid.free, loose)
+    loose = v < grid.room_mm
+    loose |= left != 0.0
+    loose &= grid.free
     freeze(loose)
-    kernels.prolong(_coarse_correction(left, loose, grid.step_mm, grid.halvings, careful), v, grid.room_mm, loose)
+    correction = _coarse_correction(left, None, loose, grid.step_mm, grid.halvings, careful)
+    kernels.prolong(correction, v, grid.room_mm, loose)
     kernels.smooth(v, load, grid.room_mm, grid.free, step_sq, 2)
     return loose
-
-
-def _coarse_correction(left: Doubles, free: Mask, step_mm: float, level: int, careful: bool) -> Doubles:
-    """The correction on every second node for a residual; obstacles are no longer seen."""
-    from pipeline.physics import bubble_kernels as kernels
-
-    coarse_free = np.empty_like(free[::2, ::2], order="C")
-    kernels.halve_free(free, careful, coarse_free)
-    freeze(coarse_free)
-    coarse_load, correction = np.empty(coarse_free.shape), np.zeros(coarse_free.shape)
-    kernels.restrict_open(left, coarse_load)
-    _linear_cycle(correction, coarse_load, coarse_free, 2 * step_mm, level - 1, careful)
-    return correction
-
-
-def _linear_cycle(v: Doubles, load: Doubles, free: Mask, step_mm: float, level: int, careful: bool) -> None:
-    from pipeline.physics import bubble_kernels as kernels
-
-    step_sq = step_mm**2
-    if level == 0:
-        kernels.smooth_open(v, load, free, step_sq, _COARSEST_SWEEPS)
-        return
-    kernels.smooth_open(v, load, free, step_sq, 2)
-    left = np.empty_like(v)
-    kernels.residual_open(v, load, free, step_sq, left)
-    kernels.prolong_open(_coarse_correction(left, free, step_mm, level, careful), v, free)
-    kernels.smooth_open(v, load, free, step_sq, 2)
 
 
 def _settle(v: Doubles, load: Doubles, grid: Grid, loose: Mask, careful: bool, tolerance_mm: float) -> None:
     """Solve the linear problem on the loose nodes, in place: flexible conjugate gradients, a cycle to guide each step.
 
-    The guide is not symmetric (red before black on the way down and up), hence the flexible form.
+    The guide is not symmetric (red before black on the way down and up), hence the flexible form. Nothing as large as
+    the lattice is made on the way: the memory for it costs as much as the sums.
     """
     from pipeline.physics import bubble_kernels as kernels
 
-    left, moved, direction = np.empty_like(v), np.zeros_like(v), np.zeros_like(v)
-    kernels.residual_open(v, load, loose, grid.step_mm**2, left)
-    energy, length = 1.0, 0.0
+    left, moved, direction, guided = np.empty_like(v), np.zeros_like(v), np.zeros_like(v), np.empty_like(v)
+    unbound, nothing = _unbound(v.shape), np.zeros_like(v)
+    kernels.residual(v, load, unbound, loose, grid.step_mm**2, left)
+    energy = 1.0
     for _ in range(_MAX_STEPS):
-        guided = np.zeros_like(v)
-        _linear_cycle(guided, left, loose, grid.step_mm, grid.halvings, careful)
-        kernels.add_scaled(guided, -length * kernels.dot(guided, moved) / energy, direction)  # direction is replaced
-        energy = kernels.dot(direction, left)
-        curvature = kernels.stiffness(direction, loose, grid.step_mm**2, moved)
+        guided[:] = 0.0
+        _cycle(guided, left, None, loose, grid.step_mm, grid.halvings, careful)
+        direction *= _product(guided, moved) / energy
+        direction += guided
+        kernels.residual(direction, nothing, unbound, loose, grid.step_mm**2, moved)
+        energy, curvature = _product(direction, left), -_product(direction, moved)
         if not (energy > 0 and curvature > 0):
             return
         length = energy / curvature
-        if kernels.walk(v, left, direction, moved, length) <= _STEP_SHARE * tolerance_mm:
+        moved *= length
+        left += moved
+        v += np.multiply(direction, length, out=guided)
+        if max(float(guided.max()), -float(guided.min())) <= _STEP_SHARE * tolerance_mm:
             return
 
 
-def _monotone_cycle(v: Doubles, load: Doubles, room: Doubles, free: Mask, step_mm: float, level: int) -> None:
-    """One cycle whose corrections never pass the object: coarse nodes have the least room of those around them."""
+def _product(a: Doubles, b: Doubles) -> float:
+    """In one order, whatever the threads: BLAS would share it out."""
+    return float(np.einsum("ij,ij->", a, b))
+
+
+def _cycle(
+    v: Doubles, load: Doubles, room: Doubles | None, free: Mask, step_mm: float, level: int, careful: bool = False
+) -> None:
+    """One cycle, in place, whose corrections never pass the object, if any: coarse nodes have the least room around."""
     from pipeline.physics import bubble_kernels as kernels
 
-    step_sq = step_mm**2
+    step_sq, limit = step_mm**2, _unbound(v.shape) if room is None else room
     if level == 0:
-        kernels.smooth(v, load, room, free, step_sq, _COARSEST_SWEEPS)
+        kernels.smooth(v, load, limit, free, step_sq, _COARSEST_SWEEPS)
         return
-    kernels.smooth(v, load, room, free, step_sq, 2)
+    kernels.smooth(v, load, limit, free, step_sq, 2)
     left = np.empty_like(v)
-    kernels.residual(v, load, room, free, step_sq, left)
-    coarse_free = freeze(np.ascontiguousarray(free[::2, ::2]))
-    coarse_load, coarse_room = np.empty(coarse_free.shape), np.empty(coarse_free.shape)
-    kernels.restrict(left, v, room, coarse_load, coarse_room)
-    correction = np.zeros(coarse_free.shape)
-    _monotone_cycle(correction, coarse_load, coarse_room, coarse_free, 2 * step_mm, level - 1)
-    kernels.prolong(correction, v, room, free)
-    kernels.smooth(v, load, room, free, step_sq, 2)
+    kernels.residual(v, load, limit, free, step_sq, left)
+    coarse_room = None if room is None else _least_room(room - v)
+    kernels.prolong(_coarse_correction(left, coarse_room, free, step_mm, level, careful), v, limit, free)
+    kernels.smooth(v, load, limit, free, step_sq, 2)
+
+
+@lru_cache(maxsize=16)
+def _unbound(shape: tuple[int, ...]) -> Doubles:
+    """Room without end. Not read-only, as the loops would be compiled for that too; nobody writes to it."""
+    return np.full(shape, np.inf)
+
+
+def _least_room(room: Doubles) -> Doubles:
+    """The least, of every second node, of those around it; none is beyond the object."""
+    coarse = np.full(room[::2, ::2].shape, np.inf)
+    around = [room[y : y - 3 or None : 2, x : x - 3 or None : 2] for y in (1, 2, 3) for x in (1, 2, 3)]
+    coarse[1:-1, 1:-1] = np.maximum(np.minimum.reduce(around), 0.0)
+    return coarse
+
+
+def _coarse_correction(
+    left: Doubles, coarse_room: Doubles | None, free: Mask, step_mm: float, level: int, careful: bool
+) -> Doubles:
+    """The correction on every second node for a residual; if `careful`, where no node around is held."""
+    from pipeline.physics import bubble_kernels as kernels
+
+    coarse_free = np.ascontiguousarray(free[::2, ::2])
+    if careful:
+        y, x = slice(2, -2, 2), slice(2, -2, 2)
+        coarse_free[1:-1, 1:-1] &= free[1:-3:2, x] & free[3:-1:2, x] & free[y, 1:-3:2] & free[y, 3:-1:2]
+    freeze(coarse_free)
+    coarse_load, correction = np.empty(coarse_free.shape), np.zeros(coarse_free.shape)
+    kernels.restrict(left, coarse_load)
+    _cycle(correction, coarse_load, coarse_room, coarse_free, 2 * step_mm, level - 1, careful)
+    return correction

@@ -36,25 +36,20 @@ def colour_change(sensor: SensorSpec, gx: NDArray[np.floating], gy: NDArray[np.f
 
     gx, gy (rows, cols): d indentation_mm / dx (right) and / dy (down), in mm/mm. NaN slopes give NaN.
     """
-    from pipeline.physics.optics_kernels import lambert_change
-
     optics = optics_of(sensor)
     if gx.shape != sensor.camera.shape or gy.shape != gx.shape:
         raise ShapeError(f"slopes must have the shape {sensor.camera.shape} of {sensor.name}, got {gx.shape}")
     rows, cols = gx.shape
-    out, lit_by = np.empty((rows, 3 * cols), np.float32), lamps(optics, sensor.camera)
-    lambert_change(_single(gx), _single(gy), *lit_by, np.float32(optics.vignette), _scratch(cols)[1][0], out)
-    return freeze(out.reshape(rows, cols, 3))
-
-
-def slopes(indentation_mm: NDArray[np.floating], pixel_mm: float) -> tuple[Floats, Floats]:
-    """(d/dx, d/dy) in mm/mm of a height image (rows, cols): central differences, one-sided at the border."""
-    from pipeline.physics import optics_kernels
-
-    height = _single(indentation_mm)
-    gx, gy = np.empty_like(height), np.empty_like(height)
-    optics_kernels.slopes(height, np.float32(pixel_mm), gx, gy)
-    return gx, gy
+    gx, gy, one = gx.astype(np.float32), gy.astype(np.float32), np.float32(1.0)
+    x, y = np.arange(cols, dtype=np.float32), np.arange(rows, dtype=np.float32)[:, None]
+    across, down = (2 * x + 1) / np.float32(cols) - 1, (2 * y + 1) / np.float32(rows) - 1
+    lens = one - np.float32(optics.vignette) * ((across * across + down * down) / 2) ** 2
+    normal = one / np.sqrt(one + gx * gx + gy * gy)
+    out = np.zeros((rows, cols, 3), np.float32)
+    for led, (first, per_x, per_y) in zip(*lamps(optics, sensor.camera), strict=True):
+        facing = np.maximum((led[2] - gx * led[0] - gy * led[1]) * normal, 0) - led[2]
+        out += (lens * facing * ((first + per_x * x + per_y * y) / (one - led[2])))[..., None] * led[3:]
+    return freeze(out)
 
 
 def untouched(sensor: SensorSpec) -> Image:

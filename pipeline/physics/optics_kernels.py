@@ -4,9 +4,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
-from pipeline.base.kept_kernels import FAST, kernel
+from pipeline.base.kept_kernels import FAST, inlined, kernel
 
 # What is called is inlined before it is compiled: as functions of their own, with sums free to be contracted, they come
 # out different in the last bit in a process that compiles them and in one that loads them from the cache.
@@ -15,20 +14,7 @@ from pipeline.base.kept_kernels import FAST, kernel
 _FAST = FAST - {"arcp"}
 
 
-@kernel(fastmath=_FAST, error_model="numpy")
-def lambert_change(gx, gy, leds, strength, vignette, part, out):
-    """Write to `out` (rows, 3 cols), per pixel, what every LED's light gains or loses on a slope (`colour_change`).
-
-    leds (n, 6): cos(elevation) cos(azimuth), cos(elevation) sin(azimuth), sin(elevation), r, g, b.
-    strength (n, 3): share of light at the first pixel, its change per pixel to the right and per pixel down.
-    n is a multiple of three: lamps that are dark fill it up. part (3 cols,): written over.
-    """
-    rows = gx.shape[0]
-    for r in range(rows):
-        _row_change(gx[r], gy[r], r, rows, leds, strength, vignette, part, out[r])
-
-
-@kernel(fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=_FAST)
 def light_of(height, pixel, glow, leds, strength, vignette, slope, part, light, picture):
     """`light` (rows, 3 cols) of a surface: the glow (rows, 3 cols) and what its slopes change.
 
@@ -47,7 +33,7 @@ def light_of(height, pixel, glow, leds, strength, vignette, slope, part, light, 
             _row_greys(glow[r], change, picture[r])
 
 
-@njit(inline="always")
+@inlined()
 def _row_change(gx, gy, r, rows, leds, strength, vignette, part, out):
     """What all lamps change in row `r`, three lamps at a time: `out` (3 cols,), a pixel's colours beside each other."""
     y = (np.float32(r) + np.float32(0.5)) * np.float32(2.0 / rows) - np.float32(1.0)
@@ -61,7 +47,7 @@ def _row_change(gx, gy, r, rows, leds, strength, vignette, part, out):
             _add(part, out)
 
 
-@njit(inline="always")
+@inlined()
 def _lamp(led, strength, r):
     """Direction (3), its share of light at the row's first pixel, the share's change per pixel, colour (3)."""
     per_flat = np.float32(1.0) - led[2]
@@ -73,7 +59,7 @@ def _lamp(led, strength, r):
 # from the end and has to be looked for at every pixel.
 
 
-@njit(inline="always")
+@inlined()
 def _row_of_three(gx, gy, y, to_x, vignette, one, two, three, out):
     third, next_one = np.uint64(3), np.uint64(1)
     nothing, unit, half = np.float32(0.0), np.float32(1.0), np.float32(0.5)
@@ -98,14 +84,14 @@ def _row_of_three(gx, gy, y, to_x, vignette, one, two, three, out):
         out[third * c + next_one + next_one] = a * a_blue + b * b_blue + d * c_blue
 
 
-@njit(inline="always")
+@inlined()
 def _add(more, out):
     for i in range(out.shape[0]):
         n = np.uint64(i)
         out[n] += more[n]
 
 
-@njit(inline="always")
+@inlined()
 def _row_greys(glow, change, out):
     for i in range(out.shape[0]):
         n = np.uint64(i)
@@ -113,14 +99,7 @@ def _row_greys(glow, change, out):
         out[n] = np.uint8(np.int32(min(max(value, np.float32(0.0)), np.float32(255.0))))
 
 
-@kernel(fastmath=_FAST, error_model="numpy")
-def slopes(height, pixel, gx, gy):
-    """d/dx and d/dy of a height by central differences, one-sided at the border."""
-    for r in range(height.shape[0]):
-        _row_slopes(height, r, pixel, gx[r], gy[r])
-
-
-@njit(inline="always")
+@inlined()
 def _row_slopes(height, r, pixel, gx, gy):
     rows, cols = height.shape
     per_px = np.float32(1.0) / pixel
@@ -133,14 +112,14 @@ def _row_slopes(height, r, pixel, gx, gy):
     gx[last] = (here[last] - here[max(last - 1, 0)]) * per_px
 
 
-@njit(inline="always")
+@inlined()
 def _scaled_difference(plus, minus, scale, out):
     for i in range(out.shape[0]):
         c = np.uint64(i)
         out[c] = (plus[c] - minus[c]) * scale
 
 
-@kernel(fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=_FAST)
 def cast_shadow(height, to_x, to_y, drop, soft, lines, cover):
     """How much of one LED's light is missing, `cover` (rows, cols) from 0 to 1, behind what stands in its way.
 
@@ -163,7 +142,7 @@ def cast_shadow(height, to_x, to_y, drop, soft, lines, cover):
         line[cols + 2] = line[cols + 3] = line[cols + 1]
 
 
-@njit(inline="always")
+@inlined()
 def _shaded_row(low, high, share, sink, soft, height, line, cover):
     nothing, one = np.float32(0.0), np.float32(1.0)
     per_soft = one / soft
@@ -175,7 +154,7 @@ def _shaded_row(low, high, share, sink, soft, height, line, cover):
         line[c] = light if light > own else own
 
 
-@kernel(fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=_FAST)
 def darken(image, cover, loss):
     """Take from `image` (rows, cols, 3) the share `loss` (3,) of each colour where `cover` (rows, cols) is 1."""
     rows, cols = cover.shape
@@ -184,7 +163,7 @@ def darken(image, cover, loss):
         _darken_row(flat[r], cover[r], loss[0], loss[1], loss[2])
 
 
-@njit(inline="always")
+@inlined()
 def _darken_row(out, cover, red, green, blue):
     three, one = np.uint64(3), np.uint64(1)
     whole = np.float32(1.0)
@@ -196,7 +175,7 @@ def _darken_row(out, cover, red, green, blue):
         out[three * c + one + one] *= whole - dark * blue
 
 
-@kernel(fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=_FAST)
 def print_markers(image, move_x, move_y, pitch, radius, half_twin, darkness, jitter, place):
     """Darken `image` where a marker is; lengths in pixels.
 
@@ -238,7 +217,7 @@ def print_markers(image, move_x, move_y, pitch, radius, half_twin, darkness, jit
                     image[r, c, k] *= share
 
 
-@njit(inline="always")
+@inlined()
 def _mixed(n):
     """Sixty-four well-mixed bits of a number (the finaliser of splitmix64)."""
     n = (n ^ (n >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -246,7 +225,7 @@ def _mixed(n):
     return n ^ (n >> np.uint64(31))
 
 
-@kernel(fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=_FAST)
 def develop(light, quantiles, noise, seed, out):
     """Grey levels of 8 bits: the light plus normal noise of standard deviation `noise`.
 

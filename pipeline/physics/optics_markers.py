@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Floats, freeze
 from pipeline.base.errors import SettingProblem, ShapeError
 from pipeline.geometry.camera import Camera
+from pipeline.physics.slopes import slopes
 from pipeline.sensors.parts import Gel, Markers
 from pipeline.sensors.spec import SensorSpec
 
@@ -65,17 +66,13 @@ def _marker_motion_px(u_mm: Floats, camera: Camera, gel: Gel, pixel_mm: float) -
     """
     import cv2
 
-    from pipeline.physics.optics_kernels import slopes
-
     rest_mm = pixel_mm * camera.fx_px
     nearer = u_mm / np.float32(rest_mm)
     x = np.arange(camera.cols, dtype=np.float32) - np.float32(camera.cx_px)
     y = np.arange(camera.rows, dtype=np.float32) - np.float32(camera.cy_px)
     small = cv2.resize(u_mm, None, fx=1 / _COARSE, fy=1 / _COARSE, interpolation=cv2.INTER_AREA)
     small = cv2.GaussianBlur(small, (0, 0), max(0.5 * gel.thickness_mm / (pixel_mm * _COARSE), 0.1))
-    small = freeze(np.ascontiguousarray(small, dtype=np.float32))
-    gx, gy = np.empty_like(small), np.empty_like(small)
-    slopes(small, np.float32(pixel_mm * _COARSE), gx, gy)
+    gx, gy = slopes(np.asarray(small, np.float32), pixel_mm * _COARSE)
     reach = np.float32(-_SHEAR_PER_THICKNESS * gel.thickness_mm / pixel_mm)
     size = (camera.cols, camera.rows)
     out_x, out_y = (

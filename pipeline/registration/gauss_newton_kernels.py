@@ -19,7 +19,7 @@ _BENDS_AT = 5.0  # spreads at which a residual counts a quarter: 1.5 % less effi
 _SHRINK = 0.3  # smallest factor from one iteration's scale to the next
 
 
-@inner(error_model="numpy")
+@inner()
 def gather(points, poses, n, grid, radius, scale, reach, bins, sums):
     """Normal equations in the object's axes about the points' middle, rotations times `radius`: into `sums`."""
     r00, r01, r02 = poses[n, 0], poses[n, 1], poses[n, 2]
@@ -75,7 +75,7 @@ def gather(points, poses, n, grid, radius, scale, reach, bins, sums):
         sums[27] += weight
 
 
-@inner(error_model="numpy")
+@inner()
 def spread(bins, n, reach):
     """Robust standard deviation of the n residuals that were counted within `reach`; it where there are none."""
     passed = 0
@@ -87,7 +87,7 @@ def spread(bins, n, reach):
     return reach
 
 
-@kernel(error_model="numpy")
+@kernel()
 def fit(points, poses, grid, size, limits, rule, arrays, history, ended):
     """Register points (n, 3) about their middle from each pose (k, 12) of rotation and shift, which moves in place.
 

@@ -13,7 +13,7 @@ _FACING = -0.1  # largest cosine, object's normal to felt normal, below which a 
 _NEAREST_MM = 1e-6  # before the camera
 
 
-@inner(error_model="numpy")
+@inner()
 def _felt(poses, n, felt, felt_normals, grid, limit, out):
     """Mean squared distance, at most limit^2, of the felt points to the placed object; the limit on its far side."""
     r00, r01, r02, t0 = poses[n, 0, 0], poses[n, 0, 1], poses[n, 0, 2], poses[n, 0, 3]
@@ -33,7 +33,7 @@ def _felt(poses, n, felt, felt_normals, grid, limit, out):
     return total / max(felt.shape[0], 1)
 
 
-@inner(error_model="numpy")
+@inner()
 def _unfelt(poses, n, model, view, limit, out, pixel):
     """Mean squared length, at most limit^2, by which points should have been felt but were not; and their pixels."""
     points, normals = model
@@ -65,7 +65,7 @@ def _unfelt(poses, n, model, view, limit, out, pixel):
     return total / max(points.shape[0], 1)
 
 
-@kernel(error_model="numpy")
+@kernel()
 def unexplained(poses, felt, felt_normals, grid, model, view, limit, means, last):
     """`means` (n, 2) squares of each pose (n, 4, 4): of the felt points, and of the object's; `last`: one by one.
 
@@ -77,20 +77,3 @@ def unexplained(poses, felt, felt_normals, grid, model, view, limit, means, last
     for n in range(poses.shape[0]):
         means[n, 0] = _felt(poses, n, felt, felt_normals, grid, limit, of_felt)
         means[n, 1] = _unfelt(poses, n, model, view, limit, of_points, pixel)
-
-
-@kernel(error_model="numpy")
-def in_reach(pose, model, low, high, toward, least, out):
-    """Which points, placed, lie in the box from `low` to `high` and face `toward` by at least a cosine: into `out`."""
-    points, normals = model
-    for k in range(points.shape[0]):
-        inside, facing = True, 0.0
-        for i in range(3):
-            at = pose[i, 3]
-            turned = 0.0
-            for j in range(3):
-                at += pose[i, j] * points[k, j]
-                turned += pose[i, j] * normals[k, j]
-            inside = inside and low[i] <= at <= high[i]
-            facing += turned * toward[i]
-        out[k] = inside and facing > least

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Indices, Mask
+from pipeline.geometry import rigid
 from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.geometry.normals import area_vectors
 from pipeline.registration.model import Model
@@ -95,12 +96,8 @@ def _box(mask: Mask) -> tuple[int, int, int, int]:
 
 def in_reach(scene: Scene, model: Model, sensor_from_object: Doubles, reach_mm: float) -> Model:
     """What of a placed object can have been felt: near the scene and not its far side; all, where nothing is."""
-    from pipeline.registration import ranking_kernels
-
-    near = np.empty(len(model.points_mm), np.bool_)
-    ranking_kernels.in_reach(
-        np.array(sensor_from_object), (model.points_mm, model.normals),
-        scene.points_mm.min(axis=0) - reach_mm, scene.points_mm.max(axis=0) + reach_mm,
-        scene.normals.mean(axis=0), MOST_TURNED_AWAY, near,
-    )  # fmt: skip
+    placed, toward = rigid.apply(sensor_from_object, model.points_mm), scene.normals.mean(axis=0)
+    near = model.normals @ (toward @ sensor_from_object[:3, :3]) > MOST_TURNED_AWAY
+    near &= (placed >= scene.points_mm.min(axis=0) - reach_mm).all(axis=1)
+    near &= (placed <= scene.points_mm.max(axis=0) + reach_mm).all(axis=1)
     return model.part(near) if near.sum() >= _MIN_PART else model

@@ -16,7 +16,7 @@ _DAMPING = 1e-9  # share of the trace (methods 5.3)
 _SWEEPS, _ROUNDING = 30, 1e-30  # Jacobi's end: rounding squared, after six or seven sweeps
 
 
-@inner(error_model="numpy")
+@inner()
 def factored(low):
     """Cholesky's factor in the lower triangle (in place); whether the matrix is positive definite."""
     for i in range(low.shape[0]):
@@ -33,7 +33,7 @@ def factored(low):
     return True
 
 
-@inner(error_model="numpy")
+@inner()
 def eigen(a, vectors):
     """Eigenvectors in the columns of `vectors` and values on the diagonal of the symmetric `a`: Jacobi's rotations."""
     n = a.shape[0]
@@ -66,7 +66,7 @@ def eigen(a, vectors):
                     a[p, k], a[q, k] = c * x - s * y, s * x + c * y
 
 
-@kernel(error_model="numpy")
+@kernel()
 def step(sums, asked, work, motion):
     """How many directions are held; `motion` (6,) becomes the step along the others.
 
@@ -102,7 +102,7 @@ def step(sums, asked, work, motion):
     return _held_step(low, vectors, asked, motion)
 
 
-@inner(error_model="numpy")
+@inner()
 def _held_step(h, vectors, asked, motion):
     for i in range(6):
         for j in range(6):
@@ -126,7 +126,7 @@ def _held_step(h, vectors, asked, motion):
     return n_held
 
 
-@inner(error_model="numpy")
+@inner()
 def move(poses, n, motion, radius, most):
     """Pose n of rows (rotation, shift) after a motion of the object's axes about the points' middle; its size in mm."""
     wx, wy, wz = motion[0] / radius, motion[1] / radius, motion[2] / radius

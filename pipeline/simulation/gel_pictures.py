@@ -15,6 +15,7 @@ import numpy as np
 from pipeline.base.arrays import Floats, Image, Mask, freeze
 from pipeline.physics import optics
 from pipeline.physics.optics_markers import marker_motion_px, print_on
+from pipeline.physics.slopes import slopes
 from pipeline.simulation.gel_units import Unit
 
 _WHITE = 1 << 22  # numbers that camera noise is cut from: drawing them anew takes longer than the light
@@ -80,7 +81,7 @@ def _light(of: Unit, height_mm: Floats) -> Floats:
     still = of.still
     if not height_mm.any():
         return np.maximum(still @ of.mixing.T.astype(np.float32), 0.0)
-    change = optics.colour_change(of.sensor, *optics.slopes(height_mm, of.sensor.pixel_mm))
+    change = optics.colour_change(of.sensor, *slopes(height_mm, of.sensor.pixel_mm))
     if of.following > 0:
         bright = np.clip(still, 4.0, None)
         change = change * (bright / bright.mean(axis=(0, 1))) ** np.float32(of.following)

@@ -8,7 +8,7 @@ import numpy as np
 from pipeline.base.kept_kernels import kernel
 
 
-@kernel(error_model="numpy")
+@kernel()
 def back_project(depth, contact, stride, ray_x, ray_y, motion, z_min, wanted, points, pixel):
     """Write point (n, 3) and flat source pixel (n,) of every usable contact pixel; returns (n, contact pixels seen).
 

@@ -83,7 +83,10 @@ def _points(depth: DepthMap, target_from_source: Doubles, stride: int) -> tuple[
     from pipeline.stages.adapt import adapt_kernels as kernels
 
     surface_mm = depth.depth_mm if depth.object_mm is None else depth.object_mm
-    contact = np.ascontiguousarray(depth.contact if depth.object_mm is None else np.isfinite(depth.object_mm))
+    # Read-only, as a view of what may be written to: the loop would be compiled for either.
+    contact = freeze(
+        np.ascontiguousarray(depth.contact if depth.object_mm is None else np.isfinite(depth.object_mm)).view()
+    )
     at_most = int(np.count_nonzero(contact[::stride, ::stride]))
     points = np.empty((at_most + 1, 3), dtype=np.float32)  # one to spare: a point is written before it is judged
     pixel, wanted = np.empty(at_most + 1, dtype=np.int32), np.empty(contact.shape[1] + 1, dtype=np.int32)

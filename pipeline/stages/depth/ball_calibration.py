@@ -13,7 +13,7 @@ from pipeline.base.arrays import Floats, Image
 from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.balls import calibrate_balls
 from pipeline.calibration.lookup import Calibration, built_in
-from pipeline.physics import optics
+from pipeline.physics.slopes import slopes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.stage import DepthParams, depth
 from pipeline.values.frames import TactileFrame
@@ -36,7 +36,7 @@ def calibrated(
 
     def read(index: int) -> tuple[Floats, Floats]:
         frame = TactileFrame(sensor=sensor.name, image=images[index], reference=reference, index=index)
-        return optics.slopes(depth(frame, sensor, plain, DepthParams()).indentation_mm, plain.pixel_mm)
+        return slopes(depth(frame, sensor, plain, DepthParams()).indentation_mm, plain.pixel_mm)
 
     return calibrate_balls(
         images, reference, sensor, diameter_mm, pixel_mm=pixel_mm, progress=progress, seed=seed, read=read

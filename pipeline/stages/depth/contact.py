@@ -17,7 +17,7 @@ import numpy as np
 
 from pipeline.base.arrays import Floats, Mask, freeze
 from pipeline.base.memo import remembered
-from pipeline.physics.optics import slopes
+from pipeline.physics.slopes import slopes
 
 _WORKERS = 2
 _SPECK_SHARE = 0.05  # of the largest region: dust and scratches that the press has shifted

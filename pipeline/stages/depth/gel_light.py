@@ -37,6 +37,7 @@ from pipeline.calibration import near_lamps, slope_model
 from pipeline.calibration.lookup import Calibration
 from pipeline.calibration.markers import unprinted, without_markers
 from pipeline.physics import optics
+from pipeline.physics.slopes import slopes
 from pipeline.sensors.glow import untouched_light
 from pipeline.sensors.spec import Markers, SensorSpec
 from pipeline.stages.depth.moved import Window
@@ -180,14 +181,15 @@ def corrected(
     pixel_mm, size = picture.pixel_mm, np.array([camera.cols, camera.rows], np.float32)
     place = (picture.x_px, picture.y_px, size, *optics.lamps(told, camera), np.float32(told.vignette))
     bright, out, misfit = _brightness(source, picture, light), np.empty_like(picture.change), 0.0
+    limits = (np.float32(_PULL), np.float32(_HUBER_GREY), _STEEPEST, np.empty((2, 3), np.float32))
     for _ in range(rounds):
         z = np.clip(surface_mm, _LEAST_MM, source.limits.indentation_max_mm) * picture.moved
-        gx, gy = optics.slopes(z, pixel_mm)
+        gx, gy = slopes(z, pixel_mm)
         share = _passed(source, z, pixel_mm)
         lit(gx, gy, *place, bright, picture.still, share, out)
         rest = picture.change - _blurred(out, source, picture)
         misfit = explained(rest, picture.change, picture.still, share, bright, picture.moved, *place,
-                           np.float32(_PULL), np.float32(_HUBER_GREY), _STEEPEST, gx, gy)  # fmt: skip
+                           *limits, gx, gy)  # fmt: skip
         surface_mm = integrated(gx, gy)
     return surface_mm, misfit
 
@@ -225,7 +227,7 @@ def pressed_in(touched: Mask, surface_mm: Floats, pixel_mm: float, border: Mask 
     if n <= 2:  # the background and one region
         return touched
     regions = np.asarray(found, np.int32)
-    steep = np.hypot(*optics.slopes(surface_mm, pixel_mm)) > _FLANK
+    steep = np.hypot(*slopes(surface_mm, pixel_mm)) > _FLANK
     keep = np.bincount(regions[touched & steep], minlength=n) > _FLANK_SHARE * np.bincount(regions.ravel(), minlength=n)
     depths = np.full(n, -np.inf, np.float32)
     np.maximum.at(depths, regions[touched], surface_mm[touched])

@@ -4,16 +4,15 @@
 import math
 
 import numpy as np
-from numba import njit
 
-from pipeline.base.kept_kernels import FAST, kernel
+from pipeline.base.kept_kernels import FAST, inlined, kernel
 
 _DARK, _BRIGHT = np.float32(0.5), np.float32(254.0)  # a camera tells nothing beyond
 _NOISE = np.float32(1.5)  # grey levels
 _LONGEST = np.float32(0.3)  # mm/mm of one step: the light is linear in the slope for about that far
 
 
-@njit(inline="always")
+@inlined()
 def _facing(led, sx, sy, slant):
     """How much a lamp's light grows on a slope, and its rates with both slopes; `slant` is 1 / sqrt(1 + slope^2)."""
     nothing = np.float32(0.0)
@@ -24,12 +23,12 @@ def _facing(led, sx, sy, slant):
     return facing - led[2], -led[0] * slant - bent * sx, -led[1] * slant - bent * sy
 
 
-@njit(inline="always")
+@inlined()
 def _strength(strength, led, lens, x, y):
     return lens * (strength[0] + strength[1] * x + strength[2] * y) / (np.float32(1.0) - led[2])
 
 
-@njit(inline="always")
+@inlined()
 def _lens(x, y, cols, rows, vignette):
     """The share of light that the lens leaves at a pixel of a picture of `cols` x `rows`."""
     one, two, half = np.float32(1.0), np.float32(2.0), np.float32(0.5)
@@ -38,7 +37,7 @@ def _lens(x, y, cols, rows, vignette):
     return one - vignette * corner * corner
 
 
-@kernel(fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST)
 def lit(gx, gy, x, y, size, leds, strength, vignette, bright, still, share, out):
     """Write to `out` (rows, cols, 3) what slopes gx, gy change of the untouched picture `still`, shadows and all.
 
@@ -65,19 +64,18 @@ def lit(gx, gy, x, y, size, leds, strength, vignette, bright, still, share, out)
             out[r, c, 2] = (still[r, c, 2] + blue * bright[r, c, 2]) * share[r, c, 2] - still[r, c, 2]
 
 
-@kernel(fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST)
 def explained(
-    rest, change, still, share, bright, moved, x, y, size, leds, strength, vignette, pull, huber, steepest, gx, gy
+    rest, change, still, share, bright, moved, x, y, size, leds, strength, vignette, pull, huber, steepest, by, gx, gy
 ):
     """Add to the slopes gx, gy of every pixel of `moved` the step that best explains `rest`; zero them elsewhere.
 
     rest, change, still (rows, cols, 3): what the rendered change lacks, the change seen and the untouched picture in
-    grey levels; the others as in `lit`. pull holds every step back; a misfit beyond `huber` pulls no harder. Returns
-    the sum of what was left before the step, each no larger than twice that.
+    grey levels; the others as in `lit`. pull holds every step back; a misfit beyond `huber` pulls no harder. by (2, 3):
+    written over. Returns the sum of what was left before the step, each no larger than twice that.
     """
     rows, cols = moved.shape
     one, two, misfit = np.float32(1.0), np.float32(2.0), 0.0
-    by_x, by_y = np.empty(3, np.float32), np.empty(3, np.float32)
     for r in range(rows):
         for c in range(cols):
             if not moved[r, c]:
@@ -86,14 +84,14 @@ def explained(
             sx, sy = gx[r, c], gy[r, c]
             slant = one / np.sqrt(one + sx * sx + sy * sy)
             lens = _lens(x[c], y[r], size[0], size[1], vignette)
-            by_x[:] = np.float32(0.0)
-            by_y[:] = np.float32(0.0)
+            for k in range(3):
+                by[0, k] = by[1, k] = np.float32(0.0)
             for n in range(leds.shape[0]):
                 _, across, down = _facing(leds[n], sx, sy, slant)
                 weight = _strength(strength[n], leds[n], lens, x[c], y[r])
                 for k in range(3):
-                    by_x[k] += across * weight * leds[n, 3 + k]
-                    by_y[k] += down * weight * leds[n, 3 + k]
+                    by[0, k] += across * weight * leds[n, 3 + k]
+                    by[1, k] += down * weight * leds[n, 3 + k]
             xx, xy, yy = pull, np.float32(0.0), pull
             to_x, to_y = np.float32(0.0), np.float32(0.0)
             for k in range(3):
@@ -104,7 +102,7 @@ def explained(
                     continue
                 weight = min(one, huber / max(abs(off), np.float32(1e-6)))
                 light = bright[r, c, k] * share[r, c, k]
-                jx, jy = by_x[k] * light, by_y[k] * light
+                jx, jy = by[0, k] * light, by[1, k] * light
                 xx += weight * jx * jx
                 xy += weight * jx * jy
                 yy += weight * jy * jy

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Floats, Image, Mask, freeze
 from pipeline.geometry.camera import Camera
 from pipeline.physics import optics
+from pipeline.physics.slopes import slopes
 from pipeline.sensors.parts import Glow, Optics
 from pipeline.sensors.spec import SensorSpec
 
@@ -160,7 +161,7 @@ def fields(of: Seen) -> Floats:
     out[3:6] = 2.0 * np.log((now + np.float32(_DARK_GREY)) / (before + np.float32(_DARK_GREY)))
     out[6:9] = before * np.float32(1.0 / 127.5) - np.float32(1.0)
     out[9:11] = of.slopes
-    out[11], out[12] = optics.slopes(of.physical_px, 1.0)
+    out[11], out[12] = slopes(of.physical_px, 1.0)
     out[SURFACE] = of.physical_px * np.float32(1.0 / SURFACE_PX)
     out[PRESSED] = of.pressed
     out[15] = np.linspace(-1.0, 1.0, COLS, dtype=np.float32)[None, :]

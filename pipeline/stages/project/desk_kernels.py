@@ -33,7 +33,7 @@ N_DESK = 64  # triangles on a desk
 ROOM = 31 * N_DESK
 
 
-@inner(error_model="numpy")
+@inner()
 def judge(desk, limits):
     """Find the fate, and what the first pixel sees, of all triangles; no branches, so that it runs on vectors.
 
@@ -78,7 +78,7 @@ def judge(desk, limits):
         desk[t + POINT] = c_point if wc > largest else point
 
 
-@inner(error_model="numpy")
+@inner()
 def spread(desk, t, rows, cols, image, counts):
     """Draw one triangle in the pixels of its box that it covers; it counts if there is one, or if the box is large."""
     inverse_z, veil, source = image
@@ -121,7 +121,7 @@ def spread(desk, t, rows, cols, image, counts):
                 source[p] = np.int32(desk[t + C_POINT] if wc > largest else point)
 
 
-@inner(error_model="numpy")
+@inner()
 def _columns(weights, slopes, first, last):
     """The columns of a row in which no weight is negative, to a pixel more on either side.
 

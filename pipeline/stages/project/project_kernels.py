@@ -20,7 +20,7 @@ from pipeline.base.kept_kernels import inner, kernel
 LEAST_INVERSE_Z = 1.0 / float(np.finfo(np.float32).max)  # 1/mm
 
 
-@inner(error_model="numpy")
+@inner()
 def pixel_of(x, y, z, lens):
     """Where a point is seen (u, v), px, its 1/z, and the pixel that it falls on, -1 = not in view.
 
@@ -37,7 +37,7 @@ def pixel_of(x, y, z, lens):
     return u, v, w, np.int32(row * cols + col) if ok else np.int32(-1)
 
 
-@kernel(error_model="numpy")
+@kernel()
 def to_pixels(flat, lens, pixel):
     """Write into `pixel` (n,) the pixel that each point falls on, -1 = not in view; returns how many are in view."""
     inside = 0
@@ -69,7 +69,7 @@ def nearest(flat, order, pixel, depth, source):
     return won
 
 
-@kernel(error_model="numpy")
+@kernel()
 def splat(flat, wanted, order, lens, image):
     """Points drawn among triangles: as `nearest`, on 1/z and for the wanted points only; how many are in view."""
     inverse_z, _, source = image
@@ -113,7 +113,7 @@ def hide(flat, depth, lens, tolerance, pixel):
     return hidden
 
 
-@inner(error_model="numpy")
+@inner()
 def height(x, y, rest):
     """The rest surface at (x, y): bilinear, level beyond the border."""
     x0, y0, per_mm, z = rest
@@ -137,7 +137,7 @@ def touching_points(flat, pixel, rest, contact):
             contact[p] = True
 
 
-@kernel(error_model="numpy")
+@kernel()
 def touching_pixels(image, veiled, tolerance, rays, rest, depth, contact):
     """Depth of every drawn pixel from its 1/z, and whether what it sees reaches the membrane.
 
@@ -166,11 +166,3 @@ def touching_pixels(image, veiled, tolerance, rays, rest, depth, contact):
             contact[p] = z <= height(z * ray_x[col], z * ray_y[row], rest)
             drawn += 1
     return drawn, hidden
-
-
-@kernel()
-def push_in(depth, contact, rest, indentation):
-    """Write rest - depth where in contact and not beyond, else 0; on vectors."""
-    for p in range(depth.shape[0]):
-        pushed = rest[p] - depth[p]
-        indentation[p] = np.float32(pushed if contact[p] & (pushed > 0.0) else 0.0)

@@ -80,8 +80,8 @@ def view_of(cloud: Cloud, target: SensorSpec, params: Projection) -> TargetView:
     else:
         drawing = _surface(cloud, target.camera, target, surface)
     shape = target.camera.shape
-    indentation = np.empty(drawing.depth_mm.size, dtype=np.float32)
-    kernels.push_in(drawing.depth_mm, drawing.contact, flat(target.rest_depth_mm, np.float64), indentation)
+    pushed = target.rest_depth_mm.reshape(-1) - drawing.depth_mm
+    indentation = np.where(drawing.contact & (pushed > 0.0), pushed, 0.0).astype(np.float32)
     n_contact = int(np.count_nonzero(drawing.contact))
     n_hidden = kernels.hide(flat(cloud.points_mm), drawing.depth_mm, lens_of(target.camera), SAME_SURFACE_MM, pixel)
     return TargetView(

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.base.kept_kernels import inner, kernel
+from pipeline.base.kept_kernels import inner
 
 SLACK = 1e-9  # barycentric and px: neighbours share the pixels on their common edge, so that no crack opens
 NONE = np.uint32(0xFFFFFFFF)  # no point
@@ -27,7 +27,7 @@ JOINED, LOOK, RIM, BEHIND = (
 )  # bits of a quad: three corners or more, a centre near them; see `tell_apart`
 
 
-@inner(error_model="numpy")
+@inner()
 def between(u, size):
     """The pixel centres that a coordinate lies between, as first not before + last not after.
 
@@ -39,7 +39,7 @@ def between(u, size):
     return np.int32(np.ceil(near - SLACK)) + np.int32(np.floor(near + SLACK))
 
 
-@inner(error_model="numpy")
+@inner()
 def see(lens, n, corners, state):
     """Write where the first `n` points are seen, and which are; anything, harmlessly, for the others."""
     flat, _, screen, between_px = corners
@@ -58,23 +58,7 @@ def see(lens, n, corners, state):
         down[i] = between(v[i], rows)
 
 
-@kernel(error_model="numpy")
-def neighbour_distances(flat, index, stride, every, behind, squares):
-    """Write the distances, squared, of every `every`-th pair of points that are neighbours in a row; how many."""
-    n = 0
-    for i in range(0, index.shape[0] - 1, every):
-        p = 3 * i
-        near = flat[p + 2] > behind and flat[p + 5] > behind and index[i + 1] - index[i] == stride
-        dx, dy = np.float64(flat[p]) - flat[p + 3], np.float64(flat[p + 1]) - flat[p + 4]
-        dz = np.float64(flat[p + 2]) - flat[p + 5]
-        square = dx * dx + dy * dy + dz * dz
-        if near and square < np.inf and n < squares.shape[0]:
-            squares[n] = square
-            n += 1
-    return n
-
-
-@inner(error_model="numpy")
+@inner()
 def place(index, starts, bounds, strip, state, corners, cells, alone):
     """Put the corners of a strip in its cells.
 
@@ -122,7 +106,7 @@ def place(index, starts, bounds, strip, state, corners, cells, alone):
             centres_at[at] = (np.int64(down[k]) << 32) ^ np.int64(across[k])
 
 
-@inner(error_model="numpy")
+@inner()
 def tell_apart(cells, todo, late):
     """Say of each quad what is to be done with it, and list row by row those of the strip itself that want a look.
 
@@ -167,7 +151,7 @@ def tell_apart(cells, todo, late):
     return n, n_behind
 
 
-@inner(error_model="numpy")
+@inner()
 def find_lonely(cells, start, alone):
     """Set in `alone` the points, from `start` on, without neighbours to form a triangle with, drawn or not."""
     corner, state, _, quad = cells

@@ -56,7 +56,7 @@ def _told_of_rims():
 RIMS = _told_of_rims()
 
 
-@kernel(error_model="numpy")
+@kernel()
 def draw_grid(points, bounds, lens, limits, corners, cells, lists, image, counts, alone):
     """Draw the triangles of a source grid, strip by strip of it, so that what is laid out of it stays in fast memory.
 
@@ -112,7 +112,7 @@ def draw_grid(points, bounds, lens, limits, corners, cells, lists, image, counts
                     drawn[p] = np.int32(desk[t + on.POINT])
 
 
-@inner(error_model="numpy")
+@inner()
 def _lay(todo, turn, corner, corners, lens, limits, desk, start, counts):
     """Lay triangles on the desk, of the quads from `turn` on; which turn is next, and how many triangles there are."""
     at, width = corner.reshape(-1), corner.shape[1]
@@ -188,13 +188,13 @@ def _lay(todo, turn, corner, corners, lens, limits, desk, start, counts):
     return turn, t
 
 
-@inner(error_model="numpy")
+@inner()
 def _between(place, i, j, k, o):
     """The first and the last pixel centre between corners."""
     return (min(place[i], place[j], place[k], place[o]) + 1) >> 1, max(place[i], place[j], place[k], place[o]) >> 1
 
 
-@inner(error_model="numpy")
+@inner()
 def _length_sq(flat, i, j):
     """Of an edge, in the precision of the points."""
     i, j = 3 * i, 3 * j
@@ -202,7 +202,7 @@ def _length_sq(flat, i, j):
     return dx * dx + dy * dy + dz * dz
 
 
-@inner(error_model="numpy")
+@inner()
 def _three(a, b, c, d):
     """The corners that are there, of a quad that lacks one."""
     if a == NONE:
@@ -212,7 +212,7 @@ def _three(a, b, c, d):
     return (a, b, d) if c == NONE else (a, b, c)
 
 
-@inner(error_model="numpy")
+@inner()
 def _place_of(flat, extra, i, n_points):
     """x, y, z of a corner: of a point, or of the room beyond them."""
     if i < n_points:
@@ -221,7 +221,7 @@ def _place_of(flat, extra, i, n_points):
     return extra[FOUR * i], extra[FOUR * i + ONE], extra[FOUR * i + TWO]
 
 
-@inner(error_model="numpy")
+@inner()
 def _extend(g, there, at, width, flat, extra, screen, between_px, lens, longest_sq):
     """Lay down what a quad's rim hangs on: the corners half a step beyond those of the quad, and itself where none is.
 
@@ -249,13 +249,13 @@ def _extend(g, there, at, width, flat, extra, screen, between_px, lens, longest_
         between_px[0, spare], between_px[1, spare] = between(u, cols), between(v, rows)
 
 
-@inner(error_model="numpy")
+@inner()
 def _round(g, width, k):
     """The k-th corner round a quad, from its upper left to the right, and on; -1 and 4 are the last and the first."""
     return np.uint64(g + (((k ^ (k >> 1)) & 1) + ((k >> 1) & 1) * width))
 
 
-@inner(error_model="numpy")
+@inner()
 def _three_of(rims, there, first, g, at, width, n_points):
     """The corners of a triangle of a rim."""
     i, j, k = rims[there, first], rims[there, first + 1], rims[there, first + 2]
@@ -266,6 +266,6 @@ def _three_of(rims, there, first, g, at, width, n_points):
     )
 
 
-@inner(error_model="numpy")
+@inner()
 def _corner(k, g, at, width, n_points):
     return at[_round(g, width, k)] if k < 4 else np.uint32(n_points + np.uint64(k - 4))

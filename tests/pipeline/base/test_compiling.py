@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import importlib
 import json
 import os
@@ -24,6 +25,8 @@ with compiling.watched(said.append) as held_up_s:
     from pipeline.geometry.membrane_kernels import level_distance
     for _ in range(2):
         level_distance(np.zeros(6, np.float32), 1.0, np.empty(2))
+from numba.core.errors import termcolor
+assert termcolor().errmsg("no match") == "no match", "the compiler's errors, which nobody sees, are coloured"
 print(json.dumps([sorted(before), said, held_up_s(), sorted(compiling.waiting()), len(compiling.kernels())]))
 """
 
@@ -107,3 +110,21 @@ def test_where_the_program_cannot_write_the_user_keeps_what_is_compiled(small_tr
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     assert compiling.folder(upper).is_dir()
     assert not compiling.folder(upper).is_relative_to(tmp_path)
+
+
+def test_no_garbage_is_looked_for_while_the_compiler_runs():
+    kept = importlib.import_module("pipeline.base.kept_kernels")
+    seen: list[bool] = []
+
+    class Asked(kept.event.Listener):
+        def on_start(self, event):
+            seen.append(gc.isenabled())
+
+        def on_end(self, event):
+            pass
+
+    with kept.event.install_listener("numba:run_pass", Asked()):
+        assert kept.njit(lambda x: x + 1)(1) == 2
+    assert seen
+    assert not any(seen)
+    assert gc.isenabled()

@@ -5,6 +5,7 @@ import pytest
 
 from pipeline.calibration.balls import calibrate_balls
 from pipeline.physics import optics
+from pipeline.physics.slopes import slopes
 from pipeline.sensors.spec import sensor
 from pipeline.simulation.variation import varied
 from pipeline.stages.depth.ball_calibration import calibrated
@@ -46,7 +47,7 @@ def test_presses_are_asked_beside_what_the_stage_reads_not_beside_the_look_up_al
 
     def exact(index):
         x, y = PLACES[index]
-        return optics.slopes(hertz(still.shape[:2], unit.pixel_mm, x, y, DIAMETER_MM, 0.6), unit.pixel_mm)
+        return slopes(hertz(still.shape[:2], unit.pixel_mm, x, y, DIAMETER_MM, 0.6), unit.pixel_mm)
 
     assert calibrate_balls(pictures, still, told, DIAMETER_MM, read=exact).kept_built_in
 

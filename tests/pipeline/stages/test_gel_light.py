@@ -10,6 +10,7 @@ from pipeline.calibration import near_lamps
 from pipeline.calibration.lookup import BallFit, built_in
 from pipeline.geometry.rigid import translation
 from pipeline.physics import optics
+from pipeline.physics.slopes import slopes
 from pipeline.sensors.spec import sensor
 from pipeline.simulation import shapes, variation
 from pipeline.simulation.press import press
@@ -119,7 +120,7 @@ def pressed_mini(*, near):
     source, thing = sensor("gelsight_mini"), shapes.shape("star").mesh
     truth = press(thing, translation(-6.0, 3.5, -0.4 - thing.vertices_mm[:, 2].min()), source, seed=None).truth
     still = optics.untouched(source).astype(np.float32)
-    change = optics.colour_change(source, *optics.slopes(truth.indentation_mm, source.pixel_mm))
+    change = optics.colour_change(source, *slopes(truth.indentation_mm, source.pixel_mm))
     table = near_lamps.gains(source)
     gains = cv2.resize(table, still.shape[1::-1], interpolation=cv2.INTER_LINEAR)
     light = still + change * (gains * still / still.mean(axis=(0, 1)) if near else 1.0)
