@@ -80,7 +80,9 @@ def inspect(instrument: Instrument, path: Path) -> None:
     shown(instrument)
     window = instrument.window
     window.drawers.frames.show()
-    n = instrument.screen.opened.n_frames
+    opened = instrument.screen.opened
+    assert opened is not None
+    n = opened.n_frames
     until(lambda: all(window.frames.known.known(i) is not None for i in range(n)) and instrument.idle)
     command(instrument, "worse")
     shown(instrument)
