@@ -180,7 +180,7 @@ def live(instrument: Instrument, path: Path) -> None:
     living = next(child for child in instrument.children() if isinstance(child, Living))
     instrument.show_session(Session(target="gelslim"))
     living.watch(Simulated(sensor="digit", tool="sphere", rate_hz=15.0))
-    until(lambda: living.reader.n_frames > 24 and living.on_screen)
+    until(lambda: living.reader is not None and living.reader.n_frames > 24 and living.on_screen)
     living.follow(on=False)
     instrument.choose_frame(20)
     shown(instrument)
