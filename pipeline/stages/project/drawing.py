@@ -165,16 +165,12 @@ def _rows_of(
 
 def _spacing_mm(points: Floats, index: Indices, stride: int) -> float:
     """The usual distance of neighbouring points, 0 when none has a neighbour."""
+    from pipeline.stages.project import surface_kernels as kernels
+
+    squares = np.empty(_SPACING_SAMPLES, dtype=np.float64)
     for every in (max(1, len(index) // _SPACING_SAMPLES), 1):
-        first = np.arange(0, len(index) - 1, every)
-        first = first[index[first + 1] - index[first] == stride]
-        one, other = (points.reshape(-1, 3)[i].astype(np.float64) for i in (first, first + 1))
-        with np.errstate(all="ignore"):  # points may be anything
-            apart, seen = other - one, (one[:, 2] > MIN_DEPTH_MM) & (other[:, 2] > MIN_DEPTH_MM)
-            squares = np.einsum("ij,ij->i", apart, apart)[seen]
-            squares = squares[squares < np.inf][:_SPACING_SAMPLES]
-        n = len(squares)
+        n = kernels.neighbour_distances(points, index, stride, every, MIN_DEPTH_MM, squares)
         if n > 0:
             low, high = (n - 1) // 2, n // 2  # as np.median, at a third of its time
-            return float(np.sqrt(np.partition(squares, (low, high))[[low, high]]).sum() / 2.0)
+            return float(np.sqrt(np.partition(squares[:n], (low, high))[[low, high]]).sum() / 2.0)
     return 0.0

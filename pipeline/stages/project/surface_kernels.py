@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.base.kept_kernels import inner
+from pipeline.base.kept_kernels import inner, kernel
 
 SLACK = 1e-9  # barycentric and px: neighbours share the pixels on their common edge, so that no crack opens
 NONE = np.uint32(0xFFFFFFFF)  # no point
@@ -56,6 +56,22 @@ def see(lens, n, corners, state):
         across[i] = between(u[i], cols)
     for i in range(n):
         down[i] = between(v[i], rows)
+
+
+@kernel()
+def neighbour_distances(flat, index, stride, every, behind, squares):
+    """Write the distances, squared, of every `every`-th pair of points that are neighbours in a row; how many."""
+    n = 0
+    for i in range(0, index.shape[0] - 1, every):
+        p = 3 * i
+        near = flat[p + 2] > behind and flat[p + 5] > behind and index[i + 1] - index[i] == stride
+        dx, dy = np.float64(flat[p]) - flat[p + 3], np.float64(flat[p + 1]) - flat[p + 4]
+        dz = np.float64(flat[p + 2]) - flat[p + 5]
+        square = dx * dx + dy * dy + dz * dz
+        if near and square < np.inf and n < squares.shape[0]:
+            squares[n] = square
+            n += 1
+    return n
 
 
 @inner()
