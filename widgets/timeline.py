@@ -112,8 +112,11 @@ class Timeline(QWidget):
         self._time.setText(f"t = {time_s:.2f} s" if math.isfinite(time_s) else "")
 
     def show_errors(self, figure: str, values: Sequence[float], doubts: Mapping[int, Sequence[str]]) -> None:
-        """An error of every frame under the slider, NaN where it is not known, and what is doubted of which."""
-        unit = figure.rpartition(" ")[2]
+        """An error of every frame under the slider, NaN where it is not known, and what is doubted of which.
+
+        `figure` is its name and, behind a comma, its unit.
+        """
+        unit = figure.partition(", ")[2]
         self.errors.show_values(values, unit, doubts)
         worst = self.errors.worst
         known = sum(math.isfinite(value) for value in values)

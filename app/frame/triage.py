@@ -7,7 +7,7 @@ from PyQt6.QtCore import QObject, Qt, QTimer
 from app.frame.instrument import Instrument
 from app.session.state import Session
 from app.work.evaluator import FrameKnown
-from pipeline.evaluation.metrics import METRICS
+from pipeline.evaluation.metrics import METRICS, called
 from pipeline.translation.blame import FIGURE as FIRST_CHOICE
 from widgets.looks import once
 
@@ -65,10 +65,9 @@ class Triage(QObject):
     def _tell(self) -> None:
         """The timeline shows what the table knows; doubts that every frame has tell none from another."""
         known = self._panel.known
-        unit = METRICS[self._figure.partition(".")[2]].unit
         doubts = {i: own for i in range(known.rowCount()) if (own := known.own_doubts(i))}
         values = known.values(self._figure) if known.rowCount() > 1 else ()
-        self._instrument.window.timeline.show_errors(f"{self._figure}, {unit}", values, doubts)
+        self._instrument.window.timeline.show_errors(called(self._figure), values, doubts)
 
     @property
     def _wanted(self) -> bool:

@@ -26,30 +26,69 @@ PSNR_CAP_DB = 100.0  # identical images have no finite ratio; published tables c
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Metric:
-    """What a figure says: its unit, and which way is better."""
+    """What a figure says: its unit, which way is better, and its short name where the window shows it."""
 
+    title: str = ""
     unit: str
     better: Literal["lower", "higher", "neither"]
     meaning: str
 
 
 METRICS: Mapping[str, Metric] = {
-    "mae_mm": Metric(unit="mm", better="lower", meaning="mean absolute error of indentation over the whole image"),
-    "contact_mae_mm": Metric(unit="mm", better="lower", meaning="the same inside the true contact"),
-    "contact_iou": Metric(unit="", better="higher", meaning="intersection over union of contact and true contact"),
-    "psnr_db": Metric(unit="dB", better="higher", meaning="peak signal-to-noise ratio of the picture"),
-    "depth_mae_mm": Metric(unit="mm", better="lower", meaning="mean absolute difference to the recorded depth image"),
-    "translation_mm": Metric(unit="mm", better="lower", meaning="shift of the object at the contact"),
-    "rotation_deg": Metric(unit="deg", better="lower", meaning="turn of the object"),
-    "mssd_mm": Metric(unit="mm", better="lower", meaning="largest shift of the object's surface, after its symmetry"),
-    "se2_mm": Metric(unit="mm", better="lower", meaning="shift in the sensor's plane, after its symmetry"),
-    "se2_deg": Metric(unit="deg", better="lower", meaning="turn in the sensor's plane, after its symmetry"),
-    "observable_mm": Metric(unit="mm", better="lower", meaning="shift along what the contact determines"),
-    "observable_deg": Metric(unit="deg", better="lower", meaning="turn about what the contact determines"),
-    "answers": Metric(unit="", better="neither", meaning="poses that fit equally well, up to symmetry"),
-    "answers_apart_mm": Metric(unit="mm", better="neither", meaning="largest distance (MSSD) between two of them"),
+    "mae_mm": Metric(
+        title="error", unit="mm", better="lower", meaning="mean absolute error of indentation over the whole image"
+    ),
+    "contact_mae_mm": Metric(
+        title="error in contact",
+        unit="mm",
+        better="lower",
+        meaning="mean absolute error of indentation inside the true contact",
+    ),
+    "contact_iou": Metric(
+        title="IoU of contact", unit="", better="higher", meaning="intersection over union of contact and true contact"
+    ),
+    "psnr_db": Metric(title="PSNR", unit="dB", better="higher", meaning="peak signal-to-noise ratio of the picture"),
+    "depth_mae_mm": Metric(
+        title="off the depth image",
+        unit="mm",
+        better="lower",
+        meaning="mean absolute difference to the recorded depth image",
+    ),
+    "translation_mm": Metric(title="shift", unit="mm", better="lower", meaning="shift of the object at the contact"),
+    "rotation_deg": Metric(title="turn", unit="deg", better="lower", meaning="turn of the object"),
+    "mssd_mm": Metric(
+        title="surface off",
+        unit="mm",
+        better="lower",
+        meaning="largest shift of the object's surface, after its symmetry",
+    ),
+    "se2_mm": Metric(
+        title="shift in the plane", unit="mm", better="lower", meaning="shift in the sensor's plane, after its symmetry"
+    ),
+    "se2_deg": Metric(
+        title="turn in the plane", unit="deg", better="lower", meaning="turn in the sensor's plane, after its symmetry"
+    ),
+    "observable_mm": Metric(
+        title="determined shift", unit="mm", better="lower", meaning="shift along what the contact determines"
+    ),
+    "observable_deg": Metric(
+        title="determined turn", unit="deg", better="lower", meaning="turn about what the contact determines"
+    ),
+    "answers": Metric(
+        title="answers", unit="", better="neither", meaning="poses that fit equally well, up to symmetry"
+    ),
+    "answers_apart_mm": Metric(
+        title="answers apart", unit="mm", better="neither", meaning="largest distance (MSSD) between two of them"
+    ),
 }
 """Name of a figure, as it stands behind the slot's (`pose.mssd_mm`) -> what it is."""
+
+
+def called(figure: str) -> str:
+    """`felt.contact_mae_mm` as a person calls it: "felt: error in contact, mm"."""
+    slot, _, name = figure.partition(".")
+    metric = METRICS[name]
+    return f"{slot}: {metric.title}{', ' if metric.unit else ''}{metric.unit}"
 
 
 def mean_abs_mm(estimate: NDArray[np.floating], truth: NDArray[np.floating], where: Mask) -> float:

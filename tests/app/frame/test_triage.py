@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtWidgets import QLabel
 
 from app.frame.tour import wait_until_shown
 from app.session.sample import SAMPLE
@@ -34,6 +35,7 @@ def test_every_frame_of_known_truth_is_worked_out_and_the_worst_is_a_key_away(wi
     ranked = sorted((f for f, v in figures.items() if math.isfinite(v)), key=figures.__getitem__, reverse=True)
     line = window.window.timeline.errors
     qtbot.waitUntil(lambda: line.worst == ranked[0], timeout=LIMIT_MS)  # nobody opened the table
+    assert "felt: error in contact, mm" in [label.text() for label in window.window.timeline.findChildren(QLabel)]
     np.testing.assert_array_equal(line.values, [figures[f] for f in range(known.rowCount())])
     assert set(line.doubts) == {f for f in range(known.rowCount()) if known.own_doubts(f)} != set()
     window.window.actions_by_name["worst"].trigger()

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from pipeline.evaluation.metrics import METRICS, PSNR_CAP_DB, iou, mean_abs_mm, pose_figures, psnr_db
+from pipeline.evaluation.metrics import METRICS, PSNR_CAP_DB, called, iou, mean_abs_mm, pose_figures, psnr_db
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.geometry.symmetry import cyclic
@@ -85,3 +85,9 @@ def test_pose_errors_after_symmetry_stand_beside_the_plain_ones_once_the_mesh_is
     assert unknown["mssd_mm"] > 17.0, "the ends of the bar are taken as different"
     assert "mssd_mm" not in pose_figures(pose, known)
     assert figures.keys() <= METRICS.keys(), "every figure says its unit and which way is better"
+
+
+def test_figures_have_a_name_for_people_and_no_two_have_one():
+    assert called("felt.contact_mae_mm") == "felt: error in contact, mm"
+    assert called("felt.contact_iou") == "felt: IoU of contact"
+    assert len({metric.title for metric in METRICS.values()}) == len(METRICS)
