@@ -53,7 +53,7 @@ monkey: $(READY)
 	MONKEY_MINUTES=$(MONKEY_MINUTES) xvfb-run -a -s "-screen 0 1920x1200x24" $(BIN)/python -m pytest -q --no-xvfb tests/app/frame/test_hands.py -k monkey -s \
 		--timeout 14400 -o faulthandler_timeout=0
 
-# The pictures of docs/tour.md, as the window is now.
+# The pictures of README.md and docs/tour.md, as the window is now.
 tour: $(READY)
 	xvfb-run -a -s "-screen 0 1600x950x24" $(BIN)/python docs/make_tour.py
 

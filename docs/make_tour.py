@@ -1,4 +1,4 @@
-"""Make the pictures of docs/tour.md: the window itself, as it is now, on the sample recordings.
+"""Make the pictures of README.md and docs/tour.md: the window itself, as it is now, on the sample recordings.
 
     xvfb-run -a -s "-screen 0 1600x950x24" python docs/make_tour.py [FOLDER [NAME ...]]
 
@@ -27,7 +27,7 @@ from app.frame.basins import BasinsTab
 from app.frame.comparing import Comparing
 from app.frame.instrument import Instrument
 from app.frame.living import Living
-from app.frame.tour import save_window_picture, wait_until_shown
+from app.frame.tour import follow_a_pixel, save_window_picture, wait_until_shown
 from app.session.state import Session
 from pipeline.live.simulated import Simulated
 from pipeline.sensors.offsets import Offsets
@@ -93,6 +93,26 @@ def inspect(instrument: Instrument, path: Path) -> None:
     shown(instrument)
     window.drawers.reading.show()
     window.tabs.setCurrentWidget(window.blame)
+    at_rest(instrument)
+    save_window_picture(instrument, path)
+
+
+def stages(instrument: Instrument, path: Path) -> None:
+    """Every slot side by side, a pixel followed through all of them."""
+    instrument.show_session(Session(recording=SAMPLE, source="gelslim", target="soft_bubble", frame=5))
+    shown(instrument)
+    at_rest(instrument)
+    follow_a_pixel(instrument)
+    at_rest(instrument)
+    save_window_picture(instrument, path)
+
+
+def filmstrip(instrument: Instrument, path: Path) -> None:
+    """Two slots large under a strip of all."""
+    instrument.show_session(Session(recording=SAMPLE, source="gelslim", target="soft_bubble", frame=5))
+    shown(instrument)
+    command(instrument, "layout_inspect")
+    shown(instrument)
     at_rest(instrument)
     save_window_picture(instrument, path)
 
@@ -189,8 +209,8 @@ def live(instrument: Instrument, path: Path) -> None:
 
 
 PICTURES = {
-    "welcome": welcome, "inspect": inspect, "compare": compare, "two": two, "seeds": seeds, "basins": basins,
-    "demo": demo, "align": align, "live": live,
+    "welcome": welcome, "stages": stages, "filmstrip": filmstrip, "inspect": inspect, "compare": compare, "two": two,
+    "seeds": seeds, "basins": basins, "demo": demo, "align": align, "live": live,
 }  # fmt: skip
 
 

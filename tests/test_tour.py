@@ -1,4 +1,4 @@
-"""The tour's text and the script that makes its pictures speak of the same ones."""
+"""The README, the tour's text and the script that makes its pictures speak of the same ones."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ DOCS = Path(__file__).resolve().parents[1] / "docs"
 
 def test_every_picture_of_the_tour_is_made_by_its_script_and_there():
     shown = set(re.findall(r"\(tour/(\w+)\.png\)", (DOCS / "tour.md").read_text()))
+    shown |= set(re.findall(r"\(docs/tour/(\w+)\.png\)", (DOCS.parent / "README.md").read_text()))
     tree = ast.parse((DOCS / "make_tour.py").read_text())
     table = next(
         n.value for n in tree.body if isinstance(n, ast.Assign) and getattr(n.targets[0], "id", "") == "PICTURES"

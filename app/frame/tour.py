@@ -44,7 +44,7 @@ def give_tour(instrument: Instrument, out: Path, *, show_frame: int | None = Non
     write_report(out, translation, reports)
     instrument.choose_frame(max(felt_px, key=felt_px.__getitem__, default=0) if show_frame is None else show_frame)
     wait_until_shown(instrument)
-    _follow_a_pixel(instrument)
+    follow_a_pixel(instrument)
     save_window_picture(instrument, out / "window.png")
     show_table(reports)
     failed = [frame for frame in reports if frame.problem]
@@ -74,7 +74,7 @@ def save_window_picture(instrument: Instrument, path: Path) -> None:
     write_picture(instrument.window, path)
 
 
-def _follow_a_pixel(instrument: Instrument) -> None:
+def follow_a_pixel(instrument: Instrument) -> None:
     """Pin the target pixel that is pushed in deepest, so that the picture shows a trace."""
     project = instrument.latest.results.get("view") if instrument.latest is not None else None
     if project is not None and project.output.contact.any():

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 from app.session.layout import Layout, from_plain
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import read_json, write_json
+from pipeline.base.files import put_aside, read_json, write_json
 
 FILE = "arrangements.json"
 _KIND, _VERSION = "tactoscope arrangements", 1
@@ -40,6 +40,5 @@ def save(path: Path, layouts: Sequence[Layout]) -> None:
     try:
         load(path)
     except FileProblem:
-        path.replace(path.with_name(path.name + ".unread"))
-    path.parent.mkdir(parents=True, exist_ok=True)
+        put_aside(path)
     write_json(path, {_KIND: _VERSION, "arrangements": [layout.plain for layout in layouts]}, "your arrangements")

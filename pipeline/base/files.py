@@ -120,6 +120,18 @@ def open_lock(path: Path) -> BinaryIO:
     return lock
 
 
+def put_aside(path: Path) -> Path:
+    """Give the file at `path` another name beside, so that nothing is lost when one is written there; returns it."""
+    aside = next(
+        place for n in itertools.count() if not (place := path.with_name(f"{path.name}.unread{n or ''}")).exists()
+    )
+    try:
+        path.rename(aside)
+    except OSError as error:
+        raise FileProblem(f"cannot put this file aside ({reason(error)})", path) from error
+    return aside
+
+
 def write_text(path: Path, text: str, what: str) -> None:
     """`text` as UTF-8, whole or not at all; raises FileProblem."""
     with whole_file(path, what) as file:

@@ -13,7 +13,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import read_bytes, read_json, read_toml, whole_file, write_arrays, write_folder, write_json
+from pipeline.base.files import (
+    put_aside,
+    read_bytes,
+    read_json,
+    read_toml,
+    whole_file,
+    write_arrays,
+    write_folder,
+    write_json,
+)
 from pipeline.base.text import plain
 
 PACKAGES = ("pipeline", "app", "widgets")
@@ -139,3 +148,13 @@ def _writes(call: ast.Call) -> bool:
         return not (isinstance(call.func.value, ast.Name) and call.func.value.id == "files")
     renames = name == "replace" and len(call.args) == 1 and not call.keywords and not on_text
     return renames or (name == "open" and any(set(mode) & set("wax+") and len(mode) < 4 for mode in modes))
+
+
+def test_what_is_put_aside_is_not_lost_to_what_was_put_aside_before(tmp_path):
+    path = tmp_path / "kept.json"
+    for text in ("first", "second"):
+        path.write_text(text)
+        put_aside(path)
+    assert {place.read_text() for place in tmp_path.iterdir()} == {"first", "second"}
+    with pytest.raises(FileProblem, match="cannot put this file aside"):
+        put_aside(path)
