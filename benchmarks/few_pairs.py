@@ -41,8 +41,8 @@ from pipeline.recordings import pictures
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import sensor
 from pipeline.stages.generate.picture_input import of_picture
+from pipeline.training.drawn_pairs import Drawn, draw
 from pipeline.training.export import export
-from pipeline.training.kept_pairs import Drawn, draw
 from pipeline.training.loop import Run, train
 from pipeline.training.recipe import load
 

@@ -10,17 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Mask, freeze
-from pipeline.base.errors import FileProblem
+from pipeline.base.arrays import Floats, freeze
 from pipeline.base.params import setting
 from pipeline.training import denoising
-from pipeline.training.own_touches import keep, read
+from pipeline.training.drawn_pairs import Drawn, drawn
 from pipeline.training.residual import UNITS_MM, example
 
 if TYPE_CHECKING:
@@ -30,15 +27,6 @@ if TYPE_CHECKING:
 
 _TURNED_DEG, _LARGER, _SHIFTED = 5.0, 0.05, 0.03  # at most; of a picture's rows
 _BRIGHTER = 0.25
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Drawn:
-    """A pair on the target's grid."""
-
-    shown: Floats  # (channels, rows, cols) as `picture_input.of_picture` draws it
-    touch_mm: Floats  # (rows, cols) the target's membrane
-    contact: Mask
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,20 +80,6 @@ class KeptPairs:
 
     def _example(self, one: Drawn) -> Example:
         return example(one.shown, one.touch_mm, one.contact, np.zeros(one.contact.shape, np.bool_), self._kind)
-
-
-def draw(folder: Path, number: int, one: Drawn) -> None:
-    """Keep a pair under its number."""
-    keep(folder / f"pair_{number:05}.npz", one)
-
-
-@lru_cache(maxsize=4)
-def drawn(folder: str) -> tuple[Drawn, ...]:
-    """The pairs of a folder in their order; raises FileProblem where there is none."""
-    found = tuple(one for path in sorted(Path(folder).glob("pair_*.npz")) if (one := read(path, Drawn)) is not None)
-    if not found:
-        raise FileProblem("there is no drawn pair here (pair_00000.npz and so on)", folder)
-    return found
 
 
 def moved(one: Drawn, rng: np.random.Generator) -> Drawn:

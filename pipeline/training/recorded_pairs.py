@@ -20,7 +20,7 @@ from pipeline.stages.depth import stage as depth
 from pipeline.stages.generate import picture_to_touch
 from pipeline.stages.generate.corrected import on_grid
 from pipeline.stages.generate.residual_input import working
-from pipeline.training.kept_pairs import Drawn
+from pipeline.training.drawn_pairs import Drawn
 from pipeline.values.frames import Stream
 
 _HALF = 0.5

@@ -10,7 +10,8 @@ from pipeline.recordings import open_recording
 from pipeline.sensors.spec import sensor
 from pipeline.stages.generate.corrected import on_grid
 from pipeline.stages.generate.residual_input import working
-from pipeline.training.kept_pairs import Drawn, KeptPairs, draw, drawn, moved
+from pipeline.training.drawn_pairs import Drawn, draw, drawn
+from pipeline.training.kept_pairs import KeptPairs, moved
 from pipeline.training.loop import Run, train
 from pipeline.training.recipe import load
 
