@@ -18,6 +18,7 @@ from pipeline.translation.catalogue import BUILT_IN
 SWEPT: Mapping[str, tuple[float, ...]] = {
     "steps": (1, 2, 4, 8, 20, 50, 200), "guidance": (0.0, 1.0, 1.5, 2.54, 7.0, 15.0),
 }  # fmt: skip
+_AT: Mapping[str, tuple[str, ...]] = {"guidance": ("touch.steps=8",)}  # in one step guidance does nothing
 _MARKS = {"steps": "o-", "guidance": "s--"}
 
 
@@ -40,7 +41,8 @@ def swept(
 ) -> list[Point]:
     """Every touch method as it comes, and again with each of the parameters that it has at each of its values.
 
-    Raises SettingProblem for a parameter that is not swept.
+    Guidance is swept at eight steps unless `wanted` tells another number. Raises SettingProblem for a parameter that
+    is not swept.
     """
     must_be_swept(parameters)
     plain = replace(wanted, poses=(), contenders=wanted.contenders or ("mean", *_methods()))
@@ -73,10 +75,10 @@ def _rounds(plain: Wanted, parameters: Sequence[str]) -> Sequence[tuple[str, flo
             if method.name in plain.contenders and name in settings(method.params())
         }
         for value in SWEPT[name]:
-            those = tuple(method for method, told in able.items() if told.low <= value <= told.high)
+            those = tuple(method for method, span in able.items() if span.low <= value <= span.high)
             if those:
-                assignment = f"touch.{name}={value:g}"
-                rounds.append((name, value, replace(plain, contenders=those, settings=(*plain.settings, assignment))))
+                told = (*_AT.get(name, ()), *plain.settings, f"touch.{name}={value:g}")
+                rounds.append((name, value, replace(plain, contenders=those, settings=told)))
     return rounds
 
 

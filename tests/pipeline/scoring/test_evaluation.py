@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -70,6 +71,20 @@ def test_a_row_for_each_baseline_and_method_and_physics_beats_the_baselines(kept
     assert by["physics"].ms > 0
     assert by["mean"].ms == 0
     assert any("real recordings" in note for note in table.notes)
+
+
+def test_guidance_is_swept_where_it_does_something_unless_steps_are_told(kept, monkeypatch):
+    asked = []
+    monkeypatch.setattr(sweep, "evaluated", lambda one, *_: asked.append(one.settings) or sweep_of_nothing())
+    sweep.swept(wanted(kept, contenders=("t2d2",)), ("guidance",))
+    sweep.swept(wanted(kept, contenders=("t2d2",), settings=("touch.steps=3",)), ("guidance",))
+    steps = [dict(told.split("=") for told in settings).get("touch.steps") for settings in asked]
+    n = len(sweep.SWEPT["guidance"])
+    assert steps == [None, *n * ["8"], *(1 + n) * ["3"]]
+
+
+def sweep_of_nothing():
+    return SimpleNamespace(rows=())
 
 
 def test_a_sweep_asks_only_methods_that_have_the_parameter_and_draws_each_direction(kept, few, tmp_path):
