@@ -64,6 +64,12 @@ def at_rest(instrument: Instrument) -> None:
         time.sleep(0.005)
 
 
+def open_sample(instrument: Instrument, *, frame: int) -> None:
+    """Open the sample on a touched frame."""
+    instrument.show_session(Session(recording=SAMPLE, source="gelslim", target="soft_bubble", frame=frame))
+    shown(instrument)
+
+
 def command(instrument: Instrument, name: str) -> None:
     """Trigger a command by its name."""
     instrument.window.actions_by_name[name].trigger()
@@ -76,8 +82,7 @@ def welcome(instrument: Instrument, path: Path) -> None:
 
 def inspect(instrument: Instrument, path: Path) -> None:
     """The worst frame, with the truth beside it and its error taken apart."""
-    instrument.show_session(Session(recording=SAMPLE, source="gelslim", target="soft_bubble", frame=5))
-    shown(instrument)
+    open_sample(instrument, frame=5)
     window = instrument.window
     window.drawers.frames.show()
     opened = instrument.screen.opened
@@ -99,8 +104,7 @@ def inspect(instrument: Instrument, path: Path) -> None:
 
 def stages(instrument: Instrument, path: Path) -> None:
     """Every slot side by side, a pixel followed through all of them."""
-    instrument.show_session(Session(recording=SAMPLE, source="gelslim", target="soft_bubble", frame=5))
-    shown(instrument)
+    open_sample(instrument, frame=5)
     at_rest(instrument)
     follow_a_pixel(instrument)
     at_rest(instrument)
@@ -109,8 +113,7 @@ def stages(instrument: Instrument, path: Path) -> None:
 
 def filmstrip(instrument: Instrument, path: Path) -> None:
     """Two slots large under a strip of all."""
-    instrument.show_session(Session(recording=SAMPLE, source="gelslim", target="soft_bubble", frame=5))
-    shown(instrument)
+    open_sample(instrument, frame=5)
     command(instrument, "layout_inspect")
     shown(instrument)
     at_rest(instrument)
@@ -155,8 +158,7 @@ def seeds(instrument: Instrument, path: Path) -> None:
 
 def basins(instrument: Instrument, path: Path) -> None:
     """Where the registration of one touch ends, from all around."""
-    instrument.show_session(Session(recording=SAMPLE, source="gelslim", target="soft_bubble", frame=8))
-    shown(instrument)
+    open_sample(instrument, frame=8)
     at_rest(instrument)
     command(instrument, "map_basins")
     tab = next(child for child in instrument.children() if isinstance(child, BasinsTab))
@@ -167,8 +169,7 @@ def basins(instrument: Instrument, path: Path) -> None:
 
 def _compared(instrument: Instrument) -> Comparing:
     """*Compare* on a touched frame."""
-    instrument.show_session(Session(recording=SAMPLE, source="gelslim", target="soft_bubble", frame=5))
-    shown(instrument)
+    open_sample(instrument, frame=5)
     command(instrument, "layout_compare")
     shown(instrument)
     return next(child for child in instrument.children() if isinstance(child, Comparing))

@@ -93,17 +93,6 @@ def backdrop(palette: QPalette) -> QColor:
     return qcolor(inks(palette).backdrop)
 
 
-def contrast(one: Rgb, other: Rgb) -> float:
-    """How far two colours stand apart, 1 to 21, as WCAG 2.1 measures it."""
-    brighter, darker = sorted((_luminance(one), _luminance(other)), reverse=True)
-    return (brighter + 0.05) / (darker + 0.05)
-
-
-def _luminance(colour: Rgb) -> float:
-    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (v / 255 for v in colour)]
-    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
-
-
 def palette_of(*, dark: bool) -> QPalette:
     """The window's palette, set by hand: without a desktop theme Qt does not know which one to take."""
     palette = QPalette()

@@ -33,11 +33,6 @@ class Contender:
     title: str
     model: str = ""  # of the paper, "" = it has no such row
 
-    @property
-    def is_given(self) -> bool:
-        """Whether it needs no source: a touch that is put in the method's place."""
-        return self.name in _GIVEN
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Field:

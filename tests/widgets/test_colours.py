@@ -14,7 +14,7 @@ from PyQt6.QtWidgets import QApplication
 from pipeline.pictures.colours import NO_VALUE, ColourScale
 from pipeline.pictures.picture import Picture
 from widgets.canvas import Canvas
-from widgets.colours import contrast, inks, is_dark, palette_of
+from widgets.colours import inks, is_dark, palette_of
 from widgets.drawings import COMMANDS
 from widgets.icons import drawn
 from widgets.looks import InkLabel
@@ -30,6 +30,17 @@ def themes(qapp):
     before = QApplication.palette()
     yield lambda dark: QApplication.setPalette(palette_of(dark=dark))
     QApplication.setPalette(before)
+
+
+def contrast(one, other):
+    """How far two colours stand apart, 1 to 21, as WCAG 2.1 measures it."""
+    brighter, darker = sorted((_luminance(one), _luminance(other)), reverse=True)
+    return (brighter + 0.05) / (darker + 0.05)
+
+
+def _luminance(colour):
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (v / 255 for v in colour)]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
 def _grounds(palette):
