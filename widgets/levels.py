@@ -22,6 +22,7 @@ _EVERY = 2  # pixel along each side is counted: the shape of a spread is the sam
 _NEAR_PX = 12.0  # of an end of the strip: there it can be dragged
 _THROTTLE_MS = 33
 _BELOW, _ABOVE = "\N{BLACK LEFT-POINTING SMALL TRIANGLE} {}", "{} \N{BLACK RIGHT-POINTING SMALL TRIANGLE}"
+_OUTSIDE = 1.0  # per cent of the values on either side of limits that are fitted to them
 _TOLD = 0.001  # a smaller share beyond a limit is not worth a mark
 _NOISE = 0.01  # of the range: as little below the lowest colour is noise about zero, not something unseen
 
@@ -45,14 +46,28 @@ def spread_of(values: Floats, scale: ColourScale) -> Spread:
     return Spread(counts=counts.astype(np.float64), below=below / n, above=above / n)
 
 
+def fitted_limits(values: Floats, scale: ColourScale) -> dict[str, float]:
+    """Setting -> value of the limits between which all but a hundredth at either end of the values lie.
+
+    Empty where no setting stands for a limit, or where the values do not differ.
+    """
+    known = values[np.isfinite(values)]
+    low, high = (float(v) for v in np.percentile(known, (_OUTSIDE, 100 - _OUTSIDE))) if known.size else (0.0, 0.0)
+    if scale.sets_low == scale.sets_high:
+        low, high = 0.0, max(abs(low), abs(high))
+    limits = {scale.sets_low: low, scale.sets_high: high}
+    return {name: value for name, value in limits.items() if name} if high > low else {}
+
+
 class Levels(QWidget):
     """Bars over a strip of colours over its numbers; empty for pictures in true colour.
 
     An end that a setting of the display stands for can be dragged: `limit_dragged` carries setting and value, at most
-    thirty times a second.
+    thirty times a second. A double click fits the limits to what is shown: `limits_fitted` carries setting -> value.
     """
 
     limit_dragged = pyqtSignal(str, float)
+    limits_fitted = pyqtSignal(object)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -95,7 +110,8 @@ class Levels(QWidget):
         for share, where in ((spread.below, f"below {scale.low:g}"), (spread.above, f"above {scale.high:g}")):
             if share >= _TOLD:
                 lines.append(f"{100 * share:.1f} % of the values lie {where} {scale.unit}, in the colour of that end")
-        lines.append("drag an end to move the limit" if scale.sets_high else "these limits follow from the sensor")
+        can = "drag an end to move the limit; a double click fits both to 98 % of these values, from then on"
+        lines.append(can if scale.sets_high else "these limits follow from another scale")
         return "\n".join(lines)
 
     def paintEvent(self, a0: QPaintEvent | None) -> None:  # noqa: N802
@@ -176,6 +192,17 @@ class Levels(QWidget):
             self._soon.stop()
             self._tell()
         self._held = None
+
+    def mouseDoubleClickEvent(self, a0: Any) -> None:  # noqa: N802
+        """Fit the limits to nearly all of the values at hand; they are as absolute then as any."""
+        del a0
+        self._held = None
+        if (
+            self._scale is not None
+            and self._values is not None
+            and (fitted := fitted_limits(self._values, self._scale))
+        ):
+            self.limits_fitted.emit(fitted)
 
     def _tell(self) -> None:
         if self._held is not None and math.isfinite(self._wanted):

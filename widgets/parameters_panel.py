@@ -71,11 +71,11 @@ class ParametersPanel(QScrollArea):
         for name, (value, told) in settings(params).items():
             control = self._control(key, name, value, told)
             self._controls[key][name] = control
-            label = QLabel(f"{told.label}, {told.unit}" if told.unit and told.unit not in told.label else told.label)
+            label = QLabel(_label(told))
             label.setWordWrap(True)
             called = f"{key.partition('/')[0]}.{name}"  # by the command line
             tip = f"{told.help or told.label} ({called}{_range(told)})"
-            tip += f"\nequation: {told.source}" if told.source else ""
+            tip += f"\nsource: {told.source}" if told.source else ""
             label.setToolTip(tip)
             control.widget.setToolTip(tip)
             for slider in control.widget.findChildren(QSlider):
@@ -155,9 +155,16 @@ class ParametersPanel(QScrollArea):
         return _text(value, edited)
 
 
+def _label(told: Setting) -> str:
+    """With its unit, unless that is a word of it."""
+    return f"{told.label}, {told.unit}" if told.unit and told.unit not in told.label.lower() else told.label
+
+
 def _range(told: Setting) -> str:
     """The numbers that it may be, with their unit."""
     unit = f" {told.unit}" if told.unit else ""
+    if told.choices:
+        return f", {', '.join(told.choices)}"
     if math.isfinite(told.low) and math.isfinite(told.high):
         return f", {told.low:g} to {told.high:g}{unit}"
     return f", in{unit}" if unit else ""

@@ -88,6 +88,8 @@ class TileGrid(QWidget):
     """Shows tiles as large as they fit; `pointed` tells what the pixel under the mouse reads, "" for none."""
 
     pointed = pyqtSignal(str)
+    limit_dragged = pyqtSignal(str, float)  # as those of `widgets.levels.Levels`
+    limits_fitted = pyqtSignal(object)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -136,6 +138,8 @@ class TileGrid(QWidget):
         made = TileView()
         made.view.look_changed.connect(partial(self._looked, made))
         made.view.pixel_hovered.connect(partial(self._point, made))
+        made.view.levels.limit_dragged.connect(self.limit_dragged)
+        made.view.levels.limits_fitted.connect(self.limits_fitted)
         self._views.append(made)
 
     def _place(self) -> None:

@@ -14,6 +14,7 @@ from app.work.versus import Beside, beside_felt
 from app.work.versus import beside as beside_truth
 from pipeline.base.memo import Memo, size_bytes
 from pipeline.engine.graph import StageResult
+from pipeline.pictures.display import DisplayParams
 from pipeline.pictures.layers import Layer, reading_layer
 from pipeline.pictures.picture import Picture, beside, fitted, of_reading
 from pipeline.sensors.spec import SensorSpec
@@ -57,6 +58,7 @@ class Read(NamedTuple):
     facts: Facts
     picture: Picture
     layer: Layer
+    display: DisplayParams  # that it was drawn with
 
 
 class Drawing:
@@ -71,12 +73,13 @@ class Drawing:
         self._read: Memo[int, Read] = Memo(most_bytes=min(most_bytes, _READ_BYTES))
         self._judged: Memo[object, dict[str, float]] = Memo(_MOST_JUDGED)
 
-    def frame(self, translation: Translation, index: int) -> Read:
+    def frame(self, translation: Translation, index: int, display: DisplayParams) -> Read:
         """A frame with all that is known of it, kept: who plays or goes back asks for it again."""
         kept = self._read.get(index)
-        if kept is None:
-            frame = translation.stream.frame(translation.checked(index))
-            kept = Read(frame, translation.facts(index), *_reading(frame, translation.source))
+        if kept is None or (kept.frame.is_depth and kept.display != display):  # a gel's colours are its own
+            frame = translation.stream.frame(translation.checked(index)) if kept is None else kept.frame
+            facts = translation.facts(index) if kept is None else kept.facts
+            kept = Read(frame, facts, *_reading(frame, translation.source, display), display)
             if translation.recording.now is None:  # one that grows may be set to zero anew, or forget its oldest
                 self._read.put(index, kept)
         return kept
@@ -157,9 +160,9 @@ def _seen(results: Mapping[str, StageResult], translation: Translation, session:
     )  # fmt: skip
 
 
-def _reading(frame: TactileFrame, sensor: SensorSpec) -> tuple[Picture, Layer]:
+def _reading(frame: TactileFrame, sensor: SensorSpec, display: DisplayParams) -> tuple[Picture, Layer]:
     camera = fitted(frame.camera or sensor.camera, frame.image.shape)
-    picture = of_reading(frame.image, camera, sensor, reference=frame.reference)
+    picture = of_reading(frame.image, camera, sensor, display, reference=frame.reference)
     return picture, reading_layer("source", frame.image, camera, picture.pixels, sensor)
 
 

@@ -98,7 +98,7 @@ class Evaluator:
         if session.frame < 0:
             report.hand_over(BeginsAt(index=index))
         started_s = time.perf_counter()
-        read = self._drawing.frame(translation, index)
+        read = self._drawing.frame(translation, index, session.display)
         inputs, facts = translation.inputs_of(read.frame), read.facts
         ms = 1e3 * (time.perf_counter() - started_s)
         source = SourceShown(frame=read.frame, facts=facts, picture=read.picture, layers=(read.layer,), ms=ms)

@@ -100,7 +100,8 @@ def _drawn(touch: Touch, translation: Translation, display: DisplayParams) -> Pi
         heights, depth = generated(touch, target)[..., 0], np.asarray(touch.image, np.float32)
         return of_heights(heights, depth, nowhere if contact is None else contact, touch.camera, target, display)
     return of_reading(
-        touch.image, touch.camera, target, depth_mm=None if membrane is None else membrane.depth_mm, contact=contact
+        touch.image, touch.camera, target, display, depth_mm=None if membrane is None else membrane.depth_mm,
+        contact=contact,
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from pipeline.base.params import setting
 from pipeline.sensors.spec import SensorSpec
 
 _MOST_FLOOR = 0.95  # of the upper limit
+_LEAST_RANGE_MM = 1.0  # of distances
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,6 +27,18 @@ class DisplayParams:
     bubble_floor_mm: float = setting(
         0.0, "Bubble indentation from", unit="mm", low=-10.0, high=24.0, step=1.0, help="lower colour limit for bubbles"
     )
+    bubble_near_mm: float = setting(
+        0.0, "Bubble distance from", unit="mm", low=0.0, high=199.0, step=1.0,
+        help="lower colour limit of a bubble's distances from its camera; 0 = as the sensor is built",
+    )  # fmt: skip
+    bubble_far_mm: float = setting(
+        0.0, "Bubble distance up to", unit="mm", low=0.0, high=200.0, step=1.0,
+        help="upper colour limit of a bubble's distances from its camera; 0 = as the recorded unit is built",
+    )  # fmt: skip
+    residual_limit_mm: float = setting(
+        0.5, "Distance to the object up to", unit="mm", low=0.01, high=10.0, step=0.1,
+        help="colour limit, either way, of how far registered points lie from the posed object",
+    )  # fmt: skip
     gel_stretch: float = setting(
         3.0, "Gel depth in 3D times", low=1.0, high=10.0, step=0.5, help="stretches indentation of gels in the 3D views"
     )
@@ -42,3 +55,8 @@ class DisplayParams:
         """Lower colour limit of them, below the upper one whatever was set."""
         floor_mm = self.gel_floor_mm if sensor.kind == "gel" else self.bubble_floor_mm
         return min(floor_mm, _MOST_FLOOR * self.limit_mm(sensor))
+
+    def distances_mm(self, built: tuple[float, float]) -> tuple[float, float]:
+        """Colour limits of distances that lie within `built` where nothing else was set, the nearer one first."""
+        far = self.bubble_far_mm or built[1]
+        return min(self.bubble_near_mm or built[0], far - _LEAST_RANGE_MM), far

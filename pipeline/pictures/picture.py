@@ -88,6 +88,7 @@ def of_reading(
     image: Image | Floats,
     camera: Camera,
     sensor: SensorSpec,
+    display: DisplayParams,
     *,
     depth_mm: Floats | None = None,
     contact: Mask | None = None,
@@ -100,7 +101,7 @@ def of_reading(
     place, border = f"{sensor.name} frame", None if contact is None else outline(contact)
     if image.ndim == 2:
         depth = np.asarray(image, dtype=np.float32)
-        scale = distance_scale(sensor, reference)
+        scale = distance_scale(sensor, display, reference)
         return Picture(
             pixels=coloured(depth, scale), values=depth, scale=scale, frame_name=place, outline_px=border,
             pixel_mm=pixel_mm(camera, sensor), positions_mm=positions(camera, depth),
@@ -149,14 +150,19 @@ def indentation_scale(sensor: SensorSpec, display: DisplayParams) -> ColourScale
     )  # fmt: skip
 
 
-def distance_scale(sensor: SensorSpec, reference: NDArray[np.generic] | None = None) -> ColourScale:
-    """The fixed scale of distances that a bubble's camera can see, wider where the recorded unit is built longer."""
+def distance_scale(
+    sensor: SensorSpec, display: DisplayParams, reference: NDArray[np.generic] | None = None
+) -> ColourScale:
+    """The scale of distances that a bubble's camera can see, wider where the recorded unit is built longer."""
     low = 10.0 * math.floor((float(sensor.rest_depth_mm.min()) - 10.0) / 10.0)
     farthest = float(sensor.rest_depth_mm.max())
     if reference is not None and np.isfinite(reference).any():
         farthest = max(farthest, float(np.nanpercentile(reference.astype(np.float64), 99.0)))
-    high = 10.0 * math.ceil(farthest / 10.0)
-    return ColourScale(map="viridis", low=low, high=high, unit="mm", quantity="distance z from camera")
+    low, high = display.distances_mm((low, 10.0 * math.ceil(farthest / 10.0)))
+    return ColourScale(
+        map="viridis", low=low, high=high, unit="mm", quantity="distance z from camera", sets_low="bubble_near_mm",
+        sets_high="bubble_far_mm",
+    )  # fmt: skip
 
 
 def outline(mask: Mask) -> Floats:

@@ -47,7 +47,7 @@ def pane(
 ) -> Pane:
     """A slot's pane, or the reading's; raises SettingProblem where the truth that is to be shown is not known."""
     if name == SOURCE:
-        return _reading(frame, translation)
+        return _reading(frame, translation, display)
     slot = translation.catalogue.slot(name)
     outputs = {key: result.output for key, result in results.items()}
     seen = Seen(
@@ -78,10 +78,10 @@ def figure(shown: Pane, about: str) -> Figure:
     return drawn
 
 
-def _reading(frame: TactileFrame, translation: Translation) -> Pane:
+def _reading(frame: TactileFrame, translation: Translation, display: DisplayParams) -> Pane:
     sensor = translation.source
     camera = fitted(frame.camera or sensor.camera, frame.image.shape)
-    picture = of_reading(frame.image, camera, sensor, reference=frame.reference)
+    picture = of_reading(frame.image, camera, sensor, display, reference=frame.reference)
     surface = frame.image if frame.is_depth else rest_mm(sensor, camera)
     laid = replace(picture, positions_mm=positions(camera, np.asarray(surface, np.float32)))
     points_mm, rgb = _points(None, laid)

@@ -52,7 +52,7 @@ def sheet(
     # Fixed places: an automatic layout costs more time than all the drawing.
     axes = [figure.add_axes(((0.07 + i) / n, 0.2, 0.76 / n, 0.6)) for i in range(n)]
     camera = fitted(frame.camera or source.camera, frame.image.shape)
-    reading = of_reading(frame.image, camera, source, reference=frame.reference)
+    reading = of_reading(frame.image, camera, source, display, reference=frame.reference)
     draw_panel(figure, axes[0], reading, f"Source · {source.title}")
     seen = Seen(
         outputs={name: result.output for name, result in report.results.items()}, source=source,

@@ -37,18 +37,22 @@ class DepthAnythingParams:
     """How the network is asked."""
 
     side: int = setting(0, "Shorter side", unit="px", low=0, high=1400, step=14,
-                        help="of the picture that the network sees; 0 = as it was taught")  # fmt: skip
+                        help="of the picture that the network sees; 0 = as it was taught",
+                        source="Yang et al. 2024: 518 px, in patches of 14")  # fmt: skip
     largest_mm: float = setting(
         0.0, "Largest indentation", unit="mm", low=0.0, high=100.0, step=0.1,
         help="what its answer 1 stands for; 0 = as the weights say, or else the sensor's own limit",
+        source="Yang et al. 2024, metric head: a sigmoid times the largest depth",
     )  # fmt: skip
     answer: Answer = setting(
         "as taught", "Answer", choices=Answer,
         help="metric: a share of the largest indentation; relative: of no unit, brought to the physical estimate",
+        source="Yang et al. 2024, both heads; relative depth up to scale and shift: Ranftl et al. 2022",
     )  # fmt: skip
     box: bool = setting(
         False, "Contact's box alone",
         help="quicker by the share of the patches; not exact, as every patch looks at all others",
+        source="our own; attention over patches: Dosovitskiy et al. 2021",
     )  # fmt: skip
 
 

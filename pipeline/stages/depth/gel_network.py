@@ -38,8 +38,9 @@ class NetworkParams:
     """How the network's answer is taken."""
 
     certainty: float = setting(
-        0.5, "Certainty of contact", low=0.05, high=0.95, step=0.05,
+        0.5, "Certainty of contact", unit="share", low=0.05, high=0.95, step=0.05,
         help="contact is where the network holds it for likelier than this",
+        source="the paper: the contact head is taught by binary cross entropy, 0.5 is as likely as not",
     )  # fmt: skip
 
 

@@ -38,14 +38,16 @@ class DepthParams:
     contact_limit: float = setting(
         1.0, "Contact limit", unit="x", low=0.2, high=10.0, step=0.1,
         help="smallest indentation that counts, in units of the sensor's own limit",
+        source="our own; the limit is in the sensor's description",
     )  # fmt: skip
     pressure_share: float = setting(
-        0.25, "Pressure share", low=0.02, high=0.8, step=0.02,
+        0.25, "Pressure share", unit="share", low=0.02, high=0.8, step=0.02,
         help="contact is where the pressure exceeds this share of its peak",
         source="Johnson, Contact Mechanics, 1985",
     )  # fmt: skip
     smoothing_px: float = setting(1.0, "Smoothing", unit="px", low=0.0, high=5.0, step=0.25,
-                                  help="blur of the colour change, or of a bubble's depth")  # fmt: skip
+                                  help="blur of the colour change, or of a bubble's depth",
+                                  source="a Gaussian's standard deviation; how much is our own")  # fmt: skip
     boundary: Boundary = setting(
         "flat", "Integration border", choices=Boundary,
         help="flat: the gel is at rest around the touched part; free: nothing is known there",
@@ -54,6 +56,7 @@ class DepthParams:
     sensitivity: float = setting(
         1.0, "Sensitivity", unit="x", low=0.2, high=5.0, step=0.1,
         help="larger sees weaker touches: divides the sensor's limit of an untouched picture",
+        source="our own; the limit is in the sensor's description",
     )  # fmt: skip
 
 

@@ -31,12 +31,12 @@ class DiffusionParams:
     """How the target's touch is sampled."""
 
     steps: int = setting(
-        1, "Denoising steps", low=0, high=MOST_STEPS, step=1,
+        1, "Denoising steps", unit="steps", low=0, high=MOST_STEPS, step=1,
         help="0: what it begins with; 1: the likeliest touch; 4 to 8: one of those that are possible",
         source="Karras et al. 2022, eq. 5",
     )  # fmt: skip
     guidance: float = setting(
-        1.0, "Guidance scale", low=0.0, high=MOST_WEIGHT, step=0.1,
+        1.0, "Guidance scale", unit="x", low=0.0, high=MOST_WEIGHT, step=0.1,
         help="how much more the condition counts than it was learned to; 1 costs half as much as any other above 0",
         source="Ho and Salimans 2022",
     )  # fmt: skip
@@ -47,13 +47,22 @@ class DiffusionParams:
         help="how a step follows from those before it",
         source="DDIM: Song et al. 2021; DPM-Solver++ 2M: Lu et al. 2022; corrected: after Zhao et al. 2023",
     )
-    seed: int = setting(0, "Seed", low=0, high=2**31 - 1, step=1, help="of the sample, and of the sensor's noise")
-    caution: float = setting(
-        1.0, "Caution", low=0.0, high=1.0, step=0.1,
-        help="in one step: 1 holds back what is expected to be off by as much as it changes; 0 takes it all",
+    seed: int = setting(
+        0, "Seed", low=0, high=2**31 - 1, step=1, help="of the sample, and of the sensor's noise",
+        source="torch's and numpy's own generators",
     )  # fmt: skip
-    keep_states: bool = setting(False, "Keep states", help="so that the way to the sample can be looked at")
-    noise: bool = setting(False, "Sensor noise", help="add the target sensor's own noise to the reading")
+    caution: float = setting(
+        1.0, "Caution", unit="share", low=0.0, high=1.0, step=0.1,
+        help="in one step: 1 holds back what is expected to be off by as much as it changes; 0 takes it all",
+        source="Wiener's gain, m^2 / (m^2 + s^2) of the middle m and the expected error s",
+    )  # fmt: skip
+    keep_states: bool = setting(
+        False, "Keep states", help="so that the way to the sample can be looked at", source="our own; changes no answer"
+    )  # fmt: skip
+    noise: bool = setting(
+        False, "Sensor noise", help="add the target sensor's own noise to the reading",
+        source="measured or assumed, in the sensor's description",
+    )  # fmt: skip
 
 
 def draft(params: DiffusionParams) -> DiffusionParams:

@@ -39,9 +39,13 @@ NOTE = "a picture alone, sampled from the source's picture alone: no depth, no a
 class LatentParams:
     """How a touch is sampled; as they come, the paper's numbers."""
 
-    steps: int = setting(200, "Denoising steps", low=1, high=MOST_STEPS, step=1)
+    steps: int = setting(
+        200, "Denoising steps", unit="steps", low=1, high=MOST_STEPS, step=1,
+        help="from noise to the sample; as many calls of the network, twice as many with guidance",
+        source="the paper: 200 steps; DDIM: Song et al. 2021",
+    )  # fmt: skip
     guidance: float = setting(
-        2.54, "Guidance scale", low=0.0, high=MOST_WEIGHT, step=0.1,
+        2.54, "Guidance scale", unit="x", low=0.0, high=MOST_WEIGHT, step=0.1,
         help="how much more the source counts than it was learned to; 1 costs half as much as any other above 0",
         source="Ho and Salimans 2022",
     )  # fmt: skip
@@ -52,14 +56,21 @@ class LatentParams:
         help="how a step follows from those before it",
         source="DDIM: Song et al. 2021; DPM-Solver++ 2M: Lu et al. 2022; corrected: after Zhao et al. 2023",
     )
-    seed: int = setting(0, "Seed", low=0, high=2**31 - 1, step=1)
-    unbiased: bool = setting(True, "Bring to the taught mean and spread", help="the paper's third step, of a bubble")
+    seed: int = setting(
+        0, "Seed", low=0, high=2**31 - 1, step=1, help="of the sample", source="torch's own generator"
+    )  # fmt: skip
+    unbiased: bool = setting(
+        True, "Bring to the taught mean and spread", help="the paper's third step, of a bubble",
+        source="the paper, touch to touch: from pictures back to mm",
+    )  # fmt: skip
     raw_condition: AsTaught = setting(
         "as taught", "Condition in greys", choices=AsTaught,
         help="the published weights were taught on changes of 0..255 with the spread of 0..1",
+        source="the released code and weights",
     )  # fmt: skip
     double_mapping: bool = setting(
-        False, "Map to mm twice", help="as the released scripts do: all of an imprint in the upper half of its range"
+        False, "Map to mm twice", help="as the released scripts do: all of an imprint in the upper half of its range",
+        source="the released code",
     )  # fmt: skip
 
 

@@ -77,9 +77,9 @@ VQVAE = Method(
 def _picture(touch: Touch, seen: Seen) -> Picture:
     membrane = touch.membrane
     if membrane is None:
-        return of_reading(touch.image, touch.camera, seen.target)
+        return of_reading(touch.image, touch.camera, seen.target, seen.display)
     return of_reading(
-        touch.image, touch.camera, seen.target, depth_mm=membrane.depth_mm, contact=membrane.contact
+        touch.image, touch.camera, seen.target, seen.display, depth_mm=membrane.depth_mm, contact=membrane.contact
     )  # fmt: skip
 
 

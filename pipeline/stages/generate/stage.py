@@ -43,8 +43,13 @@ class GenerateParams:
         help="press: the gel rests on the object and may lift off dents of the depth; follow: it takes every value",
         source="contact of a bonded layer: Johnson 1985, Polonsky and Keer 1999",
     )
-    noise: bool = setting(False, "Sensor noise", help="add the target sensor's own noise to the reading")
-    seed: int = setting(0, "Seed", low=0, high=2**31 - 1, step=1, help="of the noise")
+    noise: bool = setting(
+        False, "Sensor noise", help="add the target sensor's own noise to the reading",
+        source="measured or assumed, in the sensor's description",
+    )  # fmt: skip
+    seed: int = setting(
+        0, "Seed", low=0, high=2**31 - 1, step=1, help="of the noise", source="PCG64: O'Neill 2014, as numpy has it"
+    )  # fmt: skip
     contact_gap_mm: float = setting(
         0.1, "Contact gap", unit="mm", low=0.0, high=2.0, step=0.05,
         help="a bubble's membrane this close to the object counts as touching it: it bridges the depth's own noise",

@@ -13,6 +13,7 @@ from pipeline.evaluation.metrics import pose_figures
 from pipeline.geometry import rigid
 from pipeline.geometry.distance_grid_store import distance_grid
 from pipeline.pictures.colours import NO_VALUE, SCENE, ColourScale, coloured, uniform
+from pipeline.pictures.display import DisplayParams
 from pipeline.pictures.layers import Layer, cloud_layer, membrane_layer, object_layer
 from pipeline.pictures.picture import Picture, outline, pixel_mm, positions
 from pipeline.stages import known_truth
@@ -21,11 +22,6 @@ from pipeline.stages.learned import learned
 from pipeline.stages.pose import network, stage
 from pipeline.stages.slot import Facts, Mark, Seen, Slot
 from pipeline.values.results import DepthMap, ObjectPose
-
-RESIDUAL_MM = 0.5  # colour limit of the distance to the posed object
-_SCALE = ColourScale(
-    map="diverging", low=-RESIDUAL_MM, high=RESIDUAL_MM, unit="mm", quantity="distance to object, + outside it"
-)
 
 SIGNED_DISTANCES = Method(
     slot="pose",
@@ -73,20 +69,30 @@ def _picture(pose: ObjectPose, seen: Seen) -> Picture:
     values = np.full(felt.camera.shape, np.nan, dtype=np.float32)
     element = np.full(felt.camera.shape, -1, dtype=np.int32)
     at = np.flatnonzero(pose.source_index >= 0)
+    scale = residual_scale(seen.display)
     pixels, caption = _faded(seen, felt), f"no pose: {pose.notes[0]}" if pose.notes else "no pose"
     element.flat[pose.source_index[at]] = at
     if pose.sensor_from_object is not None and seen.mesh is not None and at.size:
         in_object = rigid.apply(rigid.invert(pose.sensor_from_object), pose.scene_mm[at])
         values.flat[pose.source_index[at]] = distance_grid(seen.mesh).at(in_object)[0]
         shown = _grown(values, len(pose.scene_mm), felt.contact)
-        pixels = np.where(np.isfinite(shown)[..., None], coloured(shown, _SCALE), pixels)
+        pixels = np.where(np.isfinite(shown)[..., None], coloured(shown, scale), pixels)
         share = f"{100 * pose.fitness:.0f} % of {at.size} points"
         caption = f"distance to object, + outside; rms {pose.rmse_mm:.2f} mm, {share}"
     return Picture(
-        pixels=freeze(np.ascontiguousarray(pixels, dtype=np.uint8)), values=freeze(values), scale=_SCALE,
+        pixels=freeze(np.ascontiguousarray(pixels, dtype=np.uint8)), values=freeze(values), scale=scale,
         frame_name=f"{seen.target.name} frame", positions_mm=positions(felt.camera, felt.depth_mm),
         outline_px=outline(felt.contact), pixel_mm=pixel_mm(felt.camera, seen.target), caption=caption,
         element=freeze(element), camera=felt.camera,
+    )  # fmt: skip
+
+
+def residual_scale(display: DisplayParams) -> ColourScale:
+    """Of the distance to the posed object."""
+    limit, sets = display.residual_limit_mm, "residual_limit_mm"
+    return ColourScale(
+        map="diverging", low=-limit, high=limit, unit="mm", quantity="distance to object, + outside it", sets_low=sets,
+        sets_high=sets,
     )  # fmt: skip
 
 

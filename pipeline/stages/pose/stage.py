@@ -41,18 +41,38 @@ class PoseParams:
     """How the registration is done."""
 
     face: str = setting(
-        "auto", "Face toward the sensor", choices=("auto", *FACES), help="axis of the object that points at the sensor"
+        "auto",
+        "Face toward the sensor",
+        choices=("auto", *FACES),
+        help="axis of the object that points at the sensor",
+        source="our own; the paper's evaluation knows it",
     )
-    n_starts: int = setting(72, "Starts", low=1, high=1000, step=6, help="orientations that are tried")
-    n_iterations: int = setting(30, "Iterations", low=1, high=200, step=5)
+    n_starts: int = setting(
+        72, "Starts", unit="starts", low=1, high=1000, step=6, help="orientations that are tried",
+        source="our own: turns about the normals of the object's faces",
+    )  # fmt: skip
+    n_iterations: int = setting(
+        30, "Iterations", unit="iterations", low=1, high=200, step=5,
+        help="of one registration at most; it ends sooner once it moves no more",
+        source="Gauss-Newton with the weights of Geman and McClure 1985; ICP: Chen and Medioni 1992",
+    )  # fmt: skip
     max_distance_mm: float = setting(
         2.0, "Search distance", unit="mm", low=0.05, high=20.0, step=0.1,
         help="points farther from the object do not count as on it",
         source="point to surface on signed distances; covariance: Bonnabel 2014",
     )  # fmt: skip
-    max_points: int = setting(1500, "Points", low=50, high=100_000, step=100, help="contact points that are used")
-    keep_steps: bool = setting(True, "Keep iterations")
-    seed: int = setting(0, "Seed", low=0, high=2**31 - 1, step=1)
+    max_points: int = setting(
+        1500, "Points", unit="points", low=50, high=100_000, step=100, help="contact points that are used",
+        source="our own: drawn evenly from the contact",
+    )  # fmt: skip
+    keep_steps: bool = setting(
+        False, "Keep iterations", help="so that the way to the pose can be stepped through",
+        source="our own; changes no answer",
+    )  # fmt: skip
+    seed: int = setting(
+        0, "Seed", low=0, high=2**31 - 1, step=1, help="of the points that are drawn",
+        source="PCG64: O'Neill 2014, as numpy has it",
+    )  # fmt: skip
 
 
 def pose(felt: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT) -> ObjectPose:

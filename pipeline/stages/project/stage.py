@@ -45,8 +45,9 @@ class ProjectParams:
         source="the paper, eqs. D_T'' and M_T'', on surfaces",
     )  # fmt: skip
     coverage: bool = setting(
-        False, "Sub-pixel coverage", help="also say how much of each target pixel is in contact, in sixteenths"
-    )
+        False, "Sub-pixel coverage", help="also say how much of each target pixel is in contact, in sixteenths",
+        source="our own: the paper's M_T'', asked for at 16 points of a pixel",
+    )  # fmt: skip
 
 
 Projection = ProjectParams | PaperParams

@@ -84,17 +84,19 @@ def test_tips_of_parameters_say_their_unit_and_range(bubble_window):
     assert any("0.1 to 3 mm" in tip for tip in tips)
 
 
-def test_tips_of_parameters_say_where_their_equation_comes_from(bubble_window):
-    """Every number that stands in somebody's equation names it; what it is in is said too."""
-    panel, sourced = bubble_window.window.parameters, 0
+def test_tips_of_parameters_say_meaning_unit_range_and_source(bubble_window):
+    panel = bubble_window.window.parameters
     for slot in BUILT_IN.slots:
         for method in slot.methods:
-            for name, (_, told) in settings(method.params()).items():
+            for name, (value, told) in settings(method.params()).items():
                 tip = panel.findChild(QWidget, f"{method.key}.{name}").toolTip()
-                assert told.unit in tip
-                assert (f"equation: {told.source}" in tip) == bool(told.source)
-                sourced += bool(told.source)
-    assert sourced >= 10
+                lines = tip.split("\n")
+                assert lines[0].startswith(f"{told.help} ({slot.name}.{name}"), tip
+                assert lines[1] == f"source: {told.source}"
+                if told.choices:
+                    assert ", ".join(told.choices) in tip
+                elif not isinstance(value, bool):
+                    assert f"{told.low:g} to {told.high:g} {told.unit}".strip() in tip
 
 
 def test_a_monkey_breaks_nothing(open_window, tmp_path, touch_file, ball_file):

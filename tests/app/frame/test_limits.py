@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+from PyQt6.QtCore import Qt
 
 from app.frame.tour import wait_until_shown
 
@@ -30,3 +32,36 @@ def test_a_limit_goes_no_farther_than_its_setting_and_never_past_the_other(bubbl
     assert wait_until_shown(bubble_window, 60)
     scale = bubble_window.window.columns["depth"].view.picture.scale
     assert scale.low < scale.high
+
+
+def test_a_double_click_fits_the_limits_of_what_is_shown_in_one_step(bubble_window, qtbot):
+    columns = bubble_window.window.columns
+    source = columns["source"].view
+    built = source.picture.scale
+    assert (built.sets_low, built.sets_high) == ("bubble_near_mm", "bubble_far_mm")
+    qtbot.mouseDClick(source.levels, Qt.MouseButton.LeftButton)
+    assert wait_until_shown(bubble_window, 60)
+    fitted, values = source.picture.scale, source.picture.values
+    inside = values[np.isfinite(values)]
+    np.testing.assert_allclose((fitted.low, fitted.high), np.percentile(inside, (1, 99)), atol=0.006)
+    bubble_window.choose_frame(1)  # the limits are absolute: another frame keeps them
+    assert wait_until_shown(bubble_window, 60)
+    assert source.picture.scale == fitted
+    bubble_window.undo.undo()
+    bubble_window.undo.undo()
+    assert wait_until_shown(bubble_window, 60)
+    assert source.picture.scale == built
+
+
+def test_the_distance_to_the_posed_object_has_a_limit_of_its_own(bubble_window):
+    pose = bubble_window.window.columns["pose"].view
+    before = _limits(pose)
+    pose.levels.limit_dragged.emit("residual_limit_mm", 0.123)
+    assert wait_until_shown(bubble_window, 60)
+    assert _limits(pose) == (-0.12, 0.12) != before
+
+
+def _limits(view):
+    scale = view.picture.scale
+    assert (scale.sets_low, scale.sets_high) == ("residual_limit_mm", "residual_limit_mm")
+    return scale.low, scale.high

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 from contextlib import closing
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import SettingProblem
+from pipeline.base.params import settings
 from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import stage_arrays, write_frame, write_report
 from pipeline.stages.feel.stage import NO_MEMBRANE
@@ -116,3 +118,30 @@ opened.graph().evaluate(["depth"], opened.inputs({TOUCHED}), {{}})
 assert "torch" not in sys.modules
 """
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+_UNITS = {"mm": "mm", "um": "um", "px": "px", "deg": "deg", "ms": "ms"}
+_NO_UNIT = {"seed"}  # a name more than a number
+
+
+def _all_settings():
+    return {
+        f"{method.key}.{name}": (value, told)
+        for slot in BUILT_IN.slots for method in slot.methods
+        for name, (value, told) in settings(method.params()).items()
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("key", sorted(_all_settings()))
+def test_every_parameter_says_meaning_unit_range_and_where_it_comes_from(key):
+    value, told = _all_settings()[key]
+    name = key.rpartition(".")[2]
+    assert len(told.help) >= 12, "what it means, so that it can be set without the code"
+    assert told.help.casefold() != told.label.casefold()
+    assert told.source, "an equation's paper, or that it is our own"
+    if isinstance(value, str):
+        assert value in told.choices
+    elif not isinstance(value, bool):
+        assert -math.inf < told.low <= value <= told.high < math.inf
+        assert told.unit or name in _NO_UNIT
+        assert told.unit == _UNITS.get(name.rpartition("_")[2], told.unit), "the name says the unit"
