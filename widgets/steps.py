@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QSlider, QWidget
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QSlider, QToolButton, QWidget
 
 from pipeline.values.results import PoseStep, TouchStep
 from widgets.looks import smaller, spaced
@@ -15,6 +15,7 @@ class StepsSlider(QWidget):
     """Which state of a slot is shown, and how good it was; `step_chosen` carries the slot, the state and its number."""
 
     step_chosen = pyqtSignal(str, object, int)
+    keep_wanted = pyqtSignal(str)
 
     def __init__(self, slot: str = "pose", parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -24,12 +25,20 @@ class StepsSlider(QWidget):
         self.slider.setObjectName(f"{slot}_steps")
         self.slider.setAccessibleName(f"state of the {slot}")
         self.slider.setToolTip(f"States on the way to the {slot}")
-        self._text = QLabel()
+        self._text, self.keep = QLabel(), QToolButton()
+        self.keep.setText("Step through")
+        self.keep.setObjectName(f"{slot}_keep")
+        self.keep.setToolTip("Keep the states on the way, which changes no answer, and look at them one by one")
+        self.keep.setAutoRaise(True)
+        self.keep.clicked.connect(lambda: self.keep_wanted.emit(self._slot))
+        self._keeps = False
         self.slider.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        smaller(self._text)
+        for widget in (self._text, self.keep):
+            smaller(widget)
         layout = spaced(QHBoxLayout(self), 4)
         layout.addWidget(self.slider, 1)
         layout.addWidget(self._text, 0)
+        layout.addWidget(self.keep, 0)
         self.slider.valueChanged.connect(self._chosen)
         self.show_steps(())
 
@@ -41,6 +50,14 @@ class StepsSlider(QWidget):
             self.slider.setValue(len(steps) - 1)
         self.slider.setEnabled(len(steps) > 1)
         self._tell(len(steps) - 1)
+        self.offer(keeps=self._keeps)
+
+    def offer(self, *, keeps: bool) -> None:
+        """Whether the method can keep states: where none are kept yet, a button asks for them."""
+        self._keeps = keeps
+        asks = keeps and not self._steps
+        self.keep.setVisible(asks)
+        self._text.setVisible(not asks)
 
     def _chosen(self, at: int) -> None:
         if 0 <= at < len(self._steps):

@@ -24,6 +24,8 @@ from pipeline.pictures.colours import Rgb
 from pipeline.pictures.layers import Layer, Sight
 from widgets.colours import Inks
 
+_LINE_PX = 1.5
+
 
 class SubViews:
     """Draws one view after the other into one window; points are written in place, actors are never rebuilt."""
@@ -196,7 +198,10 @@ def _added(renderer: Any, mesh: Any, layer: Layer) -> Any:
     look = actor.GetProperty()
     look.SetOpacity(layer.opacity)
     look.SetPointSize(layer.point_px)
-    if layer.triangles is None:
+    if layer.segments is not None:
+        look.SetLineWidth(_LINE_PX)
+        look.LightingOff()
+    elif layer.triangles is None:
         look.SetRepresentationToPoints()
         look.LightingOff()
     else:
@@ -218,7 +223,7 @@ def _write(mesh: Any, layer: Layer, old: Layer | None) -> None:
         mesh.GetPoints().Modified()
     else:
         mesh.points = np.array(layer.points_mm, dtype=np.float32)
-    if not same or old is None or old.triangles is not layer.triangles:
+    if not same or old is None or old.triangles is not layer.triangles or old.segments is not layer.segments:
         _write_cells(mesh, layer)
     if same:
         mesh.point_data["rgb"][:] = layer.rgb
@@ -236,6 +241,12 @@ def _write_cells(mesh: Any, layer: Layer) -> None:
         faces = np.empty((len(layer.triangles), 4), dtype=np.int64)
         faces[:, 0], faces[:, 1:] = 3, layer.triangles
         mesh.faces = faces.ravel()
+        return
+    if layer.segments is not None:
+        mesh.verts = np.zeros(0, dtype=np.int64)
+        lines = np.empty((len(layer.segments), 3), dtype=np.int64)
+        lines[:, 0], lines[:, 1:] = 2, layer.segments
+        mesh.lines = lines.ravel()
         return
     verts = np.empty((len(layer.points_mm), 2), dtype=np.int64)
     verts[:, 0], verts[:, 1] = 1, np.arange(len(layer.points_mm))

@@ -140,6 +140,7 @@ ARRANGE = (
             icon="link", key="Ctrl+H"),
     Command("hold_recording", "Beside another recording…", "Another recording as B, with these settings",
             icon="open"),
+    Command("step_through", "Step through", "Keep the steps on the way to the pose and look at them", icon="axes"),
     Command("map_basins", "Map basins", "Register this touch from a grid of starts: how safe its pose is", icon="axes"),
     Command("let_go", "Let B go", "Compare with nothing", icon="minus"),
 )  # fmt: skip

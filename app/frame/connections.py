@@ -26,6 +26,7 @@ from app.frame.living import Living
 from app.frame.looking import Looking
 from app.frame.own_layouts import OwnLayouts
 from app.frame.pointing import Pointing
+from app.frame.stepping import Stepping
 from app.frame.sweeping import Sweeping
 from app.frame.themes import Themes
 from app.frame.triage import Triage
@@ -80,6 +81,7 @@ def connect(instrument: Instrument, theme: Theme = "light") -> Keeping:
     window.route.activated.connect(lambda: change("choose route", route=window.route.currentData()))
     Blaming(instrument)
     BasinsTab(instrument)
+    Stepping(instrument)
     Pointing(instrument)
     Triage(instrument)
     Sweeping(instrument)

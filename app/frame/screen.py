@@ -20,7 +20,6 @@ from pipeline.pictures.layers import Layer
 from pipeline.pictures.picture import Picture
 from pipeline.sensors.spec import SensorSpec
 from pipeline.translation.translate import Translation
-from pipeline.values.results import PoseStep
 from widgets.colours import hexed, inks
 from widgets.layers import Scene
 from widgets.picture import PictureView
@@ -42,7 +41,7 @@ class Screen:
         self.opened: Translation | None = None  # the recording on screen
         self.versus: Versus = ""  # what is shown beside, or in place of, what was worked out
         self._layers: dict[int, tuple[Layer, ...]] = {}
-        self._states: dict[str, tuple[Picture, ...]] = {}  # slot -> those kept on the way to its value
+        self._states: dict[str, SlotShown] = {}  # slot -> what holds those kept on the way to its value
         self._fresh: set[str] = set()
         self._order = tuple(window.columns)
         self._results: Mapping[str, StageResult] = {}  # on screen
@@ -93,7 +92,7 @@ class Screen:
             )
             self._tracer.show_results(self._results)
             if name in self._window.steps:
-                self._states[name] = part.states
+                self._states[name] = part
                 self._window.steps[name].show_steps(part.result.output.steps)
         else:
             self._results = {}  # those of another frame, or of other parameters
@@ -256,12 +255,14 @@ class Screen:
             self.scene.show_layers(len(self._order) + 1 + k, layers)
             self._layers[len(self._order) + 1 + k] = layers
 
-    def show_step(self, slot: str, step: Step, at: int) -> None:
-        """Put the object where it was at an iteration, or show the picture of a state."""
-        if isinstance(step, PoseStep):
-            self.scene.place(self._order.index(slot), "object", step.sensor_from_object)
-        elif at < len(self._states.get(slot, ())):
-            self._window.columns[slot].view.show_picture(self._states[slot][at])
+    def show_step(self, slot: str, _step: Step, at: int) -> None:
+        """Show a state's picture, and its layers where it has some."""
+        kept = self._states.get(slot)
+        if kept is None or at >= len(kept.states):
+            return
+        self._window.columns[slot].view.show_picture(kept.states[at])
+        if kept.state_layers[at]:
+            self.scene.show_layers(self._order.index(slot), kept.state_layers[at])
 
     def show_pose(self, sensor_from_object: Doubles, picture: Picture | None) -> None:
         """Put the object elsewhere, with the picture that goes with it, until the slot is filled anew."""

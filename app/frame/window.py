@@ -40,6 +40,7 @@ from widgets.solid_cell import SolidCell
 from widgets.solid_view import SolidView
 from widgets.stage_column import StageColumn
 from widgets.steps import StepsSlider
+from widgets.steps_panel import StepsPanel
 from widgets.sweep_page import SweepPage
 from widgets.timeline import Timeline
 from widgets.timings_panel import TimingsPanel
@@ -74,7 +75,7 @@ class Window(QMainWindow):
         self.steps = {name: StepsSlider(name) for name in sorted(scrubbed)}  # under the 3D views of these columns
         self.frames, self.parameters, self.alignment = FramesPanel(), ParametersPanel(), AlignmentPanel()
         self.trace, self.log, self.timings, self.blame = TracePanel(), LogPanel(), TimingsPanel(), BlamePanel()
-        self.basins = BasinPanel()
+        self.basins, self.step_tab = BasinPanel(), StepsPanel()
         self._alone, self._off_route, self.layout_shown = "", frozenset[str](), Layout()
         self.cells = {name: SolidCell(self.steps.get(name)) for name, _ in columns}
         self.truth, self.truth_cell = StageColumn("truth", "Truth"), SolidCell()  # of the touch, for demonstrations
@@ -138,7 +139,13 @@ class Window(QMainWindow):
         self.tabs = QTabWidget()
         self.tabs.setObjectName("reading_tabs")
         self.tabs.setDocumentMode(True)
-        tabs = (self.blame, "Blame"), (self.basins, "Basins"), (self.log, "Log"), (self.timings, "Timings")
+        tabs = (
+            (self.blame, "Blame"),
+            (self.step_tab, "Steps"),
+            (self.basins, "Basins"),
+            (self.log, "Log"),
+            (self.timings, "Timings"),
+        )
         for widget, title in tabs:
             self.tabs.addTab(widget, title)
         for name in ("hold_settings", "hold_recording", "let_go"):

@@ -18,7 +18,7 @@ from pipeline.pictures.display import DisplayParams
 from pipeline.pictures.layers import Layer, reading_layer
 from pipeline.pictures.picture import Picture, beside, fitted, of_reading
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.slot import Facts, Seen, Slot
+from pipeline.stages.slot import Facts, Seen, Slot, Way
 from pipeline.translation.translate import Translation
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
@@ -48,7 +48,9 @@ class SlotShown:
     picture: Picture
     layers: tuple[Layer, ...]
     beside: Beside | None = None  # where it was asked for and is known
-    states: tuple[Picture, ...] = ()  # kept on the way to it, where they are pictures of their own
+    states: tuple[Picture, ...] = ()  # kept on the way to it, where they are pictures of their own,
+    state_layers: tuple[tuple[Layer, ...], ...] = ()  # in 3D, each empty where it is not drawn,
+    way: Way | None = None  # and what is told of them all
 
 
 class Read(NamedTuple):
@@ -126,8 +128,11 @@ def _drawn(
     seen = _seen(results, translation, session)
     picture = slot.picture(result.output, seen)
     layers = slot.layers(result.output, seen, picture)
-    states = tuple(slot.picture(state, seen) for state in slot.states(result.output))
-    return SlotShown(result=result, picture=picture, layers=layers, states=states)
+    kept = slot.states(result.output)
+    states = tuple(slot.picture(state, seen) for state in kept)
+    solid = tuple(slot.state_layers(state, seen, drawn) for state, drawn in zip(kept, states, strict=True))
+    way = slot.way(result.output)
+    return SlotShown(result=result, picture=picture, layers=layers, states=states, state_layers=solid, way=way)
 
 
 def _weight(shown: SlotShown) -> int:

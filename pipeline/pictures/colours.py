@@ -19,6 +19,7 @@ Rgb = tuple[int, int, int]
 
 NO_VALUE: Rgb = (224, 226, 230)  # NaN: a grey that no map contains
 SCENE: Rgb = (213, 94, 0)  # registered points, Okabe-Ito vermilion
+NO_PARTNER: Rgb = (128, 130, 136)  # such a point that is too far from the object to count
 OBJECT: Rgb = (86, 140, 190)
 MEMBRANE: Rgb = (150, 160, 175)
 

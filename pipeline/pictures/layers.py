@@ -32,7 +32,8 @@ class Layer:
     name: str  # unique in its sub-view: the same name is updated in place
     points_mm: Floats  # (n, 3)
     rgb: NDArray[np.uint8]  # (n, 3)
-    triangles: Indices | None = None  # (m, 3); None = a point cloud
+    triangles: Indices | None = None  # (m, 3); None = a point cloud,
+    segments: Indices | None = None  # or lines (m, 2)
     normals: Floats | None = None  # (n, 3) for smooth shading
     opacity: float = 1.0
     point_px: float = 3.0
@@ -66,6 +67,17 @@ def cloud_layer(name: str, points_mm: Floats, colours: NDArray[np.uint8], point_
     keep = slice(None, None, max(1, math.ceil(len(points_mm) / MOST_POINTS)))
     points = freeze(np.asarray(points_mm[keep], dtype=np.float32))
     return Layer(name=name, points_mm=points, rgb=colours[keep], point_px=point_px)
+
+
+def lines_layer(name: str, ends_mm: Floats, colours: NDArray[np.uint8]) -> Layer:
+    """Straight lines between pairs of points (n, 2, 3), each of one colour (n, 3)."""
+    points = freeze(np.ascontiguousarray(ends_mm, dtype=np.float32).reshape(-1, 3))
+    return Layer(name=name, points_mm=points, rgb=freeze(np.repeat(colours, 2, axis=0)), segments=_pairs(len(ends_mm)))
+
+
+@lru_cache(maxsize=16)
+def _pairs(count: int) -> Indices:
+    return freeze(np.arange(2 * count, dtype=np.int32).reshape(-1, 2))
 
 
 def membrane_layer(sensor: SensorSpec) -> Layer:

@@ -15,7 +15,6 @@ from pipeline.registration.observability import Observability
 from pipeline.registration.outline import shows
 from pipeline.registration.ranking import Judge
 from pipeline.registration.search import SAME_DEG, SAME_MM, Minimum, Search
-from pipeline.values.results import PoseStep
 
 OUTLINE_ONLY = "seen only by the outline of the contact"
 _ONE_PLACE = 0.1  # of the way a turn carries the contact's middle: so short a shift is not worth a word
@@ -86,9 +85,9 @@ def _in_the_middle(search: Search, minimum: Minimum, unseen: Doubles, by: Judge)
             pose = slid
     if pose is before.sensor_from_object:
         return minimum
-    last = PoseStep(sensor_from_object=freeze(pose), rmse_mm=before.rmse_mm, fitness=before.fitness)
-    steps = (*before.steps, last) if before.steps else ()
-    return replace(minimum, fit=replace(before, sensor_from_object=freeze(pose), steps=steps))
+    steps = (*before.steps, replace(before.steps[-1], sensor_from_object=freeze(pose))) if before.steps else ()
+    stopped = f"{before.stopped}; then slid along what nothing shows, to the contact's middle"
+    return replace(minimum, fit=replace(before, sensor_from_object=freeze(pose), steps=steps, stopped=stopped))
 
 
 def _about_others(search: Search, chosen: Minimum, others: Sequence[Doubles]) -> tuple[str, ...]:

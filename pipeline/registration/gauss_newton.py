@@ -50,6 +50,7 @@ class Fit:
     sensor_from_object: Doubles  # (4, 4) mm
     rmse_mm: float  # of the points within the search distance
     fitness: float  # their share of all
+    stopped: str = ""  # why it ended there, in words
     steps: tuple[PoseStep, ...] = ()
 
 
@@ -119,9 +120,15 @@ def fitted(points: Points, grid: DistanceGrid, start: Doubles, how: How) -> Fit 
     poses = np.concatenate([history[:-1], rest])
     return Fit(
         sensor_from_object=freeze(_pose(rest[-1], points.about_mm)), rmse_mm=float(rest[-1, 12]),
-        fitness=float(rest[-1, 13]),
-        steps=tuple(_step(row, points.about_mm) for row in poses) if how.keep_steps else (),
+        fitness=float(rest[-1, 13]), stopped=_stopped(rest, points.radius_mm, how),
+        steps=_steps(poses, points, how) if how.keep_steps else (),
     )  # fmt: skip
+
+
+def way(points: Points, grid: DistanceGrid, start: Doubles, how: How) -> tuple[PoseStep, ...]:
+    """The iterations of one of those that `registered` makes at once."""
+    rows, _ = _fit(points, _rows(start[None], points), grid, how, how.max_distance_mm)
+    return _steps(rows, points, how)
 
 
 def registered(points: Points, grid: DistanceGrid, starts: Doubles, how: How) -> Doubles:
@@ -165,5 +172,24 @@ def _pose(row: Doubles, about_mm: Doubles) -> Doubles:
     return pose
 
 
-def _step(row: Doubles, about_mm: Doubles) -> PoseStep:
-    return PoseStep(sensor_from_object=freeze(_pose(row, about_mm)), rmse_mm=float(row[12]), fitness=float(row[13]))
+def _steps(rows: Doubles, points: Points, how: How) -> tuple[PoseStep, ...]:
+    return tuple(
+        PoseStep(
+            sensor_from_object=freeze(_pose(row, points.about_mm)), rmse_mm=float(row[12]), fitness=float(row[13]),
+            reach_mm=how.max_distance_mm,
+        )
+        for row in rows
+    )  # fmt: skip
+
+
+def _stopped(rows: Doubles, radius_mm: float, how: How) -> str:
+    """Why a registration ended with the last of its `rows`."""
+    if len(rows) < 2:
+        return f"nothing within {how.max_distance_mm:g} mm of the object pulls at it"
+    turned = rows[-1, :9].reshape(3, 3).T @ rows[-2, :9].reshape(3, 3)
+    angle = math.asin(min(1.0, float(np.linalg.norm(turned - turned.T)) / math.sqrt(8.0)))
+    moved_mm = math.hypot(radius_mm * angle, float(np.linalg.norm(rows[-1, 9:12] - rows[-2, 9:12])))
+    if len(rows) <= how.n_iterations or moved_mm <= how.settled_mm:
+        return f"settled: the last iteration moved the contact by less than {how.settled_mm:g} mm"
+    told = f"ended after {len(rows) - 1} iterations, as many as are allowed: the last one still moved the contact by"
+    return f"{told} {moved_mm:.2g} mm"

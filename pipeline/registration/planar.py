@@ -32,6 +32,7 @@ class PlanarFit:
     scene_from_model: Doubles  # (4, 4) mm
     fitness: float  # share of model points with a felt point within `INLIER_MM`, in 3D
     inlier_rmse_mm: float  # of those; the chosen start has the least
+    stopped: str = ""  # why the chosen start's iterations ended, in words
     steps: tuple[
         PoseStep, ...
     ] = ()  # of the chosen start; rmse over all felt points, to those that they were paired with
@@ -77,6 +78,7 @@ def planar_registration(
     kept = steps if keep_steps else []
     return PlanarFit(
         scene_from_model=freeze(pose @ placed), fitness=fitness, inlier_rmse_mm=rmse_mm,
+        stopped=_stopped(len(steps), n_iterations),
         steps=tuple(
             PoseStep(sensor_from_object=freeze(_lifted(motion) @ placed), rmse_mm=off_mm, fitness=fitness)
             for motion, off_mm in kept
@@ -112,6 +114,12 @@ def _iterated(
         if np.array_equal(before, motion):
             break  # equal pairs give equal motions: every further iteration would change nothing
     return motion, steps
+
+
+def _stopped(n: int, most: int) -> str:
+    if n < most:
+        return "settled: the last iteration paired the points as the one before it did"
+    return f"ended after {n} iterations, as many as are allowed: the released code makes them all"
 
 
 def _kabsch(model: Doubles, scene: Doubles) -> Doubles:

@@ -30,5 +30,6 @@ def planar_pose(
     return ObjectPose(
         sensor_from_object=freeze(fit.scene_from_model), covariance=None, observable=None, weak=(),
         rmse_mm=fit.inlier_rmse_mm, fitness=fit.fitness, scene_mm=freeze(scene.points_mm.astype(np.float32)),
-        source_index=freeze(scene.pixel), steps=fit.steps, starts_tried=len(SWEEP_DEG), notes=notes,
+        source_index=freeze(scene.pixel), steps=fit.steps, stopped=fit.stopped, starts_tried=len(SWEEP_DEG),
+        notes=notes,
     )  # fmt: skip

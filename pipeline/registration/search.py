@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations, product
 
 import numpy as np
@@ -16,7 +16,7 @@ from pipeline.base.arrays import Doubles
 from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry import rigid
 from pipeline.geometry.screws import SLIDE
-from pipeline.registration.gauss_newton import Fit, How, NotDetermined, Points, fitted, registered
+from pipeline.registration.gauss_newton import Fit, How, NotDetermined, Points, fitted, registered, way
 from pipeline.registration.observability import (
     NORMAL_ERROR_DEG,
     Observability,
@@ -29,6 +29,7 @@ from pipeline.registration.prepared import Prepared
 from pipeline.registration.ranking import LEAST_SPREAD_MM, Judge, apart, judge
 from pipeline.registration.scene import Scene, in_reach
 from pipeline.registration.starts import Start
+from pipeline.values.results import PoseStep
 
 _COARSE_FELT, _COARSE_MODEL = 50, (500, 4000)  # points that rank the first guesses: at least, at most
 _COARSE_MM2 = 1.0  # of the object's surface for each of them
@@ -89,8 +90,12 @@ class Search:
         """Of the contact, which errors and motions are told at."""
         return self.points.about_mm
 
-    def promising(self, tried: Sequence[Start]) -> list[Doubles]:
-        """Where the best places of each orientation lead, best first, the distinct ones."""
+    def promising(self, starts: Doubles) -> list[Doubles]:
+        """Where starts (n, 4, 4) lead, best first, the distinct ones."""
+        return self._distinct(self.roughly(starts))
+
+    def likeliest(self, tried: Sequence[Start]) -> Doubles:
+        """The best places of each orientation (n, 4, 4), best first."""
         n_model = int(np.clip(self.object.model.area_mm2 / _COARSE_MM2, *_COARSE_MODEL))
         by = judge(self.scene, self.object.grid, self.object.model, _COARSE_FELT, n_model, self.max_distance_mm)
         poses = np.array([s.sensor_from_object for s in tried])
@@ -100,7 +105,7 @@ class Search:
             asked[tried[k].group] = asked.get(tried[k].group, 0) + 1
             if asked[tried[k].group] <= _PER_GROUP:
                 chosen.append(int(k))
-        return self._distinct(self.roughly(poses[chosen[:_N_REGISTERED]]))
+        return poses[chosen[:_N_REGISTERED]]
 
     def followed(self, starts: Sequence[Doubles]) -> list[Minimum]:
         """The minima that poses of the touch before lead to, best first; none where not even the best one fits.
@@ -115,8 +120,20 @@ class Search:
 
     def roughly(self, poses: Doubles) -> Doubles:
         """Where poses (n, 4, 4) lead within the whole search distance, by a few of the points."""
-        quick = How(max_distance_mm=self.max_distance_mm, n_iterations=_QUICK_ITERATIONS, settled_mm=_QUICK_SETTLED_MM)
-        return registered(self.points.thinned(_QUICK_POINTS), self.object.grid, poses, quick)
+        return registered(self.points.thinned(_QUICK_POINTS), self.object.grid, poses, self._quick)
+
+    @property
+    def _quick(self) -> How:
+        return How(max_distance_mm=self.max_distance_mm, n_iterations=_QUICK_ITERATIONS, settled_mm=_QUICK_SETTLED_MM)
+
+    def way_to(self, starts: Doubles, steps: tuple[PoseStep, ...]) -> tuple[PoseStep, ...]:
+        """The steps of a registration after those of whichever start (n, 4, 4) led to where it begins."""
+        if not steps or not len(starts):
+            return steps
+        first = steps[0].sensor_from_object
+        off_mm = [self.between_mm(first, end) for end in self.roughly(starts)]
+        begun = starts[int(np.argmin(off_mm))]
+        return (*way(self.points.thinned(_QUICK_POINTS), self.object.grid, begun, self._quick), *steps)
 
     def _distinct(self, poses: Doubles) -> list[Doubles]:
         misfits_mm = self._middle().misfit_mm(poses)
@@ -234,7 +251,7 @@ class Search:
             again = self.polished(found[k].fit.sensor_from_object, dense=True)
             while again is not None:
                 gains = again.misfit_mm < _GAIN * found[k].misfit_mm
-                found[k] = again
+                found[k] = replace(again, fit=replace(again.fit, steps=(*found[k].fit.steps, *again.fit.steps)))
                 again = self.polished(again.fit.sensor_from_object, dense=True) if gains else None
         return sorted(found, key=lambda m: m.misfit_mm)
 

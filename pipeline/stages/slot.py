@@ -45,6 +45,25 @@ class Facts:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Curve:
+    """A figure of every kept step."""
+
+    name: str
+    unit: str
+    values: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Way:
+    """What is told of the steps that led to a value."""
+
+    curves: tuple[Curve, ...]
+    told: str  # why it ended where it did
+    steps: tuple[str, ...]  # each of them in words
+    turns: tuple[int, ...] = ()  # steps with which something else begins
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Mark:
     """Where a traced pixel is in one slot."""
 
@@ -62,6 +81,14 @@ def _not_known(_facts: Facts, _sensor: SensorSpec) -> Any | None:
 
 def _no_states(_value: Any) -> tuple[Any, ...]:
     return ()
+
+
+def _no_layers(_state: Any, _seen: Seen, _picture: Picture) -> tuple[Layer, ...]:
+    return ()
+
+
+def _no_way(_value: Any) -> Way | None:
+    return None
 
 
 def _no_figures(_value: Any, _facts: Facts) -> Mapping[str, float]:
@@ -86,4 +113,6 @@ class Slot:
     looks_at: tuple[str, ...] = ()  # other slots that the picture shows
     stretches: bool = True  # whether its 3D view draws indentation longer than it is
     scrubs: bool = False  # whether its value may keep `steps`
-    states: Callable[[Any], tuple[Any, ...]] = _no_states  # of those steps that are pictures of their own, as values
+    states: Callable[[Any], tuple[Any, ...]] = _no_states  # of those steps that are pictures of their own, as values,
+    state_layers: Callable[[Any, Seen, Picture], tuple[Layer, ...]] = _no_layers  # their 3D; none = the value's own
+    way: Callable[[Any], Way | None] = _no_way  # to the value, where steps were kept

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from pipeline.base.arrays import Doubles, Floats, Image, Indices, Mask
@@ -97,6 +98,7 @@ class PoseStep:
     sensor_from_object: Doubles  # (4, 4) mm
     rmse_mm: float
     fitness: float  # share of scene points with a partner within the distance limit
+    reach_mm: float = math.inf  # that limit: points farther from the object count for nothing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,6 +114,7 @@ class ObjectPose:
     scene_mm: Floats  # (n, 3) the points that were registered, target frame
     source_index: Indices  # (n,) -> pixel of the felt DepthMap
     steps: tuple[PoseStep, ...] = field(default=(), metadata=UNDIGESTED)
+    stopped: str = field(default="", metadata=UNDIGESTED)  # why the registration ended, in words
     starts_tried: int = 0
     notes: tuple[str, ...] = ()
     alternatives: tuple[Doubles, ...] = ()  # (4, 4) each, best first: other poses that this touch fits as well

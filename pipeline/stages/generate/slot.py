@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import pairwise
 
+import numpy as np
+
+from pipeline.base.arrays import Floats
 from pipeline.base.params import NoParams
 from pipeline.engine.graph import Method, unless
 from pipeline.evaluation.metrics import picture_figures
@@ -16,7 +20,7 @@ from pipeline.stages.generate import latent, picture_to_touch, stage, view_to_to
 from pipeline.stages.generate.diffusion import DiffusionParams, draft
 from pipeline.stages.generate.latent import LatentParams
 from pipeline.stages.learned import learned
-from pipeline.stages.slot import Facts, Mark, Seen, Slot
+from pipeline.stages.slot import Curve, Facts, Mark, Seen, Slot, Way
 from pipeline.values.results import Touch
 
 PHYSICS = Method(
@@ -110,6 +114,35 @@ def _states(touch: Touch) -> tuple[Touch, ...]:
     return tuple(replace(touch, image=step.image, membrane=step.membrane, steps=()) for step in touch.steps)
 
 
+def _way(touch: Touch) -> Way | None:
+    """How far each state is from the one before and from the last, and from which on nothing changes to speak of."""
+    if not touch.steps:
+        return None
+    heights = [np.nan_to_num(step.membrane.indentation_mm) for step in touch.steps]
+    off = [heights[0] * 0, *(b - a for a, b in pairwise(heights))]
+    last_mm = tuple(_rms_mm(h - heights[-1]) for h in heights)
+    span_mm = max(float(np.ptp(heights[-1])), 1e-9)
+    settled = next(k for k, h in enumerate(heights) if _most(h - heights[-1]) <= span_mm / 255)
+    return Way(
+        curves=(
+            Curve(name="changed", unit="mm", values=tuple(_rms_mm(o) for o in off)),
+            Curve(name="from the last", unit="mm", values=last_mm),
+        ),
+        told=f"settled at {settled + 1} of {len(heights)}: from there on 99 % of the pixels stay within 1/255 of the "
+        "whole indentation; it ends as all steps that were asked for are done",
+        steps=tuple(f"seen through noise of {s.sigma:.3g} units, {d:.3g} mm (rms) from the last"
+                    for s, d in zip(touch.steps, last_mm, strict=True)),
+    )  # fmt: skip
+
+
+def _rms_mm(gap: Floats) -> float:
+    return float(np.sqrt((gap.astype(np.float64) ** 2).mean()))
+
+
+def _most(gap: Floats) -> float:
+    return float(np.percentile(np.abs(gap), 99.0))
+
+
 def _figures(touch: Touch, facts: Facts) -> Mapping[str, float]:
     return {} if facts.target_frame is None else picture_figures(touch.image, facts.target_frame)
 
@@ -127,4 +160,5 @@ SLOT = Slot(
     truth=known_truth.touch,
     scrubs=True,
     states=_states,
+    way=_way,
 )

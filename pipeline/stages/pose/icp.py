@@ -47,7 +47,10 @@ class _Icp:
         except CalibrationError:
             # A system that nothing determines is solved to something that is no motion: such a start is worth nothing.
             return PoseStep(sensor_from_object=freeze(start), rmse_mm=math.inf, fitness=0.0)
-        return PoseStep(sensor_from_object=freeze(pose), rmse_mm=float(found.inlier_rmse), fitness=float(found.fitness))
+        return PoseStep(
+            sensor_from_object=freeze(pose), rmse_mm=float(found.inlier_rmse), fitness=float(found.fitness),
+            reach_mm=self.max_distance_mm,
+        )  # fmt: skip
 
 
 def icp_pose(
@@ -80,7 +83,8 @@ def icp_pose(
         sensor_from_object=best.sensor_from_object if known else None, covariance=None, observable=None, weak=(),
         rmse_mm=best.rmse_mm if known else math.nan, fitness=best.fitness,
         scene_mm=freeze(scene.points_mm.astype(np.float32)), source_index=freeze(scene.pixel),
-        steps=tuple(way) if keep_steps else (), starts_tried=len(tried),
+        steps=tuple(way) if keep_steps else (), stopped=_stopped(len(way) - 1, n_iterations) if known else "",
+        starts_tried=len(tried),
         notes=(NOTE,) if known else ("icp: no point lies within the search distance of the object from any start",),
     )  # fmt: skip
 
@@ -94,6 +98,12 @@ def _best_way(icp: _Icp, tried: list[Start], n_iterations: int, progress: Progre
     progress.step(1.0 - 1.0 / (len(tried) + 1), "ICP from the best of these")
     ways = [_way(icp, begun, n_iterations) for begun in sorted(quick, key=_worth)[:_N_REFINED]]
     return min(ways, key=lambda steps: _worth(steps[-1]))
+
+
+def _stopped(n: int, most: int) -> str:
+    if n < most:
+        return "settled: the last iteration changed the rms by less than a millionth of it"
+    return f"ended after {n} iterations, as many as are allowed"
 
 
 def _worth(step: PoseStep) -> tuple[float, float]:

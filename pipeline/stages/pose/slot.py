@@ -12,16 +12,18 @@ from pipeline.engine.graph import Method, unless
 from pipeline.evaluation.metrics import pose_figures
 from pipeline.geometry import rigid
 from pipeline.geometry.distance_grid_store import distance_grid
-from pipeline.pictures.colours import NO_VALUE, SCENE, ColourScale, coloured, uniform
+from pipeline.pictures.colours import NO_PARTNER, NO_VALUE, SCENE, ColourScale, coloured, uniform
 from pipeline.pictures.display import DisplayParams
-from pipeline.pictures.layers import Layer, cloud_layer, membrane_layer, object_layer
+from pipeline.pictures.layers import Layer, cloud_layer, lines_layer, membrane_layer, object_layer
 from pipeline.pictures.picture import Picture, outline, pixel_mm, positions
 from pipeline.stages import known_truth
 from pipeline.stages.follow import element_of, triple
 from pipeline.stages.learned import learned
-from pipeline.stages.pose import network, stage
+from pipeline.stages.pose import network, stage, way
 from pipeline.stages.slot import Facts, Mark, Seen, Slot
 from pipeline.values.results import DepthMap, ObjectPose
+
+_MOST_LINES = 400  # from registered points to the object: more would hide it
 
 SIGNED_DISTANCES = Method(
     slot="pose",
@@ -105,6 +107,23 @@ def _layers(pose: ObjectPose, seen: Seen, _picture: Picture) -> tuple[Layer, ...
     return (*layers, object_layer(seen.mesh, pose.sensor_from_object))
 
 
+def _state_layers(pose: ObjectPose, seen: Seen, picture: Picture) -> tuple[Layer, ...]:
+    """The object at one step, with a line from each registered point to the nearest of its surface."""
+    if seen.mesh is None or pose.sensor_from_object is None:
+        return _layers(pose, seen, picture)
+    found = way.partners(pose, distance_grid(seen.mesh))
+    colours = np.where(
+        found.taken[:, None], coloured(found.distance_mm.astype(np.float32), residual_scale(seen.display)), NO_PARTNER
+    )
+    every = slice(None, None, max(1, math.ceil(len(colours) / _MOST_LINES)))
+    ends = np.stack([pose.scene_mm, found.foot_mm.astype(np.float32)], axis=1)
+    return (
+        cloud_layer("scene", pose.scene_mm, colours.astype(np.uint8), 4.0),
+        lines_layer("partners", ends[every], colours[every].astype(np.uint8)),
+        *_layers(pose, seen, picture)[1:],
+    )
+
+
 def _follow(pose: ObjectPose, before: Mark) -> Mark:
     point = element_of(pose.source_index, before.index)
     if point < 0:
@@ -150,4 +169,7 @@ SLOT = Slot(
     looks_at=("touch", "felt"),
     stretches=False,
     scrubs=True,
+    states=way.states,
+    state_layers=_state_layers,
+    way=way.way,
 )

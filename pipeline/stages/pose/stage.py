@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -106,7 +106,8 @@ def pose_from(
     search, checked = ready
     found = search.followed([rigid.checked(start, "the previous pose") for start in (previous, *others)])
     if found:
-        return _told(search, checked, found, 0, ("followed from the touch before",), previous)
+        told = _told(search, checked, found, 0, ("followed from the touch before",), previous)
+        return replace(told, steps=search.way_to(np.array([previous, *others]), told.steps))
     return _searched(search, checked, params, progress, previous)
 
 
@@ -198,13 +199,17 @@ def _searched(
     progress.step(0.2, "comparing first guesses")
     tried = starts(search.scene, search.object.model, params.face, params.n_starts)
     progress.step(0.21, "registering the most promising")
-    found = search.best(search.promising(tried), Share(progress, 0.3, 0.4))
+    firsts = search.likeliest(tried)
+    found = search.best(search.promising(firsts), Share(progress, 0.3, 0.4))
     if not (found and search.explains(found[0])):
         progress.step(0.7, "comparing first guesses on edges and corners")
         further = edge_starts(search.scene, search.object.model, params.face, params.n_starts)
-        more = search.best(search.promising(further), Share(progress, 0.75, 0.25))
+        edges = search.likeliest(further)
+        more = search.best(search.promising(edges), Share(progress, 0.75, 0.25))
+        firsts = np.concatenate([firsts, edges])
         tried, found = [*tried, *further], sorted([*found, *more], key=lambda m: m.misfit_mm)
-    return _told(search, mesh, found, len(tried), (), near)
+    told = _told(search, mesh, found, len(tried), (), near)
+    return replace(told, steps=search.way_to(firsts, told.steps))
 
 
 def _told(
@@ -228,7 +233,7 @@ def _pose_of(search: Search, best: Answered, n_tried: int, notes: tuple[str, ...
     return ObjectPose(
         sensor_from_object=freeze(fit.sensor_from_object), covariance=freeze(known.covariance),
         observable=freeze(known.observable), weak=known.weak, rmse_mm=fit.rmse_mm, fitness=fit.fitness,
-        scene_mm=points, source_index=pixel, steps=fit.steps, starts_tried=n_tried,
+        scene_mm=points, source_index=pixel, steps=fit.steps, stopped=fit.stopped, starts_tried=n_tried,
         notes=(*best.notes, *search.object.grid.notes, *notes), alternatives=best.alternatives,
     )  # fmt: skip
 

@@ -5,12 +5,15 @@ import pytest
 
 from pipeline.base.errors import MeshProblem, SettingProblem
 from pipeline.base.progress import Cancelled
+from pipeline.engine.digests import content
 from pipeline.geometry import rigid
+from pipeline.geometry.distance_grid_store import distance_grid
 from pipeline.geometry.meshes import Mesh
 from pipeline.registration.observability import observability
 from pipeline.registration.prepared import prepared
 from pipeline.registration.ranking import judge
 from pipeline.registration.scene import felt_surface
+from pipeline.stages.pose import way
 from pipeline.stages.pose.stage import PoseParams, icp, planar, pose, pose_from, posed, without_contact
 from tests.pipeline.registration.solids import (
     CAMERA,
@@ -108,12 +111,42 @@ def test_the_same_input_gives_the_same_bytes():
     assert one.scene_mm.tobytes() == two.scene_mm.tobytes()
 
 
-def test_steps_are_kept_on_request_and_end_at_the_answer():
+def test_steps_are_kept_on_request_and_the_answer_is_the_same_with_and_without():
     touch = felt(notched_wedge(), lying(0.3, 0.2, 0.8, 2.0, 30.0))
-    kept = pose(touch, notched_wedge().mesh, PoseParams(keep_steps=True))
-    assert len(kept.steps) > 1
+    kept, plain = (pose(touch, notched_wedge().mesh, PoseParams(keep_steps=keep)) for keep in (True, False))
     np.testing.assert_allclose(kept.steps[-1].sensor_from_object, kept.sensor_from_object, atol=1e-12)
-    assert pose(touch, notched_wedge().mesh, PoseParams(keep_steps=False)).steps == ()
+    assert plain.steps == ()
+    assert content(kept) == content(plain)
+    assert kept.stopped == plain.stopped
+    assert kept.stopped.startswith("settled: ")
+
+
+def test_the_way_begins_at_a_first_guess_and_tells_every_step():
+    touch = felt(notched_wedge(), lying(0.3, 0.2, 0.8, 2.0, 30.0))
+    found = pose(touch, notched_wedge().mesh, PoseParams(keep_steps=True))
+    told = way.way(found)
+    first, last = found.steps[0], found.steps[-1]
+    assert first.rmse_mm > 3 * last.rmse_mm, "a first guess lies farther off than the answer"
+    assert (first.reach_mm, last.reach_mm) == (2.0, 0.5)
+    assert all(len(curve.values) == len(found.steps) == len(told.steps) for curve in told.curves)
+    assert told.turns, "the search reaches farther than the registration after it"
+    assert found.stopped in told.told
+    assert way.way(pose(touch, notched_wedge().mesh, PoseParams())) is None
+
+
+def test_partners_lie_on_the_object_at_every_step():
+    touch = felt(notched_wedge(), lying(0.3, 0.2, 0.8, 2.0, 30.0))
+    found = pose(touch, notched_wedge().mesh, PoseParams(keep_steps=True))
+    grid = distance_grid(notched_wedge().mesh)
+    for state in way.states(found):
+        partners = way.partners(state, grid)
+        near = partners.taken & (np.abs(partners.distance_mm) > 0.02)
+        at = rigid.apply(rigid.invert(state.sensor_from_object), partners.foot_mm[near])
+        # Near an edge the lattice's gradient is not of length one: a foot may miss it by a part of the way.
+        off_mm = np.abs(grid.at(at)[0])
+        assert not near.any() or np.percentile(off_mm, 90) < 0.1 * np.abs(partners.distance_mm[near]).max()
+        lengths = np.linalg.norm(partners.foot_mm - state.scene_mm, axis=1)
+        np.testing.assert_allclose(lengths, np.abs(partners.distance_mm), atol=1e-5)
 
 
 def test_scene_points_lie_on_the_membrane_at_their_pixels():
