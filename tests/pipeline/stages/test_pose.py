@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,6 +17,7 @@ from pipeline.registration.ranking import judge
 from pipeline.registration.scene import felt_surface
 from pipeline.stages.pose import way
 from pipeline.stages.pose.stage import PoseParams, icp, planar, pose, pose_from, posed, without_contact
+from pipeline.values.results import PoseStep
 from tests.pipeline.registration.solids import (
     CAMERA,
     REST_MM,
@@ -134,19 +137,19 @@ def test_the_way_begins_at_a_first_guess_and_tells_every_step():
     assert way.way(pose(touch, notched_wedge().mesh, PoseParams())) is None
 
 
-def test_partners_lie_on_the_object_at_every_step():
+def test_partners_lie_on_the_object_and_those_out_of_reach_are_told():
     touch = felt(notched_wedge(), lying(0.3, 0.2, 0.8, 2.0, 30.0))
     found = pose(touch, notched_wedge().mesh, PoseParams(keep_steps=True))
-    grid = distance_grid(notched_wedge().mesh)
-    for state in way.states(found):
-        partners = way.partners(state, grid)
-        near = partners.taken & (np.abs(partners.distance_mm) > 0.02)
-        at = rigid.apply(rigid.invert(state.sensor_from_object), partners.foot_mm[near])
-        # Near an edge the lattice's gradient is not of length one: a foot may miss it by a part of the way.
-        off_mm = np.abs(grid.at(at)[0])
-        assert not near.any() or np.percentile(off_mm, 90) < 0.1 * np.abs(partners.distance_mm[near]).max()
-        lengths = np.linalg.norm(partners.foot_mm - state.scene_mm, axis=1)
-        np.testing.assert_allclose(lengths, np.abs(partners.distance_mm), atol=1e-5)
+    at, radius_mm = np.array([0.3, -0.2, 26.0]), 6.0
+    step = PoseStep(sensor_from_object=rigid.translation(*at), rmse_mm=1.0, fitness=1.0, reach_mm=0.4)
+    (state,) = way.states(replace(found, steps=(step,)))
+    partners = way.partners(state, distance_grid(ball(radius_mm)))
+    near = np.abs(partners.distance_mm) < 1.0  # farther off the lattice is coarser: 0.024 mm there
+    assert near.sum() > 20
+    from_middle_mm = np.linalg.norm(partners.foot_mm[near] - at, axis=1)
+    np.testing.assert_allclose(from_middle_mm, radius_mm, atol=0.03)
+    np.testing.assert_array_equal(partners.taken, np.abs(partners.distance_mm) <= 0.4)
+    assert 0 < partners.taken.sum() < len(partners.taken)
 
 
 def test_scene_points_lie_on_the_membrane_at_their_pixels():
