@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app.session.sample import SAMPLE
+from pipeline.base.allocator import few_arenas
 
 if TYPE_CHECKING:
     from PyQt6.QtWidgets import QApplication
@@ -67,7 +68,8 @@ def let_go(instrument: Instrument) -> None:
 
 
 def prepare_environment() -> None:
-    """Keep idle OpenMP threads from spinning, and garbage from being looked for all along; before anything loads."""
+    """Before anything loads: idle threads do not spin, garbage is not looked for all along, threads share heaps."""
+    few_arenas()
     os.environ.setdefault("OMP_WAIT_POLICY", _THREADS_LEFT_ALONE)
     gc.set_threshold(*_GARBAGE_AFTER)
 

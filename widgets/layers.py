@@ -31,6 +31,9 @@ class Scene(QObject):
     def look(self, sights: Mapping[int, Sight], *, linked: bool) -> None:
         """Set the cameras; views of one frame share theirs when `linked`."""
 
+    def forget(self) -> None:
+        """Let go of pictures of what will not be shown again."""
+
     def mark(self, column: int, place_mm: Place | None) -> None:
         """Put the traced pixel's dot into a view, or take it away."""
 

@@ -25,7 +25,7 @@ from widgets.solid_view import SolidView
 from widgets.sub_views import SubViews
 
 _TOGETHER_MS = 10  # what changes together within this is drawn once
-_KEPT_BYTES = 96 * 1024 * 1024
+_KEPT_BYTES = 48 * 1024 * 1024
 _NEAR_PX, _ONE_SURFACE = 6.0, 0.02  # of a place in a view; share of the distance that a surface is thick
 _ONE_TURN = 120  # eighths of a degree, as Qt counts what a wheel goes on by
 _BUTTONS = {
@@ -85,6 +85,10 @@ class LiveScene(Scene):
         self._stage.look(sights, linked)
         for column in range(len(self.views)):
             self._draw_soon(column)
+
+    def forget(self) -> None:
+        """Let go of pictures of what will not be shown again."""
+        self._kept.clear()
 
     def mark(self, column: int, place_mm: Place | None) -> None:
         """Put the traced pixel's dot over a view, or take it away; nothing is drawn anew for it."""

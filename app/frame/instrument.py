@@ -42,6 +42,7 @@ class Instrument(Documents):
         self.screen = Screen(window, self.tracer)
         self._ticket = self._wanted_since = self._opening = self._background = 0
         self._closed = self._waits = self._beside = False
+        self._owed = False  # whether stages were dropped on their way, and have not been asked for again
         self._open: set[Request | None] = {None}  # what is open, as it was asked for and as it is named since
         self.latest: FrameShown | None = None  # the frame on screen
         self._stale, self._young = once(self, _STALE_AFTER_MS, self._mark_stale), once(self, _PATIENCE_MS, lambda: None)
@@ -96,12 +97,14 @@ class Instrument(Documents):
     def ahead(self, work: Work) -> int:
         """Run something brief on the frame at hand in place of its stages; returns its ticket, 0 if none is open.
 
-        Stages that were on their way are dropped: `refresh` asks for them again.
+        Stages that were on their way are dropped: `refresh` asks for them again, and until then it is not idle.
         """
         if self._opening or self._closed or self.screen.opened is None:
             return 0
-        interrupt = self._waits or self.job.newest == self._background
+        interrupt, owed = self._waits or self.job.newest == self._background, self._waits or self._owed
         self._rest()
+        self._owed = owed
+        self.screen.mark_dropped()
         self._ticket = 0  # what is dropped now is not missed
         self._ticket = self.job.submit(work, interrupt=interrupt)
         return self._ticket
@@ -149,7 +152,7 @@ class Instrument(Documents):
     def idle(self) -> bool:
         """Whether everything asked for is on screen, or has failed."""
         busy = self.job.busy and self.job.newest != self._background
-        return not busy and not self._stale.isActive() and not self._waits
+        return not (busy or self._stale.isActive() or self._waits or self._owed)
 
     def take_part(self, ticket: int, part: object) -> None:
         """Show a part of the result; parts for another recording come too late."""
@@ -253,7 +256,7 @@ class Instrument(Documents):
         session, wanted, beside = self._drafted(), self.window.visible_columns(), self._beside
         with_truth = bool(self.screen.versus) or session.layout.name == "demo"
         interrupt = other_request or not self._young.isActive()
-        self._waits = True
+        self._waits, self._owed = True, False
         self._ticket = 0  # what is dropped now is not missed
         self._ticket = self.job.submit(
             lambda report: self.evaluator.show(session, wanted, report, compared=beside, with_truth=with_truth),
@@ -278,7 +281,7 @@ class Instrument(Documents):
         return session.drafted(self.catalogue.methods(session.route, session.methods))
 
     def _rest(self) -> None:
-        self._waits = False
+        self._waits = self._owed = False
         self._opening = 0
         self._stale.stop()
         self._young.stop()

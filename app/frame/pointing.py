@@ -79,7 +79,7 @@ class Pointing(QObject):
         kept = self._surfaces.get(name)
         if kept is not None and kept.picture is picture and kept.times == times:
             return kept
-        positions = picture.positions_mm
+        positions = picture.places_mm()
         if positions is None and slot is None:  # a gel's reading is drawn on its untouched surface
             camera = sensor.camera.scaled(picture.pixels.shape[1] / sensor.camera.cols)
             positions = camera.back_project(rest_mm(sensor, camera)).astype(np.float32)

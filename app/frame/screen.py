@@ -67,6 +67,7 @@ class Screen:
         if old is None or old.stream is not t.stream:
             window.frames.known.show_frames(t.n_frames)
         window.warning.show_doubts(())
+        self.scene.forget()  # what was drawn of the last one is drawn anew if it comes again
         window.source.setItemText(0, f"as recorded: {t.source.name}")
         window.leave_out(frozenset(slot.name for slot in t.catalogue.slots) - set(t.slots))
         window.banner.hide()
@@ -198,6 +199,13 @@ class Screen:
         if waiting and self._window.columns[waiting[0]].state == "stale":
             self._window.columns[waiting[0]].show_state("running")
             self._tell_state(waiting[0])
+
+    def mark_dropped(self) -> None:
+        """Nothing is being worked on for now: what said so is only old."""
+        for name in self._unfinished():
+            if self._window.columns[name].state == "running":
+                self._window.columns[name].show_state("stale")
+                self._tell_state(name)
 
     def mark_failed(self, error: object) -> None:
         """The first column without a fresh result failed, those after it wait for it."""

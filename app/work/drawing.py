@@ -24,8 +24,8 @@ from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
 from widgets.frames_model import FrameSummary
 
-_DRAWN_BYTES = 160 * 1024 * 1024  # two dozen frames of the usual size, seven pictures each
-_READ_BYTES = _BESIDE_BYTES = 64 * 1024 * 1024
+_DRAWN_BYTES = 96 * 1024 * 1024  # sixteen frames to a gel of 320 x 427, seven pictures each
+_READ_BYTES = _BESIDE_BYTES = 40 * 1024 * 1024
 _MOST_JUDGED = 512
 
 
@@ -67,7 +67,7 @@ class Drawing:
     """What was read, drawn and judged of one translation; used by one thread at a time."""
 
     def __init__(self, most_bytes: int = _DRAWN_BYTES) -> None:
-        self._drawn: Memo[object, SlotShown] = Memo(most_bytes=most_bytes)
+        self._drawn: Memo[object, SlotShown] = Memo(most_bytes=most_bytes, weigh=_weight)
         # Beside a truth or what was felt: with those, since equal keys may stand beside others.
         self._beside: Memo[object, tuple[object, object, SlotShown]] = Memo(
             most_bytes=min(most_bytes, _BESIDE_BYTES), weigh=lambda kept: _weight(kept[2])
@@ -114,8 +114,7 @@ class Drawing:
         beside = None if truths is None and other is None else self._beside.get(key)
         if beside is not None and beside[0] is other and beside[1] is truths:
             return replace(beside[2], result=result)
-        shown = self._drawn.get(key) or _drawn(slot, result, results, translation, session)
-        self._drawn.put(key, shown)
+        shown = self._drawn.of(key, lambda: _drawn(slot, result, results, translation, session))
         if truths is not None or other is not None:
             shown = _with_others(slot, shown, results, translation, session, other, truths)
             self._beside.put(key, (other, truths, shown))
@@ -137,7 +136,7 @@ def _drawn(
 
 def _weight(shown: SlotShown) -> int:
     """Its result is the graph's to weigh."""
-    return size_bytes((shown.picture, shown.layers, shown.beside))
+    return size_bytes((shown.picture, shown.layers, shown.beside, shown.states), shown.result.output)
 
 
 def _with_others(

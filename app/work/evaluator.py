@@ -12,6 +12,7 @@ from app.session.state import ASKED, Session
 from app.work.comparison import Comparison, comparison_of
 from app.work.drawing import Drawing, SourceShown, summary_of
 from app.work.jobs import Report
+from pipeline.base.allocator import give_back
 from pipeline.base.errors import FileProblem, SettingProblem, TouchError
 from pipeline.base.memo import Memo, size_bytes
 from pipeline.engine.cache import Cache
@@ -29,8 +30,8 @@ from pipeline.values.results import DepthMap
 from widgets.frames_model import FrameSummary
 
 log = logging.getLogger("tactoscope")
-_SEEN_BYTES = 192 * 1024 * 1024  # two dozen frames of the usual size
-_ASIDE_BYTES = 32 * 1024 * 1024  # a frame or two: they must not push out what people go back to
+_SEEN_BYTES = 96 * 1024 * 1024  # sixteen frames to a gel of 320 x 427, two dozen to a bubble
+_ASIDE_BYTES = 16 * 1024 * 1024  # a frame or two: they must not push out what people go back to
 _BESIDE_BYTES = 32 * 1024 * 1024
 _OUTLINED = "view"  # the slot that is compared with what the target really felt
 
@@ -230,6 +231,7 @@ class Evaluator:
         self._translation = translation
         self._drawing = Drawing(*self._drawn_bytes)
         self._forget_beside()
+        give_back()
         self._request = request_of(replace(session, target=translation.target.name))
         self._begins_at = touched_frame(translation.stream) if session.frame < 0 else session.frame
         if session.frame < 0:

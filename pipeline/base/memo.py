@@ -115,14 +115,23 @@ def remembered(most: int, *, most_bytes: int = MOST_BYTES) -> Callable[[Callable
     return wrap
 
 
-def size_bytes(value: object) -> int:
-    """How much memory the arrays of a value take."""
+def size_bytes(value: object, besides: object = None) -> int:
+    """How much memory the arrays of a value take, each counted once; those that are also in `besides` not at all."""
+    counted: set[int] = set()
+    _weigh(besides, counted)
+    return _weigh(value, counted)
+
+
+def _weigh(value: object, counted: set[int]) -> int:
     if isinstance(value, np.ndarray):
+        if id(value) in counted:  # pyright: ignore[reportUnknownArgumentType]
+            return 0
+        counted.add(id(value))  # pyright: ignore[reportUnknownArgumentType]
         return int(cast("NDArray[Any]", value).nbytes)
     if isinstance(value, (tuple, list)):
-        return sum([size_bytes(v) for v in cast("tuple[object, ...]", value)])
+        return sum([_weigh(v, counted) for v in cast("tuple[object, ...]", value)])
     names = field_names(type(value))
-    return 16 if names is None else 64 + sum([size_bytes(getattr(value, name)) for name in names])
+    return 16 if names is None else 64 + sum([_weigh(getattr(value, name), counted) for name in names])
 
 
 @functools.lru_cache(maxsize=256)

@@ -200,7 +200,8 @@ class Graph:
         output = answer.output if isinstance(answer, Skipped) else answer
         # An answer without work may well be the very object that was given before.
         made = self._known.digest(output) if why else digest(output)
-        return Entry(output=output, digest=made, n_bytes=size_bytes(output), skipped=why, instead=instead)
+        n_bytes = size_bytes(output, reads)  # what is handed on was weighed where it was made
+        return Entry(output=output, digest=made, n_bytes=n_bytes, skipped=why, instead=instead)
 
 
 def _fitting(params: Mapping[str, object], method: Method) -> object:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from pipeline.base.errors import ModelMissing
@@ -23,10 +23,14 @@ KINDS: dict[str, str] = {  # kind -> module:class; torch loads with the module
     "touch_pose": "pipeline.networks.touch_pose:TouchPose",
     "vqvae": "pipeline.networks.vqvae:VqVae",
 }
+LIGHT: dict[str, str] = {  # the same for kinds that need no torch to answer
+    "compact_unet": "pipeline.networks.compact_unet_opencv:CompactUnetByOpenCv",
+}
 _MOST_BYTES = 2 << 30  # of networks kept ready: a large one takes 1.3 GB
 _ready: Memo[str, nn.Module] = Memo(
     4, most_bytes=_MOST_BYTES, weigh=lambda net: sum(p.numel() * p.element_size() for p in net.parameters())
 )
+_light: Memo[str, Callable[..., Any]] = Memo(4)
 
 
 def build(kind: str, config: Mapping[str, Value]) -> nn.Module:
@@ -49,6 +53,24 @@ def network(weights: Weights | NoWeights) -> nn.Module:
     if isinstance(weights, NoWeights):
         raise ModelMissing(weights.why)
     return _ready.of(weights.content, lambda: _loaded(weights))
+
+
+def ready(weights: Weights | NoWeights) -> Callable[..., Any]:
+    """What answers for these weights: without torch where there is a way of ours, else the `network`; raises likewise.
+
+    Those of `LIGHT` take and give one picture of numpy, the others batches of torch.
+    """
+    if isinstance(weights, NoWeights) or weights.kind not in LIGHT:
+        return network(weights)
+    return _light.of(weights.content, lambda: _light_of(weights))
+
+
+def _light_of(weights: Weights) -> Callable[..., Any]:
+    module, _, name = LIGHT[weights.kind].partition(":")
+    try:
+        return getattr(importlib.import_module(module), name)(weights, **weights.config)
+    except (TypeError, ValueError) as error:
+        raise ModelMissing(f"the weights {weights.name!r} do not fit the network {weights.kind!r}: {error}") from error
 
 
 def innermost(net: nn.Module) -> nn.Module:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,23 @@ INDENTATION = "indentation, + toward camera"
 _SHORTEST_PIECE = 6  # border pixels; a shorter piece of an outline is a speck that would hide its own pixel
 
 
+class Laid(NamedTuple):
+    """Where pixels lie: along the rays of a camera. Worked out when it is asked for: all of it is half a picture."""
+
+    camera: Camera
+    depth_mm: Floats  # (rows, cols), NaN = nowhere
+
+    def all_mm(self) -> Floats:
+        """Each pixel's place (rows, cols, 3) in the camera's frame, NaN = none."""
+        return freeze(self.camera.back_project(self.depth_mm).astype(np.float32))
+
+    def at(self, row: int, col: int) -> tuple[float, float, float]:
+        """One pixel's place."""
+        z = float(self.depth_mm[row, col])
+        x, y = self.camera.rays()
+        return float(x[col]) * z, float(y[row]) * z, z
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Picture:
     """Pixels and what they mean; everything that costs time was done where it was made."""
@@ -27,7 +44,7 @@ class Picture:
     frame_name: str  # whose coordinates `positions_mm` are in
     values: Floats | None = None  # (rows, cols) what the probe reads; None = the colour itself
     scale: ColourScale | None = None  # None = true colours
-    positions_mm: Floats | None = None  # (rows, cols, 3) of each pixel, NaN = none
+    positions_mm: Laid | Floats | None = None  # of each pixel; given one by one (rows, cols, 3), NaN = none
     outline_px: Floats | None = None  # (n, 2) x, y of the contact's border, NaN between pieces
     felt_px: Floats | None = None  # (n, 2) border of another contact to compare with, as `outline_px`
     pixel_mm: float = math.nan  # width of a pixel on the surface
@@ -60,10 +77,15 @@ class Picture:
             quantity = self.scale.quantity.split(",")[0]
             parts.append(f"{quantity} {value:.3f} {self.scale.unit}" if math.isfinite(value) else f"{quantity}: none")
         if self.positions_mm is not None:
-            x, y, z = (float(v) for v in self.positions_mm[row, col])
+            places = self.positions_mm
+            x, y, z = places.at(row, col) if isinstance(places, Laid) else (float(v) for v in places[row, col])
             if math.isfinite(x + y + z):
                 parts.append(f"x {x:.2f}, y {y:.2f}, z {z:.2f} mm in {self.frame_name}")
         return " · ".join(parts)
+
+    def places_mm(self) -> Floats | None:
+        """Each pixel's place (rows, cols, 3), NaN = none; None where no place is known."""
+        return self.positions_mm.all_mm() if isinstance(self.positions_mm, Laid) else self.positions_mm
 
 
 def of_heights(
@@ -79,7 +101,7 @@ def of_heights(
     scale = indentation_scale(sensor, display)
     return Picture(
         pixels=coloured(heights_mm, scale), values=heights_mm, scale=scale, frame_name=f"{sensor.name} frame",
-        positions_mm=positions(camera, depth_mm), outline_px=outline(contact), pixel_mm=pixel_mm(camera, sensor),
+        positions_mm=Laid(camera, depth_mm), outline_px=outline(contact), pixel_mm=pixel_mm(camera, sensor),
         caption=caption,
     )  # fmt: skip
 
@@ -104,12 +126,12 @@ def of_reading(
         scale = distance_scale(sensor, display, reference)
         return Picture(
             pixels=coloured(depth, scale), values=depth, scale=scale, frame_name=place, outline_px=border,
-            pixel_mm=pixel_mm(camera, sensor), positions_mm=positions(camera, depth),
+            pixel_mm=pixel_mm(camera, sensor), positions_mm=Laid(camera, depth),
             caption=f"{scale.quantity}, {place}",
         )  # fmt: skip
     return Picture(
         pixels=np.asarray(image, dtype=np.uint8), frame_name=place, pixel_mm=pixel_mm(camera, sensor),
-        positions_mm=None if depth_mm is None else positions(camera, depth_mm), outline_px=border,
+        positions_mm=None if depth_mm is None else Laid(camera, depth_mm), outline_px=border,
         caption=f"rgb image, {camera.cols} x {camera.rows} px",
     )  # fmt: skip
 
@@ -134,10 +156,11 @@ def enlarged(picture: Picture, shape: tuple[int, int]) -> Picture:
         return freeze(cv2.resize(values, (cols, rows), interpolation=cv2.INTER_NEAREST))
 
     times = np.array([cols / old_cols, rows / old_rows], dtype=np.float32)
+    places = picture.places_mm()
     return replace(
         picture, pixels=grown(picture.pixels), pixel_mm=picture.pixel_mm / float(times[0]),
         values=None if picture.values is None else grown(picture.values),
-        positions_mm=None if picture.positions_mm is None else grown(picture.positions_mm),
+        positions_mm=None if places is None else grown(places),
         outline_px=None if picture.outline_px is None else freeze(picture.outline_px * times),
     )  # fmt: skip
 
@@ -178,11 +201,6 @@ def outline(mask: Mask) -> Floats:
         line = piece[:, 0, :].astype(np.float32) + 0.5
         parts += [line, line[:1], gap]
     return freeze(np.concatenate(parts)) if parts else freeze(np.zeros((0, 2), dtype=np.float32))
-
-
-def positions(camera: Camera, depth_mm: Floats) -> Floats:
-    """Where each pixel lies (rows, cols, 3) in the camera's frame, mm."""
-    return freeze(camera.back_project(depth_mm).astype(np.float32))
 
 
 def pixel_mm(camera: Camera, sensor: SensorSpec) -> float:

@@ -13,7 +13,7 @@ from pipeline.base.errors import SettingProblem
 from pipeline.engine.graph import StageResult
 from pipeline.pictures.difference import difference
 from pipeline.pictures.display import DisplayParams
-from pipeline.pictures.picture import Picture, fitted, of_reading, positions, rest_mm
+from pipeline.pictures.picture import Laid, Picture, fitted, of_reading, rest_mm
 from pipeline.reporting.asked import SOURCE, Shown
 from pipeline.stages.slot import Seen
 from pipeline.translation.translate import Translation
@@ -83,7 +83,7 @@ def _reading(frame: TactileFrame, translation: Translation, display: DisplayPara
     camera = fitted(frame.camera or sensor.camera, frame.image.shape)
     picture = of_reading(frame.image, camera, sensor, display, reference=frame.reference)
     surface = frame.image if frame.is_depth else rest_mm(sensor, camera)
-    laid = replace(picture, positions_mm=positions(camera, np.asarray(surface, np.float32)))
+    laid = replace(picture, positions_mm=Laid(camera, np.asarray(surface, np.float32)))
     points_mm, rgb = _points(None, laid)
     return Pane(title="Source", picture=picture, points_mm=points_mm, rgb=rgb)
 
@@ -103,7 +103,8 @@ def _points(value: Any, picture: Picture) -> tuple[Floats, Image]:
             there = picture.element >= 0
             grey[picture.element[there]] = picture.pixels[there]
         return value.points_mm, grey
-    if picture.positions_mm is None:
+    places = picture.places_mm()
+    if places is None:
         return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8)
-    known = np.isfinite(picture.positions_mm).all(axis=-1)
-    return picture.positions_mm[known], picture.pixels[known]
+    known = np.isfinite(places).all(axis=-1)
+    return places[known], picture.pixels[known]

@@ -7,7 +7,7 @@ from typing import Any
 
 from pipeline.base.errors import ModelMissing
 from pipeline.engine.graph import Instead, Method
-from pipeline.networks.building import network
+from pipeline.networks import building
 
 
 def learned(run: Callable[..., Any], instead: Method) -> Callable[..., Any]:
@@ -20,7 +20,7 @@ def learned(run: Callable[..., Any], instead: Method) -> Callable[..., Any]:
     def answer(*args: Any) -> Any:
         *reads, weights, params, progress = args
         try:
-            ready = network(weights)
+            ready = building.ready(weights)
         except ModelMissing as problem:
             told = params if isinstance(params, instead.params) else instead.params()
             return Instead(

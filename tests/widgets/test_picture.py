@@ -9,7 +9,8 @@ from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtWidgets import QLabel
 
 from pipeline.pictures.colours import NO_VALUE, ColourScale, coloured, table
-from pipeline.pictures.picture import Picture
+from pipeline.pictures.picture import Laid, Picture
+from pipeline.sensors.spec import sensor
 from widgets.picture import PictureView
 from widgets.stage_column import StageColumn
 
@@ -150,3 +151,16 @@ def test_a_column_reads_its_first_note_out_in_short(qtbot):
     column.show_state("computed", 12.0)
     assert label.text() == ""
     assert label.isVisible()  # its room stays, so that pictures stand in one line
+
+
+def test_places_along_the_rays_of_a_camera_are_those_of_all_of_them():
+    camera = sensor("digit").camera.scaled(0.1)
+    depth = np.linspace(10, 20, camera.rows * camera.cols, dtype=np.float32).reshape(camera.shape)
+    depth[2, 3] = np.nan
+    pixels = np.zeros((*camera.shape, 3), np.uint8)
+    picture = Picture(pixels=pixels, frame_name="digit frame", positions_mm=Laid(camera, depth))
+    whole = picture.places_mm()
+    np.testing.assert_allclose(picture.positions_mm.at(5, 7), whole[5, 7], rtol=1e-6)
+    x, y, z = whole[5, 7]
+    assert picture.probe(5, 7).endswith(f"x {x:.2f}, y {y:.2f}, z {z:.2f} mm in digit frame")
+    assert "mm in" not in picture.probe(2, 3)

@@ -7,7 +7,7 @@ object goes on beside the contact, where a membrane bridges what a stiffer senso
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 
@@ -17,15 +17,13 @@ from pipeline.base.errors import ShapeError
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import contact
 from pipeline.stages.depth.bubble_depth import as_moved
-from pipeline.stages.depth.bubble_fields import fields
+from pipeline.stages.depth.bubble_fields import Found, found
 from pipeline.stages.depth.bubble_input import WORK_MM, at_rest, shown
 from pipeline.values.frames import TactileFrame
 from pipeline.values.pixel_index import pixel_index
 from pipeline.values.results import DepthMap
 
-if TYPE_CHECKING:
-    from torch import nn
-
+Network = Callable[[Floats], Floats]  # from a picture (CHANNELS, rows, cols) to an answer (OUTPUTS, rows, cols)
 _AS_IT_IS = 1.4  # times finer or coarser than `WORK_MM` that the network was taught on
 _ISLAND_MM2 = 2.0  # smaller touches are noise
 _HALF = 0.5
@@ -33,7 +31,7 @@ _TOLD = 0.6  # likelihood from which the object's surface is told; 0.5 fills rin
 
 
 def depth(
-    frame: TactileFrame, source: SensorSpec, network: nn.Module, *, certainty: float = _HALF, least_mm: float
+    frame: TactileFrame, source: SensorSpec, network: Network, *, certainty: float = _HALF, least_mm: float
 ) -> DepthMap:
     """The depth of one bubble frame that has been checked, as a network of `BubbleReading` tells it.
 
@@ -45,37 +43,29 @@ def depth(
         raise ShapeError("a bubble's depth needs a reference depth image")
     notes: list[str] = []
     moved, rest, read, known = as_moved(frame.reference, frame.image, source.limits.indentation_max_mm, notes)
-    found = _read(moved, rest, read, source.pixel_mm, network)
+    said = _read(moved, rest, read, source.pixel_mm, network)
     islands = max(4, round(_ISLAND_MM2 / source.pixel_mm**2))
-    touched = contact.without_specks((found.contact > certainty) & known & (found.moved_mm > least_mm), islands)
-    told = _reaching(touched, ((found.told > _TOLD) & known) | touched)
+    touched = contact.without_specks((said.contact > certainty) & known & (said.moved_mm > least_mm), islands)
+    told = _reaching(touched, ((said.told > _TOLD) & known) | touched)
     if not touched.any():
         notes.append("nothing touches the sensor")
     elif np.concatenate([touched[0], touched[-1], touched[:, 0], touched[:, -1]]).any():
         notes.append(AT_BORDER)
     nothing, rest = np.float32(np.nan), at_rest(rest, read, source.pixel_mm)  # its noise is no part of the membrane
     return DepthMap(
-        indentation_mm=freeze(np.where(known, found.moved_mm, nothing)),
-        depth_mm=freeze(np.where(known, rest - found.moved_mm, nothing)),
+        indentation_mm=freeze(np.where(known, said.moved_mm, nothing)),
+        depth_mm=freeze(np.where(known, rest - said.moved_mm, nothing)),
         contact=freeze(touched),
         camera=source.camera,
         source_index=pixel_index(moved.shape),
         notes=tuple(notes),
-        object_mm=freeze(np.where(told, rest - found.object_mm, nothing)),
-        spread_mm=freeze(np.where(known, found.spread_mm, nothing)),
+        object_mm=freeze(np.where(told, rest - said.object_mm, nothing)),
+        spread_mm=freeze(np.where(known, said.spread_mm, nothing)),
     )
 
 
-class _Found:
+def _read(moved: Floats, rest: Floats, read: Mask, pixel_mm: float, network: Network) -> Found:
     """What the network says, on the grid of the frame."""
-
-    def __init__(self, stacked: Floats) -> None:
-        self.moved_mm, self.object_mm, self.spread_mm, self.contact, self.told = stacked
-
-
-def _read(moved: Floats, rest: Floats, read: Mask, pixel_mm: float, network: nn.Module) -> _Found:
-    import torch
-
     (rows, cols), scale = moved.shape, pixel_mm / WORK_MM
     size = (
         (rows, cols)
@@ -84,13 +74,8 @@ def _read(moved: Floats, rest: Floats, read: Mask, pixel_mm: float, network: nn.
     )
     seen = _sized(read.astype(np.float32), size) > _HALF
     looked_at = shown(_sized(moved, size), _sized(rest, size), seen, pixel_mm * rows / size[0])
-    with torch.inference_mode():
-        picture, smooth = (torch.from_numpy(np.array(a)[None]) for a in (looked_at.picture, looked_at.smooth_mm[None]))
-        said = fields(network(picture), smooth)
-        whole = torch.cat([
-            said.moved_mm, said.object_mm, said.log_spread.exp(), said.contact.sigmoid(), said.told.sigmoid()
-        ]).numpy()  # fmt: skip
-    return _Found(np.stack([_sized(field, (rows, cols)) for field in whole]))
+    said = found(network(looked_at.picture), looked_at.smooth_mm)
+    return Found(*(_sized(field, (rows, cols)) for field in said))
 
 
 def _sized(image: Floats, size: tuple[int, int]) -> Floats:

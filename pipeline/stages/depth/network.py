@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.lookup import Calibration
@@ -14,9 +14,6 @@ from pipeline.stages.depth import bubble_network, gel_network, stage
 from pipeline.stages.depth.gel_network import NetworkParams
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
-
-if TYPE_CHECKING:
-    from torch import nn
 
 
 def weights(source: SensorSpec, _target: SensorSpec, file: Path | None) -> Weights | NoWeights:
@@ -30,11 +27,14 @@ def depth(
     frame: TactileFrame,
     source: SensorSpec,
     calibration: Calibration | None,
-    network: nn.Module,
+    network: Any,
     params: NetworkParams,
     progress: Progress = SILENT,
 ) -> DepthMap:
-    """Indentation, depth and contact of a frame as a network reads it; raises ShapeError for what is no frame."""
+    """Indentation, depth and contact of a frame as a network reads it; raises ShapeError for what is no frame.
+
+    `network` is what `building.ready` makes of the weights for this kind of sensor.
+    """
     if source.kind == "gel":
         return gel_network.depth(frame, source, calibration, network, params, progress)
     stage.checked(frame, source)

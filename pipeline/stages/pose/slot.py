@@ -15,7 +15,7 @@ from pipeline.geometry.distance_grid_store import distance_grid
 from pipeline.pictures.colours import NO_PARTNER, NO_VALUE, SCENE, ColourScale, coloured, uniform
 from pipeline.pictures.display import DisplayParams
 from pipeline.pictures.layers import Layer, cloud_layer, lines_layer, membrane_layer, object_layer
-from pipeline.pictures.picture import Picture, outline, pixel_mm, positions
+from pipeline.pictures.picture import Laid, Picture, outline, pixel_mm
 from pipeline.stages import known_truth
 from pipeline.stages.follow import element_of, triple
 from pipeline.stages.learned import learned
@@ -83,7 +83,7 @@ def _picture(pose: ObjectPose, seen: Seen) -> Picture:
         caption = f"distance to object, + outside; rms {pose.rmse_mm:.2f} mm, {share}"
     return Picture(
         pixels=freeze(np.ascontiguousarray(pixels, dtype=np.uint8)), values=freeze(values), scale=scale,
-        frame_name=f"{seen.target.name} frame", positions_mm=positions(felt.camera, felt.depth_mm),
+        frame_name=f"{seen.target.name} frame", positions_mm=Laid(felt.camera, felt.depth_mm),
         outline_px=outline(felt.contact), pixel_mm=pixel_mm(felt.camera, seen.target), caption=caption,
         element=freeze(element), camera=felt.camera,
     )  # fmt: skip

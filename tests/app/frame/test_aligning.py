@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -96,6 +98,32 @@ def test_gauges_say_the_same_while_dragging_and_at_rest(aligned, qtbot, settled)
     _let_go(aligned, "x")
     settled(aligned)
     assert {name: gauge.value for name, gauge in panel.gauges.items()} == dragging
+
+
+def test_stages_that_a_drag_drops_are_not_called_running_and_come_when_it_ends(aligned, qtbot, settled, monkeypatch):
+    """The order is forced: the stages are on their way, and say so, when the drag takes their place."""
+    columns, evaluator, begun = aligned.window.columns, aligned.evaluator, threading.Event()
+
+    def for_ever(_session, _wanted, report, **_):
+        begun.set()
+        while True:
+            report.step(0.5, "working")
+            time.sleep(0.001)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(evaluator, "show", for_ever)
+        aligned.screen.show_only(None)
+        aligned.choose_frame(TOUCHED + 1)
+        qtbot.waitUntil(lambda: begun.is_set() and columns["source"].state == "running", timeout=WAIT_MS)
+        _drag(aligned, "x", 1.0, qtbot)
+        qtbot.waitUntil(lambda: not aligned.job.busy and columns["view"].state == "preview", timeout=WAIT_MS)
+        assert columns["source"].state == "stale", "nothing runs"
+        assert not aligned.idle, "the new frame has not come"
+    aligned.screen.show_only("view")
+    _let_go(aligned, "x")
+    settled(aligned)
+    assert aligned.latest.index == TOUCHED + 1
+    assert columns["view"].state in ("computed", "doubtful", "skipped")
 
 
 def test_a_drag_is_one_undo_step_and_ends_at_full_size(aligned, qtbot, settled):

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.base.memo import Memo, remembered
+from pipeline.base.memo import Memo, remembered, size_bytes
 
 
 @given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 120)), max_size=60), st.integers(1, 6))
@@ -80,3 +80,9 @@ def test_a_function_remembers_its_last_answers_within_their_bytes():
     assert zeros(100, like="<f4").dtype == np.float32
     assert zeros(126) is not zeros(126)  # 1008 bytes
     assert asked == [100, 100, 126, 126]
+
+
+def test_an_array_is_weighed_once_and_where_it_was_made():
+    made, own = np.zeros(1000, np.float32), np.zeros(500, np.float32)
+    assert size_bytes((made, made)) == 4000
+    assert size_bytes((made, own), besides=[made]) == 2000

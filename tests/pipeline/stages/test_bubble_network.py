@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from pipeline.evaluation.metrics import iou
 from pipeline.geometry import rigid
@@ -28,20 +27,18 @@ REST = SPEC.rest_depth_mm.astype(np.float32)
 BALL = 6.0 * np.exp(-0.5 * ((np.arange(140)[:, None] - 60) ** 2 + (np.arange(175)[None, :] - 90) ** 2) / 20.0**2)
 
 
-class Says(torch.nn.Module):
+class Says:
     """A network that knows the answer: the move needs no correction, a disc is touched, a wider one is told."""
 
     def __init__(self, shape=(140, 175), gap_mm=0.3):
-        super().__init__()
-        row, col = (torch.arange(n, dtype=torch.float32) / n for n in shape)
-        away = torch.hypot(140 * (row[:, None] - 60 / 140), 175 * (col[None, :] - 90 / 175))
-        beyond = (away > 8).float() * gap_mm
-        behind = torch.log(torch.expm1(beyond.clamp(min=1e-4)))
+        row, col = (np.arange(n, dtype=np.float32) / n for n in shape)
+        away = np.hypot(140 * (row[:, None] - 60 / 140), 175 * (col[None, :] - 90 / 175)).astype(np.float32)
+        behind = np.log(np.expm1(np.maximum((away > 8) * gap_mm, 1e-4)))
         masks = [10.0 * (limit - away) for limit in (8.0, 14.0)]
-        self.answer = torch.stack([torch.zeros(shape), behind, torch.full(shape, -2.0), *masks])[None]
+        self.answer = np.stack([np.zeros(shape), behind, np.full(shape, -2.0), *masks]).astype(np.float32)
         self.pictures = []
 
-    def forward(self, picture):
+    def __call__(self, picture):
         self.pictures.append(picture)
         assert picture.shape[-2:] == self.answer.shape[-2:]
         return self.answer
@@ -54,7 +51,7 @@ def frame(rest=REST, moved=BALL):
 def test_the_network_is_shown_the_parts_of_the_move_and_its_answer_is_taken_in_millimetres():
     network = Says()
     found = bubble_network.depth(frame(), SPEC, network, least_mm=0.7)
-    assert network.pictures[0].shape == (1, CHANNELS, 140, 175)
+    assert network.pictures[0].shape == (CHANNELS, 140, 175)
     assert found.contact.sum() == pytest.approx(np.pi * 64, rel=0.05)
     assert np.abs(found.indentation_mm - BALL).max() < 0.05, "the smooth estimate of a smooth move"
     assert np.abs(found.depth_mm - (REST - BALL)).max() < 0.05
@@ -101,8 +98,8 @@ def test_pixels_without_a_reading_are_shown_as_such_and_have_no_value_far_from_a
     image[20:60, 20:60] = np.nan
     network = Says()
     found = bubble_network.depth(replace(frame(), image=image), SPEC, network, least_mm=0.7)
-    assert (network.pictures[0][0, 4, 20:60, 20:60] == 0).all()
-    assert (network.pictures[0][0, 4, 70:, 70:] == 1).all()
+    assert (network.pictures[0][4, 20:60, 20:60] == 0).all()
+    assert (network.pictures[0][4, 70:, 70:] == 1).all()
     assert np.isnan(found.depth_mm[40, 40])
     assert np.isfinite(found.depth_mm[100, 100])
 
@@ -132,7 +129,7 @@ def test_physics_too_leaves_the_noise_of_the_untouched_reading_out_of_the_surfac
 def shipped():
     weights = network.weights(SPEC, sensor("gelslim"), None)
     assert weights.card["task"] == "bubble_reading"
-    return building.network(weights)
+    return building.ready(weights)
 
 
 def test_the_weights_that_come_along_read_a_tool_they_have_never_seen_better_than_physics(shipped):
