@@ -145,6 +145,7 @@ def translate(
     all_frames: Annotated[bool, Parameter(name="--all", negative="")] = False,
     follow: Annotated[bool, Parameter(negative="")] = False,
     settings: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    scheduler: str = "",
 ) -> int:
     """Turn touches of one sensor into what another would have felt, and write every slot.
 
@@ -164,10 +165,14 @@ def translate(
         With --all, begin each pose where the touch before ended: several times as quick, for moving sequences.
     settings
         `slot.parameter=value`, as often as needed.
+    scheduler
+        With --all, address of a Dask scheduler whose workers translate the frames, such as `tcp://host:8786`.
     """
     from pipeline.cli.translate import translate_frames
 
-    return translate_frames(opening.request(recording, target), out, frame, all_frames, settings, follow=follow)
+    return translate_frames(
+        opening.request(recording, target), out, frame, all_frames, settings, follow=follow, scheduler=scheduler
+    )
 
 
 def blame(

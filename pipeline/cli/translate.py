@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 from rich.console import Console
@@ -12,8 +14,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from pipeline.base import compiling, unexpected
+from pipeline.base.elsewhere import workers_of
 from pipeline.base.errors import SettingProblem, TouchError
 from pipeline.base.files import ready
+from pipeline.base.progress import SILENT
 from pipeline.base.progress import Progress as StageProgress
 from pipeline.base.text import plain
 from pipeline.cli.stopping import stoppable
@@ -31,18 +35,53 @@ from pipeline.values.results import ObjectPose
 CACHE_BYTES = 32 * 1024 * 1024  # a few frames: what a run has passed it does not ask for again
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Piece:
+    """A frame for a worker elsewhere, which writes it where all frames go."""
+
+    request: Request
+    settings: tuple[str, ...]
+    out: Path
+    index: int
+
+
+def _finish(piece: _Piece) -> None:
+    """Translate one frame and leave it whole on disk; one that cannot be is left to who asks for it next."""
+    with closing(open_translation(piece.request)) as translation:
+        graph = translation.graph(like=Graph((), cache=Cache(CACHE_BYTES)))
+        params = with_settings(translation.methods, piece.settings)
+        _one(translation, graph, params, piece.index, piece.out, None, SILENT)
+
+
+def _absolute(request: Request) -> Request:
+    """The same request for those who work in other folders."""
+    paths = {f.name: value.resolve() for f in fields(request) if isinstance(value := getattr(request, f.name), Path)}
+    weights = tuple((slot, file.resolve()) for slot, file in request.weights)
+    return replace(request, weights=weights, **paths)
+
+
 def translate_frames(
-    request: Request, out: Path, frame: int | None, every: bool, settings: Sequence[str], *, follow: bool = False
+    request: Request,
+    out: Path,
+    frame: int | None,
+    every: bool,
+    settings: Sequence[str],
+    *,
+    follow: bool = False,
+    scheduler: str = "",
 ) -> int:
     """Translate and write what an earlier run has not left whole with the same request, settings and versions.
 
-    Returns 0, 2 if some frame could not be translated (its sentence is in the report), 1 if one failed unforeseen.
+    With a `scheduler` its workers write the frames, and what they leave is taken up here. Returns 0, 2 if some frame
+    could not be translated (its sentence is in the report), 1 if one failed unforeseen.
     """
     if frame is not None and every:
         raise SettingProblem("give either --frame or --all, not both")
     if follow and not every:
         raise SettingProblem("--follow goes from touch to touch; give it with --all")
-    console = Console(stderr=True)
+    if scheduler and (follow or not every):
+        raise SettingProblem("--scheduler hands out single frames; give it with --all, and without --follow")
+    console, request = Console(stderr=True), _absolute(request) if scheduler else request
     translation = open_translation(request)
     params = with_settings(translation.methods, settings)
     graph = translation.graph(like=Graph((), cache=Cache(CACHE_BYTES)))
@@ -56,6 +95,12 @@ def translate_frames(
     try:
         with stoppable() as work, Progress(*columns, console=console, transient=True) as bar:
             task = bar.add_task("translating", total=len(indices))
+            if scheduler:
+                where, said = out.resolve(), tuple(settings)
+                with workers_of(scheduler) as elsewhere:
+                    elsewhere.map(
+                        _finish, [_Piece(request=request, settings=said, out=where, index=k) for k in indices], work
+                    )
             for index in indices:
                 bar.update(task, description=f"frame {index}")
                 work.step(0.0, "")
@@ -78,7 +123,7 @@ def translate_frames(
     show_table(reports)
     for told in doubtful_lines(reports):
         print_line(told)
-    if n_kept:
+    if n_kept and not scheduler:
         print_line(f"{n_kept} of them were finished by an earlier run and are kept as they are")
     print_line(f"{len(reports) - len(failed)} of {len(reports)} frames written to {os.fspath(out)}")
     return _code(failed)

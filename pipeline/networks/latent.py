@@ -6,7 +6,7 @@ encoder of the source's touch), `model.diffusion_model` (denoiser) and `scale_fa
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -22,13 +22,16 @@ BETAS = 0.0015, 0.0155  # of the first and the last time; their roots rise evenl
 REACH = 5.0  # latents of spread 1 beyond this are none of the data's
 
 
-class Learned(NamedTuple):
-    """What a step of training is judged by."""
+Part = Literal["both", "autoencoder", "denoiser"]
 
-    rebuilt: Tensor  # the target's picture, through the autoencoder
+
+class Learned(NamedTuple):
+    """What a step of training is judged by; None for a part that does not learn."""
+
+    rebuilt: Tensor | None  # the target's picture, through the autoencoder
     mean: Tensor  # of its latents
     log_variance: Tensor
-    noise: Tensor  # (n, 4, ...) as it was held for, and
+    noise: Tensor | None  # (n, 4, ...) as it was held for, and
     true_noise: Tensor  # as it was
 
 
@@ -66,13 +69,21 @@ class LatentDiffusion(nn.Module):
         self.register_buffer("scale_factor", torch.tensor(1.0))
         self.register_buffer("left", torch.tensor(signal_left().tolist()), persistent=False)
 
-    def forward(self, target: Tensor, source: Tensor, time: Tensor, told: Tensor, noises: Tensor) -> Learned:
-        """For training: pictures of both, times (n,), whether each is told its source (n,), noise (2, n, 4, ...)."""
-        mean, log_variance = self.first_stage_model.encode(target)
-        latents = drawn(mean, log_variance, noises[0])
-        rebuilt = self.first_stage_model.decode(latents)
-        if self.training:
+    def forward(
+        self, target: Tensor, source: Tensor, time: Tensor, told: Tensor, noises: Tensor, part: Part = "both"
+    ) -> Learned:
+        """For training: pictures of both, times (n,), whether each is told its source (n,), noise (2, n, 4, ...).
+
+        Its parts may learn one after the other: the autoencoder as it is when the denoiser does.
+        """
+        with torch.set_grad_enabled(torch.is_grad_enabled() and part != "denoiser"):
+            mean, log_variance = self.first_stage_model.encode(target)
+            latents = drawn(mean, log_variance, noises[0])
+            rebuilt = None if part == "denoiser" else self.first_stage_model.decode(latents)
+        if self.training and part != "denoiser":
             self._follow_spread(latents.detach().float())
+        if part == "autoencoder":
+            return Learned(rebuilt=rebuilt, mean=mean, log_variance=log_variance, noise=None, true_noise=noises[1])
         left = self.left[time][:, None, None, None]
         noisy = left.sqrt() * self.scale_factor * latents.detach() + (1 - left).sqrt() * noises[1]
         shown = self.cond_stage_model(source) * told[:, None, None, None]

@@ -3,6 +3,10 @@
 van den Oord et al. 2017, under the names and shapes of the released one (`encoder.*`, `codebook.embedding.weight`,
 `decoder.*`): two strided convolutions and two residual blocks down to a quarter of the side, each place there replaced
 by the nearest entry of a codebook, and the same way back. The paper's is 256 wide with 16,385 codes.
+
+As published it sees 50 of 128 pixels around each place, and knows not where that is: between two sensors of other
+sizes, whose pixels do not belong together, it can tell nothing and its codes fall together. `laid`, `reach` and
+`placed` mend that; they are off unless weights were learned with them.
 """
 
 from __future__ import annotations
@@ -13,7 +17,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from pipeline.networks.squares import SIDE
+
 _SPREAD = 1.0  # a codebook as wide as this is no new one
+_MANY = 8  # places for each entry, of which one that is used should have some
 
 
 class Translated(NamedTuple):
@@ -28,39 +35,44 @@ class VqVae(nn.Module):
     """Normalised squares (n, outputs, side, side) from those of another sensor (n, inputs, side, side); see `forward`.
 
     `half_turn`: what comes out is to be turned by half a turn to lie as the target's camera sees it, as in the paper's
-    data, whose pairs were turned so.
+    data, whose pairs were turned so. `laid`: what goes in was drawn where the target looks (`picture_input.laid`).
+    `reach`: how far apart a convolution's samples lie in the two middle residual blocks of the four. `placed`: the
+    decoder is told where it is.
     """
 
     def __init__(
-        self, *, inputs: int = 3, outputs: int = 1, width: int = 256, codes: int = 16_385, half_turn: bool = False
-    ) -> None:
+        self, *, inputs: int = 3, outputs: int = 1, width: int = 256, codes: int = 16_385, half_turn: bool = False,
+        laid: bool = False, reach: int = 1, placed: bool = False,
+    ) -> None:  # fmt: skip
         super().__init__()
-        self.inputs, self.outputs, self.half_turn = inputs, outputs, bool(half_turn)
+        self.inputs, self.outputs, self.half_turn, self.laid = inputs, outputs, bool(half_turn), bool(laid)
         self.encoder = nn.Sequential(
             nn.Conv2d(inputs, width, 4, 2, 1), nn.ReLU(inplace=True), nn.Conv2d(width, width, 4, 2, 1),
-            Residual(width), Residual(width),
+            Residual(width), Residual(width, reach),
         )  # fmt: skip
         self.codebook = Codebook(codes, width)
         self.decoder = nn.Sequential(
-            Residual(width), Residual(width), nn.ReLU(inplace=True), nn.ConvTranspose2d(width, width, 4, 2, 1),
+            Residual(width, reach), Residual(width), nn.ReLU(inplace=True), nn.ConvTranspose2d(width, width, 4, 2, 1),
             nn.ReLU(inplace=True), nn.ConvTranspose2d(width, outputs, 4, 2, 1),
         )  # fmt: skip
+        self.place = nn.Parameter(torch.zeros(1, width, SIDE // 4, SIDE // 4)) if placed else None
 
     def forward(self, squares: Tensor) -> Translated:
         """Gradients pass the codebook as if it were not there."""
         encoded = self.encoder(squares)
         quantised = self.codebook(encoded)
-        made = self.decoder(encoded + (quantised - encoded).detach())
+        seen = encoded + (quantised - encoded).detach()
+        made = self.decoder(seen if self.place is None else seen + self.place)
         return Translated(made=made, encoded=encoded, quantised=quantised)
 
 
 class Residual(nn.Module):
     """A residual block that adds to what its first activation leaves, as the released one does by working in place."""
 
-    def __init__(self, width: int) -> None:
+    def __init__(self, width: int, reach: int = 1) -> None:
         super().__init__()
         self.block = nn.Sequential(
-            nn.ReLU(), nn.Conv2d(width, width, 3, 1, 1), nn.ReLU(inplace=True), nn.Conv2d(width, width, 1)
+            nn.ReLU(), nn.Conv2d(width, width, 3, 1, reach, reach), nn.ReLU(inplace=True), nn.Conv2d(width, width, 1)
         )
 
     def forward(self, field: Tensor) -> Tensor:
@@ -70,7 +82,10 @@ class Residual(nn.Module):
 
 
 class Codebook(nn.Module):
-    """The nearest of its entries at every place; new ones begin at what the encoder says of a first batch."""
+    """The nearest of its entries at every place; new ones begin at what the encoder says of a first batch.
+
+    Where an entry is nearest to none of a batch's places, though they are many, it begins anew at one of them.
+    """
 
     def __init__(self, codes: int, width: int) -> None:
         super().__init__()
@@ -84,6 +99,8 @@ class Codebook(nn.Module):
         if self.training and self._is_new():
             self._begin(flat)
         index = self.nearest(flat)
+        if self.training and len(flat) >= _MANY * self.embedding.num_embeddings:
+            self._begin_unused(flat, index)
         with torch.autocast(encoded.device.type, enabled=False):
             found = self.embedding(index).reshape(places.shape)
         return found.permute(0, 3, 1, 2)
@@ -93,6 +110,12 @@ class Codebook(nn.Module):
         entries = self.embedding.weight.detach()
         with torch.autocast(places.device.type, enabled=False):
             return ((entries**2).sum(1) - 2.0 * places @ entries.T).argmin(1)
+
+    def _begin_unused(self, places: Tensor, index: Tensor) -> None:
+        unused = torch.bincount(index, minlength=self.embedding.num_embeddings) == 0
+        chosen = torch.randint(len(places), (self.embedding.num_embeddings,), device=places.device)
+        with torch.no_grad():
+            self.embedding.weight.copy_(torch.where(unused[:, None], places[chosen], self.embedding.weight))
 
     def _is_new(self) -> bool:
         return float(self.embedding.weight.detach().abs().max()) <= _SPREAD / self.embedding.num_embeddings

@@ -77,8 +77,8 @@ def _pressed(things: Things, seed: int, number: int) -> PairedTouch:
     rng = np.random.default_rng([VERSION, 3, _KINDS.index(things), seed, number])
     name, thing = _thing(things, rng, number)
     pose = poses.single(thing, rng)
-    units = [variation.varied(unit, int(rng.integers(1 << 31)), 1.0) for unit in _described()]
-    own, felt = _described()[0], True
+    units = [variation.varied(unit, int(rng.integers(1 << 31)), 1.0) for unit in described()]
+    own, felt = described()[0], True
     squares: list[Floats] = []
     for unit in units:
         seeds = [int(s) for s in rng.integers(1 << 31, size=2)]
@@ -112,7 +112,7 @@ def _sized(field: Floats, shape: tuple[int, int]) -> Floats:
 
 
 @lru_cache(maxsize=1)
-def _described() -> tuple[SensorSpec, SensorSpec]:
+def described() -> tuple[SensorSpec, SensorSpec]:
     """The gel, and the bubble that comes to meet the object as in data sets."""
     bubble = sensor("soft_bubble")
     nearer = rigid.translation(0.0, 0.0, BUBBLE_DEEPER_MM) @ bubble.alignment_from_sensor

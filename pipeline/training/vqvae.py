@@ -8,9 +8,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from pipeline.base.arrays import Floats
+from pipeline.base.errors import SettingProblem
 from pipeline.base.params import setting
 from pipeline.networks.squares import Kind, measured, normal
-from pipeline.training.paired_touches import PairedTouch, paired_touch
+from pipeline.sensors import alignment
+from pipeline.stages.generate.picture_input import laid
+from pipeline.training.devices import bare
+from pipeline.training.paired_touches import PairedTouch, described, paired_touch
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -34,6 +39,9 @@ class VqVaeTask:
     mirrored: float = setting(
         0.0, "Share of mirrored touches", low=0.0, high=1.0, help="as the paper's; a mirrored gel has mirrored lamps"
     )
+    laid: bool = setting(
+        False, "Sources drawn where the target looks", help="as the network's own `laid` says; off for the paper's"
+    )
     codebook: float = setting(1.0, "Weight of the codebook", low=0.0, high=100.0)
     commitment: float = setting(0.25, "Weight of the encoder's keeping to it", low=0.0, high=100.0)
 
@@ -54,6 +62,8 @@ class VqVaeTask:
         """Mean squares: of what comes out, of codes from the encoder, and of the encoder from its codes."""
         from torch.nn import functional
 
+        if bare(network).laid != self.laid:
+            raise SettingProblem("`laid` must say the same in [network] and in [settings]")
         found = network(batch["source"])
         made = functional.mse_loss(found.made, batch["target"])
         codebook = functional.mse_loss(found.quantised, found.encoded.detach())
@@ -80,6 +90,17 @@ class VqVaeTask:
 
     def _example(self, touch: PairedTouch) -> Example:
         """The source as any unit records it, the target as the described unit does; a bubble's without noise."""
-        if self.direction == "gel_to_bubble":
-            return {"source": normal(touch.gel, "gel"), "target": normal(touch.exact_mm, "bubble")}
-        return {"source": normal(touch.bubble_mm, "bubble"), "target": normal(touch.own_gel, "gel")}
+        kinds: tuple[Kind, Kind] = ("gel", "bubble") if self.direction == "gel_to_bubble" else ("bubble", "gel")
+        if kinds[0] == "gel":
+            source, target = touch.gel, touch.exact_mm
+        else:
+            source, target = touch.bubble_mm, touch.own_gel
+        shown = _laid(source, self.direction) if self.laid else normal(source, kinds[0])
+        return {"source": shown, "target": normal(target, kinds[1])}
+
+
+def _laid(squeezed: Floats, direction: Direction) -> Floats:
+    """As the described units stand to each other, whatever the single ones do."""
+    gel, bubble = described()
+    source, target = (gel, bubble) if direction == "gel_to_bubble" else (bubble, gel)
+    return laid(squeezed, source, target, alignment.between(source, target))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Doubles, Floats, Mask, freeze
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
+from pipeline.networks.squares import normal
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 
@@ -44,6 +45,21 @@ def of_picture(
     return freeze(np.concatenate([*channels, known[None]]).astype(np.float32))
 
 
+def laid(squeezed: Floats, source: SensorSpec, target: SensorSpec, alignment: Alignment) -> Floats:
+    """(channels, side, side) of spread 1: a square of the source's change, drawn as a square of the target's.
+
+    Both as `squares.square` makes them. A gel's where the target sees it, 0 beyond; of a bubble the relief that a gel
+    feels, see `_relief`.
+    """
+    side = squeezed.shape[-1]
+    eye, onto = source.camera.resized(side, side), target.seen_through(target.camera.resized(side, side))
+    x, y, inside = _places(source, eye, onto, alignment, 1)
+    if source.kind == "bubble":
+        return freeze(_relief(squeezed[0], eye, source, x, y, inside)[None].astype(np.float32))
+    drawn = _drawn(np.ascontiguousarray(normal(squeezed, "gel").transpose(1, 2, 0)), eye, source, x, y, inside)
+    return freeze(np.ascontiguousarray(drawn.transpose(2, 0, 1)))
+
+
 def _relief(change: Floats, eye: Camera, source: SensorSpec, x: Doubles, y: Doubles, inside: Mask) -> Floats:
     """How far a smoothed bubble stays behind its top within the target's view: what a gel feels is that top."""
     import cv2
@@ -66,7 +82,7 @@ def _drawn(field: Floats, eye: Camera, source: SensorSpec, x: Doubles, y: Double
     sx, sy = field.shape[1] / eye.cols, field.shape[0] / eye.rows
     at_x, at_y = ((x + 0.5) * sx - 0.5).astype(np.float32), ((y + 0.5) * sy - 0.5).astype(np.float32)
     found = cv2.remap(field, at_x, at_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    shown = inside if field.ndim == 2 else inside[..., None]
+    shown = inside if found.ndim == 2 else inside[..., None]
     return np.where(shown, np.asarray(found, np.float32), np.float32(0.0))
 
 

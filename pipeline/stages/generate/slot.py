@@ -70,7 +70,7 @@ VQVAE = Method(
     slot="touch",
     name="vqvae",
     title="VQ-VAE, the paper's baseline",
-    help="picture to picture at 128 x 128 through a codebook; needs no depth and no alignment",
+    help="picture to picture at 128 x 128 through a codebook; needs no depth",
     run=learned(vqvae.generate, instead=picture_to_touch.BY_PHYSICS),
     params=NoParams,
     reads=(*picture_to_touch.READS, "touch_weights"),

@@ -1,4 +1,7 @@
-"""The target's touch by the paper's baseline, a VQ-VAE: the source's change at 128 x 128 in, the target's out."""
+"""The target's touch by the paper's baseline, a VQ-VAE: the source's change at 128 x 128 in, the target's out.
+
+Weights of our own are shown the change where the target looks, the published ones as the source sees it.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +22,7 @@ from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import stage as depth
 from pipeline.stages.generate import stage
+from pipeline.stages.generate.picture_input import laid
 from pipeline.stages.generate.pictured import touch_of
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import Touch
@@ -26,7 +30,7 @@ from pipeline.values.results import Touch
 if TYPE_CHECKING:
     from torch import nn
 
-NOTE = "a picture alone, from the source's picture alone: no depth, no alignment and no membrane is behind it"
+NOTE = "a picture alone, from the source's picture alone: no depth and no membrane is behind it"
 
 
 def weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:
@@ -45,7 +49,7 @@ def generate(
     frame: TactileFrame,
     source: SensorSpec,
     calibration: Calibration | None,
-    alignment: Alignment,  # noqa: ARG001 - what physics in its place reads
+    alignment: Alignment,
     target: SensorSpec,
     network: nn.Module,
     params: NoParams,  # noqa: ARG001 - nothing to set
@@ -57,7 +61,9 @@ def generate(
         raise ShapeError(f"the touch by VQ-VAE needs {source.name}'s untouched reading; give --reference")
     if depth.untouched(frame, source, calibration, depth.DepthParams()) is not None:
         return Skipped(output=stage.at_rest(target), why=stage.NO_CONTACT)
-    shown = normal(square(change(source.kind, frame.image, frame.reference)), source.kind)
+    changed = square(change(source.kind, frame.image, frame.reference))
+    drawn = getattr(network, "laid", False)
+    shown = laid(changed, source, target, alignment) if drawn else normal(changed, source.kind)
     made = measured(_answer(network, shown), target.kind)
     if getattr(network, "half_turn", False):
         made = made[:, ::-1, ::-1]

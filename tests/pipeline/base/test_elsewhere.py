@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import sys
+import threading
 import time
 import warnings
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from pipeline.base.elsewhere import workers_of
@@ -19,6 +22,7 @@ from pipeline.simulation import shapes
 
 distributed = pytest.importorskip("distributed", reason="Dask is not installed")
 ONE = shapes.names("training")[0]
+UNTOUCHED = Path(__file__).parents[3] / "sample_data" / "recordings" / "no_contact.h5"
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +86,42 @@ def test_a_recording_made_elsewhere_has_the_same_bytes(cluster, tmp_path):
         a, b = (file.stream("digit").frame(index) for file in (here, there))
         assert a.image.tobytes() == b.image.tobytes()
     assert paths[0].read_bytes() == paths[1].read_bytes()
+
+
+@pytest.mark.slow  # each process loads and draws for the first time: 20 s of processor time
+@pytest.mark.timeout(600)
+@pytest.mark.filterwarnings("ignore")
+def test_frames_translated_elsewhere_are_those_translated_here_though_a_worker_dies(cluster, tmp_path, monkeypatch):
+    """One of two workers is killed once a frame is there: none is lost, what was done is not done again."""
+    monkeypatch.chdir(tmp_path)  # workers have another folder
+    shutil.copy(UNTOUCHED, "still.h5")
+    frames = "frame_0000", "frame_0001", "frame_0002"
+    common = ["translate", "still.h5", "--target", "digit", "--sensor", "gelslim", "--all"]
+    written = {}
+
+    def kill_one():
+        while not (done := list(Path("there").glob("frame_*/frame.json"))):
+            time.sleep(0.02)
+        written.update({path: path.stat().st_mtime_ns for path in done})
+        os.kill(pids(cluster)[0], signal.SIGKILL)
+
+    killer = threading.Thread(target=kill_one, daemon=True)
+    killer.start()
+    assert run(build(), [*common, "--out", "there", "--scheduler", cluster.scheduler_address]) == 0
+    assert not killer.is_alive()
+    assert {path: path.stat().st_mtime_ns for path in written} == written
+    assert run(build(), [*common, "--out", "here"]) == 0
+    for name in frames:
+        here, there = (np.load(Path(where, name, "stages.npz")) for where in ("here", "there"))
+        assert here.files == there.files
+        assert all(here[key].tobytes() == there[key].tobytes() for key in here.files)
+
+
+def test_single_frames_stay_here(capsys):
+    common = ["translate", str(UNTOUCHED), "--target", "digit", "--out", "x", "--scheduler", "tcp://127.0.0.1:1"]
+    for more in ([], ["--all", "--follow"]):
+        assert run(build(), [*common, *more]) == EXIT_USER_ERROR
+        assert "--scheduler hands out single frames" in capsys.readouterr().err
 
 
 def test_an_address_without_a_scheduler_is_one_sentence(capsys, monkeypatch):

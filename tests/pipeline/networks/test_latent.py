@@ -76,6 +76,21 @@ def test_the_denoiser_does_not_teach_the_autoencoder():
     assert any(p.grad is not None for p in net.cond_stage_model.parameters())
 
 
+def test_its_parts_may_learn_one_after_the_other():
+    net = small().train()
+    found = net(**batch(), part="autoencoder")
+    assert found.noise is None
+    found.rebuilt.mean().backward()
+    assert all(p.grad is None for p in net.model.parameters())
+    net.zero_grad()
+    scale = net.scale_factor.clone()
+    found = net(**batch(), part="denoiser")
+    assert found.rebuilt is None
+    found.noise.abs().mean().backward()
+    assert all(p.grad is None for p in net.first_stage_model.parameters())
+    assert torch.equal(net.scale_factor, scale)
+
+
 def test_an_untold_example_is_not_shown_its_source():
     net = small().eval()
     one = batch()

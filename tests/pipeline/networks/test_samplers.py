@@ -83,9 +83,12 @@ def test_no_guidance_costs_one_pass_a_step(steps, weight):
 
 
 def test_guidance_costs_two_passes_where_it_works():
-    counted = Guided(lambda x, _: 0.5 * x, lambda x, _: 0.4 * x, plan(2.54, 50, 1e9), 1e9)
-    sample(counted, np.ones((1, 2)), sigmas(50, most=MOST, least=LEAST))
-    assert counted.passes == 100
+    how, levels = plan(2.54, 50, 1e9), sigmas(50, most=MOST, least=LEAST)
+    counted = Guided(lambda x, _: 0.5 * x, lambda x, _: 0.4 * x, how, 1e9)
+    together = Guided(counted, counted, how, 1e9, lambda x, _: (0.5 * x, 0.4 * x))
+    found = [sample(guided, np.ones((1, 2)), levels).clean for guided in (counted, together)]
+    assert counted.passes == together.passes == 100
+    assert np.array_equal(*found)
 
 
 def test_too_few_steps_to_guide_are_said():

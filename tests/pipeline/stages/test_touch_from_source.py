@@ -9,13 +9,16 @@ import pytest
 import torch
 
 from pipeline.engine.graph import Graph
+from pipeline.geometry import rigid
 from pipeline.networks.building import build
+from pipeline.networks.squares import SIDE, change, normal, square
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.physics import optics
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import sensor
 from pipeline.stages.feel.stage import NO_MEMBRANE
 from pipeline.stages.generate import vqvae
+from pipeline.stages.generate.picture_input import laid
 from pipeline.stages.generate.pictured import touch_of
 from pipeline.stages.generate.stage import at_rest
 from pipeline.stages.pose import network as pose_network
@@ -104,6 +107,34 @@ def test_half_a_turn_turns_the_answer(touched):
     assert np.allclose(made[0][::-1, ::-1], made[1], atol=0.05)
 
 
+def test_a_source_is_drawn_where_the_target_looks():
+    """A spot of the gel's square lands where the bubble's camera sees that place of the gel's surface."""
+    both = alignment.between(GEL, BUBBLE)
+    eye, onto = (one.camera.resized(SIDE, SIDE) for one in (GEL, BUBBLE))
+    rest = float(np.median(GEL.rest_depth_mm))
+    for row, col in ((40, 30), (64, 64), (90, 100)):
+        spot = np.zeros((3, SIDE, SIDE), np.float32)
+        spot[:, row - 4 : row + 5, col - 4 : col + 5] = 0.5
+        place = np.array([(col - eye.cx_px) / eye.fx_px * rest, (row - eye.cy_px) / eye.fy_px * rest, rest])
+        x, y, seen = onto.project(rigid.apply(both.target_from_source, place[None]))
+        assert seen.all()
+        moved = laid(spot, GEL, BUBBLE, both) - laid(np.zeros_like(spot), GEL, BUBBLE, both)
+        weight = moved[0] / moved[0].sum()
+        rows, cols = np.mgrid[:SIDE, :SIDE]
+        assert abs(float((weight * rows).sum()) - y[0]) < 0.6
+        assert abs(float((weight * cols).sum()) - x[0]) < 0.6
+
+
+def test_weights_taught_on_drawn_sources_are_shown_such_and_others_are_not(touched, monkeypatch):
+    seen = []
+    monkeypatch.setattr(vqvae, "_answer", lambda _net, shown: seen.append(shown) or np.zeros((1, SIDE, SIDE)))
+    for drawn in (False, True):
+        run(touched, weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8, laid=drawn))
+    plain = square(change("gel", touched.image, touched.reference))
+    assert np.array_equal(seen[0], normal(plain, "gel"))
+    assert np.array_equal(seen[1], laid(plain, GEL, BUBBLE, alignment.between(GEL, BUBBLE)))
+
+
 def test_a_change_is_laid_onto_the_untouched_reading():
     change = np.zeros((*GEL.camera.shape, 3), np.float32)
     change[10, 20] = (0.1, -0.1, 2.0)
@@ -116,7 +147,6 @@ def test_a_change_is_laid_onto_the_untouched_reading():
 
 
 def test_a_pose_by_network_is_the_told_one_on_the_felt_surface(touched):
-    from pipeline.geometry import rigid
     from pipeline.simulation import shapes
 
     mesh = shapes.shape("star").mesh
