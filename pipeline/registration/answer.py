@@ -37,6 +37,7 @@ def answered(search: Search, found: Sequence[Minimum]) -> Answered | None:
         return None
     first = found[0].fit.sensor_from_object
     known = search.determined(first)
+    known = replace(known, covariance=search.match(first).covariance(search.middle_mm, known))
     shown = _shown(search, first, known)
     unseen = known.weak_motions[[not s for s in shown]]
     others = search.equals(first, [m.fit.sensor_from_object for m in found[1:]], unseen)

@@ -18,6 +18,7 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles
 from pipeline.geometry.screws import in_words
+from pipeline.values.results import DepthError
 
 MIN_NOISE_MM = 1e-3  # of a tactile depth; keeps a perfect fit from claiming certainty
 NORMAL_ERROR_DEG = 3.0
@@ -26,6 +27,7 @@ NORMAL_ERROR_DEG = 3.0
 Facets that leave a round part of 1 mm radius by 2 um are off by 2 degrees, and errors that hang together over a patch
 exceed their mean. It is also where an offset of all depths by 10 um shifts the answer by 0.2 mm: less slope is no hold.
 """
+_MOST_PAIRED = 500  # points whose errors are compared with each other's
 _NOTHING = 1e-9  # share of the information that stands for none, so that no variance is infinite
 
 
@@ -93,6 +95,38 @@ def observability(
         lasting_mm=lasting_mm,
         tolerances=tolerances,
     )
+
+
+def correlated(
+    points_mm: Doubles,
+    normals: Doubles,
+    about_mm: Doubles,
+    observable: Doubles,
+    *,
+    noise_mm: float,
+    error: DepthError,
+    lasting_mm: float = 0.0,
+) -> Doubles:
+    """(6, 6) covariance of (rotation rad, translation mm) of the `observable` motions, by errors that go together.
+
+    (J^T J)^-1 J^T C J (J^T J)^-1: C is that of single points' noise, of `error`, which is rms^2 exp(-d^2 / (2 l^2))
+    between points d apart, and of what no number of points averages away. A turn feels of a smooth error what differs
+    across the contact, a shift what does not: no one count of independent points serves both.
+    """
+    arms = points_mm - about_mm
+    radius_mm = max(float(np.sqrt((arms**2).sum(axis=1).mean())), 1e-6)
+    to_mm = np.array([radius_mm] * 3 + [1.0] * 3)
+    jacobian = np.concatenate([np.cross(arms, normals) / radius_mm, normals], axis=1)
+    some = np.s_[:: -(-len(points_mm) // _MOST_PAIRED)]
+    apart_sq = ((points_mm[some][:, None] - points_mm[some][None]) ** 2).sum(axis=-1)
+    together = np.exp(apart_sq * (-0.5 / error.correlation_mm**2))
+    pulls = jacobian[some].T @ together @ jacobian[some] / len(together) ** 2
+    projector = observable * to_mm[:, None] / to_mm[None, :]
+    whole = _covariance(jacobian.T @ jacobian / len(points_mm), projector, 1.0)
+    known = projector @ whole @ projector
+    alone, shape = max(noise_mm, MIN_NOISE_MM) ** 2 / len(points_mm) + lasting_mm**2, error.rms_mm**2
+    found = alone * known + shape * known @ pulls @ known + (alone + shape) * (whole - known)
+    return 0.5 * (found + found.T) / np.outer(to_mm, to_mm)
 
 
 def effective_count(n_points: int, area_mm2: float, correlation_mm: float) -> float:

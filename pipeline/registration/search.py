@@ -17,13 +17,8 @@ from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry import rigid
 from pipeline.geometry.screws import SLIDE
 from pipeline.registration.gauss_newton import Fit, How, NotDetermined, Points, fitted, registered, way
-from pipeline.registration.observability import (
-    NORMAL_ERROR_DEG,
-    Observability,
-    Tolerances,
-    effective_count,
-    observability,
-)
+from pipeline.registration.matched import Matched, matched
+from pipeline.registration.observability import NORMAL_ERROR_DEG, Observability, Tolerances
 from pipeline.registration.outline import moved, placed
 from pipeline.registration.prepared import Prepared
 from pipeline.registration.ranking import LEAST_SPREAD_MM, Judge, apart, judge
@@ -43,10 +38,6 @@ _QUICK_POINTS, _QUICK_ITERATIONS, _QUICK_SETTLED_MM = 100, 10, 0.02
 _GAIN = 0.95  # of the misfit: while a registration gains more, it is not at its end
 _POLISHED_SHARE = 4.0  # the last registration searches this many times nearer
 _OUTLINE_REACH_MM = 4.0  # object this far beyond the contact may stick out beside it
-_OF_SPREAD = 1.16  # standard error of a spread that the median tells, times the root of how many points
-_SAME_SURFACE = 0.5  # cosine of felt and modelled normal from which on both show one surface
-_FEWEST = 20  # points that observability rests on
-LASTING_MM = 0.0006  # of all depths together: between nodes 0.1 mm apart a sphere of 5 mm radius sags by half of it
 _MOST = 0.8  # share of the contact that lies on an object which explains it
 _FAR = 3.0  # standard deviations
 _NEAR = 2.0  # times the best one's misfit that few points may show of an equal one
@@ -261,29 +252,11 @@ class Search:
         n_felt, n_model = (_DENSE_FELT, _DENSE_MODEL) if dense else (_OUTLINE_FELT, _OUTLINE_MODEL)
         return judge(self.scene, self.object.grid, part, n_felt, n_model, self.max_distance_mm)
 
-    def determined(self, pose: Doubles) -> Observability:
-        """From the object's normals where the scene lies on it, turned into the sensor frame.
+    def match(self, pose: Doubles) -> Matched:
+        """What of the scene shows the object that is placed so."""
+        return matched(self.scene, self.object.grid, pose)
 
-        Noise of single pixels averages away; what is left of the residuals' spread, or the sensor's measured error if
-        that is more, does so only over its correlation length.
-        """
-        points = self.scene.points_mm
-        distance_mm, gradients = self.object.grid.at(rigid.apply(rigid.invert(pose), points))
-        size = np.linalg.norm(gradients, axis=1, keepdims=True)
-        normals = (gradients / np.maximum(size, 1e-12)) @ pose[:3, :3].T
-        spread_mm = 1.4826 * float(np.median(np.abs(distance_mm)))  # robust: the rim of a contact is not noise
-        # On a flat face's rim the wall beside it may be nearest, which was not felt and determines nothing.
-        felt = np.einsum("ij,ij->i", normals, self.scene.normals) > _SAME_SURFACE
-        if felt.sum() < _FEWEST:
-            felt[:] = True
-        error = self.scene.error
-        noise_mm = min(self.scene.noise_mm, spread_mm)
-        told_mm = max(spread_mm * (1.0 - _OF_SPREAD / math.sqrt(len(points))), noise_mm)
-        shape_mm = max(math.sqrt(told_mm**2 - noise_mm**2), error.rms_mm)
-        area_mm2 = self.scene.area_mm2 * float(felt.mean())
-        n_places = effective_count(int(felt.sum()), area_mm2, error.correlation_mm)
-        return observability(
-            points[felt], normals[felt], self.middle_mm, noise_mm,
-            lasting_mm=math.hypot(shape_mm / math.sqrt(n_places), LASTING_MM),
-            tolerances=self._tolerances(pose, size[felt]),
-        )  # fmt: skip
+    def determined(self, pose: Doubles) -> Observability:
+        """Which motions the scene determines where the object is placed so."""
+        match = self.match(pose)
+        return match.determined(self.middle_mm, self._tolerances(pose, match.slopes))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -40,4 +41,5 @@ def depth(
     stage.checked(frame, source)
     seen_by = source if frame.camera is None else source.seen_through(frame.camera)
     least_mm = source.limits.contact_min_mm
-    return bubble_network.depth(frame, seen_by, network, certainty=params.certainty, least_mm=least_mm)
+    found = bubble_network.depth(frame, seen_by, network, certainty=params.certainty, least_mm=least_mm)
+    return replace(found, error=stage.measured_error(source))

@@ -75,27 +75,27 @@ def depth(
     progress.step(0.0, "comparing with the untouched frame")
     checked(frame, source)
     seen_by = source if frame.camera is None else source.seen_through(frame.camera)
+    least_mm = params.contact_limit * source.limits.contact_min_mm
     if frame.is_depth:
-        return bubble_depth.depth(
-            frame,
-            seen_by,
-            smoothing_px=params.smoothing_px,
-            least_mm=params.contact_limit * source.limits.contact_min_mm,
-        )
+        found = bubble_depth.depth(frame, seen_by, smoothing_px=params.smoothing_px, least_mm=least_mm)
+        return replace(found, error=measured_error(source))
     look_up = calibration if calibration is not None else built_in(seen_by)
     found = gel_depth.depth(
         frame, seen_by, look_up,
         no_touch_grey=source.limits.no_touch / params.sensitivity,
-        least_mm=params.contact_limit * source.limits.contact_min_mm,
+        least_mm=least_mm,
         pressure_share=params.pressure_share,
         smoothing_px=params.smoothing_px,
         boundary=params.boundary,
         progress=progress,
     )  # fmt: skip
-    if not source.limits.depth_rms_mm:
-        return found
-    error = DepthError(rms_mm=source.limits.depth_rms_mm, correlation_mm=source.limits.depth_correlation_mm)
-    return replace(found, error=error)
+    return replace(found, error=measured_error(source))
+
+
+def measured_error(source: SensorSpec) -> DepthError | None:
+    """What a sensor's depth is known to be off by where it touches; None where nobody has measured it."""
+    rms_mm = source.limits.depth_rms_mm
+    return DepthError(rms_mm=rms_mm, correlation_mm=source.limits.depth_correlation_mm) if rms_mm else None
 
 
 def recorded(

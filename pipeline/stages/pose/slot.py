@@ -33,7 +33,7 @@ SIGNED_DISTANCES = Method(
     run=unless(stage.nothing_to_pose, stage.posed),
     params=stage.PoseParams,
     reads=("felt", "mesh", "previous"),
-    version=4,
+    version=5,
 )
 PAPER_2D = Method(
     slot="pose",

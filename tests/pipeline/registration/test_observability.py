@@ -13,9 +13,11 @@ from pipeline.geometry import rigid
 from pipeline.registration.observability import (
     MIN_NOISE_MM,
     Tolerances,
+    correlated,
     effective_count,
     observability,
 )
+from pipeline.values.results import DepthError
 
 NORMAL_NOISE_DEG = 2.0  # in each of two directions: crooked gradients of a distance grid
 NOISE_MM = 0.03
@@ -189,3 +191,17 @@ def test_too_little_of_anything_leaves_everything_open():
     assert np.isfinite(told.covariance).all()
     assert np.isfinite(told.weak_motions).all()
     assert len(told.weak) == 5
+
+
+@pytest.mark.parametrize("correlation_mm", [0.2, 1.5, 8.0])
+def test_errors_that_go_together_widen_each_motion_as_draws_of_them_do(correlation_mm):
+    tool = patch("tool", 5, np.eye(4), 300)
+    middle = tool.points_mm.mean(axis=0)
+    error = DepthError(rms_mm=0.03, correlation_mm=correlation_mm)
+    known = observability(tool.points_mm, tool.normals, middle, 0.01).observable
+    told = correlated(tool.points_mm, tool.normals, middle, known, noise_mm=0.01, error=error)
+    apart = np.linalg.norm(tool.points_mm[:, None] - tool.points_mm[None], axis=-1)
+    drawn = error.rms_mm**2 * np.exp(-0.5 * (apart / correlation_mm) ** 2) + 0.01**2 * np.eye(300)
+    jacobian = np.concatenate([np.cross(tool.points_mm - middle, tool.normals), tool.normals], axis=1)
+    moved = np.linalg.pinv(jacobian) @ np.linalg.cholesky(drawn) @ np.random.default_rng(0).standard_normal((300, 4000))
+    np.testing.assert_allclose(np.sqrt(np.diag(told)), moved.std(axis=1), rtol=0.05)

@@ -1,4 +1,4 @@
-"""The error of measured depth that a sensor's description states: this is also where it was measured."""
+"""The error of measured depth that a sensor's description states; `benchmarks/pose_covariance.py` measured it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pipeline.stages.pose.stage import PoseParams, pose_from
 from pipeline.values.frames import TactileFrame
 
 PRESSES = 6
-WITHIN = 1.5  # six presses tell a median to some 30 %
+WITHIN, LENGTHS_WITHIN = 1.5, 2.5  # one object's six presses, beside all that it was measured on
 
 
 def measured(name):
@@ -44,7 +44,7 @@ def test_measured_depth_carries_the_error_that_presses_show(name):
     (rms_mm, correlation_mm), told = measured(name)
     assert told.rms_mm == sensor(name).limits.depth_rms_mm
     assert 1 / WITHIN < told.rms_mm / rms_mm < WITHIN
-    assert 1 / WITHIN < told.correlation_mm / correlation_mm < WITHIN
+    assert 1 / LENGTHS_WITHIN < told.correlation_mm / correlation_mm < LENGTHS_WITHIN
 
 
 @pytest.mark.parametrize("name", ["digit", "gelslim_dotless"])

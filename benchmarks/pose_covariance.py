@@ -1,0 +1,191 @@
+"""Are poses as far off as their covariance says? On depth as it is measured, and on exact depth with modelled noise.
+
+    python benchmarks/pose_covariance.py [PART OF A SENSOR'S NAME]
+
+Catalogue objects are pressed into every simulated sensor. *Measured* is what the slot *depth* makes of the sensor's
+picture, by physics and, of a bubble, by the network; *modelled* is the true membrane with white noise of 0.01 mm and
+the error that the sensor's description states, drawn as a smooth field. A pose begins at the truth, so that its error
+is that of the measurement and no other minimum's. Told is its chi-square under its covariance, in the directions that
+it calls determined, as the median over touches over what a right covariance's median would be: above 1 poses are
+farther off than they say. The error of a row is how many times that is too much or too little; the peer is the same
+without the sensor's measured error. Beside them stands the error of measured depth and the length over which it hangs
+together, median and mean over the touches: what sensors are described with lies between the two.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+from scipy.stats import chi2
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.depth_reader import reader
+from benchmarks.races import Bar, row, timing
+from pipeline.base.arrays import freeze
+from pipeline.geometry import rigid
+from pipeline.geometry.meshes import Mesh
+from pipeline.racing.races import Answer
+from pipeline.racing.report import show
+from pipeline.sensors.spec import SensorSpec, names, sensor
+from pipeline.simulation import shapes
+from pipeline.simulation.poses import paper_grid
+from pipeline.simulation.press import Press, photograph, press
+from pipeline.stages.pose.stage import PoseParams, pose_from
+from pipeline.values.frames import TactileFrame
+from pipeline.values.pixel_index import pixel_index
+from pipeline.values.results import DepthError, DepthMap
+
+OBJECTS = ("letters", "curve", "cross", "star")
+"""Of the catalogue's, those whose contacts determine a pose."""
+PRESSES = 6  # of each
+_WHITE_MM = 0.01
+_COMPUTED = DepthError(rms_mm=0.03, correlation_mm=0.5)  # where nobody has measured a sensor's
+NEEDS = "five minutes"
+_PARAMS = PoseParams(keep_steps=False)
+_OFF = 2.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Judged:
+    """Touches of one sensor by one depth."""
+
+    told: tuple[float, ...]  # chi-square over what a right covariance has as its median
+    naive: tuple[float, ...]  # without the measured error
+    ms: tuple[float, ...]  # a pose, of the processor
+    shift_um: tuple[float, ...]  # that the pose is off at the contact's middle, where determined
+
+    @property
+    def ratio(self) -> float:
+        """Its median."""
+        return float(np.median(self.told)) if self.told else float("nan")
+
+
+@lru_cache(maxsize=1)
+def touches(name: str) -> tuple[tuple[Press, Mesh], ...]:
+    """Presses of a sensor that converged and touch."""
+    return tuple(_pressed(sensor(name)))
+
+
+def _pressed(spec: SensorSpec) -> Iterator[tuple[Press, Mesh]]:
+    for index, name in enumerate(OBJECTS):
+        mesh = shapes.shape(name).mesh
+        for k, at in enumerate(paper_grid(mesh, n=PRESSES, seed=17 + index)):
+            made = press(mesh, at, spec, seed=k)
+            if made.converged and made.truth.contact is not None and made.truth.contact.any():
+                yield made, mesh
+
+
+def measured(made: Press, spec: SensorSpec, method: str) -> DepthMap:
+    """What the slot makes of the picture."""
+    rest = np.zeros(spec.camera.shape, np.float32)
+    untouched = photograph(spec, rest, spec.rest_depth_mm, 100)
+    return reader(method)(TactileFrame(sensor=spec.name, image=made.image, reference=untouched), spec)
+
+
+def modelled(made: Press, spec: SensorSpec, seed: int) -> DepthMap:
+    """The true membrane with white noise and a smooth error."""
+    rng, limits = np.random.default_rng([seed, 23]), spec.limits
+    error = _COMPUTED
+    if limits.depth_rms_mm:
+        error = DepthError(rms_mm=limits.depth_rms_mm, correlation_mm=limits.depth_correlation_mm)
+    sigma_px = error.correlation_mm / spec.pixel_mm / np.sqrt(2.0)
+    field = gaussian_filter(rng.standard_normal(spec.camera.shape), sigma_px, mode="wrap", truncate=3.0)
+    field *= error.rms_mm * 2.0 * np.sqrt(np.pi) * sigma_px  # what smoothing left of a unit variance
+    depth = spec.rest_depth_mm - made.truth.indentation_mm + field + _WHITE_MM * rng.standard_normal(field.shape)
+    return DepthMap(
+        indentation_mm=freeze((spec.rest_depth_mm - depth).astype(np.float32)),
+        depth_mm=freeze(depth.astype(np.float32)), contact=made.truth.contact, camera=spec.camera,
+        source_index=pixel_index(spec.camera.shape), error=error,
+    )  # fmt: skip
+
+
+def chi_square(felt: DepthMap, made: Press, mesh: Mesh) -> tuple[float, float] | None:
+    """(chi-square of the error over its right median, mm that the middle is off); None where nothing is determined."""
+    truth = made.truth.sensor_from_object
+    found = pose_from(felt, mesh, _PARAMS, truth)
+    if found.sensor_from_object is None or (rank := round(float(np.trace(found.observable)))) == 0:
+        return None
+    off, middle = found.sensor_from_object @ rigid.invert(truth), found.scene_mm.mean(axis=0).astype(float)
+    error = np.concatenate([rigid.rotation_vector_rad(off), rigid.apply(off, middle) - middle])
+    error, known = found.observable @ error, found.observable @ found.covariance @ found.observable.T
+    told = float(error @ np.linalg.pinv(known, rcond=1e-10, hermitian=True) @ error)
+    return told / float(chi2.median(rank)), float(np.linalg.norm(error[3:]))
+
+
+def judged(spec: SensorSpec, how: str) -> Judged:
+    """All touches of a sensor, by a method of *depth* or "modelled"."""
+    told, naive, ms, shift = list[float](), list[float](), list[float](), list[float]()
+    for k, (made, mesh) in enumerate(touches(spec.name)):
+        felt = modelled(made, spec, k) if how == "modelled" else measured(made, spec, how)
+        began_s = time.process_time()
+        found = chi_square(felt, made, mesh) if felt.contact.any() else None
+        taken_ms = 1e3 * (time.process_time() - began_s)
+        if found is None:
+            continue
+        plain = chi_square(replace(felt, error=None), made, mesh)
+        told.append(found[0])
+        shift.append(1e3 * found[1])
+        ms.append(taken_ms)
+        naive.append(found[0] if plain is None else plain[0])
+    return Judged(told=tuple(told), naive=tuple(naive), ms=tuple(ms), shift_um=tuple(shift))
+
+
+def error_of_depth(spec: SensorSpec, how: str) -> str:
+    """Over touches: rms in contact, and the length at which the error's correlation is exp(-1/2)."""
+    found: list[tuple[float, float]] = []
+    for made, _mesh in touches(spec.name):
+        told = measured(made, spec, how)
+        both = told.contact & made.truth.contact
+        if both.sum() < 100:
+            continue
+        error = np.where(both, made.truth.indentation_mm - told.indentation_mm, 0.0).astype(float)
+        counted, products = (_with_itself(a)[0, : spec.camera.cols // 2] for a in (both.astype(float), error))
+        along = products / np.maximum(counted, 50.0)
+        length_px = np.flatnonzero(np.append(along, -np.inf) < along[0] * np.exp(-0.5))[0]
+        found.append((np.sqrt(along[0]), length_px * spec.pixel_mm))
+    (rms_mm, length_mm), (mean_mm, mean_length_mm) = np.median(found, axis=0), np.mean(found, axis=0)
+    return f"{rms_mm:.3f} mm over {length_mm:.1f} mm (means {mean_mm:.3f} over {mean_length_mm:.1f})"
+
+
+def _with_itself(image: np.ndarray) -> np.ndarray:
+    return np.fft.irfft2(np.abs(np.fft.rfft2(image, [2 * n for n in image.shape])) ** 2)
+
+
+def _ways(spec: SensorSpec) -> tuple[str, ...]:
+    return ("physics", "network", "modelled") if spec.kind == "bubble" else ("physics", "modelled")
+
+
+def answer(part: str = "") -> Answer:
+    rows, notes = [], []
+    for spec in (sensor(name) for name in names() if part in name):
+        for how in _ways(spec):
+            found = judged(spec, how)
+            factor, plain = (max(r, 1.0 / r) for r in (found.ratio, float(np.median(found.naive))))
+            rows.append(row(
+                f"{spec.name}, {how}: covariance, times off", ours=timing(found.ms), ours_error=factor,
+                unit="times", bar=Bar(error=_OFF), peer="residuals alone", peer_error=plain,
+            ))  # fmt: skip
+            low, high = np.percentile(found.told, (25, 75))
+            told = (
+                f"{spec.name}, {how}: chi-square {found.ratio:.2f} of a right one's ({low:.2f} to {high:.2f}: half of "
+                f"{len(found.told)} touches), {np.median(found.naive):.2f} without the measured error; "
+                f"middle off {np.median(found.shift_um):.0f} um"
+            )
+            if how != "modelled":
+                said = spec.limits
+                told += f"; depth off by {error_of_depth(spec, how)}"
+                told += f", described as {said.depth_rms_mm:g} over {said.depth_correlation_mm:g}"
+            notes.append(told)
+    return Answer(title="Errors of poses beside their covariance", unit="times", rows=tuple(rows), notes=tuple(notes))
+
+
+if __name__ == "__main__":
+    show(answer(*sys.argv[1:2]))
