@@ -4,7 +4,8 @@ At the strongest noise nothing is left to see but the condition, and nothing is 
 2024): the answer there is the posterior's middle, which one step gives. There errors count as squares where they are
 small and by themselves where they are large (Huber), so that a body which is rarely there draws the middle less than
 one which mostly is. Through less noise they count as squares alone: samples follow the mean of what is possible, and
-come out all alike where they follow its median.
+come out all alike where they follow its median. What a gel's picture shows are slopes: errors of theirs count as
+squares, so that one step gives the middle of all pictures, without edges whose place is not known.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.networks.samplers import sample, sigmas
-from pipeline.stages.generate.diffusion import LOG_SPREAD, taken
+from pipeline.stages.generate.caution import taken
+from pipeline.stages.generate.diffusion import LOG_SPREAD
 from pipeline.training.devices import bare
 
 if TYPE_CHECKING:
@@ -30,8 +32,13 @@ _HUBER = 0.25  # units
 _FEW = 6  # steps of the sample among the figures
 
 
-def loss(network: nn.Module, batch: Mapping[str, Tensor], near: float) -> tuple[Tensor, dict[str, Any]]:
-    """The error of the clean residual and of the spread that is said of it; `near`: how much more contact counts."""
+def loss(
+    network: nn.Module, batch: Mapping[str, Tensor], near: float, slopes: float = 0.0
+) -> tuple[Tensor, dict[str, Any]]:
+    """The error of the clean residual and of the spread that is said of it.
+
+    `near`: how much more contact counts; `slopes`: the weight of what differs from pixel to pixel.
+    """
     import torch
     from torch.nn import functional
 
@@ -57,6 +64,9 @@ def loss(network: nn.Module, batch: Mapping[str, Tensor], near: float) -> tuple[
     spread = (off.detach().abs() * torch.exp(-log) + log).mean()
     parts = {"residual": residual, "contact": contact, "spread": spread}
     total = residual + 0.5 * contact + 0.05 * spread
+    if slopes > 0.0:
+        parts["slopes"] = sum(off.diff(dim=axis).square().mean() for axis in (-1, -2))
+        total = total + slopes * parts["slopes"]
     return total, {name: part.detach() for name, part in parts.items()}
 
 
@@ -84,7 +94,7 @@ def figures(network: nn.Module, held_out: Sequence[Example], unit_mm: float) -> 
             first = network(noises[0] * net.most, torch.full((1,), float(net.most)), condition)[0].numpy()
             levels = sigmas(_FEW, most=net.most, least=net.least)
             drawn, other = (sample(denoise, noise, levels).clean[0].numpy() for noise in noises)
-        held = first[0] * taken(first[0], np.exp(np.clip(first[2], *LOG_SPREAD)), 1.0)
+        held = first[0] * taken(first[0], np.exp(np.clip(first[2], *LOG_SPREAD)))
         mm, touched = unit_mm * example["residual"][0], example["contact"][0] > 0
         base, right = example["contact"][1], example["contact"][0]
         found = ((first[0], first[1]), (drawn[0], drawn[1]), (held, first[1]), (0.0 * first[0], 0.0 * first[1]))

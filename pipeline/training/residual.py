@@ -36,6 +36,7 @@ class ResidualOfView:
     press_seed: int = setting(1, "Seed of the presses", low=0, high=2**31 - 1)
     folder: str = setting("", "Folder", help="keeps the presses for other runs; empty = worked out each time")
     near: float = setting(1.0, "Weight of the contact", low=0.0, high=100.0)
+    slopes: float = setting(0.0, "Weight of the slopes", low=0.0, high=1000.0, help="of what a gel's picture shows")
     turned: float = setting(0.5, "Share of turned and mirrored examples", low=0.0, high=1.0)
 
     def sample(self, rng: np.random.Generator) -> Example:
@@ -49,7 +50,7 @@ class ResidualOfView:
 
     def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
         """See `denoising.loss`."""
-        return denoising.loss(network, batch, self.near)
+        return denoising.loss(network, batch, self.near, self.slopes)
 
     def figures(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
         """See `denoising.figures`."""

@@ -15,20 +15,21 @@ from pipeline.values.results import DepthMap, Touch, TouchStep
 _HALF = 0.5
 
 
-def corrected(first: Touch, target: SensorSpec, found: Sampled, seed: int | None) -> Touch:
+def corrected(first: Touch, target: SensorSpec, found: Sampled, seed: int | None, blur_mm: float = 0.0) -> Touch:
     """`first` with a sample's correction, drawn from the working grid to the target's own pixels.
 
     The membrane goes no deeper than the sensor can be pressed. `seed` is of the sensor's noise, None = no noise. All of
-    the picture is told, `membrane.spread_mm` says how surely.
+    the picture is told, `membrane.spread_mm` says how surely. `blur_mm` is of all of the membrane: a picture shows its
+    slopes, and an edge whose place is unsure is in the middle of all pictures as wide as that.
     """
     at_first = first.membrane
     assert at_first is not None
     spread = freeze(_sized(found.spread_mm, target.camera.shape))
-    image, told = _touch(at_first, target, found.last, seed)
+    image, told = _touch(at_first, target, found.last, seed, blur_mm)
     steps = [
         TouchStep(image=drawn, sigma=state.sigma, membrane=membrane)
         for state in found.states
-        for drawn, membrane in (_touch(at_first, target, state, None),)
+        for drawn, membrane in (_touch(at_first, target, state, None, blur_mm),)
     ]
     return replace(
         first,
@@ -40,9 +41,13 @@ def corrected(first: Touch, target: SensorSpec, found: Sampled, seed: int | None
     )
 
 
-def _touch(first: DepthMap, target: SensorSpec, state: State, seed: int | None) -> tuple[Image | Floats, DepthMap]:
+def _touch(
+    first: DepthMap, target: SensorSpec, state: State, seed: int | None, blur_mm: float
+) -> tuple[Image | Floats, DepthMap]:
     shape = target.camera.shape
     surface = first.indentation_mm + _sized(state.residual_mm, shape)
+    if blur_mm > 0.0:
+        surface = _blurred(surface, blur_mm / target.pixel_mm)
     surface = np.minimum(surface, np.float32(target.limits.indentation_max_mm)).astype(np.float32)
     contact: Mask = first.contact.astype(np.float32) + _sized(state.contact, shape) > _HALF
     depth: Floats = (target.rest_depth_mm - surface).astype(np.float32)
@@ -60,6 +65,12 @@ def on_grid(field: Floats | Mask, shape: tuple[int, int]) -> Floats:
     if whole.shape == shape:
         return whole
     return np.asarray(cv2.resize(whole, shape[::-1], interpolation=cv2.INTER_AREA), np.float32)
+
+
+def _blurred(field: Floats, by_px: float) -> Floats:
+    import cv2
+
+    return np.asarray(cv2.GaussianBlur(field, (0, 0), by_px), np.float32)
 
 
 def _sized(field: Floats, shape: tuple[int, int]) -> Floats:

@@ -53,7 +53,7 @@ class DiffusionParams:
     )  # fmt: skip
     caution: float = setting(
         1.0, "Caution", unit="share", low=0.0, high=1.0, step=0.1,
-        help="in one step: 1 holds back what is expected to be off by as much as it changes; 0 takes it all",
+        help="in one step: 1 leaves it to physics where the network expects to be off by as much; 0 takes all it says",
         source="Wiener's gain, m^2 / (m^2 + s^2) of the middle m and the expected error s",
     )  # fmt: skip
     keep_states: bool = setting(
@@ -119,7 +119,9 @@ def sampled(network: nn.Module, condition: Floats, params: DiffusionParams, prog
     denoise = Guided(by(shown), by(torch.zeros_like(shown)), how, net.reach)
     with torch.inference_mode():
         rng = torch.Generator().manual_seed(params.seed)
-        noise = smoothed(torch.randn((1, 2, *shown.shape[2:]), generator=rng), net.smooth)
+        noise = torch.zeros((1, 2, *shown.shape[2:]))  # of one step nothing is seen through it
+        if params.steps > 1:
+            noise = smoothed(torch.randn(noise.shape, generator=rng), net.smooth)
         levels = sigmas(params.steps, most=net.most, least=net.least)
         found = sample(
             denoise, noise, levels, solver=params.sampler, most_degree=how.most_degree, keep=params.keep_states,
@@ -127,13 +129,11 @@ def sampled(network: nn.Module, condition: Floats, params: DiffusionParams, prog
         )  # fmt: skip
         if not first:  # never asked with its condition: guidance 0
             first.append(net(noise * net.most, torch.full((1,), net.most), shown))
-    middle = net.unit_mm * first[0][0].numpy()
     spread = net.unit_mm * np.exp(np.clip(first[0][0, 2].numpy(), *LOG_SPREAD))
-    share = taken(middle[0], spread, params.caution if params.steps == 1 else 0.0)  # a sample is one of many: all of it
 
     def state(sigma: float, clean: Tensor) -> State:
         field = clean[0].numpy()
-        return State(sigma=sigma, residual_mm=freeze(net.unit_mm * field[0] * share), contact=freeze(field[1].copy()))
+        return State(sigma=sigma, residual_mm=freeze(net.unit_mm * field[0]), contact=freeze(field[1].copy()))
 
     stride = max(1, -(-len(found.steps) // _MOST_KEPT))
     kept = found.steps[::-1][::stride][::-1]  # the last one is among them
@@ -141,13 +141,6 @@ def sampled(network: nn.Module, condition: Floats, params: DiffusionParams, prog
         last=state(0.0, found.clean), spread_mm=freeze(spread.astype(np.float32)), passes=denoise.passes,
         states=tuple(state(step.sigma, step.clean) for step in kept), notes=(how.note,) if how.note else (),
     )  # fmt: skip
-
-
-def taken(middle_mm: Floats, spread_mm: Floats, caution: float) -> Floats:
-    """The share 0..1 of a correction that is taken: less where the middle of all samples is as small as its error."""
-    square = middle_mm**2
-    sure = square / (square + spread_mm**2 + np.float32(1e-12))
-    return (1.0 - caution * (1.0 - sure)).astype(np.float32)
 
 
 class _Between:

@@ -7,12 +7,15 @@ coarse pixels would average away are still told.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, Mask, freeze
+from pipeline.base.memo import Memo
+from pipeline.engine.digests import content
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.networks.squares import normal
@@ -35,13 +38,13 @@ def of_picture(
     cols) of a bubble in mm toward the camera; NaN where there is no reading counts as no change.
     """
     finer = FINER[source.kind]
-    x, y, inside = _places(source, eye, target, alignment, finer)
+    places = _places(source, eye, target, alignment, finer)
     field = np.nan_to_num(np.asarray(change, np.float32))
-    drawn = _drawn(field, eye, source, x, y, inside) / np.float32(_GREY if source.kind == "gel" else _MM)
+    drawn = _drawn(field, places) / np.float32(_GREY if source.kind == "gel" else _MM)
     channels = [_folded(np.ascontiguousarray(c), finer) for c in np.moveaxis(np.atleast_3d(drawn), -1, 0)]
-    known = inside[::finer, ::finer].astype(np.float32)
+    known = places.inside[::finer, ::finer].astype(np.float32)
     if source.kind == "bubble":
-        channels.append(_relief(field, eye, source, x, y, inside)[None])
+        channels.append(_relief(field, places)[None])
     return freeze(np.concatenate([*channels, known[None]]).astype(np.float32))
 
 
@@ -53,40 +56,61 @@ def laid(squeezed: Floats, source: SensorSpec, target: SensorSpec, alignment: Al
     """
     side = squeezed.shape[-1]
     eye, onto = source.camera.resized(side, side), target.seen_through(target.camera.resized(side, side))
-    x, y, inside = _places(source, eye, onto, alignment, 1)
+    places = _places(source, eye, onto, alignment, 1)
     if source.kind == "bubble":
-        return freeze(_relief(squeezed[0], eye, source, x, y, inside)[None].astype(np.float32))
-    drawn = _drawn(np.ascontiguousarray(normal(squeezed, "gel").transpose(1, 2, 0)), eye, source, x, y, inside)
+        return freeze(_relief(squeezed[0], places)[None].astype(np.float32))
+    drawn = _drawn(np.ascontiguousarray(normal(squeezed, "gel").transpose(1, 2, 0)), places)
     return freeze(np.ascontiguousarray(drawn.transpose(2, 0, 1)))
 
 
-def _relief(change: Floats, eye: Camera, source: SensorSpec, x: Doubles, y: Doubles, inside: Mask) -> Floats:
+@dataclass(frozen=True, slots=True)
+class _Places:
+    """Where every fine pixel of the target lies in the source's picture, which is first averaged to a size."""
+
+    x: Floats
+    y: Floats
+    inside: Mask
+    size: tuple[int, int] | None  # (cols, rows) px; None = as it is
+
+
+_known_places: Memo[tuple[str, ...], _Places] = Memo(4)  # of a recording one: what a frame costs is its pixels
+
+
+def _relief(change: Floats, places: _Places) -> Floats:
     """How far a smoothed bubble stays behind its top within the target's view: what a gel feels is that top."""
     import cv2
 
     smooth = np.asarray(cv2.GaussianBlur(change, (0, 0), _SMOOTHED_PX), np.float32)
-    drawn = _drawn(smooth, eye, source, x, y, inside)
+    drawn, inside = _drawn(smooth, places), places.inside
     top = np.float32(np.percentile(drawn[inside], _TOP)) if inside.any() else np.float32(0.0)
     return np.where(inside, np.clip((drawn - top) / np.float32(_RELIEF_MM), -3.0, 1.0), np.float32(-3.0))
 
 
-def _drawn(field: Floats, eye: Camera, source: SensorSpec, x: Doubles, y: Doubles, inside: Mask) -> Floats:
+def _drawn(field: Floats, places: _Places) -> Floats:
     import cv2
 
-    seen_by, scale = source.seen_through(eye), 1.0
-    if source.kind == "gel":
-        scale = min(1.0, seen_by.pixel_mm / _SOURCE_PX_MM)
-        if scale < 1.0:
-            size = (max(8, round(eye.cols * scale)), max(8, round(eye.rows * scale)))
-            field = np.asarray(cv2.resize(field, size, interpolation=cv2.INTER_AREA), np.float32)
-    sx, sy = field.shape[1] / eye.cols, field.shape[0] / eye.rows
-    at_x, at_y = ((x + 0.5) * sx - 0.5).astype(np.float32), ((y + 0.5) * sy - 0.5).astype(np.float32)
-    found = cv2.remap(field, at_x, at_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    shown = inside if found.ndim == 2 else inside[..., None]
+    if places.size is not None:
+        field = np.asarray(cv2.resize(field, places.size, interpolation=cv2.INTER_AREA), np.float32)
+    found = cv2.remap(field, places.x, places.y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    shown = places.inside if found.ndim == 2 else places.inside[..., None]
     return np.where(shown, np.asarray(found, np.float32), np.float32(0.0))
 
 
-def _places(
+def _places(source: SensorSpec, eye: Camera, target: SensorSpec, alignment: Alignment, finer: int) -> _Places:
+    key = *map(content, (source, eye, target, alignment.target_from_source)), str(finer)
+    return _known_places.of(key, lambda: _found_places(source, eye, target, alignment, finer))
+
+
+def _found_places(source: SensorSpec, eye: Camera, target: SensorSpec, alignment: Alignment, finer: int) -> _Places:
+    x, y, inside = _in_source(source, eye, target, alignment, finer)
+    scale = min(1.0, source.seen_through(eye).pixel_mm / _SOURCE_PX_MM) if source.kind == "gel" else 1.0
+    size = None if scale == 1.0 else (max(8, round(eye.cols * scale)), max(8, round(eye.rows * scale)))
+    sx, sy = (1.0, 1.0) if size is None else (size[0] / eye.cols, size[1] / eye.rows)
+    at_x, at_y = ((x + 0.5) * sx - 0.5).astype(np.float32), ((y + 0.5) * sy - 0.5).astype(np.float32)
+    return _Places(freeze(at_x), freeze(at_y), freeze(inside), size)
+
+
+def _in_source(
     source: SensorSpec, eye: Camera, target: SensorSpec, alignment: Alignment, finer: int
 ) -> tuple[Doubles, Doubles, Mask]:
     """(x, y) in px of the source's image for every fine pixel of the target, and where that lies inside the image."""

@@ -1,16 +1,23 @@
-"""Touch to touch, compact: the target's touch from the source's reading alone, learned from pairs; no depth between."""
+"""Touch to touch, compact: the target's touch from the source's reading alone, learned from pairs; no depth between.
+
+Of an object that it has never seen it may be sure of a body that is not there. One step, the likeliest touch, is
+therefore drawn toward the physical render where it is unsure, for the time that this costs; without caution, and of
+samples, nothing but the network is asked.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from pipeline.base.arrays import Floats
 from pipeline.base.errors import ShapeError
+from pipeline.base.memo import Memo
 from pipeline.base.progress import SILENT, Progress, Share
 from pipeline.calibration.lookup import Calibration
+from pipeline.engine.digests import content
 from pipeline.engine.graph import Method, Skipped
 from pipeline.networks import shelf
 from pipeline.networks.weights import NoWeights, Weights
@@ -20,6 +27,7 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.adapt import stage as adaptation
 from pipeline.stages.depth import stage as depth
 from pipeline.stages.generate import stage, view_to_touch
+from pipeline.stages.generate.caution import against, held_back
 from pipeline.stages.generate.corrected import corrected
 from pipeline.stages.generate.diffusion import DiffusionParams, sampled
 from pipeline.stages.generate.picture_input import of_picture
@@ -56,16 +64,41 @@ def generate(
 ) -> Touch | Skipped:
     """What `target` would have recorded of the touch in `frame`; raises ShapeError for a frame that cannot be read.
 
-    An untouched frame gives the untouched target and costs nothing, and so does everything at no denoising step.
+    An untouched frame gives the untouched target and costs nothing; no denoising step gives the physical render.
     """
     depth.checked(frame, source)
-    rest = stage.at_rest(target)
+    rest, seed = stage.at_rest(target), params.seed if params.noise else None
     if depth.untouched(frame, source, calibration, depth.DepthParams()) is not None:
         return Skipped(output=rest, why=stage.NO_CONTACT)
+    careful = params.steps == 1 and params.caution > 0.0
+    physical = rest
+    if careful or not params.steps:
+        wanted = stage.GenerateParams(noise=params.noise, seed=params.seed)
+        physical = _physical(frame, source, calibration, alignment, target, wanted, Share(progress, 0.0, 0.8))
     if not params.steps:
-        return rest
-    found = sampled(network, condition(frame, source, alignment, target), params, progress)
-    return corrected(rest, target, found, params.seed if params.noise else None)
+        return physical
+    asked = Share(progress, 0.8, 0.2) if careful else progress
+    found = sampled(network, condition(frame, source, alignment, target), params, asked)
+    membrane = physical.membrane
+    if not careful or membrane is None or not membrane.contact.any():
+        return corrected(rest, target, found, seed)
+    doubts = cast("tuple[float, float]", network.doubts)
+    return corrected(
+        physical, target, held_back(against(found, membrane), physical.known, params.caution, doubts), seed
+    )
+
+
+def _physical(*reads: Any) -> Touch:
+    """The physical render by depth and view; the last few are kept, so that a dragged slider asks the network alone."""
+
+    def rendered() -> Touch:
+        made = by_physics(*reads)
+        return made.output if isinstance(made, Skipped) else made
+
+    return _rendered.of(content(reads[:-1]), rendered)
+
+
+_rendered: Memo[str, Touch] = Memo(4)
 
 
 def condition(frame: TactileFrame, source: SensorSpec, alignment: Alignment, target: SensorSpec) -> Floats:

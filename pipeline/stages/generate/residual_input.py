@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.arrays import Floats, Mask, freeze
+from pipeline.base.memo import Memo
+from pipeline.engine.digests import content
 from pipeline.sensors.spec import SensorSpec
 
 VIEW_CHANNELS = 6
@@ -30,7 +32,12 @@ _SCALES = {"gel": _Scale(0.6, 1.0, 0.25), "bubble": _Scale(6.0, 2.0, 0.5)}
 def working(target: SensorSpec) -> SensorSpec:
     """The target on the grid that the denoiser works on."""
     coarser = COARSER[target.kind]
-    return target if coarser == 1 else target.seen_through(target.camera.scaled(1.0 / coarser))
+    if coarser == 1:
+        return target
+    return _coarser.of(content(target), lambda: target.seen_through(target.camera.scaled(1.0 / coarser)))
+
+
+_coarser: Memo[str, SensorSpec] = Memo(8)
 
 
 def of_view(kind: str, told_mm: Floats, felt: Mask, known: Mask, physical_mm: Floats, physical_contact: Mask) -> Floats:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from pipeline.networks import shelf
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.generate import stage
+from pipeline.stages.generate.caution import held_back
 from pipeline.stages.generate.corrected import corrected, on_grid
 from pipeline.stages.generate.diffusion import DiffusionParams, sampled
 from pipeline.stages.generate.residual_input import of_view, working
@@ -78,9 +79,13 @@ def generate(
     beyond = found.spread_mm[on_grid(view.known, found.spread_mm.shape) < _HALF]
     told = float((beyond if beyond.size else found.spread_mm).mean())
     where = "beyond what the source felt" if beyond.size else "all over"
+    blur_mm = 0.0
+    if params.steps == 1:  # a sample is one of many: all of it, and as sharp as it is
+        found = held_back(found, view.known, params.caution, cast("tuple[float, float]", network.doubts))
+        blur_mm = cast("tuple[float, float]", network.blurs_mm)[0 if view.known.all() else 1]
     note = f"{where} the touch is learned, and expected to be off by {told:.2g} mm"
     found = replace(found, notes=(*found.notes, note))
-    return corrected(physical, target, found, params.seed if params.noise else None)
+    return corrected(physical, target, found, params.seed if params.noise else None, blur_mm)
 
 
 def _render(view: TargetView, target: SensorSpec, params: GenerateParams, progress: Progress) -> Touch:

@@ -55,6 +55,21 @@ def test_noise_level_and_condition_are_heard():
         assert not torch.allclose(plain, net(noisy, torch.ones(1), 0 * condition), atol=1e-3)
 
 
+def test_one_field_alone_and_as_one_of_two_is_answered_alike():
+    net, noisy, condition = small(), torch.randn(2, 2, 23, 17), torch.randn(2, 3, 23, 17)
+    for part in net.modules():
+        if isinstance(part, torch.nn.BatchNorm2d):
+            part.running_mean.normal_()
+            part.running_var.uniform_(0.5, 2.0)
+            torch.nn.init.normal_(part.weight)
+            torch.nn.init.normal_(part.bias)
+    sigma = torch.tensor([0.5, 3.0])
+    with torch.inference_mode():
+        both = net(noisy, sigma, condition)
+        for k in range(2):
+            assert torch.allclose(net(noisy[k : k + 1], sigma[k : k + 1], condition[k : k + 1])[0], both[k], atol=1e-4)
+
+
 def test_another_prediction_is_refused():
     with pytest.raises(ValueError, match="prediction"):
         ResidualDenoiser(inputs=3, unit_mm=1.0, prediction="image")

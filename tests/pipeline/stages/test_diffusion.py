@@ -92,14 +92,6 @@ def test_kept_states_lead_to_the_sample_and_are_not_too_many(steps):
     assert not sampled(Counts(), CONDITION, taking_all(steps=steps)).states
 
 
-def test_caution_takes_back_what_is_as_small_as_its_error():
-    plain, careful = (sampled(Counts(spread=0.5), CONDITION, taking_all(caution=caution)) for caution in (0.0, 1.0))
-    share = careful.last.residual_mm / plain.last.residual_mm
-    middle = plain.last.residual_mm
-    assert np.allclose(share, middle**2 / (middle**2 + 1.0), atol=0.02)
-    assert np.allclose(plain.spread_mm, 1.0)
-
-
 def test_few_steps_for_much_guidance_are_said():
     assert "without it" in sampled(Counts(), CONDITION, taking_all(steps=2, guidance=7.0)).notes[0]
 
@@ -117,8 +109,3 @@ def test_every_number_of_steps_guidance_and_sampler_stays_finite_and_within_reac
         assert np.abs(found.last.residual_mm).max() <= net.reach * net.unit_mm + 1e-5, told
         assert np.isfinite(found.last.contact).all(), told
         assert np.isfinite(found.spread_mm).all(), told
-
-
-def test_a_sample_is_taken_as_it_is_and_only_the_middle_is_held_back():
-    careful, plain = (sampled(Counts(spread=0.5), CONDITION, taking_all(steps=4, caution=c)) for c in (1.0, 0.0))
-    assert np.array_equal(careful.last.residual_mm, plain.last.residual_mm)

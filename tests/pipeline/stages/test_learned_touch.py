@@ -37,7 +37,7 @@ def taking_all(**how):
 class Says(torch.nn.Module):
     """A denoiser that answers one number everywhere, and remembers what it was shown."""
 
-    unit_mm, most, least, reach, smooth = 1.0, 8.0, 0.02, 8.0, 0.0
+    unit_mm, most, least, reach, smooth, doubts, blurs_mm = 1.0, 8.0, 0.02, 8.0, 0.0, (1.0, 1.0), (0.0, 0.0)
 
     def __init__(self, residual, contact=0.0, spread=0.1):
         super().__init__()
@@ -98,6 +98,23 @@ def test_a_residual_of_nothing_leaves_the_render_and_contact_follows_the_network
     assert np.array_equal(nothing.membrane.contact, physics.membrane.contact)
     assert view_to_touch.generate(view, GEL, Says(0.0, contact=1.0), taking_all()).membrane.contact.all()
     assert not view_to_touch.generate(view, GEL, Says(0.0, contact=-1.0), taking_all()).membrane.contact.any()
+
+
+def test_an_edge_is_drawn_as_wide_as_its_place_is_unsure_and_a_sample_s_is_sharp():
+    window = view_of(GEL, 0.5)
+    everywhere = replace(window, known=np.ones_like(window.known))
+
+    def steepest(view, blurs_mm, steps=1):
+        net = Says(0.0)
+        net.blurs_mm = blurs_mm
+        made = view_to_touch.generate(view, GEL, net, taking_all(steps=steps)).membrane.indentation_mm
+        return np.abs(np.diff(made, axis=1)).max()
+
+    sharp = steepest(window, (0.0, 0.0))
+    assert steepest(everywhere, (0.3, 0.0)) < 0.7 * sharp
+    assert steepest(window, (0.3, 0.0)) == sharp
+    assert steepest(window, (0.0, 0.3)) < 0.7 * sharp
+    assert steepest(everywhere, (0.3, 0.3), steps=2) == sharp
 
 
 def test_what_a_gel_felt_stays_in_contact_with_a_bubble():
@@ -185,8 +202,24 @@ def test_touch_to_touch_starts_from_the_untouched_target_and_takes_all_from_the_
     touch = picture_to_touch.generate(frame, GEL, None, between, BUBBLE, net, taking_all())
     assert np.allclose(touch.membrane.indentation_mm, 1.0)
     assert touch.membrane.contact.all()
-    none = picture_to_touch.generate(frame, GEL, None, between, BUBBLE, net, taking_all(steps=0))
-    assert not none.membrane.indentation_mm.any()
+
+
+def test_touch_to_touch_falls_back_to_physics_where_it_is_unsure_and_at_no_step(felt):
+    frame, between = felt[0], alignment.between(GEL, BUBBLE)
+
+    def made(net, **how):
+        return picture_to_touch.generate(frame, GEL, None, between, BUBBLE, net, DiffusionParams(**how))
+
+    physics = made(Says(1.0), steps=0)
+    assert physics.membrane.indentation_mm.max() > 2.0
+    doubtful = Says(1.0, contact=1.0)
+    doubtful.doubts = 1e3, 1e3
+    unsure, sure = made(doubtful), made(Says(1.0, contact=1.0, spread=0.01))
+    assert np.abs(unsure.membrane.indentation_mm - physics.membrane.indentation_mm).max() < 0.1
+    assert np.abs(sure.membrane.indentation_mm - 1.0).max() < 0.05
+    assert sure.membrane.contact.all()
+    sample = made(doubtful, steps=2)
+    assert np.allclose(sample.membrane.indentation_mm, 1.0), "a sample is one of many, and all of it"
 
 
 def test_an_untouched_frame_costs_touch_to_touch_nothing(felt):
