@@ -13,20 +13,25 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import numpy as np
 import torch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.races import Bar, race, row
+from pipeline.networks.building import build, innermost
 from pipeline.networks.compact_unet import CompactUnet
 from pipeline.networks.depth_anything import DepthAnything
 from pipeline.racing.races import Answer
 from pipeline.racing.report import show
+from pipeline.stages.generate.latent import LatentParams, sampled
 from pipeline.training.devices import in_precision
+from pipeline.training.recipe import load
 
 _BATCH, _CHANNELS, _SHAPE = 8, 12, (120, 160)
 _PATCHES, _WINDOW = (16, 21), (3, 5, 10, 11)  # top, left, rows, cols: a third of each side, and two patches around
 _RUNS = 5
+_STEPS, _SAMPLES = 200, 3
 
 
 def stepped(precision: str, *, channels_last: bool):
@@ -74,11 +79,31 @@ def box_rows():
                 peer_timing=times["all"], bar=Bar(faster=2.0))]  # fmt: skip
 
 
+def latent_rows():
+    told = load("latent", "latent").network
+    net = innermost(build("latent", {name: value for name, value in told.items() if name != "kind"})).eval()
+    shown = np.random.default_rng(0).normal(size=(3, net.side, net.side)).astype(np.float32)
+    time = torch.tensor([500])
+    with torch.inference_mode():
+        seen = net.cond_stage_model(torch.from_numpy(shown[None]))
+        noisy = torch.randn(1, 4, *seen.shape[2:])
+
+        def apart():
+            for told in (seen, torch.zeros_like(seen)) * _STEPS:
+                net.noise(noisy, time, told)
+
+        runs = {"ours": lambda: sampled(net, shown, LatentParams(steps=_STEPS)), "apart": apart}
+        times = race(runs, runs=_SAMPLES)
+    return [row(f"latent diffusion, a touch of {_STEPS} steps, guided", ours=times["ours"], ours_error=float("nan"),
+                unit="", peer="its passes alone, one after the other", peer_timing=times["apart"],
+                bar=Bar(ms=5000.0))]  # fmt: skip
+
+
 def answer() -> Answer:
     return Answer(
         title="What precision, layout and the contact's box save of a network's time",
         unit="of the gradient",
-        rows=(*training_rows(), *box_rows()),
+        rows=(*training_rows(), *box_rows(), *latent_rows()),
         notes=("random weights: the times are those of learned ones, the box's error is not known",),
     )
 

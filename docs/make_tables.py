@@ -2,7 +2,8 @@
 
     python docs/make_tables.py FILE.json... > docs/tables/README.md
 
-Of several files the later one counts where both have a row. The paper's own figures stand in brackets.
+Of several files the later one counts where both have a row; poses by several methods come together from all of them.
+The paper's own figures stand in brackets.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ real pairs give is told in [samples.md](samples.md).
 """
 COLUMNS = (
     "transfer", "by", "PSNR, dB", "SSIM", "Frechet (floor; FID)", "error, mm", "in contact, mm", "IoU",
-    "corr. less mean", "shift, mm", "turn, deg", "ms",
+    "corr. less mean", "shift, mm", "turn, deg", "registered: shift, mm; turn, deg", "ICP: shift, mm; turn, deg", "ms",
 )  # fmt: skip
 SHORT = {"soft_bubble": "bubble", "gelslim": "GelSlim", "digit": "DIGIT", "gelsight_mini": "Mini"}
 
@@ -44,7 +45,8 @@ def main(files: list[str]) -> str:
         rows = tables.setdefault(told["split"], {})
         for row in told["rows"]:
             own = row["contender"] in ("recorded", "untouched", "mean")
-            rows["" if own else row["source"], row["target"], row["contender"]] = row
+            key = "" if own else row["source"], row["target"], row["contender"]
+            rows[key] = {**row, "poses": {**rows.get(key, {}).get("poses", {}), **row["poses"]}}
     parts = [HEAD]
     for split, rows in tables.items():
         touches = max(row["touches"] for row in rows.values())
@@ -75,12 +77,19 @@ def _cells(source: str, target: str, contender: str, row: Mapping[str, Any]) -> 
     )
     if paper:
         shift, turn = f"{shift} ({paper['shift_mm'][0]:.2f})", f"{turn} ({paper['turn_deg'][0]:.2f})"
+    others = (_both(row["poses"].get(name)) for name in ("signed_distances", "icp"))
     way = SHORT[target] if not source else f"{SHORT[source]} > {SHORT[target]}"
     return [
         way, row["title"] if not source else contender, beside(value("psnr_db"), "psnr_db"),
         beside(value("ssim"), "ssim"), frechet, value("error_mm"), value("error_mm", "contact"), value("iou"),
-        value("correlation"), shift, turn, f"{row['ms']:.0f}" if row["ms"] else "-",
+        value("correlation"), shift, turn, *others, f"{row['ms']:.0f}" if row["ms"] else "-",
     ]  # fmt: skip
+
+
+def _both(pose: Mapping[str, Any] | None) -> str:
+    if pose is None:
+        return "-"
+    return "; ".join(f"{pose[name][0]:.2f} ± {pose[name][1]:.2f}" for name in ("shift_mm", "turn_deg"))
 
 
 if __name__ == "__main__":
