@@ -249,8 +249,8 @@ def test_which_weights_serve_which_sensors():
     assert isinstance(other, NoWeights) == (not view_to_touch.fits(sensor("digit")))
 
 
-@pytest.mark.parametrize(("target", "left"), [("soft_bubble", 0.9), ("gelslim", 1.0)])
-def test_the_weights_that_come_along_better_physics_on_grasps_they_have_never_seen(target, left):
+@pytest.mark.parametrize("target", ["soft_bubble", "gelslim"])
+def test_the_weights_that_come_along_better_physics_on_grasps_they_have_never_seen(target):
     spec = sensor(target)
     found = T2D2.weights(sensor("digit"), spec, None)
     if isinstance(found, NoWeights):
@@ -259,5 +259,5 @@ def test_the_weights_that_come_along_better_physics_on_grasps_they_have_never_se
     net, task = network(found), ResidualOfView(target=target)
     held_out = [task.held_out("unseen_grasps", index) for index in range(3)]
     figures = task.figures(net, held_out)
-    assert figures["in contact, mm"] < left * figures["none of it in contact, mm"]
+    assert figures["in contact, mm"] < 0.9 * figures["none of it in contact, mm"]
     assert found.card["minutes"]

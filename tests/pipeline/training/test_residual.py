@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from pipeline.networks.building import build
 from pipeline.stages.generate.residual_input import VIEW_CHANNELS
-from pipeline.training import own_touches, touch_pairs
+from pipeline.training import denoising, own_touches, touch_pairs
 from pipeline.training.own_touches import own_touch
 from pipeline.training.recipe import load, shipped
 from pipeline.training.residual import UNITS_MM, ResidualOfView
@@ -106,3 +107,21 @@ def test_a_pair_gives_the_source_s_reading_and_all_of_the_target_s_touch(folder,
     assert np.allclose(unit * example["residual"][0], truth, atol=1e-4)
     assert not example["contact"][1].any()
     assert load(f"t2t_{'bubble' if channels == 13 else 'gelslim'}", "t2t").network["inputs"] == channels
+
+
+def test_what_differs_from_pixel_to_pixel_counts_where_it_is_asked_to():
+    """An even error costs no slopes, as large an uneven one does."""
+    net = build("residual_denoiser", {"inputs": VIEW_CHANNELS, "unit_mm": 0.2, "first": 8, "levels": 2, "widest": 8})
+    even, uneven = torch.full((1, 2, 16, 16), 0.1), torch.full((1, 2, 16, 16), 0.1)
+    uneven[..., ::2] *= -1.0
+    for clean, costs in ((even, 0.0), (uneven, 0.2**2)):
+        batch = {
+            "condition": torch.zeros(1, VIEW_CHANNELS, 16, 16),
+            "residual": clean,
+            "contact": torch.zeros(1, 2, 16, 16),
+        }
+        totals = []
+        for slopes in (0.0, 10.0):
+            torch.manual_seed(0)
+            totals.append(float(denoising.loss(net, batch, 0.0, slopes)[0].detach()))
+        assert totals[1] - totals[0] == pytest.approx(10.0 * costs, abs=1e-5), "a fresh network adds nothing"
