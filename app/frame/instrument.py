@@ -193,7 +193,7 @@ class Instrument(Documents):
         if ticket < self._wanted_since or self._closed or not isinstance(error, BaseException):
             return
         if ticket == self._ticket:
-            not_opened = self._opening == ticket
+            not_opened = self._opening == ticket and not self._is_open()  # a frame of what is open may be damaged
             self._rest()
             if not_opened:
                 self._take_back()

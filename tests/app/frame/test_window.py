@@ -144,6 +144,24 @@ def test_a_mesh_can_be_closed_and_goes_with_its_recording(bubble_window, ball_fi
     assert bubble_window.screen.opened.mesh is None
 
 
+def test_a_damaged_frame_after_a_route_there_and_back_fails_by_itself(open_window, tmp_path):
+    whole, cut = SAMPLE.read_bytes(), tmp_path / "cut.h5"
+    cut.write_bytes(whole[: len(whole) // 3])
+    window = open_window(cut, target="gelslim", frame=0)
+    wait_until_shown(window, LIMIT_S)
+    held = threading.Event()
+    window.job.submit(lambda report: held.wait(LIMIT_S))  # what is asked for meanwhile comes in one
+    window.change("choose route", route="t2t")
+    window.change("choose route", route="t2d2")
+    window.choose_frame(15)
+    held.set()
+    wait_until_shown(window, LIMIT_S)
+    assert window.session.frame == 15
+    assert "damaged" in window.window.columns["source"].view.message
+    waits = {column.state for name, column in window.window.columns.items() if name != "source"}
+    assert waits == {"waiting"}
+
+
 def test_weights_are_opened_closed_and_undone(bubble_window, tmp_path, caplog):
     close = bubble_window.window.actions_by_name["close_weights"]
     assert not close.isEnabled()
