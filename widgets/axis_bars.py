@@ -15,6 +15,8 @@ from widgets.looks import smaller
 # title, unit, digits, whether more is better
 _FIGURES = (("depth", "mm", 3, False), ("edge", "px", 2, False), ("IoU", "", 3, True))
 _FULL_IOU = 0.02
+_NEARER, _FARTHER = "\N{BLACK UP-POINTING TRIANGLE}", "\N{BLACK DOWN-POINTING TRIANGLE}"
+_CELL_ROOM_PX = 10  # of a cell, beside its number
 _TIP = (
     "change of the score per {step:g} mm or {step:g}° along each axis, mean of either side; the triangle says whether "
     "raising or lowering the axis makes it better, none where the best is here; bars are full at {full}"
@@ -31,6 +33,9 @@ class AxisBars(QWidget):
         smaller(self, 0.5, least_pt=7.5)
         self.setAccessibleName("which axis matters")
         self._full = (UNIT_STEP, 1.0, _FULL_IOU)
+        wide = self.fontMetrics().horizontalAdvance
+        widest = max(wide(f"{_NEARER} 0.000"), wide("depth mm")) + _CELL_ROOM_PX
+        self.setMinimumWidth(self._left_px() + len(_FIGURES) * widest)
         self.show_pixel(UNIT_STEP)
 
     def show_pixel(self, pixel_mm: float) -> None:
@@ -55,7 +60,7 @@ class AxisBars(QWidget):
         """Draw heading and rows."""
         del a0
         painter, row = QPainter(self), self._row_px()
-        left = self.fontMetrics().horizontalAdvance(f"rx  {UNIT_STEP:g} mm") + 8
+        left = self._left_px()
         width = (self.width() - left) / len(_FIGURES)
         soft, ink = self.palette().placeholderText().color(), self.palette().text().color()
         painter.setPen(soft)
@@ -87,6 +92,10 @@ class AxisBars(QWidget):
         right = int(Qt.AlignmentFlag.AlignVCenter | Qt.AlignmentFlag.AlignRight)
         painter.drawText(cell.adjusted(2, 0, -3, 0), right, _told(change, figure))
 
+    def _left_px(self) -> int:
+        """The room of an axis' name and step."""
+        return self.fontMetrics().horizontalAdvance(f"rx  {UNIT_STEP:g} mm") + 8
+
     def _row_px(self) -> int:
         return self.fontMetrics().height() + 4
 
@@ -108,4 +117,4 @@ def _better_way(change: Change, more_is_better: bool) -> str:
     if change.slope is None or change.size is None or abs(change.slope) < 0.5 * change.size:
         return ""
     raising_helps = (change.slope > 0) == more_is_better
-    return "\N{BLACK UP-POINTING TRIANGLE}" if raising_helps else "\N{BLACK DOWN-POINTING TRIANGLE}"
+    return _NEARER if raising_helps else _FARTHER

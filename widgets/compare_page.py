@@ -92,6 +92,7 @@ class ComparePage(QWidget):
         self.count.setAccessibleName("how many seeds")
         self.count.setRange(2, MOST_SEEDS)
         self.count.setValue(8)
+        self.count.valueChanged.connect(self._changed)
         self.draw.setObjectName("compare_draw")
         self.draw.clicked.connect(self.draw_wanted)
         self.methods = CompareTab([QLabel("order"), self.order])
@@ -159,6 +160,20 @@ class ComparePage(QWidget):
             for name in names:
                 self.slot.addItem(slots[name] if name else ALL_SLOTS, name)
             self.slot.setCurrentIndex(names.index(chosen) if chosen in names else len(names) - 1)
+
+    def show_choices(self, tab: str, order: str, slot: str, seeds: int) -> None:
+        """Show what is chosen, the last slot for one that is not offered; says nothing to anybody."""
+        at = self.slot.findData(slot)
+        with (
+            QSignalBlocker(self._tabs),
+            QSignalBlocker(self.order),
+            QSignalBlocker(self.slot),
+            QSignalBlocker(self.count),
+        ):
+            self._tabs.setCurrentWidget(self._names[tab])
+            self.order.setCurrentText(order)
+            self.slot.setCurrentIndex(at if at >= 0 else self.slot.count() - 1)
+            self.count.setValue(seeds)
 
     def show_solids(self, shown: bool) -> None:
         """Whether the two have 3D views under them."""

@@ -11,6 +11,7 @@ from pipeline.pictures.layers import Layer, Sight
 from widgets.solid_view import SolidView
 
 Place = tuple[float, float, float]
+Camera = tuple[float, ...]
 
 
 class Scene(QObject):
@@ -33,6 +34,13 @@ class Scene(QObject):
 
     def forget(self) -> None:
         """Let go of pictures of what will not be shown again."""
+
+    def cameras(self) -> dict[int, Camera]:
+        """Where each view looks from and to: position, place looked at, upwards (each x, y, z), and the angle."""
+        return {}
+
+    def turn(self, cameras: Mapping[int, Camera]) -> None:
+        """Look so; other views stay as they are."""
 
     def mark(self, column: int, place_mm: Place | None) -> None:
         """Put the traced pixel's dot into a view, or take it away."""

@@ -19,7 +19,7 @@ from pipeline.base.arrays import Doubles
 from pipeline.base.memo import Memo, size_bytes
 from pipeline.pictures.layers import Layer, Sight
 from widgets.colours import inks
-from widgets.layers import Place, Scene
+from widgets.layers import Camera, Place, Scene
 from widgets.looks import once
 from widgets.solid_view import SolidView
 from widgets.sub_views import SubViews
@@ -89,6 +89,16 @@ class LiveScene(Scene):
     def forget(self) -> None:
         """Let go of pictures of what will not be shown again."""
         self._kept.clear()
+
+    def cameras(self) -> dict[int, Camera]:
+        """Where each view looks from and to."""
+        return {column: self._stage.camera_of(column) for column in range(len(self.views))}
+
+    def turn(self, cameras: Mapping[int, Camera]) -> None:
+        """Look so; other views stay as they are."""
+        for column, camera in cameras.items():
+            self._stage.set_camera(column, camera)
+            self._draw_soon(column)
 
     def mark(self, column: int, place_mm: Place | None) -> None:
         """Put the traced pixel's dot over a view, or take it away; nothing is drawn anew for it."""

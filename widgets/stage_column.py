@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Sequence
 from functools import partial
+from typing import Any
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtWidgets import QBoxLayout, QComboBox, QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
@@ -14,6 +15,7 @@ from widgets.icons import StateSign
 from widgets.looks import bold, smaller, spaced
 from widgets.picture import PictureView
 
+_BETWEEN_PX = 16  # sign, word and time of a state
 _AN_END = re.compile(r"[:;]|,(?![^(]*\))")  # of the first part of a sentence; a vector is one word
 
 
@@ -88,6 +90,15 @@ class StageColumn(QFrame):
         self.view.show_lines(lines)
         self._note.setFixedHeight(lines * self._note.fontMetrics().lineSpacing() + 2)
 
+    def resizeEvent(self, a0: Any) -> None:  # noqa: N802
+        """The time gives way where there is no room for it."""
+        super().resizeEvent(a0)
+        self._fit_time()
+
+    def _fit_time(self) -> None:
+        words = self._word.sizeHint().width() + self._ms.sizeHint().width()
+        self._ms.setHidden(self.width() < words + self._sign.sizeHint().width() + _BETWEEN_PX)
+
     def offer_methods(self, methods: Sequence[tuple[str, str, str]]) -> None:
         """(name, title, help) of the ways to fill this slot; one alone is only named."""
         self._method.clear()
@@ -118,7 +129,8 @@ class StageColumn(QFrame):
             self._sign.show_state(state)
             self._word.setText(state)
         self._ms.setText("" if ms is None else _time_text(ms))
-        tip = "\n".join(notes)
+        self._fit_time()
+        tip = "\n".join([*([f"{state}, {self._ms.text()}"] if self._ms.isHidden() else []), *notes])
         for label in (self._sign, self._word, self._ms, self._note):
             label.setToolTip(tip)
         if state not in ("stale", "running"):

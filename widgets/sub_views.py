@@ -25,6 +25,7 @@ from pipeline.pictures.layers import Layer, Sight
 from widgets.colours import Inks
 
 _LINE_PX = 1.5
+_BEHIND = 4.0, 4.0  # slopes and units of the depth buffer
 
 
 class SubViews:
@@ -94,6 +95,14 @@ class SubViews:
         """Where a view looks from and to: equal for equal views."""
         camera = self.renderers[column].GetActiveCamera()
         return (*camera.GetPosition(), *camera.GetFocalPoint(), *camera.GetViewUp(), camera.GetViewAngle())
+
+    def set_camera(self, column: int, numbers: tuple[float, ...]) -> None:
+        """As `camera_of` tells one."""
+        camera = self.renderers[column].GetActiveCamera()
+        camera.SetPosition(*numbers[:3])
+        camera.SetFocalPoint(*numbers[3:6])
+        camera.SetViewUp(*numbers[6:9])
+        camera.SetViewAngle(numbers[9])
 
     def sharing(self, column: int) -> list[int]:
         """The views that share a camera with this one, itself first."""
@@ -197,6 +206,9 @@ def _added(renderer: Any, mesh: Any, layer: Layer) -> Any:
     actor = _actor(renderer, mesh)
     look = actor.GetProperty()
     look.SetOpacity(layer.opacity)
+    if layer.opacity < 1.0:  # behind what lies in the very same place, or the two would show in stripes
+        actor.GetMapper().SetResolveCoincidentTopologyToPolygonOffset()
+        actor.GetMapper().SetRelativeCoincidentTopologyPolygonOffsetParameters(*_BEHIND)
     look.SetPointSize(layer.point_px)
     if layer.segments is not None:
         look.SetLineWidth(_LINE_PX)

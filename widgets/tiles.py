@@ -4,34 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 from PyQt6.QtCore import QPointF, QSize, Qt, pyqtSignal
 from PyQt6.QtWidgets import QFrame, QGridLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
-from pipeline.pictures.picture import Picture
+from pipeline.pictures.tiles import Tile
 from widgets.looks import bold, smaller, spaced
 from widgets.picture import PictureView
 
 _MOST_COLUMNS = 8
 _NARROW_PX = 360
 _WORDS_PX = 84  # of a tile's height that are not picture, near enough to choose how many stand in a row
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Tile:
-    """One picture with its words; `truth` and `gap` are what may be shown in its place."""
-
-    title: str
-    told: str = ""  # figures, under the title
-    picture: Picture | None = None
-    truth: Picture | None = None
-    gap: Picture | None = None  # the picture less the truth
-    problem: str = ""  # over the picture, or in its place
-    apart: bool = False  # whether it begins a row
-    usual: str = ""  # what is shown where nothing of its own is asked for, such as the difference
 
 
 class TileView(QFrame):

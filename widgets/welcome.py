@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from PyQt6.QtCore import QEvent, QObject, QPoint, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QListWidget, QListWidgetItem, QToolButton, QVBoxLayout, QWidget
+from PyQt6.QtCore import QEvent, QObject, QPoint, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QAction, QPainter, QPaintEvent, QPen
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QListWidget, QListWidgetItem, QToolButton, QVBoxLayout, QWidget
 
 from pipeline.base.text import plain
+from widgets.colours import inks, qcolor
 from widgets.looks import bold, smaller, spaced
 
 _WIDTH_PX, _ROW_PX = 620, 24
@@ -22,6 +23,18 @@ _DROP = (
 )
 
 
+class DropRoom(QLabel):
+    """Words in a dashed frame that is seen in every theme."""
+
+    def paintEvent(self, a0: QPaintEvent | None) -> None:  # noqa: N802
+        """The words, then the frame around them."""
+        super().paintEvent(a0)
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        painter.setPen(QPen(qcolor(inks(self.palette()).soft), 1.5, Qt.PenStyle.DashLine))
+        painter.drawRoundedRect(QRectF(self.rect()).adjusted(1, 1, -1, -1), 6, 6)
+
+
 class Welcome(QWidget):
     """Lies over `first` and all below it in its parent until something is open; `recent_chosen` says which file."""
 
@@ -32,12 +45,11 @@ class Welcome(QWidget):
         self._first = first
         self.setObjectName("welcome")
         self.setAutoFillBackground(True)
-        title, purpose, drop = QLabel("Tactoscope"), QLabel(_PURPOSE), QLabel(_DROP)
+        title, purpose, drop = QLabel("Tactoscope"), QLabel(_PURPOSE), DropRoom(_DROP)
         bold(title)
         smaller(title, -9.0)
         for label in (purpose, drop):
             label.setWordWrap(True)
-        drop.setFrameShape(QFrame.Shape.StyledPanel)
         drop.setAlignment(Qt.AlignmentFlag.AlignCenter)
         drop.setMinimumHeight(72)
         drop.setMargin(10)

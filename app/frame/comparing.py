@@ -5,19 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 from PyQt6.QtCore import QObject
 
 from app.frame.instrument import Instrument
+from app.session.compared import LAST_SLOT, Compared, CompareTab
 from app.session.differences import differences
 from app.session.layout import Layout
 from app.session.state import Session
-from app.work.by_seed import by_seed
 from app.work.evaluator import Evaluator, request_of
 from app.work.jobs import LatestJob, Report
-from app.work.side_by_side import Tiles, by_method
 from app.work.two_at_once import two_at_once
 from pipeline.base.errors import TouchError
+from pipeline.scoring.by_seed import by_seed
+from pipeline.scoring.side_by_side import by_method
+from pipeline.scoring.tiles import Tiles
 from pipeline.scoring.versions import Kept
 
 Work = Callable[[Report], Tiles]
@@ -37,13 +40,13 @@ class Comparing(QObject):
         self._other = Evaluator(instrument.catalogue, like=instrument.evaluator)
         self._asked: tuple[object, ...] = ()
         self._ticket, self._since, self._drawn = 0, 0, False
-        self.held: Session | None = None  # B
+        self._shown = (Compared(), None)  # what was chosen when it was looked at last
         self._works: Mapping[str, Callable[[Session], Work | str]] = {
             "methods": self._by_method, "two": self._two, "seeds": self._seeds,
         }  # fmt: skip
         page, job, window = self._page, self._job, instrument.window
-        page.tab_chosen.connect(self._ask)
-        page.choice_changed.connect(self._ask)
+        page.tab_chosen.connect(self._choose)
+        page.choice_changed.connect(self._choose)
         page.draw_wanted.connect(self._draw)
         for tab in page.tabs.values():
             tab.cancel_wanted.connect(job.cancel)
@@ -75,31 +78,46 @@ class Comparing(QObject):
         """Another recording is B, with what is set now."""
         self._hold(replace(self._instrument.session, recording=path))
 
+    def _choose(self) -> None:
+        """What the page says is the session's."""
+        page, old = self._page, self._instrument.session.compared
+        slot = old.slot if page.slot.currentIndex() < 0 else str(page.slot.currentData())
+        if old.slot == LAST_SLOT and page.slot.currentIndex() == page.slot.count() - 1:
+            slot = LAST_SLOT
+        new = Compared(
+            tab=cast("CompareTab", page.name), order=page.order.currentText(), slot=slot, seeds=page.count.value()
+        )
+        self._instrument.change("choose in Compare", key="seeds" if new.seeds != old.seeds else "", compared=new)
+
     def let_go(self) -> None:
         """There is no B any more."""
         self._hold(None)
 
     def _hold(self, session: Session | None) -> None:
-        if session is not None and self._instrument.session.recording is None:
-            return
-        self.held = session
-        self._instrument.window.actions_by_name["let_go"].setEnabled(session is not None)
-        layout = self._instrument.session.layout
-        if session is not None:
-            self._page.show_tab("two")
-            if layout.name != "compare":
-                self._instrument.change("show compare", layout=replace(layout, name="compare"))
-                return
-        self._ask()
+        now = self._instrument.session
+        if session is None:
+            self._instrument.change("let B go", held=None)
+        elif now.recording is not None:
+            self._instrument.change(
+                "hold B", held=replace(session, held=None), compared=replace(now.compared, tab="two"),
+                layout=replace(now.layout, name="compare"),
+            )  # fmt: skip
 
     def _by_method(self, session: Session) -> Work:
-        order = self._page.order.currentText()
-        return lambda report: by_method(self._own, session, order, self._kept, report)
+        def work(report: Report) -> Tiles:
+            translation, frame = self._own.at(session, report)
+            order, kept = session.compared.order, self._kept
+            return by_method(
+                translation, frame, session.params, session.display, order, kept, hand_over=report.hand_over,
+                progress=report,
+            )  # fmt: skip
+
+        return work
 
     def _two(self, session: Session) -> Work | str:
-        if self.held is None:
+        if session.held is None:
             return _NO_OTHER
-        other = replace(self.held, frame=session.frame, params={**self.held.params, "display": session.display})
+        other = replace(session.held, frame=session.frame, params={**session.held.params, "display": session.display})
         opened, slot = self._instrument.screen.opened, str(self._page.slot.currentData() or "")
         kind = "" if opened is None else opened.source.kind
         told = "; ".join(differences(session, other, self._instrument.catalogue, kind)) or _SAME
@@ -110,8 +128,16 @@ class Comparing(QObject):
         if not self._drawn:
             return _NOT_DRAWN
         self._drawn = False
-        count = self._page.count.value()
-        return lambda report: by_seed(self._own, session, count, report)
+
+        def work(report: Report) -> Tiles:
+            translation, frame = self._own.at(session, report)
+            count = session.compared.seeds
+            return by_seed(
+                translation, frame, session.params, session.display, count, self._own.graph,
+                hand_over=report.hand_over, progress=report,
+            )  # fmt: skip
+
+        return work
 
     def _draw(self) -> None:
         self._drawn, self._asked = True, ()
@@ -119,8 +145,8 @@ class Comparing(QObject):
 
     def _choices(self) -> tuple[object, ...]:
         """What the controls of the tab in front say."""
-        page = self._page
-        own = {"methods": page.order.currentText(), "two": (page.slot.currentData(), self.held)}
+        page, session = self._page, self._instrument.session
+        own = {"methods": session.compared.order, "two": (page.slot.currentData(), session.held)}
         return (page.name, own.get(page.name))
 
     def _frame_shown(self, _: int) -> None:
@@ -134,6 +160,15 @@ class Comparing(QObject):
         if session.layout.name != "compare" or session.recording is None:
             self._job.cancel()
             self._asked = ()
+        self._show_choices(session)
+        if (session.compared, session.held) != self._shown:
+            self._shown = (session.compared, session.held)
+            self._ask()
+
+    def _show_choices(self, session: Session) -> None:
+        chosen = session.compared
+        self._page.show_choices(chosen.tab, chosen.order, chosen.slot, chosen.seeds)
+        self._instrument.window.actions_by_name["let_go"].setEnabled(session.held is not None)
 
     def _ask(self) -> None:
         """Work the tab in front out, unless that is what it shows."""
@@ -142,9 +177,10 @@ class Comparing(QObject):
         if session.layout.name != "compare" or opened is None or instrument.closed:
             return
         page.offer_slots({name: opened.catalogue.slot(name).title for name in opened.slots})
+        self._show_choices(session)
         for tab in page.tabs.values():
             tab.grid.show_versus(instrument.screen.versus)
-        asked = (*self._choices(), session.updated(layout=Layout(), linked=True))
+        asked = (*self._choices(), session.updated(layout=Layout(), linked=True, compared=Compared(), held=None))
         if asked == self._asked:
             return
         old = self._asked[-1] if self._asked else None
@@ -175,6 +211,8 @@ class Comparing(QObject):
                 page.plot.show_points(shown.curve)
             if page.name == "two":
                 page.show_solids(bool(shown.solids))
+                for letter, cell in zip("AB", page.solids if shown.solids else (), strict=False):
+                    cell.legend.setText(f"{letter} · {self._instrument.catalogue.slot(shown.slot).legend}")
                 self._instrument.screen.show_others(shown.slot, shown.solids, self._instrument.session)
 
     def _finished(self, ticket: int, shown: object) -> None:

@@ -33,8 +33,8 @@ from app.frame.triage import Triage
 from app.frame.window import Window
 from app.session.remembered import Theme
 from app.session.state import DISPLAY
-from app.work.versus import Versus
 from pipeline.pictures.display import DisplayParams
+from pipeline.scoring.beside import Versus
 from pipeline.sensors.spec import names
 from pipeline.translation.catalogue import Catalogue
 from widgets.hands import Hands

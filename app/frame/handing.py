@@ -15,6 +15,7 @@ from PyQt6.QtWidgets import QInputDialog, QMenu
 from app.frame import dialogs
 from app.frame.instrument import Instrument
 from app.frame.keeping import Keeping
+from app.work.compared_command import compare_command
 from app.work.evaluator import request_of
 from app.work.jobs import LatestJob, Report
 from pipeline.base.text import plain
@@ -23,6 +24,7 @@ from widgets.export_dialog import ExportDialog
 from widgets.offer import Offer
 
 _NOTHING = "nothing is open that could be exported; open a recording first"
+_NO_B = "nothing is held as B yet; hold these settings, or choose another recording, and copy then"
 _BUSY = "something is being written already; wait for it, or cancel it"
 
 
@@ -42,7 +44,7 @@ class Handing(QObject):
         self.job.failed.connect(self._failed)
         instrument.closing.connect(self.job.close)
         self._window.on("export", self.ask)
-        self._window.on("copy_command", lambda: self.copy(self._pane_on_screen()))
+        self._window.on("copy_command", self.copy_shown)
         self._window.on("make_case", self.ask_case)
         self.dialog.export_wanted.connect(self._ask_where)
         self.dialog.command_wanted.connect(self._copy_chosen)
@@ -89,6 +91,21 @@ class Handing(QObject):
             self.offer.show_offer(_NOTHING)
             return
         text = command(self.asked(Path(f"{pane}{suffix}"), pane, shown or self._shown_on_screen(pane), frames))
+        clipboard.setText(text)
+        self.offer.show_offer(f"copied: {text}")
+
+    def copy_shown(self) -> None:
+        """The command that makes what is on screen: of *Compare* all its tiles."""
+        session, opened, clipboard = (
+            self._instrument.session, self._instrument.screen.opened, QGuiApplication.clipboard(),
+        )  # fmt: skip
+        if session.layout.name != "compare" or opened is None or clipboard is None:
+            self.copy(self._pane_on_screen())
+            return
+        if session.compared.tab == "two" and session.held is None:
+            self.offer.show_offer(_NO_B)
+            return
+        text = compare_command(session, opened.slots[-1], opened.target.name, Path("compared"))
         clipboard.setText(text)
         self.offer.show_offer(f"copied: {text}")
 

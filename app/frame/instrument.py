@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import get_args
 
@@ -17,7 +18,7 @@ from app.work.drawing import SlotShown, SourceShown
 from app.work.evaluator import BeginsAt, Evaluator, FrameShown, request_of
 from app.work.jobs import LatestJob, Work
 from app.work.stopwatch import Stopwatch
-from app.work.versus import Versus
+from pipeline.scoring.beside import Versus
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.translate import Request, Translation
 from widgets.looks import once
@@ -75,6 +76,17 @@ class Instrument(Documents):
             if session.recording is not None:
                 self._ask(other_request=old.recording is None or request_of(old) != request_of(session))
         self.session_shown.emit(session)
+
+    @property
+    def to_keep(self) -> Session:
+        """The session with where the 3D views look."""
+        return replace(self.session, cameras=self.screen.cameras.of(self.screen.scene))
+
+    def turn(self, cameras: Mapping[str, tuple[float, ...]]) -> None:
+        """Have the 3D views look so, once what the session opens is there."""
+        self.screen.cameras.want(cameras)
+        if self._is_open() and not self._opening:
+            self.screen.cameras.turn(self.screen.scene)
 
     def compare(self, beside: bool) -> None:
         """Whether to outline what the target really felt."""
@@ -241,11 +253,8 @@ class Instrument(Documents):
         methods = self.catalogue.methods(session.route, session.methods, self._kind())
         window.parameters.show_groups((*(m.key for m in methods), DISPLAY))
         self.screen.show_methods(methods)
-        for box, value in (
-            (window.source, session.source),
-            (window.target, session.target),
-            (window.route, session.route),
-        ):
+        for name in ("source", "target", "route"):
+            box, value = getattr(window, name), getattr(session, name)
             with QSignalBlocker(box):
                 box.setCurrentIndex(max(0, box.findData(value)))
         window.actions_by_name["link_cameras"].setChecked(session.linked)

@@ -63,7 +63,7 @@ class Keeping(QObject):
     def keep_now(self) -> None:
         """Have the session written beside, in the background."""
         self._soon.stop()
-        session = self._instrument.session
+        session = self._instrument.to_keep
         session = replace(session, frame=max(0, session.frame))  # one that is not open yet has no frame
         if session.recording is not None and is_mounted(session.recording):
             session = replace(session, recording=None)  # a sensor that is watched is not there after a crash
@@ -110,6 +110,7 @@ class Keeping(QObject):
     def _offer(self, left: Left) -> None:
         def recover() -> None:
             self._instrument.push(left.session, "recover the session")
+            self._instrument.turn(left.session.cameras)
             recovery.discard(left)
             self.keep_now()
 

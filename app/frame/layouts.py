@@ -10,7 +10,7 @@ from PyQt6.QtCore import QObject
 from app.frame.instrument import Instrument
 from app.session.layout import DIMS, LAYOUTS, Dims, Layout, LayoutName
 from app.session.state import Session
-from app.work.versus import Versus
+from pipeline.scoring.beside import Versus
 
 _OF_PANES = "panes"  # changes of panes that follow each other are one undo step
 

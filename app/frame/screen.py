@@ -6,18 +6,19 @@ from collections.abc import Mapping, Sequence
 
 from PyQt6.QtGui import QGuiApplication
 
+from app.frame.cameras import Cameras
 from app.frame.places import sights
 from app.frame.tracing import Tracer
 from app.frame.window import Window
 from app.session.state import Session
 from app.work.drawing import SlotShown, SourceShown
 from app.work.evaluator import FrameShown
-from app.work.versus import Beside, Versus
 from pipeline.base.arrays import Doubles
 from pipeline.base.errors import TouchError
 from pipeline.engine.graph import Method, StageResult
 from pipeline.pictures.layers import Layer
 from pipeline.pictures.picture import Picture
+from pipeline.scoring.beside import Beside, Versus
 from pipeline.sensors.spec import SensorSpec
 from pipeline.translation.translate import Translation
 from widgets.colours import hexed, inks
@@ -38,6 +39,7 @@ class Screen:
     def __init__(self, window: Window, tracer: Tracer) -> None:
         self._window, self._tracer = window, tracer
         self.scene = Scene(window.solids)  # the 3D views
+        self.cameras = Cameras(tuple(window.columns))
         self.opened: Translation | None = None  # the recording on screen
         self.versus: Versus = ""  # what is shown beside, or in place of, what was worked out
         self._layers: dict[int, tuple[Layer, ...]] = {}
@@ -52,6 +54,7 @@ class Screen:
         """Take up the 3D views, which come after the window is on screen."""
         self.scene = scene
         self.look(session)
+        self.cameras.turn(scene if self.opened is not None else None)
         for column, layers in self._layers.items():
             scene.show_layers(column, layers)
 
@@ -72,6 +75,7 @@ class Screen:
         window.leave_out(frozenset(slot.name for slot in t.catalogue.slots) - set(t.slots))
         window.banner.hide()
         self.look(session)
+        self.cameras.turn(self.scene)
 
     def show_methods(self, methods: Sequence[Method]) -> None:
         """Which method fills each column."""

@@ -10,12 +10,17 @@ from app.session.state import PATHS, Session
 from pipeline.base.files import read_json
 from pipeline.base.fingerprints import fingerprint
 
+_HELD = "held."  # before what the held session opens
+
 
 def files_of(session: Session) -> Mapping[str, Path]:
     """Field -> file or folder of everything that a session opens; weights as `weights.slot`."""
     named = {name: cast("Path | None", getattr(session, name)) for name in PATHS}
     opened = {name: path for name, path in named.items() if path is not None}
-    return opened | {f"weights.{slot}": path for slot, path in session.weights.items()}
+    opened |= {f"weights.{slot}": path for slot, path in session.weights.items()}
+    if session.held is not None:
+        opened |= {f"{_HELD}{name}": path for name, path in files_of(session.held).items()}
+    return opened
 
 
 def contents(session: Session) -> dict[str, str]:
@@ -31,7 +36,7 @@ def changed_since(path: Path, session: Session) -> tuple[str, ...]:
     for name, file in files_of(session).items():
         now = fingerprint(file)
         if name in kept and kept[name] != now:
-            what = name.replace("_", " ").partition(".")[0]
+            what = name.removeprefix(_HELD).replace("_", " ").partition(".")[0]
             sentences.append(
                 f"the {what} has changed since the session was saved: '{file}'"
                 if now

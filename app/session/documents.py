@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -34,6 +34,15 @@ class Documents(QObject):
     @abstractmethod
     def show_session(self, session: Session) -> None:
         """Show a session: controls at once, stages when the background has them."""
+
+    @property
+    @abstractmethod
+    def to_keep(self) -> Session:
+        """The session with what is no change of it: where the 3D views look."""
+
+    @abstractmethod
+    def turn(self, cameras: Mapping[str, tuple[float, ...]]) -> None:
+        """Have the 3D views look so."""
 
     def change(self, text: str, *, key: str = "", **updates: Any) -> None:
         """Change the session as one undo step; following changes of the same `key` join it."""
@@ -92,6 +101,7 @@ class Documents(QObject):
             opened = load_session(path)
             self.saved, self.session_file = opened, path
             self.push(opened, "open session")
+            self.turn(opened.cameras)
             for sentence in changed_since(path, opened):
                 log.warning("%s", sentence)
                 self.window.banner.show_problem(sentence)
@@ -99,7 +109,7 @@ class Documents(QObject):
     def save_session(self, path: Path) -> None:
         """Write the session file."""
         with self._told():
-            save_session(self.session, path, contents(self.session))
+            save_session(self.to_keep, path, contents(self.session))
             self.saved, self.session_file = self.session, path
             self.undo.setClean()
             self.window.setWindowModified(False)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast, get_args
 
+from app.session.compared import Compared
+from app.session.compared import from_plain as compared_from_plain
 from app.session.layout import Layout
 from app.session.layout import from_plain as layout_from_plain
 from pipeline.base.errors import FileProblem, SettingProblem
@@ -22,6 +25,7 @@ from pipeline.translation.catalogue import BUILT_IN, Catalogue
 SUFFIX = ".touch.json"
 DISPLAY = "display"  # the key of its parameters
 ON_A_TOUCH = -1  # in place of a frame: one on which something touches, found when the recording is open
+CAMERA_NUMBERS = 10  # where from, where to, upwards, and the angle
 _VERSION = 2
 _FORMER = {  # stages of version 1 -> keys of methods
     "depth": "depth/physics",
@@ -63,6 +67,10 @@ class Session:
     weights: Mapping[str, Path] = field(default_factory=dict)  # slot -> file; slot "" = the first whose method takes it
     params: Mapping[str, object] = field(default_factory=dict)  # changed ones: of methods by key, of the display
     notes: Mapping[int, str] = field(default_factory=dict)  # frame -> what somebody wrote of it
+    compared: Compared = field(default_factory=Compared)
+    held: Session | None = None  # that *Compare* holds beside this one, None = there is none
+    # 3D view -> where it looks from and to, as it was when the session was saved: turning one is no change to be saved.
+    cameras: Mapping[str, tuple[float, ...]] = field(default_factory=dict, compare=False)
 
     def params_of(self, method: Method) -> object:
         """The parameters of a method, as they come where nobody changed them."""
@@ -95,8 +103,9 @@ class Session:
     def settings(self) -> Session:
         """What figures rest on besides the frame: those of sessions with equal settings may stand side by side."""
         return replace(
-            self, frame=0, linked=True, layout=Layout(), notes={}, params={**self.params, "display": DisplayParams()}
-        )
+            self, frame=0, linked=True, layout=Layout(), notes={}, compared=Compared(), held=None,
+            params={**self.params, "display": DisplayParams()},
+        )  # fmt: skip
 
     @property
     def display(self) -> DisplayParams:
@@ -109,26 +118,36 @@ def save_session(session: Session, path: Path, contents: Mapping[str, str] | Non
 
     `contents` says what the files held that it names, see `app.session.contents`.
     """
-    data: dict[str, Any] = {"tactoscope session": _VERSION, "frame": max(0, session.frame), "linked": session.linked}
-    data |= {name: getattr(session, name) for name in (*_WORDS, "depth_unit")}
-    for name in PATHS:
-        value: Path | None = getattr(session, name)
-        data[name] = None if value is None else _relative(value, path.parent)
-    data["offsets"], data["layout"] = asdict(session.offsets), session.layout.plain
-    data["methods"] = dict(session.methods)
-    data["weights"] = {slot: _relative(file, path.parent) for slot, file in session.weights.items()}
-    data["params"] = {
-        key: {name: value for name, (value, _) in settings(params).items()} for key, params in session.params.items()
-    }
-    data["notes"] = {str(frame): text for frame, text in sorted(session.notes.items())}
+    data = _plain(session, path.parent)
     if contents is not None:
         data["contents"] = dict(contents)
     write_json(path, data, "the session")
 
 
+def _plain(session: Session, folder: Path) -> dict[str, Any]:
+    data: dict[str, Any] = {"tactoscope session": _VERSION, "frame": max(0, session.frame), "linked": session.linked}
+    data |= {name: getattr(session, name) for name in (*_WORDS, "depth_unit")}
+    for name in PATHS:
+        value: Path | None = getattr(session, name)
+        data[name] = None if value is None else _relative(value, folder)
+    data["offsets"], data["layout"] = asdict(session.offsets), session.layout.plain
+    data["methods"] = dict(session.methods)
+    data["weights"] = {slot: _relative(file, folder) for slot, file in session.weights.items()}
+    data["params"] = {
+        key: {name: value for name, (value, _) in settings(params).items()} for key, params in session.params.items()
+    }
+    data["notes"] = {str(frame): text for frame, text in sorted(session.notes.items())}
+    data["compared"], data["cameras"] = session.compared.plain, {n: list(c) for n, c in session.cameras.items()}
+    data["held"] = None if session.held is None else _plain(replace(session.held, held=None), folder)
+    return data
+
+
 def load_session(path: Path, catalogue: Catalogue = BUILT_IN) -> Session:
     """Read a session; raises FileProblem naming the field that is wrong."""
-    data = read_json(path, "the session")
+    return _loaded(read_json(path, "the session"), path, catalogue)
+
+
+def _loaded(data: object, path: Path, catalogue: Catalogue) -> Session:
     if not isinstance(data, dict) or "tactoscope session" not in data:
         raise FileProblem("this is not a session file", path)
     version = data["tactoscope session"]
@@ -160,6 +179,9 @@ def load_session(path: Path, catalogue: Catalogue = BUILT_IN) -> Session:
         weights=_weights(known, path),
         params=_params(known.get("params", {}), path, catalogue, former=version == 1),
         notes=_notes(known, path),
+        compared=_compared(known, path),
+        held=None if known.get("held") is None else _loaded(known["held"], path, catalogue),
+        cameras=_cameras(known, path),
     )
 
 
@@ -231,6 +253,26 @@ def _layout(data: Mapping[str, Any], path: Path) -> Layout:
         return layout_from_plain(data.get("layout"))
     except ValueError as error:
         raise FileProblem(f"the session's layout cannot be used ({error})", path, field="layout") from error
+
+
+def _compared(data: Mapping[str, Any], path: Path) -> Compared:
+    try:
+        return compared_from_plain(data.get("compared"))
+    except ValueError as error:
+        raise FileProblem(f"what the session compared cannot be used ({error})", path, field="compared") from error
+
+
+def _cameras(data: Mapping[str, Any], path: Path) -> Mapping[str, tuple[float, ...]]:
+    """None at all in files from before they were kept."""
+    said = data.get("cameras", {})
+    known = cast("dict[str, Any]", said) if isinstance(said, dict) else {"": ""}
+    try:
+        cameras = {name: tuple(float(number) for number in numbers) for name, numbers in known.items()}
+    except (TypeError, ValueError):
+        cameras = {"": ()}
+    if any(len(numbers) != CAMERA_NUMBERS or not all(map(math.isfinite, numbers)) for numbers in cameras.values()):
+        raise FileProblem(f"cameras must map views to {CAMERA_NUMBERS} numbers", path, field="cameras")
+    return cameras
 
 
 def _params(data: object, path: Path, catalogue: Catalogue, *, former: bool) -> Mapping[str, object]:

@@ -10,13 +10,13 @@ import numpy as np
 
 from app.session.state import Session
 from app.work.comparison import Comparison
-from app.work.versus import Beside, beside_felt
-from app.work.versus import beside as beside_truth
 from pipeline.base.memo import Memo, size_bytes
 from pipeline.engine.graph import StageResult
 from pipeline.pictures.display import DisplayParams
 from pipeline.pictures.layers import Layer, reading_layer
 from pipeline.pictures.picture import Picture, beside, fitted, of_reading
+from pipeline.scoring.beside import Beside, beside_felt
+from pipeline.scoring.beside import beside as beside_truth
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.slot import Facts, Seen, Slot, Way
 from pipeline.translation.translate import Translation
@@ -136,7 +136,9 @@ def _drawn(
 
 def _weight(shown: SlotShown) -> int:
     """Its result is the graph's to weigh."""
-    return size_bytes((shown.picture, shown.layers, shown.beside, shown.states), shown.result.output)
+    return size_bytes(
+        (shown.picture, shown.layers, shown.beside, shown.states, shown.state_layers), shown.result.output
+    )
 
 
 def _with_others(

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from app.session.state import Session
 from app.work.evaluator import Evaluator, depth_params, request_of
 from app.work.jobs import Report
-from app.work.versus import Beside, beside_felt
 from pipeline.alignment.refine import Refinement, refine
 from pipeline.alignment.score import Score
 from pipeline.alignment.sensitivity import Sensitivity
@@ -17,6 +16,7 @@ from pipeline.base.arrays import Doubles
 from pipeline.base.errors import SettingProblem
 from pipeline.pictures.layers import Layer
 from pipeline.pictures.picture import Picture, beside, enlarged
+from pipeline.scoring.beside import Beside, beside_felt
 from pipeline.sensors.offsets import Offsets, of_motion
 from pipeline.stages.project import slot as view_slot
 from pipeline.stages.project.stage import Projection

@@ -15,6 +15,7 @@ from pipeline import __version__
 from pipeline.base import unexpected
 from pipeline.base.errors import TouchError
 from pipeline.cli import align_options as cli_align
+from pipeline.cli import compare_options as cli_compare
 from pipeline.cli import data_options as cli_data
 from pipeline.cli import evaluate_options as cli_evaluate
 from pipeline.cli import hand_on_options as cli_hand_on
@@ -43,6 +44,7 @@ def build(name: str = "tactoscope") -> App:
     app.command(inspect)
     app.command(translate)
     app.command(blame)
+    app.command(cli_compare.compare)
     app.command(cli_hand_on.export)
     app.command(cli_hand_on.make_case)
     app.command(cli_hand_on.case)

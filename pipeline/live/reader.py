@@ -55,6 +55,7 @@ class Reader:
         self._arrived: deque[float] = deque()
         self._reference: Image | Floats | None = None
         self._first_zero: Image | Floats | None = None
+        self._sure_zero: Image | Floats | None = None  # the last one that nothing spoke against
         self._start_s = time.monotonic()
         self._state: State = "looking"
         self._problem = self._drift = ""
@@ -97,8 +98,9 @@ class Reader:
 
     def frame(self, index: int) -> TactileFrame:
         """A frame that is held, also one from before zero was first set; raises FileProblem for one that is gone."""
-        frame = self._at(index).frame
-        return frame if frame.reference is not None else replace(frame, reference=self._first_zero)
+        frame, first = self._at(index).frame, self._first_zero
+        fits = first is not None and frame.reference is None and first.shape == frame.image.shape
+        return replace(frame, reference=first) if fits else frame
 
     def truth(self, index: int) -> Truth | None:
         """What is known of it, where the sensor is simulated."""
@@ -106,16 +108,26 @@ class Reader:
 
     def set_zero(self) -> str:
         """Take the median of the last readings as untouched, from the next one on; what is wrong with it, or ""."""
-        with self._lock:
-            images = [held.frame.image for held in list(self._held)[-zero.MOST :]]
+        images = self._last()
         if len(images) < zero.FEWEST:
             return f"zero needs {zero.FEWEST} readings, there are {len(images)}"
         self._reference = zero.median_of(images)
         if self._first_zero is None or self._first_zero.shape != self._reference.shape:
             self._first_zero = self._reference
-        self._problem = zero.problem_of(images, sensor_named(self.source.sensor))
+        spec, sure = sensor_named(self.source.sensor), self._sure_zero
+        since = "" if sure is None else zero.touched_since(self._reference, sure, spec)
+        self._problem = zero.problem_of(images, spec) or since
+        if not self._problem:
+            self._sure_zero = self._reference
         self._drift = ""
         return self._problem
+
+    def _last(self) -> list[Image | Floats]:
+        """The last readings that are of one size."""
+        with self._lock:
+            images = [held.frame.image for held in list(self._held)[-zero.MOST :]]
+        other = next((k for k, image in enumerate(reversed(images)) if image.shape != images[-1].shape), len(images))
+        return images[len(images) - other :]
 
     def status(self) -> Status:
         """What is to be said now."""
@@ -183,6 +195,8 @@ class Reader:
         if self._state != "running":
             self._state, self._problem = "running", ""
         if self._reference is not None and image.shape != self._reference.shape:
+            (rows, cols), (r, c) = image.shape[:2], self._reference.shape[:2]
+            self._problem = f"pictures of {cols} x {rows} px come now, {c} x {r} before; zero is set anew"
             self._reference = None
         with self._lock:
             index = self._first + len(self._held)
@@ -208,7 +222,7 @@ class Reader:
     def _check(self, frame: TactileFrame) -> None:
         """Set the first zero by itself; now and then see whether it still fits."""
         if self._reference is None:
-            if self.n_frames - self.first >= zero.MOST // 2:
+            if len(self._last()) >= zero.MOST // 2:
                 self.set_zero()
         elif frame.time_s - self._checked_s > _CHECK_EVERY_S:
             self._checked_s = frame.time_s

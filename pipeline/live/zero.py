@@ -15,6 +15,7 @@ _BLOCKS_ALONG = 16
 _SAME_NOISES = 6.0  # times the usual change of a block between two readings, where that is more than the limit
 _SAME = {"gel": 2.0, "bubble": 0.4}  # grey levels and mm that a block's mean may change while nothing happens
 _DRIFT_BUBBLE_MM = 1.0
+_TOUCHED = 0.98  # share of the blocks: a touch covers at least the rest
 
 
 def median_of(images: Sequence[Image | Floats]) -> Image | Floats:
@@ -34,6 +35,18 @@ def problem_of(images: Sequence[Image | Floats], sensor: SensorSpec) -> str:
     usual = float(np.median([np.median(np.abs(b - a)) for a, b in pairwise(blocks)] or [0.0]))
     if float(np.quantile(moved, 0.99)) > max(_SAME[sensor.kind], _SAME_NOISES * usual):
         return "something touched or moved while zero was set; leave the sensor alone and set zero again"
+    return ""
+
+
+def touched_since(reference: Image | Floats, before: Image | Floats, sensor: SensorSpec) -> str:
+    """Why a new zero may hold a touch: a part of it is another than in the zero `before`, the rest is not; else ""."""
+    if reference.shape != before.shape:
+        return ""
+    change = np.abs(_blocks(reference) - _blocks(before)).max(axis=-1)
+    limit = sensor.limits.no_touch if sensor.kind == "gel" else _DRIFT_BUBBLE_MM
+    if float(np.quantile(change, _TOUCHED)) > limit > float(np.median(change)):
+        told = "a part of the picture is not what it was at the last zero, as where something touches"
+        return f"{told}; take it away and set zero again"
     return ""
 
 

@@ -206,3 +206,20 @@ def test_a_driver_that_fails_leaves_a_window_that_works(qtbot, monkeypatch):
     assert type(scene) is Scene
     assert "no OpenGL here" in view.notice
     scene.finish()
+
+
+def test_a_faint_surface_does_not_shine_through_one_in_the_same_place(scene):
+    scene.look(SIGHTS, linked=True)
+    sheet = surface(10.0)
+    finer = np.linspace(-1, 1, 40, dtype=np.float32)
+    rounding = np.random.default_rng(0).normal(scale=1e-5, size=(40, 40))
+    xyz = np.stack([*np.meshgrid(finer, finer), 10.0 + rounding], axis=-1).reshape(-1, 3).astype(np.float32)
+    first = (np.arange(39)[:, None] * 40 + np.arange(39)[None, :]).ravel()
+    triangles = np.concatenate([np.stack([first, first + 40, first + 1], -1),
+                                np.stack([first + 1, first + 40, first + 41], -1)]).astype(np.int32)  # fmt: skip
+    faint = Layer(name="membrane", points_mm=xyz, rgb=uniform((200, 200, 255), 1600), triangles=triangles,
+                  normals=np.tile(np.array([0, 0, -1], np.float32), (1600, 1)), opacity=0.22)  # fmt: skip
+    scene.show_layers(0, [sheet, faint])
+    scene.settle()
+    with_it = np.array([scene.views[0].image.pixelColor(x, 75).blue() for x in range(60, 90)])
+    assert with_it.std() < 2.0, "stripes of the faint one"

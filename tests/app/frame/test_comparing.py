@@ -10,10 +10,11 @@ from PyQt6.QtCore import QPointF
 from app.frame.comparing import Comparing
 from app.frame.tour import wait_until_shown
 from app.session.sample import SAMPLE
-from app.work.side_by_side import ordered
 from pipeline.networks import shelf
+from pipeline.scoring.side_by_side import ordered
 from pipeline.scoring.versions import Version
 from pipeline.stages.generate.slot import PHYSICS, VQVAE
+from tests.app.frame.typed import same_as_typed
 
 LIMIT_S, LIMIT_MS = 60, 60_000
 
@@ -55,6 +56,11 @@ def test_every_way_stands_beside_the_truth_worst_first(compared, qtbot):
     page.choice_changed.emit()
     _settled(qtbot, instrument, comparing, tiles)
     assert [tile.title for tile in _tiles(instrument)] == ["truth", PHYSICS.title, VQVAE.title]
+
+
+def test_the_copied_command_makes_the_same_pictures_and_figures(compared, tmp_path, monkeypatch):
+    instrument, _ = compared
+    same_as_typed(instrument, tmp_path, monkeypatch)
 
 
 def test_one_key_shows_the_difference_and_all_look_at_one_place(compared):

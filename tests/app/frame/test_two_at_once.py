@@ -9,7 +9,10 @@ import pytest
 
 from app.frame.comparing import Comparing
 from app.frame.tour import wait_until_shown
+from app.session.compared import Compared
 from app.session.sample import SAMPLE
+from app.session.state import load_session
+from tests.app.frame.typed import same_as_typed
 
 LIMIT_S, LIMIT_MS = 60, 60_000
 
@@ -68,6 +71,42 @@ def test_what_is_set_now_stands_beside_what_was_held(held, qtbot):
     assert [t.apart for t in tiles].count(True) == 2
 
 
+def test_the_copied_command_makes_the_same_pictures_and_figures(held, qtbot, tmp_path, monkeypatch):
+    instrument, comparing = held
+    instrument.choose_method("view", "paper")
+    assert wait_until_shown(instrument, LIMIT_S)
+    _choose_slot(qtbot, instrument, comparing, "view")
+    same_as_typed(instrument, tmp_path, monkeypatch)
+    # What was chosen is a step that can be undone, and the session keeps it.
+    instrument.save_session(tmp_path / "a.touch.json")
+    kept = load_session(tmp_path / "a.touch.json")
+    assert kept.compared == Compared(tab="two", slot="view")
+    assert kept.held.recording.resolve() == instrument.session.recording.resolve()
+    instrument.undo.undo()
+    _settle(qtbot, instrument, comparing)
+    assert instrument.window.compare.slot.currentIndex() == instrument.window.compare.slot.count() - 1
+    instrument.undo.undo()
+    instrument.undo.undo()
+    assert instrument.session.held is None
+    assert instrument.session.layout.name == "stages"
+    instrument.undo.redo()
+    assert instrument.session.held is not None
+    assert instrument.window.compare.name == "two"
+
+
+def test_where_the_views_look_comes_back_with_the_session(held, tmp_path):
+    instrument, _ = held
+    scene = instrument.screen.scene
+    turned = (10.0, 20.0, -90.0, 0.0, 1.0, 20.0, 0.0, -1.0, 0.0, 30.0)
+    scene.turn({1: turned})
+    instrument.save_session(tmp_path / "a.touch.json")
+    instrument.reset_view()
+    assert scene.cameras()[1] != pytest.approx(turned)
+    instrument.open_session(tmp_path / "a.touch.json")
+    assert wait_until_shown(instrument, LIMIT_S)
+    assert scene.cameras()[1] == pytest.approx(turned)
+
+
 def test_both_follow_the_frame_and_b_can_go(held, qtbot):
     instrument, comparing = held
     instrument.choose_frame(1)
@@ -91,7 +130,7 @@ def test_what_is_wrong_with_the_other_stands_in_its_place(held, qtbot, tmp_path)
     assert "recording: pressed.h5 | first_touch.h5" in instrument.window.compare.tab.told.text()
 
 
-def test_seeds_are_drawn_on_request_and_their_spread_is_told(open_window, qtbot):
+def test_seeds_are_drawn_on_request_and_their_spread_is_told(open_window, qtbot, tmp_path, monkeypatch):
 
     instrument = open_window(SAMPLE, source="gelslim", target="soft_bubble", frame=5, methods={"touch": "t2d2"})
     comparing = next(child for child in instrument.children() if isinstance(child, Comparing))
@@ -116,3 +155,4 @@ def test_seeds_are_drawn_on_request_and_their_spread_is_told(open_window, qtbot)
     assert tiles["spread"].picture.scale.high == tiles["error"].picture.scale.high
     assert page.plot.points
     assert "2 samples spreads by" in page.tab.told.text()
+    same_as_typed(instrument, tmp_path, monkeypatch)

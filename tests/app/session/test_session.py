@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from PyQt6.QtGui import QUndoStack
 
+from app.session.compared import Compared
 from app.session.state import Session, load_session, save_session
 from app.session.undo import SessionChange
 from pipeline.base.errors import FileProblem
@@ -25,6 +26,8 @@ def a_session(folder: Path) -> Session:
         offsets=Offsets(shift_mm=(0.1, 0.0, -2.0), turn_deg=(0.0, 3.0, 0.0), pivot_mm=(1.0, 2.0, 20.0)),
     )  # fmt: skip
     display = changed(DisplayParams(), "gel_stretch", 5.0)
+    other = Session(recording=folder / "b.h5", target="gelslim", frame=7, methods={"view": "paper"})
+    session = session.updated(held=other, compared=Compared(tab="two", order="in order", slot="view", seeds=5))
     return session.updated(params={**session.params, "display": display})
 
 
@@ -34,18 +37,31 @@ def test_a_session_comes_back_as_it_was_saved(tmp_path):
     assert load_session(tmp_path / "s.touch.json") == session
 
 
+def test_where_the_3d_views_look_is_kept_but_is_no_change(tmp_path):
+    looked = {"depth": tuple(float(n) for n in range(10))}
+    session = replace(a_session(tmp_path), cameras=looked)
+    assert session == a_session(tmp_path)
+    save_session(session, tmp_path / "s.touch.json")
+    assert load_session(tmp_path / "s.touch.json").cameras == looked
+
+
 def test_paths_are_kept_relative_so_that_a_folder_can_be_moved(tmp_path):
     old, new = tmp_path / "old", tmp_path / "new"
     old.mkdir()
     save_session(a_session(old), old / "s.touch.json")
     old.rename(new)
     assert load_session(new / "s.touch.json").recording == new / "a.h5"
+    assert load_session(new / "s.touch.json").held.recording == new / "b.h5"
 
 
 @pytest.mark.parametrize(
     ("change", "field"),
     [
         ({"frame": "three"}, "frame"),
+        ({"compared": {"tab": "sideways"}}, "compared"),
+        ({"compared": {"seeds": "three"}}, "compared"),
+        ({"cameras": {"depth": [1.0, 2.0]}}, "cameras"),
+        ({"held": {"tactoscope session": 2}}, "source"),
         ({"frame": -1}, "frame"),
         ({"route": "sideways"}, "route"),
         ({"target": 4}, "target"),

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -62,6 +63,20 @@ class Counted:
 
     def close(self) -> None:
         pass
+
+
+class Shown(Counted):
+    """One whose picture is told."""
+
+    def __init__(self, image) -> None:
+        super().__init__()
+        self.image, self.opened = image, 0
+
+    def open(self) -> None:
+        self.opened += 1
+
+    def read(self) -> Reading:
+        return replace(super().read(), image=self.image)
 
 
 @pytest.fixture
@@ -147,6 +162,46 @@ def test_zero_is_the_median_of_the_last_readings_and_says_when_it_is_none():
     assert "touched or moved" in zero.problem_of([*still[:-1], touched], DIGIT)
     assert zero.drift_of(touched, reference, DIGIT) == ""  # a touch is no drift
     assert "set zero again" in zero.drift_of(still[0] + 40, reference, DIGIT)
+
+
+def test_zero_with_something_on_the_gel_is_noticed(running):
+    plain = np.full((*DIGIT.camera.shape, 3), 110, np.uint8)
+    touched = plain.copy()
+    touched[100:200, 80:160] += 60  # and it rests there
+    source = Shown(plain)
+    watched = running(source)
+    until(lambda: watched.has_zero)
+    assert watched.status().sentence == ""
+    source.image = touched
+    n = watched.n_frames
+    until(lambda: watched.n_frames > n + 2 * zero.MOST)
+    for _ in range(2):  # asking twice does not make it right
+        assert "as where something touches" in watched.set_zero()
+    source.image = plain + 30  # the light of the room is no touch
+    n = watched.n_frames
+    until(lambda: watched.n_frames > n + 2 * zero.MOST)
+    assert watched.set_zero() == ""
+
+
+def test_a_device_that_gives_another_size_midway_is_said_and_zeroed_anew(running, tmp_path):
+    source = Shown(np.full((*DIGIT.camera.shape, 3), 110, np.uint8))
+    watched = running(source)
+    recorder = Recorder(tmp_path / "a.h5", "test")
+    until(lambda: watched.has_zero)
+    watched.listen(recorder.offer)
+    until(lambda: recorder.n_written > 2)
+    source.image = np.full((120, 160, 3), 90, np.uint8)
+    until(lambda: bool(recorder.problem))
+    watched.listen(None)
+    assert recorder.close()
+    until(lambda: watched.frame(watched.n_frames - 1).reference is not None)
+    newest = watched.frame(watched.n_frames - 1)
+    assert newest.reference.shape == newest.image.shape == (120, 160, 3)
+    assert watched.status().state == "running", "no driver failed"
+    assert source.opened == 1
+    kept = open_recording(tmp_path / "a.h5")
+    assert kept.streams[0].n_frames == recorder.n_written
+    kept.close()
 
 
 def test_a_bubbles_zero_keeps_gaps_only_where_most_readings_have_them():

@@ -2,36 +2,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from app.session.state import Session
-from app.work.evaluator import Evaluator
-from app.work.jobs import Report
-from app.work.side_by_side import Tiles
 from pipeline.base.arrays import Floats
 from pipeline.base.errors import SettingProblem
 from pipeline.base.params import changed, settings
-from pipeline.base.progress import Share
-from pipeline.engine.graph import Method
+from pipeline.base.progress import SILENT, Progress, Share
+from pipeline.engine.graph import Graph, Method
 from pipeline.pictures.colours import ColourScale, coloured
 from pipeline.pictures.display import DisplayParams
 from pipeline.pictures.picture import Picture, of_heights
+from pipeline.pictures.tiles import Tile
 from pipeline.scoring.luck import Luck, luck
+from pipeline.scoring.tiles import HandOver, Tiles, nobody
 from pipeline.stages.generate.diffusion import DiffusionParams
 from pipeline.translation.translate import Translation
 from pipeline.values.results import DepthMap
-from widgets.tiles import Tile
 
 _SHARE = 0.2  # of the indentation's scale: spread and error are smaller than what they are of
 
 
-def by_seed(evaluator: Evaluator, session: Session, count: int, report: Report) -> Tiles:
-    """The session's frame by `count` seeds, from its own on; handed over as they come. Raises TouchError."""
-    translation, frame = evaluator.at(session, report)
-    method = _drawn(translation, session)
-    params = session.params_of(method)
+def by_seed(
+    translation: Translation, frame: int, given: Mapping[str, object], display: DisplayParams, count: int,
+    like: Graph | None = None, *, hand_over: HandOver = nobody, progress: Progress = SILENT,
+) -> Tiles:  # fmt: skip
+    """A frame by `count` seeds, from its own on; `given` are parameters of methods by key. Raises TouchError.
+
+    Handed over as they come; what is above the touch is taken from a graph `like` it where that has it.
+    """
+    told = {m.slot: given.get(m.key, m.params()) for m in translation.methods}
+    method = _drawn(translation, told)
+    params = told[method.slot]
     first = int(settings(params)["seed"][0])
     true = translation.truths(frame).get("felt")
     true = true if isinstance(true, DepthMap) else None
@@ -39,11 +43,11 @@ def by_seed(evaluator: Evaluator, session: Session, count: int, report: Report) 
     found: list[DepthMap] = []
     shown = Tiles(tiles=(), told=f"{title}: drawing")
     for n in range(count):
-        part = Share(report, n / count, 1.0 / count, f"seed {n + 1} of {count}")
-        seeded = replace(session, params={**session.params, method.key: changed(params, "seed", first + n)})
-        graph = translation.graph(like=evaluator.graph)
+        part = Share(progress, n / count, 1.0 / count, f"seed {n + 1} of {count}")
+        seeded = {**told, method.slot: changed(params, "seed", first + n)}
+        graph = translation.graph(like=like)
         results = graph.evaluate(
-            ["felt"], translation.inputs(frame), seeded.params_for(translation.methods), part
+            ["felt"], translation.inputs(frame), seeded, part
         )  # fmt: skip
         felt = results["felt"].output
         assert isinstance(felt, DepthMap)
@@ -53,17 +57,17 @@ def by_seed(evaluator: Evaluator, session: Session, count: int, report: Report) 
         if n == 1 and np.array_equal(found[0].indentation_mm, felt.indentation_mm, equal_nan=True):
             raise SettingProblem(_all_one(title, params))
         if n:
-            shown = _shown(found, true, translation, session.display, title, first)
-            report.hand_over(shown)
+            shown = _shown(found, true, translation, display, title, first)
+            hand_over(shown)
     return shown
 
 
-def _drawn(translation: Translation, session: Session) -> Method:
+def _drawn(translation: Translation, told: Mapping[str, object]) -> Method:
     """The method of the touch, if it draws; raises SettingProblem."""
     method = next((m for m in translation.methods if m.slot == "touch"), None)
     if method is None or "felt" not in translation.slots:
         raise SettingProblem("this route makes no touch; choose another route")
-    if method.weights is None or "seed" not in settings(session.params_of(method)):
+    if method.weights is None or "seed" not in settings(told[method.slot]):
         raise SettingProblem(f"the touch by {method.title!r} is not drawn by chance; choose T2D2 or T2T for it")
     return method
 
@@ -98,6 +102,7 @@ def _shown(
         Tile(title=f"mean of {told.count} seeds", told=f"seeds {first} to {first + told.count - 1}", picture=mean),
         Tile(
             title="spread", told=f"{told.rms_spread_mm:.3g} mm, standard deviation in contact (rms)",
+            figures={"rms_spread_mm": told.rms_spread_mm},
             picture=_of_error(mean, told.spread_mm, "standard deviation over seeds"),
         ),
         Tile(title="one of them", told=f"seed {first + told.count - 1}", picture=drawn(last.indentation_mm, last)),
@@ -105,7 +110,13 @@ def _shown(
     if told.off_mm is not None and truth is not None:
         off = _of_error(mean, np.abs(told.off_mm), "error of the mean, without its sign")
         tiles.insert(
-            2, Tile(title="error", told=f"{told.rms_off_mm:.3g} mm, of the mean in contact (rms)", picture=off)
+            2,
+            Tile(
+                title="error",
+                told=f"{told.rms_off_mm:.3g} mm, of the mean in contact (rms)",
+                figures={"rms_error_mm": told.rms_off_mm},
+                picture=off,
+            ),
         )
         tiles.append(Tile(title="truth", told=f"{target.title}'s own", picture=truth))
     return Tiles(tiles=tuple(tiles), told=f"{title}: {told.sentence}", curve=_points(told))

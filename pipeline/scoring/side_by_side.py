@@ -3,55 +3,44 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from app.session.state import Session
-from app.work.evaluator import Evaluator
-from app.work.jobs import Report
+from pipeline.base.progress import SILENT, Progress
 from pipeline.pictures.difference import difference
 from pipeline.pictures.display import DisplayParams
-from pipeline.pictures.layers import Layer
 from pipeline.pictures.picture import Picture, of_heights, of_reading
+from pipeline.pictures.tiles import Tile
 from pipeline.scoring.compared import generated, recorded_only
+from pipeline.scoring.tiles import HandOver, Tiles, nobody
 from pipeline.scoring.versions import Kept, Version, able, versions
 from pipeline.stages.slot import Facts
 from pipeline.translation.translate import Translation
 from pipeline.values.results import Touch
-from widgets.tiles import Tile
 
 _NO_TRUTH = "the recording does not hold what {target} felt, so that no error is known"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Tiles:
-    """What a tab shows: the tiles so far, and a sentence."""
-
-    tiles: tuple[Tile, ...]
-    told: str
-    curve: tuple[tuple[float, float], ...] = ()  # spread and error, mm
-    slot: str = ""  # that is also shown in 3D,
-    solids: tuple[tuple[tuple[Layer, ...], Translation | None], ...] = ()  # from where it is seen in each
-
-
-def by_method(evaluator: Evaluator, session: Session, order: str, kept: Kept, report: Report) -> Tiles:
-    """The session's frame by every method of its touch, handed over one by one; raises TouchError."""
-    translation, frame = evaluator.at(session, report)
-    display, facts = session.display, translation.facts(frame)
+def by_method(
+    translation: Translation, frame: int, params: Mapping[str, object], display: DisplayParams, order: str, kept: Kept,
+    *, hand_over: HandOver = nobody, progress: Progress = SILENT,
+) -> Tiles:  # fmt: skip
+    """A frame by every method of its touch, handed over one by one; `params` of methods by key. Raises TouchError."""
+    facts = translation.facts(frame)
     true = _truth(translation, facts, display)
     ways = able(translation)
     first = () if true is None else (Tile(title="truth", told=f"{translation.target.title}'s own", picture=true),)
     begun = Tiles(tiles=first, told=_sentence(translation, frame, len(ways.ways), ways.absent, known=true is not None))
-    report.hand_over(begun)
+    hand_over(begun)
     found: list[Version] = []
     shown = begun
-    for version in versions(translation, frame, session.params, kept, report):
+    for version in versions(translation, frame, params, kept, progress):
         found.append(version)
         tiles = tuple(_tile(v, translation, true, display) for v in ordered(found, order))
         shown = replace(begun, tiles=(*first, *tiles))
-        report.hand_over(shown)
+        hand_over(shown)
     return shown
 
 
@@ -81,12 +70,21 @@ def told(version: Version) -> str:
     return " · ".join([*parts, f"{version.ms:.0f} ms"] if math.isfinite(version.ms) else parts)
 
 
+def _figures(version: Version) -> dict[str, float]:
+    """Those that another run has too: no times."""
+    known = {
+        "contact_error_mm": version.contact_error_mm, "error_mm": version.error_mm, "psnr_db": version.psnr_db,
+        "ssim": version.ssim,
+    }  # fmt: skip
+    return {name: value for name, value in known.items() if math.isfinite(value)}
+
+
 def _tile(version: Version, translation: Translation, true: Picture | None, display: DisplayParams) -> Tile:
     if version.touch is None or version.problem:
         return Tile(title=version.method.title, problem=version.problem)
     made = _drawn(version.touch, translation, display)
     return Tile(
-        title=version.method.title, told=told(version), picture=made, truth=true,
+        title=version.method.title, told=told(version), figures=_figures(version), picture=made, truth=true,
         gap=None if true is None else difference(made, true),
     )  # fmt: skip
 

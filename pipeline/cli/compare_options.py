@@ -1,0 +1,58 @@
+"""`tactoscope compare`: one frame several ways."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from pipeline.cli.opening_options import NOTHING_ELSE, Opening
+
+_Settings = Annotated[tuple[str, ...], Parameter(name="--set", negative="")]
+
+
+def compare(
+    recording: Path,
+    *,
+    target: str,
+    out: Path,
+    opening: Opening = NOTHING_ELSE,
+    frame: int = 0,
+    order: Literal["worst first", "best first", "in order"] = "worst first",
+    seeds: int = 0,
+    slot: str = "felt",
+    beside: str = "",
+    settings: _Settings = (),
+) -> int:
+    """Show one frame several ways, as the window's Compare: by every method, by several seeds, or beside another.
+
+    Without `--seeds` and `--beside` it is every method of the touch.
+
+    Parameters
+    ----------
+    recording
+        File or folder of any known format.
+    target
+        Sensor to translate to.
+    out
+        Folder for the pictures (PNG) and the figures (compare.json); an earlier comparison there is replaced.
+    frame
+        Which frame.
+    order
+        Of the methods, by their error in contact.
+    seeds
+        Draw the touch with so many seeds, the chosen one first.
+    slot
+        Which slot stands beside that of the other, or `all`.
+    beside
+        The other, in the options of this command: `--method view=paper`, for example. Without a recording of its own
+        it is this one with these options in place, with one it is what these options say alone.
+    settings
+        `slot.parameter=value`, or `slot/method.parameter=value` of a method that fills no slot here, or
+        `display.parameter=value`, as often as needed.
+    """
+    from pipeline.cli.compare import Wanted, write_comparison
+
+    wanted = Wanted(frame=frame, order=order, seeds=seeds, slot="" if slot == "all" else slot, beside=beside)
+    return write_comparison(recording, target, opening, settings, wanted, out)
