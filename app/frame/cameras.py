@@ -20,9 +20,10 @@ class Cameras:
         """View -> where it looks from and to."""
         return {self._views[column]: camera for column, camera in scene.cameras().items()}
 
-    def want(self, cameras: Mapping[str, Camera]) -> None:
-        """Look so from the next `turn` on."""
+    def want(self, cameras: Mapping[str, Camera], scene: Scene | None) -> None:
+        """Look so, at once or from the next `turn` on."""
         self._wanted = cameras
+        self.turn(scene)
 
     def turn(self, scene: Scene | None) -> None:
         """Look as was wanted, once there are views that can; None while nothing is open."""

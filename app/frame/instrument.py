@@ -84,9 +84,7 @@ class Instrument(Documents):
 
     def turn(self, cameras: Mapping[str, tuple[float, ...]]) -> None:
         """Have the 3D views look so, once what the session opens is there."""
-        self.screen.cameras.want(cameras)
-        if self._is_open() and not self._opening:
-            self.screen.cameras.turn(self.screen.scene)
+        self.screen.cameras.want(cameras, self.screen.scene if self._is_open() and not self._opening else None)
 
     def compare(self, beside: bool) -> None:
         """Whether to outline what the target really felt."""

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from PyQt6.QtGui import QGuiApplication
-
 from app.frame.cameras import Cameras
+from app.frame.captions import show_captions
 from app.frame.places import sights
 from app.frame.tracing import Tracer
 from app.frame.window import Window
@@ -19,18 +18,14 @@ from pipeline.engine.graph import Method, StageResult
 from pipeline.pictures.layers import Layer
 from pipeline.pictures.picture import Picture
 from pipeline.scoring.beside import Beside, Versus
-from pipeline.sensors.spec import SensorSpec
 from pipeline.translation.translate import Translation
-from widgets.colours import hexed, inks
 from widgets.layers import Scene
 from widgets.picture import PictureView
 from widgets.steps import Step
 from widgets.timings_panel import TimingRow
 
-TIMES = "\N{MULTIPLICATION SIGN}"
 _PREVIEWED = "view"  # the slot that a drag of the alignment shows on its way
 _GENERATED = "touch"  # the slot whose truth demonstrations show
-_SOURCE_LEGEND = "reading on its surface"
 
 
 class Screen:
@@ -247,14 +242,8 @@ class Screen:
 
     def caption(self, session: Session) -> None:
         """Say which frame and stretch each 3D view has, its axes in the colours that are on."""
-        if self.opened is None:
-            return
-        t, display = self.opened, session.display
-        self._window.truth_cell.caption.setText(f"{t.target.name} frame {self._axes()}")
-        self._caption("source", _SOURCE_LEGEND, t.source, 1.0)
-        for slot in t.catalogue.slots:
-            place = t.source if slot.place == "source" else t.target
-            self._caption(slot.name, slot.legend, place, display.stretch(place) if slot.stretches else 1.0)
+        if self.opened is not None:
+            show_captions(self._window, self.opened, session.display)
 
     def show_others(
         self, slot: str, others: Sequence[tuple[tuple[Layer, ...], Translation | None]], session: Session
@@ -285,16 +274,6 @@ class Screen:
     def show_only(self, name: str | None) -> None:
         """One slot alone, or all of the route for None."""
         self._window.show_only(name)
-
-    def _caption(self, name: str, legend: str, place: SensorSpec, times: float) -> None:
-        cell = self._window.cells[name]
-        cell.legend.setText(legend)
-        stretch = "" if times == 1.0 else f", depth {TIMES}{times:g}"
-        cell.caption.setText(f"{place.name} frame {self._axes()}{stretch}")
-
-    def _axes(self) -> str:
-        colours = zip("xyz", inks(QGuiApplication.palette()).axes, strict=True)
-        return " ".join(f"<b style='color:{hexed(colour)}'>{name}</b>" for name, colour in colours)
 
     def _resting_on(self, name: str) -> set[str]:
         """The slots that change with an input."""
