@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pipeline.base.errors import SettingProblem
 from pipeline.cli.main import build, run
-from pipeline.cli.opening_options import NOTHING_ELSE, Opening
+from pipeline.cli.opening_options import NOTHING_ELSE, Opening, Recorded, Target
 
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
 
@@ -21,9 +21,9 @@ def main() -> None:
 
 
 def view(
-    recording: Path | None = None,
+    recording: Recorded | None = None,
     *,
-    target: str = "",
+    target: Target = "",
     opening: Opening = NOTHING_ELSE,
     frame: int | None = None,
     tour: Path | None = None,
@@ -32,10 +32,6 @@ def view(
 
     Parameters
     ----------
-    recording
-        File or folder of any known format.
-    target
-        Sensor to translate to.
     frame
         Frame to begin with.
     tour

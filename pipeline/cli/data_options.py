@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
+from pipeline.cli.opening_options import words
+
 
 def simulate(
     *,
@@ -63,11 +65,11 @@ def simulate(
     from pipeline.simulation.datasets import Plan
 
     like = Plan(
-        sensors=_words(sensors), tool="", poses=poses, seed=seed, sequence=sequence, vary=vary, noise=noise,
+        sensors=words(sensors), tool="", poses=poses, seed=seed, sequence=sequence, vary=vary, noise=noise,
         bubble_deeper_mm=bubble_deeper_mm, drag_mm=drag_mm,
         mesh_unit=mesh_unit, mesh_face=mesh_face,
     )  # fmt: skip
-    return simulate_recordings(_words(tools), like, out, jobs, scheduler)
+    return simulate_recordings(words(tools), like, out, jobs, scheduler)
 
 
 def balls(
@@ -105,7 +107,3 @@ def balls(
     from pipeline.cli.calibrate import calibrate_balls_command
 
     return calibrate_balls_command(presses, sensor, diameter_mm, reference, out, pixel_mm, pattern, seed)
-
-
-def _words(listed: str) -> tuple[str, ...]:
-    return tuple(word for word in (part.strip() for part in listed.split(",")) if word)

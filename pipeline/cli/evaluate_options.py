@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from pipeline.cli.opening_options import Settings, words
+
 
 def evaluate(
     *,
@@ -17,7 +19,7 @@ def evaluate(
     directions: Annotated[tuple[str, ...], Parameter(name="--direction", negative="")] = (),
     only: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     fill: Annotated[tuple[str, ...], Parameter(name="--method", negative="")] = (),
-    settings: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    settings: Settings = (),
     poses: str = "signed_distances,network",
     sweep: str = "",
     plots: Path | None = None,
@@ -67,14 +69,10 @@ def evaluate(
     chosen: dict[str, str] = {}
     for assignment in fill:
         chosen = with_method(chosen, assignment)
-    judges = () if poses == "none" else tuple(name for name in _words(poses) if name in POSES or name != "network")
+    judges = () if poses == "none" else tuple(name for name in words(poses) if name in POSES or name != "network")
     wanted = Wanted(
         split=split, held_out=HeldOut(grasps=grasps, vary=vary, folder=folder),
         directions=tuple(direction(text) for text in directions) or DIRECTIONS, contenders=only, methods=chosen,
         settings=settings, poses=judges,
     )  # fmt: skip
-    return score(wanted, json, _words(sweep), plots, scheduler)
-
-
-def _words(listed: str) -> tuple[str, ...]:
-    return tuple(word for word in (part.strip() for part in listed.split(",")) if word)
+    return score(wanted, json, words(sweep), plots, scheduler)

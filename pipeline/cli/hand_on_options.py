@@ -7,34 +7,31 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from pipeline.cli.opening_options import NOTHING_ELSE, Opening
+from pipeline.cli.opening_options import NOTHING_ELSE, Opening, Recorded, Settings, Target
 
-_Settings = Annotated[tuple[str, ...], Parameter(name="--set", negative="")]
+_DRAWN = "`slot.parameter=value`, or `display.parameter=value` for how it is drawn, as often as needed."
+_DrawnSettings = Annotated[tuple[str, ...], Parameter(name="--set", negative="", help=_DRAWN)]
 
 # Told here: in a docstring the word is the heading of a section.
 _Note = Annotated[str, Parameter(help="What is to be seen in it.")]
 
 
 def export(
-    recording: Path,
+    recording: Recorded,
     *,
-    target: str,
+    target: Target,
     out: Path,
     opening: Opening = NOTHING_ELSE,
     pane: str = "sheet",
     shown: Literal["computed", "truth", "difference"] = "computed",
     frame: int = 0,
     frames: str = "",
-    settings: _Settings = (),
+    settings: _DrawnSettings = (),
 ) -> int:
     """Write one file of a translation, the same as the window's Export: picture, points, arrays, table or video.
 
     Parameters
     ----------
-    recording
-        File or folder of any known format.
-    target
-        Sensor to translate to.
     out
         The file: .png or .pdf of a pane or the sheet, .ply of a pane's points in mm, .npz of its arrays, .csv of every
         frame's figures, .mp4 or .avi of a pane through the frames.
@@ -46,8 +43,6 @@ def export(
         The frame of a picture, of points or of arrays.
     frames
         Frames of a table or a video, such as `0,3-7`; all otherwise.
-    settings
-        `slot.parameter=value`, or `display.parameter=value` for how it is drawn, as often as needed.
     """
     from pipeline.cli.hand_on import write_export
     from pipeline.reporting.asked import Asked
@@ -59,29 +54,23 @@ def export(
 
 
 def make_case(
-    recording: Path,
+    recording: Recorded,
     *,
-    target: str,
+    target: Target,
     out: Path,
     opening: Opening = NOTHING_ELSE,
     frame: int = 0,
     note: _Note = "",
-    settings: _Settings = (),
+    settings: Settings = (),
 ) -> int:
     """Put one frame with all that its translation reads, and what came out of it, into a folder that can be sent.
 
     Parameters
     ----------
-    recording
-        File or folder of any known format.
-    target
-        Sensor to translate to.
     out
         The folder, which must not be there yet.
     frame
         Which frame.
-    settings
-        `slot.parameter=value`, as often as needed.
     """
     from pipeline.cli.hand_on import write_case
 

@@ -7,7 +7,7 @@ import io
 import os
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from cyclopts import App, CycloptsError, Parameter
 
@@ -21,7 +21,16 @@ from pipeline.cli import evaluate_options as cli_evaluate
 from pipeline.cli import hand_on_options as cli_hand_on
 from pipeline.cli import live_options as cli_live
 from pipeline.cli import train_options as cli_train
-from pipeline.cli.opening_options import NOTHING_ELSE, Opening
+from pipeline.cli.opening_options import (
+    NOTHING_ELSE,
+    DepthUnit,
+    Flag,
+    Opening,
+    Recorded,
+    Reference,
+    Settings,
+    Target,
+)
 from pipeline.cli.terminal import complain, print_line
 
 EXIT_UNEXPECTED = 1
@@ -104,8 +113,8 @@ def inspect(
     recording: Path,
     *,
     sensor: str = "",
-    reference: Path | None = None,
-    depth_unit: Literal["auto", "mm", "m", "0.1mm", "um"] = "auto",
+    reference: Reference = None,
+    depth_unit: DepthUnit = "auto",
 ) -> int:
     """Say what a recording is: format, frames, sensor, truth, and whether its units and frames make sense.
 
@@ -118,10 +127,6 @@ def inspect(
         File or folder of any known format, or a calibration.
     sensor
         The sensor that made it, where the file does not say.
-    reference
-        Image of the untouched sensor, where the recording holds none.
-    depth_unit
-        Unit of a depth array or 16-bit picture whose name does not tell.
     """
     from pipeline.calibration import description, lookup
     from pipeline.inspection.recording import inspect as report_on
@@ -138,25 +143,21 @@ def inspect(
 
 
 def translate(
-    recording: Path,
+    recording: Recorded,
     *,
-    target: str,
+    target: Target,
     out: Path,
     opening: Opening = NOTHING_ELSE,
     frame: int | None = None,
     all_frames: Annotated[bool, Parameter(name="--all", negative="")] = False,
-    follow: Annotated[bool, Parameter(negative="")] = False,
-    settings: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    follow: Flag = False,
+    settings: Settings = (),
     scheduler: str = "",
 ) -> int:
     """Turn touches of one sensor into what another would have felt, and write every slot.
 
     Parameters
     ----------
-    recording
-        File or folder of any known format.
-    target
-        Sensor to translate to.
     out
         Folder for `frame_NNNN/stages.npz`, `frame_NNNN/sheet.png` and `report.json`.
     frame
@@ -165,8 +166,6 @@ def translate(
         Translate every frame.
     follow
         With --all, begin each pose where the touch before ended: several times as quick, for moving sequences.
-    settings
-        `slot.parameter=value`, as often as needed.
     scheduler
         With --all, address of a Dask scheduler whose workers translate the frames, such as `tcp://host:8786`.
     """
@@ -180,12 +179,12 @@ def translate(
 def blame(
     recording: Path,
     *,
-    target: str,
+    target: Target,
     opening: Opening = NOTHING_ELSE,
     figure: str = "felt.contact_mae_mm",
     frame: int | None = None,
     json: Path | None = None,
-    settings: Annotated[tuple[str, ...], Parameter(name="--set", negative="")] = (),
+    settings: Settings = (),
 ) -> int:
     """Say which slot each frame's error comes from, by putting the truth in place of one after the other.
 
@@ -193,16 +192,12 @@ def blame(
     ----------
     recording
         File or folder of any known format that knows the truth of its touches, such as simulated ones.
-    target
-        Sensor to translate to.
     figure
         The error to be taken apart, slot.name as `tactoscope translate` writes it into its report.
     frame
         The one frame to ask about; all of them otherwise, the worst first.
     json
         File for the parts of every frame.
-    settings
-        `slot.parameter=value`, as often as needed.
     """
     from pipeline.cli.blame import show_blame
 
@@ -228,7 +223,7 @@ def bench(
     json: Path | None = None,
     plots: Path | None = None,
     against: Path | None = None,
-    strict: Annotated[bool, Parameter(negative="")] = False,
+    strict: Flag = False,
     list_questions: Annotated[bool, Parameter(name="--list", negative="")] = False,
 ) -> int:
     """Race our stages against what one can install: run time against error, on this machine.

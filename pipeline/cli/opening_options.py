@@ -8,10 +8,24 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
+from pipeline.base.errors import SettingProblem
+
 if TYPE_CHECKING:
+    from pipeline.sensors.offsets import Offsets
     from pipeline.translation.translate import Request
 
-Triple = tuple[float, float, float]
+Triple = Annotated[tuple[float, float, float], Parameter(negative="")]
+Recorded = Annotated[Path, Parameter(help="File or folder of any known format.")]
+Target = Annotated[str, Parameter(help="Sensor to translate to.")]
+Settings = Annotated[
+    tuple[str, ...], Parameter(name="--set", negative="", help="`slot.parameter=value`, as often as needed.")
+]
+Flag = Annotated[bool, Parameter(negative="")]
+DepthUnit = Annotated[
+    Literal["auto", "mm", "m", "0.1mm", "um"],
+    Parameter(help="Unit of a depth array or 16-bit picture whose name does not tell."),
+]
+Reference = Annotated[Path | None, Parameter(help="Image of the untouched sensor, where the recording holds none.")]
 _WEIGHTS = "File of a network's weights, for the method that takes such; `slot=FILE` where several do."
 _METHODS = "`slot=method` in place of the route's own, such as `felt=reading`, as often as needed."
 
@@ -27,8 +41,6 @@ class Opening:
         The sensor that made the recording, where the file does not say; also chooses one of several streams.
     stream
         Name of the stream, where one sensor has several.
-    reference
-        Image of the untouched sensor, where the recording holds none.
     calibration
         Look-up made by `tactoscope calibrate balls`; the sensor's built-in one otherwise.
     route
@@ -37,8 +49,6 @@ class Opening:
         The touched object's mesh, for its pose.
     mesh_unit
         Unit of that mesh.
-    depth_unit
-        Unit of a depth array or 16-bit picture whose name does not tell.
     alignment
         How the two sensors stand to each other, a .toml as `tactoscope align refine` writes it.
     shift_mm
@@ -51,13 +61,13 @@ class Opening:
 
     sensor: str = ""
     stream: str = ""
-    reference: Path | None = None
+    reference: Reference = None
     calibration: Path | None = None
     route: str = "t2d2"
     methods: Annotated[tuple[str, ...], Parameter(name="--method", negative="", help=_METHODS)] = ()
     mesh: Path | None = None
     mesh_unit: Literal["auto", "mm", "cm", "m"] = "auto"
-    depth_unit: Literal["auto", "mm", "m", "0.1mm", "um"] = "auto"
+    depth_unit: DepthUnit = "auto"
     alignment: Path | None = None
     weights: Annotated[tuple[str, ...], Parameter(negative="", help=_WEIGHTS)] = ()
     shift_mm: Triple = (0.0, 0.0, 0.0)
@@ -65,8 +75,7 @@ class Opening:
     pivot_mm: Triple = (0.0, 0.0, 0.0)
 
     def request(self, recording: Path, target: str) -> Request:
-        """What is to be translated into what; raises SettingProblem for a method that is not written slot=method."""
-        from pipeline.sensors.offsets import Offsets
+        """What is to be translated into what; raises SettingProblem for no slot=method, and for no offset in reach."""
         from pipeline.translation.catalogue import with_method, with_weights
         from pipeline.translation.translate import Request
 
@@ -81,8 +90,22 @@ class Opening:
             methods=tuple(chosen.items()), reference=self.reference, calibration=self.calibration, mesh=self.mesh,
             mesh_unit=self.mesh_unit, depth_unit=self.depth_unit, alignment=self.alignment,
             weights=tuple(weights.items()),
-            offsets=Offsets(shift_mm=self.shift_mm, turn_deg=self.turn_deg, pivot_mm=self.pivot_mm),
+            offsets=self._offsets(),
         )  # fmt: skip
+
+    def _offsets(self) -> Offsets:
+        from pipeline.sensors.offsets import from_plain
+
+        moved = {"shift_mm": self.shift_mm, "turn_deg": self.turn_deg, "pivot_mm": self.pivot_mm}
+        try:
+            return from_plain({name: list(three) for name, three in moved.items()})
+        except ValueError as error:
+            raise SettingProblem(f"--{str(error).replace('_', '-', 1)}") from None
 
 
 NOTHING_ELSE = Opening()
+
+
+def words(listed: str) -> tuple[str, ...]:
+    """The words of a list with commas."""
+    return tuple(word for word in (part.strip() for part in listed.split(",")) if word)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import App, Parameter
+from cyclopts import App
+
+from pipeline.cli.opening_options import Flag
 
 
 def build() -> App:
@@ -25,7 +26,7 @@ def _command(what: str) -> Callable[..., int]:
         *,
         recipe: str,
         out: Path,
-        resume: Annotated[bool, Parameter(negative="")] = False,
+        resume: Flag = False,
         minutes: float | None = None,
         steps: int | None = None,
         seed: int | None = None,
@@ -60,7 +61,7 @@ def _command(what: str) -> Callable[..., int]:
     return learn
 
 
-def export(run: Path, *, to: Path, half: Annotated[bool, Parameter(negative="")] = False) -> int:
+def export(run: Path, *, to: Path, half: Flag = False) -> int:
     """Write the weights of a training, finished or not, with a card that says how they came about.
 
     Parameters

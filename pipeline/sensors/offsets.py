@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, cast
@@ -17,6 +16,7 @@ Axis = Literal["x", "y", "z", "rx", "ry", "rz"]
 AXES: tuple[Axis, ...] = ("x", "y", "z", "rx", "ry", "rz")
 Triple = tuple[float, float, float]
 ZERO: Triple = (0.0, 0.0, 0.0)
+_MOST = {"shift_mm": rigid.FARTHEST_MM, "turn_deg": 360.0, "pivot_mm": rigid.FARTHEST_MM}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,19 +78,19 @@ def of_motion(motion: Doubles, pivot_mm: Sequence[float] | Doubles) -> Offsets:
 
 
 def from_plain(data: object) -> Offsets:
-    """Of what a session file holds; raises ValueError that says which entry is wrong."""
+    """Of what a session file or a command line says; raises ValueError that says which entry is wrong."""
     if not isinstance(data, dict):
         raise ValueError("must be a table of shift_mm, turn_deg and pivot_mm")
     table = cast("Mapping[str, Any]", data)
-    return Offsets(**{name: _three(table, name) for name in ("shift_mm", "turn_deg", "pivot_mm")})
+    return Offsets(**{name: _three(table, name) for name in _MOST})
 
 
 def _three(table: Mapping[str, Any], name: str) -> Triple:
     value: object = table.get(name)
     numbers = cast("list[object]", value) if isinstance(value, list) else []
     plain = [float(n) for n in numbers if isinstance(n, (int, float)) and not isinstance(n, bool)]
-    if len(plain) != 3 or len(numbers) != 3 or not all(map(math.isfinite, plain)):
-        raise ValueError(f"{name} must be three finite numbers, got {value!r}")
+    if len(plain) != 3 or len(numbers) != 3 or not all(abs(n) <= _MOST[name] for n in plain):  # NaN is within nothing
+        raise ValueError(f"{name} must be three finite numbers within {_MOST[name]:g}, got {value!r}")
     return _triple(plain)
 
 

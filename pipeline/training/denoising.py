@@ -11,11 +11,14 @@ squares, so that one step gives the middle of all pictures, without edges whose 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from pipeline.base.params import setting
 from pipeline.networks.samplers import sample, sigmas
+from pipeline.sensors.spec import sensor
 from pipeline.stages.generate.caution import taken
 from pipeline.stages.generate.diffusion import LOG_SPREAD
 from pipeline.training.devices import bare
@@ -30,6 +33,30 @@ _USUAL = 0.0, 1.5  # of the logarithm of all other noise, in units: mean and dev
 _DROPPED = 0.1  # share without a condition
 _HUBER = 0.25  # units
 _FEW = 6  # steps of the sample among the figures
+Target = Literal["soft_bubble", "gelslim"]
+UNITS_MM = {"bubble": 3.0, "gel": 0.2}  # of the residual: about its standard deviation where it is large
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Denoising:
+    """What every task has whose network denoises a residual of the target's touch."""
+
+    target: Target = setting("soft_bubble", "Target", choices=Target)
+    near: float = setting(1.0, "Weight of the contact", low=0.0, high=100.0)
+    slopes: float = setting(0.0, "Weight of the slopes", low=0.0, high=1000.0, help="of what a gel's picture shows")
+
+    @property
+    def kind(self) -> Literal["bubble", "gel"]:
+        """The target's."""
+        return sensor(self.target).kind
+
+    def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
+        """See `denoising.loss`."""
+        return loss(network, batch, self.near, self.slopes)
+
+    def figures(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
+        """See `denoising.figures`; what touch to touch begins with is the untouched target."""
+        return figures(network, held_out, UNITS_MM[self.kind])
 
 
 def loss(

@@ -8,21 +8,18 @@ it is shown.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.base.arrays import Floats, freeze
 from pipeline.base.params import setting
-from pipeline.training import denoising
+from pipeline.training.denoising import Denoising, Target
 from pipeline.training.drawn_pairs import Drawn, drawn
-from pipeline.training.residual import UNITS_MM, example
+from pipeline.training.residual import example
 
 if TYPE_CHECKING:
-    from torch import Tensor, nn
-
     from pipeline.training.task import Example, Split
 
 _TURNED_DEG, _LARGER, _SHIFTED = 5.0, 0.05, 0.03  # at most; of a picture's rows
@@ -30,19 +27,13 @@ _BRIGHTER = 0.25
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class KeptPairs:
+class KeptPairs(Denoising):
     """Which pairs are learned from."""
 
-    target: Literal["soft_bubble", "gelslim"] = setting(
-        "soft_bubble",
-        "Target",
-        choices=Literal["soft_bubble", "gelslim"],
-        help="the other one of the two is the source",
-    )
+    target: Target = setting("soft_bubble", "Target", choices=Target, help="the other one of the two is the source")
     recording: str = setting("", "Recording", help="of both sensors; in place of a folder")
     folder: str = setting("", "Folder", help="of drawn pairs, by number")
     pairs: int = setting(10, "Pairs", low=1, high=1_000_000, help="the first ones, that are learned from")
-    near: float = setting(1.0, "Weight of the contact", low=0.0, high=100.0)
 
     def sample(self, rng: np.random.Generator) -> Example:
         """One of the pairs, moved a little."""
@@ -54,18 +45,6 @@ class KeptPairs:
         rest = known[self._learned :] or known
         return self._example(rest[index % len(rest)])
 
-    def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
-        """See `denoising.loss`."""
-        return denoising.loss(network, batch, self.near)
-
-    def figures(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
-        """See `denoising.figures`; what they begin with is the untouched target."""
-        return denoising.figures(network, held_out, UNITS_MM[self._kind])
-
-    @property
-    def _kind(self) -> str:
-        return "bubble" if self.target == "soft_bubble" else "gel"
-
     @property
     def _learned(self) -> int:
         return min(self.pairs, len(self._known()))
@@ -75,11 +54,11 @@ class KeptPairs:
             return drawn(self.folder)
         from pipeline.training.recorded_pairs import recorded_pairs
 
-        source = "gelslim" if self._kind == "bubble" else "soft_bubble"
+        source = "gelslim" if self.kind == "bubble" else "soft_bubble"
         return recorded_pairs(self.recording, source, self.target)
 
     def _example(self, one: Drawn) -> Example:
-        return example(one.shown, one.touch_mm, one.contact, np.zeros(one.contact.shape, np.bool_), self._kind)
+        return example(one.shown, one.touch_mm, one.contact, np.zeros(one.contact.shape, np.bool_), self.kind)
 
 
 def moved(one: Drawn, rng: np.random.Generator) -> Drawn:

@@ -2,41 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.base.arrays import Floats
 from pipeline.base.errors import SettingProblem
 from pipeline.base.params import setting
-from pipeline.sensors.spec import sensor
 from pipeline.stages.generate.residual_input import of_view
-from pipeline.training import denoising
+from pipeline.training.denoising import UNITS_MM, Denoising
 from pipeline.training.own_touches import Taught, Things, own_touch
 
 if TYPE_CHECKING:
-    from torch import Tensor, nn
-
     from pipeline.training.task import Example, Split
 
-Target = Literal["soft_bubble", "gelslim"]
-UNITS_MM = {"bubble": 3.0, "gel": 0.2}  # of the residual: about its standard deviation where it is large
 _HELD_OUT_SEED = 7
 _MOST_EMPTY = 100  # touches in a row of which nothing is told
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ResidualOfView:
+class ResidualOfView(Denoising):
     """How examples are made, and what counts for how much."""
 
-    target: Target = setting("soft_bubble", "Target", choices=Target)
     presses: int = setting(2000, "Presses", low=1, high=10_000_000, help="that all examples are drawn from")
     press_seed: int = setting(1, "Seed of the presses", low=0, high=2**31 - 1)
     folder: str = setting("", "Folder", help="keeps the presses for other runs; empty = worked out each time")
-    near: float = setting(1.0, "Weight of the contact", low=0.0, high=100.0)
-    slopes: float = setting(0.0, "Weight of the slopes", low=0.0, high=1000.0, help="of what a gel's picture shows")
     turned: float = setting(0.5, "Share of turned and mirrored examples", low=0.0, high=1.0)
 
     def sample(self, rng: np.random.Generator) -> Example:
@@ -48,18 +39,6 @@ class ResidualOfView:
         """A touch of a training object as it was never held, or of one that is never learned from."""
         return self._example(self._touch(split, _HELD_OUT_SEED, index))
 
-    def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
-        """See `denoising.loss`."""
-        return denoising.loss(network, batch, self.near, self.slopes)
-
-    def figures(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
-        """See `denoising.figures`."""
-        return denoising.figures(network, held_out, UNITS_MM[self._kind])
-
-    @property
-    def _kind(self) -> str:
-        return sensor(self.target).kind
-
     def _touch(self, things: Things, seed: int, index: int) -> Taught:
         """Touch `index`, or the next of which something is told."""
         for k in range(index, index + _MOST_EMPTY):
@@ -70,9 +49,9 @@ class ResidualOfView:
 
     def _example(self, touch: Taught) -> Example:
         shown = of_view(
-            self._kind, touch.told_mm, touch.felt, touch.known, touch.physical_mm, touch.physical_contact
+            self.kind, touch.told_mm, touch.felt, touch.known, touch.physical_mm, touch.physical_contact
         )  # fmt: skip
-        return example(shown, touch.truth_mm - touch.physical_mm, touch.contact, touch.physical_contact, self._kind)
+        return example(shown, touch.truth_mm - touch.physical_mm, touch.contact, touch.physical_contact, self.kind)
 
 
 def turned(found: Example, rng: np.random.Generator, share: float) -> Example:

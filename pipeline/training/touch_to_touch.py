@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,31 +12,27 @@ from pipeline.base.errors import SettingProblem
 from pipeline.base.params import setting
 from pipeline.sensors import alignment
 from pipeline.stages.generate.picture_input import of_picture
-from pipeline.training import denoising
+from pipeline.training.denoising import Denoising, Target
 from pipeline.training.own_touches import Things
-from pipeline.training.residual import UNITS_MM, example, turned
+from pipeline.training.residual import example, turned
 from pipeline.training.touch_pairs import Pair, pair, units
 
 if TYPE_CHECKING:
-    from torch import Tensor, nn
-
     from pipeline.training.task import Example, Split
 
-Target = Literal["soft_bubble", "gelslim"]
 _HELD_OUT_SEED = 7
 _MOST_EMPTY = 100  # pairs in a row that no gel feels
 _NOISE_MM, _GRAIN_PX = 0.4, 0.8  # of a bubble's reading, each of the two
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TouchToTouch:
+class TouchToTouch(Denoising):
     """How examples are made, and what counts for how much."""
 
     target: Target = setting("soft_bubble", "Target", choices=Target, help="the other one of the two is the source")
     presses: int = setting(1000, "Presses", low=1, high=10_000_000, help="that all examples are drawn from")
     press_seed: int = setting(1, "Seed of the presses", low=0, high=2**31 - 1)
     folder: str = setting("", "Folder", help="keeps the presses for other runs; empty = worked out each time")
-    near: float = setting(1.0, "Weight of the contact", low=0.0, high=100.0)
     turned: float = setting(
         0.5, "Share of turned and mirrored examples", low=0.0, high=1.0, help="of a bubble as source"
     )
@@ -45,23 +40,11 @@ class TouchToTouch:
     def sample(self, rng: np.random.Generator) -> Example:
         """A pair as it is or, of a bubble, turned or mirrored: a gel's light knows left and right."""
         found = self._example(self._pair("learned", self.press_seed, int(rng.integers(self.presses))), rng)
-        return found if self._kind == "bubble" else turned(found, rng, self.turned)
+        return found if self.kind == "bubble" else turned(found, rng, self.turned)
 
     def held_out(self, split: Split, index: int) -> Example:
         """A touch of a training object as it was never held, or of one that is never learned from."""
         return self._example(self._pair(split, _HELD_OUT_SEED, index), np.random.default_rng([17, index]))
-
-    def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
-        """See `denoising.loss`."""
-        return denoising.loss(network, batch, self.near)
-
-    def figures(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
-        """See `denoising.figures`; what they begin with is the untouched target."""
-        return denoising.figures(network, held_out, UNITS_MM[self._kind])
-
-    @property
-    def _kind(self) -> str:
-        return "bubble" if self.target == "soft_bubble" else "gel"
 
     def _pair(self, things: Things, seed: int, index: int) -> Pair:
         """Pair `index`, or the next one that the gel feels."""
@@ -73,7 +56,7 @@ class TouchToTouch:
 
     def _example(self, touch: Pair, rng: np.random.Generator) -> Example:
         gel, bubble = units(float(touch.deeper_mm[0]))
-        if self._kind == "bubble":
+        if self.kind == "bubble":
             change = touch.change_grey + rng.normal(0.0, 1.0, touch.change_grey.shape).astype(np.float32)
             shown = of_picture(change, gel.camera, gel, bubble, alignment.between(gel, bubble))
             truth, contact = touch.bubble_mm, touch.bubble_contact
@@ -81,7 +64,7 @@ class TouchToTouch:
             change = touch.bubble_mm + _reading_noise(rng, touch.bubble_mm.shape)
             shown = of_picture(change, bubble.camera, bubble, gel, alignment.between(bubble, gel))
             truth, contact = touch.gel_mm, touch.gel_contact
-        return example(shown, truth, contact, np.zeros(contact.shape, np.bool_), self._kind)
+        return example(shown, truth, contact, np.zeros(contact.shape, np.bool_), self.kind)
 
 
 def _reading_noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Floats:

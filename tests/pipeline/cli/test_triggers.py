@@ -200,6 +200,21 @@ def frame_is_a_raised_two(here):
 
 
 @trigger
+def shifted_by_a_kilometre(here):
+    return touched(here, "--shift-mm", "1e6", "0", "0")
+
+
+@trigger
+def shifted_by_nan(here):
+    return touched(here, "--shift-mm", "nan", "0", "0")
+
+
+@trigger
+def turned_beyond_counting(here):
+    return touched(here, "--turn-deg", "0", "0", "1e20")
+
+
+@trigger
 def frame_and_all(here):
     return touched(here, "--frame", "0", "--all")
 

@@ -9,9 +9,10 @@ import torch
 from pipeline.networks.building import build
 from pipeline.stages.generate.residual_input import VIEW_CHANNELS
 from pipeline.training import denoising, own_touches, touch_pairs
+from pipeline.training.denoising import UNITS_MM
 from pipeline.training.own_touches import own_touch
 from pipeline.training.recipe import load, shipped
-from pipeline.training.residual import UNITS_MM, ResidualOfView
+from pipeline.training.residual import ResidualOfView
 from pipeline.training.touch_to_touch import TouchToTouch
 
 SPLITS = ("unseen_grasps", "unseen_tools")
