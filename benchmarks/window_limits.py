@@ -92,14 +92,14 @@ def _drafts(instrument: Any, application: Any) -> list[tuple[float, float]]:
     from pipeline.stages.depth.slot import PHYSICS
 
     waits, panel = [], instrument.window.parameters
-    panel.dragging = True
+    panel.dragged = PHYSICS.key
     for n in range(DRAGS):
         depth = instrument.screen.shown("depth")
         params = changed(instrument.session.params_of(PHYSICS), "sensitivity", 1.0 + 0.02 * (n + 1))
         instrument.choose_params(PHYSICS.key, params)
         waits.append(_wait(application, lambda old=depth: instrument.screen.shown("depth") is not old))
         spin(instrument, application)
-    panel.dragging = False
+    panel.dragged = ""
     panel.drag_ended.emit()
     instrument.change("back", params={})
     spin(instrument, application)

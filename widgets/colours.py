@@ -52,6 +52,7 @@ _LIGHT = Inks(
     states={
         "computed": (0, 115, 86), "read": (0, 115, 86), "cached": (40, 105, 180), "unchanged": (40, 105, 180),
         "doubtful": (160, 82, 0), "skipped": (96, 101, 111), "running": (146, 90, 0), "preview": (146, 90, 0),
+        "draft": (146, 90, 0),
         "failed": (190, 40, 40), "stale": (125, 90, 20), "waiting": (96, 102, 110),
     },
 )  # fmt: skip
@@ -63,6 +64,7 @@ _DARK = Inks(
     states={
         "computed": (85, 203, 165), "read": (85, 203, 165), "cached": (125, 182, 245), "unchanged": (125, 182, 245),
         "doubtful": (245, 175, 80), "skipped": (165, 170, 180), "running": (240, 195, 95), "preview": (240, 195, 95),
+        "draft": (240, 195, 95),
         "failed": (255, 138, 128), "stale": (216, 188, 115), "waiting": (162, 168, 177),
     },
 )  # fmt: skip

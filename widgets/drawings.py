@@ -30,6 +30,7 @@ MARKS: Mapping[str, Drawing] = {  # of states, inside a circle
     "skipped": Drawing(strokes=("10,16 22,16",)),
     "running": Drawing(arcs=((10, 10, 12, 12, 90, -250),)),
     "preview": _STACK,
+    "draft": _STACK,
     "doubtful": Drawing(strokes=("16,8 16,18", "16,23 16.01,23")),
     "failed": Drawing(strokes=("11,11 21,21", "21,11 11,21")),
     "stale": Drawing(strokes=("16,9 16,16 21,19",)),

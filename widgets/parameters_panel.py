@@ -58,7 +58,7 @@ class ParametersPanel(QScrollArea):
         self._layout.setContentsMargins(6, 4, 6, 4)
         self._layout.addStretch(1)
         self.setWidget(self._body)
-        self.dragging = False  # whether a slider is held: what is edited then will soon be something else
+        self.dragged = ""  # the key of the slider that is held: what is edited then will soon be something else
         self._params: dict[str, object] = {}
         self._controls: dict[str, dict[str, _Control]] = {}
         self._groups: dict[str, QWidget] = {}
@@ -79,8 +79,8 @@ class ParametersPanel(QScrollArea):
             label.setToolTip(tip)
             control.widget.setToolTip(tip)
             for slider in control.widget.findChildren(QSlider):
-                slider.sliderPressed.connect(partial(self._hold, held=True))
-                slider.sliderReleased.connect(partial(self._hold, held=False))
+                slider.sliderPressed.connect(partial(self._hold, key))
+                slider.sliderReleased.connect(partial(self._hold, ""))
             control.widget.setAccessibleName(told.label)
             control.widget.setObjectName(f"{key}.{name}")
             form.addRow(label, control.widget)
@@ -129,9 +129,14 @@ class ParametersPanel(QScrollArea):
         outer.addLayout(form)
         return group, form
 
-    def _hold(self, *, held: bool) -> None:
-        self.dragging = held
-        if not held:
+    @property
+    def dragging(self) -> bool:
+        """Whether a slider is held."""
+        return bool(self.dragged)
+
+    def _hold(self, key: str) -> None:
+        self.dragged = key
+        if not key:
             self.drag_ended.emit()
 
     def _edited(self, key: str, name: str, value: Value) -> None:

@@ -143,10 +143,10 @@ class StageColumn(QFrame):
     def show_result(
         self, state: str, ms: float, notes: tuple[str, ...], doubts: tuple[str, ...], instead: str = ""
     ) -> None:
-        """As `show_state`; doubts come before other notes, and make the state doubtful."""
+        """As `show_state`; doubts come before other notes, and make the state doubtful, unless it is a draft."""
         plain = tuple(note for note in notes if note not in doubts)
         self.doubts = doubts
-        self.show_state("doubtful" if doubts else state, ms, (*doubts, *plain), instead)
+        self.show_state("doubtful" if doubts and state != "draft" else state, ms, (*doubts, *plain), instead)
 
     def wanted_height_px(self) -> int:
         """The height at which the picture fills the width that the column has."""

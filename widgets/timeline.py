@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from collections.abc import Mapping, Sequence
 
 from PyQt6.QtCore import QSignalBlocker, Qt, QTimer, pyqtSignal
@@ -15,7 +16,9 @@ from widgets.looks import command_button, smaller
 
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0)
 FRAMES_PER_SECOND = 10.0  # at speed 1, when the recording keeps no times
-_TICK_MS = 10
+_LATE_MS = 10  # after which a frame that is due is looked for again
+_STEPS_TOLD = 8
+_ROUNDING = 1e-6  # of a frame
 _MOST_DUE = 4.0  # frames: who has waited longer goes on from there instead of catching up
 
 
@@ -31,7 +34,6 @@ class Timeline(QWidget):
         self.frame = 0  # the chosen one
         self._due = self._ticked_s = 0.0  # share of the next frame that playing has waited for, and until when
         self._clock = QTimer(self)
-        self._clock.setInterval(_TICK_MS)
         self._clock.setTimerType(Qt.TimerType.PreciseTimer)
         self._clock.timeout.connect(self._tick)
         self.slider = QSlider(Qt.Orientation.Horizontal)
@@ -41,7 +43,10 @@ class Timeline(QWidget):
         self.number.setObjectName("frame_number")
         self.number.setKeyboardTracking(False)
         self.errors, self._figure, self._worst = ErrorStrip(), QLabel(), QLabel()
-        self._of, self._time = QLabel(), QLabel()
+        self._of, self._time, self._left_out = QLabel(), QLabel(), QLabel()
+        self._left_out.setObjectName("left_out")
+        self._left_out.setToolTip("a frame takes longer to work out than it is shown: those between are left out")
+        self._steps: deque[int] = deque(maxlen=_STEPS_TOLD)  # by how many frames playing went on, of late
         self._time.setMinimumWidth(self.fontMetrics().horizontalAdvance("t = 0000.00 s"))
         self.speed = QComboBox()
         for value in SPEEDS:
@@ -68,7 +73,7 @@ class Timeline(QWidget):
         layout.addWidget(self.slider, 0, 1)
         right = QHBoxLayout()
         right.setSpacing(6)
-        for widget in (QLabel("frame"), self.number, self._of, self._time, QLabel("speed"), self.speed):
+        for widget in (QLabel("frame"), self.number, self._of, self._time, self._left_out, QLabel("speed"), self.speed):
             right.addWidget(widget)
         layout.addLayout(right, 0, 2)
         for column, widget in enumerate((self._figure, self.errors, self._worst)):
@@ -127,6 +132,8 @@ class Timeline(QWidget):
     def show_ready(self, *, ready: bool) -> None:
         """Whether the chosen frame is on screen: playing waits for it instead of running ahead."""
         self._ready = ready
+        if ready and self._due >= 1.0 and self.playing:
+            self._clock.start(0)  # it is late: not at the next look, but not from within what shows this frame either
 
     def play(self, *, on: bool) -> None:
         """Start or stop playing."""
@@ -137,9 +144,11 @@ class Timeline(QWidget):
             if self.frame >= self._n_frames - 1:
                 self.step_to(0)
             self._due, self._ticked_s = 0.0, time.monotonic()
-            self._clock.start()
+            self._clock.start(self._until_due_ms())
         else:
             self._clock.stop()
+        self._steps.clear()
+        self._left_out.clear()
         self.play_toggled.emit(on)
 
     def set_looping(self, looping: bool) -> None:
@@ -174,11 +183,30 @@ class Timeline(QWidget):
     def _tick(self) -> None:
         now_s = time.monotonic()  # ticks come late where there is work: the clock tells what is due, not their number
         waited_s, self._ticked_s = now_s - self._ticked_s, now_s
-        self._due = min(self._due + waited_s * FRAMES_PER_SECOND * float(self.speed.currentData()), _MOST_DUE)
-        if self._due < 1.0 or not self._ready:
-            return
-        by = int(self._due)
-        self._due -= by
+        self._due = min(self._due + waited_s * self._rate, _MOST_DUE)
+        by = int(self._due + _ROUNDING)
+        if by and self._ready:
+            self._due -= by
+            self._tell_left_out(by)
+            self._go_on(by)
+        if self.playing:
+            self._clock.start(self._until_due_ms())
+
+    @property
+    def _rate(self) -> float:
+        """Frames a second."""
+        return FRAMES_PER_SECOND * float(self.speed.currentData())
+
+    def _until_due_ms(self) -> int:
+        """When the next frame is due, to the millisecond: a look every so often would be late by half of that."""
+        return max(1, math.ceil(1e3 * (1.0 - self._due) / self._rate)) if self._due < 1.0 else _LATE_MS
+
+    def _tell_left_out(self, by: int) -> None:
+        self._steps.append(by)
+        shown, passed = len(self._steps), sum(self._steps)
+        self._left_out.setText(f"{shown} of {passed} shown" if passed > shown else "")
+
+    def _go_on(self, by: int) -> None:
         following = self.frame + by
         if self._looping:
             first, last = self.span

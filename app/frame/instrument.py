@@ -281,11 +281,12 @@ class Instrument(Documents):
             self._stale.start()
 
     def _drafted(self) -> Session:
-        """The session, or while a parameter is dragged one that is quick to show."""
-        session = self.session
-        if not self.window.parameters.dragging:
-            return session
-        return session.drafted(self.catalogue.methods(session.route, session.methods))
+        """The session, or while a parameter is dragged one that is quick to show from there on."""
+        session, dragged = self.session, self.window.parameters.dragged
+        methods = self.catalogue.methods(session.route, session.methods, self._kind())
+        first = next((i for i, method in enumerate(methods) if method.key == dragged), len(methods))
+        last = {} if self.latest is None else {name: r.output for name, r in self.latest.results.items()}
+        return session.drafted(methods[first:], last)
 
     def _rest(self) -> None:
         self._waits = self._owed = False

@@ -88,7 +88,11 @@ class Screen:
                 self._show_truth(part)
             self._results = {**self._results, name: part.result}
             column.show_result(
-                part.result.state, part.result.ms, part.result.notes, part.result.doubts, part.result.instead
+                "draft" if part.result.draft else part.result.state,
+                part.result.ms,
+                part.result.notes,
+                part.result.doubts,
+                part.result.instead,
             )
             self._tracer.show_results(self._results)
             if name in self._window.steps:

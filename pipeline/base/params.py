@@ -32,6 +32,11 @@ class Setting:
     source: str = ""  # where the equation comes from that it stands in
 
 
+def is_draft(params: object) -> bool:
+    """Whether these are cheaper than what was asked for, so that their answer is to be called a draft."""
+    return bool(getattr(params, "draft", False))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoParams:
     """Of a method that has nothing to set."""

@@ -19,6 +19,7 @@ from pipeline.base import compiling
 from pipeline.base.doubts import Doubt, doubts
 from pipeline.base.errors import SettingProblem
 from pipeline.base.memo import size_bytes
+from pipeline.base.params import is_draft
 from pipeline.base.progress import SILENT, Progress, Share
 from pipeline.engine.cache import Cache, Entry
 from pipeline.engine.digests import Known, digest
@@ -56,9 +57,8 @@ class Method:
     help: str = ""  # what it does, in half a sentence
     weights: Callable[..., object] | None = None  # (source, target, file) -> input `weights_name`; None = it reads none
 
-    draft: Callable[[Any], Any] | None = (
-        None  # parameters -> cheaper ones, while somebody drags one; None = as they are
-    )
+    # (parameters, its last value or None) -> cheaper ones, for while somebody drags one; None = as they are
+    draft: Callable[[Any, Any], Any] | None = None
 
     @property
     def weights_name(self) -> str:
@@ -83,6 +83,7 @@ class StageResult:
     notes: tuple[str, ...]
     digest: str
     instead: str = ""  # why another method answered; "" = this one did
+    draft: bool = False  # it, or something that it rests on, was worked out by cheaper parameters than asked for
 
     @property
     def doubts(self) -> tuple[Doubt, ...]:
@@ -131,14 +132,18 @@ class Graph:
         digests = {name: self._known.digest(value) for name, value in inputs.items()}
         values: dict[str, object] = dict(inputs)
         results: dict[str, StageResult] = {}
-        fresh: set[str] = set()
+        fresh, drafts = set[str](), set[str]()
         for index, method in enumerate(order):
             part = Share(progress, index / len(order), 1.0 / len(order), method.title)
             part.step(0.0, "")
             if method.slot in inputs:
                 result = _given(method.slot, values[method.slot], digests[method.slot])
             else:
-                result = self._one(method, values, digests, _fitting(params, method), fresh, part)
+                own = _fitting(params, method)
+                result = self._one(method, values, digests, own, fresh, part)
+                if is_draft(own) or drafts.intersection(method.reads):
+                    drafts.add(method.slot)
+                    result = replace(result, draft=True)
             values[method.slot], digests[method.slot] = result.output, result.digest
             results[method.slot] = result
             if result.state not in ("cached", "given"):

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+from PyQt6.QtWidgets import QLabel
 
 from widgets.timeline import FRAMES_PER_SECOND, SPEEDS, Timeline
 
@@ -73,6 +75,61 @@ def test_late_ticks_do_not_slow_playing_down(line, monkeypatch, late_s):
         line._tick()
     assert abs(len(seen) - 30 * FRAMES_PER_SECOND) <= 2
     assert seen == list(range(1, len(seen) + 1))
+
+
+@pytest.mark.parametrize("speed", [0.5, 1.0, 2.0])
+def test_the_next_look_is_when_a_frame_is_due(line, monkeypatch, speed):
+    """The clock is set for the moment: a run ends as many periods after its beginning as there are frames between."""
+    now, chosen_s = [100.0], []
+    monkeypatch.setattr("widgets.timeline.time.monotonic", lambda: now[0])
+    line.show_frames(40)
+    line.speed.setCurrentIndex(SPEEDS.index(speed))
+    line.frame_chosen.connect(lambda _: chosen_s.append(now[0]))
+    line.play(on=True)
+    while line.playing:
+        now[0] += line._clock.interval() * 1e-3
+        line._tick()
+    gaps = np.diff(chosen_s)
+    period_s = 1.0 / (FRAMES_PER_SECOND * speed)
+    assert len(chosen_s) == 39
+    assert np.abs(gaps - period_s).max() < 0.0021
+    assert np.mean(gaps) == pytest.approx(period_s, rel=1e-3)
+
+
+def test_frames_that_are_left_out_are_told(line, monkeypatch):
+    now, seen = [100.0], []
+    monkeypatch.setattr("widgets.timeline.time.monotonic", lambda: now[0])
+    told = line.findChild(QLabel, "left_out")
+    line.show_frames(1000)
+    line.frame_chosen.connect(seen.append)
+    line.play(on=True)
+    for _ in range(12):
+        line.show_ready(ready=False)
+        now[0] += 0.3  # each takes three periods to be worked out
+        line._tick()
+        line.show_ready(ready=True)
+        line._tick()
+    assert seen[:3] == [3, 6, 9]
+    assert told.text() == "8 of 24 shown"
+    for _ in range(8):
+        now[0] += 0.1
+        line._tick()
+    assert told.text() == "", "it keeps up again"
+    line.play(on=False)
+    assert told.text() == ""
+
+
+def test_a_late_frame_is_followed_as_soon_as_it_is_there(line, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr("widgets.timeline.time.monotonic", lambda: now[0])
+    line.play(on=True)
+    line.show_ready(ready=False)
+    now[0] += 0.15
+    line._tick()
+    assert line.frame == 0
+    line.show_ready(ready=True)
+    assert line._clock.interval() == 0
+    assert line.frame == 0, "not from within what shows the last one"
 
 
 def test_a_loop_begins_again(line, qtbot):

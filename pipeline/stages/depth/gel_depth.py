@@ -53,8 +53,12 @@ def depth(
     smoothing_px: float,
     boundary: Boundary,
     progress: Progress,
+    rounds: int = gel_light.ROUNDS,
 ) -> DepthMap:
-    """The depth of one gel picture, see `pipeline.stages.depth.depth`; the frame has been checked there."""
+    """The depth of one gel picture, see `pipeline.stages.depth.depth`; the frame has been checked there.
+
+    `rounds` are those of the correction by the sensor's own optics: fewer make a draft.
+    """
     image, reference = cast("Image", frame.image), cast("Image | None", frame.reference)
     if reference is None:
         raise ShapeError("a gel's depth needs a reference image")
@@ -70,7 +74,7 @@ def depth(
         here = (window.rows, window.cols)
         notes += _doubts(image[here], source, window)
         progress.step(0.2, "integrating slopes")
-        surface, light = _surface(image, still, window, source, calibration, smoothing_px, boundary)
+        surface, light = _surface(image, still, window, source, calibration, smoothing_px, boundary, rounds)
         surface, inside = _settled(surface, window, source, pixel_mm)
         pressed = inside | contact.touched(
             surface, least_mm=least_mm, pressure_share=pressure_share, smoothing_px=_PRESSURE_BLUR_PX
@@ -110,7 +114,7 @@ def untouched_notes(image: Image, reference: Image, no_touch_grey: float) -> tup
 
 def _surface(
     image: Image, still: Still, window: Window, source: SensorSpec, calibration: Calibration,
-    smoothing_px: float, boundary: Boundary,
+    smoothing_px: float, boundary: Boundary, rounds: int,
 ) -> tuple[Floats, Light | None]:  # fmt: skip
     """The surface of the window in mm, its rest still to be found, and the light that it was read by, if any."""
     here, pixel_mm = (window.rows, window.cols), calibration.pixel_mm
@@ -131,7 +135,7 @@ def _surface(
         return _integrated(gx, gy, replace(window, moved=small.moved), small.pixel_mm, boundary, image.shape)
 
     guess = roughly(*_finite(*gel_light.rough_slopes(small, calibration), source))
-    surface, light = gel_light.best(guess, small, source, roughly)
+    surface, light = gel_light.best(guess, small, source, roughly, rounds)
     if small is picture:
         return surface, light
     surface = gel_light.finer(surface, small.by, window.moved.shape)

@@ -42,7 +42,7 @@ from pipeline.sensors.glow import untouched_light
 from pipeline.sensors.spec import Markers, SensorSpec
 from pipeline.stages.depth.moved import Window
 
-_ROUNDS = 4  # two leave a fifth more error of a GelSlim, whose lights are low
+ROUNDS = 4  # two leave a fifth more error of a GelSlim, whose lights are low
 _PULL = 500.0  # grey levels squared per unit slope squared: a colour in full light weighs a hundred times as much
 _HUBER_GREY = 20.0  # larger misfits are dust, a reflection, or an optical description that is not this unit's
 _STEEPEST = np.float32(1.43)  # mm/mm, 55 degrees: the light hardly changes beyond
@@ -153,22 +153,23 @@ def rough_slopes(picture: Seen, calibration: Calibration) -> tuple[Floats, Float
 
 
 def best(
-    surface_mm: Floats, picture: Seen, source: SensorSpec, integrated: Callable[[Floats, Floats], Floats]
-) -> tuple[Floats, Light]:
+    surface_mm: Floats, picture: Seen, source: SensorSpec, integrated: Callable[[Floats, Floats], Floats],
+    rounds: int = ROUNDS,
+) -> tuple[Floats, Light]:  # fmt: skip
     """`corrected` by the light that explains most of the picture, and that light.
 
     Lamps that cast shadows stand low and aside: they shine evenly.
     """
-    surface, misfit = corrected(surface_mm, picture, source, "even", integrated)
+    surface, misfit = corrected(surface_mm, picture, source, "even", integrated, rounds)
     if optics.optics_of(source).shadow > 0:
         return surface, "even"
-    other, left = corrected(surface_mm, picture, source, "near", integrated)
+    other, left = corrected(surface_mm, picture, source, "near", integrated, rounds)
     return (surface, "even") if misfit <= _CLEARLY * left else (other, "near")
 
 
 def corrected(
     surface_mm: Floats, picture: Seen, source: SensorSpec, light: Light, integrated: Callable[[Floats, Floats], Floats],
-    rounds: int = _ROUNDS,
+    rounds: int = ROUNDS,
 ) -> tuple[Floats, float]:  # fmt: skip
     """The surface (rows, cols) of the pixels whose picture comes nearest to the one seen, and what it leaves of it.
 

@@ -16,6 +16,7 @@ PHYSICS = Method(
     params=stage.DepthParams,
     reads=("frame", "source", "calibration"),
     version=7,
+    draft=stage.draft,
 )
 NETWORK = Method(
     slot="depth",

@@ -21,7 +21,7 @@ from pipeline.calibration.lookup import Calibration, built_in
 from pipeline.engine.digests import content
 from pipeline.geometry.camera import Camera
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import bubble_depth, gel_depth
+from pipeline.stages.depth import bubble_depth, coarse, gel_depth, gel_light
 from pipeline.stages.depth.poisson import Boundary
 from pipeline.values.frames import TactileFrame
 from pipeline.values.pixel_index import pixel_index
@@ -58,6 +58,12 @@ class DepthParams:
         help="larger sees weaker touches: divides the sensor's limit of an untouched picture",
         source="our own; the limit is in the sensor's description",
     )  # fmt: skip
+    draft: bool = False  # a gel's picture is read with fewer pixels
+
+
+def draft(params: DepthParams, _last: object = None) -> DepthParams:
+    """What to show while a parameter is dragged."""
+    return replace(params, draft=True)
 
 
 def depth(
@@ -79,6 +85,11 @@ def depth(
     if frame.is_depth:
         found = bubble_depth.depth(frame, seen_by, smoothing_px=params.smoothing_px, least_mm=least_mm)
         return replace(found, error=measured_error(source))
+    by = coarse.fewer(seen_by.camera.shape) if params.draft else 1
+    if by > 1:
+        small = coarse.frame(frame, seen_by.camera, by)
+        params = replace(params, smoothing_px=params.smoothing_px / by)
+        return coarse.enlarged(depth(small, source, coarse.look_up(calibration, by), params, progress), seen_by, by)
     look_up = calibration if calibration is not None else built_in(seen_by)
     found = gel_depth.depth(
         frame, seen_by, look_up,
@@ -88,6 +99,7 @@ def depth(
         smoothing_px=params.smoothing_px,
         boundary=params.boundary,
         progress=progress,
+        rounds=coarse.ROUNDS if params.draft else gel_light.ROUNDS,
     )  # fmt: skip
     return replace(found, error=measured_error(source))
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pipeline.base.params import NoParams
 from pipeline.engine.graph import Method, unless
 from pipeline.stages.depth.stage import DepthParams
+from pipeline.stages.depth.stage import draft as depth_draft
 from pipeline.stages.feel import stage
 from pipeline.stages.readings import reading
 
@@ -25,6 +26,7 @@ READING = Method(
     run=unless(stage.without_contact, stage.reading),
     params=DepthParams,
     reads=("touch", "target"),
+    draft=depth_draft,
 )
 
 

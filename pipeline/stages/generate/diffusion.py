@@ -63,11 +63,12 @@ class DiffusionParams:
         False, "Sensor noise", help="add the target sensor's own noise to the reading",
         source="measured or assumed, in the sensor's description",
     )  # fmt: skip
+    draft: bool = False  # fewer steps than were asked for
 
 
-def draft(params: DiffusionParams) -> DiffusionParams:
+def draft(params: DiffusionParams, _last: object = None) -> DiffusionParams:
     """What to show while a parameter is dragged: the fewest steps in which guidance does anything, no states."""
-    return replace(params, steps=min(params.steps, _DRAFTED), keep_states=False)
+    return replace(params, steps=min(params.steps, _DRAFTED), keep_states=False, draft=params.steps > _DRAFTED)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -72,11 +72,12 @@ class LatentParams:
         False, "Map to mm twice", help="as the released scripts do: all of an imprint in the upper half of its range",
         source="the released code",
     )  # fmt: skip
+    draft: bool = False  # fewer steps than were asked for
 
 
-def draft(params: LatentParams) -> LatentParams:
+def draft(params: LatentParams, _last: object = None) -> LatentParams:
     """What to show while a parameter is dragged: the fewest steps in which guidance does anything."""
-    return replace(params, steps=min(params.steps, _DRAFTED))
+    return replace(params, steps=min(params.steps, _DRAFTED), draft=params.steps > _DRAFTED)
 
 
 def weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:

@@ -103,7 +103,9 @@ class Watched:
             return []
         columns = self._window.columns
         return [
-            name for name in self._window.visible_columns() if columns[name].state in ("stale", "running", "preview")
+            name
+            for name in self._window.visible_columns()
+            if columns[name].state in ("stale", "running", "preview", "draft")
         ]
 
     def _busy(self) -> list[LatestJob]:

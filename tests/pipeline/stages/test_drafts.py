@@ -1,0 +1,84 @@
+"""Drafts: near the full answer, told as such, and called so all the way down."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from app.session.sample import SAMPLE
+from pipeline.base.progress import SILENT
+from pipeline.engine.graph import Graph, Method
+from pipeline.evaluation.metrics import iou
+from pipeline.recordings import open_recording
+from pipeline.sensors.spec import sensor
+from pipeline.stages.depth import coarse, stage
+from pipeline.stages.pose import stage as pose
+from pipeline.stages.pose.stage import PoseParams
+
+TOUCHED = 5
+
+
+@pytest.fixture(scope="module")
+def frame():
+    return open_recording(SAMPLE, sensor="gelslim").stream("gelslim").frame(TOUCHED)
+
+
+def test_a_draft_of_a_gels_depth_is_near_the_full_answer_on_the_same_pixels(frame):
+    gel = sensor("gelslim")
+    whole = stage.recorded(frame, gel, None, stage.DepthParams())
+    draft = stage.recorded(frame, gel, None, stage.draft(stage.DepthParams()))
+    assert draft.indentation_mm.shape == whole.indentation_mm.shape == draft.contact.shape
+    assert draft.camera == whole.camera
+    assert iou(draft.contact, whole.contact) > 0.85
+    assert draft.indentation_mm.max() == pytest.approx(whole.indentation_mm.max(), rel=0.1)
+    np.testing.assert_allclose(draft.depth_mm, gel.rest_depth_mm - draft.indentation_mm, atol=1e-4)
+    assert any("draft at 1/2 of the resolution" in note for note in draft.notes)
+    assert not any("draft" in note for note in whole.notes)
+
+
+def test_a_small_picture_is_read_whole():
+    assert coarse.fewer((160, 214)) == 1
+    assert coarse.fewer((1280, 1708)) == 8
+
+
+def test_a_smaller_picture_is_what_a_smaller_camera_would_have_taken(frame):
+    gel = sensor("gelslim")
+    small = coarse.frame(frame, gel.camera, 2)
+    assert small.image.shape[:2] == small.camera.shape == (160, 213)
+    assert small.camera.fx_px == pytest.approx(gel.camera.fx_px / 2, rel=0.01)
+    assert float(small.image.mean()) == pytest.approx(float(frame.image.mean()), abs=1.0)
+
+
+def test_a_draft_of_a_pose_follows_the_last_answer(monkeypatch):
+    asked = []
+    monkeypatch.setattr(pose, "pose_from", lambda *args, **_: asked.append(args[3]) or "followed")
+    at = np.eye(4)
+    at[:3, 3] = 1.0, 2.0, 3.0
+
+    @dataclass
+    class Last:
+        sensor_from_object: np.ndarray | None
+
+    params = pose.draft(PoseParams(), Last(at))
+    assert params.draft
+    assert pose.posed(None, None, None, params, SILENT) == "followed"
+    np.testing.assert_array_equal(asked[0], at)
+    assert pose.draft(PoseParams(), None) == pose.draft(PoseParams(), Last(None)) == PoseParams()
+
+
+@dataclass(frozen=True)
+class Params:
+    draft: bool = False
+
+
+def test_what_rests_on_a_draft_is_called_one_too():
+    def made(slot, *reads):
+        return Method(slot=slot, name="m", title=slot, run=lambda *_: slot, params=Params, reads=reads)
+
+    graph = Graph((made("a"), made("b", "a"), made("c", "b"), made("d", "a")))
+    results = graph.evaluate("abcd", {}, {"b": Params(draft=True)})
+    assert {name: result.draft for name, result in results.items()} == {"a": False, "b": True, "c": True, "d": False}
+    again = graph.evaluate("abcd", {}, {"b": replace(Params(), draft=False)})
+    assert not any(result.draft for result in again.values())
