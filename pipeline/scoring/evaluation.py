@@ -12,7 +12,7 @@ from pipeline.base.progress import SILENT, Progress, Share
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.scoring import features
 from pipeline.scoring.contenders import field_of
-from pipeline.scoring.held_out import HeldOut, recordings
+from pipeline.scoring.held_out import HeldOut, recordings, sensors_for
 from pipeline.scoring.paper import DIRECTIONS, NOTE, Split
 from pipeline.scoring.scored import Job, Scored, scored
 from pipeline.scoring.table import Row, rows
@@ -52,7 +52,13 @@ def evaluated(wanted: Wanted, progress: Progress = SILENT, work: Map | None = No
     Raises SettingProblem for a direction, method or contender that does not exist, and what a method raises.
     """
     _check_settings(wanted)
-    pressed = recordings(wanted.split, wanted.held_out, Share(progress, 0.0, 0.1))
+    asked = dict.fromkeys(sensors_for(*direction) for direction in wanted.directions)
+    pressed = {
+        sensors: recordings(
+            wanted.split, wanted.held_out, Share(progress, 0.1 * k / len(asked), 0.1 / len(asked)), sensors
+        )
+        for k, sensors in enumerate(asked)
+    }
     usual = recordings("usual", replace(wanted.held_out, grasps=USUAL_GRASPS, vary=0.0), Share(progress, 0.1, 0.05))
     found: list[Row] = []
     notes: list[str] = [NOTE]
@@ -68,7 +74,7 @@ def evaluated(wanted: Wanted, progress: Progress = SILENT, work: Map | None = No
                 usual=tuple(u.target for u in usual), methods=wanted.methods, settings=wanted.settings,
                 poses=judges,
             )
-            for one in pressed
+            for one in pressed[sensors_for(source, target)]
         ]  # fmt: skip
         made = _here(jobs, part) if work is None else work(scored, jobs, part)
         found += rows(wanted.split, source, target, entrants.contenders, [one for those in made for one in those])

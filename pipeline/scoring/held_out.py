@@ -15,6 +15,7 @@ from pipeline.simulation import datasets, recorder
 from pipeline.simulation.datasets import Plan
 
 SENSORS = ("gelslim", "soft_bubble", "digit")
+_TARGETS = SENSORS[:2]
 MOST_GRASPS = 1000
 Set = Split | Literal["usual"]  # "usual": touches of training objects, which the mean touch is taken of
 _SEEDS: dict[str, int] = {"unseen_grasps": 40_001, "unseen_tools": 40_002, "usual": 40_003}
@@ -38,8 +39,15 @@ class Presses:
     target: Path
 
 
-def recordings(of: Set, held_out: HeldOut, progress: Progress = SILENT) -> tuple[Presses, ...]:
-    """Recordings of every object, felt by all `SENSORS` at once; what is not there yet is simulated.
+def sensors_for(source: str, target: str) -> tuple[str, ...]:
+    """Which sensors are to feel the touches of a direction: `SENSORS`, or those two beside the usual targets."""
+    return SENSORS if {source, target} <= set(SENSORS) else tuple(dict.fromkeys((*_TARGETS, source, target)))
+
+
+def recordings(
+    of: Set, held_out: HeldOut, progress: Progress = SILENT, sensors: tuple[str, ...] = SENSORS
+) -> tuple[Presses, ...]:
+    """Recordings of every object, felt by all `sensors` at once; what is not there yet is simulated.
 
     A source may be any unit; whoever generates a touch does so for the target that is described, so that it is the
     described one that recorded what is compared with. Raises SettingProblem for a number of grasps that makes no sense,
@@ -47,7 +55,7 @@ def recordings(of: Set, held_out: HeldOut, progress: Progress = SILENT) -> tuple
     """
     if not 1 <= held_out.grasps <= MOST_GRASPS:
         raise SettingProblem(f"--grasps must lie within 1 and {MOST_GRASPS}, got {held_out.grasps}")
-    like = Plan(sensors=SENSORS, tool="", poses=held_out.grasps, seed=_SEEDS[of], vary=held_out.vary)
+    like = Plan(sensors=sensors, tool="", poses=held_out.grasps, seed=_SEEDS[of], vary=held_out.vary)
     plans = datasets.plans(("unseen" if of == "unseen_tools" else "training",), like)
     made: list[Presses] = []
     for index, plan in enumerate(plans):

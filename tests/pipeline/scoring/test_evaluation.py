@@ -12,7 +12,7 @@ from pipeline.base.errors import SettingProblem
 from pipeline.cli.main import EXIT_USER_ERROR, build, run
 from pipeline.scoring import held_out, sweep
 from pipeline.scoring.evaluation import Wanted, direction, evaluated
-from pipeline.scoring.held_out import HeldOut, recordings
+from pipeline.scoring.held_out import SENSORS, HeldOut, recordings, sensors_for
 from pipeline.scoring.paper import DIRECTIONS, PAPER, paper_row
 from pipeline.simulation import shapes
 
@@ -42,6 +42,12 @@ def test_the_papers_rows_are_all_there():
     row = paper_row("unseen_tools", "soft_bubble", "gelslim", "T2T")
     assert row is not None
     assert (row.psnr_db, row.shift_mm) == (21.50, (2.53, 1.56))
+
+
+def test_a_source_that_is_usually_not_asked_feels_the_touches_beside_both_targets():
+    assert sensors_for("digit", "gelslim") == SENSORS
+    assert sensors_for("gelsight_mini", "gelslim") == ("gelslim", "soft_bubble", "gelsight_mini")
+    assert sensors_for("gelsight_mini", "soft_bubble") == sensors_for("gelsight_mini", "gelslim")
 
 
 def test_sources_are_other_units_and_targets_the_described_one_of_the_same_presses(kept, few):
