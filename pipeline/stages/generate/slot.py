@@ -48,7 +48,7 @@ T2T = Method(
     slot="touch",
     name="t2t",
     title="T2T, compact diffusion",
-    help="the target's touch from the source's reading alone, as pairs have taught it",
+    help="the target's touch from the source's reading, as pairs have taught it; where one step is unsure, physics",
     run=learned(picture_to_touch.generate, instead=picture_to_touch.BY_PHYSICS),
     params=DiffusionParams,
     reads=(*picture_to_touch.READS, "touch_weights"),
