@@ -42,8 +42,7 @@ class Instrument(Documents):
         self.tracer = Tracer(window)
         self.screen = Screen(window, self.tracer)
         self._ticket = self._wanted_since = self._opening = self._background = 0
-        self._closed = self._waits = self._beside = False
-        self._owed = False  # whether stages were dropped on their way, and have not been asked for again
+        self._closed = self._waits = self._beside = self._owed = False  # owed: stages that were dropped on their way
         self._open: set[Request | None] = {None}  # what is open, as it was asked for and as it is named since
         self.latest: FrameShown | None = None  # the frame on screen
         self._stale, self._young = once(self, _STALE_AFTER_MS, self._mark_stale), once(self, _PATIENCE_MS, lambda: None)
@@ -111,7 +110,7 @@ class Instrument(Documents):
         """
         if self._opening or self._closed or self.screen.opened is None:
             return 0
-        interrupt, owed = self._waits or self.job.newest == self._background, self._waits or self._owed
+        owed, interrupt = self._waits or self._owed, self._waits or self.job.newest == self._background
         self._rest()
         self._owed = owed
         self.screen.mark_dropped()
@@ -181,7 +180,7 @@ class Instrument(Documents):
                 self.screen.show_opened(part, named)
                 self._show_controls()
             elif isinstance(part, SourceShown | SlotShown):
-                self.screen.show_part(part)
+                self.screen.show_part(part, newest=ticket == self._ticket)
                 if isinstance(part, SourceShown):
                     self.window.timeline.show_frame(self.session.frame, part.frame.time_s)
             if ticket == self._ticket:
@@ -285,8 +284,8 @@ class Instrument(Documents):
         session, dragged = self.session, self.window.parameters.dragged
         methods = self.catalogue.methods(session.route, session.methods, self._kind())
         first = next((i for i, method in enumerate(methods) if method.key == dragged), len(methods))
-        last = {} if self.latest is None else {name: r.output for name, r in self.latest.results.items()}
-        return session.drafted(methods[first:], last)
+        results = {} if self.latest is None else self.latest.results
+        return session.drafted(methods[first:], {name: result.output for name, result in results.items()})
 
     def _rest(self) -> None:
         self._waits = self._owed = False

@@ -77,8 +77,8 @@ class Screen:
         for method in methods:
             self._window.columns[method.slot].show_method(method.name)
 
-    def show_part(self, part: SourceShown | SlotShown) -> None:
-        """One column's picture, layers and state."""
+    def show_part(self, part: SourceShown | SlotShown, *, newest: bool = True) -> None:
+        """One column's picture, layers and state; one that is not of the `newest` request leaves it waiting."""
         name = part.result.name if isinstance(part, SlotShown) else "source"
         column = self._window.columns[name]
         self._show_picture(column.view, part.picture, part.beside if isinstance(part, SlotShown) else None)
@@ -107,7 +107,8 @@ class Screen:
         index = self._order.index(name)
         self._layers[index] = part.layers
         self.scene.show_layers(index, part.layers)
-        self._fresh.add(name)
+        if newest:
+            self._fresh.add(name)
         self._parts[name] = part
 
     def shown(self, name: str) -> SourceShown | SlotShown | None:

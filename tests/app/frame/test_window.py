@@ -18,6 +18,7 @@ from app.frame.tour import give_tour, save_window_picture, wait_until_shown
 from app.session.sample import SAMPLE
 from app.session.state import load_session
 from app.work.stopwatch import LIMIT_MS
+from pipeline.base.errors import FileProblem
 from pipeline.base.params import changed
 from pipeline.engine.graph import Graph
 from pipeline.recordings.hdf5_writer import Writer
@@ -160,6 +161,25 @@ def test_a_damaged_frame_after_a_route_there_and_back_fails_by_itself(open_windo
     assert "damaged" in window.window.columns["source"].view.message
     waits = {column.state for name, column in window.window.columns.items() if name != "source"}
     assert waits == {"waiting"}
+
+
+def test_a_part_that_comes_too_late_leaves_its_column_waiting_for_its_own(bubble_window, monkeypatch):
+    """The order is forced: a part of the frame before comes between the request for another one and its failure."""
+    window, over = bubble_window, threading.Event()
+    part, error = window.screen.shown("source"), FileProblem("this frame is damaged", SAMPLE)
+
+    def fails(*_args, **_kwargs):
+        over.wait(LIMIT_S)
+        raise error
+
+    monkeypatch.setattr(window.evaluator, "show", fails)
+    window.choose_frame(1)
+    before = window._ticket
+    window.choose_frame(0)
+    window.take_part(before, part)
+    over.set()
+    wait_until_shown(window, LIMIT_S)
+    assert "this frame is damaged" in window.window.columns["source"].view.message
 
 
 def test_weights_are_opened_closed_and_undone(bubble_window, tmp_path, caplog):
