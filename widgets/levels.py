@@ -128,13 +128,12 @@ class Levels(QWidget):
         painter.drawRect(strip)
         painter.setPen(palette.text().color())
         row = QRectF(2, strip.bottom() + 1, self.width() - 4, self.fontMetrics().height() + 2)
-        middle = 0.5 * (scale.low + scale.high)
-        for text, place in (
-            (f"{scale.low:g}", Qt.AlignmentFlag.AlignLeft),
-            (f"{middle:g}", Qt.AlignmentFlag.AlignHCenter),
-            (f"{scale.high:g} {scale.unit}", Qt.AlignmentFlag.AlignRight),
-        ):
-            painter.drawText(row, int(place), text)
+        low, middle, high = f"{scale.low:g}", f"{0.5 * (scale.low + scale.high):g}", f"{scale.high:g} {scale.unit}"
+        painter.drawText(row, int(Qt.AlignmentFlag.AlignLeft), low)
+        painter.drawText(row, int(Qt.AlignmentFlag.AlignRight), high)
+        wide = self.fontMetrics().horizontalAdvance
+        if 0.5 * wide(middle) + max(wide(low), wide(high)) + _EDGE_PX < 0.5 * row.width():  # where there is room for it
+            painter.drawText(row, int(Qt.AlignmentFlag.AlignHCenter), middle)
 
     @property
     def _room(self) -> QRectF:

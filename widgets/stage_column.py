@@ -15,7 +15,7 @@ from widgets.icons import StateSign
 from widgets.looks import bold, smaller, spaced
 from widgets.picture import PictureView
 
-_BETWEEN_PX = 16  # sign, word and time of a state
+_BETWEEN_PX = 40  # sign, word and time of a state, with the frame around them
 _AN_END = re.compile(r"[:;]|,(?![^(]*\))")  # of the first part of a sentence; a vector is one word
 
 

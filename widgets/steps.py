@@ -35,6 +35,7 @@ class StepsSlider(QWidget):
         self.slider.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         for widget in (self._text, self.keep):
             smaller(widget)
+            widget.setFixedHeight(widget.fontMetrics().height() + 1)  # as high as the legends beside it
         layout = spaced(QHBoxLayout(self), 4)
         layout.addWidget(self.slider, 1)
         layout.addWidget(self._text, 0)

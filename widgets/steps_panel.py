@@ -90,7 +90,7 @@ class StepsPlot(QWidget):
         words = QRectF(4, room.top() - 4, _LEFT_PX - 12, room.height() + 8)
         right = Qt.AlignmentFlag.AlignRight
         painter.drawText(words, Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter, curve.name)
-        painter.drawText(words, right | Qt.AlignmentFlag.AlignTop, f"{most:.2g} {curve.unit}")
+        painter.drawText(words, right | Qt.AlignmentFlag.AlignTop, f"{most:.3g} {curve.unit}")
         painter.drawText(words, right | Qt.AlignmentFlag.AlignBottom, "0")
         dots = [
             QPointF(self.x_of(k), room.bottom() - room.height() * value / most)

@@ -142,7 +142,8 @@ class SweepGrid(_Tries):
 
     def _cell(self, row: int, col: int) -> QRectF:
         line = QFontMetrics(self.font()).height()
-        left, top = max(70.0, _LEFT_SHARE * self.width()), 2.0 * line + _EDGE_PX
+        named = QFontMetrics(self.font()).horizontalAdvance(self._down[0]) + 8.0
+        left, top = max(70.0, named, _LEFT_SHARE * self.width()), 2.0 * line + _EDGE_PX
         wide = (self.width() - left - _EDGE_PX) / max(1, len(self._across[1]))
         high = (self.height() - top - _EDGE_PX) / max(1, len(self._down[1]))
         return QRectF(left + col * wide, top + row * high, wide - _GAP_PX, high - _GAP_PX)
