@@ -56,9 +56,10 @@ class Keeping(QObject):
 
     @property
     def unsaved(self) -> bool:
-        """Whether there is work in the session that no file holds: parameters, methods, a moved alignment."""
+        """Whether there is work in the session that no file holds: parameters, methods, notes, a moved alignment."""
         now, saved = _work(self._instrument.session), _work(self._instrument.saved)
-        return now not in (saved, _work(Session()))
+        nothing = now == _work(Session()) and self._instrument.session_file is None  # a file that is kept may differ
+        return now != saved and not nothing
 
     def keep_now(self) -> None:
         """Have the session written beside, in the background."""
@@ -166,7 +167,9 @@ class Keeping(QObject):
 def _work(session: Session) -> Session:
     """What of a session took somebody's time; opening files again does not."""
     params = {key: value for key, value in session.params.items() if key != DISPLAY}
-    return replace(Session(), params=params, methods=session.methods, offsets=session.offsets)
+    return replace(
+        Session(), params=params, methods=session.methods, offsets=session.offsets, notes=session.notes
+    )  # fmt: skip
 
 
 def _ago(age_s: float) -> str:

@@ -112,6 +112,15 @@ def test_closing_asks_nothing_where_nothing_would_be_lost(bubble_window, monkeyp
     assert bubble_window.window.close()
 
 
+def test_notes_are_work_and_so_is_taking_back_what_was_saved(bubble_window, tmp_path):
+    bubble_window.change("note", notes={1: "slipped"})
+    assert bubble_window.window.isWindowModified()
+    bubble_window.save_session(tmp_path / "a.touch.json")
+    assert not bubble_window.window.isWindowModified()
+    bubble_window.undo.undo()
+    assert bubble_window.window.isWindowModified(), "the file still has the note"
+
+
 def test_a_session_says_which_of_its_files_has_changed(bubble_window, touch_file, tmp_path):
     own = tmp_path / "own.h5"
     own.write_bytes(touch_file.read_bytes())
