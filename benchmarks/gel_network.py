@@ -116,10 +116,10 @@ def costs(read, network):
     for name in _SENSORS:
         source = sensor(name)
         frame = touched(source)
-        physical, seen = gel_network.looked_at(frame, source)
+        looked_at = gel_network.looked_at(frame, source)
 
-        def adds(p=physical, s=seen, of=source):
-            gel_network.corrected(p, s, of, network, NetworkParams())
+        def adds(at=looked_at, of=source):
+            gel_network.corrected(*at, of, network, NetworkParams())
 
         taken = race({"ours": adds, "peer": by_peer}, runs=_RUNS)
         yield row(f"what the network adds to a frame of {name}", peer=f"U-Net of {size:.0f} M numbers",

@@ -7,7 +7,10 @@ the surface itself is, d0, and the correction d is the surface nearest to both,
     minimise  sum |D d - g|^2 + (d - d0)^2 / reach^2,
 
 solved exactly by a cosine transform (two products with a matrix), which gradients pass through. g is a share of the
-slopes of z, and more: walls steeper than light can tell come out too low everywhere alike. A network that has learned
+slopes of z, and more: walls steeper than light can tell come out too low everywhere alike.
+
+All heights are told in the depth of the physical contact, and what is added is bounded by a share of the height there:
+how deep all of a touch is depends on how bright a unit's lamps are, which no picture tells. A network that has learned
 nothing yet corrects nothing: its last layer begins at zero.
 """
 
@@ -23,13 +26,17 @@ from torch.nn import functional
 
 from pipeline.networks.compact_unet import CompactUnet
 
-DEEP_PX = 8.0  # pixels to 1 of the physical indentation among the fields
+SLOPE_PX = 8.0  # pixels in which slopes are told
 SURE = 2.0  # logit of what physics holds for contact
-_ROUGH_PX = 4.0  # brings the rough correction to the order of 1
+_ROUGH = 0.25  # brings the rough correction to the order of 1
+_MOST, _MOST_SHARE = 0.08, 0.35  # that is added: of the depth, and of the height at the place
 
 
 class Reading(NamedTuple):
-    """Each (n, rows, cols) float32; lengths in pixels. A tuple, as networks that learn on several devices answer."""
+    """Each (n, rows, cols) float32; heights in depths of the physical contact.
+
+    A tuple, as networks that learn on several devices answer.
+    """
 
     surface: Tensor  # pushed in, positive toward the camera: physics and its correction
     correction: Tensor
@@ -67,11 +74,14 @@ class GelReading(nn.Module):
         slope_x, slope_y, deep, pressed = fields[:, self.physical : self.physical + 4].unbind(1)
         share = torch.expm1(0.5 * factor.clamp(-8.0, 4.0))
         with torch.autocast(fields.device.type, enabled=False):
-            correction = integrated(
-                share * slope_x + more_x, share * slope_y + more_y, _ROUGH_PX * rough, self.reach_px
-            )
+            wanted = integrated(
+                (share * slope_x + more_x) / SLOPE_PX, (share * slope_y + more_y) / SLOPE_PX, _ROUGH * rough,
+                self.reach_px,
+            )  # fmt: skip
+            most = _MOST + _MOST_SHARE * deep.clamp(0.0, 1.5)
+            correction = most * torch.tanh(wanted / most)
         return Reading(
-            surface=DEEP_PX * deep + correction, correction=correction,
+            surface=deep + correction, correction=correction,
             contact=SURE * (2.0 * pressed - 1.0) + more_contact, more_contact=more_contact,
             log_spread=log_spread.clamp(-6.0, 3.0),
         )  # fmt: skip

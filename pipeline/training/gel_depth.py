@@ -22,8 +22,10 @@ from pipeline.training.task import Split
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
-# Indentation is told in pixels of the fields, contact is 0 or 1.
+# Indentation is told in depths of the physical contact, which are `depth` pixels of the fields; contact is 0 or 1.
 Example = dict[str, NDArray[Any]]
+_Box = tuple[slice, slice]
+_LOOKED_AT, _ASIDE = (80, 112), 12  # rows and columns of a picture that is learned from; how far off its middle
 _UM = 115.0  # to one pixel, about, of any of the project's gels
 _SEED, _HELD_OUT_SEED, _HELD_OUT_PRESSES = 20_000, 7, 400
 
@@ -37,14 +39,15 @@ class GelDepth:
     folder: str = setting("", "Folder", help="keeps the pictures for other runs; empty = worked out each time")
 
     def sample(self, rng: np.random.Generator) -> Example:
-        """Fields, indentation (pixels) and contact of one picture, mirrored or not."""
+        """Fields, indentation and contact of a part of one picture around its contact, mirrored or not."""
         index = int(rng.integers(self.pictures))
-        return _mirrored(rng, example(gel_readings.reading(_SEED, index, self.presses, self.folder)))
+        taught = gel_readings.reading(_SEED, index, self.presses, self.folder)
+        return _mirrored(rng, example(taught, _part(rng, taught)))
 
     def of_touch(self, known: Known, rng: np.random.Generator) -> Example:
         """A touch of the user's own sensor."""
         taught = gel_readings.taught(known.frame, known.source, known.indentation_mm, known.contact)
-        return _mirrored(rng, example(taught))
+        return _mirrored(rng, example(taught, _part(rng, taught)))
 
     def held_out(self, split: Split, index: int) -> Example:
         """Pictures of presses that training does not see; of unseen tools as the simulator presses them."""
@@ -65,47 +68,59 @@ class GelDepth:
         named: dict[str, list[float]] = {}
         for one in held_out:
             reading = network(torch.from_numpy(one["fields"])[None])
+            physical = one["fields"][network_input.SURFACE]
             found, surface = reading.contact[0].numpy() > 0, reading.surface[0].numpy()
-            spread = _UM * np.exp(reading.log_spread[0].numpy())
-            alone = (one["fields"][network_input.PRESSED] > 0.5,
-                     one["fields"][network_input.SURFACE] * np.float32(network_input.SURFACE_PX))  # fmt: skip
+            alone = one["fields"][network_input.PRESSED] > 0.5
             for name, value in {
-                **_figures(one, found, surface, spread),
-                **{f"physics {name}": v for name, v in _figures(one, *alone, None).items()},
+                **_figures(one, found, surface * _factor(surface, physical, found)),
+                **{f"physics {name}": v for name, v in _figures(one, alone, physical).items()},
             }.items():
                 named.setdefault(name, []).append(value)
         return {name: float(np.mean(values)) for name, values in named.items()}
 
 
-def _figures(one: Example, found: NDArray[Any], surface: NDArray[Any], spread: NDArray[Any] | None) -> dict[str, float]:
-    touched, off = one["contact"] > 0, _UM * np.abs(surface - one["indentation"])
+def _figures(one: Example, found: NDArray[Any], surface: NDArray[Any]) -> dict[str, float]:
+    touched, um = one["contact"] > 0, _UM * float(one["depth"])
     if not touched.any():
         return {"false contacts": float(found.any())}
-    named = {
-        "contact IoU": np.count_nonzero(found & touched) / np.count_nonzero(found | touched),
-        "error in contact, um": float(off[touched].mean()),
-    }
-    if not touched.all():
-        named["error beside, um"] = float(off[~touched].mean())
-    if spread is not None:
-        named["within 90 % spread"] = float((off < 2.303 * spread)[touched].mean())
-    return named
-
-
-def example(of: Taught) -> Example:
-    """As the loop wants it."""
+    truth = one["indentation"]
+    off, shape = np.abs(surface - truth), np.abs(surface * _factor(surface, truth, touched) - truth)
     return {
-        "fields": network_input.fields(of.seen), "indentation": np.asarray(of.indentation_px, np.float32),
-        "contact": of.contact.astype(np.uint8),
+        "contact IoU": np.count_nonzero(found & touched) / np.count_nonzero(found | touched),
+        "error in contact, um": um * float(off[touched].mean()),
+        "error of shape, um": um * float(shape[touched].mean()),
+    }
+
+
+def _factor(surface: NDArray[Any], wanted: NDArray[Any], inside: NDArray[Any]) -> float:
+    own = surface[inside].astype(np.float64)
+    return float(own @ wanted[inside]) / max(float(own @ own), 1e-9)
+
+
+def example(of: Taught, at: _Box = (slice(0, network_input.ROWS), slice(0, network_input.COLS))) -> Example:
+    """A part of a picture as the loop wants it."""
+    deep = np.float32(network_input.depth_px(of.seen))
+    return {
+        "fields": network_input.fields(of.seen, at), "contact": of.contact[at].astype(np.uint8),
+        "depth": np.asarray(deep), "indentation": np.asarray(of.indentation_px[at] / deep, np.float32),
     }  # fmt: skip
+
+
+def _part(rng: np.random.Generator, of: Taught) -> _Box:
+    """A part of one size, somewhere around what is looked at when a touch is read."""
+    found: list[slice] = []
+    for length, seen, most in zip(_LOOKED_AT, network_input.box(of.seen), of.contact.shape, strict=True):
+        spare = max(_ASIDE, (seen.stop - seen.start - length) // 2)
+        first = (seen.start + seen.stop - length) // 2 + int(rng.integers(-spare, spare + 1))
+        first = min(max(first, 0), most - length)
+        found.append(slice(first, first + length))
+    return found[0], found[1]
 
 
 def _mirrored(rng: np.random.Generator, one: Example) -> Example:
     """The whole sensor seen in a mirror: left and right, up and down, or both."""
-    for axis, slopes in zip((-1, -2), network_input.SLOPE_FIELDS, strict=True):
+    for number, (axis, turned) in enumerate(zip((-1, -2), network_input.SLOPE_FIELDS, strict=True)):
         if rng.random() < 0.5:
-            place = one["fields"][network_input.PLACE :].copy()
-            one = {name: np.ascontiguousarray(np.flip(values, axis)) for name, values in one.items()}
-            one["fields"][list(slopes)] *= -1.0
-            one["fields"][network_input.PLACE :] = place
+            one = {k: np.ascontiguousarray(np.flip(v, axis)) if v.ndim else v for k, v in one.items()}
+            one["fields"][[*turned, network_input.PLACE + number]] *= -1.0
     return one

@@ -11,28 +11,42 @@ from torch.nn import functional
 
 from pipeline.networks.gel_reading import Reading
 
-_SHALLOW_PX, _DEPTH_SHARE = 0.6, 0.2  # an error weighs by what the touch is deep, and no more than this
-_INSIDE, _BESIDE = 3.0, 0.7
-_SLOPES, _CONTACT, _OVERLAP, _SPREAD = 5.0, 0.5, 0.3, 0.05
+_INSIDE, _BESIDE, _SLOPES, _CONTACT, _OVERLAP, _SPREAD = 3.0, 0.7, 5.0, 0.7, 0.5, 0.05
+_LEAST = 1e-6
 
 
 def loss(reading: Reading, indentation: Tensor, contact: Tensor) -> tuple[Tensor, dict[str, Any]]:
-    """The loss and its parts; indentation (n, rows, cols) in pixels, contact (n, rows, cols) 0 or 1."""
+    """The loss and its parts; indentation (n, rows, cols) in depths of the physical contact, contact 0 or 1.
+
+    Surfaces are compared when each has been brought to the true scale by the one factor that suits it best: what is
+    left is shape. The spread is of what is handed on, at the scale of physics. Pictures without a contact have no say
+    in either.
+    """
     touched = contact.float()
-    scale = _SHALLOW_PX + _DEPTH_SHARE * indentation.amax(dim=(1, 2), keepdim=True)
-    weight = (_BESIDE + (_INSIDE - _BESIDE) * touched) / scale
-    off = (reading.surface - indentation).abs()
-    surface = (weight * off).mean()
+    there = (touched.sum(dim=(1, 2), keepdim=True) > 0).float()
+    own = _factor(reading.surface, indentation, touched)
+    depth = (indentation * touched).amax(dim=(1, 2), keepdim=True).clamp(min=0.1)
+    weight = there * (_BESIDE + (_INSIDE - _BESIDE) * touched) / depth
+    surface = own * reading.surface
+    off = (surface - indentation).abs()
     slopes = 0.5 * (
-        (weight[..., 1:] * (_across(reading.surface) - _across(indentation)).abs()).mean()
-        + (weight[..., 1:, :] * (_down(reading.surface) - _down(indentation)).abs()).mean()
+        (weight[..., 1:] * (_across(surface) - _across(indentation)).abs()).mean()
+        + (weight[..., 1:, :] * (_down(surface) - _down(indentation)).abs()).mean()
     )
     told = functional.binary_cross_entropy_with_logits(reading.contact, touched)
     overlap = _overlap(torch.sigmoid(reading.contact), touched)
-    spread = (off.detach() * torch.exp(-reading.log_spread) + reading.log_spread).mean()
-    whole = surface + _SLOPES * slopes + _CONTACT * told + _OVERLAP * overlap + _SPREAD * spread
-    parts = {"surface": surface, "slopes": slopes, "contact": told, "overlap": overlap, "spread": spread}
+    as_physics = _factor(reading.surface, reading.surface - reading.correction, touched)
+    handed_on = (as_physics * reading.surface - indentation).abs().detach()
+    spread = (there * (handed_on * torch.exp(-reading.log_spread) + reading.log_spread)).mean()
+    parts = {"surface": (weight * off).mean(), "slopes": slopes, "contact": told, "overlap": overlap, "spread": spread}
+    whole = parts["surface"] + _SLOPES * slopes + _CONTACT * told + _OVERLAP * overlap + _SPREAD * spread
     return whole, {name: part.detach() for name, part in parts.items()}
+
+
+def _factor(surface: Tensor, wanted: Tensor, touched: Tensor) -> Tensor:
+    """What brings a surface nearest to another by least squares over the contact: (n, 1, 1), a third to three."""
+    both = (touched * surface * wanted).sum(dim=(1, 2), keepdim=True)
+    return (both / (touched * surface * surface).sum(dim=(1, 2), keepdim=True).clamp(min=_LEAST)).clamp(0.33, 3.0)
 
 
 def _across(field: Tensor) -> Tensor:

@@ -29,7 +29,8 @@ from pipeline.training.gel_presses import Pressed
 from pipeline.training.own_touches import keep, read
 from pipeline.values.frames import TactileFrame
 
-VERSION = 2  # counts up when the same number would give another picture
+VERSION = 3  # counts up when the same number would give another picture
+_DRAWS = 2
 _UNTOUCHED, _DRIFTING = 0.12, 0.6  # shares: of the pictures, and of the touched ones with drift
 _SENSORS = ("gelsight_mini", "gelslim", "digit")
 _DEPTHS_MM = (0.15, 0.4, 0.8)
@@ -54,17 +55,17 @@ class Taught:
 
 
 def reading(seed: int, index: int, presses: int, folder: str = "") -> Taught:
-    """Picture `index` of a seed, of its `presses`: the same each time. `folder` keeps it."""
+    """Picture `index` of a seed, of its `presses`: the same each time; odd ones are of meshes. `folder` keeps it."""
     path = Path(folder) / f"gel_{VERSION}_{seed}_{presses}_{index}.npz" if folder else None
     found = None if path is None else read(path, Taught)
     if found is None:
-        found = _drawn(np.random.default_rng([VERSION, 12, seed, index]), (seed, presses))
+        found = _drawn(np.random.default_rng([_DRAWS, 12, seed, index]), (seed, presses), mesh=index % 2 == 1)
         if path is not None:
             keep(path, found)
     return found
 
 
-def _drawn(rng: np.random.Generator, pool: tuple[int, int]) -> Taught:
+def _drawn(rng: np.random.Generator, pool: tuple[int, int], *, mesh: bool) -> Taught:
     while True:
         of = unit(rng)
         source = of.described
@@ -73,7 +74,7 @@ def _drawn(rng: np.random.Generator, pool: tuple[int, int]) -> Taught:
             pressed = Pressed(indentation_mm=level, contact=np.zeros(level.shape, np.bool_))
             drifted = drift(rng, float(rng.uniform(0.1, 1.0)))
         else:
-            pressed = gel_presses.drawn(rng, pool, source)
+            pressed = gel_presses.drawn(rng, pool, source, mesh=mesh)
             drifted = drift(rng, float(rng.exponential(0.3))) if rng.random() < _DRIFTING else STILL
         touched, untouched = pictures(rng, of, pressed.indentation_mm, pressed.contact, drifted)
         frame = TactileFrame(sensor=source.name, image=touched, reference=untouched)
@@ -84,7 +85,7 @@ def _drawn(rng: np.random.Generator, pool: tuple[int, int]) -> Taught:
 
 def taught(frame: TactileFrame, source: SensorSpec, indentation_mm: Floats, contact: Mask) -> Taught:
     """A frame as physics and the network see it, and what is true of it, told on the frame's own pixels."""
-    _, seen = gel_network.looked_at(frame, source)
+    _, _, seen = gel_network.looked_at(frame, source)
     at = network_input.frame(source.camera.shape)
     return Taught(
         **{field.name: getattr(seen, field.name) for field in fields(Seen)},

@@ -10,7 +10,7 @@ less or half as much again: the best of these take 3 % off the error, the worst 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -42,7 +42,30 @@ _HARDLY_TOLD = Doubt("the touch lies where the lamps hardly tell slopes: sizes a
 _NARROW = 0.5  # thicknesses, within which the gel beyond the border bears on what is seen
 
 
-def depth(
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measured:
+    """A gel's surface as its slopes have it, before what is beside the contact gives way to mechanics."""
+
+    surface_mm: Floats  # of the window
+    window: Window
+    source: SensorSpec
+    pixel_mm: float
+
+    def raw(self) -> Floats:
+        """The surface as measured (rows, cols); zero beside the window."""
+        whole = np.zeros(self.source.camera.shape, np.float32)
+        whole[self.window.rows, self.window.cols] = self.surface_mm
+        return whole
+
+    def relaxed(self, touched: Mask) -> Floats:
+        """The indentation (rows, cols) in mm when this is the contact (rows, cols); zero beside the window."""
+        here = (self.window.rows, self.window.cols)
+        indentation = np.zeros(touched.shape, np.float32)
+        indentation[here] = _relaxed(self.surface_mm, touched[here], self.window, self.source, self.pixel_mm)
+        return indentation
+
+
+def read(
     frame: TactileFrame,
     source: SensorSpec,
     calibration: Calibration,
@@ -54,10 +77,11 @@ def depth(
     boundary: Boundary,
     progress: Progress,
     rounds: int = gel_light.ROUNDS,
-) -> DepthMap:
-    """The depth of one gel picture, see `pipeline.stages.depth.depth`; the frame has been checked there.
+) -> tuple[DepthMap, Measured | None]:
+    """The depth of one gel picture, see `pipeline.stages.depth.stage.depth`; the frame has been checked there.
 
-    `rounds` are those of the correction by the sensor's own optics: fewer make a draft.
+    Beside it what it was made of, for who knows the contact better; None where nothing has changed. `rounds` are those
+    of the correction by the sensor's own optics: fewer make a draft.
     """
     image, reference = cast("Image", frame.image), cast("Image | None", frame.reference)
     if reference is None:
@@ -66,7 +90,7 @@ def depth(
     shape, pixel_mm = source.camera.shape, calibration.pixel_mm
     indentation, touched = np.zeros(shape, np.float32), np.zeros(shape, np.bool_)
     still = drift.stilled(image, reference)
-    notes = list(still.notes)
+    notes, measured = list(still.notes), None
     window = moved.window(image, still.grey, no_touch_grey, pixel_mm)
     if window is None:
         notes.append(drift.untouched_note(still))
@@ -84,12 +108,13 @@ def depth(
         narrow_px = _NARROW * (0.0 if source.gel is None else source.gel.thickness_mm) / pixel_mm
         touched[here] = contact.without_margins(pressed, surface, *here, shape, narrow_px)
         progress.step(0.8, "relaxing the gel around the contact")
-        indentation[here] = _relaxed(surface, touched[here], window, source, pixel_mm)
+        measured = Measured(surface_mm=freeze(surface), window=window, source=source, pixel_mm=pixel_mm)
+        indentation = measured.relaxed(touched)
         if light == "near" and gel_light.hardly_told(touched, still.picture, source):
             notes.append(_HARDLY_TOLD)
         notes += _limits(indentation, touched, source.limits.indentation_max_mm)
     progress.step(1.0, "depth is ready")
-    return DepthMap(
+    found = DepthMap(
         indentation_mm=freeze(indentation),
         depth_mm=freeze((source.rest_depth_mm - indentation).astype(np.float32)),
         contact=freeze(touched),
@@ -97,6 +122,7 @@ def depth(
         source_index=pixel_index(shape),
         notes=tuple(notes),
     )
+    return found, measured
 
 
 def untouched_notes(image: Image, reference: Image, no_touch_grey: float) -> tuple[str, ...] | None:

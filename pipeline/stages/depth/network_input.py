@@ -1,16 +1,17 @@
-"""What the network that corrects physics looks at: 17 fields of 120 x 160, free of any unit of length.
+"""What the network that corrects physics looks at: 16 fields of 120 x 160, free of any unit of length or brightness.
 
-    0-2    change of colour, in 40 grey levels
-    3-5    the same as a ratio of brightness: twice the difference of logarithms
-    6-8    the untouched picture, from -1 (black) to 1
-    9, 10  slopes that the described lights would make of the change (least squares, linear): right and down
-    11, 12 slopes of the physical answer
-    13, 14 its indentation in 8 pixels, and where it is in contact, from 0 to 1
-    15, 16 place in the picture, from -1 to 1
+    0-2    change of colour, each colour in its own largest of the touch
+    3-5    the untouched picture, each colour against its own mean
+    6, 7   slopes that the described lights would make of the change (linear and three turns on), in their own largest
+    8, 9   slopes of the physical answer, in its depth to 8 pixels: right and down, as the two before
+    10, 11 its indentation in its own depth, and where it is in contact, from 0 to 1
+    12     its pressure, in its own largest
+    13     logarithm of its depth in pixels: how steep it is
+    14, 15 place in the picture, from -1 to 1
 
-The untouched picture is the one that physics compares with, drift taken out. Slopes are lengths over lengths and the
-surface is told in pixels, so that a sensor's size does not enter at all: what comes out in pixels becomes mm by the
-width of one.
+A touch and one twice as deep, seen by lamps half as bright, look alike but for the light's own curvature, and so they
+do here. The untouched picture is the one that physics compares with, drift taken out. Only a box is looked at, the
+contact and what is around it (`box`).
 """
 
 from __future__ import annotations
@@ -28,13 +29,17 @@ from pipeline.physics import optics
 from pipeline.physics.slopes import slopes
 from pipeline.sensors.parts import Glow, Optics
 from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.depth import contact
 
-ROWS, COLS, FIELDS = 120, 160, 17
-SLOPE_FIELDS = (9, 11), (10, 12)  # to the right, down
-SURFACE, PRESSED, PLACE = 13, 14, 15
-SURFACE_PX = 8.0
-_CHANGE_GREY = 40.0
-_DARK_GREY = 8.0  # added to both pictures, so that camera noise in the dark has no large logarithm
+ROWS, COLS, FIELDS = 120, 160, 16
+SLOPE_FIELDS = (6, 8), (7, 9)  # to the right, down
+SURFACE, PRESSED, PRESSURE, STEEP, PLACE = 10, 11, 12, 13, 14
+SLOPE_PX = 8.0
+_LARGEST = 0.95  # of the values: what is the largest but for a few
+_LEAST_GREY, _LEAST_SLOPE, _LEAST_PX = 5.0, 0.02, 0.1  # what is less is noise, and stays small
+_STEEP_PX = 4.0
+_BLUR_PX = 0.7  # of the pressure
+_AROUND, _GRID = 24, 16  # pixels of the fields around a contact that are looked at: a gel's thickness; whole steps
 _SECANT = 0.2  # mm/mm: slopes at which the light's rates are taken
 _PULL = 600.0  # grey levels squared per unit slope squared: what no lamp tells stays level
 _STEEPEST = 1.5
@@ -142,31 +147,69 @@ class Seen:
     pressed: Floats  # (120, 160) share in contact
 
 
-def seen(image: Image, still: Floats, physical_mm: Floats, contact: Mask, source: SensorSpec, light: Light) -> Seen:
+def seen(image: Image, still: Floats, physical_mm: Floats, touched: Mask, source: SensorSpec, light: Light) -> Seen:
     """A sensor's picture and its physical answer, each (rows, cols, ...) of the sensor; `light`: `light_of` it."""
     at = frame(source.camera.shape)
-    touched, untouched = at.small(image), at.small(still)
+    shown, untouched = at.small(image), at.small(still)
     return Seen(
-        touched=touched, untouched=untouched, slopes=_slopes(_planes(touched - untouched), light),
+        touched=shown, untouched=untouched, slopes=_slopes(_planes(shown - untouched), light),
         physical_px=at.small(physical_mm) / np.float32(source.pixel_mm * at.pixels),
-        pressed=at.small(contact.astype(np.float32)),
+        pressed=at.small(touched.astype(np.float32)),
     )  # fmt: skip
 
 
-def fields(of: Seen) -> Floats:
-    """The fields (17, 120, 160)."""
-    out = np.zeros((FIELDS, ROWS, COLS), np.float32)
-    now, before = _planes(of.touched), np.maximum(_planes(of.untouched), 0.0)  # where drift took all light away
-    out[0:3] = (now - before) * np.float32(1.0 / _CHANGE_GREY)
-    out[3:6] = 2.0 * np.log((now + np.float32(_DARK_GREY)) / (before + np.float32(_DARK_GREY)))
-    out[6:9] = before * np.float32(1.0 / 127.5) - np.float32(1.0)
-    out[9:11] = of.slopes
-    out[11], out[12] = slopes(of.physical_px, 1.0)
-    out[SURFACE] = of.physical_px * np.float32(1.0 / SURFACE_PX)
-    out[PRESSED] = of.pressed
-    out[15] = np.linspace(-1.0, 1.0, COLS, dtype=np.float32)[None, :]
-    out[16] = np.linspace(-1.0, 1.0, ROWS, dtype=np.float32)[:, None]
+def depth_px(of: Seen) -> float:
+    """How deep the physical answer is in its contact, in pixels of the fields: what its surface is told in."""
+    values = of.physical_px[inside(of)]
+    return max(float(np.quantile(values, _LARGEST)) if values.size else 0.0, _LEAST_PX)
+
+
+def box(of: Seen) -> tuple[slice, slice]:
+    """The contact and a gel's thickness around it: rows and columns of the fields."""
+    pressed, found = inside(of), []
+    for axis, most in ((1, ROWS), (0, COLS)):
+        there = np.flatnonzero(pressed.any(axis=axis))
+        first, last = (int(there[0]), int(there[-1]) + 1) if there.size else (0, most)
+        first = max(0, first - _AROUND)
+        length = min(most, -(-(min(most, last + _AROUND) - first) // _GRID) * _GRID)
+        first = min(first, most - length)
+        found.append(slice(first, first + length))
+    return found[0], found[1]
+
+
+def fields(of: Seen, at: tuple[slice, slice] = (slice(0, ROWS), slice(0, COLS))) -> Floats:
+    """The fields (16, rows, cols) of a box."""
+    pressed, deep = inside(of)[at], depth_px(of)
+    now, before = _planes(of.touched[at]), np.maximum(_planes(of.untouched[at]), 0.0)  # drift may take all light away
+    out = np.zeros((FIELDS, *now.shape[1:]), np.float32)
+    out[0:3] = [_in_own(change, pressed, _LEAST_GREY) for change in now - before]
+    mean = np.maximum(of.untouched.mean(axis=(0, 1)), _LEAST_GREY)[:, None, None]
+    out[3:6] = np.clip(before / mean - 1.0, -1.5, 1.5)
+    steepest = max(_LEAST_SLOPE, _largest(np.hypot(*of.slopes[:, at[0], at[1]]), pressed))
+    out[6:8] = np.clip(of.slopes[:, at[0], at[1]] / np.float32(steepest), -3.0, 3.0)
+    surface = of.physical_px[at] / np.float32(deep)
+    out[8], out[9] = (np.float32(SLOPE_PX) * slope for slope in slopes(surface, 1.0))
+    out[SURFACE] = surface
+    out[PRESSED] = of.pressed[at]
+    out[PRESSURE] = _in_own(contact.relative_pressure(surface, _BLUR_PX), pressed, 1e-3)
+    out[STEEP] = math.log(deep / _STEEP_PX)
+    out[14] = np.linspace(-1.0, 1.0, COLS, dtype=np.float32)[None, at[1]]
+    out[15] = np.linspace(-1.0, 1.0, ROWS, dtype=np.float32)[at[0], None]
     return out
+
+
+def inside(of: Seen) -> Mask:
+    """The physical contact; what of it is nearest to one where it is smaller than a pixel."""
+    return np.asarray(of.pressed > min(0.5, 0.5 * float(of.pressed.max())), np.bool_)
+
+
+def _in_own(field: Floats, pressed: Mask, least: float) -> Floats:
+    return np.clip(field / np.float32(max(least, _largest(np.abs(field), pressed))), -3.0, 3.0)
+
+
+def _largest(field: Floats, pressed: Mask) -> float:
+    values = field[pressed]
+    return float(np.quantile(values, _LARGEST)) if values.size else float(field.max(initial=0.0))
 
 
 def _planes(picture: Floats) -> Floats:

@@ -81,8 +81,8 @@ def depth(
     progress.step(0.0, "comparing with the untouched frame")
     checked(frame, source)
     seen_by = source if frame.camera is None else source.seen_through(frame.camera)
-    least_mm = params.contact_limit * source.limits.contact_min_mm
     if frame.is_depth:
+        least_mm = params.contact_limit * source.limits.contact_min_mm
         found = bubble_depth.depth(frame, seen_by, smoothing_px=params.smoothing_px, least_mm=least_mm)
         return replace(found, error=measured_error(source))
     by = coarse.fewer(seen_by.camera.shape) if params.draft else 1
@@ -90,18 +90,30 @@ def depth(
         small = coarse.frame(frame, seen_by.camera, by)
         params = replace(params, smoothing_px=params.smoothing_px / by)
         return coarse.enlarged(depth(small, source, coarse.look_up(calibration, by), params, progress), seen_by, by)
+    return gel(frame, source, calibration, params, progress)[0]
+
+
+def gel(
+    frame: TactileFrame,
+    source: SensorSpec,
+    calibration: Calibration | None,
+    params: DepthParams,
+    progress: Progress = SILENT,
+) -> tuple[DepthMap, gel_depth.Measured | None]:
+    """`depth` of a gel's frame, and what it was made of; the frame has been checked."""
+    seen_by = source if frame.camera is None else source.seen_through(frame.camera)
     look_up = calibration if calibration is not None else built_in(seen_by)
-    found = gel_depth.depth(
+    found, measured = gel_depth.read(
         frame, seen_by, look_up,
         no_touch_grey=source.limits.no_touch / params.sensitivity,
-        least_mm=least_mm,
+        least_mm=params.contact_limit * source.limits.contact_min_mm,
         pressure_share=params.pressure_share,
         smoothing_px=params.smoothing_px,
         boundary=params.boundary,
         progress=progress,
         rounds=coarse.ROUNDS if params.draft else gel_light.ROUNDS,
     )  # fmt: skip
-    return replace(found, error=measured_error(source))
+    return replace(found, error=measured_error(source)), measured
 
 
 def measured_error(source: SensorSpec) -> DepthError | None:
@@ -119,8 +131,11 @@ def recorded(
 ) -> DepthMap:
     """`depth` of a frame that a real unit has taken: the first note says what its look-up is worth."""
     found = depth(frame, source, calibration, params, progress)
-    if source.kind == "bubble":
-        return found
+    return found if source.kind == "bubble" else worth_told(found, calibration)
+
+
+def worth_told(found: DepthMap, calibration: Calibration | None) -> DepthMap:
+    """A gel's answer, with what its look-up is worth as the first note."""
     worth = description.UNCALIBRATED_NOTE if calibration is None else description.note(calibration)
     return replace(found, notes=(worth, *found.notes))
 

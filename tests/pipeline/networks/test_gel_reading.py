@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from pipeline.networks.gel_reading import DEEP_PX, GelReading, integrated
+from pipeline.networks.gel_reading import GelReading, integrated
 
 REACH = 10.0
 
@@ -46,21 +46,33 @@ def test_the_gradient_of_one_height_reaches_slopes_everywhere():
     assert float(x.grad[0, 10].abs().min()) > 0
 
 
+def network():
+    return GelReading(inputs=16, physical=8, first=8, levels=3, widest=16)
+
+
 def test_what_has_learned_nothing_answers_physics():
-    network = GelReading(inputs=17, physical=11, first=8, levels=3, widest=16).eval()
-    fields = torch.randn(2, 17, 24, 32)
+    fields = torch.randn(2, 16, 24, 32)
     with torch.inference_mode():
-        reading = network(fields)
+        reading = network().eval()(fields)
     assert {tuple(field.shape) for field in reading} == {(2, 24, 32)}
     assert all(field.dtype is torch.float32 for field in reading)
-    assert torch.equal(reading.surface, DEEP_PX * fields[:, 13])
-    assert torch.equal(reading.contact > 0, fields[:, 14] > 0.5)
+    assert torch.equal(reading.surface, fields[:, 10])
+    assert torch.equal(reading.contact > 0, fields[:, 11] > 0.5)
     assert not reading.correction.any()
     assert not reading.more_contact.any()
 
 
+def test_what_is_added_is_a_share_of_the_height_there():
+    wild, fields = network().eval(), torch.randn(2, 16, 24, 32)
+    torch.nn.init.normal_(wild.body.finish.weight, std=30.0)
+    with torch.inference_mode():
+        added = wild(fields).correction.abs()
+    assert float(added[fields[:, 10] <= 0].max()) <= 0.0801
+    assert bool((added <= 0.0801 + 0.35 * fields[:, 10].clamp(0.0, 1.5)).all())
+    assert float(added.max()) > 0.3
+
+
 def test_the_first_step_changes_what_it_answers():
-    network = GelReading(inputs=17, physical=11, first=8, levels=3, widest=16).train()
-    fields = torch.randn(2, 17, 24, 32)
-    network(fields).surface.square().mean().backward()
-    assert float(network.body.finish.weight.grad.abs().max()) > 0
+    learning = network().train()
+    learning(torch.randn(2, 16, 24, 32)).surface.square().mean().backward()
+    assert float(learning.body.finish.weight.grad.abs().max()) > 0

@@ -14,8 +14,8 @@ from pipeline.calibration.lookup import BallFit, built_in
 from pipeline.networks.weights import NoWeights
 from pipeline.physics import gel, optics
 from pipeline.sensors.spec import sensor
-from pipeline.stages.depth import network_input, stage
-from pipeline.stages.depth.gel_network import NetworkParams, depth
+from pipeline.stages.depth import gel_network, network_input, stage
+from pipeline.stages.depth.gel_network import NetworkParams, depth, looked_at
 from pipeline.stages.depth.slot import NETWORK
 from pipeline.values.frames import TactileFrame
 
@@ -34,15 +34,25 @@ def told(correction_px, more, spread_px=0.1):
 
     class Told(nn.Module):
         def forward(self, fields):
-            assert fields.shape == (1, 17, 120, 160)
-            off, logit = (torch.from_numpy(np.asarray(a, np.float32)[None]) for a in (correction_px, more))
-            return Reading(surface=off, correction=off, contact=logit, more_contact=logit,
-                           log_spread=0 * off + float(np.log(spread_px)))  # fmt: skip
+            _, inputs, rows, cols = fields.shape
+            assert inputs == network_input.FIELDS
+            first = (round(79.5 * float(fields[0, 14, 0, 0] + 1)), round(59.5 * float(fields[0, 15, 0, 0] + 1)))
+            box = slice(first[1], first[1] + rows), slice(first[0], first[0] + cols)
+            deep = 4 * float(fields[0, network_input.STEEP, 0, 0].exp())
+            off, logit = (torch.from_numpy(np.asarray(a, np.float32)[box][None]) for a in (correction_px, more))
+            return Reading(surface=off / deep, correction=off / deep, contact=logit, more_contact=logit,
+                           log_spread=0 * off + float(np.log(spread_px / deep)))  # fmt: skip
 
     return Told().eval()
 
 
 NOTHING = np.zeros((120, 160))
+
+
+@pytest.fixture
+def believed(monkeypatch):
+    """Contact is believed wherever the network tells it."""
+    monkeypatch.setattr(gel_network, "_PUSHED_IN", -1.0)
 
 
 @cache
@@ -70,14 +80,15 @@ def test_a_network_that_corrects_nothing_answers_physics_to_the_byte(name):
     assert found.notes == physics(name).notes
 
 
+@pytest.mark.usefixtures("believed")
 @pytest.mark.parametrize("name", ["gelsight_mini", "digit", "gelslim"])
 def test_pixels_become_mm_on_the_sensors_own_picture(name):
-    source, there = sensor(name), disc(40, 110, 25)
+    source, there = sensor(name), disc(52, 100, 20)
     network = told(np.where(there, 2.0, 0.0), np.where(there, 9.0, -9.0))
     found, before = depth(frame(name), source, None, network, NetworkParams()), physics(name)
     rows, cols = source.camera.shape
     pixel_mm = source.pixel_mm * max(rows, cols) / 160
-    row, col = (110 / 160, 40 / 120) if rows > cols else (40 / 120, 110 / 160)
+    row, col = (100 / 160, 52 / 120) if rows > cols else (52 / 120, 100 / 160)
     middle = round(row * rows), round(col * cols)
     beside = rows // 2, cols // 2  # pressed in, and not corrected
     scale = found.indentation_mm[beside] / before.indentation_mm[beside]
@@ -145,7 +156,9 @@ def test_what_is_deeper_than_the_sensor_is_cut_and_told():
     assert any("were cut to that" in note for note in found.notes)
 
 
-def test_a_contact_at_the_border_is_told():
+@pytest.mark.usefixtures("believed")
+def test_a_contact_at_the_border_is_told(monkeypatch):
+    monkeypatch.setattr(network_input, "_AROUND", 160)
     network = told(NOTHING, np.where(disc(0, 80, 30), 9.0, 0.0))
     found = depth(frame(), sensor("gelsight_mini"), None, network, NetworkParams())
     assert sum("reaches the image border" in note for note in found.notes) == 1
@@ -161,3 +174,25 @@ def test_without_weights_physics_answers_and_says_so():
     source = sensor("gelsight_mini")
     answer = NETWORK.run(frame(), source, None, NoWeights(why="no weights come along"), NetworkParams(), SILENT)
     assert answer.why == "no weights come along; physics answers instead"
+
+
+@pytest.mark.usefixtures("believed")
+def test_what_the_network_adds_to_the_contact_is_as_deep_as_it_was_measured():
+    source = sensor("gelsight_mini")
+    network = told(NOTHING, np.where(disc(60, 80, 40), 9.0, 0.0))
+    found, (before, measured, _) = depth(frame(), source, None, network, NetworkParams()), looked_at(frame(), source)
+    added = found.contact & ~before.contact
+    here = (measured.window.rows, measured.window.cols)
+    assert added[here].sum() > 300
+    np.testing.assert_allclose(found.indentation_mm[here][added[here]], measured.surface_mm[added[here]], atol=1e-6)
+    assert np.abs(before.indentation_mm - found.indentation_mm)[added].max() > 1e-3
+
+
+def test_a_contact_is_not_believed_where_the_gel_is_hardly_pushed_in():
+    """What the lamps throw beside a touch, a shadow say, looks like more of it."""
+    found = depth(frame(), sensor("gelsight_mini"), None, told(NOTHING, NOTHING + 9.0), NetworkParams())
+    before, measured, _ = looked_at(frame(), sensor("gelsight_mini"))
+    added = found.contact & ~before.contact
+    assert added.any()
+    assert measured.raw()[added].min() > 0.2 * before.indentation_mm.max()
+    assert found.contact.sum() < 2 * before.contact.sum()

@@ -43,11 +43,16 @@ def test_the_described_light_gives_the_slopes_of_a_shallow_dent(name):
     height = 0.3 * bump(rows, cols, 0.5 * rows, 0.5 * cols, 0.25 * rows)
     at = network_input.frame((rows, cols))
     touched, still = optics.render(source, height, seed=None), optics.untouched(source)
-    fields = network_input.fields(seen(source, touched, still))
+    of = seen(source, touched, still, height)
+    fields = network_input.fields(of)
     want = at.small(height) / (source.pixel_mm * at.pixels)
     gy, gx = np.gradient(want)
-    for slope, true in ((fields[9], gx), (fields[10], gy)):
-        assert float((slope * true).sum() / (true * true).sum()) == pytest.approx(1.0, abs=0.1)
+    shares = [
+        float((slope * true).sum() / (true * true).sum()) for slope, true in ((of.slopes[0], gx), (of.slopes[1], gy))
+    ]
+    assert shares == pytest.approx([1.0, 1.0], abs=0.1)
+    for slope, true in ((fields[6], gx), (fields[7], gy)):
+        assert float(np.corrcoef(slope.ravel(), true.ravel())[0, 1]) > 0.95
 
 
 def test_steep_slopes_are_told_better_than_a_linear_light_would():
@@ -67,11 +72,14 @@ def test_the_physical_answer_is_among_the_fields_with_its_slopes(name):
     rows, cols = source.camera.shape
     height = bump(rows, cols, 0.4 * rows, 0.6 * cols, 0.2 * rows)
     still = optics.untouched(source)
-    fields = network_input.fields(seen(source, still, still, height))
+    of = seen(source, still, still, height)
+    fields, deep = network_input.fields(of), network_input.depth_px(of)
     at = network_input.frame((rows, cols))
     want = at.small(height) / (source.pixel_mm * at.pixels)
-    np.testing.assert_allclose(network_input.SURFACE_PX * fields[network_input.SURFACE], want, atol=1e-5)
-    np.testing.assert_allclose(fields[11:13], np.gradient(want)[::-1], atol=1e-4)
+    assert 0.8 * want.max() < deep <= want.max()
+    assert fields[network_input.STEEP, 0, 0] == pytest.approx(np.log(deep / 4))
+    np.testing.assert_allclose(deep * fields[network_input.SURFACE], want, atol=1e-4)
+    np.testing.assert_allclose(deep * fields[8:10] / 8, np.gradient(want)[::-1], atol=1e-4)
     assert fields[network_input.PRESSED].mean() == pytest.approx((height > 0.1).mean(), abs=0.01)
 
 
@@ -94,7 +102,47 @@ def test_nothing_depends_on_a_unit_of_length():
         shown = optics.render(source, surface, seed=None), optics.untouched(source)
         of = seen(source, *shown, surface)
         found.append(network_input.fields(of)[: network_input.PRESSED])
-    np.testing.assert_allclose(found[0], found[1], atol=0.03)
+    np.testing.assert_allclose(found[0], found[1], atol=0.08)  # two grey levels
+
+
+def test_a_touch_twice_as_deep_in_half_the_light_looks_alike_but_for_how_steep_it_is():
+    rng, height = np.random.default_rng(1), bump(120, 160, 60, 80, 25)
+    change, slopes = rng.normal(0, 1, (120, 160, 3)) * height[..., None], rng.normal(0, 1, (2, 120, 160)) * height
+    found = []
+    for light, deep in ((1.0, 1.0), (0.5, 2.0)):
+        still = np.full((120, 160, 3), light * 90.0, np.float32)
+        of = network_input.Seen(
+            touched=np.asarray(still + 40 * light * change, np.float32), untouched=still,
+            slopes=np.asarray(light * slopes, np.float32), physical_px=3 * deep * height,
+            pressed=(height > 0.3).astype(np.float32),
+        )  # fmt: skip
+        found.append(network_input.fields(of))
+    steep = network_input.STEEP
+    assert found[1][steep] - found[0][steep] == pytest.approx(np.log(2), abs=1e-4)
+    np.testing.assert_allclose(np.delete(found[0], steep, 0), np.delete(found[1], steep, 0), atol=1e-4)
+
+
+@pytest.mark.parametrize(("row", "col", "radius"), [(60, 80, 9), (2, 158, 6), (60, 80, 90), (119, 0, 0.5)])
+def test_the_box_holds_the_contact_and_what_is_around_it(row, col, radius):
+    y, x = np.mgrid[:120, :160]
+    pressed = ((y - row) ** 2 + (x - col) ** 2 <= radius**2).astype(np.float32)
+    nothing = np.zeros((120, 160, 3), np.float32)
+    of = network_input.Seen(
+        touched=nothing,
+        untouched=nothing,
+        slopes=np.zeros((2, 120, 160), np.float32),
+        physical_px=pressed,
+        pressed=pressed,
+    )
+    rows, cols = network_input.box(of)
+    for part, middle, most in ((rows, row, 120), (cols, col, 160)):
+        assert 0 <= part.start <= max(0, middle - radius - 24)
+        assert most >= part.stop >= min(most, middle + radius + 24)
+        assert (part.stop - part.start) % 16 == 0 or part.stop - part.start == most
+    fields = network_input.fields(of, (rows, cols))
+    whole = network_input.fields(of)[:, rows, cols]
+    at = [network_input.SURFACE, network_input.PRESSED, network_input.STEEP, 14, 15]
+    np.testing.assert_array_equal(fields[at], whole[at])
 
 
 def test_drift_that_took_all_light_away_leaves_numbers():
