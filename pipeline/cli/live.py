@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import os
 import threading
 import time
 from pathlib import Path
 
+from pipeline.base.errors import SettingProblem
 from pipeline.cli.stopping import asking
 from pipeline.cli.terminal import print_line
 from pipeline.live.device import found
@@ -30,6 +32,8 @@ def list_cameras() -> int:
 
 def watch(source: Source, record: Path | None, seconds: float) -> int:
     """Watch until the time is over or Ctrl-C; returns 0, 1 if nothing came at all."""
+    if not 0.0 <= seconds < math.inf:
+        raise SettingProblem(f"--seconds must be 0 or more, got {seconds:g}")
     recorder = None if record is None else Recorder(record, source.title)
     reader, ended = Reader(source), threading.Event()
     if recorder is not None:

@@ -26,6 +26,7 @@ from pipeline.registration.scene import Scene, in_reach
 from pipeline.registration.starts import Start
 from pipeline.values.results import PoseStep
 
+# Half or double of any count below finds no more poses, nor as many in clearly less time: benchmarks/search_counts.py.
 _COARSE_FELT, _COARSE_MODEL = 50, (500, 4000)  # points that rank the first guesses: at least, at most
 _COARSE_MM2 = 1.0  # of the object's surface for each of them
 _MIDDLE_FELT, _MIDDLE_MODEL = 150, 1500  # points that rank where these lead

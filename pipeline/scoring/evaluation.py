@@ -52,6 +52,7 @@ def evaluated(wanted: Wanted, progress: Progress = SILENT, work: Map | None = No
     Raises SettingProblem for a direction, method or contender that does not exist, and what a method raises.
     """
     _check_settings(wanted)
+    fields = [field_of(sensor(source), sensor(target), wanted.contenders) for source, target in wanted.directions]
     asked = dict.fromkeys(sensors_for(*direction) for direction in wanted.directions)
     pressed = {
         sensors: recordings(
@@ -63,9 +64,8 @@ def evaluated(wanted: Wanted, progress: Progress = SILENT, work: Map | None = No
     found: list[Row] = []
     notes: list[str] = [NOTE]
     whole = Share(progress, 0.15, 0.85)
-    for index, (source, target) in enumerate(wanted.directions):
+    for index, ((source, target), entrants) in enumerate(zip(wanted.directions, fields, strict=True)):
         part = Share(whole, index / len(wanted.directions), 1.0 / len(wanted.directions), f"{source} to {target}")
-        entrants = field_of(sensor(source), sensor(target), wanted.contenders)
         judges, missing = _judges(wanted.poses, sensor(source), sensor(target))
         notes += [*entrants.absent, *missing]
         jobs = [

@@ -215,6 +215,16 @@ def turned_beyond_counting(here):
 
 
 @trigger
+def watched_for_nan_seconds(_here):
+    return ["live", "--seconds", "nan"]
+
+
+@trigger
+def a_contender_that_does_not_exist(_here):
+    return ["evaluate", "--split", "unseen_tools", "--only", "nosuch"]
+
+
+@trigger
 def frame_and_all(here):
     return touched(here, "--frame", "0", "--all")
 
