@@ -36,6 +36,13 @@ def held_back(found: Sampled, known: Mask, caution: float, doubts: tuple[float, 
     return replace(found, last=less(found.last), states=tuple(less(state) for state in found.states))
 
 
+def contradiction(found: Sampled, felt: Mask) -> float:
+    """How many times farther than it expects a network is from what the source felt itself; 0 where it felt nothing."""
+    off, expected = np.abs(found.last.residual_mm), found.spread_mm
+    there = on_grid(felt, off.shape) > _HALF
+    return float(off[there].mean() / max(float(expected[there].mean()), 1e-9)) if there.any() else 0.0
+
+
 def taken(correction_mm: Floats, off_mm: Floats) -> Floats:
     """The share 0..1 of a correction (rows, cols) that is expected to be off by so much."""
     import cv2

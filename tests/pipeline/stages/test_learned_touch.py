@@ -214,12 +214,23 @@ def test_touch_to_touch_falls_back_to_physics_where_it_is_unsure_and_at_no_step(
     assert physics.membrane.indentation_mm.max() > 2.0
     doubtful = Says(1.0, contact=1.0)
     doubtful.doubts = 1e3, 1e3
-    unsure, sure = made(doubtful), made(Says(1.0, contact=1.0, spread=0.01))
+    trusted = Says(1.0, contact=1.0, spread=4.0)
+    trusted.doubts = 0.0, 0.0
+    doubtful.said, trusted.said = (trusted.said,) * 2
+    unsure, sure = made(doubtful), made(trusted)
     assert np.abs(unsure.membrane.indentation_mm - physics.membrane.indentation_mm).max() < 0.1
     assert np.abs(sure.membrane.indentation_mm - 1.0).max() < 0.05
     assert sure.membrane.contact.all()
     sample = made(doubtful, steps=2)
     assert np.allclose(sample.membrane.indentation_mm, 1.0), "a sample is one of many, and all of it"
+
+
+def test_touch_to_touch_is_given_up_where_it_contradicts_what_was_felt(felt):
+    reads = felt[0], GEL, None, alignment.between(GEL, BUBBLE), BUBBLE
+    physics = picture_to_touch.generate(*reads, Says(1.0), DiffusionParams(steps=0))
+    bold = picture_to_touch.generate(*reads, Says(1.0, contact=1.0, spread=0.01), DiffusionParams())
+    assert bold.image.tobytes() == physics.image.tobytes()
+    assert any("farther than it expects" in note for note in bold.notes)
 
 
 def test_an_untouched_frame_costs_touch_to_touch_nothing(felt):
