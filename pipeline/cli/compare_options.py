@@ -9,6 +9,7 @@ from cyclopts import Parameter
 
 from pipeline.cli.opening_options import NOTHING_ELSE, Opening
 
+_Words = Annotated[str, Parameter(allow_leading_hyphen=True)]
 _Settings = Annotated[tuple[str, ...], Parameter(name="--set", negative="")]
 
 
@@ -22,7 +23,7 @@ def compare(
     order: Literal["worst first", "best first", "in order"] = "worst first",
     seeds: int = 0,
     slot: str = "felt",
-    beside: str = "",
+    beside: _Words = "",
     settings: _Settings = (),
 ) -> int:
     """Show one frame several ways, as the window's Compare: by every method, by several seeds, or beside another.
