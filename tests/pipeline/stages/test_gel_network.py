@@ -11,7 +11,10 @@ import pytest
 from pipeline.base.errors import ShapeError
 from pipeline.base.progress import SILENT
 from pipeline.calibration.lookup import BallFit, built_in
-from pipeline.networks.weights import NoWeights
+from pipeline.evaluation.metrics import iou
+from pipeline.networks import shelf
+from pipeline.networks.building import network
+from pipeline.networks.weights import NoWeights, Weights
 from pipeline.physics import gel, optics
 from pipeline.sensors.spec import sensor
 from pipeline.stages.depth import gel_network, network_input, stage
@@ -196,3 +199,20 @@ def test_a_contact_is_not_believed_where_the_gel_is_hardly_pushed_in():
     assert added.any()
     assert measured.raw()[added].min() > 0.2 * before.indentation_mm.max()
     assert found.contact.sum() < 2 * before.contact.sum()
+
+
+@pytest.mark.parametrize("name", ["gelsight_mini", "digit", "gelslim"])
+def test_the_weights_that_come_along_find_more_of_a_balls_contact_than_physics(name):
+    source = sensor(name)
+    rows, cols = source.camera.shape
+    y, x = (source.pixel_mm * (np.arange(n) - n / 2) for n in (rows, cols))
+    below = np.sqrt(np.maximum(3.0**2 - x[None, :] ** 2 - y[:, None] ** 2, 0.0)) - 3.0
+    pressed = gel.press(source.gel, source.pixel_mm, np.where(below > -3.0, 0.5 + below, -9.0).astype(np.float32))
+    image = optics.render(source, pressed.indentation_mm, seed=1)
+    touched = TactileFrame(sensor=source.name, image=image, reference=optics.untouched(source))
+    taught = shelf.shipped("gel_depth")
+    assert isinstance(taught, Weights)
+    by_network = depth(touched, source, None, network(taught), NetworkParams()).contact
+    by_physics = stage.recorded(touched, source, None, stage.DepthParams()).contact
+    assert iou(by_network, pressed.contact) > iou(by_physics, pressed.contact)
+    assert not (by_network & ~by_physics & (pressed.indentation_mm < 0.05)).any()  # none of it where nothing is felt
