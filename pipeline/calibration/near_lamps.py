@@ -52,13 +52,22 @@ def prior(sensor: SensorSpec, pixel_mm: float, shape: tuple[int, int]) -> Fields
     """The fields of possible units of `sensor` in a picture of `shape`; CalibrationError for one without optics."""
     if sensor.optics is None:
         raise CalibrationError(f"{sensor.name} has no optics to derive a look-up from; it measures depth itself")
-    fields = units(sensor.optics, pixel_mm, shape, _N_UNITS, np.random.default_rng(0))
+    optics, made_of = sensor.optics, (sensor.optics, pixel_mm, shape)
+
+    def make() -> Fields:
+        return store.kept(Fields, made_of, _CODE, lambda: _prior(optics, pixel_mm, shape), "look_ups")
+
+    return _kept_priors.of(content(made_of), make)
+
+
+def _prior(optics: Optics, pixel_mm: float, shape: tuple[int, int]) -> Fields:
+    fields = units(optics, pixel_mm, shape, _N_UNITS, np.random.default_rng(0))
     mean = fields.mean(axis=0)
     flat = (fields - mean).reshape(_N_UNITS, -1)
     centre = mean.reshape(3, N_PLACES, N_PARTS)[:, 0, :2]
     size = float(np.linalg.norm(centre, axis=1).mean())
     covariance = flat.T @ flat / _N_UNITS + _misfit(shape, size)
-    return Fields(mean=mean.ravel(), precision=np.linalg.inv(covariance))
+    return Fields(mean=freeze(mean.ravel()), precision=freeze(np.linalg.inv(covariance)))
 
 
 def units(optics: Optics, pixel_mm: float, shape: tuple[int, int], count: int, rng: np.random.Generator) -> Doubles:
@@ -85,6 +94,7 @@ class _Gains:
     table: Floats  # (rows, cols, 3)
 
 
+_kept_priors: Memo[str, Fields] = Memo(16)
 _kept_gains: Memo[str, Floats] = Memo(16)
 _kept_changes: Memo[str, Floats] = Memo(16)
 

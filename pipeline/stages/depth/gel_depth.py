@@ -1,7 +1,8 @@
 """Depth of a gel: colour change -> slopes -> surface -> contact, worked out only around what has moved.
 
 Drift of the light and of the camera is taken out first (`drift`). Where the look-up is the one that the sensor's
-description implies, the surface is then corrected by its own optics (`gel_light`).
+description implies, the surface is then corrected by its own optics (`gel_light`), near lamps' by the light that the
+touch itself speaks for (`own_light`).
 
 Numbers without a source beside them are those that `benchmarks/depth_numbers.py` finds no better neighbour of, a third
 less or half as much again: the best of these take 3 % off the error, the worst add 9 %.
@@ -15,15 +16,14 @@ from typing import cast
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Image, Mask, freeze
+from pipeline.base.arrays import Doubles, Floats, Image, Mask, freeze
 from pipeline.base.doubts import AT_BORDER, Doubt
 from pipeline.base.errors import CalibrationError, ShapeError
 from pipeline.base.progress import Progress
 from pipeline.calibration.lookup import Calibration, check_for, slopes
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import contact, drift, gel_light, moved, rest
+from pipeline.stages.depth import contact, drift, gel_light, moved, own_light, rest
 from pipeline.stages.depth.drift import Still
-from pipeline.stages.depth.gel_light import Light
 from pipeline.stages.depth.moved import Window
 from pipeline.stages.depth.poisson import Boundary, Sides, integrate
 from pipeline.values.frames import TactileFrame
@@ -110,7 +110,7 @@ def read(
         progress.step(0.8, "relaxing the gel around the contact")
         measured = Measured(surface_mm=freeze(surface), window=window, source=source, pixel_mm=pixel_mm)
         indentation = measured.relaxed(touched)
-        if light == "near" and gel_light.hardly_told(touched, still.picture, source):
+        if light is not None and gel_light.hardly_told(touched, still.picture, source):
             notes.append(_HARDLY_TOLD)
         notes += _limits(indentation, touched, source.limits.indentation_max_mm)
     progress.step(1.0, "depth is ready")
@@ -141,8 +141,8 @@ def untouched_notes(image: Image, reference: Image, no_touch_grey: float) -> tup
 def _surface(
     image: Image, still: Still, window: Window, source: SensorSpec, calibration: Calibration,
     smoothing_px: float, boundary: Boundary, rounds: int,
-) -> tuple[Floats, Light | None]:  # fmt: skip
-    """The surface of the window in mm, its rest still to be found, and the light that it was read by, if any."""
+) -> tuple[Floats, Doubles | None]:  # fmt: skip
+    """The surface of the window in mm, its rest still to be found, and the touch's own light if it was read by that."""
     here, pixel_mm = (window.rows, window.cols), calibration.pixel_mm
 
     def integrated(gx: Floats, gy: Floats) -> Floats:
@@ -161,11 +161,13 @@ def _surface(
         return _integrated(gx, gy, replace(window, moved=small.moved), small.pixel_mm, boundary, image.shape)
 
     guess = roughly(*_finite(*gel_light.rough_slopes(small, calibration), source))
-    surface, light = gel_light.best(guess, small, source, roughly, rounds)
+    surface, light = own_light.best(guess, small, source, roughly, rounds)
     if small is picture:
         return surface, light
     surface = gel_light.finer(surface, small.by, window.moved.shape)
-    return gel_light.corrected(surface, picture, source, light, integrated, 1)[0], light
+    if light is None:
+        return gel_light.corrected(surface, picture, source, integrated, 1)[0], light
+    return own_light.corrected(surface, picture, source, light, integrated, 1)[0], light
 
 
 def _finite(gx: Floats, gy: Floats, source: SensorSpec) -> tuple[Floats, Floats]:

@@ -15,7 +15,7 @@ PHYSICS = Method(
     run=unless(stage.untouched, stage.recorded),
     params=stage.DepthParams,
     reads=("frame", "source", "calibration"),
-    version=7,
+    version=8,
     draft=stage.draft,
 )
 NETWORK = Method(

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from pipeline.calibration import near_lamps
+from pipeline.calibration import near_lamps, slope_model, touch_light
 from pipeline.calibration.lookup import BallFit, built_in
 from pipeline.geometry.rigid import translation
 from pipeline.physics import optics
@@ -14,7 +14,7 @@ from pipeline.physics.slopes import slopes
 from pipeline.sensors.spec import sensor
 from pipeline.simulation import shapes, variation
 from pipeline.simulation.press import press
-from pipeline.stages.depth import gel_light
+from pipeline.stages.depth import gel_light, own_light
 from pipeline.stages.depth.stage import DepthParams, depth
 from pipeline.values.frames import TactileFrame
 from tests.pipeline.calibration.test_balls import hertz
@@ -24,6 +24,7 @@ TIMES_CLOSER = 2.0  # than the look-up alone; three to four are usual where shad
 FLAT_SHARE = 0.75  # of the depth of a flat face: the blur loses some of a steep flank
 LIGHT_MM = 0.02  # of 0.15 mm; the look-up alone, without blur and shadows, is nearer here: 0.013
 EITHER_MM = 0.04  # of 0.4 mm, where the lamps may give a sixth more or less than they are described to
+UNUSUAL_MM = 0.06  # of 0.4 mm: one touch tells the scale of usual units alone
 CONTACT_MM = 0.06  # a flat face of 0.6 mm: vertical flanks, of which the blur keeps nine tenths
 
 
@@ -114,33 +115,47 @@ def test_a_shallow_plate_beside_a_touch_is_left_out_and_a_second_touch_kept():
 
 @lru_cache
 def pressed_mini(*, near):
-    """An object on a Mini whose lamps light its gel evenly, or stand close beside it: (frame, truth)."""
+    """An object on a Mini whose lamps light its gel as described, or stand close beside it: (frame, truth)."""
     import cv2
 
     source, thing = sensor("gelsight_mini"), shapes.shape("star").mesh
-    truth = press(thing, translation(-6.0, 3.5, -0.4 - thing.vertices_mm[:, 2].min()), source, seed=None).truth
-    still = optics.untouched(source).astype(np.float32)
-    change = optics.colour_change(source, *slopes(truth.indentation_mm, source.pixel_mm))
-    table = near_lamps.gains(source)
-    gains = cv2.resize(table, still.shape[1::-1], interpolation=cv2.INTER_LINEAR)
-    light = still + change * (gains * still / still.mean(axis=(0, 1)) if near else 1.0)
-    image = optics.recorded(cv2.GaussianBlur(light, (0, 0), optics.optics_of(source).blur_px), 1.8, 1)
-    return TactileFrame(sensor=source.name, image=image, reference=optics.untouched(source)), truth
+    truth = press(thing, translation(-3.0, 1.5, -0.4 - thing.vertices_mm[:, 2].min()), source, seed=None).truth
+    still = optics.untouched(source)
+    gx, gy = slopes(truth.indentation_mm, source.pixel_mm)
+    change = optics.colour_change(source, gx, gy)
+    if near:
+        before = near_lamps.prior(source, source.pixel_mm, source.camera.shape)
+        field = touch_light.image(before.mean, *slope_model.position(source.camera.shape))[..., :3]
+        field *= np.float32([1.6, 1.0, 0.6])[:, None]  # red tells more of slopes than it usually does, blue less
+        tilted = np.stack([-gx, -gy, np.ones_like(gx)], axis=-1) / np.sqrt(1 + gx**2 + gy**2)[..., None] - (0, 0, 1)
+        change = (field * tilted[:, :, None]).sum(axis=-1) / slope_model.gain(still)
+    light = still + cv2.GaussianBlur(change.astype(np.float32), (0, 0), optics.optics_of(source).blur_px)
+    image = optics.recorded(light.astype(np.float32), 1.8, 1)
+    return TactileFrame(sensor=source.name, image=image, reference=still), truth
 
 
 @pytest.mark.parametrize("near", [False, True])
 def test_the_light_that_explains_the_picture_is_taken(near, monkeypatch):
     frame, truth = pressed_mini(near=near)
-    corrected, taken = gel_light.corrected, []
+    corrected, taken = own_light.corrected, []
 
-    def watched(surface_mm, picture, source, light, *rest):
-        taken.append(light)
-        return corrected(surface_mm, picture, source, light, *rest)
+    def watched(surface_mm, picture, *rest):
+        taken.append(picture.by)
+        return corrected(surface_mm, picture, *rest)
 
-    monkeypatch.setattr(gel_light, "corrected", watched)
+    monkeypatch.setattr(own_light, "corrected", watched)
     found = depth(frame, sensor("gelsight_mini"), None, PARAMS)
-    assert taken[-1] == ("near" if near else "even")
-    assert error_mm(found, truth) < EITHER_MM
+    assert (taken[-1] == 1) == near  # the picture's own pixels are looked at in the light that was taken
+    # Lamps that none of the usual units has: how deep a touch in their light is, it does not tell exactly.
+    assert error_mm(found, truth) < (UNUSUAL_MM if near else EITHER_MM)
+
+
+def test_a_touch_tells_how_its_own_lamps_light_it(monkeypatch):
+    frame, truth = pressed_mini(near=True)
+    own = depth(frame, sensor("gelsight_mini"), None, PARAMS)
+    monkeypatch.setattr(own_light, "adapted", lambda *_: None)
+    described = depth(frame, sensor("gelsight_mini"), None, PARAMS)
+    assert error_mm(own, truth) < 0.7 * error_mm(described, truth)
 
 
 def test_a_lamp_that_stands_close_tells_little_of_slopes_beside_it():

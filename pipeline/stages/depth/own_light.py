@@ -1,0 +1,132 @@
+"""A gel's surface by the light that the touch itself speaks for, where lamps stand close beside the gel.
+
+How near lamps change colours differs between units more than their untouched pictures tell, and within one picture
+many times over: beside a lamp a slope hardly changes its colour. In turns, the surface is solved for in the light as it
+is known (`gel_light`, with the field in place of lamps), and the light for the surface (`touch_light`), its depth
+included.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.base.arrays import Doubles, Floats
+from pipeline.calibration import light_field, near_lamps, slope_model, touch_light
+from pipeline.calibration.light_field import Surface
+from pipeline.physics import optics
+from pipeline.physics.slopes import slopes
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.depth import gel_light
+from pipeline.stages.depth.gel_light import Seen, blurred
+
+_TURNS, _ROUNDS, _FIRST_ROUNDS = 3, 2, 3
+_DEPTHS = (0.8, 1.0, 1.25)  # of the surface, tried in every turn
+_PIXELS, _FEWEST = 1500, 60  # looked at, and fewer speak for no light
+_FAR_MORE = (
+    2.5  # times what its own light leaves: simulated units as described 1.0 to 1.9, balls on a real Mini 3.1 to 5.9
+)
+_CHANGED = 0.1  # of q: slopes that are read, not noise
+_PULL = 20.0  # grey levels squared per unit slope squared: in weak light a colour weighs no more than a hundred
+_HUBER_GREY = 20.0
+_STEEPEST = np.float32(1.43)  # mm/mm, 55 degrees
+_LEAST_MM = -0.5  # no gel bulges out farther
+
+Integrated = Callable[[Floats, Floats], Floats]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Own:
+    """A surface in the light that its touch speaks for."""
+
+    surface_mm: Floats  # (rows, cols)
+    coefficients: Doubles  # (m,) of the light, `light_field`
+    misfit: float  # of the picture, as `gel_light.corrected` has it
+
+
+def best(
+    surface_mm: Floats, picture: Seen, source: SensorSpec, integrated: Integrated, rounds: int = gel_light.ROUNDS
+) -> tuple[Floats, Doubles | None]:
+    """The surface in the described light, or in the touch's own and that one's coefficients where it explains far more.
+
+    Lamps that cast shadows stand low and aside: they shine evenly. `rounds` are those of `gel_light.corrected`; fewer
+    make a draft, which takes no more turns than rounds.
+    """
+    surface, misfit = gel_light.corrected(surface_mm, picture, source, integrated, rounds)
+    if optics.optics_of(source).shadow > 0:
+        return surface, None
+    own = adapted(surface_mm, picture, source, integrated, min(rounds, _TURNS))
+    return (surface, None) if own is None or misfit <= _FAR_MORE * own.misfit else (own.surface_mm, own.coefficients)
+
+
+def adapted(
+    surface_mm: Floats, picture: Seen, source: SensorSpec, integrated: Integrated, turns: int = _TURNS
+) -> Own | None:
+    """The surface and its light, from a first guess of the surface; None where too little has changed to tell."""
+    q = picture.change * slope_model.gain(picture.still)
+    seen = np.flatnonzero(picture.moved & (np.abs(q).max(axis=2) > _CHANGED))
+    if len(seen) < _FEWEST:
+        return None
+    before = near_lamps.prior(source, source.pixel_mm, source.camera.shape)
+    seen = np.random.default_rng(0).choice(seen, min(_PIXELS, len(seen)), replace=False)
+    coefficients, misfit = before.mean, 0.0
+    surface_mm = corrected(surface_mm, picture, source, coefficients, integrated, _FIRST_ROUNDS)[0]
+    for _ in range(turns):
+        tried = [_shown(surface_mm * np.float32(depth), picture, source, q, seen) for depth in _DEPTHS]
+        best, coefficients = touch_light.likeliest(before, tried)
+        surface_mm, misfit = corrected(
+            surface_mm * np.float32(_DEPTHS[best]), picture, source, coefficients, integrated, _ROUNDS
+        )
+    return Own(surface_mm=surface_mm, coefficients=coefficients, misfit=misfit)
+
+
+def corrected(
+    surface_mm: Floats, picture: Seen, source: SensorSpec, light: Doubles, integrated: Integrated, rounds: int
+) -> tuple[Floats, float]:
+    """The surface (rows, cols) of the pixels whose picture, in this light, comes nearest to the one seen.
+
+    And what it leaves of it, as `gel_light.corrected` has it.
+    """
+    from pipeline.stages.depth.own_light_kernels import explained, lit
+
+    field = touch_light.image(light, *_place(picture, source))
+    field /= slope_model.gain(picture.still)[..., None]
+    out, misfit = np.empty_like(picture.change), 0.0
+    limits = (np.float32(_PULL), np.float32(_HUBER_GREY), _STEEPEST)
+    for _ in range(rounds):
+        z = _within(surface_mm, picture, source)
+        gx, gy = slopes(z, picture.pixel_mm)
+        lit(gx, gy, z, field, out)
+        rest = picture.change - blurred(out, source, picture)
+        misfit = explained(rest, picture.change, picture.still, picture.moved, field, *limits, gx, gy)
+        surface_mm = integrated(gx, gy)
+    return surface_mm, misfit
+
+
+def _shown(surface_mm: Floats, picture: Seen, source: SensorSpec, q: Floats, seen: NDArray[np.intp]) -> Surface:
+    """The pixels `seen` of a surface, as blurred as the picture shows it."""
+    import cv2
+
+    width = max(0.3, math.hypot(optics.optics_of(source).blur_px, picture.smoothing_px) / picture.by)
+    z = np.asarray(cv2.GaussianBlur(_within(surface_mm, picture, source), (0, 0), width), np.float32)
+    u, v = _place(picture, source)
+    row, col = np.divmod(seen, z.shape[1])
+    steep = np.stack([g.ravel()[seen] for g in slopes(z, picture.pixel_mm)], axis=1).astype(np.float64)
+    parts = light_field.parts_of_slopes(steep, z.ravel()[seen].astype(np.float64))
+    return Surface(u=u[col], v=v[row], parts=parts, change=q.reshape(-1, 3)[seen])
+
+
+def _within(surface_mm: Floats, picture: Seen, source: SensorSpec) -> Floats:
+    return np.clip(surface_mm, _LEAST_MM, source.limits.indentation_max_mm) * picture.moved
+
+
+def _place(picture: Seen, source: SensorSpec) -> tuple[Floats, Floats]:
+    """Where the columns and rows lie, as `slope_model.position` has it."""
+    rows, cols = source.camera.shape
+    half = np.float32(0.5 * max(rows, cols))
+    u, v = (picture.x_px - np.float32(0.5 * (cols - 1))) / half, (picture.y_px - np.float32(0.5 * (rows - 1))) / half
+    return u.astype(np.float32), v.astype(np.float32)
