@@ -28,7 +28,11 @@ def likeliest(before: Fields, surfaces: Sequence[Surface]) -> tuple[int, Doubles
 
     The surfaces show the same pixels and colours, at other depths.
     """
-    found = [_after(before, surface) for surface in surfaces]
+    from threadpoolctl import threadpool_limits
+
+    # Several threads add up in another order, and wait for each other longer than so small a system takes.
+    with threadpool_limits(limits=1, user_api="blas"):
+        found = [_after(before, surface) for surface in surfaces]
     best = int(np.argmin([unlikely for unlikely, _ in found]))
     return best, found[best][1]
 
