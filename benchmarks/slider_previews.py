@@ -1,8 +1,8 @@
 """How soon does a parameter that is dragged show in its own column, for every slider of every stage and each sensor?
 
-Run under a display: python benchmarks/slider_previews.py. A slider is held and moved a few times; time is that of
-the processor, all threads, until the column of its stage shows the draft, which a busy machine does not lengthen. The
-promise: 100 ms. A gel of 1280 x 1708 pixels is a picture of the sample enlarged.
+Run under a display: python benchmarks/slider_previews.py [CASE ...], of `_cases`. A slider is held and moved a few
+times; time is that of the processor, all threads, until the column of its stage shows the answer, which a busy machine
+lengthens less. The promise: 100 ms. A gel of 1280 x 1708 pixels is a picture of the sample enlarged.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class _Case:
     session: dict[str, Any]
 
 
-def answer() -> Answer:
+def answer(*only: str) -> Answer:
     from app import main as app_main
 
     app_main.prepare_environment()
@@ -50,7 +50,7 @@ def answer() -> Answer:
     told: list[str] = []
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as folder:
-        cases = list(_cases(app_main.SAMPLE, Path(folder)))
+        cases = [case for case in _cases(app_main.SAMPLE, Path(folder)) if not only or case.name in only]
         instrument = app_main.show_window(Session(**cases[0].session))
         instrument.window.resize(1600, 950)
         for case in cases:
@@ -136,4 +136,4 @@ def _row(case: str, slider: str, cpu: list[float], wall: list[float], told: list
 
 
 if __name__ == "__main__":
-    show(answer())
+    show(answer(*sys.argv[1:]))

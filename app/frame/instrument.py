@@ -284,8 +284,7 @@ class Instrument(Documents):
         session, dragged = self.session, self.window.parameters.dragged
         methods = self.catalogue.methods(session.route, session.methods, self._kind())
         first = next((i for i, method in enumerate(methods) if method.key == dragged), len(methods))
-        results = {} if self.latest is None else self.latest.results
-        return session.drafted(methods[first:], {name: result.output for name, result in results.items()})
+        return session.drafted(methods[first:])
 
     def _rest(self) -> None:
         self._waits = self._owed = False

@@ -94,12 +94,9 @@ class Session:
         other = other or (new.recording != self.recording and self.alignment is None)
         return replace(new, offsets=Offsets()) if other else new
 
-    def drafted(self, methods: Iterable[Method], last: Mapping[str, object]) -> Session:
-        """The same with cheaper parameters of those methods that have some: to show while one is dragged.
-
-        `last` are the slots' values before.
-        """
-        cheap = {m.key: m.draft(self.params_of(m), last.get(m.slot)) for m in methods if m.draft is not None}
+    def drafted(self, methods: Iterable[Method]) -> Session:
+        """The same with cheaper parameters of those methods that have some: to show while one is dragged."""
+        cheap = {m.key: m.draft(self.params_of(m)) for m in methods if m.draft is not None}
         return replace(self, params={**self.params, **cheap}) if cheap else self
 
     @property

@@ -57,8 +57,7 @@ class Method:
     help: str = ""  # what it does, in half a sentence
     weights: Callable[..., object] | None = None  # (source, target, file) -> input `weights_name`; None = it reads none
 
-    # (parameters, its last value or None) -> cheaper ones, for while somebody drags one; None = as they are
-    draft: Callable[[Any, Any], Any] | None = None
+    draft: Callable[[Any], Any] | None = None  # parameters -> cheaper ones, while one is dragged; None = as they are
 
     @property
     def weights_name(self) -> str:

@@ -61,7 +61,7 @@ class DepthParams:
     draft: bool = False  # a gel's picture is read with fewer pixels
 
 
-def draft(params: DepthParams, _last: object = None) -> DepthParams:
+def draft(params: DepthParams) -> DepthParams:
     """What to show while a parameter is dragged."""
     return replace(params, draft=True)
 

@@ -66,7 +66,7 @@ class DiffusionParams:
     draft: bool = False  # fewer steps than were asked for
 
 
-def draft(params: DiffusionParams, _last: object = None) -> DiffusionParams:
+def draft(params: DiffusionParams) -> DiffusionParams:
     """What to show while a parameter is dragged: the fewest steps in which guidance does anything, no states."""
     return replace(params, steps=min(params.steps, _DRAFTED), keep_states=False, draft=params.steps > _DRAFTED)
 

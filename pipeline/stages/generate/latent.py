@@ -75,7 +75,7 @@ class LatentParams:
     draft: bool = False  # fewer steps than were asked for
 
 
-def draft(params: LatentParams, _last: object = None) -> LatentParams:
+def draft(params: LatentParams) -> LatentParams:
     """What to show while a parameter is dragged: the fewest steps in which guidance does anything."""
     return replace(params, steps=min(params.steps, _DRAFTED), draft=params.steps > _DRAFTED)
 

@@ -34,7 +34,6 @@ SIGNED_DISTANCES = Method(
     params=stage.PoseParams,
     reads=("felt", "mesh", "previous"),
     version=5,
-    draft=stage.draft,
 )
 PAPER_2D = Method(
     slot="pose",

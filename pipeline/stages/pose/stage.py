@@ -73,18 +73,6 @@ class PoseParams:
         0, "Seed", low=0, high=2**31 - 1, step=1, help="of the points that are drawn",
         source="PCG64: O'Neill 2014, as numpy has it",
     )  # fmt: skip
-    near: tuple[float, ...] = ()  # sensor_from_object, row by row: it is followed from there, where that fits
-
-    @property
-    def draft(self) -> bool:
-        """Whether other poses were not looked for."""
-        return bool(self.near)
-
-
-def draft(params: PoseParams, last: ObjectPose | None) -> PoseParams:
-    """What to show while a parameter is dragged: where the `last` answer goes, where there is one."""
-    found = None if last is None else last.sensor_from_object
-    return params if found is None else replace(params, near=tuple(found.ravel().tolist()))
 
 
 def pose(felt: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT) -> ObjectPose:
@@ -126,9 +114,7 @@ def pose_from(
 def posed(
     felt: DepthMap, mesh: Mesh | None, previous: ObjectPose | None, params: PoseParams, progress: Progress = SILENT
 ) -> ObjectPose:
-    """The stage: `pose_from` a draft's last answer or the touch before where there is a pose, else `pose`."""
-    if params.near:
-        return pose_from(felt, mesh, params, np.reshape(params.near, (4, 4)), progress)
+    """The stage: `pose_from` where the touch before is given and has a pose, else `pose`."""
     if previous is None or previous.sensor_from_object is None:
         return pose(felt, mesh, params, progress)
     return pose_from(felt, mesh, params, previous.sensor_from_object, progress, others=previous.alternatives)

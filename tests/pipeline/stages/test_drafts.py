@@ -8,14 +8,11 @@ import numpy as np
 import pytest
 
 from app.session.sample import SAMPLE
-from pipeline.base.progress import SILENT
 from pipeline.engine.graph import Graph, Method
 from pipeline.evaluation.metrics import iou
 from pipeline.recordings import open_recording
 from pipeline.sensors.spec import sensor
 from pipeline.stages.depth import coarse, stage
-from pipeline.stages.pose import stage as pose
-from pipeline.stages.pose.stage import PoseParams
 
 TOUCHED = 5
 
@@ -49,23 +46,6 @@ def test_a_smaller_picture_is_what_a_smaller_camera_would_have_taken(frame):
     assert small.image.shape[:2] == small.camera.shape == (160, 213)
     assert small.camera.fx_px == pytest.approx(gel.camera.fx_px / 2, rel=0.01)
     assert float(small.image.mean()) == pytest.approx(float(frame.image.mean()), abs=1.0)
-
-
-def test_a_draft_of_a_pose_follows_the_last_answer(monkeypatch):
-    asked = []
-    monkeypatch.setattr(pose, "pose_from", lambda *args, **_: asked.append(args[3]) or "followed")
-    at = np.eye(4)
-    at[:3, 3] = 1.0, 2.0, 3.0
-
-    @dataclass
-    class Last:
-        sensor_from_object: np.ndarray | None
-
-    params = pose.draft(PoseParams(), Last(at))
-    assert params.draft
-    assert pose.posed(None, None, None, params, SILENT) == "followed"
-    np.testing.assert_array_equal(asked[0], at)
-    assert pose.draft(PoseParams(), None) == pose.draft(PoseParams(), Last(None)) == PoseParams()
 
 
 @dataclass(frozen=True)
