@@ -16,7 +16,7 @@ from typing import cast
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, Image, Mask, freeze
+from pipeline.base.arrays import Floats, Image, Mask, freeze
 from pipeline.base.doubts import AT_BORDER, Doubt
 from pipeline.base.errors import CalibrationError, ShapeError
 from pipeline.base.progress import Progress
@@ -98,7 +98,7 @@ def read(
         here = (window.rows, window.cols)
         notes += _doubts(image[here], source, window)
         progress.step(0.2, "integrating slopes")
-        surface, light = _surface(image, still, window, source, calibration, smoothing_px, boundary, rounds)
+        surface, near = _surface(image, still, window, source, calibration, smoothing_px, boundary, rounds)
         surface, inside = _settled(surface, window, source, pixel_mm)
         pressed = inside | contact.touched(
             surface, least_mm=least_mm, pressure_share=pressure_share, smoothing_px=_PRESSURE_BLUR_PX
@@ -110,7 +110,7 @@ def read(
         progress.step(0.8, "relaxing the gel around the contact")
         measured = Measured(surface_mm=freeze(surface), window=window, source=source, pixel_mm=pixel_mm)
         indentation = measured.relaxed(touched)
-        if light is not None and gel_light.hardly_told(touched, still.picture, source):
+        if near and gel_light.hardly_told(touched, still.picture, source):
             notes.append(_HARDLY_TOLD)
         notes += _limits(indentation, touched, source.limits.indentation_max_mm)
     progress.step(1.0, "depth is ready")
@@ -141,8 +141,8 @@ def untouched_notes(image: Image, reference: Image, no_touch_grey: float) -> tup
 def _surface(
     image: Image, still: Still, window: Window, source: SensorSpec, calibration: Calibration,
     smoothing_px: float, boundary: Boundary, rounds: int,
-) -> tuple[Floats, Doubles | None]:  # fmt: skip
-    """The surface of the window in mm, its rest still to be found, and the touch's own light if it was read by that."""
+) -> tuple[Floats, bool]:  # fmt: skip
+    """The surface of the window in mm, its rest still to be found, and whether it was read by near lamps."""
     here, pixel_mm = (window.rows, window.cols), calibration.pixel_mm
 
     def integrated(gx: Floats, gy: Floats) -> Floats:
@@ -153,7 +153,7 @@ def _surface(
             calibration, image[here], still.picture[here], window.moved, (window.rows.start, window.cols.start),
             markers=source.markers, smoothing_px=smoothing_px,
         )  # fmt: skip
-        return integrated(*_finite(gx, gy, source)), None
+        return integrated(*_finite(gx, gy, source)), False
     picture = gel_light.seen(image, still.picture, window, smoothing_px, source.markers, pixel_mm)
     small = gel_light.coarser(picture, image.shape)
 
@@ -162,12 +162,10 @@ def _surface(
 
     guess = roughly(*_finite(*gel_light.rough_slopes(small, calibration), source))
     surface, light = own_light.best(guess, small, source, roughly, rounds)
-    if small is picture:
-        return surface, light
-    surface = gel_light.finer(surface, small.by, window.moved.shape)
-    if light is None:
-        return gel_light.corrected(surface, picture, source, integrated, 1)[0], light
-    return own_light.corrected(surface, picture, source, light, integrated, 1)[0], light
+    if small is not picture:
+        surface = gel_light.finer(surface, small.by, window.moved.shape)
+        surface = own_light.read_by(light, surface, picture, source, integrated, 1)
+    return surface, not (isinstance(light, str) and light == "even")
 
 
 def _finite(gx: Floats, gy: Floats, source: SensorSpec) -> tuple[Floats, Floats]:

@@ -15,7 +15,9 @@ rest r (Gauss-Newton on every pixel, J = s dc/dg),
 and integrates. What a pixel cannot say (a dark colour, light from one side) is left as the integration has it. The
 rounds run on a coarse grid, one more on the picture's own pixels.
 
-c is as described, from lamps far away; what lamps close beside the gel make of it is looked for in `own_light`.
+c is as described, from lamps far away, or what lamps close beside the gel make of it on the unit's own untouched
+picture (`near_lamps.gains`): the one that leaves less of the picture unexplained is taken. Simulated units come out as
+the first, most touches of a real GelSlim as the second, and those of a GelSight Mini ask for more (`own_light`).
 
 Numbers without a source beside them are those that `benchmarks/depth_numbers.py` finds no better neighbour of: a third
 less or half as much again changes the error by less than it does for the rounds.
@@ -26,6 +28,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -35,6 +38,7 @@ from pipeline.calibration.lookup import Calibration
 from pipeline.calibration.markers import unprinted, without_markers
 from pipeline.physics import optics
 from pipeline.physics.slopes import slopes
+from pipeline.sensors.glow import untouched_light
 from pipeline.sensors.spec import Markers, SensorSpec
 from pipeline.stages.depth.moved import Window
 
@@ -47,7 +51,12 @@ _FLANK, _FLANK_SHARE = 0.12, 0.1  # mm/mm, and of a region's pixels
 _BORDER_SHARE = 0.4  # of the deepest region: corners beside a real GelSlim's presses come out up to 0.36
 _HARDLY = 0.8  # of what is usual: balls on a real Mini are read wrong by 60 % there, by 12 % elsewhere
 _CELLS = 160  # of the rounds' grid, along the longer side of a picture
+_BRIGHT_BLUR_PX = 3.0
 _NO_BLUR = 0.3  # pixels: a Gaussian that narrow changes nothing
+
+
+# What a slope changes: what the description says, or what it is from lamps that stand close.
+Light = Literal["even", "near"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,7 +152,7 @@ def rough_slopes(picture: Seen, calibration: Calibration) -> tuple[Floats, Float
 
 
 def corrected(
-    surface_mm: Floats, picture: Seen, source: SensorSpec, integrated: Callable[[Floats, Floats], Floats],
+    surface_mm: Floats, picture: Seen, source: SensorSpec, light: Light, integrated: Callable[[Floats, Floats], Floats],
     rounds: int = ROUNDS,
 ) -> tuple[Floats, float]:  # fmt: skip
     """The surface (rows, cols) of the pixels whose picture comes nearest to the one seen, and what it leaves of it.
@@ -156,15 +165,15 @@ def corrected(
     told, camera = optics.optics_of(source), source.camera
     pixel_mm, size = picture.pixel_mm, np.array([camera.cols, camera.rows], np.float32)
     place = (picture.x_px, picture.y_px, size, *optics.lamps(told, camera), np.float32(told.vignette))
-    out, misfit = np.empty_like(picture.change), 0.0
+    bright, out, misfit = _brightness(source, picture, light), np.empty_like(picture.change), 0.0
     limits = (np.float32(_PULL), np.float32(_HUBER_GREY), _STEEPEST, np.empty((2, 3), np.float32))
     for _ in range(rounds):
         z = np.clip(surface_mm, _LEAST_MM, source.limits.indentation_max_mm) * picture.moved
         gx, gy = slopes(z, pixel_mm)
         share = _passed(source, z, pixel_mm)
-        lit(gx, gy, *place, picture.still, share, out)
+        lit(gx, gy, *place, bright, picture.still, share, out)
         rest = picture.change - blurred(out, source, picture)
-        misfit = explained(rest, picture.change, picture.still, share, picture.moved, *place,
+        misfit = explained(rest, picture.change, picture.still, share, bright, picture.moved, *place,
                            *limits, gx, gy)  # fmt: skip
         surface_mm = integrated(gx, gy)
     return surface_mm, misfit
@@ -216,6 +225,34 @@ def pressed_in(touched: Mask, surface_mm: Floats, pixel_mm: float, border: Mask 
     return np.asarray(keep[regions], np.bool_)
 
 
+def _brightness(source: SensorSpec, picture: Seen, light: Light) -> Floats:
+    """By how much each colour's light (rows, cols, 3) is stronger here than it is described.
+
+    Paint, lens, exposure, and lamps that shine on a part of the gel make a place bright, and its change strong as well.
+    """
+    import cv2
+
+    if light == "even":
+        return np.ones_like(picture.still)
+    width = _BRIGHT_BLUR_PX / picture.by
+    here = np.asarray(cv2.GaussianBlur(picture.still, (0, 0), width) if width > _NO_BLUR else picture.still)
+    offset = np.float32(slope_model.OFFSET_GREY)
+    usual = untouched_light(source.camera, optics.optics_of(source)).reshape(-1, 3).mean(axis=0)
+    return np.asarray((here + offset) / (usual + offset) * _gains(source, picture), np.float32)
+
+
+def _gains(source: SensorSpec, picture: Seen) -> Floats:
+    """By how much near lamps' light changes more, beside the brightness, at the pixels (rows, cols, 3)."""
+    import cv2
+
+    table = near_lamps.gains(source)
+    camera = source.camera
+    x = picture.x_px * np.float32((table.shape[1] - 1) / (camera.cols - 1))
+    y = picture.y_px * np.float32((table.shape[0] - 1) / (camera.rows - 1))
+    wide, tall = np.meshgrid(x, y)
+    return np.asarray(cv2.remap(table, wide, tall, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
+
+
 def _passed(source: SensorSpec, surface_mm: Floats, pixel_mm: float) -> Floats:
     """The share of every colour's light (rows, cols, 3) that no dent keeps from a pixel."""
     share = np.ones((*surface_mm.shape, 3), np.float32)
@@ -225,7 +262,7 @@ def _passed(source: SensorSpec, surface_mm: Floats, pixel_mm: float) -> Floats:
 
 
 def blurred(change: Floats, source: SensorSpec, picture: Seen) -> Floats:
-    """A change of light (rows, cols, 3) as the lens and the smoothing of the picture leave it."""
+    """Grey levels (rows, cols, 3) as the lens and the smoothing of `picture` leave them."""
     import cv2
 
     width = math.hypot(optics.optics_of(source).blur_px, picture.smoothing_px) / picture.by

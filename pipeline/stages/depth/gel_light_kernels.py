@@ -38,11 +38,12 @@ def _lens(x, y, cols, rows, vignette):
 
 
 @kernel(fastmath=FAST)
-def lit(gx, gy, x, y, size, leds, strength, vignette, still, share, out):
+def lit(gx, gy, x, y, size, leds, strength, vignette, bright, still, share, out):
     """Write to `out` (rows, cols, 3) what slopes gx, gy change of the untouched picture `still`, shadows and all.
 
     x (cols,), y (rows,): places in the picture, which has `size` (cols, rows) pixels. leds, strength: as
-    `optics.lamps` has them. share (rows, cols, 3): of the light that gets there.
+    `optics.lamps` has them. bright (rows, cols, 3): by how much the unit's own light is stronger than described.
+    share (rows, cols, 3): of the light that gets there.
     """
     rows, cols = gx.shape
     one = np.float32(1.0)
@@ -58,14 +59,14 @@ def lit(gx, gy, x, y, size, leds, strength, vignette, still, share, out):
                 red += gain * leds[k, 3]
                 green += gain * leds[k, 4]
                 blue += gain * leds[k, 5]
-            out[r, c, 0] = (still[r, c, 0] + red) * share[r, c, 0] - still[r, c, 0]
-            out[r, c, 1] = (still[r, c, 1] + green) * share[r, c, 1] - still[r, c, 1]
-            out[r, c, 2] = (still[r, c, 2] + blue) * share[r, c, 2] - still[r, c, 2]
+            out[r, c, 0] = (still[r, c, 0] + red * bright[r, c, 0]) * share[r, c, 0] - still[r, c, 0]
+            out[r, c, 1] = (still[r, c, 1] + green * bright[r, c, 1]) * share[r, c, 1] - still[r, c, 1]
+            out[r, c, 2] = (still[r, c, 2] + blue * bright[r, c, 2]) * share[r, c, 2] - still[r, c, 2]
 
 
 @kernel(fastmath=FAST)
 def explained(
-    rest, change, still, share, moved, x, y, size, leds, strength, vignette, pull, huber, steepest, by, gx, gy
+    rest, change, still, share, bright, moved, x, y, size, leds, strength, vignette, pull, huber, steepest, by, gx, gy
 ):
     """Add to the slopes gx, gy of every pixel of `moved` the step that best explains `rest`; zero them elsewhere.
 
@@ -100,7 +101,7 @@ def explained(
                 if (drawn < _DARK and seen < _DARK + _NOISE) or (drawn > _BRIGHT and seen > _BRIGHT - _NOISE):
                     continue
                 weight = min(one, huber / max(abs(off), np.float32(1e-6)))
-                light = share[r, c, k]
+                light = bright[r, c, k] * share[r, c, k]
                 jx, jy = by[0, k] * light, by[1, k] * light
                 xx += weight * jx * jx
                 xy += weight * jx * jy

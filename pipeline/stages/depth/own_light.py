@@ -22,14 +22,16 @@ from pipeline.physics import optics
 from pipeline.physics.slopes import slopes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import gel_light
-from pipeline.stages.depth.gel_light import Seen, blurred
+from pipeline.stages.depth.gel_light import Light, Seen, blurred
 
 _TURNS, _ROUNDS, _FIRST_ROUNDS = 3, 2, 3
 _DEPTHS = (0.8, 1.0, 1.25)  # of the surface, tried in every turn
 _PIXELS, _FEWEST = 1500, 60  # looked at, and fewer speak for no light
 _FAR_MORE = (
-    2.5  # times what its own light leaves: simulated units as described 1.0 to 1.9, balls on a real Mini 3.1 to 5.9
+    2.5  # times what its own light leaves: simulated Minis as described 1.0 to 1.9, balls on a real one 3.1 to 5.9
 )
+_HOPELESS = 1.5  # times, after any turn: two more gain 1.4 at most
+_CLEARLY = 0.95  # of near lamps' misfit: simulated units as described leave 0.56 to 0.94 of it, real ones mostly more
 _CHANGED = 0.1  # of q: slopes that are read, not noise
 _PULL = 20.0  # grey levels squared per unit slope squared: in weak light a colour weighs no more than a hundred
 _HUBER_GREY = 20.0
@@ -37,6 +39,7 @@ _STEEPEST = np.float32(1.43)  # mm/mm, 55 degrees
 _LEAST_MM = -0.5  # no gel bulges out farther
 
 Integrated = Callable[[Floats, Floats], Floats]
+Told = Light | Doubles  # as described, or the coefficients of a field (`light_field`)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,23 +53,40 @@ class Own:
 
 def best(
     surface_mm: Floats, picture: Seen, source: SensorSpec, integrated: Integrated, rounds: int = gel_light.ROUNDS
-) -> tuple[Floats, Doubles | None]:
-    """The surface in the described light, or in the touch's own and that one's coefficients where it explains far more.
+) -> tuple[Floats, Told]:
+    """The surface by the light that explains most of the picture, and that light.
 
-    Lamps that cast shadows stand low and aside: they shine evenly. `rounds` are those of `gel_light.corrected`; fewer
-    make a draft, which takes no more turns than rounds.
+    The touch's own has to explain far more than the described one. Lamps that cast shadows stand low and aside: they
+    shine evenly. `rounds` are those of `gel_light.corrected`; fewer make a draft, which takes no more turns either.
     """
-    surface, misfit = gel_light.corrected(surface_mm, picture, source, integrated, rounds)
+    surface, misfit = gel_light.corrected(surface_mm, picture, source, "even", integrated, rounds)
     if optics.optics_of(source).shadow > 0:
-        return surface, None
-    own = adapted(surface_mm, picture, source, integrated, min(rounds, _TURNS))
-    return (surface, None) if own is None or misfit <= _FAR_MORE * own.misfit else (own.surface_mm, own.coefficients)
+        return surface, "even"
+    own = adapted(surface_mm, picture, source, integrated, min(rounds, _TURNS), misfit)
+    if own is not None and misfit > _FAR_MORE * own.misfit:
+        return own.surface_mm, own.coefficients
+    other, left = gel_light.corrected(surface_mm, picture, source, "near", integrated, rounds)
+    return (surface, "even") if misfit <= _CLEARLY * left else (other, "near")
+
+
+def read_by(
+    light: Told, surface_mm: Floats, picture: Seen, source: SensorSpec, integrated: Integrated, rounds: int
+) -> Floats:
+    """A surface (rows, cols) corrected in a light that `best` has found."""
+    if isinstance(light, str):
+        return gel_light.corrected(surface_mm, picture, source, light, integrated, rounds)[0]
+    return corrected(surface_mm, picture, source, light, integrated, rounds)[0]
 
 
 def adapted(
-    surface_mm: Floats, picture: Seen, source: SensorSpec, integrated: Integrated, turns: int = _TURNS
-) -> Own | None:
-    """The surface and its light, from a first guess of the surface; None where too little has changed to tell."""
+    surface_mm: Floats, picture: Seen, source: SensorSpec, integrated: Integrated, turns: int = _TURNS,
+    described: float = math.inf,
+) -> Own | None:  # fmt: skip
+    """The surface and its light, from a first guess of the surface.
+
+    None where too little has changed to tell, and where the first turn shows that it will not explain far more than
+    what `described` light leaves: as good as all touches of a GelSlim.
+    """
     q = picture.change * slope_model.gain(picture.still)
     seen = np.flatnonzero(picture.moved & (np.abs(q).max(axis=2) > _CHANGED))
     if len(seen) < _FEWEST:
@@ -81,6 +101,8 @@ def adapted(
         surface_mm, misfit = corrected(
             surface_mm * np.float32(_DEPTHS[best]), picture, source, coefficients, integrated, _ROUNDS
         )
+        if described <= _HOPELESS * misfit:
+            return None
     return Own(surface_mm=surface_mm, coefficients=coefficients, misfit=misfit)
 
 

@@ -15,7 +15,7 @@ PHYSICS = Method(
     run=unless(stage.untouched, stage.recorded),
     params=stage.DepthParams,
     reads=("frame", "source", "calibration"),
-    version=8,
+    version=9,
     draft=stage.draft,
 )
 NETWORK = Method(
