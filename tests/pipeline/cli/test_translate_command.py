@@ -134,7 +134,8 @@ def test_memory_does_not_grow_with_the_frames(typed, touches, monkeypatch):
     finally:
         tracemalloc.stop()
     assert len(held) == n_frames
-    assert max(held[72:]) < max(held[48:72]) + 8 * 50_000  # one frame's arrays are 2 MB
+    # The arrays of 24 frames are 48 MB; how much of a frame a full cache still holds varies by a quarter of one.
+    assert max(held[72:]) < max(held[48:72]) + 1_000_000
 
 
 def test_whatever_one_frame_raises_the_others_are_translated(typed, tmp_path, monkeypatch, log):

@@ -325,7 +325,7 @@ def test_what_fitted_as_well_before_is_followed_too():
 
 def test_the_method_of_the_paper_moves_in_the_plane_only():
     truth = lying(1.0, -0.5, 0.6, 4.0, 10.0, origin_mm=(5.0, 3.5))
-    found = planar(felt(l_bar(), truth), l_bar().mesh, PoseParams(face="+z"))
+    found = planar(felt(l_bar(), truth), l_bar().mesh, PoseParams(face="+z", keep_steps=True))
     assert found.sensor_from_object is not None
     assert found.covariance is None
     assert found.notes[0].startswith("paper 2D: in-plane turn and shift only")
