@@ -173,12 +173,14 @@ class Instrument(Documents):
                 self.session = replace(self.session, frame=part.index)
                 self._show_controls()
             elif isinstance(part, Translation):
-                frame = min(self.session.frame, part.n_frames - 1)
-                named = replace(self.session, target=part.target.name, frame=frame)
+                named = replace(self.session, target=part.target.name, frame=min(self.session.frame, part.n_frames - 1))
+                seen = set(self.window.visible_columns())
                 self._open = {request_of(self.session), request_of(named)}
                 self.session = named
                 self.screen.show_opened(part, named)
                 self._show_controls()
+                if ticket == self._ticket and not seen.issuperset(self.window.visible_columns()):
+                    self.refresh()  # the route has columns that were not seen when it was asked for
             elif isinstance(part, SourceShown | SlotShown):
                 self.screen.show_part(part, newest=ticket == self._ticket)
                 if isinstance(part, SourceShown):
@@ -286,8 +288,8 @@ class Instrument(Documents):
         first = next((i for i, method in enumerate(methods) if method.key == dragged), len(methods))
         return session.drafted(methods[first:])
 
-    def _rest(self) -> None:
-        self._waits = self._owed = False
+    def _rest(self, *, owed: bool = False) -> None:
+        self._waits, self._owed = False, owed
         self._opening = 0
         self._stale.stop()
         self._young.stop()

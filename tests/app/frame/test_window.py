@@ -6,6 +6,7 @@ import shutil
 import statistics
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -180,6 +181,21 @@ def test_a_part_that_comes_too_late_leaves_its_column_waiting_for_its_own(bubble
     over.set()
     wait_until_shown(window, LIMIT_S)
     assert "this frame is damaged" in window.window.columns["source"].view.message
+
+
+@pytest.mark.parametrize("layout", ["align", "stages"])
+def test_columns_that_a_route_brings_are_filled(layout, open_window, touch_file):
+    window = open_window(touch_file, target="gelslim", frame=2)
+    window.change("choose route", route="t2t")
+    assert wait_until_shown(window, LIMIT_S)
+    window.change("lay out", layout=replace(window.session.layout, name=layout))
+    assert wait_until_shown(window, LIMIT_S)
+    window.change("choose route", route="t2d2")
+    assert wait_until_shown(window, LIMIT_S)
+    assert "view" in window.window.visible_columns()
+    assert window.window.columns["view"].view.picture is not None
+    states = {window.window.columns[name].state for name in window.window.visible_columns()}
+    assert states <= {"read", "computed", "cached", "doubtful", "unchanged", "skipped"}
 
 
 def test_weights_are_opened_closed_and_undone(bubble_window, tmp_path, caplog):
