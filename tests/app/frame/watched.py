@@ -136,7 +136,12 @@ class Watched:
                 self._complain(f"3D view {k} of {solid.width()} x {solid.height()} has no picture")
 
     def _take_memory(self) -> None:
-        """Without garbage and what the allocator only keeps for later."""
+        """Without garbage and what the allocator only keeps for later; at work it is not taken.
+
+        Looking at every object holds tuples that another thread is just making, and Python refuses to finish those.
+        """
+        if self._instrument.job.busy or self._busy():
+            return
         gc.collect()
         ctypes.CDLL(None).malloc_trim(0)
         kept = sum(memo.n_bytes for memo in gc.get_objects() if issubclass(type(memo), Memo))
