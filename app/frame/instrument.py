@@ -179,8 +179,8 @@ class Instrument(Documents):
                 self.session = named
                 self.screen.show_opened(part, named)
                 self._show_controls()
-                if ticket == self._ticket and not seen.issuperset(self.window.visible_columns()):
-                    self.refresh()  # the route has columns that were not seen when it was asked for
+                if not seen.issuperset(self.window.visible_columns()):
+                    self.refresh()  # the route has columns that were not seen when it, or a frame since, was asked for
             elif isinstance(part, SourceShown | SlotShown):
                 self.screen.show_part(part, newest=ticket == self._ticket)
                 if isinstance(part, SourceShown):

@@ -191,6 +191,7 @@ def test_columns_that_a_route_brings_are_filled(layout, open_window, touch_file)
     window.change("lay out", layout=replace(window.session.layout, name=layout))
     assert wait_until_shown(window, LIMIT_S)
     window.change("choose route", route="t2d2")
+    window.choose_frame(1)  # asked for before the route has told of its columns
     assert wait_until_shown(window, LIMIT_S)
     assert "view" in window.window.visible_columns()
     assert window.window.columns["view"].view.picture is not None
