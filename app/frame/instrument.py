@@ -18,6 +18,7 @@ from app.work.drawing import SlotShown, SourceShown
 from app.work.evaluator import BeginsAt, Evaluator, FrameShown, request_of
 from app.work.jobs import LatestJob, Work
 from app.work.stopwatch import Stopwatch
+from pipeline.engine.graph import Method
 from pipeline.scoring.beside import Versus
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.translate import Request, Translation
@@ -237,6 +238,11 @@ class Instrument(Documents):
     def _is_open(self) -> bool:
         return (None if self.session.recording is None else request_of(self.session)) in self._open
 
+    @property
+    def methods(self) -> tuple[Method, ...]:
+        """Those of the session's route for the source on screen, one a slot."""
+        return self.catalogue.methods(self.session.route, self.session.methods, self._kind())
+
     def _kind(self) -> str:
         """Of the source on screen; "" where nothing is open."""
         return "" if self.screen.opened is None else self.screen.opened.source.kind
@@ -249,9 +255,8 @@ class Instrument(Documents):
             for method in slot.methods:
                 window.parameters.show_params(method.key, session.params_of(method))
         window.parameters.show_params(DISPLAY, session.display)
-        methods = self.catalogue.methods(session.route, session.methods, self._kind())
-        window.parameters.show_groups((*(m.key for m in methods), DISPLAY))
-        self.screen.show_methods(methods)
+        window.parameters.show_groups((*(m.key for m in self.methods), DISPLAY))
+        self.screen.show_methods(self.methods)
         for name in ("source", "target", "route"):
             box, value = getattr(window, name), getattr(session, name)
             with QSignalBlocker(box):
@@ -284,9 +289,8 @@ class Instrument(Documents):
     def _drafted(self) -> Session:
         """The session, or while a parameter is dragged one that is quick to show from there on."""
         session, dragged = self.session, self.window.parameters.dragged
-        methods = self.catalogue.methods(session.route, session.methods, self._kind())
-        first = next((i for i, method in enumerate(methods) if method.key == dragged), len(methods))
-        return session.drafted(methods[first:])
+        first = next((i for i, method in enumerate(self.methods) if method.key == dragged), len(self.methods))
+        return session.drafted(self.methods[first:])
 
     def _rest(self, *, owed: bool = False) -> None:
         self._waits, self._owed = False, owed

@@ -14,7 +14,6 @@ from app.work.jobs import LatestJob
 from app.work.sweeping import Cell, Plan
 from pipeline.base.errors import SettingProblem, TouchError
 from pipeline.base.params import Setting, Value
-from pipeline.engine.graph import Method
 from pipeline.evaluation.metrics import METRICS
 from pipeline.translation.blame import FIGURE
 from widgets.sweep_grid import Tried
@@ -63,7 +62,7 @@ class Sweeping(QObject):
         if session.layout.name != "sweep":
             return
         old = [offer[:2] for offer in self._offers]
-        self._offers = sweeping.offered(session, self._methods())
+        self._offers = sweeping.offered(session, self._instrument.methods)
         now = [offer[:2] for offer in self._offers]
         chosen = tuple(box.currentIndex() for box in self._page.axes)
         if now != old or min(chosen, default=-1) < 0:
@@ -75,10 +74,6 @@ class Sweeping(QObject):
         if now != old:
             for which in (0, 1):
                 self._choose_axis(which)
-
-    def _methods(self) -> tuple[Method, ...]:
-        session = self._instrument.session
-        return self._instrument.catalogue.methods(session.route, session.methods)
 
     def _figures(self) -> list[str]:
         """The errors that any frame is known to have, the usual one first."""
@@ -106,13 +101,13 @@ class Sweeping(QObject):
 
     def _planned(self) -> Plan:
         """What the page says; raises SettingProblem."""
-        methods = {method.key: method for method in self._methods()}
+        methods = self._instrument.methods
         axes: list[sweeping.Axis] = []
         for box, line in zip(self._page.axes, self._page.values, strict=True):
             if not 0 <= box.currentIndex() < len(self._offers):
                 raise SettingProblem("there is nothing to sweep; open a recording first")
             key, name, *_ = self._offers[box.currentIndex()]
-            axes.append(sweeping.axis(self._instrument.session, methods[key], name, line.text()))
+            axes.append(sweeping.axis(self._instrument.session, sweeping.method_of(methods, key), name, line.text()))
         if (axes[0].key, axes[0].name) == (axes[1].key, axes[1].name):
             raise SettingProblem("columns and rows are the same parameter; choose another for one of them")
         figure = self._page.figure.currentText()
@@ -162,7 +157,7 @@ class Sweeping(QObject):
         plan = self._plan
         if plan is None:
             return
-        methods = {method.key: method for method in self._methods()}
+        methods = {method.key: method for method in self._instrument.methods}
         session = self._instrument.session
         if plan.across.key in methods and plan.down.key in methods:
             session = plan.across.put(session, methods[plan.across.key], plan.across.values[col])

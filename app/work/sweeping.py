@@ -78,6 +78,15 @@ def offered(session: Session, methods: Sequence[Method]) -> list[tuple[str, str,
     ]
 
 
+def method_of(methods: Sequence[Method], key: str) -> Method:
+    """The method that is swept; raises SettingProblem where another fills its slot by now."""
+    found = next((method for method in methods if method.key == key), None)
+    if found is None:
+        slot, _, name = key.partition("/")
+        raise SettingProblem(f"{slot} is not filled by {name!r} for this source; choose the parameters to sweep again")
+    return found
+
+
 def usual_values(value: Value, told: Setting) -> tuple[Value, ...]:
     """What to try where nobody says: all of a few, else around the present value within its limits."""
     if isinstance(value, bool):
@@ -108,11 +117,11 @@ def swept(session: Session, plan: Plan, report: Report) -> int:
         index = min(max(0, session.frame), translation.n_frames - 1)
         graph = translation.graph(like=Graph((), cache=Cache(_CACHE_BYTES)))
         times: dict[tuple[str, str], float] = {}
-        methods = {method.key: method for method in translation.methods}
+        across, down = (method_of(translation.methods, axis.key) for axis in (plan.across, plan.down))
         order = plan.order
         for n, (row, col) in enumerate(order):
-            now = plan.across.put(session, methods[plan.across.key], plan.across.values[col])
-            now = plan.down.put(now, methods[plan.down.key], plan.down.values[row])
+            now = plan.across.put(session, across, plan.across.values[col])
+            now = plan.down.put(now, down, plan.down.values[row])
             part = Share(report, n / len(order), 1.0 / len(order), f"{n + 1} of {len(order)}")
             report.hand_over(_cell(translation, graph, now, plan.figure, index, (row, col), times, part))
     return len(order)

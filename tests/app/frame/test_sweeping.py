@@ -7,9 +7,11 @@ import math
 import pytest
 
 from app.frame.tour import wait_until_shown
+from app.work.jobs import LatestJob, Report
 from app.work.sweeping import Axis, Plan, axis, usual_values
+from app.work.sweeping import swept as sweep
 from pipeline.base.errors import SettingProblem
-from pipeline.base.params import Setting
+from pipeline.base.params import Setting, settings
 from pipeline.stages.adapt.slot import SLOT as CLOUD
 from widgets.sweep_grid import Tried, best_of
 
@@ -45,6 +47,18 @@ def test_all_pairs_are_tried_and_a_click_uses_one(swept, qtbot):
     assert params["view/surface"].jump_mm == 2.0
     assert instrument.undo.count() == steps + 1
     assert page.grid.used == page.plot.used == (1, 1)
+
+
+def test_what_fills_a_slot_for_this_source_is_swept(swept, qtbot):
+    """A bubble's depth comes by the network unless chosen otherwise: physics' parameters would change nothing."""
+    instrument, page = swept
+    used = {f"{m.slot}.{name}" for m in instrument.methods for name in settings(m.params())}
+    assert "network" in {m.name for m in instrument.methods if m.slot == "depth"}
+    assert {page.axes[0].itemText(i) for i in range(page.axes[0].count())} <= used
+    axes = (Axis(key="depth/physics", name=name, values=(1,)) for name in ("one", "other"))
+    plan = Plan(across=next(axes), down=next(axes), figure="")
+    with pytest.raises(SettingProblem, match="not filled by 'physics'"):
+        sweep(instrument.session, plan, Report(LatestJob("never", instrument), 0))
 
 
 def test_values_that_cannot_be_are_told_and_nothing_begins(swept):
