@@ -6,15 +6,15 @@ import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Doubles
+from pipeline.base.arrays import Doubles, Image
 from pipeline.base.errors import CalibrationError
 from pipeline.geometry import rigid
-from pipeline.physics.optics import untouched
+from pipeline.physics.colours import compared
 from pipeline.sensors.spec import SensorSpec
 from pipeline.values.frames import Recording, TactileFrame, Truth
 
@@ -25,8 +25,7 @@ _MOVED_MM = 1.0  # beyond the noise of a bubble's depth
 _PRESSED_IN = 0.5  # share of the moved pixels that must have come nearer
 _NAN_LIMIT = 0.5  # share of pixels without a reading beyond which a depth frame is of no use
 _WHITE, _BURNT_OUT = 254, 0.5  # grey level at which nothing is told apart, and the share of a picture that may be so
-_COLOUR_MARGIN = 0.2  # how much better a changed picture must fit before the recording is doubted
-_BLOCK_PX = 8  # colours are compared on a coarse grid, below the grain of noise and markers
+_ALIKE = 0.2  # likeness of colours below which nothing is said of them
 _EDGE_SHARE = 0.01  # contact pixels at the very edge whose indentation is rounded to 0
 _FAR_MM = 500.0  # an object that is felt lies within this distance of the sensor
 
@@ -182,7 +181,9 @@ class Tally:
         text = f"{share:.0%} of what moves comes nearer to the camera"
         if share < _PRESSED_IN:
             return self._said(
-                "depth sign", "fail", f"frames: only {text}; a touch should, is the depth's sign flipped?"
+                "depth sign",
+                "fail",
+                f"frames: only {text}; a touch should; is the depth's sign flipped, or was the reference touched?",
             )
         return self._said("depth sign", "pass", text)
 
@@ -199,24 +200,19 @@ class Tally:
         return self._check("times", [f"timestamps do not rise after frame {i}" for i in back], "timestamps rise")
 
     def _colours(self) -> Check:
-        """Whether the untouched picture looks like the sensor's, or more so with red and blue swapped, or mirrored."""
+        """Whether the untouched picture looks like the sensor's, or more so once it is changed."""
         frame, spec = self._reference, self._spec
         if frame is None or frame.reference is None or spec is None or spec.optics is None:
             return self._said("colours", "unknown", "needs an untouched picture and a sensor with described lights")
-        seen, want = frame.reference, untouched(spec)
-        if seen.shape != want.shape:
+        if frame.reference.shape != (*spec.camera.shape, 3) or frame.reference.dtype != np.uint8:
             return self._said("colours", "unknown", "the picture does not have the sensor's size")
-        plain = _likeness(seen, want)
-        others = {
-            "red and blue look swapped": _likeness(seen[:, :, ::-1], want),
-            "it looks mirrored": _likeness(seen[:, ::-1], want),
-            "it looks turned by 180 degrees": _likeness(seen[::-1, ::-1], want),
-        }
-        what, best = max(others.items(), key=lambda item: item[1])
-        text = f"its colours lie as those of an untouched {spec.name} by {plain:.2f} (1 = the same, 0 = unrelated)"
-        if best > plain + _COLOUR_MARGIN:
-            return self._said("colours", "fail", f"the reference: {what}; {text}, so changed by {best:.2f}")
-        return self._said("colours", "pass" if plain > _COLOUR_MARGIN else "unknown", text)
+        found = compared(cast("Image", frame.reference), spec)
+        lie = f"its colours lie as those of an untouched {spec.name} by {found.plain:.2f}"
+        text = f"{lie} (1 = the same, 0 = unrelated)"
+        if found.odd:
+            so = "" if math.isnan(found.changed) else f", so changed by {found.changed:.2f}"
+            return self._said("colours", "fail", f"the reference: {found.odd}; {text}{so}")
+        return self._said("colours", "pass" if found.plain > _ALIKE else "unknown", text)
 
 
 def pairings(recording: Recording) -> list[Check]:
@@ -248,22 +244,3 @@ def _blank(image: NDArray[np.number]) -> str:
         if white > _BURNT_OUT:
             return f"is burnt out: {white:.0%} of it is white"
     return ""
-
-
-def _likeness(seen: NDArray[np.number], want: NDArray[np.number]) -> float:
-    """Cosine (-1..1) between where the colours of two pictures lie.
-
-    What all three colours share (brightness, vignette, markers) and their means are taken out, so that neither a
-    brighter camera nor another white balance counts.
-    """
-
-    def colours(picture: NDArray[np.number]) -> Doubles:
-        rows, cols = (n // _BLOCK_PX * _BLOCK_PX for n in picture.shape[:2])
-        blocks = picture[:rows, :cols].reshape(rows // _BLOCK_PX, _BLOCK_PX, cols // _BLOCK_PX, _BLOCK_PX, 3)
-        coarse = blocks.mean(axis=(1, 3), dtype=np.float64)
-        coarse -= coarse.mean(axis=2, keepdims=True)
-        return coarse - coarse.mean(axis=(0, 1))
-
-    a, b = colours(seen), colours(want)
-    size = float(np.linalg.norm(a) * np.linalg.norm(b))
-    return float((a * b).sum() / size) if size > 0 else 0.0

@@ -79,7 +79,7 @@ def _recording(path: Path, loaded: _Loaded, sensor: str, reference: Path | None,
     elif n > 1:
         n_first = min(_N_UNTOUCHED, max(1, n // 6))
         untouched = median(np.stack([loaded.depth_mm(i) for i in range(n_first)]))
-        about = f"the median of the first {n_first} frames is taken as the untouched sensor"
+        about = first_frames(n_first)
     else:
         about = "one picture alone has nothing to be compared to; name one of the untouched sensor with --reference"
     if untouched is not None and untouched.shape != shape:
@@ -94,6 +94,12 @@ def _recording(path: Path, loaded: _Loaded, sensor: str, reference: Path | None,
     stream = Stream(name=name, sensor=name, n_frames=n, frame=checked_index(frame, n, path))
     notes = (*notes, plain(f"{loaded.key} is taken as {loaded.unit}"), about, *loaded.notes)
     return Recording(path=path, format="depth arrays", streams=(stream,), notes=notes)
+
+
+def first_frames(n: int) -> str:
+    """What is said of a reference that is the median of the first `n` frames."""
+    first = "the first frame" if n == 1 else f"the median of the first {n} frames"
+    return f"{first} is taken as the untouched sensor"
 
 
 def read_image(path: Path, unit: DepthUnit = "auto") -> Floats:

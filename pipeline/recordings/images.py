@@ -15,6 +15,8 @@ from pipeline.recordings.indexing import checked_index
 from pipeline.recordings.untouched import steadied
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
+_LOOKED_AT = 3  # images whose size is compared with the reference's
+
 
 def read(path: Path, found: Found, *, sensor: str = "", reference: Path | None = None) -> Recording:
     """The images of a folder (or one image) as one stream of RGB frames, in the order found.
@@ -33,6 +35,10 @@ def read(path: Path, found: Found, *, sensor: str = "", reference: Path | None =
         )
     untouched = None if chosen is None else pictures.rgb(chosen)
     shape = (_first(files) if untouched is None else untouched).shape
+    if chosen is not None and not _any_of_shape(files, shape):
+        other = _first(files).shape
+        raise FileProblem(f"the picture of the untouched sensor is {shape[1]} x {shape[0]} px, the others are "
+                          f"{other[1]} x {other[0]} px; give one of that size as --reference", chosen)  # fmt: skip
     steadier = 0
     if untouched is not None and reference is None:
         untouched, steadier = steadied(untouched, _readable(files))
@@ -60,6 +66,16 @@ def _first(files: list[Path]) -> Image:
             problem = problem or error
     assert problem is not None
     raise problem
+
+
+def _any_of_shape(files: list[Path], shape: tuple[int, ...]) -> bool:
+    """Whether one of the first images that can be read has this shape; true where none of them can."""
+    other = False
+    for image in _readable(files[:_LOOKED_AT]):
+        if image.shape == shape:
+            return True
+        other = True
+    return not other
 
 
 def _of_shape(file: Path, shape: tuple[int, ...], index: int) -> Image:

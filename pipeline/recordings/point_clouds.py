@@ -16,7 +16,7 @@ from pipeline.base.errors import FileProblem
 from pipeline.base.files import read_arrays
 from pipeline.geometry.camera import Camera
 from pipeline.recordings import pictures
-from pipeline.recordings.depth_arrays import median
+from pipeline.recordings.depth_arrays import first_frames, median
 from pipeline.recordings.folders import is_cloud
 from pipeline.recordings.indexing import checked_index
 from pipeline.recordings.sensor_guess import named_or_guessed
@@ -60,7 +60,7 @@ def read(folder: Path, *, sensor: str = "") -> Recording:
 
     told = (
         f"the camera follows from the points: focal length {camera.fx_px:.1f} px",
-        f"the median of the first {n_first} frames is taken as the untouched sensor",
+        first_frames(n_first),
     )
     stream = Stream(name=name, sensor=name, n_frames=n, frame=checked_index(frame, n, folder))
     return Recording(path=folder, format="point clouds of a depth camera", streams=(stream,), notes=(*notes, *told))

@@ -24,6 +24,8 @@ _GAP_PX = 3.0  # reach of the filling
 _FEWEST_AROUND = 0.15  # share of readings, weighted by that reach, from which a gap is filled
 _MANY_WILD = 0.02  # of the pixels: fewer are filled in without harm
 _FARTHEST = 3.0  # times the median rest depth: beyond any membrane
+_BULGE_MM, _BULGE_SHARE = 1.0, 0.5  # outward, and of what is pushed in: a pressed bubble bulges by a fifth of it
+_MOST_BLOCKS = 0.99  # the block of which this share moves less; a few are wild
 
 
 def largest_change(image: NDArray[Any], reference: NDArray[Any]) -> float:
@@ -92,7 +94,21 @@ def as_moved(
         notes.append(f"{int((gaps & known).sum())} pixels had no reading and were filled from around them")
         if not known.all():
             notes.append(f"{int((~known).sum())} pixels have no value: nothing was read there or close by")
+    notes += _bulge(moved)
     return moved, rest, read, known
+
+
+def _bulge(moved_mm: Floats) -> tuple[str, ...]:
+    """What is said of a membrane (rows, cols) that stands farther out than air makes it."""
+    import cv2
+
+    size = (max(1, moved_mm.shape[1] // _BLOCK_PX), max(1, moved_mm.shape[0] // _BLOCK_PX))
+    blocks = np.asarray(cv2.resize(moved_mm, size, interpolation=cv2.INTER_AREA))
+    pushed, out = (float(np.quantile(way * blocks, _MOST_BLOCKS)) for way in (1.0, -1.0))
+    if out <= max(_BULGE_MM, _BULGE_SHARE * pushed):
+        return ()
+    return (Doubt(f"the membrane stands {out:.1f} mm farther out than untouched: "
+                  "was the reference touched, or is the depth's sign flipped?"),)  # fmt: skip
 
 
 def _difference(rest: Floats, now: Floats, largest: np.float32, notes: list[str]) -> tuple[Floats, Mask]:

@@ -66,6 +66,7 @@ def depth(
         return replace(found, notes=(*found.notes, "the unit is calibrated: the network has nothing to correct"))
     stage.checked(frame, source)
     physical, measured, seen = looked_at(frame, source, progress)
+    physical = stage.worth_told(physical, frame, source, None)
     if measured is None or not physical.contact.any():
         return physical
     progress.step(0.9, "correcting physics")
@@ -107,7 +108,6 @@ def looked_at(
 ) -> tuple[DepthMap, Measured | None, network_input.Seen]:
     """The physical answer of a frame and what it was made of, and what the network sees of both."""
     physical, measured = stage.gel(frame, source, None, stage.DepthParams(), progress)
-    physical = stage.worth_told(physical, None)
     seen_by = source if frame.camera is None else source.seen_through(frame.camera)
     image, reference = cast("Image", frame.image), cast("Image", frame.reference)
     still = drift.stilled(image, reference).picture

@@ -12,6 +12,7 @@ from typing import cast
 import numpy as np
 
 from pipeline.base.arrays import Image, freeze
+from pipeline.base.doubts import Doubt
 from pipeline.base.errors import ShapeError
 from pipeline.base.memo import Memo
 from pipeline.base.params import setting
@@ -20,6 +21,7 @@ from pipeline.calibration import description
 from pipeline.calibration.lookup import Calibration, built_in
 from pipeline.engine.digests import content
 from pipeline.geometry.camera import Camera
+from pipeline.physics.colours import compared
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import bubble_depth, coarse, gel_depth, gel_light
 from pipeline.stages.depth.poisson import Boundary
@@ -131,13 +133,23 @@ def recorded(
 ) -> DepthMap:
     """`depth` of a frame that a real unit has taken: the first note says what its look-up is worth."""
     found = depth(frame, source, calibration, params, progress)
-    return found if source.kind == "bubble" else worth_told(found, calibration)
+    return found if source.kind == "bubble" else worth_told(found, frame, source, calibration)
 
 
-def worth_told(found: DepthMap, calibration: Calibration | None) -> DepthMap:
+def worth_told(found: DepthMap, frame: TactileFrame, source: SensorSpec, calibration: Calibration | None) -> DepthMap:
     """A gel's answer, with what its look-up is worth as the first note."""
     worth = description.UNCALIBRATED_NOTE if calibration is None else description.note(calibration)
-    return replace(found, notes=(worth, *found.notes))
+    described = calibration is None or calibration.is_built_in
+    odd = _odd(frame, source) if described else ()
+    return replace(found, notes=(worth, *odd, *found.notes))
+
+
+def _odd(frame: TactileFrame, source: SensorSpec) -> tuple[str, ...]:
+    """What speaks against the untouched picture, where the look-up rests on the described lights."""
+    seen_by = source if frame.camera is None else source.seen_through(frame.camera)
+    told = compared(cast("Image", frame.reference), seen_by).odd
+    doubt = Doubt(f"the untouched picture is not as {source.name} takes it: {told}; depth and contact may be all wrong")
+    return (doubt,) if told else ()
 
 
 def untouched(

@@ -86,10 +86,11 @@ def test_one_damaged_frame_is_listed_and_the_others_are_counted(tmp_path: Path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [(lambda p: p[:, :, ::-1], "red and blue look swapped"), (lambda p: p[:, ::-1], "mirrored"),
-     (lambda p: p[::-1, ::-1], "turned by 180")],
+     (lambda p: p[::-1, ::-1], "turned by 180"), (lambda p: p.mean(axis=2, keepdims=True) + 0 * p, "no colours"),
+     (lambda p: np.rot90(untouched(sensor("gelsight_mini"))), "it looks like one of gelsight_mini turned a quarter")],
 )  # fmt: skip
 def test_changed_pictures_are_noticed(tmp_path: Path, change, words: str):
-    picture = np.ascontiguousarray(change(untouched(GEL)))
+    picture = np.ascontiguousarray(change(untouched(GEL)).astype(np.uint8))
     found = state(inspect(record(tmp_path / "a.h5", [gel(0, picture)])), "colours")
     assert found[0] == "fail"
     assert words in found[1]

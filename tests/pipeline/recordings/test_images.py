@@ -189,3 +189,11 @@ def test_real_folders_open_with_their_reference(real_data: Path, name: str, n_fr
     stream = open_recording(real_data / name).streams[0]
     assert (stream.n_frames, stream.sensor) == (n_frames, sensor)
     assert stream.frame(0).reference is not None
+
+
+def test_a_reference_of_another_size_is_what_is_said_to_be_wrong(folder: Path):
+    save(folder / "background.png", shape=(480, 640))
+    with pytest.raises(FileProblem, match=r"untouched sensor is 640 x 480 px, the others are 320 x 240 px.*background"):
+        open_recording(folder)
+    save(folder / "press_1.png", shape=(480, 640))
+    assert open_recording(folder).streams[0].frame(0).image.shape == (480, 640, 3), "then one frame fits, others do not"

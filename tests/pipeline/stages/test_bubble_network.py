@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.base.doubts import doubts
 from pipeline.evaluation.metrics import iou
 from pipeline.geometry import rigid
 from pipeline.networks import building
@@ -171,3 +172,16 @@ def test_the_weights_that_come_along_see_no_contact_in_untouched_frames_of_a_rea
     touched = [network.depth(stream.frame(k), stereo, None, shipped, NetworkParams()).contact for k in (1, 2, 3, 4, 20)]
     assert not np.any(touched[:4])
     assert touched[4].sum() > 100
+
+
+@pytest.mark.parametrize("read", [
+    lambda frame: bubble_network.depth(frame, SPEC, Says(), least_mm=0.7),
+    lambda frame: depth(frame, SPEC, None, DepthParams()),
+])  # fmt: skip
+def test_a_membrane_that_comes_out_where_it_was_is_doubted(read):
+    told = "farther out than untouched"
+    assert not any(told in note for note in read(frame()).notes)
+    touched_before = frame(rest=REST - np.float32(BALL), moved=-np.float32(BALL))
+    assert any(told in note for note in doubts(read(touched_before).notes))
+    flipped = frame(moved=-np.float32(BALL))
+    assert any(told in note for note in doubts(read(flipped).notes))

@@ -323,3 +323,15 @@ def test_a_recorded_frame_says_first_what_its_look_up_is_worth():
     assert found.notes[1:] == plain.notes
     pressed = replace(built_in(source), presses=(BallFit(index=0, x_px=9, y_px=9, radius_px=9, residual=0, used=True),))
     assert "uncalibrated" not in recorded(frame, source, pressed, PARAMS).notes[0]
+
+
+@pytest.mark.parametrize(("change", "words"), [(lambda p: p[:, :, ::-1], "red and blue look swapped"),
+                                               (lambda p: p[::-1, ::-1], "turned by 180 degrees")])  # fmt: skip
+def test_a_recording_whose_colours_lie_elsewhere_is_doubted_unless_a_unit_was_calibrated_so(change, words):
+    source, frame, _ = press("digit")
+    assert not any("untouched picture" in note for note in recorded(frame, source, None, PARAMS).notes)
+    image, reference = (np.ascontiguousarray(change(a)) for a in (frame.image, frame.reference))
+    changed = replace(frame, image=image, reference=reference)
+    assert any(words in note for note in doubts(recorded(changed, source, None, PARAMS).notes))
+    own = replace(built_in(source), presses=(BallFit(index=0, x_px=9, y_px=9, radius_px=9, residual=0, used=True),))
+    assert not any(words in note for note in recorded(changed, source, own, PARAMS).notes)

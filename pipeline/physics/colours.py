@@ -1,0 +1,87 @@
+"""Whether an untouched picture's colours lie as its sensor's description has them, or more so once it is changed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.base.arrays import Doubles, Image
+from pipeline.base.memo import Memo
+from pipeline.engine.digests import content
+from pipeline.physics.optics import untouched
+from pipeline.sensors.spec import SensorSpec, names, sensor
+
+_BLOCK_PX = 8  # colours are compared on a coarse grid, below the grain of noise and markers
+_MARGIN = 0.2  # how much better a changed picture must fit before the recording is doubted
+_FITS = 0.6  # ... and how well: units of one make reach 0.87 to 0.99 (`inspect` on real recordings)
+_COLOURLESS_GREY = 1.0  # mean difference of a pixel's colours from their mean; lit gels have 10 and more
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Colours:
+    """How an untouched picture compares with its sensor's."""
+
+    plain: float  # -1..1, 1 = the same
+    odd: str = ""  # what is wrong with it, as a clause; "" = nothing is known to be
+    changed: float = float("nan")  # the likeness once that is undone
+
+
+def compared(seen: Image, spec: SensorSpec) -> Colours:
+    """How the untouched picture (rows, cols, 3) compares with the described one of the same size.
+
+    Swapped channels, a mirrored or turned picture, another sensor's and one without colours are told. Raises
+    SettingProblem for a sensor whose lights are not described.
+    """
+    return _compared.of((content(seen), content(untouched(spec))), lambda: _made(seen, untouched(spec), spec.name))
+
+
+_compared: Memo[tuple[str, str], Colours] = Memo(16)
+
+
+def _made(seen: Image, want: Image, name: str) -> Colours:
+    coarse = _coarse(seen)
+    plain = _likeness(coarse, _coarse(want))
+    if float(np.abs(coarse).mean()) < _COLOURLESS_GREY:
+        return Colours(plain=plain, odd="it has no colours")
+    if plain + _MARGIN >= 1.0:
+        return Colours(plain=plain)
+    odd, best = max(((how, _likeness(_coarse(a), _coarse(b))) for how, a, b in _ways(seen, want, name)),
+                    key=lambda way: way[1])  # fmt: skip
+    return Colours(plain=plain, odd=odd, changed=best) if best > max(_FITS, plain + _MARGIN) else Colours(plain=plain)
+
+
+def _ways(seen: Image, want: Image, name: str) -> Iterator[tuple[str, Image, Image]]:
+    """(what would be wrong, the picture with that undone, what it would then look like)."""
+    import cv2
+
+    yield "red and blue look swapped", seen[:, :, ::-1], want
+    yield "it looks mirrored", seen[:, ::-1], want
+    yield "it looks turned by 180 degrees", seen[::-1, ::-1], want
+    for other in names():
+        spec = sensor(other)
+        if other == name or spec.optics is None:
+            continue
+        picture = untouched(spec)
+        for quarters, how in enumerate(("", " turned a quarter", " turned by 180 degrees", " turned a quarter")):
+            turned = np.ascontiguousarray(np.rot90(seen, quarters))
+            if (turned.shape[0] < turned.shape[1]) == (picture.shape[0] < picture.shape[1]):
+                sized = cv2.resize(turned, (picture.shape[1], picture.shape[0]), interpolation=cv2.INTER_AREA)
+                yield f"it looks like one of {other}{how}", np.asarray(sized, np.uint8), picture
+
+
+def _coarse(picture: NDArray[np.number]) -> Doubles:
+    """Colours of blocks (rows, cols, 3), less what all three share: brightness, vignette and markers."""
+    rows, cols = (n // _BLOCK_PX * _BLOCK_PX for n in picture.shape[:2])
+    blocks = picture[:rows, :cols].reshape(rows // _BLOCK_PX, _BLOCK_PX, cols // _BLOCK_PX, _BLOCK_PX, 3)
+    coarse = blocks.mean(axis=(1, 3), dtype=np.float64)
+    return np.asarray(coarse - coarse.mean(axis=2, keepdims=True), np.float64)
+
+
+def _likeness(seen: Doubles, want: Doubles) -> float:
+    """Cosine (-1..1) between where colours lie; their means are taken out, so that no white balance counts."""
+    a, b = seen - seen.mean(axis=(0, 1)), want - want.mean(axis=(0, 1))
+    size = float(np.linalg.norm(a) * np.linalg.norm(b))
+    return float((a * b).sum() / size) if size > 0 else 0.0
