@@ -50,6 +50,7 @@ class Measured:
     window: Window
     source: SensorSpec
     pixel_mm: float
+    light: own_light.Told | None  # that it was read by; None where the look-up has its own
 
     def raw(self) -> Floats:
         """The surface as measured (rows, cols); zero beside the window."""
@@ -77,11 +78,12 @@ def read(
     boundary: Boundary,
     progress: Progress,
     rounds: int = gel_light.ROUNDS,
+    light: own_light.Told | None = None,
 ) -> tuple[DepthMap, Measured | None]:
     """The depth of one gel picture, see `pipeline.stages.depth.stage.depth`; the frame has been checked there.
 
     Beside it what it was made of, for who knows the contact better; None where nothing has changed. `rounds` are those
-    of the correction by the sensor's own optics: fewer make a draft.
+    of the correction by the sensor's own optics: fewer make a draft. A `light` that is known is not looked for.
     """
     image, reference = cast("Image", frame.image), cast("Image | None", frame.reference)
     if reference is None:
@@ -98,7 +100,7 @@ def read(
         here = (window.rows, window.cols)
         notes += _doubts(image[here], source, window)
         progress.step(0.2, "integrating slopes")
-        surface, near = _surface(image, still, window, source, calibration, smoothing_px, boundary, rounds)
+        surface, light = _surface(image, still, window, source, calibration, smoothing_px, boundary, rounds, light)
         surface, inside = _settled(surface, window, source, pixel_mm)
         pressed = inside | contact.touched(
             surface, least_mm=least_mm, pressure_share=pressure_share, smoothing_px=_PRESSURE_BLUR_PX
@@ -108,9 +110,12 @@ def read(
         narrow_px = _NARROW * (0.0 if source.gel is None else source.gel.thickness_mm) / pixel_mm
         touched[here] = contact.without_margins(pressed, surface, *here, shape, narrow_px)
         progress.step(0.8, "relaxing the gel around the contact")
-        measured = Measured(surface_mm=freeze(surface), window=window, source=source, pixel_mm=pixel_mm)
+        measured = Measured(
+            surface_mm=freeze(surface), window=window, source=source, pixel_mm=pixel_mm, light=light
+        )  # fmt: skip
         indentation = measured.relaxed(touched)
-        if near and gel_light.hardly_told(touched, still.picture, source):
+        by_near = light is not None and not (isinstance(light, str) and light == "even")
+        if by_near and gel_light.hardly_told(touched, still.picture, source):
             notes.append(_HARDLY_TOLD)
         notes += _limits(indentation, touched, source.limits.indentation_max_mm)
     progress.step(1.0, "depth is ready")
@@ -140,9 +145,9 @@ def untouched_notes(image: Image, reference: Image, no_touch_grey: float) -> tup
 
 def _surface(
     image: Image, still: Still, window: Window, source: SensorSpec, calibration: Calibration,
-    smoothing_px: float, boundary: Boundary, rounds: int,
-) -> tuple[Floats, bool]:  # fmt: skip
-    """The surface of the window in mm, its rest still to be found, and whether it was read by near lamps."""
+    smoothing_px: float, boundary: Boundary, rounds: int, light: own_light.Told | None,
+) -> tuple[Floats, own_light.Told | None]:  # fmt: skip
+    """The surface of the window in mm, its rest still to be found, and the light that it was read by."""
     here, pixel_mm = (window.rows, window.cols), calibration.pixel_mm
 
     def integrated(gx: Floats, gy: Floats) -> Floats:
@@ -153,7 +158,7 @@ def _surface(
             calibration, image[here], still.picture[here], window.moved, (window.rows.start, window.cols.start),
             markers=source.markers, smoothing_px=smoothing_px,
         )  # fmt: skip
-        return integrated(*_finite(gx, gy, source)), False
+        return integrated(*_finite(gx, gy, source)), None
     picture = gel_light.seen(image, still.picture, window, smoothing_px, source.markers, pixel_mm)
     small = gel_light.coarser(picture, image.shape)
 
@@ -161,11 +166,11 @@ def _surface(
         return _integrated(gx, gy, replace(window, moved=small.moved), small.pixel_mm, boundary, image.shape)
 
     guess = roughly(*_finite(*gel_light.rough_slopes(small, calibration), source))
-    surface, light = own_light.best(guess, small, source, roughly, rounds)
+    surface, light = own_light.best(guess, small, source, roughly, rounds, light)
     if small is not picture:
         surface = gel_light.finer(surface, small.by, window.moved.shape)
         surface = own_light.read_by(light, surface, picture, source, integrated, 1)
-    return surface, not (isinstance(light, str) and light == "even")
+    return surface, light
 
 
 def _finite(gx: Floats, gy: Floats, source: SensorSpec) -> tuple[Floats, Floats]:

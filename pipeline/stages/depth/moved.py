@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Mask, freeze
+from pipeline.stages.depth.contact import without_holes
 from pipeline.stages.depth.drift import block_means
 
 _BLOCK_PX = 8  # changes are looked for in blocks of this width
@@ -63,7 +64,6 @@ def window(image: Image, reference: Image, no_touch_grey: float, pixel_mm: float
     Some block must have changed together with its neighbours by more than noise does.
     """
     import cv2
-    from scipy import ndimage
 
     blocks = _block_change(image, reference).max(axis=2).astype(np.float32)
     # A touch is not followed into what the whole picture does (drift of the light).
@@ -78,7 +78,7 @@ def window(image: Image, reference: Image, no_touch_grey: float, pixel_mm: float
     if not (strong[regions] & (above >= 1.0)).any():
         return None
     # A flat face changes no colours, but it is not at rest: what a touch encloses belongs to it.
-    whole = np.asarray(ndimage.binary_fill_holes(strong[regions]), np.bool_)
+    whole = without_holes(strong[regions])
     return grown(whole, image.shape[:2], pixel_mm)
 
 
@@ -106,7 +106,6 @@ def grown(touched: Mask, shape: tuple[int, ...], pixel_mm: float) -> Window:
     Blocks are looked at through their distances, so that the margin ends in a line and not in steps.
     """
     import cv2
-    from scipy import ndimage
 
     rows, cols = shape[:2]
     away = np.asarray(cv2.distanceTransform((~touched).astype(np.uint8), cv2.DIST_L2, 5), np.float32) * _BLOCK_PX
@@ -114,7 +113,7 @@ def grown(touched: Mask, shape: tuple[int, ...], pixel_mm: float) -> Window:
     full = np.asarray(cv2.resize(away, (wide, tall), interpolation=cv2.INTER_LINEAR), np.float32)[:rows, :cols]
     full = np.pad(full, ((0, max(0, rows - tall)), (0, max(0, cols - wide))), "edge")
     left = np.clip((_MARGIN_MM / pixel_mm - full) * np.float32(pixel_mm / (_FADES * _MARGIN_MM)), 0.0, 1.0)
-    moved = np.asarray(ndimage.binary_fill_holes(left > 0), np.bool_)
+    moved = without_holes(left > 0)
     left[moved & (left <= 0)] = 1.0
     r, c = np.flatnonzero(moved.any(axis=1)), np.flatnonzero(moved.any(axis=0))
     box = (_quick(int(r[0]) - _BLOCK_PX, int(r[-1]) + _BLOCK_PX + 1, rows),

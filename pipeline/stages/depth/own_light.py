@@ -52,13 +52,16 @@ class Own:
 
 
 def best(
-    surface_mm: Floats, picture: Seen, source: SensorSpec, integrated: Integrated, rounds: int = gel_light.ROUNDS
-) -> tuple[Floats, Told]:
-    """The surface by the light that explains most of the picture, and that light.
+    surface_mm: Floats, picture: Seen, source: SensorSpec, integrated: Integrated, rounds: int = gel_light.ROUNDS,
+    known: Told | None = None,
+) -> tuple[Floats, Told]:  # fmt: skip
+    """The surface by the light that explains most of the picture, and that light; one `known` is not looked for.
 
     The touch's own has to explain far more than the described one. Lamps that cast shadows stand low and aside: they
     shine evenly. `rounds` are those of `gel_light.corrected`; fewer make a draft, which takes no more turns either.
     """
+    if known is not None:
+        return read_by(known, surface_mm, picture, source, integrated, rounds), known
     surface, misfit = gel_light.corrected(surface_mm, picture, source, "even", integrated, rounds)
     if optics.optics_of(source).shadow > 0:
         return surface, "even"

@@ -23,7 +23,7 @@ from pipeline.engine.digests import content
 from pipeline.geometry.camera import Camera
 from pipeline.physics.colours import compared
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import bubble_depth, coarse, gel_depth, gel_light
+from pipeline.stages.depth import bubble_depth, coarse, gel_depth, gel_light, own_light
 from pipeline.stages.depth.poisson import Boundary
 from pipeline.values.frames import TactileFrame
 from pipeline.values.pixel_index import pixel_index
@@ -31,6 +31,7 @@ from pipeline.values.results import DepthError, DepthMap
 
 _UNTOUCHED = "nothing touches the sensor"
 _BLACK_GREY = 2  # no lit gel is this dark everywhere
+_LIGHTS = 1024  # pictures whose light is remembered: a few hundred bytes each
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,8 +92,14 @@ def depth(
     if by > 1:
         small = coarse.frame(frame, seen_by.camera, by)
         params = replace(params, smoothing_px=params.smoothing_px / by)
-        return coarse.enlarged(depth(small, source, coarse.look_up(calibration, by), params, progress), seen_by, by)
-    return gel(frame, source, calibration, params, progress)[0]
+        light = _lights.get(_pictures(frame, source))
+        return coarse.enlarged(
+            gel(small, source, coarse.look_up(calibration, by), params, progress, light)[0], seen_by, by
+        )
+    found, measured = gel(frame, source, calibration, params, progress)
+    if measured is not None and measured.light is not None:
+        _lights.put(_pictures(frame, source), measured.light)
+    return found
 
 
 def gel(
@@ -101,8 +108,12 @@ def gel(
     calibration: Calibration | None,
     params: DepthParams,
     progress: Progress = SILENT,
+    light: own_light.Told | None = None,
 ) -> tuple[DepthMap, gel_depth.Measured | None]:
-    """`depth` of a gel's frame, and what it was made of; the frame has been checked."""
+    """`depth` of a gel's frame, and what it was made of; the frame has been checked.
+
+    A `light` that is known to explain the picture is not looked for.
+    """
     seen_by = source if frame.camera is None else source.seen_through(frame.camera)
     look_up = calibration if calibration is not None else built_in(seen_by)
     found, measured = gel_depth.read(
@@ -114,6 +125,7 @@ def gel(
         boundary=params.boundary,
         progress=progress,
         rounds=coarse.ROUNDS if params.draft else gel_light.ROUNDS,
+        light=light,
     )  # fmt: skip
     return replace(found, error=measured_error(source)), measured
 
@@ -225,4 +237,12 @@ def _at_rest(frame: TactileFrame, source: SensorSpec) -> DepthMap:
     )
 
 
+def _pictures(frame: TactileFrame, source: SensorSpec) -> tuple[str, str, str]:
+    """What a light belongs to: the touch as it was seen, however it is read."""
+    return source.name, content(frame.image), content(frame.reference)
+
+
 _rests: Memo[tuple[str, Camera], DepthMap] = Memo(16)
+# The light that the last whole answer of a picture was read by: a draft of it does not look for one again, which takes
+# half of its time, and shows what letting go will show.
+_lights: Memo[tuple[str, str, str], own_light.Told] = Memo(_LIGHTS)

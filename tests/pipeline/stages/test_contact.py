@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
+from scipy.ndimage import binary_fill_holes
 
-from pipeline.stages.depth.contact import without_margins
+from pipeline.stages.depth.contact import without_holes, without_margins
 
 SHAPE = (60, 80)
 
@@ -45,3 +49,8 @@ def test_a_strip_along_the_border_beside_a_larger_contact_is_left_out(wide, kept
     assert np.array_equal(found, whole if kept else mask)
     alone = whole & ~mask
     assert np.array_equal(without_margins(alone, surface, slice(0, 60), slice(0, 80), SHAPE, 6.0), alone)
+
+
+@given(arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=12), elements=st.booleans()))
+def test_what_a_mask_encloses_is_filled(mask):
+    assert np.array_equal(without_holes(mask), binary_fill_holes(mask))

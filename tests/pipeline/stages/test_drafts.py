@@ -12,7 +12,7 @@ from pipeline.engine.graph import Graph, Method
 from pipeline.evaluation.metrics import iou
 from pipeline.recordings import open_recording
 from pipeline.sensors.spec import sensor
-from pipeline.stages.depth import coarse, stage
+from pipeline.stages.depth import coarse, gel_light, own_light, stage
 
 TOUCHED = 5
 
@@ -33,6 +33,22 @@ def test_a_draft_of_a_gels_depth_is_near_the_full_answer_on_the_same_pixels(fram
     np.testing.assert_allclose(draft.depth_mm, gel.rest_depth_mm - draft.indentation_mm, atol=1e-4)
     assert any("draft at 1/2 of the resolution" in note for note in draft.notes)
     assert not any("draft" in note for note in whole.notes)
+
+
+def test_a_draft_looks_for_no_light_where_the_whole_answer_has_found_one(frame, monkeypatch):
+    gel, looked, read = sensor("gelslim"), [], []
+    adapted, corrected = own_light.adapted, gel_light.corrected
+    monkeypatch.setattr(own_light, "adapted", lambda *given: looked.append(1) or adapted(*given))
+    monkeypatch.setattr(gel_light, "corrected", lambda *given: read.append(given[3]) or corrected(*given))
+    image = frame.image.copy()
+    image[0, 0] ^= 1  # a picture that nobody has read
+    unread = replace(frame, image=image)
+    stage.depth(unread, gel, None, stage.draft(stage.DepthParams()))
+    assert (len(looked), read) == (1, ["even", "near"])
+    stage.depth(unread, gel, None, stage.DepthParams())
+    looked.clear(), read.clear()
+    stage.depth(unread, gel, None, stage.draft(stage.DepthParams(sensitivity=1.2)))
+    assert (looked, read) == ([], ["even"])
 
 
 def test_a_small_picture_is_read_whole():
