@@ -21,7 +21,7 @@ import numpy as np
 from pipeline.base.arrays import Image
 from pipeline.base.errors import CalibrationError, ShapeError
 from pipeline.base.progress import SILENT, Progress
-from pipeline.calibration import near_lamps
+from pipeline.calibration import near_lamps, units
 from pipeline.calibration.ball_samples import inside
 from pipeline.calibration.ball_slopes import Ball, Press, common_profile, refined
 from pipeline.calibration.contact_circles import Circle, contact_circle
@@ -86,6 +86,7 @@ def calibrate_balls(
         sensor=sensor.name, rows=reference.shape[0], cols=reference.shape[1], pixel_mm=scale, model=model,
         residual=float(np.sqrt(np.mean([slope_error(model, inside(p, known.ball)) ** 2 for p in known.presses]))),
         origin=_origin(len(known.presses), len(images), diameter_mm, best, narrow=narrow), kept_built_in=best == 0,
+        still=units.small(reference),
         presses=_report(len(images), known, model), expected=worth,
     )  # fmt: skip
 

@@ -68,6 +68,7 @@ class Calibration:
     presses: tuple[BallFit, ...] = ()  # empty = from the sensor's optical description
     kept_built_in: bool = False  # the presses did not better the look-up from the sensor's description
     expected: ExpectedError | None = None  # None = nobody has measured it
+    still: Image | None = None  # the unit's untouched picture, `units.small`; None = nobody has kept it
 
     @property
     def is_built_in(self) -> bool:
@@ -207,6 +208,7 @@ def save(calibration: Calibration, path: Path) -> None:
             position_degree=model.position_degree, slope_max=model.slope_max, residual=calibration.residual,
             origin=calibration.origin, presses=_table_of(calibration.presses),
             kept_built_in=calibration.kept_built_in, expected=_row_of(calibration.expected),
+            still=np.zeros((0, 0, 3), np.uint8) if calibration.still is None else calibration.still,
         )  # fmt: skip
 
 
@@ -243,7 +245,7 @@ def _from_fields(fields: dict[str, NDArray[Any]]) -> Calibration:
         residual=numbers["residual"], origin=str(fields["origin"]), presses=_presses_of(fields["presses"]),
         # Files of before these were written lack them.
         kept_built_in=bool(fields.get("kept_built_in", False)),
-        expected=_expected_of(fields.get("expected", np.zeros(0))),
+        expected=_expected_of(fields.get("expected", np.zeros(0))), still=_still_of(fields.get("still")),
     )  # fmt: skip
 
 
@@ -271,6 +273,14 @@ def _expected_of(row: NDArray[Any]) -> ExpectedError | None:
     if row.shape != (3,) or not np.isfinite(row).all() or row.min() < 0:
         raise CalibrationError("its expected error must be three numbers of 0 or more")
     return ExpectedError(diameter_share=float(row[0]), depth_share=float(row[1]), n_held_out=int(row[2]))
+
+
+def _still_of(picture: NDArray[Any] | None) -> Image | None:
+    if picture is None or picture.size == 0:
+        return None
+    if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
+        raise CalibrationError(f"its untouched picture is {picture.dtype} of shape {picture.shape}")
+    return freeze(np.ascontiguousarray(picture))
 
 
 def check_for(calibration: Calibration, sensor: str, image: Image) -> None:

@@ -35,6 +35,9 @@ _MOST_TURNS = 4
 _SETTLED_PX = 0.05
 _MOVED_PX = 0.1  # shifts below are left as they are: interpolation would blur more than they do
 _TELL_GAIN, _TELL_GREY, _TELL_PX = 0.012, 2.5, 0.4  # what is worth a note
+_BEYOND_GREY = (
+    18.0  # all drift together: two simulated units that a drift explains 23 to 49; gain 3 %, ramp 12, 2 px: 11
+)
 _FOREIGN_GREY = 7.0  # by which three quarters of a picture differ from a reference that is not its own
 
 
@@ -61,6 +64,11 @@ class Drift:
                 f"the picture has moved by {math.hypot(*self.shift_px):.1f} px against the reference: taken out"
             )
         return tuple(told)
+
+    def beyond_one_unit(self, bright_grey: float) -> bool:
+        """Whether so much light differs, in a picture of this mean, that it may be another unit's."""
+        grey = float(np.abs(self.gain - 1.0).max()) * bright_grey
+        return grey + float(np.abs(self.offset_grey).max() + np.abs(self.ramp_grey).max()) > _BEYOND_GREY
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,6 +100,7 @@ _stilled: Memo[tuple[str, str], Still] = Memo(2)  # the short cut and the stage 
 
 def _made(image: Image, reference: Image) -> Still:
     drift, foreign = fitted(image, reference)
+    foreign = foreign or (drift is not None and drift.beyond_one_unit(float(reference.mean())))
     told = Doubt("most of the picture differs from the reference: it may be of another unit, or of another day")
     notes: tuple[str, ...] = (told,) if foreign else ()
     if drift is None:

@@ -22,7 +22,7 @@ from pipeline.base.errors import CalibrationError, ShapeError
 from pipeline.base.progress import Progress
 from pipeline.calibration.lookup import Calibration, check_for, slopes
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import contact, drift, gel_light, moved, own_light, rest
+from pipeline.stages.depth import contact, drift, gel_light, moved, own_light, own_unit, rest
 from pipeline.stages.depth.drift import Still
 from pipeline.stages.depth.moved import Window
 from pipeline.stages.depth.poisson import Boundary, Sides, integrate
@@ -92,7 +92,7 @@ def read(
     shape, pixel_mm = source.camera.shape, calibration.pixel_mm
     indentation, touched = np.zeros(shape, np.float32), np.zeros(shape, np.bool_)
     still = drift.stilled(image, reference)
-    notes, measured = list(still.notes), None
+    notes, measured = [*own_unit.notes(calibration, reference), *still.notes], None
     window = moved.window(image, still.grey, no_touch_grey, pixel_mm)
     if window is None:
         notes.append(drift.untouched_note(still))

@@ -175,20 +175,23 @@ def test_the_built_in_look_up_is_kept_for_the_next_process(tmp_path, monkeypatch
 
 def test_the_expected_error_and_the_kept_look_up_come_back(mini, tmp_path):
     expected = calibration.ExpectedError(diameter_share=0.08, depth_share=0.07, n_held_out=4)
-    known = replace(mini, kept_built_in=True, expected=expected)
+    still = np.arange(4 * 5 * 3, dtype=np.uint8).reshape(4, 5, 3)
+    known = replace(mini, kept_built_in=True, expected=expected, still=still)
     calibration.save(known, tmp_path / "look_up.npz")
     back = calibration.load(tmp_path / "look_up.npz")
     assert back.expected == expected
     assert back.kept_built_in
+    assert np.array_equal(back.still, still)
 
 
 def test_a_look_up_of_before_expected_errors_is_read(mini, tmp_path):
     path = tmp_path / "look_up.npz"
     calibration.save(mini, path)
-    fields = {k: v for k, v in np.load(path).items() if k not in ("kept_built_in", "expected")}
+    fields = {k: v for k, v in np.load(path).items() if k not in ("kept_built_in", "expected", "still")}
     np.savez(path, **fields)
     back = calibration.load(path)
     assert back.expected is None
+    assert back.still is None
     assert not back.kept_built_in
 
 
@@ -198,4 +201,12 @@ def test_an_expected_error_that_is_none_is_refused(mini, tmp_path, row):
     calibration.save(mini, path)
     np.savez(path, **{**np.load(path), "expected": np.array(row)})
     with pytest.raises(FileProblem, match="expected error"):
+        calibration.load(path)
+
+
+def test_an_untouched_picture_that_is_none_is_refused(mini, tmp_path):
+    path = tmp_path / "look_up.npz"
+    calibration.save(mini, path)
+    np.savez(path, **{**np.load(path), "still": np.zeros((4, 5), np.float32)})
+    with pytest.raises(FileProblem, match="untouched picture"):
         calibration.load(path)
