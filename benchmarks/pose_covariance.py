@@ -4,12 +4,13 @@
 
 Catalogue objects are pressed into every simulated sensor. *Measured* is what the slot *depth* makes of the sensor's
 picture, by physics and, of a bubble, by the network; *modelled* is the true membrane with white noise of 0.01 mm and
-the error that the sensor's description states, drawn as a smooth field. A pose begins at the truth, so that its error
-is that of the measurement and no other minimum's. Told is its chi-square under its covariance, in the directions that
-it calls determined, as the median over touches over what a right covariance's median would be: above 1 poses are
-farther off than they say. The error of a row is how many times that is too much or too little; the peer is the same
-without the sensor's measured error. Beside them stands the error of measured depth and the length over which it hangs
-together, median and mean over the touches: what sensors are described with lies between the two.
+the error that the sensor's description states, drawn as a smooth field; *translated* is the touch that physics makes of
+what another sensor measured of the same press, which takes that sensor's error along. A pose begins at the truth, so
+that its error is that of the measurement and no other minimum's. Told is its chi-square under its covariance, in the
+directions that it calls determined, as the median over touches over what a right covariance's median would be: above 1
+poses are farther off than they say. The error of a row is how many times that is too much or too little; the peer is
+the same without the sensor's measured error. Beside them stands the error of measured depth and the length over which
+it hangs together, median and mean over the touches: what sensors are described with lies between the two.
 """
 
 from __future__ import annotations
@@ -29,16 +30,22 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.depth_reader import reader
 from benchmarks.races import Bar, row, timing
-from pipeline.base.arrays import freeze
+from pipeline.base.arrays import Doubles, freeze
+from pipeline.base.params import NoParams
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.racing.races import Answer
 from pipeline.racing.report import show
+from pipeline.sensors.alignment import between
 from pipeline.sensors.spec import SensorSpec, names, sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.poses import paper_grid
 from pipeline.simulation.press import Press, photograph, press
+from pipeline.stages.adapt.stage import AdaptParams, adapt
+from pipeline.stages.feel import stage as feel
+from pipeline.stages.generate.stage import GenerateParams, generate
 from pipeline.stages.pose.stage import PoseParams, pose_from
+from pipeline.stages.project.stage import ProjectParams, project
 from pipeline.values.frames import TactileFrame
 from pipeline.values.pixel_index import pixel_index
 from pipeline.values.results import DepthError, DepthMap
@@ -48,6 +55,7 @@ OBJECTS = ("letters", "curve", "cross", "star")
 PRESSES = 6  # of each
 _WHITE_MM = 0.01
 _COMPUTED = DepthError(rms_mm=0.03, correlation_mm=0.5)  # where nobody has measured a sensor's
+_SOURCES = {"gelslim": "digit", "digit": "gelslim_dotless", "soft_bubble": "gelslim"}  # of what is translated
 NEEDS = "five minutes"
 _PARAMS = PoseParams(keep_steps=False)
 _OFF = 2.0
@@ -69,18 +77,18 @@ class Judged:
 
 
 @lru_cache(maxsize=1)
-def touches(name: str) -> tuple[tuple[Press, Mesh], ...]:
-    """Presses of a sensor that converged and touch."""
+def touches(name: str) -> tuple[tuple[Press, Mesh, Doubles], ...]:
+    """Presses of a sensor that converged and touch, and where the object was."""
     return tuple(_pressed(sensor(name)))
 
 
-def _pressed(spec: SensorSpec) -> Iterator[tuple[Press, Mesh]]:
+def _pressed(spec: SensorSpec) -> Iterator[tuple[Press, Mesh, Doubles]]:
     for index, name in enumerate(OBJECTS):
         mesh = shapes.shape(name).mesh
         for k, at in enumerate(paper_grid(mesh, n=PRESSES, seed=17 + index)):
             made = press(mesh, at, spec, seed=k)
             if made.converged and made.truth.contact is not None and made.truth.contact.any():
-                yield made, mesh
+                yield made, mesh, at
 
 
 def measured(made: Press, spec: SensorSpec, method: str) -> DepthMap:
@@ -107,6 +115,13 @@ def modelled(made: Press, spec: SensorSpec, seed: int) -> DepthMap:
     )  # fmt: skip
 
 
+def translated(made: Press, source: SensorSpec, target: SensorSpec) -> DepthMap:
+    """What the target would feel of a press of the source."""
+    cloud = adapt(measured(made, source, "physics"), between(source, target), AdaptParams())
+    touch = generate(project(cloud, target, ProjectParams()), target, GenerateParams())
+    return feel.membrane(touch, target, NoParams())
+
+
 def chi_square(felt: DepthMap, made: Press, mesh: Mesh) -> tuple[float, float] | None:
     """(chi-square of the error over its right median, mm that the middle is off); None where nothing is determined."""
     truth = made.truth.sensor_from_object
@@ -121,10 +136,16 @@ def chi_square(felt: DepthMap, made: Press, mesh: Mesh) -> tuple[float, float] |
 
 
 def judged(spec: SensorSpec, how: str) -> Judged:
-    """All touches of a sensor, by a method of *depth* or "modelled"."""
+    """All touches of a sensor, by a method of *depth*, "modelled" or "translated"."""
     told, naive, ms, shift = list[float](), list[float](), list[float](), list[float]()
-    for k, (made, mesh) in enumerate(touches(spec.name)):
-        felt = modelled(made, spec, k) if how == "modelled" else measured(made, spec, how)
+    source = sensor(_SOURCES[spec.name]) if how == "translated" else spec
+    for k, (made, mesh, at) in enumerate(touches(spec.name)):
+        if how == "modelled":
+            felt = modelled(made, spec, k)
+        elif how == "translated":
+            felt = translated(press(mesh, at, source, seed=k), source, spec)
+        else:
+            felt = measured(made, spec, how)
         began_s = time.process_time()
         found = chi_square(felt, made, mesh) if felt.contact.any() else None
         taken_ms = 1e3 * (time.process_time() - began_s)
@@ -141,7 +162,7 @@ def judged(spec: SensorSpec, how: str) -> Judged:
 def error_of_depth(spec: SensorSpec, how: str) -> str:
     """Over touches: rms in contact, and the length at which the error's correlation is exp(-1/2)."""
     found: list[tuple[float, float]] = []
-    for made, _mesh in touches(spec.name):
+    for made, _mesh, _at in touches(spec.name):
         told = measured(made, spec, how)
         both = told.contact & made.truth.contact
         if both.sum() < 100:
@@ -160,7 +181,8 @@ def _with_itself(image: np.ndarray) -> np.ndarray:
 
 
 def _ways(spec: SensorSpec) -> tuple[str, ...]:
-    return ("physics", "network", "modelled") if spec.kind == "bubble" else ("physics", "modelled")
+    own = ("physics", "network", "modelled") if spec.kind == "bubble" else ("physics", "modelled")
+    return (*own, "translated") if spec.name in _SOURCES else own
 
 
 def answer(part: str = "") -> Answer:
@@ -179,7 +201,9 @@ def answer(part: str = "") -> Answer:
                 f"{len(found.told)} touches), {np.median(found.naive):.2f} without the measured error; "
                 f"middle off {np.median(found.shift_um):.0f} um"
             )
-            if how != "modelled":
+            if how == "translated":
+                told += f"; from {_SOURCES[spec.name]}"
+            elif how != "modelled":
                 said = spec.limits
                 told += f"; depth off by {error_of_depth(spec, how)}"
                 told += f", described as {said.depth_rms_mm:g} over {said.depth_correlation_mm:g}"

@@ -148,13 +148,12 @@ class Aligning(QObject):
 
     def _move(self, axis: str, value: float) -> None:
         instrument = self._instrument
-        with instrument.watch.timed("alignment moved"):
-            known: Axis = next(a for a in AXES if a == axis)
-            self._axis = known if self._axis in ("", known) else "axes"
-            self._offsets = self._offsets.moved(known, value)
-            self._show_place()
-            session, evaluator = replace(instrument.session, offsets=self._offsets), instrument.evaluator
-            instrument.ahead(lambda report: judging.preview(evaluator, session, report))
+        known: Axis = next(a for a in AXES if a == axis)
+        self._axis = known if self._axis in ("", known) else "axes"
+        self._offsets = self._offsets.moved(known, value)
+        self._show_place()
+        session, evaluator = replace(instrument.session, offsets=self._offsets), instrument.evaluator
+        instrument.ahead(lambda report: judging.preview(evaluator, session, report))
 
     def _end(self) -> None:
         """The whole drag is one change; the stages run again even if it ended where it began."""
@@ -185,12 +184,10 @@ class Aligning(QObject):
         elif isinstance(part, BeforeAfter) and ticket == self._judging and self.refining.answer is not None:
             self._instrument.screen.show_wiped(part.before, part.after)
         elif isinstance(part, Previewed) and self._panel.dragging:
-            with self._instrument.watch.timed("Previewed"):
-                self._instrument.screen.show_preview(part.picture, part.beside, part.layers)
-                self._show_score(part.score)
+            self._instrument.screen.show_preview(part.picture, part.beside, part.layers)
+            self._show_score(part.score)
         elif isinstance(part, Judged) and ticket == self._judging and not self._panel.dragging:
-            with self._instrument.watch.timed("Judged"):
-                self._show_judged(part)
+            self._show_judged(part)
 
     def _show_judged(self, judged: Judged) -> None:
         self._judged = judged

@@ -70,6 +70,5 @@ class Blaming(QObject):
     def _take(self, ticket: int, found: object) -> None:
         if ticket != self._ticket or not isinstance(found, Blame):
             return
-        with self._instrument.watch.timed("Blame"):
-            parts = [(part.title, part.share) for part in found.parts]
-            self._panel.show_blame(found.sentence, bars(found.total, parts, found.rest), found.unit)
+        parts = [(part.title, part.share) for part in found.parts]
+        self._panel.show_blame(found.sentence, bars(found.total, parts, found.rest), found.unit)

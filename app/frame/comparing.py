@@ -204,16 +204,15 @@ class Comparing(QObject):
 
     def _show(self, shown: Tiles) -> None:
         page = self._page
-        with self._instrument.watch.timed("Tiles"):
-            page.tab.grid.show_tiles(shown.tiles)
-            page.tab.told.setText(shown.told)
-            if page.name == "seeds":
-                page.plot.show_points(shown.curve)
-            if page.name == "two":
-                page.show_solids(bool(shown.solids))
-                for letter, cell in zip("AB", page.solids if shown.solids else (), strict=False):
-                    cell.legend.setText(f"{letter} · {self._instrument.catalogue.slot(shown.slot).legend}")
-                self._instrument.screen.show_others(shown.slot, shown.solids, self._instrument.session)
+        page.tab.grid.show_tiles(shown.tiles)
+        page.tab.told.setText(shown.told)
+        if page.name == "seeds":
+            page.plot.show_points(shown.curve)
+        if page.name == "two":
+            page.show_solids(bool(shown.solids))
+            for letter, cell in zip("AB", page.solids if shown.solids else (), strict=False):
+                cell.legend.setText(f"{letter} · {self._instrument.catalogue.slot(shown.slot).legend}")
+            self._instrument.screen.show_others(shown.slot, shown.solids, self._instrument.session)
 
     def _finished(self, ticket: int, shown: object) -> None:
         if isinstance(shown, Tiles) and self._asked and ticket >= self._since:

@@ -6,18 +6,18 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import get_args
 
-from PyQt6.QtCore import QSignalBlocker, pyqtSignal
+from PyQt6.QtCore import pyqtSignal
 
+from app.frame.controls import show_controls
 from app.frame.logs import LogRelay
 from app.frame.screen import Screen
 from app.frame.tracing import Tracer
 from app.frame.window import Window
 from app.session.documents import Documents
-from app.session.state import DISPLAY, Session
+from app.session.state import Session
 from app.work.drawing import SlotShown, SourceShown
 from app.work.evaluator import BeginsAt, Evaluator, FrameShown, request_of
 from app.work.jobs import LatestJob, Work
-from app.work.stopwatch import Stopwatch
 from pipeline.engine.graph import Method
 from pipeline.scoring.beside import Versus
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
@@ -37,7 +37,7 @@ class Instrument(Documents):
 
     def __init__(self, window: Window, catalogue: Catalogue = BUILT_IN) -> None:
         super().__init__(window, Session())
-        self.watch, self.relay = Stopwatch(), LogRelay(self)
+        self.relay = LogRelay(self)
         self.catalogue = catalogue
         self.job, self.evaluator = LatestJob("stages", self), Evaluator(catalogue)
         self.tracer = Tracer(window)
@@ -46,7 +46,10 @@ class Instrument(Documents):
         self._closed = self._waits = self._beside = self._owed = False  # owed: stages that were dropped on their way
         self._open: set[Request | None] = {None}  # what is open, as it was asked for and as it is named since
         self.latest: FrameShown | None = None  # the frame on screen
-        self._stale, self._young = once(self, _STALE_AFTER_MS, self._mark_stale), once(self, _PATIENCE_MS, lambda: None)
+        self._stale, self._young = (
+            once(self, _STALE_AFTER_MS, self.screen.mark_stale),
+            once(self, _PATIENCE_MS, lambda: None),
+        )
 
     def choose_frame(self, frame: int) -> None:
         """Go to a frame."""
@@ -64,17 +67,16 @@ class Instrument(Documents):
 
     def show_session(self, session: Session) -> None:
         """Show a session: controls at once, stages when the background has them."""
-        with self.watch.timed("show_session"):
-            old, self.session = self.session, session
-            if session.layout != self.window.layout_shown:
-                self.window.show_layout(session.layout)
-            self._show_controls()
-            if session.settings != old.settings:
-                self.window.frames.known.forget()
-            if session.linked != old.linked or session.display != old.display:
-                self.screen.look(session)
-            if session.recording is not None:
-                self._ask(other_request=old.recording is None or request_of(old) != request_of(session))
+        old, self.session = self.session, session
+        if session.layout != self.window.layout_shown:
+            self.window.show_layout(session.layout)
+        self._show_controls()
+        if session.settings != old.settings:
+            self.window.frames.known.forget()
+        if session.linked != old.linked or session.display != old.display:
+            self.screen.look(session)
+        if session.recording is not None:
+            self._ask(other_request=old.recording is None or request_of(old) != request_of(session))
         self.session_shown.emit(session)
 
     @property
@@ -169,33 +171,31 @@ class Instrument(Documents):
         if ticket < self._wanted_since or self._closed:
             return
         self._opening = 0
-        with self.watch.timed(type(part).__name__):
-            if isinstance(part, BeginsAt):
-                self.session = replace(self.session, frame=part.index)
-                self._show_controls()
-            elif isinstance(part, Translation):
-                named = replace(self.session, target=part.target.name, frame=min(self.session.frame, part.n_frames - 1))
-                seen = set(self.window.visible_columns())
-                self._open = {request_of(self.session), request_of(named)}
-                self.session = named
-                self.screen.show_opened(part, named)
-                self._show_controls()
-                if not seen.issuperset(self.window.visible_columns()):
-                    self.refresh()  # the route has columns that were not seen when it, or a frame since, was asked for
-            elif isinstance(part, SourceShown | SlotShown):
-                self.screen.show_part(part, newest=ticket == self._ticket)
-                if isinstance(part, SourceShown):
-                    self.window.timeline.show_frame(self.session.frame, part.frame.time_s)
-            if ticket == self._ticket:
-                self.screen.mark_running()
+        if isinstance(part, BeginsAt):
+            self.session = replace(self.session, frame=part.index)
+            self._show_controls()
+        elif isinstance(part, Translation):
+            named = replace(self.session, target=part.target.name, frame=min(self.session.frame, part.n_frames - 1))
+            seen = set(self.window.visible_columns())
+            self._open = {request_of(self.session), request_of(named)}
+            self.session = named
+            self.screen.show_opened(part, named)
+            self._show_controls()
+            if not seen.issuperset(self.window.visible_columns()):
+                self.refresh()  # the route has columns that were not seen when it, or a frame since, was asked for
+        elif isinstance(part, SourceShown | SlotShown):
+            self.screen.show_part(part, newest=ticket == self._ticket)
+            if isinstance(part, SourceShown):
+                self.window.timeline.show_frame(self.session.frame, part.frame.time_s)
+        if ticket == self._ticket:
+            self.screen.mark_running()
 
     def take_frame(self, ticket: int, shown: object) -> None:
         """Show what belongs to a whole frame."""
         if ticket < self._wanted_since or self._closed or not isinstance(shown, FrameShown):
             return
-        with self.watch.timed("FrameShown"):
-            self.latest = shown
-            self.screen.show_frame(shown, comparable=shown.settings == self.session.settings)
+        self.latest = shown
+        self.screen.show_frame(shown, comparable=shown.settings == self.session.settings)
         if ticket == self._ticket:
             self._rest()
             self.frame_shown.emit(shown.index)
@@ -248,22 +248,7 @@ class Instrument(Documents):
         return "" if self.screen.opened is None else self.screen.opened.source.kind
 
     def _show_controls(self) -> None:
-        window, session = self.window, self.session
-        window.timeline.show_frame(session.frame)
-        window.frames.show_frame(session.frame)
-        for slot in self.catalogue.slots:
-            for method in slot.methods:
-                window.parameters.show_params(method.key, session.params_of(method))
-        window.parameters.show_params(DISPLAY, session.display)
-        window.parameters.show_groups((*(m.key for m in self.methods), DISPLAY))
-        self.screen.show_methods(self.methods)
-        for name in ("source", "target", "route"):
-            box, value = getattr(window, name), getattr(session, name)
-            with QSignalBlocker(box):
-                box.setCurrentIndex(max(0, box.findData(value)))
-        window.actions_by_name["link_cameras"].setChecked(session.linked)
-        window.actions_by_name["close_mesh"].setEnabled(session.mesh is not None)
-        window.actions_by_name["close_weights"].setEnabled(bool(session.weights))
+        show_controls(self.window, self.session, self.methods, self.catalogue)
 
     def _ask(self, *, other_request: bool) -> None:
         session, wanted, beside = self._drafted(), self.window.visible_columns(), self._beside
@@ -288,9 +273,9 @@ class Instrument(Documents):
 
     def _drafted(self) -> Session:
         """The session, or while a parameter is dragged one that is quick to show from there on."""
-        session, dragged = self.session, self.window.parameters.dragged
-        first = next((i for i, method in enumerate(self.methods) if method.key == dragged), len(self.methods))
-        return session.drafted(self.methods[first:])
+        methods, dragged = self.methods, self.window.parameters.dragged
+        first = next((i for i, method in enumerate(methods) if method.key == dragged), len(methods))
+        return self.session.drafted(methods[first:])
 
     def _rest(self, *, owed: bool = False) -> None:
         self._waits, self._owed = False, owed
@@ -299,7 +284,3 @@ class Instrument(Documents):
         self._young.stop()
         self.window.show_progress(None)
         self.window.timeline.show_ready(ready=True)
-
-    def _mark_stale(self) -> None:
-        with self.watch.timed("mark_stale"):
-            self.screen.mark_stale()

@@ -150,14 +150,13 @@ class Living(QObject):
         reader = self.reader
         if reader is None:
             return
-        with self._instrument.watch.timed("live"):
-            self._say(reader.status())
-            if self.on_screen:
-                self._grow(reader.n_frames)
-            elif self.following and reader.has_zero and self._opened != self._path:
-                self._open(reader)
-            elif self.following and self._opened == self._path:  # another recording was opened meanwhile
-                self.follow(on=False)
+        self._say(reader.status())
+        if self.on_screen:
+            self._grow(reader.n_frames)
+        elif self.following and reader.has_zero and self._opened != self._path:
+            self._open(reader)
+        elif self.following and self._opened == self._path:  # another recording was opened meanwhile
+            self.follow(on=False)
 
     def _open(self, reader: Reader) -> None:
         mount(self._path, lambda path=self._path: reader.recording(path))

@@ -14,7 +14,7 @@ from app.work.drawing import SlotShown, SourceShown
 from app.work.evaluator import FrameShown
 from pipeline.base.arrays import Doubles
 from pipeline.base.errors import TouchError
-from pipeline.engine.graph import Method, StageResult
+from pipeline.engine.graph import StageResult
 from pipeline.pictures.layers import Layer
 from pipeline.pictures.picture import Picture
 from pipeline.scoring.beside import Beside, Versus
@@ -71,11 +71,6 @@ class Screen:
         window.banner.hide()
         self.look(session)
         self.cameras.turn(self.scene)
-
-    def show_methods(self, methods: Sequence[Method]) -> None:
-        """Which method fills each column."""
-        for method in methods:
-            self._window.columns[method.slot].show_method(method.name)
 
     def show_part(self, part: SourceShown | SlotShown, *, newest: bool = True) -> None:
         """One column's picture, layers and state; one that is not of the `newest` request leaves it waiting."""

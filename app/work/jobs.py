@@ -41,20 +41,6 @@ class Report:
         self.job.delivered.emit(self.ticket, part)
 
 
-class Gathered(Report):
-    """Tells of the progress of another report, and keeps what is handed over in `parts`."""
-
-    def __init__(self, of: Report) -> None:
-        super().__init__(of.job, of.ticket)
-        self.stopped, self.parts = of.stopped, list[object]()
-
-    def hand_over(self, part: object) -> None:
-        """Keep a part; raises `Cancelled` like `step`."""
-        if self.stopped.is_set():
-            raise Cancelled
-        self.parts.append(part)
-
-
 Work = Callable[[Report], object]
 
 

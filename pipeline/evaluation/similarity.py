@@ -13,18 +13,13 @@ BORDER_PX = 5  # half the window: nearer to the border it looks beyond the pictu
 _SIGMA_PX, _K1, _K2 = 1.5, 0.01, 0.03
 
 
-def similarity(a: NDArray[Any], b: NDArray[Any], data_range: float) -> float:
-    """Mean similarity of pictures (rows, cols) or (rows, cols, channels) of finite values, 1 = equal.
-
-    Gaussian window of 11 pixels, population covariance, the border left out: scikit-image's `structural_similarity`
-    with `gaussian_weights=True, sigma=1.5, use_sample_covariance=False`.
-    """
-    inner = similarity_map(a, b, data_range)[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
-    return float(inner.mean())
-
-
 def similarity_map(a: NDArray[Any], b: NDArray[Any], data_range: float) -> Doubles:
-    """The same at every pixel (rows, cols), the mean over channels; pixels beyond the border are mirrored ones."""
+    """Similarity, 1 = equal, at every pixel (rows, cols) of pictures (rows, cols) or (rows, cols, channels).
+
+    The mean over channels; of finite values. Gaussian window of 11 pixels, population covariance, as scikit-image's
+    `structural_similarity` with `gaussian_weights=True, sigma=1.5, use_sample_covariance=False`, which averages what
+    is farther than `BORDER_PX` from the border; pixels beyond that are mirrored ones.
+    """
     one, other = (np.asarray(picture, np.float64) for picture in (a, b))
     if one.ndim == 3:
         return np.mean([_map(one[..., k], other[..., k], data_range) for k in range(one.shape[2])], axis=0)

@@ -52,6 +52,7 @@ class Cloud:
     )
     stride: int = 1  # every stride-th row and column of it was looked at: neighbours are this far apart
     notes: tuple[str, ...] = ()
+    error: DepthError | None = None  # of the depth that it comes from
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,6 +68,7 @@ class TargetView:
     notes: tuple[str, ...] = ()
     pixel_of_point: Indices | None = None  # (n,) of Cloud -> the pixel that shows it, -1 = outside, hidden or cut away
     coverage: Floats | None = None  # (rows, cols) 0..1, share of each pixel in contact; None = not asked for
+    error: DepthError | None = None  # of the depth that it comes from
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

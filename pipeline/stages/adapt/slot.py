@@ -25,7 +25,7 @@ BACK_PROJECTION = Method(
     run=unless(stage.without_contact, stage.adapt),
     params=stage.AdaptParams,
     reads=("depth", "alignment"),
-    version=2,
+    version=3,
 )
 
 

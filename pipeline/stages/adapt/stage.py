@@ -58,6 +58,7 @@ def adapt(depth: DepthMap, alignment: Alignment, params: AdaptParams, progress: 
         grid_shape=depth.camera.shape,
         stride=params.stride,
         notes=_notes(n_wanted=n_wanted, n_points=pixel.size, stride=params.stride),
+        error=depth.error,
     )
 
 

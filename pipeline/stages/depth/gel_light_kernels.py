@@ -1,15 +1,10 @@
 """Compiled light of a surface, and the Gauss-Newton step to slopes that explain a picture (`gel_light`)."""
 # pyright: basic
 
-import math
-
 import numpy as np
 
 from pipeline.base.kept_kernels import FAST, inlined, kernel
-
-_DARK, _BRIGHT = np.float32(0.5), np.float32(254.0)  # a camera tells nothing beyond
-_NOISE = np.float32(1.5)  # grey levels
-_LONGEST = np.float32(0.3)  # mm/mm of one step: the light is linear in the slope for about that far
+from pipeline.stages.depth.slope_step_kernels import added, stepped, weighed
 
 
 @inlined()
@@ -92,31 +87,13 @@ def explained(
                 for k in range(3):
                     by[0, k] += across * weight * leds[n, 3 + k]
                     by[1, k] += down * weight * leds[n, 3 + k]
-            xx, xy, yy = pull, np.float32(0.0), pull
-            to_x, to_y = np.float32(0.0), np.float32(0.0)
+            sums = (pull, np.float32(0.0), pull, np.float32(0.0), np.float32(0.0))
             for k in range(3):
                 off = rest[r, c, k]
-                seen = still[r, c, k] + change[r, c, k]
-                drawn = seen - off
-                if (drawn < _DARK and seen < _DARK + _NOISE) or (drawn > _BRIGHT and seen > _BRIGHT - _NOISE):
-                    continue
-                weight = min(one, huber / max(abs(off), np.float32(1e-6)))
-                light = bright[r, c, k] * share[r, c, k]
-                jx, jy = by[0, k] * light, by[1, k] * light
-                xx += weight * jx * jx
-                xy += weight * jx * jy
-                yy += weight * jy * jy
-                to_x += weight * jx * off
-                to_y += weight * jy * off
-                misfit += min(abs(off), two * huber)
-            per = one / (xx * yy - xy * xy)
-            step_x, step_y = (yy * to_x - xy * to_y) * per, (xx * to_y - xy * to_x) * per
-            length = math.sqrt(step_x * step_x + step_y * step_y)
-            cut = _LONGEST / length if length > _LONGEST else one
-            sx += step_x * cut
-            sy += step_y * cut
-            length = math.sqrt(sx * sx + sy * sy)
-            cut = steepest / length if length > steepest else one
-            gx[r, c] = sx * cut
-            gy[r, c] = sy * cut
+                weight = weighed(off, still[r, c, k] + change[r, c, k], huber)
+                if weight > np.float32(0.0):
+                    light = bright[r, c, k] * share[r, c, k]
+                    sums = added(sums, by[0, k] * light, by[1, k] * light, off, weight)
+                    misfit += min(abs(off), two * huber)
+            gx[r, c], gy[r, c] = stepped(sx, sy, sums, steepest)
     return misfit

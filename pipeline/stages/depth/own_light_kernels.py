@@ -1,15 +1,10 @@
 """Compiled light of a surface in a field, and the Gauss-Newton step to slopes that explain a picture (`own_light`)."""
 # pyright: basic
 
-import math
-
 import numpy as np
 
 from pipeline.base.kept_kernels import FAST, kernel
-
-_DARK, _BRIGHT = np.float32(0.5), np.float32(254.0)  # a camera tells nothing beyond
-_NOISE = np.float32(1.5)  # grey levels
-_LONGEST = np.float32(0.3)  # mm/mm of one step: the light is linear in the slope for about that far
+from pipeline.stages.depth.slope_step_kernels import added, stepped, weighed
 
 
 @kernel(fastmath=FAST)
@@ -47,31 +42,13 @@ def explained(rest, change, still, moved, field, pull, huber, steepest, gx, gy):
             sx, sy = gx[r, c], gy[r, c]
             n = one / np.sqrt(one + sx * sx + sy * sy)
             bent = n * n * n
-            xx, xy, yy, to_x, to_y = pull, nothing, pull, nothing, nothing
+            sums = (pull, nothing, pull, nothing, nothing)
             for k in range(3):
-                off = rest[r, c, k]
-                seen = still[r, c, k] + change[r, c, k]
-                drawn = seen - off
-                if (drawn < _DARK and seen < _DARK + _NOISE) or (drawn > _BRIGHT and seen > _BRIGHT - _NOISE):
-                    continue
-                a = field[r, c, k]
-                along = (a[0] * sx + a[1] * sy - a[2]) * bent
-                jx, jy = along * sx - a[0] * n, along * sy - a[1] * n
-                weight = min(one, huber / max(abs(off), np.float32(1e-6)))
-                xx += weight * jx * jx
-                xy += weight * jx * jy
-                yy += weight * jy * jy
-                to_x += weight * jx * off
-                to_y += weight * jy * off
-                misfit += min(abs(off), two * huber)
-            per = one / (xx * yy - xy * xy)
-            step_x, step_y = (yy * to_x - xy * to_y) * per, (xx * to_y - xy * to_x) * per
-            length = math.sqrt(step_x * step_x + step_y * step_y)
-            cut = _LONGEST / length if length > _LONGEST else one
-            sx += step_x * cut
-            sy += step_y * cut
-            length = math.sqrt(sx * sx + sy * sy)
-            cut = steepest / length if length > steepest else one
-            gx[r, c] = sx * cut
-            gy[r, c] = sy * cut
+                off, a = rest[r, c, k], field[r, c, k]
+                weight = weighed(off, still[r, c, k] + change[r, c, k], huber)
+                if weight > nothing:
+                    along = (a[0] * sx + a[1] * sy - a[2]) * bent
+                    sums = added(sums, along * sx - a[0] * n, along * sy - a[1] * n, off, weight)
+                    misfit += min(abs(off), two * huber)
+            gx[r, c], gy[r, c] = stepped(sx, sy, sums, steepest)
     return misfit

@@ -197,7 +197,7 @@ def _touch(
     source: Indices = np.where(view.source_index >= 0, here, np.int32(-1))
     return Touch(
         image=image, camera=target.camera, source_index=freeze(source), known=view.known,
-        membrane=_membrane(target, surface, contact), notes=tuple(notes),
+        membrane=replace(_membrane(target, surface, contact), error=view.error), notes=tuple(notes),
     )  # fmt: skip
 
 

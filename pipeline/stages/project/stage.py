@@ -103,6 +103,7 @@ def view_of(cloud: Cloud, target: SensorSpec, params: Projection) -> TargetView:
         ),
         pixel_of_point=freeze(pixel),
         coverage=_coverage(cloud, target, surface) if surface is not None and surface.coverage else None,
+        error=cloud.error,
     )  # fmt: skip
 
 

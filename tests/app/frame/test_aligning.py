@@ -75,7 +75,6 @@ def test_a_drag_changes_the_view_and_the_gauges_before_it_ends(aligned, qtbot):
     before, gauge = column.view.picture, panel.gauges["iou"]
     good = gauge.value
     assert before.felt_px.size > 0
-    aligned.watch.taken_ms.clear()
     _drag(aligned, "x", 2.0, qtbot)
     qtbot.waitUntil(lambda: column.state == "preview" and gauge.value < good - 0.1, timeout=WAIT_MS)
     assert column.view.picture.pixels.shape == before.pixels.shape
@@ -84,7 +83,6 @@ def test_a_drag_changes_the_view_and_the_gauges_before_it_ends(aligned, qtbot):
     assert gauge.ghost == good
     assert panel.gauges["edge_px"].value > panel.gauges["edge_px"].ghost
     assert aligned.session.offsets.none
-    assert {"alignment moved", "Previewed"} <= set(aligned.watch.taken_ms)
 
 
 def test_gauges_say_the_same_while_dragging_and_at_rest(aligned, qtbot, settled):

@@ -62,6 +62,7 @@ def test_a_good_recording_passes_and_is_described(tmp_path: Path):
     assert (digit.duration_s, digit.rate_hz) == (pytest.approx(0.2), pytest.approx(20.0))
     text = "\n".join(lines(report))
     assert "digit: digit, 5 frames, 240 x 320 px uint8 RGB, 0.20 s at 20.0 Hz" in text
+    assert [stream.dtype for stream in report.streams] == ["uint8 RGB", "float32 depth in mm"]
     assert "FAIL" not in text
     for name in ("frames", "image size", "reference", "colours", "depth unit", "depth sign", "truth", "poses"):
         assert state(report, name)[0] == "pass", name

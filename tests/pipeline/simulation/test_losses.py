@@ -6,6 +6,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -80,6 +81,21 @@ def test_workers_end_when_their_parent_is_killed(tmp_path):
     assert parent.stdout.readline() == "working\n"
     parent.kill()
     parent.communicate(timeout=LONG_S)  # the end of its output: the worker, which has it too, is gone
+
+
+def test_a_kill_costs_no_more_than_a_minute(tmp_path, monkeypatch):
+    """Every moment takes twenty seconds: those that are older than a minute are in their place."""
+    path, begun_s, now_s = tmp_path / "a.h5", [], [0.0]
+    monkeypatch.setattr(recorder, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
+
+    class Looks:
+        def step(self, fraction, text):
+            now_s[0] += 20.0
+            begun_s.append(now_s[0])
+            assert recorder.finished(PLAN, path) >= sum(done_s < now_s[0] - 60.0 for done_s in begun_s)
+
+    recorder.record(PLAN, path, progress=Looks())
+    assert len(begun_s) >= POSES
 
 
 def test_what_a_killed_process_left_beside_is_taken_away_by_the_next(tmp_path):

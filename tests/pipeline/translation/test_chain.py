@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.stages.pose.stage import PoseParams, pose_from
 from pipeline.translation.catalogue import default_params, with_setting
 from pipeline.translation.trace import back, forward
 from pipeline.translation.translate import Request, open_translation
@@ -54,6 +55,15 @@ def test_a_pose_parameter_reruns_the_pose_only(translation, warm):
 def test_a_frame_seen_before_runs_nothing(translation, warm):
     after = states(warm.evaluate(translation.slots, translation.inputs(TOUCHED), {}))
     assert set(after.values()) == {"cached"}
+
+
+def test_the_error_of_the_measured_depth_goes_with_the_touch_into_the_pose(translation, warm):
+    results = warm.evaluate(translation.slots, translation.inputs(TOUCHED), {})
+    measured, felt, found = (results[slot].output for slot in ("depth", "felt", "pose"))
+    assert felt.error == measured.error
+    assert measured.error is not None
+    exact = pose_from(replace(felt, error=None), translation.mesh, PoseParams(), found.sensor_from_object)
+    assert np.trace(found.covariance) > 4 * np.trace(exact.covariance)
 
 
 def test_a_setting_without_effect_stops_at_the_stage_it_belongs_to(translation, warm):

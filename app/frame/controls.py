@@ -1,0 +1,32 @@
+"""What the session's values are on the window's controls."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from PyQt6.QtCore import QSignalBlocker
+
+from app.frame.window import Window
+from app.session.state import DISPLAY, Session
+from pipeline.engine.graph import Method
+from pipeline.translation.catalogue import Catalogue
+
+
+def show_controls(window: Window, session: Session, methods: Sequence[Method], catalogue: Catalogue) -> None:
+    """Show a session whose route is filled by these methods; no control says that anybody chose anything."""
+    window.timeline.show_frame(session.frame)
+    window.frames.show_frame(session.frame)
+    for slot in catalogue.slots:
+        for method in slot.methods:
+            window.parameters.show_params(method.key, session.params_of(method))
+    window.parameters.show_params(DISPLAY, session.display)
+    window.parameters.show_groups((*(m.key for m in methods), DISPLAY))
+    for method in methods:
+        window.columns[method.slot].show_method(method.name)
+    for name in ("source", "target", "route"):
+        box, value = getattr(window, name), getattr(session, name)
+        with QSignalBlocker(box):
+            box.setCurrentIndex(max(0, box.findData(value)))
+    window.actions_by_name["link_cameras"].setChecked(session.linked)
+    window.actions_by_name["close_mesh"].setEnabled(session.mesh is not None)
+    window.actions_by_name["close_weights"].setEnabled(bool(session.weights))
