@@ -24,14 +24,16 @@ def held_back(found: Sampled, known: Mask, caution: float, doubts: tuple[float, 
     """A middle of all samples, of which only what is sure is taken; `known` is where the source felt.
 
     `caution` 0 takes all of it, 1 holds back by `doubts`: times the expected error, where it felt and beyond. Contact
-    is left as it is: it says by itself how likely it is.
+    is held back where the source felt; beyond, where nothing else is known of it, it is left as it is.
     """
     middle, spread = found.last.residual_mm, found.spread_mm
     within = on_grid(known, middle.shape) > _HALF
     share = 1.0 - caution * (1.0 - taken(middle, np.where(within, *map(np.float32, doubts)) * spread))
 
     def less(state: State) -> State:
-        return replace(state, residual_mm=freeze((share * state.residual_mm).astype(np.float32)))
+        contact = np.where(within, share, np.float32(1.0)) * state.contact
+        residual = (share * state.residual_mm).astype(np.float32)
+        return replace(state, residual_mm=freeze(residual), contact=freeze(contact.astype(np.float32)))
 
     return replace(found, last=less(found.last), states=tuple(less(state) for state in found.states))
 

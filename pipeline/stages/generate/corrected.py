@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,21 +15,32 @@ from pipeline.values.results import DepthMap, Touch, TouchStep
 _HALF = 0.5
 
 
-def corrected(first: Touch, target: SensorSpec, found: Sampled, seed: int | None, blur_mm: float = 0.0) -> Touch:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Unsure:
+    """How far apart the places are where an edge may be that a coarse source told."""
+
+    blur_mm: float = 0.0  # of all of the membrane
+    reach_mm: float = 0.0  # that contact goes beyond the middles of the source's pixels
+
+
+SHARP = Unsure()
+
+
+def corrected(first: Touch, target: SensorSpec, found: Sampled, seed: int | None, unsure: Unsure = SHARP) -> Touch:
     """`first` with a sample's correction, drawn from the working grid to the target's own pixels.
 
     The membrane goes no deeper than the sensor can be pressed. `seed` is of the sensor's noise, None = no noise. All of
-    the picture is told, `membrane.spread_mm` says how surely. `blur_mm` is of all of the membrane: a picture shows its
-    slopes, and an edge whose place is unsure is in the middle of all pictures as wide as that.
+    the picture is told, `membrane.spread_mm` says how surely. A picture shows slopes, and an edge whose place is
+    `unsure` is in the middle of all pictures as wide as that.
     """
     at_first = first.membrane
     assert at_first is not None
     spread = freeze(_sized(found.spread_mm, target.camera.shape))
-    image, told = _touch(at_first, target, found.last, seed, blur_mm)
+    image, told = _touch(at_first, target, found.last, seed, unsure)
     steps = [
         TouchStep(image=drawn, sigma=state.sigma, membrane=membrane)
         for state in found.states
-        for drawn, membrane in (_touch(at_first, target, state, None, blur_mm),)
+        for drawn, membrane in (_touch(at_first, target, state, None, unsure),)
     ]
     return replace(
         first,
@@ -42,14 +53,15 @@ def corrected(first: Touch, target: SensorSpec, found: Sampled, seed: int | None
 
 
 def _touch(
-    first: DepthMap, target: SensorSpec, state: State, seed: int | None, blur_mm: float
+    first: DepthMap, target: SensorSpec, state: State, seed: int | None, unsure: Unsure
 ) -> tuple[Image | Floats, DepthMap]:
     shape = target.camera.shape
     surface = first.indentation_mm + _sized(state.residual_mm, shape)
-    if blur_mm > 0.0:
-        surface = _blurred(surface, blur_mm / target.pixel_mm)
+    if unsure.blur_mm > 0.0:
+        surface = _blurred(surface, unsure.blur_mm / target.pixel_mm)
     surface = np.minimum(surface, np.float32(target.limits.indentation_max_mm)).astype(np.float32)
-    contact: Mask = first.contact.astype(np.float32) + _sized(state.contact, shape) > _HALF
+    before = _grown(first.contact, unsure.reach_mm / target.pixel_mm)
+    contact: Mask = before.astype(np.float32) + _sized(state.contact, shape) > _HALF
     depth: Floats = (target.rest_depth_mm - surface).astype(np.float32)
     told = replace(first, indentation_mm=freeze(surface), depth_mm=freeze(depth), contact=freeze(contact))
     if target.kind == "gel":
@@ -65,6 +77,14 @@ def on_grid(field: Floats | Mask, shape: tuple[int, int]) -> Floats:
     if whole.shape == shape:
         return whole
     return np.asarray(cv2.resize(whole, shape[::-1], interpolation=cv2.INTER_AREA), np.float32)
+
+
+def _grown(mask: Mask, by_px: float) -> Mask:
+    import cv2
+
+    if by_px <= 0.0 or not mask.any():
+        return mask
+    return np.asarray(cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)) <= by_px
 
 
 def _blurred(field: Floats, by_px: float) -> Floats:

@@ -6,6 +6,7 @@ as the target itself feels them, and no pair of two sensors. With no step at all
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -21,9 +22,9 @@ from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.generate import stage
 from pipeline.stages.generate.caution import held_back
-from pipeline.stages.generate.corrected import corrected, on_grid
+from pipeline.stages.generate.corrected import Unsure, corrected, on_grid
 from pipeline.stages.generate.diffusion import DiffusionParams, sampled
-from pipeline.stages.generate.residual_input import of_view, working
+from pipeline.stages.generate.residual_input import COARSER, of_view, working
 from pipeline.stages.generate.stage import GenerateParams
 from pipeline.values.results import DepthMap, TargetView, Touch
 
@@ -79,13 +80,23 @@ def generate(
     beyond = found.spread_mm[on_grid(view.known, found.spread_mm.shape) < _HALF]
     told = float((beyond if beyond.size else found.spread_mm).mean())
     where = "beyond what the source felt" if beyond.size else "all over"
-    blur_mm = 0.0
+    wide_mm = 0.0
     if params.steps == 1:  # a sample is one of many: all of it, and as sharp as it is
         found = held_back(found, view.known, params.caution, cast("tuple[float, float]", network.doubts))
-        blur_mm = cast("tuple[float, float]", network.blurs_mm)[0 if view.known.all() else 1]
+        wide_mm = _told_mm(view, target)
     note = f"{where} the touch is learned, and expected to be off by {told:.2g} mm"
     found = replace(found, notes=(*found.notes, note))
-    return corrected(physical, target, found, params.seed if params.noise else None, blur_mm)
+    blur_px, reach_px = cast("float", network.blur_px), cast("float", network.reach_px)
+    unsure = Unsure(blur_mm=wide_mm * blur_px, reach_mm=wide_mm * reach_px)
+    return corrected(physical, target, found, params.seed if params.noise else None, unsure)
+
+
+def _told_mm(view: TargetView, target: SensorSpec) -> float:
+    """How wide a pixel of the source is on the target's plane; 0 where it is finer than the working grid."""
+    points = view.source_index[view.contact]
+    told = np.unique(points[points >= 0]).size
+    wide_px = math.sqrt(points.size / told) if told else 1.0
+    return wide_px * target.pixel_mm if wide_px > COARSER[target.kind] else 0.0
 
 
 def _render(view: TargetView, target: SensorSpec, params: GenerateParams, progress: Progress) -> Touch:

@@ -38,11 +38,14 @@ def test_no_caution_takes_all_and_no_doubt_does_so_too():
         assert np.allclose(kept.last.residual_mm, 2.0)
 
 
-def test_what_the_source_felt_and_the_rest_are_doubted_apart_and_contact_is_not():
+def test_what_the_source_felt_and_the_rest_are_doubted_apart_and_contact_where_it_felt_alone():
     kept = held_back(found(2.0, 2.0), LEFT, 1.0, (0.0, 3.0))
     assert np.allclose(kept.last.residual_mm[:, 0], 2.0, atol=5e-3)
     assert np.allclose(kept.last.residual_mm[:, -1], 0.2, atol=5e-3)
-    assert (kept.last.contact == 1.0).all()
+    assert np.allclose(kept.last.contact[:, 0], 1.0, atol=5e-3)
+    assert (kept.last.contact[:, -1] == 1.0).all()
+    surer = held_back(found(2.0, 2.0), LEFT, 1.0, (3.0, 3.0))
+    assert np.allclose(surer.last.contact[:, 0], 0.1, atol=5e-3)
     assert np.array_equal(kept.states[0].residual_mm, kept.last.residual_mm)
 
 

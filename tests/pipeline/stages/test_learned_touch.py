@@ -37,7 +37,7 @@ def taking_all(**how):
 class Says(torch.nn.Module):
     """A denoiser that answers one number everywhere, and remembers what it was shown."""
 
-    unit_mm, most, least, reach, smooth, doubts, blurs_mm = 1.0, 8.0, 0.02, 8.0, 0.0, (1.0, 1.0), (0.0, 0.0)
+    unit_mm, most, least, reach, smooth, doubts, blur_px, reach_px = 1.0, 8.0, 0.02, 8.0, 0.0, (1.0, 1.0), 0.0, 0.0
 
     def __init__(self, residual, contact=0.0, spread=0.1):
         super().__init__()
@@ -100,21 +100,33 @@ def test_a_residual_of_nothing_leaves_the_render_and_contact_follows_the_network
     assert not view_to_touch.generate(view, GEL, Says(0.0, contact=-1.0), taking_all()).membrane.contact.any()
 
 
-def test_an_edge_is_drawn_as_wide_as_its_place_is_unsure_and_a_sample_s_is_sharp():
-    window = view_of(GEL, 0.5)
-    everywhere = replace(window, known=np.ones_like(window.known))
+def told_by(view, pixels):
+    """The same view, as a source tells it whose pixels are so many times as wide as the target's."""
+    rows, cols = np.indices(view.contact.shape) // pixels
+    coarse = (rows * (view.contact.shape[1] // pixels + 1) + cols).astype(np.int32)
+    return replace(view, source_index=np.where(view.contact, coarse, -1))
 
-    def steepest(view, blurs_mm, steps=1):
+
+def test_an_edge_is_drawn_and_contact_reaches_as_far_as_a_coarse_source_is_unsure_of_them():
+    view = view_of(GEL, 0.5)
+
+    def made(pixels, blur_px, reach_px, steps=1):
         net = Says(0.0)
-        net.blurs_mm = blurs_mm
-        made = view_to_touch.generate(view, GEL, net, taking_all(steps=steps)).membrane.indentation_mm
-        return np.abs(np.diff(made, axis=1)).max()
+        net.blur_px, net.reach_px = blur_px, reach_px
+        return view_to_touch.generate(told_by(view, pixels), GEL, net, taking_all(steps=steps)).membrane
 
-    sharp = steepest(window, (0.0, 0.0))
-    assert steepest(everywhere, (0.3, 0.0)) < 0.7 * sharp
-    assert steepest(window, (0.3, 0.0)) == sharp
-    assert steepest(window, (0.0, 0.3)) < 0.7 * sharp
-    assert steepest(everywhere, (0.3, 0.3), steps=2) == sharp
+    def steepest(membrane):
+        return np.abs(np.diff(membrane.indentation_mm, axis=1)).max()
+
+    sharp = made(8, 0.0, 0.0)
+    assert steepest(made(8, 0.9, 0.0)) < 0.7 * steepest(sharp)
+    assert steepest(made(8, 0.9, 0.0, steps=2)) == steepest(sharp), "a sample is one of many, and sharp"
+    assert steepest(made(1, 0.9, 0.0)) == steepest(sharp), "of a fine source every edge is where it is told"
+    assert np.array_equal(made(1, 0.0, 0.9).contact, sharp.contact)
+    wider = made(8, 0.0, 0.5).contact
+    assert (wider & sharp.contact).sum() == sharp.contact.sum()
+    across = [np.count_nonzero(mask[mask.shape[0] // 2]) for mask in (wider, sharp.contact)]
+    assert 6 <= across[0] - across[1] <= 10, "half a pixel of the source on either side"
 
 
 def test_what_a_gel_felt_stays_in_contact_with_a_bubble():
