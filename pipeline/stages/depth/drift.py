@@ -168,7 +168,7 @@ def applied(reference: Image, drift: Drift) -> Floats:
     return moved
 
 
-def block_means(picture: Image, block: int) -> Floats:
+def block_means(picture: Image | Floats, block: int) -> Floats:
     """Mean of every whole block (rows // block, cols // block, 3); the last few pixels are dropped."""
     import cv2
 
