@@ -6,8 +6,8 @@ slope g says where the centre must be, c = p + R g / sqrt(1 + g^2), and the medi
 trusted part of the contact, which lens blur leaves alone, the slope is not the ball's, but it is the same to all sides
 and, in units of the contact's radius, in all presses: the median profile of all presses stops a centre from drifting
 together with the look-up around it. The presses correct what is known of the sensor instead of replacing it
-(`corrections`), and a correction that does not hold for presses that it has not seen is not made, nor one that is no
-better than what is read without.
+(`corrections`), and a correction that does not hold for presses that it has not seen is not made, nor one that is not
+surely better than what is read without.
 """
 
 from __future__ import annotations
@@ -78,7 +78,8 @@ def calibrate_balls(
     worth = expected(models[best], fields, known, held, best)
     without = None if read is None else without_any(known, read)
     narrow = coverage(known) < _FEWEST_COVERED
-    if without is not None and (narrow or not best or not betters(worth.diameter_share, without)):
+    seen = np.zeros(0) if held is None else held.diameter[:, best]
+    if without is not None and (narrow or not best or not betters(worth.diameter_share, without, seen)):
         best, worth = 0, of_errors(without)
     model = models[best]
     progress.step(1.0, "look-up is ready")

@@ -4,7 +4,7 @@ The built-in look-up; the one of the field of light that the presses leave (`lig
 polynomial of what it leaves of the slopes, held back by a ridge. A few presses are not enough for the polynomial.
 
 Whoever reads pictures without a calibration may do better than the built-in look-up alone. He is asked what he reads
-(`Read`), and a correction has to better that by more than the middle of so few errors is known.
+(`Read`), and a correction has to better that surely, press for press or by far.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ _BEST_WITHIN = 1.02  # a simpler look-up is taken if it is as good as this times
 _MEDIAN_UNSURE = 1.17  # standard deviation of the median size of n normal errors, over itself, times sqrt(n)
 _FEWEST_PX = 12  # that a sphere is told from
 _UNSEEN = 1.0  # error of a ball that is not seen at all
+_SURE = 2.0  # standard deviations by which a correction has to be better than none
 
 Read = Callable[[int], tuple[Floats, Floats]]  # slopes (rows, cols) that are read of a picture, without calibration
 
@@ -142,12 +143,24 @@ def without_any(known: Presses, read: Read) -> Doubles:
     return np.minimum(np.nan_to_num(found, nan=_UNSEEN), _UNSEEN)
 
 
-def betters(share: float, without: Doubles) -> bool:
-    """Whether a correction of which the diameter error `share` is expected is better than errors without any.
+def betters(share: float, without: Doubles, held: Doubles) -> bool:
+    """Whether a correction of which the diameter error `share` is expected is surely better than errors without any.
 
-    The fewer presses these are of, the surer it has to be: their middle may be large by luck.
+    `held` are its own errors of the same presses, none where none could be held out. Press for press they have to be
+    smaller by more than luck (Wilcoxon's signed ranks), or in the middle by so much that luck cannot have it: both
+    middles are of few errors. Four presses cannot be sure by their ranks.
     """
-    return share * math.exp(_MEDIAN_UNSURE / math.sqrt(len(without))) < float(np.median(np.abs(without)))
+    n, middle = len(without), float(np.median(np.abs(without)))
+    if share >= middle:
+        return False
+    by_far = share * math.exp(_SURE * math.sqrt(2.0) * _MEDIAN_UNSURE / math.sqrt(n)) < middle
+    if by_far or len(held) != n:
+        return by_far
+    gained = np.abs(without) - np.minimum(np.nan_to_num(np.abs(held), nan=_UNSEEN), _UNSEEN)
+    ranks = np.empty(n)
+    ranks[np.argsort(np.abs(gained), kind="stable")] = np.arange(1, n + 1)
+    deviation = math.sqrt(n * (n + 1) * (2 * n + 1) / 6.0)
+    return float((np.sign(gained) * ranks).sum()) > _SURE * deviation
 
 
 def slope_error(model: SlopeModel, samples: Samples) -> float:

@@ -99,9 +99,19 @@ def test_a_sphere_seen_too_flat_is_said_to_be_too_large():
 
 
 @given(st.integers(1, 60), st.floats(0.01, 0.9))
-def test_the_fewer_presses_the_surer_a_correction_has_to_be(count, error):
-    few, many = np.full(count, error), np.full(4 * count, error)
-    assert not corrections.betters(error, many)
-    worth = error * np.exp(-1.0 / np.sqrt(count))
-    assert not corrections.betters(worth, few)
-    assert corrections.betters(worth, many)
+def test_the_fewer_presses_the_farther_better_a_correction_has_to_be(count, error):
+    few, many, nobody = np.full(count, error), np.full(4 * count, error), np.zeros(0)
+    assert not corrections.betters(error, many, nobody)
+    worth = error * np.exp(-2.5 / np.sqrt(count))
+    assert not corrections.betters(worth, few, nobody)
+    assert corrections.betters(worth, many, nobody)
+
+
+@given(st.integers(1, 60), st.floats(0.5, 0.9), st.integers(0, 99))
+def test_a_correction_that_is_better_by_luck_is_not_taken(count, share, seed):
+    without = np.random.default_rng(seed).uniform(0.05, 0.2, count)
+    held = share * without
+    # Every press a little better is sure from five presses on, half of them worse by as much never.
+    assert corrections.betters(share * float(np.median(without)) - 1e-6, without, held) == (count >= 5)
+    half = np.concatenate([held, without])
+    assert not corrections.betters(0.9 * float(np.median(half)), half, np.concatenate([without, held]))
