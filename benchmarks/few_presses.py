@@ -65,7 +65,7 @@ class _Ball:
 
     def errors(self, indices, look_up):
         """Diameter less the true one, over it; a press without a contact counts as wholly wrong."""
-        if look_up.kept_built_in:
+        if look_up.is_built_in:
             for i in indices:
                 self.without(i)
             return np.array([self._errors[i] for i in indices])
@@ -95,11 +95,13 @@ def answer(data: str = "") -> Answer:
               _MINI_MM_PER_PX) for d in ("6.310", "9.500")
     )  # fmt: skip
     slim = _Ball("gelslim", folder / "gelslim3_balls", "ref.jpg", "sample_*.jpg", 7.6, _SLIM_MM_PER_PX)
-    found = [
-        *_drawn(small, large, (4, 8, 16, len(small.pictures))),
-        *_drawn(large, small, (4, 8, 16)),
-        *_drawn(slim, slim, (4, 8, 16)),
-    ]
+    pairs, found = ((small, large), (large, small), (slim, slim)), []
+    for ball, judged in pairs:
+        found += _none(ball, judged)
+    for n in (4, 8, 16):
+        for ball, judged in pairs:
+            found += _of_number(ball, judged, n)
+    found += _of_number(small, large, len(small.pictures))
     return Answer(
         title="Balls measured with a look-up from few presses: the worst of ten draws",
         unit="%",
@@ -121,24 +123,25 @@ def _widths(ball: _Ball) -> Iterator[str]:
     yield f"{ball.label}, eight presses, left over at a pixel of " + "; ".join(told)
 
 
-def _drawn(ball: _Ball, judged: _Ball, counts) -> Iterator[tuple[object, str]]:
-    """(row, note) of no calibration, and of look-ups from so many of the presses."""
-    label = f"{ball.label} -> {judged.label}" if judged is not ball else f"{ball.label}, others"
-    everything = range(len(judged.pictures))
-    started = time.perf_counter()
-    without = np.abs(judged.errors(everything, replace(judged.plain, kept_built_in=True)))
+def _label(ball: _Ball, judged: _Ball) -> str:
+    return f"{ball.label} -> {judged.label}" if judged is not ball else f"{ball.label}, others"
+
+
+def _none(ball: _Ball, judged: _Ball) -> Iterator[tuple[object, str]]:
+    """(row, note) of no calibration."""
+    started, label = time.perf_counter(), _label(ball, judged)
+    without = np.abs(judged.errors(range(len(judged.pictures)), judged.plain))
     ms = timing([1e3 * (time.perf_counter() - started)])
     yield (
         row(f"diameter, {label}, none", ours=ms, ours_error=float(100 * np.median(without)), unit="%", bar=Bar()),
-        (f"{label} without calibration: p90 {100 * np.percentile(without, 90):.0f} %"),
+        f"{label} without calibration: p90 {100 * np.percentile(without, 90):.0f} %",
     )
-    for n in counts:
-        found = tuple(_of_number(ball, judged, n, label, without))
-        print(found[0][1], file=sys.stderr, flush=True)
-        yield from found
 
 
-def _of_number(ball, judged, n, label, without):
+def _of_number(ball: _Ball, judged: _Ball, n: int) -> Iterator[tuple[object, str]]:
+    """(row, note) of look-ups from `n` of the presses: how wrong the worst is, and how many are worse than none."""
+    label, everything = _label(ball, judged), range(len(judged.pictures))
+    without = np.abs(judged.errors(everything, judged.plain))
     errors, nones, expected, high, ms, kept, harmed = [], [], [], [], [], 0, 0
     for seed in range(_DRAWS if n < len(ball.pictures) else 1):
         drawn = sorted(int(i) for i in np.random.default_rng(seed).choice(len(ball.pictures), n, replace=False))
@@ -165,6 +168,7 @@ def _of_number(ball, judged, n, label, without):
         f"worse than none in {harmed}; built-in kept in {kept}"
     )
     bar = Bar(error=_BARS[n]) if n in _BARS else Bar(error=5.0)
+    print(note, file=sys.stderr, flush=True)  # the whole takes minutes
     yield row(f"diameter, {what}", ours=timing(ms), ours_error=float(worst.max()), unit="%", bar=bar), note
     yield row(f"draws worse than none, {what}", ours=timing(ms), ours_error=float(harmed), unit="draws",
               bar=Bar(error=0.0)), ""  # fmt: skip

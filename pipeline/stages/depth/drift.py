@@ -66,7 +66,10 @@ class Drift:
         return tuple(told)
 
     def beyond_one_unit(self, bright_grey: float) -> bool:
-        """Whether so much light differs, in a picture of this mean, that it may be another unit's."""
+        """Whether so much light differs between untouched pictures, of this mean, that they may be of two units.
+
+        A touch's own far light comes to as much beside a DIGIT's balls.
+        """
         grey = float(np.abs(self.gain - 1.0).max()) * bright_grey
         return grey + float(np.abs(self.offset_grey).max() + np.abs(self.ramp_grey).max()) > _BEYOND_GREY
 
@@ -100,7 +103,6 @@ _stilled: Memo[tuple[str, str], Still] = Memo(2)  # the short cut and the stage 
 
 def _made(image: Image, reference: Image) -> Still:
     drift, foreign = fitted(image, reference)
-    foreign = foreign or (drift is not None and drift.beyond_one_unit(float(reference.mean())))
     told = Doubt("most of the picture differs from the reference: it may be of another unit, or of another day")
     notes: tuple[str, ...] = (told,) if foreign else ()
     if drift is None:

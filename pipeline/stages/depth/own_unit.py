@@ -34,12 +34,12 @@ def notes(calibration: Calibration, reference: Image) -> tuple[str, ...]:
     off, likely = _compared.of((content(reference), content(still)), lambda: _differ(units.small(reference), still))
     if off <= _ANOTHER_GREY and likely:
         return ()
-    return (
-        Doubt(
-            f"the calibration was made on another unit, or in other light (untouched pictures differ by {off:.0f} grey "
-            "levels beyond drift): calibrate this one"
-        ),
+    why = (
+        f"the untouched pictures differ by {off:.0f} grey levels beyond drift"
+        if likely
+        else "the light of the untouched pictures differs by more than one unit's drifts"
     )
+    return (Doubt(f"the calibration may be of another unit, or of another light: {why}; calibrate this one"),)
 
 
 _compared: Memo[tuple[str, str], tuple[float, bool]] = Memo(8)

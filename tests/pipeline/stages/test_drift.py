@@ -83,15 +83,6 @@ def test_the_reference_of_another_unit_is_noticed():
     assert any("another unit" in note for note in found.notes)
 
 
-def test_light_that_no_unit_loses_in_a_day_is_doubted():
-    source = sensor("gelsight_mini")
-    still = optics.untouched(source)
-    later, other = (drift.stilled(drifted(still, **how), still) for how in (
-        {"gain": 0.94, "ramp_grey": 14.0}, {"gain": 0.85, "ramp_grey": 30.0}))  # fmt: skip
-    assert not any("another unit" in note for note in later.notes)
-    assert any("another unit" in note for note in other.notes)
-
-
 def test_a_picture_all_white_is_no_drift():
     still = optics.untouched(sensor("gelsight_mini"))
     assert drift.fitted(np.full_like(still, 255), still)[0] is None

@@ -41,6 +41,13 @@ def test_another_unit_is_told_from_one_that_has_drifted(name):
         assert not told_apart(name, first, later)
 
 
+def test_light_that_no_unit_loses_in_a_day_is_doubted_although_a_drift_explains_it():
+    still = optics.untouched(sensor("gelsight_mini"))
+    later, other = (drifted(still, gain=gain, ramp_grey=ramp) for gain, ramp in ((0.94, 14.0), (0.85, 30.0)))
+    assert not told_apart("gelsight_mini", still, later)
+    assert told_apart("gelsight_mini", still, other)
+
+
 def test_a_touch_read_with_the_calibration_of_another_unit_is_doubted():
     source = sensor("digit")
     mine, other = (varied(source, seed, 1.0) for seed in (1, 2))
