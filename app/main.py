@@ -36,6 +36,7 @@ def open_window(request: Request | None, *, frame: int | None = None, tour: Path
     `app.frame.tour` for what a tour leaves behind.
     """
     prepare_environment()
+    from app.frame.warming import Warming
     from app.session.state import ASKED, ON_A_TOUCH, Session
 
     application = make_application()
@@ -48,6 +49,8 @@ def open_window(request: Request | None, *, frame: int | None = None, tour: Path
         methods, weights = dict(request.methods), dict(request.weights)
         session = Session(**asked, offsets=request.offsets, methods=methods, weights=weights, frame=first)
     instrument = show_window(session, remembers=tour is None)
+    if tour is None:
+        Warming(instrument)
     try:
         if tour is None:
             return application.exec()

@@ -38,18 +38,20 @@ class TracePanel(QScrollArea):
         self.setWidget(body)
         self.setFixedHeight(_LINES * self.fontMetrics().lineSpacing() + 6)
         self.text = ""
-        self._shown: tuple[Sequence[tuple[str, str]], bool, str] = ((), False, "")
+        self._shown: tuple[Sequence[tuple[str, str]], bool, str, bool] = ((), False, "", False)
 
     def changeEvent(self, a0: QEvent | None) -> None:  # noqa: N802
         """The same in the inks of another theme."""
         super().changeEvent(a0)
         if a0 is not None and a0.type() == QEvent.Type.PaletteChange:
-            steps, pinned, ending = self._shown
-            self.show_steps(steps, pinned=pinned, ending=ending)
+            steps, pinned, ending, waits = self._shown
+            self.show_steps(steps, pinned=pinned, ending=ending, waits=waits)
 
-    def show_steps(self, steps: Sequence[tuple[str, str]], *, pinned: bool = False, ending: str = "") -> None:
-        """Show (stage title, what is there) pairs in order, and why the trace ends."""
-        self._shown = steps, pinned, ending
+    def show_steps(
+        self, steps: Sequence[tuple[str, str]], *, pinned: bool = False, ending: str = "", waits: bool = False
+    ) -> None:
+        """Show (stage title, what is there) pairs in order, and why the trace ends: in plain ink where it `waits`."""
+        self._shown = steps, pinned, ending, waits
         self.text = " → ".join(text for _, text in steps)
         if not steps:
             self._label.setText(_INVITATION)
@@ -58,5 +60,5 @@ class TracePanel(QScrollArea):
         parts = [f"<span style='color:{soft}'>{escape(title)}</span> <b>{escape(text)}</b>" for title, text in steps]
         sentence = " &nbsp;→&nbsp; ".join(parts)
         if ending:
-            sentence += f" &nbsp; <span style='color:{alarm}'>{escape(ending)}</span>"
+            sentence += f" &nbsp; <span style='color:{soft if waits else alarm}'>{escape(ending)}</span>"
         self._label.setText(sentence + (" &nbsp; <i>pinned</i>" if pinned else ""))

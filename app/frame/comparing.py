@@ -17,15 +17,19 @@ from app.session.state import Session
 from app.work.evaluator import Evaluator, request_of
 from app.work.jobs import LatestJob, Report
 from app.work.two_at_once import two_at_once
+from pipeline.base.allocator import give_back
 from pipeline.base.errors import TouchError
+from pipeline.networks import building
 from pipeline.scoring.by_seed import by_seed
 from pipeline.scoring.side_by_side import by_method
 from pipeline.scoring.tiles import Tiles
 from pipeline.scoring.versions import Kept
+from widgets.looks import once
 
 Work = Callable[[Report], Tiles]
 _NO_OTHER = "hold these settings and change some, or choose another recording: both are shown on the same frame"
 _NOT_DRAWN = "Draw makes this frame's touch with several seeds: how far they spread tells luck from bias"
+_LETS_GO_MS = 20_000  # after somebody went elsewhere: who comes back sooner finds all as it was
 _SAME = "no setting differs yet: what is changed from now on is A's (F3 has the parameters)"
 
 
@@ -40,6 +44,8 @@ class Comparing(QObject):
         self._other = Evaluator(instrument.catalogue, like=instrument.evaluator)
         self._asked: tuple[object, ...] = ()
         self._ticket, self._since, self._drawn = 0, 0, False
+        self._away = once(self, _LETS_GO_MS, self.let_memory_go)
+        self._looked = False  # at this, by whoever sees the window
         self._shown = (Compared(), None)  # what was chosen when it was looked at last
         self._works: Mapping[str, Callable[[Session], Work | str]] = {
             "methods": self._by_method, "two": self._two, "seeds": self._seeds,
@@ -77,6 +83,19 @@ class Comparing(QObject):
     def hold_recording(self, path: Path) -> None:
         """Another recording is B, with what is set now."""
         self._hold(replace(self._instrument.session, recording=path))
+
+    def let_memory_go(self) -> None:
+        """Forget what was worked out here, and networks that no column reads: nobody looks at what takes most room."""
+        if self._looked or self._instrument.closed:
+            return
+        if self._job.busy:  # it was told to stop
+            self._away.start()
+            return
+        self._kept.let_go()
+        for evaluator in (self._own, self._other):
+            evaluator.let_go()
+        building.let_go(self._instrument.evaluator.weights_in_use)
+        self._job.submit(lambda _: give_back())
 
     def _choose(self) -> None:
         """What the page says is the session's."""
@@ -157,7 +176,12 @@ class Comparing(QObject):
 
     def _session_shown(self, session: Session) -> None:
         """Whoever looks elsewhere wants nothing of this."""
-        if session.layout.name != "compare" or session.recording is None:
+        looked, self._looked = self._looked, session.layout.name == "compare"
+        if self._looked:
+            self._away.stop()
+        elif looked:
+            self._away.start()
+        if not self._looked or session.recording is None:
             self._job.cancel()
             self._asked = ()
         self._show_choices(session)
@@ -242,6 +266,7 @@ class Comparing(QObject):
             tab.show_progress(None)
 
     def _close(self) -> None:
+        self._away.stop()
         self._job.close()
         for evaluator in (self._own, self._other):
             evaluator.close()

@@ -107,7 +107,7 @@ class Tracer(QObject):
         true = self._last_truth(marks, (column, row, col))
         if true:
             steps.append(("truth", true))
-        self._window.trace.show_steps(steps, pinned=self._frozen, ending=ending)
+        self._window.trace.show_steps(steps, pinned=self._frozen, ending=ending, waits=ending == _NOT_YET)
         self._marks = marks
         if not self._dots.isActive():
             self._dots.start()

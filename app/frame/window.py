@@ -50,7 +50,7 @@ from widgets.waterfall import BlamePanel
 
 SIZE = QSize(1600, 950)
 _DOING_PX = 260  # for what the background does, in words
-LOW_STRIP_PX, HIGH_STRIP_PX, MOST_STRIP_PX = 24, 44, 220  # of the errors
+LOW_STRIP_PX, HIGH_STRIP_PX, MOST_STRIP_PX = 24, 44, 96  # of the errors: higher bars tell no more
 
 
 class Window(QMainWindow):

@@ -17,6 +17,7 @@ from pipeline.base.errors import FileProblem, SettingProblem, TouchError
 from pipeline.base.memo import Memo, size_bytes
 from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph, StageResult
+from pipeline.networks.weights import Weights
 from pipeline.recordings import open_recording
 from pipeline.stages.depth.slot import PHYSICS
 from pipeline.stages.depth.stage import DepthParams
@@ -30,9 +31,10 @@ from pipeline.values.results import DepthMap
 from widgets.frames_model import FrameSummary
 
 log = logging.getLogger("tactoscope")
-_SEEN_BYTES = 96 * 1024 * 1024  # sixteen frames to a gel of 320 x 427, two dozen to a bubble
+_SEEN_BYTES = 72 * 1024 * 1024  # a dozen frames to a gel of 320 x 427, two dozen to a bubble
 _ASIDE_BYTES = 16 * 1024 * 1024  # a frame or two: they must not push out what people go back to
 _BESIDE_BYTES = 32 * 1024 * 1024
+_TRIMMED_AFTER = 24  # frames worked out anew: what they took on their way lies about in pieces
 _OUTLINED = "view"  # the slot that is compared with what the target really felt
 
 
@@ -76,7 +78,7 @@ class Evaluator:
         self._translation: Translation | None = None
         self._drawn_bytes = () if like is None else (_ASIDE_BYTES,)  # pictures that are gone back to
         self._drawing = Drawing(*self._drawn_bytes)  # of what is open
-        self._begins_at = 0  # of what is open
+        self._begins_at = self._anew = 0  # of what is open; frames worked out since memory was given back
         # Of what is open, so that who plays or goes back has them at once.
         self._comparisons: Memo[tuple[int, DepthParams], Comparison] = Memo(most_bytes=_BESIDE_BYTES)
         self._truths: Memo[int, Mapping[str, object]] = Memo(most_bytes=_BESIDE_BYTES, weigh=_weight)
@@ -118,11 +120,19 @@ class Evaluator:
         self._graph = translation.graph(like=self._graph)
         self._graph.evaluate(wanted, inputs, session.params_for(translation.methods), report, on_stage)
         metrics = self._drawing.figures(translation, results, index, facts)
+        self._tidy(results)
         return FrameShown(
             index=index, settings=replace(session, target=translation.target.name).settings, frame=read.frame,
             results=results, metrics=metrics,
             summary=summary_of(results, metrics, translation) if set(results) == set(translation.slots) else None,
         )  # fmt: skip
+
+    def _tidy(self, results: Mapping[str, StageResult]) -> None:
+        """Give memory back every so many frames that were worked out, none of which is the one on its way."""
+        self._anew += any(result.state == "computed" for result in results.values())
+        if self._anew >= _TRIMMED_AFTER:
+            self._anew = 0
+            give_back()
 
     def at(self, session: Session, report: Report) -> tuple[Translation, int]:
         """What a session opens, moved by its offsets, and which of its frames it means; raises TouchError."""
@@ -207,6 +217,19 @@ class Evaluator:
     def _forget_beside(self) -> None:
         self._comparisons.clear()
         self._truths.clear()
+
+    def let_go(self) -> None:
+        """Forget what only this one remembers; what it shares with others stays."""
+        self._aside.cache.clear()
+        self._drawing = Drawing(*self._drawn_bytes)
+        self._forget_beside()
+
+    @property
+    def weights_in_use(self) -> frozenset[str]:
+        """The contents of the weights that the open translation's methods read."""
+        opened = self._translation
+        read = () if opened is None else opened.weights
+        return frozenset(weights.content for weights in read if isinstance(weights, Weights))
 
     def close(self) -> None:
         """Let go of the recording's file."""

@@ -9,7 +9,7 @@ import functools
 import math
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Container, Hashable
 from dataclasses import fields, is_dataclass
 from typing import Any, Generic, ParamSpec, TypeVar, cast
 
@@ -91,6 +91,12 @@ class Memo(Generic[K, V]):
         finally:
             with self._lock:
                 self._making.pop(key).set()
+
+    def keep_only(self, keys: Container[K]) -> None:
+        """Forget all others."""
+        with self._lock:
+            for key in [key for key in self._kept if key not in keys]:
+                self._n_bytes -= self._kept.pop(key)[1]
 
     def clear(self) -> None:
         """Forget everything."""

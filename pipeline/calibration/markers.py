@@ -90,7 +90,7 @@ def without_markers(change: Floats, image: NDArray[Any], printed: Mask, markers:
     return inpainted(change, printed | marker_mask(image, markers, pixel_mm), _reach_px(markers, pixel_mm))
 
 
-_unprinted: Memo[tuple[str, Markers, float], tuple[Mask, Floats]] = Memo(4)
+_unprinted: Memo[tuple[str, Markers, float], tuple[Mask, Floats]] = Memo(4, most_bytes=4 * 1024 * 1024)
 
 
 def _without(still: NDArray[Any], markers: Markers, pixel_mm: float) -> tuple[Mask, Floats]:

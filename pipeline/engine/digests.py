@@ -22,7 +22,7 @@ UNDIGESTED: Mapping[str, bool] = MappingProxyType({"digest": False})
 """Metadata of a field that is kept to be looked at (states for scrubbing): it is no part of the value's digest."""
 
 _WORTH_KEEPING = 4096  # bytes; a smaller array is read sooner than looked up
-_MOST_BYTES = 8 * 1024 * 1024  # held by a memo of digests: what is asked for each frame, not the frames of a recording
+_MOST_BYTES = 4 * 1024 * 1024  # held by a memo of digests: what is asked for each frame, not the frames of a recording
 _arrays: Memo[int, tuple[NDArray[Any], bytes]] = Memo(256, most_bytes=_MOST_BYTES)
 
 

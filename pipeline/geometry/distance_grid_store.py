@@ -14,7 +14,8 @@ from pipeline.geometry.distance_grid import DistanceGrid, built
 from pipeline.geometry.meshes import Mesh
 
 _CODE = tuple(f"pipeline.geometry.distance_{part}" for part in ("grid", "grid_kernels", "build_kernels"))
-_grids: Memo[str, DistanceGrid] = Memo(4)
+_MOST_BYTES = 24 * 1024 * 1024  # two or three objects; another is read from the user's cache
+_grids: Memo[str, DistanceGrid] = Memo(4, most_bytes=_MOST_BYTES)
 
 
 def distance_grid(mesh: Mesh, progress: Progress = SILENT, folder: Path | None = None) -> DistanceGrid:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from typing import TYPE_CHECKING, Any
 
 from pipeline.base.errors import ModelMissing
@@ -63,6 +63,12 @@ def ready(weights: Weights | NoWeights) -> Callable[..., Any]:
     if isinstance(weights, NoWeights) or weights.kind not in LIGHT:
         return network(weights)
     return _light.of(weights.content, lambda: _light_of(weights))
+
+
+def let_go(besides: Container[str] = ()) -> None:
+    """Keep no network ready but those of weights with these contents; another is built when it is asked for."""
+    _ready.keep_only(besides)
+    _light.keep_only(besides)
 
 
 def _light_of(weights: Weights) -> Callable[..., Any]:

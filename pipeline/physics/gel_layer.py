@@ -42,7 +42,7 @@ class Layer:
         return _filtered(displacement_mm, self.inverse, self.repeated)
 
 
-@remembered(24)
+@remembered(24, most_bytes=8 * 1024 * 1024)
 def layer(gel: Gel, pixel_mm: float, shape: tuple[int, int]) -> Layer:
     """The pad's answer over a grid of `shape`; the last few are kept."""
     # Pixels hear each other over n - 1 steps; in a thin layer no farther than the reach of its kernel.

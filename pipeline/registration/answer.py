@@ -9,6 +9,7 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.doubts import Doubt
+from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry import rigid
 from pipeline.geometry.screws import SLIDE, told
 from pipeline.registration.observability import Observability
@@ -18,6 +19,7 @@ from pipeline.registration.search import SAME_DEG, SAME_MM, Minimum, Search
 
 OUTLINE_ONLY = "seen only by the outline of the contact"
 _ONE_PLACE = 0.1  # of the way a turn carries the contact's middle: so short a shift is not worth a word
+_OPEN = "looking for what the touch leaves open"
 _DOUBTFUL = 0.5  # share of the contact on the object
 
 
@@ -31,16 +33,18 @@ class Answered:
     notes: tuple[str, ...]
 
 
-def answered(search: Search, found: Sequence[Minimum]) -> Answered | None:
-    """The first of the minima found, which are in order; None where there are none."""
+def answered(search: Search, found: Sequence[Minimum], progress: Progress = SILENT) -> Answered | None:
+    """The first of the minima found, which are in order; None where there are none. Can be stopped by `progress`."""
     if not found:
         return None
+    progress.step(1.0, _OPEN)
     first = found[0].fit.sensor_from_object
     known = search.determined(first)
     known = replace(known, covariance=search.match(first).covariance(search.middle_mm, known))
+    progress.step(1.0, _OPEN)
     shown = _shown(search, first, known)
     unseen = known.weak_motions[[not s for s in shown]]
-    others = search.equals(first, [m.fit.sensor_from_object for m in found[1:]], unseen)
+    others = search.equals(first, [m.fit.sensor_from_object for m in found[1:]], unseen, progress)
     chosen = _in_the_middle(search, found[0], unseen, search.fine())
     notes = tuple(
         f"{words}: {OUTLINE_ONLY}" if seen else Doubt(f"{words}: {_kept(words)}")

@@ -16,7 +16,8 @@ from pipeline.geometry.meshes import Mesh
 from pipeline.registration.model import Model, sampled
 
 N_MODEL = 30_000  # points on the whole object
-_objects: Memo[str, Prepared] = Memo(4)
+_MOST_BYTES = 24 * 1024 * 1024  # two or three objects, their grids counted
+_objects: Memo[str, Prepared] = Memo(4, most_bytes=_MOST_BYTES)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

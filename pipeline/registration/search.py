@@ -160,7 +160,9 @@ class Search:
         """Largest rms distance that the error of the depth makes up."""
         return _FAR * math.hypot(self.scene.noise_mm, self.scene.error.rms_mm, LEAST_SPREAD_MM)
 
-    def equals(self, first: Doubles, found: Sequence[Doubles], free: Doubles) -> list[Doubles]:
+    def equals(
+        self, first: Doubles, found: Sequence[Doubles], free: Doubles, progress: Progress = SILENT
+    ) -> list[Doubles]:
         """Poses that the touch does not tell from the `first`: of those found, turned over, and by what joins them.
 
         Poses that only the motions `free` (k, 6) lie between count as one.
@@ -173,6 +175,7 @@ class Search:
         for _round in range(_ROUNDS):
             n_before = len(equal)
             for turned in (tried[k] for k in np.flatnonzero(rough.misfit_mm(tried) <= limit_mm)):
+                progress.step(1.0, "comparing poses that fit as well")
                 pose = turned
                 new = len(equal) < _MOST_EQUAL and all(self.differ(pose, other, free) for other in (first, *equal))
                 if new and fine.tells_apart(first, pose):

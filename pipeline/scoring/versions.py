@@ -20,7 +20,7 @@ from pipeline.translation.translate import Translation
 from pipeline.values.results import DepthMap, Touch
 
 SLOT = "touch"
-_CACHE_BYTES = 160 * 1024 * 1024  # a frame or two by every method
+_CACHE_BYTES = 64 * 1024 * 1024  # a dozen frames by every method
 _MOST_TIMES = 4096
 
 
@@ -53,6 +53,11 @@ class Kept:
     graph: Graph = field(default_factory=lambda: Graph((), cache=Cache(_CACHE_BYTES)))
     ms: Memo[tuple[str, str], float] = field(default_factory=lambda: Memo(_MOST_TIMES))
     warm: set[str] = field(default_factory=set[str])  # methods by network whose libraries and weights are loaded
+
+    def let_go(self) -> None:
+        """Forget what was worked out, and of networks that they were loaded; times are known on."""
+        self.graph.cache.clear()
+        self.warm.clear()
 
 
 def able(translation: Translation) -> Able:

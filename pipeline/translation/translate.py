@@ -112,6 +112,11 @@ class Translation:
             **self._weights(),
         }
 
+    @property
+    def weights(self) -> tuple[object, ...]:
+        """Of all methods by network, each `Weights`, or why there are none."""
+        return tuple(self._weights().values())
+
     def _weights(self) -> dict[str, object]:
         """What the methods by network read: the weights of the request's files, or else those that come along."""
         learned, given = [m for m in self.methods if m.weights is not None], dict(self.request.weights)

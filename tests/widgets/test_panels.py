@@ -5,10 +5,12 @@ from __future__ import annotations
 import logging
 
 import numpy as np
+import pytest
 from PyQt6.QtWidgets import QApplication, QComboBox, QLabel, QPushButton
 
 from pipeline.values.results import PoseStep, TouchStep
 from widgets.banner import Banner
+from widgets.colours import hexed, inks
 from widgets.frames_model import FrameSummary
 from widgets.frames_panel import FramesPanel
 from widgets.log_panel import LogPanel
@@ -78,6 +80,14 @@ def test_the_trace_reads_like_a_sentence(qtbot):
     assert panel.text == "(1, 2) → 0.8 mm"
     panel.show_steps([])
     assert panel.text == ""
+
+
+@pytest.mark.parametrize("waits", [False, True])
+def test_a_trace_that_only_waits_is_no_alarm(qtbot, waits):
+    panel = TracePanel()
+    qtbot.addWidget(panel)
+    panel.show_steps([("depth", "(1, 2)")], ending="so far", waits=waits)
+    assert (hexed(inks(panel.palette()).alarm) in panel.findChild(QLabel).text()) != waits
 
 
 def test_the_log_is_filtered_by_level_and_keeps_what_is_hidden(qtbot):

@@ -100,7 +100,9 @@ def read(
         here = (window.rows, window.cols)
         notes += _doubts(image[here], source, window)
         progress.step(0.2, "integrating slopes")
-        surface, light = _surface(image, still, window, source, calibration, smoothing_px, boundary, rounds, light)
+        surface, light = _surface(
+            image, still, window, source, calibration, smoothing_px, boundary, rounds, light, progress
+        )  # fmt: skip
         surface, inside = _settled(surface, window, source, pixel_mm)
         pressed = inside | contact.touched(
             surface, least_mm=least_mm, pressure_share=pressure_share, smoothing_px=_PRESSURE_BLUR_PX
@@ -146,11 +148,16 @@ def untouched_notes(image: Image, reference: Image, no_touch_grey: float) -> tup
 def _surface(
     image: Image, still: Still, window: Window, source: SensorSpec, calibration: Calibration,
     smoothing_px: float, boundary: Boundary, rounds: int, light: own_light.Told | None,
+    progress: Progress,
 ) -> tuple[Floats, own_light.Told | None]:  # fmt: skip
-    """The surface of the window in mm, its rest still to be found, and the light that it was read by."""
+    """The surface of the window in mm, its rest still to be found, and the light that it was read by.
+
+    It can be stopped at every round.
+    """
     here, pixel_mm = (window.rows, window.cols), calibration.pixel_mm
 
     def integrated(gx: Floats, gy: Floats) -> Floats:
+        progress.step(0.6, "integrating slopes")
         return _integrated(gx, gy, window, pixel_mm, boundary, image.shape)
 
     if not gel_light.applies(source, calibration):
@@ -163,6 +170,7 @@ def _surface(
     small = gel_light.coarser(picture, image.shape)
 
     def roughly(gx: Floats, gy: Floats) -> Floats:
+        progress.step(0.4, "integrating slopes")
         return _integrated(gx, gy, replace(window, moved=small.moved), small.pixel_mm, boundary, image.shape)
 
     guess = roughly(*_finite(*gel_light.rough_slopes(small, calibration), source))

@@ -106,7 +106,7 @@ def pose_from(
     search, checked = ready
     found = search.followed([rigid.checked(start, "the previous pose") for start in (previous, *others)])
     if found:
-        told = _told(search, checked, found, 0, ("followed from the touch before",), previous)
+        told = _told(search, checked, found, 0, ("followed from the touch before",), previous, progress)
         return replace(told, steps=search.way_to(np.array([previous, *others]), told.steps))
     return _searched(search, checked, params, progress, previous)
 
@@ -208,22 +208,28 @@ def _searched(
         more = search.best(search.promising(edges), Share(progress, 0.75, 0.25))
         firsts = np.concatenate([firsts, edges])
         tried, found = [*tried, *further], sorted([*found, *more], key=lambda m: m.misfit_mm)
-    told = _told(search, mesh, found, len(tried), (), near)
+    told = _told(search, mesh, found, len(tried), (), near, progress)
     return replace(told, steps=search.way_to(firsts, told.steps))
 
 
 def _told(
-    search: Search, mesh: Mesh, found: list[Minimum], n_tried: int, notes: tuple[str, ...], near: Doubles | None
+    search: Search,
+    mesh: Mesh,
+    found: list[Minimum],
+    n_tried: int,
+    notes: tuple[str, ...],
+    near: Doubles | None,
+    progress: Progress,
 ) -> ObjectPose:
     """The best of the minima, the others that fit as well, and what is not known; of equals, the one `near` a pose."""
-    best = answered(search, found)
+    best = answered(search, found, progress)
     if best is None or best.minimum.fit.fitness < _MIN_FITNESS:
         return _unknown(_not_laid(mesh), search.scene)
     if near is not None and best.alternatives:
         equal = (best.minimum.fit.sensor_from_object, *best.alternatives)
         nearest = min(equal, key=lambda pose: search.between_mm(near, pose))
         other = None if nearest is equal[0] else search.polished(nearest, dense=True)
-        best = (answered(search, [other, *found]) if other is not None else None) or best
+        best = (answered(search, [other, *found], progress) if other is not None else None) or best
     return _pose_of(search, best, n_tried, notes)
 
 

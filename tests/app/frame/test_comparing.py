@@ -10,7 +10,7 @@ from PyQt6.QtCore import QPointF
 from app.frame.comparing import Comparing
 from app.frame.tour import wait_until_shown
 from app.session.sample import SAMPLE
-from pipeline.networks import shelf
+from pipeline.networks import building, shelf
 from pipeline.scoring.side_by_side import ordered
 from pipeline.scoring.versions import Version
 from pipeline.stages.generate.slot import PHYSICS, VQVAE
@@ -61,6 +61,26 @@ def test_every_way_stands_beside_the_truth_worst_first(compared, qtbot):
 def test_the_copied_command_makes_the_same_pictures_and_figures(compared, tmp_path, monkeypatch):
     instrument, _ = compared
     same_as_typed(instrument, tmp_path, monkeypatch)
+
+
+def test_who_goes_elsewhere_for_long_leaves_no_answers_and_no_networks_behind(compared, qtbot):
+    instrument, comparing = compared
+    tiles, ready = _tiles(instrument), building._ready  # pyright: ignore[reportPrivateUsage]
+    kept = comparing._kept.graph.cache
+    assert kept.n_bytes
+    assert len(ready)
+    comparing.let_memory_go()
+    assert kept.n_bytes, "somebody looks"
+    instrument.window.actions_by_name["layout_stages"].trigger()
+    assert wait_until_shown(instrument, LIMIT_S)
+    qtbot.waitUntil(lambda: not comparing.busy, timeout=LIMIT_MS)
+    assert comparing._away.isActive()
+    comparing.let_memory_go()
+    assert (kept.n_bytes, len(ready)) == (0, 0)
+    instrument.window.actions_by_name["layout_compare"].trigger()
+    _settled(qtbot, instrument, comparing, tiles)
+    assert not comparing._away.isActive()
+    assert [tile.title for tile in _tiles(instrument)] == [tile.title for tile in tiles]
 
 
 def test_one_key_shows_the_difference_and_all_look_at_one_place(compared):

@@ -51,6 +51,18 @@ def test_a_draft_looks_for_no_light_where_the_whole_answer_has_found_one(frame, 
     assert (looked, read) == ([], ["even"])
 
 
+def test_a_picture_that_is_read_can_be_stopped_at_every_round(frame):
+    told = []
+
+    class Told:
+        def step(self, fraction, text):
+            told.append(fraction)
+
+    stage.depth(frame, sensor("gelslim"), None, stage.DepthParams(), Told())
+    assert len(told) > gel_light.ROUNDS + 4
+    assert told == sorted(told)
+
+
 def test_a_small_picture_is_read_whole():
     assert coarse.fewer((160, 214)) == 1
     assert coarse.fewer((1280, 1708)) == 8

@@ -199,10 +199,11 @@ def test_a_mesh_without_surface_and_an_unknown_face_are_refused():
         pose(touch, slab().mesh, PoseParams(face="up"))
 
 
-def test_a_pose_nobody_wants_any_more_is_cancelled():
+@pytest.mark.parametrize("doing", ["registering", "refining", "leaves open", "fit as well"])
+def test_a_pose_nobody_wants_any_more_is_cancelled(doing):
     class Impatient:
         def step(self, fraction, text):
-            if fraction > 0.2:
+            if doing in text:
                 raise Cancelled
 
     with pytest.raises(Cancelled):
