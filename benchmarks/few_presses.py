@@ -3,8 +3,7 @@
     python benchmarks/few_presses.py [DATA_FOLDER]
 
 Ten draws of each number. A draw's error is the median over the presses judged; the worst draw is held to the bar. The
-Mini's presses of one ball are drawn from and the other's are judged; of the GelSlim's one ball, those not drawn; every
-second of them, but for no calibration and all presses.
+Mini's presses of one ball are drawn from and the other's are judged; of the GelSlim's one ball, those not drawn.
 "Expected" is what the calibration says of itself before anything is judged. A draw is worse than none where its error
 exceeds that of the same presses read without a calibration by more than 2 points: errors scatter by 7 points, so that
 the median of twenty of them has a standard error of 1.25 x 7 / sqrt(20) = 2, whichever presses are judged.
@@ -151,7 +150,6 @@ def _of_number(ball: _Ball, judged: _Ball, n: int) -> Iterator[tuple[object, str
         look_up = ball.calibrated(drawn)
         ms.append(1e3 * (time.perf_counter() - started))
         others = [i for i in range(len(judged.pictures)) if judged is not ball or i not in drawn]
-        others = others[:: 2 if n < len(ball.pictures) else 1]
         mine = np.abs(judged.errors(others, look_up))
         errors.append(100 * np.median(mine))
         nones.append(100 * np.median(without[others]))
