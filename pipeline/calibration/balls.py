@@ -97,7 +97,7 @@ def _origin(used: int, given: int, diameter_mm: float, best: int, *, narrow: boo
     if best == 0 and narrow:
         return f"the built-in look-up: {presses} lie in less than half of the picture, press elsewhere too"
     if best == 0:
-        return f"the built-in look-up, which {presses} did not better"
+        return f"the built-in look-up, which {presses} did not surely better"
     return f"{presses} correct the built-in look-up"
 
 

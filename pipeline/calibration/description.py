@@ -5,7 +5,7 @@ from __future__ import annotations
 from pipeline.base.doubts import Doubt
 from pipeline.calibration.lookup import Calibration
 
-HOW = "press a ball in four places or more and run 'tactoscope calibrate balls'"
+HOW = "press a ball in sixteen places all over the picture and run 'tactoscope calibrate balls'"
 UNCALIBRATED = "uncalibrated look-up"
 UNCALIBRATED_NOTE = Doubt(f"{UNCALIBRATED}: a real unit's sizes and depths may be wrong by half; {HOW}")
 
@@ -19,7 +19,7 @@ def note(calibration: Calibration) -> str:
     worth = "" if error is None else f"a ball's diameter within {100 * error.diameter_share:.0f} %"
     if calibration.kept_built_in:
         told = f"; {worth}" if worth else ""
-        return Doubt(f"{UNCALIBRATED}: {n_used} presses did not better it{told}; {HOW}, with other pictures")
+        return Doubt(f"{UNCALIBRATED}: {n_used} presses did not surely better it{told}; {HOW}, with other pictures")
     return f"{worth}{': ' if worth else ''}look-up from {n_used} presses of a ball"
 
 

@@ -87,7 +87,7 @@ def test_presses_that_tell_nothing_leave_the_built_in_look_up(monkeypatch):
     assert found.kept_built_in
     assert found.is_built_in
     assert found.model is true
-    assert "did not better" in found.origin
+    assert "did not surely better" in found.origin
 
 
 def test_a_sphere_seen_too_flat_is_said_to_be_too_large():

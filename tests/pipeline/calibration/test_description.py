@@ -27,7 +27,7 @@ def test_a_look_up_without_presses_is_called_uncalibrated_and_what_to_do_is_said
 def test_a_look_up_that_presses_did_not_better_is_called_uncalibrated(look_up):
     note = description.note(replace(look_up, presses=(PRESS,), kept_built_in=True, expected=ERROR))
     assert note.startswith("uncalibrated look-up")
-    assert "did not better" in note
+    assert "did not surely better" in note
 
 
 def test_a_calibrated_look_up_says_what_error_to_expect_and_on_what_that_rests(look_up):
