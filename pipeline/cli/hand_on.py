@@ -19,7 +19,9 @@ from pipeline.translation.translate import Request
 def write_export(asked: Asked) -> int:
     """Write one file; returns 0."""
     with stoppable() as work:
-        export(asked, work)
+        replaced = export(asked, work)
+    for told in replaced:
+        print_line(f"another method answered: {told}")
     print_line(f"{asked.pane} written to {os.fspath(asked.path)}")
     return 0
 

@@ -121,7 +121,7 @@ def translate_frames(
     for note in translation.notes:
         console.print(plain(f"note: {note}"), style="dim", highlight=False, markup=False, emoji=False, soft_wrap=True)
     show_table(reports)
-    for told in doubtful_lines(reports):
+    for told in (*replaced_lines(reports), *doubtful_lines(reports)):
         print_line(told)
     if n_kept and not scheduler:
         print_line(f"{n_kept} of them were finished by an earlier run and are kept as they are")
@@ -146,17 +146,25 @@ def show_table(reports: Sequence[FrameReport]) -> None:
     Console().print(table)
 
 
+def replaced_lines(reports: Sequence[FrameReport]) -> list[str]:
+    """Every slot that another method filled than the one asked for, and why."""
+    found = {f"{name}: {result.instead}" for one in reports for name, result in one.results.items() if result.instead}
+    return [f"another method answered: {told}" for told in sorted(found)]
+
+
 def doubtful_lines(reports: Sequence[FrameReport]) -> list[str]:
-    """Every doubt once, without what differs from frame to frame, and the frames that it is about."""
-    frames: dict[tuple[str, str], list[int]] = {}
+    """Every doubt once, at the first slot that has it, without what differs from frame to frame, and its frames."""
+    slots: dict[str, str] = {}
+    frames: dict[str, dict[int, None]] = {}
     for one in reports:
         for name, result in one.results.items():
             for doubt in result.doubts:
                 kind = re.sub(r"[\d.,]*\d", "N", doubt) if len(reports) > 1 else doubt
-                frames.setdefault((name, kind), []).append(one.index)
+                slots.setdefault(kind, name)
+                frames.setdefault(kind, {})[one.index] = None
     return [
-        f"doubtful: {name}: {kind}" + (f" ({_listed(at)})" if len(reports) > 1 else "")
-        for (name, kind), at in frames.items()
+        f"doubtful: {slots[kind]}: {kind}" + (f" ({_listed(list(at))})" if len(reports) > 1 else "")
+        for kind, at in frames.items()
     ]
 
 

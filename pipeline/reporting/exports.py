@@ -40,8 +40,11 @@ _UNDATED: Mapping[str, Mapping[str, None]] = {  # the same content gives the sam
 }  # fmt: skip
 
 
-def export(asked: Asked, progress: Progress = SILENT) -> None:
-    """Write what is asked for, whole or not at all; raises TouchError."""
+def export(asked: Asked, progress: Progress = SILENT) -> tuple[str, ...]:
+    """Write what is asked for, whole or not at all; why slots were not filled by the method asked for, if any were.
+
+    Raises TouchError.
+    """
     write = _WRITERS.get(asked.path.suffix.lower())
     if write is None:
         raise FileProblem(f"nothing is written as this kind of file; known are {', '.join(_WRITERS)}", asked.path)
@@ -50,7 +53,9 @@ def export(asked: Asked, progress: Progress = SILENT) -> None:
         if asked.pane not in (SHEET, SOURCE, *translation.slots):
             known = ", ".join((SHEET, SOURCE, *translation.slots))
             raise SettingProblem(f"no pane {asked.pane!r} on this route; there are {known}")
-        write(_Work(asked, translation, progress))
+        work = _Work(asked, translation, progress)
+        write(work)
+    return tuple(sorted(work.replaced))
 
 
 class _Work:
@@ -59,6 +64,7 @@ class _Work:
     def __init__(self, asked: Asked, translation: Translation, progress: Progress) -> None:
         self.asked, self.translation, self.progress = asked, translation, progress
         self.params, self.display = asked.params(translation.methods), asked.display
+        self.replaced: set[str] = set()
         self._graph = translation.graph(like=Graph((), cache=Cache(_CACHE_BYTES)))
 
     @property
@@ -76,7 +82,9 @@ class _Work:
         inputs = self.translation.inputs(index)
         frame = inputs["frame"]
         assert isinstance(frame, TactileFrame)
-        return frame, self._graph.evaluate(slots, inputs, self.params, self.progress) if slots else {}
+        results = self._graph.evaluate(slots, inputs, self.params, self.progress) if slots else {}
+        self.replaced |= {f"{name}: {result.instead}" for name, result in results.items() if result.instead}
+        return frame, results
 
     def drawn(self, index: int) -> Figure:
         """The sheet or the pane of a frame."""

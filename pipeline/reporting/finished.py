@@ -65,7 +65,8 @@ def finished(out: Path, index: int, key: str) -> Finished | None:
 def _report(told: Mapping[str, Any]) -> FrameReport:
     results = {
         s["name"]: StageResult(name=s["name"], method=None, output=None, state=s["state"], ms=s["ms"],
-                               notes=tuple(Doubt(n) if n in s["doubts"] else n for n in s["notes"]), digest="")
+                               notes=tuple(Doubt(n) if n in s["doubts"] else n for n in s["notes"]), digest="",
+                               instead=s["instead"])
         for s in told["stages"]
     }  # fmt: skip
     metrics = {name: float("nan") if value is None else float(value) for name, value in told["metrics"].items()}

@@ -151,13 +151,13 @@ def recorded(
 def worth_told(found: DepthMap, frame: TactileFrame, source: SensorSpec, calibration: Calibration | None) -> DepthMap:
     """A gel's answer, with what its look-up is worth as the first note."""
     worth = description.UNCALIBRATED_NOTE if calibration is None else description.note(calibration)
-    described = calibration is None or calibration.is_built_in
-    odd = _odd(frame, source) if described else ()
-    return replace(found, notes=(worth, *odd, *found.notes))
+    return replace(found, notes=(worth, *odd(frame, source, calibration), *found.notes))
 
 
-def _odd(frame: TactileFrame, source: SensorSpec) -> tuple[str, ...]:
-    """What speaks against the untouched picture, where the look-up rests on the described lights."""
+def odd(frame: TactileFrame, source: SensorSpec, calibration: Calibration | None) -> tuple[str, ...]:
+    """What speaks against a gel's untouched picture, where its look-up rests on the described lights."""
+    if frame.is_depth or frame.reference is None or not (calibration is None or calibration.is_built_in):
+        return ()
     seen_by = source if frame.camera is None else source.seen_through(frame.camera)
     told = compared(cast("Image", frame.reference), seen_by).odd
     doubt = Doubt(f"the untouched picture is not as {source.name} takes it: {told}; depth and contact may be all wrong")

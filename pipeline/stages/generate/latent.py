@@ -112,7 +112,8 @@ def generate(
         made = _unbiased(made, net.made, net.true)
     if net.half_turn:
         made = made[:, ::-1, ::-1]
-    return touch_of(target, unsquared(np.ascontiguousarray(made), target.camera.shape), (NOTE, *notes))
+    notes = (*depth.odd(frame, source, calibration), NOTE, *notes)
+    return touch_of(target, unsquared(np.ascontiguousarray(made), target.camera.shape), notes)
 
 
 def sampled(

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from pipeline.base.arrays import Floats
+from pipeline.base.doubts import doubts
 from pipeline.base.errors import ShapeError
 from pipeline.base.memo import Memo
 from pipeline.base.progress import SILENT, Progress, Share
@@ -83,15 +84,20 @@ def generate(
     found = sampled(network, condition(frame, source, alignment, target), params, asked)
     membrane = physical.membrane
     if not careful or membrane is None or not membrane.contact.any():
-        return corrected(rest, target, found, seed)
-    found, doubts = against(found, membrane), cast("tuple[float, float]", network.doubts)
+        return _doubted(corrected(rest, target, found, seed), frame, source, calibration)
+    found, expected = against(found, membrane), cast("tuple[float, float]", network.doubts)
     times = contradiction(found, membrane.contact & physical.known)
     if times > _CONTRADICTED:
         note = (
             f"the network is {times:.0f} times farther than it expects from what was felt: the physical render answers"
         )
         return replace(physical, notes=(*physical.notes, note))
-    return corrected(physical, target, held_back(found, physical.known, params.caution, doubts), seed)
+    return corrected(physical, target, held_back(found, physical.known, params.caution, expected), seed)
+
+
+def _doubted(touch: Touch, frame: TactileFrame, source: SensorSpec, calibration: Calibration | None) -> Touch:
+    """A touch that no depth lies behind, with what speaks against the source's picture."""
+    return replace(touch, notes=(*depth.odd(frame, source, calibration), *touch.notes))
 
 
 def _physical(*reads: Any) -> Touch:
@@ -134,12 +140,13 @@ def by_physics(
     exact = depth.untouched(frame, source, calibration, plain)
     if exact is not None:
         return Skipped(output=stage.at_rest(target), why=stage.NO_CONTACT)
-    felt = depth.depth(frame, source, calibration, plain, Share(progress, 0.0, 0.5))
+    felt = depth.recorded(frame, source, calibration, plain, Share(progress, 0.0, 0.5))
     cloud = adaptation.without_contact(felt, alignment, adaptation.AdaptParams())
     if cloud is None:
         cloud = adaptation.adapt(felt, alignment, adaptation.AdaptParams())
     view = projection.project(cloud, target, projection.ProjectParams())
-    return stage.generate(view, target, params, Share(progress, 0.6, 0.4))
+    made = stage.generate(view, target, params, Share(progress, 0.6, 0.4))
+    return replace(made, notes=(*doubts((*felt.notes, *view.notes)), *made.notes))
 
 
 BY_PHYSICS = Method(

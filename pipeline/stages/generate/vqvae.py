@@ -68,7 +68,8 @@ def generate(
     if getattr(network, "half_turn", False):
         made = made[:, ::-1, ::-1]
     progress.step(1.0, "generated")
-    return touch_of(target, unsquared(np.ascontiguousarray(made), target.camera.shape), (NOTE,))
+    notes = (*depth.odd(frame, source, calibration), NOTE)
+    return touch_of(target, unsquared(np.ascontiguousarray(made), target.camera.shape), notes)
 
 
 def _answer(network: nn.Module, shown: Any) -> Any:

@@ -55,6 +55,13 @@ def test_a_second_run_does_nothing_again_and_says_so(typed, tmp_path):
     assert frames(tmp_path / "out") == told
 
 
+def test_a_method_in_whose_place_another_answered_is_named_then_and_when_it_is_kept(typed):
+    for _ in range(2):
+        _, out, _ = typed("--frame", "1", "--method", "depth=depth_anything")
+        assert "another method answered: depth: Depth Anything V2 does not come along" in " ".join(out.split())
+        assert out.count("doubtful: depth: uncalibrated look-up") == 1
+
+
 def test_a_run_that_was_cut_off_goes_on_where_it_was(typed, tmp_path, monkeypatch):
     whole, written = translate.write_frame, []
 

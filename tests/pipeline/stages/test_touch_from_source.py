@@ -76,6 +76,15 @@ def test_without_weights_the_physical_chain_answers_and_says_so(touched):
     assert np.array_equal(found.output.image, direct.image)
 
 
+def test_what_speaks_against_the_source_speaks_against_a_touch_that_no_depth_stands_before(touched):
+    swapped = replace(touched, image=touched.image[:, :, ::-1], reference=touched.reference[:, :, ::-1])
+    weights = weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8)
+    for frame, said in ((touched, False), (swapped, True)):
+        for given in (weights, NoWeights(why="none come along")):
+            assert any("red and blue look swapped" in doubt for doubt in run(frame, given)["touch"].doubts) is said
+    assert any("uncalibrated" in doubt for doubt in run(touched, NoWeights(why="none come along"))["touch"].doubts)
+
+
 def test_an_untouched_frame_costs_no_look_of_the_network(touched, monkeypatch):
     still = replace(touched, image=touched.reference)
     weights = weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8)
