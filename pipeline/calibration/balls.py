@@ -18,7 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.base.arrays import Image
+from pipeline.base.arrays import Doubles, Image
 from pipeline.base.errors import CalibrationError, ShapeError
 from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration import near_lamps, units
@@ -28,6 +28,7 @@ from pipeline.calibration.contact_circles import Circle, contact_circle
 from pipeline.calibration.corrections import (
     Presses,
     Read,
+    at_most_unseen,
     betters,
     chosen,
     corrections,
@@ -76,7 +77,8 @@ def calibrate_balls(
     models, fields = corrections(known, polynomials=enough_for_polynomials(len(known.presses)))
     best = chosen(held)
     worth = expected(models[best], fields, known, held, best)
-    without = None if read is None else without_any(known, read)
+    as_read = None if read is None else without_any(known, read)
+    without = None if as_read is None else at_most_unseen(as_read)
     narrow = coverage(known) < _FEWEST_COVERED
     seen = np.zeros(0) if held is None else held.diameter[:, best]
     if without is not None and (narrow or not best or not betters(worth.diameter_share, without, seen)):
@@ -88,8 +90,14 @@ def calibrate_balls(
         residual=float(np.sqrt(np.mean([slope_error(model, inside(p, known.ball)) ** 2 for p in known.presses]))),
         origin=_origin(len(known.presses), len(images), diameter_mm, best, narrow=narrow), kept_built_in=best == 0,
         still=units.small(reference),
-        presses=_report(len(images), known, model), expected=worth,
+        presses=_report(len(images), known, model), expected=worth, read_as=_middle(as_read),
     )  # fmt: skip
+
+
+def _middle(errors: Doubles | None) -> float | None:
+    """The diameter read over the true one, of errors as shares of which some may be unknown."""
+    seen = np.zeros(0) if errors is None else errors[np.isfinite(errors)]
+    return 1.0 + float(np.median(seen)) if seen.size else None
 
 
 def _origin(used: int, given: int, diameter_mm: float, best: int, *, narrow: bool) -> str:

@@ -138,9 +138,13 @@ def chosen(held: Held | None) -> int:
 
 
 def without_any(known: Presses, read: Read) -> Doubles:
-    """Diameter errors, as shares, of what is read of the presses without a calibration."""
-    found = [diameter_of(inside_of(p, *read(p.index)), inside(p, known.ball)) for p in known.presses]
-    return np.minimum(np.nan_to_num(found, nan=_UNSEEN), _UNSEEN)
+    """Diameter errors, as shares, of what is read of the presses without a calibration; NaN = no ball is seen."""
+    return np.array([diameter_of(inside_of(p, *read(p.index)), inside(p, known.ball)) for p in known.presses])
+
+
+def at_most_unseen(errors: Doubles) -> Doubles:
+    """Diameter errors, none worse than that of a ball that is not seen."""
+    return np.asarray(np.minimum(np.nan_to_num(errors, nan=_UNSEEN), _UNSEEN), np.float64)
 
 
 def betters(share: float, without: Doubles, held: Doubles) -> bool:

@@ -7,6 +7,7 @@ from pipeline.calibration.lookup import Calibration
 
 HOW = "press a ball in sixteen places all over the picture and run 'tactoscope calibrate balls'"
 UNCALIBRATED = "uncalibrated look-up"
+_ODD = 1.6  # times: the presses read by the described lights as a ball so much larger or smaller than was said
 UNCALIBRATED_NOTE = Doubt(f"{UNCALIBRATED}: a real unit's sizes and depths may be wrong by half; {HOW}")
 
 
@@ -14,6 +15,8 @@ def note(calibration: Calibration) -> str:
     """One sentence on the sizes and depths that come from this look-up."""
     if not calibration.presses:
         return UNCALIBRATED_NOTE
+    if odd_size(calibration):
+        return Doubt(odd_size(calibration))
     n_used = sum(p.used for p in calibration.presses)
     error = calibration.expected
     worth = "" if error is None else f"a ball's diameter within {100 * error.diameter_share:.0f} %"
@@ -23,6 +26,15 @@ def note(calibration: Calibration) -> str:
     return f"{worth}{': ' if worth else ''}look-up from {n_used} presses of a ball"
 
 
+def odd_size(calibration: Calibration) -> str:
+    """What speaks against the ball's size that was given; "" = nothing does."""
+    share = calibration.read_as
+    if share is None or 1.0 / _ODD < share < _ODD:
+        return ""
+    return (f"the presses of this calibration look like those of a ball of {share:.2g} times the diameter that was "
+            "given: is it the radius that was, or another width of a pixel?")  # fmt: skip
+
+
 def lines(calibration: Calibration) -> list[str]:
     """The look-up as lines for a terminal."""
     size = f"{calibration.cols} x {calibration.rows} px of {calibration.pixel_mm:.4f} mm"
@@ -30,7 +42,8 @@ def lines(calibration: Calibration) -> list[str]:
     out = [f"calibration of {calibration.sensor}, {size}", f"  look-up: {calibration.origin}"]
     if used:
         out.append(f"  slope residual {calibration.residual:.3f} mm/mm over {len(used)} presses")
-    return [*out, f"  {expectation(calibration)}"]
+    odd = odd_size(calibration)
+    return [*out, f"  {expectation(calibration)}", *([f"  doubtful: {odd}"] if odd else [])]
 
 
 def expectation(calibration: Calibration) -> str:

@@ -68,6 +68,9 @@ class Calibration:
     presses: tuple[BallFit, ...] = ()  # empty = from the sensor's optical description
     kept_built_in: bool = False  # the presses did not better the look-up from the sensor's description
     expected: ExpectedError | None = None  # None = nobody has measured it
+    read_as: float | None = (
+        None  # the ball's diameter that is read without calibration over the one given; None = unknown
+    )
     still: Image | None = None  # the unit's untouched picture, `units.small`; None = nobody has kept it
 
     @property
@@ -208,6 +211,7 @@ def save(calibration: Calibration, path: Path) -> None:
             position_degree=model.position_degree, slope_max=model.slope_max, residual=calibration.residual,
             origin=calibration.origin, presses=_table_of(calibration.presses),
             kept_built_in=calibration.kept_built_in, expected=_row_of(calibration.expected),
+            read_as=[] if calibration.read_as is None else [calibration.read_as],
             still=np.zeros((0, 0, 3), np.uint8) if calibration.still is None else calibration.still,
         )  # fmt: skip
 
@@ -243,9 +247,9 @@ def _from_fields(fields: dict[str, NDArray[Any]]) -> Calibration:
         model=SlopeModel(colour_degree=colour_degree, position_degree=position_degree, coefficients=freeze(table),
                          slope_max=numbers["slope_max"]),
         residual=numbers["residual"], origin=str(fields["origin"]), presses=_presses_of(fields["presses"]),
-        # Files of before these were written lack them.
-        kept_built_in=bool(fields.get("kept_built_in", False)),
+        kept_built_in=bool(fields.get("kept_built_in", False)),  # this and all below older files lack
         expected=_expected_of(fields.get("expected", np.zeros(0))), still=_still_of(fields.get("still")),
+        read_as=next(iter(fields.get("read_as", np.zeros(0)).tolist()), None),
     )  # fmt: skip
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from pipeline.base.doubts import Doubt
 from pipeline.calibration import description
 from pipeline.calibration.lookup import BallFit, ExpectedError, built_in
 from pipeline.sensors.spec import sensor
@@ -22,6 +23,14 @@ def test_a_look_up_without_presses_is_called_uncalibrated_and_what_to_do_is_said
     assert note.startswith("uncalibrated look-up")
     assert "calibrate balls" in note
     assert any("uncalibrated" in line for line in description.lines(look_up))
+
+
+def test_presses_that_look_like_a_ball_of_another_size_speak_against_the_size_that_was_given(look_up):
+    known = replace(look_up, presses=(PRESS,) * 4, expected=ERROR)
+    for read_as, odd in ((None, False), (0.7, False), (1.5, False), (2.0, True), (0.5, True)):
+        told = replace(known, read_as=read_as)
+        assert isinstance(description.note(told), Doubt) is odd
+        assert any("times the diameter" in line for line in description.lines(told)) is odd
 
 
 def test_a_look_up_that_presses_did_not_better_is_called_uncalibrated(look_up):

@@ -30,6 +30,9 @@ def test_presses_of_a_unit_that_is_read_well_without_them_change_nothing():
     assert found.expected is not None
     assert found.expected.n_held_out == len(PLACES)
     assert found.expected.diameter_share < STAGE_TOLERANCE
+    assert found.read_as == pytest.approx(1.0, abs=STAGE_TOLERANCE)
+    of_radius = calibrated(presses(told)[:2], optics.untouched(told), told, 0.5 * DIAMETER_MM)
+    assert of_radius.read_as == pytest.approx(2.0, rel=0.2)
 
 
 @pytest.fixture(scope="module")
