@@ -34,7 +34,7 @@ log = logging.getLogger("tactoscope")
 _SEEN_BYTES = 72 * 1024 * 1024  # a dozen frames to a gel of 320 x 427, two dozen to a bubble
 _ASIDE_BYTES = 16 * 1024 * 1024  # a frame or two: they must not push out what people go back to
 _BESIDE_BYTES = 32 * 1024 * 1024
-_TRIMMED_AFTER = 24  # frames worked out anew: what they took on their way lies about in pieces
+_TRIMMED_AFTER = 6  # frames worked out anew: what they took on their way lies about in pieces
 _OUTLINED = "view"  # the slot that is compared with what the target really felt
 
 
@@ -176,6 +176,7 @@ class Evaluator:
             results = self._aside.evaluate(translation.slots, translation.inputs(index), params, report)
             metrics = translation.metrics(results, index)
             facts = translation.facts(index)
+            self._tidy(results)
             results = {name: with_facts(result, facts) for name, result in results.items()}
             summary = summary_of(results, metrics, translation) or FrameSummary(figures=metrics)
         except TouchError as error:
