@@ -16,7 +16,7 @@ from widgets.looks import bold, smaller, spaced
 from widgets.picture import PictureView
 
 _BETWEEN_PX = 40  # sign, word and time of a state, with the frame around them
-_AN_END = re.compile(r"[:;]|,(?![^(]*\))")  # of the first part of a sentence; a vector is one word
+_AN_END = re.compile(r"[:;]|,(?!\d|[^(]*\))")  # of the first part of a sentence; a vector is one word, and so is 2,571
 
 
 class StageColumn(QFrame):

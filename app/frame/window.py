@@ -50,7 +50,7 @@ from widgets.waterfall import BlamePanel
 
 SIZE = QSize(1600, 950)
 _DOING_PX = 260  # for what the background does, in words
-LOW_STRIP_PX, HIGH_STRIP_PX, MOST_STRIP_PX = 24, 44, 96  # of the errors: higher bars tell no more
+LOW_STRIP_PX, HIGH_STRIP_PX, MOST_STRIP = 24, 44, 0.1  # of the errors; of the window: higher bars tell no more
 
 
 class Window(QMainWindow):
@@ -131,7 +131,8 @@ class Window(QMainWindow):
         """What pictures and 3D views do not need is the errors'."""
         strip = self.timeline.errors  # counted from its height now: what was asked for may not be laid out yet
         if abs(spare_px) > 1:
-            strip.show_high(min(max(strip.height() + spare_px, LOW_STRIP_PX), MOST_STRIP_PX))
+            most_px = round(MOST_STRIP * self.height())
+            strip.show_high(min(max(strip.height() + spare_px, LOW_STRIP_PX), most_px))
 
     def _build_drawers(self) -> None:
         for name in ("open_alignment", "save_alignment"):

@@ -148,6 +148,8 @@ def test_a_column_reads_its_first_note_out_in_short(qtbot):
     assert label.text() == "uncalibrated look-up"
     assert label.isVisible()
     assert "press a ball" in label.toolTip()
+    column.show_state("computed", 12.0, ("368 of 2,571 points at (1, 2) fall outside, and more",))
+    assert label.text() == "368 of 2,571 points at (1, 2) fall outside"
     column.show_state("computed", 12.0)
     assert label.text() == ""
     assert label.isVisible()  # its room stays, so that pictures stand in one line

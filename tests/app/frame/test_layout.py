@@ -6,6 +6,7 @@ import pytest
 from PyQt6.QtCore import QSize, Qt
 
 from app.frame.tour import wait_until_shown
+from app.frame.window import LOW_STRIP_PX
 
 # Width and height in pixels that every picture has at least, by the window's size.
 ROOMS = {(1600, 950): (215, 160), (1366, 768): (180, 135)}
@@ -83,3 +84,13 @@ def test_the_trace_is_told_with_every_drawer_closed(bubble_window, qtbot):
     qtbot.waitUntil(lambda: bool(window.trace.text), timeout=3000)
     assert window.trace.isVisible()
     assert wait_until_shown(bubble_window, 60)
+
+
+@pytest.mark.parametrize("height", [768, 950, 1440])
+def test_errors_take_no_more_than_a_tenth_of_the_window(bubble_window, qtbot, height):
+    window = bubble_window.window
+    window.show()
+    window.resize(round(16 / 9 * height), height)
+    qtbot.waitUntil(lambda: window.height() == height)
+    window.rows.spare_found.emit(2000)
+    assert LOW_STRIP_PX < window.timeline.errors.high_px <= 0.1 * height + 1
