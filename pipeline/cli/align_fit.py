@@ -27,6 +27,8 @@ from pipeline.sensors.alignment_files import SUFFIX, AlignmentFile, save
 from pipeline.sensors.spec import sensor
 from pipeline.translation.translate import Request, open_translation
 
+_LEAST_AGREEMENT = 0.2  # correlation: real pairs have 0.63, the same pairs shuffled -0.12 (touch2touch tiles)
+_AS_GOOD = 0.5  # of the correlation of the pairs fitted to
 _WORDS = {
     "turn": ("turn", "deg"), "log_scale": ("scale", "share"), "right": ("shift right", ""), "down": ("shift down", ""),
     "tilt_right": ("tilt to the right", "of the press"), "tilt_down": ("tilt downward", "of the press"),
@@ -134,8 +136,18 @@ def _print_fit(answer: PairsFit, unit: str) -> None:
 def _print_scores(answer: PairsFit, others: Sequence[Pair]) -> None:
     less = ", the mean imprint of the pairs used taken away" if answer.common is not None else ""
     print_line(f"correlation of expected and real imprints{less}: pairs used {_told(answer.used)}")
-    if others:
-        print_line(f"  held out: {_told([score_of(p, answer.carrying, answer.common) for p in others])}")
+    held = [score_of(p, answer.carrying, answer.common) for p in others]
+    if held:
+        print_line(f"  held out: {_told(held)}")
+    if not agree(answer.used, held):
+        print_line("doubtful: the map carries next to nothing over to touches that it was not fitted to: are the two "
+                   "readings of each pair of one touch, and in the same order?")  # fmt: skip
+
+
+def agree(used: Sequence[float], held_out: Sequence[float]) -> bool:
+    """Whether correlations of the pairs fitted to, and of those held out (there may be none), speak for one map."""
+    judged = float(np.mean(held_out if len(held_out) else used))
+    return judged > max(_LEAST_AGREEMENT, _AS_GOOD * float(np.mean(used)))
 
 
 def _told(scores: Sequence[float]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from pathlib import Path
 
 from rich.console import Console
@@ -30,7 +31,7 @@ def write_case(request: Request, settings: tuple[str, ...], frame: int, folder: 
     """Write one case; returns 0."""
     with stoppable() as work:
         make_case(request, settings, frame, folder, note=note, progress=work)
-    print_line(f"case of frame {frame} written; play it again with: tactoscope case {os.fspath(folder)}")
+    print_line(f"case of frame {frame} written; play it again with: tactoscope case {shlex.quote(os.fspath(folder))}")
     return 0
 
 

@@ -11,6 +11,7 @@ from app.session.state import Session, load_session, save_session
 from pipeline.alignment.nudge import nudged
 from pipeline.base.errors import SettingProblem
 from pipeline.cli.align import frames_of
+from pipeline.cli.align_fit import agree
 from pipeline.cli.main import EXIT_USER_ERROR, build, run
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment_files import AlignmentFile, load, save
@@ -137,6 +138,13 @@ def test_fit_finds_an_alignment_without_one_to_begin_with_and_writes_it(typed, t
     off = np.degrees(np.arccos(np.clip((np.trace(fitted[:3, :3].T @ exact) - 1) / 2, -1, 1)))
     assert off < 1.0
     assert fitted[:3, 3] == pytest.approx((0.0, 0.0, 47.0), abs=0.3)
+
+
+def test_pairs_that_were_mixed_up_are_told_by_those_that_were_held_out():
+    assert agree([0.54, 0.6], [0.63, 0.5])
+    assert agree([0.9, 0.8], [])
+    assert not agree([0.35, 0.34], [-0.76, 0.57])  # shuffled: the few that are fitted to are learned by heart
+    assert not agree([0.1, 0.15], [])
 
 
 def test_fit_of_a_recording_asks_for_a_place_to_write(typed):
