@@ -22,6 +22,7 @@ from pipeline.stages.project.drawing import SAME_SURFACE_MM, Drawing, flat, lens
 from pipeline.values.results import Cloud, TargetView
 
 NO_CONTACT = "no contact: the target sees nothing"
+_NEXT = [1, 2, 3, 0]  # corner of a window
 _FINER = 4  # pixels along each side of one, where its coverage is asked for
 
 
@@ -137,16 +138,16 @@ def _known(cloud: Cloud, target: SensorSpec) -> Mask:
 
 def _inside(x_px: Doubles, y_px: Doubles, rows: int, cols: int) -> Mask:
     """The pixels (rows, cols) whose centre lies in the convex polygon of corners in turn: from-to in every row."""
-    to_x, to_y, row = np.roll(x_px, -1), np.roll(y_px, -1), np.arange(rows)
+    to_x, to_y, row = x_px[_NEXT], y_px[_NEXT], np.arange(rows)
     turned = -1.0 if (x_px * to_y - to_x * y_px).sum() < 0.0 else 1.0
     # Inside is where a * col + b >= 0, for every edge.
-    a = turned * (y_px - to_y)[:, None]
+    a = turned * (y_px - to_y)
     b = turned * ((to_x - x_px)[:, None] * (row - y_px[:, None]) + ((to_y - y_px) * x_px)[:, None])
-    bound = -b / a
-    first = np.where(a > 0.0, np.ceil(bound), 0.0).max(axis=0).clip(0, cols)
-    last = np.where(a < 0.0, np.floor(bound), cols - 1.0).min(axis=0).clip(-1, cols - 1)
-    last[((a == 0.0) & ~(b >= 0.0)).any(axis=0)] = -1.0
-    col = np.arange(cols, dtype=np.int32)
+    left, right, level = a > 0.0, a < 0.0, a == 0.0
+    bound, col = b / -a[:, None], np.arange(cols, dtype=np.int32)  # whole numbers are compared in half the time
+    first = np.ceil(bound[left].max(axis=0, initial=0.0)).clip(0, cols)
+    last = np.floor(bound[right].min(axis=0, initial=cols - 1.0)).clip(-1, cols - 1)
+    last[(b[level] < 0.0).any(axis=0)] = -1.0
     return (col >= first.astype(np.int32)[:, None]) & (col <= last.astype(np.int32)[:, None])
 
 
