@@ -12,6 +12,7 @@ from pipeline.calibration.ball_slopes import Ball, Press
 from pipeline.calibration.balls import calibrate_balls
 from pipeline.calibration.contact_circles import Circle
 from pipeline.calibration.corrections import Held, chosen, diameter_error
+from pipeline.calibration.expected_error import of_errors
 from pipeline.calibration.lookup import built_in, relative_change
 from pipeline.physics import optics
 from pipeline.sensors.spec import sensor
@@ -115,3 +116,11 @@ def test_a_correction_that_is_better_by_luck_is_not_taken(count, share, seed):
     assert corrections.betters(share * float(np.median(without)) - 1e-6, without, held) == (count >= 5)
     half = np.concatenate([held, without])
     assert not corrections.betters(0.9 * float(np.median(half)), half, np.concatenate([without, held]))
+
+
+def test_the_error_said_of_presses_that_change_nothing_is_the_middle_one_and_steadier_for_few():
+    rng = np.random.default_rng(0)
+    errors = rng.normal(0.0, 0.1, (400, 4))
+    middles = np.array([of_errors(row).diameter_share for row in errors])
+    assert np.median(middles) == pytest.approx(np.median(np.abs(errors)), rel=0.1)
+    assert middles.std() < 0.85 * np.median(np.abs(errors), axis=1).std()
