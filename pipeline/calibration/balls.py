@@ -38,13 +38,12 @@ from pipeline.calibration.corrections import (
     slope_error,
     without_any,
 )  # fmt: skip
-from pipeline.calibration.expected_error import coverage, expected, of_errors
+from pipeline.calibration.expected_error import expected, foreseen, guesses, of_errors
 from pipeline.calibration.lookup import BallFit, Calibration, built_in, relative_change
 from pipeline.calibration.slope_model import SlopeModel
 from pipeline.sensors.spec import SensorSpec
 
 _TURNS = 6
-_FEWEST_COVERED = 0.5  # of the picture: with less, how it is read in the middle of its places is a guess
 _OUTLIER = 3.0  # times the median residual: a press that is not one ball on a clean gel
 
 
@@ -76,13 +75,14 @@ def calibrate_balls(
     held = held_out(known, lambda share: progress.step(0.6 + 0.3 * share, "measuring presses that were held out"))
     models, fields = corrections(known, polynomials=enough_for_polynomials(len(known.presses)))
     best = chosen(held)
-    worth = expected(models[best], fields, known, held, best)
+    virtual, narrow = foreseen(models[best], fields, known), False
+    worth = expected(virtual, held, best)
     as_read = None if read is None else without_any(known, read)
-    without = None if as_read is None else at_most_unseen(as_read)
-    narrow = coverage(known) < _FEWEST_COVERED
-    seen = np.zeros(0) if held is None else held.diameter[:, best]
-    if without is not None and (narrow or not best or not betters(worth.diameter_share, without, seen)):
-        best, worth = 0, of_errors(without)
+    if as_read is not None:
+        without, seen = at_most_unseen(as_read), np.zeros(0) if held is None else held.diameter[:, best]
+        narrow = guesses(virtual, known, without)
+        if narrow or not best or not betters(worth.diameter_share, without, seen):
+            best, worth = 0, of_errors(without)
     model = models[best]
     progress.step(1.0, "look-up is ready")
     return Calibration(
@@ -103,7 +103,7 @@ def _middle(errors: Doubles | None) -> float | None:
 def _origin(used: int, given: int, diameter_mm: float, best: int, *, narrow: bool) -> str:
     presses = f"{used} of {given} presses of a ball of {diameter_mm:g} mm"
     if best == 0 and narrow:
-        return f"the built-in look-up: {presses} lie in less than half of the picture, press elsewhere too"
+        return f"the built-in look-up: {presses} leave too much of the picture to a guess, press elsewhere too"
     if best == 0:
         return f"the built-in look-up, which {presses} did not surely better"
     return f"{presses} correct the built-in look-up"

@@ -30,6 +30,8 @@ _WORTH = 4.0  # presses that what is foreseen counts as
 _UNFORESEEN = 2.0  # times what is foreseen: circles that are off and light that is no such field
 _ALWAYS = 0.03  # where the contact ends is not known better, however many presses: a real Mini, forty of them
 _LEAST = 0.005  # a median of a few errors below this is luck
+_FEWEST_COVERED = 0.5  # of the picture: with less, how it is read in the middle of its places is a guess
+_NINE_OF_TEN = 2.44  # times the middle of the sizes of normal errors: nine of ten are smaller
 _MEDIAN_OF_MEAN = 0.845  # of the sizes of normal errors; the mean of a few is known better by a third
 
 
@@ -61,9 +63,12 @@ def foreseen(model: SlopeModel, fields: Fields, known: Presses) -> Doubles:
     return out
 
 
-def expected(model: SlopeModel, fields: Fields, known: Presses, held: Held | None, best: int) -> ExpectedError:
-    """The error to be expected of `model`, correction number `best`, in the middle of the picture's places."""
-    virtual = foreseen(model, fields, known).ravel()
+def expected(virtual: Doubles, held: Held | None, best: int) -> ExpectedError:
+    """The error to be expected of correction number `best`, in the middle of the picture's places.
+
+    `virtual` is what is `foreseen` of it.
+    """
+    virtual = virtual.ravel()
     measured = np.array([]) if held is None else held.diameter[:, best]
     measured = measured[np.isfinite(measured)]
     return ExpectedError(
@@ -72,6 +77,16 @@ def expected(model: SlopeModel, fields: Fields, known: Presses, held: Held | Non
         depth_share=_together(np.abs(1.0 / (1.0 + virtual) - 1.0), np.abs(1.0 / (1.0 + measured) - 1.0)),
         n_held_out=len(measured),
     )
+
+
+def guesses(virtual: Doubles, known: Presses, without: Doubles) -> bool:
+    """Whether too much of the picture is a guess: far from presses what is `foreseen` is worse than what is read there.
+
+    `without` (n,) are the errors of the presses read without a calibration. One place of ten counts: of normal errors
+    as large as these one of ten is there.
+    """
+    worst = float(np.percentile(np.abs(virtual), 90))
+    return coverage(known) < _FEWEST_COVERED or worst > _NINE_OF_TEN * of_errors(without).diameter_share
 
 
 def coverage(known: Presses) -> float:

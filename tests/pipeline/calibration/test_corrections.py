@@ -12,7 +12,8 @@ from pipeline.calibration.ball_slopes import Ball, Press
 from pipeline.calibration.balls import calibrate_balls
 from pipeline.calibration.contact_circles import Circle
 from pipeline.calibration.corrections import Held, chosen, diameter_error
-from pipeline.calibration.expected_error import of_errors
+from pipeline.calibration.expected_error import guesses, of_errors
+from pipeline.calibration.light_field import Fields
 from pipeline.calibration.lookup import built_in, relative_change
 from pipeline.physics import optics
 from pipeline.sensors.spec import sensor
@@ -124,3 +125,18 @@ def test_the_error_said_of_presses_that_change_nothing_is_the_middle_one_and_ste
     middles = np.array([of_errors(row).diameter_share for row in errors])
     assert np.median(middles) == pytest.approx(np.median(np.abs(errors)), rel=0.1)
     assert middles.std() < 0.85 * np.median(np.abs(errors), axis=1).std()
+
+
+def test_places_far_from_presses_are_not_read_worse_than_without():
+    everywhere = [Circle(x_px=x, y_px=y, radius_px=20.0) for x in range(40, 320, 80) for y in range(40, 240, 80)]
+    change = np.zeros((240, 320, 3), np.float32)
+    pressed = tuple(Press(index=i, change=change, circle=c) for i, c in enumerate(everywhere))
+    unknown = Fields(mean=np.zeros(1), precision=np.eye(1))
+    known = corrections.Presses(presses=pressed, ball=Ball(radius_px=50.0, share=None), pixel_mm=0.06, before=unknown,
+                                built_in=built_in(sensor("gelsight_mini")).model, seed=0)  # fmt: skip
+    without, virtual = np.full(12, 0.1), np.full((12, 30), 0.02)
+    assert not guesses(virtual, known, without)
+    virtual[:, :5] = 0.4  # a sixth of the places
+    assert guesses(virtual, known, without)
+    assert not guesses(virtual, known, 3.0 * without)
+    assert guesses(np.zeros((12, 30)), known.without(set(range(1, 12))), without)
