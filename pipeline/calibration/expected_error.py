@@ -85,7 +85,7 @@ def guesses(virtual: Doubles, known: Presses, without: Doubles) -> bool:
     `without` (n,) are the errors of the presses read without a calibration. One place of ten counts: of normal errors
     as large as these one of ten is there.
     """
-    worst = float(np.percentile(np.abs(virtual), 90))
+    worst = _UNFORESEEN * float(np.percentile(np.abs(virtual), 90))
     return coverage(known) < _FEWEST_COVERED or worst > _NINE_OF_TEN * of_errors(without).diameter_share
 
 
