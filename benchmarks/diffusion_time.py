@@ -21,8 +21,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.likeness import similarity
 from benchmarks.races import Bar, Timing, row, timing
-from pipeline.evaluation.similarity import similarity
 from pipeline.networks.building import network
 from pipeline.networks.weights import NoWeights
 from pipeline.physics import optics

@@ -21,11 +21,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.likeness import similarity
 from benchmarks.races import Bar, row, timing
 from pipeline.base.progress import SILENT
 from pipeline.engine.graph import Instead, Skipped
 from pipeline.evaluation.metrics import iou
-from pipeline.evaluation.similarity import similarity
 from pipeline.geometry import rigid
 from pipeline.physics import bubble_camera, optics
 from pipeline.racing.races import Answer, Point

@@ -20,9 +20,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from benchmarks.likeness import similarity
 from benchmarks.residual_diffusion import _described, _felt
 from pipeline.engine.graph import Skipped
-from pipeline.evaluation.similarity import similarity
 from pipeline.networks.building import network
 from pipeline.physics import bubble_camera, optics
 from pipeline.racing.races import Answer

@@ -8,18 +8,23 @@ it is shown.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.base.arrays import Floats, freeze
 from pipeline.base.params import setting
+from pipeline.training import denoising
 from pipeline.training.denoising import Denoising, Target
 from pipeline.training.drawn_pairs import Drawn, drawn
+from pipeline.training.likeness import likeness
 from pipeline.training.residual import example
 
 if TYPE_CHECKING:
+    from torch import Tensor, nn
+
     from pipeline.training.task import Example, Split
 
 _TURNED_DEG, _LARGER, _SHIFTED = 5.0, 0.05, 0.03  # at most; of a picture's rows
@@ -34,16 +39,34 @@ class KeptPairs(Denoising):
     recording: str = setting("", "Recording", help="of both sensors; in place of a folder")
     folder: str = setting("", "Folder", help="of drawn pairs, by number")
     pairs: int = setting(10, "Pairs", low=1, high=1_000_000, help="the first ones, that are learned from")
+    alike: float = setting(
+        0.0, "Weight of the likeness", low=0.0, high=100.0,
+        help="for imprints that are known but for their scale: by correlation, beside the mean imprint",
+    )  # fmt: skip
+    mixed: float = setting(
+        0.0, "Mixing of colours", low=0.0, high=1.0, help="at most, for pictures whose colours are not to be trusted"
+    )
 
     def sample(self, rng: np.random.Generator) -> Example:
         """One of the pairs, moved a little."""
-        return self._example(moved(self._known()[int(rng.integers(self._learned))], rng))
+        one = moved(self._known()[int(rng.integers(self._learned))], rng)
+        return self._example(mixed(one, rng, self.mixed) if self.kind == "bubble" and self.mixed > 0.0 else one)
 
     def held_out(self, split: Split, index: int) -> Example:  # noqa: ARG002 - recorded pairs are of one kind
         """One of the others; where there are none, one that was learned from."""
         known = self._known()
         rest = known[self._learned :] or known
         return self._example(rest[index % len(rest)])
+
+    def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
+        """See `denoising.loss`; by likeness alone one step is learned, and no sample."""
+        if self.alike <= 0.0:
+            return denoising.loss(network, batch, self.near, self.slopes)
+        return likeness(network, batch, self._mean(), self.alike)
+
+    def _mean(self) -> Floats:
+        """The mean imprint (rows, cols) of those that are learned from."""
+        return np.stack([one.touch_mm for one in self._known()[: self._learned]]).mean(axis=0, dtype=np.float32)
 
     @property
     def _learned(self) -> int:
@@ -79,3 +102,12 @@ def moved(one: Drawn, rng: np.random.Generator) -> Drawn:
     shown = np.stack([laid(channel) for channel in one.shown])
     shown[:-1] *= np.float32(1.0 + rng.uniform(-_BRIGHTER, _BRIGHTER))  # the last channel says where there is a reading
     return Drawn(shown=freeze(shown), touch_mm=freeze(laid(one.touch_mm)), contact=freeze(laid(one.contact) > 0.5))
+
+
+def mixed(one: Drawn, rng: np.random.Generator, most: float) -> Drawn:
+    """The same pair with the colours of a gel's picture mixed into each other, each by `most` of another at most."""
+    n = len(one.shown) // 3 * 3
+    colours = one.shown[:n].reshape(3, -1)
+    how = np.eye(3) + rng.uniform(-most, most, (3, 3))
+    shown = np.concatenate([(how.astype(np.float32) @ colours).reshape(one.shown[:n].shape), one.shown[n:]])
+    return replace(one, shown=freeze(shown))

@@ -1,6 +1,7 @@
 """Where a network is unsure, what it corrects is left as it is: how much of a correction is taken, pixel by pixel.
 
-A correction that is as small as the error expected of it is half taken, one that is far larger nearly all. How large
+A correction that is as small as the error expected of it is half taken, one that is far larger nearly all. A bubble
+feels a body beyond a gel's view or none: that is one question, answered once for all pixels there. How large
 the error has to be taken for is calibrated on touches that were not learned from (`benchmarks/caution.py`), where the
 source felt something and beyond: a network is surer of itself than it should be of objects that it has never seen.
 """
@@ -17,18 +18,24 @@ from pipeline.stages.generate.diffusion import Sampled, State
 from pipeline.values.results import DepthMap
 
 _EVEN_PX = 4.0  # a share that changed faster would draw edges of its own
+_DECIDED = 4  # the power at which what is asked once for all pixels is nearly all taken or nearly none of it
 _HALF = 0.5
 
 
-def held_back(found: Sampled, known: Mask, caution: float, doubts: tuple[float, float]) -> Sampled:
+def held_back(found: Sampled, known: Mask, caution: float, doubts: tuple[float, float], *, at_once: bool) -> Sampled:
     """A middle of all samples, of which only what is sure is taken; `known` is where the source felt.
 
     `caution` 0 takes all of it, 1 holds back by `doubts`: times the expected error, where it felt and beyond. Contact
-    is held back where the source felt; beyond, where nothing else is known of it, it is left as it is.
+    is held back where the source felt; beyond, where nothing else is known of it, it is left as it is. `at_once`:
+    beyond the source's view there is a body or there is none, decided by all that is said there together.
     """
     middle, spread = found.last.residual_mm, found.spread_mm
     within = on_grid(known, middle.shape) > _HALF
-    share = 1.0 - caution * (1.0 - taken(middle, np.where(within, *map(np.float32, doubts)) * spread))
+    share = taken(middle, np.where(within, *map(np.float32, doubts)) * spread)
+    if at_once and not within.all():
+        decided = np.where(within, share, _decided(middle[~within], np.float32(doubts[1]) * spread[~within]))
+        share = _even(decided.astype(np.float32))
+    share = 1.0 - caution * (1.0 - share)
 
     def less(state: State) -> State:
         contact = np.where(within, share, np.float32(1.0)) * state.contact
@@ -47,13 +54,20 @@ def contradiction(found: Sampled, felt: Mask) -> float:
 
 def taken(correction_mm: Floats, off_mm: Floats) -> Floats:
     """The share 0..1 of a correction (rows, cols) that is expected to be off by so much."""
+    large, wrong = (_even(np.square(f, dtype=np.float32)) for f in (correction_mm, off_mm))
+    return np.where(wrong > 0.0, large / np.maximum(large + wrong, np.float32(1e-12)), np.float32(1.0))
+
+
+def _decided(correction_mm: Floats, off_mm: Floats) -> float:
+    """One share 0..1 for all pixels (n,)."""
+    large, wrong = (float(np.square(f, dtype=np.float64).mean()) ** _DECIDED for f in (correction_mm, off_mm))
+    return large / (large + wrong) if wrong > 0.0 else 1.0
+
+
+def _even(field: Floats) -> Floats:
     import cv2
 
-    large, wrong = (
-        np.asarray(cv2.GaussianBlur(np.square(f, dtype=np.float32), (0, 0), _EVEN_PX), np.float32)
-        for f in (correction_mm, off_mm)
-    )
-    return np.where(wrong > 0.0, large / np.maximum(large + wrong, np.float32(1e-12)), np.float32(1.0))
+    return np.asarray(cv2.GaussianBlur(field, (0, 0), _EVEN_PX), np.float32)
 
 
 def against(found: Sampled, first: DepthMap) -> Sampled:

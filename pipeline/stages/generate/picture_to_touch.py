@@ -92,7 +92,8 @@ def generate(
             f"the network is {times:.0f} times farther than it expects from what was felt: the physical render answers"
         )
         return replace(physical, notes=(*physical.notes, note))
-    return corrected(physical, target, held_back(found, physical.known, params.caution, expected), seed)
+    found = held_back(found, physical.known, params.caution, expected, at_once=target.kind == "bubble")
+    return corrected(physical, target, found, seed)
 
 
 def _doubted(touch: Touch, frame: TactileFrame, source: SensorSpec, calibration: Calibration | None) -> Touch:

@@ -1,5 +1,6 @@
 """A few real pairs: kept by number, the first ones learned from, moved a little each time."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from pipeline.sensors.spec import sensor
 from pipeline.stages.generate.corrected import on_grid
 from pipeline.stages.generate.residual_input import working
 from pipeline.training.drawn_pairs import Drawn, draw, drawn
-from pipeline.training.kept_pairs import KeptPairs, moved
+from pipeline.training.kept_pairs import KeptPairs, mixed, moved
 from pipeline.training.loop import Run, train
 from pipeline.training.recipe import load
 
@@ -60,17 +61,32 @@ def test_a_pair_is_moved_as_one(folder):
         assert (other.shown[-1] == 1.0).all(), "where there is a reading is no brightness"
 
 
+def test_colours_are_mixed_pixel_by_pixel_and_nothing_else():
+    one = pair(1)
+    coloured = replace(one, shown=np.concatenate([one.shown[:4], 0.0 * one.shown[4:12], one.shown[12:]]))
+    other = mixed(coloured, np.random.default_rng(0), 0.25)
+    peak = np.unravel_index(one.shown[0].argmax(), one.shown[0].shape)
+    shares = [float(other.shown[4 * k][peak] / one.shown[0][peak]) for k in range(3)]
+    assert 0.75 <= shares[0] <= 1.25
+    assert all(0.0 < abs(share) <= 0.25 for share in shares[1:])
+    for k in range(12):
+        assert np.allclose(other.shown[k], shares[k // 4] * one.shown[0], atol=1e-6)
+    assert np.array_equal(other.shown[12], one.shown[12])
+    assert np.array_equal(other.touch_mm, one.touch_mm)
+
+
 def test_no_pairs_are_one_sentence(tmp_path):
     with pytest.raises(FileProblem, match="no drawn pair"):
         KeptPairs(folder=str(tmp_path)).sample(np.random.default_rng(0))
 
 
-def test_its_recipe_trains_a_network_that_touch_to_touch_takes(folder, tmp_path):
+@pytest.mark.parametrize("alike", [0.0, 1.0])
+def test_its_recipe_trains_a_network_that_touch_to_touch_takes(folder, tmp_path, alike):
     recipe = tmp_path / "few.toml"
     text = "\n".join([
         'task = "kept_pairs"', "batch = 2", "steps = 3", "[network]", 'kind = "residual_denoiser"', "inputs = 13",
         "unit_mm = 3.0", "first = 8", "levels = 2", "widest = 16", "most = 10.0", "smooth = 0.125", "[settings]",
-        f'folder = "{folder}"', "pairs = 3", "[validation]", "times = 1", "examples = 2",
+        f'folder = "{folder}"', "pairs = 3", f"alike = {alike}", "[validation]", "times = 1", "examples = 2",
     ])  # fmt: skip
     recipe.write_text(text)
     found = train(Run(recipe=load(str(recipe), "t2t"), out=tmp_path / "run", workers=0))
