@@ -5,8 +5,9 @@
 Training objects, held anew, and random bodies that no weights were learned from are pressed on another unit of the
 source; its reading goes the whole way to the target's touch, in one step. The third of them on which the physical
 render is nearest to the truth are like objects of which the network knows nothing: there falling back must cost
-nothing. The weights carry the least doubt for which that third is about as good as physics, where the source felt and
-beyond (`doubt`, `doubt_beyond`); a doubt of 0 takes all that the network says. Nothing is asked of the held-out splits.
+nothing. A doubt of 0 takes all that the network says. The weights carry the least doubt for which that third, and
+validation touches of unseen tools (those of the figures of a training, not those of `tactoscope evaluate`), are about
+as good as physics: where the source felt and beyond (`doubt`, `doubt_beyond`).
 """
 
 from __future__ import annotations
@@ -111,7 +112,7 @@ def _asked(net, method: str, source, target, k: int) -> _Asked | None:
     shape = found.spread_mm.shape
     return _Asked(
         found, on_grid(physical.indentation_mm, shape), on_grid(true.indentation_mm, shape), view.known, true.contact,
-        target.kind == "bubble",
+        method == "t2t" and target.kind == "bubble",
     )  # fmt: skip
 
 

@@ -83,7 +83,7 @@ def generate(
     wide_mm = 0.0
     if params.steps == 1:  # a sample is one of many: all of it, and as sharp as it is
         doubts = cast("tuple[float, float]", network.doubts)
-        found = held_back(found, view.known, params.caution, doubts, at_once=target.kind == "bubble")
+        found = held_back(found, view.known, params.caution, doubts)
         wide_mm = _told_mm(view, target)
     note = f"{where} the touch is learned, and expected to be off by {told:.2g} mm"
     found = replace(found, notes=(*found.notes, note))
