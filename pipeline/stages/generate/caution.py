@@ -22,7 +22,9 @@ _DECIDED = 4  # the power at which what is asked once for all pixels is nearly a
 _HALF = 0.5
 
 
-def held_back(found: Sampled, known: Mask, caution: float, doubts: tuple[float, float], *, at_once: bool) -> Sampled:
+def held_back(
+    found: Sampled, known: Mask, caution: float, doubts: tuple[float, float], *, at_once: bool = False
+) -> Sampled:
     """A middle of all samples, of which only what is sure is taken; `known` is where the source felt.
 
     `caution` 0 takes all of it, 1 holds back by `doubts`: times the expected error, where it felt and beyond. Contact
