@@ -14,8 +14,9 @@ from app.session.compared import LAST_SLOT, Compared, CompareTab
 from app.session.differences import differences
 from app.session.layout import Layout
 from app.session.state import Session
-from app.work.evaluator import Evaluator, request_of
+from app.work.evaluator import Evaluator
 from app.work.jobs import LatestJob, Report
+from app.work.opening import request_of
 from app.work.two_at_once import two_at_once
 from pipeline.base.allocator import give_back
 from pipeline.base.errors import TouchError

@@ -16,8 +16,8 @@ from app.frame import dialogs
 from app.frame.instrument import Instrument
 from app.frame.keeping import Keeping
 from app.work.compared_command import compare_command
-from app.work.evaluator import request_of
 from app.work.jobs import LatestJob, Report
+from app.work.opening import request_of
 from pipeline.base.text import plain
 from pipeline.reporting.asked import SHEET, SOURCE, Asked, Shown, command, settings_of
 from widgets.export_dialog import ExportDialog

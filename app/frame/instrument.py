@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import get_args
 
 from PyQt6.QtCore import pyqtSignal
@@ -16,8 +17,9 @@ from app.frame.window import Window
 from app.session.documents import Documents
 from app.session.state import Session
 from app.work.drawing import SlotShown, SourceShown
-from app.work.evaluator import BeginsAt, Evaluator, FrameShown, request_of
+from app.work.evaluator import BeginsAt, Evaluator, FrameShown
 from app.work.jobs import LatestJob, Work
+from app.work.opening import request_of
 from pipeline.engine.graph import Method
 from pipeline.scoring.beside import Versus
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
@@ -174,7 +176,7 @@ class Instrument(Documents):
         if isinstance(part, BeginsAt):
             self.session = replace(self.session, frame=part.index)
             self._show_controls()
-        elif isinstance(part, Translation):
+        elif isinstance(part, Translation) and part is not self.screen.opened:
             named = replace(self.session, target=part.target.name, frame=min(self.session.frame, part.n_frames - 1))
             seen = set(self.window.visible_columns())
             self._open = {request_of(self.session), request_of(named)}
@@ -251,15 +253,15 @@ class Instrument(Documents):
         show_controls(self.window, self.session, self.methods, self.catalogue)
 
     def _ask(self, *, other_request: bool) -> None:
-        session, wanted, beside = self._drafted(), self.window.visible_columns(), self._beside
-        with_truth = bool(self.screen.versus) or session.layout.name == "demo"
+        session, wanted = self._drafted(), self.window.visible_columns()
+        show = partial(
+            self.evaluator.show, compared=self._beside, seen=lambda: self.screen.opened,
+            with_truth=bool(self.screen.versus) or session.layout.name == "demo",
+        )  # fmt: skip
         interrupt = other_request or not self._young.isActive()
         self._waits, self._owed = True, False
         self._ticket = 0  # what is dropped now is not missed
-        self._ticket = self.job.submit(
-            lambda report: self.evaluator.show(session, wanted, report, compared=beside, with_truth=with_truth),
-            interrupt=interrupt,
-        )
+        self._ticket = self.job.submit(lambda report: show(session, wanted, report), interrupt=interrupt)
         if other_request:
             self._wanted_since = self._ticket
         if other_request or self._opening:

@@ -9,8 +9,8 @@ from PyQt6.QtCore import QObject
 from app.frame.instrument import Instrument
 from app.session.state import Session
 from app.work import sweeping
-from app.work.evaluator import request_of
 from app.work.jobs import LatestJob
+from app.work.opening import request_of
 from app.work.sweeping import Cell, Plan
 from pipeline.base.errors import SettingProblem, TouchError
 from pipeline.base.params import Setting, Value

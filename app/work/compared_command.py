@@ -9,7 +9,7 @@ from pathlib import Path
 
 from app.session.compared import LAST_SLOT
 from app.session.state import Session
-from app.work.evaluator import request_of
+from app.work.opening import request_of
 from pipeline.base.params import settings
 from pipeline.reporting.asked import opening, settings_of
 

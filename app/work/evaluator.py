@@ -4,28 +4,26 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Mapping
-from contextlib import closing
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from app.session.state import ASKED, Session
+from app.session.state import Session
 from app.work.comparison import Comparison, comparison_of
 from app.work.drawing import Drawing, SourceShown, summary_of
 from app.work.jobs import Report
+from app.work.opening import depth_params, open_request, request_of
 from pipeline.base.allocator import give_back
-from pipeline.base.errors import FileProblem, SettingProblem, TouchError
+from pipeline.base.errors import SettingProblem, TouchError
 from pipeline.base.memo import Memo, size_bytes
 from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph, StageResult
 from pipeline.networks.weights import Weights
-from pipeline.recordings import open_recording
-from pipeline.stages.depth.slot import PHYSICS
 from pipeline.stages.depth.stage import DepthParams
 from pipeline.translation.blame import Blame, blame
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.doubts import with_truth as with_facts
 from pipeline.translation.touched import touched_frame
-from pipeline.translation.translate import Request, Translation, open_translation
+from pipeline.translation.translate import Request, Translation
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
 from widgets.frames_model import FrameSummary
@@ -76,6 +74,7 @@ class Evaluator:
         self._aside = Graph((), cache=Cache(_ASIDE_BYTES))  # of frames that nobody looks at
         self._request: Request | None = None
         self._translation: Translation | None = None
+        self._as_opened: Translation | None = None  # the same, before it grew: as it was handed over
         self._drawn_bytes = () if like is None else (_ASIDE_BYTES,)  # pictures that are gone back to
         self._drawing = Drawing(*self._drawn_bytes)  # of what is open
         self._begins_at = self._anew = 0  # of what is open; frames worked out since memory was given back
@@ -91,13 +90,18 @@ class Evaluator:
         *,
         compared: bool = False,
         with_truth: bool = False,
+        seen: Callable[[], Translation | None] | None = None,
     ) -> FrameShown:
         """Work out a session's frame, handing over every part as soon as it is done; raises TouchError.
 
         `compared` also outlines what the target really felt, `with_truth` draws every slot's truth and the difference
-        to it, where the recording holds them.
+        to it, where the recording holds them. What is open is handed over when it is opened, and again where it is not
+        what the caller has `seen` by then: whoever asks anew in that moment takes nothing of the request before.
         """
+        before = self._as_opened
         translation, index = self.at(session, report)
+        if seen is not None and before is self._as_opened is not seen():
+            report.hand_over(self._as_opened)
         if session.frame < 0:
             report.hand_over(BeginsAt(index=index))
         started_s = time.perf_counter()
@@ -236,7 +240,7 @@ class Evaluator:
         """Let go of the recording's file."""
         if self._translation is not None:
             self._translation.close()
-            self._translation = None
+            self._translation = self._as_opened = None
 
     def _opened(self, session: Session, report: Report) -> Translation:
         request = request_of(session)
@@ -244,15 +248,10 @@ class Evaluator:
             self._translation = self._translation.grown()
             return self._translation
         report.step(0.0, "opening the recording")
-        if not request.target:
-            request = replace(request, target=_best_target(request))
-        translation = open_translation(request, self._catalogue)
-        if translation.n_frames == 0:
-            translation.close()
-            raise FileProblem("the recording holds no frame; choose another", request.recording)
+        translation = open_request(request, self._catalogue)
         if self._translation is not None:
             self._translation.close()
-        self._translation = translation
+        self._translation = self._as_opened = translation
         self._drawing = Drawing(*self._drawn_bytes)
         self._forget_beside()
         give_back()
@@ -268,31 +267,3 @@ class Evaluator:
 
 def _weight(values: Mapping[str, object]) -> int:
     return sum(size_bytes(value) for value in values.values())
-
-
-def request_of(session: Session) -> Request:
-    """What a session, which has a recording, asks the pipeline to open."""
-    asked = {name: getattr(session, name) for name in ASKED}
-    methods, weights = tuple(sorted(session.methods.items())), tuple(sorted(session.weights.items()))
-    return Request(**asked, methods=methods, weights=weights)
-
-
-def depth_params(session: Session) -> DepthParams:
-    """How a session has its depth worked out, on both sides of a comparison."""
-    params = session.params_of(PHYSICS)
-    assert isinstance(params, DepthParams)
-    return params
-
-
-def _best_target(request: Request) -> str:
-    """The other sensor of the same recording, else one that differs from the source."""
-    with closing(
-        open_recording(
-            request.recording, sensor=request.source, reference=request.reference, depth_unit=request.depth_unit
-        )
-    ) as recording:
-        source = recording.stream(request.stream or request.source).sensor
-        others = [s.sensor for s in recording.streams if s.sensor not in ("", source)]
-    if others:
-        return others[0]
-    return "soft_bubble" if source.startswith("gelslim") else "gelslim"

@@ -6,8 +6,9 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 
 from app.session.state import Session
-from app.work.evaluator import Evaluator, depth_params, request_of
+from app.work.evaluator import Evaluator
 from app.work.jobs import Report
+from app.work.opening import depth_params, request_of
 from pipeline.alignment.refine import Refinement, refine
 from pipeline.alignment.score import Score
 from pipeline.alignment.sensitivity import Sensitivity

@@ -7,9 +7,9 @@ from PyQt6.QtCore import QObject, pyqtSignal
 from app.frame.instrument import Instrument
 from app.session.state import Session
 from app.work import judging
-from app.work.evaluator import request_of
 from app.work.jobs import LatestJob
 from app.work.judging import Refined
+from app.work.opening import request_of
 
 
 class Refining(QObject):

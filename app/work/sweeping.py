@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 from app.session.state import Session
-from app.work.evaluator import request_of
 from app.work.jobs import Report
+from app.work.opening import request_of
 from pipeline.base.errors import SettingProblem, TouchError
 from pipeline.base.params import Setting, Value, changed, settings
 from pipeline.base.progress import Share

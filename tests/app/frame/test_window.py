@@ -181,6 +181,22 @@ def test_a_part_that_comes_too_late_leaves_its_column_waiting_for_its_own(bubble
     assert "this frame is damaged" in window.window.columns["source"].view.message
 
 
+def test_a_route_that_was_opened_for_nobody_is_told_to_who_asks_next(open_window, touch_file):
+    """There and back and there again while it opens: what came of the first request is no answer to the last."""
+    window = open_window(touch_file, target="gelslim", frame=2)
+    assert wait_until_shown(window, LIMIT_S)
+    window.change("choose route", route="t2t")
+    limit_s = time.monotonic() + LIMIT_S
+    while window.evaluator._translation.request.route != "t2t" and time.monotonic() < limit_s:
+        time.sleep(0.001)  # the window's own thread hears of nothing meanwhile
+    window.change("choose route", route="t2d2")
+    window.change("choose route", route="t2t")
+    assert wait_until_shown(window, LIMIT_S)
+    assert window.window.visible_columns() == ("source", "touch", "felt", "pose")
+    states = {window.window.columns[name].state for name in ("touch", "felt")}
+    assert not states & {"stale", "running", "waiting", "failed"}
+
+
 @pytest.mark.parametrize("layout", ["align", "stages"])
 def test_columns_that_a_route_brings_are_filled(layout, open_window, touch_file):
     window = open_window(touch_file, target="gelslim", frame=2)
