@@ -112,8 +112,8 @@ def _before(image):
     seen = np.isfinite(moved)
     moved, _ = filled(np.where(seen, moved, np.float32(0.0)), seen)
     moved = denoised(moved, _SPLINE_MM / _FLIGHT.pixel_mm)
-    pressed = contact.touched(moved, least_mm=_FLIGHT.limits.contact_min_mm, pressure_share=_SHARE,
-                              smoothing_px=_CURVATURE_MM / _FLIGHT.pixel_mm, order=2)  # fmt: skip
+    pressed = contact.touched_membrane(moved, least_mm=_FLIGHT.limits.contact_min_mm, pressure_share=_SHARE,
+                                       smoothing_px=_CURVATURE_MM / _FLIGHT.pixel_mm)  # fmt: skip
     return moved, contact.without_specks(pressed, round(_SPECK_MM2 / _FLIGHT.pixel_mm**2))
 
 

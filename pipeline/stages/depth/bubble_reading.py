@@ -84,7 +84,7 @@ def _candidates(indentation: Floats, least_mm: float, pixel_mm: float) -> Mask:
     smooth, speck = max(1.0, _CURVATURE_MM / pixel_mm), max(4, round(_SPECK_MM2 / pixel_mm**2))
     weak, strong = (
         contact.without_specks(
-            contact.touched(indentation, least_mm=least_mm, pressure_share=share, smoothing_px=smooth, order=2), speck
+            contact.touched_membrane(indentation, least_mm=least_mm, pressure_share=share, smoothing_px=smooth), speck
         )
         for share in (_CANDIDATE_SHARE, _CERTAIN_SHARE)
     )

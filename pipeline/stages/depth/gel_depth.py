@@ -33,7 +33,8 @@ from pipeline.values.results import DepthMap
 _FADES_FROM, _GONE_AT = 0.2, 0.6  # thicknesses from the contact, see `_relaxed`
 _SATURATED_GREY = 254  # noise of a grey level takes what is clipped at 255 down to here
 _TELL_SATURATED = 0.01  # of the touch
-_PRESSURE_BLUR_PX = 1.5
+_PRESSURE_BLUR_PX = 1.5  # of what certainly presses
+_CONTACT_BLUR_PX = 1.0
 _PRESSURE_CELLS = 220  # of the grid on which it is told what certainly presses, along the longer side
 _CERTAIN, _CERTAIN_SHARE = 0.04, 0.1  # mm/mm, and of the peak: pressure, in slopes, that noise does not make
 _SPECK_MM2 = 0.15  # smaller contacts are camera noise
@@ -105,7 +106,7 @@ def read(
         )  # fmt: skip
         surface, inside = _settled(surface, window, source, pixel_mm)
         pressed = inside | contact.touched(
-            surface, least_mm=least_mm, pressure_share=pressure_share, smoothing_px=_PRESSURE_BLUR_PX
+            surface, pixel_mm, least_mm=least_mm, pressure_share=pressure_share, smoothing_px=_CONTACT_BLUR_PX
         )
         pressed = contact.without_specks(pressed & (window.moved | inside), max(4, round(_SPECK_MM2 / pixel_mm**2)))
         pressed = gel_light.pressed_in(pressed, surface, pixel_mm, _border(shape)[here])

@@ -45,7 +45,7 @@ class DepthParams:
     )  # fmt: skip
     pressure_share: float = setting(
         0.25, "Pressure share", unit="share", low=0.02, high=0.8, step=0.02,
-        help="contact is where the pressure exceeds this share of its peak",
+        help="contact is where the pressure exceeds this share of its peak nearby",
         source="Johnson, Contact Mechanics, 1985",
     )  # fmt: skip
     smoothing_px: float = setting(1.0, "Smoothing", unit="px", low=0.0, high=5.0, step=0.25,

@@ -9,9 +9,21 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from scipy.ndimage import binary_fill_holes
 
-from pipeline.stages.depth.contact import without_holes, without_margins
+from pipeline.evaluation.metrics import iou
+from pipeline.physics import gel
+from pipeline.sensors.parts import Gel
+from pipeline.stages.depth.contact import touched, touched_membrane, without_holes, without_margins
 
 SHAPE = (60, 80)
+PAD, PIXEL_MM = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48), 0.05
+LIMITS = {"least_mm": 0.03, "pressure_share": 0.25, "smoothing_px": 1.0}
+
+
+def felt(height_mm):
+    """A gel under an object whose overlap is this function of (x, y, distance) from the middle, and the truth."""
+    y, x = (np.mgrid[:120, :140] - np.array([59.5, 69.5])[:, None, None]) * PIXEL_MM
+    pressed = gel.press(PAD, PIXEL_MM, height_mm(x, y, np.hypot(x, y)))
+    return pressed.indentation_mm, pressed.contact
 
 
 @pytest.mark.parametrize(
@@ -54,3 +66,42 @@ def test_a_strip_along_the_border_beside_a_larger_contact_is_left_out(wide, kept
 @given(arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=12), elements=st.booleans()))
 def test_what_a_mask_encloses_is_filled(mask):
     assert np.array_equal(without_holes(mask), binary_fill_holes(mask))
+
+
+@pytest.mark.parametrize(
+    ("height_mm", "least"),
+    [
+        (lambda x, y, r: 0.8 - 0.6 * r, 0.55),  # a cone, whose pressure is infinite at its tip
+        (lambda x, y, r: 0.5 - r * r / 8.0, 0.82),
+        (lambda x, y, r: 0.3 - r * r / 8.0, 0.86),
+        (lambda x, y, r: 0.5 - x * x / 4.0 - np.where(abs(y) < 1.8, 0.0, 9.0), 0.72),  # a rod, whose ends are sharp
+    ],
+    ids=["cone", "ball", "ball lightly", "rod"],
+)
+def test_the_contact_of_what_mechanics_press_is_found_nearly_to_its_rim(height_mm, least):
+    surface, contact = felt(height_mm)
+    assert iou(touched(surface, PIXEL_MM, **LIMITS), contact) > least
+
+
+def test_gel_that_a_deep_contact_hardly_pulls_along_is_not_touched():
+    _, _, r = (np.broadcast_to(a, (120, 140)) for a in (0, 0, np.hypot(*np.mgrid[-60:60, -70:70]) * PIXEL_MM))
+    ball, skirt = np.maximum(0.9 - r * r / 4.0, 0.0), np.where(r < 2.6, 0.15, 0.0)
+    found = touched(np.maximum(ball, skirt).astype(np.float32), PIXEL_MM, **LIMITS)
+    assert found[r < 1.2].all()
+    assert not found[r > 2.0].any()
+
+
+def test_a_light_touch_beside_a_firm_one_has_a_peak_of_its_own():
+    surface, _ = felt(lambda x, y, r: 0.5 - (x + 2.0) ** 2 - y * y)
+    light, contact = felt(lambda x, y, r: 0.06 - (x - 2.0) ** 2 / 2.0 - y * y / 2.0)
+    found = touched(surface + light, PIXEL_MM, **LIMITS)
+    assert found[contact].mean() > 0.5
+
+
+def test_a_membranes_contact_has_no_holes():
+    y, x = np.mgrid[:80, :80]
+    r = np.hypot(x - 39.5, y - 39.5)
+    surface = np.clip(25.0 - np.abs(r - 15.0) * 2.0, 0.0, 20.0).astype(np.float32)
+    found = touched_membrane(surface, least_mm=1.0, pressure_share=0.25, smoothing_px=2.0)
+    assert found[39, 39]
+    assert not found[0, 0]

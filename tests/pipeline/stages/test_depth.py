@@ -283,7 +283,7 @@ def test_a_flat_punch_is_touched_inside_its_rim_too():
     y, x = np.mgrid[:120, :120]
     outside = np.maximum(np.maximum(abs(x - 60) - 20, abs(y - 60) - 20), 0)
     surface = (0.5 * np.exp(-outside / 8.0)).astype(np.float32)
-    found = contact.touched(surface, least_mm=0.03, pressure_share=0.25, smoothing_px=1.5)
+    found = contact.touched(surface, 0.05, least_mm=0.03, pressure_share=0.25, smoothing_px=1.0)
     assert found[60, 60]
     assert not found[60, 100]
 
