@@ -89,7 +89,6 @@ def touched_membrane(indentation_mm: Floats, *, least_mm: float, pressure_share:
 
     Each region that is pushed in has its own peak, so that a light touch beside a firm one is kept.
     """
-
     deep = indentation_mm > least_mm
     if not deep.any():
         return deep
