@@ -6,6 +6,8 @@ Everything is written beside its place, brought to the disk while that can still
 from __future__ import annotations
 
 import contextlib
+import errno
+import glob
 import itertools
 import json
 import os
@@ -13,6 +15,7 @@ import shutil
 import stat
 import tempfile
 import tomllib
+import uuid
 from collections.abc import Callable, Generator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -24,6 +27,7 @@ from pipeline.base.errors import FileProblem
 
 MOST_BYTES = 2 << 30  # of one picture or mesh; what is larger is none
 MOST_TEXT_BYTES = 16 << 20  # of a description, an alignment or a session, which are a few kB
+_MOST_TRIES = 10  # of putting a folder in its place while others do
 _numbers = itertools.count()
 
 
@@ -54,20 +58,33 @@ def whole_file(path: Path, what: str) -> Generator[BinaryIO, None, None]:
 
 def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
     """Have `fill` write into a new folder that takes the place of `folder` once it is complete."""
-    part, before = (folder.with_name(f".{folder.name}.{word}") for word in ("part", "before"))
+    ours = f".{folder.name}.{uuid.getnode():x}-"  # other machines may write into the same folder
+    part, before = (folder.with_name(f"{ours}{os.getpid()}-{next(_numbers)}.part") for _ in range(2))
     try:
-        shutil.rmtree(part, ignore_errors=True)
+        _remove_left_over(folder.parent, f"{glob.escape(ours)}*.part")
         part.mkdir(parents=True)
         fill(part)
-        if folder.exists():
-            shutil.rmtree(before, ignore_errors=True)
-            folder.replace(before)
-        part.replace(folder)
+        _take_place(part, folder, before)
     except OSError as error:
         raise FileProblem(f"cannot write the results ({reason(error)})", folder) from error
     finally:
         for rest in (part, before):
-            shutil.rmtree(rest, ignore_errors=True)
+            _remove(rest)
+
+
+def _take_place(part: Path, folder: Path, before: Path) -> None:
+    """Put `part` where `folder` is, which goes to `before`; another process may do the same at this very moment."""
+    for _ in range(_MOST_TRIES):
+        with contextlib.suppress(FileNotFoundError):
+            folder.replace(before)
+        try:
+            part.replace(folder)
+            return
+        except OSError as error:
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                raise
+            _remove(before)
+    part.replace(folder)
 
 
 def ready(folder: Path) -> None:
@@ -217,14 +234,22 @@ def reason(error: Exception) -> str:
     return os.strerror(number) if number else str(error).partition("\n")[0]
 
 
-def _remove_left_over(folder: Path) -> None:
+def _remove_left_over(folder: Path, pattern: str = ".tactoscope-*.part") -> None:
     """Take away what a process that was killed left beside its place."""
-    for rest in folder.glob(".tactoscope-*.part"):
+    for rest in folder.glob(pattern):
         with contextlib.suppress(PermissionError, ValueError, OverflowError):  # somebody else's
             try:
-                os.kill(int(rest.name.split("-")[1]), 0)
+                os.kill(int(rest.name.split("-")[-2]), 0)
             except ProcessLookupError:
-                rest.unlink(missing_ok=True)
+                _remove(rest)
+
+
+def _remove(path: Path) -> None:
+    """Take away a file or a folder, as far as that can be done."""
+    if path.is_dir():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
 
 
 def _plain(value: object) -> object:

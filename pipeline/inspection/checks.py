@@ -27,6 +27,7 @@ _NAN_LIMIT = 0.5  # share of pixels without a reading beyond which a depth frame
 _WHITE, _BURNT_OUT = 254, 0.5  # grey level at which nothing is told apart, and the share of a picture that may be so
 _ALIKE = 0.2  # likeness of colours below which nothing is said of them
 _EDGE_SHARE = 0.01  # contact pixels at the very edge whose indentation is rounded to 0
+_BULGE, _MOST_BULGING = 0.25, 0.25  # of the depth, of the contact: a gel bulges into what an object has hollow
 _FAR_MM = 500.0  # an object that is felt lies within this distance of the sensor
 
 
@@ -107,7 +108,12 @@ class Tally:
             self._bad["truth"].append(
                 f"indentation_mm of frame {index} reaches {deepest:.3g} mm, the limit is {limit:g} mm"
             )
-        if truth.contact is not None and (truth.contact & ~(pressed > 0)).sum() > _EDGE_SHARE * truth.contact.sum():
+        if truth.contact is None:
+            return
+        bulging = (pressed < 0) & (pressed > -_BULGE * deepest)
+        odd, bulges = truth.contact & ~(pressed > 0) & ~bulging, truth.contact & bulging
+        n_touched = int(truth.contact.sum())
+        if odd.sum() > _EDGE_SHARE * n_touched or bulges.sum() > _MOST_BULGING * n_touched:
             self._bad["truth"].append(f"contact of frame {index} holds pixels whose indentation_mm is not positive")
 
     def _pose(self, index: int, sensor_from_object: Doubles) -> None:

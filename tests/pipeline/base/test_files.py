@@ -5,6 +5,8 @@ import json
 import math
 import os
 import pickle
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +27,12 @@ from pipeline.base.files import (
 )
 from pipeline.base.text import plain
 
+_KILLED = """
+import os, signal, sys
+from pathlib import Path
+from pipeline.base.files import write_folder
+write_folder(Path(sys.argv[1]), lambda _: os.kill(os.getpid(), signal.SIGKILL))
+"""
 PACKAGES = ("pipeline", "app", "widgets")
 ROOT = Path(__file__).parents[3]
 
@@ -45,6 +53,27 @@ def test_a_folder_that_fails_half_way_leaves_the_old_one_and_nothing_else(tmp_pa
         write_folder(tmp_path / "frame", interrupted)
     assert [p.name for p in tmp_path.iterdir()] == ["frame"]
     assert (tmp_path / "frame" / "a").read_text() == "old"
+
+
+def test_two_that_write_one_folder_at_once_both_end_and_leave_a_whole_one(tmp_path):
+    frame = tmp_path / "it's [a] frame"
+
+    def slower(part):
+        (part / "a").write_text("slower")
+        write_folder(frame, lambda own: (own / "a").write_text("quicker"))
+        (part / "b").write_text("slower")
+
+    write_folder(frame, slower)
+    assert {p.name: p.read_text() for p in frame.iterdir()} == {"a": "slower", "b": "slower"}
+    assert [p.name for p in tmp_path.iterdir()] == [frame.name]
+
+
+def test_what_a_killed_process_left_of_a_folder_goes_when_it_is_written_again(tmp_path):
+    killed = subprocess.run([sys.executable, "-c", _KILLED, tmp_path / "frame"], check=False, timeout=60)
+    assert killed.returncode == -9
+    assert len(list(tmp_path.iterdir())) == 1
+    write_folder(tmp_path / "frame", lambda part: (part / "a").write_text("new"))
+    assert [p.name for p in tmp_path.iterdir()] == ["frame"]
 
 
 def test_json_says_null_for_what_is_not_a_number(tmp_path):

@@ -148,6 +148,14 @@ def test_truth_that_contradicts_itself_is_noticed(tmp_path: Path, truth: Truth, 
     assert words in found[1]
 
 
+def test_a_gel_that_bulges_into_a_hollow_object_and_touches_it_there_is_no_contradiction(tmp_path: Path):
+    hollow = np.where(np.indices(DENT.shape)[1] % 8 == 0, np.float32(-0.1), DENT) * (DENT > 0)
+    touched = Truth(indentation_mm=hollow.astype(np.float32), contact=DENT > 0.2)
+    assert state(inspect(record(tmp_path / "a.h5", [gel(0)], [touched])), "truth")[0] == "pass"
+    turned = Truth(indentation_mm=-DENT, contact=DENT > 0.2)
+    assert state(inspect(record(tmp_path / "b.h5", [gel(0)], [turned])), "truth")[0] == "fail"
+
+
 def test_truth_a_little_beyond_the_limit_is_let_pass_and_the_rest_is_counted(tmp_path: Path):
     deep = [Truth(indentation_mm=DENT * times) for times in (5.8, 6.2, 6.2, 6.2)]  # 2.9 mm and 3.1 mm, the limit 1.5
     assert state(inspect(record(tmp_path / "a.h5", [gel(0)], deep[:1])), "truth")[0] == "pass"
