@@ -11,6 +11,7 @@ from pathlib import Path
 from pipeline.base.errors import SettingProblem
 from pipeline.cli.stopping import asking
 from pipeline.cli.terminal import print_line
+from pipeline.live import zero
 from pipeline.live.device import found
 from pipeline.live.reader import Reader
 from pipeline.live.recorder import Recorder
@@ -72,8 +73,12 @@ def _result(reader: Reader, recorder: Recorder | None) -> int:
         return 0
     if recorder.n_written:
         print_line(f"{recorder.n_written} frames in {os.fspath(recorder.path)}, {recorder.n_left_out} left out")
-    else:
-        print_line("nothing was recorded, as zero was never set: no file is left")
+    elif not recorder.problem:
+        print_line(
+            f"nothing was recorded and no file is left: the first {zero.FIRST} readings are taken as untouched, "
+            f"{status.n_frames} came; let it watch for longer"
+        )
+        return 1
     if recorder.problem:
         print_line(recorder.problem)
     return 2 if recorder.problem else 0

@@ -222,7 +222,7 @@ class Reader:
     def _check(self, frame: TactileFrame) -> None:
         """Set the first zero by itself; now and then see whether it still fits."""
         if self._reference is None:
-            if len(self._last()) >= zero.MOST // 2:
+            if len(self._last()) >= zero.FIRST:
                 self.set_zero()
         elif frame.time_s - self._checked_s > _CHECK_EVERY_S:
             self._checked_s = frame.time_s

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.base.arrays import Doubles, Floats, Image, freeze
 from pipeline.sensors.spec import SensorSpec
 
-FEWEST, MOST = 3, 15
+FEWEST, FIRST, MOST = 3, 7, 15
 _BLOCKS_ALONG = 16
 _SAME_NOISES = 6.0  # times the usual change of a block between two readings, where that is more than the limit
 _SAME = {"gel": 2.0, "bubble": 0.4}  # grey levels and mm that a block's mean may change while nothing happens

@@ -435,3 +435,10 @@ def test_words_that_are_no_source_are_told(words):
 
 def test_the_light_of_a_digit_is_full():
     assert next(kind for kind in device.KINDS if kind.sensor == "digit").light == 0xFFF
+
+
+def test_too_few_readings_to_record_are_no_success(tmp_path, capsys):
+    words = ["live", "--sensor", "digit", "--rate", "3", "--record", str(tmp_path / "a.h5"), "--seconds", "1.5"]
+    assert run(build(), words) == 1
+    assert "the first 7 readings are taken as untouched" in capsys.readouterr().out
+    assert not (tmp_path / "a.h5").exists()
