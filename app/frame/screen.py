@@ -18,7 +18,7 @@ from pipeline.engine.graph import StageResult
 from pipeline.pictures.layers import Layer
 from pipeline.pictures.picture import Picture
 from pipeline.scoring.beside import Beside, Versus
-from pipeline.translation.translate import Translation
+from pipeline.translation.translate import Request, Translation
 from widgets.layers import Scene
 from widgets.picture import PictureView
 from widgets.steps import Step
@@ -250,7 +250,7 @@ class Screen:
     ) -> None:
         """A slot of other sessions, in 3D views of their own, which look from where the columns do."""
         old, self._others = self._others, tuple((slot, other) for _, other in others)
-        if old != self._others:
+        if [_opened_as(*pair) for pair in old] != [_opened_as(*pair) for pair in self._others]:
             self.look(session)
         for k, (layers, _) in enumerate(others):
             self.scene.show_layers(len(self._order) + 1 + k, layers)
@@ -285,3 +285,8 @@ class Screen:
 
     def _unfinished(self) -> list[str]:
         return [name for name in self._window.visible_columns() if name not in self._fresh]
+
+
+def _opened_as(slot: str, other: Translation | None) -> tuple[str, Request | None]:
+    """What a view of another session looks at: the same while its frames go by and its alignment is dragged."""
+    return slot, None if other is None else other.request

@@ -50,7 +50,7 @@ class Request:
     offsets: Offsets = field(default_factory=Offsets)  # how far that alignment is moved
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Translation:
     """Everything that the methods read, for every frame of one stream."""
 

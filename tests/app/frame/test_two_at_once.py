@@ -65,6 +65,11 @@ def test_what_is_set_now_stands_beside_what_was_held(held, qtbot):
     own = [instrument.screen.scene._stage.camera_of(len(instrument.window.columns) + 1 + k) for k in (0, 1)]
     assert own[0] == own[1]  # one view
     assert all(cell.view.image is not None for cell in instrument.window.compare.solids)
+    for x_mm in (0.5, 1.0):  # both stay in view while the alignment is moved
+        instrument.change("move the alignment", offsets=replace(instrument.session.offsets, shift_mm=(x_mm, 0.0, 0.0)))
+        _settle(qtbot, instrument, comparing)
+    assert instrument.window.banner.isHidden(), instrument.window.banner.text
+    assert own[0] == instrument.screen.scene._stage.camera_of(len(instrument.window.columns) + 1)
     _choose_slot(qtbot, instrument, comparing, "")
     tiles = _grid(instrument).tiles
     assert len(tiles) == 2 * len(instrument.window.columns)
