@@ -50,7 +50,7 @@ from widgets.waterfall import BlamePanel
 
 SIZE = QSize(1600, 950)
 _DOING_PX = 260  # for what the background does, in words
-LOW_STRIP_PX, HIGH_STRIP_PX, MOST_STRIP = 24, 44, 0.1  # of the errors; of the window: higher bars tell no more
+LOW_STRIP_PX, HIGH_STRIP_PX, MOST_STRIP = 24, 44, 0.125  # of the errors; of the window: higher bars tell no more
 
 
 class Window(QMainWindow):
