@@ -233,6 +233,9 @@ class Instrument(Documents):
             while can() and not self._is_open():
                 step()
         if not self._is_open():
+            self._ticket = 0  # what the last step asked for fails as well, and would be taken back for ever
+            self.job.cancel()
+            self._rest()
             self.screen.mark_cancelled()
         elif self.session.recording == failed.recording:
             self.choose_frame(failed.frame)

@@ -181,6 +181,20 @@ def test_a_part_that_comes_too_late_leaves_its_column_waiting_for_its_own(bubble
     assert "this frame is damaged" in window.window.columns["source"].view.message
 
 
+def test_what_nothing_before_it_can_take_back_fails_once(bubble_window, tmp_path, qtbot):
+    """Where no step of the undo stack is what is open, the failure is told and it comes to rest."""
+    empty = tmp_path / "empty.h5"
+    empty.touch()
+    bubble_window._open = set()
+    bubble_window.change("open", recording=empty)
+    wait_until_shown(bubble_window, LIMIT_S)
+    qtbot.waitUntil(lambda: bubble_window.idle and not bubble_window.job.busy, timeout=20_000)
+    before = bubble_window.job.newest
+    qtbot.wait(300)
+    assert bubble_window.job.newest == before
+    assert "empty" in bubble_window.window.banner.text
+
+
 def test_a_route_that_was_opened_for_nobody_is_told_to_who_asks_next(open_window, touch_file):
     """There and back and there again while it opens: what came of the first request is no answer to the last."""
     window = open_window(touch_file, target="gelslim", frame=2)
