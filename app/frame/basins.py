@@ -48,7 +48,7 @@ class BasinsTab(QObject):
     @property
     def busy(self) -> bool:
         """Whether a map is on its way."""
-        return self._job.busy
+        return not self._job.quiet
 
     def ask(self) -> None:
         """Bring the tab to the front and begin."""

@@ -75,7 +75,7 @@ class Comparing(QObject):
     @property
     def busy(self) -> bool:
         """Whether tiles are still to come."""
-        return self._job.busy
+        return not self._job.quiet
 
     def hold_settings(self) -> None:
         """What is set now is B from now on."""

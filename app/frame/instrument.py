@@ -228,15 +228,17 @@ class Instrument(Documents):
 
     def _take_back(self) -> None:
         """Go back to the session whose request is open, but stay on the frame that was chosen meanwhile."""
-        failed = self.session
+        failed, at = self.session, self.undo.index()
         for can, step in ((self.undo.canUndo, self.undo.undo), (self.undo.canRedo, self.undo.redo)):
             while can() and not self._is_open():
                 step()
-        if not self._is_open():
-            self._ticket = 0  # what the last step asked for fails as well, and would be taken back for ever
-            self.job.cancel()
-            self._rest()
-            self.screen.mark_cancelled()
+        if not self._is_open():  # it was left backwards, and another choice cut it off the stack
+            self.undo.setIndex(max(0, at - 1))
+            if at == 0 or self.session.recording is None:
+                self._ticket = 0  # what the last step asked for fails as well, and would be taken back for ever
+                self.job.cancel()
+                self._rest()
+                self.screen.mark_cancelled()
         elif self.session.recording == failed.recording:
             self.choose_frame(failed.frame)
 

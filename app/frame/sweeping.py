@@ -51,7 +51,7 @@ class Sweeping(QObject):
     @property
     def busy(self) -> bool:
         """Whether cells are still to come."""
-        return self._job.busy
+        return not self._job.quiet
 
     def _show_session(self, session: Session) -> None:
         """Offer what the route's methods can be set to, and stop what is about something else."""

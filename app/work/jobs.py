@@ -53,6 +53,7 @@ class LatestJob(QObject):
     finished = pyqtSignal(int, object)
     failed = pyqtSignal(int, object)
     cancelled = pyqtSignal(int)
+    _over = pyqtSignal()  # behind whichever of the three above
 
     def __init__(self, name: str, parent: QObject | None = None) -> None:
         super().__init__(parent)
@@ -62,6 +63,8 @@ class LatestJob(QObject):
         self._running: Report | None = None
         self._closing = False
         self.newest = 0
+        self._untold = 0  # how much work was begun whose end was not told yet
+        self._over.connect(self._told)
         self._thread = threading.Thread(target=self._loop, name=name, daemon=True)
         self._thread.start()
 
@@ -98,6 +101,11 @@ class LatestJob(QObject):
         with self._changed:
             return self._running is not None or self._waiting is not None
 
+    @property
+    def quiet(self) -> bool:
+        """Whether nothing runs or waits, and whoever listens has heard how the last of it ended."""
+        return not self.busy and not self._untold
+
     def close(self, timeout_s: float = 5.0) -> bool:
         """Stop for good; whether the thread ended in time."""
         self.cancel()
@@ -116,7 +124,9 @@ class LatestJob(QObject):
                     return
                 report, work = self._waiting, self._work
                 self._running, self._waiting, self._work = report, None, None
+                self._untold += 1
             self._run(report, work)
+            self._over.emit()
 
     def _run(self, report: Report, work: Work) -> None:
         self.started.emit(report.ticket)
@@ -133,6 +143,10 @@ class LatestJob(QObject):
             self._free()
             stopped = report.stopped.is_set()
             _ = self.cancelled.emit(report.ticket) if stopped else self.finished.emit(report.ticket, result)
+
+    def _told(self) -> None:
+        with self._changed:
+            self._untold -= 1
 
     def _free(self) -> None:
         with self._changed:

@@ -181,10 +181,15 @@ def test_a_part_that_comes_too_late_leaves_its_column_waiting_for_its_own(bubble
     assert "this frame is damaged" in window.window.columns["source"].view.message
 
 
-def test_what_nothing_before_it_can_take_back_fails_once(bubble_window, tmp_path, qtbot):
-    """Where no step of the undo stack is what is open, the failure is told and it comes to rest."""
+def test_what_nothing_before_it_can_take_back_comes_to_rest(bubble_window, tmp_path, qtbot, monkeypatch):
+    """Where no step of the undo stack is what is open, and the one before cannot be opened any more either."""
     empty = tmp_path / "empty.h5"
     empty.touch()
+
+    def fails(*_args, **_kwargs):
+        raise FileProblem("the file is empty", empty)
+
+    monkeypatch.setattr(bubble_window.evaluator, "show", fails)
     bubble_window._open = set()
     bubble_window.change("open", recording=empty)
     wait_until_shown(bubble_window, LIMIT_S)
@@ -193,6 +198,22 @@ def test_what_nothing_before_it_can_take_back_fails_once(bubble_window, tmp_path
     qtbot.wait(300)
     assert bubble_window.job.newest == before
     assert "empty" in bubble_window.window.banner.text
+
+
+def test_what_fails_after_a_step_back_ends_at_the_step_before_it(bubble_window, tmp_path):
+    """Another choice after an undo cuts what is open off the stack: nothing on it counts as open."""
+    empty = tmp_path / "empty.h5"
+    empty.touch()
+    first = bubble_window.session.recording
+    bubble_window.open_path(SAMPLE)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    bubble_window.undo.undo()
+    bubble_window.open_path(empty)
+    wait_until_shown(bubble_window, LIMIT_S)
+    assert "empty" in bubble_window.window.banner.text
+    assert bubble_window.session.recording == first
+    assert bubble_window.screen.opened.request.recording == first
+    assert bubble_window.window.columns["depth"].state in ("computed", "cached", "unchanged", "doubtful")
 
 
 def test_a_route_that_was_opened_for_nobody_is_told_to_who_asks_next(open_window, touch_file):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 
 import pytest
 
@@ -127,3 +128,16 @@ def test_compiling_is_said_at_the_fraction_that_was_reached(job, qtbot, monkeypa
     assert told[0] == (0.25, "pose")
     assert told[1][0] == 0.25
     assert told[1][1].startswith("compiling, once")
+
+
+def test_it_is_quiet_only_once_the_end_was_told(job, qtbot):
+    """Work that is done is not yet heard of: what it found waits in the queue of the window's thread."""
+    got: list[object] = []
+    job.finished.connect(lambda _ticket, value: got.append(value))
+    assert job.quiet
+    job.submit(lambda _report: 7)
+    while job.busy:  # no event is taken meanwhile
+        time.sleep(0.001)
+    assert (job.quiet, got) == (False, [])
+    qtbot.waitUntil(lambda: job.quiet, timeout=SOON_MS)
+    assert got == [7]
