@@ -161,7 +161,7 @@ def _faces(indentation_mm: Floats, pressed: Mask, deep: Mask) -> Mask:
     with_rim[0] = False
     joined = with_rim[regions].astype(np.uint8)
     # The rim's pressure ridge and the face meet in a line of pixels that are neither.
-    closed = cv2.morphologyEx(joined, cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
+    closed = cv2.morphologyEx(joined, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (7, 7)))
     return np.asarray(closed, np.bool_) & deep
 
 
@@ -176,6 +176,18 @@ def without_holes(mask: Mask) -> Mask:
     _, found = cv2.connectedComponents(beside, connectivity=4)
     regions = np.asarray(found, np.int32)
     return np.asarray(regions[1:-1, 1:-1] != regions[0, 0], np.bool_)
+
+
+def without_small_holes(mask: Mask, max_pixels: int) -> Mask:
+    """The mask (rows, cols) with what it encloses where that is `max_pixels` pixels or less."""
+    import cv2
+
+    n, found, stats, _ = cv2.connectedComponentsWithStats(
+        (without_holes(mask) & ~mask).astype(np.uint8), connectivity=4
+    )
+    small = np.zeros(n, np.bool_)
+    small[1:] = stats[1:, cv2.CC_STAT_AREA] <= max_pixels
+    return mask | small[np.asarray(found, np.int32)]
 
 
 def without_specks(mask: Mask, min_pixels: int) -> Mask:
@@ -212,8 +224,8 @@ def without_margins(
     largest = int(area[1:][~cut[1:]].max(initial=0))
     for k in (int(k) for k in np.flatnonzero(cut & keep)):
         at_corner = np.count_nonzero(across[:, k]) == np.count_nonzero(along[:, k]) == 1
-        at_corner &= max(int(wide[k]), int(tall[k])) <= _CORNER_WIDE * narrow_px
         narrow = min(tall[k] if across[:, k].any() else wide[k], wide[k] if along[:, k].any() else tall[k])
+        at_corner &= bool(max(wide[k], tall[k]) <= _CORNER_WIDE * narrow_px or narrow <= narrow_px)
         shallow = at_corner and float(indentation_mm[np.equal(regions, k)].max()) <= _CORNER_MM
         keep[k] = not shallow and (narrow > narrow_px or area[k] > largest)
     return np.asarray(keep[regions], np.bool_)

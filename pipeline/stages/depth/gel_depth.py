@@ -38,6 +38,7 @@ _CONTACT_BLUR_PX = 1.0
 _PRESSURE_CELLS = 220  # of the grid on which it is told what certainly presses, along the longer side
 _CERTAIN, _CERTAIN_SHARE = 0.04, 0.1  # mm/mm, and of the peak: pressure, in slopes, that noise does not make
 _SPECK_MM2 = 0.15  # smaller contacts are camera noise
+_HOLE_MM2 = 0.5  # what a rough ball or a book leaves between its threads: those of `benchmarks/real_things.py`
 _FULL_SHARE = 0.9  # of the view
 _HARDLY_TOLD = Doubt("the touch lies where the lamps hardly tell slopes: sizes and depths there may be wrong by half")
 _NARROW = 0.5  # thicknesses, within which the gel beyond the border bears on what is seen
@@ -110,6 +111,7 @@ def read(
         )
         pressed = contact.without_specks(pressed & (window.moved | inside), max(4, round(_SPECK_MM2 / pixel_mm**2)))
         pressed = gel_light.pressed_in(pressed, surface, pixel_mm, _border(shape)[here])
+        pressed = contact.without_small_holes(pressed, round(_HOLE_MM2 / pixel_mm**2))
         narrow_px = _NARROW * (0.0 if source.gel is None else source.gel.thickness_mm) / pixel_mm
         touched[here] = contact.without_margins(pressed, surface, *here, shape, narrow_px)
         progress.step(0.8, "relaxing the gel around the contact")

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
-from scipy.ndimage import binary_fill_holes
+from scipy.ndimage import binary_fill_holes, label
 
+from benchmarks.real_things import circle_of, straight
 from pipeline.evaluation.metrics import iou
 from pipeline.physics import gel
 from pipeline.sensors.parts import Gel
-from pipeline.stages.depth.contact import touched, touched_membrane, without_holes, without_margins
+from pipeline.stages.depth.contact import touched, touched_membrane, without_holes, without_margins, without_small_holes
 
 SHAPE = (60, 80)
 PAD, PIXEL_MM = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48), 0.05
@@ -32,6 +34,7 @@ def felt(height_mm):
         (slice(0, 9), slice(0, 12), 0.08, False),  # a corner of the gel that slid
         (slice(0, 9), slice(0, 12), 0.30, True),  # too deep for that
         (slice(0, 9), slice(0, 60), 0.08, True),  # longer than any corner
+        (slice(0, 5), slice(0, 60), 0.08, False),  # a sliver of one
         (slice(0, 9), slice(20, 40), 0.08, True),  # at one side
         (slice(0, 60), slice(0, 12), 0.08, True),  # a face along three sides
         (slice(20, 30), slice(20, 30), 0.08, True),
@@ -66,6 +69,22 @@ def test_a_strip_along_the_border_beside_a_larger_contact_is_left_out(wide, kept
 @given(arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=12), elements=st.booleans()))
 def test_what_a_mask_encloses_is_filled(mask):
     assert np.array_equal(without_holes(mask), binary_fill_holes(mask))
+
+
+@given(arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=12), elements=st.booleans()), st.integers(0, 9))
+def test_only_small_holes_are_filled(mask, most):
+    holes, n = label(binary_fill_holes(mask) & ~mask)
+    small = np.isin(holes, [k for k in range(1, n + 1) if (holes == k).sum() <= most])
+    assert np.array_equal(without_small_holes(mask, most), mask | small)
+
+
+def test_the_contact_of_a_rough_ball_has_no_stairs():
+    """As on a tennis ball: what closes the gaps between its threads must not leave its own square shape."""
+    height_mm, _ = felt(lambda x, y, r: 0.5 - r * r / 12.0)
+    rough = np.random.default_rng(5).normal(0.0, 1.0, height_mm.shape).astype(np.float32)
+    rough = cv2.GaussianBlur(rough, (0, 0), 3.0)
+    contact = touched(height_mm + 0.05 * height_mm * rough / rough.std(), PIXEL_MM, **LIMITS)
+    assert straight(contact) - circle_of(int(contact.sum())) < 0.1
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,115 @@
+"""Everyday things on a real GelSight Mini: is their contact in one piece where the eye sees one, without blobs?
+
+    python benchmarks/real_things.py [SHEET.png [METHOD [DATA_FOLDER]]]
+
+METHOD fills the slot *depth* ("physics" unless named) and is told nothing of the unit but its untouched picture. There
+is no truth: counted is what the eye would complain of. A *crumb* is a part of the contact smaller than a thousandth of
+the picture; a *corner blob* a part that lies whole in a corner of an eighth of the picture's sides; a *stair* a run of
+8 straight pixels or more in the contact's outline, along a row or a column and inside the picture: the share of the
+outline in such runs, less that which an exact circle of the same area has. Times are of a picture.
+SHEET.png shows every frame: its picture, its depth (black 0 to white 1 mm) with the contact's outline.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from benchmarks.depth_reader import numbered, picture, reader
+from benchmarks.races import Bar, row, timing
+from benchmarks.recorded import recorded_data
+from pipeline.racing.races import Answer
+from pipeline.racing.report import show
+from pipeline.sensors.spec import sensor
+from pipeline.values.frames import TactileFrame
+
+NEEDS = "recorded data"
+_CRUMB, _CORNER, _STAIR_PX = 1e-3, 8, 8
+_WHITE_MM = 1.0
+_OWN_LOOK = {"rice": ("crumbs", "corner blobs"), "toothbrush": ("stairs",)}  # grains are small, a handle is straight
+
+
+def parts(contact):
+    """Labels of the connected parts, and how many pixels each has."""
+    n, labels, stats, _ = cv2.connectedComponentsWithStats(contact.astype(np.uint8), connectivity=8)
+    return labels, stats[1:n]
+
+
+def corner_blobs(contact) -> int:
+    rows, cols = contact.shape
+    n = 0
+    for x, y, wide, high, _ in parts(contact)[1]:
+        at_side = x + wide <= cols // _CORNER or x >= cols - cols // _CORNER
+        n += at_side and (y + high <= rows // _CORNER or y >= rows - rows // _CORNER)
+    return n
+
+
+def straight(contact) -> float:
+    """Share of the outline's pixels that lie in straight runs along a row or a column."""
+    inner = np.zeros_like(contact)
+    inner[1:-1, 1:-1] = True
+    found = total = 0
+    for turned in (contact, contact.T):
+        inside = inner if turned is contact else inner.T
+        edge = (turned[1:] != turned[:-1]) & inside[1:] & inside[:-1]
+        total += int(edge.sum())
+        for line in edge:
+            ends = np.flatnonzero(np.diff(np.concatenate(([0], line.view(np.int8), [0]))))
+            runs = ends[1::2] - ends[::2]
+            found += int(runs[runs >= _STAIR_PX].sum())
+    return found / total if total else 0.0
+
+
+def circle_of(n_px: int) -> float:
+    """What an exact circle of this area has of straight runs."""
+    r = np.sqrt(n_px / np.pi)
+    y, x = np.mgrid[-int(r) - 3 : int(r) + 4, -int(r) - 3 : int(r) + 4]
+    return straight(x**2 + y**2 <= r**2)
+
+
+def drawn(image, answer):
+    level = np.clip(answer.indentation_mm / _WHITE_MM * 255, 0, 255).astype(np.uint8)
+    depth = np.ascontiguousarray(np.repeat(level[..., None], 3, axis=2))
+    found, _ = cv2.findContours(answer.contact.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(depth, found, -1, (255, 160, 0), 1)
+    return np.hstack([image, depth])
+
+
+def answer(sheet: str = "", method: str = "physics", data: str = "") -> Answer:
+    folder, read, mini = recorded_data(data) / "mini_things", reader(method), sensor("gelsight_mini")
+    rows, shown = [], []
+    for thing in sorted(path for path in folder.iterdir() if path.is_dir()):
+        still, taken, crumbs, blobs, stairs, pieces, line = picture(thing / "ref.jpg"), [], 0, 0, [], [], []
+        for index, file in enumerate(numbered(thing, "frame_*.jpg")):
+            frame = TactileFrame(sensor=mini.name, image=picture(file), reference=still, index=index)
+            started = time.perf_counter()
+            found = read(frame, mini)
+            taken.append(1e3 * (time.perf_counter() - started))
+            areas = parts(found.contact)[1][:, cv2.CC_STAT_AREA]
+            crumbs += int((areas < _CRUMB * found.contact.size).sum())
+            blobs += corner_blobs(found.contact)
+            pieces.append(len(areas))
+            if found.contact.any():
+                stairs.append(straight(found.contact) - circle_of(int(areas.max())))
+            line.append(drawn(frame.image, found))
+        shown.append(np.hstack(line))
+        told = f"{thing.name} ({', '.join(map(str, pieces))} parts)"
+        figures = (("crumbs", crumbs, "parts", Bar(error=0)), ("corner blobs", blobs, "parts", Bar(error=0)),
+                   ("stairs", float(np.mean(stairs)) if stairs else 0.0, "share", Bar(error=0.1)))  # fmt: skip
+        own = _OWN_LOOK.get(thing.name.split("_")[0], ())
+        for what, value, unit, bar in figures:
+            kept = Bar() if what in own else bar
+            rows.append(row(f"{told}: {what}", ours=timing(taken), ours_error=value, unit=unit, bar=kept))
+    if sheet:
+        cv2.imwrite(sheet, np.vstack(shown)[..., ::-1])
+    return Answer(title=f"Contact of everyday things on a Mini, by {method}", unit="", rows=tuple(rows))
+
+
+if __name__ == "__main__":
+    show(answer(*sys.argv[1:4]))
