@@ -13,6 +13,7 @@ from pipeline.base.errors import SettingProblem
 from pipeline.geometry import rigid
 
 X, Z = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+_ALONG_Z = 0.99
 _SAME = 1e-9  # entries of two rotation matrices that are one
 
 
@@ -22,6 +23,13 @@ class Symmetry:
 
     rotations: Doubles  # (n, 3, 3), the identity first
     axis: Doubles | None = None  # (3,) unit: any turn about it is a symmetry too; None = there is none
+
+    @property
+    def fold(self) -> int:
+        """How many turns about z leave it as it is; 0 = all of them."""
+        if self.axis is not None and abs(float(self.axis[2])) > _ALONG_Z:
+            return 0
+        return sum(abs(float(turn[2, 2]) - 1.0) < _SAME for turn in self.rotations)
 
     def group(self, step: float = 0.01) -> Doubles:
         """All rotations (m, 3, 3), the identity first, for the MSSD of the BOP challenge (Hodan et al. 2020).

@@ -88,7 +88,7 @@ def _made(name: str, things: Things, rng: np.random.Generator, index: int) -> Ta
     vertices = rigid.apply(own.sensor_from_object, thing.vertices_mm)
     surface = lattice.depth_of_mesh(vertices, thing.triangles, unit.camera)
     said = told(rng, surface, described, as_gel=_AS_GEL[described.kind])
-    return taught(described, _view(described, said), own.indentation_mm, own.contact)
+    return taught(described, view_of(described, said), own.indentation_mm, own.contact)
 
 
 def taught(described: SensorSpec, view: TargetView, truth_mm: Floats, contact: Mask) -> Taught:
@@ -102,7 +102,7 @@ def taught(described: SensorSpec, view: TargetView, truth_mm: Floats, contact: M
     )  # fmt: skip
 
 
-def _view(target: SensorSpec, said: Told) -> TargetView:
+def view_of(target: SensorSpec, said: Told) -> TargetView:
     """As projection would hand it on: contact where the surface told lies beyond the target's rest surface."""
     rest = target.rest_depth_mm
     with np.errstate(invalid="ignore"):

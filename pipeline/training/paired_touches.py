@@ -68,11 +68,6 @@ def paired_touch(things: Things, seed: int, index: int, folder: str = "") -> Pai
     raise SettingProblem(f"none of {_MOST_EMPTY} presses from {index} on is felt; choose another seed")
 
 
-def thing_names() -> tuple[str, ...]:
-    """All objects that are known by name, in the order of their labels."""
-    return (*shapes.names("training"), *shapes.names("unseen"))
-
-
 def _pressed(things: Things, seed: int, number: int) -> PairedTouch:
     rng = np.random.default_rng([VERSION, 3, _KINDS.index(things), seed, number])
     name, thing = _thing(things, rng, number)
@@ -124,7 +119,7 @@ def _thing(things: Things, rng: np.random.Generator, number: int) -> tuple[str, 
         return "", body(rng)
     names = {
         "learned": shapes.names("training"), "unseen_grasps": shapes.names("training"),
-        "unseen_tools": shapes.names("unseen"), "own": thing_names(),
+        "unseen_tools": shapes.names("unseen"), "own": shapes.taught(),
     }[things]  # fmt: skip
     name = names[int(rng.integers(len(names))) if things == "learned" else number % len(names)]
     return name, shapes.shape(name).mesh

@@ -24,6 +24,11 @@ def names(group: str = "") -> tuple[str, ...]:
     return tuple(make.__name__ for g in GROUPS if group in ("", g) for make in _MAKERS[g])
 
 
+def taught() -> tuple[str, ...]:
+    """What networks know by name, in the order of their labels: all that is trained on, and the unseen tools."""
+    return (*names("training"), *names("unseen"))
+
+
 @lru_cache(maxsize=64)
 def shape(name: str) -> Shape:
     """The shape of this name; made once. Raises SettingProblem, naming all, when there is none."""

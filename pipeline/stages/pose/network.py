@@ -1,14 +1,15 @@
 """Pose by a network that has learned objects by a sensor's own touches: the paper's tactile metric.
 
-It knows where the objects lie that it was taught, in the plane: their shift and turn. What a plane does not tell is
-taken from the touch: the object stands level on the nearest point that was felt.
+It knows where the objects lie that it was taught, in the plane: their shift and turn. An object that it was taught is
+known by its mesh, any other is what it takes it for. What a plane does not tell is taken from the touch: the object
+stands level on the nearest point that was felt.
 """
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from pipeline.networks.squares import change, normal, square
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.physics import optics
 from pipeline.sensors.spec import SensorSpec
+from pipeline.simulation import shapes
 from pipeline.stages.pose import stage
 from pipeline.stages.pose.stage import PoseParams
 from pipeline.values.results import DepthMap, ObjectPose, Touch
@@ -29,6 +31,7 @@ from pipeline.values.results import DepthMap, ObjectPose, Touch
 if TYPE_CHECKING:
     from torch import nn
 
+_SAME_MM = 1e-3
 READS = ("touch", "felt", "target", "mesh")
 NOTE = "by network: shift and turn in the plane of an object that it was taught; level, and as high as was felt"
 
@@ -54,7 +57,7 @@ def pose(
         return Skipped(output=nothing, why=nothing.notes[0])
     untouched = optics.untouched(target) if target.kind == "gel" else target.rest_depth_mm
     shown = normal(square(change(target.kind, touch.image, untouched)), target.kind)
-    x, y, turn = _told(network, shown)
+    x, y, turn = _told(network, shown, mesh)
     level = rigid.translation(x, y, 0.0) @ rigid.rotation((0.0, 0.0, turn))
     at = rigid.invert(target.alignment_from_sensor) @ level
     points, pixel = _felt_points(felt, params)
@@ -66,14 +69,31 @@ def pose(
     )  # fmt: skip
 
 
-def _told(network: nn.Module, shown: Floats) -> tuple[float, float, float]:
+def _told(network: nn.Module, shown: Floats, mesh: Mesh) -> tuple[float, float, float]:
     """(x mm, y mm, turn rad) of the object's origin in the alignment frame."""
     import torch
 
+    net, label, names = cast("Any", network), _label(mesh), shapes.taught()
+    said = torch.zeros(1, net.things)
+    if label is not None and label < net.things:
+        said[0, label] = 1.0
     with torch.inference_mode():
-        told = network(torch.from_numpy(np.array(shown)[None]))
-    (x, y), (cosine, sine) = told.shift_mm[0].tolist(), told.heading[0].tolist()
-    return x, y, math.atan2(sine, cosine)
+        told = net(torch.from_numpy(np.array(shown)[None]), said)
+    label = int(told.thing[0].argmax()) if label is None else label
+    (x, y), headings = told.shift_mm[0].tolist(), told.headings[0].tolist()
+    fold = max(1, shapes.shape(names[label]).symmetry.fold)
+    times = fold if fold <= len(headings) else 1
+    cosine, sine = headings[times - 1]
+    return x, y, math.atan2(sine, cosine) / times
+
+
+def _label(mesh: Mesh) -> int | None:
+    """Which of the objects that networks are taught this is; None = none of them, vertex for vertex."""
+    for label, name in enumerate(shapes.taught()):
+        own = shapes.shape(name).mesh.vertices_mm
+        if own.shape == mesh.vertices_mm.shape and np.allclose(own, mesh.vertices_mm, atol=_SAME_MM):
+            return label
+    return None
 
 
 def _felt_points(felt: DepthMap, params: PoseParams) -> tuple[Floats, Indices]:

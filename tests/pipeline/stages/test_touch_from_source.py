@@ -16,6 +16,7 @@ from pipeline.networks.weights import NoWeights, Weights
 from pipeline.physics import optics
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import sensor
+from pipeline.simulation.shapes import shape, taught
 from pipeline.stages.feel.stage import NO_MEMBRANE
 from pipeline.stages.generate import vqvae
 from pipeline.stages.generate.picture_input import laid
@@ -34,7 +35,7 @@ def weights_of(kind, task, **config):
     if kind == "touch_pose":
         with torch.no_grad():
             net.pose.weight.zero_()
-            net.pose.bias.copy_(torch.tensor([0.4, -0.2, 1.0, 0.0]))
+            net.pose.bias.copy_(torch.tensor([0.4, -0.2, *(1.0, 0.0) * net.folds]))
     tensors = {name: tensor.numpy() for name, tensor in net.state_dict().items()}
     return Weights(name="test", kind=kind, config=config, tensors=tensors, card={"task": task})
 
@@ -168,6 +169,24 @@ def test_a_pose_by_network_is_the_told_one_on_the_felt_surface(touched):
     lowest = rigid.apply(pose.sensor_from_object, mesh.vertices_mm)[:, 2].min()
     assert lowest == pytest.approx(float(felt.depth_mm[felt.contact].min()), abs=0.01)
     assert pose.notes == (pose_network.NOTE,)
+
+
+@pytest.mark.parametrize(("name", "turn_deg"), [("star", 100.0 / 5), ("ellipse", 40.0 / 2), ("letters", 20.0)])
+def test_a_pose_by_network_is_told_for_the_symmetry_of_the_object(name, turn_deg):
+    """Cosine and sine of so many times the turn, and the network is said which object it is."""
+    network = build("touch_pose", {"inputs": 1, "things": len(taught()), "first": 4, "folds": 6, "think": 8}).eval()
+    angles = np.radians([20.0, 40.0, 60.0, 80.0, 100.0, 120.0])
+    said = []
+    network.think.register_forward_pre_hook(lambda _, given: said.append(given[0][0, -len(taught()) :].numpy()))
+    with torch.no_grad():
+        network.pose.weight.zero_()
+        network.pose.bias.copy_(torch.tensor([0.0, 0.0, *np.column_stack([np.cos(angles), np.sin(angles)]).ravel()]))
+    x, y, turn = pose_network._told(network, np.zeros((1, 128, 128), np.float32), shape(name).mesh)
+    assert (x, y) == (0.0, 0.0)
+    assert np.degrees(turn) == pytest.approx(turn_deg, abs=1e-4)
+    assert np.flatnonzero(said[0]).tolist() == [taught().index(name)]
+    pose_network._told(network, np.zeros((1, 128, 128), np.float32), shape("hex_key").mesh)
+    assert not said[1].any(), "of an object that it was not taught nothing is said"
 
 
 def test_a_pose_by_network_without_weights_is_registered(touched):

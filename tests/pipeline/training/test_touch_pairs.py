@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 import torch
@@ -11,11 +9,11 @@ import torch
 from pipeline.base.errors import SettingProblem
 from pipeline.networks.building import build
 from pipeline.sensors import alignment
+from pipeline.simulation.shapes import taught
 from pipeline.stages.generate.picture_input import laid
 from pipeline.training import paired_touches, recipe
 from pipeline.training.loop import tensors
-from pipeline.training.paired_touches import paired_touch, thing_names
-from pipeline.training.touch_pose import TouchPoseTask, fold_of, turn_cost
+from pipeline.training.paired_touches import paired_touch
 from pipeline.training.vqvae import VqVaeTask
 
 
@@ -32,7 +30,7 @@ def test_a_kept_touch_is_the_one_that_was_pressed(folder):
             np.array_equal(getattr(one, name), getattr(pressed, name))
             for name in ("gel", "own_gel", "bubble_mm", "exact_mm", "alignment_from_object")
         )
-    assert pressed.thing in thing_names()
+    assert pressed.thing in taught()
     assert pressed.gel.shape == (3, 128, 128)
     assert pressed.exact_mm.max() > 1.0
 
@@ -103,44 +101,6 @@ def test_mirroring_keeps_source_and_target_together(folder):
         assert np.array_equal(np.flip(plain["target"], flips[0]), made["target"])
         seen.add(flips[0])
     assert len(seen) == 4
-
-
-def test_turns_that_map_an_object_onto_itself_cost_nothing():
-    heading = torch.tensor([[math.cos(0.1), math.sin(0.1)]])
-    fifth = 2 * math.pi / 5
-    cost = lambda turn, fold: float(turn_cost(heading, torch.tensor([turn]), torch.tensor([fold])))  # noqa: E731
-    assert cost(0.1 + fifth, 5.0) == pytest.approx(0.0, abs=1e-4)
-    assert cost(0.1 + fifth, 1.0) > 1.0
-    assert cost(2.0, 0.0) == 0.0
-    assert cost(0.15, 5.0) == pytest.approx(cost(0.15, 1.0), rel=0.05)  # a small turn costs the same for all
-
-
-def test_folds_are_those_of_the_catalogue():
-    assert fold_of("star") == 5
-    assert fold_of("cone") == 0
-    assert fold_of("letters") == 1
-    assert fold_of("ellipse") == 2
-
-
-@pytest.mark.parametrize("sensor", ["gelslim", "soft_bubble"])
-def test_a_pose_network_learns_where_things_are(sensor, folder):
-    task = TouchPoseTask(sensor=sensor, presses=4, folder=folder)
-    examples = [task.sample(np.random.default_rng(k)) for k in range(8)]
-    batch = tensors({name: np.stack([one[name] for one in examples]) for name in examples[0]}, "cpu")
-    torch.manual_seed(0)
-    inputs = 3 if sensor == "gelslim" else 1
-    net = build("touch_pose", {"inputs": inputs, "things": len(thing_names()), "first": 8}).train()
-    optimiser = torch.optim.Adam(net.parameters(), 3e-3)
-    before = task.figures(net, examples)
-    for _ in range(60):
-        loss, _ = task.loss(net, batch)
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-    after = task.figures(net, examples)
-    assert after["shift, mm"] < 0.5 * before["shift, mm"]
-    assert after["named"] == 1.0
-    assert net.features(batch["square"]).shape == (8, 32)
 
 
 @pytest.mark.parametrize("name", ["vqvae", "vqvae_gel", "pose", "pose_gel", "latent", "latent_first"])
