@@ -18,7 +18,10 @@ from pipeline.recordings import open_recording
 from pipeline.sensors.spec import SensorSpec
 from pipeline.sensors.spec import sensor as sensor_named
 from pipeline.stages.depth.ball_calibration import calibrated
+from pipeline.stages.depth.stage import oddness
+from pipeline.values.frames import TactileFrame
 
+_LOOKED_AT = 5  # presses: one in ten does not tell a mirrored picture
 LARGEST_BALL_MM = 1000.0  # flat, as far as any gel can tell
 
 
@@ -43,7 +46,11 @@ def calibrate_balls_command(
         raise SettingProblem("--pattern is empty; '*' takes every picture")
     ready_for(out)
     spec = sensor_named(sensor)
-    images, untouched = _pictures(presses, spec, reference, pattern)
+    frames = _pictures(presses, spec, reference, pattern)
+    for told in dict.fromkeys(oddness(frame, spec) for frame in frames[:_LOOKED_AT]):
+        if told:
+            print_line(f"doubtful: {told}; this look-up will suit pictures of that kind and no others")
+    images, untouched = [cast("Image", f.image) for f in frames], cast("Image", frames[0].reference)
     with shown_bar() as bar:
         fitted = calibrated(images, untouched, spec, diameter_mm, pixel_mm=pixel_mm, progress=Bar(bar), seed=seed)
     save(fitted, out)
@@ -57,7 +64,8 @@ def calibrate_balls_command(
     return 0
 
 
-def _pictures(folder: Path, spec: SensorSpec, reference: Path, pattern: str) -> tuple[list[Image], Image]:
+def _pictures(folder: Path, spec: SensorSpec, reference: Path, pattern: str) -> list[TactileFrame]:
+    """The presses, all with one untouched picture."""
     recording = open_recording(folder, sensor=spec.name, reference=reference)
     stream = recording.stream()
     frames = [stream.frame(i) for i in range(stream.n_frames)]
@@ -67,7 +75,7 @@ def _pictures(folder: Path, spec: SensorSpec, reference: Path, pattern: str) -> 
     untouched = frames[0].reference
     if untouched is None or untouched.ndim != 3:
         raise FileProblem("the reference must be a colour picture of the untouched sensor", reference)
-    return [cast("Image", f.image) for f in frames], cast("Image", untouched)
+    return frames
 
 
 def _report(fitted: Calibration) -> None:

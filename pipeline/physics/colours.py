@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,13 @@ from pipeline.sensors.spec import SensorSpec, names, sensor
 _BLOCK_PX = 8  # colours are compared on a coarse grid, below the grain of noise and markers
 _MARGIN = 0.2  # how much better a changed picture must fit before the recording is doubted
 _FITS = 0.6  # ... and how well: units of one make reach 0.87 to 0.99 (`inspect` on real recordings)
+_CLOSER, _ALMOST = 0.5, 0.8  # of what is unlike, left by a mirrored picture that may be meant, and how alike it is
+_OWN_MARGIN = 0.05  # by which another sensor's picture must fit better than this one's, swapped, mirrored or turned
 _COLOURLESS_GREY = 1.0  # mean difference of a pixel's colours from their mean; lit gels have 10 and more
+
+
+_Number = TypeVar("_Number", bound=np.generic)
+Mirrored = Literal["left to right", "top to bottom"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,6 +34,7 @@ class Colours:
     plain: float  # -1..1, 1 = the same
     odd: str = ""  # what is wrong with it, as a clause; "" = nothing is known to be
     changed: float = float("nan")  # the likeness once that is undone
+    perhaps_mirrored: Mirrored | None = None  # it would be a little more alike so, which a touch may confirm
 
 
 def compared(seen: Image, spec: SensorSpec) -> Colours:
@@ -46,20 +54,41 @@ def _made(seen: Image, want: Image, name: str) -> Colours:
     plain = _likeness(coarse, _coarse(want))
     if float(np.abs(coarse).mean()) < _COLOURLESS_GREY:
         return Colours(plain=plain, odd="it has no colours")
-    if plain + _MARGIN >= 1.0:
-        return Colours(plain=plain)
-    odd, best = max(((how, _likeness(_coarse(a), _coarse(b))) for how, a, b in _ways(seen, want, name)),
+    if plain + _MARGIN < 1.0:
+        odd, best = _best(_own_ways(seen, want))
+        other, more = _best(_other_sensors(seen, name))
+        if more > best + _OWN_MARGIN:
+            odd, best = other, more
+        if best > max(_FITS, plain + _MARGIN):
+            return Colours(plain=plain, odd=odd, changed=best)
+    how, best = max(((how, _likeness(_coarse(mirrored(seen, how)), _coarse(want))) for how in get_args(Mirrored)),
                     key=lambda way: way[1])  # fmt: skip
-    return Colours(plain=plain, odd=odd, changed=best) if best > max(_FITS, plain + _MARGIN) else Colours(plain=plain)
+    return Colours(plain=plain, perhaps_mirrored=how if best > max(_ALMOST, 1.0 - _CLOSER * (1.0 - plain)) else None)
 
 
-def _ways(seen: Image, want: Image, name: str) -> Iterator[tuple[str, Image, Image]]:
-    """(what would be wrong, the picture with that undone, what it would then look like)."""
+def mirrored(picture: NDArray[_Number], how: Mirrored) -> NDArray[_Number]:
+    """The picture (rows, cols, ...) with its columns or its rows the other way round."""
+    return np.ascontiguousarray(picture[:, ::-1] if how == "left to right" else picture[::-1])
+
+
+def _best(ways: Iterator[tuple[str, Image, Image]]) -> tuple[str, float]:
+    """What would be wrong with the picture that comes nearest to what it would then look like, and its likeness."""
+    found = ((how, _likeness(_coarse(a), _coarse(b))) for how, a, b in ways)
+    return max(found, key=lambda way: way[1], default=("", -1.0))
+
+
+def _own_ways(seen: Image, want: Image) -> Iterator[tuple[str, Image, Image]]:
+    """(what would be wrong, the picture with that undone, what it would then look like), of the same sensor."""
+    yield "red and blue look swapped", seen[:, :, ::-1], want
+    yield "it looks mirrored", mirrored(seen, "left to right"), want
+    yield "it looks mirrored top to bottom", mirrored(seen, "top to bottom"), want
+    yield "it looks turned by 180 degrees", seen[::-1, ::-1], want
+
+
+def _other_sensors(seen: Image, name: str) -> Iterator[tuple[str, Image, Image]]:
+    """The same of every other sensor's picture, turned by quarters."""
     import cv2
 
-    yield "red and blue look swapped", seen[:, :, ::-1], want
-    yield "it looks mirrored", seen[:, ::-1], want
-    yield "it looks turned by 180 degrees", seen[::-1, ::-1], want
     for other in names():
         spec = sensor(other)
         if other == name or spec.optics is None:

@@ -24,6 +24,7 @@ from pipeline.geometry.camera import Camera
 from pipeline.physics.colours import compared
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import bubble_depth, coarse, gel_depth, gel_light, own_light
+from pipeline.stages.depth.mirrored import looks_mirrored
 from pipeline.stages.depth.poisson import Boundary
 from pipeline.values.frames import TactileFrame
 from pipeline.values.pixel_index import pixel_index
@@ -155,13 +156,26 @@ def worth_told(found: DepthMap, frame: TactileFrame, source: SensorSpec, calibra
 
 
 def odd(frame: TactileFrame, source: SensorSpec, calibration: Calibration | None) -> tuple[str, ...]:
-    """What speaks against a gel's untouched picture, where its look-up rests on the described lights."""
-    if frame.is_depth or frame.reference is None or not (calibration is None or calibration.is_built_in):
-        return ()
+    """What speaks against a gel's pictures, where its look-up rests on the described lights."""
+    told = oddness(frame, source) if calibration is None or calibration.is_built_in else ""
+    return (Doubt(f"{told}; depth and contact may be all wrong"),) if told else ()
+
+
+def oddness(frame: TactileFrame, source: SensorSpec) -> str:
+    """How a gel's pictures differ from those that the sensor's description tells of, as a clause; "" where they do not.
+
+    The untouched picture tells most of it; whether it is mirrored, only together with a touch on some sensors.
+    """
+    if frame.is_depth or frame.reference is None:
+        return ""
     seen_by = source if frame.camera is None else source.seen_through(frame.camera)
-    told = compared(cast("Image", frame.reference), seen_by).odd
-    doubt = Doubt(f"the untouched picture is not as {source.name} takes it: {told}; depth and contact may be all wrong")
-    return (doubt,) if told else ()
+    found = compared(cast("Image", frame.reference), seen_by)
+    if found.odd:
+        return f"the untouched picture is not as {source.name} takes it: {found.odd}"
+    how = found.perhaps_mirrored
+    if how is not None and looks_mirrored(frame, seen_by, built_in(seen_by), how):
+        return f"the pictures look mirrored {how}: the touch has a surface's slopes only then"
+    return ""
 
 
 def untouched(

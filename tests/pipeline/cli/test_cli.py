@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from pipeline.calibration import lookup
+from pipeline.cli import calibrate
 from pipeline.cli.main import EXIT_USER_ERROR, build, run
 from pipeline.sensors.spec import sensor
 from tests.pipeline.cli.conftest import MINI, save
@@ -92,6 +93,19 @@ def test_calibrating_says_what_error_to_expect_and_what_one_ball_cannot_tell(kno
     assert "expected error of a ball's diameter" in told
     assert ("any width of a pixel" in told) is not known
     assert lookup.load(out).expected is not None
+
+
+def test_calibrating_on_pictures_with_swapped_colours_is_doubted(touches, tmp_path, capsys, monkeypatch):
+    mini = sensor("gelsight_mini")
+    monkeypatch.setattr(calibrate, "calibrated", lambda *_, **__: lookup.built_in(mini))
+    command = ["calibrate", "balls", str(touches), "--sensor", "gelsight_mini", "--diameter-mm", "8", "--reference",
+               str(touches / "background.png"), "--out", str(tmp_path / "mini.npz"), "--pattern", "touch_*"]  # fmt: skip
+    assert run(build(), command) == 0
+    assert "doubtful" not in capsys.readouterr().out
+    for file in touches.iterdir():
+        cv2.imwrite(str(file), cv2.imread(str(file))[..., ::-1])
+    assert run(build(), command) == 0
+    assert "doubtful: the untouched picture is not as gelsight_mini takes it: red and blue" in capsys.readouterr().out
 
 
 def test_inspect_says_what_a_calibration_is_worth(tmp_path, capsys):

@@ -12,7 +12,7 @@ from pipeline.geometry.camera import Camera
 from pipeline.geometry.membrane import flat
 from pipeline.physics import optics
 from pipeline.sensors.spec import sensor
-from pipeline.stages.depth import contact
+from pipeline.stages.depth import contact, stage
 from pipeline.stages.depth.stage import DepthParams, depth, recorded, untouched
 from pipeline.values.frames import TactileFrame
 from tests.pipeline.calibration.test_balls import hertz
@@ -326,6 +326,7 @@ def test_a_recorded_frame_says_first_what_its_look_up_is_worth():
 
 
 @pytest.mark.parametrize(("change", "words"), [(lambda p: p[:, :, ::-1], "red and blue look swapped"),
+                                               (lambda p: p[::-1], "mirrored top to bottom"),
                                                (lambda p: p[::-1, ::-1], "turned by 180 degrees")])  # fmt: skip
 def test_a_recording_whose_colours_lie_elsewhere_is_doubted_unless_a_unit_was_calibrated_so(change, words):
     source, frame, _ = press("digit")
@@ -335,3 +336,34 @@ def test_a_recording_whose_colours_lie_elsewhere_is_doubted_unless_a_unit_was_ca
     assert any(words in note for note in doubts(recorded(changed, source, None, PARAMS).notes))
     own = replace(built_in(source), presses=(BallFit(index=0, x_px=9, y_px=9, radius_px=9, residual=0, used=True),))
     assert not any(words in note for note in recorded(changed, source, own, PARAMS).notes)
+
+
+def test_a_mirrored_mini_is_told_by_a_touch_as_its_lights_are_nearly_alike_from_both_sides():
+    source, frame, _ = press("gelsight_mini")
+    image, reference = (np.ascontiguousarray(a[:, ::-1]) for a in (frame.image, frame.reference))
+    mirrored = replace(frame, image=image, reference=reference)
+    assert "mirrored left to right" in stage.oddness(mirrored, source)
+    assert not stage.oddness(replace(mirrored, image=reference), source)  # nothing touches: nobody can tell
+    assert not stage.oddness(frame, source)
+
+
+@pytest.mark.real_data
+def test_right_pictures_of_real_units_are_not_called_odd_and_mirrored_ones_of_a_mini_are(real_data):
+    import cv2
+
+    def read(*where):
+        return np.ascontiguousarray(cv2.imread(str(real_data.joinpath(*where)))[..., ::-1])
+
+    def told(name, image, reference):
+        frame = TactileFrame(sensor=name, image=np.ascontiguousarray(image), reference=np.ascontiguousarray(reference))
+        return stage.oddness(frame, sensor(name))
+
+    for folder in sorted((real_data / "mini_things").iterdir()):
+        still = read(folder, "ref.jpg")
+        for file in sorted(folder.glob("*.jpg"))[:2]:
+            assert not told("gelsight_mini", read(file), still)
+    still = read("gsmini_balls", "background.png")
+    balls = [read(file) for file in sorted((real_data / "gsmini_balls").glob("ball_9.500mm_*.png"))[::6]]
+    assert not any(told("gelsight_mini", ball, still) for ball in balls)
+    found = [told("gelsight_mini", ball[:, ::-1], still[:, ::-1]) for ball in balls]
+    assert sum("mirrored" in clause for clause in found) >= len(balls) - 1
