@@ -1,7 +1,8 @@
 """What the encoder that sets of touches are compared by sees in one touch.
 
 The encoder is the network that tells an object's pose from a sensor's own touches: what it looks at is what matters to
-those who use a touch. It comes with the project; its weights are named by their digest in every report.
+those who use a touch. It comes with the project; its weights are named by their digest in every report. A sensor's own
+encoder stays what it is while pose networks are taught on, so that distances of any two days compare.
 """
 
 from __future__ import annotations
@@ -15,10 +16,13 @@ from pipeline.networks import shelf
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.spec import SensorSpec
 
+_TASK = "touch_pose"
+
 
 def weights(target: SensorSpec) -> Weights | NoWeights:
     """The encoder of a sensor's touches, or why there is none."""
-    return shelf.for_task("touch_pose", f"pose_{target.name}", None)
+    own = shelf.for_task(_TASK, f"encoder_{target.name}", None)
+    return own if isinstance(own, Weights) else shelf.for_task(_TASK, f"pose_{target.name}", None)
 
 
 def of(target: SensorSpec, changed: Floats) -> Floats | None:
