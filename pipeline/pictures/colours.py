@@ -42,6 +42,7 @@ class ColourScale:
     quantity: str  # what is shown and its sign, such as "indentation, + toward camera"
     sets_low: str = ""  # the setting of the display that the lowest is, "" = none;
     sets_high: str = ""  # and the highest; one for both is the larger of two equal sides
+    subtracts: bool = True  # whether one such value less another means anything
 
 
 @lru_cache(maxsize=2)

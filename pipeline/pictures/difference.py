@@ -17,8 +17,8 @@ _GREY = 50.0  # levels of a colour picture, either way
 def difference(made: Picture, true: Picture, words: str = "computed less truth") -> Picture | None:
     """`made` less `true`, pixel by pixel; None where the two cannot be subtracted.
 
-    Heights and distances in mm. Of colours the mean of the three in grey levels. A value that is itself a signed
-    distance has no difference that means anything. `words` say which is which.
+    Heights, deviations and distances in mm. Of colours the mean of the three in grey levels. How far points lie from
+    an object has no difference that means anything. `words` say which is which.
     """
     if made.pixels.shape != true.pixels.shape:
         return None
@@ -27,10 +27,13 @@ def difference(made: Picture, true: Picture, words: str = "computed less truth")
             return None
         gap = made.pixels.mean(axis=-1, dtype=np.float32) - true.pixels.mean(axis=-1, dtype=np.float32)
         return _drawn(made, true, gap, _GREY, "grey", words)
-    if made.scale is None or made.scale.map == "diverging" or made.values.shape != true.values.shape:
+    ours, theirs = made.scale, true.scale
+    if ours is None or theirs is None or not ours.subtracts or ours.quantity != theirs.quantity:
         return None
-    limit = _SHARE * (made.scale.high - made.scale.low)
-    return _drawn(made, true, (made.values - true.values).astype(np.float32), limit, made.scale.unit, words)
+    if made.values.shape != true.values.shape:
+        return None
+    limit = _SHARE * (ours.high if ours.map == "diverging" else ours.high - ours.low)
+    return _drawn(made, true, (made.values - true.values).astype(np.float32), limit, ours.unit, words)
 
 
 def _drawn(made: Picture, true: Picture, gap: Floats, limit: float, unit: str, words: str) -> Picture:

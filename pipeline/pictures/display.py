@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from pipeline.base.params import setting
 from pipeline.sensors.spec import SensorSpec
 
 _MOST_FLOOR = 0.95  # of the upper limit
 _LEAST_RANGE_MM = 1.0  # of distances
+
+BubbleReading = Literal["deviation", "distance"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -27,6 +30,10 @@ class DisplayParams:
     bubble_floor_mm: float = setting(
         0.0, "Bubble indentation from", unit="mm", low=-10.0, high=24.0, step=1.0, help="lower colour limit for bubbles"
     )
+    bubble_reading: BubbleReading = setting(
+        "deviation", "Bubble readings as", choices=BubbleReading,
+        help="deviation: from the untouched shape, + toward the camera; distance: as its camera measures it",
+    )  # fmt: skip
     bubble_near_mm: float = setting(
         0.0, "Bubble distance from", unit="mm", low=0.0, high=199.0, step=1.0,
         help="lower colour limit of a bubble's distances from its camera; 0 = as the sensor is built",

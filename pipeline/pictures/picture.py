@@ -16,6 +16,7 @@ from pipeline.pictures.display import DisplayParams
 from pipeline.sensors.spec import SensorSpec
 
 INDENTATION = "indentation, + toward camera"
+DEVIATION = "deviation from rest, + toward camera"
 _SHORTEST_PIECE = 6  # border pixels; a shorter piece of an outline is a speck that would hide its own pixel
 
 
@@ -43,6 +44,7 @@ class Picture:
     pixels: Image  # (rows, cols, 3) uint8 as shown
     frame_name: str  # whose coordinates `positions_mm` are in
     values: Floats | None = None  # (rows, cols) what the probe reads; None = the colour itself
+    distance_mm: Floats | None = None  # (rows, cols) from the camera, as measured, where `values` follow from it
     scale: ColourScale | None = None  # None = true colours
     positions_mm: Laid | Floats | None = None  # of each pixel; given one by one (rows, cols, 3), NaN = none
     outline_px: Floats | None = None  # (n, 2) x, y of the contact's border, NaN between pieces
@@ -76,6 +78,8 @@ class Picture:
             value = float(self.values[row, col])
             quantity = self.scale.quantity.split(",")[0]
             parts.append(f"{quantity} {value:.3f} {self.scale.unit}" if math.isfinite(value) else f"{quantity}: none")
+        if self.distance_mm is not None and math.isfinite(distance_mm := float(self.distance_mm[row, col])):
+            parts.append(f"distance {distance_mm:.2f} mm")
         if self.positions_mm is not None:
             places = self.positions_mm
             x, y, z = places.at(row, col) if isinstance(places, Laid) else (float(v) for v in places[row, col])
@@ -116,18 +120,25 @@ def of_reading(
     contact: Mask | None = None,
     reference: NDArray[np.generic] | None = None,
 ) -> Picture:
-    """A reading as the sensor gives it: true colours of a gel, distance of a bubble's membrane.
+    """A reading: true colours of a gel, how far a bubble's membrane is from its rest, or its distance if so displayed.
 
-    `depth_mm` is where the membrane lies, if that is known beside a gel's picture.
+    `depth_mm` is where the membrane lies, if that is known beside a gel's picture. The rest is the untouched
+    `reference` of the very unit, where there is one, else the described shape.
     """
     place, border = f"{sensor.name} frame", None if contact is None else outline(contact)
     if image.ndim == 2:
         depth = np.asarray(image, dtype=np.float32)
-        scale = distance_scale(sensor, display, reference)
+        if display.bubble_reading == "distance":
+            values, scale = depth, distance_scale(sensor, display, reference)
+            caption = f"{scale.quantity}, {place}"
+        else:
+            rest, whose = _rest_of(sensor, camera, reference, depth.shape)
+            values, scale = freeze((rest - depth).astype(np.float32)), deviation_scale(sensor, display)
+            caption = f"{scale.quantity}; rest: {whose}"
         return Picture(
-            pixels=coloured(depth, scale), values=depth, scale=scale, frame_name=place, outline_px=border,
-            pixel_mm=pixel_mm(camera, sensor), positions_mm=Laid(camera, depth),
-            caption=f"{scale.quantity}, {place}",
+            pixels=coloured(values, scale), values=values, scale=scale, frame_name=place, outline_px=border,
+            pixel_mm=pixel_mm(camera, sensor), positions_mm=Laid(camera, depth), caption=caption,
+            distance_mm=None if values is depth else depth,
         )  # fmt: skip
     return Picture(
         pixels=np.asarray(image, dtype=np.uint8), frame_name=place, pixel_mm=pixel_mm(camera, sensor),
@@ -162,6 +173,7 @@ def enlarged(picture: Picture, shape: tuple[int, int]) -> Picture:
         values=None if picture.values is None else grown(picture.values),
         positions_mm=None if places is None else grown(places),
         outline_px=None if picture.outline_px is None else freeze(picture.outline_px * times),
+        distance_mm=None if picture.distance_mm is None else grown(picture.distance_mm),
     )  # fmt: skip
 
 
@@ -171,6 +183,23 @@ def indentation_scale(sensor: SensorSpec, display: DisplayParams) -> ColourScale
         map="viridis", low=display.floor_mm(sensor), high=display.limit_mm(sensor), unit="mm", quantity=INDENTATION,
         sets_low=f"{sensor.kind}_floor_mm", sets_high=f"{sensor.kind}_limit_mm",
     )  # fmt: skip
+
+
+def deviation_scale(sensor: SensorSpec, display: DisplayParams) -> ColourScale:
+    """The scale of a reading's deviation from rest: either way as far as indentations of this kind of sensor go."""
+    limit, sets = display.limit_mm(sensor), f"{sensor.kind}_limit_mm"
+    return ColourScale(
+        map="diverging", low=-limit, high=limit, unit="mm", quantity=DEVIATION, sets_low=sets, sets_high=sets
+    )  # fmt: skip
+
+
+def _rest_of(
+    sensor: SensorSpec, camera: Camera, reference: NDArray[np.generic] | None, shape: tuple[int, ...]
+) -> tuple[NDArray[np.floating], str]:
+    """The untouched surface (rows, cols) that a depth image is compared to, and whose it is in words."""
+    if reference is not None and reference.shape == shape:
+        return np.asarray(reference, dtype=np.float32), "its own untouched reading"
+    return sensor.seen_through(camera).rest_depth_mm, "the described shape"
 
 
 def distance_scale(

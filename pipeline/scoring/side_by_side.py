@@ -6,14 +6,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from pipeline.base.progress import SILENT, Progress
 from pipeline.pictures.difference import difference
 from pipeline.pictures.display import DisplayParams
-from pipeline.pictures.picture import Picture, of_heights, of_reading
+from pipeline.pictures.picture import Picture, of_reading
 from pipeline.pictures.tiles import Tile
-from pipeline.scoring.compared import generated, recorded_only
 from pipeline.scoring.tiles import HandOver, Tiles, nobody
 from pipeline.scoring.versions import Kept, Version, able, versions
 from pipeline.stages.slot import Facts
@@ -90,16 +87,12 @@ def _tile(version: Version, translation: Translation, true: Picture | None, disp
 
 
 def _drawn(touch: Touch, translation: Translation, display: DisplayParams) -> Picture:
-    """A gel's picture in its colours; a bubble as what it is pushed in, on the scale of all indentations."""
-    target, membrane = translation.target, touch.membrane
-    contact = None if membrane is None else membrane.contact
-    if touch.image.ndim == 2:
-        nowhere = np.zeros(touch.image.shape, np.bool_)
-        heights, depth = generated(touch, target)[..., 0], np.asarray(touch.image, np.float32)
-        return of_heights(heights, depth, nowhere if contact is None else contact, touch.camera, target, display)
+    """As the slot of touches shows it."""
+    membrane = touch.membrane
     return of_reading(
-        touch.image, touch.camera, target, display, depth_mm=None if membrane is None else membrane.depth_mm,
-        contact=contact,
+        touch.image, touch.camera, translation.target, display, reference=touch.reference,
+        depth_mm=None if membrane is None else membrane.depth_mm,
+        contact=None if membrane is None else membrane.contact,
     )  # fmt: skip
 
 
@@ -110,14 +103,8 @@ def _truth(translation: Translation, facts: Facts, display: DisplayParams) -> Pi
     frame = facts.target_frame
     if not isinstance(true, Touch) or frame is None or frame.reference is None:
         return None
-    if true.membrane is not None and true.image.ndim == 2:
-        felt = true.membrane
-        return of_heights(felt.indentation_mm, felt.depth_mm, felt.contact, felt.camera, translation.target, display)
-    if true.image.ndim == 2:  # off the recorded unit's own rest, which is not the described one's
-        heights, nowhere = recorded_only(frame).change[..., 0], np.zeros(true.image.shape, np.bool_)
-        return of_heights(
-            heights, np.asarray(true.image, np.float32), nowhere, true.camera, translation.target, display
-        )
+    if true.membrane is not None and true.image.ndim == 2:  # without the camera's noise, as its error is taken
+        true = replace(true, image=true.membrane.depth_mm, camera=true.membrane.camera, reference=None)
     return _drawn(true, translation, display)
 
 

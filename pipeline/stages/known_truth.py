@@ -61,6 +61,7 @@ def touch(facts: Facts, target: SensorSpec) -> Touch | None:
     return Touch(
         image=frame.image, camera=frame.camera or target.camera, source_index=pixel_index(target.camera.shape),
         known=freeze(np.ones(target.camera.shape, np.bool_)), membrane=felt, notes=(_NOTE,),
+        reference=np.asarray(frame.reference, np.float32) if frame.is_depth and frame.reference is not None else None,
     )  # fmt: skip
 
 

@@ -91,6 +91,7 @@ class Touch:
     membrane: DepthMap | None = None  # of the very picture; None = only the picture is known
     notes: tuple[str, ...] = ()
     steps: tuple[TouchStep, ...] = field(default=(), metadata=UNDIGESTED)  # kept states, the noisiest first
+    reference: Floats | None = None  # (rows, cols) a recorded bubble's own untouched reading; None = the described rest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -82,10 +82,10 @@ VQVAE = Method(
 
 def _picture(touch: Touch, seen: Seen) -> Picture:
     membrane = touch.membrane
-    if membrane is None:
-        return of_reading(touch.image, touch.camera, seen.target, seen.display)
     return of_reading(
-        touch.image, touch.camera, seen.target, seen.display, depth_mm=membrane.depth_mm, contact=membrane.contact
+        touch.image, touch.camera, seen.target, seen.display,
+        depth_mm=None if membrane is None else membrane.depth_mm,
+        contact=None if membrane is None else membrane.contact, reference=touch.reference,
     )  # fmt: skip
 
 
@@ -106,10 +106,18 @@ def _follow(touch: Touch, before: Mark) -> Mark:
         return Mark(slot="touch", index=-1, text=text)
     row, col = divmod(index, touch.camera.cols)
     if touch.image.ndim == 2:
-        text = f"generated {float(touch.image[row, col]):.2f} mm"
+        text = f"generated {_from_rest(touch, row, col)}{float(touch.image[row, col]):.2f} mm from the camera"
     else:
         text = "generated rgb {} {} {}".format(*(int(v) for v in touch.image[row, col]))
     return Mark(slot="touch", index=index, row=row, col=col, point_mm=before.point_mm, text=text)
+
+
+def _from_rest(touch: Touch, row: int, col: int) -> str:
+    """How far a bubble's membrane went, where that is known, and which way."""
+    if touch.membrane is None:
+        return ""
+    moved_mm = float(touch.membrane.indentation_mm[row, col])
+    return f"{abs(moved_mm):.2f} mm {'away from' if moved_mm < 0 else 'toward'} the camera, "
 
 
 def _states(touch: Touch) -> tuple[Touch, ...]:

@@ -94,7 +94,7 @@ def residual_scale(display: DisplayParams) -> ColourScale:
     limit, sets = display.residual_limit_mm, "residual_limit_mm"
     return ColourScale(
         map="diverging", low=-limit, high=limit, unit="mm", quantity="distance to object, + outside it", sets_low=sets,
-        sets_high=sets,
+        sets_high=sets, subtracts=False,
     )  # fmt: skip
 
 

@@ -7,6 +7,9 @@ import pytest
 from PyQt6.QtCore import Qt
 
 from app.frame.tour import wait_until_shown
+from app.session.state import DISPLAY
+from pipeline.pictures.display import DisplayParams
+from pipeline.pictures.picture import DEVIATION
 
 
 def test_a_dragged_limit_is_the_panels_and_every_panes(bubble_window, qtbot):
@@ -37,6 +40,8 @@ def test_a_limit_goes_no_farther_than_its_setting_and_never_past_the_other(bubbl
 def test_a_double_click_fits_the_limits_of_what_is_shown_in_one_step(bubble_window, qtbot):
     columns = bubble_window.window.columns
     source = columns["source"].view
+    bubble_window.choose_params(DISPLAY, DisplayParams(bubble_reading="distance"))
+    assert wait_until_shown(bubble_window, 60)
     built = source.picture.scale
     assert (built.sets_low, built.sets_high) == ("bubble_near_mm", "bubble_far_mm")
     qtbot.mouseDClick(source.levels, Qt.MouseButton.LeftButton)
@@ -51,6 +56,19 @@ def test_a_double_click_fits_the_limits_of_what_is_shown_in_one_step(bubble_wind
     bubble_window.undo.undo()
     assert wait_until_shown(bubble_window, 60)
     assert source.picture.scale == built
+
+
+def test_a_bubbles_deviation_from_rest_has_the_limit_of_all_indentations_either_way(bubble_window):
+    columns = bubble_window.window.columns
+    assert columns["source"].view.picture.scale.quantity == DEVIATION
+    columns["source"].view.levels.limit_dragged.emit("bubble_limit_mm", 6.0)
+    assert wait_until_shown(bubble_window, 60)
+    scale, depth = (columns[name].view.picture.scale for name in ("source", "depth"))
+    assert (scale.low, scale.high, depth.high) == (-6.0, 6.0, 6.0)
+    bubble_window.tracer.hover("source", 70, 80)
+    said = bubble_window.window.probe.text()
+    assert "deviation from rest" in said
+    assert "distance" in said
 
 
 def test_the_distance_to_the_posed_object_has_a_limit_of_its_own(bubble_window):
