@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from PyQt6.QtCore import QPointF, QSize, Qt, pyqtSignal
-from PyQt6.QtWidgets import QLabel, QSizePolicy, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from pipeline.pictures.picture import Picture
 from widgets.canvas import Canvas
@@ -15,7 +15,9 @@ from widgets.levels import Levels
 from widgets.looks import smaller, spaced
 from widgets.wipe import Overlay
 
+BESIDE_PX = 170  # wide are words beside a picture
 _AROUND = 1.3  # times the contact that is fitted
+_NO_LIMIT = 16_777_215  # of a widget's width, as Qt has it
 
 
 class PictureView(QWidget):
@@ -43,10 +45,14 @@ class PictureView(QWidget):
         self._message.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self._message.setAutoFillBackground(True)
         self._message.hide()
-        layout = spaced(QVBoxLayout(self), 2)
-        layout.addWidget(self.canvas, 1)
-        layout.addWidget(self.levels)
-        layout.addWidget(self._caption)
+        self.words = QWidget()  # all that is told of the picture
+        told = spaced(QVBoxLayout(self.words), 2)
+        told.addWidget(self.levels)
+        told.addWidget(self._caption)
+        told.addStretch(1)
+        self._both = spaced(QBoxLayout(QBoxLayout.Direction.TopToBottom, self), 2)
+        self._both.addWidget(self.canvas, 1)
+        self._both.addWidget(self.words)
         smaller(self._caption)
         self.show_lines(2)
         self.canvas.mouse_moved.connect(self._report_hover)
@@ -54,8 +60,17 @@ class PictureView(QWidget):
         self.canvas.clicked.connect(self._report_click)
         self.canvas.look_changed.connect(self.look_changed)
 
+    def lay_words(self, *, beside: bool) -> None:
+        """Put what is told to the right of the picture, or under it."""
+        way = QBoxLayout.Direction.LeftToRight if beside else QBoxLayout.Direction.TopToBottom
+        if way != self._both.direction():
+            self._both.setDirection(way)
+            self.words.setFixedWidth(BESIDE_PX) if beside else self.words.setMaximumWidth(_NO_LIMIT)
+            self.words.setMinimumWidth(BESIDE_PX if beside else 0)
+
     def show_lines(self, lines: int) -> None:
         """How many lines the caption has."""
+        self._caption.setWordWrap(lines > 1)
         self._caption.setFixedHeight(lines * self._caption.fontMetrics().lineSpacing() + 3)
 
     @property

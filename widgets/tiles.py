@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
 from PyQt6.QtCore import QPointF, QSize, Qt, pyqtSignal
-from PyQt6.QtWidgets import QFrame, QGridLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QBoxLayout, QFrame, QGridLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from pipeline.pictures.tiles import Tile
 from widgets.looks import bold, smaller, spaced
-from widgets.picture import PictureView
+from widgets.picture import BESIDE_PX, PictureView
 
 _MOST_COLUMNS = 8
 _NARROW_PX = 360
-_WORDS_PX = 84  # of a tile's height that are not picture, near enough to choose how many stand in a row
+_RIM_PX, _WORDS_PX, _LEVELS_PX = 10, 72, 48  # of a tile that are not picture, near enough to choose how tiles stand
+_BESIDE_GAINS = 1.1  # times wider must pictures be with words beside them: under a picture they are read sooner
+_MOST_LINES = 6  # of figures beside a picture
 
 
 class TileView(QFrame):
@@ -35,15 +36,38 @@ class TileView(QFrame):
         self._told.setWordWrap(True)
         self._told.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
         self.view.show_lines(1)
-        layout = spaced(QVBoxLayout(self), 2, (3, 3, 3, 2))
-        layout.addWidget(self._title)
-        layout.addWidget(self._told)
-        layout.addWidget(self.view, 1)
+        self._beside = False
+        self._around = spaced(QVBoxLayout(self), 2, (3, 3, 3, 2))
+        self._around.addWidget(self._title)
+        self._around.addWidget(self._told)
+        self._around.addWidget(self.view, 1)
 
     def resizeEvent(self, a0: Any) -> None:  # noqa: N802
         """A narrow tile has its figures in two lines."""
         super().resizeEvent(a0)
-        self._told.setFixedHeight((2 if self.width() < _NARROW_PX else 1) * self._told.fontMetrics().lineSpacing() + 2)
+        self._fit_words()
+
+    def lay_words(self, *, beside: bool) -> None:
+        """Put all words to the right of the picture, or over and under it."""
+        if beside == self._beside:
+            return
+        self._beside = beside
+        told = self.view.words.layout()
+        room = told if beside and isinstance(told, QBoxLayout) else self._around
+        for at, label in enumerate((self._title, self._told)):
+            room.insertWidget(at, label)
+        self._title.setWordWrap(beside)
+        self.view.lay_words(beside=beside)
+        self.view.show_lines(3 if beside else 1)
+        self._fit_words()
+
+    def _fit_words(self) -> None:
+        line = self._told.fontMetrics().lineSpacing()
+        lines = 2 if self.width() < _NARROW_PX else 1
+        if self._beside:
+            lines = min(max(2, (self.height() - _WORDS_PX - 2 * _LEVELS_PX) // line), _MOST_LINES)
+        self._told.setFixedHeight(lines * line + 2)
+        self._title.setFixedHeight((2 if self._beside else 1) * self._title.fontMetrics().lineSpacing() + 2)
 
     def show_tile(self, tile: Tile, versus: str) -> None:
         """Show a tile, or what is to be seen in its place ("", truth, difference, wipe, blink)."""
@@ -101,6 +125,8 @@ class TileGrid(QWidget):
             self._add()
         for view, tile in zip(self._views, self.tiles, strict=False):
             view.show_tile(tile, self._versus)
+        for view in self.views:
+            view.view.levels.setVisible(self._scaled)
         self._place()
 
     def show_versus(self, versus: str) -> None:
@@ -127,9 +153,17 @@ class TileGrid(QWidget):
         made.view.levels.limits_fitted.connect(self.limits_fitted)
         self._views.append(made)
 
+    @property
+    def _scaled(self) -> bool:
+        """Whether any of them has a colour bar; those without one keep its room, so that pictures stay level."""
+        return any(view.view.picture is not None and view.view.picture.scale is not None for view in self.views)
+
     def _place(self) -> None:
         """Rows and columns: as the tiles say where rows begin, else so that pictures are largest."""
-        places = _places([tile.apart for tile in self.tiles], self._columns())
+        columns, beside = self._shape()
+        places = _places([tile.apart for tile in self.tiles], columns)
+        for view in self.views:
+            view.lay_words(beside=beside)
         if places != self._placed:
             self._placed = places
             for k in range(self._grid.columnCount()):
@@ -143,14 +177,21 @@ class TileGrid(QWidget):
         for index, view in enumerate(self._views):
             view.setVisible(index < len(self.tiles))
 
-    def _columns(self) -> int:
-        count = max(1, len(self.tiles))
+    def _shape(self) -> tuple[int, bool]:
+        """How many stand in a row, and whether their words stand beside the pictures: what makes these largest."""
+        apart = [tile.apart for tile in self.tiles]
         tall = max((view.view.tall for view in self.views if view.tile.picture is not None), default=0.75)
+        words_px = _WORDS_PX + _LEVELS_PX * self._scaled
 
-        def wide(cols: int) -> float:
-            return min(self.width() / cols, max(1.0, self.height() / math.ceil(count / cols) - _WORDS_PX) / tall)
+        def wide(shape: tuple[int, bool]) -> float:
+            places, beside = _places(apart, shape[0]) or ((0, 0),), shape[1]
+            rows, cols = (1 + max(place[k] for place in places) for k in (0, 1))
+            wide_px = self.width() / cols - _RIM_PX - BESIDE_PX * beside
+            high_px = self.height() / rows - (_RIM_PX if beside else words_px)
+            return min(wide_px, max(1.0, high_px) / tall) / (_BESIDE_GAINS if beside else 1.0)
 
-        return max(range(1, min(_MOST_COLUMNS, count) + 1), key=wide)
+        most = 1 if any(apart) else min(_MOST_COLUMNS, max(1, len(apart)))
+        return max(((cols, beside) for beside in (False, True) for cols in range(1, most + 1)), key=wide)
 
     def _looked(self, at: TileView) -> None:
         """What one picture looks at, the others look at, as large."""

@@ -13,15 +13,12 @@ from app.work.jobs import LatestJob
 from app.work.opening import request_of
 from app.work.sweeping import Cell, Plan
 from pipeline.base.errors import SettingProblem, TouchError
-from pipeline.base.params import Setting, Value
+from pipeline.base.params import Value
 from pipeline.evaluation.metrics import METRICS
 from pipeline.translation.blame import FIGURE
 from widgets.sweep_grid import Tried
 
 _NO_FIGURE = "time only"
-_FIRST_TWO = ("guidance", "steps")  # parameters that are offered first where some method has them
-
-_Offer = tuple[str, str, str, Value, Setting]
 
 
 class Sweeping(QObject):
@@ -31,7 +28,7 @@ class Sweeping(QObject):
         super().__init__(instrument)
         self._instrument, self._page = instrument, instrument.window.sweep
         self._job = LatestJob("sweep", self)
-        self._offers: list[_Offer] = []
+        self._offers: list[sweeping.Offer] = []
         self._plan: Plan | None = None
         self._begun: Session | None = None
         self._ticket, self._begun_s, self._done = 0, 0.0, 0
@@ -66,7 +63,7 @@ class Sweeping(QObject):
         now = [offer[:2] for offer in self._offers]
         chosen = tuple(box.currentIndex() for box in self._page.axes)
         if now != old or min(chosen, default=-1) < 0:
-            chosen = self._first_two()
+            chosen = sweeping.first_two(self._offers)
         figures = self._figures()
         figure = self._page.figure.currentText()
         words = [offer[2] for offer in self._offers]
@@ -85,13 +82,6 @@ class Sweeping(QObject):
     def _offer_figures(self, _: int) -> None:
         if self._instrument.session.layout.name == "sweep":
             self._show_session(self._instrument.session)
-
-    def _first_two(self) -> tuple[int, int]:
-        """Guidance and steps where there are such, else the first two numbers of the depth or what comes first."""
-        wanted = [i for word in _FIRST_TWO for i, offer in enumerate(self._offers) if offer[1] == word]
-        numbers = [i for i, offer in enumerate(self._offers) if isinstance(offer[3], (int, float))]
-        ranked = [*wanted, *(i for i in numbers if i not in wanted)]
-        return (ranked[0], ranked[1]) if len(ranked) > 1 else (0, 0)
 
     def _choose_axis(self, which: int) -> None:
         index = self._page.axes[which].currentIndex()

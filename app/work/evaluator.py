@@ -29,7 +29,7 @@ from pipeline.values.results import DepthMap
 from widgets.frames_model import FrameSummary
 
 log = logging.getLogger("tactoscope")
-_SEEN_BYTES = 72 * 1024 * 1024  # a dozen frames to a gel of 320 x 427, two dozen to a bubble
+_SEEN_BYTES = 54 * 1024 * 1024  # nine frames to a gel of 320 x 427, eighteen to a bubble
 _ASIDE_BYTES = 16 * 1024 * 1024  # a frame or two: they must not push out what people go back to
 _BESIDE_BYTES = 32 * 1024 * 1024
 _TRIMMED_AFTER = 6  # frames worked out anew: what they took on their way lies about in pieces
@@ -132,7 +132,7 @@ class Evaluator:
         )  # fmt: skip
 
     def _tidy(self, results: Mapping[str, StageResult]) -> None:
-        """Give memory back every so many frames that were worked out, none of which is the one on its way."""
+        """Give memory back after a recording's first frame, and every so many that were worked out since."""
         self._anew += any(result.state == "computed" for result in results.values())
         if self._anew >= _TRIMMED_AFTER:
             self._anew = 0
@@ -254,7 +254,7 @@ class Evaluator:
         self._translation = self._as_opened = translation
         self._drawing = Drawing(*self._drawn_bytes)
         self._forget_beside()
-        give_back()
+        self._anew = _TRIMMED_AFTER  # the window lets go of what it showed once it is told, so after the first frame
         self._request = request_of(replace(session, target=translation.target.name))
         self._begins_at = touched_frame(translation.stream) if session.frame < 0 else session.frame
         if session.frame < 0:

@@ -23,6 +23,9 @@ from pipeline.translation.translate import Translation, open_translation
 _CACHE_BYTES = 64 * 1024 * 1024  # what does not depend on the two parameters is worked out once
 _USUAL = (0.25, 0.5, 1.0, 2.0, 4.0)  # times the present value
 _MOST_VALUES = 12
+_MATTERS = "guidance", "steps", "certainty", "pressure_share", "smoothing_px", "grazing_deg"  # most first
+
+Offer = tuple[str, str, str, Value, Setting]  # method's key, parameter, words, value, how it is set
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,14 +71,27 @@ class Cell:
     problem: str = ""
 
 
-def offered(session: Session, methods: Sequence[Method]) -> list[tuple[str, str, str, Value, Setting]]:
-    """(method's key, parameter, words, value, how it is set) of all that can be swept."""
+def offered(session: Session, methods: Sequence[Method]) -> list[Offer]:
+    """All that can be swept."""
     return [
         (method.key, name, f"{method.slot}.{name}", value, told)
         for method in methods
         for name, (value, told) in settings(session.params_of(method)).items()
         if not isinstance(value, str) or told.choices
     ]
+
+
+def first_two(offers: Sequence[Offer]) -> tuple[int, int]:
+    """Which of what is offered a sweep begins with: guidance and steps where the touch is sampled.
+
+    Else what moved the error in contact most on touches of the sample, each parameter swept over its usual values: of
+    a network's depth how certain its contact must be, of a gel's which share of the pressure counts as contact and how
+    much its slopes are smoothed, then how steep a surface the target may see; else the first numbers.
+    """
+    wanted = [i for word in _MATTERS for i, offer in enumerate(offers) if offer[1] == word]
+    numbers = [i for i, offer in enumerate(offers) if isinstance(offer[3], (int, float)) and i not in wanted]
+    ranked = [*wanted, *numbers]
+    return (ranked[0], ranked[1]) if len(ranked) > 1 else (0, 0)
 
 
 def method_of(methods: Sequence[Method], key: str) -> Method:

@@ -119,11 +119,13 @@ def of_reading(
     depth_mm: Floats | None = None,
     contact: Mask | None = None,
     reference: NDArray[np.generic] | None = None,
+    recorded: bool = True,
 ) -> Picture:
     """A reading: true colours of a gel, how far a bubble's membrane is from its rest, or its distance if so displayed.
 
     `depth_mm` is where the membrane lies, if that is known beside a gel's picture. The rest is the untouched
-    `reference` of the very unit, where there is one, else the described shape.
+    `reference` of the very unit, where there is one, else the described shape, which a reading that was `recorded`
+    need not have had.
     """
     place, border = f"{sensor.name} frame", None if contact is None else outline(contact)
     if image.ndim == 2:
@@ -132,9 +134,9 @@ def of_reading(
             values, scale = depth, distance_scale(sensor, display, reference)
             caption = f"{scale.quantity}, {place}"
         else:
-            rest, whose = _rest_of(sensor, camera, reference, depth.shape)
+            rest, whose = _rest_of(sensor, camera, reference, depth.shape, recorded=recorded)
             values, scale = freeze((rest - depth).astype(np.float32)), deviation_scale(sensor, display)
-            caption = f"{scale.quantity}; rest: {whose}"
+            caption = f"{scale.quantity}{whose}"
         return Picture(
             pixels=coloured(values, scale), values=values, scale=scale, frame_name=place, outline_px=border,
             pixel_mm=pixel_mm(camera, sensor), positions_mm=Laid(camera, depth), caption=caption,
@@ -194,12 +196,12 @@ def deviation_scale(sensor: SensorSpec, display: DisplayParams) -> ColourScale:
 
 
 def _rest_of(
-    sensor: SensorSpec, camera: Camera, reference: NDArray[np.generic] | None, shape: tuple[int, ...]
+    sensor: SensorSpec, camera: Camera, reference: NDArray[np.generic] | None, shape: tuple[int, ...], *, recorded: bool
 ) -> tuple[NDArray[np.floating], str]:
-    """The untouched surface (rows, cols) that a depth image is compared to, and whose it is in words."""
+    """The untouched surface (rows, cols) that a depth image is compared to, and in words if that is not its own."""
     if reference is not None and reference.shape == shape:
-        return np.asarray(reference, dtype=np.float32), "its own untouched reading"
-    return sensor.seen_through(camera).rest_depth_mm, "the described shape"
+        return np.asarray(reference, dtype=np.float32), ""
+    return sensor.seen_through(camera).rest_depth_mm, "; rest: as described, none was recorded" if recorded else ""
 
 
 def distance_scale(

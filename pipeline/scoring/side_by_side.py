@@ -90,7 +90,7 @@ def _drawn(touch: Touch, translation: Translation, display: DisplayParams) -> Pi
     """As the slot of touches shows it."""
     membrane = touch.membrane
     return of_reading(
-        touch.image, touch.camera, translation.target, display, reference=touch.reference,
+        touch.image, touch.camera, translation.target, display, reference=touch.reference, recorded=False,
         depth_mm=None if membrane is None else membrane.depth_mm,
         contact=None if membrane is None else membrane.contact,
     )  # fmt: skip

@@ -85,7 +85,7 @@ def _picture(touch: Touch, seen: Seen) -> Picture:
     return of_reading(
         touch.image, touch.camera, seen.target, seen.display,
         depth_mm=None if membrane is None else membrane.depth_mm,
-        contact=None if membrane is None else membrane.contact, reference=touch.reference,
+        contact=None if membrane is None else membrane.contact, reference=touch.reference, recorded=False,
     )  # fmt: skip
 
 
@@ -106,7 +106,7 @@ def _follow(touch: Touch, before: Mark) -> Mark:
         return Mark(slot="touch", index=-1, text=text)
     row, col = divmod(index, touch.camera.cols)
     if touch.image.ndim == 2:
-        text = f"generated {_from_rest(touch, row, col)}{float(touch.image[row, col]):.2f} mm from the camera"
+        text = f"{_from_rest(touch, row, col)}{float(touch.image[row, col]):.2f} mm from the camera"
     else:
         text = "generated rgb {} {} {}".format(*(int(v) for v in touch.image[row, col]))
     return Mark(slot="touch", index=index, row=row, col=col, point_mm=before.point_mm, text=text)
@@ -117,7 +117,7 @@ def _from_rest(touch: Touch, row: int, col: int) -> str:
     if touch.membrane is None:
         return ""
     moved_mm = float(touch.membrane.indentation_mm[row, col])
-    return f"{abs(moved_mm):.2f} mm {'away from' if moved_mm < 0 else 'toward'} the camera, "
+    return f"{abs(moved_mm):.2f} mm {'out' if moved_mm < 0 else 'in'}, "
 
 
 def _states(touch: Touch) -> tuple[Touch, ...]:

@@ -7,12 +7,14 @@ import math
 import pytest
 
 from app.frame.tour import wait_until_shown
+from app.session.state import Session
 from app.work.jobs import LatestJob, Report
-from app.work.sweeping import Axis, Plan, axis, usual_values
+from app.work.sweeping import Axis, Plan, axis, first_two, offered, usual_values
 from app.work.sweeping import swept as sweep
 from pipeline.base.errors import SettingProblem
 from pipeline.base.params import Setting, settings
 from pipeline.stages.adapt.slot import SLOT as CLOUD
+from pipeline.translation.catalogue import BUILT_IN
 from widgets.sweep_grid import Tried, best_of
 
 LIMIT_MS = 120_000
@@ -59,6 +61,19 @@ def test_what_fills_a_slot_for_this_source_is_swept(swept, qtbot):
     plan = Plan(across=next(axes), down=next(axes), figure="")
     with pytest.raises(SettingProblem, match="not filled by 'physics'"):
         sweep(instrument.session, plan, Report(LatestJob("never", instrument), 0))
+
+
+@pytest.mark.parametrize(
+    ("route", "kind", "wanted"),
+    [
+        ("t2t", "gel", ("touch.guidance", "touch.steps")),
+        ("t2d2", "gel", ("depth.pressure_share", "depth.smoothing_px")),
+        ("t2d2", "bubble", ("depth.certainty", "view.grazing_deg")),
+    ],
+)
+def test_a_sweep_begins_with_what_matters_most_on_its_route(route, kind, wanted):
+    offers = offered(Session(), BUILT_IN.methods(route, {}, kind))
+    assert tuple(offers[i][2] for i in first_two(offers)) == wanted
 
 
 def test_values_that_cannot_be_are_told_and_nothing_begins(swept):

@@ -1,0 +1,55 @@
+"""Tiles stand so that their pictures are as large as the room allows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.pictures.colours import ColourScale
+from pipeline.pictures.picture import Picture
+from pipeline.pictures.tiles import Tile
+from widgets.tiles import TileGrid
+
+SCALE = ColourScale(map="viridis", low=0.0, high=1.0, unit="mm", quantity="indentation")
+
+
+def _tiles(count, *, scaled=True):
+    values = np.zeros((140, 175), np.float32)
+    picture = Picture(
+        pixels=np.zeros((140, 175, 3), np.uint8), frame_name="", values=values if scaled else None,
+        scale=SCALE if scaled else None, caption="deviation from rest, + toward camera; rest: as described",
+    )  # fmt: skip
+    return [Tile(title=f"method {n}", told="contact 0.381 mm", picture=picture) for n in range(count)]
+
+
+@pytest.fixture
+def grid(qtbot):
+    made = TileGrid()
+    qtbot.addWidget(made)
+    made.resize(1322, 494)
+    made.show()
+    return made
+
+
+def test_six_low_pictures_stand_in_two_rows_with_their_words_beside(grid, qtbot):
+    grid.show_tiles(_tiles(6))
+    qtbot.waitUntil(lambda: grid.views[3].y() > grid.views[0].y())
+    view = grid.views[0].view
+    qtbot.waitUntil(lambda: view.words.x() > view.canvas.x())
+    room = view.canvas.size()
+    assert min(room.width() / 175, room.height() / 140) * 175 > 240  # a row of six had 208
+
+
+def test_words_come_under_the_picture_again_where_that_is_larger(grid, qtbot):
+    grid.show_tiles(_tiles(6))
+    grid.show_tiles(_tiles(2))
+    view = grid.views[0].view
+    qtbot.waitUntil(lambda: view.words.y() > view.canvas.y())
+    assert grid.views[0].y() == grid.views[1].y()
+
+
+def test_colours_that_mean_no_number_take_no_room_for_a_bar(grid):
+    grid.show_tiles(_tiles(2, scaled=False))
+    assert all(tile.view.levels.isHidden() for tile in grid.views)
+    grid.show_tiles(_tiles(2))
+    assert not any(tile.view.levels.isHidden() for tile in grid.views)
