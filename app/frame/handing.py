@@ -15,9 +15,11 @@ from PyQt6.QtWidgets import QInputDialog, QMenu
 from app.frame import dialogs
 from app.frame.instrument import Instrument
 from app.frame.keeping import Keeping
+from app.frame.sweeping import Sweeping
 from app.work.compared_command import compare_command
 from app.work.jobs import LatestJob, Report
 from app.work.opening import request_of
+from pipeline.base.errors import TouchError
 from pipeline.base.text import plain
 from pipeline.reporting.asked import SHEET, SOURCE, Asked, Shown, command, settings_of
 from widgets.export_dialog import ExportDialog
@@ -31,9 +33,10 @@ _BUSY = "something is being written already; wait for it, or cancel it"
 class Handing(QObject):
     """Between the commands and the pipeline's exports."""
 
-    def __init__(self, instrument: Instrument, keeping: Keeping) -> None:
+    def __init__(self, instrument: Instrument, keeping: Keeping, sweeping: Sweeping) -> None:
         super().__init__(instrument)
         self._instrument, self._keeping, self._window = instrument, keeping, instrument.window
+        self._sweeping = sweeping
         self.offer, self.dialog = Offer("handing_offer"), ExportDialog(self._window)
         self._window.add_strip(self.offer)
         self.job = LatestJob("handing", self)
@@ -95,17 +98,24 @@ class Handing(QObject):
         self.offer.show_offer(f"copied: {text}")
 
     def copy_shown(self) -> None:
-        """The command that makes what is on screen: of *Compare* all its tiles."""
+        """The command that makes what is on screen: of *Compare* all its tiles, of *Sweep* all its cells."""
         session, opened, clipboard = (
             self._instrument.session, self._instrument.screen.opened, QGuiApplication.clipboard(),
         )  # fmt: skip
-        if session.layout.name != "compare" or opened is None or clipboard is None:
+        if session.layout.name not in ("compare", "sweep") or opened is None or clipboard is None:
             self.copy(self._pane_on_screen())
             return
-        if session.compared.tab == "two" and session.held is None:
+        if session.layout.name == "sweep":
+            try:
+                text = self._sweeping.command(opened.target.name, Path("swept"))
+            except TouchError as error:
+                self.offer.show_offer(str(error))
+                return
+        elif session.compared.tab == "two" and session.held is None:
             self.offer.show_offer(_NO_B)
             return
-        text = compare_command(session, opened.slots[-1], opened.target.name, Path("compared"))
+        else:
+            text = compare_command(session, opened.slots[-1], opened.target.name, Path("compared"))
         clipboard.setText(text)
         self.offer.show_offer(f"copied: {text}")
 

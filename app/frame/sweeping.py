@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 
 from PyQt6.QtCore import QObject
 
@@ -11,10 +12,11 @@ from app.session.state import Session
 from app.work import sweeping
 from app.work.jobs import LatestJob
 from app.work.opening import request_of
-from app.work.sweeping import Cell, Plan
 from pipeline.base.errors import SettingProblem, TouchError
 from pipeline.base.params import Value
 from pipeline.evaluation.metrics import METRICS
+from pipeline.scoring import two_parameters
+from pipeline.scoring.two_parameters import Cell, Plan
 from pipeline.translation.blame import FIGURE
 from widgets.sweep_grid import Tried
 
@@ -44,6 +46,11 @@ class Sweeping(QObject):
         instrument.session_shown.connect(self._show_session)
         instrument.frame_shown.connect(self._offer_figures)
         instrument.closing.connect(job.close)
+
+    def command(self, target: str, out: Path) -> str:
+        """The command that tries what the grid shows, or what would be tried; raises SettingProblem."""
+        plan = self._plan if self._begun is not None and self._plan is not None else self._planned()
+        return sweeping.sweep_command(self._begun or self._instrument.session, plan, target, out)
 
     @property
     def busy(self) -> bool:
@@ -92,13 +99,14 @@ class Sweeping(QObject):
     def _planned(self) -> Plan:
         """What the page says; raises SettingProblem."""
         methods = self._instrument.methods
-        axes: list[sweeping.Axis] = []
+        axes: list[two_parameters.Axis] = []
         for box, line in zip(self._page.axes, self._page.values, strict=True):
             if not 0 <= box.currentIndex() < len(self._offers):
                 raise SettingProblem("there is nothing to sweep; open a recording first")
             key, name, *_ = self._offers[box.currentIndex()]
-            axes.append(sweeping.axis(self._instrument.session, sweeping.method_of(methods, key), name, line.text()))
-        if (axes[0].key, axes[0].name) == (axes[1].key, axes[1].name):
+            method = two_parameters.method_of(methods, key)
+            axes.append(two_parameters.axis(self._instrument.session.params_of(method), method, name, line.text()))
+        if axes[0].called == axes[1].called:
             raise SettingProblem("columns and rows are the same parameter; choose another for one of them")
         figure = self._page.figure.currentText()
         return Plan(across=axes[0], down=axes[1], figure="" if figure == _NO_FIGURE else figure)
@@ -114,7 +122,7 @@ class Sweeping(QObject):
         session = self._instrument.session
         self._plan, self._begun, self._done, self._begun_s = plan, session, 0, time.monotonic()
         unit = METRICS[plan.figure.partition(".")[2]].unit if plan.figure else ""
-        across, down = ((f"{a.key.partition('/')[0]}.{a.name}", _words(a.values)) for a in (plan.across, plan.down))
+        across, down = ((a.called, _words(a.values)) for a in (plan.across, plan.down))
         self._page.show_begun(across, down, unit)
         self._page.show_progress(0.0, "opening the recording")
         self._ticket = self._job.submit(lambda report: sweeping.swept(session, plan, report))
@@ -150,9 +158,9 @@ class Sweeping(QObject):
         methods = {method.key: method for method in self._instrument.methods}
         session = self._instrument.session
         if plan.across.key in methods and plan.down.key in methods:
-            session = plan.across.put(session, methods[plan.across.key], plan.across.values[col])
-            session = plan.down.put(session, methods[plan.down.key], plan.down.values[row])
-            self._instrument.change("use a cell of the sweep", params=session.params)
+            params = plan.across.put(session.params, methods[plan.across.key], plan.across.values[col])
+            params = plan.down.put(params, methods[plan.down.key], plan.down.values[row])
+            self._instrument.change("use a cell of the sweep", params=params)
             self._page.show_used(row, col)
 
 

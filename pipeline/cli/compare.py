@@ -21,13 +21,17 @@ from pipeline.cli.opening_options import NOTHING_ELSE, Opening
 from pipeline.cli.stopping import stoppable
 from pipeline.cli.terminal import print_line
 from pipeline.engine.graph import Graph
+from pipeline.evaluation.metrics import METRICS
 from pipeline.pictures.display import DisplayParams
 from pipeline.pictures.tiles import Tile
 from pipeline.scoring.by_seed import by_seed
 from pipeline.scoring.side_by_side import by_method
 from pipeline.scoring.tiles import Tiles, write_tiles
 from pipeline.scoring.two_at_once import side_of, tiles_of
+from pipeline.scoring.two_parameters import Axis, Plan, axis, swept
+from pipeline.scoring.two_parameters import tiles_of as pairs_as_tiles
 from pipeline.scoring.versions import Kept
+from pipeline.translation.blame import FIGURE
 from pipeline.translation.catalogue import BUILT_IN
 from pipeline.translation.translate import Request, Translation, open_translation
 
@@ -43,6 +47,9 @@ class Wanted:
     seeds: int
     slot: str  # "" = all
     beside: str
+    across: str = ""  # "slot.parameter=value,value", with `down` another: every pair of their values
+    down: str = ""
+    figure: str = ""  # that judges them
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,7 +69,9 @@ def write_comparison(
     with _opened(opening.request(recording, target)) as one, stoppable() as work:
         one.checked(wanted.frame)
         given, display = _params(one, settings)
-        if wanted.beside:
+        if wanted.across or wanted.down:
+            shown = _pairs(one, given, display, wanted, work)
+        elif wanted.beside:
             other = _other(wanted.beside)
             if other.recording is None:
                 other = _in_place(other, recording, opening, settings)
@@ -88,6 +97,28 @@ def _two(
         graph = Graph(translation.methods)
         b = side_of("B", translation, wanted.frame, params, display, wanted.slot, graph, work)
         return tiles_of(a, b, wanted.slot, wanted.beside)
+
+
+def _pairs(
+    one: Translation, given: Mapping[str, object], display: DisplayParams, wanted: Wanted, work: Progress
+) -> Tiles:
+    """Every pair of values of two parameters; raises SettingProblem."""
+    plan = Plan(across=_axis(one, given, wanted.across), down=_axis(one, given, wanted.down), figure=wanted.figure)
+    slot, _, name = wanted.figure.partition(".")
+    if wanted.figure and (name not in METRICS or slot not in one.slots):
+        raise SettingProblem(f"no figure {wanted.figure!r} on this route; give one such as {FIGURE}")
+    cells = swept(one, wanted.frame, given, display, plan, progress=work)
+    told = f"frame {wanted.frame}: {plan.across.called} by {plan.down.called}, {len(cells)} pairs"
+    return Tiles(tiles=pairs_as_tiles(plan, cells), told=told)
+
+
+def _axis(one: Translation, given: Mapping[str, object], words: str) -> Axis:
+    called, equals, values = words.partition("=")
+    slot, dot, name = called.strip().partition(".")
+    method = next((method for method in one.methods if method.slot == slot), None)
+    if not (equals and dot and method):
+        raise SettingProblem(f"--across and --down both name slot.parameter=value,value of this route, got {words!r}")
+    return axis(given.get(method.key, method.params()), method, name, values)
 
 
 def _params(translation: Translation, settings: Sequence[str]) -> tuple[dict[str, object], DisplayParams]:

@@ -24,11 +24,15 @@ def compare(
     seeds: int = 0,
     slot: str = "felt",
     beside: _Words = "",
+    across: str = "",
+    down: str = "",
+    figure: str = "felt.contact_mae_mm",
     settings: _Settings = (),
 ) -> int:
     """Show one frame several ways, as the window's Compare: by every method, by several seeds, or beside another.
 
-    Without `--seeds` and `--beside` it is every method of the touch.
+    Without `--seeds` and `--beside` it is every method of the touch. `--across` and `--down` try every pair of values
+    of two parameters, as the window's Sweep does.
 
     Parameters
     ----------
@@ -49,11 +53,26 @@ def compare(
     beside
         The other, in the options of this command: `--method view=paper`, for example. Without a recording of its own
         it is this one with these options in place, with one it is what these options say alone.
+    across
+        A parameter and the values to try, such as `depth.certainty=0.2,0.4,0.8`, against those of `down`.
+    down
+        The other parameter and its values.
+    figure
+        What judges a pair, where the truth is known, such as `felt.contact_mae_mm`; empty for the picture alone.
     settings
         `slot.parameter=value`, or `slot/method.parameter=value` of a method that fills no slot here, or
         `display.parameter=value`, as often as needed.
     """
     from pipeline.cli.compare import Wanted, write_comparison
 
-    wanted = Wanted(frame=frame, order=order, seeds=seeds, slot="" if slot == "all" else slot, beside=beside)
+    wanted = Wanted(
+        frame=frame,
+        order=order,
+        seeds=seeds,
+        slot="" if slot == "all" else slot,
+        beside=beside,
+        across=across,
+        down=down,
+        figure=figure,
+    )
     return write_comparison(recording, target, opening, settings, wanted, out)

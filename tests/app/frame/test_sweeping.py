@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import math
+import shlex
 
 import pytest
+from PyQt6.QtGui import QGuiApplication
 
 from app.frame.tour import wait_until_shown
 from app.session.state import Session
 from app.work.jobs import LatestJob, Report
-from app.work.sweeping import Axis, Plan, axis, first_two, offered, usual_values
+from app.work.sweeping import first_two, offered, usual_values
 from app.work.sweeping import swept as sweep
 from pipeline.base.errors import SettingProblem
 from pipeline.base.params import Setting, settings
+from pipeline.cli.main import build, run
+from pipeline.scoring.tiles import write_tiles
+from pipeline.scoring.two_parameters import Axis, Cell, Plan, axis, tiles_of
 from pipeline.stages.adapt.slot import SLOT as CLOUD
 from pipeline.translation.catalogue import BUILT_IN
 from widgets.sweep_grid import Tried, best_of
@@ -49,6 +54,26 @@ def test_all_pairs_are_tried_and_a_click_uses_one(swept, qtbot):
     assert params["view/surface"].jump_mm == 2.0
     assert instrument.undo.count() == steps + 1
     assert page.grid.used == page.plot.used == (1, 1)
+
+
+def test_the_copied_command_tries_the_same_pairs(swept, qtbot, tmp_path, monkeypatch):
+    instrument, page = swept
+    monkeypatch.chdir(tmp_path)
+    page.go.click()
+    qtbot.waitUntil(lambda: len(page.grid.tried) == 4, timeout=LIMIT_MS)
+    instrument.window.actions_by_name["copy_command"].trigger()
+    words = shlex.split(QGuiApplication.clipboard().text())
+    assert run(build(), words[1:]) == 0
+    plan = Plan(across=Axis(key="cloud/back_projection", name="stride", values=(1, 4)),
+                down=Axis(key="view/surface", name="jump_mm", values=(1.0, 2.0)), figure="")  # fmt: skip
+    cells = [
+        Cell(row=row, col=col, error=tried.error, ms=0.0, picture=tried.picture)
+        for (row, col), tried in page.grid.tried.items()
+    ]
+    write_tiles(tmp_path / "shown", tiles_of(plan, cells))
+    shown, typed = ({p.name: p.read_bytes() for p in (tmp_path / name).iterdir()} for name in ("shown", "swept"))
+    assert shown == typed
+    assert len(shown) == 5
 
 
 def test_what_fills_a_slot_for_this_source_is_swept(swept, qtbot):
@@ -105,9 +130,9 @@ def test_usual_values_stay_within_limits_and_typed_ones_are_checked(bubble_windo
     assert 2.0 in tried
     assert usual_values(True, told) == (False, True)
     method = CLOUD.methods[0]
-    assert axis(bubble_window.session, method, "stride", " 2,3, 2").values == (2, 3)
+    assert axis(method.params(), method, "stride", " 2,3, 2").values == (2, 3)
     with pytest.raises(SettingProblem):
-        axis(bubble_window.session, method, "stride", "1.5")
+        axis(method.params(), method, "stride", "1.5")
 
 
 def test_the_best_are_beaten_by_none():

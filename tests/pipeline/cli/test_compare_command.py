@@ -32,6 +32,21 @@ def test_what_is_wrong_with_the_other_is_one_sentence(tmp_path, capsys, beside, 
     assert not (tmp_path / "ways").exists()
 
 
+@pytest.mark.parametrize(
+    ("pairs", "says"),
+    [
+        (["--across", "cloud.stride=1,2"], "--across and --down"),
+        (["--across", "cloud.stride=1,2", "--down", "cloud.stride=4"], "same parameter"),
+        (["--across", "cloud.stride=1,2", "--down", "view.jump_mm=1", "--figure", "felt.nonsense"], "felt.nonsense"),
+        (["--across", "cloud.stride=0", "--down", "view.jump_mm=1"], "stride"),
+    ],
+)
+def test_what_is_wrong_with_a_sweep_is_one_sentence(tmp_path, capsys, pairs, says):
+    assert run(build(), ["compare", *_ONE, *pairs, "--out", str(tmp_path / "ways")]) == 2
+    assert says in capsys.readouterr().err
+    assert not (tmp_path / "ways").exists()
+
+
 def test_a_folder_with_something_else_in_it_stays(tmp_path, capsys):
     (tmp_path / "mine.txt").write_text("mine")
     assert run(build(), ["compare", *_ONE, "--beside", "--set cloud.stride=4", "--out", str(tmp_path)]) == 2
