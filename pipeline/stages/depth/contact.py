@@ -8,13 +8,15 @@ its thickness; leaving that out shifts the pressure by a smooth amount, and neit
 stiffness is needed.
 
 Pressure as it is seen is blurred. A ball's falls like a root, which a blur hardly moves; below a sharp rim it is as
-good as infinite and spreads by the blur's width. So a limit is a share of the peak nearby, not of the region's: a share
-of 0.25 of the region's peak loses a third of a cone's radius, whose pressure is infinite at its tip.
+good as infinite and spreads by the blur's width, over the wall beside it as well. So a limit is a share of the peak
+nearby, a larger one where that peak stands far above what is usual in the contact, as below a rim. What is far from any
+peak is held against the usual pressure, the median, not against the region's peak: a cone's is infinite at its tip, and
+0.16 of what a picture shows of it loses a quarter of the cone.
 
-Numbers were chosen by presses of `shapes.names("training")` on simulated units, but for the share of the region's
-peak and what hangs: pressure is read beyond the contact of balls on real gels, and these two end it near their visible
-rim, on the recordings that `benchmarks/real_depth.py` reads. By simulated units alone the first would be 0.06 and the
-second not needed.
+Numbers were chosen by presses of `shapes.names("training")` on simulated units and by flat faces, but for the share of
+the usual pressure and what hangs: pressure is read beyond the contact of balls on real gels, and these two end it near
+their visible rim, on the recordings that `benchmarks/real_depth.py` reads. By simulated units alone the first would be
+half as large and the second not needed.
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ from pipeline.physics.slopes import slopes
 _WORKERS = 2
 _NEAR_MM = 0.25  # farther than lens and smoothing spread light
 _LEAST_PRESSURE = np.float32(0.02)  # mm/mm, in slopes: noise and light that is not quite this unit's make as much
-_FAR_SHARE, _PART_SHARE = np.float32(0.16), np.float32(0.25)  # of the region's peak
+_USUAL_SHARE = np.float32(0.32)  # of the usual pressure of a region: the median of what exceeds `_CORE_SHARE`
+_CORE_SHARE, _PART_SHARE = np.float32(0.16), np.float32(0.25)  # of the region's peak
+_RIDGE_FROM, _RIDGE_TO, _RIDGE_SHARE = 1.7, 3.5, 0.6  # times what is usual; the share of such a peak nearby
 _HANGS_MM, _HANGS_SHARE = 2.0, np.float32(0.25)  # within about a gel's thickness of what is deep
 _REACH_CELLS = 8
 _SPECK_SHARE = 0.05  # of the largest region: dust and scratches that the press has shifted
@@ -78,9 +82,13 @@ def touched(
     reach = 2 * max(1, round(_NEAR_MM / pixel_mm)) + 1
     near = np.asarray(cv2.dilate(pressure, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))), np.float32)
     peak = _peaks(deep, pressure)
-    limit = np.maximum(np.maximum(_LEAST_PRESSURE, _FAR_SHARE * peak), pressure_share * near)
-    hangs = indentation_mm < _HANGS_SHARE * _deepest_near(indentation_mm, _HANGS_MM / pixel_mm)
-    mask = np.asarray(deep & (pressure > limit) & ~hangs, np.bool_)
+    deep_here = deep & (indentation_mm >= _HANGS_SHARE * _deepest_near(indentation_mm, _HANGS_MM / pixel_mm))
+    least = np.maximum(_LEAST_PRESSURE, pressure_share * near)
+    usual = _usual(deep, pressure, deep_here & (pressure > np.maximum(least, _CORE_SHARE * peak)))
+    ridge = np.clip((near / np.maximum(usual, _LEAST_PRESSURE) - _RIDGE_FROM) / (_RIDGE_TO - _RIDGE_FROM), 0.0, 1.0)
+    share = pressure_share + np.maximum(_RIDGE_SHARE - pressure_share, 0.0) * ridge
+    limit = np.maximum(np.maximum(_LEAST_PRESSURE, _USUAL_SHARE * usual), share * near)
+    mask = np.asarray(deep_here & (pressure > limit), np.bool_)
     return _faces(indentation_mm, _with(mask, mask & (pressure > _PART_SHARE * peak)), deep)
 
 
@@ -120,6 +128,20 @@ def _peaks(deep: Mask, pressure: Floats) -> Floats:
     peaks = np.zeros(n, np.float32)
     np.maximum.at(peaks, regions[deep], pressure[deep])
     return peaks[regions]
+
+
+def _usual(deep: Mask, pressure: Floats, core: Mask) -> Floats:
+    """The median pressure (rows, cols) of the `core` in the connected region of `deep` that each pixel belongs to."""
+    import cv2
+
+    n, found = cv2.connectedComponents(deep.astype(np.uint8), connectivity=8)
+    regions = np.asarray(found, np.int32)
+    of, values = regions[core], pressure[core]
+    order = np.lexsort((values, of))
+    ends = np.searchsorted(of[order], np.arange(n + 1))
+    count = np.diff(ends)
+    middle = values[order][np.minimum(ends[:-1] + count // 2, max(0, len(values) - 1))] if len(values) else 0.0
+    return np.where(count > 0, middle, 0.0).astype(np.float32)[regions]
 
 
 def _with(mask: Mask, seeds: Mask) -> Mask:

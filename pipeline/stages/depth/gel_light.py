@@ -48,6 +48,7 @@ _HUBER_GREY = 20.0  # larger misfits are dust, a reflection, or an optical descr
 _STEEPEST = np.float32(1.43)  # mm/mm, 55 degrees: the light hardly changes beyond
 _LEAST_MM = -0.5  # no gel bulges out farther
 _FLANK, _FLANK_SHARE = 0.12, 0.1  # mm/mm, and of a region's pixels
+_FLANK_OF_DEEPEST = 0.7  # of the steepest tenth of the deepest region, where a light touch has nothing steeper
 _BORDER_SHARE = 0.4  # of the deepest region: corners beside a real GelSlim's presses come out up to 0.36
 _HARDLY = 0.8  # of what is usual: balls on a real Mini are read wrong by 60 % there, by 12 % elsewhere
 _CELLS = 160  # of the rounds' grid, along the longer side of a picture
@@ -212,11 +213,13 @@ def pressed_in(touched: Mask, surface_mm: Floats, pixel_mm: float, border: Mask 
     if n <= 2:  # the background and one region
         return touched
     regions = np.asarray(found, np.int32)
-    steep = np.hypot(*slopes(surface_mm, pixel_mm)) > _FLANK
-    keep = np.bincount(regions[touched & steep], minlength=n) > _FLANK_SHARE * np.bincount(regions.ravel(), minlength=n)
     depths = np.full(n, -np.inf, np.float32)
     np.maximum.at(depths, regions[touched], surface_mm[touched])
     depths = depths[1:]
+    slope = np.hypot(*slopes(surface_mm, pixel_mm))
+    steepest = float(np.percentile(slope[regions == 1 + int(np.argmax(depths))], 90.0))
+    steep = slope > min(_FLANK, _FLANK_OF_DEEPEST * steepest)
+    keep = np.bincount(regions[touched & steep], minlength=n) > _FLANK_SHARE * np.bincount(regions.ravel(), minlength=n)
     if border is not None:
         cut = np.unique(regions[touched & border])
         keep[cut[depths[cut - 1] < _BORDER_SHARE * float(depths.max())]] = False

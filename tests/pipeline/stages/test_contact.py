@@ -90,12 +90,13 @@ def test_the_contact_of_a_rough_ball_has_no_stairs():
 @pytest.mark.parametrize(
     ("height_mm", "least"),
     [
-        (lambda x, y, r: 0.8 - 0.6 * r, 0.55),  # a cone, whose pressure is infinite at its tip
-        (lambda x, y, r: 0.5 - r * r / 8.0, 0.82),
-        (lambda x, y, r: 0.3 - r * r / 8.0, 0.86),
-        (lambda x, y, r: 0.5 - x * x / 4.0 - np.where(abs(y) < 1.8, 0.0, 9.0), 0.72),  # a rod, whose ends are sharp
+        (lambda x, y, r: 0.8 - 0.6 * r, 0.72),  # a cone, whose pressure is infinite at its tip
+        (lambda x, y, r: 0.5 - r * r / 8.0, 0.80),
+        (lambda x, y, r: 0.3 - r * r / 8.0, 0.83),
+        (lambda x, y, r: 0.5 - x * x / 4.0 - np.where(abs(y) < 1.8, 0.0, 9.0), 0.83),  # a rod, whose ends are sharp
+        (lambda x, y, r: 0.4 - np.where(np.maximum(abs(x), abs(y)) < 1.0, 0.0, 9.0), 0.94),  # a face
     ],
-    ids=["cone", "ball", "ball lightly", "rod"],
+    ids=["cone", "ball", "ball lightly", "rod", "face"],
 )
 def test_the_contact_of_what_mechanics_press_is_found_nearly_to_its_rim(height_mm, least):
     surface, contact = felt(height_mm)

@@ -96,3 +96,19 @@ def test_a_picture_with_large_markers_that_has_moved_is_put_back():
     found, _ = drift.fitted(drifted(still, shift_px=(-2.0, 2.0)), still)
     assert found is not None
     assert found.shift_px == pytest.approx((-2.0, 2.0), abs=0.1)
+
+
+def test_a_face_that_fills_the_view_is_not_taken_for_drift_nor_drift_for_a_face():
+    source = sensor("gelsight_mini")
+    rows, cols = source.camera.shape
+    beside = np.maximum(np.abs(np.arange(cols) - 0.5 * (cols - 1)) - 0.47 * cols, 0.0) * source.pixel_mm
+    face = np.tile(0.5 * np.exp(-beside / 0.3), (rows, 1)).astype(np.float32)
+    how = {"gain": 0.97, "ramp_grey": 12.0}
+    found = depth(frame(source, drifted(optics.render(source, face, seed=1), **how)), source, None, PARAMS)
+    assert found.contact.mean() > 0.9
+    assert any("fills the view" in note for note in found.notes)
+    assert any("the light has drifted" in note for note in found.notes)
+    alone = frame(source, drifted(optics.untouched(source), **how))
+    found = untouched(alone, source, None, PARAMS) or depth(alone, source, None, PARAMS)
+    assert not found.contact.any()
+    assert any("larger than the view" in note for note in found.notes)  # which shows no rim

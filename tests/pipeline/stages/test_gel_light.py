@@ -113,6 +113,17 @@ def test_a_shallow_plate_beside_a_touch_is_left_out_and_a_second_touch_kept():
     assert not kept[60, 170]
 
 
+def test_parts_of_a_light_touch_stay_though_none_has_steep_flanks():
+    y, x = np.mgrid[:120, :200]
+    balls = [
+        np.clip(0.5 - np.hypot(x - cx, y - 60) / 60.0, 0.0, 1.0) * depth for cx, depth in ((50, 0.06), (130, 0.05))
+    ]
+    surface = (balls[0] + balls[1]).astype(np.float32)
+    kept = gel_light.pressed_in(surface > 0, surface, 0.05)
+    assert kept[60, 50]
+    assert kept[60, 130]
+
+
 @lru_cache
 def pressed_mini(*, near):
     """An object on a Mini whose lamps light its gel as described, or stand close beside it: (frame, truth)."""
