@@ -1,10 +1,9 @@
 """Where a network is unsure, what it corrects is left as it is: how much of a correction is taken, pixel by pixel.
 
 A correction that is as small as the error expected of it is half taken, one that is far larger nearly all. A bubble
-feels a body beyond a gel's view or none: that is one question, answered once for all pixels there, and taken by as much
-as it is sure. How large the error has to be taken for is calibrated on touches that were not learned from
-(`benchmarks/caution.py`), where the source felt something and beyond: a network is surer of itself than it should be of
-objects that it has never seen.
+feels a body beyond a gel's view or none: that is one question, answered once for all pixels there. How large
+the error has to be taken for is calibrated on touches that were not learned from (`benchmarks/caution.py`), where the
+source felt something and beyond: a network is surer of itself than it should be of objects that it has never seen.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ from pipeline.stages.generate.diffusion import Sampled, State
 from pipeline.values.results import DepthMap
 
 _EVEN_PX = 4.0  # a share that changed faster would draw edges of its own
+_DECIDED = 4  # the power at which what is asked once for all pixels is nearly all taken or nearly none of it
 _HALF = 0.5
 
 
@@ -62,7 +62,7 @@ def taken(correction_mm: Floats, off_mm: Floats) -> Floats:
 
 def _decided(correction_mm: Floats, off_mm: Floats) -> float:
     """One share 0..1 for all pixels (n,)."""
-    large, wrong = (float(np.square(f, dtype=np.float64).mean()) for f in (correction_mm, off_mm))
+    large, wrong = (float(np.square(f, dtype=np.float64).mean()) ** _DECIDED for f in (correction_mm, off_mm))
     return large / (large + wrong) if wrong > 0.0 else 1.0
 
 

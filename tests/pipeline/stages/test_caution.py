@@ -57,11 +57,9 @@ def test_whether_there_is_a_body_beyond_the_view_is_decided_once():
     spotted = replace(spotted, last=replace(spotted.last, residual_mm=field))
     apart, once = (held_back(spotted, LEFT, 1.0, (1.0, 1.0), at_once=how).last.residual_mm[:, -1] for how in (0, 1))
     assert apart[-1] < 0.05
-    assert once[-1] > 0.18, "what is sure of most of the body is sure of all of it"
+    assert once[-1] > 0.19, "what is sure of most of the body is sure of all of it"
     unsure = replace(spotted, spread_mm=np.full(SHAPE, np.float32(8.0)))
-    half_sure = held_back(unsure, LEFT, 1.0, (1.0, 1.0), at_once=True).last.residual_mm[:, -1]
-    square = 0.5 * (6.0**2 + 0.2**2)
-    assert np.allclose(half_sure / field[:, -1], square / (square + 8.0**2), atol=1e-3), "it is taken by as much"
+    assert np.abs(held_back(unsure, LEFT, 1.0, (1.0, 1.0), at_once=True).last.residual_mm[:, -1]).max() < 0.1
 
 
 def test_a_touch_told_against_another_first_answer_is_the_same_touch():
