@@ -116,16 +116,18 @@ class Timeline(QWidget):
         self.errors.show_frame(frame)
         self._time.setText(f"t = {time_s:.2f} s" if math.isfinite(time_s) else "")
 
-    def show_errors(self, figure: str, values: Sequence[float], doubts: Mapping[int, Sequence[str]]) -> None:
+    def show_errors(
+        self, figure: str, values: Sequence[float], doubts: Mapping[int, Sequence[str]], without: str = "no error known"
+    ) -> None:
         """An error of every frame under the slider, NaN where it is not known, and what is doubted of which.
 
-        `figure` is its name and, behind a comma, its unit.
+        `figure` is its name and, behind a comma, its unit; `without` is said where no frame has one.
         """
         unit = figure.partition(", ")[2]
         self.errors.show_values(values, unit, doubts)
         worst = self.errors.worst
         known = sum(math.isfinite(value) for value in values)
-        self._figure.setText(figure if known else "no error known" if values else "")
+        self._figure.setText(figure if known else without if values else "")
         told = f"worst: frame {worst}, {values[worst]:.3g} {unit}" if worst >= 0 else ""
         self._worst.setText(told)
 

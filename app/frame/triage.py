@@ -12,6 +12,7 @@ from pipeline.translation.blame import FIGURE as FIRST_CHOICE
 from widgets.looks import once
 
 _TOGETHER_MS = 60  # frames that become known within this are drawn once
+_NO_TRUTH = "the recording holds no truth"
 _AT_REST_MS = 400  # who looks for a frame, or has its error taken apart, comes first
 
 
@@ -67,7 +68,9 @@ class Triage(QObject):
         known = self._panel.known
         doubts = {i: own for i in range(known.rowCount()) if (own := known.own_doubts(i))}
         values = known.values(self._figure) if known.rowCount() > 1 else ()
-        self._instrument.window.timeline.show_errors(called(self._figure), values, doubts)
+        opened = self._instrument.screen.opened
+        without = "no error known" if opened is None or opened.stream.has_truth else _NO_TRUTH
+        self._instrument.window.timeline.show_errors(called(self._figure), values, doubts, without)
 
     @property
     def _wanted(self) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPointF
+from PyQt6.QtWidgets import QLabel
 
 from app.frame.tour import wait_until_shown
 from app.session.sample import SAMPLE
@@ -115,3 +116,5 @@ def test_a_recording_without_truth_shows_what_was_worked_out(bubble_window):
     shown = bubble_window.window.columns["depth"].view.picture
     assert shown.caption == made.caption
     np.testing.assert_array_equal(shown.pixels, made.pixels)
+    told = [label.text() for label in bubble_window.window.timeline.findChildren(QLabel)]
+    assert "the recording holds no truth" in told  # why there is no error to be seen
