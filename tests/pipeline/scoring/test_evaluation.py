@@ -10,10 +10,11 @@ import pytest
 
 from pipeline.base.errors import SettingProblem
 from pipeline.cli.main import EXIT_USER_ERROR, build, run
-from pipeline.scoring import held_out, sweep
+from pipeline.scoring import features, held_out, sweep
 from pipeline.scoring.evaluation import Wanted, direction, evaluated
 from pipeline.scoring.held_out import SENSORS, HeldOut, recordings, sensors_for
 from pipeline.scoring.paper import DIRECTIONS, PAPER, paper_row
+from pipeline.sensors.spec import sensor
 from pipeline.simulation import shapes
 
 
@@ -77,6 +78,12 @@ def test_a_row_for_each_baseline_and_method_and_physics_beats_the_baselines(kept
     assert by["physics"].ms > 0
     assert by["mean"].ms == 0
     assert any("real recordings" in note for note in table.notes)
+
+
+def test_a_sensors_own_encoder_stays_while_its_pose_network_is_taught_on():
+    bubble, gel = (features.weights(sensor(name)) for name in ("soft_bubble", "gelslim"))
+    assert (bubble.name, bubble.content[:12]) == ("encoder_soft_bubble", "b665d91b6956"), "older distances hold no more"
+    assert gel.name == "pose_gelslim"  # it has none of its own
 
 
 def test_guidance_is_swept_where_it_does_something_unless_steps_are_told(kept, monkeypatch):
