@@ -13,7 +13,7 @@ from widgets.icons import state_icon
 
 SORTED_BY = Qt.ItemDataRole.UserRole  # a number, so that 10 comes after 9; what is not known comes last
 FRAME, DEPTH, CONTACT, FIGURE, NOTE = range(5)
-_TITLES = ("frame", "depth\nmm", "contact\nmm²")
+_TITLES = ("frame", "depth\nmm", "area\nmm²")
 _TIPS = (
     "number of the frame",
     "largest indentation of the source sensor, mm",

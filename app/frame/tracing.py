@@ -90,6 +90,10 @@ class Tracer(QObject):
         self.pinned.emit(False)
 
     def _trace(self, column: str, row: int, col: int) -> None:
+        picture = self._window.columns[column].view.picture
+        if picture is not None and not (row < picture.pixels.shape[0] and col < picture.pixels.shape[1]):
+            self.clear()  # pinned in a larger picture, of another sensor
+            return
         self._at = (column, row, col)
         marks = self._marks_of(column, row, col)
         crosses: dict[str, tuple[int, int] | None] = dict.fromkeys(self._window.columns)

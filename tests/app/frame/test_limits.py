@@ -79,6 +79,16 @@ def test_the_distance_to_the_posed_object_has_a_limit_of_its_own(bubble_window):
     assert _limits(pose) == (-0.12, 0.12) != before
 
 
+def test_a_pixel_that_was_pinned_in_a_larger_picture_is_let_go(bubble_window):
+    instrument = bubble_window
+    instrument.tracer.click("view", 100, 400)
+    assert instrument.window.columns["view"].view.cross == (100, 400)
+    instrument.change("another target", target="digit")  # 240 pixels wide
+    assert wait_until_shown(instrument, 60)
+    assert instrument.window.columns["view"].view.cross is None
+    assert "pinned" not in instrument.window.trace.text
+
+
 def _limits(view):
     scale = view.picture.scale
     assert (scale.sets_low, scale.sets_high) == ("residual_limit_mm", "residual_limit_mm")
