@@ -1,6 +1,6 @@
 """Are samples of the diffusion methods samples: does their spread over seeds say how far off they are?
 
-    python benchmarks/sample_spread.py [METHOD] [SOURCE:TARGET] [SPLIT] [PLOT.png] [RECORDINGS_FOLDER]
+    python benchmarks/sample_spread.py [METHOD] [SOURCE:TARGET] [SPLIT] [PLOT.png] [RECORDINGS_FOLDER] [GUIDANCE]
 
 Held-out touches of `tactoscope evaluate` (two grasps of each object, or four of each unseen tool) are sampled with some
 seeds in eight steps. Were the samples draws of what the condition allows, two of them would lie as far apart as one
@@ -53,7 +53,7 @@ class Measured:
         self.ms: list[float] = []
 
 
-def measured(method: str, source: str, target: str, split: str, folder: str = "") -> Measured:
+def measured(method: str, source: str, target: str, split: str, folder: str = "", guidance: float = 1.0) -> Measured:
     found = Measured()
     held_out = HeldOut(grasps=GRASPS[split], folder=Path(folder) if folder else None)
     for presses in recordings(split, held_out):
@@ -62,11 +62,11 @@ def measured(method: str, source: str, target: str, split: str, folder: str = ""
             both = replace(opened.recording, streams=(opened.recording.stream(source), other.stream(target)))
             one = replace(opened, recording=both)
             for index in range(one.n_frames):
-                _touch(found, one, index)
+                _touch(found, one, index, guidance)
     return found
 
 
-def _touch(found: Measured, one, index: int) -> None:
+def _touch(found: Measured, one, index: int, guidance: float) -> None:
     true = recorded(*one.truth_of_target(index))
     usual = default_params(one.methods)
     plain, graph = replace(usual["touch"], caution=0.0), one.graph()
@@ -84,7 +84,7 @@ def _touch(found: Measured, one, index: int) -> None:
         return  # physics answered: nothing was felt
     for seed in range(SEEDS):
         started = time.perf_counter()
-        samples.append(touch(replace(plain, steps=STEPS, seed=seed)))
+        samples.append(touch(replace(plain, steps=STEPS, seed=seed, guidance=guidance)))
         found.ms.append(1e3 * (time.perf_counter() - started))
     stack = np.stack([s.membrane.indentation_mm for s in samples])
     where = true.contact | (np.abs(stack).max(0) > 0.02 * stack.max())  # where nothing ever is, nothing is to be told
@@ -111,13 +111,14 @@ def by_parts(guess: np.ndarray, off: np.ndarray) -> list[tuple[float, float]]:
 
 
 def answer(
-    method: str = "t2t", way: str = "gelslim:soft_bubble", split: str = "unseen_tools", plot: str = "", folder: str = ""
-) -> Answer:
+    method: str = "t2t", way: str = "gelslim:soft_bubble", split: str = "unseen_tools", plot: str = "",
+    folder: str = "", guidance: str = "1",
+) -> Answer:  # fmt: skip
     source, target = direction(way)
     known = BUILT_IN.method("touch", method).weights(sensor(source), sensor(target), None)
     if isinstance(known, NoWeights):
         return Answer(title="spread of samples", unit="mm", rows=(), notes=(known.why,))
-    found = measured(method, source, target, split, folder)
+    found = measured(method, source, target, split, folder, float(guidance))
     spread, off, said = (np.concatenate(v) for v in (found.spread, found.off, found.said))
     parts = {"spread over seeds": by_parts(spread, off), "spread that one step tells": by_parts(said, off)}
     notes = [f"{name} against the error of the samples' mean, by fifths of the pixels, mm: "
