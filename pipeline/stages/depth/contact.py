@@ -16,7 +16,7 @@ peak is held against the usual pressure, the median, not against the region's pe
 Numbers were chosen by presses of `shapes.names("training")` on simulated units and by flat faces, but for the share of
 the usual pressure and what hangs: pressure is read beyond the contact of balls on real gels, and these two end it near
 their visible rim, on the recordings that `benchmarks/real_depth.py` reads. By simulated units alone the first would be
-half as large and the second not needed.
+0.24 or less and the second not needed.
 """
 
 from __future__ import annotations
