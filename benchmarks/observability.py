@@ -26,7 +26,7 @@ from benchmarks.races import Bar, Timing, race, row
 from pipeline.geometry import rigid
 from pipeline.racing.races import Answer, Row
 from pipeline.racing.report import show
-from pipeline.registration.observability import Observability, Tolerances, effective_count, observability
+from pipeline.registration.observability import Observability, Tolerances, observability
 
 PATCHES = 250  # of each kind
 DENSE = 8_000  # points that stand for the exact surface
@@ -76,13 +76,12 @@ def scored(kind: str, seed: int) -> Tally:
         n, sigma_mm = int(rng.integers(300, 3000)), rng.uniform(0.0, 0.05)
         sparse = crooked(drawn(kind, np.random.default_rng(sizes), n), rng, sigma_mm, k % 2 == 1).moved(pose)
         dense = drawn(kind, np.random.default_rng(sizes), DENSE).moved(pose)
-        n_eff = effective_count(n, dense.area_mm2, CORRELATION_MM)
+        n_eff = n / (1.0 + 2.0 * math.pi * CORRELATION_MM**2 * n / dense.area_mm2)  # of pixels that hang together
         told = observability(
             sparse.points_mm,
             sparse.normals,
             sparse.points_mm.mean(axis=0),
-            sigma_mm,
-            n_eff=n_eff,
+            max(sigma_mm, 1e-3) * math.sqrt(n / n_eff),
             tolerances=tolerances,
         )
         truth = known_motions.known(dense, n_eff, max(sigma_mm, 1e-3), tolerances)

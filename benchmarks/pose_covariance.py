@@ -1,16 +1,19 @@
 """Are poses as far off as their covariance says? On depth as it is measured, and on exact depth with modelled noise.
 
-    python benchmarks/pose_covariance.py [PART OF A SENSOR'S NAME]
+    python benchmarks/pose_covariance.py [PART OF A SENSOR'S NAME [WAY [PRESSES]]]
+
+WAY is one of those below, with every sensor's name if the first is ""; PRESSES of each object, 6 unless said.
 
 Catalogue objects are pressed into every simulated sensor. *Measured* is what the slot *depth* makes of the sensor's
 picture, by physics and, of a bubble, by the network; *modelled* is the true membrane with white noise of 0.01 mm and
-the error that the sensor's description states, drawn as a smooth field; *translated* is the touch that physics makes of
-what another sensor measured of the same press, which takes that sensor's error along. A pose begins at the truth, so
-that its error is that of the measurement and no other minimum's. Told is its chi-square under its covariance, in the
-directions that it calls determined, as the median over touches over what a right covariance's median would be: above 1
-poses are farther off than they say. The error of a row is how many times that is too much or too little; the peer is
-the same without the sensor's measured error. Beside them stands the error of measured depth and the length over which
-it hangs together, median and mean over the touches: what sensors are described with lies between the two.
+the error that the sensor's description states, drawn as a smooth field; *translated* is the touch that physics makes
+of what another sensor measured of the same press, which takes that sensor's error along. A pose begins at the truth,
+so that its error is that of the measurement and no other minimum's. Told is its chi-square under its covariance, in
+the directions that it calls determined, as the median over touches over what a right covariance's median would be:
+above 1 poses are farther off than they say; its standard error is that of a median of draws from these touches. The
+error of a row is how many times that is too much or too little; the peer is the same without the sensor's measured
+error. Beside them stands the error of measured depth and the length over which it hangs together, median and mean
+over the touches: what sensors are described with lies between the two.
 """
 
 from __future__ import annotations
@@ -52,7 +55,8 @@ from pipeline.values.results import DepthError, DepthMap
 
 OBJECTS = ("letters", "curve", "cross", "star")
 """Of the catalogue's, those whose contacts determine a pose."""
-PRESSES = 6  # of each
+PRESSES = 6  # of each, unless said
+_DRAWS = 1000
 _WHITE_MM = 0.01
 _COMPUTED = DepthError(rms_mm=0.03, correlation_mm=0.5)  # where nobody has measured a sensor's
 _SOURCES = {"gelslim": "digit", "digit": "gelslim_dotless", "soft_bubble": "gelslim"}  # of what is translated
@@ -69,23 +73,30 @@ class Judged:
     naive: tuple[float, ...]  # without the measured error
     ms: tuple[float, ...]  # a pose, of the processor
     shift_um: tuple[float, ...]  # that the pose is off at the contact's middle, where determined
+    rank: tuple[int, ...]  # directions that are determined
 
     @property
     def ratio(self) -> float:
         """Its median."""
         return float(np.median(self.told)) if self.told else float("nan")
 
+    @property
+    def ratio_error(self) -> float:
+        """Standard error of that median."""
+        drawn = np.random.default_rng(5).choice(self.told, (_DRAWS, len(self.told))) if self.told else np.empty((1, 0))
+        return float(np.median(drawn, axis=1).std()) if self.told else float("nan")
 
-@lru_cache(maxsize=1)
-def touches(name: str) -> tuple[tuple[Press, Mesh, Doubles], ...]:
-    """Presses of a sensor that converged and touch, and where the object was."""
-    return tuple(_pressed(sensor(name)))
+
+@lru_cache(maxsize=2)
+def touches(name: str, presses: int = PRESSES) -> tuple[tuple[Press, Mesh, Doubles], ...]:
+    """Presses of a sensor that converged and touch, the object, and where it was in the alignment frame."""
+    return tuple(_pressed(sensor(name), presses))
 
 
-def _pressed(spec: SensorSpec) -> Iterator[tuple[Press, Mesh, Doubles]]:
+def _pressed(spec: SensorSpec, presses: int) -> Iterator[tuple[Press, Mesh, Doubles]]:
     for index, name in enumerate(OBJECTS):
         mesh = shapes.shape(name).mesh
-        for k, at in enumerate(paper_grid(mesh, n=PRESSES, seed=17 + index)):
+        for k, at in enumerate(paper_grid(mesh, n=presses, seed=17 + index)):
             made = press(mesh, at, spec, seed=k)
             if made.converged and made.truth.contact is not None and made.truth.contact.any():
                 yield made, mesh, at
@@ -122,9 +133,11 @@ def translated(made: Press, source: SensorSpec, target: SensorSpec) -> DepthMap:
     return feel.membrane(touch, target, NoParams())
 
 
-def chi_square(felt: DepthMap, made: Press, mesh: Mesh) -> tuple[float, float] | None:
-    """(chi-square of the error over its right median, mm that the middle is off); None where nothing is determined."""
-    truth = made.truth.sensor_from_object
+def chi_square(felt: DepthMap, truth: Doubles, mesh: Mesh) -> tuple[float, float, int] | None:
+    """(chi-square of the error over its right median, mm that the middle is off, directions that are determined).
+
+    None where nothing is determined.
+    """
     found = pose_from(felt, mesh, _PARAMS, truth)
     if found.sensor_from_object is None or (rank := round(float(np.trace(found.observable)))) == 0:
         return None
@@ -132,37 +145,39 @@ def chi_square(felt: DepthMap, made: Press, mesh: Mesh) -> tuple[float, float] |
     error = np.concatenate([rigid.rotation_vector_rad(off), rigid.apply(off, middle) - middle])
     error, known = found.observable @ error, found.observable @ found.covariance @ found.observable.T
     told = float(error @ np.linalg.pinv(known, rcond=1e-10, hermitian=True) @ error)
-    return told / float(chi2.median(rank)), float(np.linalg.norm(error[3:]))
+    return told / float(chi2.median(rank)), float(np.linalg.norm(error[3:])), rank
 
 
-def judged(spec: SensorSpec, how: str) -> Judged:
+def judged(spec: SensorSpec, how: str, presses: int = PRESSES) -> Judged:
     """All touches of a sensor, by a method of *depth*, "modelled" or "translated"."""
-    told, naive, ms, shift = list[float](), list[float](), list[float](), list[float]()
+    told, naive, ms, shift, rank = list[float](), list[float](), list[float](), list[float](), list[int]()
     source = sensor(_SOURCES[spec.name]) if how == "translated" else spec
-    for k, (made, mesh, at) in enumerate(touches(spec.name)):
+    for k, (made, mesh, at) in enumerate(touches(source.name, presses)):
         if how == "modelled":
             felt = modelled(made, spec, k)
         elif how == "translated":
-            felt = translated(press(mesh, at, source, seed=k), source, spec)
+            felt = translated(made, source, spec)
         else:
             felt = measured(made, spec, how)
+        truth = rigid.invert(spec.alignment_from_sensor) @ at
         began_s = time.process_time()
-        found = chi_square(felt, made, mesh) if felt.contact.any() else None
+        found = chi_square(felt, truth, mesh) if felt.contact.any() else None
         taken_ms = 1e3 * (time.process_time() - began_s)
         if found is None:
             continue
-        plain = chi_square(replace(felt, error=None), made, mesh)
+        plain = chi_square(replace(felt, error=None), truth, mesh)
+        rank.append(found[2])
         told.append(found[0])
         shift.append(1e3 * found[1])
         ms.append(taken_ms)
         naive.append(found[0] if plain is None else plain[0])
-    return Judged(told=tuple(told), naive=tuple(naive), ms=tuple(ms), shift_um=tuple(shift))
+    return Judged(told=tuple(told), naive=tuple(naive), ms=tuple(ms), shift_um=tuple(shift), rank=tuple(rank))
 
 
-def error_of_depth(spec: SensorSpec, how: str) -> str:
+def error_of_depth(spec: SensorSpec, how: str, presses: int) -> str:
     """Over touches: rms in contact, and the length at which the error's correlation is exp(-1/2)."""
     found: list[tuple[float, float]] = []
-    for made, _mesh, _at in touches(spec.name):
+    for made, _mesh, _at in touches(spec.name, presses):
         told = measured(made, spec, how)
         both = told.contact & made.truth.contact
         if both.sum() < 100:
@@ -185,11 +200,15 @@ def _ways(spec: SensorSpec) -> tuple[str, ...]:
     return (*own, "translated") if spec.name in _SOURCES else own
 
 
-def answer(part: str = "") -> Answer:
+def answer(part: str = "", way: str = "", presses: int | str = PRESSES) -> Answer:
+    n_presses = int(presses)
     rows, notes = [], []
     for spec in (sensor(name) for name in names() if part in name):
-        for how in _ways(spec):
-            found = judged(spec, how)
+        for how in (how for how in _ways(spec) if way in how):
+            found = judged(spec, how, n_presses)
+            if not found.told:
+                notes.append(f"{spec.name}, {how}: no touch determines any direction")
+                continue
             factor, plain = (max(r, 1.0 / r) for r in (found.ratio, float(np.median(found.naive))))
             rows.append(row(
                 f"{spec.name}, {how}: covariance, times off", ours=timing(found.ms), ours_error=factor,
@@ -197,19 +216,20 @@ def answer(part: str = "") -> Answer:
             ))  # fmt: skip
             low, high = np.percentile(found.told, (25, 75))
             told = (
-                f"{spec.name}, {how}: chi-square {found.ratio:.2f} of a right one's ({low:.2f} to {high:.2f}: half of "
-                f"{len(found.told)} touches), {np.median(found.naive):.2f} without the measured error; "
-                f"middle off {np.median(found.shift_um):.0f} um"
+                f"{spec.name}, {how}: chi-square {found.ratio:.2f} of a right one's, give or take "
+                f"{found.ratio_error:.2f} ({low:.2f} to {high:.2f}: half of {len(found.told)} touches), "
+                f"{np.median(found.naive):.2f} without the measured error; middle off "
+                f"{np.median(found.shift_um):.0f} um; {np.mean(found.rank):.1f} of 6 directions determined"
             )
             if how == "translated":
                 told += f"; from {_SOURCES[spec.name]}"
             elif how != "modelled":
                 said = spec.limits
-                told += f"; depth off by {error_of_depth(spec, how)}"
+                told += f"; depth off by {error_of_depth(spec, how, n_presses)}"
                 told += f", described as {said.depth_rms_mm:g} over {said.depth_correlation_mm:g}"
             notes.append(told)
     return Answer(title="Errors of poses beside their covariance", unit="times", rows=tuple(rows), notes=tuple(notes))
 
 
 if __name__ == "__main__":
-    show(answer(*sys.argv[1:2]))
+    show(answer(*sys.argv[1:4]))

@@ -30,6 +30,12 @@ class FileProblem(TouchError):
         self._what = what
         super().__init__(f"{what}: '{path}'")
 
+    def at(self, place: Path, instead_of: Path) -> FileProblem:
+        """The same, told of where the file under `instead_of` was to end up; itself for a file elsewhere."""
+        if not self.path.is_relative_to(instead_of):
+            return self
+        return FileProblem(self._what, place / self.path.relative_to(instead_of), field=self.field)
+
     def __reduce__(self) -> tuple[Any, ...]:
         """What it is built from: a worker's error reaches its parent as it is."""
         return partial(FileProblem, field=self.field), (self._what, self.path)

@@ -65,6 +65,8 @@ def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
         part.mkdir(parents=True)
         fill(part)
         _take_place(part, folder, before)
+    except FileProblem as error:
+        raise error.at(folder, instead_of=part) from error
     except OSError as error:
         raise FileProblem(f"cannot write the results ({reason(error)})", folder) from error
     finally:

@@ -11,10 +11,12 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar, cast, get_args
 
 from pipeline.base.errors import SettingProblem
+from pipeline.base.text import comma_hint
 
 P = TypeVar("P")
 Value = bool | int | float | str
 
+_KINDS: dict[type, str] = {bool: "on or off", int: "a whole number", float: "a number", str: "a text"}
 _YES, _NO = {"true", "on", "yes", "1"}, {"false", "off", "no", "0"}
 
 
@@ -78,7 +80,7 @@ def changed(params: P, name: str, value: Value) -> P:
     try:
         new = _converted(value, type(old))
     except ValueError:
-        raise SettingProblem(f"{name} must be a {type(old).__name__}, got {value!r}") from None
+        raise SettingProblem(f"{name} must be {_KINDS[type(old)]}, got {value!r}{comma_hint(str(value))}") from None
     if told.choices and new not in told.choices:
         raise SettingProblem(f"{name} must be one of {', '.join(told.choices)}, got {value!r}")
     if isinstance(new, (int, float)) and not isinstance(new, bool) and not told.low <= new <= told.high:

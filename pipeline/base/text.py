@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import unicodedata
 
 
@@ -10,6 +11,12 @@ def plain(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() or unicodedata.category(c) == "Zs" else _escaped(c) for c in text)
+
+
+def comma_hint(text: str) -> str:
+    """What to write where the first decimal comma of `text` stands, as the end of a sentence; empty where none does."""
+    found = re.search(r"-?\d*,\d+", text)
+    return f"; decimals stand behind a point: {found[0].replace(',', '.')}" if found else ""
 
 
 def is_text(name: str) -> bool:

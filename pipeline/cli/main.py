@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import io
+import logging
 import os
 import sys
 from pathlib import Path
@@ -14,6 +15,7 @@ from cyclopts import App, CycloptsError, Parameter
 from pipeline import __version__
 from pipeline.base import unexpected
 from pipeline.base.errors import TouchError
+from pipeline.base.text import comma_hint
 from pipeline.cli import align_options as cli_align
 from pipeline.cli import compare_options as cli_compare
 from pipeline.cli import data_options as cli_data
@@ -89,10 +91,14 @@ def run(app: App, tokens: list[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a file's name may hold bytes that are no text
             stream.reconfigure(errors="backslashreplace")
+    logging.getLogger("matplotlib").setLevel(
+        logging.ERROR
+    )  # where it keeps its fonts is no concern of a sheet's reader
     try:
         code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
     except (CycloptsError, TouchError) as error:
-        complain(str(error))
+        told = str(error)
+        complain(told.removesuffix(".") + comma_hint(told) if told.endswith("into float.") else told)
         return EXIT_USER_ERROR
     except KeyboardInterrupt:
         sys.stderr.write("\ntactoscope: interrupted; finished frames are whole\n")

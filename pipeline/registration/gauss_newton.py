@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.geometry import rigid
 from pipeline.geometry.distance_grid import DistanceGrid
-from pipeline.registration.observability import TOLERANCES, Tolerances
+from pipeline.registration.observability import NOTHING_LASTS, TOLERANCES, Lasting, Tolerances
 from pipeline.values.results import PoseStep
 
 FEWEST_POINTS = 6  # as many as there are unknowns
@@ -35,8 +35,7 @@ class How:
 
     max_distance_mm: float = 2.0  # points farther off do not count as on the object
     noise_mm: float = 1e-3  # of the points at least; keeps a perfect fit from claiming certainty
-    independent: float = 1.0  # share of the points whose errors are independent of each other
-    bias_mm: float = 0.0  # that no number of points averages away
+    lasting: Lasting = NOTHING_LASTS  # that no number of points averages away
     tolerances: Tolerances = TOLERANCES  # a direction that is known less well is held
     settled_mm: float = 1e-4  # a smaller motion ends the iterations
     n_iterations: int = 30
@@ -152,8 +151,8 @@ def _fit(points: Points, rows: Doubles, grid: DistanceGrid, how: How, scale_mm: 
     )
     told, radius_mm = how.tolerances, points.radius_mm
     rule = (
-        how.independent, how.bias_mm**2, told.mm**-2, (math.radians(told.deg) * radius_mm) ** -2,
-        math.radians(told.normal_error_deg) ** 2,
+        (how.lasting.turn_mm**2, (math.radians(told.deg) * radius_mm) ** -2),
+        (how.lasting.shift_mm**2, told.mm**-2), math.radians(told.normal_error_deg) ** 2,
     )  # fmt: skip
     size, limits = (radius_mm, how.max_distance_mm, scale_mm), (how.noise_mm, how.settled_mm)
     fit(points.centred_mm, rows, grid.lattice, size, limits, rule, arrays, history, ended)

@@ -92,9 +92,9 @@ def fit(points, poses, grid, size, limits, rule, arrays, history, ended):
     """Register points (n, 3) about their middle from each pose (k, 12) of rotation and shift, which moves in place.
 
     `size`: the points' radius, search distance, first scale. `limits`: noise at least, motion that ends the iterations.
-    `rule`: independent share, variance that no number of points averages away, what is asked for of shifts and turns
-    per mm^2 of variance, and of both whatever the noise. `history` (most + 1, 14) keeps the way of the last pose, with
-    rmse and share; `ended` (k, 2) is how many places each way has, and its last scale.
+    `rule`: of turns and of shifts the variance that no number of points averages away and what is
+    asked for per mm^2 of variance, and what is asked for of both whatever the noise. `history` (most + 1, 14) keeps the
+    way of the last pose, with rmse and share; `ended` (k, 2) is how many places each way has, and its last scale.
     """
     sums, bins, asked, motion, work = arrays
     radius, reach, _ = size
@@ -116,9 +116,10 @@ def fit(points, poses, grid, size, limits, rule, arrays, history, ended):
                 break
             # While the pose is still off, misfit is no noise: only what is known of the sensor holds directions.
             known = noise if last <= settled else floor
-            variance = known * known / max(sums[27] * rule[0], 1.0) + rule[1]
+            variance = known * known / max(sums[27], 1.0)
             for k in range(6):
-                asked[k] = rule[4] + variance * (rule[3] if k < 3 else rule[2])
+                lasting, per_mm2 = rule[0] if k < 3 else rule[1]
+                asked[k] = rule[2] + (variance + lasting) * per_mm2
             step(sums, asked, work, motion)
             scale = bend
             last = move(poses, start, motion, radius, reach)

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.base.arrays import Doubles
 from pipeline.geometry import rigid
 from pipeline.geometry.distance_grid import DistanceGrid
-from pipeline.registration.observability import Observability, Tolerances, correlated, effective_count, observability
+from pipeline.registration.observability import Lasting, Observability, Tolerances, correlated, lasting, observability
 from pipeline.registration.scene import Scene
 from pipeline.values.results import DepthError
 
@@ -29,14 +29,15 @@ class Matched:
     slopes: Doubles  # (n, 1) length of the distance's gradient, 1 but near edges
     noise_mm: float  # of single points: it averages away
     error: DepthError  # beside it: what the sensor's is known to be, or what is left of the residuals if that is more
-    area_mm2: float
 
     def determined(self, middle_mm: Doubles, tolerances: Tolerances) -> Observability:
         """Which motions about `middle_mm` (3,) the points determine."""
-        n_places = effective_count(len(self.points_mm), self.area_mm2, self.error.correlation_mm)
+        found = lasting(self.points_mm, self.normals, middle_mm, self.error)
         return observability(
-            self.points_mm, self.normals, middle_mm, self.noise_mm,
-            lasting_mm=math.hypot(self.error.rms_mm / math.sqrt(n_places), LASTING_MM), tolerances=tolerances,
+            self.points_mm, self.normals, middle_mm, self.noise_mm, tolerances=tolerances,
+            lasting=Lasting(
+                shift_mm=math.hypot(found.shift_mm, LASTING_MM), turn_mm=math.hypot(found.turn_mm, LASTING_MM)
+            ),
         )  # fmt: skip
 
     def covariance(self, middle_mm: Doubles, known: Observability) -> Doubles:
@@ -63,5 +64,4 @@ def matched(scene: Scene, grid: DistanceGrid, pose: Doubles) -> Matched:
     return Matched(
         points_mm=scene.points_mm[felt], normals=normals[felt], slopes=slopes[felt], noise_mm=noise_mm,
         error=DepthError(rms_mm=shape_mm, correlation_mm=scene.error.correlation_mm),
-        area_mm2=scene.area_mm2 * float(felt.mean()),
     )  # fmt: skip

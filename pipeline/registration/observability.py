@@ -27,7 +27,7 @@ NORMAL_ERROR_DEG = 3.0
 Facets that leave a round part of 1 mm radius by 2 um are off by 2 degrees, and errors that hang together over a patch
 exceed their mean. It is also where an offset of all depths by 10 um shifts the answer by 0.2 mm: less slope is no hold.
 """
-_MOST_PAIRED = 500  # points whose errors are compared with each other's
+_MOST_PAIRED, _FEW_PAIRED = 500, 150  # points whose errors are compared with each other's: for good, and on the way
 _NOTHING = 1e-9  # share of the information that stands for none, so that no variance is infinite
 
 
@@ -44,6 +44,20 @@ TOLERANCES = Tolerances()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Lasting:
+    """Errors that no number of points averages away.
+
+    A turn feels of a smooth error what differs across the contact, a shift what does not.
+    """
+
+    shift_mm: float = 0.0
+    turn_mm: float = 0.0  # at the points' rms distance from the middle
+
+
+NOTHING_LASTS = Lasting()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Observability:
     """What the data determine, about the scene's centroid, in the sensor frame."""
 
@@ -51,8 +65,7 @@ class Observability:
     observable: Doubles  # (6, 6) idempotent: takes a motion to the part that the data determine
     weak: tuple[str, ...]  # what is left, in words
     weak_motions: Doubles  # (k, 6) of (rotation rad, translation mm) that go with them, each of 1 mm rms
-    n_eff: float = math.nan  # independent measurements that the covariance rests on
-    lasting_mm: float = 0.0  # error that no number of them averages away
+    lasting: Lasting = NOTHING_LASTS
     tolerances: Tolerances = TOLERANCES  # that they were asked with
 
 
@@ -62,24 +75,21 @@ def observability(
     about_mm: Doubles,
     noise_mm: float,
     *,
-    n_eff: float | None = None,
-    lasting_mm: float = 0.0,
+    lasting: Lasting = NOTHING_LASTS,
     tolerances: Tolerances = TOLERANCES,
 ) -> Observability:
     """From matched points (n, 3) with the object's normals there, the scene's centroid, and the spread of residuals.
 
-    `n_eff` is how many of the points are independent (`effective_count`; None = all), `lasting_mm` the
-    error of their mean that more of them would not make smaller. Rotations are scaled by the points' rms distance from
-    the centroid, so that all six directions are in mm.
+    `lasting` is the error that more of the points would not make smaller. Rotations are scaled by the points' rms
+    distance from the centroid, so that all six directions are in mm.
     """
     arms = points_mm - about_mm
-    radius_mm = max(float(np.sqrt((arms**2).sum(axis=1).mean())), 1e-6)
-    jacobian = np.concatenate([np.cross(arms, normals) / radius_mm, normals], axis=1)
+    jacobian, radius_mm = _jacobian(points_mm, normals, about_mm)
     information = jacobian.T @ jacobian / len(points_mm)
-    independent = float(len(points_mm)) if n_eff is None else n_eff
-    sigma_mm = math.hypot(max(noise_mm, MIN_NOISE_MM), lasting_mm * math.sqrt(independent))
+    alone = max(noise_mm, MIN_NOISE_MM) ** 2 / len(points_mm)
+    shift_mm2, turn_mm2 = alone + lasting.shift_mm**2, alone + lasting.turn_mm**2
     fake = _along_surface(arms / radius_mm, information) * math.radians(tolerances.normal_error_deg) ** 2
-    asked = fake + _allowed(independent, sigma_mm, radius_mm, tolerances)
+    asked = fake + _allowed(turn_mm2, shift_mm2, radius_mm, tolerances)
     lost = _undetermined(information, asked)
     to_mm = np.array([radius_mm] * 3 + [1.0] * 3)  # (rad, mm) -> mm
     projector = np.eye(6) - lost @ lost.T
@@ -87,12 +97,11 @@ def observability(
         lost, np.asarray(about_mm, dtype=np.float64), radius_mm, lambda v: bool(v @ (information - asked) @ v < 0.0)
     )
     return Observability(
-        covariance=_covariance(information, projector, sigma_mm**2 / independent) / np.outer(to_mm, to_mm),
+        covariance=_covariance(information, projector, max(turn_mm2, shift_mm2)) / np.outer(to_mm, to_mm),
         observable=projector * to_mm[None, :] / to_mm[:, None],
         weak=tuple(words for words, _ in named),
         weak_motions=np.array([motion / to_mm for _, motion in named]).reshape(-1, 6),
-        n_eff=independent,
-        lasting_mm=lasting_mm,
+        lasting=lasting,
         tolerances=tolerances,
     )
 
@@ -110,17 +119,11 @@ def correlated(
     """(6, 6) covariance of (rotation rad, translation mm) of the `observable` motions, by errors that go together.
 
     (J^T J)^-1 J^T C J (J^T J)^-1: C is that of single points' noise, of `error`, which is rms^2 exp(-d^2 / (2 l^2))
-    between points d apart, and of what no number of points averages away. A turn feels of a smooth error what differs
-    across the contact, a shift what does not: no one count of independent points serves both.
+    between points d apart, and of what no number of points averages away.
     """
-    arms = points_mm - about_mm
-    radius_mm = max(float(np.sqrt((arms**2).sum(axis=1).mean())), 1e-6)
+    jacobian, radius_mm = _jacobian(points_mm, normals, about_mm)
     to_mm = np.array([radius_mm] * 3 + [1.0] * 3)
-    jacobian = np.concatenate([np.cross(arms, normals) / radius_mm, normals], axis=1)
-    some = np.s_[:: -(-len(points_mm) // _MOST_PAIRED)]
-    apart_sq = ((points_mm[some][:, None] - points_mm[some][None]) ** 2).sum(axis=-1)
-    together = np.exp(apart_sq * (-0.5 / error.correlation_mm**2))
-    pulls = jacobian[some].T @ together @ jacobian[some] / len(together) ** 2
+    pulls = _pulls(points_mm, jacobian, error.correlation_mm, _MOST_PAIRED)
     projector = observable * to_mm[:, None] / to_mm[None, :]
     whole = _covariance(jacobian.T @ jacobian / len(points_mm), projector, 1.0)
     known = projector @ whole @ projector
@@ -129,16 +132,31 @@ def correlated(
     return 0.5 * (found + found.T) / np.outer(to_mm, to_mm)
 
 
-def effective_count(n_points: int, area_mm2: float, correlation_mm: float) -> float:
-    """How many independent measurements `n_points` over an area are worth when their errors are correlated.
+def lasting(points_mm: Doubles, normals: Doubles, about_mm: Doubles, error: DepthError) -> Lasting:
+    """What an error that hangs together leaves of turns about a point, and of shifts, however many points there are.
 
-    Correlation falls off as exp(-d^2 / (2 l^2)), l = `correlation_mm`: a mean over the area has the variance of
-    n / (1 + 2 pi l^2 n / area) independent ones; at least 1, at most `n_points`.
+    Over all three of each: the variance that the error gives the pulls on them, over what the points see of them.
     """
-    if n_points <= 1 or not area_mm2 > 0:
-        return float(max(n_points, 1))
-    shared = 2.0 * math.pi * correlation_mm**2 * n_points / area_mm2
-    return max(1.0, n_points / (1.0 + shared))
+    jacobian, _ = _jacobian(points_mm, normals, about_mm)
+    seen = (jacobian**2).mean(axis=0)
+    pulled = np.diag(_pulls(points_mm, jacobian, error.correlation_mm, _FEW_PAIRED))
+    turn, shift = (float(pulled[k].sum() / max(seen[k].sum(), _NOTHING)) for k in (np.s_[:3], np.s_[3:]))
+    return Lasting(shift_mm=error.rms_mm * math.sqrt(shift), turn_mm=error.rms_mm * math.sqrt(turn))
+
+
+def _jacobian(points_mm: Doubles, normals: Doubles, about_mm: Doubles) -> tuple[Doubles, float]:
+    """(n, 6) change of every distance by turns, scaled by the points' rms distance in mm, and by shifts; and that."""
+    arms = points_mm - about_mm
+    radius_mm = max(float(np.sqrt((arms**2).sum(axis=1).mean())), 1e-6)
+    return np.concatenate([np.cross(arms, normals) / radius_mm, normals], axis=1), radius_mm
+
+
+def _pulls(points_mm: Doubles, jacobian: Doubles, correlation_mm: float, most: int) -> Doubles:
+    """(6, 6) J^T C J / n^2 of errors of 1 mm rms that hang together, by at most so many of the points."""
+    some = np.s_[:: -(-len(points_mm) // most)]
+    apart_sq = ((points_mm[some][:, None] - points_mm[some][None]) ** 2).sum(axis=-1)
+    together = np.exp(apart_sq * (-0.5 / correlation_mm**2))
+    return jacobian[some].T @ together @ jacobian[some] / len(together) ** 2
 
 
 def _along_surface(arms: Doubles, information: Doubles) -> Doubles:
@@ -154,10 +172,10 @@ def _along_surface(arms: Doubles, information: Doubles) -> Doubles:
     return carried - information
 
 
-def _allowed(n_eff: float, sigma_mm: float, radius_mm: float, tolerances: Tolerances) -> Doubles:
-    """(6, 6) information below which the predicted standard deviation exceeds the tolerances."""
+def _allowed(turn_mm2: float, shift_mm2: float, radius_mm: float, tolerances: Tolerances) -> Doubles:
+    """(6, 6) information below which the standard deviation that these variances predict exceeds the tolerances."""
     turn_mm = math.radians(tolerances.deg) * radius_mm
-    return np.diag([1.0 / turn_mm**2] * 3 + [1.0 / tolerances.mm**2] * 3) * (sigma_mm**2 / n_eff)
+    return np.diag([turn_mm2 / turn_mm**2] * 3 + [shift_mm2 / tolerances.mm**2] * 3)
 
 
 def _undetermined(information: Doubles, asked: Doubles) -> Doubles:

@@ -144,7 +144,7 @@ class Search:
             pose = placed(pose, known.weak_motions, self.middle_mm, self.outline(pose, dense=dense))
         how = How(
             max_distance_mm=self.max_distance_mm / _POLISHED_SHARE, n_iterations=self.n_iterations,
-            keep_steps=self.keep_steps, bias_mm=known.lasting_mm, tolerances=known.tolerances,
+            keep_steps=self.keep_steps, lasting=known.lasting, tolerances=known.tolerances,
         )  # fmt: skip
         fit = fitted(self.points if dense else self.points.thinned(_POLISH_POINTS), self.object.grid, pose, how)
         if isinstance(fit, NotDetermined):

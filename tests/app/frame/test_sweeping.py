@@ -103,7 +103,7 @@ def test_a_sweep_begins_with_what_matters_most_on_its_route(route, kind, wanted)
 
 def test_values_that_cannot_be_are_told_and_nothing_begins(swept):
     _, page = swept
-    for values, told in (("1, none", "stride must be a int"), ("0", "must lie within"), ("", "give one to")):
+    for values, told in (("1, none", "stride must be a whole number"), ("0", "must lie within"), ("", "give one to")):
         page.values[0].setText(values)
         page.go.click()
         assert told in page.told.text()

@@ -55,6 +55,16 @@ def test_a_folder_that_fails_half_way_leaves_the_old_one_and_nothing_else(tmp_pa
     assert (tmp_path / "frame" / "a").read_text() == "old"
 
 
+def test_what_cannot_be_written_into_a_folder_is_told_by_its_place_to_be(tmp_path):
+    def fill(part):
+        (part / "arrays.npz").mkdir()
+        write_arrays(part / "arrays.npz", {})
+
+    with pytest.raises(FileProblem, match=r"cannot write the arrays \(.*\): '.*/frame/arrays.npz'") as raised:
+        write_folder(tmp_path / "frame", fill)
+    assert raised.value.path == tmp_path / "frame" / "arrays.npz"
+
+
 def test_two_that_write_one_folder_at_once_both_end_and_leave_a_whole_one(tmp_path):
     frame = tmp_path / "it's [a] frame"
 

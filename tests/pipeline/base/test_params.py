@@ -43,11 +43,12 @@ def test_switches_take_the_usual_words(text, value):
     ("name", "value", "sentence"),
     [
         ("heat", "3", "no parameter 'heat'; there are heat_deg, trays, fan, mode"),
-        ("heat_deg", "warm", "heat_deg must be a float, got 'warm'"),
+        ("heat_deg", "warm", "heat_deg must be a number, got 'warm'"),
+        ("heat_deg", "180,5", "heat_deg must be a number, got '180,5'; decimals stand behind a point: 180.5"),
         ("heat_deg", "20", "heat_deg must lie within 50 and 250 °C, got 20"),
         ("heat_deg", "nan", "heat_deg must lie within 50 and 250 °C, got nan"),
-        ("trays", 2.5, "trays must be a int, got 2.5"),
-        ("fan", "perhaps", "fan must be a bool, got 'perhaps'"),
+        ("trays", 2.5, "trays must be a whole number, got 2.5"),
+        ("fan", "perhaps", "fan must be on or off, got 'perhaps'"),
         ("mode", "fry", "mode must be one of bake, grill, got 'fry'"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from dataclasses import replace
 from pathlib import Path
 
@@ -188,6 +189,16 @@ def test_an_image_of_the_wrong_size_is_named_with_both_sizes(touches, tmp_path, 
     sentence = said_by_frame(touches, tmp_path, said)
     assert "100" in sentence
     assert "240" in sentence
+
+
+def test_a_decimal_comma_is_answered_with_the_point(touches, tmp_path, said):
+    told = said("translate", touches, "--target=digit", "--out", tmp_path / "out", "--shift-mm", "1,5", "0", "0")
+    assert "decimals stand behind a point: 1.5" in told
+
+
+def test_where_matplotlib_keeps_its_fonts_is_not_told(tmp_path, said):
+    said("inspect", tmp_path / "none.h5")
+    assert not logging.getLogger("matplotlib.font_manager").isEnabledFor(logging.WARNING)
 
 
 def test_following_takes_all_frames(touches, tmp_path, said):

@@ -12,9 +12,10 @@ from benchmarks.known_patches import KINDS, drawn
 from pipeline.geometry import rigid
 from pipeline.registration.observability import (
     MIN_NOISE_MM,
+    Lasting,
     Tolerances,
     correlated,
-    effective_count,
+    lasting,
     observability,
 )
 from pipeline.values.results import DepthError
@@ -41,10 +42,21 @@ def test_every_motion_nobody_can_feel_is_named_and_no_other(kind, seed, noise_mm
     pose = rigid.rotation(turn)
     pose[:3, 3] = (5.0, -8.0, 20.0)
     felt = patch(kind, seed, pose)
-    n_eff = effective_count(N, felt.area_mm2, 0.15)
+    together = 0.1 * noise_mm  # of a smooth error, as of pixels that hang together over 0.15 mm
     middle = felt.points_mm.mean(axis=0)
-    told = observability(felt.points_mm, crooked(felt.normals, seed), middle, noise_mm, n_eff=n_eff)
-    truth = known_motions.known(patch(kind, seed, pose, 5 * N), n_eff, max(noise_mm, MIN_NOISE_MM), Tolerances())
+    told = observability(
+        felt.points_mm,
+        crooked(felt.normals, seed),
+        middle,
+        noise_mm,
+        lasting=Lasting(shift_mm=together, turn_mm=together),
+    )
+    truth = known_motions.known(
+        patch(kind, seed, pose, 5 * N),
+        1.0,
+        math.hypot(max(noise_mm, MIN_NOISE_MM) / math.sqrt(N), together),
+        Tolerances(),
+    )
     score = known_motions.tally(told.weak_motions, middle, truth)
     assert score.n_named == score.n_weak >= len(felt.free)
     assert score.n_false == 0
@@ -146,32 +158,32 @@ def test_no_variance_is_claimed_where_only_crooked_normals_see_something():
     assert np.sqrt(np.diag(known)).max() < 0.05, "rad and mm of what is determined"
 
 
-def test_correlated_points_and_a_bias_widen_the_covariance_as_they_should():
+def test_a_bias_widens_the_covariance_as_it_should():
     tool = patch("tool", 6)
     middle = tool.points_mm.mean(axis=0)
     plain = observability(tool.points_mm, tool.normals, middle, NOISE_MM)
-    fewer = observability(tool.points_mm, tool.normals, middle, NOISE_MM, n_eff=N / 9)
-    np.testing.assert_allclose(fewer.covariance, 9 * plain.covariance, rtol=1e-9)
-    biased = observability(tool.points_mm, tool.normals, middle, NOISE_MM, lasting_mm=0.005)
+    biased = observability(
+        tool.points_mm, tool.normals, middle, NOISE_MM, lasting=Lasting(shift_mm=0.005, turn_mm=0.005)
+    )
     grown = 1 + 0.005**2 * N / NOISE_MM**2
     np.testing.assert_allclose(biased.covariance, grown * plain.covariance, rtol=1e-9)
-    assert fewer.n_eff == N / 9
 
 
-def test_a_mean_over_correlated_pixels_is_worth_as_many_as_counted():
-    rng = np.random.default_rng(8)
-    from scipy.ndimage import gaussian_filter
-
-    smooth_px, side_px = 1.5, 40
-    fields = np.stack(
-        [gaussian_filter(rng.standard_normal((side_px, side_px)), smooth_px, mode="wrap") for _ in range(1500)]
-    )
-    worth = fields.var() / fields.mean(axis=(1, 2)).var()
-    # Noise smoothed with s is correlated as exp(-d^2 / (4 s^2)).
-    told = effective_count(side_px**2, float(side_px**2), math.sqrt(2) * smooth_px)
-    assert told == pytest.approx(worth, rel=0.12)  # 1500 draws: 4 %, and the 1 for a pixel itself
-    assert effective_count(1, 1.0, 0.3) == 1.0
-    assert effective_count(500, 100.0, 0.0) == 500.0
+def test_what_lasts_of_a_smooth_error_is_what_planes_through_drawn_ones_are_off():
+    rng, far_mm, error = np.random.default_rng(12), 3.0, DepthError(rms_mm=0.08, correlation_mm=4.4)
+    points = np.column_stack([rng.uniform(-far_mm, far_mm, (120, 2)), np.full(120, 20.0)])
+    apart_sq = ((points[:, None] - points[None]) ** 2).sum(axis=-1)
+    together = error.rms_mm**2 * np.exp(-0.5 * apart_sq / error.correlation_mm**2) + 1e-12 * np.eye(120)
+    drawn_mm = np.linalg.cholesky(together) @ rng.standard_normal((120, 4000))
+    middle = points.mean(axis=0)
+    x, y = (points - middle)[:, 0], (points - middle)[:, 1]
+    shift, along_x, along_y = np.linalg.lstsq(np.column_stack([np.ones(120), x, y]), drawn_mm, rcond=None)[0]
+    told = lasting(points, np.tile([0.0, 0.0, 1.0], (120, 1)), middle, error)
+    assert told.shift_mm == pytest.approx(float(np.sqrt((shift**2).mean())), rel=0.05)
+    seen_mm2 = 0.5 * ((x**2).mean() + (y**2).mean())  # a turn of 1 rad moves the contact by its square root
+    tilts = np.sqrt(0.5 * ((along_x**2).mean() + (along_y**2).mean()) * seen_mm2)
+    assert told.turn_mm == pytest.approx(float(tilts), rel=0.08)
+    assert told.turn_mm < 0.5 * told.shift_mm
 
 
 def test_the_answer_does_not_depend_on_the_frame():

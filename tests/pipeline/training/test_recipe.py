@@ -22,7 +22,7 @@ def test_a_recipe_says_all_that_decides_a_run(recipe_file):
     [
         ("batch = 4", "bach = 4", "no parameter 'bach'; there are seed, batch"),
         ("batch = 4", "batch = 0", "batch must lie within 1 and 4096, got 0"),
-        ("batch = 4", "batch = [4]", "batch must be a int"),
+        ("batch = 4", "batch = [4]", "batch must be a whole number"),
         ("noise = 0.2", "noise = 7.0", r"\[settings\] noise must lie within 0 and 1"),
         ("noise = 0.2", "nose = 0.2", r"\[settings\] no parameter 'nose'; there are noise"),
         ("warm_up = 5", 'schedule = "up"', r"\[optimiser\] schedule must be one of cosine, poly, constant"),
