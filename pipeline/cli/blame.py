@@ -12,6 +12,7 @@ from rich.table import Table
 
 from pipeline.base.errors import SettingProblem
 from pipeline.base.files import write_json
+from pipeline.base.frame_lists import frames_of
 from pipeline.cli.stopping import stoppable
 from pipeline.cli.terminal import print_line
 from pipeline.engine.cache import Cache
@@ -28,7 +29,7 @@ def show_blame(request: Request, figure: str, frame: int | None, settings: Seque
     translation = open_translation(request)
     try:
         params = with_settings(translation.methods, settings)
-        indices = range(translation.n_frames) if frame is None else [translation.checked(frame)]
+        indices = frames_of("", translation.n_frames) if frame is None else [translation.checked(frame)]
         graph = translation.graph(like=Graph((), cache=Cache(_CACHE_BYTES)))
         with Console(stderr=True).status("") as status, stoppable() as work:
             found: list[Blame] = []

@@ -83,6 +83,7 @@ def translate_frames(
         raise SettingProblem("--scheduler hands out single frames; give it with --all, and without --follow")
     console, request = Console(stderr=True), _absolute(request) if scheduler else request
     translation = open_translation(request)
+    translation.checked(0)
     params = with_settings(translation.methods, settings)
     graph = translation.graph(like=Graph((), cache=Cache(CACHE_BYTES)))
     with console.status("looking for a touch") as status, compiling.watched(status.update):

@@ -129,7 +129,7 @@ class Tally:
     def checks(self, times_s: Sequence[float]) -> list[Check]:
         """The answers, once all frames have been counted."""
         found = [
-            self._check("frames", self._bad["frames"], "every frame can be read"),
+            self._check("frames", self._bad["frames"] or self._none(), "every frame can be read"),
             self._sizes(),
             self._references(),
         ]
@@ -158,6 +158,9 @@ class Tally:
         if state == "fail" and self._path not in text:
             text = f"{text}: '{self._path}'"
         return Check(name=f"{self._stream} {name}", state=state, text=text)
+
+    def _none(self) -> list[str]:
+        return [] if self._n_frames else ["there is no frame"]
 
     def _sizes(self) -> Check:
         if self._spec is None:

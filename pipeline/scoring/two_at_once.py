@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from pipeline.base.errors import SettingProblem
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.graph import Graph, StageResult
 from pipeline.pictures.difference import difference
@@ -78,9 +77,7 @@ def side_of(
     graph: Graph, progress: Progress = SILENT,
 ) -> Side:  # fmt: skip
     """A slot of a frame, or all slots for ""; `given` are parameters of methods by key. Raises TouchError."""
-    if not 0 <= frame < translation.n_frames:
-        raise SettingProblem(f"no frame {frame}; this recording has frames 0 to {translation.n_frames - 1}")
-    source, facts = translation.source, translation.facts(frame)
+    source, facts = translation.source, translation.facts(translation.checked(frame))
     reading = translation.stream.frame(frame)
     camera = fitted(reading.camera or source.camera, reading.image.shape)
     picture = of_reading(reading.image, camera, source, display, reference=reading.reference)

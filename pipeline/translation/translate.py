@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.base.errors import SettingProblem
+from pipeline.base.frame_lists import one_of
 from pipeline.calibration.lookup import Calibration
 from pipeline.calibration.lookup import load as load_calibration
 from pipeline.engine.graph import Graph, Method, StageResult
@@ -171,9 +172,7 @@ class Translation:
 
     def checked(self, index: int) -> int:
         """`index` if there is such a frame; raises SettingProblem otherwise."""
-        if not 0 <= index < self.n_frames:
-            raise SettingProblem(f"no frame {index}; the recording has frames 0 to {self.n_frames - 1}")
-        return index
+        return one_of(index, self.n_frames)
 
 
 def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Translation:

@@ -191,6 +191,26 @@ def test_an_image_of_the_wrong_size_is_named_with_both_sizes(touches, tmp_path, 
     assert "240" in sentence
 
 
+def test_a_recording_of_no_frame_is_no_success(tmp_path, said, capsys):
+    path = tmp_path / "none.h5"
+    path.write_bytes(SAMPLE.read_bytes())
+    with h5py.File(path, "r+") as file:
+        each = []
+        file["streams"].visititems(lambda _, found: each.append(found) if isinstance(found, h5py.Dataset) else None)
+        for found in each:
+            name, attributes = found.name, dict(found.attrs)
+            if not name.endswith("references"):
+                cut = found[:0]
+                del file[name]
+                file.create_dataset(name, data=cut).attrs.update(attributes)
+    assert said("translate", path, "--target=gelslim", "--all", "--out", tmp_path / "o").startswith(
+        "the recording holds"
+    )
+    assert not (tmp_path / "o").exists()
+    assert run(build(), ["inspect", str(path)]) == 1
+    assert "there is no frame" in capsys.readouterr().out
+
+
 def test_a_decimal_comma_is_answered_with_the_point(touches, tmp_path, said):
     told = said("translate", touches, "--target=digit", "--out", tmp_path / "out", "--shift-mm", "1,5", "0", "0")
     assert "decimals stand behind a point: 1.5" in told
