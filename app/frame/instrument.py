@@ -16,10 +16,11 @@ from app.frame.tracing import Tracer
 from app.frame.window import Window
 from app.session.documents import Documents
 from app.session.state import Session
+from app.session.undo import sessions_of
 from app.work.drawing import SlotShown, SourceShown
 from app.work.evaluator import BeginsAt, Evaluator, FrameShown
 from app.work.jobs import LatestJob, Work
-from app.work.opening import request_of
+from app.work.opening import asked_by, place_before, request_of
 from pipeline.engine.graph import Method
 from pipeline.scoring.beside import Versus
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
@@ -47,6 +48,8 @@ class Instrument(Documents):
         self._ticket = self._wanted_since = self._opening = self._background = 0
         self._closed = self._waits = self._beside = self._owed = False  # owed: stages that were dropped on their way
         self._open: set[Request | None] = {None}  # what is open, as it was asked for and as it is named since
+        self._failing: set[Request | None] = set()  # what could not be opened since
+        self._passing = False  # over steps of the undo stack that lie on the way
         self.latest: FrameShown | None = None  # the frame on screen
         self._stale, self._young = (
             once(self, _STALE_AFTER_MS, self.screen.mark_stale),
@@ -69,6 +72,8 @@ class Instrument(Documents):
 
     def show_session(self, session: Session) -> None:
         """Show a session: controls at once, stages when the background has them."""
+        if self._passing:
+            return
         old, self.session = self.session, session
         if session.layout != self.window.layout_shown:
             self.window.show_layout(session.layout)
@@ -179,7 +184,7 @@ class Instrument(Documents):
         elif isinstance(part, Translation) and part is not self.screen.opened:
             named = replace(self.session, target=part.target.name, frame=min(self.session.frame, part.n_frames - 1))
             seen = set(self.window.visible_columns())
-            self._open = {request_of(self.session), request_of(named)}
+            self._open, self._failing = {request_of(self.session), request_of(named)}, set()
             self.session = named
             self.screen.show_opened(part, named)
             self._show_controls()
@@ -227,23 +232,22 @@ class Instrument(Documents):
             self.window.show_progress(fraction, text)
 
     def _take_back(self) -> None:
-        """Go back to the session whose request is open, but stay on the frame that was chosen meanwhile."""
-        failed, at = self.session, self.undo.index()
-        for can, step in ((self.undo.canUndo, self.undo.undo), (self.undo.canRedo, self.undo.redo)):
-            while can() and not self._is_open():
-                step()
-        if not self._is_open():  # it was left backwards, and another choice cut it off the stack
-            self.undo.setIndex(max(0, at - 1))
-            if at == 0 or self.session.recording is None:
-                self._ticket = 0  # what the last step asked for fails as well, and would be taken back for ever
-                self.job.cancel()
-                self._rest()
-                self.screen.mark_cancelled()
-        elif self.session.recording == failed.recording:
+        """Go back to a session that is open, or may be, but stay on the frame that was chosen meanwhile."""
+        failed, known = self.session, sessions_of(self.undo)
+        self._failing.add(asked_by(failed))
+        place = place_before(known, self.undo.index(), self._open, self._failing)
+        if place is None:
+            self.screen.mark_cancelled()
+            return
+        self._passing = True  # what lies between is not asked for
+        self.undo.setIndex(place)
+        self._passing = False
+        self.show_session(known[place])
+        if self.session.recording == failed.recording:
             self.choose_frame(failed.frame)
 
     def _is_open(self) -> bool:
-        return (None if self.session.recording is None else request_of(self.session)) in self._open
+        return asked_by(self.session) in self._open
 
     @property
     def methods(self) -> tuple[Method, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from zlib import crc32
 
-from PyQt6.QtGui import QUndoCommand
+from PyQt6.QtGui import QUndoCommand, QUndoStack
 
 from app.session.state import Session
 
@@ -35,3 +35,9 @@ class SessionChange(QUndoCommand):
     def undo(self) -> None:
         """Show the old session."""
         self._show(self.old)
+
+
+def sessions_of(stack: QUndoStack) -> list[Session]:
+    """The session at every place of the stack, place 0 being before its first step; none where it has no step."""
+    steps = [step for step in map(stack.command, range(stack.count())) if isinstance(step, SessionChange)]
+    return [*(step.old for step in steps), *(step.new for step in steps[-1:])]

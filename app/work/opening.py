@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence, Set
 from contextlib import closing
 from dataclasses import replace
 
@@ -19,6 +20,26 @@ def request_of(session: Session) -> Request:
     asked = {name: getattr(session, name) for name in ASKED}
     methods, weights = tuple(sorted(session.methods.items())), tuple(sorted(session.weights.items()))
     return Request(**asked, methods=methods, weights=weights)
+
+
+def asked_by(session: Session) -> Request | None:
+    """As `request_of`; None where nothing is to be opened."""
+    return None if session.recording is None else request_of(session)
+
+
+def place_before(
+    sessions: Sequence[Session], at: int, opened: Set[Request | None], failing: Set[Request | None]
+) -> int | None:
+    """Where on the undo stack to go back to from its place `at`, which could not be opened; None = nowhere.
+
+    To the nearest that is open. Who went backwards and chose anew has cut that off the stack: then to the nearest before
+    that is not known to fail as well.
+    """
+    before = range(at - 1, -1, -1)
+    for place in (*before, *range(at + 1, len(sessions))):
+        if asked_by(sessions[place]) in opened:
+            return place
+    return next((i for i in before if (asked := asked_by(sessions[i])) and asked not in failing), None)
 
 
 def depth_params(session: Session) -> DepthParams:

@@ -189,6 +189,7 @@ def test_what_nothing_before_it_can_take_back_comes_to_rest(bubble_window, tmp_p
     def fails(*_args, **_kwargs):
         raise FileProblem("the file is empty", empty)
 
+    bubble_window.change("keep a step below", linked=False)
     monkeypatch.setattr(bubble_window.evaluator, "show", fails)
     bubble_window._open = set()
     bubble_window.change("open", recording=empty)
@@ -214,6 +215,21 @@ def test_what_fails_after_a_step_back_ends_at_the_step_before_it(bubble_window, 
     assert bubble_window.session.recording == first
     assert bubble_window.screen.opened.request.recording == first
     assert bubble_window.window.columns["depth"].state in ("computed", "cached", "unchanged", "doubtful")
+
+
+def test_taking_back_asks_for_nothing_that_lies_between(bubble_window, tmp_path):
+    """Hours of steps lie under one failure, and none of them is worked out on the way; what failed is not tried twice."""
+    empty = tmp_path / "empty.h5"
+    empty.touch()
+    bubble_window.undo.undo()  # what is open is cut off: the one step back is all there is to go to
+    bubble_window.open_path(empty)
+    for k in range(12):
+        bubble_window.change(f"note {k}", notes={0: str(k)})
+    before = bubble_window.job.newest
+    wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.job.newest <= before + 2
+    assert "empty" in bubble_window.window.banner.text
+    assert bubble_window.session.recording != empty
 
 
 def test_a_route_that_was_opened_for_nobody_is_told_to_who_asks_next(open_window, touch_file):
