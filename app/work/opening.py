@@ -32,8 +32,8 @@ def place_before(
 ) -> int | None:
     """Where on the undo stack to go back to from its place `at`, which could not be opened; None = nowhere.
 
-    To the nearest that is open. Who went backwards and chose anew has cut that off the stack: then to the nearest before
-    that is not known to fail as well.
+    To the nearest that is open. Who went backwards and chose anew has cut that off the stack: then to the nearest
+    before that is not known to fail as well.
     """
     before = range(at - 1, -1, -1)
     for place in (*before, *range(at + 1, len(sessions))):
