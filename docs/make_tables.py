@@ -39,8 +39,10 @@ directions, and used 58 and 3 of its 512 codes.
     tactoscope evaluate --split unseen_grasps --grasps 2 --poses signed_distances,icp --json registered.json
     python docs/make_tables.py registered.json tools.json grasps.json > docs/tables/README.md
 
-The files beside this page were made so, one direction after the other (`--direction`). What samples, steps and a few
-real pairs give is told in [samples.md](samples.md).
+The files beside this page were made so, one direction after the other (`--direction`), in this order: what was
+registered first. Touches of a bubble are by the contact and the pose network of today; touches of a GelSlim, and the
+registered poses of physics and of the touches themselves, are by the rule of contact before it. What samples, steps
+and a few real pairs give is told in [samples.md](samples.md).
 """
 COLUMNS = (
     "transfer", "by", "PSNR, dB", "SSIM", "Frechet (floor; FID)", "error, mm", "in contact, mm", "IoU",
