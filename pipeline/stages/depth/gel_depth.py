@@ -21,7 +21,7 @@ from pipeline.base.doubts import AT_BORDER, Doubt
 from pipeline.base.errors import CalibrationError, ShapeError
 from pipeline.base.progress import Progress
 from pipeline.calibration.lookup import Calibration, check_for, slopes
-from pipeline.sensors.spec import SensorSpec
+from pipeline.sensors.spec import Gel, SensorSpec
 from pipeline.stages.depth import contact, drift, gel_light, moved, own_light, own_unit, rest
 from pipeline.stages.depth.drift import Still
 from pipeline.stages.depth.moved import Window
@@ -31,6 +31,7 @@ from pipeline.values.pixel_index import pixel_index
 from pipeline.values.results import DepthMap
 
 _FADES_FROM, _GONE_AT = 0.2, 0.6  # thicknesses from the contact, see `_relaxed`
+_FAR = 0.7  # thicknesses from the contact: as `rest` has it, the gel is neither pressed nor pulled down there
 _SATURATED_GREY = 254  # noise of a grey level takes what is clipped at 255 down to here
 _TELL_SATURATED = 0.01  # of the touch
 _PRESSURE_BLUR_PX = 1.5  # of what certainly presses
@@ -114,12 +115,14 @@ def read(
         pressed = contact.without_small_holes(pressed, round(_HOLE_MM2 / pixel_mm**2))
         narrow_px = _NARROW * (0.0 if source.gel is None else source.gel.thickness_mm) / pixel_mm
         touched[here] = contact.without_margins(pressed, surface, *here, shape, narrow_px)
+        if isinstance(light, str) and light == "sure":
+            surface = _lowered(surface, touched[here], window, source, pixel_mm)
         progress.step(0.8, "relaxing the gel around the contact")
         measured = Measured(
             surface_mm=freeze(surface), window=window, source=source, pixel_mm=pixel_mm, light=light
         )  # fmt: skip
         indentation = measured.relaxed(touched)
-        by_near = light is not None and not (isinstance(light, str) and light == "even")
+        by_near = light is not None and not (isinstance(light, str) and light != "near")
         if by_near and gel_light.hardly_told(touched, still.picture, source):
             notes.append(_HARDLY_TOLD)
         notes += _limits(indentation, touched, source.limits.indentation_max_mm)
@@ -180,7 +183,7 @@ def _surface(
     surface, light = own_light.best(guess, small, source, roughly, rounds, light)
     if small is not picture:
         surface = gel_light.finer(surface, small.by, window.moved.shape)
-        surface = own_light.read_by(light, surface, picture, source, integrated, 1)
+        surface = own_light.read_by(light, surface, picture, source, integrated, 1, steps=gel_light.FINE_STEPS)
     return surface, light
 
 
@@ -227,16 +230,32 @@ def _relaxed(surface: Floats, touched: Mask, window: Window, source: SensorSpec,
     t / 2 and bulges out beyond: between t / 5 and 3 t / 5 from the contact what was measured passes into what
     mechanics make of the contact. Without a contact the surface stays as it was measured.
     """
-    import cv2
-
     if source.gel is None or not touched.any():
         return surface * window.share
-    away = cv2.distanceTransform((~touched).astype(np.uint8), cv2.DIST_L2, 5)
-    thicknesses = np.asarray(away, np.float32) * np.float32(pixel_mm / source.gel.thickness_mm)
+    thicknesses = _away(touched, pixel_mm, source.gel)
     keep = np.clip((_GONE_AT - thicknesses) / (_GONE_AT - _FADES_FROM), 0.0, 1.0)
     keep = np.maximum(keep * window.share, touched)
     beyond = rest.far_field(surface, touched, pixel_mm, source.gel)
     return np.asarray(beyond + (surface - beyond) * keep, np.float32)
+
+
+def _lowered(surface: Floats, touched: Mask, window: Window, source: SensorSpec, pixel_mm: float) -> Floats:
+    """The surface as high far from the contact as mechanics have it there, for a light that is known.
+
+    Another light is found together with the depth, of surfaces that are at rest beside the contact.
+    """
+    if source.gel is None or not touched.any():
+        return surface
+    far = (_away(touched, pixel_mm, source.gel) > _FAR) & window.moved
+    return rest.lowered(surface, touched, far, pixel_mm, source.gel)
+
+
+def _away(touched: Mask, pixel_mm: float, gel: Gel) -> Floats:
+    """How far every pixel (rows, cols) lies from the contact, in thicknesses of the gel."""
+    import cv2
+
+    away = cv2.distanceTransform((~touched).astype(np.uint8), cv2.DIST_L2, 5)
+    return np.asarray(away, np.float32) * np.float32(pixel_mm / gel.thickness_mm)
 
 
 def _border(shape: tuple[int, int]) -> Mask:

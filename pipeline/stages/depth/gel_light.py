@@ -10,10 +10,19 @@ it is known so far, z, on the untouched picture R,
 compares the change of the blurred light with the change of the picture, steps from grad z to slopes that explain the
 rest r (Gauss-Newton on every pixel, J = s dc/dg),
 
-    dg = (J' W J + pull)^-1 J' W r,    W: Huber's weight of a colour, 0 where the camera sees nothing any more,
+    dg = A^-1 J' W r,    A = J' W J + pull,    W: Huber's weight of a colour, 0 where the camera sees nothing any more,
 
 and integrates. What a pixel cannot say (a dark colour, light from one side) is left as the integration has it. The
 rounds run on a coarse grid, one more on the picture's own pixels.
+
+A wall is saturated: whatever its height, it looks alike. As long as all slopes count alike, what it lacks is taken from
+the flanks that are seen well, round by round: from the true surface in the true light the rounds lead down. Where the
+light explains most of the picture, more rounds ask for the surface that comes nearest to the slopes as far as the
+colours tell them,
+
+    minimise  sum (grad z - g - dg)' A (grad z - g - dg).
+
+In a light that is not the unit's, colours are less sure than they are clear, and this would follow the clearest.
 
 c is as described, from lamps far away, or what lamps close beside the gel make of it on the unit's own untouched
 picture (`near_lamps.gains`): the one that leaves less of the picture unexplained is taken. Simulated units come out as
@@ -26,7 +35,6 @@ less or half as much again changes the error by less than it does for the rounds
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -41,10 +49,16 @@ from pipeline.physics.slopes import slopes
 from pipeline.sensors.glow import untouched_light
 from pipeline.sensors.spec import Markers, SensorSpec
 from pipeline.stages.depth.moved import Window
+from pipeline.stages.depth.poisson import Integrated, nearest
 
 ROUNDS = 4  # two leave a fifth more error of a GelSlim, whose lights are low
+STEPS = (
+    6  # towards the surface that is nearest to a round's slopes as far as they are told; with twelve it is no nearer
+)
+FINE_STEPS = 2  # the same for the round on the picture's own pixels, where only what is fine is still to be found
+HUBER_GREY = 20.0  # larger misfits are dust, a reflection, or an optical description that is not this unit's
+OUTSIDE = np.float32(1e4)  # grey levels squared per unit slope squared: level as surely as a colour in half light tells
 _PULL = 500.0  # grey levels squared per unit slope squared: a colour in full light weighs a hundred times as much
-_HUBER_GREY = 20.0  # larger misfits are dust, a reflection, or an optical description that is not this unit's
 _STEEPEST = np.float32(1.43)  # mm/mm, 55 degrees: the light hardly changes beyond
 _LEAST_MM = -0.5  # no gel bulges out farther
 _FLANK, _FLANK_SHARE = 0.12, 0.1  # mm/mm, and of a region's pixels
@@ -56,8 +70,9 @@ _BRIGHT_BLUR_PX = 3.0
 _NO_BLUR = 0.3  # pixels: a Gaussian that narrow changes nothing
 
 
-# What a slope changes: what the description says, or what it is from lamps that stand close.
-Light = Literal["even", "near"]
+# What a slope changes: what the description says, or what it is from lamps that stand close. "sure" is as described,
+# too, and known to explain the picture.
+Light = Literal["even", "sure", "near"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,13 +168,14 @@ def rough_slopes(picture: Seen, calibration: Calibration) -> tuple[Floats, Float
 
 
 def corrected(
-    surface_mm: Floats, picture: Seen, source: SensorSpec, light: Light, integrated: Callable[[Floats, Floats], Floats],
-    rounds: int = ROUNDS,
+    surface_mm: Floats, picture: Seen, source: SensorSpec, light: Light, integrated: Integrated,
+    rounds: int = ROUNDS, steps: int = STEPS,
 ) -> tuple[Floats, float]:  # fmt: skip
     """The surface (rows, cols) of the pixels whose picture comes nearest to the one seen, and what it leaves of it.
 
     From a first guess of the surface; what is left is in grey levels, summed over the pixels, before the last round.
-    `integrated` makes slopes (gx, gy) of these pixels a surface in mm. Needs a sensor that `applies`.
+    `integrated` makes slopes (gx, gy) of these pixels a surface in mm; in a light that is "sure", each round takes
+    `steps` of it towards the `nearest`. Needs a sensor that `applies`.
     """
     from pipeline.stages.depth.gel_light_kernels import explained, lit
 
@@ -167,16 +183,18 @@ def corrected(
     pixel_mm, size = picture.pixel_mm, np.array([camera.cols, camera.rows], np.float32)
     place = (picture.x_px, picture.y_px, size, *optics.lamps(told, camera), np.float32(told.vignette))
     bright, out, misfit = _brightness(source, picture, light), np.empty_like(picture.change), 0.0
-    limits = (np.float32(_PULL), np.float32(_HUBER_GREY), _STEEPEST, np.empty((2, 3), np.float32))
+    limits = (np.float32(_PULL), np.float32(HUBER_GREY), _STEEPEST, OUTSIDE)
+    by, sure = np.empty((2, 3), np.float32), np.empty_like(picture.change)
     for _ in range(rounds):
         z = np.clip(surface_mm, _LEAST_MM, source.limits.indentation_max_mm) * picture.moved
         gx, gy = slopes(z, pixel_mm)
-        share = _passed(source, z, pixel_mm)
-        lit(gx, gy, *place, bright, picture.still, share, out)
+        shone = (picture.still, bright, _passed(source, z, pixel_mm))
+        lit(gx, gy, place, shone, out)
         rest = picture.change - blurred(out, source, picture)
-        misfit = explained(rest, picture.change, picture.still, share, bright, picture.moved, *place,
-                           *limits, gx, gy)  # fmt: skip
-        surface_mm = integrated(gx, gy)
+        misfit = explained(rest, picture.change, picture.moved, place, shone, limits, by, gx, gy, sure)
+        surface_mm = (
+            nearest(surface_mm, (gx, gy), sure, pixel_mm, integrated, steps) if light == "sure" else integrated(gx, gy)
+        )
     return surface_mm, misfit
 
 
@@ -235,7 +253,7 @@ def _brightness(source: SensorSpec, picture: Seen, light: Light) -> Floats:
     """
     import cv2
 
-    if light == "even":
+    if light != "near":
         return np.ones_like(picture.still)
     width = _BRIGHT_BLUR_PX / picture.by
     here = np.asarray(cv2.GaussianBlur(picture.still, (0, 0), width) if width > _NO_BLUR else picture.still)

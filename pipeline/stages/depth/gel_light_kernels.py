@@ -33,13 +33,15 @@ def _lens(x, y, cols, rows, vignette):
 
 
 @kernel(fastmath=FAST)
-def lit(gx, gy, x, y, size, leds, strength, vignette, bright, still, share, out):
-    """Write to `out` (rows, cols, 3) what slopes gx, gy change of the untouched picture `still`, shadows and all.
+def lit(gx, gy, place, light, out):
+    """Write to `out` (rows, cols, 3) what slopes gx, gy change of the untouched picture, shadows and all.
 
-    x (cols,), y (rows,): places in the picture, which has `size` (cols, rows) pixels. leds, strength: as
-    `optics.lamps` has them. bright (rows, cols, 3): by how much the unit's own light is stronger than described.
-    share (rows, cols, 3): of the light that gets there.
+    place: x (cols,) and y (rows,), places in the picture; its size (cols, rows) in pixels; the lamps, their strength as
+    `optics.lamps` has them, and the vignette. light, each (rows, cols, 3): the untouched picture, by how much the
+    unit's own light is stronger than described, and the share of it that gets there.
     """
+    x, y, size, leds, strength, vignette = place
+    still, bright, share = light
     rows, cols = gx.shape
     one = np.float32(1.0)
     for r in range(rows):
@@ -60,40 +62,45 @@ def lit(gx, gy, x, y, size, leds, strength, vignette, bright, still, share, out)
 
 
 @kernel(fastmath=FAST)
-def explained(
-    rest, change, still, share, bright, moved, x, y, size, leds, strength, vignette, pull, huber, steepest, by, gx, gy
-):
+def explained(rest, change, moved, place, light, limits, by, gx, gy, sure):
     """Add to the slopes gx, gy of every pixel of `moved` the step that best explains `rest`; zero them elsewhere.
 
-    rest, change, still (rows, cols, 3): what the rendered change lacks, the change seen and the untouched picture in
-    grey levels; the others as in `lit`. pull holds every step back; a misfit beyond `huber` pulls no harder. by (2, 3):
-    written over. Returns the sum of what was left before the step, each no larger than twice that.
+    rest, change (rows, cols, 3): what the rendered change lacks, and the change seen, in grey levels; place and light
+    as in `lit`. limits: a pull that holds every step back, a misfit beyond which none pulls harder, the steepest
+    slope, and how sure a level pixel outside is. by (2, 3): written over. sure (rows, cols, 3): written to, how surely
+    each pixel tells its slopes, the matrix (xx, xy, yy). Returns the sum of what was left before the step, each no
+    larger than twice the second limit.
     """
+    x, y, size, leds, strength, vignette = place
+    still, bright, share = light
+    pull, huber, steepest, outside = limits
     rows, cols = moved.shape
-    one, two, misfit = np.float32(1.0), np.float32(2.0), 0.0
+    one, two, nothing, misfit = np.float32(1.0), np.float32(2.0), np.float32(0.0), 0.0
     for r in range(rows):
         for c in range(cols):
             if not moved[r, c]:
-                gx[r, c] = gy[r, c] = np.float32(0.0)
+                gx[r, c] = gy[r, c] = nothing
+                sure[r, c, 0], sure[r, c, 1], sure[r, c, 2] = outside, nothing, outside
                 continue
             sx, sy = gx[r, c], gy[r, c]
             slant = one / np.sqrt(one + sx * sx + sy * sy)
             lens = _lens(x[c], y[r], size[0], size[1], vignette)
             for k in range(3):
-                by[0, k] = by[1, k] = np.float32(0.0)
+                by[0, k] = by[1, k] = nothing
             for n in range(leds.shape[0]):
                 _, across, down = _facing(leds[n], sx, sy, slant)
                 weight = _strength(strength[n], leds[n], lens, x[c], y[r])
                 for k in range(3):
                     by[0, k] += across * weight * leds[n, 3 + k]
                     by[1, k] += down * weight * leds[n, 3 + k]
-            sums = (pull, np.float32(0.0), pull, np.float32(0.0), np.float32(0.0))
+            sums = (pull, nothing, pull, nothing, nothing)
             for k in range(3):
                 off = rest[r, c, k]
                 weight = weighed(off, still[r, c, k] + change[r, c, k], huber)
-                if weight > np.float32(0.0):
-                    light = bright[r, c, k] * share[r, c, k]
-                    sums = added(sums, by[0, k] * light, by[1, k] * light, off, weight)
+                if weight > nothing:
+                    here = bright[r, c, k] * share[r, c, k]
+                    sums = added(sums, by[0, k] * here, by[1, k] * here, off, weight)
                     misfit += min(abs(off), two * huber)
+            sure[r, c, 0], sure[r, c, 1], sure[r, c, 2] = sums[0], sums[1], sums[2]
             gx[r, c], gy[r, c] = stepped(sx, sy, sums, steepest)
     return misfit

@@ -9,7 +9,6 @@ included.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +22,7 @@ from pipeline.physics.slopes import slopes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import gel_light
 from pipeline.stages.depth.gel_light import Light, Seen, blurred
+from pipeline.stages.depth.poisson import Integrated
 
 _TURNS, _ROUNDS, _FIRST_ROUNDS = 3, 2, 3
 _DEPTHS = (0.8, 1.0, 1.25)  # of the surface, tried in every turn
@@ -33,12 +33,11 @@ _FAR_MORE = (
 _HOPELESS = 1.5  # times, after any turn: two more gain 1.4 at most
 _CLEARLY = 0.95  # of near lamps' misfit: simulated units as described leave 0.56 to 0.94 of it, real ones mostly more
 _CHANGED = 0.1  # of q: slopes that are read, not noise
+_EXPLAINED = 0.6  # of the change, left at most: simulated presses on other units leave 0.10 to 0.56, real ones 0.63 on
 _PULL = 20.0  # grey levels squared per unit slope squared: in weak light a colour weighs no more than a hundred
-_HUBER_GREY = 20.0
 _STEEPEST = np.float32(1.43)  # mm/mm, 55 degrees
 _LEAST_MM = -0.5  # no gel bulges out farther
 
-Integrated = Callable[[Floats, Floats], Floats]
 Told = Light | Doubles  # as described, or the coefficients of a field (`light_field`)
 
 
@@ -58,26 +57,39 @@ def best(
     """The surface by the light that explains most of the picture, and that light; one `known` is not looked for.
 
     The touch's own has to explain far more than the described one. Lamps that cast shadows stand low and aside: they
-    shine evenly. `rounds` are those of `gel_light.corrected`; fewer make a draft, which takes no more turns either.
+    shine evenly. Described light that explains most of the picture is "sure". `rounds` are those of
+    `gel_light.corrected`; fewer make a draft, which takes no more turns either.
     """
     if known is not None:
         return read_by(known, surface_mm, picture, source, integrated, rounds), known
     surface, misfit = gel_light.corrected(surface_mm, picture, source, "even", integrated, rounds)
     if optics.optics_of(source).shadow > 0:
-        return surface, "even"
+        return _surely(surface, picture, source, integrated, rounds)
     own = adapted(surface_mm, picture, source, integrated, min(rounds, _TURNS), misfit)
     if own is not None and misfit > _FAR_MORE * own.misfit:
         return own.surface_mm, own.coefficients
     other, left = gel_light.corrected(surface_mm, picture, source, "near", integrated, rounds)
-    return (surface, "even") if misfit <= _CLEARLY * left else (other, "near")
+    return _surely(surface, picture, source, integrated, rounds) if misfit <= _CLEARLY * left else (other, "near")
+
+
+def _surely(
+    surface_mm: Floats, picture: Seen, source: SensorSpec, integrated: Integrated, rounds: int
+) -> tuple[Floats, Light]:
+    """The surface of described light once its pixels count as far as they tell, if that light explains the picture."""
+    found, left = gel_light.corrected(surface_mm, picture, source, "sure", integrated, rounds)
+    changed = np.minimum(np.abs(picture.change), np.float32(2.0 * gel_light.HUBER_GREY))[picture.moved]
+    return (found, "sure") if left <= _EXPLAINED * float(changed.sum()) else (surface_mm, "even")
 
 
 def read_by(
-    light: Told, surface_mm: Floats, picture: Seen, source: SensorSpec, integrated: Integrated, rounds: int
-) -> Floats:
+    light: Told, surface_mm: Floats, picture: Seen, source: SensorSpec, integrated: Integrated, rounds: int,
+    steps: int = gel_light.STEPS,
+) -> Floats:  # fmt: skip
     """A surface (rows, cols) corrected in a light that `best` has found."""
     if isinstance(light, str):
-        return gel_light.corrected(surface_mm, picture, source, light, integrated, rounds)[0]
+        if light == "sure" and rounds > 1:
+            surface_mm = gel_light.corrected(surface_mm, picture, source, "even", integrated, rounds)[0]
+        return gel_light.corrected(surface_mm, picture, source, light, integrated, rounds, steps)[0]
     return corrected(surface_mm, picture, source, light, integrated, rounds)[0]
 
 
@@ -121,7 +133,7 @@ def corrected(
     field = touch_light.image(light, *_place(picture, source))
     field /= slope_model.gain(picture.still)[..., None]
     out, misfit = np.empty_like(picture.change), 0.0
-    limits = (np.float32(_PULL), np.float32(_HUBER_GREY), _STEEPEST)
+    limits = (np.float32(_PULL), np.float32(gel_light.HUBER_GREY), _STEEPEST)
     for _ in range(rounds):
         z = _within(surface_mm, picture, source)
         gx, gy = slopes(z, picture.pixel_mm)

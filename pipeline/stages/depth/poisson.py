@@ -9,11 +9,15 @@ along each axis make diagonal, cosines at an end where nothing is known, sines a
 
 Frankot & Chellappa 1988, Simchony et al. 1990. Two slips are common in public integrators and are avoided here:
 counting k from 1, which damps the long waves, and a divergence without the half of the central difference.
+
+Where slopes are known more surely at some pixels than at others, `nearest` asks for the surface that minimises
+sum (D z - g)' A (D z - g), of which no transform is known; a few such integrals lead to it.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -21,8 +25,10 @@ import numpy as np
 from pipeline.base.arrays import Floats, freeze
 from pipeline.base.errors import SettingProblem, ShapeError
 from pipeline.base.memo import remembered
+from pipeline.physics.slopes import slopes
 
 Boundary = Literal["flat", "free"]
+Integrated = Callable[[Floats, Floats], Floats]  # slopes (gx, gy) in mm/mm to a surface in mm
 
 _WORKERS = 2
 
@@ -58,6 +64,46 @@ def integrate(gx: Floats, gy: Floats, pixel_mm: float, boundary: Boundary | Side
     for axis, ends in ((0, sides[2:]), (1, sides[:2])):
         wave = _waves(wave, axis, ends, back=True)
     return freeze(np.ascontiguousarray(wave * np.float32(pixel_mm), np.float32))
+
+
+def nearest(
+    surface_mm: Floats, wanted: tuple[Floats, Floats], sure: Floats, pixel_mm: float, integrated: Integrated, steps: int
+) -> Floats:
+    """The surface (rows, cols) whose slopes come nearest to those `wanted`, each as far as its pixel is `sure` of it.
+
+    sure (rows, cols, 3): the weight of a pixel's two slopes, a matrix (xx, xy, yy). `steps` of conjugate gradients from
+    `surface_mm`, helped by `integrated`, the surface when all slopes count alike.
+    """
+    weight = np.ascontiguousarray(np.moveaxis(sure, 2, 0), np.float32)
+    surface, slope = np.array(surface_mm, np.float32), np.stack(slopes(surface_mm, pixel_mm))
+    left = _weighed(weight, np.stack(wanted) - slope)  # a field, whose divergence is the gradient
+    way, along, energy = np.zeros_like(surface), np.zeros_like(left), 1.0
+    for k in range(steps):
+        step = integrated(left[0], left[1])
+        slope = np.stack(slopes(step, pixel_mm))
+        new = _dot(left, slope)
+        way *= np.float32(new / energy if k else 0.0)
+        along *= np.float32(new / energy if k else 0.0)
+        way += step
+        along += slope
+        pulled = _weighed(weight, along)
+        stiff, energy = _dot(along, pulled), new
+        if stiff <= 0.0:
+            break
+        surface += np.float32(new / stiff) * way
+        left -= np.float32(new / stiff) * pulled
+    return surface
+
+
+def _weighed(weight: Floats, field: Floats) -> Floats:
+    """Matrices (xx, xy, yy) times vectors (2, rows, cols)."""
+    (xx, xy, yy), (x, y) = weight, field
+    return np.stack([xx * x + xy * y, xy * x + yy * y])
+
+
+def _dot(a: Floats, b: Floats) -> float:
+    """Sum of a b, the same however many threads there are."""
+    return float((a * b).sum(dtype=np.float64))
 
 
 def _waves(image: Floats, axis: int, ends: tuple[Boundary, ...], *, back: bool) -> Floats:

@@ -33,6 +33,7 @@ _HELD = 0.3  # weight w of a cell at rest beside one step of the surface between
 _STEPS = 24
 _EXACT = 1e-3
 _CELL_TOUCHED = 0.5  # share of a cell
+_FEWEST_FAR = 0.02  # of the pixels, that tell a level
 _FAR_MM, _FAR_STEPS = 2e-3, 12  # how exact the far field is: micrometres of what is a tenth of a millimetre
 
 
@@ -87,6 +88,18 @@ def far_field(surface_mm: Floats, touched: Mask, pixel_mm: float, gel: Gel) -> F
     depth = coarse(np.where(touched, surface_mm, np.float32(0.0)), by) / np.maximum(share, np.float32(1e-6))
     held = share > min(_CELL_TOUCHED, 0.5 * float(share.max()))
     return fine(_relaxed(np.asarray(depth, np.float32), held, pixel_mm * by, gel), surface_mm.shape)
+
+
+def lowered(surface_mm: Floats, touched: Mask, far: Mask, pixel_mm: float, gel: Gel) -> Floats:
+    """The surface (rows, cols) whose `far` part lies as high as mechanics have it beside the contact.
+
+    What a nearly incompressible layer is pressed out of rises around the contact, so that what looks at rest is not:
+    slopes alone would measure the contact from the bulge. Where too little lies far away to tell, it stays as it is.
+    """
+    if np.count_nonzero(far) <= _FEWEST_FAR * far.size:
+        return surface_mm
+    beyond = far_field(surface_mm, touched, pixel_mm, gel)
+    return surface_mm + np.float32(np.median(beyond[far]) - np.median(surface_mm[far]))
 
 
 def _relaxed(depth_mm: Floats, held: Mask, cell_mm: float, gel: Gel) -> Floats:

@@ -15,7 +15,7 @@ from pipeline.sensors.spec import sensor
 from pipeline.simulation import shapes, variation
 from pipeline.simulation.press import press
 from pipeline.stages.depth import gel_light, own_light
-from pipeline.stages.depth.stage import DepthParams, depth
+from pipeline.stages.depth.stage import DepthParams, depth, gel
 from pipeline.values.frames import TactileFrame
 from tests.pipeline.calibration.test_balls import hertz
 
@@ -25,6 +25,8 @@ FLAT_SHARE = 0.75  # of the depth of a flat face: the blur loses some of a steep
 LIGHT_MM = 0.02  # of 0.15 mm; the look-up alone, without blur and shadows, is nearer here: 0.013
 EITHER_MM = 0.04  # of 0.4 mm, where the lamps may give a sixth more or less than they are described to
 UNUSUAL_MM = 0.06  # of 0.4 mm: one touch tells the scale of usual units alone
+WALL_MM = 0.035  # of 0.5 mm; 0.022 as it is, 0.054 while a wall counted as much as any slope
+BULGE_MM = 0.03  # beside 0.4 mm
 CONTACT_MM = 0.06  # a flat face of 0.6 mm: vertical flanks, of which the blur keeps nine tenths
 
 
@@ -67,6 +69,34 @@ def test_the_unchanged_inside_of_a_flat_face_is_not_taken_for_rest():
 def test_a_light_press_is_measured_to_a_few_hundredths_of_a_millimetre():
     source, frame, truth = pressed(0.15)
     assert error_mm(depth(frame, source, None, PARAMS), truth) < LIGHT_MM
+
+
+def test_a_wall_that_looks_alike_at_any_height_does_not_pull_the_touch_flat():
+    source, thing = sensor("gelslim"), shapes.shape("star").mesh
+    felt = press(thing, translation(0.3, -0.4, -0.5 - thing.vertices_mm[:, 2].min()), source, seed=2)
+    frame = TactileFrame(sensor="gelslim", image=felt.image, reference=optics.untouched(source))
+    found = depth(frame, source, None, PARAMS)
+    assert error_mm(found, felt.truth) < WALL_MM
+    off = (found.indentation_mm - felt.truth.indentation_mm)[felt.truth.contact]
+    assert abs(float(off.mean())) < WALL_MM
+
+
+def test_the_gel_that_bulges_beside_a_touch_is_not_taken_for_its_rest():
+    frame, truth = pressed_mini(near=False)
+    found = depth(frame, sensor("gelsight_mini"), None, PARAMS)
+    bulge = truth.indentation_mm < -BULGE_MM
+    assert bulge.any()
+    assert float(np.median(found.indentation_mm[bulge])) < -BULGE_MM
+
+
+def test_light_that_does_not_explain_the_picture_is_not_sure():
+    source, frame, _ = pressed(0.6)
+    lights = []
+    for image in (frame.image, frame.image[:, :, ::-1]):  # red where blue should be
+        odd = replace(frame, image=np.ascontiguousarray(image), reference=np.ascontiguousarray(
+            frame.reference if image is frame.image else frame.reference[:, :, ::-1]))  # fmt: skip
+        lights.append(gel(odd, source, None, PARAMS)[1].light)
+    assert lights == ["sure", "even"]
 
 
 def test_the_same_picture_gives_the_same_bytes():

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.base.errors import ShapeError
-from pipeline.stages.depth.poisson import Sides, integrate
+from pipeline.stages.depth.poisson import Sides, integrate, nearest
 
 BUMP_TOLERANCE_PX = 1e-3  # what the stage promises; second-order staggering leaves about 7e-4 on this bump
 ROUNDING = 2e-5  # float32 transforms of values of order 1 to 10
@@ -92,3 +92,31 @@ def test_the_result_is_read_only_and_repeats_to_the_byte():
     first = integrate(gx, gy, 0.1, "flat")
     assert not first.flags.writeable
     assert first.tobytes() == integrate(gx, gy, 0.1, "flat").tobytes()
+
+
+def test_slopes_that_are_known_less_surely_give_way():
+    z, gx, gy = bump(40, 50, 0.0)
+    wall = np.zeros(z.shape, np.bool_)
+    wall[10:30, 20:24] = True  # seen through from above and below
+    seen_x = np.where(wall, 0.2 * gx, gx).astype(np.float32)  # saturated: less than is there
+    sure = np.zeros((*z.shape, 3), np.float32)
+    sure[..., 0] = sure[..., 2] = np.where(wall, 1e-3, 1.0)
+
+    def plainly(x, y):
+        return integrate(x, y, 0.1)
+
+    first = plainly(seen_x, gy)
+    found = nearest(first, (seen_x, gy), sure, 0.1, plainly, 40)
+    truth = plainly(gx, gy)
+    off = [float(np.ptp(surface - truth)) for surface in (first, found)]
+    assert off[1] < 0.1 * off[0]
+
+
+def test_slopes_that_are_all_as_sure_are_integrated_at_once():
+    z, gx, gy = bump(40, 50, 0.0)
+    sure = np.zeros((*z.shape, 3), np.float32)
+    sure[..., 0] = sure[..., 2] = 7.0
+    start = np.zeros_like(z, np.float32)
+    found = nearest(start, (gx, gy), sure, 0.1, lambda x, y: integrate(x, y, 0.1), 2)
+    truth = integrate(gx, gy, 0.1)
+    assert float(np.abs(found - truth).max()) < 0.02 * float(np.ptp(truth))
