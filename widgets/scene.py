@@ -25,7 +25,7 @@ from widgets.solid_view import SolidView
 from widgets.sub_views import SubViews
 
 _TOGETHER_MS = 10  # what changes together within this is drawn once
-_KEPT_BYTES = 48 * 1024 * 1024
+_KEPT_BYTES = 42 * 1024 * 1024
 _NEAR_PX, _ONE_SURFACE = 6.0, 0.02  # of a place in a view; share of the distance that a surface is thick
 _ONE_TURN = 120  # eighths of a degree, as Qt counts what a wheel goes on by
 _BUTTONS = {

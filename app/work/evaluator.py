@@ -29,10 +29,10 @@ from pipeline.values.results import DepthMap
 from widgets.frames_model import FrameSummary
 
 log = logging.getLogger("tactoscope")
-_SEEN_BYTES = 54 * 1024 * 1024  # nine frames to a gel of 320 x 427, eighteen to a bubble
+_SEEN_BYTES = 48 * 1024 * 1024  # eight frames to a gel of 320 x 427, sixteen to a bubble
 _ASIDE_BYTES = 16 * 1024 * 1024  # a frame or two: they must not push out what people go back to
-_BESIDE_BYTES = 32 * 1024 * 1024
-_TRIMMED_AFTER = 6  # frames worked out anew: what they took on their way lies about in pieces
+_BESIDE_BYTES = 24 * 1024 * 1024
+_TRIMMED_AFTER = 4  # frames worked out anew: what they took on their way lies about in pieces
 _OUTLINED = "view"  # the slot that is compared with what the target really felt
 
 
