@@ -17,6 +17,7 @@ _MOST_COLUMNS = 8
 _NARROW_PX = 360
 _RIM_PX, _WORDS_PX, _LEVELS_PX = 10, 72, 48  # of a tile that are not picture, near enough to choose how tiles stand
 _BESIDE_GAINS = 1.1  # times wider must pictures be with words beside them: under a picture they are read sooner
+_LEAST_PX = (320, 240)
 _MOST_LINES = 6  # of figures beside a picture
 
 
@@ -117,6 +118,14 @@ class TileGrid(QWidget):
     def sizeHint(self) -> QSize:  # noqa: N802
         """Room for a few."""
         return QSize(900, 500)
+
+    def minimumSizeHint(self) -> QSize:  # noqa: N802
+        """The same however tiles stand: else that changes the room by which it is chosen, and so back and forth."""
+        return QSize(*_LEAST_PX)
+
+    def hasHeightForWidth(self) -> bool:  # noqa: N802
+        """No, for the same reason: titles that wrap ask for it."""
+        return False
 
     def show_tiles(self, tiles: Sequence[Tile]) -> None:
         """Show these in place of what was shown; one of the same size stays where it was looked at."""

@@ -53,3 +53,11 @@ def test_colours_that_mean_no_number_take_no_room_for_a_bar(grid):
     assert all(tile.view.levels.isHidden() for tile in grid.views)
     grid.show_tiles(_tiles(2))
     assert not any(tile.view.levels.isHidden() for tile in grid.views)
+
+
+def test_how_tiles_stand_does_not_change_the_room_they_ask_for(grid, qtbot):
+    """Else words beside would make the grid lower, which puts them under, which makes it higher, and so for ever."""
+    asked = grid.minimumSizeHint(), grid.sizeHint(), grid.hasHeightForWidth()
+    for count in (6, 2, 9):
+        grid.show_tiles(_tiles(count))
+        assert (grid.minimumSizeHint(), grid.sizeHint(), grid.hasHeightForWidth()) == asked
