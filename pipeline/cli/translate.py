@@ -154,25 +154,28 @@ def replaced_lines(reports: Sequence[FrameReport]) -> list[str]:
 
 
 def doubtful_lines(reports: Sequence[FrameReport]) -> list[str]:
-    """Every doubt once, at the first slot that has it, without what differs from frame to frame, and its frames."""
+    """Every doubt once, at the first slot that has it, with its frames; where numbers differ, those of the first."""
     slots: dict[str, str] = {}
-    frames: dict[str, dict[int, None]] = {}
+    frames: dict[str, dict[int, str]] = {}
     for one in reports:
         for name, result in one.results.items():
             for doubt in result.doubts:
-                kind = re.sub(r"[\d.,]*\d", "N", doubt) if len(reports) > 1 else doubt
+                kind = re.sub(r"[\d.,]*\d", "", doubt)
                 slots.setdefault(kind, name)
-                frames.setdefault(kind, {})[one.index] = None
+                frames.setdefault(kind, {}).setdefault(one.index, doubt)
     return [
-        f"doubtful: {slots[kind]}: {kind}" + (f" ({_listed(list(at))})" if len(reports) > 1 else "")
+        f"doubtful: {slots[kind]}: {next(iter(at.values()))}" + (f" ({_listed(at)})" if len(reports) > 1 else "")
         for kind, at in frames.items()
     ]
 
 
-def _listed(frames: Sequence[int]) -> str:
-    """Frame numbers, the first few of many."""
-    few = ", ".join(str(n) for n in frames[:8])
-    return f"frame {few}" if len(frames) == 1 else f"{len(frames)} frames: {few}{', …' if len(frames) > 8 else ''}"
+def _listed(told: Mapping[int, str]) -> str:
+    """Frame numbers, the first few of many, and whose numbers were told where others have others."""
+    few = ", ".join(str(n) for n in list(told)[:8])
+    if len(told) == 1:
+        return f"frame {few}"
+    whose = f"; told is frame {next(iter(told))}" if len(set(told.values())) > 1 else ""
+    return f"{len(told)} frames: {few}{', …' if len(told) > 8 else ''}{whose}"
 
 
 def _one(

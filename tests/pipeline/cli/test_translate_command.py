@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tracemalloc
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -60,6 +61,18 @@ def test_a_method_in_whose_place_another_answered_is_named_then_and_when_it_is_k
         _, out, _ = typed("--frame", "1", "--method", "depth=depth_anything")
         assert "another method answered: depth: Depth Anything V2 does not come along" in " ".join(out.split())
         assert out.count("doubtful: depth: uncalibrated look-up") == 1
+
+
+def test_doubts_that_differ_by_a_number_are_told_once_with_the_first_frames():
+    def report(index, *doubts):
+        return SimpleNamespace(index=index, results={"pose": SimpleNamespace(doubts=doubts)})
+
+    told = translate.doubtful_lines(
+        [report(0, "10 poses fit"), report(1, "12 poses fit", "slides"), report(4, "12 poses fit")]
+    )
+    assert told == [
+        "doubtful: pose: 10 poses fit (3 frames: 0, 1, 4; told is frame 0)", "doubtful: pose: slides (frame 1)"
+    ]  # fmt: skip
 
 
 def test_a_run_that_was_cut_off_goes_on_where_it_was(typed, tmp_path, monkeypatch):
