@@ -24,8 +24,8 @@ from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
 from widgets.frames_model import FrameSummary
 
-_DRAWN_BYTES = 48 * 1024 * 1024  # eight frames to a gel of 320 x 427, seven pictures each
-_READ_BYTES = _BESIDE_BYTES = 28 * 1024 * 1024
+_DRAWN_BYTES = 72 * 1024 * 1024  # a dozen frames to a gel of 320 x 427, seven pictures each
+_READ_BYTES = _BESIDE_BYTES = 40 * 1024 * 1024
 _MOST_JUDGED = 512
 
 

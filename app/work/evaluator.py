@@ -29,7 +29,7 @@ from pipeline.values.results import DepthMap
 from widgets.frames_model import FrameSummary
 
 log = logging.getLogger("tactoscope")
-_SEEN_BYTES = 48 * 1024 * 1024  # eight frames to a gel of 320 x 427, sixteen to a bubble
+_SEEN_BYTES = 72 * 1024 * 1024  # a dozen frames to a gel of 320 x 427, two dozen to a bubble
 _ASIDE_BYTES = 16 * 1024 * 1024  # a frame or two: they must not push out what people go back to
 _BESIDE_BYTES = 24 * 1024 * 1024
 _TRIMMED_AFTER = 4  # frames worked out anew: what they took on their way lies about in pieces
