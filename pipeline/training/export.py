@@ -31,9 +31,10 @@ def _card(run: State, recipe: dict[str, object]) -> dict[str, str]:
     last = max((int(row["step"]) for row in run.figures), default=-1)
     figures = {f"{row['split'].replace('_', ' ')}: {row['name']}": f"{row['value']:.4g}" for row in run.figures
                if row["step"] == last}  # fmt: skip
+    machine = ", ".join(part for part in (processor(), f"{os.cpu_count()} cores", run.device) if part)
     return {
         "task": str(recipe["task"]), "command": run.command, "recipe": json.dumps(recipe, sort_keys=True),
         "examples seen": f"{run.examples:,}", "steps": f"{run.step:,}",
-        "minutes": f"{run.seconds / 60.0:.1f}", "machine": f"{processor()}, {os.cpu_count()} cores",
+        "minutes": f"{run.seconds / 60.0:.1f}", "machine": machine,
         **figures,
     }  # fmt: skip

@@ -42,21 +42,25 @@ class LatentTask:
     spread: float = setting(1e-4, "Weight of the latents' spread", low=0.0, high=100.0)
 
     def sample(self, rng: np.random.Generator) -> Example:
-        """Pictures of both sides of a touch, a time of the noise, and the noise itself."""
-        touch = paired_touch("learned", self.press_seed, int(rng.integers(self.presses)), self.folder)
-        return self._example(touch, rng)
+        """Pictures of both sides of a touch; noise and its time are drawn with the loss."""
+        return self._example(paired_touch("learned", self.press_seed, int(rng.integers(self.presses)), self.folder))
 
     def held_out(self, split: Split, index: int) -> Example:
-        """Of a training object as it was never held, or of a tool that is never learned from."""
-        touch = paired_touch(split, _HELD_OUT_SEED, index, self.folder)
-        return self._example(touch, np.random.default_rng([5, index]))
+        """Of a training object as it was never held, or of a tool that is never learned from, with noise of its own."""
+        rng, small = np.random.default_rng([5, index]), self.side // _SMALLER
+        return {
+            **self._example(paired_touch(split, _HELD_OUT_SEED, index, self.folder)),
+            "time": np.array([rng.integers(_TIMES)], np.float32),
+            "noises": rng.standard_normal((2, _LATENT, small, small)).astype(np.float32),
+        }
 
     def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
         """Mean absolute errors of the rebuilt picture and of the noise, and how far latents are from unit normal."""
         import torch
 
-        noises = batch["noises"].transpose(0, 1)
-        time, told = batch["time"][:, 0].long(), batch["told"][:, 0]
+        n, small, device = len(batch["target"]), self.side // _SMALLER, batch["target"].device
+        time, told = torch.randint(_TIMES, (n,)).to(device), (torch.rand(n) >= self.untold).float().to(device)
+        noises = torch.randn(2, n, _LATENT, small, small).to(device)
         found = network(batch["target"], batch["source"], time, told, noises, self.part)
         parts: dict[str, Tensor] = {}
         if found.noise is not None:
@@ -87,18 +91,12 @@ class LatentTask:
         names = (f"rebuilt, {unit}", "noise")
         return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))
 
-    def _example(self, touch: PairedTouch, rng: np.random.Generator) -> Example:
+    def _example(self, touch: PairedTouch) -> Example:
         if self.direction == "gel_to_bubble":
             source, target = normal(touch.gel, "gel"), picture(touch.exact_mm, "bubble")
         else:
             source, target = np.repeat(normal(touch.bubble_mm, "bubble"), 3, axis=0), picture(touch.own_gel, "gel")
-        small = self.side // _SMALLER
-        return {
-            "source": _sized(source, self.side), "target": _sized(target, self.side),
-            "time": np.array([rng.integers(_TIMES)], np.float32),
-            "told": np.array([rng.random() >= self.untold], np.float32),
-            "noises": rng.standard_normal((2, _LATENT, small, small)).astype(np.float32),
-        }  # fmt: skip
+        return {"source": _sized(source, self.side), "target": _sized(target, self.side)}
 
 
 def _sized(square: Any, side: int) -> Any:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
 import logging
 import math
 import time
+from collections.abc import Generator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,11 +22,14 @@ from pipeline.networks.building import begin_with, build, innermost
 from pipeline.training import curves, optimising, state
 from pipeline.training.devices import Devices, devices, in_precision
 from pipeline.training.examples import Examples, examples
+from pipeline.training.kept_examples import kept
 from pipeline.training.own import mixed
 from pipeline.training.recipe import Recipe
 from pipeline.training.state import State
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from pipeline.training.task import Example, Split
 
 SAVED_EVERY_S = 60.0
@@ -84,6 +89,8 @@ class _Training:
             self._optimiser.load_state_dict(now.optimiser)
         self._learns = here.joined(in_precision(self._network, self._recipe.pace.precision, here.device))
         self._held_out: dict[Split, list[Example]] = {}
+        if here.device.type == "cuda":
+            now.device = torch.cuda.get_device_name(here.device)
         self._since_s = time.monotonic() - now.seconds
         self._saved_s = time.monotonic()
 
@@ -100,7 +107,7 @@ class _Training:
         now, here, pace = self._now, self._here, self._recipe.pace
         stride = pace.batch * here.n
         fraction = here.mean(self._fraction())[0]
-        with closing(self._source.batches(now.step * stride + here.rank * pace.batch, stride)) as batches:
+        with closing(self._batches(stride)) as batches:
             while not self._is_over(fraction):
                 stop = self._asked(fraction)
                 loss, parts = self._learn(next(batches), fraction)
@@ -118,6 +125,20 @@ class _Training:
                     self._keep()
         self._keep()
         return now
+
+    def _batches(self, stride: int) -> Generator[dict[str, Tensor], None, None]:
+        """Batches on the device from here on; the clock of a run stands still while those that are kept are made."""
+        now, here, pace = self._now, self._here, self._recipe.pace
+        if pace.kept:
+            began_s = time.monotonic()
+            for batch in kept(self._source, pace, here, now.step):
+                if began_s is not None:
+                    self._since_s, began_s = self._since_s + time.monotonic() - began_s, None
+                yield batch
+            return
+        with closing(self._source.batches(now.step * stride + here.rank * pace.batch, stride)) as batches:
+            for batch in batches:
+                yield tensors(batch, here.device)
 
     def _is_over(self, fraction: float) -> bool:
         return fraction >= 1.0 if self._run.minutes is not None else self._now.step >= self._recipe.pace.steps
@@ -138,7 +159,7 @@ class _Training:
             return stop
         return None
 
-    def _learn(self, batch: Example, fraction: float) -> tuple[float, dict[str, Any]]:
+    def _learn(self, batch: dict[str, Tensor], fraction: float) -> tuple[float, dict[str, Any]]:
         """The loss of a batch and its parts; its gradient is in the network, the mean over all devices."""
         import torch
 
@@ -149,7 +170,7 @@ class _Training:
         optimising.set_rate(self._optimiser, rate)
         self._learns.train()
         self._optimiser.zero_grad()
-        loss, parts = self._task.loss(self._learns, tensors(batch, self._here.device))
+        loss, parts = self._task.loss(self._learns, batch)
         loss.backward()
         return float(loss.detach()), {**parts, "learning rate": rate}
 
@@ -189,9 +210,10 @@ class _Training:
         if self._here.rank:
             return
         self._held_out = self._held_out or self._source.held_out(self._recipe.validation.examples)
+        judged = copy.deepcopy(self._average).cpu()
         with torch.inference_mode():
             for split, held_out in self._held_out.items():
-                for name, value in self._task.figures(self._average, held_out).items():
+                for name, value in self._task.figures(judged, held_out).items():
                     now.figures.append({"step": now.step, "split": split, "name": name, "value": float(value)})
         found = [f"{row['split'].replace('_', ' ')} {row['name']} {row['value']:.4g}" for row in now.figures
                  if row["step"] == now.step]  # fmt: skip

@@ -27,6 +27,10 @@ class Pace:
     seed: int = setting(0, "Seed", low=0, high=2**31)
     batch: int = setting(16, "Examples a step", low=1, high=4096, help="for each of several devices")
     steps: int = setting(10_000, "Steps", low=1, high=10**9, help="--minutes stands in place of it")
+    kept: int = setting(
+        0, "Examples kept on the device", low=0, high=10**7,
+        help="made once and each shown often, for a device that learns faster than they are made; 0 = each shown once",
+    )  # fmt: skip
     begin: str = setting("", "File of weights to begin with", help="empty = random ones")
     precision: Precision = setting("float32", "Precision", choices=Precision, help="of the network, not of its loss")
 
@@ -81,6 +85,8 @@ class Recipe:
         """All of it in plain values, for files and cards; equal ones give equal runs."""
         parts = {"pace": self.pace, "optimiser": self.optimiser, "settings": self.settings}
         plain = {name: {key: value for key, (value, _) in settings(part).items()} for name, part in parts.items()}
+        if not self.pace.kept:
+            del plain["pace"]["kept"]  # runs begun before there was such a thing go on
         own = [{key: value for key, (value, _) in settings(one).items()} for one in self.recordings]
         told = {"task": self.task, "network": dict(self.network), "factors": dict(self.factors), **plain}
         return told | ({"data": {"share": self.share, "recordings": own}} if own else {})

@@ -26,6 +26,7 @@ class State:
     step: int = 0
     examples: int = 0  # seen, by all devices
     seconds: float = 0.0  # trained, of all parts of the run
+    device: str = ""  # the card that it was trained on; "" = the processor
     skipped: int = 0  # steps whose gradient was no number
     skipped_in_a_row: int = 0
     network: dict[str, Any] = field(default_factory=dict)

@@ -163,7 +163,7 @@ def turn_cost(headings: Tensor, turn_rad: Tensor, fold: Tensor) -> Tensor:
     import torch
 
     times = fold.clamp(min=1.0)
-    told = headings[torch.arange(len(fold)), times.long() - 1]
+    told = headings[torch.arange(len(fold), device=fold.device), times.long() - 1]
     truth = torch.stack([torch.cos(times * turn_rad), torch.sin(times * turn_rad)], dim=1)
     off = (told - truth).square().sum(1) / times**2
     cost = _TURN_MM * ((off + _SHARP_RAD**2).sqrt() - _SHARP_RAD)

@@ -198,3 +198,25 @@ def test_a_run_that_was_killed_goes_on_and_its_workers_are_gone(recipe_file, tmp
     subprocess.run([*command[:-3], whole, "--workers", "0"], env=environment, capture_output=True, check=True)
     assert same(tensors(state.load(out)), tensors(state.load(whole)))
     assert (out / "weights.safetensors").exists()
+
+
+def test_examples_that_are_kept_are_made_once_and_a_stopped_run_goes_on_as_if_it_had_not_been(
+    run, tmp_path, monkeypatch
+):
+    asked = []
+    sample = toy.Discs.sample
+    monkeypatch.setattr(toy.Discs, "sample", lambda self, rng: asked.append(1) or sample(self, rng))
+    keeps = replace(run, recipe=with_pace(run.recipe, kept=9, steps=20))
+    whole = train(replace(keeps, out=tmp_path / "whole"))
+    held_out = 2 * keeps.recipe.validation.examples
+    assert len(asked) == 12 + held_out  # whole batches of four
+    with pytest.raises(Cancelled):
+        train(replace(keeps, resume=True), StopAt(7))
+    stopped = train(replace(keeps, resume=True))
+    assert stopped.step == whole.step == 20
+    assert same(tensors(stopped), tensors(whole))
+
+
+def test_a_recipe_that_keeps_nothing_is_told_as_before_there_was_such_a_thing(run):
+    assert "kept" not in run.recipe.told["pace"]
+    assert with_pace(run.recipe, kept=5).told["pace"]["kept"] == 5
