@@ -22,6 +22,7 @@ from pathlib import Path
 _ROOT = Path(__file__).parents[1]
 _KERNEL = re.compile(r"^@(?:njit|kernel)\((?![^\n]*inline)[^\n]*\)\ndef (\w+)\(", re.MULTILINE)
 _BELOW = re.compile(r"^from pipeline\.(\S+_kernels) import", re.MULTILINE)
+_FORMAT = b"digest first"  # of the files: what is kept in another one is compiled again
 _LONGEST_WAIT_S = 120.0  # for another process, which may have been stopped
 
 
@@ -93,7 +94,7 @@ def waiting() -> dict[str, Path]:
 def stamp(module: Path) -> bytes:
     """Digest of a module of kernels and of all those whose kernels it calls: a change there changes it too."""
     source = module.read_bytes()
-    whole = hashlib.sha256(source)
+    whole = hashlib.sha256(_FORMAT + source)
     for name in sorted(set(_BELOW.findall(source.decode()))):
         whole.update(stamp(_ROOT / (name.replace(".", "/") + ".py")))
     return whole.digest()

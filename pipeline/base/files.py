@@ -191,6 +191,15 @@ def read_arrays(path: Path, what: str) -> dict[str, NDArray[Any]]:
         raise FileProblem(f"{what} cannot be read: the file is cut short or damaged, or no .npz", path) from error
 
 
+def kept_arrays(path: Path) -> dict[str, NDArray[Any]] | None:
+    """Every array of an .npz that this program can make again; None where there is none, or a damaged one."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as opened:
+            return {key: opened[key] for key in opened.files}
+    except Exception:  # noqa: BLE001 - errors of zip, zlib and numpy's headers have no common root, and none is news
+        return None
+
+
 def must_be_file(path: Path, what: str, most_bytes: int = MOST_BYTES) -> None:
     """Raise FileProblem unless `path` is a plain file of at most `most_bytes`: a pipe would be waited for forever."""
     try:

@@ -1,8 +1,12 @@
 """How kernels are declared, where numba keeps what it compiles of them, and what it tells `compiling`."""
 # pyright: basic
 
+import contextlib
+import errno
 import gc
+import hashlib
 import os
+import pickle
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,15 +16,71 @@ os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
 
 from numba import njit
 from numba.core import config, event
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 from pipeline.base import compiling
 
 inlined: Any = partial(njit, inline="always")  # becomes part of what calls it before that is compiled
 
+_DIGEST_BYTES = 32
 FAST = {"contract", "arcp", "nsz", "reassoc"}  # not nnan: a NaN has to stay one
 
-# No kernel is called from C: without the entry for it, compiling takes a seventh less.
-kernel: Any = partial(njit, cache=True, no_cfunc_wrapper=True, error_model="numpy")  # type: ignore[reportCallIssue]
+
+class _Whole(IndexDataCacheFile):
+    """The files of one kernel, each behind a digest of numba's version and what follows: a wrong byte would be run.
+
+    One that is damaged is as good as none, so that it is compiled and written again; where nothing can be written, the
+    kernel is compiled all the same.
+    """
+
+    def save(self, key, data):
+        with contextlib.suppress(OSError):
+            super().save(key, data)
+
+    def _load_index(self):
+        try:
+            stamp, overloads = self._load_data(self._index_name)
+        except OSError:
+            return {}
+        return overloads if stamp == self._source_stamp else {}
+
+    def _save_index(self, overloads):
+        self._save_data(self._index_name, (self._source_stamp, overloads))
+
+    def _load_data(self, name):
+        told, content = (whole := Path(self._data_path(name)).read_bytes())[:_DIGEST_BYTES], whole[_DIGEST_BYTES:]
+        if told != self._digest(content):
+            raise OSError(errno.EIO, "damaged", self._data_path(name))
+        return pickle.loads(content)  # noqa: S301 - as numba does; it is what this user's own process wrote
+
+    def _save_data(self, name, data):
+        content = self._dump(data)
+        with self._open_for_write(self._data_path(name)) as file:
+            file.write(self._digest(content) + content)
+
+    def _digest(self, content):
+        return hashlib.sha256(self._version.encode() + content).digest()
+
+
+class _Kept(FunctionCache):
+    def __init__(self, function):
+        super().__init__(function)
+        self._cache_file = _Whole(self._cache_path, self._impl.filename_base, self._impl.locator.get_source_stamp())
+
+
+def kernel(**options: Any) -> Any:
+    """Decorator of what is called from Python, compiled once and kept; `options` are numba's."""
+    # No kernel is called from C: without the entry for it, compiling takes a seventh less.
+    compiled: Any = njit(cache=True, no_cfunc_wrapper=True, error_model="numpy", **options)  # type: ignore[reportCallIssue]
+
+    def declared(function: Any) -> Any:
+        made = compiled(function)
+        made._cache = _Kept(function)
+        return made
+
+    return declared
+
+
 # What only kernels call is compiled into them, and kept with them: no entry from Python either, and no file of its own.
 inner: Any = partial(njit, no_cfunc_wrapper=True, no_cpython_wrapper=True, error_model="numpy")  # type: ignore[reportCallIssue]
 

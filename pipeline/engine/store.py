@@ -7,7 +7,6 @@ included; one that is damaged is made again; where nothing can be read or writte
 from __future__ import annotations
 
 import contextlib
-import zipfile
 from collections.abc import Callable
 from dataclasses import fields
 from functools import lru_cache
@@ -20,12 +19,10 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import freeze
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import whole_file
+from pipeline.base.files import kept_arrays, whole_file
 from pipeline.engine.digests import digest
 
 _MOST_FILES = 40  # of one kind; a distance grid takes 16 MB
-# Whatever is wrong with a file that can be made again is no news to anybody.
-_DAMAGED = (OSError, ValueError, KeyError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile)
 
 T = TypeVar("T")
 
@@ -59,13 +56,10 @@ def _source(code: tuple[str, ...]) -> str:
 
 
 def _read(kind: type[T], path: Path, key: str) -> T | None:
-    try:
-        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            if str(file["key"]) != key:
-                return None
-            return kind(**{f.name: _plain(file[f.name]) for f in fields(cast("Any", kind))})
-    except _DAMAGED:
+    found, names = kept_arrays(path), {f.name for f in fields(cast("Any", kind))}
+    if found is None or str(found.pop("key", "")) != key or set(found) != names:
         return None
+    return kind(**{name: _plain(array) for name, array in found.items()})
 
 
 def _plain(array: NDArray[Any]) -> object:

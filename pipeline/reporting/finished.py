@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -54,8 +53,7 @@ def key_of(translation: Translation, params: Mapping[str, object], index: int, b
 def finished(out: Path, index: int, key: str) -> Finished | None:
     """What an earlier run left of frame `index` under `out`; None if it is not whole or came from something else."""
     folder = folder_of(out, index)
-    # Whatever is wrong with a frame that can be made again is no news to anybody.
-    with contextlib.suppress(OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, zipfile.BadZipFile):
+    with contextlib.suppress(Exception):  # whatever is wrong with a frame that can be made again is no news to anybody
         told = json.loads((folder / "frame.json").read_text(encoding="utf-8"))
         if told["key"] == key and (folder / "sheet.png").stat().st_size:
             return Finished(report=_report(told), key=key, pose=_pose(folder / "stages.npz"))

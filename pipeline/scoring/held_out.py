@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from pipeline.base.errors import SettingProblem
+from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.base.files import put_aside
 from pipeline.base.progress import SILENT, Progress, Share
 from pipeline.engine import store
 from pipeline.engine.digests import digest
@@ -69,6 +70,10 @@ def _recorded(of: Set, plan: Plan, folder: Path | None, progress: Progress) -> P
     # What would give other readings has another name, so that old recordings are neither taken nor in the way.
     name = f"{of}_{plan.thing_name}_{digest(datasets.told(plan))[:8]}.h5"
     path = (folder or store.own_folder() / "held_out") / name
-    if recorder.finished(plan, path) < plan.poses:
+    try:
+        done = recorder.finished(plan, path)
+    except FileProblem:  # by its name it was one of these recordings
+        done, _ = 0, put_aside(path)
+    if done < plan.poses:
         recorder.record(plan, path, progress=progress)
     return path

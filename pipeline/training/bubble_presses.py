@@ -7,7 +7,6 @@ given; what a depth camera makes of it is drawn anew each time.
 from __future__ import annotations
 
 import io
-import zipfile
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Mask, freeze
-from pipeline.base.files import whole_file
+from pipeline.base.files import kept_arrays, whole_file
 from pipeline.geometry import membrane, rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.physics import bubble_camera, lattice
@@ -130,11 +129,10 @@ def _keep(path: Path, found: Pressed) -> None:
 
 
 def _kept(path: Path, unit: SensorSpec) -> Pressed | None:
-    try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as data:
-            moved, gap, contact, cosine = (data[key] for key in ("moved", "gap", "contact", "cosine"))
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
-        return None  # not there yet, or cut short: it is worked out again
+    kept = kept_arrays(path)
+    if kept is None or not {"moved", "gap", "contact", "cosine"} <= set(kept):
+        return None  # not there yet, or damaged: it is worked out again
+    moved, gap, contact, cosine = (kept[key] for key in ("moved", "gap", "contact", "cosine"))
     return Pressed(
         sensor=unit, moved_mm=freeze(moved), contact=freeze(contact),
         gap_mm=freeze(gap.astype(np.float32)), cosine=freeze(cosine.astype(np.float32)),

@@ -8,7 +8,6 @@ once for each number and kept where a folder is given.
 from __future__ import annotations
 
 import io
-import zipfile
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
@@ -17,7 +16,7 @@ from typing import Any, Literal, TypeVar, cast
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Mask, freeze
-from pipeline.base.files import whole_file
+from pipeline.base.files import kept_arrays, whole_file
 from pipeline.base.memo import Memo
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
@@ -173,9 +172,7 @@ def keep(path: Path, found: object) -> None:
 
 def read(path: Path, kind: type[T]) -> T | None:
     """What `keep` wrote; None where it is not there yet, or cut short: it is worked out again."""
-    try:
-        with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as data:
-            arrays = {f.name: data[f.name] for f in fields(cast("Any", kind))}
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+    arrays = kept_arrays(path)
+    if arrays is None or set(arrays) != {f.name for f in fields(cast("Any", kind))}:
         return None
     return kind(**{k: freeze(a.astype(np.float32) if a.dtype == np.float16 else a) for k, a in arrays.items()})

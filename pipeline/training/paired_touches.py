@@ -8,7 +8,6 @@ takes a sixth of a second, so that it is kept where a folder is given.
 from __future__ import annotations
 
 import io
-import zipfile
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, freeze
 from pipeline.base.errors import SettingProblem
-from pipeline.base.files import whole_file
+from pipeline.base.files import kept_arrays, whole_file
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.networks.squares import change, square
@@ -35,6 +34,7 @@ _KINDS: tuple[Things, ...] = ("learned", "unseen_grasps", "unseen_tools", "own")
 _CATALOGUE = 0.6  # share of training objects among what is learned; the others are random bodies
 _STEPS = 2.0 * 255.0  # of a kept picture: half a grey
 _COARSER = 3  # times a picture's pixels that a gel's contact is worked out at: still finer than a square's
+_KEYS = ("gel", "own", "bubble", "exact", "pose", "thing")  # of a kept touch
 _MOST_KEPT = 4096  # touches in a worker's memory, a quarter of a megabyte each
 _MOST_EMPTY = 100  # presses in a row that one of the two does not feel
 
@@ -156,8 +156,8 @@ def _keep(path: Path, found: PairedTouch) -> None:
 def _kept(path: Path) -> PairedTouch | None:
     try:
         gel, own, bubble, exact, pose, thing = _packed(path)
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
-        return None  # not there yet, or cut short: it is pressed again
+    except FileNotFoundError:
+        return None  # not there yet, or damaged: it is pressed again
     return PairedTouch(
         gel=_seen(gel), own_gel=_seen(own), bubble_mm=freeze(bubble.astype(np.float32)),
         exact_mm=freeze(exact.astype(np.float32)), alignment_from_object=freeze(pose), thing=str(thing),
@@ -166,6 +166,8 @@ def _kept(path: Path) -> PairedTouch | None:
 
 @lru_cache(maxsize=_MOST_KEPT)
 def _packed(path: Path) -> tuple[NDArray[Any], ...]:
-    """The arrays of a file, kept small in memory: every touch is drawn many times."""
-    with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as data:
-        return tuple(data[key] for key in ("gel", "own", "bubble", "exact", "pose", "thing"))
+    """The arrays of a file, kept small in memory: every touch is drawn many times. Raises FileNotFoundError."""
+    kept = kept_arrays(path)
+    if kept is None or not set(_KEYS) <= set(kept):
+        raise FileNotFoundError(path)
+    return tuple(kept[key] for key in _KEYS)

@@ -128,3 +128,25 @@ def test_no_garbage_is_looked_for_while_the_compiler_runs():
     assert seen
     assert not any(seen)
     assert gc.isenabled()
+
+
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+def test_a_damaged_file_of_a_kernel_is_as_good_as_none_and_is_written_again(tmp_path, suffix):
+    kept = importlib.import_module("pipeline.base.kept_kernels")._Whole(str(tmp_path), "kernel-1.py3", b"stamp")
+    kept.save("a signature", ("machine code", b"\x90" * 64))
+    (file,) = tmp_path.glob(f"*.{suffix}")
+    whole = file.read_bytes()
+    flipped = [whole[:k] + bytes([whole[k] ^ 1]) + whole[k + 1 :] for k in range(len(whole))]
+    for damaged in (b"", whole[:10], whole[:-1], bytes(len(whole)), b"\xff" * len(whole), *flipped):
+        file.write_bytes(damaged)
+        assert kept.load("a signature") is None
+    kept.save("a signature", ("machine code", b"\x90" * 64))
+    assert kept.load("a signature") == ("machine code", b"\x90" * 64)
+
+
+def test_a_kernel_whose_files_cannot_be_written_works_all_the_same(tmp_path):
+    kept = importlib.import_module("pipeline.base.kept_kernels")._Whole(
+        str(tmp_path / "gone"), "kernel-1.py3", b"stamp"
+    )
+    kept.save("a signature", "machine code")
+    assert kept.load("a signature") is None

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from pipeline.base.errors import FileProblem
 from pipeline.base.files import (
+    kept_arrays,
     put_aside,
     read_bytes,
     read_json,
@@ -197,3 +198,28 @@ def test_what_is_put_aside_is_not_lost_to_what_was_put_aside_before(tmp_path):
     assert {place.read_text() for place in tmp_path.iterdir()} == {"first", "second"}
     with pytest.raises(FileProblem, match="cannot put this file aside"):
         put_aside(path)
+
+
+@pytest.mark.parametrize("damage", ["missing", "empty", "zeroed", "noise", "cut", "one array", "a folder"])
+def test_what_is_kept_and_damaged_in_any_way_is_as_good_as_not_there(tmp_path, damage):
+    path = tmp_path / "kept.npz"
+    np.savez_compressed(path, a=np.arange(999.0), b=np.ones(3))
+    whole = path.read_bytes()
+    assert np.array_equal(kept_arrays(path)["a"], np.arange(999.0))
+    if damage == "a folder":
+        path = tmp_path
+    elif damage == "missing":
+        path.unlink()
+    elif damage == "one array":
+        with path.open("wb") as file:
+            np.save(file, np.arange(3))
+    elif damage == "noise":  # any byte: names of methods that nobody knows, sizes beyond all memory
+        rng = np.random.default_rng(1)
+        for at in rng.permutation(len(whole))[:300]:
+            path.write_bytes(whole[:at] + bytes([int(rng.integers(256))]) + whole[at + 1 :])
+            found = kept_arrays(path)
+            assert found is None or all(len(array) in (3, 999) for array in found.values())
+        path.write_bytes(rng.bytes(len(whole)))
+    else:
+        path.write_bytes({"empty": b"", "zeroed": bytes(len(whole)), "cut": whole[: len(whole) // 2]}[damage])
+    assert kept_arrays(path) is None

@@ -35,11 +35,12 @@ def test_a_kept_touch_is_the_one_that_was_pressed(folder):
     assert pressed.exact_mm.max() > 1.0
 
 
-def test_a_damaged_file_is_pressed_again(folder):
+@pytest.mark.parametrize("damaged", [b"", b"PK\x03\x04", bytes(100)])
+def test_a_damaged_file_is_pressed_again(folder, damaged):
     first = paired_touch("own", 3, 0, folder)
     paired_touches._packed.cache_clear()
     (file,) = (p for p in paired_touches.Path(folder).iterdir() if p.name == "own_3_0.npz")
-    file.write_bytes(file.read_bytes()[:100])
+    file.write_bytes(damaged)
     assert np.array_equal(paired_touch("own", 3, 0, folder).gel, first.gel)
 
 
