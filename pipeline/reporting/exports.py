@@ -118,6 +118,10 @@ def _picture(work: _Work) -> None:
 
 def _points(work: _Work) -> None:
     shown = work.pane(work.translation.checked(work.asked.frame))
+    if not len(shown.points_mm):
+        raise SettingProblem(
+            f"{work.asked.pane} of frame {work.asked.frame} has no point: nothing touches there; choose another frame"
+        )
     head = (
         f"ply\nformat binary_little_endian 1.0\ncomment {shown.title}, mm, {shown.picture.frame_name}\n"
         f"element vertex {len(shown.points_mm)}\nproperty float x\nproperty float y\nproperty float z\n"
@@ -174,8 +178,21 @@ def _video(work: _Work) -> None:
         if writer is None or not writer.isOpened():
             raise FileProblem("this machine's OpenCV cannot write such a video; try .avi or .mp4", work.asked.path)
         writer.release()
+        if _n_frames(made) < len(indices):  # it says nothing of a full disk
+            raise FileProblem(f"cannot write the video (no room for it in {folder!r}?)", work.asked.path)
         with made.open("rb") as video, whole_file(work.asked.path, "the video") as file:
             shutil.copyfileobj(video, file)
+
+
+def _n_frames(video: Path) -> int:
+    """How many frames can be read back."""
+    import cv2
+
+    reader, n = cv2.VideoCapture(str(video)), 0
+    while reader.grab():
+        n += 1
+    reader.release()
+    return n
 
 
 def _rgb(drawn: Figure) -> Any:

@@ -6,7 +6,7 @@ import copy
 import logging
 import math
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -122,7 +122,7 @@ class _Training:
                     self._keep()
                     raise stop or Cancelled
                 if time.monotonic() > self._saved_s + SAVED_EVERY_S:
-                    self._keep()
+                    self._unless_full(self._keep)
         self._keep()
         return now
 
@@ -219,7 +219,15 @@ class _Training:
                  if row["step"] == now.step]  # fmt: skip
         log.info("step %d: %s", now.step, "; ".join(found))
         now.seconds = time.monotonic() - self._since_s
-        curves.draw(self._run.out, now)
+        self._unless_full(lambda: curves.draw(self._run.out, now))
+
+    @staticmethod
+    def _unless_full(write: Callable[[], None]) -> None:
+        """Write what can be written later as well: a disk that is full now ends no training of hours, it is said."""
+        try:
+            write()
+        except FileProblem as problem:
+            log.warning("%s; the training goes on, and will try again", problem)
 
     def _keep(self) -> None:
         """Bring all to the disk; the first device does."""

@@ -19,9 +19,11 @@ from PyQt6.QtWidgets import QApplication
 from app.frame.handing import Handing
 from app.frame.tour import wait_until_shown
 from app.session.sample import SAMPLE
+from pipeline.base.errors import FileProblem
 from pipeline.base.params import changed
 from pipeline.cli.main import build, run
 from pipeline.reporting.asked import command
+from pipeline.reporting.exports import export
 from pipeline.sensors.offsets import Offsets
 from pipeline.stages.depth.slot import PHYSICS
 from pipeline.stages.depth.stage import DepthParams
@@ -136,6 +138,7 @@ def test_what_cannot_be_exported_is_told_in_one_sentence(edited, tmp_path):
         (("--out", str(tmp_path / "a.xyz")), "known are .png"),
         (("--out", str(tmp_path / "a.ply")), "a sheet is no cloud"),
         (("--pane", "nose", "--out", str(tmp_path / "a.png")), "no pane 'nose'"),
+        (("--pane", "cloud", "--frame", "0", "--out", str(tmp_path / "a.ply")), "frame 0 has no point"),
         (("--frames", "1-99", "--out", str(tmp_path / "a.csv")), "no frame 99"),
     ):
         with pytest.MonkeyPatch.context() as patch:
@@ -143,3 +146,23 @@ def test_what_cannot_be_exported_is_told_in_one_sentence(edited, tmp_path):
             patch.setattr("pipeline.cli.main.complain", said.append)
             assert run(build(), ["export", str(SAMPLE), "--target", "gelslim", "--sensor", "digit", *typed]) == 2
         assert words in said[0]
+        assert not list(tmp_path.iterdir())
+
+
+def test_a_video_that_the_codec_could_not_write_is_no_video(edited, tmp_path, monkeypatch):
+    class Full:
+        """As OpenCV on a disk without room: no word, and no frame."""
+
+        def __init__(self, path, *_how):
+            Path(path).write_bytes(bytes(48))
+
+        def write(self, _frame): ...
+        def release(self): ...
+        def isOpened(self):
+            return True
+
+    monkeypatch.setattr(cv2, "VideoWriter", type("Writer", (Full,), {"fourcc": cv2.VideoWriter.fourcc}))
+    asked = handing_of(edited).asked(tmp_path / "a.mp4", "depth", "computed", "3-4")
+    with pytest.raises(FileProblem, match="cannot write the video"):
+        export(asked)
+    assert not list(tmp_path.iterdir())

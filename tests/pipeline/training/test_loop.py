@@ -220,3 +220,29 @@ def test_examples_that_are_kept_are_made_once_and_a_stopped_run_goes_on_as_if_it
 def test_a_recipe_that_keeps_nothing_is_told_as_before_there_was_such_a_thing(run):
     assert "kept" not in run.recipe.told["pace"]
     assert with_pace(run.recipe, kept=5).told["pace"]["kept"] == 5
+
+
+def test_a_disk_that_is_full_for_a_while_ends_no_training_and_is_said(run, monkeypatch, caplog):
+    monkeypatch.setattr(loop, "SAVED_EVERY_S", 0.0)
+    kept, tried = state.save, []
+
+    def full_at_first(folder, now):
+        tried.append(now.step)
+        if len(tried) < 3:
+            raise FileProblem("cannot write the state of the training (No space left on device)", folder / "state.pt")
+        kept(folder, now)
+
+    monkeypatch.setattr(state, "save", full_at_first)
+    monkeypatch.setattr(loop.curves, "draw", lambda folder, now: (_ for _ in ()).throw(FileProblem("full", folder)))
+    done = train(run)
+    assert state.load(run.out).step == done.step == run.recipe.pace.steps
+    assert sum("No space left" in message for message in caplog.messages) == 2
+
+
+def test_a_disk_that_stays_full_is_told_at_the_end(run, monkeypatch):
+    def full(folder, now):
+        raise FileProblem("cannot write the state of the training (No space left on device)", folder / "state.pt")
+
+    monkeypatch.setattr(state, "save", full)
+    with pytest.raises(FileProblem, match="No space left"):
+        train(run)
