@@ -25,6 +25,7 @@ from pipeline.training.residual import example
 if TYPE_CHECKING:
     from torch import Tensor, nn
 
+    from pipeline.training.recorded_pairs import Recorded
     from pipeline.training.task import Example, Split
 
 _TURNED_DEG, _LARGER, _SHIFTED = 5.0, 0.05, 0.03  # at most; of a picture's rows
@@ -72,9 +73,19 @@ class KeptPairs(Denoising):
     def _learned(self) -> int:
         return min(self.pairs, len(self._known()))
 
+    def notes(self) -> tuple[str, ...]:
+        """What is to be said of the pairs before they are learned from; raises what opening them does."""
+        n, known = self._learned, len(self._known())
+        asked = f" ({self.pairs} were asked for)" if self.pairs > known else ""
+        alone = (
+            f"all {n} pairs are learned from{asked}, none is held out: figures called unseen are of these very pairs",
+        )
+        return (*(self._recorded().notes if self.recording else ()), *(alone if n == known else ()))
+
     def _known(self) -> tuple[Drawn, ...]:
-        if not self.recording:
-            return drawn(self.folder)
+        return self._recorded().pairs if self.recording else drawn(self.folder)
+
+    def _recorded(self) -> Recorded:
         from pipeline.training.recorded_pairs import recorded_pairs
 
         source = "gelslim" if self.kind == "bubble" else "soft_bubble"

@@ -26,6 +26,7 @@ from pipeline.training.kept_examples import kept
 from pipeline.training.own import mixed
 from pipeline.training.recipe import Recipe
 from pipeline.training.state import State
+from pipeline.training.task import Noted
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -65,6 +66,8 @@ def train(run: Run, progress: Progress = SILENT) -> State:
     ready(run.out)
     pace = run.recipe.pace
     task = mixed(run.recipe.settings, run.recipe.recordings, run.recipe.share)
+    for note in task.notes() if isinstance(task, Noted) else ():
+        log.warning("%s", note)
     with devices() as here, examples(task, pace.seed, pace.batch, run.workers) as source:
         return _Training(run, now, here, source, progress).run()
 

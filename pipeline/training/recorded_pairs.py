@@ -6,6 +6,7 @@ says where it has none.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -26,9 +27,17 @@ from pipeline.values.frames import Stream
 _HALF = 0.5
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recorded:
+    """What a recording holds to learn from."""
+
+    pairs: tuple[Drawn, ...]  # in its order
+    notes: tuple[str, ...]  # what was assumed or left out
+
+
 @lru_cache(maxsize=4)
-def recorded_pairs(path: str, source_name: str, target_name: str) -> tuple[Drawn, ...]:
-    """Every moment of a recording at which both sensors were touched, in its order.
+def recorded_pairs(path: str, source_name: str, target_name: str) -> Recorded:
+    """Every moment of a recording at which both sensors were touched.
 
     Raises FileProblem where there is none, SettingProblem where one of the two took no part.
     """
@@ -37,14 +46,23 @@ def recorded_pairs(path: str, source_name: str, target_name: str) -> tuple[Drawn
         one, other = recording.stream_of_sensor(source_name), recording.stream_of_sensor(target_name)
         if one is None or other is None:
             raise SettingProblem(f"{path!r} holds no pairs of {source.title} and {target.title}")
-        stand = alignments.between(source, target, recording.target_from_source(one.name, other.name))
-        made = [_pair(one, other, index, source, target, stand) for index in range(min(one.n_frames, other.n_frames))]
+        known = recording.target_from_source(one.name, other.name)
+        stand, n = alignments.between(source, target, known), min(one.n_frames, other.n_frames)
+        made = [_pair(one, other, index, source, target, stand) for index in range(n)]
+        still = [s.title for s, of in ((source, one), (target, other)) if n and of.frame(0).reference is None]
     finally:
         recording.close()
     found = tuple(pair for pair in made if pair is not None)
     if not found:
         raise FileProblem("both sensors are touched at no moment of this recording", path)
-    return found
+    notes = {
+        f"{source.title} has {one.n_frames} frames, {target.title} {other.n_frames}: the first {n} of each are taken "
+        "as the same moments, in this order": one.n_frames != other.n_frames,
+        "the recording does not say how its sensors stand to each other: as their descriptions say": known is None,
+        f"no untouched reading of {' and '.join(still)} is in the recording: as described, not this unit's": still,
+        f"{n - len(found)} of {n} moments are left out, where not both are touched": len(found) < n,
+    }
+    return Recorded(pairs=found, notes=tuple(note for note, holds in notes.items() if holds))
 
 
 def _pair(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
 
 from pipeline.base.errors import SettingProblem
 
@@ -47,6 +47,15 @@ class Task(Protocol):
 
     def figures(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
         """How good it is on held-out examples: name with its unit -> number, such as "error in contact, um"."""
+        ...
+
+
+@runtime_checkable
+class Noted(Protocol):
+    """What a task has, too, that learns from what somebody recorded."""
+
+    def notes(self) -> tuple[str, ...]:
+        """What was assumed of it or left out; asked for, and with it opened, before the training begins."""
         ...
 
 

@@ -1,5 +1,6 @@
 """A few real pairs: kept by number, the first ones learned from, moved a little each time."""
 
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.recordings import open_recording
+from pipeline.recordings.hdf5_writer import Writer
 from pipeline.sensors.spec import sensor
 from pipeline.stages.generate.corrected import on_grid
 from pipeline.stages.generate.residual_input import working
@@ -114,3 +116,33 @@ def test_a_recording_of_both_sensors_gives_its_own_pairs(target, channels):
 def test_a_recording_without_the_other_sensor_is_refused():
     with pytest.raises(SettingProblem, match="no pairs of"):
         KeptPairs(recording=str(SAMPLE.with_name("digit_gelslim.h5"))).held_out("unseen_tools", 0)
+
+
+def recorded(path, moments, gel=lambda frame: frame, pairings=True):
+    """A recording of some of the sample's moments by either sensor."""
+    with closing(open_recording(SAMPLE)) as sample, Writer(
+        path, pairings=sample.pairings if pairings else (), depth_step_mm=0.05
+    ) as writer:  # fmt: skip
+        for name, indices in moments.items():
+            stream = sample.stream(name)
+            for index in indices:
+                frame = stream.frame(index)
+                writer.append(name, gel(frame) if name == "gelslim" else frame, stream.truth(index))
+    return str(path)
+
+
+def test_what_is_odd_about_own_pairs_is_said_before_they_are_learned_from(tmp_path):
+    touched = range(3, 6)
+    whole = recorded(tmp_path / "whole.h5", {"gelslim": touched, "soft_bubble": touched})
+    assert KeptPairs(recording=whole, pairs=2).notes() == ()
+    (alone,) = KeptPairs(recording=whole, pairs=10).notes()
+    assert "all 3 pairs are learned from (10 were asked for), none is held out" in alone
+    odd = recorded(
+        tmp_path / "odd.h5", {"gelslim": [0, 3], "soft_bubble": [0, 3, 4]}, lambda f: replace(f, reference=None), False
+    )
+    told = "; ".join(KeptPairs(recording=odd).notes())
+    for words in (
+        "has 2 frames, Soft Bubble 3: the first 2", "does not say how its sensors stand",
+        "no untouched reading of GelSlim (markers) is in", "1 of 2 moments are left out", "all 1 pairs",
+    ):  # fmt: skip
+        assert words in told, told
