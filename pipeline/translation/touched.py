@@ -1,16 +1,21 @@
-"""Which frame of a recording to look at first: one on which something touches."""
+"""Which frames of a recording to look at first: one on which something touches, and those that tell of its light."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Floats
+from pipeline.base.arrays import Floats, Image
 from pipeline.base.errors import TouchError
-from pipeline.values.frames import Stream
+from pipeline.engine.digests import content
+from pipeline.values.frames import Stream, TactileFrame
 
 _MOST_FRAMES = 24
 _MOST_PIXELS = 40_000_000  # in all: reading more takes longer than a person waits for a recording to open
+_MOST_TELLING = 6  # touches of one unit: with nine its light is told no better
 _BLOCKS_ALONG = 24  # the longer side: wide enough that noise averages out
 
 
@@ -20,17 +25,46 @@ def touched_frame(stream: Stream) -> int:
     0 where none has, or where no frame brings an untouched reading. Frames that cannot be read are passed over.
     """
     best, most = 0, 0.0
+    for frame in _compared(stream):
+        change = float(_change(frame).max())
+        if change > most:
+            best, most = frame.index, change
+    return best
+
+
+def telling_touches(stream: Stream) -> tuple[Image, ...]:
+    """Pictures (rows, cols, 3) of one unit that tell most of its light, the most telling first; none of a bubble.
+
+    Of some frames spread evenly over the recording, those that change most of the picture where the ones before them
+    do not: strongly, and in other places. They share one untouched picture, so that all are of one unit and one day.
+    """
+    found: list[tuple[TactileFrame, Floats]] = []
+    for frame in _compared(stream):
+        if frame.is_depth or frame.image.dtype != np.uint8:
+            return ()
+        if not found or content(frame.reference) == content(found[0][0].reference):
+            found.append((frame, _change(frame)))
+    chosen: list[Image] = []
+    while found and len(chosen) < _MOST_TELLING:
+        gains = [float(change.sum()) for _, change in found]
+        best = int(np.argmax(gains))
+        if gains[best] <= 0.0:
+            break
+        frame, most = found.pop(best)
+        chosen.append(cast("Image", frame.image))
+        found = [(other, np.maximum(change - most, 0.0)) for other, change in found]
+    return tuple(chosen)
+
+
+def _compared(stream: Stream) -> Iterator[TactileFrame]:
+    """Frames spread over the recording that bring an untouched reading of their shape."""
     for index in _spread(stream):
         try:
             frame = stream.frame(index)
         except TouchError:
             continue
-        if frame.reference is None or frame.reference.shape != frame.image.shape:
-            continue
-        change = _change(frame.image, frame.reference)
-        if change > most:
-            best, most = index, change
-    return best
+        if frame.reference is not None and frame.reference.shape == frame.image.shape:
+            yield frame
 
 
 def _spread(stream: Stream) -> list[int]:
@@ -44,10 +78,11 @@ def _spread(stream: Stream) -> list[int]:
     return [round(i) for i in np.linspace(0, stream.n_frames - 1, count)]
 
 
-def _change(image: NDArray[np.generic], reference: NDArray[np.generic]) -> float:
-    """Largest change of a block's mean, in the reading's own unit; what is no reading has not changed."""
-    gap = np.nan_to_num(_blocks(image) - _blocks(reference), nan=0.0, posinf=0.0, neginf=0.0)
-    return float(np.abs(gap).max())
+def _change(frame: TactileFrame) -> Floats:
+    """By how much blocks' means have changed, in the reading's own unit; what is no reading has not changed."""
+    assert frame.reference is not None
+    gap = np.nan_to_num(_blocks(frame.image) - _blocks(frame.reference), nan=0.0, posinf=0.0, neginf=0.0)
+    return np.abs(gap)
 
 
 def _blocks(image: NDArray[np.generic]) -> Floats:

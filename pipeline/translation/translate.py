@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.base.arrays import Image
 from pipeline.base.errors import SettingProblem
 from pipeline.base.frame_lists import one_of
 from pipeline.calibration.lookup import Calibration
@@ -24,6 +26,7 @@ from pipeline.sensors.offsets import Offsets
 from pipeline.sensors.spec import SensorSpec, sensor
 from pipeline.stages.slot import Facts
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
+from pipeline.translation.touched import telling_touches
 from pipeline.values.frames import Recording, Stream, TactileFrame, Truth
 from pipeline.values.results import ObjectPose
 
@@ -66,6 +69,7 @@ class Translation:
     notes: tuple[str, ...] = field(default=())
     symmetry: Symmetry | None = None  # of `mesh`; None = not known
     catalogue: Catalogue = BUILT_IN
+    telling: Callable[[], tuple[Image, ...]] = tuple  # touches of the source's unit by which its light is told
 
     @property
     def n_frames(self) -> int:
@@ -103,7 +107,7 @@ class Translation:
     def inputs_of(self, frame: TactileFrame, previous: ObjectPose | None = None) -> Mapping[str, object]:
         """What the graph reads for a frame at hand."""
         return {
-            "frame": frame,
+            "frame": replace(frame, beside=self.telling()),
             "source": self.source,
             "target": self.target,
             "calibration": self.calibration,
@@ -203,7 +207,20 @@ def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Trans
         notes=(*recording.notes, *_about_symmetry(recording, stream, mesh), *_about_weights(request, methods)),
         symmetry=recording.symmetry if mesh is recording.object_mesh else None,
         catalogue=catalogue,
+        telling=_telling(request, recording, stream, source),
     )
+
+
+def _telling(
+    request: Request, recording: Recording, stream: Stream, source: SensorSpec
+) -> Callable[[], tuple[Image, ...]]:
+    """The touches that tell of the unit's light, chosen when a frame is first read.
+
+    A calibration has the light in it. What grows has none that stay the same.
+    """
+    if source.kind != "gel" or request.calibration is not None or recording.now is not None:
+        return tuple
+    return cache(lambda: telling_touches(stream))
 
 
 def _about_symmetry(recording: Recording, stream: Stream, mesh: Mesh | None) -> tuple[str, ...]:

@@ -29,6 +29,7 @@ class TactileFrame:
     time_s: float = math.nan
     origin: str = ""  # where it was read from, for messages
     camera: Camera | None = None  # intrinsics that the recording brings along; None = the sensor's own
+    beside: tuple[Image, ...] = ()  # other touches of the same unit, with the same reference: they tell of its light
 
     @property
     def is_depth(self) -> bool:

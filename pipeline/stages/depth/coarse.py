@@ -30,7 +30,7 @@ def frame(whole: TactileFrame, camera: Camera, by: int) -> TactileFrame:
     """A gel's frame, which `camera` took, with `by` times fewer pixels along each side."""
     seen = camera.resized(*_size(camera, by))
     image, reference = (_averaged(cast("Image", picture), seen) for picture in (whole.image, whole.reference))
-    return replace(whole, image=image, reference=reference, camera=seen)
+    return replace(whole, image=image, reference=reference, camera=seen, beside=())
 
 
 def look_up(calibration: Calibration | None, by: int) -> Calibration | None:

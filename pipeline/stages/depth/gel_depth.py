@@ -1,8 +1,8 @@
 """Depth of a gel: colour change -> slopes -> surface -> contact, worked out only around what has moved.
 
 Drift of the light and of the camera is taken out first (`drift`). Where the look-up is the one that the sensor's
-description implies, the surface is then corrected by its own optics (`gel_light`), near lamps' by the light that the
-touch itself speaks for (`own_light`).
+description implies, the surface is then corrected by its own optics (`gel_light`), in the light that
+the touch itself speaks for (`own_light`), or several of its recording (`unit_light`).
 
 Numbers without a source beside them are those that `benchmarks/depth_numbers.py` finds no better neighbour of, a third
 less or half as much again: the best of these take 3 % off the error, the worst add 9 %.
@@ -11,21 +11,21 @@ less or half as much again: the best of these take 3 % off the error, the worst 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Mask, freeze
 from pipeline.base.doubts import AT_BORDER, Doubt
-from pipeline.base.errors import CalibrationError, ShapeError
+from pipeline.base.errors import ShapeError
 from pipeline.base.progress import Progress
-from pipeline.calibration.lookup import Calibration, check_for, slopes
+from pipeline.calibration.lookup import Calibration, check_for
 from pipeline.sensors.spec import Gel, SensorSpec
-from pipeline.stages.depth import contact, drift, gel_light, moved, own_light, own_unit, rest
-from pipeline.stages.depth.drift import Still
+from pipeline.stages.depth import contact, drift, gel_light, lit_surface, moved, own_light, own_unit, rest, unit_light
+from pipeline.stages.depth.lit_surface import Changed
 from pipeline.stages.depth.moved import Window
-from pipeline.stages.depth.poisson import Boundary, Sides, integrate
+from pipeline.stages.depth.poisson import Boundary
 from pipeline.values.frames import TactileFrame
 from pipeline.values.pixel_index import pixel_index
 from pipeline.values.results import DepthMap
@@ -103,9 +103,13 @@ def read(
         here = (window.rows, window.cols)
         notes += _doubts(image[here], source, window)
         progress.step(0.2, "integrating slopes")
-        surface, light = _surface(
-            image, still, window, source, calibration, smoothing_px, boundary, rounds, light, progress
+        changed = Changed(
+            image=image, still=still, window=window, source=source, calibration=calibration,
+            smoothing_px=smoothing_px, boundary=boundary,
         )  # fmt: skip
+        if light is None and frame.beside:
+            light = unit_light.fitted(frame.beside, reference, changed, progress)
+        surface, light = lit_surface.surface(changed, rounds, light, progress)
         surface, inside = _settled(surface, window, source, pixel_mm)
         pressed = inside | contact.touched(
             surface, pixel_mm, least_mm=least_mm, pressure_share=pressure_share, smoothing_px=_CONTACT_BLUR_PX
@@ -115,14 +119,14 @@ def read(
         pressed = contact.without_small_holes(pressed, round(_HOLE_MM2 / pixel_mm**2))
         narrow_px = _NARROW * (0.0 if source.gel is None else source.gel.thickness_mm) / pixel_mm
         touched[here] = contact.without_margins(pressed, surface, *here, shape, narrow_px)
-        if isinstance(light, str) and light == "sure":
+        if own_light.explains(light):
             surface = _lowered(surface, touched[here], window, source, pixel_mm)
         progress.step(0.8, "relaxing the gel around the contact")
         measured = Measured(
             surface_mm=freeze(surface), window=window, source=source, pixel_mm=pixel_mm, light=light
         )  # fmt: skip
         indentation = measured.relaxed(touched)
-        by_near = light is not None and not (isinstance(light, str) and light != "near")
+        by_near = isinstance(light, np.ndarray) or (isinstance(light, str) and light == "near")
         if by_near and gel_light.hardly_told(touched, still.picture, source):
             notes.append(_HARDLY_TOLD)
         notes += _limits(indentation, touched, source.limits.indentation_max_mm)
@@ -149,63 +153,6 @@ def untouched_notes(image: Image, reference: Image, no_touch_grey: float) -> tup
     if still.drift is None or not moved.largest_change(image, still.grey) < no_touch_grey:
         return None
     return (*still.notes, drift.untouched_note(still))
-
-
-def _surface(
-    image: Image, still: Still, window: Window, source: SensorSpec, calibration: Calibration,
-    smoothing_px: float, boundary: Boundary, rounds: int, light: own_light.Told | None,
-    progress: Progress,
-) -> tuple[Floats, own_light.Told | None]:  # fmt: skip
-    """The surface of the window in mm, its rest still to be found, and the light that it was read by.
-
-    It can be stopped at every round.
-    """
-    here, pixel_mm = (window.rows, window.cols), calibration.pixel_mm
-
-    def integrated(gx: Floats, gy: Floats) -> Floats:
-        progress.step(0.6, "integrating slopes")
-        return _integrated(gx, gy, window, pixel_mm, boundary, image.shape)
-
-    if not gel_light.applies(source, calibration):
-        gx, gy = slopes(
-            calibration, image[here], still.picture[here], window.moved, (window.rows.start, window.cols.start),
-            markers=source.markers, smoothing_px=smoothing_px,
-        )  # fmt: skip
-        return integrated(*_finite(gx, gy, source)), None
-    picture = gel_light.seen(image, still.picture, window, smoothing_px, source.markers, pixel_mm)
-    small = gel_light.coarser(picture, image.shape)
-
-    def roughly(gx: Floats, gy: Floats) -> Floats:
-        progress.step(0.4, "integrating slopes")
-        return _integrated(gx, gy, replace(window, moved=small.moved), small.pixel_mm, boundary, image.shape)
-
-    guess = roughly(*_finite(*gel_light.rough_slopes(small, calibration), source))
-    surface, light = own_light.best(guess, small, source, roughly, rounds, light)
-    if small is not picture:
-        surface = gel_light.finer(surface, small.by, window.moved.shape)
-        surface = own_light.read_by(light, surface, picture, source, integrated, 1, steps=gel_light.FINE_STEPS)
-    return surface, light
-
-
-def _finite(gx: Floats, gy: Floats, source: SensorSpec) -> tuple[Floats, Floats]:
-    if not math.isfinite(float(gx.sum()) + float(gy.sum())):
-        raise CalibrationError(f"the look-up of {source.name} gives slopes that are no numbers; calibrate again")
-    return gx, gy
-
-
-def _integrated(
-    gx: Floats, gy: Floats, window: Window, pixel_mm: float, boundary: Boundary, shape: tuple[int, ...]
-) -> Floats:
-    """The integrated indentation of the window, level at its rest outside what has moved.
-
-    A touch at the image border is free there: the gel beyond is not seen, and not known to be at rest.
-    """
-    inside = (window.cols.start > 0, window.cols.stop < shape[1], window.rows.start > 0, window.rows.stop < shape[0])
-    ends: list[Boundary] = [boundary if held else "free" for held in inside]
-    z = integrate(gx, gy, pixel_mm, Sides(*ends))
-    outside = ~window.moved
-    level = float(np.median(z[outside])) if outside.any() else float(z.min())
-    return np.ascontiguousarray(z - np.float32(level))
 
 
 def _settled(surface: Floats, window: Window, source: SensorSpec, pixel_mm: float) -> tuple[Floats, Mask]:

@@ -122,30 +122,33 @@ def seen(
     )  # fmt: skip
 
 
-def coarser(picture: Seen, shape: tuple[int, ...]) -> Seen:
-    """The same on a grid of at most `_CELLS` cells along a picture of `shape`; each is the mean of its pixels.
+def coarser(picture: Seen, shape: tuple[int, ...], cells: int = _CELLS) -> Seen:
+    """The same on a grid of at most `cells` cells along a picture of `shape`; each is the mean of its pixels.
 
     Lens blur leaves nothing finer in the light, and the rounds cost the same at any resolution.
     """
-    import cv2
-
-    by = max(1, round(max(shape) / _CELLS))
+    by = max(1, round(max(shape) / (cells * picture.by)))
     if by == 1:
         return picture
     rows, cols = (-(-n // by) for n in picture.moved.shape)
-
-    def mean(image: Floats) -> Floats:
-        more = (0, rows * by - image.shape[0], 0, cols * by - image.shape[1])
-        whole = cv2.copyMakeBorder(image, *more, cv2.BORDER_REPLICATE)
-        return np.asarray(cv2.resize(whole, (cols, rows), interpolation=cv2.INTER_AREA), np.float32)
-
-    middle = np.float32(0.5 * (by - 1))
+    middle, step = np.float32(0.5 * (by - 1) * picture.by), by * picture.by
     return Seen(
-        x_px=picture.x_px[0] + middle + by * np.arange(cols, dtype=np.float32),
-        y_px=picture.y_px[0] + middle + by * np.arange(rows, dtype=np.float32),
-        change=mean(picture.change), still=mean(picture.still), moved=mean(picture.moved.astype(np.float32)) > 0,
-        by=by, pixel_mm=by * picture.pixel_mm, smoothing_px=picture.smoothing_px,
+        x_px=picture.x_px[0] + middle + step * np.arange(cols, dtype=np.float32),
+        y_px=picture.y_px[0] + middle + step * np.arange(rows, dtype=np.float32),
+        change=means(picture.change, by), still=means(picture.still, by),
+        moved=means(picture.moved.astype(np.float32), by) > 0,
+        by=step, pixel_mm=by * picture.pixel_mm, smoothing_px=picture.smoothing_px,
     )  # fmt: skip
+
+
+def means(image: Floats, by: int) -> Floats:
+    """Means of an image (rows, cols, ...) over cells of `by` x `by` pixels; the last ones as if it went on."""
+    import cv2
+
+    rows, cols = (-(-n // by) for n in image.shape[:2])
+    more = (0, rows * by - image.shape[0], 0, cols * by - image.shape[1])
+    whole = cv2.copyMakeBorder(image, *more, cv2.BORDER_REPLICATE)
+    return np.asarray(cv2.resize(whole, (cols, rows), interpolation=cv2.INTER_AREA), np.float32)
 
 
 def finer(surface_mm: Floats, by: int, shape: tuple[int, ...]) -> Floats:
@@ -186,9 +189,9 @@ def corrected(
     limits = (np.float32(_PULL), np.float32(HUBER_GREY), _STEEPEST, OUTSIDE)
     by, sure = np.empty((2, 3), np.float32), np.empty_like(picture.change)
     for _ in range(rounds):
-        z = np.clip(surface_mm, _LEAST_MM, source.limits.indentation_max_mm) * picture.moved
+        z = within(surface_mm, picture, source)
         gx, gy = slopes(z, pixel_mm)
-        shone = (picture.still, bright, _passed(source, z, pixel_mm))
+        shone = (picture.still, bright, passed(source, z, pixel_mm))
         lit(gx, gy, place, shone, out)
         rest = picture.change - blurred(out, source, picture)
         misfit = explained(rest, picture.change, picture.moved, place, shone, limits, by, gx, gy, sure)
@@ -196,6 +199,11 @@ def corrected(
             nearest(surface_mm, (gx, gy), sure, pixel_mm, integrated, steps) if light == "sure" else integrated(gx, gy)
         )
     return surface_mm, misfit
+
+
+def within(surface_mm: Floats, picture: Seen, source: SensorSpec) -> Floats:
+    """The surface (rows, cols) no farther out or in than the sensor's gel goes; at rest where nothing has moved."""
+    return np.clip(surface_mm, _LEAST_MM, source.limits.indentation_max_mm) * picture.moved
 
 
 def hardly_told(touched: Mask, still: Floats, source: SensorSpec) -> bool:
@@ -274,7 +282,7 @@ def _gains(source: SensorSpec, picture: Seen) -> Floats:
     return np.asarray(cv2.remap(table, wide, tall, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
 
 
-def _passed(source: SensorSpec, surface_mm: Floats, pixel_mm: float) -> Floats:
+def passed(source: SensorSpec, surface_mm: Floats, pixel_mm: float) -> Floats:
     """The share of every colour's light (rows, cols, 3) that no dent keeps from a pixel."""
     share = np.ones((*surface_mm.shape, 3), np.float32)
     if optics.optics_of(source).shadow > 0:

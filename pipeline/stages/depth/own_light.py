@@ -4,12 +4,16 @@ How near lamps change colours differs between units more than their untouched pi
 many times over: beside a lamp a slope hardly changes its colour. In turns, the surface is solved for in the light as it
 is known (`gel_light`, with the field in place of lamps), and the light for the surface (`touch_light`), its depth
 included.
+
+Lamps that shine as described, but aside, stronger or weaker, are fitted first (`own_lamps`): where some unit's explain
+the picture, no other light is looked for.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +23,9 @@ from pipeline.calibration import light_field, near_lamps, slope_model, touch_lig
 from pipeline.calibration.light_field import Surface
 from pipeline.physics import optics
 from pipeline.physics.slopes import slopes
+from pipeline.sensors.parts import Optics
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import gel_light
+from pipeline.stages.depth import gel_light, own_lamps
 from pipeline.stages.depth.gel_light import Light, Seen, blurred
 from pipeline.stages.depth.poisson import Integrated
 
@@ -38,7 +43,9 @@ _PULL = 20.0  # grey levels squared per unit slope squared: in weak light a colo
 _STEEPEST = np.float32(1.43)  # mm/mm, 55 degrees
 _LEAST_MM = -0.5  # no gel bulges out farther
 
-Told = Light | Doubles  # as described, or the coefficients of a field (`light_field`)
+# As described, by lamps of the unit's own (`own_lamps`), or the coefficients of a field (`light_field`).
+Told = Light | Optics | Doubles
+Integrates = Callable[[Seen], Integrated]  # what makes slopes of those pixels a surface
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,18 +58,24 @@ class Own:
 
 
 def best(
-    surface_mm: Floats, picture: Seen, source: SensorSpec, integrated: Integrated, rounds: int = gel_light.ROUNDS,
+    surface_mm: Floats, picture: Seen, source: SensorSpec, integrates: Integrates, rounds: int = gel_light.ROUNDS,
     known: Told | None = None,
 ) -> tuple[Floats, Told]:  # fmt: skip
     """The surface by the light that explains most of the picture, and that light; one `known` is not looked for.
 
-    The touch's own has to explain far more than the described one. Lamps that cast shadows stand low and aside: they
-    shine evenly. Described light that explains most of the picture is "sure". `rounds` are those of
-    `gel_light.corrected`; fewer make a draft, which takes no more turns either.
+    Lamps of some unit that explain the picture come first. The touch's own field has to explain far more than the
+    described light. Lamps that cast shadows stand low and aside: they shine evenly. Described light that explains most
+    of the picture is "sure". `rounds` are those of `gel_light.corrected`; fewer make a draft, which takes no more turns
+    either.
     """
+    integrated = integrates(picture)
     if known is not None:
         return read_by(known, surface_mm, picture, source, integrated, rounds), known
     surface, misfit = gel_light.corrected(surface_mm, picture, source, "even", integrated, rounds)
+    lamps = own_lamps.fitted(source, [touch(surface, picture, source, integrates)], rounds)
+    if lamps is not None:
+        unit = replace(source, optics=lamps)
+        return gel_light.corrected(surface, picture, unit, "sure", integrated, rounds)[0], lamps
     if optics.optics_of(source).shadow > 0:
         return _surely(surface, picture, source, integrated, rounds)
     own = adapted(surface_mm, picture, source, integrated, min(rounds, _TURNS), misfit)
@@ -70,6 +83,18 @@ def best(
         return own.surface_mm, own.coefficients
     other, left = gel_light.corrected(surface_mm, picture, source, "near", integrated, rounds)
     return _surely(surface, picture, source, integrated, rounds) if misfit <= _CLEARLY * left else (other, "near")
+
+
+def explains(light: Told | None) -> bool:
+    """Whether a light is known to explain the picture, so that pixels count as far as they tell."""
+    return isinstance(light, Optics) or (isinstance(light, str) and light == "sure")
+
+
+def touch(surface_mm: Floats, picture: Seen, source: SensorSpec, integrates: Integrates) -> own_lamps.Touch:
+    """What a touch whose surface is about known says of its unit's lamps."""
+    cells = gel_light.coarser(picture, source.camera.shape, own_lamps.CELLS)
+    surface = gel_light.means(surface_mm, cells.by // picture.by) if cells is not picture else surface_mm
+    return own_lamps.Touch(picture=cells, surface_mm=surface, integrated=integrates(cells))
 
 
 def _surely(
@@ -86,6 +111,8 @@ def read_by(
     steps: int = gel_light.STEPS,
 ) -> Floats:  # fmt: skip
     """A surface (rows, cols) corrected in a light that `best` has found."""
+    if isinstance(light, Optics):
+        source, light = replace(source, optics=light), "sure"
     if isinstance(light, str):
         if light == "sure" and rounds > 1:
             surface_mm = gel_light.corrected(surface_mm, picture, source, "even", integrated, rounds)[0]

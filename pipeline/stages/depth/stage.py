@@ -251,12 +251,12 @@ def _at_rest(frame: TactileFrame, source: SensorSpec) -> DepthMap:
     )
 
 
-def _pictures(frame: TactileFrame, source: SensorSpec) -> tuple[str, str, str]:
+def _pictures(frame: TactileFrame, source: SensorSpec) -> tuple[str, ...]:
     """What a light belongs to: the touch as it was seen, however it is read."""
-    return source.name, content(frame.image), content(frame.reference)
+    return source.name, content(frame.image), content(frame.reference), content(frame.beside)
 
 
 _rests: Memo[tuple[str, Camera], DepthMap] = Memo(16)
 # The light that the last whole answer of a picture was read by: a draft of it does not look for one again, which takes
 # half of its time, and shows what letting go will show.
-_lights: Memo[tuple[str, str, str], own_light.Told] = Memo(_LIGHTS)
+_lights: Memo[tuple[str, ...], own_light.Told] = Memo(_LIGHTS)

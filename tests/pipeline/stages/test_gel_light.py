@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from pipeline.base.progress import SILENT
 from pipeline.calibration import near_lamps, slope_model, touch_light
 from pipeline.calibration.lookup import BallFit, built_in
 from pipeline.geometry.rigid import translation
@@ -14,7 +15,7 @@ from pipeline.physics.slopes import slopes
 from pipeline.sensors.spec import sensor
 from pipeline.simulation import shapes, variation
 from pipeline.simulation.press import press
-from pipeline.stages.depth import gel_light, own_light
+from pipeline.stages.depth import drift, gel_light, lit_surface, moved, own_lamps, own_light
 from pipeline.stages.depth.stage import DepthParams, depth, gel
 from pipeline.values.frames import TactileFrame
 from tests.pipeline.calibration.test_balls import hertz
@@ -96,7 +97,60 @@ def test_light_that_does_not_explain_the_picture_is_not_sure():
         odd = replace(frame, image=np.ascontiguousarray(image), reference=np.ascontiguousarray(
             frame.reference if image is frame.image else frame.reference[:, :, ::-1]))  # fmt: skip
         lights.append(gel(odd, source, None, PARAMS)[1].light)
-    assert lights == ["sure", "even"]
+    assert own_light.explains(lights[0])
+    assert lights[1] == "even"
+
+
+@lru_cache
+def on_another_gelslim():
+    """Touches of one unit whose lamps are not as described: (frames, truths, unit)."""
+    unit, thing = variation.varied(sensor("gelslim"), 7), shapes.shape("star").mesh
+    lowest = thing.vertices_mm[:, 2].min()
+    felt = [press(thing, translation(x, y, -0.5 - lowest), unit, seed=2) for x, y in ((0.3, -0.4), (-3.0, 2.0))]
+    still = optics.untouched(unit)
+    frames = [TactileFrame(sensor="gelslim", image=one.image, reference=still) for one in felt]
+    return frames, [one.truth for one in felt], unit
+
+
+def test_lamps_of_another_unit_are_told_by_its_touch():
+    (frame, _), (truth, _), unit = on_another_gelslim()
+    source = sensor("gelslim")
+    found, measured = gel(frame, source, None, PARAMS)
+    as_told, _ = gel(frame, source, None, PARAMS, light="sure")
+    assert error_mm(found, truth) < 0.5 * error_mm(as_told, truth)
+    off = [
+        [abs(led.azimuth_deg - true.azimuth_deg) for led, true in zip(told.leds, unit.optics.leds, strict=True)]
+        for told in (measured.light, source.optics)
+    ]
+    assert max(off[0]) < 0.5 * max(off[1])
+
+
+def test_touches_of_one_unit_are_read_in_one_light_whoever_asks_first():
+    frames, truths, _ = on_another_gelslim()
+    source, beside = sensor("gelslim"), tuple(frame.image for frame in frames)
+    found = [gel(replace(frame, beside=beside), source, None, PARAMS) for frame in frames]
+    lights = [measured.light for _, measured in found]
+    assert lights[0] == lights[1] == own_lamps.fitted(source, list(touches(frames, source)))
+    for frame, truth, (depth_map, _) in zip(frames, truths, found, strict=True):
+        as_told, _ = gel(frame, source, None, PARAMS, light="sure")
+        assert error_mm(depth_map, truth) < 0.6 * error_mm(as_told, truth)
+
+
+def touches(frames, source):
+    """What frames say of their unit, looked at anew."""
+    for frame in frames:
+        still = drift.stilled(frame.image, frame.reference)
+        window = moved.window(frame.image, still.grey, source.limits.no_touch, source.pixel_mm)
+        yield lit_surface.touch(
+            lit_surface.Changed(image=frame.image, still=still, window=window, source=source,
+                                calibration=built_in(source), smoothing_px=1.0, boundary="flat"), SILENT)  # fmt: skip
+
+
+def test_one_touch_beside_tells_no_more_than_the_frame_itself():
+    (frame, _), _, _ = on_another_gelslim()
+    alone, _ = gel(frame, sensor("gelslim"), None, PARAMS)
+    beside, _ = gel(replace(frame, beside=(frame.image,)), sensor("gelslim"), None, PARAMS)
+    assert alone.indentation_mm.tobytes() == beside.indentation_mm.tobytes()
 
 
 def test_the_same_picture_gives_the_same_bytes():
@@ -186,7 +240,7 @@ def test_the_light_that_explains_the_picture_is_taken(near, monkeypatch):
 
     monkeypatch.setattr(own_light, "corrected", watched)
     found = depth(frame, sensor("gelsight_mini"), None, PARAMS)
-    assert (taken[-1] == 1) == near  # the picture's own pixels are looked at in the light that was taken
+    assert (taken[-1:] == [1]) == near  # the picture's own pixels are looked at in the light that was taken
     # Lamps that none of the usual units has: how deep a touch in their light is, it does not tell exactly.
     assert error_mm(found, truth) < (UNUSUAL_MM if near else EITHER_MM)
 

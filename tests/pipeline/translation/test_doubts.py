@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -10,12 +11,14 @@ import pytest
 from app.session.sample import SAMPLE
 from pipeline.base.arrays import freeze
 from pipeline.base.doubts import Doubt, doubts
+from pipeline.engine.digests import content
 from pipeline.engine.graph import StageResult
 from pipeline.geometry.camera import Camera
 from pipeline.recordings import open_recording
 from pipeline.stages.slot import Facts
 from pipeline.translation.doubts import with_truth
-from pipeline.translation.touched import touched_frame
+from pipeline.translation.touched import telling_touches, touched_frame
+from pipeline.translation.translate import Request, open_translation
 from pipeline.values.frames import TactileFrame, Truth
 from pipeline.values.results import TargetView
 
@@ -54,6 +57,32 @@ def test_the_first_frame_looked_at_is_a_touched_one():
     index = touched_frame(stream)
     assert stream.truth(index).contact.any()
     assert not stream.truth(0).contact.any()
+
+
+def test_touches_that_tell_of_the_light_are_strong_and_in_different_places():
+    base = open_recording(SAMPLE).stream("gelslim").frame(0)
+
+    def frame(index: int) -> TactileFrame:
+        image = base.reference.copy()
+        place = ((40, 40), (40, 40), (200, 300), (120, 200), (0, 0))[index]
+        image[place[0] : place[0] + 60, place[1] : place[1] + 60] ^= np.uint8((32, 64, 48, 1, 0)[index])
+        return replace(base, image=image, index=index)
+
+    stream = replace(open_recording(SAMPLE).stream("gelslim"), n_frames=5, frame=frame)
+    told = telling_touches(stream)
+    assert [image.tobytes() for image in told[:2]] == [frame(1).image.tobytes(), frame(2).image.tobytes()]
+    assert frame(4).image.tobytes() not in [image.tobytes() for image in told]
+    bubble = open_recording(SAMPLE, sensor="soft_bubble").stream("soft_bubble")
+    assert telling_touches(bubble) == ()
+
+
+def test_every_frame_of_a_recording_brings_the_touches_that_tell_of_its_light():
+    request = Request(recording=SAMPLE, source="gelslim", target="soft_bubble")
+    with closing(open_translation(request)) as one, closing(open_translation(request)) as other:
+        first, last = (one.inputs(index)["frame"] for index in (0, one.n_frames - 1))
+        assert len(first.beside) > 1
+        assert first.beside is last.beside
+        assert content(other.inputs(one.n_frames - 1)["frame"]) == content(last)  # nothing hangs on what was read first
 
 
 def test_frames_without_an_untouched_reading_begin_at_the_first():

@@ -1,0 +1,203 @@
+"""The lamps of a unit as its touches tell of them: as described, but aside, stronger or weaker.
+
+Units differ in where their lamps stand and what they give, in how light falls off, in the lens, in how long shadows
+are: numbers t beside the description, of which it is known beforehand how far units differ, C. Whatever they are, the
+surface explains as much of the picture as it can; what speaks for them is what no surface explains (variable
+projection, Golub and Pereyra 1973). A step dt changes that, summed over all touches, by D dt,
+
+    D = T - J grad P(J^+ T),    dt = (sum D' W D / s^2 + C^-1)^-1 (sum D' W r / s^2 - C^-1 t)
+
+with T, J what numbers and slopes change in the picture, J^+ the slopes that explain a change best, P their surface, r
+what is left of the picture and W Huber's weights. How strong all lamps are is told by slopes that are not small, and by
+C. Several touches of one unit tell more than one: on simulated units the light of eight is as good as the true one.
+
+Real units leave more of their pictures, or ask for lamps that are no unit's: they are read in another light
+(`own_light`). Both limits lie between simulated units and the recordings that `benchmarks/real_depth.py` reads.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles, Floats
+from pipeline.physics import optics
+from pipeline.physics.slopes import slopes
+from pipeline.sensors.parts import Led, Optics
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.depth import gel_light
+from pipeline.stages.depth.gel_light import Seen
+from pipeline.stages.depth.poisson import Integrated
+
+CELLS = 80  # of the grid, along the longer side of a picture: half of it tells of the lamps as much
+_TURNS, _ROUNDS = 4, 2
+_AZIMUTH_DEG, _ELEVATION_DEG = 8.0, 3.0  # standard deviations between units, as `simulation.variation` has them
+_POWER, _COLOUR = 0.12, 0.08  # of the logarithm: of a whole lamp, of each of its colours
+_OTHERS = (0.05, 0.08, 0.15, 0.25, 3.0)  # of fall-off, vignette, blur, shadow (both of the logarithm), its degrees
+_STEP = 0.15  # standard deviations, for rates of change
+_SLOPE_STEP = np.float32(0.02)  # mm/mm
+_NOISE_GREY = 6.0  # of a colour: what no lamps explain
+_WORTH = 200.0  # pixels of a touch that can be independent
+_PULL = 500.0  # as `gel_light` has it
+_TELLS = (2.0, 252.0)  # grey levels between which a camera tells
+_HOPELESS = 0.65  # of the change, left by described lamps: simulated units 0.10 to 0.58 of it, other units up to 1
+_NOISE_LEFT = 1.5  # grey levels a pixel
+# Of the change, left beyond noise, and of t' C^-1 t: as much of both together as one alone may be. Simulated units have
+# up to 0.8 of it, one in twenty more; single balls on a real Mini 1.03 to 1.9, other real units from 2.
+_LEFT, _UNLIKELY = 0.3, 60.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Touch:
+    """A picture, what its surface is about, and what makes slopes of its pixels a surface."""
+
+    picture: Seen
+    surface_mm: Floats  # (rows, cols)
+    integrated: Integrated
+
+
+def fitted(source: SensorSpec, touches: Sequence[Touch], turns: int = _TURNS) -> Optics | None:
+    """The optics of the unit that took all these pictures; None where no usual unit's explain them. Needs optics."""
+    from threadpoolctl import threadpool_limits
+
+    base = optics.optics_of(source)
+    spread = _spread(len(base.leds))
+    certain = np.linalg.inv(spread @ spread.T)
+    steps, unit = np.zeros(len(spread)), source
+    noise = sum(_NOISE_LEFT * np.count_nonzero(touch.picture.moved) for touch in touches)
+    changed = sum(_changed(touch.picture) for touch in touches)
+    # Several threads would add up in another order.
+    with threadpool_limits(limits=1, user_api="blas"):
+        for turn in range(turns):
+            touches, left = _seen_in(unit, touches)
+            if turn == 0 and left > noise + _HOPELESS * changed:
+                return None
+            normal, right = certain.copy(), -certain @ steps
+            for touch in touches:
+                more, to = _told(unit, base, steps, spread, touch)
+                normal += more
+                right += to
+            steps = steps + np.linalg.solve(normal, right)
+            unit = replace(source, optics=_moved(base, steps))
+        _, left = _seen_in(unit, touches)
+        unlikely = float(steps @ certain @ steps) / _UNLIKELY
+    unexplained = max(0.0, left - noise) / (_LEFT * max(changed, 1.0))
+    return unit.optics if unlikely + unexplained <= 1.0 else None
+
+
+def _seen_in(unit: SensorSpec, touches: Sequence[Touch]) -> tuple[list[Touch], float]:
+    """The touches with their surfaces in this unit's light, and what it leaves of their pictures."""
+    found, left = list[Touch](), 0.0
+    for touch in touches:
+        surface, misfit = gel_light.corrected(
+            touch.surface_mm, touch.picture, unit, "sure", touch.integrated, rounds=_ROUNDS
+        )
+        found.append(replace(touch, surface_mm=surface))
+        left += misfit
+    return found, left
+
+
+def _changed(picture: Seen) -> float:
+    """Grey levels that have changed, summed as what is left of them is."""
+    return float(np.minimum(np.abs(picture.change), np.float32(2.0 * gel_light.HUBER_GREY))[picture.moved].sum())
+
+
+def _spread(n_lamps: int) -> Doubles:
+    """A root of what is known of the numbers beforehand, (m, m): azimuth, elevation, three colours a lamp, and more."""
+    lamp = np.zeros((5, 5))
+    lamp[0, 0], lamp[1, 1] = _AZIMUTH_DEG, _ELEVATION_DEG
+    lamp[2:, 2:] = np.linalg.cholesky(_COLOUR**2 * np.eye(3) + _POWER**2)
+    m = 5 * n_lamps
+    whole = np.zeros((m + len(_OTHERS), m + len(_OTHERS)))
+    whole[:m, :m] = np.kron(np.eye(n_lamps), lamp)
+    whole[m:, m:] = np.diag(_OTHERS)
+    return whole
+
+
+def _moved(base: Optics, steps: Doubles) -> Optics:
+    """The optics that lie `steps` (m,) beside those described."""
+    n = len(base.leds)
+    falloff, vignette, blur, shadow, shadow_deg = (float(v) for v in steps[5 * n :])
+    return replace(
+        base,
+        leds=tuple(_lamp(led, steps[5 * k : 5 * k + 5]) for k, led in enumerate(base.leds)),
+        falloff=min(max(base.falloff + falloff, 0.0), 1.0),
+        vignette=min(max(base.vignette + vignette, 0.0), 1.0),
+        blur_px=base.blur_px * math.exp(blur),
+        shadow=min(base.shadow * math.exp(shadow), 1.0),
+        shadow_deg=min(max(base.shadow_deg + shadow_deg, 5.0), 80.0),
+    )
+
+
+def _lamp(led: Led, step: Doubles) -> Led:
+    red, green, blue = (float(v * s) for v, s in zip(led.rgb, np.exp(step[2:]), strict=True))
+    return Led(
+        azimuth_deg=float(led.azimuth_deg + step[0]) % 360.0,
+        elevation_deg=min(max(float(led.elevation_deg + step[1]), 5.0), 80.0),
+        rgb=(red, green, blue),
+    )
+
+
+def _told(unit: SensorSpec, base: Optics, steps: Doubles, spread: Doubles, touch: Touch) -> tuple[Doubles, Doubles]:
+    """What one touch says of the numbers: sum D' W D / s^2 (m, m), and sum D' W r / s^2 (m,)."""
+    picture = touch.picture
+    surface = gel_light.within(touch.surface_mm, picture, unit)
+    gx, gy = slopes(surface, picture.pixel_mm)
+    level = _shown(unit, picture, surface, gx, gy)
+    out = gel_light.blurred(level, unit, picture)
+    rest = picture.change - out
+    weight = _weight(rest, picture)
+    across = (_shown(unit, picture, surface, gx + _SLOPE_STEP, gy) - level) / _SLOPE_STEP
+    down = (_shown(unit, picture, surface, gx, gy + _SLOPE_STEP) - level) / _SLOPE_STEP
+    xx, xy, yy = _PULL + _sum(weight, across, across), _sum(weight, across, down), _PULL + _sum(weight, down, down)
+    per = np.asarray(picture.moved / (xx * yy - xy * xy), np.float32)
+    columns = np.zeros((rest.size, len(steps)))
+    for k, size in enumerate(_STEP * np.sqrt((spread**2).sum(axis=1))):
+        there = steps.copy()
+        there[k] += size
+        other = replace(unit, optics=_moved(base, there))
+        if other.optics == unit.optics:
+            continue  # a colour that a lamp does not have, shadows that no dent casts
+        change = gel_light.blurred(_shown(other, picture, surface, gx, gy), other, picture) - out
+        change /= np.float32(size)
+        to_x, to_y = _sum(weight, across, change), _sum(weight, down, change)
+        bent = touch.integrated((yy * to_x - xy * to_y) * per, (xx * to_y - xy * to_x) * per)
+        by_x, by_y = slopes(bent * picture.moved, picture.pixel_mm)
+        columns[:, k] = (change - across * by_x[..., None] - down * by_y[..., None]).ravel()
+    share = min(1.0, _WORTH / max(1, np.count_nonzero(picture.moved))) / _NOISE_GREY**2
+    weighed = columns * (share * weight.ravel().astype(np.float64))[:, None]
+    return weighed.T @ columns, weighed.T @ rest.ravel()
+
+
+def _shown(source: SensorSpec, picture: Seen, surface_mm: Floats, gx: Floats, gy: Floats) -> Floats:
+    """Grey levels (rows, cols, 3) that a surface and its slopes change as described, before the lens."""
+    from pipeline.stages.depth.gel_light_kernels import lit
+
+    told, camera = optics.optics_of(source), source.camera
+    size = np.array([camera.cols, camera.rows], np.float32)
+    place = (picture.x_px, picture.y_px, size, *optics.lamps(told, camera), np.float32(told.vignette))
+    out = np.empty_like(picture.change)
+    lit(
+        gx,
+        gy,
+        place,
+        (picture.still, np.ones_like(picture.still), gel_light.passed(source, surface_mm, picture.pixel_mm)),
+        out,
+    )
+    return out
+
+
+def _weight(rest: Floats, picture: Seen) -> Floats:
+    """How much every colour (rows, cols, 3) counts."""
+    seen, (dark, bright) = picture.still + picture.change, _TELLS
+    tells = (seen > dark) & (seen < bright) & picture.moved[..., None]
+    huber = np.float32(gel_light.HUBER_GREY)
+    return np.asarray(tells * np.minimum(1.0, huber / np.maximum(np.abs(rest), huber)), np.float32)
+
+
+def _sum(weight: Floats, a: Floats, b: Floats) -> Floats:
+    """Of the colours of every pixel (rows, cols)."""
+    return np.einsum("rck,rck,rck->rc", weight, a, b)
