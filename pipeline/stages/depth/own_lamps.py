@@ -22,6 +22,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats
 from pipeline.physics import optics
@@ -33,7 +34,7 @@ from pipeline.stages.depth.gel_light import Seen
 from pipeline.stages.depth.poisson import Integrated
 
 CELLS = 80  # of the grid, along the longer side of a picture: half of it tells of the lamps as much
-_TURNS, _ROUNDS = 4, 2
+_TURNS, _TURNS_ANEW, _ROUNDS = 4, 2, 2  # the last turns step by the rates of those before
 _AZIMUTH_DEG, _ELEVATION_DEG = 8.0, 3.0  # standard deviations between units, as `simulation.variation` has them
 _POWER, _COLOUR = 0.12, 0.08  # of the logarithm: of a whole lamp, of each of its colours
 _OTHERS = (0.05, 0.08, 0.15, 0.25, 3.0)  # of fall-off, vignette, blur, shadow (both of the logarithm), its degrees
@@ -41,13 +42,13 @@ _STEP = 0.15  # standard deviations, for rates of change
 _SLOPE_STEP = np.float32(0.02)  # mm/mm
 _NOISE_GREY = 6.0  # of a colour: what no lamps explain
 _WORTH = 200.0  # pixels of a touch that can be independent
-_PULL = 500.0  # as `gel_light` has it
+_PULL = np.float32(500.0)  # as `gel_light` has it
 _TELLS = (2.0, 252.0)  # grey levels between which a camera tells
 _HOPELESS = 0.65  # of the change, left by described lamps: simulated units 0.10 to 0.58 of it, other units up to 1
 _NOISE_LEFT = 1.5  # grey levels a pixel
 # Of the change, left beyond noise, and of t' C^-1 t: as much of both together as one alone may be. Simulated units have
-# up to 0.8 of it, one in twenty more; single balls on a real Mini 1.03 to 1.9, other real units from 2.
-_LEFT, _UNLIKELY = 0.3, 60.0
+# up to 0.97 of it, one in a hundred more; single balls on a real Mini 1.05 to 1.9, other real units from 2.
+_LEFT, _UNLIKELY = 0.24, 60.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +67,7 @@ def fitted(source: SensorSpec, touches: Sequence[Touch], turns: int = _TURNS) ->
     base = optics.optics_of(source)
     spread = _spread(len(base.leds))
     certain = np.linalg.inv(spread @ spread.T)
-    steps, unit = np.zeros(len(spread)), source
+    steps, unit, rates = np.zeros(len(spread)), source, list[_Rates]()
     noise = sum(_NOISE_LEFT * np.count_nonzero(touch.picture.moved) for touch in touches)
     changed = sum(_changed(touch.picture) for touch in touches)
     # Several threads would add up in another order.
@@ -75,12 +76,11 @@ def fitted(source: SensorSpec, touches: Sequence[Touch], turns: int = _TURNS) ->
             touches, left = _seen_in(unit, touches)
             if turn == 0 and left > noise + _HOPELESS * changed:
                 return None
-            normal, right = certain.copy(), -certain @ steps
-            for touch in touches:
-                more, to = _told(unit, base, steps, spread, touch)
-                normal += more
-                right += to
-            steps = steps + np.linalg.solve(normal, right)
+            if turn < _TURNS_ANEW:
+                rates = [_rates(unit, base, steps, spread, touch) for touch in touches]
+            normal = certain + sum(rate.normal for rate in rates)
+            pulls = [rate.weighed.T @ _rest(unit, touch).ravel() for rate, touch in zip(rates, touches, strict=True)]
+            steps = steps + np.linalg.solve(normal, sum(pulls) - certain @ steps)
             unit = replace(source, optics=_moved(base, steps))
         _, left = _seen_in(unit, touches)
         unlikely = float(steps @ certain @ steps) / _UNLIKELY
@@ -141,20 +141,33 @@ def _lamp(led: Led, step: Doubles) -> Led:
     )
 
 
-def _told(unit: SensorSpec, base: Optics, steps: Doubles, spread: Doubles, touch: Touch) -> tuple[Doubles, Doubles]:
-    """What one touch says of the numbers: sum D' W D / s^2 (m, m), and sum D' W r / s^2 (m,)."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Rates:
+    """How a touch's picture changes with the numbers beyond what its surface explains."""
+
+    weighed: Doubles  # (n, m) W D / s^2, of n colours of pixels
+    normal: Doubles  # (m, m) D' W D / s^2
+
+
+def _rest(unit: SensorSpec, touch: Touch) -> Floats:
+    """What is left of the picture (rows, cols, 3)."""
+    surface = gel_light.within(touch.surface_mm, touch.picture, unit)
+    level = _shown(unit, touch.picture, surface, *slopes(surface, touch.picture.pixel_mm))
+    return touch.picture.change - gel_light.blurred(level, unit, touch.picture)
+
+
+def _rates(unit: SensorSpec, base: Optics, steps: Doubles, spread: Doubles, touch: Touch) -> _Rates:
     picture = touch.picture
     surface = gel_light.within(touch.surface_mm, picture, unit)
     gx, gy = slopes(surface, picture.pixel_mm)
     level = _shown(unit, picture, surface, gx, gy)
     out = gel_light.blurred(level, unit, picture)
-    rest = picture.change - out
-    weight = _weight(rest, picture)
+    weight = _weight(picture.change - out, picture)
     across = (_shown(unit, picture, surface, gx + _SLOPE_STEP, gy) - level) / _SLOPE_STEP
     down = (_shown(unit, picture, surface, gx, gy + _SLOPE_STEP) - level) / _SLOPE_STEP
-    xx, xy, yy = _PULL + _sum(weight, across, across), _sum(weight, across, down), _PULL + _sum(weight, down, down)
-    per = np.asarray(picture.moved / (xx * yy - xy * xy), np.float32)
-    columns = np.zeros((rest.size, len(steps)))
+    xx, xy, yy = _sum(weight, across, across) + _PULL, _sum(weight, across, down), _sum(weight, down, down) + _PULL
+    per = picture.moved / (xx * yy - xy * xy)
+    columns = np.zeros((out.size, len(steps)))
     for k, size in enumerate(_STEP * np.sqrt((spread**2).sum(axis=1))):
         there = steps.copy()
         there[k] += size
@@ -163,13 +176,13 @@ def _told(unit: SensorSpec, base: Optics, steps: Doubles, spread: Doubles, touch
             continue  # a colour that a lamp does not have, shadows that no dent casts
         change = gel_light.blurred(_shown(other, picture, surface, gx, gy), other, picture) - out
         change /= np.float32(size)
-        to_x, to_y = _sum(weight, across, change), _sum(weight, down, change)
-        bent = touch.integrated((yy * to_x - xy * to_y) * per, (xx * to_y - xy * to_x) * per)
+        to_x, to_y = per * _sum(weight, across, change), per * _sum(weight, down, change)
+        bent = touch.integrated(_single(yy * to_x - xy * to_y), _single(xx * to_y - xy * to_x))
         by_x, by_y = slopes(bent * picture.moved, picture.pixel_mm)
         columns[:, k] = (change - across * by_x[..., None] - down * by_y[..., None]).ravel()
     share = min(1.0, _WORTH / max(1, np.count_nonzero(picture.moved))) / _NOISE_GREY**2
     weighed = columns * (share * weight.ravel().astype(np.float64))[:, None]
-    return weighed.T @ columns, weighed.T @ rest.ravel()
+    return _Rates(weighed=weighed, normal=weighed.T @ columns)
 
 
 def _shown(source: SensorSpec, picture: Seen, surface_mm: Floats, gx: Floats, gy: Floats) -> Floats:
@@ -198,6 +211,10 @@ def _weight(rest: Floats, picture: Seen) -> Floats:
     return np.asarray(tells * np.minimum(1.0, huber / np.maximum(np.abs(rest), huber)), np.float32)
 
 
+def _single(field: NDArray[np.floating]) -> Floats:
+    return np.asarray(field, np.float32)
+
+
 def _sum(weight: Floats, a: Floats, b: Floats) -> Floats:
     """Of the colours of every pixel (rows, cols)."""
-    return np.einsum("rck,rck,rck->rc", weight, a, b)
+    return _single(np.einsum("rck,rck,rck->rc", weight, a, b))
