@@ -23,7 +23,7 @@ _FREE_MM = 0.05  # an object this much before the membrane is still within the e
 _OUTLINE_PX = 2.0  # within so many pixels the contact's own outline is not known better
 CORRELATION_MM = 0.5  # errors of a membrane's shape hang together over this length
 LEAST_SPREAD_MM = 0.02  # of what a membrane's shape is known to, however well something fits
-_FAR = 3.0  # standard deviations of a pixel, by which noise puts the membrane behind an object that only nears it
+_FAR = 3.0  # standard deviations of depth, by which errors put the membrane behind an object that only nears it
 _TELLING = 2.0  # standard errors from which one misfit is larger than another
 
 
@@ -74,8 +74,10 @@ class Judge:
         from pipeline.registration.ranking_kernels import unexplained
 
         camera, pixel_mm = self.scene.camera, self.scene.pixel_mm
+        # A light touch is lost in the error of the depth: an object so little before the membrane was perhaps felt.
+        within_mm = _FAR * math.hypot(self.scene.noise_mm, self.scene.error.rms_mm)
         view = (
-            camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, _FAR * self.scene.noise_mm,
+            camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, within_mm,
             max(_FREE_MM, pixel_mm / 2), _OUTLINE_PX * pixel_mm, self.scene.membrane_mm, self.scene.off_contact_mm,
         )  # fmt: skip
         model, n_model = (self.model.points_mm, self.model.normals), len(self.model.points_mm)

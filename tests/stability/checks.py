@@ -98,6 +98,9 @@ def _pose(p) -> None:
         assert p.observable is None
         return
     rigid.checked(p.sensor_from_object, "the pose")
+    if p.covariance is None:  # a network and ICP say nothing of it
+        assert p.observable is None
+        return
     assert np.isfinite(p.covariance).all()
     assert np.linalg.eigvalsh(0.5 * (p.covariance + p.covariance.T)).min() > 0
     assert np.abs(p.observable @ p.observable - p.observable).max() < 1e-6 * (1 + np.abs(p.observable).max() ** 2)

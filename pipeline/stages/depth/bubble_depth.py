@@ -91,7 +91,8 @@ def as_moved(
     if gaps.any():
         moved, known = filled(moved, read)
         rest, _ = filled(np.where(gaps, np.float32(0.0), rest), read)
-        notes.append(f"{int((gaps & known).sum())} pixels had no reading and were filled from around them")
+        if n_filled := int((gaps & known).sum()):
+            notes.append(f"{n_filled} pixels had no reading and were filled from around them")
         if not known.all():
             notes.append(f"{int((~known).sum())} pixels have no value: nothing was read there or close by")
     notes += _bulge(moved)

@@ -31,7 +31,7 @@ PHYSICS = Method(
     run=unless(stage.without_contact, stage.generate),
     params=stage.GenerateParams,
     reads=("view", "target"),
-    version=2,
+    version=3,
 )
 T2D2 = Method(
     slot="touch",
@@ -43,7 +43,7 @@ T2D2 = Method(
     reads=(*PHYSICS.reads, "touch_weights"),
     weights=view_to_touch.weights,
     draft=draft,
-    version=2,
+    version=3,
 )
 T2T = Method(
     slot="touch",
@@ -55,7 +55,7 @@ T2T = Method(
     reads=(*picture_to_touch.READS, "touch_weights"),
     weights=picture_to_touch.weights,
     draft=draft,
-    version=2,
+    version=3,
 )
 LATENT = Method(
     slot="touch",

@@ -12,7 +12,7 @@ from typing import Literal, assert_never
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Image, Indices, Mask, freeze
+from pipeline.base.arrays import Doubles, Floats, Image, Indices, Mask, freeze
 from pipeline.base.doubts import Doubt
 from pipeline.base.errors import SettingProblem, ShapeError
 from pipeline.base.memo import Memo
@@ -180,7 +180,7 @@ def _bubble_touch(
     answer = bubble.press(target.bubble, ceiling, on, tolerance_mm=1e-3 * params.tolerance_um)
     if not answer.converged:
         notes.append(Doubt("the air pressure of the bubble was not settled; its bulge is doubtful"))
-    depth = bubble_camera.depth_from_deviation(target, answer.deviation_mm, on)
+    depth = _in_front_of(view, seen, bubble_camera.depth_from_deviation(target, answer.deviation_mm, on))
     pressed = lattice.seen_at_pixels(target.camera, answer.contact, on, depth)
     # A membrane bridges every dent of an estimated surface, so that its force sits on the bumps of the noise alone.
     with np.errstate(invalid="ignore"):
@@ -188,6 +188,15 @@ def _bubble_touch(
     notes.append(f"air pressure {target.bubble.pressure_kpa:.2f} -> {answer.pressure_kpa:.2f} kPa")
     image = bubble_camera.reading(target, depth, params.seed if params.noise else None)
     return _touch(view, target, image, (target.rest_depth_mm - depth).astype(np.float32), contact, notes)
+
+
+def _in_front_of(view: TargetView, seen: Floats, depth: Doubles) -> Doubles:
+    """The membrane's depth, nowhere behind the surface that is felt.
+
+    The lattice's cells end at the middles of the outermost pixels that show the object: the membrane falls away from
+    there, half a pixel before the object's edge.
+    """
+    return np.where(view.contact, np.minimum(depth, seen), depth)
 
 
 def _touch(

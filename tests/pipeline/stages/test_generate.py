@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import ShapeError
-from pipeline.physics import gel, optics
+from pipeline.geometry import rigid
+from pipeline.physics import gel, lattice, optics
 from pipeline.sensors.spec import sensor
+from pipeline.simulation.press import press
+from pipeline.simulation.shapes.prisms import bar
 from pipeline.stages.generate.stage import GenerateParams, generate, without_contact
 from pipeline.values.results import TargetView
 
@@ -68,6 +71,21 @@ def test_a_true_contact_gives_back_the_true_gel_surface(surface):
     assert np.abs(touch.membrane.indentation_mm - true.indentation_mm).max() < SURFACE_MM
     assert (touch.membrane.contact & true.contact).sum() > 0.97 * (touch.membrane.contact | true.contact).sum()
     assert np.abs(touch.image.astype(int) - optics.render(spec, true.indentation_mm, seed=None)).max() <= 2
+
+
+@pytest.mark.parametrize("side_mm", [6.0, 9.1, 13.3])
+def test_a_bubble_lies_on_all_of_the_object_that_is_felt_up_to_its_edge(side_mm):
+    """As the simulator presses the same plate: what is told by pixels ends half a pixel before the edge."""
+    spec, half = sensor("soft_bubble"), side_mm / 2
+    plate = bar(((-half, -half), (half, -half), (half, half), (-half, half)), 8.0, 0.05, "plate")
+    truth = press(plate, rigid.translation(0.4, -0.3, -4.0), spec, seed=None).truth
+    seen = lattice.depth_of_mesh(rigid.apply(truth.sensor_from_object, plate.vertices_mm), plate.triangles, spec.camera)
+    with np.errstate(invalid="ignore"):
+        view = view_of(spec, seen < spec.rest_depth_mm, np.nan_to_num(spec.rest_depth_mm - seen))
+    felt = generate(view, spec, GenerateParams()).membrane
+    assert (felt.depth_mm <= np.where(view.contact, view.depth_mm, np.inf) + 1e-4).all(), "through the object"
+    assert view.contact.sum() > 100
+    assert np.abs(felt.indentation_mm - truth.indentation_mm)[view.contact].mean() < 0.03
 
 
 def test_a_bubble_is_slack_over_the_points_and_free_elsewhere():

@@ -17,7 +17,7 @@ from pipeline.registration.ranking import judge
 from pipeline.registration.scene import felt_surface
 from pipeline.stages.pose import way
 from pipeline.stages.pose.stage import PoseParams, icp, planar, pose, pose_from, posed, without_contact
-from pipeline.values.results import PoseStep
+from pipeline.values.results import DepthError, PoseStep
 from tests.pipeline.registration.solids import (
     CAMERA,
     REST_MM,
@@ -304,6 +304,25 @@ def test_a_face_that_only_nears_the_membrane_beside_its_contact_is_not_unfelt():
     plate = prepared(slab().mesh, 0)
     by = judge(scene, plate.grid, plate.model, 750, 15_000, 2.0)
     assert by.misfit_mm([truth])[0] < 1.2 * NOISE_MM
+
+
+def test_a_light_part_of_a_contact_that_is_lost_in_the_error_of_the_depth_speaks_against_no_pose():
+    truth = lying(0.0, 0.0, 0.3, 5.0, 10.0, tilt_deg=(0.0, 2.0))
+    touch = felt(slab(), truth)
+    light = touch.contact & (touch.indentation_mm < 0.15)
+    assert 0.1 < light.sum() / touch.contact.sum() < 0.6
+    depth = touch.depth_mm + np.where(light, np.float32(0.08), np.float32(0.0))
+    lost = replace(touch, depth_mm=depth, contact=touch.contact & ~light)
+    told, exact = (
+        felt_surface(replace(lost, error=error), 1500, 0)
+        for error in (DepthError(rms_mm=0.05, correlation_mm=1.0), None)
+    )
+    plate = prepared(slab().mesh, 0)
+    told_mm, exact_mm = (
+        judge(scene, plate.grid, plate.model, 750, 15_000, 2.0).misfit_mm([truth])[0] for scene in (told, exact)
+    )
+    assert told_mm < 0.05
+    assert exact_mm > 0.3, "where depth is exact, what is not felt is not there"
 
 
 def test_the_stage_follows_a_touch_that_had_a_pose_and_searches_after_one_that_had_none():

@@ -1,0 +1,199 @@
+"""Networks at the ends of their parameters, on pictures that no touch makes: finite, in range, or one sentence."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from pipeline.base.errors import SettingProblem
+from pipeline.base.params import NoParams
+from pipeline.engine.graph import Instead, Skipped
+from pipeline.networks import building, shelf
+from pipeline.networks.guidance import MOST_WEIGHT
+from pipeline.networks.samplers import MOST_STEPS
+from pipeline.physics import optics
+from pipeline.simulation import shapes, variation
+from pipeline.stages.depth import network as depth_network
+from pipeline.stages.depth.gel_network import NetworkParams
+from pipeline.stages.generate import latent, picture_to_touch, view_to_touch, vqvae
+from pipeline.stages.generate.diffusion import DiffusionParams
+from pipeline.stages.generate.latent import LatentParams
+from pipeline.stages.pose import network as pose_network
+from pipeline.stages.pose.stage import PoseParams
+from pipeline.values.frames import TactileFrame
+from tests.stability.checks import outcome, sound
+from tests.stability.rows import SIZE, row
+from tests.stability.scenes import KINDS, aligned, indentation_mm, seeds, small, touch, view
+
+STEPS = (0, 1, 2, 3, 8, *((999, MOST_STEPS) if SIZE.long else ()))  # a thousand take eight seconds
+GUIDANCE = (0.0, 0.5, 1.0, 1.5, 2.54, 7.0, MOST_WEIGHT)
+SOLVERS = ("ddim", "dpmpp_2m", "corrected")
+PICTURES = ("black", "white", "hot pixel", "noise", "saturated", "flat", "untouched", "touch")
+GEL, BUBBLE = "gelslim", "soft_bubble"
+
+
+def shipped(name):
+    return building.network(shelf.shipped(name))
+
+
+def reading(spec, kind: str, seed: int) -> TactileFrame:
+    """A frame that is all of one kind, beside the untouched sensor's."""
+    rng, gel = np.random.default_rng(seed), spec.kind == "gel"
+    still = optics.untouched(spec) if gel else spec.rest_depth_mm.astype(np.float32)
+    low, high = (0, 255) if gel else (np.float32(still.min() - spec.limits.indentation_max_mm), np.float32(still.max()))
+    image = still.copy()
+    if kind in ("black", "white"):
+        image[:] = low if kind == "black" else high
+    elif kind == "flat":
+        image[:] = (0.5 * (float(low) + float(high))) if not gel else 128
+    elif kind == "hot pixel":
+        image[tuple(int(rng.integers(n)) for n in image.shape[:2])] = high if gel else low
+    elif kind == "noise":
+        image[:] = rng.integers(0, 256, image.shape) if gel else rng.uniform(low, high, image.shape)
+    elif kind in ("saturated", "touch"):
+        pushed = np.minimum(indentation_mm(spec, "sphere", rng), spec.limits.indentation_max_mm).astype(np.float32)
+        image = optics.render(spec, pushed, seed=None).copy() if gel else (still - pushed).astype(np.float32)
+        if kind == "saturated":
+            image = np.where(image > 140, 255, image).astype(np.uint8) if gel else np.where(pushed > 0, low, image)
+    return TactileFrame(sensor=spec.name, image=image, reference=still)
+
+
+def answered(result):
+    """Check what a method answers, whatever it is wrapped in."""
+    if isinstance(result, Skipped):
+        result = result.output
+    assert not isinstance(result, Instead), "a network was to answer"
+    return result
+
+
+def sound_touch(result, spec) -> None:
+    """A picture without holes, and where there is a membrane one that the sensor can have."""
+    if result is None:
+        return  # refused in a sentence, of which the row counts how many
+    found = answered(result)
+    assert found.image.shape[:2] == spec.camera.shape
+    assert found.image.dtype == np.uint8 if spec.kind == "gel" else np.isfinite(found.image).all()
+    if found.membrane is None:
+        return
+    sound(found)
+    moved, most = found.membrane.indentation_mm, spec.limits.indentation_max_mm
+    assert moved.max() <= most + 1e-4
+    assert moved.min() >= -most - 1e-4, "farther out than it can be pressed in"
+    assert (found.membrane.depth_mm > 0).all(), "behind its camera"
+    if found.membrane.spread_mm is not None:
+        assert np.isfinite(found.membrane.spread_mm).all()
+        assert (found.membrane.spread_mm >= 0).all()
+    for step in found.steps:
+        assert np.isfinite(step.membrane.indentation_mm).all()
+
+
+params = st.builds(
+    DiffusionParams,
+    steps=st.sampled_from(STEPS), guidance=st.sampled_from(GUIDANCE), sampler=st.sampled_from(SOLVERS),
+    caution=st.floats(0.0, 1.0), seed=st.integers(0, 2**31 - 1), keep_states=st.booleans(), noise=st.booleans(),
+)  # fmt: skip
+
+
+@row("12,1", "T2D2: any steps, guidance, caution and seed on any view, to a gel and a bubble", share=0.13)
+@given(st.sampled_from([(GEL, "t2d2_gelslim"), (BUBBLE, "t2d2_bubble")]), st.sampled_from(KINDS), params, seeds)
+def test_t2d2(target, kind, how, seed):
+    spec = small(target[0])
+    result, _ = outcome(
+        view_to_touch.generate, view(spec, indentation_mm(spec, kind, np.random.default_rng(seed))), spec,
+        shipped(target[1]), how,
+    )  # fmt: skip
+    sound_touch(result, spec)
+
+
+@row(
+    "12,2",
+    "T2T: any steps, guidance, caution and seed on any picture, from units that differ",
+    share=0.13,
+    refused=0.25,
+)
+@given(st.sampled_from(PICTURES), params, seeds, st.floats(0.0, variation.MAX_STRENGTH))
+@example("noise", DiffusionParams(steps=8, guidance=MOST_WEIGHT, caution=0.0), 0, 0.0)
+def test_t2t(picture, how, seed, strength):
+    source, target = variation.varied(small(GEL), seed % 2**31, strength), small(BUBBLE)
+    result, _ = outcome(
+        picture_to_touch.generate, reading(source, picture, seed), source, None, aligned(source, target), target,
+        shipped("t2t_bubble"), how,
+    )  # fmt: skip
+    sound_touch(result, target)
+
+
+@row("12,3", "VQ-VAE: any picture, either way", share=0.13, refused=0.25)
+@given(st.sampled_from([(GEL, BUBBLE), (BUBBLE, GEL)]), st.sampled_from(PICTURES), seeds)
+def test_vqvae(way, picture, seed):
+    source, target = (small(name) for name in way)
+    result, _ = outcome(
+        vqvae.generate, reading(source, picture, seed), source, None, aligned(source, target), target,
+        shipped(f"vqvae_{way[0]}_to_{way[1]}"), NoParams(),
+    )  # fmt: skip
+    sound_touch(result, target)
+
+
+@row("12,4", "latent diffusion: any steps, guidance and solver on any picture", share=0.1, refused=0.25)
+@given(
+    st.sampled_from(PICTURES), st.sampled_from(STEPS[1:]), st.sampled_from(GUIDANCE), st.sampled_from(SOLVERS),
+    st.booleans(), st.sampled_from(["yes", "no", "as taught"]), seeds,
+)  # fmt: skip
+def test_latent(picture, steps, guidance, sampler, twice, raw, seed):
+    source, target = small(GEL), small(BUBBLE)
+    how = LatentParams(
+        steps=steps, guidance=guidance, sampler=sampler, seed=seed % 2**31, double_mapping=twice, raw_condition=raw
+    )
+    result, _ = outcome(
+        latent.generate, reading(source, picture, seed), source, None, aligned(source, target), target,
+        shipped(f"latent_{GEL}_to_{BUBBLE}"), how,
+    )  # fmt: skip
+    sound_touch(result, target)
+
+
+@row("12,5", "depth by network: any picture of units that differ, at any certainty", share=0.13, refused=0.25)
+@given(
+    st.sampled_from([(GEL, "gel_depth"), ("digit", "gel_depth"), (BUBBLE, "bubble_depth")]), st.sampled_from(PICTURES),
+    st.floats(0.05, 0.95), seeds, st.floats(0.0, variation.MAX_STRENGTH),
+)  # fmt: skip
+def test_depth(which, picture, certainty, seed, strength):
+    spec = variation.varied(small(which[0]), seed % 2**31, strength)
+    ready = building.ready(shelf.shipped(which[1]))
+    result, _ = outcome(
+        depth_network.depth, reading(spec, picture, seed), spec, None, ready, NetworkParams(certainty=certainty)
+    )
+    if result is None:
+        return
+    found = answered(result)
+    sound(found)
+    moved = found.indentation_mm[np.isfinite(found.indentation_mm)]
+    assert abs(moved).max(initial=0.0) <= spec.limits.indentation_max_mm + 1e-4
+    if found.error is not None:
+        assert np.isfinite(found.error.rms_mm)
+        assert found.error.rms_mm >= 0
+
+
+@row("12,6", "pose by network: any touch of any object, one that it was taught and one that it was not", share=0.13)
+@given(st.sampled_from([GEL, BUBBLE]), st.sampled_from(PICTURES), st.sampled_from(KINDS), st.booleans(), seeds)
+def test_pose(name, picture, kind, known, seed):
+    spec, thing = small(name), shapes.shape("cross").mesh
+    if not known:
+        thing = replace(thing, vertices_mm=1e3 * thing.vertices_mm)
+    felt = touch(spec, indentation_mm(spec, kind, np.random.default_rng(seed)))
+    made = replace(view_to_touch.stage.at_rest(spec), image=reading(spec, picture, seed).image, membrane=felt)
+    result, _ = outcome(
+        pose_network.pose, made, felt, spec, thing, shipped(f"pose_{name}"), PoseParams(max_points=50)
+    )  # fmt: skip
+    if result is not None:
+        sound(answered(result))
+
+
+@pytest.mark.parametrize("wrong", [{"guidance": 15.1}, {"guidance": float("nan")}, {"steps": 1001}, {"guidance": -1.0}])
+def test_what_is_out_of_range_is_refused_in_a_sentence(wrong):
+    spec = small(BUBBLE)
+    shown = view(spec, indentation_mm(spec, "sphere", np.random.default_rng(3)))
+    with pytest.raises(SettingProblem):
+        view_to_touch.generate(shown, spec, shipped("t2d2_bubble"), replace(DiffusionParams(steps=2), **wrong))
