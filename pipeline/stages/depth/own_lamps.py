@@ -49,6 +49,9 @@ _NOISE_LEFT = 1.5  # grey levels a pixel
 # Of the change, left beyond noise, and of t' C^-1 t: as much of both together as one alone may be. Simulated units have
 # up to 0.97 of it, one in a hundred more; single balls on a real Mini 1.05 to 1.9, other real units from 2.
 _LEFT, _UNLIKELY = 0.24, 60.0
+# Of what t' C^-1 t is of units drawn at random, as many numbers as touches tell: walls and shadows on units that are as
+# described make up to 0.34 of it, other units 0.4 at least.
+_AS_DESCRIBED = 0.4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -61,13 +64,16 @@ class Touch:
 
 
 def fitted(source: SensorSpec, touches: Sequence[Touch], turns: int = _TURNS) -> Optics | None:
-    """The optics of the unit that took all these pictures; None where no usual unit's explain them. Needs optics."""
+    """The optics of the unit that took all these pictures; None where no usual unit's explain them. Needs optics.
+
+    Those described where the touches tell of no other unit.
+    """
     from threadpoolctl import threadpool_limits
 
     base = optics.optics_of(source)
     spread = _spread(len(base.leds))
     certain = np.linalg.inv(spread @ spread.T)
-    steps, unit, rates = np.zeros(len(spread)), source, list[_Rates]()
+    steps, unit, rates, normal = np.zeros(len(spread)), source, list[_Rates](), certain
     noise = sum(_NOISE_LEFT * np.count_nonzero(touch.picture.moved) for touch in touches)
     changed = sum(_changed(touch.picture) for touch in touches)
     # Several threads would add up in another order.
@@ -83,9 +89,11 @@ def fitted(source: SensorSpec, touches: Sequence[Touch], turns: int = _TURNS) ->
             steps = steps + np.linalg.solve(normal, sum(pulls) - certain @ steps)
             unit = replace(source, optics=_moved(base, steps))
         _, left = _seen_in(unit, touches)
-        unlikely = float(steps @ certain @ steps) / _UNLIKELY
-    unexplained = max(0.0, left - noise) / (_LEFT * max(changed, 1.0))
-    return unit.optics if unlikely + unexplained <= 1.0 else None
+        told = float(np.trace(np.linalg.solve(normal, normal - certain)))
+        off = float(steps @ certain @ steps)
+    if off / _UNLIKELY + max(0.0, left - noise) / (_LEFT * max(changed, 1.0)) > 1.0:
+        return None
+    return base if off < _AS_DESCRIBED * told else unit.optics
 
 
 def _seen_in(unit: SensorSpec, touches: Sequence[Touch]) -> tuple[list[Touch], float]:
