@@ -9,11 +9,12 @@ import numpy as np
 from pipeline.base.arrays import Doubles
 
 SLIDE = 0.05  # share of turning in a motion of unit size below which it is a slide
+_HARDLY = 0.2  # share of turning in what is a slide as well where the slide alone is not shown either
 _EXACT = 0.9994  # cosine, 2 degrees, from which a slide does: farther off, the object leaves the sensor's plane
 _PURE = 0.995  # cosine, 6 degrees, from which a direction earns the name of an axis
 _OFF_AXIS = 0.15  # share of sliding in a turn that is not worth a word
 _PITCH = 0.05  # of sliding in a turn: as much as normals that are off by 3 degrees make up
-_MOVED = 1e-3  # change of a motion, in radii per radius that its axis is shifted, that is more than rounding
+_MOVED = 0.05  # change of a motion, in radii per radius that its axis is shifted: as much as such normals make up
 _CENTRAL = 0.1  # an axis this near the middle of the contact, in radii of it, goes through the middle
 _AXES = ("x", "y", "z")
 
@@ -33,12 +34,18 @@ def in_words(
     _, turning, mix = np.linalg.svd(lost[:3], full_matrices=True)
     turning = np.concatenate([turning, np.zeros(mix.shape[0] - len(turning))])
     basis = lost @ mix.T
-    sliding, rest = basis[:, turning <= SLIDE], basis[:, turning > SLIDE]
+    straight = turning <= SLIDE
+    for k in np.flatnonzero(~straight & (turning <= _HARDLY)):
+        alone = np.concatenate([np.zeros(3), basis[3:, k] / np.linalg.norm(basis[3:, k])])
+        if is_lost(alone):
+            basis[:, k], straight[k] = alone, True
+    sliding, rest = basis[:, straight], basis[:, ~straight]
     slides, _ = np.linalg.qr(sliding[3:])
     named = [(f"slides along {told(a, _EXACT)}", _closest(sliding, 3, a)) for a in _axes_in(slides)]
     turns = _turns(rest, slides)
     centre_mm = _common_centre(turns, slides, radius_mm)
-    return named + [(_turn_in_words(t, centre_mm, about_mm, radius_mm, is_lost), t) for t in turns]
+    kept = np.eye(3) - slides @ slides.T
+    return named + [(_turn_in_words(t, kept, centre_mm, about_mm, radius_mm, is_lost), t) for t in turns]
 
 
 def told(vector: Doubles, pure: float = _PURE) -> str:
@@ -92,10 +99,15 @@ def _common_centre(turns: list[Doubles], slides: Doubles, radius_mm: float) -> D
 
 
 def _turn_in_words(
-    turn: Doubles, centre_mm: Doubles, about_mm: Doubles, radius_mm: float, is_lost: Callable[[Doubles], bool]
+    turn: Doubles,
+    kept: Doubles,
+    centre_mm: Doubles,
+    about_mm: Doubles,
+    radius_mm: float,
+    is_lost: Callable[[Doubles], bool],
 ) -> str:
     words = f"turns about {told(turn[:3])}"
-    left = turn[3:] + np.cross(turn[:3] / radius_mm, centre_mm)
+    left = kept @ (turn[3:] + np.cross(turn[:3] / radius_mm, centre_mm))  # without what the slides undo
     if np.linalg.norm(left) > _OFF_AXIS:
         return f"{words} while sliding along {told(turn[3:])}"
     along = turn[:3] * float(left @ turn[:3]) / float(turn[:3] @ turn[:3])
