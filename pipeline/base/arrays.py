@@ -7,6 +7,10 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.base.lazily import loaded_once_used
+
+loaded_once_used("numpy.f2py", "numpy.testing")  # scipy asks numpy for all it has, a Fortran compiler's front among it
+
 Image = NDArray[np.uint8]  # (rows, cols, 3) RGB
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]

@@ -17,6 +17,7 @@ os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
 from numba import njit
 from numba.core import config, event
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.runtime import rtsys
 
 from pipeline.base import compiling
 
@@ -66,6 +67,15 @@ class _Kept(FunctionCache):
     def __init__(self, function):
         super().__init__(function)
         self._cache_file = _Whole(self._cache_path, self._impl.filename_base, self._impl.locator.get_source_stamp())
+
+    def load_overload(self, sig, target_context):
+        """Without what only compiling needs: numba's own numpy, and scipy's linear algebra behind it.
+
+        Numba has them loaded each time a kernel is asked for; whoever compiles one asks for them anyway.
+        """
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
 
 
 def kernel(**options: Any) -> Any:

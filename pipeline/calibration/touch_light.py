@@ -51,8 +51,6 @@ def image(coefficients: Doubles, u: Floats, v: Floats) -> Floats:
 
 def _after(before: Fields, surface: Surface) -> tuple[float, Doubles]:
     """(-2 ln of how likely the colours are, up to a constant; the field's coefficients after them)."""
-    from scipy.linalg import cho_factor, cho_solve
-
     weight = _WORTH / max(len(surface.u), 1) / _NOISE**2
     at = places(surface.u, surface.v)
     features = (at[:, :, None] * surface.parts[:, None, :]).reshape(len(at), -1)
@@ -65,6 +63,5 @@ def _after(before: Fields, surface: Surface) -> tuple[float, Doubles]:
         mine = slice(k * block, (k + 1) * block)
         precision[mine, mine] += normal
         right[mine] += weight * (features.T @ surface.change[:, k])
-    root = cho_factor(precision, lower=True)
-    coefficients = np.asarray(cho_solve(root, right), np.float64)
-    return unlikely - float(right @ coefficients) + 2.0 * float(np.log(np.diag(root[0])).sum()), coefficients
+    coefficients = np.linalg.solve(precision, right)
+    return unlikely - float(right @ coefficients) + float(np.linalg.slogdet(precision).logabsdet), coefficients

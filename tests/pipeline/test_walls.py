@@ -43,6 +43,22 @@ except SystemExit as stop:
 print(json.dumps(sorted({name.partition(".")[0] for name in sys.modules})))
 """
 
+FIRST_DEPTH = """
+import json, sys
+import numpy as np
+from pipeline.base.progress import SILENT
+from pipeline.physics.optics import untouched
+from pipeline.sensors.spec import sensor
+from pipeline.stages.depth.stage import DepthParams, depth
+from pipeline.values.frames import TactileFrame
+digit = sensor("digit")
+still = untouched(digit)
+image = still.copy()
+image[100:160, 80:160] = 255 - image[100:160, 80:160]
+depth(TactileFrame(sensor="digit", image=image.astype(np.uint8), reference=still), digit, None, DepthParams(), SILENT)
+print(json.dumps(sorted(sys.modules)))
+"""
+
 
 def loaded_by(code: str) -> set[str]:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -55,6 +71,16 @@ def test_importing_every_module_of_the_pipeline_loads_no_gui_and_nothing_heavy()
 
 def test_help_loads_not_even_numpy():
     assert loaded_by(HELP).isdisjoint((*HEAVY, "numpy", "scipy", "cv2", "h5py"))
+
+
+def test_a_first_depth_loads_nothing_that_only_compiling_or_another_picture_needs():
+    """Half a second, and tens of megabytes that stay, for each new process."""
+    loaded_by(FIRST_DEPTH)  # compiles what is not compiled yet
+    loaded = loaded_by(FIRST_DEPTH)
+    assert {"numba.core.dispatcher", "scipy.fft"} <= loaded
+    assert loaded.isdisjoint(
+        {"numba.np.arraymath", "numba.typed.typeddict", "scipy.linalg", "numpy.f2py.crackfortran", "unittest"}
+    )
 
 
 @pytest.mark.parametrize("name", ["torch", "open3d", "numba", "matplotlib"])
