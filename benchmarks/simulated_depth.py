@@ -8,14 +8,17 @@ error of contact is 1 - intersection over union with the pixels under pressure; 
 difference in the true contact. Boxes with a level face, 0.2 to 1.2 of the view's shorter side wide, are pressed by
 0.5 mm in the middle of the view, on the told unit and on another. Very light presses, 0.02 to 0.12 mm of tools and
 training objects on other units: Spearman's order of the measured volume (the sum of the indentation) against the force.
-Noted beside: the contact that the rule finds in exact depth, so that what is left is depth's, and the order that the
-true volume has: units differ in stiffness and thickness, which no volume tells.
+Recordings: eight presses of all three depths on one unit, each read alone and by the light that four of them tell
+together, as when they are frames of one recording. Noted beside: the contact that the rule finds in exact depth, so
+that what is left is depth's, and the order that the true volume has: units differ in stiffness and thickness, which no
+volume tells.
 """
 
 from __future__ import annotations
 
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +38,8 @@ from pipeline.simulation.press import press
 from pipeline.simulation.variation import varied
 from pipeline.stages.depth import contact
 from pipeline.stages.depth.stage import DepthParams
-from pipeline.values.frames import TactileFrame
+from pipeline.translation.touched import telling_touches
+from pipeline.values.frames import Stream, TactileFrame
 
 _SENSORS = ("gelslim", "gelsight_mini", "digit")
 _DEPTHS_UM = {0.15: 15.0, 0.4: 25.0, 0.8: 45.0}  # and what the error in the contact may be
@@ -43,19 +47,26 @@ _FACES = (0.2, 0.35, 0.5, 0.65, 0.8, 1.0, 1.2)
 _FACE_MM = 0.5
 _LIGHT_MM = (0.02, 0.12)
 _LIGHT_PRESSES = 32
+_RECORDINGS, _FRAMES = 4, 8
 
 
 def pressed(read, source, unit, thing, *, depth_mm, place, turn, seed):
     """(answer, truth, force, ms) of a press whose foremost point goes in by `depth_mm`; None where it is not felt."""
-    pose = rigid.translation(*place, 0.0) @ rigid.rotation((0.0, 0.0, turn))
-    pose[2, 3] = -depth_mm - rigid.apply(pose, thing.vertices_mm)[:, 2].min()
-    felt = press(thing, pose, unit, seed=seed)
-    if not (felt.converged and felt.truth.contact.any()):
+    felt = pressed_on(unit, thing, depth_mm=depth_mm, place=place, turn=turn, seed=seed)
+    if felt is None:
         return None
     frame = TactileFrame(sensor=source.name, image=felt.image, reference=optics.untouched(unit))
     started = time.perf_counter()
     answer = read(frame, source)
     return answer, felt.truth, felt.force_n, 1e3 * (time.perf_counter() - started)
+
+
+def pressed_on(unit, thing, *, depth_mm, place, turn, seed):
+    """A press whose foremost point goes in by `depth_mm`; None where it is not felt."""
+    pose = rigid.translation(*place, 0.0) @ rigid.rotation((0.0, 0.0, turn))
+    pose[2, 3] = -depth_mm - rigid.apply(pose, thing.vertices_mm)[:, 2].min()
+    felt = press(thing, pose, unit, seed=seed)
+    return felt if felt.converged and felt.truth.contact.any() else None
 
 
 def by_rule(indentation_mm, source):
@@ -86,6 +97,39 @@ def tools(read, name: str):
             row(f"{label}: depth in contact", ours=timing(ms), ours_error=inside_um.mean(), unit="um",
                 bar=Bar(error=most_um)),
         ), f"{note}; beside the contact {outside_um.mean():.1f} um"  # fmt: skip
+
+
+def recordings(read, name: str):
+    """Errors of depth with the light pooled over a recording, beside that of each frame by itself."""
+    source, tools_, rng = sensor(name), shapes.names("unseen"), np.random.default_rng(11)
+    alone, pooled, taken = {d: [] for d in _DEPTHS_UM}, {d: [] for d in _DEPTHS_UM}, []
+    for number in range(_RECORDINGS):
+        unit, felt = varied(source, 300 + number), []
+        for index in range(_FRAMES):
+            depth_mm = tuple(_DEPTHS_UM)[(index + number) % len(_DEPTHS_UM)]
+            found = pressed_on(unit, shapes.shape(tools_[(index + number) % len(tools_)]).mesh, depth_mm=depth_mm,
+                               place=rng.uniform(-2.5, 2.5, 2), turn=rng.uniform(-3, 3), seed=index)  # fmt: skip
+            if found is not None:
+                felt.append((depth_mm, found))
+        frames = [TactileFrame(sensor=name, image=one.image, reference=optics.untouched(unit), index=index)
+                  for index, (_, one) in enumerate(felt)]  # fmt: skip
+        stream = Stream(name=name, sensor=name, n_frames=len(frames), frame=frames.__getitem__)
+        beside = telling_touches(stream)
+        for frame, (depth_mm, one) in zip(frames, felt, strict=True):
+            inside = one.truth.contact
+            for of, touches in ((alone, ()), (pooled, beside)):
+                started = time.perf_counter()
+                answer = read(replace(frame, beside=touches), source)
+                if touches:
+                    taken.append(1e3 * (time.perf_counter() - started))
+                of[depth_mm].append(1e3 * mean_abs_mm(answer.indentation_mm, one.truth.indentation_mm, inside))
+    rows = tuple(
+        row(f"{name}, recordings of {_FRAMES}, {depth_mm:g} mm: depth in contact", peer="each alone",
+            ours=timing(taken), ours_error=float(np.mean(pooled[depth_mm])),
+            peer_error=float(np.mean(alone[depth_mm])), unit="um", bar=Bar(error=most_um))
+        for depth_mm, most_um in _DEPTHS_UM.items()
+    )  # fmt: skip
+    return rows, ""
 
 
 def faces(read, name: str):
@@ -136,7 +180,11 @@ def _listed(values) -> str:
 
 def answer(method: str = "physics") -> Answer:
     read = reader(method)
-    found = [part for name in _SENSORS for part in (*tools(read, name), faces(read, name), light(read, name))]
+    found = [
+        part
+        for name in _SENSORS
+        for part in (*tools(read, name), recordings(read, name), faces(read, name), light(read, name))
+    ]
     return Answer(
         title=f"Depth of simulated presses on other units by {method}",
         unit="1 - IoU",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import threading
 from collections.abc import Iterator
@@ -11,14 +12,17 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.arrays import Image, freeze
+from pipeline.base.doubts import Doubt
 from pipeline.base.errors import FileProblem
 from pipeline.base.text import is_text
 from pipeline.recordings import differences, pictures
 from pipeline.recordings.gel_pictures import gel_pictures
 from pipeline.recordings.indexing import checked_index
+from pipeline.recordings.touched_first import cleaner
 from pipeline.recordings.untouched import steadied
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
+_MOST_LOOKED_AT = 16  # frames, for one that is not touched: seeking in a long video takes a while
 _MOST_FRAMES = 10_000_000  # an hour at 2,700 Hz
 SUFFIXES = frozenset({".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v"})
 
@@ -26,6 +30,7 @@ SUFFIXES = frozenset({".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v"})
 def read(path: Path, *, sensor: str = "", reference: Path | None = None) -> Recording:
     """The video as one stream of RGB frames; without `reference` its first frames are taken as untouched, and noted.
 
+    Where the video clearly begins with a touch, a later frame is taken in their place, and doubted.
     Raises FileProblem when the video or its first frame cannot be decoded.
     """
     video = _Video(path)
@@ -36,11 +41,12 @@ def read(path: Path, *, sensor: str = "", reference: Path | None = None) -> Reco
         video.close()
         assert reference is not None
         raise FileProblem(f"the reference has shape {untouched.shape}, the video {first.shape}", reference)
-    steadier = 0
+    begins, steadier = 0, 0
     if reference is None and untouched is not None:
-        untouched, steadier = steadied(untouched, _leading(video))
+        begins, untouched = cleaner(untouched, _spread(video)) or (0, untouched)
+        untouched, steadier = steadied(untouched, _following(video, begins))
     made = gel_pictures(sensor, (first.shape[0], first.shape[1]), untouched, lambda: first)
-    about = () if changes else (_about(reference, steadier),)
+    about = () if changes else (_about(reference, begins, steadier),)
 
     def frame(index: int) -> TactileFrame:
         return TactileFrame(sensor=made.sensor, image=made.picture(video.frame(index)), reference=made.reference,
@@ -52,21 +58,35 @@ def read(path: Path, *, sensor: str = "", reference: Path | None = None) -> Reco
     return Recording(path=path, format="video", streams=(stream,), close=video.close, notes=notes)
 
 
-def _about(reference: Path | None, steadier: int) -> str:
+def _about(reference: Path | None, begins: int, steadier: int) -> str:
     if reference is not None:
         return f"{reference.name} shows the untouched sensor"
+    if begins:
+        which = f"frame {begins}" if not steadier else f"the median of frames {begins} to {begins + steadier}"
+        return Doubt(
+            f"its first frame looks touched: {which} is taken as the untouched sensor; if that is touched as well, "
+            "give a picture of the untouched sensor with --reference"
+        )
     if steadier:
         return f"the median of its first {steadier + 1} frames, all alike, is taken as the untouched sensor"
     return "its first frame is taken as the untouched sensor"
 
 
-def _leading(video: _Video) -> Iterator[Image]:
-    """The frames after the first, as far as they can be decoded."""
+def _following(video: _Video, begins: int) -> Iterator[Image]:
+    """The frames after `begins`, as far as they can be decoded."""
     try:
-        for index in range(1, video.n_frames):
+        for index in range(begins + 1, video.n_frames):
             yield video.frame(index)
     except FileProblem:
         return
+
+
+def _spread(video: _Video) -> Iterator[tuple[int, Image]]:
+    """Some frames spread evenly over the video, each with its index, as far as they can be decoded."""
+    count = min(_MOST_LOOKED_AT, video.n_frames - 1)
+    for index in sorted({round(i) for i in np.linspace(1, video.n_frames - 1, count)}) if count else ():
+        with contextlib.suppress(FileProblem):
+            yield index, video.frame(index)
 
 
 class _Video:

@@ -15,7 +15,7 @@ from pipeline.values.frames import Stream, TactileFrame
 
 _MOST_FRAMES = 24
 _MOST_PIXELS = 40_000_000  # in all: reading more takes longer than a person waits for a recording to open
-_MOST_TELLING = 6  # touches of one unit: with nine its light is told no better
+_MOST_TELLING = 4  # touches of one unit: each takes as long as reading a frame
 _BLOCKS_ALONG = 24  # the longer side: wide enough that noise averages out
 
 

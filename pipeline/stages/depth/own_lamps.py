@@ -50,8 +50,8 @@ _NOISE_LEFT = 1.5  # grey levels a pixel
 # up to 0.97 of it, one in a hundred more; single balls on a real Mini 1.05 to 1.9, other real units from 2.
 _LEFT, _UNLIKELY = 0.24, 60.0
 # Of what t' C^-1 t is of units drawn at random, as many numbers as touches tell: walls and shadows on units that are as
-# described make up to 0.34 of it, other units 0.4 at least.
-_AS_DESCRIBED = 0.4
+# described make up to 0.2 of it in three touches of four, other units 0.22 at least.
+_AS_DESCRIBED = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

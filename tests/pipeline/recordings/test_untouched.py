@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from pipeline.base.doubts import doubts
 from pipeline.physics import optics
 from pipeline.recordings.opening import open_recording
 from pipeline.recordings.untouched import steadied
@@ -52,3 +53,36 @@ def test_a_folder_is_opened_with_the_steadier_reference(tmp_path):
     assert np.abs(reference.astype(float) - STILL).mean() < 0.6 * np.abs(noisy(STILL, 0).astype(float) - STILL).mean()
     as_asked = open_recording(tmp_path, sensor="gelsight_mini", reference=tmp_path / "ref.png")
     assert np.array_equal(as_asked.streams[0].frame(0).reference, noisy(STILL, 0))
+
+
+@pytest.fixture
+def film(tmp_path):
+    def made(*pictures):
+        path = tmp_path / "touch.avi"
+        writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, STILL.shape[1::-1])
+        for picture in pictures:
+            writer.write(np.ascontiguousarray(picture[..., ::-1]))
+        writer.release()
+        return path
+
+    return made
+
+
+@pytest.mark.parametrize("depth_mm", [0.15, 0.5])
+def test_a_video_that_begins_with_a_touch_takes_a_later_frame_as_untouched(film, depth_mm):
+    _, touch, _ = press("gelsight_mini", depth_mm=depth_mm)
+    recording = open_recording(film(*[touch.image] * 3, *[STILL] * 4, touch.image), sensor="gelsight_mini")
+    (doubt,) = doubts(recording.notes)
+    assert "frames 3 to 6" in doubt
+    assert "--reference" in doubt
+    assert np.abs(recording.streams[0].frame(0).reference.astype(float) - STILL).mean() < 3.0
+    recording.close()
+
+
+def test_a_video_that_begins_untouched_keeps_its_first_frames_however_the_light_drifts(film):
+    _, touch, _ = press("gelsight_mini", depth_mm=0.5)
+    dim = np.rint(0.9 * STILL).astype(np.uint8)
+    recording = open_recording(film(*[STILL] * 4, *[touch.image] * 2, dim), sensor="gelsight_mini")
+    assert doubts(recording.notes) == ()
+    assert any("first 4 frames" in note for note in recording.notes)
+    recording.close()
