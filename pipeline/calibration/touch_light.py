@@ -63,5 +63,5 @@ def _after(before: Fields, surface: Surface) -> tuple[float, Doubles]:
         mine = slice(k * block, (k + 1) * block)
         precision[mine, mine] += normal
         right[mine] += weight * (features.T @ surface.change[:, k])
-    coefficients = np.linalg.solve(precision, right)
+    coefficients = np.asarray(np.linalg.solve(precision, right), np.float64)
     return unlikely - float(right @ coefficients) + float(np.linalg.slogdet(precision).logabsdet), coefficients
