@@ -32,7 +32,6 @@ log = logging.getLogger("tactoscope")
 _SEEN_BYTES = 72 * 1024 * 1024  # a dozen frames to a gel of 320 x 427, two dozen to a bubble
 _ASIDE_BYTES = 16 * 1024 * 1024  # a frame or two: they must not push out what people go back to
 _BESIDE_BYTES = 24 * 1024 * 1024
-_TRIMMED_AFTER = 4  # frames worked out anew: what they took on their way lies about in pieces
 _OUTLINED = "view"  # the slot that is compared with what the target really felt
 
 
@@ -77,7 +76,8 @@ class Evaluator:
         self._as_opened: Translation | None = None  # the same, before it grew: as it was handed over
         self._drawn_bytes = () if like is None else (_ASIDE_BYTES,)  # pictures that are gone back to
         self._drawing = Drawing(*self._drawn_bytes)  # of what is open
-        self._begins_at = self._anew = 0  # of what is open; frames worked out since memory was given back
+        self._begins_at = 0  # of what is open
+        self._opened_anew = False  # since memory was given back
         # Of what is open, so that who plays or goes back has them at once.
         self._comparisons: Memo[tuple[int, DepthParams], Comparison] = Memo(most_bytes=_BESIDE_BYTES)
         self._truths: Memo[int, Mapping[str, object]] = Memo(most_bytes=_BESIDE_BYTES, weigh=_weight)
@@ -132,10 +132,12 @@ class Evaluator:
         )  # fmt: skip
 
     def _tidy(self, results: Mapping[str, StageResult]) -> None:
-        """Give memory back after a recording's first frame, and every so many that were worked out since."""
-        self._anew += any(result.state == "computed" for result in results.values())
-        if self._anew >= _TRIMMED_AFTER:
-            self._anew = 0
+        """Give memory back after a recording's first frame, and after all that are worked out anew.
+
+        What a frame takes on its way lies about in pieces, forty megabytes after a few; asking costs a few milliseconds.
+        """
+        if self._opened_anew or any(result.state == "computed" for result in results.values()):
+            self._opened_anew = False
             give_back()
 
     def at(self, session: Session, report: Report) -> tuple[Translation, int]:
@@ -254,7 +256,7 @@ class Evaluator:
         self._translation = self._as_opened = translation
         self._drawing = Drawing(*self._drawn_bytes)
         self._forget_beside()
-        self._anew = _TRIMMED_AFTER  # the window lets go of what it showed once it is told, so after the first frame
+        self._opened_anew = True  # the window lets go of what it showed once it is told, so after the first frame
         self._request = request_of(replace(session, target=translation.target.name))
         self._begins_at = touched_frame(translation.stream) if session.frame < 0 else session.frame
         if session.frame < 0:
