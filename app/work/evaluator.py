@@ -134,7 +134,7 @@ class Evaluator:
     def _tidy(self, results: Mapping[str, StageResult]) -> None:
         """Give memory back after a recording's first frame, and after all that are worked out anew.
 
-        What a frame takes on its way lies about in pieces, forty megabytes after a few; asking costs a few milliseconds.
+        What a frame takes on its way lies about in pieces, forty megabytes after a few; asking costs milliseconds.
         """
         if self._opened_anew or any(result.state == "computed" for result in results.values()):
             self._opened_anew = False
