@@ -28,6 +28,7 @@ _WHITE, _BURNT_OUT = 254, 0.5  # grey level at which nothing is told apart, and 
 _ALIKE = 0.2  # likeness of colours below which nothing is said of them
 _EDGE_SHARE = 0.01  # contact pixels at the very edge whose indentation is rounded to 0
 _BULGE, _MOST_BULGING = 0.25, 0.25  # of the depth, of the contact: a gel bulges into what an object has hollow
+_APART_MM = 2.0  # between what is touched and the box of what touches: more than any layer bridges
 _FAR_MM = 500.0  # an object that is felt lies within this distance of the sensor
 
 
@@ -125,6 +126,14 @@ class Tally:
         far = float(np.linalg.norm(pose[:3, 3]))
         if far > _FAR_MM:
             self._bad["poses"].append(f"sensor_from_object of frame {index} puts the object {far:.3g} mm away")
+
+    def off_contact(self, index: int, far_mm: float) -> None:
+        """Note how far from its contact the object of frame `index` is said to lie."""
+        if far_mm > _APART_MM:
+            self._bad["poses"].append(
+                f"sensor_from_object of frame {index} puts the object {far_mm:.3g} mm beside its own contact; "
+                "is it in metres, or of another sensor?"
+            )
 
     def checks(self, times_s: Sequence[float]) -> list[Check]:
         """The answers, once all frames have been counted."""

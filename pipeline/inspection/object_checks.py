@@ -1,16 +1,35 @@
-"""The checks of a recording's object: whether its mesh can be felt, has an inside, and has it inside."""
+"""The checks of a recording's object: whether its mesh can be felt, has an inside, and lies where it is touched."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from pipeline.geometry import rigid
 from pipeline.geometry.meshes import LARGEST_MM, SMALLEST_MM, Mesh
 from pipeline.inspection.checks import Check
+from pipeline.sensors.spec import SensorSpec
+from pipeline.values.frames import Truth
 
 
 def mesh_checks(mesh: Mesh, path: str) -> list[Check]:
     """Size, closedness and orientation of `mesh`, which the recording at `path` brings."""
     return [_size(mesh, path), _surface(mesh, path)]
+
+
+def off_contact_mm(truth: Truth, sensor: SensorSpec, mesh: Mesh) -> float:
+    """How far the middle of what is touched lies outside the box of the object as it is said to lie; 0 = inside.
+
+    Also 0 where the truth does not say where it is touched, or is of another image size.
+    """
+    moved, touched, pose = truth.indentation_mm, truth.contact, truth.sensor_from_object
+    if moved is None or touched is None or pose is None or moved.shape != sensor.camera.shape:
+        return 0.0
+    points = sensor.camera.back_project(sensor.rest_depth_mm - moved)[touched & np.isfinite(moved)]
+    if not len(points):
+        return 0.0
+    middle = rigid.apply(rigid.invert(pose), np.median(points.astype(np.float64), axis=0))
+    low, high = mesh.vertices_mm.min(axis=0), mesh.vertices_mm.max(axis=0)
+    return float(np.linalg.norm(np.maximum(np.maximum(low - middle, middle - high), 0.0)))
 
 
 def _size(mesh: Mesh, path: str) -> Check:

@@ -14,7 +14,7 @@ from pipeline.base.errors import TouchError
 from pipeline.base.progress import SILENT, Progress
 from pipeline.inspection import checks as inspection
 from pipeline.inspection.checks import Check
-from pipeline.inspection.object_checks import mesh_checks
+from pipeline.inspection.object_checks import mesh_checks, off_contact_mm
 from pipeline.recordings import open_recording
 from pipeline.recordings.depth_arrays import DepthUnit
 from pipeline.sensors.spec import SensorSpec, names
@@ -123,6 +123,8 @@ def _stream(
         if truth is not None:
             known |= {n for n in ("indentation_mm", "contact", "sensor_from_object") if getattr(truth, n) is not None}
             tally.truth(index, truth)
+            if recording.object_mesh is not None and spec is not None:
+                tally.off_contact(index, off_contact_mm(truth, spec, recording.object_mesh))
     duration_s, rate_hz = _timing(times)
     rows, cols = first.image.shape[:2] if first is not None else (0, 0)
     report = StreamReport(

@@ -118,6 +118,12 @@ def _in_words(search: Search, a: Doubles, b: Doubles) -> str:
 
 def _about_fit(search: Search, chosen: Minimum) -> tuple[str, ...]:
     fit = chosen.fit
+    long_mm, felt_mm = (float(np.ptp(p, axis=0).max()) for p in (search.object.model.points_mm, search.scene.points_mm))
+    if fit.fitness < _DOUBTFUL and long_mm < felt_mm:
+        told = (
+            f"the object, {long_mm:.2g} mm long, is smaller than its contact of {felt_mm:.2g} mm; check the mesh's unit"
+        )
+        return (Doubt(told),)
     if fit.fitness < _DOUBTFUL:
         return (Doubt(f"only {fit.fitness:.0%} of the contact lies on the object; the pose is doubtful"),)
     if search.explains(chosen):

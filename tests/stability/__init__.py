@@ -17,10 +17,11 @@ light is read, 10 to 200 where a pose is registered), one over listed cases as m
 | 9 | any camera, any angle, any distance | test_cameras |
 | 10 | what the data do not determine is named, frozen, and only that | test_conditioning |
 | 11 | rotations at and near nothing and a half turn | test_rotations |
+| 12 | networks and the paper's poses at the ends of their parameters, on pictures that no touch makes: finite, in range, or refused | test_learned |
 | 13 | contact: no pull, no overlap, no force through a gap | test_contact |
 | 15 | the same input gives the same bytes, whatever the number of threads | test_determinism |
 | 16 | frame after frame through the whole chain | test_soak |
 
-Rows 12 (sampler) and 14 (SiLog loss) belong to stages that do not exist yet. Contact against closed forms is in
+Row 14 (SiLog loss) is tests/pipeline/training/test_silog.py. Contact against closed forms is in
 tests/pipeline/physics/test_closed_forms.py, random presses of the simulator are in test_random_presses.
 """

@@ -18,16 +18,17 @@ from pipeline.networks.samplers import MOST_STEPS
 from pipeline.physics import optics
 from pipeline.simulation import shapes, variation
 from pipeline.stages.depth import network as depth_network
+from pipeline.stages.depth import stage as depth_stage
 from pipeline.stages.depth.gel_network import NetworkParams
 from pipeline.stages.generate import latent, picture_to_touch, view_to_touch, vqvae
 from pipeline.stages.generate.diffusion import DiffusionParams
 from pipeline.stages.generate.latent import LatentParams
 from pipeline.stages.pose import network as pose_network
-from pipeline.stages.pose.stage import PoseParams
+from pipeline.stages.pose.stage import PoseParams, icp, planar
 from pipeline.values.frames import TactileFrame
 from tests.stability.checks import outcome, sound
 from tests.stability.rows import SIZE, row
-from tests.stability.scenes import KINDS, aligned, indentation_mm, seeds, small, touch, view
+from tests.stability.scenes import KINDS, aligned, indentation_mm, mesh, seeds, small, touch, view
 
 STEPS = (0, 1, 2, 3, 8, *((999, MOST_STEPS) if SIZE.long else ()))  # a thousand take eight seconds
 GUIDANCE = (0.0, 0.5, 1.0, 1.5, 2.54, 7.0, MOST_WEIGHT)
@@ -126,6 +127,16 @@ def test_t2t(picture, how, seed, strength):
     sound_touch(result, target)
 
 
+def test_a_touch_that_the_network_alone_sees_is_not_said_to_be_none():
+    source, target = small(GEL, 0.3), small(BUBBLE)
+    frame = reading(source, "noise", 5)
+    asked = (source, None, aligned(source, target), target)
+    assert not depth_stage.depth(frame, source, None, depth_stage.DepthParams()).contact.any()
+    found = answered(picture_to_touch.generate(frame, *asked, shipped("t2t_bubble"), DiffusionParams()))
+    assert picture_to_touch.ALONE in found.notes
+    assert view_to_touch.stage.NO_CONTACT not in found.notes
+
+
 @row("12,3", "VQ-VAE: any picture, either way", share=0.13, refused=0.25)
 @given(st.sampled_from([(GEL, BUBBLE), (BUBBLE, GEL)]), st.sampled_from(PICTURES), seeds)
 def test_vqvae(way, picture, seed):
@@ -189,6 +200,27 @@ def test_pose(name, picture, kind, known, seed):
     )  # fmt: skip
     if result is not None:
         sound(answered(result))
+
+
+@row("12,7", "the paper's poses: any touch, iterations, search distance, points and face", share=0.13, refused=0.2)
+@given(
+    st.sampled_from([icp, planar]), st.sampled_from(["ball", "cross", "wave"]), st.sampled_from(KINDS),
+    st.sampled_from([1, 2, 200]), st.sampled_from([0.05, 0.5, 20.0]), st.sampled_from([50, 1500]),
+    st.sampled_from(["auto", "+z", "-x"]), st.sampled_from(["on it", "three pixels", "far off"]), seeds,
+)  # fmt: skip
+def test_the_papers_poses(method, thing, kind, n, far_mm, most, face, where, seed):
+    spec = small("digit")
+    felt = touch(spec, indentation_mm(spec, kind, np.random.default_rng(seed)))
+    if where == "three pixels":
+        few = np.zeros_like(felt.contact)
+        few.flat[np.flatnonzero(felt.contact)[:3]] = True
+        felt = replace(felt, contact=few)
+    elif where == "far off":
+        felt = replace(felt, depth_mm=felt.depth_mm + np.float32(900.0))
+    how = PoseParams(n_iterations=n, max_distance_mm=far_mm, max_points=most, face=face, n_starts=2, keep_steps=True)
+    result, _ = outcome(method, felt, mesh(thing), how)
+    if result is not None:
+        sound(result)
 
 
 @pytest.mark.parametrize("wrong", [{"guidance": 15.1}, {"guidance": float("nan")}, {"steps": 1001}, {"guidance": -1.0}])

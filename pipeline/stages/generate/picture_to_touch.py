@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from pipeline.base.arrays import Floats
-from pipeline.base.doubts import doubts
+from pipeline.base.doubts import Doubt, doubts
 from pipeline.base.errors import ShapeError
 from pipeline.base.memo import Memo
 from pipeline.base.progress import SILENT, Progress, Share
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 SHIPPED = {("gelslim", "bubble"): "t2t_bubble", ("soft_bubble", "gel"): "t2t_gelslim"}
 LEARNED = "touch_to_touch", "kept_pairs"  # tasks: pairs that were simulated, and real ones on top
 _CONTRADICTED = 3.0  # times; of 70 touches that were not learned from five come to as much
+ALONE = "no contact is read from the picture: what touches here is what the network alone makes of it"
 READS = ("frame", "source", "calibration", "alignment", "target")
 
 
@@ -84,7 +85,9 @@ def generate(
     found = sampled(network, condition(frame, source, alignment, target), params, asked)
     membrane = physical.membrane
     if not careful or membrane is None or not membrane.contact.any():
-        return _doubted(corrected(rest, target, found, seed), frame, source, calibration)
+        alone = (Doubt(ALONE),) if careful else ()  # what is said of a target at rest is not said of this touch
+        made = corrected(replace(rest, notes=alone), target, found, seed)
+        return _doubted(made, frame, source, calibration)
     found, expected = against(found, membrane), cast("tuple[float, float]", network.doubts)
     times = contradiction(found, membrane.contact & physical.known)
     if times > _CONTRADICTED:

@@ -249,3 +249,16 @@ def test_a_stream_of_a_users_own_sensor_is_inspected_with_its_description_or_wit
     (tmp_path / "mine.toml").write_text('extends = "digit"\n')
     assert state(inspect(path), "image size")[0] == "unknown"
     assert state(inspect(path, sensor=str(tmp_path / "mine.toml")), "image size")[0] == "pass"
+
+
+def test_an_object_that_is_said_to_lie_beside_its_own_contact_is_noticed(tmp_path: Path):
+    low, high = np.full(3, -4.0), np.array([4.0, 4.0, 0.5])
+    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    box = Mesh(vertices_mm=corners, triangles=np.array([[0, 1, 2], [3, 4, 5], [5, 6, 7]], np.int32))
+    middle = (GEL.camera.back_project(GEL.rest_depth_mm)[120, 100]).astype(float)
+    for at_mm, said in ((middle, "pass"), (middle / 1000.0, "fail")):
+        told = Truth(indentation_mm=DENT, contact=DENT > 0.2, sensor_from_object=rigid.from_parts(at_mm))
+        path = record(tmp_path / f"{said}.h5", [gel(0)], [told], object_mesh=box)
+        found = state(inspect(path), "digit poses")
+        assert found[0] == said
+    assert "beside its own contact; is it in metres" in found[1]

@@ -325,6 +325,13 @@ def test_a_light_part_of_a_contact_that_is_lost_in_the_error_of_the_depth_speaks
     assert exact_mm > 0.3, "where depth is exact, what is not felt is not there"
 
 
+def test_an_object_smaller_than_its_contact_is_asked_for_its_unit():
+    bar = l_bar()
+    small = replace(bar.mesh, vertices_mm=0.1 * bar.mesh.vertices_mm)
+    found = pose(felt(bar, lying(0.3, 0.2, 0.8, 2.0, 30.0)), small, PoseParams(n_starts=12))
+    assert any("is smaller than its contact" in note and "check the mesh's unit" in note for note in found.notes)
+
+
 def test_the_stage_follows_a_touch_that_had_a_pose_and_searches_after_one_that_had_none():
     bar = l_bar()
     touch, params = felt(bar, lying(0.3, 0.2, 0.8, 2.0, 30.0)), PoseParams()
