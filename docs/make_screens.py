@@ -86,15 +86,13 @@ def demo(instrument: Instrument) -> None:
 
 
 def sweep(instrument: Instrument) -> None:
-    """Two parameters, all cells filled."""
+    """The two parameters that it opens on, all cells filled."""
     tour.open_sample(instrument, frame=5)
     _layout(instrument, "sweep")
     sweeping = next(child for child in instrument.children() if isinstance(child, Sweeping))
-    page = instrument.window.sweep
-    for line, values in zip(page.values, ("0.5, 1, 2", "0.15, 0.25, 0.5"), strict=True):
-        line.setText(values)
-    page.sweep_wanted.emit()
+    instrument.window.sweep.sweep_wanted.emit()
     tour.until(lambda: not sweeping.busy)
+    tour.at_rest(instrument)
 
 
 def compare(instrument: Instrument) -> None:
