@@ -21,6 +21,7 @@ from pipeline.base.doubts import AT_BORDER, Doubt
 from pipeline.base.errors import ShapeError
 from pipeline.base.progress import Progress
 from pipeline.calibration.lookup import Calibration, check_for
+from pipeline.sensors.parts import Optics
 from pipeline.sensors.spec import Gel, SensorSpec
 from pipeline.stages.depth import contact, drift, gel_light, lit_surface, moved, own_light, own_unit, rest, unit_light
 from pipeline.stages.depth.lit_surface import Changed
@@ -107,9 +108,12 @@ def read(
             image=image, still=still, window=window, source=source, calibration=calibration,
             smoothing_px=smoothing_px, boundary=boundary,
         )  # fmt: skip
-        if light is None and frame.beside:
-            light = unit_light.fitted(frame.beside, reference, changed, progress)
+        pooled = unit_light.fitted(frame.beside, reference, changed, progress) if light is None else None
+        light = light if pooled is None else pooled
         surface, light = lit_surface.surface(changed, rounds, light, progress)
+        if isinstance(light, Optics) and light != source.optics:
+            of = "this touch" if pooled is None else f"{len(frame.beside)} touches of the recording"
+            notes.append(f"read by the lamps of this unit, fitted to {of}")
         surface, inside = _settled(surface, window, source, pixel_mm)
         pressed = inside | contact.touched(
             surface, pixel_mm, least_mm=least_mm, pressure_share=pressure_share, smoothing_px=_CONTACT_BLUR_PX

@@ -27,7 +27,7 @@ def fitted(touches: tuple[Image, ...], reference: Image, like: Changed, progress
     They are looked at by the sensor and the look-up of `like`. The same whoever asks first, and however a frame is
     looked at: of the pictures alone, kept by their content.
     """
-    if not gel_light.applies(like.source, like.calibration):
+    if len(touches) < _FEWEST or not gel_light.applies(like.source, like.calibration):
         return None
     pixel_mm = like.calibration.pixel_mm
 

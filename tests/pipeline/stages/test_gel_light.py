@@ -130,6 +130,7 @@ def test_touches_of_one_unit_are_read_in_one_light_whoever_asks_first():
     source, beside = sensor("gelslim"), tuple(frame.image for frame in frames)
     found = [gel(replace(frame, beside=beside), source, None, PARAMS) for frame in frames]
     lights = [measured.light for _, measured in found]
+    assert all("fitted to 2 touches of the recording" in " ".join(depth_map.notes) for depth_map, _ in found)
     assert lights[0] == lights[1] == own_lamps.fitted(source, list(touches(frames, source)))
     for frame, truth, (depth_map, _) in zip(frames, truths, found, strict=True):
         as_told, _ = gel(frame, source, None, PARAMS, light="sure")
