@@ -7,13 +7,13 @@ from app.frame.warming import Warming
 from app.session.sample import SAMPLE
 from app.work.warming import read_a_touch
 from pipeline.base.progress import Cancelled
-from pipeline.stages.depth import gel_depth
+from pipeline.stages.depth import lit_surface
 
 
 def test_an_empty_window_reads_a_touch_beforehand(monkeypatch, qtbot, open_window):
     integrated = []
     monkeypatch.setattr(
-        gel_depth, "integrate", lambda *given, whole=gel_depth.integrate: integrated.append(1) or whole(*given)
+        lit_surface, "integrate", lambda *given, whole=lit_surface.integrate: integrated.append(1) or whole(*given)
     )
     own = Warming(open_window())
     with qtbot.waitSignal(own.job.finished, timeout=60_000):
