@@ -97,11 +97,20 @@ def _stream(group: Any, name: str, path: Path, lost: list[str]) -> Stream:
     known = table("truth/known", border.WHOLE, 0, KNOWN)
     camera = _camera(group, path) if "camera_matrix" in group else None
 
+    last: tuple[int, NDArray[Any]] = -1, np.empty(0)  # frames in a row mostly share their untouched reading
+
+    def reference(row: int, index: int) -> NDArray[Any]:
+        nonlocal last
+        held = last
+        if held[0] != row:
+            held = last = row, _entry(group["references"], row, index, name, path, kept)
+        return held[1]
+
     def frame(index: int) -> TactileFrame:
         row = int(rows[index])
         return TactileFrame(
             sensor=sensor, image=_entry(group["frames"], index, index, name, path, kept),
-            reference=None if row < 0 else _entry(group["references"], row, index, name, path, kept),
+            reference=None if row < 0 else reference(row, index),
             index=index, time_s=float(times[index]), origin=f"{path} [{shown}]", camera=camera,
         )  # fmt: skip
 

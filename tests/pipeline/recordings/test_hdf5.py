@@ -220,6 +220,19 @@ def test_an_interrupted_write_leaves_the_file_as_it_was(tmp_path: Path):
     assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]
 
 
+def test_frames_of_one_untouched_reading_share_it_and_those_of_two_do_not(tmp_path: Path):
+    path = tmp_path / "two.h5"
+    with Writer(path) as writer:
+        for index in range(4):
+            still = np.full((8, 9, 3), 100 + index // 2, np.uint8)
+            writer.append("gel", TactileFrame(sensor="gelslim", image=still, reference=still, index=index))
+    stream = open_recording(path).streams[0]
+    references = [stream.frame(index).reference for index in (0, 1, 2, 3, 0)]
+    assert references[0] is references[1]
+    assert references[2] is references[3]
+    assert [int(reference.max()) for reference in references] == [100, 100, 101, 101, 100]
+
+
 def test_a_recording_written_anew_is_the_same(tmp_path: Path, recording: Recording):
     with Writer(tmp_path / "copy.h5") as writer:
         for stream in recording.streams:
