@@ -58,7 +58,7 @@ class LatentTask:
         """Mean absolute errors of the rebuilt picture and of the noise, and how far latents are from unit normal."""
         import torch
 
-        n, small, device = len(batch["target"]), self.side // _SMALLER, batch["target"].device
+        n, small, device = len(batch["target"]), batch["target"].shape[-1] // _SMALLER, batch["target"].device
         time, told = torch.randint(_TIMES, (n,)).to(device), (torch.rand(n) >= self.untold).float().to(device)
         noises = torch.randn(2, n, _LATENT, small, small).to(device)
         found = network(batch["target"], batch["source"], time, told, noises, self.part)
