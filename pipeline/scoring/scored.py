@@ -132,12 +132,8 @@ class _Touch:
         if contender.name == MEAN:
             return {"touch": touch_of(target, self._mean)} if self._mean is not None else {"touch": at_rest(target)}
         if contender.name == RECORDED:
-            own = self._translation.recording.stream_of_sensor(target.name)
-            assert own is not None
-            read = replace(
-                self._translation, stream=own, source=target, target=self._translation.source,
-                request=replace(self._translation.request, methods=tuple(self._job.methods.items())),
-            )  # fmt: skip
+            read = self._translation.of_target()
+            read = replace(read, request=replace(read.request, methods=tuple(self._job.methods.items())))
             inputs = read.inputs(self._index)
             depth = read.graph(like=self._cache).evaluate(["depth"], inputs, default_params(read.methods))["depth"]
             return {"touch": touch_of(target, self._true.change), "felt": depth.output}

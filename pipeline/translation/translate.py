@@ -93,6 +93,13 @@ class Translation:
         recording = self.recording.now()
         return replace(self, recording=recording, stream=recording.stream(self.stream.name))
 
+    def of_target(self) -> Translation:
+        """What the target itself recorded, read as a source; the recording must hold it."""
+        own = self.recording.stream_of_sensor(self.target.name)
+        assert own is not None
+        telling = _telling(self.request, self.recording, own, self.target)
+        return replace(self, stream=own, source=self.target, target=self.source, telling=telling)
+
     def graph(self, like: Graph | None = None) -> Graph:
         """What evaluates the route; one that remembers what `like` has worked out, where that is given."""
         return Graph(self.methods) if like is None else like.rerouted(self.methods)

@@ -152,9 +152,9 @@ def test_something_else_is_no_latent_diffusion(tmp_path):
 @pytest.mark.slow
 def test_the_papers_width_learns_a_few_steps():
     torch.manual_seed(0)
-    net = build("latent", {"side": 64}).train()
-    one = {name: tensor[:1] for name, tensor in batch(2, 64).items() if name != "noises"}
-    one["noises"] = batch(1, 64)["noises"]
+    net = build("latent", {"side": 128}).train()
+    one = {name: tensor[:1] for name, tensor in batch(2, 128).items() if name != "noises"}
+    one["noises"] = batch(1, 128)["noises"]
     one["time"] = torch.tensor([500])
     optimiser = torch.optim.SGD(net.parameters(), 1e-3)
     losses = []

@@ -83,7 +83,7 @@ def test_a_row_for_each_baseline_and_method_and_physics_beats_the_baselines(kept
 def test_a_sensors_own_encoder_stays_while_its_pose_network_is_taught_on():
     bubble, gel = (features.weights(sensor(name)) for name in ("soft_bubble", "gelslim"))
     assert (bubble.name, bubble.content[:12]) == ("encoder_soft_bubble", "b665d91b6956"), "older distances hold no more"
-    assert gel.name == "pose_gelslim"  # it has none of its own
+    assert (gel.name, gel.content[:12]) == ("encoder_gelslim", "26fb7c5802a9"), "older distances hold no more"
 
 
 def test_guidance_is_swept_where_it_does_something_unless_steps_are_told(kept, monkeypatch):

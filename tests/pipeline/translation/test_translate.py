@@ -1,12 +1,14 @@
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pipeline.sensors.spec import sensor
-from pipeline.translation.translate import own_shift_mm
+from pipeline.translation.translate import Request, open_translation, own_shift_mm
 from pipeline.values.frames import TactileFrame
 
 BUBBLE = sensor("soft_bubble")
@@ -35,3 +37,15 @@ def test_where_nothing_tells_there_is_no_shift():
     assert own_shift_mm(still(np.full_like(reference, np.nan)), BUBBLE) == 0.0
     assert own_shift_mm(still(reference, camera=None), BUBBLE) == 0.0
     assert own_shift_mm(replace(still(reference), reference=None), BUBBLE) == 0.0
+
+
+def test_what_the_target_recorded_is_read_in_the_light_of_its_own_touches():
+    sample = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
+    with closing(open_translation(Request(recording=sample, source="gelslim", target="soft_bubble"))) as it:
+        own = it.of_target()
+        assert own.source.name == "soft_bubble"
+        assert own.telling() == ()
+        again = own.of_target()
+        assert again.stream.name == it.stream.name
+        assert [picture.shape for picture in again.telling()] == [picture.shape for picture in it.telling()]
+        assert it.telling()
