@@ -19,11 +19,11 @@ HEAD = """# The paper's tables
 
 Simulated touches that nothing was taught on; the source is another unit than the described one, the target is as
 described. In brackets what the paper tells of real recordings of its own sensors: it shows what is hard, not who is
-better. Its FID is Inception's; ours is the Frechet distance on the features of a pose network that comes along (of the
-bubble an earlier one, kept for it), beside the distance of two halves of the true touches. Errors are of the target's
-membrane: over all, and where the target is really touched. Weights as they come along; one step each, latent diffusion
-by 50 steps at 2.54 (ten minutes of learning: better than the untouched picture, not than the mean touch); one busy
-machine of two cores, so that times compare within a table only.
+better. Its FID is Inception's; ours is the Frechet distance on the features of earlier pose networks, kept for it,
+beside the distance of two halves of the true touches. Errors are of the target's membrane: over all, and where the
+target is really touched. Weights as they come along (fourteen minutes on a card, ten networks at once); one step each,
+latent diffusion by 50 steps at 2.54; one machine of two cores, busy with a second table and more, so that times compare
+within a table only.
 
 Poses are counted as the paper does: shift and turn in the sensor's plane, here at the contact and up to the object's
 own symmetry, mean and deviation over touches. The first two columns are by the network, in brackets the paper's; then
@@ -39,10 +39,8 @@ directions, and used 58 and 3 of its 512 codes.
     tactoscope evaluate --split unseen_grasps --grasps 2 --poses signed_distances,icp --json registered.json
     python docs/make_tables.py registered.json tools.json grasps.json > docs/tables/README.md
 
-The files beside this page were made so, one direction after the other (`--direction`), in this order: what was
-registered first. Touches of a bubble are by the contact and the pose network of today; touches of a GelSlim, and the
-registered poses of physics and of the touches themselves, are by the rule of contact before it. What samples, steps
-and a few real pairs give is told in [samples.md](samples.md).
+The files beside this page were made so, one direction after the other (`--direction`), all by the program and the
+weights of one day. What samples, steps and a few real pairs give is told in [samples.md](samples.md).
 """
 COLUMNS = (
     "transfer", "by", "PSNR, dB", "SSIM", "Frechet (floor; FID)", "error, mm", "in contact, mm", "IoU",

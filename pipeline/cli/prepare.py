@@ -47,7 +47,7 @@ def _tasks() -> Iterator[Callable[[], object]]:
     # Points: the paper's, and those too sparse for a surface.
     yield partial(_translated, *_WAYS[0], params, (("view", "paper"),))
     yield partial(_translated, *_WAYS[0], with_setting(params, "cloud.stride=16"))
-    yield from (_surveyed, _pressed)
+    yield from (_surveyed, _pressed, _oddly_lit)
 
 
 def _translated(source: str, target: str, params: dict[str, object], methods: tuple[tuple[str, str], ...] = ()) -> None:
@@ -84,3 +84,20 @@ def _pressed() -> None:
     pose = paper_grid(thing, n=1, seed=0)[0]
     for name in _PRESSED:
         press(thing, pose, sensor(name), seed=0)
+
+
+def _oddly_lit() -> None:
+    """A touch in colours that no unit's lamps explain: it is read in a light of its own."""
+    from pipeline.physics import optics
+    from pipeline.sensors.spec import sensor
+    from pipeline.simulation import shapes
+    from pipeline.simulation.poses import paper_grid
+    from pipeline.simulation.press import press
+    from pipeline.stages.depth.stage import DepthParams, depth
+    from pipeline.values.frames import TactileFrame
+
+    gel, thing = sensor("gelsight_mini"), shapes.shape(_TOOL).mesh
+    image = press(thing, paper_grid(thing, n=1, seed=0)[0], gel, seed=0).image
+    swapped = np.ascontiguousarray(image[..., ::-1])
+    untouched = np.ascontiguousarray(optics.untouched(gel)[..., ::-1])
+    depth(TactileFrame(sensor=gel.name, image=swapped, reference=untouched), gel, None, DepthParams())
