@@ -30,7 +30,7 @@ from pipeline.stages.adapt import stage as adaptation
 from pipeline.stages.depth import stage as depth
 from pipeline.stages.generate import stage, view_to_touch
 from pipeline.stages.generate.caution import against, contradiction, held_back
-from pipeline.stages.generate.corrected import corrected
+from pipeline.stages.generate.corrected import Unsure, corrected
 from pipeline.stages.generate.diffusion import DiffusionParams, sampled
 from pipeline.stages.generate.picture_input import of_picture
 from pipeline.stages.generate.residual_input import working
@@ -96,7 +96,14 @@ def generate(
         )
         return replace(physical, notes=(*physical.notes, note))
     found = held_back(found, physical.known, params.caution, expected, at_once=target.kind == "bubble")
-    return corrected(physical, target, found, seed)
+    return corrected(physical, target, found, seed, _unsure(source, target, network))
+
+
+def _unsure(source: SensorSpec, target: SensorSpec, network: nn.Module) -> Unsure:
+    """Where edges may be that a source told whose pixels are wider than the working grid's."""
+    wide_mm = source.pixel_mm if source.pixel_mm > view_to_touch.COARSER[target.kind] * target.pixel_mm else 0.0
+    blur_px, reach_px = cast("float", network.blur_px), cast("float", network.reach_px)
+    return Unsure(blur_mm=wide_mm * blur_px, reach_mm=wide_mm * reach_px)
 
 
 def _doubted(touch: Touch, frame: TactileFrame, source: SensorSpec, calibration: Calibration | None) -> Touch:

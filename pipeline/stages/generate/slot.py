@@ -55,7 +55,7 @@ T2T = Method(
     reads=(*picture_to_touch.READS, "touch_weights"),
     weights=picture_to_touch.weights,
     draft=draft,
-    version=3,
+    version=4,
 )
 LATENT = Method(
     slot="touch",
