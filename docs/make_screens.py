@@ -69,8 +69,16 @@ def inspect(instrument: Instrument) -> None:
     _layout(instrument, "inspect")
 
 
+def section(instrument: Instrument) -> None:
+    """A line through both panes, and its curves."""
+    tour.command(instrument, "section_line")
+    tour.at_rest(instrument)
+
+
 def align(instrument: Instrument) -> None:
     """A handle two millimetres off, felt beside carried over."""
+    instrument.move_section(None)
+    instrument.window.drawers.reading.hide()
     instrument.show_session(Session(recording=tour.PAIRED, source="digit", target="gelslim", frame=3))
     tour.shown(instrument)
     _layout(instrument, "align")
@@ -129,7 +137,7 @@ def live(instrument: Instrument) -> None:
 
 SCREENS: dict[str, Callable[[Instrument], None]] = {
     "welcome": welcome, "stages": stages, "drawers": drawers, "basins": basins, "steps": steps, "inspect": inspect,
-    "align": align,
+    "section": section, "align": align,
     "demo": demo, "sweep": sweep, "compare": compare, "two": two, "live": live,
 }  # fmt: skip
 

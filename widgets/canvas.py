@@ -5,6 +5,7 @@ The picture as it lies on the screen is kept, so that a crosshair that follows t
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
@@ -13,13 +14,13 @@ from PyQt6.QtWidgets import QSizePolicy, QWidget
 
 from pipeline.base.arrays import Image
 from pipeline.pictures.picture import Picture
-from widgets.colours import TRACE, backdrop, inks, qcolor
+from widgets.colours import FELT_CASING, SECTION, TRACE, backdrop, inks, qcolor
 from widgets.plate import LEAST_ZOOM, MOST_ZOOM, Plate
 
 _A_CLICK_PX = 4.0  # a release nearer to its press than this ends no drag
 _ZOOM_STEP = 1.25
 _PER_NOTCH = 120.0  # as Qt counts a wheel's turn
-_NEAR_PX = 6.0
+_NEAR_PX, _END_PX = 6.0, 6.5
 
 
 class Canvas(QWidget):
@@ -41,6 +42,7 @@ class Canvas(QWidget):
         self._kept: QPixmap | None = None
         self.cross: tuple[int, int] | None = None  # row, col
         self.tag = ""  # what is read at the crosshair
+        self.line: tuple[QPointF, QPointF] | None = None  # of a section, in pixels of the picture
         self.handle: float | None = None  # share of the width at which the second picture begins, None = no handle
         self._pressed: QPointF | None = None
         self._dragged: QPointF | None = None
@@ -77,6 +79,12 @@ class Canvas(QWidget):
         """The crosshair on (row, col) and what is read there."""
         if (pixel, tag) != (self.cross, self.tag):
             self.cross, self.tag = pixel, tag
+            self.update()
+
+    def show_line(self, ends: tuple[QPointF, QPointF] | None) -> None:
+        """A line from A to B, in pixels of the picture; None takes it away."""
+        if ends != self.line:
+            self.line = ends
             self.update()
 
     def fit(self) -> None:
@@ -154,8 +162,26 @@ class Canvas(QWidget):
             x = self._handle_x()
             painter.setPen(QPen(qcolor(TRACE), 2))
             painter.drawLine(QPointF(x, 0), QPointF(x, self.height()))
+        if self.line is not None:
+            self._draw_line(painter, *self.line)
         if self.cross is not None:
             self._draw_cross(painter, *self.cross)
+
+    def _draw_line(self, painter: QPainter, begin: QPointF, end: QPointF) -> None:
+        one, other = self.to_screen(begin), self.to_screen(end)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        for colour, wide in ((FELT_CASING, 4.0), (SECTION, 1.8)):
+            painter.setPen(QPen(qcolor(colour), wide))
+            painter.drawLine(one, other)
+        long_px = math.hypot(other.x() - one.x(), other.y() - one.y())
+        named = long_px > 6 * _END_PX  # in a small picture letters would hide what is cut
+        for at, name in ((one, "A"), (other, "B")):
+            painter.setPen(QPen(qcolor(FELT_CASING), 1.2))
+            painter.setBrush(qcolor(SECTION if named or name == "A" else FELT_CASING))
+            painter.drawEllipse(at, *(2 * [_END_PX if named else 0.4 * _END_PX]))
+            if named:
+                painter.drawText(QRectF(at.x() - 8, at.y() - 8, 16, 16), Qt.AlignmentFlag.AlignCenter, name)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing, False)
 
     def _draw_cross(self, painter: QPainter, row: int, col: int) -> None:
         at = self.to_screen(QPointF(col + 0.5, row + 0.5))

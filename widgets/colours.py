@@ -17,6 +17,7 @@ CONTACT: Rgb = (230, 85, 13)  # outline of the contact mask
 FELT: Rgb = (255, 255, 255)  # outline of what the target really felt, dark on both sides: seen on every colour
 FELT_CASING: Rgb = (20, 24, 30)
 TRACE: Rgb = (230, 0, 115)  # crosshair of the traced pixel
+SECTION: Rgb = (240, 228, 66)  # the section line, dark on both sides as `FELT`
 ANSWERS: tuple[Rgb, ...] = (  # of a registration, Okabe-Ito: the pose itself, then the others best first
     (0, 114, 178), (230, 159, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (213, 94, 0), (240, 228, 66),
     (90, 90, 100),

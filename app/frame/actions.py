@@ -110,6 +110,8 @@ VIEW = (
     Command(
         "freeze_trace", "Freeze trace", "Keep the traced pixel where it is", icon="target", key="F", checkable=True
     ),
+    Command("section_line", "Section line", "A line through all pictures, and what each has for a height along it",
+            icon="section", key="X", checkable=True),
 )  # fmt: skip
 VERSUS = (
     Command("show_truth", "Show truth", "The truth in place of what was worked out", icon="tick", key="T",

@@ -23,6 +23,7 @@ _TOOLS = (
     "link_cameras",
     "reset_view",
     "freeze_trace",
+    "section_line",
     "",
     "show_truth",
     "show_difference",

@@ -26,6 +26,7 @@ from app.frame.living import Living
 from app.frame.looking import Looking
 from app.frame.own_layouts import OwnLayouts
 from app.frame.pointing import Pointing
+from app.frame.sectioning import Sectioning
 from app.frame.stepping import Stepping
 from app.frame.sweeping import Sweeping
 from app.frame.themes import Themes
@@ -83,6 +84,7 @@ def connect(instrument: Instrument, theme: Theme = "light") -> Keeping:
     BasinsTab(instrument)
     Stepping(instrument)
     Pointing(instrument)
+    Sectioning(instrument)
     Triage(instrument)
     sweeping = Sweeping(instrument)
     comparing = Comparing(instrument)

@@ -88,8 +88,8 @@ class Instrument(Documents):
 
     @property
     def to_keep(self) -> Session:
-        """The session with where the 3D views look."""
-        return replace(self.session, cameras=self.screen.cameras.of(self.screen.scene))
+        """The session with where the 3D views look, and the section's line."""
+        return replace(self.session, cameras=self.screen.cameras.of(self.screen.scene), section=self.section)
 
     def turn(self, cameras: Mapping[str, tuple[float, ...]]) -> None:
         """Have the 3D views look so, once what the session opens is there."""

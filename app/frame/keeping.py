@@ -112,6 +112,7 @@ class Keeping(QObject):
         def recover() -> None:
             self._instrument.push(left.session, "recover the session")
             self._instrument.turn(left.session.cameras)
+            self._instrument.move_section(left.session.section)
             recovery.discard(left)
             self.keep_now()
 

@@ -36,6 +36,7 @@ from widgets.looks import spaced
 from widgets.panes import PanesPage
 from widgets.parameters_panel import ParametersPanel
 from widgets.picture_row import PictureRow
+from widgets.section_panel import SectionPanel
 from widgets.solid_cell import SolidCell
 from widgets.solid_view import SolidView
 from widgets.stage_column import StageColumn
@@ -75,7 +76,7 @@ class Window(QMainWindow):
         self.steps = {name: StepsSlider(name) for name in sorted(scrubbed)}  # under the 3D views of these columns
         self.frames, self.parameters, self.alignment = FramesPanel(), ParametersPanel(), AlignmentPanel()
         self.trace, self.log, self.timings, self.blame = TracePanel(), LogPanel(), TimingsPanel(), BlamePanel()
-        self.basins, self.step_tab = BasinPanel(), StepsPanel()
+        self.basins, self.step_tab, self.section_tab = BasinPanel(), StepsPanel(), SectionPanel()
         self._alone, self._off_route, self.layout_shown = "", frozenset[str](), Layout()
         self.cells = {name: SolidCell(self.steps.get(name)) for name, _ in columns}
         self.truth, self.truth_cell = StageColumn("truth", "Truth"), SolidCell()  # of the touch, for demonstrations
@@ -142,6 +143,7 @@ class Window(QMainWindow):
         self.tabs.setDocumentMode(True)
         tabs = (
             (self.blame, "Blame"),
+            (self.section_tab, "Section"),
             (self.step_tab, "Steps"),
             (self.basins, "Basins"),
             (self.log, "Log"),

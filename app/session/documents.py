@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from PyQt6.QtCore import QObject
+from PyQt6.QtCore import QObject, pyqtSignal
 from PyQt6.QtGui import QUndoStack
 
 from app.frame import dialogs
@@ -20,25 +20,35 @@ from app.session.state import ON_A_TOUCH, SUFFIX, Session, load_session, save_se
 from app.session.undo import SessionChange
 from pipeline.base.errors import TouchError
 from pipeline.calibration.lookup import is_file as is_calibration
+from pipeline.translation.section import Line
 
 
 class Documents(QObject):
     """Holds the session and its undo stack; knows how it changes, by files too, but not how it is shown."""
+
+    section_moved = pyqtSignal(object)  # Line or None
 
     def __init__(self, window: Window, session: Session) -> None:
         super().__init__(window)
         self.window, self.session, self.undo = window, session, QUndoStack(self)
         self.saved = session  # as it was saved or opened last
         self.session_file: Path | None = None  # where
+        self.section: Line | None = None  # that is laid through all pictures
 
     @abstractmethod
     def show_session(self, session: Session) -> None:
         """Show a session: controls at once, stages when the background has them."""
 
+    def move_section(self, line: Line | None) -> None:
+        """Lay the section's line elsewhere, or take it away: like turning a view, no step to be undone."""
+        if line != self.section:
+            self.section = line
+            self.section_moved.emit(line)
+
     @property
     @abstractmethod
     def to_keep(self) -> Session:
-        """The session with what is no change of it: where the 3D views look."""
+        """The session with what is no change of it: where the 3D views look, and the section's line."""
 
     @abstractmethod
     def turn(self, cameras: Mapping[str, tuple[float, ...]]) -> None:
@@ -102,6 +112,7 @@ class Documents(QObject):
             self.saved, self.session_file = opened, path
             self.push(opened, "open session")
             self.turn(opened.cameras)
+            self.move_section(opened.section)
             for sentence in changed_since(path, opened):
                 log.warning("%s", sentence)
                 self.window.banner.show_problem(sentence)

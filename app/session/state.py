@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -13,6 +12,7 @@ from app.session.compared import Compared
 from app.session.compared import from_plain as compared_from_plain
 from app.session.layout import Layout
 from app.session.layout import from_plain as layout_from_plain
+from app.session.sights import cameras_of, section_of
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import read_json, write_json
 from pipeline.base.params import changed, settings
@@ -21,11 +21,11 @@ from pipeline.pictures.display import DisplayParams
 from pipeline.recordings.depth_arrays import DepthUnit
 from pipeline.sensors.offsets import Offsets, from_plain
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
+from pipeline.translation.section import Line
 
 SUFFIX = ".touch.json"
 DISPLAY = "display"  # the key of its parameters
 ON_A_TOUCH = -1  # in place of a frame: one on which something touches, found when the recording is open
-CAMERA_NUMBERS = 10  # where from, where to, upwards, and the angle
 _VERSION = 2
 _FORMER = {  # stages of version 1 -> keys of methods
     "depth": "depth/physics",
@@ -71,6 +71,7 @@ class Session:
     held: Session | None = None  # that *Compare* holds beside this one, None = there is none
     # 3D view -> where it looks from and to, as it was when the session was saved: turning one is no change to be saved.
     cameras: Mapping[str, tuple[float, ...]] = field(default_factory=dict, compare=False)
+    section: Line | None = field(default=None, compare=False)  # the line through all pictures, likewise
 
     def params_of(self, method: Method) -> object:
         """The parameters of a method, as they come where nobody changed them."""
@@ -138,6 +139,7 @@ def _plain(session: Session, folder: Path) -> dict[str, Any]:
     }
     data["notes"] = {str(frame): text for frame, text in sorted(session.notes.items())}
     data["compared"], data["cameras"] = session.compared.plain, {n: list(c) for n, c in session.cameras.items()}
+    data["section"] = None if session.section is None else session.section.plain
     data["held"] = None if session.held is None else _plain(replace(session.held, held=None), folder)
     return data
 
@@ -181,7 +183,8 @@ def _loaded(data: object, path: Path, catalogue: Catalogue) -> Session:
         notes=_notes(known, path),
         compared=_compared(known, path),
         held=None if known.get("held") is None else _loaded(known["held"], path, catalogue),
-        cameras=_cameras(known, path),
+        cameras=cameras_of(known, path),
+        section=section_of(known, path),
     )
 
 
@@ -260,19 +263,6 @@ def _compared(data: Mapping[str, Any], path: Path) -> Compared:
         return compared_from_plain(data.get("compared"))
     except ValueError as error:
         raise FileProblem(f"what the session compared cannot be used ({error})", path, field="compared") from error
-
-
-def _cameras(data: Mapping[str, Any], path: Path) -> Mapping[str, tuple[float, ...]]:
-    """None at all in files from before they were kept."""
-    said = data.get("cameras", {})
-    known = cast("dict[str, Any]", said) if isinstance(said, dict) else {"": ""}
-    try:
-        cameras = {name: tuple(float(number) for number in numbers) for name, numbers in known.items()}
-    except (TypeError, ValueError):
-        cameras = {"": ()}
-    if any(len(numbers) != CAMERA_NUMBERS or not all(map(math.isfinite, numbers)) for numbers in cameras.values()):
-        raise FileProblem(f"cameras must map views to {CAMERA_NUMBERS} numbers", path, field="cameras")
-    return cameras
 
 
 def _params(data: object, path: Path, catalogue: Catalogue, *, former: bool) -> Mapping[str, object]:

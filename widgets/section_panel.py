@@ -1,0 +1,106 @@
+"""The section's tab: its plot, where its line begins and ends as numbers, and its curves as a table."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import QSignalBlocker, pyqtSignal
+from PyQt6.QtGui import QAction
+from PyQt6.QtWidgets import (
+    QApplication,
+    QComboBox,
+    QDoubleSpinBox,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QSizePolicy,
+    QVBoxLayout,
+    QWidget,
+)
+
+from pipeline.translation.section import Line, Section, as_csv
+from widgets.looks import command_button, spaced
+from widgets.section_plot import SectionPlot
+
+_NAMES = ("A x", "y", "B x", "y")
+_TIPS = ("across", "down", "across", "down")
+_PLACES = (("both sensors", ""), ("source", "source"), ("target", "target"))
+_REACH_MM, _STEP_MM, _DIGITS = 999.0, 0.1, 2
+_HOW = "{:.2f} mm; Shift and drag lays it anew, a drag at A or B moves that end"
+_OFF = "no line is laid"
+
+
+class SectionPanel(QWidget):
+    """Shows a `Section`; tells where somebody typed that the line lies."""
+
+    line_typed = pyqtSignal(object)  # Line
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.plot, self.told, self.copy = SectionPlot(), QLabel(_OFF), QPushButton("Copy as CSV")
+        self.line: Line | None = None
+        self.told.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)  # a drag lays nothing out anew
+        self.copy.setObjectName("section_copy")
+        self.copy.setToolTip("Copy the curves as a table: mm along the line, and mm of indentation for every slot")
+        self._head = spaced(QHBoxLayout(), 5)
+        self.ends: list[QDoubleSpinBox] = []
+        for k, (name, tip) in enumerate(zip(_NAMES, _TIPS, strict=True)):
+            box, end = QDoubleSpinBox(), "AB"[k // 2]
+            box.setObjectName(f"section_{end.lower()}_{'xy'[k % 2]}")
+            box.setAccessibleName(f"{end}, {'xy'[k % 2]} in mm")
+            box.setRange(-_REACH_MM, _REACH_MM)
+            box.setDecimals(_DIGITS)
+            box.setSingleStep(_STEP_MM)
+            box.setSuffix(" mm")
+            box.setToolTip(f"How far {tip} from the source camera's axis the line's end {end} lies, on the gel")
+            box.setKeyboardTracking(False)
+            box.valueChanged.connect(self._typed)
+            self._head.addWidget(QLabel(name))
+            self._head.addWidget(box)
+            self.ends.append(box)
+        self.place = QComboBox()
+        self.place.setObjectName("section_place")
+        self.place.setAccessibleName("whose curves are drawn")
+        self.place.setToolTip("Whose curves are drawn: a gel is pushed in less far than a bubble")
+        for title, place in _PLACES:
+            self.place.addItem(title, place)
+        self.place.currentIndexChanged.connect(self._place_chosen)
+        self._head.addWidget(self.place)
+        self._head.addWidget(self.told, 1)
+        self._head.addWidget(self.copy)
+        layout = spaced(QVBoxLayout(self), 2, (6, 4, 6, 2))
+        layout.addLayout(self._head)
+        layout.addWidget(self.plot, 1)
+        self.copy.clicked.connect(self._copy)
+        self.show_line(None)
+
+    def add_command(self, action: QAction) -> None:
+        """A button before the numbers."""
+        self._head.insertWidget(0, command_button(action))
+
+    def show_line(self, line: Line | None) -> None:
+        """Where the line lies; says so to nobody."""
+        self.line = line
+        for box, value in zip(self.ends, (0.0,) * 4 if line is None else line.plain, strict=True):
+            with QSignalBlocker(box):
+                box.setValue(value)
+            box.setEnabled(line is not None)
+        self.told.setText(_OFF if line is None else _HOW.format(line.length_mm))
+        self.told.setToolTip(self.told.text())
+        if line is None:
+            self.show_section(None)
+
+    def show_section(self, section: Section | None) -> None:
+        """The curves along it."""
+        self.plot.show_section(section)
+        self.copy.setEnabled(section is not None)
+
+    def _place_chosen(self, _: int) -> None:
+        self.plot.show_place(str(self.place.currentData()))
+
+    def _typed(self) -> None:
+        x0, y0, x1, y1 = (box.value() for box in self.ends)
+        self.line_typed.emit(Line(begin_mm=(x0, y0), end_mm=(x1, y1)))
+
+    def _copy(self) -> None:
+        board = QApplication.clipboard()
+        if board is not None and self.plot.section is not None:
+            board.setText(as_csv(self.plot.section))

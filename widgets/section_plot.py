@@ -1,0 +1,198 @@
+"""The heights of all slots along one line: one curve each over the same millimetres."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PyQt6.QtCore import QLineF, QPointF, QRectF, QSize, Qt
+from PyQt6.QtGui import QColor, QPainter, QPalette, QPen
+from PyQt6.QtWidgets import QSizePolicy, QWidget
+
+from pipeline.pictures.colours import Rgb
+from pipeline.translation.section import Profile, Section
+from widgets.colours import ANSWERS, inks, qcolor
+from widgets.looks import smaller
+
+_LEFT_PX, _BELOW_PX, _ROOM_PX, _LEGEND_PX, _KEY_PX, _EDGE_PX = 60.0, 32.0, 8.0, 150.0, 26.0, 9.0
+_STEPS = (1.0, 2.0, 5.0)
+_SOLID, _DASH, _DOT, _DASH_DOT = "1", "1110", "10", "1111010"
+_UNIT_PX = 4.0  # of a pattern
+
+
+@dataclass(frozen=True, slots=True)
+class Stroke:
+    """How a curve is drawn: colours alone tell nobody apart where two curves lie on each other."""
+
+    colour: Callable[[QPalette], QColor]
+    pattern: str = _SOLID
+    wide_px: float = 1.8
+
+
+def _always(rgb: Rgb) -> Callable[[QPalette], QColor]:
+    return lambda _: qcolor(rgb)
+
+
+def _calm(palette: QPalette) -> QColor:
+    return qcolor(inks(palette).whole)
+
+
+def _blue(palette: QPalette) -> QColor:
+    return qcolor(inks(palette).taken)
+
+
+def _words(palette: QPalette) -> QColor:
+    return palette.color(QPalette.ColorRole.WindowText)
+
+
+_STROKES = {
+    "source": Stroke(_calm),
+    "depth": Stroke(_blue),
+    "cloud": Stroke(_always(ANSWERS[1]), _DOT, 2.6),
+    "view": Stroke(_always(ANSWERS[2]), _DASH),
+    "touch": Stroke(_always(ANSWERS[3]), wide_px=3.0),
+    "felt": Stroke(_always(ANSWERS[5]), _DASH_DOT),
+    "true_source": Stroke(_blue, _DOT),
+    "true_target": Stroke(_words, wide_px=1.3),
+}
+_OTHER = Stroke(_calm, _DASH)
+
+
+class SectionPlot(QWidget):
+    """Draws a `Section`: mm along the line across, mm of indentation upwards, gaps where nothing is known."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        smaller(self)
+        self.section: Section | None = None
+        self.place = ""  # whose curves are drawn, "" = both sensors'
+        self.setMinimumSize(280, 110)
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
+        self.setAccessibleName("indentation along the section line")
+        self.setToolTip(
+            "Indentation of every slot along the line, + toward the camera; strokes at the foot: where its contact "
+            "begins and ends. Points of the cloud: square to the target's rest surface"
+        )
+
+    def show_section(self, section: Section | None) -> None:
+        """Draw this instead."""
+        self.section = section
+        self.update()
+
+    def show_place(self, place: str) -> None:
+        """Draw the curves of the source or of the target alone, on a scale of their own; "" draws both."""
+        self.place = place
+        self.update()
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """Room for axes and legend."""
+        return QSize(640, 180)
+
+    @property
+    def known(self) -> tuple[Profile, ...]:
+        """The curves that are drawn: those that have a value anywhere."""
+        profiles = () if self.section is None else self.section.profiles
+        return tuple(p for p in profiles if self.place in ("", p.place) and np.isfinite(p.heights_mm).any())
+
+    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+        """Axes, curves, edges of contact, legend."""
+        del a0
+        known, section = self.known, self.section
+        if section is None or not known or not section.line.length_mm > 0:
+            return
+        painter = QPainter(self)
+        room = QRectF(_LEFT_PX, _ROOM_PX, self.width() - _LEFT_PX - _LEGEND_PX - _ROOM_PX,
+                      self.height() - _ROOM_PX - _BELOW_PX)  # fmt: skip
+        low = min(0.0, *(float(np.nanmin(p.heights_mm)) for p in known))
+        high = max(0.05, *(float(np.nanmax(p.heights_mm)) for p in known))
+        span = 1.06 * (high - low)
+        low = low - 0.03 * (high - low)
+        self._draw_axes(painter, room, section.line.length_mm, (low, low + span))
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)  # not of the grid: it would cost as much as a curve
+        x = room.left() + room.width() * section.along_mm / section.line.length_mm
+        for profile in sorted(known, key=lambda p: -_STROKES.get(p.name, _OTHER).wide_px):  # none hides another
+            painter.setPen(self._pen(profile.name))
+            y = room.bottom() - room.height() * (profile.heights_mm - low) / span
+            draw_lines(painter, segments(x, y, _STROKES.get(profile.name, _OTHER).pattern))
+            for edge in profile.edges_mm:
+                at = room.left() + room.width() * edge / section.line.length_mm
+                painter.drawLine(QPointF(at, room.bottom() - _EDGE_PX), QPointF(at, room.bottom()))
+        self._draw_legend(painter, known, room)
+
+    def _pen(self, name: str) -> QPen:
+        stroke = _STROKES.get(name, _OTHER)
+        pen = QPen(stroke.colour(self.palette()), stroke.wide_px)
+        pen.setCapStyle(Qt.PenCapStyle.FlatCap)
+        return pen
+
+    def _draw_axes(self, painter: QPainter, room: QRectF, long_mm: float, span_mm: tuple[float, float]) -> None:
+        palette, (low, high) = self.palette(), span_mm
+        grid, words = palette.color(QPalette.ColorRole.Mid), palette.color(QPalette.ColorRole.WindowText)
+        centre, right = Qt.AlignmentFlag.AlignCenter, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
+        for value in ticks(0.0, long_mm, max(2, int(room.width() / 70))):
+            x = room.left() + room.width() * value / long_mm
+            painter.setPen(QPen(grid, 1, Qt.PenStyle.DotLine))
+            painter.drawLine(QPointF(x, room.top()), QPointF(x, room.bottom()))
+            painter.setPen(words)
+            painter.drawText(QRectF(x - 30, room.bottom() + 1, 60, 14), centre, f"{value:.6g}")
+        for value in ticks(low, high, max(2, int(room.height() / 26))):
+            y = room.bottom() - room.height() * (value - low) / (high - low)
+            painter.setPen(QPen(grid, 1, Qt.PenStyle.SolidLine if value == 0 else Qt.PenStyle.DotLine))
+            painter.drawLine(QPointF(room.left(), y), QPointF(room.right(), y))
+            painter.setPen(words)
+            painter.drawText(QRectF(14, y - 8, _LEFT_PX - 19, 16), right, f"{value:.6g}")
+        painter.setPen(grid)
+        painter.drawRect(room)
+        painter.setPen(words)
+        painter.drawText(QRectF(room.left(), room.bottom() + 14, room.width(), 16), centre, "along the line A to B, mm")
+        painter.save()
+        painter.translate(2, room.bottom())
+        painter.rotate(-90)
+        painter.drawText(QRectF(0, 0, room.height(), 14), centre, "indentation, mm")
+        painter.restore()
+
+    def _draw_legend(self, painter: QPainter, known: tuple[Profile, ...], room: QRectF) -> None:
+        left, tall = room.right() + _ROOM_PX, min(18.0, room.height() / len(known))
+        for k, profile in enumerate(known):
+            y = room.top() + (k + 0.5) * tall
+            painter.setPen(self._pen(profile.name))
+            key = np.linspace(left, left + _KEY_PX, 9)
+            draw_lines(painter, segments(key, np.full(9, y), _STROKES.get(profile.name, _OTHER).pattern))
+            painter.setPen(self.palette().color(QPalette.ColorRole.WindowText))
+            words = QRectF(left + _KEY_PX + 5, y - 9, self.width() - left - _KEY_PX - 6, 18)
+            painter.drawText(words, Qt.AlignmentFlag.AlignVCenter, profile.title)
+
+
+def segments(x_px: NDArray[np.floating], y_px: NDArray[np.floating], pattern: str = "1") -> list[QLineF]:
+    """The curve from sample to sample: nothing where either is NaN, nor where the pattern, repeated, has a 0.
+
+    Qt draws these in half the time of one dashed line with as many corners.
+    """
+    mean_px = float(np.ptp(x_px)) / max(1, len(x_px) - 1)
+    unit = max(1, round(_UNIT_PX / mean_px)) if mean_px > 0 else 1
+    on = np.array([mark == "1" for mark in pattern])[np.arange(len(x_px) - 1) // unit % len(pattern)]
+    known = np.isfinite(y_px)
+    return [
+        QLineF(float(x_px[k]), float(y_px[k]), float(x_px[k + 1]), float(y_px[k + 1]))
+        for k in np.flatnonzero(on & known[1:] & known[:-1])
+    ]
+
+
+def draw_lines(painter: QPainter, lines: Sequence[QLineF]) -> None:
+    """All of them at once, with the painter's pen."""
+    if lines:
+        painter.drawLines(lines[0], *lines[1:])
+
+
+def ticks(low: float, high: float, most: int) -> list[float]:
+    """Round numbers from `low` to `high`, `most` of them or fewer, in steps of 1, 2 or 5 times a power of ten."""
+    coarse = (high - low) / most
+    if not coarse > 0:
+        return []
+    power = 10.0 ** math.floor(math.log10(coarse))
+    step = next((s * power for s in _STEPS if s * power >= coarse * (1 - 1e-9)), 10.0 * power)
+    return [k * step for k in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
