@@ -7,12 +7,16 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from rich.console import Console
 
 from pipeline.base import compiling
 from pipeline.cli.terminal import print_line
+
+if TYPE_CHECKING:
+    from pipeline.base.arrays import Image
 
 SAMPLE = Path(__file__).parents[2] / "sample_data" / "recordings" / "first_touch.h5"
 _FRAME = 5  # a firm touch
@@ -97,7 +101,7 @@ def _oddly_lit() -> None:
     from pipeline.values.frames import TactileFrame
 
     gel, thing = sensor("gelsight_mini"), shapes.shape(_TOOL).mesh
-    image = press(thing, paper_grid(thing, n=1, seed=0)[0], gel, seed=0).image
+    image = cast("Image", press(thing, paper_grid(thing, n=1, seed=0)[0], gel, seed=0).image)
     swapped = np.ascontiguousarray(image[..., ::-1])
     untouched = np.ascontiguousarray(optics.untouched(gel)[..., ::-1])
     depth(TactileFrame(sensor=gel.name, image=swapped, reference=untouched), gel, None, DepthParams())
