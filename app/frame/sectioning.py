@@ -47,8 +47,7 @@ class Sectioning(QObject):
         instrument.section_moved.connect(self._moved)
         instrument.job.delivered.connect(self._delivered)
         instrument.frame_shown.connect(self._delivered)
-        for timer in (self._soon, self._then):
-            instrument.closing.connect(timer.stop)
+        instrument.closing.connect(self._close)
 
     def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
         """Nothing is cut while nobody sees the tab."""
@@ -85,6 +84,13 @@ class Sectioning(QObject):
         sheet = section.sheet_of(opened, "source", camera)
         reach_px = 0.5 * _SHARE * camera.cols
         return _line(sheet.to_mm(x_px - reach_px, y_px), sheet.to_mm(x_px + reach_px, y_px))
+
+    def _close(self) -> None:
+        """Listen to no picture any more: the window may outlive Python."""
+        for timer in (self._soon, self._then):
+            timer.stop()
+        for hand in self._hands.values():
+            hand.show_line(None)
 
     def _dragged(self, name: str, begin: QPointF, end: QPointF) -> None:
         sheet = self._sheet(name)
