@@ -280,7 +280,7 @@ def test_the_weights_that_come_along_better_physics_on_grasps_they_have_never_se
         assert "come along" in found.why, "shipped weights that do not fit are no reason to answer by physics"
         return
     net, task = network(found), ResidualOfView(target=target)
-    held_out = [task.held_out("unseen_grasps", index) for index in range(3)]
+    held_out = [task.held_out("unseen_grasps", index) for index in range(6)]
     figures = task.figures(net, held_out)
-    assert figures["in contact, mm"] < 0.9 * figures["none of it in contact, mm"]
+    assert figures["held back in contact, mm"] < 0.95 * figures["none of it in contact, mm"]
     assert found.card["minutes"]
