@@ -44,6 +44,11 @@ class Denoising:
     target: Target = setting("soft_bubble", "Target", choices=Target)
     near: float = setting(1.0, "Weight of the contact", low=0.0, high=100.0)
     slopes: float = setting(0.0, "Weight of the slopes", low=0.0, high=1000.0, help="of what a gel's picture shows")
+    doubt_alone: bool = setting(
+        False,
+        "Doubt alone",
+        help="of what a network says, learn only how far off it is: by touches held back",
+    )
 
     @property
     def kind(self) -> Literal["bubble", "gel"]:
@@ -51,8 +56,8 @@ class Denoising:
         return sensor(self.target).kind
 
     def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
-        """See `denoising.loss`."""
-        return loss(network, batch, self.near, self.slopes)
+        """See `denoising.loss` and `denoising.doubt`."""
+        return doubt(network, batch) if self.doubt_alone else loss(network, batch, self.near, self.slopes)
 
     def figures(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
         """See `denoising.figures`; what touch to touch begins with is the untouched target."""
@@ -95,6 +100,24 @@ def loss(
         parts["slopes"] = sum(off.diff(dim=axis).square().mean() for axis in (-1, -2))
         total = total + slopes * parts["slopes"]
     return total, {name: part.detach() for name, part in parts.items()}
+
+
+def doubt(network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
+    """How unlikely one step's errors are by what is told of them: for a recipe whose `factors` hold all else still.
+
+    What knows its touches by heart is right about them and tells so; only on others it learns how far off it is.
+    """
+    import torch
+
+    net = bare(network)
+    net.eval()  # norms stay as they were learned
+    clean = batch["residual"]
+    sigma = torch.full((len(clean),), float(net.most), device=clean.device)
+    said = network(torch.zeros_like(clean), sigma, batch["condition"])
+    log = said[:, 2].clamp(*LOG_SPREAD)
+    off = (said[:, 0] - clean[:, 0]).detach().abs()
+    spread = (off * torch.exp(-log) + log).mean()
+    return spread, {"spread": spread.detach()}
 
 
 def figures(network: nn.Module, held_out: Sequence[Example], unit_mm: float) -> dict[str, float]:

@@ -15,7 +15,7 @@ from pipeline.stages.generate.picture_input import of_picture
 from pipeline.training.denoising import Denoising, Target
 from pipeline.training.own_touches import Things
 from pipeline.training.residual import example, turned
-from pipeline.training.touch_pairs import Pair, pair, units
+from pipeline.training.touch_pairs import Pair, mirrored, pair, units
 
 if TYPE_CHECKING:
     from pipeline.training.task import Example, Split
@@ -34,13 +34,19 @@ class TouchToTouch(Denoising):
     press_seed: int = setting(1, "Seed of the presses", low=0, high=2**31 - 1)
     folder: str = setting("", "Folder", help="keeps the presses for other runs; empty = worked out each time")
     turned: float = setting(
-        0.5, "Share of turned and mirrored examples", low=0.0, high=1.0, help="of a bubble as source"
+        0.5,
+        "Share of turned and mirrored examples",
+        low=0.0,
+        high=1.0,
+        help="a quarter of a gel's stay as they were pressed, and are pictured anew",
     )
 
     def sample(self, rng: np.random.Generator) -> Example:
-        """A pair as it is or, of a bubble, turned or mirrored: a gel's light knows left and right."""
-        found = self._example(self._pair("learned", self.press_seed, int(rng.integers(self.presses))), rng)
-        return found if self.kind == "bubble" else turned(found, rng, self.turned)
+        """A pair as it is, or turned or mirrored: a gel is pictured anew then, as its light knows left and right."""
+        found = self._pair("learned", self.press_seed, int(rng.integers(self.presses)))
+        if self.kind == "gel":
+            return turned(self._example(found, rng), rng, self.turned)
+        return self._example(mirrored(found, rng) if rng.random() < self.turned else found, rng)
 
     def held_out(self, split: Split, index: int) -> Example:
         """A touch of a training object as it was never held, or of one that is never learned from."""

@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 import torch
 
+from pipeline.base.arrays import freeze
+from pipeline.geometry import rigid
 from pipeline.networks.building import build
+from pipeline.simulation import shapes
 from pipeline.stages.generate.residual_input import VIEW_CHANNELS
 from pipeline.training import denoising, own_touches, touch_pairs
 from pipeline.training.denoising import UNITS_MM
@@ -16,6 +19,8 @@ from pipeline.training.residual import ResidualOfView
 from pipeline.training.touch_to_touch import TouchToTouch
 
 SPLITS = ("unseen_grasps", "unseen_tools")
+MIRROR_MM = 0.02  # what solvers on a lattice leave between an object and its mirror
+NOISE_GREY = 3.0  # two pictures of one surface, each with a camera's noise
 
 
 @pytest.fixture(scope="module")
@@ -108,6 +113,59 @@ def test_a_pair_gives_the_source_s_reading_and_all_of_the_target_s_touch(folder,
     assert np.allclose(unit * example["residual"][0], truth, atol=1e-4)
     assert not example["contact"][1].any()
     assert load(f"t2t_{'bubble' if channels == 13 else 'gelslim'}", "t2t").network["inputs"] == channels
+
+
+def test_a_mirrored_pair_is_what_the_mirrored_object_gives(monkeypatch):
+    """Pressed by units as described, so that nothing but the mirror differs; both ways at once."""
+    over = np.diag([-1.0, -1.0, 1.0])
+    monkeypatch.setattr(touch_pairs.variation, "varied", lambda unit, seed, strength=1.0: unit)
+    thing, pose = shapes.shape("letters").mesh, rigid.translation(1.0, -2.0, -0.6)
+    monkeypatch.setattr(touch_pairs, "thing_of", lambda *_: thing)
+    monkeypatch.setattr(touch_pairs.poses, "single", lambda *_: pose)
+    pair = touch_pairs._made("unseen_tools", np.random.default_rng(0), 0)
+    turned = replace(thing, vertices_mm=freeze(rigid.apply(pose, thing.vertices_mm) @ over))
+    monkeypatch.setattr(touch_pairs, "thing_of", lambda *_: turned)
+    monkeypatch.setattr(touch_pairs.poses, "single", lambda *_: np.eye(4))
+    true = touch_pairs._made("unseen_tools", np.random.default_rng(0), 0)
+
+    class Both:
+        """Draws that ask for both mirrors."""
+
+        def integers(self, high):
+            return 3 if high == 4 else 0
+
+    found = touch_pairs.mirrored(pair, Both())
+    assert pair.gel_contact.any()
+    assert np.abs(true.bubble_mm - pair.bubble_mm).max() > 1.0, "the press says nothing of mirrors"
+    assert np.abs(found.bubble_mm - true.bubble_mm).max() < MIRROR_MM
+    assert np.abs(found.gel_mm - true.gel_mm).max() < MIRROR_MM
+    assert np.abs(found.change_grey - true.change_grey).mean() < NOISE_GREY
+    assert (found.bubble_contact != true.bubble_contact).mean() < 0.01
+
+
+def test_doubt_is_learned_alone_and_by_the_error(task):
+    """All but the last layer held still, as recipes do: what is told of the touch stays, of its error it moves."""
+    example = task.held_out("unseen_tools", 0)
+    batch = {name: torch.from_numpy(np.stack([a, a])) for name, a in example.items()}
+    net = build("residual_denoiser", {"inputs": VIEW_CHANNELS, "unit_mm": 0.2, "first": 8, "levels": 2, "widest": 8})
+    alone = replace(task, doubt_alone=True)
+    sigma, none = torch.full((2,), net.most), torch.zeros(2, 2, *example["residual"].shape[1:])
+    with torch.no_grad():
+        before = net.eval()(none, sigma, batch["condition"])
+    optimiser = torch.optim.Adam(net.finish.parameters(), lr=1e-2)
+    losses = []
+    for _ in range(30):
+        optimiser.zero_grad()
+        loss, _parts = alone.loss(net.train(), batch)
+        loss.backward()
+        optimiser.step()
+        losses.append(float(loss.detach()))
+    with torch.no_grad():
+        after = net.eval()(none, sigma, batch["condition"])
+    assert torch.equal(before[:, :2], after[:, :2])
+    assert losses[-1] < losses[0] - 0.2
+    off = (after[:, 0] - batch["residual"][:, 0]).abs()
+    assert after[:, 2][off > 0.5].mean() > after[:, 2][off < 0.05].mean(), "where it errs more it doubts more"
 
 
 def test_what_differs_from_pixel_to_pixel_counts_where_it_is_asked_to():
