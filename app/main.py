@@ -36,6 +36,7 @@ def open_window(request: Request | None, *, frame: int | None = None, tour: Path
     `app.frame.tour` for what a tour leaves behind.
     """
     prepare_environment()
+    from app.ending import Ending
     from app.frame.warming import Warming
     from app.session.state import ASKED, ON_A_TOUCH, Session
 
@@ -49,15 +50,19 @@ def open_window(request: Request | None, *, frame: int | None = None, tour: Path
         methods, weights = dict(request.methods), dict(request.weights)
         session = Session(**asked, offsets=request.offsets, methods=methods, weights=weights, frame=first)
     instrument = show_window(session, remembers=tour is None)
+    ending = Ending(instrument)
     if tour is None:
         Warming(instrument)
     try:
         if tour is None:
-            return application.exec()
-        from app.frame.tour import give_tour
+            code = application.exec()
+        else:
+            from app.frame.tour import give_tour
 
-        return give_tour(instrument, tour, show_frame=frame)
+            code = give_tour(instrument, tour, show_frame=frame)
+        return ending.code or code
     finally:
+        ending.let_go()
         let_go(instrument)
 
 
@@ -81,6 +86,9 @@ def make_application() -> QApplication:
     """The one application, in our style."""
     from PyQt6.QtWidgets import QApplication
 
+    from app.ending import leave_no_window
+
+    leave_no_window()
     running = QApplication.instance()
     if isinstance(running, QApplication):
         return running

@@ -22,7 +22,7 @@ from app.frame.instrument import Instrument
 from app.frame.living import Living
 from app.frame.sweeping import Sweeping
 from app.frame.tour import follow_a_pixel, save_window_picture
-from app.main import make_application, show_window
+from app.main import let_go, make_application, show_window
 from app.session.state import Session
 from pipeline.live.simulated import Simulated
 from pipeline.sensors.offsets import Offsets
@@ -168,8 +168,7 @@ def main() -> None:
             names = [other for other in names if other != name]
             if not names:
                 break
-        instrument.close()
-        instrument.window.close()
+        let_go(instrument)
 
 
 if __name__ == "__main__":

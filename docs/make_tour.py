@@ -16,12 +16,12 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from app.main import make_application, prepare_environment, show_window
+from app.main import let_go, make_application, prepare_environment, show_window
 from app.session.sample import SAMPLE
 
 prepare_environment()
 
-from PyQt6.QtCore import QCoreApplication, QEvent, QSettings
+from PyQt6.QtCore import QCoreApplication, QSettings
 
 from app.frame.basins import BasinsTab
 from app.frame.comparing import Comparing
@@ -228,10 +228,7 @@ def main() -> None:
             instrument.window.resize(*SIZE_PX)
             QCoreApplication.processEvents()
             make(instrument, out / f"{name}.png")
-            instrument.close()
-            instrument.window.close()
-            instrument.window.deleteLater()  # before the application, which outlives this function
-            QCoreApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete.value)
+            let_go(instrument)
             print(out / f"{name}.png", flush=True)
 
 

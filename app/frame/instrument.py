@@ -37,6 +37,7 @@ class Instrument(Documents):
     frame_shown = pyqtSignal(int)
     session_shown = pyqtSignal(object)  # Session
     closing = pyqtSignal()
+    ended_from_outside = pyqtSignal()  # before it is closed, and nobody can be asked
 
     def __init__(self, window: Window, catalogue: Catalogue = BUILT_IN) -> None:
         super().__init__(window, Session())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 
 from PyQt6.QtCore import QByteArray, QObject
@@ -16,6 +17,7 @@ from app.session.recovery import Kept, Left
 from app.session.remembered import Remembered
 from app.session.state import DISPLAY, Session
 from app.work.jobs import LatestJob
+from pipeline.base.errors import TouchError
 from pipeline.base.text import plain
 from pipeline.recordings.mounted import is_mounted
 from pipeline.translation.translate import Translation
@@ -37,6 +39,7 @@ class Keeping(QObject):
         self.kept = Kept(recovery.own_folder())
         self._job = LatestJob("keeping", self)
         self._soon = once(self, KEEP_AFTER_MS, self.keep_now)
+        self._left: Session | None = None  # what the next window is to offer
         self.offer = Offer("recovery_offer")
         self.window.add_strip(self.offer)
         self.recent = QMenu("Open recent", self.window)
@@ -47,6 +50,7 @@ class Keeping(QObject):
         instrument.session_shown.connect(self._session_shown)
         instrument.job.delivered.connect(self._opened)
         instrument.closing.connect(self._close)
+        instrument.ended_from_outside.connect(self._leave_behind)
         self._job.failed.connect(self._not_kept)
 
     @property
@@ -64,11 +68,15 @@ class Keeping(QObject):
     def keep_now(self) -> None:
         """Have the session written beside, in the background."""
         self._soon.stop()
+        session = self._to_keep()
+        self._job.submit(lambda _report: self.kept.write(session), interrupt=False)
+
+    def _to_keep(self) -> Session:
         session = self._instrument.to_keep
         session = replace(session, frame=max(0, session.frame))  # one that is not open yet has no frame
         if session.recording is not None and is_mounted(session.recording):
             session = replace(session, recording=None)  # a sensor that is watched is not there after a crash
-        self._job.submit(lambda _report: self.kept.write(session), interrupt=False)
+        return session
 
     def take_place(self) -> None:
         """Go where the last window was, on a screen that is there, and leave the place behind on close."""
@@ -156,10 +164,17 @@ class Keeping(QObject):
     def _not_kept(self, _: int, error: object) -> None:
         log.error("the session could not be kept: %s", error)
 
+    def _leave_behind(self) -> None:
+        self._left = self._to_keep() if self.unsaved else None
+
     def _close(self) -> None:
         self._soon.stop()
         self._job.close()
-        self.kept.forget()
+        if self._left is None:
+            self.kept.forget()
+        else:
+            with contextlib.suppress(TouchError, OSError):  # nobody is there to be told, and the process must end
+                self.kept.write(self._left)
         if self._remembers_place:
             self.remembered.place = (QByteArray(self.window.saveGeometry()), QByteArray(self.window.saveState()))
         self.remembered.write()

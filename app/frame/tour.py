@@ -32,6 +32,9 @@ def give_tour(instrument: Instrument, out: Path, *, show_frame: int | None = Non
     for index in range(translation.n_frames):
         instrument.choose_frame(index)
         shown = wait_until_shown(instrument)
+        if instrument.closed:
+            print_line(f"the window was closed; {index} of {translation.n_frames} frames are whole in {out}")
+            return 2
         latest = instrument.latest
         if not shown or latest is None or latest.index != index:
             problem = instrument.window.banner.text or "not shown in time"
@@ -59,6 +62,8 @@ def wait_until_shown(instrument: Instrument, limit_s: float = FRAME_LIMIT_S) -> 
     end_s = time.monotonic() + limit_s
     while time.monotonic() < end_s:
         QCoreApplication.processEvents(QEventLoop.ProcessEventsFlag.AllEvents, _BREATH_MS)
+        if instrument.closed:
+            return False
         if instrument.idle:
             QCoreApplication.processEvents()
             return not instrument.window.banner.isVisible()
