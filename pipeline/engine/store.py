@@ -30,6 +30,7 @@ T = TypeVar("T")
 def kept(kind: type[T], made_of: object, code: tuple[str, ...], make: Callable[[], T], folder: Path | str) -> T:
     """The value that `make` makes of `made_of` by the modules `code`: read from disk, or made and written there.
 
+    A package in `code` stands for all of its own modules.
     `kind` is a flat dataclass of arrays, numbers and tuples of words; a relative `folder` lies in this user's cache.
     """
     key = digest((_source(code), made_of))
@@ -51,8 +52,15 @@ def own_folder() -> Path:
 @lru_cache(maxsize=16)
 def _source(code: tuple[str, ...]) -> str:
     """Digest of the source of modules: a changed line makes other files."""
-    specs = [find_spec(name) for name in code]
-    return digest([Path(spec.origin).read_text("utf-8") for spec in specs if spec is not None and spec.origin])
+    return digest([file.read_text("utf-8") for name in code for file in _files(name)])
+
+
+def _files(name: str) -> list[Path]:
+    """The files of a module, or of a package's own modules."""
+    spec = find_spec(name)
+    if spec is None or not spec.origin:
+        return []
+    return sorted(Path(spec.origin).parent.glob("*.py")) if spec.submodule_search_locations else [Path(spec.origin)]
 
 
 def _read(kind: type[T], path: Path, key: str) -> T | None:

@@ -25,8 +25,8 @@ def touched_frame(stream: Stream) -> int:
     0 where none has, or where no frame brings an untouched reading. Frames that cannot be read are passed over.
     """
     best, most = 0, 0.0
-    for frame in _compared(stream):
-        change = float(_change(frame).max())
+    for frame, change_of in _compared(stream):
+        change = float(change_of.max())
         if change > most:
             best, most = frame.index, change
     return best
@@ -39,11 +39,11 @@ def telling_touches(stream: Stream) -> tuple[Image, ...]:
     do not: strongly, and in other places. They share one untouched picture, so that all are of one unit and one day.
     """
     found: list[tuple[TactileFrame, Floats]] = []
-    for frame in _compared(stream):
+    for frame, change in _compared(stream):
         if frame.is_depth or frame.image.dtype != np.uint8:
             return ()
         if not found or content(frame.reference) == content(found[0][0].reference):
-            found.append((frame, _change(frame)))
+            found.append((frame, change))
     chosen: list[Image] = []
     while found and len(chosen) < _MOST_TELLING:
         gains = [float(change.sum()) for _, change in found]
@@ -56,15 +56,22 @@ def telling_touches(stream: Stream) -> tuple[Image, ...]:
     return tuple(chosen)
 
 
-def _compared(stream: Stream) -> Iterator[TactileFrame]:
-    """Frames spread over the recording that bring an untouched reading of their shape."""
+def _compared(stream: Stream) -> Iterator[tuple[TactileFrame, Floats]]:
+    """Frames spread over the recording that bring an untouched reading of their shape, and by how much they changed.
+
+    That is of blocks' means, in the reading's own unit; what is no reading has not changed.
+    """
+    reference, at_rest = None, None
     for index in _spread(stream):
         try:
             frame = stream.frame(index)
         except TouchError:
             continue
-        if frame.reference is not None and frame.reference.shape == frame.image.shape:
-            yield frame
+        if frame.reference is None or frame.reference.shape != frame.image.shape:
+            continue
+        if at_rest is None or frame.reference is not reference:
+            reference, at_rest = frame.reference, _blocks(frame.reference)
+        yield frame, np.abs(np.nan_to_num(_blocks(frame.image) - at_rest, nan=0.0, posinf=0.0, neginf=0.0))
 
 
 def _spread(stream: Stream) -> list[int]:
@@ -76,13 +83,6 @@ def _spread(stream: Stream) -> list[int]:
         rows, cols = 320, 427
     count = min(_MOST_FRAMES, stream.n_frames, max(3, _MOST_PIXELS // (rows * cols)))
     return [round(i) for i in np.linspace(0, stream.n_frames - 1, count)]
-
-
-def _change(frame: TactileFrame) -> Floats:
-    """By how much blocks' means have changed, in the reading's own unit; what is no reading has not changed."""
-    assert frame.reference is not None
-    gap = np.nan_to_num(_blocks(frame.image) - _blocks(frame.reference), nan=0.0, posinf=0.0, neginf=0.0)
-    return np.abs(gap)
 
 
 def _blocks(image: NDArray[np.generic]) -> Floats:

@@ -1,19 +1,27 @@
-"""The light of a recording's unit, fitted once to several of its touches and kept: every frame is read by it."""
+"""The light of a recording's unit, fitted once to several of its touches and kept: every frame is read by it.
+
+It is kept on disk as well: the fit takes as long as reading several frames, and who opens a recording opens it again.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
-from pipeline.base.arrays import Image
+import numpy as np
+
+from pipeline.base.arrays import Doubles, Image, freeze
 from pipeline.base.memo import Memo
 from pipeline.base.progress import Progress
+from pipeline.engine import store
 from pipeline.engine.digests import content
-from pipeline.sensors.parts import Optics
+from pipeline.physics import optics
+from pipeline.sensors.parts import Led, Optics
 from pipeline.stages.depth import drift, gel_light, lit_surface, moved, own_lamps
 from pipeline.stages.depth.lit_surface import Changed
 
 _SMOOTHING_PX = 1.0
 _FEWEST = 2  # touches: one tells no more than a frame of itself
+_CODE = ("pipeline.stages.depth", "pipeline.calibration", "pipeline.physics", "pipeline.sensors")  # what it comes from
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,9 +37,9 @@ def fitted(touches: tuple[Image, ...], reference: Image, like: Changed, progress
     """
     if len(touches) < _FEWEST or not gel_light.applies(like.source, like.calibration):
         return None
-    pixel_mm = like.calibration.pixel_mm
+    described, pixel_mm = optics.optics_of(like.source), like.calibration.pixel_mm
 
-    def make() -> _Known:
+    def fit() -> _Fitted:
         found: list[own_lamps.Touch] = []
         for image in touches:
             still = drift.stilled(image, reference)
@@ -41,9 +49,36 @@ def fitted(touches: tuple[Image, ...], reference: Image, like: Changed, progress
                     like, image=image, still=still, window=window, smoothing_px=_SMOOTHING_PX, boundary="flat"
                 )
                 found.append(lit_surface.touch(there, progress))
-        return _Known(optics=own_lamps.fitted(like.source, found) if len(found) >= _FEWEST else None)
+        return _Fitted.of(own_lamps.fitted(like.source, found) if len(found) >= _FEWEST else None)
 
-    return _kept.of((content(touches), content(reference), content(like.source), pixel_mm), make).optics
+    made_of = (content(touches), content(reference), content(like.source), content(like.calibration))
+    return _kept.of(
+        made_of, lambda: _Known(optics=store.kept(_Fitted, made_of, _CODE, fit, "lamps").beside(described))
+    ).optics
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Fitted:
+    """Optics as numbers that a file keeps."""
+
+    leds: Doubles  # (n, 5) azimuth and elevation in degrees, colour; none where no usual unit's explain the pictures
+    others: Doubles  # (m,) every number of `Optics` that stands alone
+
+    @classmethod
+    def of(cls, found: Optics | None) -> _Fitted:
+        """These optics, or that there are none."""
+        if found is None:
+            return cls(leds=freeze(np.empty((0, 5))), others=freeze(np.empty(0)))
+        leds = np.array([(led.azimuth_deg, led.elevation_deg, *led.rgb) for led in found.leds], np.float64)
+        return cls(leds=freeze(leds), others=freeze(np.array([getattr(found, name) for name in _NUMBERS], np.float64)))
+
+    def beside(self, described: Optics) -> Optics | None:
+        """The optics; what is no number is as described."""
+        if not len(self.leds):
+            return None
+        lit = [Led(azimuth_deg=a, elevation_deg=e, rgb=(r, g, b)) for a, e, r, g, b in self.leds.tolist()]
+        return replace(described, leds=tuple(lit), **dict(zip(_NUMBERS, self.others.tolist(), strict=True)))
+
+
+_NUMBERS = tuple(f.name for f in fields(Optics) if f.type == "float")
 _kept: Memo[tuple[object, ...], _Known] = Memo(8)
