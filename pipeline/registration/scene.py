@@ -98,6 +98,7 @@ def in_reach(scene: Scene, model: Model, sensor_from_object: Doubles, reach_mm: 
     """What of a placed object can have been felt: near the scene and not its far side; all, where nothing is."""
     placed, toward = rigid.apply(sensor_from_object, model.points_mm), scene.normals.mean(axis=0)
     near = model.normals @ (toward @ sensor_from_object[:3, :3]) > MOST_TURNED_AWAY
-    near &= (placed >= scene.points_mm.min(axis=0) - reach_mm).all(axis=1)
-    near &= (placed <= scene.points_mm.max(axis=0) + reach_mm).all(axis=1)
+    low, high = scene.points_mm.min(axis=0) - reach_mm, scene.points_mm.max(axis=0) + reach_mm
+    for along, least, most in zip(placed.T, low, high, strict=True):
+        near &= (along >= least) & (along <= most)
     return model.part(near) if near.sum() >= _MIN_PART else model

@@ -57,6 +57,18 @@ def test_other_content_and_other_code_are_other_values(tmp_path):
     assert asked(tmp_path, code=("pipeline.engine.digests",))[1]
 
 
+def test_a_package_stands_for_all_of_its_modules(tmp_path, monkeypatch):
+    (tmp_path / "room").mkdir()
+    for name in ("__init__", "a", "b"):
+        (tmp_path / "room" / f"{name}.py").write_text("number = 1\n", "utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    store._source.cache_clear()
+    asked(tmp_path / "kept", code=("room",))
+    (tmp_path / "room" / "b.py").write_text("number = 2\n", "utf-8")
+    store._source.cache_clear()
+    assert asked(tmp_path / "kept", code=("room",))[1]
+
+
 @pytest.mark.parametrize("damage", ["flipped", "cut", "empty", "another's"])
 def test_a_damaged_file_is_made_again_wherever_the_damage_is(tmp_path, damage):
     asked(tmp_path)
