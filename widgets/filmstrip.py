@@ -29,7 +29,7 @@ class Thumbnail(QAbstractButton):
         self.setAccessibleName(title)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.state, self.doubts = "waiting", tuple[str, ...]()
-        self.shown = self.active = False
+        self.shown = self.active = self.folded = False
         self._picture: Picture | None = None
         self._pixmap: QPixmap | None = None
 
@@ -46,14 +46,20 @@ class Thumbnail(QAbstractButton):
             self.setToolTip("\n".join((f"{self.text()}: {state}", *doubts)))
             self.update()
 
+    def fold(self, folded: bool) -> None:
+        """Show sign and title alone."""
+        self.folded = folded
+        self.updateGeometry()
+
     def show_place(self, *, shown: bool, active: bool) -> None:
         """Whether it stands in a pane, and whether that is the one that a click fills."""
         self.shown, self.active = shown, active
         self.update()
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """The picture under a line of letters."""
-        return QSize(_PICTURE_PX.width() + 2 * _EDGE_PX, _PICTURE_PX.height() + self._line_px() + 2 * _EDGE_PX)
+        """The picture under a line of letters, or the line alone."""
+        high = 0 if self.folded else _PICTURE_PX.height()
+        return QSize(_PICTURE_PX.width() + 2 * _EDGE_PX, high + self._line_px() + 2 * _EDGE_PX)
 
     def minimumSizeHint(self) -> QSize:  # noqa: N802
         """Narrower where there are many."""
@@ -77,7 +83,7 @@ class Thumbnail(QAbstractButton):
         wide = self.width() - _SIGN_PX - 3 * _EDGE_PX
         title = QFontMetrics(font).elidedText(self.text(), Qt.TextElideMode.ElideRight, wide)
         painter.drawText(QRectF(_SIGN_PX + 2 * _EDGE_PX, _EDGE_PX, wide, line), Qt.AlignmentFlag.AlignVCenter, title)
-        if self._picture is None:
+        if self._picture is None or self.folded:
             return
         size = QSize(self.width() - 2 * _EDGE_PX, _PICTURE_PX.height())
         if self._pixmap is None or self._pixmap.width() > size.width():
@@ -124,6 +130,12 @@ class Filmstrip(QWidget):
         for name, thumbnail in self.thumbnails.items():
             thumbnail.clicked.connect(partial(self.chosen.emit, name))
             self._row.addWidget(thumbnail, 1)
+
+    def fold(self, folded: bool) -> None:
+        """Leave the pictures out, or show them again."""
+        for thumbnail in self.thumbnails.values():
+            if thumbnail.folded != folded:
+                thumbnail.fold(folded)
 
     def add(self, widget: QWidget) -> None:
         """Put a control at the end."""

@@ -6,17 +6,19 @@ from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from PyQt6.QtCore import QEvent, QObject, Qt, pyqtSignal
-from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QSplitter, QToolButton, QVBoxLayout, QWidget
+from PyQt6.QtCore import QEvent, QObject, pyqtSignal
+from PyQt6.QtGui import QResizeEvent
+from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QToolButton, QVBoxLayout, QWidget
 
 from widgets.filmstrip import Filmstrip
 from widgets.looks import smaller, spaced
+from widgets.pane_split import PaneSplit
 from widgets.solid_cell import SolidCell
 from widgets.stage_column import StageColumn
 
 MOST_PANES = 3
 DIMS = ("2D", "3D", "both")
-_FLAT_SHARE = 0.74  # of a pane's height, where it shows both
+_FOLDED_BELOW_PX = 550  # a lower page has its height for the panes, and names alone in its strip
 
 
 class Pane(QFrame):
@@ -47,8 +49,7 @@ class Pane(QFrame):
             button.setToolTip(f"Show {'the picture and the 3D view' if dims == 'both' else dims} in this pane")
             button.clicked.connect(partial(self.dims_chosen.emit, dims))
             head.addWidget(button)
-        self._both = QSplitter(Qt.Orientation.Vertical)
-        self._both.setChildrenCollapsible(False)
+        self._both = PaneSplit()
         self._both.setObjectName(f"split_pane_{number}")
         layout = spaced(QVBoxLayout(self), 0)
         layout.addWidget(self._rim)
@@ -59,12 +60,11 @@ class Pane(QFrame):
     def hold(self, column: StageColumn, cell: SolidCell, dims: str) -> None:
         """Show these; what was held before must have been taken elsewhere."""
         if self._held != (column, cell):
+            self._both.let_go()
+            self._both.hold(column, cell)
             for widget in (column, cell):
-                self._both.addWidget(widget)
                 _watch(widget, self)
             self._held = (column, cell)
-            room = max(100, self._both.height())
-            self._both.setSizes([round(_FLAT_SHARE * room), room - round(_FLAT_SHARE * room)])
         column.show_wide(True)
         column.setVisible(dims != "3D")
         cell.setVisible(dims != "2D")
@@ -73,6 +73,7 @@ class Pane(QFrame):
 
     def let_go(self) -> None:
         """What is held is about to be taken elsewhere."""
+        self._both.let_go()
         self._held = ()
 
     def show_active(self, active: bool) -> None:
@@ -141,6 +142,11 @@ class PanesPage(QWidget):
         self._count.setText("+" if more else "\N{MINUS SIGN}")
         self._count.setToolTip("Add a third pane" if more else "Take the third pane away")
         self.activate(self.active)
+
+    def resizeEvent(self, a0: QResizeEvent | None) -> None:  # noqa: N802
+        """Where there is little height, the panes get it."""
+        super().resizeEvent(a0)
+        self.filmstrip.fold(self.height() < _FOLDED_BELOW_PX)
 
     def _choose(self, slot: str) -> None:
         self.slot_chosen.emit(self.active, slot)

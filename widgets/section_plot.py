@@ -22,6 +22,8 @@ _LEFT_PX, _BELOW_PX, _ROOM_PX, _LEGEND_PX, _KEY_PX, _EDGE_PX = 60.0, 32.0, 8.0, 
 _STEPS = (1.0, 2.0, 5.0)
 _SOLID, _DASH, _DOT, _DASH_DOT = "1", "1110", "10", "1111010"
 _UNIT_PX = 4.0  # of a pattern
+_HEIGHTS = ("indentation, mm", "indented, mm", "mm")  # the first that has room
+_LEAST_TICKS = 2  # one number is no scale
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +141,7 @@ class SectionPlot(QWidget):
             painter.drawLine(QPointF(x, room.top()), QPointF(x, room.bottom()))
             painter.setPen(words)
             painter.drawText(QRectF(x - 30, room.bottom() + 1, 60, 14), centre, f"{value:.6g}")
-        for value in ticks(low, high, max(2, int(room.height() / 26))):
+        for value in ticks(low, high, max(_LEAST_TICKS, int(room.height() / 20))):
             y = room.bottom() - room.height() * (value - low) / (high - low)
             painter.setPen(QPen(grid, 1, Qt.PenStyle.SolidLine if value == 0 else Qt.PenStyle.DotLine))
             painter.drawLine(QPointF(room.left(), y), QPointF(room.right(), y))
@@ -152,7 +154,9 @@ class SectionPlot(QWidget):
         painter.save()
         painter.translate(2, room.bottom())
         painter.rotate(-90)
-        painter.drawText(QRectF(0, 0, room.height(), 14), centre, "indentation, mm")
+        letters = painter.fontMetrics()
+        named = next((name for name in _HEIGHTS if letters.horizontalAdvance(name) <= room.height()), _HEIGHTS[-1])
+        painter.drawText(QRectF(0, 0, room.height(), 14), centre, named)
         painter.restore()
 
     def _draw_legend(self, painter: QPainter, known: tuple[Profile, ...], room: QRectF) -> None:
@@ -189,10 +193,15 @@ def draw_lines(painter: QPainter, lines: Sequence[QLineF]) -> None:
 
 
 def ticks(low: float, high: float, most: int) -> list[float]:
-    """Round numbers from `low` to `high`, `most` of them or fewer, in steps of 1, 2 or 5 times a power of ten."""
-    coarse = (high - low) / most
-    if not coarse > 0:
-        return []
-    power = 10.0 ** math.floor(math.log10(coarse))
-    step = next((s * power for s in _STEPS if s * power >= coarse * (1 - 1e-9)), 10.0 * power)
-    return [k * step for k in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
+    """Round numbers from `low` to `high` in steps of 1, 2 or 5 times a power of ten.
+
+    `most` of them or fewer, but two where a smaller step is what it takes.
+    """
+    found: list[float] = []
+    while high > low and len(found) < _LEAST_TICKS:
+        coarse = (high - low) / most
+        power = 10.0 ** math.floor(math.log10(coarse))
+        step = next((s * power for s in _STEPS if s * power >= coarse * (1 - 1e-9)), 10.0 * power)
+        found = [k * step for k in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
+        most += 1
+    return found

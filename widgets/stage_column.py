@@ -16,6 +16,8 @@ from widgets.looks import bold, smaller, spaced
 from widgets.picture import PictureView
 
 _BETWEEN_PX = 40  # sign, word and time of a state, with the frame around them
+_TITLE_PX = 120  # of a title beside other words that are not cut off, as far as it has them
+_METHOD_PX = 88  # wide is the choice of a method at least, where it stands beside the title
 _AN_END = re.compile(r"[:;]|,(?!\d|[^(]*\))")  # of the first part of a sentence; a vector is one word, and so is 2,571
 
 
@@ -83,7 +85,9 @@ class StageColumn(QFrame):
         self._head.setSpacing(10 if wide else 2)
         for place, share in ((self._title, 2), (self._only, 2), (self._method, 2)):
             self._head.setStretchFactor(place, share if wide else 0)
+        self._title.setMinimumWidth(min(self._title.sizeHint().width(), _TITLE_PX) if wide else 0)
         self._show_lines(1 if wide else 2)
+        self._fit_time()
 
     def _show_lines(self, lines: int) -> None:
         """The room of caption and note, theirs whether they say something or not: pictures stand in one line."""
@@ -91,13 +95,17 @@ class StageColumn(QFrame):
         self._note.setFixedHeight(lines * self._note.fontMetrics().lineSpacing() + 2)
 
     def resizeEvent(self, a0: Any) -> None:  # noqa: N802
-        """The time gives way where there is no room for it."""
+        """The time gives way where there is no room for it, and beside title and method the state's word does."""
         super().resizeEvent(a0)
         self._fit_time()
 
     def _fit_time(self) -> None:
-        words = self._word.sizeHint().width() + self._ms.sizeHint().width()
-        self._ms.setHidden(self.width() < words + self._sign.sizeHint().width() + _BETWEEN_PX)
+        beside = self._head.direction() == QBoxLayout.Direction.LeftToRight
+        before = self._title.sizeHint().width() + _METHOD_PX if beside else 0
+        words = before + self._word.sizeHint().width()
+        room = self.width() - self._sign.sizeHint().width() - _BETWEEN_PX
+        self._ms.setHidden(room < words + self._ms.sizeHint().width())
+        self._word.setHidden(beside and room < words)
 
     def offer_methods(self, methods: Sequence[tuple[str, str, str]]) -> None:
         """(name, title, help) of the ways to fill this slot; one alone is only named."""
@@ -130,7 +138,9 @@ class StageColumn(QFrame):
             self._word.setText(state)
         self._ms.setText("" if ms is None else _time_text(ms))
         self._fit_time()
-        tip = "\n".join([*([f"{state}, {self._ms.text()}"] if self._ms.isHidden() else []), *notes])
+        tip = "\n".join(
+            [*([f"{state}, {self._ms.text()}"] if self._ms.isHidden() or self._word.isHidden() else []), *notes]
+        )
         for label in (self._sign, self._word, self._ms, self._note):
             label.setToolTip(tip)
         if state not in ("stale", "running"):

@@ -8,6 +8,7 @@ from PyQt6.QtCore import QByteArray
 from PyQt6.QtWidgets import QMainWindow, QSplitter
 
 from app.session.layout import Own
+from widgets.pane_split import PaneSplit
 from widgets.picture_row import PictureRow
 
 
@@ -23,7 +24,7 @@ def arrange(window: QMainWindow, own: Own) -> bool:
     same = window.restoreState(QByteArray.fromBase64(QByteArray(own.docks.encode("ascii", "replace"))))
     for key, split in _splits(window).items():
         sizes = own.splits.get(key, ())
-        if isinstance(split, PictureRow):
+        if isinstance(split, PictureRow | PaneSplit):
             split.take_sizes(sizes)
         elif len(sizes) == split.count():
             split.setSizes(list(sizes))
@@ -36,4 +37,4 @@ def _splits(window: QMainWindow) -> Mapping[str, QSplitter]:
 
 
 def _dragged(split: QSplitter) -> bool:
-    return split.isVisible() and (not isinstance(split, PictureRow) or split.dragged)
+    return split.isVisible() and (not isinstance(split, PictureRow | PaneSplit) or split.dragged)

@@ -10,9 +10,11 @@ from app.frame.tour import wait_until_shown
 from app.session.layout import Layout, from_plain
 from app.session.sample import SAMPLE
 from app.session.state import load_session
+from widgets.pane_split import PaneSplit
 
 LIMIT_S = 60
-PANE_PX = (420, 315)  # of picture, with a drawer open
+# Of picture in a pane of two, by the window's size, with any one drawer open: width and height in pixels.
+PANE_PX = {(1366, 768): (215, 160), (1600, 950): (420, 315), (2560, 1440): (700, 525)}
 
 
 @pytest.fixture
@@ -31,20 +33,42 @@ def _large(instrument) -> list[str]:
     return [name for name, column in instrument.window.columns.items() if column.isVisible()]
 
 
-def test_panes_have_room_with_a_drawer_open(window, qtbot):
-    window.window.resize(1600, 950)
-    window.window.drawers.parameters.toggleViewAction().trigger()
+def test_panes_have_room_with_any_drawer_open(bubble_window, qtbot):
+    window = bubble_window
     _arrange(window, "inspect")
     views = [window.window.columns[name].view for name, _ in window.session.layout.panes]
+    for size, (wide, high) in PANE_PX.items():
+        for drawer in window.window.drawers.all:
+            window.window.resize(*size)
+            drawer.toggleViewAction().trigger()
 
-    def roomy() -> bool:
-        shown = [min(v.room_px.width(), v.room_px.height() / v.tall) for v in views]
-        return window.window.size() == QSize(1600, 950) and all(
-            s >= PANE_PX[0] and s * v.tall >= min(PANE_PX[1], PANE_PX[0] * v.tall)
-            for s, v in zip(shown, views, strict=True)
-        )
+            def roomy(size=size, wide=wide, high=high) -> bool:
+                shown = [min(v.room_px.width(), v.room_px.height() / v.tall) for v in views]
+                return window.window.size() == QSize(*size) and all(
+                    s >= wide and s * v.tall >= min(high, wide * v.tall) for s, v in zip(shown, views, strict=True)
+                )
 
-    qtbot.waitUntil(roomy, timeout=3000)
+            qtbot.waitUntil(roomy, timeout=3000)
+            drawer.toggleViewAction().trigger()
+
+
+def test_a_low_page_folds_its_filmstrip_and_a_dragged_handle_stays(bubble_window, qtbot):
+    window = bubble_window
+    window.window.resize(1366, 768)
+    _arrange(window, "inspect")
+    page = window.window.panes
+    strip = page.filmstrip
+    qtbot.waitUntil(lambda: strip.height() > 70, timeout=3000)
+    window.window.drawers.reading.toggleViewAction().trigger()
+    qtbot.waitUntil(lambda: strip.height() < 40, timeout=3000)
+    both = page.panes[0].findChild(PaneSplit)
+    assert both.orientation() == Qt.Orientation.Horizontal
+    both.moveSplitter(both.sizes()[0] + 60, 1)
+    kept = both.sizes()
+    both.fit()
+    assert both.sizes() == kept
+    window.window.drawers.reading.toggleViewAction().trigger()
+    qtbot.waitUntil(lambda: strip.height() > 70, timeout=3000)
 
 
 def test_a_click_puts_a_slot_into_the_active_pane_and_one_key_changes_back(window, qtbot):

@@ -8,6 +8,7 @@ import io
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtGui import QPainter
 from PyQt6.QtWidgets import QApplication
 
 from app.frame.tour import wait_until_shown
@@ -183,3 +184,28 @@ def test_a_curve_has_gaps_and_its_axes_round_numbers():
     assert [line.x1() / 4.0 for line in segments(x * 4.0, x, "10")] == [0, 2, 4]
     assert ticks(0.0, 12.0, 4) == [0.0, 5.0, 10.0]
     assert ticks(-0.31, 0.31, 4) == pytest.approx([-0.2, 0.0, 0.2])
+    assert ticks(-0.13, 4.5, 2) == [0.0, 2.0, 4.0]  # a scale of 0 alone tells nothing
+    assert ticks(1.0, 1.0, 2) == []
+
+
+def test_a_low_plot_has_its_whole_label_and_a_scale(qtbot, monkeypatch):
+    said = []
+
+    class Heard(QPainter):
+        def drawText(self, where, how, text):
+            said.append((text, self.fontMetrics().horizontalAdvance(text), where.width()))
+            return super().drawText(where, how, text)
+
+    monkeypatch.setattr("widgets.section_plot.QPainter", Heard)
+    plot = SectionPlot()
+    qtbot.addWidget(plot)
+    plot.resize(900, plot.minimumHeight())
+    line = Line(begin_mm=(0.0, 0.0), end_mm=(10.0, 0.0))
+    along = np.linspace(0.0, 10.0, 50)
+    felt = section.Profile(name="felt", title="Felt", place="target", heights_mm=0.05 * along**2 - 0.1)
+    plot.show_section(section.Section(line=line, along_mm=along, profiles=(felt,)))
+    plot.grab()
+    assert all(wide <= room for _, wide, room in said)
+    numbers = [text for text, _, room in said if room < 50]
+    assert len(numbers) >= 2
+    assert "0" in numbers
