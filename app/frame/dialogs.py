@@ -19,6 +19,7 @@ _UNITS = {
     "mm": "Meshes in millimetres",
     "cm": "Meshes in centimetres",
     "m": "Meshes in metres",
+    "in": "Meshes in inches",
 }
 
 OPENERS: Mapping[str, tuple[str, str]] = {  # command -> title and kinds of files, none for a folder
@@ -87,7 +88,8 @@ def quoted(path: Path) -> str:
 
 def in_another_unit(error: UnitProblem) -> str:
     """The sentence of a mesh that was opened in the wrong unit, with the way out that this window has."""
-    return f"{error.size}; choose 'Open mesh…' and there '{_UNITS[error.fits]}': '{error.path}'"
+    units = " or ".join(f"'{_UNITS[unit]}'" for unit in error.fits)
+    return f"{error.size}; choose 'Open mesh…' and there {units}: '{error.path}'"
 
 
 def mesh(parent: QWidget, _command: str, folder: str = "") -> tuple[Path, str] | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
+from pipeline.base.units import MeshUnit
 from pipeline.cli.opening_options import words
 
 
@@ -22,7 +23,7 @@ def simulate(
     drag_mm: float = 0.0,
     jobs: int = 2,
     scheduler: str = "",
-    mesh_unit: Literal["auto", "mm", "cm", "m"] = "auto",
+    mesh_unit: MeshUnit = "auto",
     mesh_face: Literal["-x", "+x", "-y", "+y", "-z", "+z"] = "-z",
 ) -> int:
     """Simulate touches that several sensors feel at once, with all that is true of them, as recordings.

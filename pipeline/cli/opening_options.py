@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from pipeline.base.errors import SettingProblem
+from pipeline.base.units import MeshUnit
 
 if TYPE_CHECKING:
     from pipeline.sensors.offsets import Offsets
@@ -66,7 +67,7 @@ class Opening:
     route: str = "t2d2"
     methods: Annotated[tuple[str, ...], Parameter(name="--method", negative="", help=_METHODS)] = ()
     mesh: Path | None = None
-    mesh_unit: Literal["auto", "mm", "cm", "m"] = "auto"
+    mesh_unit: MeshUnit = "auto"
     depth_unit: DepthUnit = "auto"
     alignment: Path | None = None
     weights: Annotated[tuple[str, ...], Parameter(negative="", help=_WEIGHTS)] = ()

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Doubles, Indices, freeze
 from pipeline.base.errors import FileProblem, MeshProblem, SettingProblem
 from pipeline.base.files import read_bytes
+from pipeline.base.units import UNIT_MM
 
 SMALLEST_MM, LARGEST_MM = 1.0, 400.0  # extents of what is felt with a fingertip: a screw to a long tool
-_UNIT_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 _SAME_VERTEX_MM = 1e-6  # STL repeats each vertex in float32; true neighbours lie micrometres apart
 _HEADER, _TRIANGLE = 84, 50  # bytes of a binary STL
 _MOST_VERTICES = 1 << 30
@@ -32,24 +32,24 @@ class Mesh:
 
 
 class UnitProblem(MeshProblem):
-    """A mesh whose size cannot be right in one unit and can in another, `fits`; its sentence names the option."""
+    """A mesh whose size cannot be right in one unit and can in others, `fits`; its sentence names the option."""
 
-    def __init__(self, size: str, fits: str, path: Path) -> None:
+    def __init__(self, size: str, fits: tuple[str, ...], path: Path) -> None:
         """From what is wrong with its size, in words."""
         self.size, self.fits, self.path = size, fits, path
-        super().__init__(f"{size}; try --mesh-unit {fits}: '{path}'")
+        super().__init__(f"{size}; try --mesh-unit {' or '.join(fits)}: '{path}'")
 
 
 def load_mesh(path: Path, unit: str = "auto") -> Mesh:
     """The mesh of an STL, PLY or OBJ file in mm, duplicate vertices merged and triangles without area dropped.
 
-    `unit` is what the file is in: "mm", "cm", "m", or "auto", which takes mm when the largest extent then lies within
-    1 and 400 mm and refuses anything else, since no mesh file says its unit. Raises FileProblem when the file cannot
-    be read, MeshProblem when it is empty, damaged or in a unit that cannot be right.
+    `unit` is what the file is in: "mm", "cm", "m", "in", or "auto", which takes mm when the largest extent then lies
+    within 1 and 400 mm and refuses anything else, since no mesh file says its unit. Raises FileProblem when the file
+    cannot be read, MeshProblem when it is empty, damaged or in a unit that cannot be right.
     """
     path = Path(path)
-    if unit != "auto" and unit not in _UNIT_MM:
-        raise SettingProblem(f"unknown mesh unit {unit!r}; there are auto, {', '.join(_UNIT_MM)}")
+    if unit != "auto" and unit not in UNIT_MM:
+        raise SettingProblem(f"unknown mesh unit {unit!r}; there are auto, {', '.join(UNIT_MM)}")
     read = _READERS.get(path.suffix.lower())
     if read is None:
         raise FileProblem(f"meshes are read from STL, PLY and OBJ files, not from {path.suffix or 'this'!r}", path)
@@ -88,14 +88,14 @@ def sample_surface(mesh: Mesh, n: int, seed: int) -> tuple[Doubles, Doubles]:
 def _scale(corners: Doubles, unit: str, path: Path) -> float:
     """Millimetres per unit of the file."""
     extent = float((corners.max(axis=0) - corners.min(axis=0)).max())
-    scale = _UNIT_MM.get(unit, 1.0)
+    scale = UNIT_MM.get(unit, 1.0)
     if SMALLEST_MM <= extent * scale <= LARGEST_MM:
         return scale
-    fits = [u for u in ("m", "cm", "mm") if SMALLEST_MM <= extent * _UNIT_MM[u] <= LARGEST_MM]
+    fits = tuple(u for u in ("m", "cm", "mm", "in") if SMALLEST_MM <= extent * UNIT_MM[u] <= LARGEST_MM)
     read_as = "mm" if unit == "auto" else unit
     size = f"the mesh is {extent * scale:.3g} mm large when read in {read_as}"
     if fits:
-        raise UnitProblem(size, fits[0], path)
+        raise UnitProblem(size, fits, path)
     raise MeshProblem(f"{size}; scale it to a touchable size of 1 to 400 mm: '{path}'")
 
 

@@ -3,7 +3,7 @@
 [rest]
 kind = "mesh"
 file = "membrane.stl"  # beside the description
-unit = "mm"            # of the file: mm, cm or m
+unit = "mm"            # of the file: mm, cm, m or in
 step = 0.5             # mm, of the lattice that it is read off on; may be left out
 """
 
@@ -16,6 +16,7 @@ from typing import Any, cast
 from pipeline.base.errors import CalibrationError
 from pipeline.base.files import read_bytes
 from pipeline.base.memo import Memo
+from pipeline.base.units import UNIT_MM
 from pipeline.engine.digests import digest
 from pipeline.geometry.membrane import Membrane
 
@@ -35,8 +36,8 @@ def mesh_in(data: Mapping[str, Any], path: Path) -> Membrane | None:
     if rest["kind"] != "mesh":
         raise CalibrationError(f"rest.kind must be 'mesh' or left out, got {rest['kind']!r}: '{path}'")
     file, unit, step_mm = rest.get("file"), rest.get("unit"), rest.get("step", _STEP_MM)
-    if not isinstance(file, str) or unit not in ("mm", "cm", "m"):
-        raise CalibrationError(f"rest.file must name a mesh and rest.unit its unit, mm, cm or m: '{path}'")
+    if not isinstance(file, str) or unit not in UNIT_MM:
+        raise CalibrationError(f"rest.file must name a mesh and rest.unit its unit, {', '.join(UNIT_MM)}: '{path}'")
     if not isinstance(step_mm, (int, float)) or not _FINEST_MM <= step_mm <= _COARSEST_MM:
         raise CalibrationError(
             f"rest.step must lie within {_FINEST_MM:g} and {_COARSEST_MM:g} mm, got {step_mm!r}: '{path}'"

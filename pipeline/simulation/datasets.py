@@ -17,6 +17,7 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Image, freeze
 from pipeline.base.errors import SettingProblem
+from pipeline.base.units import MeshUnit
 from pipeline.engine.digests import digest
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
@@ -28,7 +29,6 @@ from pipeline.simulation import poses, shapes, variation
 from pipeline.simulation.press import photograph, press
 from pipeline.values.frames import Pairing, TactileFrame, Truth
 
-Unit = Literal["auto", "mm", "cm", "m"]
 Face = Literal["-x", "+x", "-y", "+y", "-z", "+z"]
 Sequence = Literal["grid", "press", "slide", "twist", "release", "all"]
 
@@ -62,7 +62,7 @@ class Plan:
     noise: bool = True
     bubble_deeper_mm: float = BUBBLE_DEEPER_MM
     drag_mm: float = 0.0  # how far the object has gone along the gels since it touched; each grasp its own way
-    mesh_unit: Unit = "auto"
+    mesh_unit: MeshUnit = "auto"
     mesh_face: Face = "-z"  # the side of a mesh file that touches
 
     @property
@@ -133,7 +133,7 @@ def symmetry(plan: Plan) -> shapes.Symmetry | None:
 
 
 @lru_cache(maxsize=4)
-def _thing(tool: str, unit: Unit, face: Face) -> shapes.Shape:
+def _thing(tool: str, unit: MeshUnit, face: Face) -> shapes.Shape:
     return shapes.from_mesh(Path(tool), unit, face) if is_mesh(tool) else shapes.shape(tool)
 
 

@@ -111,6 +111,14 @@ def test_metres_are_refused_with_what_to_try_and_read_when_said(tmp_path: Path):
     np.testing.assert_allclose(load_mesh(path, unit="m").vertices_mm.max(axis=0), 20.0, atol=FLOAT_ROUNDING_MM)
 
 
+@pytest.mark.parametrize("unit", ["in", "inch"])
+def test_inches_are_read_when_said_and_named_where_they_can_be_meant(tmp_path: Path, unit):
+    path = binary_stl(tmp_path / "a.stl", CORNERS / 25.4)
+    np.testing.assert_allclose(load_mesh(path, unit=unit).vertices_mm.max(axis=0), 20.0, atol=FLOAT_ROUNDING_MM)
+    with pytest.raises(MeshProblem, match=r"787 mm large when read in m; try --mesh-unit cm or in: "):
+        load_mesh(path, unit="m")
+
+
 def test_millimetres_called_metres_are_refused(tmp_path: Path):
     with pytest.raises(MeshProblem, match=r"2e\+04 mm large when read in m; try --mesh-unit cm|mm"):
         load_mesh(binary_stl(tmp_path / "a.stl", CORNERS), unit="m")

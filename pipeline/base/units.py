@@ -1,0 +1,11 @@
+"""The units that a file of a shape may be in, which no such file says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+MeshUnit = Literal["auto", "mm", "cm", "m", "in", "inch"]
+
+UNIT_MM: Mapping[str, float] = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "inch": 25.4}
+"""Millimetres to one of each."""
