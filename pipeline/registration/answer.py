@@ -44,7 +44,8 @@ def answered(search: Search, found: Sequence[Minimum], progress: Progress = SILE
     progress.step(1.0, _OPEN)
     shown = _shown(search, first, known)
     unseen = known.weak_motions[[not s for s in shown]]
-    others = search.equals(first, [m.fit.sensor_from_object for m in found[1:]], unseen, progress)
+    explained = search.explains(found[0])
+    others = search.equals(first, [m.fit.sensor_from_object for m in found[1:]], unseen, progress, explained=explained)
     chosen = _in_the_middle(search, found[0], unseen, search.fine())
     notes = tuple(
         f"{words}: {OUTLINE_ONLY}" if seen else Doubt(f"{words}: {_kept(words)}")
@@ -100,7 +101,8 @@ def _about_others(search: Search, chosen: Minimum, others: Sequence[Doubles]) ->
         return ()
     how = _in_words(search, chosen.fit.sensor_from_object, others[0])
     which = how if len(others) == 1 else f"the next one {how}"
-    return (Doubt(f"{len(others) + 1} poses fit equally well: {which}"),)
+    least = "" if search.explains(chosen) else "at least "
+    return (Doubt(f"{least}{len(others) + 1} poses fit equally well: {which}"),)
 
 
 def _in_words(search: Search, a: Doubles, b: Doubles) -> str:

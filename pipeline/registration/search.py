@@ -43,6 +43,7 @@ _MOST = 0.8  # share of the contact that lies on an object which explains it
 _FAR = 3.0  # standard deviations
 _NEAR = 2.0  # times the best one's misfit that few points may show of an equal one
 _ROUNDS, _MOST_EQUAL = 3, 23  # of joining equals; all turns of a cube but one
+_MOST_TURNED, _FEW_TURNED = 72, 12  # polished to find equals: what a cube asks for; where nothing explains the touch
 _FACETS_REACH_MM = 0.5  # around the contact
 _BENT_SQ = 0.005  # sine squared of half an edge's angle; on round surfaces the lattice errs by less
 _TOGETHER = 1.5  # errors of facets hang together over a contact: their mean may exceed their rms by this
@@ -161,12 +162,14 @@ class Search:
         return _FAR * math.hypot(self.scene.noise_mm, self.scene.error.rms_mm, LEAST_SPREAD_MM)
 
     def equals(
-        self, first: Doubles, found: Sequence[Doubles], free: Doubles, progress: Progress = SILENT
+        self, first: Doubles, found: Sequence[Doubles], free: Doubles, progress: Progress, *, explained: bool
     ) -> list[Doubles]:
         """Poses that the touch does not tell from the `first`: of those found, turned over, and by what joins them.
 
-        Poses that only the motions `free` (k, 6) lie between count as one.
+        Poses that only the motions `free` (k, 6) lie between count as one. Where not even the first has `explained` the
+        touch, any number fit as badly: a few of them are looked for.
         """
+        left = _MOST_TURNED if explained else _FEW_TURNED
         fine, rough = self.fine(), self._middle()
         limit_mm = _NEAR * float(rough.misfit_mm([first])[0]) + LEAST_SPREAD_MM
         way = None if self.outward is None else np.array(self.outward)
@@ -177,8 +180,11 @@ class Search:
             for turned in (tried[k] for k in np.flatnonzero(rough.misfit_mm(tried) <= limit_mm)):
                 progress.step(1.0, "comparing poses that fit as well")
                 pose = turned
-                new = len(equal) < _MOST_EQUAL and all(self.differ(pose, other, free) for other in (first, *equal))
+                if len(equal) == _MOST_EQUAL or left == 0:
+                    break
+                new = all(self.differ(pose, other, free) for other in (first, *equal))
                 if new and fine.tells_apart(first, pose):
+                    left -= 1
                     better = self.polished(pose, dense=True)  # turned over, it may lie better a little farther on
                     pose = pose if better is None else better.fit.sensor_from_object
                     new = all(self.differ(pose, other, free) for other in (first, *equal))

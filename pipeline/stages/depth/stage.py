@@ -32,6 +32,7 @@ from pipeline.values.results import DepthError, DepthMap
 
 _UNTOUCHED = "nothing touches the sensor"
 _BLACK_GREY = 2  # no lit gel is this dark everywhere
+_WHITE_GREY = 254  # nor this bright: noise of a grey level takes what is clipped down to here
 _LIGHTS = 1024  # pictures whose light is remembered: a few hundred bytes each
 
 
@@ -232,6 +233,11 @@ def checked(frame: TactileFrame, source: SensorSpec) -> None:
             )
         if source.kind == "gel" and int(array.max()) <= _BLACK_GREY:
             raise ShapeError(f"the {what} of {where} is black; check the light and the camera, or leave this frame out")
+        if source.kind == "gel" and int(array.min()) >= _WHITE_GREY:
+            raise ShapeError(
+                f"every pixel of the {what} of {where} is clipped, so that nothing is seen of the gel; "
+                "expose less, or leave this frame out"
+            )
 
 
 def _at_rest(frame: TactileFrame, source: SensorSpec) -> DepthMap:

@@ -80,6 +80,8 @@ def test_a_touch_is_never_called_untouched():
         (lambda f: replace(f, image=f.image[:100]), "must have shape"),
         (lambda f: replace(f, image=np.zeros_like(f.image)), "is black"),
         (lambda f: replace(f, reference=np.zeros_like(f.image)), "is black"),
+        (lambda f: replace(f, image=np.full_like(f.image, 255)), "every pixel of the image of frame 0 .* is clipped"),
+        (lambda f: replace(f, reference=np.full_like(f.image, 254)), "every pixel of the reference of frame 0"),
         (lambda f: replace(f, image=np.full(f.image.shape, np.nan, np.float32)), "NaN"),
         (lambda f: replace(f, image=f.image.astype(np.int64)), "RGB of 8 bits"),
     ],
@@ -94,7 +96,8 @@ def test_a_frame_that_cannot_be_read_is_told_in_one_sentence(change, told):
 
 def test_a_saturated_picture_is_doubted_and_stays_finite():
     source, frame, _ = press("gelsight_mini")
-    found = depth(replace(frame, image=np.full_like(frame.image, 255)), source, None, PARAMS)
+    nearly = np.where(np.arange(frame.image.shape[0])[:, None, None] < 4, frame.image, np.uint8(255))
+    found = depth(replace(frame, image=nearly), source, None, PARAMS)
     assert np.isfinite(found.indentation_mm).all()
     assert any("saturated" in doubt for doubt in doubts(found.notes))
 
