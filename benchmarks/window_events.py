@@ -138,7 +138,11 @@ def _events(instrument: Any, application: Any, clock: _Clock) -> Iterator[Row]:
         ("depth slider", drag(slider_of("depth/physics.sensitivity"), 40, 120), STEPS),
         ("alignment slider", drag(x, middle - 40, middle + 40), STEPS),
         ("hovering", lambda n: _hover(application, canvas, n), HOVERS),
+        ("section line", lambda n: window.section_tab.line_typed.emit(_line(n)), HOVERS),
     ):
+        if name == "section line":
+            window.actions_by_name["section_line"].trigger()
+            spin(instrument, application)
         clock.begin()
         for n in range(count):
             with clock.event():
@@ -149,6 +153,8 @@ def _events(instrument: Any, application: Any, clock: _Clock) -> Iterator[Row]:
                 time.sleep(0.0005)
         spin(instrument, application)
         yield _row(name, clock)
+    window.actions_by_name["section_line"].trigger()
+    window.drawers.reading.hide()
     clock.begin()
     instrument.choose_frame(0)
     spin(instrument, application)
@@ -164,6 +170,13 @@ def _hover(application: Any, canvas: Any, n: int) -> None:
     none, keys = Qt.MouseButton.NoButton, Qt.KeyboardModifier.NoModifier
     place = canvas.mapToGlobal(at)
     application.sendEvent(canvas, QMouseEvent(QEvent.Type.MouseMove, at, place, none, none, keys))
+
+
+def _line(n: int) -> Any:
+    """One that a hand drags over the gel, with its curves beside it."""
+    from pipeline.translation.section import Line
+
+    return Line(begin_mm=(-6.0, 3.0), end_mm=(6.0 * math.sin(0.11 * n), 5.0 * math.cos(0.07 * n)))
 
 
 def _row(name: str, clock: _Clock) -> Row:

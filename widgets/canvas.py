@@ -9,7 +9,7 @@ import math
 from typing import Any
 
 from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QFont, QPainter, QPen, QPixmap
+from PyQt6.QtGui import QColor, QFont, QPainter, QPalette, QPen, QPixmap
 from PyQt6.QtWidgets import QSizePolicy, QWidget
 
 from pipeline.base.arrays import Image
@@ -166,6 +166,10 @@ class Canvas(QWidget):
             self._draw_line(painter, *self.line)
         if self.cross is not None:
             self._draw_cross(painter, *self.cross)
+        if self.hasFocus():
+            painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Highlight), 2))
+            painter.setBrush(Qt.BrushStyle.NoBrush)
+            painter.drawRect(QRectF(self.rect()).adjusted(1, 1, -1, -1))
 
     def _draw_line(self, painter: QPainter, begin: QPointF, end: QPointF) -> None:
         one, other = self.to_screen(begin), self.to_screen(end)

@@ -123,12 +123,17 @@ class PanesPage(QWidget):
             pane.dims_chosen.connect(partial(self.dims_chosen.emit, number))
         self.filmstrip.chosen.connect(self._choose)
 
+    @property
+    def active_slot(self) -> str:
+        """What stands in the pane that a click in the filmstrip fills; "" where nothing does."""
+        return self._slots[self.active] if self._slots else ""
+
     def activate(self, number: int) -> None:
         """Let a click in the filmstrip fill this pane."""
         self.active = min(number, max(0, len(self._slots) - 1))
         for other, pane in enumerate(self.panes):
             pane.show_active(other == self.active)
-        self.filmstrip.show_places(self._slots, self._slots[self.active] if self._slots else "")
+        self.filmstrip.show_places(self._slots, self.active_slot)
 
     def take(self, held: Sequence[tuple[str, StageColumn, SolidCell, str]]) -> None:
         """Show (slot, column, cell, dims) in a pane each."""

@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 from PyQt6.QtCore import QPointF, QSize, Qt, pyqtSignal
-from PyQt6.QtWidgets import QBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from pipeline.pictures.picture import Picture
 from widgets.canvas import Canvas
 from widgets.levels import Levels
 from widgets.looks import smaller, spaced
+from widgets.still_label import StillLabel
 from widgets.wipe import Overlay
 
 BESIDE_PX = 170  # wide are words beside a picture
@@ -35,8 +36,7 @@ class PictureView(QWidget):
         self.canvas = Canvas()
         self.overlay = Overlay(self.canvas)
         self.levels = Levels()
-        self._caption = QLabel()
-        self._caption.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self._caption = StillLabel()
         self._caption.setWordWrap(True)
         self._caption.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
         self._message = QLabel(self.canvas)

@@ -1,13 +1,15 @@
-"""A line that is laid into a picture by the mouse: with Shift anew, or one of its ends."""
+"""A line that is laid into a picture by the mouse: with Shift anew, or one of its ends; and moved by arrow keys."""
 
 from __future__ import annotations
 
 from PyQt6.QtCore import QEvent, QObject, QPointF, Qt, pyqtSignal
-from PyQt6.QtGui import QMouseEvent
+from PyQt6.QtGui import QKeyEvent, QMouseEvent
 
 from widgets.canvas import Canvas
+from widgets.picture_keys import step_of
 
 _NEAR_PX = 9.0
+_Modifier = Qt.KeyboardModifier
 _Ends = tuple[QPointF, QPointF]
 
 
@@ -33,22 +35,39 @@ class SectionHand(QObject):
         self._canvas.show_line(ends)
 
     def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
-        """Drags of the line come before those of the picture."""
-        if not isinstance(a1, QMouseEvent) or self._canvas.line is None:
-            return super().eventFilter(a0, a1)
-        kind, at = a1.type(), a1.position()
-        if kind == QEvent.Type.MouseButtonPress and a1.button() == Qt.MouseButton.LeftButton:
-            return self._take(at, anew=bool(a1.modifiers() & Qt.KeyboardModifier.ShiftModifier))
+        """Drags of the line come before those of the picture, and so do arrow keys."""
+        taken = False
+        if self._canvas.line is None:
+            pass
+        elif isinstance(a1, QMouseEvent):
+            taken = self._drag(a1)
+        elif isinstance(a1, QKeyEvent) and a1.type() == QEvent.Type.KeyPress:
+            taken = self._step(a1)
+        return taken or super().eventFilter(a0, a1)
+
+    def _drag(self, event: QMouseEvent) -> bool:
+        kind, at = event.type(), event.position()
+        if kind == QEvent.Type.MouseButtonPress and event.button() == Qt.MouseButton.LeftButton:
+            return self._take(at, anew=bool(event.modifiers() & _Modifier.ShiftModifier))
         if self._fixed is None:
-            return super().eventFilter(a0, a1)
+            return False
         if kind == QEvent.Type.MouseMove:
             there = self._canvas.to_picture(at)
             self.moved.emit(*((there, self._fixed) if self._begins else (self._fixed, there)))
-            return True
-        if kind == QEvent.Type.MouseButtonRelease:
+        elif kind == QEvent.Type.MouseButtonRelease:
             self._fixed = None
-            return True
-        return super().eventFilter(a0, a1)
+        else:
+            return False
+        return True
+
+    def _step(self, key: QKeyEvent) -> bool:
+        step, how = QPointF(*step_of(key)), key.modifiers()
+        if step.isNull() or self._canvas.line is None:
+            return False
+        begin, end = self._canvas.line
+        only_a, only_b = (bool(how & one) for one in (_Modifier.ControlModifier, _Modifier.AltModifier))
+        self.moved.emit(begin if only_b else begin + step, end if only_a else end + step)
+        return True
 
     def _take(self, at: QPointF, *, anew: bool) -> bool:
         begin, end = self._canvas.line or (QPointF(), QPointF())

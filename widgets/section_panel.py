@@ -11,7 +11,6 @@ from PyQt6.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QPushButton,
-    QSizePolicy,
     QVBoxLayout,
     QWidget,
 )
@@ -19,12 +18,13 @@ from PyQt6.QtWidgets import (
 from pipeline.translation.section import Line, Section, as_csv
 from widgets.looks import command_button, spaced
 from widgets.section_plot import SectionPlot
+from widgets.still_label import StillLabel
 
 _NAMES = ("A x", "y", "B x", "y")
 _TIPS = ("across", "down", "across", "down")
 _PLACES = (("both sensors", ""), ("source", "source"), ("target", "target"))
 _REACH_MM, _STEP_MM, _DIGITS = 999.0, 0.1, 2
-_HOW = "{:.2f} mm; Shift and drag lays it anew, a drag at A or B moves that end"
+_HOW = "{:.2f} mm; Shift and drag lays it anew, a drag at A or B moves that end, P and arrow keys move it"
 _OFF = "no line is laid"
 
 
@@ -32,12 +32,16 @@ class SectionPanel(QWidget):
     """Shows a `Section`; tells where somebody typed that the line lies."""
 
     line_typed = pyqtSignal(object)  # Line
+    command_wanted = pyqtSignal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.plot, self.told, self.copy = SectionPlot(), QLabel(_OFF), QPushButton("Copy as CSV")
+        self.plot, self.told, self.copy = SectionPlot(), StillLabel(_OFF), QPushButton("Copy as CSV")
         self.line: Line | None = None
-        self.told.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)  # a drag lays nothing out anew
+        self.command = QPushButton("Copy as command")
+        self.command.setObjectName("section_command")
+        self.command.setToolTip("Copy the command line that writes this table")
+        self.command.clicked.connect(self.command_wanted)
         self.copy.setObjectName("section_copy")
         self.copy.setToolTip("Copy the curves as a table: mm along the line, and mm of indentation for every slot")
         self._head = spaced(QHBoxLayout(), 5)
@@ -66,6 +70,7 @@ class SectionPanel(QWidget):
         self._head.addWidget(self.place)
         self._head.addWidget(self.told, 1)
         self._head.addWidget(self.copy)
+        self._head.addWidget(self.command)
         layout = spaced(QVBoxLayout(self), 2, (6, 4, 6, 2))
         layout.addLayout(self._head)
         layout.addWidget(self.plot, 1)
@@ -91,7 +96,8 @@ class SectionPanel(QWidget):
     def show_section(self, section: Section | None) -> None:
         """The curves along it."""
         self.plot.show_section(section)
-        self.copy.setEnabled(section is not None)
+        for button in (self.copy, self.command):
+            button.setEnabled(section is not None)
 
     def _place_chosen(self, _: int) -> None:
         self.plot.show_place(str(self.place.currentData()))

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PyQt6 import sip
 from PyQt6.QtCore import QLineF, QPointF, QRectF, QSize, Qt
 from PyQt6.QtGui import QColor, QPainter, QPalette, QPen
 from PyQt6.QtWidgets import QSizePolicy, QWidget
@@ -171,25 +172,28 @@ class SectionPlot(QWidget):
             painter.drawText(words, Qt.AlignmentFlag.AlignVCenter, profile.title)
 
 
-def segments(x_px: NDArray[np.floating], y_px: NDArray[np.floating], pattern: str = "1") -> list[QLineF]:
-    """The curve from sample to sample: nothing where either is NaN, nor where the pattern, repeated, has a 0.
+def segments(x_px: NDArray[np.floating], y_px: NDArray[np.floating], pattern: str = "1") -> NDArray[np.floating]:
+    """The curve from sample to sample, (n, 4) x, y of the beginning and of the end.
 
-    Qt draws these in half the time of one dashed line with as many corners.
+    Nothing where either is NaN, nor where the pattern, repeated, has a 0. Qt draws these in a tenth of the time of one
+    line with as many corners, and a dashed one in a twentieth.
     """
     mean_px = float(np.ptp(x_px)) / max(1, len(x_px) - 1)
     unit = max(1, round(_UNIT_PX / mean_px)) if mean_px > 0 else 1
     on = np.array([mark == "1" for mark in pattern])[np.arange(len(x_px) - 1) // unit % len(pattern)]
     known = np.isfinite(y_px)
-    return [
-        QLineF(float(x_px[k]), float(y_px[k]), float(x_px[k + 1]), float(y_px[k + 1]))
-        for k in np.flatnonzero(on & known[1:] & known[:-1])
-    ]
+    kept = np.flatnonzero(on & known[1:] & known[:-1])
+    return np.column_stack([x_px[kept], y_px[kept], x_px[kept + 1], y_px[kept + 1]])
 
 
-def draw_lines(painter: QPainter, lines: Sequence[QLineF]) -> None:
-    """All of them at once, with the painter's pen."""
-    if lines:
-        painter.drawLines(lines[0], *lines[1:])
+def draw_lines(painter: QPainter, lines: NDArray[np.floating]) -> None:
+    """All of them at once, with the painter's pen; copied as a whole: one by one they cost more than drawing them."""
+    if len(lines):
+        made: Any = sip.array
+        held = made(QLineF, len(lines))
+        room: Any = sip.voidptr(held, lines.size * 8)
+        np.frombuffer(room, np.float64)[:] = lines.ravel()
+        painter.drawLines(held)
 
 
 def ticks(low: float, high: float, most: int) -> list[float]:

@@ -14,6 +14,7 @@ from PyQt6.QtWidgets import QBoxLayout, QComboBox, QFrame, QHBoxLayout, QLabel, 
 from widgets.icons import StateSign
 from widgets.looks import bold, smaller, spaced
 from widgets.picture import PictureView
+from widgets.still_label import StillLabel
 
 _BETWEEN_PX = 40  # sign, word and time of a state, with the frame around them
 _TITLE_PX = 120  # of a title beside other words that are not cut off, as far as it has them
@@ -63,10 +64,9 @@ class StageColumn(QFrame):
         self._head.addLayout(status)
         layout.addLayout(self._head)
         layout.addWidget(self.view, 1)
-        self._note = QLabel()
+        self._note = StillLabel()
         self._note.setObjectName(f"note_{name}")
         smaller(self._note, 1.0)
-        self._note.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self._note.setWordWrap(True)
         self._note.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
         self._show_lines(2)

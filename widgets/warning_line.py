@@ -7,10 +7,11 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QToolTip, QWidget
+from PyQt6.QtWidgets import QHBoxLayout, QToolTip, QWidget
 
 from widgets.icons import StateSign
 from widgets.looks import spaced
+from widgets.still_label import StillLabel
 
 _BETWEEN = "   ·   "
 _A_REASON = re.compile("[:;]")  # what follows one says why, or what to do
@@ -24,9 +25,7 @@ class WarningLine(QWidget):
         self.setObjectName("warning_line")
         self.text = ""  # all of it, however much there is room for
         self._told: tuple[str, ...] = ()
-        self._sign, self._label = StateSign(), QLabel()
-        self._label.setTextFormat(Qt.TextFormat.PlainText)
-        self._label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self._sign, self._label = StateSign(), StillLabel()
         layout = spaced(QHBoxLayout(self), 5, (6, 0, 6, 0))
         layout.addWidget(self._sign)
         layout.addWidget(self._label, 1)

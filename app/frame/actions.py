@@ -110,6 +110,8 @@ VIEW = (
     Command(
         "freeze_trace", "Freeze trace", "Keep the traced pixel where it is", icon="target", key="F", checkable=True
     ),
+    Command("point", "Point by keys", "Arrow keys move the traced pixel, or the section line; Enter pins, Tab goes "
+            "to the next picture, Esc ends", icon="target", key="P"),
     Command("section_line", "Section line", "A line through all pictures, and what each has for a height along it",
             icon="section", key="X", checkable=True),
 )  # fmt: skip
@@ -124,6 +126,8 @@ VERSUS = (
             checkable=True),
 )  # fmt: skip
 ARRANGE = (
+    Command("type_alignment", "Type the alignment", "Open the alignment's drawer with the keyboard in its first number",
+            icon="axes", key="A"),
     Command("inspect_or_stages", "Inspect or stages", "Change between a few large panes and all stages", icon="panes",
             key="I"),
     Command("layout_stages", "Stages", "Every slot side by side, pictures over 3D views", key="Ctrl+1", checkable=True),

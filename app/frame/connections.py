@@ -20,6 +20,7 @@ from app.frame.greeting import Greeting
 from app.frame.handing import Handing
 from app.frame.instrument import Instrument
 from app.frame.keeping import Keeping
+from app.frame.keying import Keying
 from app.frame.layouts import Layouts
 from app.frame.limits import Limits
 from app.frame.living import Living
@@ -84,6 +85,7 @@ def connect(instrument: Instrument, theme: Theme = "light") -> Keeping:
     BasinsTab(instrument)
     Stepping(instrument)
     Pointing(instrument)
+    Keying(instrument)
     Sectioning(instrument)
     Triage(instrument)
     sweeping = Sweeping(instrument)

@@ -48,6 +48,7 @@ class Handing(QObject):
         instrument.closing.connect(self.job.close)
         self._window.on("export", self.ask)
         self._window.on("copy_command", self.copy_shown)
+        self._window.section_tab.command_wanted.connect(self.copy_section)
         self._window.on("make_case", self.ask_case)
         self.dialog.export_wanted.connect(self._ask_where)
         self.dialog.command_wanted.connect(self._copy_chosen)
@@ -116,6 +117,17 @@ class Handing(QObject):
             return
         else:
             text = compare_command(session, opened.slots[-1], opened.target.name, Path("compared"))
+        clipboard.setText(text)
+        self.offer.show_offer(f"copied: {text}")
+
+    def copy_section(self) -> None:
+        """The command that writes the section's curves."""
+        line, clipboard = self._instrument.section, QGuiApplication.clipboard()
+        if line is None or clipboard is None or self._instrument.screen.opened is None:
+            return
+        shown = self._window.visible_columns()
+        pane = SHEET if set(shown) == set(self._window.here) else ",".join(shown)
+        text = command(replace(self.asked(Path("section.csv"), pane), section=tuple(line.plain)))
         clipboard.setText(text)
         self.offer.show_offer(f"copied: {text}")
 

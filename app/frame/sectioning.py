@@ -135,24 +135,19 @@ class Sectioning(QObject):
             self._panel.show_section(section.cut(line, fields) if fields else None)
 
     def _fields(self) -> tuple[Field, ...]:
-        """Whatever is worked out and has heights, in the order of the columns, then what is true."""
+        """What is true, then whatever is worked out and has heights, in the order of the columns."""
         opened, screen = self._instrument.screen.opened, self._instrument.screen
         if opened is None:
             return ()
-        found: list[Field] = []
         source = screen.shown(SOURCE)
-        if isinstance(source, SourceShown):
-            found += section.true_fields(source.facts, opened)
-        for name in self._window.visible_columns():  # what others show may be of another frame
-            part = screen.shown(name)
-            if part is None or self._window.columns[name].state in _OLD:
-                continue
-            place, value = _place(opened, name), part.result.output if isinstance(part, SlotShown) else None
-            camera = section.camera_of(part.picture, opened.source if place == "source" else opened.target)
-            title = "Source" if name == SOURCE else opened.catalogue.slot(name).title
-            field = section.field_of(name, title, place, value, part.picture, section.sheet_of(opened, place, camera))
-            found += [] if field is None else [field]
-        return tuple(found)
+        facts = source.facts if isinstance(source, SourceShown) else None
+        parts = {name: screen.shown(name) for name in self._window.visible_columns()}  # others' may be of another frame
+        shown = [
+            (name, part.picture, part.result.output if isinstance(part, SlotShown) else None)
+            for name, part in parts.items()
+            if part is not None and self._window.columns[name].state not in _OLD
+        ]
+        return section.fields_of(opened, facts, shown, self._instrument.session.offsets)
 
     def _sheet(self, name: str) -> Sheet | None:
         """The plane of the line as a column's picture has it."""
@@ -161,7 +156,7 @@ class Sectioning(QObject):
             return None
         place = "target" if name == _TRUTH else _place(opened, name)
         camera = section.camera_of(picture, opened.source if place == "source" else opened.target)
-        return section.sheet_of(opened, place, camera)
+        return section.sheet_of(opened, place, camera, self._instrument.session.offsets)
 
 
 def _place(opened: Translation, name: str) -> Place:

@@ -69,6 +69,14 @@ class Tracer(QObject):
         self._trace(column, row, col)
         self.pinned.emit(self._frozen)
 
+    def move(self, column: str, row: int, col: int) -> None:
+        """Trace another pixel, also where one is pinned: then that one is."""
+        frozen, self._frozen = self._frozen, False
+        self.hover(column, row, col)
+        self._frozen = frozen
+        if frozen:
+            self._trace(column, row, col)
+
     def freeze(self, frozen: bool) -> None:
         """Keep the traced pixel where it is."""
         self._frozen = frozen

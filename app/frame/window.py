@@ -14,7 +14,6 @@ from PyQt6.QtWidgets import (
     QMenu,
     QProgressBar,
     QPushButton,
-    QSizePolicy,
     QStackedWidget,
     QTabWidget,
     QVBoxLayout,
@@ -42,6 +41,7 @@ from widgets.solid_view import SolidView
 from widgets.stage_column import StageColumn
 from widgets.steps import StepsSlider
 from widgets.steps_panel import StepsPanel
+from widgets.still_label import StillLabel
 from widgets.sweep_page import SweepPage
 from widgets.timeline import Timeline
 from widgets.timings_panel import TimingsPanel
@@ -169,8 +169,7 @@ class Window(QMainWindow):
         return box
 
     def _build_status(self) -> None:
-        self.probe, self.doing, self.bar, self.stop = QLabel(), QLabel(), QProgressBar(), QPushButton("Cancel")
-        self.probe.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self.probe, self.doing, self.bar, self.stop = StillLabel(), QLabel(), QProgressBar(), QPushButton("Cancel")
         self.probe.setObjectName("probe")
         self.bar.setRange(0, 1000)
         self.bar.setFixedWidth(140)

@@ -26,6 +26,7 @@ def export(
     shown: Literal["computed", "truth", "difference"] = "computed",
     frame: int = 0,
     frames: str = "",
+    section: tuple[float, float, float, float] | None = None,
     settings: _DrawnSettings = (),
 ) -> int:
     """Write one file of a translation, the same as the window's Export: picture, points, arrays, table or video.
@@ -43,13 +44,25 @@ def export(
         The frame of a picture, of points or of arrays.
     frames
         Frames of a table or a video, such as `0,3-7`; all otherwise.
+    section
+        x, y of the beginning and of the end of a line in mm from the source camera's axis, on the gel: the .csv is
+        every height along it on one frame, of the panes named with commas between.
     """
     from pipeline.cli.hand_on import write_export
     from pipeline.reporting.asked import Asked
 
     request = opening.request(recording, target)
     return write_export(
-        Asked(request=request, settings=settings, pane=pane, shown=shown, frame=frame, frames=frames, path=out)
+        Asked(
+            request=request,
+            settings=settings,
+            pane=pane,
+            shown=shown,
+            frame=frame,
+            frames=frames,
+            section=section or (),
+            path=out,
+        )
     )
 
 

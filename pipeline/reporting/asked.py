@@ -33,10 +33,11 @@ class Asked:
 
     request: Request
     settings: tuple[str, ...] = ()  # "slot.parameter=value", also "display.parameter=value"
-    pane: str = SHEET  # a slot, SOURCE or SHEET
+    pane: str = SHEET  # a slot, SOURCE or SHEET; for a section several, with commas between
     shown: Shown = "computed"
     frame: int = 0
     frames: str = ""  # of a table or a video, such as "0,3-7"; "" = all
+    section: tuple[float, ...] = ()  # x, y of the beginning and of the end of a line in mm; () = none
     path: Path
 
     def params(self, methods: tuple[Method, ...]) -> dict[str, object]:
@@ -73,6 +74,8 @@ def command(asked: Asked) -> str:
     words += ["--frame", str(asked.frame)]
     if asked.frames:
         words += ["--frames", asked.frames]
+    if asked.section:
+        words += ["--section", *(_said(value) for value in asked.section)]
     words += [word for line in asked.settings for word in ("--set", line)]
     return shlex.join([*words, "--out", os.fspath(asked.path.absolute())])
 

@@ -26,6 +26,7 @@ from pipeline.reporting import panes
 from pipeline.reporting.asked import SHEET, SOURCE, Asked
 from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import stage_arrays
+from pipeline.translation import section
 from pipeline.translation.translate import Translation, open_translation
 from pipeline.values.frames import TactileFrame
 
@@ -46,13 +47,18 @@ def export(asked: Asked, progress: Progress = SILENT) -> tuple[str, ...]:
     Raises TouchError.
     """
     write = _WRITERS.get(asked.path.suffix.lower())
+    if asked.section:
+        write = _section
+        if asked.path.suffix.lower() != ".csv":
+            raise FileProblem("a section is written as a table, .csv", asked.path)
     if write is None:
         raise FileProblem(f"nothing is written as this kind of file; known are {', '.join(_WRITERS)}", asked.path)
     ready_for(asked.path)
     with closing(open_translation(asked.request)) as translation:
-        if asked.pane not in (SHEET, SOURCE, *translation.slots):
-            known = ", ".join((SHEET, SOURCE, *translation.slots))
-            raise SettingProblem(f"no pane {asked.pane!r} on this route; there are {known}")
+        for pane in asked.pane.split(",") if asked.section else [asked.pane]:
+            if pane not in (SHEET, SOURCE, *translation.slots):
+                known = ", ".join((SHEET, SOURCE, *translation.slots))
+                raise SettingProblem(f"no pane {pane!r} on this route; there are {known}")
         work = _Work(asked, translation, progress)
         write(work)
     return tuple(sorted(work.replaced))
@@ -157,6 +163,27 @@ def _table(work: _Work) -> None:
         table.writerow([index, _number(time_s), *(_number(metrics.get(name, np.nan)) for name in names)])
     with whole_file(work.asked.path, "the table") as file:
         file.write(text.getvalue().encode())
+
+
+def _section(work: _Work) -> None:
+    """The heights of every pane along a line, as the window's tab copies them."""
+    x0, y0, x1, y1 = work.asked.section
+    line, translation = section.Line(begin_mm=(x0, y0), end_mm=(x1, y1)), work.translation
+    if not (np.isfinite(work.asked.section).all() and line.length_mm > 0):
+        raise SettingProblem(f"a section needs a line that is longer than nothing, got {x0}, {y0} to {x1}, {y1} mm")
+    index = translation.checked(work.asked.frame)
+    frame, results = work.results(index, every=True)
+    wanted = (SOURCE, *translation.slots) if work.asked.pane == SHEET else work.asked.pane.split(",")
+    shown = [
+        (name, panes.pane(name, frame, results, translation, work.display).picture,
+         None if name == SOURCE else results[name].output)
+        for name in wanted
+    ]  # fmt: skip
+    fields = section.fields_of(translation, translation.facts(index), shown)
+    if not fields:
+        raise SettingProblem(f"{work.asked.pane} of frame {index} has no heights to be cut; name another pane")
+    with whole_file(work.asked.path, "the section") as file:
+        file.write(section.as_csv(section.cut(line, fields)).encode())
 
 
 def _video(work: _Work) -> None:

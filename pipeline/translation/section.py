@@ -7,7 +7,7 @@ carried over to the target as the touch is, and a camera sees a straight line as
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,12 +17,15 @@ from pipeline.base.arrays import Doubles, Mask, freeze
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.pictures.picture import Laid, Picture
+from pipeline.sensors.offsets import Offsets
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.slot import Facts, Place
+from pipeline.translation.trace import SOURCE
 from pipeline.translation.translate import Translation
 from pipeline.values.frames import Truth
 from pipeline.values.results import DepthMap
 
+UNMOVED = Offsets()
 SAMPLES = 257  # along a line: finer than the pixels of any sensor that is described
 _HEIGHTS = "+ toward camera"  # how the quantities end that are heights over the untouched surface
 
@@ -152,12 +155,12 @@ def _profile(field: Field, points_mm: Doubles, along_mm: Doubles) -> Profile:
     )  # fmt: skip
 
 
-def sheet_of(translation: Translation, place: Place, camera: Camera) -> Sheet:
-    """The plane of the line as a camera of the source or of the target sees it."""
+def sheet_of(translation: Translation, place: Place, camera: Camera, moved: Offsets = UNMOVED) -> Sheet:
+    """The plane of the line as a camera of the source or of the target sees it, the alignment `moved` since."""
     rest = translation.source.rest_depth_mm
     return Sheet(
         camera=camera, plane_mm=float(rest[rest.shape[0] // 2, rest.shape[1] // 2]),
-        from_source=None if place == "source" else translation.alignment.target_from_source,
+        from_source=None if place == "source" else moved.applied(translation.alignment).target_from_source,
     )  # fmt: skip
 
 
@@ -188,7 +191,25 @@ def field_of(name: str, title: str, place: Place, value: object, picture: Pictur
     return Field(name=name, title=title, place=place, heights_mm=picture.values, sheet=sheet, contact=contact)
 
 
-def true_fields(facts: Facts, translation: Translation) -> tuple[Field, ...]:
+def fields_of(
+    translation: Translation,
+    facts: Facts | None,
+    shown: Iterable[tuple[str, Picture, object]],
+    moved: Offsets = UNMOVED,
+) -> tuple[Field, ...]:
+    """What is known to be true, then whatever has heights of (a slot or "source", its picture, its value)."""
+    found = [] if facts is None else list(true_fields(facts, translation, moved))
+    for name, picture, value in shown:
+        slot = None if name == SOURCE else translation.catalogue.slot(name)
+        place: Place = "source" if slot is None else slot.place
+        camera = camera_of(picture, translation.source if place == "source" else translation.target)
+        title = "Source" if slot is None else slot.title
+        field = field_of(name, title, place, value, picture, sheet_of(translation, place, camera, moved))
+        found += [] if field is None else [field]
+    return tuple(found)
+
+
+def true_fields(facts: Facts, translation: Translation, moved: Offsets = UNMOVED) -> tuple[Field, ...]:
     """What is known to be true on either side, where it is."""
     found: list[Field] = []
     sides: tuple[tuple[Place, Truth | None, SensorSpec], ...] = (
@@ -198,7 +219,7 @@ def true_fields(facts: Facts, translation: Translation) -> tuple[Field, ...]:
         if truth is None or truth.indentation_mm is None:
             continue
         rows, cols = truth.indentation_mm.shape
-        sheet = sheet_of(translation, place, sensor.camera.resized(rows, cols))
+        sheet = sheet_of(translation, place, sensor.camera.resized(rows, cols), moved)
         found.append(Field(name=f"true_{place}", title=f"Truth, {place}", place=place, heights_mm=truth.indentation_mm,
                            sheet=sheet, contact=truth.contact))  # fmt: skip
     return tuple(found)

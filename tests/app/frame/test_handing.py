@@ -27,6 +27,7 @@ from pipeline.reporting.exports import export
 from pipeline.sensors.offsets import Offsets
 from pipeline.stages.depth.slot import PHYSICS
 from pipeline.stages.depth.stage import DepthParams
+from pipeline.translation.section import Line
 
 LIMIT_S = 60
 
@@ -91,6 +92,43 @@ def test_an_export_and_its_command_leave_the_same_bytes(edited, tmp_path, pane, 
     assert run(build(), typed[1:]) == 0
     assert path.read_bytes() == (tmp_path / f"typed{suffix}").read_bytes()
     assert path.stat().st_size > 200
+
+
+@pytest.mark.parametrize("layout", ["stages", "demo"])
+def test_the_command_of_a_section_writes_the_table_that_is_copied(edited, tmp_path, monkeypatch, qtbot, layout):
+    monkeypatch.chdir(tmp_path)
+    window, panel = edited.window, edited.window.section_tab
+    window.actions_by_name[f"layout_{layout}"].trigger()
+    assert wait_until_shown(edited, LIMIT_S)
+    edited.move_section(Line(begin_mm=(-3.25, 1.5), end_mm=(4.0, -0.01)))
+    window.drawers.reading.show()
+    window.tabs.setCurrentWidget(panel)
+    qtbot.waitUntil(panel.command.isEnabled, timeout=3000)
+    assert wait_until_shown(edited, LIMIT_S)
+    qtbot.wait(60)
+    panel.copy.click()
+    copied = QApplication.clipboard().text()
+    panel.command.click()
+    words = shlex.split(QApplication.clipboard().text())
+    edited.move_section(None)
+    assert run(build(), words[1:]) == 0
+    assert (tmp_path / "section.csv").read_text() == copied
+    assert copied.startswith("along_mm,true_source_mm,true_target_mm,")
+    assert ("felt_mm" in copied) == (layout == "stages")
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [(["--section", "1", "1", "1", "1"], "longer than nothing"), (["--section", "0", "0", "nan", "1"], "longer"),
+     (["--section", "0", "0", "1", "1", "--pane", "depth,nose"], "no pane 'nose'")],
+)  # fmt: skip
+def test_a_section_that_cannot_be_cut_is_refused_in_one_sentence(tmp_path, capsys, words, told):
+    out = ["--target", "gelslim", "--out", str(tmp_path / "s.csv")]
+    assert run(build(), ["export", str(SAMPLE), "--sensor", "digit", *out, *words]) == 2
+    said = capsys.readouterr().err
+    assert told in said
+    assert len(said.splitlines()) == 1
+    assert not (tmp_path / "s.csv").exists()
 
 
 def test_the_copied_command_is_whole_in_a_process_of_its_own(edited, tmp_path, monkeypatch):

@@ -180,8 +180,8 @@ def test_numbers_lay_it_and_a_session_keeps_it_but_undo_does_not(window, qtbot, 
 def test_a_curve_has_gaps_and_its_axes_round_numbers():
     x = np.arange(7.0)
     drawn = segments(x * 4.0, np.array([1, 2, np.nan, 3, 4, 5, 6.0]))
-    assert [line.x1() / 4.0 for line in drawn] == [0, 3, 4, 5]
-    assert [line.x1() / 4.0 for line in segments(x * 4.0, x, "10")] == [0, 2, 4]
+    assert [line[0] / 4.0 for line in drawn] == [0, 3, 4, 5]
+    assert [line[0] / 4.0 for line in segments(x * 4.0, x, "10")] == [0, 2, 4]
     assert ticks(0.0, 12.0, 4) == [0.0, 5.0, 10.0]
     assert ticks(-0.31, 0.31, 4) == pytest.approx([-0.2, 0.0, 0.2])
     assert ticks(-0.13, 4.5, 2) == [0.0, 2.0, 4.0]  # a scale of 0 alone tells nothing

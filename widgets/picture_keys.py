@@ -1,0 +1,75 @@
+"""A picture worked by keys: the pixel that is pointed at, the second picture's handle, zoom, and the next picture."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import QEvent, QObject, QPointF, Qt, pyqtSignal
+from PyQt6.QtGui import QKeyEvent
+
+from widgets.picture import PictureView
+
+Key = Qt.Key
+ARROWS = {Key.Key_Left: (-1, 0), Key.Key_Right: (1, 0), Key.Key_Up: (0, -1), Key.Key_Down: (0, 1)}
+FAR = 10  # pixels at once with Shift
+_ENTER = (Key.Key_Return, Key.Key_Enter)
+_TABS = {Key.Key_Tab: 1, Key.Key_Backtab: -1}
+_ZOOMS = {Key.Key_Plus: 1.25, Key.Key_Equal: 1.25, Key.Key_Minus: 0.8}
+_HANDLE = {Key.Key_Comma: -0.05, Key.Key_Period: 0.05}  # shares of the picture's width
+_KNOWN = frozenset((*ARROWS, *_ENTER, *_TABS, *_ZOOMS, *_HANDLE))
+
+
+def step_of(event: QKeyEvent) -> tuple[int, int]:
+    """How far right and down an arrow key goes, in pixels; (0, 0) of any other key."""
+    x, y = ARROWS.get(Key(event.key()), (0, 0))
+    far = FAR if event.modifiers() & Qt.KeyboardModifier.ShiftModifier else 1
+    return far * x, far * y
+
+
+class PictureKeys(QObject):
+    """Listens to a picture that has the keyboard; keys that it knows are not the window's meanwhile."""
+
+    pointed = pyqtSignal(int, int)  # row, col
+    pinned = pyqtSignal(int, int)
+    passed = pyqtSignal(int)  # the keyboard on to the next picture, or back to the one before
+
+    def __init__(self, view: PictureView) -> None:
+        super().__init__(view)
+        self._view, self._canvas = view, view.canvas
+        self._canvas.setFocusPolicy(Qt.FocusPolicy.TabFocus)  # a click leaves the window its keys
+        self._canvas.installEventFilter(self)
+
+    def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
+        """Keys come here before the window's commands."""
+        if not isinstance(a1, QKeyEvent) or a1.key() not in _KNOWN:
+            return super().eventFilter(a0, a1)
+        if a1.type() == QEvent.Type.ShortcutOverride:
+            a1.accept()
+            return True
+        return a1.type() == QEvent.Type.KeyPress and self._press(a1)
+
+    def _press(self, event: QKeyEvent) -> bool:
+        key, picture = Key(event.key()), self._view.picture
+        if key in _TABS:
+            self.passed.emit(_TABS[key])
+        elif picture is None:
+            return False
+        elif key in _ZOOMS:
+            self._canvas.look(self._middle(), self._canvas.scale * _ZOOMS[key])
+            self._canvas.look_changed.emit()
+        elif key in _HANDLE:
+            if self._canvas.handle is not None:
+                self._view.overlay.drag_to(self._view.overlay.share + _HANDLE[key])
+        else:
+            rows, cols = picture.pixels.shape[:2]
+            at = self._middle()
+            right, down = step_of(event) if self._canvas.cross is not None else (0, 0)  # at first it only appears
+            row, col = int(at.y()) + down, int(at.x()) + right
+            told = self.pinned if key in _ENTER else self.pointed
+            told.emit(min(max(row, 0), rows - 1), min(max(col, 0), cols - 1))
+        return True
+
+    def _middle(self) -> QPointF:
+        """The pixel pointed at, else the middle of the contact, else what is in the middle."""
+        if self._canvas.cross is not None:
+            return QPointF(self._canvas.cross[1] + 0.5, self._canvas.cross[0] + 0.5)
+        box = self._view.contact_box_px()
+        return self._canvas.centre if box is None else QPointF(0.5 * (box[0] + box[2]), 0.5 * (box[1] + box[3]))

@@ -1,0 +1,48 @@
+"""Words that change often and lay nothing out anew: `QLabel` has the whole window arranged again for each of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from PyQt6.QtCore import QSize, Qt
+from PyQt6.QtGui import QPainter
+from PyQt6.QtWidgets import QLabel, QSizePolicy, QWidget
+
+
+class StillLabel(QLabel):
+    """Plain words in the room that there is: one line ends in dots where it is too long, several break at words."""
+
+    def __init__(self, text: str = "", parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._said = text
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self.setTextFormat(Qt.TextFormat.PlainText)
+
+    def text(self) -> str:
+        """What it says, all of it."""
+        return self._said
+
+    def setText(self, a0: str | None) -> None:  # noqa: N802
+        """Say something else."""
+        if (a0 or "") != self._said:
+            self._said = a0 or ""
+            self.update()
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """One line of letters, however wide."""
+        return QSize(0, self.fontMetrics().lineSpacing())
+
+    def minimumSizeHint(self) -> QSize:  # noqa: N802
+        """The same."""
+        return self.sizeHint()
+
+    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+        """The words."""
+        del a0
+        painter, room, how = QPainter(self), self.contentsRect(), self.alignment()
+        painter.setPen(self.palette().color(self.foregroundRole()))
+        if self.wordWrap():
+            painter.drawText(room, int(how) | int(Qt.TextFlag.TextWordWrap), self._said)
+        else:
+            end = Qt.TextElideMode.ElideRight
+            painter.drawText(room, int(how), self.fontMetrics().elidedText(self._said, end, room.width()))
