@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from pipeline.base.errors import TouchError
 from pipeline.base.progress import SILENT, Progress
 from pipeline.inspection import checks as inspection
+from pipeline.inspection import same_moments
 from pipeline.inspection.checks import Check
 from pipeline.inspection.object_checks import mesh_checks, off_contact_mm
 from pipeline.recordings import open_recording
@@ -72,6 +74,7 @@ def inspect(
         found = [_stream(recording, s, _spec(s.sensor, sensor), progress) for s in recording.streams]
         checks = [check for _, several in found for check in several]
         checks += inspection.pairings(recording)
+        checks += _orders(recording)
         if recording.object_mesh is not None:
             checks += mesh_checks(recording.object_mesh, str(recording.path))
         return Report(
@@ -94,6 +97,17 @@ def lines(report: Report) -> list[str]:
         out.append(f"  {s.name}: {s.sensor or 'unknown sensor'}, {s.n_frames} frames, {size}, {timing}, {truth}")
     out += [f"  {_MARKS[c.state]} {c.name}: {c.text}" for c in report.checks]
     return out + [f"  note: {note}" for note in report.notes]
+
+
+def _orders(recording: Recording) -> Iterator[Check]:
+    """Whether what two streams felt belongs together, where they tell."""
+    for one, other in combinations(recording.streams, 2):
+        order = same_moments.of_streams(one, other)
+        if order is not None:
+            good = f"of {order.n} moments, strong ones and places of one are those of the other"
+            state = "pass" if order.doubt is None else ("fail" if order.lag else "unknown")
+            text = good if order.doubt is None else f"{order.doubt}: '{recording.path}'"
+            yield Check(name=f"{one.name} with {other.name}", state=state, text=text)
 
 
 def _spec(name: str, said: str) -> SensorSpec | None:

@@ -16,6 +16,7 @@ import numpy as np
 
 from pipeline.base.arrays import Floats, freeze
 from pipeline.base.params import setting
+from pipeline.inspection.same_moments import felt, together
 from pipeline.training import denoising
 from pipeline.training.denoising import Denoising, Target
 from pipeline.training.drawn_pairs import Drawn, drawn
@@ -80,7 +81,12 @@ class KeptPairs(Denoising):
         alone = (
             f"all {n} pairs are learned from{asked}, none is held out: figures called unseen are of these very pairs",
         )
-        return (*(self._recorded().notes if self.recording else ()), *(alone if n == known else ()))
+        order = together(
+            [felt(np.abs(one.shown[:-1]).sum(axis=0)) for one in self._known()],
+            [felt(one.touch_mm) for one in self._known()],
+        )
+        doubts = () if order is None or order.doubt is None else (order.doubt,)
+        return (*doubts, *(self._recorded().notes if self.recording else ()), *(alone if n == known else ()))
 
     def _known(self) -> tuple[Drawn, ...]:
         return self._recorded().pairs if self.recording else drawn(self.folder)

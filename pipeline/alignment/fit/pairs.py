@@ -14,7 +14,9 @@ from pipeline.alignment.fit.difference_tiles import Ridges, ridges
 from pipeline.alignment.fit.turning import in_words, turned
 from pipeline.alignment.touches import PairedTouch
 from pipeline.base.arrays import Floats, freeze
+from pipeline.base.doubts import Doubt
 from pipeline.base.errors import FileProblem
+from pipeline.inspection.same_moments import felt, together
 from pipeline.recordings import pictures
 from pipeline.sensors.spec import SensorSpec
 from pipeline.values.results import DepthMap
@@ -59,19 +61,26 @@ def tile_pairs(folder: Path, source: SensorSpec, source_names: str, target_names
     said = (
         f"their colours read as slopes are {clear[0]:.0%} a surface's (the next best way to lay them: {clear[1]:.0%})"
     )
-    return Pairs(pairs=tuple(_tiles(n, read[n], found[1][n]) for n in names), notes=(note, said))
+    pairs = tuple(_tiles(n, read[n], found[1][n]) for n in names)
+    return Pairs(pairs=pairs, notes=(note, said, *_doubts(pairs)))
 
 
 def touch_pairs(touches: Sequence[PairedTouch]) -> Pairs:
     """Moments that both sensors felt, in millimetres on either one's rest surface."""
-    made = [_touch(t) for t in touches if t.felt_by_both]
-    return Pairs(pairs=tuple(made), notes=(f"{len(made)} of {len(touches)} moments are felt by both",))
+    made = tuple(_touch(t) for t in touches if t.felt_by_both)
+    return Pairs(pairs=made, notes=(f"{len(made)} of {len(touches)} moments are felt by both", *_doubts(made)))
 
 
 def pixel_mm(depth: DepthMap) -> float:
     """Width of a pixel where the sensor is touched, or at rest."""
     seen = depth.depth_mm[np.isfinite(depth.depth_mm)]
     return float(np.median(seen)) / depth.camera.fx_px
+
+
+def _doubts(pairs: Sequence[Pair]) -> tuple[Doubt, ...]:
+    """What speaks against these being pairs of one touch each."""
+    order = together([felt(pair.touching) for pair in pairs], [felt(pair.imprint) for pair in pairs])
+    return () if order is None or order.doubt is None else (order.doubt,)
 
 
 def _named(folder: Path, pattern: str) -> dict[str, Path]:

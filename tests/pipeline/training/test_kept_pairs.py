@@ -146,3 +146,18 @@ def test_what_is_odd_about_own_pairs_is_said_before_they_are_learned_from(tmp_pa
         "no untouched reading of GelSlim (markers) is in", "1 of 2 moments are left out", "all 1 pairs",
     ):  # fmt: skip
         assert words in told, told
+
+
+def test_pairs_whose_two_sides_are_of_other_touches_are_doubted_before_they_are_learned_from(tmp_path):
+    y, x = np.mgrid[:ROWS, :COLS]
+    rng, dents = np.random.default_rng(3), []
+    for at_x, at_y, deep in zip(rng.uniform(4, 24, 20), rng.uniform(4, 16, 20), rng.uniform(2, 8, 20), strict=True):
+        dents.append((deep * np.exp(-((x - at_x) ** 2 + (y - at_y) ** 2) / 8.0)).astype(np.float32))
+    for name, order in (("own", range(20)), ("others", rng.permutation(20))):
+        for number, other in enumerate(order):
+            seen = np.stack([dents[number] / 8.0] * 12 + [np.ones((ROWS, COLS))]).astype(np.float32)
+            touch = Drawn(shown=seen, touch_mm=dents[other], contact=dents[other] > 1.0)
+            draw(tmp_path / name, number, touch)
+    assert KeptPairs(folder=str(tmp_path / "own"), pairs=10).notes() == ()
+    (doubt,) = KeptPairs(folder=str(tmp_path / "others"), pairs=10).notes()
+    assert "are these pairs of one touch each?" in doubt

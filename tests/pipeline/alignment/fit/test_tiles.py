@@ -25,13 +25,18 @@ BACK = {k: next(j for j in WAYS if np.array_equal(turned(turned(np.arange(9).res
 def tile(seed: int) -> tuple[np.ndarray, np.ndarray]:
     """(what touches, the difference picture of it as a training set keeps it), 128 px wide."""
     touching = cv2.resize(strokes(seed), (128, 128), interpolation=cv2.INTER_LINEAR)
+    return touching, change_of(touching, seed)
+
+
+def change_of(touching: np.ndarray, seed: int) -> np.ndarray:
+    """The difference picture of what touches (128, 128)."""
     seen = SPEC.seen_through(SPEC.camera.resized(128, 128))
     surface = 0.4 * cv2.GaussianBlur(touching, (0, 0), 3)
     gy, gx = np.gradient(surface, seen.pixel_mm)
     change = colour_change(seen, gx.astype(np.float32), gy.astype(np.float32))
     change = change + np.random.default_rng(seed).normal(0, 2, change.shape)
     low, high = np.percentile(change, (0.5, 99.5))
-    return touching, np.clip((change - low) / (high - low) * 255, 0, 255).astype(np.uint8)
+    return np.clip((change - low) / (high - low) * 255, 0, 255).astype(np.uint8)
 
 
 def test_half_a_turn_twice_is_none():
@@ -81,3 +86,16 @@ def test_tiles_that_do_not_pair_are_refused(tmp_path: Path):
         tile_pairs(tmp_path, SPEC, "*_gelslim.png", "*_other.png")
     with pytest.raises(FileProblem, match=r"one '\*'"):
         tile_pairs(tmp_path, SPEC, "gelslim.png", "*_other.png")
+
+
+@pytest.mark.parametrize("late", [0, 5])
+def test_tiles_that_are_paired_with_those_of_other_touches_are_doubted(tmp_path, late):
+    spots = np.random.default_rng(4).uniform(30, 98, (16, 2))
+    for number, (x, y) in enumerate(spots):
+        touching = np.zeros((128, 128), np.float32)
+        cv2.circle(touching, (round(x), round(y)), 12, 1.0, -1)
+        other = (number + late) % len(spots)
+        cv2.imwrite(str(tmp_path / f"{number:02d}_gel.png"), change_of(touching, number)[..., ::-1])
+        cv2.imwrite(str(tmp_path / f"{other:02d}_imprint.png"), 255 * cv2.GaussianBlur(touching, (0, 0), 4))
+    told = " ".join(tile_pairs(tmp_path, SPEC, "*_gel.png", "*_imprint.png").notes)
+    assert ("are these pairs of one touch each?" in told) is bool(late)
