@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from PyQt6.QtCore import QEvent, QRectF, QSize, Qt, pyqtSignal
+import numpy as np
+from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QFont, QFontMetrics, QPainter, QPalette, QPen, QPixmap
 from PyQt6.QtWidgets import QAbstractButton, QHBoxLayout, QSizePolicy, QWidget
 
 from pipeline.pictures.picture import Picture
-from widgets.colours import backdrop
+from widgets.colours import inks
 from widgets.icons import paint_state
 from widgets.looks import spaced
-from widgets.plate import image_under
+from widgets.plate import MOST_ZOOM, Plate
 
 _PICTURE_PX = QSize(132, 62)
 _SIGN_PX, _EDGE_PX = 16, 4
+_FEW, _AROUND = 0.3, 1.25  # share of pixels with a value under which those are shown alone, with this room around
 
 
 class Thumbnail(QAbstractButton):
@@ -86,15 +90,10 @@ class Thumbnail(QAbstractButton):
         if self._picture is None or self.folded:
             return
         size = QSize(self.width() - 2 * _EDGE_PX, _PICTURE_PX.height())
-        if self._pixmap is None or self._pixmap.width() > size.width():
-            image = image_under(palette, self._picture)
-            fit, smooth = Qt.AspectRatioMode.KeepAspectRatio, Qt.TransformationMode.SmoothTransformation
-            self._pixmap = QPixmap.fromImage(image.scaled(size, fit, smooth))
-        left = (self.width() - self._pixmap.width()) // 2
-        top = _EDGE_PX + line + (size.height() - self._pixmap.height()) // 2
+        if self._pixmap is None:
+            self._pixmap = small_picture(self._picture, size, self.devicePixelRatioF(), palette)
         painter.setOpacity(0.5 if self.state in ("stale", "running", "waiting") else 1.0)
-        painter.fillRect(left, top, self._pixmap.width(), self._pixmap.height(), backdrop(palette))
-        painter.drawPixmap(left, top, self._pixmap)
+        painter.drawPixmap(_EDGE_PX, _EDGE_PX + line, self._pixmap)
 
     def resizeEvent(self, a0: Any) -> None:  # noqa: N802
         """Another width is another picture."""
@@ -115,6 +114,23 @@ class Thumbnail(QAbstractButton):
 
     def _line_px(self) -> int:
         return max(_SIGN_PX, QFontMetrics(self._font()).height()) + 2
+
+
+def small_picture(picture: Picture, size: QSize, dense: float, palette: QPalette) -> QPixmap:
+    """A picture with its contact's outline on the theme's ground; one with few pixels that say anything shows those."""
+    plate = Plate()
+    plate.take_ground(inks(palette).no_value)
+    plate.take(replace(picture, pixel_mm=math.nan, felt_px=None))  # without a scale bar
+    plate.room = size
+    plate.fit()
+    known = None if picture.values is None else np.isfinite(picture.values)
+    if known is not None and 0 < np.count_nonzero(known) < _FEW * known.size:
+        rows, cols = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
+        wide, high = (_AROUND * (float(at[-1] - at[0]) + 1.0) for at in (cols, rows))
+        scale = min(size.width() / wide, size.height() / high)
+        plate.centre = QPointF(0.5 * float(cols[0] + cols[-1] + 1), 0.5 * float(rows[0] + rows[-1] + 1))
+        plate.scale = min(max(scale, plate.scale), MOST_ZOOM)
+    return plate.drawn(dense, palette.color(QPalette.ColorRole.Window), QFont())
 
 
 class Filmstrip(QWidget):

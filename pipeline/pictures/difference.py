@@ -11,14 +11,18 @@ from pipeline.pictures.colours import ColourScale, coloured
 from pipeline.pictures.picture import Picture
 
 _SHARE = 0.2  # of a quantity's own scale, either way: errors are smaller than what they are errors of
+_LEAST_SHARE = 0.05  # of that scale, where it is fitted to what is there: noise is not shown as an error
 _GREY = 50.0  # levels of a colour picture, either way
 
 
-def difference(made: Picture, true: Picture, words: str = "computed less truth") -> Picture | None:
+def difference(
+    made: Picture, true: Picture, words: str = "computed less truth", *, fits: bool = False
+) -> Picture | None:
     """`made` less `true`, pixel by pixel; None where the two cannot be subtracted.
 
     Heights, deviations and distances in mm. Of colours the mean of the three in grey levels. How far points lie from
-    an object has no difference that means anything. `words` say which is which.
+    an object has no difference that means anything. `words` say which is which. One whose scale `fits` has the first
+    round number for a limit under which all but a hundredth lie, and says so; else differences of all frames share one.
     """
     if made.pixels.shape != true.pixels.shape:
         return None
@@ -33,7 +37,19 @@ def difference(made: Picture, true: Picture, words: str = "computed less truth")
     if made.values.shape != true.values.shape:
         return None
     limit = _SHARE * (ours.high if ours.map == "diverging" else ours.high - ours.low)
-    return _drawn(made, true, (made.values - true.values).astype(np.float32), limit, ours.unit, words)
+    gap = (made.values - true.values).astype(np.float32)
+    small = _round_limit(gap, limit) if fits else limit
+    drawn = _drawn(made, true, gap, small, ours.unit, words)
+    told = f"{drawn.caption}; scale fitted, {small:g} of {limit:g} {ours.unit}"
+    return replace(drawn, caption=told) if small < limit else drawn
+
+
+def _round_limit(gap: Floats, most: float) -> float:
+    """The least of 1, 2 and 5 times a power of ten that all but a hundredth of the gaps lie under, within reason."""
+    known = np.abs(gap[np.isfinite(gap)])
+    needed = max(float(np.percentile(known, 99.0)) if known.size else most, _LEAST_SHARE * most)
+    power = 10.0 ** np.floor(np.log10(needed))
+    return float(min(most, next(k * power for k in (1.0, 2.0, 5.0, 10.0) if k * power >= needed * (1 - 1e-9))))
 
 
 def _drawn(made: Picture, true: Picture, gap: Floats, limit: float, unit: str, words: str) -> Picture:

@@ -29,7 +29,7 @@ class Beside:
 def beside_felt(made: Picture, felt: DepthMap, target: SensorSpec, display: DisplayParams) -> Beside:
     """What an alignment carries over beside what the target felt itself, measured as any reading is."""
     own = of_heights(felt.indentation_mm, felt.depth_mm, felt.contact, felt.camera, target, display)
-    gap = difference(made, own, words="carried over less felt")
+    gap = difference(made, own, words="carried over less felt", fits=True)
     return Beside(truth=replace(own, caption=f"felt by {target.name} itself"), gap=gap)
 
 

@@ -83,3 +83,13 @@ def test_a_trace_says_which_way_the_membrane_went(bubble):
                     source_index=np.arange(moved.size, dtype=np.int32).reshape(moved.shape))  # fmt: skip
     assert "0.50 mm out" in SLOT.follow(touch, Mark(slot="view", index=1, text="")).text
     assert "0.00 mm in" in SLOT.follow(touch, Mark(slot="view", index=2, text="")).text
+
+
+def test_a_difference_that_fits_its_scale_takes_a_round_limit_and_says_so(bubble, pressed):
+    true = of_reading(pressed, bubble.camera, bubble, DISPLAY)
+    for off_mm, limit in ((0.12, 0.2), (0.7, 1.0), (1e-4, 0.1), (3.0, 2.0)):
+        made = replace(true, values=true.values + np.float32(off_mm))
+        shown = difference(made, true, fits=True)
+        assert (shown.scale.low, shown.scale.high) == pytest.approx((-limit, limit))
+        assert ("scale fitted" in shown.caption) == (limit < 2.0)
+        assert difference(made, true).scale.high == pytest.approx(2.0)
