@@ -18,6 +18,7 @@ from widgets.looks import once, smaller
 
 _STRIP_PX, _BARS_PX, _EDGE_PX = 8, 22, 2
 _N_BARS = 64
+_HOW = {False: "absolute", True: "fitted"}
 _EVERY = 2  # pixel along each side is counted: the shape of a spread is the same, for a quarter of the time
 _NEAR_PX = 12.0  # of an end of the strip: there it can be dragged
 _THROTTLE_MS = 33
@@ -106,7 +107,7 @@ class Levels(QWidget):
         return self._spread
 
     def _words(self, scale: ColourScale, spread: Spread) -> str:
-        lines = [f"{scale.quantity}, {scale.low:g} to {scale.high:g} {scale.unit} (absolute limits)"]
+        lines = [f"{scale.quantity}, {scale.low:g} to {scale.high:g} {scale.unit} ({_HOW[scale.fitted]} limits)"]
         for share, where in ((spread.below, f"below {scale.low:g}"), (spread.above, f"above {scale.high:g}")):
             if share >= _TOLD:
                 lines.append(f"{100 * share:.1f} % of the values lie {where} {scale.unit}, in the colour of that end")

@@ -66,6 +66,7 @@ class Pane(QFrame):
                 _watch(widget, self)
             self._held = (column, cell)
         column.show_wide(True)
+        column.view.levels.show()
         column.setVisible(dims != "3D")
         cell.setVisible(dims != "2D")
         for name, button in self._buttons.items():

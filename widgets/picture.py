@@ -27,6 +27,7 @@ class PictureView(QWidget):
     pixel_hovered = pyqtSignal(int, int)  # row, col; (-1, -1) once the mouse has left
     pixel_clicked = pyqtSignal(int, int)
     shape_changed = pyqtSignal()  # a picture of another size
+    scale_changed = pyqtSignal()  # one with a scale after one without, or the other way
     look_changed = pyqtSignal()  # panned or zoomed by hand
 
     def __init__(self, parent: QWidget | None = None) -> None:
@@ -87,6 +88,7 @@ class PictureView(QWidget):
         """Show a picture; the view moves only when the number of pixels changed."""
         if picture is self.picture:
             return
+        other = self.scaled != (picture.scale is not None)
         self.picture = picture
         self.canvas.show_picture(picture)
         self.levels.show_scale(picture.scale, picture.values)
@@ -96,6 +98,13 @@ class PictureView(QWidget):
         if shape != self._shape:
             self._shape = shape
             self.shape_changed.emit()
+        if other:
+            self.scale_changed.emit()
+
+    @property
+    def scaled(self) -> bool:
+        """Whether the picture has a scale of colours."""
+        return self.picture is not None and self.picture.scale is not None
 
     def show_message(self, text: str) -> None:
         """Lay a sentence over the picture (why it was skipped, or that it is out of date); "" removes it."""

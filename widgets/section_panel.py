@@ -20,7 +20,7 @@ from widgets.looks import command_button, spaced
 from widgets.section_plot import SectionPlot
 from widgets.still_label import StillLabel
 
-_NAMES = ("A x", "y", "B x", "y")
+_NAMES = ("A, mm", "", "B, mm", "")
 _TIPS = ("across", "down", "across", "down")
 _PLACES = (("both sensors", ""), ("source", "source"), ("target", "target"))
 _REACH_MM, _STEP_MM, _DIGITS = 999.0, 0.1, 2
@@ -36,9 +36,9 @@ class SectionPanel(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.plot, self.told, self.copy = SectionPlot(), StillLabel(_OFF), QPushButton("Copy as CSV")
+        self.plot, self.told, self.copy = SectionPlot(), StillLabel(_OFF), QPushButton("Copy CSV")
         self.line: Line | None = None
-        self.command = QPushButton("Copy as command")
+        self.command = QPushButton("Copy command")
         self.command.setObjectName("section_command")
         self.command.setToolTip("Copy the command line that writes this table")
         self.command.clicked.connect(self.command_wanted)
@@ -53,11 +53,11 @@ class SectionPanel(QWidget):
             box.setRange(-_REACH_MM, _REACH_MM)
             box.setDecimals(_DIGITS)
             box.setSingleStep(_STEP_MM)
-            box.setSuffix(" mm")
             box.setToolTip(f"How far {tip} from the source camera's axis the line's end {end} lies, on the gel")
             box.setKeyboardTracking(False)
             box.valueChanged.connect(self._typed)
-            self._head.addWidget(QLabel(name))
+            if name:
+                self._head.addWidget(QLabel(name))
             self._head.addWidget(box)
             self.ends.append(box)
         self.place = QComboBox()

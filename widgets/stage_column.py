@@ -33,10 +33,9 @@ class StageColumn(QFrame):
         super().__init__(parent)
         self.setObjectName(f"column_{name}")
         self.setFrameShape(QFrame.Shape.StyledPanel)
-        self._title = QLabel(title)
+        self._title = StillLabel(title)
         bold(self._title)
         smaller(self._title, 0.5)
-        self._title.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self._title.setToolTip(title)
         self._sign, self._word, self._ms = StateSign(), QLabel(), QLabel()
         self._ms.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
@@ -69,6 +68,7 @@ class StageColumn(QFrame):
         smaller(self._note, 1.0)
         self._note.setWordWrap(True)
         self._note.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
+        self._wide = False
         self._show_lines(2)
         layout.addWidget(self._note)
         self.setMinimumWidth(90)
@@ -85,9 +85,15 @@ class StageColumn(QFrame):
         self._head.setSpacing(10 if wide else 2)
         for place, share in ((self._title, 2), (self._only, 2), (self._method, 2)):
             self._head.setStretchFactor(place, share if wide else 0)
-        self._title.setMinimumWidth(min(self._title.sizeHint().width(), _TITLE_PX) if wide else 0)
-        self._show_lines(1 if wide else 2)
+        letters = self._title.fontMetrics().horizontalAdvance(self._title.text())
+        self._title.setMinimumWidth(min(letters + 1, _TITLE_PX) if wide else 0)
+        self._wide = wide
+        self.show_short(False)
         self._fit_time()
+
+    def show_short(self, short: bool) -> None:
+        """One line of caption and of note where there is little height, or where a line is long; else two."""
+        self._show_lines(1 if short or self._wide else 2)
 
     def _show_lines(self, lines: int) -> None:
         """The room of caption and note, theirs whether they say something or not: pictures stand in one line."""
@@ -101,7 +107,7 @@ class StageColumn(QFrame):
 
     def _fit_time(self) -> None:
         beside = self._head.direction() == QBoxLayout.Direction.LeftToRight
-        before = self._title.sizeHint().width() + _METHOD_PX if beside else 0
+        before = self._title.minimumWidth() + _METHOD_PX if beside else 0
         words = before + self._word.sizeHint().width()
         room = self.width() - self._sign.sizeHint().width() - _BETWEEN_PX
         self._ms.setHidden(room < words + self._ms.sizeHint().width())

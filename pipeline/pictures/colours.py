@@ -33,7 +33,7 @@ _DIVERGING = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColourScale:
-    """Which values become which colours; the limits are absolute, never those of the picture at hand."""
+    """Which values become which colours; the limits are absolute, the picture's own only where that is said."""
 
     map: MapName
     low: float
@@ -43,6 +43,7 @@ class ColourScale:
     sets_low: str = ""  # the setting of the display that the lowest is, "" = none;
     sets_high: str = ""  # and the highest; one for both is the larger of two equal sides
     subtracts: bool = True  # whether one such value less another means anything
+    fitted: bool = False  # to the picture at hand
 
 
 @lru_cache(maxsize=2)

@@ -39,7 +39,7 @@ def difference(
     limit = _SHARE * (ours.high if ours.map == "diverging" else ours.high - ours.low)
     gap = (made.values - true.values).astype(np.float32)
     small = _round_limit(gap, limit) if fits else limit
-    drawn = _drawn(made, true, gap, small, ours.unit, words)
+    drawn = _drawn(made, true, gap, small, ours.unit, words, fitted=small < limit)
     told = f"{drawn.caption}; scale fitted, {small:g} of {limit:g} {ours.unit}"
     return replace(drawn, caption=told) if small < limit else drawn
 
@@ -52,8 +52,10 @@ def _round_limit(gap: Floats, most: float) -> float:
     return float(min(most, next(k * power for k in (1.0, 2.0, 5.0, 10.0) if k * power >= needed * (1 - 1e-9))))
 
 
-def _drawn(made: Picture, true: Picture, gap: Floats, limit: float, unit: str, words: str) -> Picture:
-    scale = ColourScale(map="diverging", low=-limit, high=limit, unit=unit, quantity=words)
+def _drawn(
+    made: Picture, true: Picture, gap: Floats, limit: float, unit: str, words: str, *, fitted: bool = False
+) -> Picture:
+    scale = ColourScale(map="diverging", low=-limit, high=limit, unit=unit, quantity=words, fitted=fitted)
     known = gap[np.isfinite(gap)]
     mean = float(np.abs(known).mean()) if known.size else 0.0
     caption = f"{words}: mean {mean:.3g} {unit}" if known.size else "no pixel has both a value and a truth"
