@@ -20,8 +20,6 @@ from widgets.frames_filter import FramesFilter
 from widgets.frames_model import FIGURE, FRAME, NOTE, SORTED_BY, FramesModel
 from widgets.looks import smaller, spaced
 
-_LEAST_PX = 216  # wide: numbers of three digits in every column
-
 
 class FramesPanel(QWidget):
     """Shows its `known` frames; `frame_chosen` says which row was picked, `figure_chosen` what the last column is."""
@@ -31,7 +29,6 @@ class FramesPanel(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.setMinimumWidth(_LEAST_PX)
         self.known = FramesModel(self)
         self._sorted = FramesFilter(self)
         self._sorted.setSourceModel(self.known)
