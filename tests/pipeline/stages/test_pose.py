@@ -325,6 +325,28 @@ def test_a_light_part_of_a_contact_that_is_lost_in_the_error_of_the_depth_speaks
     assert exact_mm > 0.3, "where depth is exact, what is not felt is not there"
 
 
+def test_a_generated_touch_speaks_against_a_pose_by_no_more_than_it_tells_of_its_own_error():
+    """A network left out half of a wedge's sides; the wedge sticks out there, as far as the network said it may."""
+    truth = lying(0.3, 0.2, 0.8, 2.0, 30.0)
+    touch = felt(notched_wedge(), truth)
+    beside = ~touch.contact & (np.arange(touch.contact.shape[1]) > touch.contact.shape[1] // 2)
+    wrong = replace(
+        touch, depth_mm=touch.depth_mm + np.where(beside, np.float32(0.4), np.float32(0.0)),
+        contact=touch.contact, known=np.ones_like(touch.contact),
+    )  # fmt: skip
+    unsure = np.where(beside, np.float32(0.2), np.float32(0.001))
+    wedge = prepared(notched_wedge().mesh, 0)
+
+    def misfit_mm(felt_touch):
+        scene = felt_surface(felt_touch, 1500, 0)
+        return judge(scene, wedge.grid, wedge.model, 750, 15_000, 2.0).misfit_mm([truth])[0]
+
+    silent, told = misfit_mm(wrong), misfit_mm(replace(wrong, spread_mm=unsure))
+    assert told < 0.6 * silent
+    recorded = replace(wrong, known=None, spread_mm=unsure)
+    assert misfit_mm(recorded) == silent, "a recording has an error of its own"
+
+
 def test_an_object_smaller_than_its_contact_is_asked_for_its_unit():
     bar = l_bar()
     small = replace(bar.mesh, vertices_mm=0.1 * bar.mesh.vertices_mm)
