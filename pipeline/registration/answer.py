@@ -21,6 +21,11 @@ OUTLINE_ONLY = "seen only by the outline of the contact"
 _ONE_PLACE = 0.1  # of the way a turn carries the contact's middle: so short a shift is not worth a word
 _OPEN = "looking for what the touch leaves open"
 _DOUBTFUL = 0.5  # share of the contact on the object
+# Of 90 simulated touches, measured or translated, six have what was felt on the object and are beyond the depth's error
+# for what was not: three wrong poses, and three right ones whose contacts lack a light part.
+UNFELT = Doubt(
+    "the object would be felt beside the contact too if it lay so: the pose, or a light part of the contact, is doubtful"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,7 +134,7 @@ def _about_fit(search: Search, chosen: Minimum) -> tuple[str, ...]:
     if fit.fitness < _DOUBTFUL:
         return (Doubt(f"only {fit.fitness:.0%} of the contact lies on the object; the pose is doubtful"),)
     if search.explains(chosen):
-        return ()
+        return () if chosen.misfit_mm <= search.limit_mm else (UNFELT,)
     told = (
         f"{fit.fitness:.0%} of the contact lies on the object, {fit.rmse_mm:.2g} mm off where the depth's error "
         f"makes up {search.limit_mm:.2g} mm; the pose, or the mesh, is doubtful"

@@ -11,6 +11,7 @@ from pipeline.engine.digests import content
 from pipeline.geometry import rigid
 from pipeline.geometry.distance_grid_store import distance_grid
 from pipeline.geometry.meshes import Mesh
+from pipeline.registration.answer import UNFELT
 from pipeline.registration.observability import observability
 from pipeline.registration.prepared import prepared
 from pipeline.registration.ranking import judge
@@ -248,6 +249,19 @@ def test_a_pose_that_fits_as_well_turned_is_said():
 def test_a_pose_that_only_one_place_explains_has_no_alternative():
     truth = lying(1.0, -0.5, 0.6, 4.0, 20.0, tilt_deg=(1.5, -2.0), origin_mm=(5.0, 3.5))
     assert pose(felt(l_bar(), truth), l_bar().mesh, PoseParams()).alternatives == ()
+
+
+def test_a_pose_whose_object_would_be_felt_where_nothing_was_is_doubted():
+    truth = lying(1.0, -0.5, 0.6, 4.0, 20.0, origin_mm=(5.0, 3.5))
+    whole = felt(l_bar(), truth)
+    there = rigid.apply(rigid.invert(truth), CAMERA.back_project(whole.depth_mm).reshape(-1, 3).astype(float))
+    lost = whole.contact & (there[:, 1] > 4.0).reshape(CAMERA.shape)  # an arm that was too light to be seen
+    part = replace(
+        whole, depth_mm=np.where(lost, np.float32(REST_MM), whole.depth_mm), contact=whole.contact & ~lost,
+        indentation_mm=np.where(lost, np.float32(0.0), whole.indentation_mm),
+    )  # fmt: skip
+    assert UNFELT in pose(part, l_bar().mesh, PoseParams()).notes
+    assert UNFELT not in pose(whole, l_bar().mesh, PoseParams()).notes
 
 
 def test_the_next_touch_is_followed_and_a_far_one_is_searched():
