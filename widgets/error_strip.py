@@ -15,6 +15,7 @@ from widgets.colours import inks, qcolor
 _INSET_PX = 6  # half the slider's handle
 _MARK_PX = 7.0
 _WIDEST_PX = 26.0
+_LEAST_PX = 24  # high
 
 
 class ErrorStrip(QWidget):
@@ -26,7 +27,7 @@ class ErrorStrip(QWidget):
         super().__init__(parent)
         self.setObjectName("error_strip")
         self.setAccessibleName("error of every frame")
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Maximum)
         self.values: tuple[float, ...] = ()  # NaN = not known
         self.doubts: Mapping[int, Sequence[str]] = {}
         self.span: tuple[int, int] | None = None  # that playing loops over
@@ -64,6 +65,10 @@ class ErrorStrip(QWidget):
     def sizeHint(self) -> QSize:  # noqa: N802
         """As wide as the slider over it."""
         return QSize(200, self.high_px)
+
+    def minimumSizeHint(self) -> QSize:  # noqa: N802
+        """Lower where a small screen asks for it: a window does not outgrow it for the bars' sake."""
+        return QSize(60, min(self.high_px, _LEAST_PX))
 
     def told(self, frame: int) -> str:
         """What is known of a frame, in words."""

@@ -38,7 +38,6 @@ class PictureView(QWidget):
         self.overlay = Overlay(self.canvas)
         self.levels = Levels()
         self._caption = StillLabel()
-        self._caption.setWordWrap(True)
         self._caption.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
         self._message = QLabel(self.canvas)
         self._message.setWordWrap(True)
@@ -71,8 +70,7 @@ class PictureView(QWidget):
 
     def show_lines(self, lines: int) -> None:
         """How many lines the caption has."""
-        self._caption.setWordWrap(lines > 1)
-        self._caption.setFixedHeight(lines * self._caption.fontMetrics().lineSpacing() + 3)
+        self._caption.show_lines(lines)
 
     @property
     def message(self) -> str:

@@ -66,7 +66,6 @@ class StageColumn(QFrame):
         self._note = StillLabel()
         self._note.setObjectName(f"note_{name}")
         smaller(self._note, 1.0)
-        self._note.setWordWrap(True)
         self._note.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
         self._wide = False
         self._show_lines(2)
@@ -98,7 +97,7 @@ class StageColumn(QFrame):
     def _show_lines(self, lines: int) -> None:
         """The room of caption and note, theirs whether they say something or not: pictures stand in one line."""
         self.view.show_lines(lines)
-        self._note.setFixedHeight(lines * self._note.fontMetrics().lineSpacing() + 2)
+        self._note.show_lines(lines)
 
     def resizeEvent(self, a0: Any) -> None:  # noqa: N802
         """The time gives way where there is no room for it, and beside title and method the state's word does."""

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 
+from PyQt6 import sip
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from pipeline.base import compiling
@@ -125,8 +126,13 @@ class LatestJob(QObject):
                 report, work = self._waiting, self._work
                 self._running, self._waiting, self._work = report, None, None
                 self._untold += 1
-            self._run(report, work)
-            self._over.emit()
+            try:
+                self._run(report, work)
+                self._over.emit()
+            except RuntimeError:  # of PyQt: the window is gone, and this work could not be stopped in time
+                if sip.isdeleted(self):
+                    return
+                raise
 
     def _run(self, report: Report, work: Work) -> None:
         self.started.emit(report.ticket)

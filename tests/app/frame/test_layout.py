@@ -62,6 +62,17 @@ def test_drawers_are_closed_at_first_and_open_by_rail_and_key(bubble_window, qtb
     assert {action.text() for action in drawers.rail.actions()} == {d.windowTitle() for d in drawers.all}
 
 
+def test_a_window_that_fills_a_small_screen_does_not_grow_with_its_drawers(bubble_window, qtbot):
+    window = bubble_window.window
+    small = QSize(1366, 768)
+    window.resize(small)
+    qtbot.waitUntil(lambda: window.size() == small, timeout=3000)
+    for drawer in window.drawers.all:
+        drawer.toggleViewAction().trigger()
+        qtbot.wait(150)
+        assert window.size() == small, drawer.objectName()
+
+
 def test_a_dragged_handle_stays_where_it_was_put(bubble_window):
     rows = bubble_window.window.rows
     rows.fit()

@@ -6,6 +6,7 @@ import threading
 import time
 
 import pytest
+from PyQt6 import sip
 
 from app.work.jobs import LatestJob, Report
 from pipeline.base import compiling
@@ -141,3 +142,23 @@ def test_it_is_quiet_only_once_the_end_was_told(job, qtbot):
     assert (job.quiet, got) == (False, [])
     qtbot.waitUntil(lambda: job.quiet, timeout=SOON_MS)
     assert got == [7]
+
+
+def test_work_that_outlives_its_window_ends_in_silence(qapp, monkeypatch):
+    told = []
+    monkeypatch.setattr(threading, "excepthook", told.append)
+    job, begun, go_on = LatestJob("late"), threading.Event(), threading.Event()
+
+    def late(_report):
+        begun.set()
+        go_on.wait(10)
+
+    job.submit(late)
+    assert begun.wait(10)
+    assert not job.close(timeout_s=0.01)
+    thread = job._thread
+    sip.delete(job)
+    go_on.set()
+    thread.join(10)
+    assert not thread.is_alive()
+    assert told == []
