@@ -21,10 +21,10 @@ OUTLINE_ONLY = "seen only by the outline of the contact"
 _ONE_PLACE = 0.1  # of the way a turn carries the contact's middle: so short a shift is not worth a word
 _OPEN = "looking for what the touch leaves open"
 _DOUBTFUL = 0.5  # share of the contact on the object
-# Of 90 simulated touches, measured or translated, six have what was felt on the object and are beyond the depth's error
-# for what was not: three wrong poses, and three right ones whose contacts lack a light part.
+# Of 90 simulated touches, measured or translated, six have what was felt on the object and are beyond the depth's
+# error for what was not: three wrong poses, and three right ones whose contacts lack a light part.
 UNFELT = Doubt(
-    "the object would be felt beside the contact too if it lay so: the pose, or a light part of the contact, is doubtful"
+    "the object would be felt beside the contact too if it lay so: the pose is doubtful, or a light part was lost"
 )
 
 
