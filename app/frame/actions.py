@@ -72,6 +72,12 @@ FILE = (
         "copy_command", "Copy as command", "Copy the command line that makes what is on screen", key="Ctrl+Shift+C"
     ),
     Command("make_case", "Make a case…", "Put this frame and all that it was made of into a folder that can be sent"),
+    Command(
+        "copy_picture",
+        "Copy picture",
+        "Put a picture of the pane in front, or of the window, on the clipboard",
+        key="Ctrl+C",
+    ),
     Command("save_picture", "Save picture…", "Save a picture of the window", key="Ctrl+Shift+E"),
     Command("quit", "Quit", "Close the window", icon="close", key="Ctrl+Q"),
 )
@@ -110,6 +116,10 @@ VIEW = (
     Command(
         "freeze_trace", "Freeze trace", "Keep the traced pixel where it is", icon="target", key="F", checkable=True
     ),
+    Command("magnify", "Magnify", "The values of the pixels around the pointer, large in a corner of the picture",
+            icon="fit", key="M", checkable=True),
+    Command("full_screen", "Full screen", "Fill the screen, for a demonstration, or come back", key="F11",
+            checkable=True),
     Command("point", "Point by keys", "Arrow keys move the traced pixel, or the section line; Enter pins, Tab goes "
             "to the next picture, Esc ends", icon="target", key="P"),
     Command("section_line", "Section line", "A line through all pictures, and what each has for a height along it",

@@ -28,6 +28,7 @@ from app.frame.looking import Looking
 from app.frame.own_layouts import OwnLayouts
 from app.frame.pointing import Pointing
 from app.frame.sectioning import Sectioning
+from app.frame.showing import Showing
 from app.frame.stepping import Stepping
 from app.frame.sweeping import Sweeping
 from app.frame.themes import Themes
@@ -87,6 +88,7 @@ def connect(instrument: Instrument, theme: Theme = "light") -> Keeping:
     Pointing(instrument)
     Keying(instrument)
     Sectioning(instrument)
+    Showing(instrument)
     Triage(instrument)
     sweeping = Sweeping(instrument)
     comparing = Comparing(instrument)

@@ -26,6 +26,7 @@ class Tracer(QObject):
     """Follows the pixel under the mouse, or the pinned one, through whatever was worked out."""
 
     pinned = pyqtSignal(bool)
+    moved = pyqtSignal(str, int, int)  # by keys, to a column's row and col
 
     def __init__(self, window: Window) -> None:
         super().__init__(window)
@@ -76,6 +77,7 @@ class Tracer(QObject):
         self._frozen = frozen
         if frozen:
             self._trace(column, row, col)
+        self.moved.emit(column, row, col)
 
     def freeze(self, frozen: bool) -> None:
         """Keep the traced pixel where it is."""

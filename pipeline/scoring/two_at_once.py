@@ -125,7 +125,7 @@ def _less(one: Side, other: Side, slot: str) -> Tile:
     ours, theirs = one.figures_of(slot), other.figures_of(slot)
     figures = {name: ours[name] - theirs[name] for name in ours if name in theirs}
     told = " · ".join(f"{name} {value:+.3g}" for name, value in figures.items())
-    gap = None if a is None or b is None else difference(a, b, words="A less B")
+    gap = None if a is None or b is None else difference(a, b, words="A less B", fits=True)
     if gap is None:
         why = "" if b is None else "these two cannot be subtracted: they have other pixels, or no common scale"
         return Tile(title="A less B", told=told, figures=figures, problem=why)

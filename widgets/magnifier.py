@@ -1,0 +1,84 @@
+"""The pixels around one that is pointed at, large and with their values, in a corner of its picture."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from PyQt6.QtCore import QRectF, Qt
+from PyQt6.QtGui import QColor, QPainter, QPen
+from PyQt6.QtWidgets import QWidget
+
+from pipeline.pictures.picture import Picture
+from widgets.canvas import Canvas
+from widgets.colours import TRACE, qcolor
+from widgets.looks import smaller
+
+MOST_REACH = 3  # pixels on either side, fewer in a small picture
+_SHARE = 0.5  # of the picture that is covered either way
+_CELL_PX, _LINE_PX = (31, 17), 3  # width of a value, and what is between the patch and the picture's edge
+_DARK = 140  # of 255: letters on a darker pixel are light
+
+
+class Magnifier(QWidget):
+    """Shows a patch of one picture after the other; the mouse goes through it."""
+
+    def __init__(self, parent: QWidget) -> None:
+        super().__init__(parent)
+        self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+        self.setAccessibleName("values around the pixel")
+        smaller(self, 2.5, least_pt=6.5)
+        self.reach = MOST_REACH
+        self.picture: Picture | None = None
+        self.at = 0, 0  # row, col in the middle
+        self.hide()
+
+    def show_at(self, canvas: Canvas, picture: Picture, row: int, col: int) -> None:
+        """The surroundings of a pixel, in the corner of its canvas that is farthest from it."""
+        self.picture, self.at = picture, (row, col)
+        if self.parentWidget() is not canvas:
+            self.setParent(canvas)
+        room = min(_SHARE * canvas.width() / _CELL_PX[0], _SHARE * canvas.height() / _CELL_PX[1])
+        self.reach = min(MOST_REACH, max(1, int(0.5 * (room - 1.0))))
+        self.resize((2 * self.reach + 1) * _CELL_PX[0] + 2, (2 * self.reach + 1) * _CELL_PX[1] + 2)
+        low = row < 0.5 * picture.pixels.shape[0]
+        right = col < 0.5 * picture.pixels.shape[1]
+        self.move(
+            canvas.width() - self.width() - _LINE_PX if right else _LINE_PX,
+            canvas.height() - self.height() - _LINE_PX if low else _LINE_PX,
+        )
+        self.show()
+        self.raise_()
+        self.update()
+
+    def value(self, row: int, col: int) -> str:
+        """What a pixel reads, short: mm to a hundredth, of a colour its mean level; "" outside or without a value."""
+        picture = self.picture
+        if picture is None or not (0 <= row < picture.pixels.shape[0] and 0 <= col < picture.pixels.shape[1]):
+            return ""
+        if picture.values is None:
+            return f"{float(picture.pixels[row, col].mean()):.0f}"
+        value = float(picture.values[row, col])
+        return f"{value:.2f}" if math.isfinite(value) else "\N{MIDDLE DOT}"
+
+    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+        """A cell a pixel, the one pointed at with a rim."""
+        del a0
+        if self.picture is None:
+            return
+        painter, (wide, high) = QPainter(self), _CELL_PX
+        painter.fillRect(self.rect(), QColor(20, 24, 30))
+        rows, cols = self.picture.pixels.shape[:2]
+        reach = self.reach
+        for i in range(2 * reach + 1):
+            for j in range(2 * reach + 1):
+                row, col = self.at[0] + i - reach, self.at[1] + j - reach
+                if 0 <= row < rows and 0 <= col < cols:
+                    red, green, blue = (int(level) for level in self.picture.pixels[row, col])
+                    cell = QRectF(1 + j * wide, 1 + i * high, wide, high)
+                    painter.fillRect(cell, QColor(red, green, blue))
+                    dark = 0.3 * red + 0.59 * green + 0.11 * blue < _DARK
+                    painter.setPen(QColor(255, 255, 255) if dark else QColor(20, 24, 30))
+                    painter.drawText(cell, Qt.AlignmentFlag.AlignCenter, self.value(row, col))
+        painter.setPen(QPen(qcolor(TRACE), 2))
+        painter.drawRect(QRectF(1 + reach * wide, 1 + reach * high, wide, high))
