@@ -18,6 +18,7 @@ from pipeline.alignment.fit.pairs import Pairs, tile_pairs, touch_pairs
 from pipeline.alignment.fit.rigid_start import aligned
 from pipeline.alignment.refine import refine
 from pipeline.alignment.touches import paired_touches
+from pipeline.base.doubts import Doubt
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import ready_for
 from pipeline.base.frame_lists import frames_of
@@ -105,7 +106,7 @@ def _press_mm(pairs: Sequence[Pair]) -> str:
 
 def _print_notes(found: Pairs, n_used: int, n_others: int) -> None:
     for note in found.notes:
-        print_line(f"note: {note}")
+        print_line(f"{'doubtful' if isinstance(note, Doubt) else 'note'}: {note}")
     print_line(f"{n_used} pairs are fitted to, {n_others} are held out")
 
 
