@@ -15,7 +15,7 @@ from pipeline.base.errors import CalibrationError, FileProblem
 from pipeline.base.files import read_arrays, whole_file
 from pipeline.base.memo import Memo
 from pipeline.calibration import slope_model
-from pipeline.calibration.markers import unprinted, without_markers
+from pipeline.calibration.markers import marker_mask, unprinted, without_markers
 from pipeline.calibration.slope_model import Samples, SlopeModel
 from pipeline.engine import store
 from pipeline.engine.digests import content
@@ -117,7 +117,8 @@ def relative_change(
     bright = reference.astype(np.float32)
     if markers is not None:
         printed, bright = unprinted(reference, markers, pixel_mm)
-        change = without_markers(change, image, printed, markers, pixel_mm)
+        hidden = printed | marker_mask(image, markers, pixel_mm)
+        change = without_markers(change, hidden, markers, pixel_mm)
     if smoothing_px > 0:
         change = cv2.GaussianBlur(change, (0, 0), smoothing_px)
     return np.asarray(change, np.float32) * slope_model.gain(bright)

@@ -85,9 +85,9 @@ def unprinted(still: NDArray[Any], markers: Markers, pixel_mm: float) -> tuple[M
     return _unprinted.of((content(still), markers, pixel_mm), lambda: _without(still, markers, pixel_mm))
 
 
-def without_markers(change: Floats, image: NDArray[Any], printed: Mask, markers: Markers, pixel_mm: float) -> Floats:
-    """`change` (rows, cols, 3) as it would be without the markers: those of `image`, and the untouched, `printed`."""
-    return inpainted(change, printed | marker_mask(image, markers, pixel_mm), _reach_px(markers, pixel_mm))
+def without_markers(change: Floats, hidden: Mask, markers: Markers, pixel_mm: float) -> Floats:
+    """`change` (rows, cols, 3) as it would be without the markers, which hide some pixels of either picture."""
+    return inpainted(change, hidden, _reach_px(markers, pixel_mm))
 
 
 _unprinted: Memo[tuple[str, Markers, float], tuple[Mask, Floats]] = Memo(4, most_bytes=4 * 1024 * 1024)

@@ -23,7 +23,18 @@ from pipeline.base.progress import Progress
 from pipeline.calibration.lookup import Calibration, check_for
 from pipeline.sensors.parts import Optics
 from pipeline.sensors.spec import Gel, SensorSpec
-from pipeline.stages.depth import contact, drift, gel_light, lit_surface, moved, own_light, own_unit, rest, unit_light
+from pipeline.stages.depth import (
+    contact,
+    drift,
+    flanks,
+    gel_light,
+    lit_surface,
+    moved,
+    own_light,
+    own_unit,
+    rest,
+    unit_light,
+)
 from pipeline.stages.depth.lit_surface import Changed
 from pipeline.stages.depth.moved import Window
 from pipeline.stages.depth.poisson import Boundary
@@ -119,7 +130,7 @@ def read(
             surface, pixel_mm, least_mm=least_mm, pressure_share=pressure_share, smoothing_px=_CONTACT_BLUR_PX
         )
         pressed = contact.without_specks(pressed & (window.moved | inside), max(4, round(_SPECK_MM2 / pixel_mm**2)))
-        pressed = gel_light.pressed_in(pressed, surface, pixel_mm, _border(shape)[here])
+        pressed = flanks.pressed_in(pressed, surface, pixel_mm, _border(shape)[here])
         pressed = contact.without_small_holes(pressed, round(_HOLE_MM2 / pixel_mm**2))
         narrow_px = _NARROW * (0.0 if source.gel is None else source.gel.thickness_mm) / pixel_mm
         touched[here] = contact.without_margins(pressed, surface, *here, shape, narrow_px)

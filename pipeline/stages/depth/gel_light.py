@@ -22,6 +22,9 @@ colours tell them,
 
     minimise  sum (grad z - g - dg)' A (grad z - g - dg).
 
+What stands on walls is raised first, as a whole (`walls`): from the true surface in the true light the rounds stay
+there. What printed markers hide counts for nothing, and what is drawn is as black and as white as a camera's picture.
+
 In a light that is not the unit's, colours are less sure than they are clear, and this would follow the clearest.
 
 c is as described, from lamps far away, or what lamps close beside the gel make of it on the unit's own untouched
@@ -43,27 +46,26 @@ import numpy as np
 from pipeline.base.arrays import Floats, Image, Mask
 from pipeline.calibration import near_lamps, slope_model
 from pipeline.calibration.lookup import Calibration
-from pipeline.calibration.markers import unprinted, without_markers
+from pipeline.calibration.markers import marker_mask, unprinted, without_markers
 from pipeline.physics import optics
 from pipeline.physics.slopes import slopes
 from pipeline.sensors.glow import untouched_light
 from pipeline.sensors.spec import Markers, SensorSpec
 from pipeline.stages.depth.moved import Window
 from pipeline.stages.depth.poisson import Integrated, nearest
+from pipeline.stages.depth.walls import raised
 
 ROUNDS = 4  # two leave a fifth more error of a GelSlim, whose lights are low
 STEPS = (
     6  # towards the surface that is nearest to a round's slopes as far as they are told; with twelve it is no nearer
 )
-FINE_STEPS = 2  # the same for the round on the picture's own pixels, where only what is fine is still to be found
+FINE_STEPS = 4  # the same for the round on the picture's own pixels, where only what is fine is still to be found
 HUBER_GREY = 20.0  # larger misfits are dust, a reflection, or an optical description that is not this unit's
 OUTSIDE = np.float32(1e4)  # grey levels squared per unit slope squared: level as surely as a colour in half light tells
 _PULL = 500.0  # grey levels squared per unit slope squared: a colour in full light weighs a hundred times as much
 _STEEPEST = np.float32(1.43)  # mm/mm, 55 degrees: the light hardly changes beyond
+_SURE_PULL, _SURE_STEEPEST = 100.0, np.float32(4.0)  # in light that explains the picture: walls beside edges are 2 to 3
 _LEAST_MM = -0.5  # no gel bulges out farther
-_FLANK, _FLANK_SHARE = 0.12, 0.1  # mm/mm, and of a region's pixels
-_FLANK_OF_DEEPEST = 0.7  # of the steepest tenth of the deepest region, where a light touch has nothing steeper
-_BORDER_SHARE = 0.4  # of the deepest region: corners beside a real GelSlim's presses come out up to 0.36
 _HARDLY = 0.8  # of what is usual: balls on a real Mini are read wrong by 60 % there, by 12 % elsewhere
 _CELLS = 160  # of the rounds' grid, along the longer side of a picture
 _BRIGHT_BLUR_PX = 3.0
@@ -87,6 +89,7 @@ class Seen:
     by: int  # pixels of the picture to one of these, along each axis
     pixel_mm: float  # width of one of these: of the look-up, which may have been told another than the sensor's
     smoothing_px: float  # of the change, in pixels of the picture
+    bare: Floats  # (rows, cols, 1) share of a pixel that no printed marker hides, now or before
 
 
 def applies(source: SensorSpec, calibration: Calibration) -> bool:
@@ -108,17 +111,18 @@ def seen(
 
     here = (window.rows, window.cols)
     light = np.array(still[here], np.float32)
-    change = image[here].astype(np.float32) - light
+    change, bare = image[here].astype(np.float32) - light, np.ones(window.moved.shape, np.float32)
     if markers is not None:
         printed, bright = unprinted(still, markers, pixel_mm)
-        change = without_markers(change, image[here], printed[here], markers, pixel_mm)
-        light = np.array(bright[here])
+        hidden = printed[here] | marker_mask(image[here], markers, pixel_mm)
+        change = without_markers(change, hidden, markers, pixel_mm)
+        light, bare = np.array(bright[here]), (~hidden).astype(np.float32)
     if smoothing_px > 0:
         change = np.asarray(cv2.GaussianBlur(change, (0, 0), smoothing_px), np.float32)
     x, y = (np.arange(a.start, a.stop, dtype=np.float32) for a in (window.cols, window.rows))
     return Seen(
         x_px=x, y_px=y, change=change, still=light, moved=window.moved, by=1, pixel_mm=pixel_mm,
-        smoothing_px=smoothing_px,
+        smoothing_px=smoothing_px, bare=bare[..., None],
     )  # fmt: skip
 
 
@@ -136,7 +140,7 @@ def coarser(picture: Seen, shape: tuple[int, ...], cells: int = _CELLS) -> Seen:
         x_px=picture.x_px[0] + middle + step * np.arange(cols, dtype=np.float32),
         y_px=picture.y_px[0] + middle + step * np.arange(rows, dtype=np.float32),
         change=means(picture.change, by), still=means(picture.still, by),
-        moved=means(picture.moved.astype(np.float32), by) > 0,
+        moved=means(picture.moved.astype(np.float32), by) > 0, bare=means(picture.bare, by).reshape(rows, cols, 1),
         by=step, pixel_mm=by * picture.pixel_mm, smoothing_px=picture.smoothing_px,
     )  # fmt: skip
 
@@ -186,17 +190,21 @@ def corrected(
     pixel_mm, size = picture.pixel_mm, np.array([camera.cols, camera.rows], np.float32)
     place = (picture.x_px, picture.y_px, size, *optics.lamps(told, camera), np.float32(told.vignette))
     bright, out, misfit = _brightness(source, picture, light), np.empty_like(picture.change), 0.0
-    limits = (np.float32(_PULL), np.float32(HUBER_GREY), _STEEPEST, OUTSIDE)
+    pull, steepest = (_SURE_PULL, _SURE_STEEPEST) if light == "sure" else (_PULL, _STEEPEST)
+    limits = (np.float32(pull), np.float32(HUBER_GREY), steepest, OUTSIDE)
     by, sure = np.empty((2, 3), np.float32), np.empty_like(picture.change)
     for _ in range(rounds):
         z = within(surface_mm, picture, source)
         gx, gy = slopes(z, pixel_mm)
-        shone = (picture.still, bright, passed(source, z, pixel_mm))
-        lit(gx, gy, place, shone, out)
-        rest = picture.change - blurred(out, source, picture)
+        share = passed(source, z, pixel_mm)
+        lit(gx, gy, place, (picture.still, bright, share), out)
+        rest = (picture.change - recorded(out, source, picture)) * picture.bare
+        shone = (picture.still, bright, share * picture.bare)
         misfit = explained(rest, picture.change, picture.moved, place, shone, limits, by, gx, gy, sure)
         surface_mm = (
-            nearest(surface_mm, (gx, gy), sure, pixel_mm, integrated, steps) if light == "sure" else integrated(gx, gy)
+            nearest(raised(surface_mm, (gx, gy), sure, pixel_mm), (gx, gy), sure, pixel_mm, integrated, steps)
+            if light == "sure"
+            else integrated(gx, gy)
         )
     return surface_mm, misfit
 
@@ -225,33 +233,6 @@ def hardly_told(touched: Mask, still: Floats, source: SensorSpec) -> bool:
     share = np.sqrt(np.maximum(least, 0.0) / max(float(np.median(least)), 1e-6)).astype(np.float32)
     full = np.asarray(cv2.resize(share, touched.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
     return float(np.median(full[touched])) < _HARDLY
-
-
-def pressed_in(touched: Mask, surface_mm: Floats, pixel_mm: float, border: Mask | None = None) -> Mask:
-    """`touched` without the broad, shallow regions that drifting light leaves beside a touch; the deepest one stays.
-
-    What presses has flanks: some of its region is steep. On the image's `border`, beyond which nothing holds the
-    surface, it must be a good part as deep as the deepest too: the corners of a picture are where light is least known.
-    """
-    import cv2
-
-    n, found = cv2.connectedComponents(touched.astype(np.uint8), connectivity=8)
-    if n <= 2:  # the background and one region
-        return touched
-    regions = np.asarray(found, np.int32)
-    depths = np.full(n, -np.inf, np.float32)
-    np.maximum.at(depths, regions[touched], surface_mm[touched])
-    depths = depths[1:]
-    slope = np.hypot(*slopes(surface_mm, pixel_mm))
-    steepest = float(np.percentile(slope[regions == 1 + int(np.argmax(depths))], 90.0))
-    steep = slope > min(_FLANK, _FLANK_OF_DEEPEST * steepest)
-    keep = np.bincount(regions[touched & steep], minlength=n) > _FLANK_SHARE * np.bincount(regions.ravel(), minlength=n)
-    if border is not None:
-        cut = np.unique(regions[touched & border])
-        keep[cut[depths[cut - 1] < _BORDER_SHARE * float(depths.max())]] = False
-    keep[1 + int(np.argmax(depths))] = True
-    keep[0] = False
-    return np.asarray(keep[regions], np.bool_)
 
 
 def _brightness(source: SensorSpec, picture: Seen, light: Light) -> Floats:
@@ -288,6 +269,12 @@ def passed(source: SensorSpec, surface_mm: Floats, pixel_mm: float) -> Floats:
     if optics.optics_of(source).shadow > 0:
         optics.shade(share, source, np.ascontiguousarray(surface_mm, np.float32), pixel_mm)
     return share
+
+
+def recorded(change: Floats, source: SensorSpec, picture: Seen) -> Floats:
+    """What a camera records of a change of light (rows, cols, 3): `blurred`, and between black and white."""
+    drawn = np.clip(blurred(change, source, picture) + picture.still, 0.0, 255.0)
+    return np.asarray(drawn - picture.still, np.float32)
 
 
 def blurred(change: Floats, source: SensorSpec, picture: Seen) -> Floats:

@@ -112,7 +112,7 @@ def _finite(gx: Floats, gy: Floats, source: SensorSpec) -> tuple[Floats, Floats]
 
 
 def _integrated(gx: Floats, gy: Floats, changed: Changed, window: Window, pixel_mm: float) -> Floats:
-    """The integrated indentation of the window, level at its rest outside what has moved.
+    """The integrated indentations (..., rows, cols) of the window, level at their rest outside what has moved.
 
     A touch at the image border is free there: the gel beyond is not seen, and not known to be at rest.
     """
@@ -121,5 +121,5 @@ def _integrated(gx: Floats, gy: Floats, changed: Changed, window: Window, pixel_
     ends: list[Boundary] = [changed.boundary if held else "free" for held in inside]
     z = integrate(gx, gy, pixel_mm, Sides(*ends))
     outside = ~window.moved
-    level = float(np.median(z[outside])) if outside.any() else float(z.min())
-    return np.ascontiguousarray(z - np.float32(level))
+    level = np.median(z[..., outside], axis=-1) if outside.any() else z.min(axis=(-2, -1))
+    return np.ascontiguousarray(z - np.asarray(level, np.float32)[..., None, None])

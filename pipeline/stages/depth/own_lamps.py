@@ -7,9 +7,10 @@ projection, Golub and Pereyra 1973). A step dt changes that, summed over all tou
 
     D = T - J grad P(J^+ T),    dt = (sum D' W D / s^2 + C^-1)^-1 (sum D' W r / s^2 - C^-1 t)
 
-with T, J what numbers and slopes change in the picture, J^+ the slopes that explain a change best, P their surface, r
-what is left of the picture and W Huber's weights. How strong all lamps are is told by slopes that are not small, and by
-C. Several touches of one unit tell more than one: on simulated units the light of eight is as good as the true one.
+with T, J what numbers and slopes change in the picture, J^+ the slopes that explain a change best, P the surface
+nearest to them where each pixel counts as far as it tells, r what is left of the picture and W Huber's weights. How
+strong all lamps are is told by slopes that are not small, and by C. Several touches of one unit tell more than one: on
+simulated units the light of eight is as good as the true one.
 
 Real units leave more of their pictures, or ask for lamps that are no unit's: they are read in another light
 (`own_light`). Both limits lie between simulated units and the recordings that `benchmarks/real_depth.py` reads.
@@ -31,24 +32,27 @@ from pipeline.sensors.parts import Led, Optics
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import gel_light
 from pipeline.stages.depth.gel_light import Seen
-from pipeline.stages.depth.poisson import Integrated
+from pipeline.stages.depth.poisson import Integrated, nearest
 
 CELLS = 80  # of the grid, along the longer side of a picture: half of it tells of the lamps as much
-_TURNS, _TURNS_ANEW, _ROUNDS = 4, 2, 2  # the last turns step by the rates of those before
+TURNS, _ROUNDS, _STEPS = 4, 2, 8
 _AZIMUTH_DEG, _ELEVATION_DEG = 8.0, 3.0  # standard deviations between units, as `simulation.variation` has them
 _POWER, _COLOUR = 0.12, 0.08  # of the logarithm: of a whole lamp, of each of its colours
 _OTHERS = (0.05, 0.08, 0.15, 0.25, 3.0)  # of fall-off, vignette, blur, shadow (both of the logarithm), its degrees
 _STEP = 0.15  # standard deviations, for rates of change
 _SLOPE_STEP = np.float32(0.02)  # mm/mm
 _NOISE_GREY = 6.0  # of a colour: what no lamps explain
-_WORTH = 200.0  # pixels of a touch that can be independent
-_PULL = np.float32(500.0)  # as `gel_light` has it
+_WORTH = 800.0  # pixels of a touch that can be independent
+_PULL = np.float32(100.0)  # as `gel_light` has it
+_OUTSIDE = np.array([gel_light.OUTSIDE, 0.0, gel_light.OUTSIDE], np.float32)
+_BENT_STEPS = 3  # towards the surface that a change of the lamps bends
+_FARTHEST = 4.0  # of a turn, as units are far from each other: walls are not linear in their lamps
 _TELLS = (2.0, 252.0)  # grey levels between which a camera tells
 _HOPELESS = 0.65  # of the change, left by described lamps: simulated units 0.10 to 0.58 of it, other units up to 1
 _NOISE_LEFT = 1.5  # grey levels a pixel
 # Of the change, left beyond noise, and of t' C^-1 t: as much of both together as one alone may be. Simulated units have
-# up to 0.97 of it, one in a hundred more; single balls on a real Mini 1.05 to 1.9, other real units from 2.
-_LEFT, _UNLIKELY = 0.24, 60.0
+# up to 0.99 of it, one in fifty more; single balls on a real Mini from 1.19, other real units from 2.1.
+_LEFT, _UNLIKELY = 0.28, 70.0
 # Of what t' C^-1 t is of units drawn at random, as many numbers as touches tell: walls and shadows on units that are as
 # described make up to 0.2 of it in three touches of four, other units 0.22 at least.
 _AS_DESCRIBED = 0.2
@@ -63,7 +67,7 @@ class Touch:
     integrated: Integrated
 
 
-def fitted(source: SensorSpec, touches: Sequence[Touch], turns: int = _TURNS) -> Optics | None:
+def fitted(source: SensorSpec, touches: Sequence[Touch], turns: int = TURNS) -> Optics | None:
     """The optics of the unit that took all these pictures; None where no usual unit's explain them. Needs optics.
 
     Those described where the touches tell of no other unit.
@@ -73,8 +77,8 @@ def fitted(source: SensorSpec, touches: Sequence[Touch], turns: int = _TURNS) ->
     base = optics.optics_of(source)
     spread = _spread(len(base.leds))
     certain = np.linalg.inv(spread @ spread.T)
-    steps, unit, rates, normal = np.zeros(len(spread)), source, list[_Rates](), certain
-    noise = sum(_NOISE_LEFT * np.count_nonzero(touch.picture.moved) for touch in touches)
+    steps, unit, normal = np.zeros(len(spread)), source, certain
+    noise = sum(_NOISE_LEFT * float((touch.picture.bare[..., 0] * touch.picture.moved).sum()) for touch in touches)
     changed = sum(_changed(touch.picture) for touch in touches)
     # Several threads would add up in another order.
     with threadpool_limits(limits=1, user_api="blas"):
@@ -82,11 +86,11 @@ def fitted(source: SensorSpec, touches: Sequence[Touch], turns: int = _TURNS) ->
             touches, left = _seen_in(unit, touches)
             if turn == 0 and left > noise + _HOPELESS * changed:
                 return None
-            if turn < _TURNS_ANEW:
-                rates = [_rates(unit, base, steps, spread, touch) for touch in touches]
+            rates = [_rates(unit, base, steps, spread, touch) for touch in touches]
             normal = certain + sum(rate.normal for rate in rates)
             pulls = [rate.weighed.T @ _rest(unit, touch).ravel() for rate, touch in zip(rates, touches, strict=True)]
-            steps = steps + np.linalg.solve(normal, sum(pulls) - certain @ steps)
+            step = np.linalg.solve(normal, sum(pulls) - certain @ steps)
+            steps = steps + step * min(1.0, _FARTHEST / max(math.sqrt(float(step @ certain @ step)), 1e-9))
             unit = replace(source, optics=_moved(base, steps))
         _, left = _seen_in(unit, touches)
         told = float(np.trace(np.linalg.solve(normal, normal - certain)))
@@ -101,7 +105,7 @@ def _seen_in(unit: SensorSpec, touches: Sequence[Touch]) -> tuple[list[Touch], f
     found, left = list[Touch](), 0.0
     for touch in touches:
         surface, misfit = gel_light.corrected(
-            touch.surface_mm, touch.picture, unit, "sure", touch.integrated, rounds=_ROUNDS
+            touch.surface_mm, touch.picture, unit, "sure", touch.integrated, rounds=_ROUNDS, steps=_STEPS
         )
         found.append(replace(touch, surface_mm=surface))
         left += misfit
@@ -110,7 +114,8 @@ def _seen_in(unit: SensorSpec, touches: Sequence[Touch]) -> tuple[list[Touch], f
 
 def _changed(picture: Seen) -> float:
     """Grey levels that have changed, summed as what is left of them is."""
-    return float(np.minimum(np.abs(picture.change), np.float32(2.0 * gel_light.HUBER_GREY))[picture.moved].sum())
+    changed = np.minimum(np.abs(picture.change * picture.bare), np.float32(2.0 * gel_light.HUBER_GREY))
+    return float(changed[picture.moved].sum())
 
 
 def _spread(n_lamps: int) -> Doubles:
@@ -160,54 +165,54 @@ class _Rates:
 def _rest(unit: SensorSpec, touch: Touch) -> Floats:
     """What is left of the picture (rows, cols, 3)."""
     surface = gel_light.within(touch.surface_mm, touch.picture, unit)
-    level = _shown(unit, touch.picture, surface, *slopes(surface, touch.picture.pixel_mm))
-    return touch.picture.change - gel_light.blurred(level, unit, touch.picture)
+    share = gel_light.passed(unit, surface, touch.picture.pixel_mm)
+    level = _shown(unit, touch.picture, share, *slopes(surface, touch.picture.pixel_mm))
+    return touch.picture.change - gel_light.recorded(level, unit, touch.picture)
 
 
 def _rates(unit: SensorSpec, base: Optics, steps: Doubles, spread: Doubles, touch: Touch) -> _Rates:
     picture = touch.picture
     surface = gel_light.within(touch.surface_mm, picture, unit)
     gx, gy = slopes(surface, picture.pixel_mm)
-    level = _shown(unit, picture, surface, gx, gy)
+    share = gel_light.passed(unit, surface, picture.pixel_mm)
+    level = _shown(unit, picture, share, gx, gy)
     out = gel_light.blurred(level, unit, picture)
-    weight = _weight(picture.change - out, picture)
-    across = (_shown(unit, picture, surface, gx + _SLOPE_STEP, gy) - level) / _SLOPE_STEP
-    down = (_shown(unit, picture, surface, gx, gy + _SLOPE_STEP) - level) / _SLOPE_STEP
+    weight = _weight(picture.change - gel_light.recorded(level, unit, picture), picture)
+    across = (_shown(unit, picture, share, gx + _SLOPE_STEP, gy) - level) / _SLOPE_STEP
+    down = (_shown(unit, picture, share, gx, gy + _SLOPE_STEP) - level) / _SLOPE_STEP
     xx, xy, yy = _sum(weight, across, across) + _PULL, _sum(weight, across, down), _sum(weight, down, down) + _PULL
+    sure = np.where(picture.moved[..., None], np.stack([xx, xy, yy], axis=2), _OUTSIDE)
     per = picture.moved / (xx * yy - xy * xy)
-    columns = np.zeros((out.size, len(steps)))
+    columns = np.zeros((len(steps), *out.shape), np.float32)
     for k, size in enumerate(_STEP * np.sqrt((spread**2).sum(axis=1))):
         there = steps.copy()
         there[k] += size
         other = replace(unit, optics=_moved(base, there))
-        if other.optics == unit.optics:
-            continue  # a colour that a lamp does not have, shadows that no dent casts
-        change = gel_light.blurred(_shown(other, picture, surface, gx, gy), other, picture) - out
-        change /= np.float32(size)
-        to_x, to_y = per * _sum(weight, across, change), per * _sum(weight, down, change)
-        bent = touch.integrated(_single(yy * to_x - xy * to_y), _single(xx * to_y - xy * to_x))
-        by_x, by_y = slopes(bent * picture.moved, picture.pixel_mm)
-        columns[:, k] = (change - across * by_x[..., None] - down * by_y[..., None]).ravel()
+        if other.optics != unit.optics:  # not a colour that a lamp does not have, nor shadows that no dent casts
+            share = gel_light.passed(other, surface, picture.pixel_mm)
+            columns[k] = gel_light.blurred(_shown(other, picture, share, gx, gy), other, picture) - out
+            columns[k] /= np.float32(size)
+    to_x, to_y = (per * np.einsum("rck,rck,nrck->nrc", weight, way, columns) for way in (across, down))
+    wanted = _single(yy * to_x - xy * to_y), _single(xx * to_y - xy * to_x)
+    still = np.zeros_like(wanted[0])
+    bent = nearest(still, wanted, _single(sure), picture.pixel_mm, touch.integrated, _BENT_STEPS) * picture.moved
+    for along, bends in zip((across, down), slopes(bent, picture.pixel_mm), strict=True):
+        columns -= along * bends[..., None]
+    columns = columns.reshape(len(steps), -1).T.astype(np.float64)
     share = min(1.0, _WORTH / max(1, np.count_nonzero(picture.moved))) / _NOISE_GREY**2
     weighed = columns * (share * weight.ravel().astype(np.float64))[:, None]
     return _Rates(weighed=weighed, normal=weighed.T @ columns)
 
 
-def _shown(source: SensorSpec, picture: Seen, surface_mm: Floats, gx: Floats, gy: Floats) -> Floats:
-    """Grey levels (rows, cols, 3) that a surface and its slopes change as described, before the lens."""
+def _shown(source: SensorSpec, picture: Seen, share: Floats, gx: Floats, gy: Floats) -> Floats:
+    """Grey levels (rows, cols, 3) that slopes change as described, before the lens; `share` of the light gets there."""
     from pipeline.stages.depth.gel_light_kernels import lit
 
     told, camera = optics.optics_of(source), source.camera
     size = np.array([camera.cols, camera.rows], np.float32)
     place = (picture.x_px, picture.y_px, size, *optics.lamps(told, camera), np.float32(told.vignette))
     out = np.empty_like(picture.change)
-    lit(
-        gx,
-        gy,
-        place,
-        (picture.still, np.ones_like(picture.still), gel_light.passed(source, surface_mm, picture.pixel_mm)),
-        out,
-    )
+    lit(gx, gy, place, (picture.still, np.ones_like(picture.still), share), out)
     return out
 
 
@@ -216,7 +221,7 @@ def _weight(rest: Floats, picture: Seen) -> Floats:
     seen, (dark, bright) = picture.still + picture.change, _TELLS
     tells = (seen > dark) & (seen < bright) & picture.moved[..., None]
     huber = np.float32(gel_light.HUBER_GREY)
-    return np.asarray(tells * np.minimum(1.0, huber / np.maximum(np.abs(rest), huber)), np.float32)
+    return np.asarray(tells * picture.bare * np.minimum(1.0, huber / np.maximum(np.abs(rest), huber)), np.float32)
 
 
 def _single(field: NDArray[np.floating]) -> Floats:

@@ -22,7 +22,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, freeze
+from pipeline.base.arrays import Doubles, Floats, freeze
 from pipeline.base.errors import SettingProblem, ShapeError
 from pipeline.base.memo import remembered
 from pipeline.physics.slopes import slopes
@@ -31,6 +31,7 @@ Boundary = Literal["flat", "free"]
 Integrated = Callable[[Floats, Floats], Floats]  # slopes (gx, gy) in mm/mm to a surface in mm
 
 _WORKERS = 2
+_NOTHING = 1e-20
 
 
 class Sides(NamedTuple):
@@ -43,13 +44,13 @@ class Sides(NamedTuple):
 
 
 def integrate(gx: Floats, gy: Floats, pixel_mm: float, boundary: Boundary | Sides = "free") -> Floats:
-    """The surface z_mm (rows, cols) float32 whose slopes (mm/mm, x right, y down) are nearest to gx, gy.
+    """The surfaces z_mm (..., rows, cols) float32 whose slopes (mm/mm, x right, y down) are nearest to gx, gy.
 
     "free" knows nothing at the border; "flat" holds it at zero along the outer edge of the border pixels; the four
     sides may differ. Free on all of them, the surface has mean zero. Raises ShapeError for arrays that differ in shape,
-    are not two-dimensional, or hold a value that is not finite, SettingProblem for another boundary.
+    are no images, or hold a value that is not finite, SettingProblem for another boundary.
     """
-    if gx.ndim != 2 or gx.shape != gy.shape or gx.size == 0:
+    if gx.ndim < 2 or gx.shape != gy.shape or gx.size == 0:
         raise ShapeError(f"slopes must be two images of one shape (rows, cols), got {gx.shape} and {gy.shape}")
     sides = boundary if isinstance(boundary, Sides) else Sides(boundary, boundary, boundary, boundary)
     for side in sides:
@@ -58,10 +59,10 @@ def integrate(gx: Floats, gy: Floats, pixel_mm: float, boundary: Boundary | Side
     if not (math.isfinite(float(gx.sum(dtype=np.float64))) and math.isfinite(float(gy.sum(dtype=np.float64)))):
         raise ShapeError("slopes hold values that are not finite; fill them before integrating")
     wave = _divergence(gx, gy, sides)
-    for axis, ends in ((1, sides[:2]), (0, sides[2:])):
+    for axis, ends in ((-1, sides[:2]), (-2, sides[2:])):
         wave = _waves(wave, axis, ends, back=False)
-    wave = wave * _inverse_eigenvalues(gx.shape[0], gx.shape[1], sides)
-    for axis, ends in ((0, sides[2:]), (1, sides[:2])):
+    wave = wave * _inverse_eigenvalues(gx.shape[-2], gx.shape[-1], sides)
+    for axis, ends in ((-2, sides[2:]), (-1, sides[:2])):
         wave = _waves(wave, axis, ends, back=True)
     return freeze(np.ascontiguousarray(wave * np.float32(pixel_mm), np.float32))
 
@@ -69,41 +70,51 @@ def integrate(gx: Floats, gy: Floats, pixel_mm: float, boundary: Boundary | Side
 def nearest(
     surface_mm: Floats, wanted: tuple[Floats, Floats], sure: Floats, pixel_mm: float, integrated: Integrated, steps: int
 ) -> Floats:
-    """The surface (rows, cols) whose slopes come nearest to those `wanted`, each as far as its pixel is `sure` of it.
+    """The surfaces (..., rows, cols) whose slopes come nearest to those `wanted`, as far as pixels are sure of them.
 
     sure (rows, cols, 3): the weight of a pixel's two slopes, a matrix (xx, xy, yy). `steps` of conjugate gradients from
-    `surface_mm`, helped by `integrated`, the surface when all slopes count alike.
+    `surface_mm`, helped by `integrated`, the surfaces when all slopes count alike.
     """
     weight = np.ascontiguousarray(np.moveaxis(sure, 2, 0), np.float32)
     surface, slope = np.array(surface_mm, np.float32), np.stack(slopes(surface_mm, pixel_mm))
     left = _weighed(weight, np.stack(wanted) - slope)  # a field, whose divergence is the gradient
-    way, along, energy = np.zeros_like(surface), np.zeros_like(left), 1.0
+    way, along, energy = np.zeros_like(surface), np.zeros_like(left), np.zeros(surface.shape[:-2])
     for k in range(steps):
         step = integrated(left[0], left[1])
         slope = np.stack(slopes(step, pixel_mm))
         new = _dot(left, slope)
-        way *= np.float32(new / energy if k else 0.0)
-        along *= np.float32(new / energy if k else 0.0)
-        way += step
-        along += slope
+        on = _single(_share(new, energy) if k else np.zeros_like(new))
+        way = on * way + step
+        along = on * along + slope
         pulled = _weighed(weight, along)
         stiff, energy = _dot(along, pulled), new
-        if stiff <= 0.0:
+        far = _single(_share(new, stiff))
+        if not far.any():
             break
-        surface += np.float32(new / stiff) * way
-        left -= np.float32(new / stiff) * pulled
+        surface += far * way
+        left -= far * pulled
     return surface
 
 
 def _weighed(weight: Floats, field: Floats) -> Floats:
-    """Matrices (xx, xy, yy) times vectors (2, rows, cols)."""
+    """Matrices (xx, xy, yy) times vectors (2, ..., rows, cols)."""
     (xx, xy, yy), (x, y) = weight, field
     return np.stack([xx * x + xy * y, xy * x + yy * y])
 
 
-def _dot(a: Floats, b: Floats) -> float:
-    """Sum of a b, the same however many threads there are."""
-    return float((a * b).sum(dtype=np.float64))
+def _dot(a: Floats, b: Floats) -> Doubles:
+    """Sums (...) of a b (2, ..., rows, cols), the same however many threads there are."""
+    return np.asarray((a * b).sum(axis=(0, -2, -1), dtype=np.float64))
+
+
+def _share(part: Doubles, whole: Doubles) -> Doubles:
+    """`part` of `whole`; 0 where there is nothing."""
+    return np.divide(part, whole, out=np.zeros_like(part), where=whole > _NOTHING)
+
+
+def _single(numbers: Doubles) -> Floats:
+    """To be multiplied with images (..., rows, cols)."""
+    return numbers.astype(np.float32)[..., None, None]
 
 
 def _waves(image: Floats, axis: int, ends: tuple[Boundary, ...], *, back: bool) -> Floats:
@@ -135,16 +146,16 @@ def _divergence(gx: Floats, gy: Floats, sides: Sides) -> Floats:
     The edge across a free border is left out: the divergence is the transpose of D applied to the slopes, negated.
     """
     div = np.zeros(gx.shape, dtype=np.float32)
-    for d, g, (first, last) in ((div, gx, sides[:2]), (div.T, gy.T, sides[2:])):
-        n = g.shape[1]
+    for d, g, (first, last) in ((div, gx, sides[:2]), (div.swapaxes(-1, -2), gy.swapaxes(-1, -2), sides[2:])):
+        n = g.shape[-1]
         if n > 1:
-            d[:, 1:-1] += g[:, 2:]
-            d[:, 1:-1] -= g[:, :-2]
-            d[:, 0] += g[:, 0] + g[:, 1]
-            d[:, -1] -= g[:, -2] + g[:, -1]
+            d[..., 1:-1] += g[..., 2:]
+            d[..., 1:-1] -= g[..., :-2]
+            d[..., 0] += g[..., 0] + g[..., 1]
+            d[..., -1] -= g[..., -2] + g[..., -1]
         if first == "flat":
-            d[:, 0] -= 2.0 * g[:, 0]
+            d[..., 0] -= 2.0 * g[..., 0]
         if last == "flat":
-            d[:, -1] += 2.0 * g[:, -1]
+            d[..., -1] += 2.0 * g[..., -1]
     div *= np.float32(0.5)
     return div

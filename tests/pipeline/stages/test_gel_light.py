@@ -15,7 +15,7 @@ from pipeline.physics.slopes import slopes
 from pipeline.sensors.spec import sensor
 from pipeline.simulation import shapes, variation
 from pipeline.simulation.press import press
-from pipeline.stages.depth import drift, gel_light, lit_surface, moved, own_lamps, own_light
+from pipeline.stages.depth import drift, flanks, gel_light, lit_surface, moved, own_lamps, own_light
 from pipeline.stages.depth.stage import DepthParams, depth, gel
 from pipeline.values.frames import TactileFrame
 from tests.pipeline.calibration.test_balls import hertz
@@ -192,7 +192,7 @@ def test_a_shallow_plate_beside_a_touch_is_left_out_and_a_second_touch_kept():
     plate = 0.1 * np.exp(-(((x - 170) / 25) ** 2 + ((y - 60) / 25) ** 2))
     surface = (balls[0] + balls[1] + plate).astype(np.float32)
     touched = (balls[0] > 0) | (balls[1] > 0) | (plate > 0.08)
-    kept = gel_light.pressed_in(touched, surface, 0.05)
+    kept = flanks.pressed_in(touched, surface, 0.05)
     assert kept[60, 40]
     assert kept[60, 100]
     assert not kept[60, 170]
@@ -204,7 +204,7 @@ def test_parts_of_a_light_touch_stay_though_none_has_steep_flanks():
         np.clip(0.5 - np.hypot(x - cx, y - 60) / 60.0, 0.0, 1.0) * depth for cx, depth in ((50, 0.06), (130, 0.05))
     ]
     surface = (balls[0] + balls[1]).astype(np.float32)
-    kept = gel_light.pressed_in(surface > 0, surface, 0.05)
+    kept = flanks.pressed_in(surface > 0, surface, 0.05)
     assert kept[60, 50]
     assert kept[60, 130]
 
