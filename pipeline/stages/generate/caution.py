@@ -1,9 +1,9 @@
 """Where a network is unsure, what it corrects is left as it is: how much of a correction is taken, pixel by pixel.
 
-A correction that is as small as the error expected of it is half taken, one that is far larger nearly all. A bubble
-feels a body beyond a gel's view or none: that is one question, answered once for all pixels there. How large
-the error has to be taken for is calibrated on touches that were not learned from (`benchmarks/caution.py`), where the
-source felt something and beyond: a network is surer of itself than it should be of objects that it has never seen.
+A correction that is as small as the error expected of it is half taken, one that is far larger nearly all. What is
+expected was learned from touches that nothing else was learned from; how much larger the error has to be taken for is
+chosen by `benchmarks/caution.py`, where the source felt something and beyond: of objects that it has never seen a
+network is surer than it should be.
 """
 
 from __future__ import annotations
@@ -18,25 +18,18 @@ from pipeline.stages.generate.diffusion import Sampled, State
 from pipeline.values.results import DepthMap
 
 _EVEN_PX = 4.0  # a share that changed faster would draw edges of its own
-_DECIDED = 4  # the power at which what is asked once for all pixels is nearly all taken or nearly none of it
 _HALF = 0.5
 
 
-def held_back(
-    found: Sampled, known: Mask, caution: float, doubts: tuple[float, float], *, at_once: bool = False
-) -> Sampled:
+def held_back(found: Sampled, known: Mask, caution: float, doubts: tuple[float, float]) -> Sampled:
     """A middle of all samples, of which only what is sure is taken; `known` is where the source felt.
 
     `caution` 0 takes all of it, 1 holds back by `doubts`: times the expected error, where it felt and beyond. Contact
-    is held back where the source felt; beyond, where nothing else is known of it, it is left as it is. `at_once`:
-    beyond the source's view there is a body or there is none, decided by all that is said there together.
+    is held back where the source felt; beyond, where nothing else is known of it, it is left as it is.
     """
     middle, spread = found.last.residual_mm, found.spread_mm
     within = on_grid(known, middle.shape) > _HALF
     share = taken(middle, np.where(within, *map(np.float32, doubts)) * spread)
-    if at_once and not within.all():
-        decided = np.where(within, share, _decided(middle[~within], np.float32(doubts[1]) * spread[~within]))
-        share = _even(decided.astype(np.float32))
     share = 1.0 - caution * (1.0 - share)
 
     def less(state: State) -> State:
@@ -58,12 +51,6 @@ def taken(correction_mm: Floats, off_mm: Floats) -> Floats:
     """The share 0..1 of a correction (rows, cols) that is expected to be off by so much."""
     large, wrong = (_even(np.square(f, dtype=np.float32)) for f in (correction_mm, off_mm))
     return np.where(wrong > 0.0, large / np.maximum(large + wrong, np.float32(1e-12)), np.float32(1.0))
-
-
-def _decided(correction_mm: Floats, off_mm: Floats) -> float:
-    """One share 0..1 for all pixels (n,)."""
-    large, wrong = (float(np.square(f, dtype=np.float64).mean()) ** _DECIDED for f in (correction_mm, off_mm))
-    return large / (large + wrong) if wrong > 0.0 else 1.0
 
 
 def _even(field: Floats) -> Floats:

@@ -95,7 +95,7 @@ def generate(
             f"the network is {times:.0f} times farther than it expects from what was felt: the physical render answers"
         )
         return replace(physical, notes=(*physical.notes, note))
-    found = held_back(found, physical.known, params.caution, expected, at_once=target.kind == "bubble")
+    found = held_back(found, physical.known, params.caution, expected)
     return corrected(physical, target, found, seed, _unsure(source, target, network))
 
 

@@ -1,7 +1,5 @@
 """What is taken of a correction: all that is sure, nothing where physics is as good, and no edge of its own."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -36,30 +34,19 @@ def test_the_share_changes_less_from_pixel_to_pixel_than_what_it_is_taken_of():
 
 def test_no_caution_takes_all_and_no_doubt_does_so_too():
     for caution, doubts in ((0.0, (1.0, 1.0)), (1.0, (0.0, 0.0))):
-        kept = held_back(found(2.0, 1.0), LEFT, caution, doubts, at_once=False)
+        kept = held_back(found(2.0, 1.0), LEFT, caution, doubts)
         assert np.allclose(kept.last.residual_mm, 2.0)
 
 
 def test_what_the_source_felt_and_the_rest_are_doubted_apart_and_contact_where_it_felt_alone():
-    kept = held_back(found(2.0, 2.0), LEFT, 1.0, (0.0, 3.0), at_once=False)
+    kept = held_back(found(2.0, 2.0), LEFT, 1.0, (0.0, 3.0))
     assert np.allclose(kept.last.residual_mm[:, 0], 2.0, atol=5e-3)
     assert np.allclose(kept.last.residual_mm[:, -1], 0.2, atol=5e-3)
     assert np.allclose(kept.last.contact[:, 0], 1.0, atol=5e-3)
     assert (kept.last.contact[:, -1] == 1.0).all()
-    surer = held_back(found(2.0, 2.0), LEFT, 1.0, (3.0, 3.0), at_once=False)
+    surer = held_back(found(2.0, 2.0), LEFT, 1.0, (3.0, 3.0))
     assert np.allclose(surer.last.contact[:, 0], 0.1, atol=5e-3)
     assert np.array_equal(kept.states[0].residual_mm, kept.last.residual_mm)
-
-
-def test_whether_there_is_a_body_beyond_the_view_is_decided_once():
-    spotted = found(0.0, 1.0)
-    field = np.where(LEFT, 0.0, np.where(np.arange(SHAPE[0])[:, None] < SHAPE[0] // 2, 6.0, 0.2)).astype(np.float32)
-    spotted = replace(spotted, last=replace(spotted.last, residual_mm=field))
-    apart, once = (held_back(spotted, LEFT, 1.0, (1.0, 1.0), at_once=how).last.residual_mm[:, -1] for how in (0, 1))
-    assert apart[-1] < 0.05
-    assert once[-1] > 0.19, "what is sure of most of the body is sure of all of it"
-    unsure = replace(spotted, spread_mm=np.full(SHAPE, np.float32(8.0)))
-    assert np.abs(held_back(unsure, LEFT, 1.0, (1.0, 1.0), at_once=True).last.residual_mm[:, -1]).max() < 0.1
 
 
 def test_a_touch_told_against_another_first_answer_is_the_same_touch():
