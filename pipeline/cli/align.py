@@ -24,6 +24,8 @@ from pipeline.sensors.alignment import Side
 from pipeline.sensors.alignment_files import SUFFIX, AlignmentFile, save
 from pipeline.translation.translate import Request, Translation, open_translation
 
+_OPEN_DEG = 0.75  # spread of a turn: two touches of a sample leave 0.8 and lie 1.1 off, three leave 0.7 and lie 0.2 off
+
 
 def show_scores(request: Request, frames: str, exact: bool) -> int:
     """Print how well every frame agrees under the alignment, and which axis matters; returns 0."""
@@ -130,6 +132,8 @@ def print_refinement(answer: Refinement) -> None:
     turn, shift = answer.spread[:3], answer.spread[3:]
     moved = answer.motion[:3, :3] @ answer.pivot_mm + answer.motion[:3, 3] - answer.pivot_mm
     print_line(f"moved the contact by {_triple(moved)} mm; predicted spread {_triple(shift)} mm, {_triple(turn)} deg")
+    if float(np.max(turn)) > _OPEN_DEG:
+        print_line(f"doubtful: a turn is known to {np.max(turn):.1f} deg only; more touches, in other places, tell it")
     for words in answer.weak:
         print_line(f"not observable: {words}; left as it was")
     if answer.weak:

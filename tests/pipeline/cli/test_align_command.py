@@ -133,6 +133,7 @@ def test_fit_finds_an_alignment_without_one_to_begin_with_and_writes_it(typed, t
     code, said, error = typed("fit", recording, *words)
     assert code == 0, error
     assert "held out" in said
+    assert "doubtful: a turn is known to 0." in said
     fitted = load(out, source="gelslim", target="soft_bubble").alignment.target_from_source
     exact = np.diag([-1.0, -1.0, 1.0])  # how the sample's bubble is turned; 47 mm lie between the two cameras
     off = np.degrees(np.arccos(np.clip((np.trace(fitted[:3, :3].T @ exact) - 1) / 2, -1, 1)))
