@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from PyQt6.QtCore import QEvent, QObject, QPointF, Qt, pyqtSignal
 from PyQt6.QtGui import QKeyEvent
 
@@ -25,7 +26,11 @@ def step_of(event: QKeyEvent) -> tuple[int, int]:
 
 
 class PictureKeys(QObject):
-    """Listens to a picture that has the keyboard; keys that it knows are not the window's meanwhile."""
+    """Listens to a picture that has the keyboard; keys that it knows are not the window's meanwhile.
+
+    A picture is given the keyboard, it does not take it: a click leaves the window its keys, and Tab from control to
+    control passes it by.
+    """
 
     pointed = pyqtSignal(int, int)  # row, col
     pinned = pyqtSignal(int, int)
@@ -34,7 +39,6 @@ class PictureKeys(QObject):
     def __init__(self, view: PictureView) -> None:
         super().__init__(view)
         self._view, self._canvas = view, view.canvas
-        self._canvas.setFocusPolicy(Qt.FocusPolicy.TabFocus)  # a click leaves the window its keys
         self._canvas.installEventFilter(self)
 
     def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
@@ -68,8 +72,15 @@ class PictureKeys(QObject):
         return True
 
     def _middle(self) -> QPointF:
-        """The pixel pointed at, else the middle of the contact, else what is in the middle."""
+        """The pixel pointed at, else the highest value in the contact, else what is in the middle."""
         if self._canvas.cross is not None:
             return QPointF(self._canvas.cross[1] + 0.5, self._canvas.cross[0] + 0.5)
-        box = self._view.contact_box_px()
-        return self._canvas.centre if box is None else QPointF(0.5 * (box[0] + box[2]), 0.5 * (box[1] + box[3]))
+        box, picture = self._view.contact_box_px(), self._view.picture
+        if box is None or picture is None:
+            return self._canvas.centre
+        left, top, right, below = (max(0, round(side)) for side in box)
+        part = None if picture.values is None else picture.values[top:below, left:right]
+        if part is None or not np.isfinite(part).any():
+            return QPointF(0.5 * (left + right), 0.5 * (top + below))
+        row, col = divmod(int(np.nanargmax(part)), part.shape[1])
+        return QPointF(left + col + 0.5, top + row + 0.5)

@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
+from PyQt6.QtGui import QAction
+from PyQt6.QtWidgets import QMainWindow, QPushButton
 
 from app.frame.tour import wait_until_shown
+from widgets.hands import Hands
 
 LIMIT_S = 60
 _Key, _How = Qt.Key, Qt.KeyboardModifier
@@ -77,6 +80,59 @@ def test_arrow_keys_move_the_section_line_and_either_end(bubble_window, press, q
     ):
         np.testing.assert_allclose(after(key, how), moved, atol=0.05)  # to a hundredth of a millimetre
     assert bubble_window.session.frame == 2
+
+
+def test_a_button_that_was_come_to_by_tab_keeps_space_and_enter(qtbot):
+    window = QMainWindow()
+    qtbot.addWidget(window)
+    button, told = QPushButton("one", window), []
+    window.setCentralWidget(button)
+    play = QAction("play", window)
+    play.setShortcut("Space")
+    play.triggered.connect(lambda: told.append("play"))
+    window.addAction(play)
+    button.clicked.connect(lambda: told.append("button"))
+    Hands(window)
+    window.show()
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow, timeout=3000)
+    for reason in (Qt.FocusReason.TabFocusReason, Qt.FocusReason.MouseFocusReason):
+        button.clearFocus()
+        button.setFocus(reason)
+        qtbot.keyClick(button, _Key.Key_Space)
+    button.clearFocus()
+    button.setFocus(Qt.FocusReason.TabFocusReason)
+    qtbot.keyClick(button, _Key.Key_Return)
+    assert told == ["button", "play", "button"]
+
+
+def test_tab_reaches_every_control_and_tabs_keep_their_keys(bubble_window, press, qtbot):
+    """A picture does not hold Tab."""
+    window = bubble_window.window
+    window.actions_by_name["layout_align"].trigger()
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    window.drawers.reading.show()
+    qtbot.waitUntil(window.alignment.rows["rz"].box.isEnabled, timeout=5000)
+    seen = []
+    for _ in range(150):
+        press(_Key.Key_Tab)
+        now = window.focusWidget()
+        assert now is not window.columns["view"].view.canvas
+        if seen and now is seen[0]:
+            break
+        seen.append(now)
+    assert window.focusWidget() is seen[0], "Tab never comes round"
+    assert {window.tabs.tabBar(), window.alignment.rows["rz"].box, window.timeline.number} <= set(seen)
+    tabs, shown = window.tabs.tabBar(), window.tabs.currentIndex()
+    tabs.setFocus(Qt.FocusReason.TabFocusReason)
+    press(_Key.Key_Right)
+    assert window.tabs.currentIndex() == shown + 1
+    tabs.clearFocus()
+    tabs.setFocus(Qt.FocusReason.MouseFocusReason)  # by a click: the window keeps its keys
+    frame = bubble_window.session.frame
+    press(_Key.Key_Left)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.session.frame == frame - 1
 
 
 def test_the_wipe_goes_by_keys_and_the_alignment_is_typed(bubble_window, press, qtbot):
