@@ -1,7 +1,8 @@
 """A case: one frame with all that its translation reads, in a folder that can be sent, and what came out of it.
 
 case.json        what is asked, in paths within the folder; the figures; a note; the command that replays it
-frame.h5         the frame on both sides with all that is known of it, the object, how the sensors stand
+frame.h5         the frame on both sides with all that is known of it, the object, how the sensors stand; behind it the
+                 touches of the recording that its unit's light was told by
 alignment.toml   as it was in use, moved by hand or not
 expected.npz     every array of every slot
 sheet.png        the same as a picture
@@ -34,6 +35,7 @@ from pipeline.reporting.sheet import write_sheet
 from pipeline.sensors.alignment_files import AlignmentFile, save
 from pipeline.sensors.offsets import Offsets
 from pipeline.translation.catalogue import with_settings
+from pipeline.translation.touched import telling_frames
 from pipeline.translation.translate import Request, Translation, open_translation
 from pipeline.values.frames import TactileFrame
 
@@ -167,7 +169,7 @@ def _copy(file: Path, place: Path) -> Path:
 
 
 def _record(translation: Translation, index: int, path: Path) -> None:
-    """The frame of both sides, with its truth."""
+    """The frame of both sides, with its truth, and those that tell its light: alone it would be read otherwise."""
     recording, stream = translation.recording, translation.stream
     other = recording.stream_of_sensor(translation.target.name)
     names = {stream.name, *(() if other is None else (other.name,))}
@@ -175,11 +177,13 @@ def _record(translation: Translation, index: int, path: Path) -> None:
     with Writer(
         path, object_mesh=recording.object_mesh, symmetry=recording.symmetry, pairings=pairings, notes=recording.notes
     ) as writer:
-        own = replace(stream.frame(index), sensor=translation.source.name, index=0)
-        writer.append(stream.name, own, stream.truth(index))
-        felt = translation.truth_of_target(index)
-        if felt is not None and other is not None:
-            writer.append(other.name, replace(felt[0], index=0), felt[1])
+        light = telling_frames(stream) if translation.telling() else ()
+        for place, k in enumerate(dict.fromkeys((index, *(frame.index for frame in light)))):
+            own = replace(stream.frame(k), sensor=translation.source.name, index=place)
+            writer.append(stream.name, own, stream.truth(k))
+            felt = translation.truth_of_target(k)
+            if felt is not None and other is not None:
+                writer.append(other.name, replace(felt[0], index=place), felt[1])
 
 
 def _translating(request: Request, settings: tuple[str, ...]) -> str:

@@ -33,7 +33,12 @@ def touched_frame(stream: Stream) -> int:
 
 
 def telling_touches(stream: Stream) -> tuple[Image, ...]:
-    """Pictures (rows, cols, 3) of one unit that tell most of its light, the most telling first; none of a bubble.
+    """The pictures (rows, cols, 3) of `telling_frames`."""
+    return tuple(cast("Image", frame.image) for frame in telling_frames(stream))
+
+
+def telling_frames(stream: Stream) -> tuple[TactileFrame, ...]:
+    """Frames of one unit that tell most of its light, the most telling first; none of a bubble.
 
     Of some frames spread evenly over the recording, those that change most of the picture where the ones before them
     do not: strongly, and in other places. They share one untouched picture, so that all are of one unit and one day.
@@ -44,14 +49,14 @@ def telling_touches(stream: Stream) -> tuple[Image, ...]:
             return ()
         if not found or content(frame.reference) == content(found[0][0].reference):
             found.append((frame, change))
-    chosen: list[Image] = []
+    chosen: list[TactileFrame] = []
     while found and len(chosen) < _MOST_TELLING:
         gains = [float(change.sum()) for _, change in found]
         best = int(np.argmax(gains))
         if gains[best] <= 0.0:
             break
         frame, most = found.pop(best)
-        chosen.append(cast("Image", frame.image))
+        chosen.append(frame)
         found = [(other, np.maximum(change - most, 0.0)) for other, change in found]
     return tuple(chosen)
 
