@@ -92,8 +92,7 @@ def loss(
     squared = 0.5 * off**2 * fine
     residual = (torch.where(hidden.to(off.device).reshape(-1, 1, 1), robust, squared) * weight).mean()
     contact = (wrong**2 * fine).mean()
-    log = said[:, 2].clamp(*LOG_SPREAD)
-    spread = (off.detach().abs() * torch.exp(-log) + log).mean()
+    spread = _unlikely(said, off)
     parts = {"residual": residual, "contact": contact, "spread": spread}
     total = residual + 0.5 * contact + 0.05 * spread
     if slopes > 0.0:
@@ -114,10 +113,14 @@ def doubt(network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict
     clean = batch["residual"]
     sigma = torch.full((len(clean),), float(net.most), device=clean.device)
     said = network(torch.zeros_like(clean), sigma, batch["condition"])
-    log = said[:, 2].clamp(*LOG_SPREAD)
-    off = (said[:, 0] - clean[:, 0]).detach().abs()
-    spread = (off * torch.exp(-log) + log).mean()
+    spread = _unlikely(said, said[:, 0] - clean[:, 0])
     return spread, {"spread": spread.detach()}
+
+
+def _unlikely(said: Tensor, off: Tensor) -> Tensor:
+    """How unlikely errors `off` (n, rows, cols) are by the log of their mean that `said` tells (Laplace)."""
+    log = said[:, 2].clamp(*LOG_SPREAD)
+    return (off.detach().abs() * (-log).exp() + log).mean()
 
 
 def figures(network: nn.Module, held_out: Sequence[Example], unit_mm: float) -> dict[str, float]:
