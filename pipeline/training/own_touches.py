@@ -33,16 +33,16 @@ from pipeline.values.pixel_index import pixel_index
 from pipeline.values.results import TargetView
 
 T = TypeVar("T")
-VERSION = 1  # counts up when the same number would give another touch
+VERSION = 2  # counts up when the same number would give another touch
 Things = Literal["learned", "unseen_grasps", "unseen_tools"]
 KINDS: tuple[Things, ...] = ("learned", "unseen_grasps", "unseen_tools")
 
 _TOLERANCE_UM = 5.0  # of the physical render: what is learned is tenths of a millimetre
-_CATALOGUE, _SMALL, _AS_RECORDED = 0.4, 0.6, 0.7  # shares: training objects; of the random ones those that are small
+_CATALOGUE, _SMALL, _AS_RECORDED = 0.4, 0.6, 0.6  # shares: training objects; of the random ones those that are small
 # and have nothing behind them; bubbles as in data sets
 _SMALL_MM = 6.0, 17.0
 _AS_GEL = {"gel": 0.45, "bubble": 0.95}  # of the sources that are drawn for a target
-_DEEPER_MM = (2.0, 11.0)
+_DEEPER_MM = (0.0, 11.0)
 _MOST_BYTES = 1 << 30  # of touches that a worker remembers: some two thousand
 
 

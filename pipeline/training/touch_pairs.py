@@ -26,9 +26,9 @@ from pipeline.simulation.press import press
 from pipeline.stages.generate.residual_input import working
 from pipeline.training.own_touches import KINDS, Things, keep, nearer, read, thing_of
 
-VERSION = 2  # counts up when the same number would give another pair
+VERSION = 3  # counts up when the same number would give another pair
 GEL, BUBBLE = "gelslim", "soft_bubble"
-_AS_RECORDED, _DEEPER_MM = 0.8, (5.0, 11.0)
+_AS_RECORDED, _DEEPER_MM = 0.5, (0.0, 11.0)
 _MOST_BYTES = 1 << 30  # of pairs that a worker remembers
 
 
