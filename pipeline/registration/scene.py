@@ -86,7 +86,7 @@ def felt_surface(felt: DepthMap, max_points: int, seed: int) -> Scene:
 
 def _told_mm(felt: DepthMap) -> Floats:
     """How far (rows, cols) an object may stick out of a generated touch that tells its own error; 0 of all others."""
-    if felt.spread_mm is None or felt.known is None:
+    if felt.spread_mm is None or not felt.generated:
         return np.zeros(felt.contact.shape, np.float32)
     return np.float32(_TOLD) * np.nan_to_num(felt.spread_mm)
 

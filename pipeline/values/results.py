@@ -36,6 +36,7 @@ class DepthMap:
     spread_mm: Floats | None = (
         None  # (rows, cols) mean error to be expected of each pixel; NaN = no value, None = not told
     )
+    generated: bool = False  # by a network, and not measured: all of it is known no better than `spread_mm`
     object_mm: Floats | None = None  # (rows, cols) z of the object itself, also beside the contact where a membrane
     # bridges it; NaN = not told, None = the membrane in contact is all that is known of it
 

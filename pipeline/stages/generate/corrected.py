@@ -63,7 +63,9 @@ def _touch(
     before = _grown(first.contact, unsure.reach_mm / target.pixel_mm)
     contact: Mask = before.astype(np.float32) + _sized(state.contact, shape) > _HALF
     depth: Floats = (target.rest_depth_mm - surface).astype(np.float32)
-    told = replace(first, indentation_mm=freeze(surface), depth_mm=freeze(depth), contact=freeze(contact))
+    told = replace(
+        first, indentation_mm=freeze(surface), depth_mm=freeze(depth), contact=freeze(contact), generated=True
+    )
     if target.kind == "gel":
         return optics.render(target, surface, seed=seed), told
     return bubble_camera.reading(target, depth, seed), told

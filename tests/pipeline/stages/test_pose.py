@@ -346,7 +346,7 @@ def test_a_generated_touch_speaks_against_a_pose_by_no_more_than_it_tells_of_its
     beside = ~touch.contact & (np.arange(touch.contact.shape[1]) > touch.contact.shape[1] // 2)
     wrong = replace(
         touch, depth_mm=touch.depth_mm + np.where(beside, np.float32(0.4), np.float32(0.0)),
-        contact=touch.contact, known=np.ones_like(touch.contact),
+        contact=touch.contact, known=np.ones_like(touch.contact), generated=True,
     )  # fmt: skip
     unsure = np.where(beside, np.float32(0.2), np.float32(0.001))
     wedge = prepared(notched_wedge().mesh, 0)
@@ -357,7 +357,7 @@ def test_a_generated_touch_speaks_against_a_pose_by_no_more_than_it_tells_of_its
 
     silent, told = misfit_mm(wrong), misfit_mm(replace(wrong, spread_mm=unsure))
     assert told < 0.6 * silent
-    recorded = replace(wrong, known=None, spread_mm=unsure)
+    recorded = replace(wrong, generated=False, spread_mm=unsure)
     assert misfit_mm(recorded) == silent, "a recording has an error of its own"
 
 
