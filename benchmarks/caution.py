@@ -5,8 +5,9 @@
 Training objects, held anew, and random bodies that no weights were learned from are pressed on another unit of the
 source, and so are the objects of the downstream tasks (a key, a spanner, a pencil, ...), which nothing was learned from
 and no table holds; its reading goes the whole way to the target's touch, in one step. A doubt of 0 takes all that the
-network says. The weights carry the doubt whose errors are least in the mean of both kinds of objects, those that the
-network knows the like of and those that it does not: where the source felt (`doubt`) and beyond (`doubt_beyond`).
+network says; `power` is that of the error told (`doubt_power`). The weights carry those whose errors are least in the
+mean of both kinds of objects, those that the network knows the like of and those that it does not: where the source
+felt (`doubt`) and beyond (`doubt_beyond`). What is farther off than physics counts twice by as much as it is.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from pipeline.simulation.press import press
 from pipeline.simulation.variation import varied
 from pipeline.stages.adapt.stage import AdaptParams, adapt
 from pipeline.stages.generate import picture_to_touch, stage, view_to_touch
-from pipeline.stages.generate.caution import against, held_back
+from pipeline.stages.generate.caution import Trust, against, held_back
 from pipeline.stages.generate.corrected import on_grid
 from pipeline.stages.generate.diffusion import DiffusionParams, Sampled, sampled
 from pipeline.stages.project.stage import ProjectParams, project
@@ -40,7 +41,11 @@ from pipeline.training.own_touches import thing_of
 from pipeline.values.frames import TactileFrame
 
 TOUCHES, SEED, UNITS = 60, 2929, 7000
-DOUBTS = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)
+DOUBTS = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0)  # times an error of a third of the network's unit
+POWERS = (1.0, 1.5, 2.0, 2.5)
+HARM = 1.0  # an error where physics had less counts so much more: caution is there to do no harm
+REGIONS = ("in contact", "over all", "where the source felt", "beyond")
+FELT, BEYOND = 2, 3
 GROUPS = ("learned", "task")
 SENSORS = ("soft_bubble", "gelslim", "gelsight_mini", "digit")  # each of them another unit
 
@@ -50,18 +55,27 @@ class _Asked:
     """One touch: what the network corrects and says of its error, what it begins with, the truth, where it was felt."""
 
     found: Sampled
+    unit_mm: float
     begun_mm: np.ndarray
     truth_mm: np.ndarray
     known: np.ndarray
     contact: np.ndarray
 
-    def off(self, doubt: float) -> tuple[float, ...]:
+    def off(self, felt: float, beyond: float, power: float) -> np.ndarray:
         """In contact, over all, where the source felt, beyond; mm."""
-        kept = held_back(self.found, self.known, 1.0, (doubt, doubt)).last.residual_mm
+        larger = 3.0 ** (power - 1.0)
+        trusted = Trust(felt=felt * larger, beyond=beyond * larger, power=power, unit_mm=self.unit_mm)
+        return self._off(held_back(self.found, self.known, 1.0, trusted).last.residual_mm)
+
+    def by_physics(self) -> np.ndarray:
+        """The same of what it begins with."""
+        return self._off(np.zeros_like(self.begun_mm))
+
+    def _off(self, kept: np.ndarray) -> np.ndarray:
         gap = np.abs(self.begun_mm + kept - self.truth_mm)
         known = on_grid(self.known, gap.shape) > 0.5
         regions = (on_grid(self.contact, gap.shape) > 0.5, np.ones_like(known), known, ~known)
-        return tuple(float(gap[region].mean()) if region.any() else np.nan for region in regions)
+        return np.array([float(gap[region].mean()) if region.any() else np.nan for region in regions])
 
 
 def answer(
@@ -70,33 +84,40 @@ def answer(
     source, target = (_described(name) for name in direction(way))
     module = picture_to_touch if method == "t2t" else view_to_touch
     net = network(load(Path(file)) if file else module.weights(source, target, None))
-    notes, every = [], []
+    notes, every = [f"errors in mm {', '.join(REGIONS)}"], []
     for group in GROUPS:
         kept = [f for k in range(int(touches)) if (f := _asked(net, method, source, target, group, k)) is not None]
-        told = ["physics " + _said(kept, 1e6), *(f"doubt {d:g} {_said(kept, d)}" for d in DOUBTS)]
         what = "task objects" if group == "task" else "training objects held anew, random bodies"
-        notes.append(
-            f"{what}, {len(kept)} touches; errors in mm in contact / over all / where the source felt / beyond: "
-            + "; ".join(told)
-        )
+        notes.append(f"{what}, {len(kept)} touches: physics {_said([one.by_physics() for one in kept])}, network "
+                     f"{_said([one.off(0.0, 0.0, 1.0) for one in kept])}")  # fmt: skip
         every.append(kept)
-    notes.append(f"doubt where it felt {least(every, 2)}, beyond {least(every, 3)}")
+    found = sorted((_chosen(every, power) for power in POWERS), key=lambda one: one[0])
+    for cost, power, felt, beyond in found:
+        told = "; ".join(_said([one.off(felt, beyond, power) for one in kept]) for kept in every)
+        larger = 3.0 ** (power - 1.0)
+        notes.append(f"power {power:g}: doubt {felt * larger:.3g}, beyond {beyond * larger:.3g}: {told} ({cost:.4g})")
     return Answer(title=f"caution of {method}, {way}", unit="mm", rows=(), notes=tuple(notes))
 
 
-def least(groups, region: int) -> str:
-    """The doubt for which a region's error is least in the mean of all groups, each of which counts as much."""
-    off = {d: float(np.mean([_mean(kept, d)[region] for kept in groups])) for d in DOUBTS}
-    return f"{min(off, key=lambda d: off[d]):g}" if np.isfinite(off[0.0]) else "nothing lies"
+def _chosen(groups, power: float) -> tuple[float, float, float, float]:
+    """(cost over all, power, doubt where it felt, doubt beyond), each doubt that which costs least there."""
+    table = {d: [np.array([one.off(d, d, power) for one in kept]) for kept in groups] for d in DOUBTS}
+    physics = [np.array([one.by_physics() for one in kept]) for kept in groups]
+
+    def cost(off, region: int) -> float:
+        each = [
+            o[:, region] + HARM * np.maximum(o[:, region] - p[:, region], 0.0)
+            for o, p in zip(off, physics, strict=True)
+        ]
+        return float(np.mean([np.nanmean(one) if np.isfinite(one).any() else 0.0 for one in each]))
+
+    felt, beyond = (min(table, key=lambda d, r=region: cost(table[d], r)) for region in (FELT, BEYOND))
+    both = [np.array([one.off(felt, beyond, power) for one in kept]) for kept in groups]
+    return cost(both, 1), power, felt, beyond
 
 
-def _mean(kept, doubt: float) -> np.ndarray:
-    return np.nanmean([one.off(doubt) for one in kept], axis=0)
-
-
-def _said(part, doubt: float) -> str:
-    every = np.array([one.off(doubt) for one in part])
-    return "/".join(f"{np.nanmean(region):.3g}" if np.isfinite(region).any() else "-" for region in every.T)
+def _said(off) -> str:
+    return "/".join(f"{np.nanmean(region):.3g}" if np.isfinite(region).any() else "-" for region in np.array(off).T)
 
 
 def _asked(net, method: str, source, target, group: str, k: int) -> _Asked | None:
@@ -124,7 +145,8 @@ def _asked(net, method: str, source, target, group: str, k: int) -> _Asked | Non
         found = sampled(net, view_to_touch.condition(view, physical, target), DiffusionParams())
     shape = found.spread_mm.shape
     return _Asked(
-        found, on_grid(physical.indentation_mm, shape), on_grid(true.indentation_mm, shape), view.known, true.contact,
+        found, float(net.unit_mm), on_grid(physical.indentation_mm, shape), on_grid(true.indentation_mm, shape),
+        view.known, true.contact,
     )  # fmt: skip
 
 

@@ -6,9 +6,10 @@ sigma * noise. Three things may be predicted, all turned into the clean field he
 v, a mixture of both (Salimans and Ho 2022). The noise is as smooth as `smooth` says (`smooth_noise`). At the strongest
 one nothing can be seen, and nothing is shown: the first step, and an answer in one, rest on the condition alone. A last
 channel says how far off the clean field is expected, `doubts` how many times as far off it has to be taken for where a
-source felt and beyond, so that what is held back by it betters what it begins with. Of a source that is coarser than
-the target, in its own pixels: `blur_px` how wide an edge has to be drawn, the middle of all places where it may be, and
-`reach_px` how far contact goes beyond the middles of those pixels that told it.
+source felt and beyond, so that what is held back by it betters what it begins with; `doubt_power` how much faster that
+grows than what is told: by 2, half as much told counts a quarter. Of a source that is coarser than the target, in its
+own pixels: `blur_px` how wide an edge has to be drawn, the middle of all places where it may be, and `reach_px` how far
+contact goes beyond the middles of those pixels that told it.
 """
 
 from __future__ import annotations
@@ -33,14 +34,16 @@ class ResidualDenoiser(nn.Module):
     def __init__(
         self, *, inputs: int, unit_mm: float, first: int = 32, levels: int = 4, widest: int = 112, fold: int = 2,
         most: float = 200.0, least: float = 0.02, prediction: Prediction = "clean", smooth: float = 0.0,
-        doubt: float = 1.0, doubt_beyond: float = 1.0, blur_px: float = 0.0, reach_px: float = 0.0,
+        doubt: float = 1.0, doubt_beyond: float = 1.0, doubt_power: float = 1.0, blur_px: float = 0.0,
+        reach_px: float = 0.0,
     ) -> None:  # fmt: skip
         super().__init__()
         if prediction not in ("clean", "v", "noise"):
             raise ValueError(f"prediction must be clean, v or noise, got {prediction!r}")
         self.unit_mm, self.most, self.least, self.prediction = unit_mm, most, least, prediction
         self.inputs, self.fold, self.reach, self.smooth = inputs, fold, REACH, smooth
-        self.doubts, self.blur_px, self.reach_px = (doubt, doubt_beyond), blur_px, reach_px
+        self.doubts, self.doubt_power = (doubt, doubt_beyond), doubt_power
+        self.blur_px, self.reach_px = blur_px, reach_px
         widths = [min(first * 2**level, widest) for level in range(levels)]
         self.hears = nn.Sequential(nn.Linear(2 * _WAVES, _HEARD), nn.SiLU(), nn.Linear(_HEARD, _HEARD), nn.SiLU())
         self.start = _Block((inputs + STATES) * fold * fold, widths[0])

@@ -3,12 +3,14 @@
 A correction that is as small as the error expected of it is half taken, one that is far larger nearly all. What is
 expected was learned from touches that nothing else was learned from; how much larger the error has to be taken for is
 chosen by `benchmarks/caution.py`, where the source felt something and beyond: of objects that it has never seen a
-network is surer than it should be.
+network is surer than it should be. What it tells may be squeezed together, too: where little is told nearly nothing is
+wrong, and where much is told far more. Weights therefore carry a power of it beside how many times it counts.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -21,21 +23,44 @@ _EVEN_PX = 4.0  # a share that changed faster would draw edges of its own
 _HALF = 0.5
 
 
-def held_back(found: Sampled, known: Mask, caution: float, doubts: tuple[float, float]) -> Sampled:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trust:
+    """How far off a network has to be taken for by what it tells of its own error."""
+
+    felt: float  # how many times that error counts where the source felt
+    beyond: float
+    power: float = 1.0  # of that error, in `unit_mm`
+    unit_mm: float = 1.0
+
+    def off_mm(self, told_mm: Floats, felt: Mask) -> Floats:
+        """(rows, cols) what is to be expected where the network tells `told_mm`."""
+        times = np.where(felt, np.float32(self.felt), np.float32(self.beyond))
+        return (times * told_mm * (told_mm / np.float32(self.unit_mm)) ** np.float32(self.power - 1.0)).astype(np.float32)
+
+
+def trust(network: Any) -> Trust:
+    """As the weights of a `residual_denoiser` have it."""
+    felt, beyond = network.doubts
+    return Trust(felt=felt, beyond=beyond, power=network.doubt_power, unit_mm=network.unit_mm)
+
+
+def held_back(found: Sampled, known: Mask, caution: float, trusted: Trust, *, contact: bool = True) -> Sampled:
     """A middle of all samples, of which only what is sure is taken; `known` is where the source felt.
 
-    `caution` 0 takes all of it, 1 holds back by `doubts`: times the expected error, where it felt and beyond. Contact
-    is held back where the source felt; beyond, where nothing else is known of it, it is left as it is.
+    `caution` 0 takes all of it, 1 holds back by all that is `trusted` no further. Contact is held back where the source
+    felt; beyond, where nothing else is known of it, it is left as it is. Without `contact` that of the first answer
+    stays where the source felt.
     """
     middle, spread = found.last.residual_mm, found.spread_mm
     within = on_grid(known, middle.shape) > _HALF
-    share = taken(middle, np.where(within, *map(np.float32, doubts)) * spread)
-    share = 1.0 - caution * (1.0 - share)
+    share = 1.0 - caution * (1.0 - taken(middle, trusted.off_mm(spread, within)))
+    of_contact = np.where(within, share if contact else np.float32(1.0 - caution), np.float32(1.0))
 
     def less(state: State) -> State:
-        contact = np.where(within, share, np.float32(1.0)) * state.contact
         residual = (share * state.residual_mm).astype(np.float32)
-        return replace(state, residual_mm=freeze(residual), contact=freeze(contact.astype(np.float32)))
+        return replace(
+            state, residual_mm=freeze(residual), contact=freeze((of_contact * state.contact).astype(np.float32))
+        )  # fmt: skip
 
     return replace(found, last=less(found.last), states=tuple(less(state) for state in found.states))
 

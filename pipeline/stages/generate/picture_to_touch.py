@@ -29,7 +29,7 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.adapt import stage as adaptation
 from pipeline.stages.depth import stage as depth
 from pipeline.stages.generate import stage, view_to_touch
-from pipeline.stages.generate.caution import against, contradiction, held_back
+from pipeline.stages.generate.caution import against, contradiction, held_back, trust
 from pipeline.stages.generate.corrected import Unsure, corrected
 from pipeline.stages.generate.diffusion import DiffusionParams, sampled
 from pipeline.stages.generate.picture_input import of_picture
@@ -88,14 +88,14 @@ def generate(
         alone = (Doubt(ALONE),) if careful else ()  # what is said of a target at rest is not said of this touch
         made = corrected(replace(rest, notes=alone), target, found, seed)
         return _doubted(made, frame, source, calibration)
-    found, expected = against(found, membrane), cast("tuple[float, float]", network.doubts)
+    found = against(found, membrane)
     times = contradiction(found, membrane.contact & physical.known)
     if times > _CONTRADICTED:
         note = (
             f"the network is {times:.0f} times farther than it expects from what was felt: the physical render answers"
         )
         return replace(physical, notes=(*physical.notes, note))
-    found = held_back(found, physical.known, params.caution, expected)
+    found = held_back(found, physical.known, params.caution, trust(network))
     return corrected(physical, target, found, seed, _unsure(source, target, network))
 
 

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from pipeline.networks.residual_denoiser import ResidualDenoiser
 from pipeline.sensors.spec import sensor
-from pipeline.stages.generate.caution import against, held_back, taken
+from pipeline.stages.generate.caution import Trust, against, held_back, taken, trust
 from pipeline.stages.generate.diffusion import Sampled, State
 from pipeline.stages.generate.stage import at_rest
 
@@ -34,19 +35,42 @@ def test_the_share_changes_less_from_pixel_to_pixel_than_what_it_is_taken_of():
 
 def test_no_caution_takes_all_and_no_doubt_does_so_too():
     for caution, doubts in ((0.0, (1.0, 1.0)), (1.0, (0.0, 0.0))):
-        kept = held_back(found(2.0, 1.0), LEFT, caution, doubts)
+        kept = held_back(found(2.0, 1.0), LEFT, caution, Trust(felt=doubts[0], beyond=doubts[1]))
         assert np.allclose(kept.last.residual_mm, 2.0)
 
 
 def test_what_the_source_felt_and_the_rest_are_doubted_apart_and_contact_where_it_felt_alone():
-    kept = held_back(found(2.0, 2.0), LEFT, 1.0, (0.0, 3.0))
+    kept = held_back(found(2.0, 2.0), LEFT, 1.0, Trust(felt=0.0, beyond=3.0))
     assert np.allclose(kept.last.residual_mm[:, 0], 2.0, atol=5e-3)
     assert np.allclose(kept.last.residual_mm[:, -1], 0.2, atol=5e-3)
     assert np.allclose(kept.last.contact[:, 0], 1.0, atol=5e-3)
     assert (kept.last.contact[:, -1] == 1.0).all()
-    surer = held_back(found(2.0, 2.0), LEFT, 1.0, (3.0, 3.0))
+    surer = held_back(found(2.0, 2.0), LEFT, 1.0, Trust(felt=3.0, beyond=3.0))
     assert np.allclose(surer.last.contact[:, 0], 0.1, atol=5e-3)
     assert np.array_equal(kept.states[0].residual_mm, kept.last.residual_mm)
+
+
+def test_by_a_power_little_told_is_nothing_and_much_is_more():
+    squared = Trust(felt=1.0, beyond=1.0, power=2.0, unit_mm=3.0)
+    for told, off in ((0.3, 0.03), (3.0, 3.0), (6.0, 12.0)):
+        assert np.allclose(squared.off_mm(np.full(SHAPE, np.float32(told)), LEFT), off, rtol=1e-5)
+    plain = Trust(felt=1.0, beyond=1.0)
+    little, much = ((found(2.0, told), LEFT, 1.0) for told in (0.3, 6.0))
+    assert held_back(*little, squared).last.residual_mm.mean() > held_back(*little, plain).last.residual_mm.mean()
+    assert held_back(*much, squared).last.residual_mm.mean() < held_back(*much, plain).last.residual_mm.mean()
+
+
+def test_weights_that_tell_no_power_are_believed_in_proportion():
+    net = ResidualDenoiser(inputs=3, unit_mm=3.0, first=4, levels=2, doubt=1.5, doubt_beyond=2.5)
+    assert trust(net) == Trust(felt=1.5, beyond=2.5, power=1.0, unit_mm=3.0)
+
+
+def test_where_the_source_felt_contact_may_stay_that_of_physics():
+    kept = held_back(found(2.0, 0.01), LEFT, 1.0, Trust(felt=1.0, beyond=1.0), contact=False)
+    assert not kept.last.contact[:, 0].any()
+    assert (kept.last.contact[:, -1] == 1.0).all()
+    bold = held_back(found(2.0, 0.01), LEFT, 0.0, Trust(felt=1.0, beyond=1.0), contact=False)
+    assert (bold.last.contact == 1.0).all(), "without caution all that the network says"
 
 
 def test_a_touch_told_against_another_first_answer_is_the_same_touch():

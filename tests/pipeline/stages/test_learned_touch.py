@@ -37,7 +37,8 @@ def taking_all(**how):
 class Says(torch.nn.Module):
     """A denoiser that answers one number everywhere, and remembers what it was shown."""
 
-    unit_mm, most, least, reach, smooth, doubts, blur_px, reach_px = 1.0, 8.0, 0.02, 8.0, 0.0, (1.0, 1.0), 0.0, 0.0
+    unit_mm, most, least, reach, smooth, blur_px, reach_px = 1.0, 8.0, 0.02, 8.0, 0.0, 0.0, 0.0
+    doubts, doubt_power = (1.0, 1.0), 1.0
 
     def __init__(self, residual, contact=0.0, spread=0.1):
         super().__init__()
