@@ -35,7 +35,9 @@ class Trust:
     def off_mm(self, told_mm: Floats, felt: Mask) -> Floats:
         """(rows, cols) what is to be expected where the network tells `told_mm`."""
         times = np.where(felt, np.float32(self.felt), np.float32(self.beyond))
-        return (times * told_mm * (told_mm / np.float32(self.unit_mm)) ** np.float32(self.power - 1.0)).astype(np.float32)
+        return (times * told_mm * (told_mm / np.float32(self.unit_mm)) ** np.float32(self.power - 1.0)).astype(
+            np.float32
+        )
 
 
 def trust(network: Any) -> Trust:

@@ -2,10 +2,17 @@
 
 One step gives the posterior's middle, the best single guess; four and more give a sample, one touch of those that the
 condition allows. No step at all leaves the first answer as it is.
+
+Below the least noise that a network was taught nothing is sampled any more: its last answer is the middle of all that
+are alike but for that noise, and where less than that is open samples come out all alike. What is left open there is
+drawn at once (`settled`), as the last step of ancestral sampling does (Ho et al. 2020), from the error that the network
+tells: a field of spread s seen through noise of strength n is known to n s / sqrt(n^2 + s^2). A gel's picture shows
+slopes, of which such noise has more than any touch: its samples end with the middle.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -91,11 +98,14 @@ class Sampled:
     notes: tuple[str, ...]
 
 
-def sampled(network: nn.Module, condition: Floats, params: DiffusionParams, progress: Progress = SILENT) -> Sampled:
+def sampled(
+    network: nn.Module, condition: Floats, params: DiffusionParams, progress: Progress = SILENT, *, draws: bool = False
+) -> Sampled:
     """The residual that `network` (of `residual_denoiser`) samples for a condition (channels, rows, cols).
 
-    The same seed gives the same bytes. Raises Cancelled between any two passes, SettingProblem for what is out of
-    range. A guidance of 0 or 1, and every one that works nowhere, costs one pass a step.
+    `draws`: what the last of several steps leaves open is drawn, too (`settled`). The same seed gives the same bytes.
+    Raises Cancelled between any two passes, SettingProblem for what is out of range. A guidance of 0 or 1, and every
+    one that works nowhere, costs one pass a step.
     """
     import torch
 
@@ -130,7 +140,11 @@ def sampled(network: nn.Module, condition: Floats, params: DiffusionParams, prog
         )  # fmt: skip
         if not first:  # never asked with its condition: guidance 0
             first.append(net(noise * net.most, torch.full((1,), net.most), shown))
-    spread = net.unit_mm * np.exp(np.clip(first[0][0, 2].numpy(), *LOG_SPREAD))
+        told, clean = first[0][0, 2].clamp(*LOG_SPREAD).exp(), found.clean
+        if draws and params.steps > 1:
+            clean, fresh = clean.clone(), smoothed(torch.randn(told.shape, generator=rng), net.smooth)
+            clean[0, 0] = settled(clean[0, 0], told, float(levels[-2]), fresh).clip(-net.reach, net.reach)
+    spread = net.unit_mm * told.numpy()
 
     def state(sigma: float, clean: Tensor) -> State:
         field = clean[0].numpy()
@@ -139,9 +153,18 @@ def sampled(network: nn.Module, condition: Floats, params: DiffusionParams, prog
     stride = max(1, -(-len(found.steps) // _MOST_KEPT))
     kept = found.steps[::-1][::stride][::-1]  # the last one is among them
     return Sampled(
-        last=state(0.0, found.clean), spread_mm=freeze(spread.astype(np.float32)), passes=denoise.passes,
-        states=tuple(state(step.sigma, step.clean) for step in kept), notes=(how.note,) if how.note else (),
+        last=state(0.0, clean), spread_mm=freeze(spread.astype(np.float32)), passes=denoise.passes,
+        states=tuple(state(step.sigma, clean if step is kept[-1] else step.clean) for step in kept),
+        notes=(how.note,) if how.note else (),
     )  # fmt: skip
+
+
+def settled(middle: Tensor, told: Tensor, least: float, noise: Tensor) -> Tensor:
+    """One of the fields that noise of strength `least` hides: their `middle`, their mean error as it is `told`."""
+    import torch
+
+    spread = math.sqrt(0.5 * math.pi) * told  # of normal numbers with that mean error
+    return middle + noise * least * spread / torch.sqrt(spread**2 + least**2)
 
 
 class _Between:

@@ -82,7 +82,7 @@ def generate(
     if not params.steps:
         return physical
     asked = Share(progress, 0.8, 0.2) if careful else progress
-    found = sampled(network, condition(frame, source, alignment, target), params, asked)
+    found = sampled(network, condition(frame, source, alignment, target), params, asked, draws=target.kind == "bubble")
     membrane = physical.membrane
     if not careful or membrane is None or not membrane.contact.any():
         alone = (Doubt(ALONE),) if careful else ()  # what is said of a target at rest is not said of this touch
