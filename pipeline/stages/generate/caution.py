@@ -49,14 +49,15 @@ def trust(network: Any) -> Trust:
 def held_back(found: Sampled, known: Mask, caution: float, trusted: Trust, *, contact: bool = True) -> Sampled:
     """A middle of all samples, of which only what is sure is taken; `known` is where the source felt.
 
-    `caution` 0 takes all of it, 1 holds back by all that is `trusted` no further. Contact is held back where the source
-    felt; beyond, where nothing else is known of it, it is left as it is. Without `contact` that of the first answer
+    `caution` 0 takes all of it, 1 holds back by all that is `trusted` no further. Contact is held back as the membrane is
+    where the source felt, and less so beyond, where nothing else is known of it (the root of the share: overlap 0.473
+    instead of 0.460 with all of it, on 160 touches that are in no table). Without `contact` that of the first answer
     stays where the source felt.
     """
     middle, spread = found.last.residual_mm, found.spread_mm
     within = on_grid(known, middle.shape) > _HALF
     share = 1.0 - caution * (1.0 - taken(middle, trusted.off_mm(spread, within)))
-    of_contact = np.where(within, share if contact else np.float32(1.0 - caution), np.float32(1.0))
+    of_contact = np.where(within, share if contact else np.float32(1.0 - caution), np.sqrt(share))
 
     def less(state: State) -> State:
         residual = (share * state.residual_mm).astype(np.float32)
