@@ -11,11 +11,14 @@ from PyQt6.QtGui import QHelpEvent, QPainter, QPalette, QPen, QPolygonF
 from PyQt6.QtWidgets import QSizePolicy, QToolTip, QWidget
 
 from widgets.colours import inks, qcolor
+from widgets.looks import smaller
 
 _INSET_PX = 6  # half the slider's handle
 _MARK_PX = 7.0
 _WIDEST_PX = 26.0
 _LEAST_PX = 24  # high
+_TOP_PX, _BASE_PX = _MARK_PX + 2.0, 2.0  # of the worst bar, from above; of all bars, from below
+_TICK_PX, _FIGURES_PT = 3.0, 2.5  # long is a tick of the scale; so much smaller are its figures
 
 
 class ErrorStrip(QWidget):
@@ -38,6 +41,11 @@ class ErrorStrip(QWidget):
         """The frame with the largest value, -1 while none is known."""
         known = [i for i, value in enumerate(self.values) if math.isfinite(value)]
         return max(known, key=self.values.__getitem__, default=-1)
+
+    @property
+    def most(self) -> float:
+        """What the highest bar stands for; 0 while nothing is known."""
+        return max((value for value in self.values if math.isfinite(value)), default=0.0)
 
     def show_values(self, values: Sequence[float], unit: str, doubts: Mapping[int, Sequence[str]]) -> None:
         """A value for every frame, NaN where it is not known, and what is doubted of which."""
@@ -94,7 +102,7 @@ class ErrorStrip(QWidget):
             return
         painter.setRenderHint(QPainter.RenderHint.Antialiasing, n < 200)
         ink = inks(self.palette())
-        base, top = self.height() - 2.0, _MARK_PX + 2.0
+        base, top = self.height() - _BASE_PX, _TOP_PX
         painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Mid), 1))
         painter.drawLine(QPointF(_INSET_PX, base), QPointF(self.width() - _INSET_PX, base))
         step = (self.width() - 2 * _INSET_PX) / max(1, n - 1)
@@ -105,7 +113,7 @@ class ErrorStrip(QWidget):
             painter.drawLine(QPointF(first, base), QPointF(last, base))
             for x in (first, last):
                 painter.drawLine(QPointF(x, base - 6.0), QPointF(x, base))
-        most, worst = max((v for v in self.values if math.isfinite(v)), default=0.0), self.worst
+        most, worst = self.most, self.worst
         for frame, value in enumerate(self.values):
             x = _INSET_PX + frame * step
             if frame == self.frame:
@@ -144,3 +152,37 @@ class ErrorStrip(QWidget):
     def _choose(self, event: Any) -> None:
         if self.values and event.buttons() & Qt.MouseButton.LeftButton:
             self.frame_chosen.emit(self.frame_at(event.position().x()))
+
+
+class ErrorScale(QWidget):
+    """What the bars' upper and lower end stand for: the worst value and 0, in the unit that is named beside it."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        smaller(self, _FIGURES_PT, least_pt=6.0)
+        self.setFixedWidth(self.fontMetrics().horizontalAdvance("0.0000") + round(_TICK_PX) + 2)
+        self.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Ignored)
+        self.told = ""  # at the upper end
+
+    def show_most(self, most: float) -> None:
+        """The bars go from 0 to this; nothing is told of bars that are not there."""
+        told = f"{most:.3g}" if most > 0 else ""
+        if told != self.told:
+            self.told = told
+            self.update()
+
+    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+        """Two figures at two ticks on a line."""
+        del a0
+        if not self.told:
+            return
+        painter, right, high = QPainter(self), self.width() - 1.0, float(self.height())
+        top, base, letters = _TOP_PX, high - _BASE_PX, painter.fontMetrics().ascent()
+        painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Mid), 1))
+        painter.drawLine(QPointF(right, top), QPointF(right, base))
+        painter.setPen(self.palette().color(QPalette.ColorRole.WindowText))
+        for told, y in ((self.told, top), ("0", base)):
+            painter.drawLine(QPointF(right - _TICK_PX, y), QPointF(right, y))
+            under = min(y + 0.4 * letters, high - 1.0)
+            wide = painter.fontMetrics().horizontalAdvance(told)
+            painter.drawText(QPointF(right - _TICK_PX - 2.0 - wide, under), told)

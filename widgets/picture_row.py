@@ -12,7 +12,7 @@ from widgets.looks import once, spaced
 from widgets.solid_cell import SolidCell
 from widgets.stage_column import StageColumn
 
-_SHORT_PX = 420  # a lower row spends one line on a caption, not two
+_SHORT_PX = 420  # a lower row spends one line on a caption, not two, and none on the state
 _LEAST_BELOW = 0.3  # of the height that is left to what stands below
 _TALL_BELOW = 1.15  # a 3D view's height in widths: in a taller one there is only ground above and below
 
@@ -30,7 +30,7 @@ class PictureRow(QSplitter):
         self._columns: tuple[StageColumn, ...] = ()
         self._cells: tuple[SolidCell, ...] = ()
         self._watched: set[QObject] = set()
-        self._told = False, True  # whether captions are short, and whether there is room for scales
+        self._told = False, False, True  # captions short, states beside titles, room for scales
         self.setObjectName("split_rows")
         self.dragged = False  # from then on the rows keep their share
         self._above, self.below = QWidget(), QWidget()
@@ -66,11 +66,12 @@ class PictureRow(QSplitter):
         shown = [column for column in here if column.isVisibleTo(self)]
         some = any(column.view.scaled or column.view.picture is None for column in shown)
         short = self.height() < _SHORT_PX
+        joined = short and all(column.joinable for column in shown)
         for column in shown:  # the scales' room is all of theirs, so that pictures stand in one line, or nobody's
             column.view.levels.setVisible(some)
-            column.show_short(short)
-        if (short, some) != self._told:
-            self._told = short, some
+            column.show_short(short, joined=joined)
+        if (short, joined, some) != self._told:
+            self._told = short, joined, some
             self._fit_soon()  # once more, when it is laid out
         if self.dragged or not shown or self.below.isHidden():
             return

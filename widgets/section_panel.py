@@ -24,7 +24,7 @@ _NAMES = ("A, mm", "", "B, mm", "")
 _TIPS = ("across", "down", "across", "down")
 _PLACES = (("both sensors", ""), ("source", "source"), ("target", "target"))
 _REACH_MM, _STEP_MM, _DIGITS = 999.0, 0.1, 2
-_HOW = "{:.2f} mm; Shift and drag lays it anew, a drag at A or B moves that end, P and arrow keys move it"
+_HOW = "{:.2f} mm; Shift and drag lays it anew, A and B can be dragged, P and arrow keys move it"
 _OFF = "no line is laid"
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from widgets.looks import smaller, spaced
 from widgets.solid_view import SolidView
+from widgets.still_label import StillLabel
 
 
 class SolidCell(QWidget):
@@ -14,7 +17,9 @@ class SolidCell(QWidget):
 
     def __init__(self, under: QWidget | None = None, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.view, self.legend, self.caption = SolidView(), _small(), _small()
+        self.view, self.legend, self.caption = SolidView(), StillLabel(), Caption()
+        smaller(self.legend)
+        self.legend.setAlignment(Qt.AlignmentFlag.AlignHCenter)
         layout = spaced(QVBoxLayout(self), 0)
         layout.addWidget(self.view, 1)
         for widget in (self.legend if under is None else under, self.caption):
@@ -25,9 +30,35 @@ class SolidCell(QWidget):
         return self.height() - self.view.height() + round(tall * self.view.width())
 
 
-def _small() -> QLabel:
-    label = QLabel()
-    smaller(label)
-    label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-    label.setAlignment(Qt.AlignmentFlag.AlignHCenter)
-    return label
+class Caption(QLabel):
+    """One line of rich text: the longest of several tellings of the same for which there is room."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        smaller(self)
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self.setAlignment(Qt.AlignmentFlag.AlignHCenter)
+        self._tellings: tuple[str, ...] = ()
+        self._widths: list[int] = []
+
+    def say(self, *tellings: str) -> None:
+        """These from now on, the longest first; that one is its tip."""
+        if tellings != self._tellings:
+            self._tellings = tellings
+            self._widths = [self._width(telling) for telling in tellings]
+            self.setToolTip(tellings[0])
+            self._fit()
+
+    def resizeEvent(self, a0: Any) -> None:  # noqa: N802
+        """Other room, another telling."""
+        super().resizeEvent(a0)
+        self._fit()
+
+    def _width(self, telling: str) -> int:
+        self.setText(telling)
+        return self.sizeHint().width()
+
+    def _fit(self) -> None:
+        fitting = [t for t, width in zip(self._tellings, self._widths, strict=True) if width <= self.width()]
+        if self._tellings:
+            self.setText((fitting or self._tellings[-1:])[0])

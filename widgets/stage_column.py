@@ -17,6 +17,7 @@ from widgets.picture import PictureView
 from widgets.still_label import StillLabel
 
 _BETWEEN_PX = 40  # sign, word and time of a state, with the frame around them
+_SIGN_PX = 10  # between a title and the state's sign beside it, and around them
 _TITLE_PX = 120  # of a title beside other words that are not cut off, as far as it has them
 _METHOD_PX = 88  # wide is the choice of a method at least, where it stands beside the title
 _AN_END = re.compile(r"[:;]|,(?!\d|[^(]*\))")  # of the first part of a sentence; a vector is one word, and so is 2,571
@@ -40,7 +41,8 @@ class StageColumn(QFrame):
         self._sign, self._word, self._ms = StateSign(), QLabel(), QLabel()
         self._ms.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         self.view = PictureView()
-        status = spaced(QHBoxLayout(), 4)
+        self._first, self._status = spaced(QHBoxLayout(), 4), QWidget()
+        status = spaced(QHBoxLayout(self._status), 4)
         status.addWidget(self._sign)
         status.addWidget(self._word)
         status.addWidget(self._ms, 1)
@@ -58,21 +60,22 @@ class StageColumn(QFrame):
         self._method.hide()
         self._head = QBoxLayout(QBoxLayout.Direction.TopToBottom)
         self._head.setSpacing(2)
-        for widget in (self._title, self._only, self._method):
+        self._first.addWidget(self._title, 1)
+        self._head.addLayout(self._first)
+        for widget in (self._only, self._method, self._status):
             self._head.addWidget(widget)
-        self._head.addLayout(status)
         layout.addLayout(self._head)
         layout.addWidget(self.view, 1)
         self._note = StillLabel()
         self._note.setObjectName(f"note_{name}")
         smaller(self._note, 1.0)
         self._note.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
-        self._wide = False
+        self._wide = self._joined = False
         self._show_lines(2)
         layout.addWidget(self._note)
         self.setMinimumWidth(90)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
-        self.state, self.doubts = "", tuple[str, ...]()
+        self.state, self.doubts, self._notes = "", tuple[str, ...](), tuple[str, ...]()
         self.view.pixel_hovered.connect(partial(self.pixel_hovered.emit, name))
         self.view.pixel_clicked.connect(partial(self.pixel_clicked.emit, name))
         self.show_state("waiting")
@@ -82,17 +85,34 @@ class StageColumn(QFrame):
         way = QBoxLayout.Direction
         self._head.setDirection(way.LeftToRight if wide else way.TopToBottom)
         self._head.setSpacing(10 if wide else 2)
-        for place, share in ((self._title, 2), (self._only, 2), (self._method, 2)):
-            self._head.setStretchFactor(place, share if wide else 0)
-        letters = self._title.fontMetrics().horizontalAdvance(self._title.text())
-        self._title.setMinimumWidth(min(letters + 1, _TITLE_PX) if wide else 0)
+        self._head.setStretchFactor(self._first, 2 if wide else 0)
+        for place in (self._only, self._method):
+            self._head.setStretchFactor(place, 2 if wide else 0)
+        self._title.setMinimumWidth(min(self._title_px + 1, _TITLE_PX) if wide else 0)
         self._wide = wide
         self.show_short(False)
         self._fit_time()
 
-    def show_short(self, short: bool) -> None:
-        """One line of caption and of note where there is little height, or where a line is long; else two."""
+    def show_short(self, short: bool, *, joined: bool = False) -> None:
+        """Caption and note have one line, not two, where there is little height, or where a line is long.
+
+        `joined` to have the state beside the title, in its line.
+        """
         self._show_lines(1 if short or self._wide else 2)
+        joined = joined and not self._wide
+        if joined != self._joined:
+            self._joined = joined
+            (self._first if joined else self._head).addWidget(self._status)
+            self._fit_time()
+
+    @property
+    def joinable(self) -> bool:
+        """Whether the state's sign has room beside the whole title."""
+        return self.width() >= self._title_px + self._sign.sizeHint().width() + _SIGN_PX
+
+    @property
+    def _title_px(self) -> int:
+        return self._title.fontMetrics().horizontalAdvance(self._title.text())
 
     def _show_lines(self, lines: int) -> None:
         """The room of caption and note, theirs whether they say something or not: pictures stand in one line."""
@@ -100,17 +120,24 @@ class StageColumn(QFrame):
         self._note.show_lines(lines)
 
     def resizeEvent(self, a0: Any) -> None:  # noqa: N802
-        """The time gives way where there is no room for it, and beside title and method the state's word does."""
+        """The time gives way where there is no room for it, and beside title or method the state's word does."""
         super().resizeEvent(a0)
         self._fit_time()
 
     def _fit_time(self) -> None:
         beside = self._head.direction() == QBoxLayout.Direction.LeftToRight
         before = self._title.minimumWidth() + _METHOD_PX if beside else 0
-        words = before + self._word.sizeHint().width()
+        if self._joined:
+            before = self._title_px
+        words = before + (0 if self._joined else self._word.sizeHint().width())
         room = self.width() - self._sign.sizeHint().width() - _BETWEEN_PX
         self._ms.setHidden(room < words + self._ms.sizeHint().width())
-        self._word.setHidden(beside and room < words)
+        self._word.setHidden(self._joined or (beside and room < words))
+        hidden = self._ms.isHidden() or self._word.isHidden()
+        timed = [f"{self.state}, {self._ms.text()}" if self._ms.text() else self.state] if hidden else []
+        tip = "\n".join([*timed, *self._notes])
+        for label in (self._sign, self._word, self._ms, self._note):
+            label.setToolTip(tip)
 
     def offer_methods(self, methods: Sequence[tuple[str, str, str]]) -> None:
         """(name, title, help) of the ways to fill this slot; one alone is only named."""
@@ -142,12 +169,8 @@ class StageColumn(QFrame):
             self._sign.show_state(state)
             self._word.setText(state)
         self._ms.setText("" if ms is None else _time_text(ms))
+        self._notes = notes
         self._fit_time()
-        tip = "\n".join(
-            [*([f"{state}, {self._ms.text()}"] if self._ms.isHidden() or self._word.isHidden() else []), *notes]
-        )
-        for label in (self._sign, self._word, self._ms, self._note):
-            label.setToolTip(tip)
         if state not in ("stale", "running"):
             first = notes[0] if notes and state not in ("skipped", "failed") else ""
             self._note.setText(_AN_END.split(first, maxsplit=1)[0])

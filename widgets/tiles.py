@@ -18,7 +18,7 @@ _NARROW_PX = 360
 _RIM_PX, _WORDS_PX, _LEVELS_PX = 10, 72, 48  # of a tile that are not picture, near enough to choose how tiles stand
 _BESIDE_GAINS = 1.1  # times wider must pictures be with words beside them: under a picture they are read sooner
 _LEAST_PX = (320, 240)
-_MOST_LINES = 6  # of figures beside a picture
+_LINES = 6  # of figures beside a picture, as far as there is room, and more where one of the tiles has more
 
 
 class TileView(QFrame):
@@ -37,7 +37,7 @@ class TileView(QFrame):
         self._told.setWordWrap(True)
         self._told.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
         self.view.show_lines(1)
-        self._beside = False
+        self._beside, self._lines = False, _LINES
         self._around = spaced(QVBoxLayout(self), 2, (3, 3, 3, 2))
         self._around.addWidget(self._title)
         self._around.addWidget(self._told)
@@ -66,9 +66,20 @@ class TileView(QFrame):
         line = self._told.fontMetrics().lineSpacing()
         lines = 2 if self.width() < _NARROW_PX else 1
         if self._beside:
-            lines = min(max(2, (self.height() - _WORDS_PX - 2 * _LEVELS_PX) // line), _MOST_LINES)
+            lines = min(max(2, (self.height() - _WORDS_PX - 2 * _LEVELS_PX) // line), self._lines)
         self._told.setFixedHeight(lines * line + 2)
         self._title.setFixedHeight((2 if self._beside else 1) * self._title.fontMetrics().lineSpacing() + 2)
+
+    @property
+    def wanted_lines(self) -> int:
+        """How many lines its figures fill beside the picture."""
+        return -(-self._told.heightForWidth(BESIDE_PX) // self._told.fontMetrics().lineSpacing())
+
+    def keep_lines(self, lines: int) -> None:
+        """Have room for so many of them, which is the same in all tiles: what stands below is level."""
+        if lines != self._lines:
+            self._lines = lines
+            self._fit_words()
 
     def show_tile(self, tile: Tile, versus: str) -> None:
         """Show a tile, or what is to be seen in its place ("", truth, difference, wipe, blink)."""
@@ -134,8 +145,10 @@ class TileGrid(QWidget):
             self._add()
         for view, tile in zip(self._views, self.tiles, strict=False):
             view.show_tile(tile, self._versus)
+        lines = max((view.wanted_lines for view in self.views), default=0)
         for view in self.views:
             view.view.levels.setVisible(self._scaled)
+            view.keep_lines(max(lines, _LINES))
         self._place()
 
     def show_versus(self, versus: str) -> None:

@@ -11,8 +11,8 @@ from PyQt6.QtCore import QSignalBlocker, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QComboBox, QGridLayout, QHBoxLayout, QLabel, QSlider, QSpinBox, QWidget
 
-from widgets.error_strip import ErrorStrip
-from widgets.looks import command_button, smaller
+from widgets.error_strip import ErrorScale, ErrorStrip
+from widgets.looks import command_button, smaller, spaced
 
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0)
 FRAMES_PER_SECOND = 10.0  # at speed 1, when the recording keeps no times
@@ -42,7 +42,7 @@ class Timeline(QWidget):
         self.number = QSpinBox()
         self.number.setObjectName("frame_number")
         self.number.setKeyboardTracking(False)
-        self.errors, self._figure, self._worst = ErrorStrip(), QLabel(), QLabel()
+        self.errors, self.scale, self._figure, self._worst = ErrorStrip(), ErrorScale(), QLabel(), QLabel()
         self._of, self._time, self._left_out = QLabel(), QLabel(), QLabel()
         self._left_out.setObjectName("left_out")
         self._left_out.setToolTip("a frame takes longer to work out than it is shown: those between are left out")
@@ -76,7 +76,11 @@ class Timeline(QWidget):
         for widget in (QLabel("frame"), self.number, self._of, self._time, self._left_out, QLabel("speed"), self.speed):
             right.addWidget(widget)
         layout.addLayout(right, 0, 2)
-        for column, widget in enumerate((self._figure, self.errors, self._worst)):
+        left = spaced(QHBoxLayout(), 4)
+        left.addWidget(self._figure, 1)
+        left.addWidget(self.scale)
+        layout.addLayout(left, 1, 0)
+        for column, widget in ((1, self.errors), (2, self._worst)):
             layout.addWidget(widget, 1, column)
         for label in (self._figure, self._worst):
             smaller(label, 1.0)
@@ -126,6 +130,7 @@ class Timeline(QWidget):
         unit = figure.partition(", ")[2]
         self.errors.show_values(values, unit, doubts)
         worst = self.errors.worst
+        self.scale.show_most(self.errors.most)
         known = sum(math.isfinite(value) for value in values)
         self._figure.setText(figure if known else without if values else "")
         told = f"worst: frame {worst}, {values[worst]:.3g} {unit}" if worst >= 0 else ""

@@ -16,7 +16,7 @@ _SOURCE_LEGEND = "reading on its surface"
 
 def show_captions(window: Window, opened: Translation, display: DisplayParams) -> None:
     """Say so under every view, the axes in the colours that are on."""
-    window.truth_cell.caption.setText(f"{opened.target.name} frame {_axes()}")
+    window.truth_cell.caption.say(*_tellings(opened.target.name, 1.0))
     _show(window.cells["source"], _SOURCE_LEGEND, opened.source.name, 1.0)
     for slot in opened.catalogue.slots:
         place = opened.source if slot.place == "source" else opened.target
@@ -25,7 +25,15 @@ def show_captions(window: Window, opened: Translation, display: DisplayParams) -
 
 def _show(cell: SolidCell, legend: str, frame: str, times: float) -> None:
     cell.legend.setText(legend)
-    cell.caption.setText(f"{frame} frame {_axes()}{'' if times == 1.0 else f', depth {_TIMES}{times:g}'}")
+    cell.legend.setToolTip(legend)
+    cell.caption.say(*_tellings(frame, times))
+
+
+def _tellings(frame: str, times: float) -> tuple[str, str, str]:
+    """Whose frame, its axes, how far stretched: in full, in short, and where there is hardly any room."""
+    stretched = "" if times == 1.0 else f"{_TIMES}{times:g}"
+    end = f", depth {stretched}" if stretched else ""
+    return f"{frame} frame {_axes()}{end}", f"{frame} {_axes()} {stretched}".rstrip(), f"{_axes()} {stretched}".rstrip()
 
 
 def _axes() -> str:

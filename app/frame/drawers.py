@@ -12,7 +12,7 @@ from widgets.icons import drawn
 
 _AREA = Qt.DockWidgetArea
 _SIDE_PX = {_AREA.LeftDockWidgetArea: 226, _AREA.RightDockWidgetArea: 290}
-_LOW_PX = 210
+_LOW_PX, _MOST_LOW = 210, 0.25  # of the lower one; of the window: a small screen's pictures need the rest
 
 
 class Drawers:
@@ -66,4 +66,5 @@ class Drawers:
         if area in _SIDE_PX:
             self._window.resizeDocks([drawer], [_SIDE_PX[area]], Qt.Orientation.Horizontal)
         else:
-            self._window.resizeDocks([drawer], [_LOW_PX], Qt.Orientation.Vertical)
+            high_px = min(_LOW_PX, round(_MOST_LOW * self._window.height()))
+            self._window.resizeDocks([drawer], [high_px], Qt.Orientation.Vertical)

@@ -17,7 +17,7 @@ from app.frame.logs import log, sentence_and_details
 from app.frame.window import Window
 from app.session.contents import changed_since, contents
 from app.session.state import ON_A_TOUCH, SUFFIX, Session, load_session, save_session
-from app.session.undo import SessionChange
+from app.session.undo import MOST_STEPS, SessionChange
 from pipeline.base.errors import TouchError
 from pipeline.calibration.lookup import is_file as is_calibration
 from pipeline.translation.section import Line
@@ -31,6 +31,7 @@ class Documents(QObject):
     def __init__(self, window: Window, session: Session) -> None:
         super().__init__(window)
         self.window, self.session, self.undo = window, session, QUndoStack(self)
+        self.undo.setUndoLimit(MOST_STEPS)
         self.saved = session  # as it was saved or opened last
         self.session_file: Path | None = None  # where
         self.section: Line | None = None  # that is laid through all pictures

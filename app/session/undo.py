@@ -9,6 +9,8 @@ from PyQt6.QtGui import QUndoCommand, QUndoStack
 
 from app.session.state import Session
 
+MOST_STEPS = 1000  # that can be taken back: each holds a session, and who works all day makes thousands
+
 
 class SessionChange(QUndoCommand):
     """From one session to another; changes of the same `key` that follow each other, as in a drag, are one step."""

@@ -61,3 +61,15 @@ def test_how_tiles_stand_does_not_change_the_room_they_ask_for(grid, qtbot):
     for count in (6, 2, 9):
         grid.show_tiles(_tiles(count))
         assert (grid.minimumSizeHint(), grid.sizeHint(), grid.hasHeightForWidth()) == asked
+
+
+def test_figures_that_fill_many_lines_are_all_seen_and_scales_stay_level(grid, qtbot):
+    tiles = _tiles(6)
+    figures = " \N{MIDDLE DOT} ".join(f"observable_{k}_mm 0.109" for k in range(8))
+    tiles[0] = Tile(title="pose", told=figures, picture=tiles[0].picture)
+    grid.resize(1322, 600)
+    grid.show_tiles(tiles)
+    first, second = grid.views[:2]
+    qtbot.waitUntil(lambda: first.view.words.x() > first.view.canvas.x())
+    qtbot.waitUntil(lambda: first._told.height() >= first._told.heightForWidth(first._told.width()))
+    assert first.view.levels.y() == second.view.levels.y()

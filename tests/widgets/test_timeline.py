@@ -167,3 +167,14 @@ def test_a_loop_stays_within_its_frames(line, qtbot):
     line.show_frames(4)
     assert line.span == (0, 3)
     assert line.errors.span is None
+
+
+def test_the_bars_have_a_scale_from_nothing_to_the_worst(line):
+    line.show_errors("felt: error in contact, mm", [0.1, np.nan, 0.3987], {})
+    line.show()
+    line.resize(900, 60)
+    assert line.scale.told == "0.399"
+    pixels = line.scale.grab().toImage()
+    assert len({pixels.pixel(x, y) for x in range(pixels.width()) for y in range(pixels.height())}) > 2
+    line.show_errors("felt: error in contact, mm", [np.nan, np.nan, np.nan], {})
+    assert line.scale.told == ""

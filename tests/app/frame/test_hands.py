@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import random
 
@@ -99,8 +100,9 @@ def test_tips_of_parameters_say_meaning_unit_range_and_source(bubble_window):
                     assert f"{told.low:g} to {told.high:g} {told.unit}".strip() in tip
 
 
-def test_a_monkey_breaks_nothing(open_window, tmp_path, touch_file, ball_file):
+def test_a_monkey_breaks_nothing(open_window, tmp_path, touch_file, ball_file, monkeypatch):
     """Short here; `make monkey` lets it run for an hour."""
+    monkeypatch.setattr(logging.getLogger("tactoscope"), "propagate", False)  # pytest would keep every record of it
     window = open_window(touch_file, gl=True, target="gelslim", frame=2)
     assert wait_until_shown(window, LIMIT_S), window.window.banner.text
     seed = int(os.environ.get("MONKEY_SEED", "1"))

@@ -34,6 +34,36 @@ def test_every_picture_has_its_room(bubble_window, qtbot, size):
     qtbot.waitUntil(roomy, timeout=3000)
 
 
+def test_a_drawer_below_leaves_the_pictures_of_a_small_window_nearly_their_room(bubble_window, qtbot):
+    window = bubble_window.window
+    window.resize(1366, 768)
+    window.drawers.reading.toggleViewAction().trigger()
+    least = 162, 130  # three quarters of it and more were above 3D views and beside states before
+
+    def roomy() -> bool:
+        shown = [_shown_px(column.view) for column in window.columns.values()]
+        return window.size() == QSize(1366, 768) and all(s[0] >= least[0] and s[1] >= 0.75 * least[0] for s in shown)
+
+    qtbot.waitUntil(roomy, timeout=3000)
+    assert all(column._sign.isVisible() and not column._word.isVisible() for column in window.columns.values())
+    assert all(column.state in column._sign.toolTip() for column in window.columns.values())
+    window.drawers.reading.toggleViewAction().trigger()
+    qtbot.waitUntil(lambda: all(column._word.isVisible() for column in window.columns.values()), timeout=3000)
+
+
+def test_captions_under_3d_views_are_told_as_fully_as_there_is_room(bubble_window, qtbot):
+    window = bubble_window.window
+    caption = window.cells["depth"].caption
+    window.resize(1900, 1000)
+    qtbot.waitUntil(lambda: "frame" in caption.text(), timeout=3000)
+    window.resize(1366, 768)
+    for drawer in window.drawers.all:
+        drawer.toggleViewAction().trigger()
+    qtbot.waitUntil(lambda: all(c.caption.sizeHint().width() <= c.width() for c in window.cells.values()), timeout=3000)
+    assert "frame" not in caption.text()
+    assert "frame" in caption.toolTip()
+
+
 def test_the_row_is_no_higher_than_its_neediest_column(bubble_window, qtbot):
     """All pictures fill their width, and one of them its height too: a note under it takes room of its own."""
     bubble_window.window.resize(1600, 950)

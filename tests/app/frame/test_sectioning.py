@@ -54,7 +54,23 @@ def counted(monkeypatch):
 def _on(instrument, qtbot):
     instrument.window.actions_by_name["section_line"].trigger()
     qtbot.waitUntil(lambda: instrument.window.section_tab.plot.section is not None, timeout=3000)
+    views = [column.view for column in instrument.window.columns.values()]
+    rooms = None
+    while rooms != (rooms := [view.room_px for view in views]):  # the drawer that opens takes room from the pictures
+        qtbot.wait(50)
     return instrument.window.section_tab
+
+
+def test_how_the_line_is_laid_is_told_in_full_in_a_small_window(bubble_window, qtbot):
+    bubble_window.window.resize(1366, 768)
+    tab = _on(bubble_window, qtbot)
+    bubble_window.move_section(Line(begin_mm=(-60.0, 0.0), end_mm=(60.0, 0.0)))
+    told = tab.told
+
+    def whole() -> bool:
+        return "120.00 mm" in told.text() and told.fontMetrics().horizontalAdvance(told.text()) <= told.width()
+
+    qtbot.waitUntil(whole, timeout=3000)
 
 
 def test_off_it_costs_nothing_and_on_only_what_is_seen(bubble_window, counted, qtbot):

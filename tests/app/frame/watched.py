@@ -6,7 +6,8 @@ import ctypes
 import gc
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from widgets.solid_view import SolidView
 PATIENCE_S = 20.0  # before what goes on is cancelled
 REST_S = 120.0  # seeds, sweeps and a scan of all frames may go on; on a busy machine they take their time
 SETTLED_S = 20.0
+_WALKED = (np.ndarray, QImage, Mapping, tuple, list)
 _FILLED = ("computed", "cached", "unchanged", "read", "doubtful")
 
 
@@ -144,8 +146,7 @@ class Watched:
             return
         gc.collect()
         ctypes.CDLL(None).malloc_trim(0)
-        kept = sum(memo.n_bytes for memo in gc.get_objects() if issubclass(type(memo), Memo))
-        self.memory_mb.append((time.monotonic() - self._begun_s, _resident_mb(), kept / 2**20))
+        self.memory_mb.append((time.monotonic() - self._begun_s, _resident_mb(), kept_bytes() / 2**20))
 
     def _failed(self, _ticket: int, error: object) -> None:
         if not isinstance(error, TouchError):
@@ -160,6 +161,40 @@ class _Errors(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         if record.exc_info and not isinstance(record.exc_info[1], TouchError):
             self._complain(f"logged: {record.getMessage()}: {record.exc_info[1]!r}")
+
+
+def kept_bytes() -> int:
+    """What all memos hold in this moment, what several of them hold counted once."""
+    seen: set[int] = set()
+    memos: list[Memo[Any, Any]] = [memo for memo in gc.get_objects() if issubclass(type(memo), Memo)]
+    found = [(answer, weight) for memo in memos for answer, weight in list(memo._kept.values())]
+    return sum(weight if _opaque(answer) else _held(answer, seen) for answer, weight in found)
+
+
+def _opaque(answer: object) -> bool:
+    """A network: its memo knows what it weighs."""
+    return not (isinstance(answer, _WALKED) or is_dataclass(answer))
+
+
+def _held(value: Any, seen: set[int]) -> int:
+    """The bytes of arrays and pictures below a value that are not `seen` yet."""
+    if isinstance(value, np.ndarray):
+        while isinstance(value.base, np.ndarray):  # a part of another holds all of it
+            value = value.base
+    if id(value) in seen:
+        return 0
+    seen.add(id(value))
+    if isinstance(value, np.ndarray):
+        return value.nbytes
+    if isinstance(value, QImage):
+        return value.sizeInBytes()
+    if isinstance(value, Mapping):
+        return sum([_held(v, seen) for v in value.values()])
+    if isinstance(value, (tuple, list)):
+        return sum([_held(v, seen) for v in value])
+    if is_dataclass(value) and not isinstance(value, type):
+        return sum([_held(getattr(value, f.name), seen) for f in fields(value)])
+    return 0
 
 
 def _resident_mb() -> float:
