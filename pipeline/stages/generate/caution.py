@@ -49,10 +49,10 @@ def trust(network: Any) -> Trust:
 def held_back(found: Sampled, known: Mask, caution: float, trusted: Trust, *, contact: bool = True) -> Sampled:
     """A middle of all samples, of which only what is sure is taken; `known` is where the source felt.
 
-    `caution` 0 takes all of it, 1 holds back by all that is `trusted` no further. Contact is held back as the membrane is
-    where the source felt, and less so beyond, where nothing else is known of it (the root of the share: overlap 0.473
-    instead of 0.460 with all of it, on 160 touches that are in no table). Without `contact` that of the first answer
-    stays where the source felt.
+    `caution` 0 takes all of it, 1 holds back by all that is `trusted` no further. Contact is held back as the membrane
+    is where the source felt, and less so beyond, where nothing else is known of it (the root of the share: overlap
+    0.473 instead of 0.460 with all of it, on 160 touches that are in no table). Without `contact` that of the first
+    answer stays where the source felt.
     """
     middle, spread = found.last.residual_mm, found.spread_mm
     within = on_grid(known, middle.shape) > _HALF
