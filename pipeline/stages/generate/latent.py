@@ -24,6 +24,7 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import stage as depth
 from pipeline.stages.generate import stage
 from pipeline.stages.generate.pictured import touch_of
+from pipeline.stages.generate.reach import deep
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import Touch
 
@@ -89,7 +90,7 @@ def generate(
     frame: TactileFrame,
     source: SensorSpec,
     calibration: Calibration | None,
-    alignment: Alignment,  # noqa: ARG001 - what physics in its place reads
+    alignment: Alignment,  # the network is not told: what is doubted of its touch
     target: SensorSpec,
     network: nn.Module,
     params: LatentParams,
@@ -112,8 +113,9 @@ def generate(
         made = _unbiased(made, net.made, net.true)
     if net.half_turn:
         made = made[:, ::-1, ::-1]
-    notes = (*depth.odd(frame, source, calibration), NOTE, *notes)
-    return touch_of(target, unsquared(np.ascontiguousarray(made), target.camera.shape), notes)
+    touch = touch_of(target, unsquared(np.ascontiguousarray(made), target.camera.shape))
+    doubtful = (*depth.odd(frame, source, calibration), *deep(touch, source, target, alignment))
+    return replace(touch, notes=(*doubtful, NOTE, *notes))
 
 
 def sampled(

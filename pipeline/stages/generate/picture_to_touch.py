@@ -33,6 +33,7 @@ from pipeline.stages.generate.caution import against, contradiction, held_back, 
 from pipeline.stages.generate.corrected import Unsure, corrected
 from pipeline.stages.generate.diffusion import DiffusionParams, sampled
 from pipeline.stages.generate.picture_input import of_picture
+from pipeline.stages.generate.reach import deep
 from pipeline.stages.generate.residual_input import working
 from pipeline.stages.project import stage as projection
 from pipeline.values.frames import TactileFrame
@@ -87,7 +88,7 @@ def generate(
     if not careful or membrane is None or not membrane.contact.any():
         alone = (Doubt(ALONE),) if careful else ()  # what is said of a target at rest is not said of this touch
         made = corrected(replace(rest, notes=alone), target, found, seed)
-        return _doubted(made, frame, source, calibration)
+        return _doubted(made, frame, source, calibration, deep(made, source, target, alignment))
     found = against(found, membrane)
     times = contradiction(found, membrane.contact & physical.known)
     if times > _CONTRADICTED:
@@ -106,9 +107,11 @@ def _unsure(source: SensorSpec, target: SensorSpec, network: nn.Module) -> Unsur
     return Unsure(blur_mm=wide_mm * blur_px, reach_mm=wide_mm * reach_px)
 
 
-def _doubted(touch: Touch, frame: TactileFrame, source: SensorSpec, calibration: Calibration | None) -> Touch:
-    """A touch that no depth lies behind, with what speaks against the source's picture."""
-    return replace(touch, notes=(*depth.odd(frame, source, calibration), *touch.notes))
+def _doubted(
+    touch: Touch, frame: TactileFrame, source: SensorSpec, calibration: Calibration | None, also: tuple[Doubt, ...]
+) -> Touch:
+    """A touch that no depth lies behind, with what speaks against the source's picture, and against it `also`."""
+    return replace(touch, notes=(*depth.odd(frame, source, calibration), *also, *touch.notes))
 
 
 def _physical(*reads: Any) -> Touch:

@@ -5,6 +5,7 @@ Weights of our own are shown the change where the target looks, the published on
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,7 @@ from pipeline.stages.depth import stage as depth
 from pipeline.stages.generate import stage
 from pipeline.stages.generate.picture_input import laid
 from pipeline.stages.generate.pictured import touch_of
+from pipeline.stages.generate.reach import deep
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import Touch
 
@@ -68,8 +70,8 @@ def generate(
     if getattr(network, "half_turn", False):
         made = made[:, ::-1, ::-1]
     progress.step(1.0, "generated")
-    notes = (*depth.odd(frame, source, calibration), NOTE)
-    return touch_of(target, unsquared(np.ascontiguousarray(made), target.camera.shape), notes)
+    touch = touch_of(target, unsquared(np.ascontiguousarray(made), target.camera.shape))
+    return replace(touch, notes=(*depth.odd(frame, source, calibration), *deep(touch, source, target, alignment), NOTE))
 
 
 def _answer(network: nn.Module, shown: Any) -> Any:
