@@ -16,10 +16,10 @@ USUAL_SENSOR = "gelslim"  # that is simulated where nobody says
 
 
 def source_of(words: Sequence[str], *, sensor: str = "", tool: str = "sphere", rate_hz: float = 15.0) -> Source:
-    """`simulated`, `folder DIR` or `device NAME`; raises SettingProblem for anything else."""
+    """`simulated`, `folder DIR` or `device NAME`, also as one word in quotes; raises SettingProblem for anything else."""
     if sensor:
         sensor = sensor if sensor.endswith(".toml") else sensor_named(sensor).name
-    match list(words):
+    match words[0].split(maxsplit=1) if len(words) == 1 else list(words):
         case ["simulated"]:
             return Simulated(sensor=sensor or USUAL_SENSOR, tool=tool, rate_hz=rate_hz)
         case ["folder", name]:

@@ -442,3 +442,13 @@ def test_too_few_readings_to_record_are_no_success(tmp_path, capsys):
     assert run(build(), words) == 1
     assert "the first 7 readings are taken as untouched" in capsys.readouterr().out
     assert not (tmp_path / "a.h5").exists()
+
+
+@pytest.mark.parametrize("words", [["folder", "a b/c"], ["folder a b/c"]])
+def test_a_source_in_quotes_is_the_same_as_in_words(words):
+    from pipeline.live.sources import source_of
+
+    source = source_of(words, sensor="digit")
+    assert isinstance(source, GrowingFolder)
+    with pytest.raises(SourceLost, match="there is no folder 'a b/c'"):
+        source.open()
