@@ -1,4 +1,4 @@
-"""How long does one event keep the window's thread busy: sliders dragged, pictures hovered, frames played?
+"""How long does one event keep the window's thread busy: drawers opened, sliders dragged, frames played?
 
 Run under a display: python benchmarks/window_events.py. Time is the processor's of the GUI thread, per event of Qt;
 what OpenGL draws, which a processor does where there is no graphics card, is taken out and told apart. The promise:
@@ -117,8 +117,14 @@ def rest(instrument: Any, application: Any, limit_s: float = 240.0) -> None:
 
 def _events(instrument: Any, application: Any, clock: _Clock) -> Iterator[Row]:
     window = instrument.window
-    for drawer in (window.drawers.parameters, window.drawers.alignment):
-        drawer.show()
+    clock.begin()
+    for drawer in window.drawers.all:
+        with clock.event():
+            drawer.toggleViewAction().trigger()
+        _let_pass(application, 0.5)
+    yield _row("drawers opened for the first time", clock)
+    for drawer in (window.drawers.frames, window.drawers.reading):
+        drawer.hide()
     spin(instrument, application)
 
     def slider_of(name: str) -> Any:
@@ -147,10 +153,7 @@ def _events(instrument: Any, application: Any, clock: _Clock) -> Iterator[Row]:
         for n in range(count):
             with clock.event():
                 act(n)
-            end_s = time.monotonic() + 0.03  # as fast as a hand moves
-            while time.monotonic() < end_s:
-                application.processEvents()
-                time.sleep(0.0005)
+            _let_pass(application, 0.03)  # as fast as a hand moves
         spin(instrument, application)
         yield _row(name, clock)
     window.actions_by_name["section_line"].trigger()
@@ -160,6 +163,13 @@ def _events(instrument: Any, application: Any, clock: _Clock) -> Iterator[Row]:
     spin(instrument, application)
     _play(instrument, application)
     yield _row("playing", clock)
+
+
+def _let_pass(application: Any, seconds: float) -> None:
+    end_s = time.monotonic() + seconds
+    while time.monotonic() < end_s:
+        application.processEvents()
+        time.sleep(0.0005)
 
 
 def _hover(application: Any, canvas: Any, n: int) -> None:
