@@ -16,7 +16,7 @@ USUAL_SENSOR = "gelslim"  # that is simulated where nobody says
 
 
 def source_of(words: Sequence[str], *, sensor: str = "", tool: str = "sphere", rate_hz: float = 15.0) -> Source:
-    """`simulated`, `folder DIR` or `device NAME`, also as one word in quotes; raises SettingProblem for anything else."""
+    """`simulated`, `folder DIR` or `device NAME`, in quotes too; raises SettingProblem for anything else."""
     if sensor:
         sensor = sensor if sensor.endswith(".toml") else sensor_named(sensor).name
     match words[0].split(maxsplit=1) if len(words) == 1 else list(words):
