@@ -38,11 +38,13 @@ def test_a_drawer_below_leaves_the_pictures_of_a_small_window_nearly_their_room(
     window = bubble_window.window
     window.resize(1366, 768)
     window.drawers.reading.toggleViewAction().trigger()
-    least = 162, 130  # three quarters of it and more were above 3D views and beside states before
+    least_px = 162  # wide; 130 while states had a line of their own
 
     def roomy() -> bool:
         shown = [_shown_px(column.view) for column in window.columns.values()]
-        return window.size() == QSize(1366, 768) and all(s[0] >= least[0] and s[1] >= 0.75 * least[0] for s in shown)
+        return window.size() == QSize(1366, 768) and all(
+            wide >= least_px and high >= 0.75 * least_px for wide, high in shown
+        )
 
     qtbot.waitUntil(roomy, timeout=3000)
     assert all(column._sign.isVisible() and not column._word.isVisible() for column in window.columns.values())
