@@ -13,13 +13,15 @@ from pipeline.base.params import settings
 from pipeline.base.progress import SILENT, Progress, Share
 from pipeline.scoring.evaluation import Map, Wanted, evaluated
 from pipeline.scoring.table import Row
+from pipeline.sensors.spec import sensor
 from pipeline.translation.catalogue import BUILT_IN
 
 SWEPT: Mapping[str, tuple[float, ...]] = {
     "steps": (1, 2, 4, 8, 20, 50, 200), "guidance": (0.0, 1.0, 1.5, 2.54, 7.0, 15.0),
 }  # fmt: skip
 _AT: Mapping[str, tuple[str, ...]] = {"guidance": ("touch.steps=8",)}  # in one step guidance does nothing
-_MARKS = {"steps": "o-", "guidance": "s--"}
+_MARKS = {"steps": "o-", "guidance": "s"}  # whatever guidance there is takes about as long: a line would tell nothing
+_SIGNS = {"guidance": "g "}  # before a value
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,7 +90,7 @@ def drawn(points: Sequence[Point], folder: Path) -> list[Path]:
     for source, target in dict.fromkeys((p.row.source, p.row.target) for p in points if p.row.contender != "mean"):
         those = [p for p in points if p.row.target == target and (p.row.source == source or p.row.contender == "mean")]
         path = folder / f"{source}_to_{target}.png"
-        _draw(those, f"{source} to {target}", path)
+        _draw(those, f"{sensor(source).title} to {sensor(target).title}", path)
         made.append(path)
     return made
 
@@ -96,6 +98,7 @@ def drawn(points: Sequence[Point], folder: Path) -> list[Path]:
 def _draw(points: Sequence[Point], title: str, path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.ticker import FuncFormatter
 
     figure = Figure(figsize=(8.4, 5.2), dpi=120, layout="constrained")
     canvas = FigureCanvasAgg(figure)
@@ -106,11 +109,19 @@ def _draw(points: Sequence[Point], title: str, path: Path) -> None:
             those = [p for p in points if (p.row.contender, p.parameter) == (contender, parameter)]
             _curve(axes, contender, parameter, those, colour)
     axes.set(xscale="log", yscale="log", title=title, xlabel="time of a touch, ms", ylabel="error in contact, mm")
+    for axis in (axes.xaxis, axes.yaxis):  # numbers, not powers of ten
+        axis.set_major_formatter(FuncFormatter(_plain))
+        axis.set_minor_formatter(FuncFormatter(_plain))
     axes.grid(visible=True, which="both", alpha=0.3)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(fontsize=8)
     with whole_file(path, "the plot") as file:
         canvas.print_png(file)
+
+
+def _plain(value: float, _: object) -> str:
+    """1, 2, 3 and 5 of every power of ten."""
+    return f"{value:g}" if f"{value:e}"[0] in "1235" else ""
 
 
 def _curve(axes: Any, contender: str, parameter: str, points: Sequence[Point], colour: str) -> None:
@@ -123,4 +134,8 @@ def _curve(axes: Any, contender: str, parameter: str, points: Sequence[Point], c
     label = f"{contender}, {parameter}" if parameter else contender
     axes.plot(times, errors, _MARKS.get(parameter, "*"), color=colour, label=label, ms=5 if parameter else 11)
     for ms, error, value in zip(times, errors, values, strict=True) if parameter else ():
-        axes.annotate(f"{value:g}", (ms, error), textcoords="offset points", xytext=(3, 3), fontsize=7)
+        below = parameter in _SIGNS
+        axes.annotate(
+            f"{_SIGNS.get(parameter, '')}{value:g}", (ms, error), textcoords="offset points",
+            xytext=(3, -9 if below else 3), fontsize=7, color=colour,
+        )  # fmt: skip

@@ -21,13 +21,15 @@ from pipeline.base.progress import SILENT, Progress, Share
 from pipeline.calibration.lookup import Calibration
 from pipeline.engine.digests import content
 from pipeline.engine.graph import Method, Skipped
-from pipeline.networks import shelf
+from pipeline.networks import building, shelf
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.physics import optics
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.adapt import stage as adaptation
+from pipeline.stages.depth import network as depth_network
 from pipeline.stages.depth import stage as depth
+from pipeline.stages.depth.gel_network import NetworkParams
 from pipeline.stages.generate import stage, view_to_touch
 from pipeline.stages.generate.caution import against, contradiction, held_back, trust
 from pipeline.stages.generate.corrected import Unsure, corrected
@@ -37,7 +39,7 @@ from pipeline.stages.generate.reach import deep
 from pipeline.stages.generate.residual_input import working
 from pipeline.stages.project import stage as projection
 from pipeline.values.frames import TactileFrame
-from pipeline.values.results import Touch
+from pipeline.values.results import DepthMap, Touch
 
 if TYPE_CHECKING:
     from torch import nn
@@ -149,18 +151,25 @@ def by_physics(
     params: stage.GenerateParams,
     progress: Progress = SILENT,
 ) -> Touch | Skipped:
-    """The touch by depth, cloud, view and physical render, each as it comes."""
+    """The touch by depth, cloud, view and physical render, each as it comes: a bubble is read by its network."""
     plain = depth.DepthParams()
     exact = depth.untouched(frame, source, calibration, plain)
     if exact is not None:
         return Skipped(output=stage.at_rest(target), why=stage.NO_CONTACT)
-    felt = depth.recorded(frame, source, calibration, plain, Share(progress, 0.0, 0.5))
+    felt = _felt(frame, source, calibration, Share(progress, 0.0, 0.5))
     cloud = adaptation.without_contact(felt, alignment, adaptation.AdaptParams())
     if cloud is None:
         cloud = adaptation.adapt(felt, alignment, adaptation.AdaptParams())
     view = projection.project(cloud, target, projection.ProjectParams())
     made = stage.generate(view, target, params, Share(progress, 0.6, 0.4))
     return replace(made, notes=(*doubts((*felt.notes, *view.notes)), *made.notes))
+
+
+def _felt(frame: TactileFrame, source: SensorSpec, calibration: Calibration | None, progress: Progress) -> DepthMap:
+    reads = depth_network.weights(source, source, None) if source.kind == "bubble" else None
+    if reads is None or isinstance(reads, NoWeights):
+        return depth.recorded(frame, source, calibration, depth.DepthParams(), progress)
+    return depth_network.depth(frame, source, calibration, building.ready(reads), NetworkParams(), progress)
 
 
 BY_PHYSICS = Method(

@@ -43,7 +43,7 @@ T2D2 = Method(
     reads=(*PHYSICS.reads, "touch_weights"),
     weights=view_to_touch.weights,
     draft=draft,
-    version=3,
+    version=4,
 )
 T2T = Method(
     slot="touch",
@@ -55,7 +55,7 @@ T2T = Method(
     reads=(*picture_to_touch.READS, "touch_weights"),
     weights=picture_to_touch.weights,
     draft=draft,
-    version=4,
+    version=5,
 )
 LATENT = Method(
     slot="touch",

@@ -9,18 +9,23 @@ import torch
 from pipeline.base.progress import SILENT
 from pipeline.engine.graph import Instead, Skipped
 from pipeline.geometry import rigid
-from pipeline.networks.building import network
+from pipeline.networks.building import network, ready
 from pipeline.networks.weights import NoWeights
 from pipeline.physics import optics
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import sensor
 from pipeline.simulation import poses, shapes
 from pipeline.simulation.press import press
+from pipeline.stages.adapt.stage import AdaptParams, adapt
+from pipeline.stages.depth import network as depth_network
+from pipeline.stages.depth import stage as depth
+from pipeline.stages.depth.gel_network import NetworkParams
 from pipeline.stages.generate import picture_to_touch, stage, view_to_touch
 from pipeline.stages.generate.diffusion import DiffusionParams
 from pipeline.stages.generate.picture_input import CHANNELS
 from pipeline.stages.generate.residual_input import VIEW_CHANNELS, working
 from pipeline.stages.generate.slot import PHYSICS, T2D2, T2T
+from pipeline.stages.project.stage import ProjectParams, project
 from pipeline.training.residual import ResidualOfView
 from pipeline.values.frames import TactileFrame
 from pipeline.values.pixel_index import pixel_index
@@ -298,3 +303,17 @@ def test_the_weights_that_come_along_better_physics_on_grasps_they_have_never_se
     figures = task.figures(net, held_out)
     assert figures["held back in contact, mm"] < 0.95 * figures["none of it in contact, mm"]
     assert found.card["minutes"]
+
+
+def test_what_touch_to_touch_falls_back_to_is_a_bubble_read_as_all_bubbles_are(felt, monkeypatch):
+    """By its network, so that T2T is held against the same physics as T2D2; by physics where there are no weights."""
+    frame, between = felt[2], alignment.between(BUBBLE, GEL)
+    reads = frame, BUBBLE, None, between, GEL, stage.GenerateParams()
+    by_network = depth_network.depth(
+        frame, BUBBLE, None, ready(depth_network.weights(BUBBLE, BUBBLE, None)), NetworkParams()
+    )
+    for seen in (by_network, depth.recorded(frame, BUBBLE, None, depth.DepthParams())):
+        view = project(adapt(seen, between, AdaptParams()), GEL, ProjectParams())
+        expected = stage.generate(view, GEL, stage.GenerateParams()).membrane
+        assert np.array_equal(picture_to_touch.by_physics(*reads).membrane.contact, expected.contact)
+        monkeypatch.setattr(depth_network, "weights", lambda *_: NoWeights(why="none are there"))
