@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
@@ -14,6 +15,7 @@ from pipeline.base.files import ready_for
 from pipeline.calibration.description import lines
 from pipeline.calibration.lookup import Calibration, save
 from pipeline.cli.terminal import Bar, print_line, shown_bar
+from pipeline.networks.weights import SUFFIX
 from pipeline.recordings import open_recording
 from pipeline.sensors.spec import SensorSpec
 from pipeline.sensors.spec import sensor as sensor_named
@@ -25,43 +27,72 @@ _LOOKED_AT = 5  # presses: one in ten does not tell a mirrored picture
 LARGEST_BALL_MM = 1000.0  # flat, as far as any gel can tell
 
 
-def calibrate_balls_command(
-    presses: Path,
-    sensor: str,
-    diameter_mm: float,
-    reference: Path,
-    out: Path,
-    pixel_mm: float | None,
-    pattern: str,
-    seed: int,
-) -> int:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Balls:
+    """What is asked for."""
+
+    presses: Path
+    sensor: str
+    diameter_mm: float
+    reference: Path
+    out: Path
+    pixel_mm: float | None
+    pattern: str
+    seed: int
+    network: Path | None  # weights to write
+    even_if_worse: bool
+
+
+def calibrate_balls_command(asked: Balls) -> int:
     """Fit, save and report; raises TouchError for what is wrong with the presses."""
-    if not 0.1 <= diameter_mm <= LARGEST_BALL_MM:
-        raise SettingProblem(f"--diameter-mm must lie within 0.1 and {LARGEST_BALL_MM:g} mm, got {diameter_mm:g}")
-    if pixel_mm is not None and not 1e-4 <= pixel_mm <= 10.0:
-        raise SettingProblem(f"--pixel-mm must lie within 0.0001 and 10 mm, got {pixel_mm:g}")
-    if seed < 0:
-        raise SettingProblem(f"--seed must be 0 or more, got {seed}")
-    if not pattern:
-        raise SettingProblem("--pattern is empty; '*' takes every picture")
-    ready_for(out)
-    spec = sensor_named(sensor)
-    frames = _pictures(presses, spec, reference, pattern)
+    _check(asked)
+    pixel_mm = asked.pixel_mm
+    spec = sensor_named(asked.sensor)
+    frames = _pictures(asked.presses, spec, asked.reference, asked.pattern)
     for told in dict.fromkeys(oddness(frame, spec) for frame in frames[:_LOOKED_AT]):
         if told:
             print_line(f"doubtful: {told}; this look-up will suit pictures of that kind and no others")
     images, untouched = [cast("Image", f.image) for f in frames], cast("Image", frames[0].reference)
     with shown_bar() as bar:
-        fitted = calibrated(images, untouched, spec, diameter_mm, pixel_mm=pixel_mm, progress=Bar(bar), seed=seed)
-    save(fitted, out)
+        fitted = calibrated(
+            images, untouched, spec, asked.diameter_mm, pixel_mm=pixel_mm, progress=Bar(bar), seed=asked.seed
+        )
+    save(fitted, asked.out)
     _report(fitted)
     if pixel_mm is None:
         print_line(
             f"presses of one ball fit any width of a pixel alike: {fitted.pixel_mm:.4f} mm is that of the description "
             f"of {spec.name}; if it is not this unit's, measure it and give --pixel-mm: all sizes and depths go with it"
         )
-    print_line(f"look-up written to {out}; use it with --calibration")
+    print_line(f"look-up written to {asked.out}; use it with --calibration")
+    if asked.network is not None:
+        from pipeline.cli.calibrate_network import taught
+        from pipeline.training.own_unit import parted
+
+        presses = parted(images, untouched, spec, asked.diameter_mm, fitted, asked.seed)
+        taught(presses, asked.network, asked.out, seed=asked.seed, even_if_worse=asked.even_if_worse)
     return 0
+
+
+def _check(asked: Balls) -> None:
+    """Raise for what is wrong before anything is read."""
+    diameter_mm, pixel_mm = asked.diameter_mm, asked.pixel_mm
+    if not 0.1 <= diameter_mm <= LARGEST_BALL_MM:
+        raise SettingProblem(f"--diameter-mm must lie within 0.1 and {LARGEST_BALL_MM:g} mm, got {diameter_mm:g}")
+    if pixel_mm is not None and not 1e-4 <= pixel_mm <= 10.0:
+        raise SettingProblem(f"--pixel-mm must lie within 0.0001 and 10 mm, got {pixel_mm:g}")
+    if asked.seed < 0:
+        raise SettingProblem(f"--seed must be 0 or more, got {asked.seed}")
+    if not asked.pattern:
+        raise SettingProblem("--pattern is empty; '*' takes every picture")
+    if asked.network is None:
+        if asked.even_if_worse:
+            raise SettingProblem("--even-if-worse says when weights are written; name their file with --network")
+    elif asked.network.suffix != SUFFIX:
+        raise SettingProblem(f"--network names weights, which are kept in a {SUFFIX} file, got {asked.network.name!r}")
+    for path in (asked.out, asked.network):
+        if path is not None:
+            ready_for(path)
 
 
 def _pictures(folder: Path, spec: SensorSpec, reference: Path, pattern: str) -> list[TactileFrame]:

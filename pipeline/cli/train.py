@@ -63,6 +63,15 @@ def train(
         recipe=with_pace(load(recipe, what), **pace), out=out, resume=resume, minutes=minutes, workers=workers,
         command=shlex.join(["tactoscope", *sys.argv[1:]]),
     )  # fmt: skip
+    followed(run)
+    if os.environ.get("RANK", "0") == "0":
+        show(export(out, out / WEIGHTS))
+        print_line(f"weights and their card are in {os.fspath(out / WEIGHTS)}")
+    return 0
+
+
+def followed(run: Run) -> None:
+    """Run a training with a bar on the terminal; Ctrl-C and SIGTERM end it between two steps in KeyboardInterrupt."""
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before torch loads: idle threads leave the processor alone
     console = Console(stderr=True, quiet=os.environ.get("RANK", "0") != "0")
     log, told = logging.getLogger("tactoscope"), _Told(console)
@@ -77,10 +86,6 @@ def train(
         finally:
             log.removeHandler(told)
             log.setLevel(logging.NOTSET)
-    if os.environ.get("RANK", "0") == "0":
-        show(export(out, out / WEIGHTS))
-        print_line(f"weights and their card are in {os.fspath(out / WEIGHTS)}")
-    return 0
 
 
 def export_weights(run: Path, to: Path, *, half: bool) -> int:

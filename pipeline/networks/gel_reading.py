@@ -57,10 +57,14 @@ class GelReading(nn.Module):
         levels: int = 4,
         widest: int = 120,
         reach_px: float = 25.0,
+        calibrated: bool = False,
     ) -> None:
-        """`physical`: the first of four inputs by physics: slopes right and down, indentation, share in contact."""
+        """`physical`: the first of four inputs by physics: slopes right and down, indentation, share in contact.
+
+        `calibrated`: it has learned what a look-up of the very unit leaves, not what physics reads without one.
+        """
         super().__init__()
-        self.physical = physical
+        self.physical, self.calibrated = physical, calibrated
         self.body = CompactUnet(inputs=inputs, outputs=6, first=first, levels=levels, widest=widest)
         for last in (self.body.finish.weight, self.body.finish.bias):
             assert last is not None

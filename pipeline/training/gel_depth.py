@@ -41,13 +41,11 @@ class GelDepth:
     def sample(self, rng: np.random.Generator) -> Example:
         """Fields, indentation and contact of a part of one picture around its contact, mirrored or not."""
         index = int(rng.integers(self.pictures))
-        taught = gel_readings.reading(_SEED, index, self.presses, self.folder)
-        return _mirrored(rng, example(taught, _part(rng, taught)))
+        return moved(rng, gel_readings.reading(_SEED, index, self.presses, self.folder))
 
     def of_touch(self, known: Known, rng: np.random.Generator) -> Example:
         """A touch of the user's own sensor."""
-        taught = gel_readings.taught(known.frame, known.source, known.indentation_mm, known.contact)
-        return _mirrored(rng, example(taught, _part(rng, taught)))
+        return moved(rng, gel_readings.taught(known.frame, known.source, known.indentation_mm, known.contact))
 
     def held_out(self, split: Split, index: int) -> Example:
         """Pictures of presses that training does not see; of unseen tools as the simulator presses them."""
@@ -104,6 +102,11 @@ def example(of: Taught, at: _Box = (slice(0, network_input.ROWS), slice(0, netwo
         "fields": network_input.fields(of.seen, at), "contact": of.contact[at].astype(np.uint8),
         "depth": np.asarray(deep), "indentation": np.asarray(of.indentation_px[at] / deep, np.float32),
     }  # fmt: skip
+
+
+def moved(rng: np.random.Generator, of: Taught) -> Example:
+    """A part of a picture around its contact, mirrored or not."""
+    return _mirrored(rng, example(of, _part(rng, of)))
 
 
 def _part(rng: np.random.Generator, of: Taught) -> _Box:

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.arrays import Floats, Mask
+from pipeline.calibration.lookup import Calibration
 from pipeline.geometry import rigid
 from pipeline.physics import optics
 from pipeline.sensors.spec import SensorSpec, sensor
@@ -83,10 +84,16 @@ def _drawn(rng: np.random.Generator, pool: tuple[int, int], *, mesh: bool) -> Ta
             return found
 
 
-def taught(frame: TactileFrame, source: SensorSpec, indentation_mm: Floats, contact: Mask) -> Taught:
+def taught(
+    frame: TactileFrame,
+    source: SensorSpec,
+    indentation_mm: Floats,
+    contact: Mask,
+    calibration: Calibration | None = None,
+) -> Taught:
     """A frame as physics and the network see it, and what is true of it, told on the frame's own pixels."""
-    _, _, seen = gel_network.looked_at(frame, source)
-    at = network_input.frame(source.camera.shape)
+    _, _, seen = gel_network.looked_at(frame, source, calibration=calibration)
+    at, source = network_input.frame(source.camera.shape), gel_network.as_wide(source, calibration)
     return Taught(
         **{field.name: getattr(seen, field.name) for field in fields(Seen)},
         indentation_px=at.small(indentation_mm) / np.float32(source.pixel_mm * at.pixels),

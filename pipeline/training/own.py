@@ -170,12 +170,12 @@ def _balls(own: Own) -> tuple[Known, ...]:
         if fit.used:
             frame = frames[fit.index]
             seen = depth(frame, source, found, DepthParams()).indentation_mm
-            surface, contact = _pressed(source, seen, 0.5 * own.diameter_mm, fit)
+            surface, contact = ball_pressed(source, seen, 0.5 * own.diameter_mm, fit)
             knowns.append(Known(frame=frame, source=source, indentation_mm=surface, contact=contact))
     return tuple(knowns)
 
 
-def _pressed(source: SensorSpec, seen_mm: Floats, ball_mm: float, fit: BallFit) -> tuple[Floats, Mask]:
+def ball_pressed(source: SensorSpec, seen_mm: Floats, ball_mm: float, fit: BallFit) -> tuple[Floats, Mask]:
     """Indentation and contact of a ball of that radius, pressed until it stands out as far as the one that was seen."""
     assert source.gel is not None
     y, x = np.ogrid[: seen_mm.shape[0], : seen_mm.shape[1]]

@@ -3,7 +3,7 @@
 The network looks at 120 x 160 pixels whatever the sensor has (`network_input`), and of these at the contact's box, so
 that its time does not depend on the picture; what it adds is smooth, and what physics tells more finely stays, as does
 its scale. Where physics finds no contact, and for a unit that is calibrated, its answer stands: neither was learned
-from.
+from. Weights that were taught on a unit's own presses (`training.own_unit`) correct its look-up, and nothing else.
 """
 
 from __future__ import annotations
@@ -61,17 +61,36 @@ def depth(
 
     Raises what physics raises.
     """
-    if calibration is not None and not calibration.is_built_in:
+    for_units = bool(getattr(network, "calibrated", False))
+    why = _not_for(calibration, for_units=for_units)
+    if why:
         found = stage.recorded(frame, source, calibration, stage.DepthParams(), progress)
-        return replace(found, notes=(*found.notes, "the unit is calibrated: the network has nothing to correct"))
+        return replace(found, notes=(*found.notes, why))
     stage.checked(frame, source)
-    physical, measured, seen = looked_at(frame, source, progress)
-    physical = stage.worth_told(physical, frame, source, None)
+    physical, measured, seen = looked_at(frame, source, progress, calibration)
+    physical = stage.worth_told(physical, frame, source, calibration)
     if measured is None or not physical.contact.any():
         return physical
     progress.step(0.9, "correcting physics")
     seen_by = source if frame.camera is None else source.seen_through(frame.camera)
-    return corrected(physical, measured, seen, seen_by, network, params)
+    return corrected(physical, measured, seen, as_wide(seen_by, calibration), network, params)
+
+
+def _not_for(calibration: Calibration | None, *, for_units: bool) -> str:
+    """Why a network has nothing to correct of what a look-up reads; "" where it has."""
+    if for_units and calibration is None:
+        return Doubt("these weights correct the look-up of the unit that they were taught on: give it as --calibration")
+    if not for_units and calibration is not None and not calibration.is_built_in:
+        return "the unit is calibrated: the network has nothing to correct"
+    return ""
+
+
+def as_wide(source: SensorSpec, calibration: Calibration | None) -> SensorSpec:
+    """The sensor with pixels as wide as a look-up has them."""
+    if calibration is None or calibration.pixel_mm == source.pixel_mm:
+        return source
+    camera, share = source.camera, source.pixel_mm / calibration.pixel_mm
+    return replace(source, camera=replace(camera, fx_px=share * camera.fx_px, fy_px=share * camera.fy_px))
 
 
 def corrected(
@@ -104,11 +123,11 @@ def corrected(
 
 
 def looked_at(
-    frame: TactileFrame, source: SensorSpec, progress: Progress = SILENT
+    frame: TactileFrame, source: SensorSpec, progress: Progress = SILENT, calibration: Calibration | None = None
 ) -> tuple[DepthMap, Measured | None, network_input.Seen]:
     """The physical answer of a frame and what it was made of, and what the network sees of both."""
-    physical, measured = stage.gel(frame, source, None, stage.DepthParams(), progress)
-    seen_by = source if frame.camera is None else source.seen_through(frame.camera)
+    physical, measured = stage.gel(frame, source, calibration, stage.DepthParams(), progress)
+    seen_by = as_wide(source if frame.camera is None else source.seen_through(frame.camera), calibration)
     image, reference = cast("Image", frame.image), cast("Image", frame.reference)
     still = drift.stilled(image, reference).picture
     light = _lights.of(content(seen_by), lambda: network_input.light_of(seen_by))

@@ -83,6 +83,15 @@ def test_a_network_that_corrects_nothing_answers_physics_to_the_byte(name):
     assert found.notes == physics(name).notes
 
 
+def test_a_built_in_look_up_tells_how_wide_pixels_are():
+    source = sensor("gelsight_mini")
+    wide = replace(built_in(source), pixel_mm=1.25 * source.pixel_mm)
+    found = depth(frame(), source, wide, told(NOTHING, NOTHING), NetworkParams())
+    plain = stage.recorded(frame(), source, wide, stage.DepthParams())
+    assert np.array_equal(found.indentation_mm, plain.indentation_mm)
+    assert found.indentation_mm.max() > 1.15 * physics().indentation_mm.max()
+
+
 @pytest.mark.usefixtures("believed")
 @pytest.mark.parametrize("name", ["gelsight_mini", "digit", "gelslim"])
 def test_pixels_become_mm_on_the_sensors_own_picture(name):
