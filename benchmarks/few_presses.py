@@ -32,6 +32,7 @@ from pipeline.physics.slopes import slopes
 from pipeline.racing.races import Answer
 from pipeline.racing.report import show
 from pipeline.sensors.spec import sensor
+from pipeline.stages.depth.ball_calibration import ended
 from pipeline.stages.depth.stage import DepthParams, depth
 from pipeline.values.frames import TactileFrame
 
@@ -81,10 +82,12 @@ class _Ball:
 
     def calibrated(self, drawn):
         """The look-up of some of the presses, as `tactoscope calibrate balls` makes it."""
-        return calibrate_balls(
-            [self.pictures[i] for i in drawn], self.still, self.source, self.diameter_mm, pixel_mm=self.plain.pixel_mm,
+        pictures = [self.pictures[i] for i in drawn]
+        found = calibrate_balls(
+            pictures, self.still, self.source, self.diameter_mm, pixel_mm=self.plain.pixel_mm,
             read=lambda i: self.without(drawn[i]),
         )  # fmt: skip
+        return found if found.kept_built_in else ended(found, pictures, self.still, self.source)
 
 
 def answer(data: str = "") -> Answer:

@@ -175,8 +175,8 @@ def judged(spec: SensorSpec, how: str, presses: int = PRESSES) -> Judged:
 
 
 def error_of_depth(spec: SensorSpec, how: str, presses: int) -> str:
-    """Over touches: rms in contact, and the length at which the error's correlation is exp(-1/2)."""
-    found: list[tuple[float, float]] = []
+    """Over touches: rms in contact, the length at which the error's correlation is exp(-1/2), and what is told."""
+    found: list[tuple[float, float, float]] = []
     for made, _mesh, _at in touches(spec.name, presses):
         told = measured(made, spec, how)
         both = told.contact & made.truth.contact
@@ -186,9 +186,15 @@ def error_of_depth(spec: SensorSpec, how: str, presses: int) -> str:
         counted, products = (_with_itself(a)[0, : spec.camera.cols // 2] for a in (both.astype(float), error))
         along = products / np.maximum(counted, 50.0)
         length_px = np.flatnonzero(np.append(along, -np.inf) < along[0] * np.exp(-0.5))[0]
-        found.append((np.sqrt(along[0]), length_px * spec.pixel_mm))
-    (rms_mm, length_mm), (mean_mm, mean_length_mm) = np.median(found, axis=0), np.mean(found, axis=0)
-    return f"{rms_mm:.3f} mm over {length_mm:.1f} mm (means {mean_mm:.3f} over {mean_length_mm:.1f})"
+        found.append((np.sqrt(along[0]), length_px * spec.pixel_mm, told.error.rms_mm if told.error else np.nan))
+    (rms_mm, length_mm, told_mm), (mean_mm, mean_length_mm, mean_told_mm) = (
+        np.median(found, axis=0),
+        np.mean(found, axis=0),
+    )
+    return (
+        f"{rms_mm:.3f} mm over {length_mm:.1f} mm (means {mean_mm:.3f} over {mean_length_mm:.1f}), "
+        f"told as {told_mm:.3f} ({mean_told_mm:.3f}) over {spec.limits.depth_correlation_mm:g}"
+    )
 
 
 def _with_itself(image: np.ndarray) -> np.ndarray:
@@ -224,9 +230,7 @@ def answer(part: str = "", way: str = "", presses: int | str = PRESSES) -> Answe
             if how == "translated":
                 told += f"; from {_SOURCES[spec.name]}"
             elif how != "modelled":
-                said = spec.limits
                 told += f"; depth off by {error_of_depth(spec, how, n_presses)}"
-                told += f", described as {said.depth_rms_mm:g} over {said.depth_correlation_mm:g}"
             notes.append(told)
     return Answer(title="Errors of poses beside their covariance", unit="times", rows=tuple(rows), notes=tuple(notes))
 

@@ -19,7 +19,7 @@ from app.session.contents import changed_since, contents
 from app.session.state import ON_A_TOUCH, SUFFIX, Session, load_session, save_session
 from app.session.undo import MOST_STEPS, SessionChange
 from pipeline.base.errors import TouchError
-from pipeline.calibration.lookup import is_file as is_calibration
+from pipeline.calibration.lookup_file import is_file as is_calibration
 from pipeline.translation.section import Line
 
 

@@ -18,7 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Image
+from pipeline.base.arrays import Doubles, Image, Mask
 from pipeline.base.errors import CalibrationError, ShapeError
 from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration import near_lamps, units
@@ -38,7 +38,7 @@ from pipeline.calibration.corrections import (
     slope_error,
     without_any,
 )  # fmt: skip
-from pipeline.calibration.expected_error import expected, foreseen, guesses, of_errors
+from pipeline.calibration.expected_error import expected, foreseen, of_errors, told, too_narrow
 from pipeline.calibration.lookup import BallFit, Calibration, built_in, relative_change
 from pipeline.calibration.slope_model import SlopeModel
 from pipeline.sensors.spec import SensorSpec
@@ -75,20 +75,22 @@ def calibrate_balls(
     held = held_out(known, lambda share: progress.step(0.6 + 0.3 * share, "measuring presses that were held out"))
     models, fields = corrections(known, polynomials=enough_for_polynomials(len(known.presses)))
     best = chosen(held)
-    virtual, narrow = foreseen(models[best], fields, known), False
+    virtual, narrow, places = foreseen(models[best], fields, known), False, None
     worth = expected(virtual, held, best)
     as_read = None if read is None else without_any(known, read)
     if as_read is not None:
         without, seen = at_most_unseen(as_read), np.zeros(0) if held is None else held.diameter[:, best]
-        narrow = guesses(virtual, known, without)
+        places = told(virtual, without)
+        narrow = too_narrow(places, known)
         if narrow or not best or not betters(worth.diameter_share, without, seen):
-            best, worth = 0, of_errors(without)
+            best, worth, places = 0, of_errors(without), None
     model = models[best]
     progress.step(1.0, "look-up is ready")
     return Calibration(
         sensor=sensor.name, rows=reference.shape[0], cols=reference.shape[1], pixel_mm=scale, model=model,
         residual=float(np.sqrt(np.mean([slope_error(model, inside(p, known.ball)) ** 2 for p in known.presses]))),
-        origin=_origin(len(known.presses), len(images), diameter_mm, best, narrow=narrow), kept_built_in=best == 0,
+        origin=_origin(len(known.presses), len(images), diameter_mm, best, narrow=narrow) + _where(places),
+        kept_built_in=best == 0, told=None if places is None or places.all() else places,
         still=units.small(reference),
         presses=_report(len(images), known, model), expected=worth, read_as=_middle(as_read),
     )  # fmt: skip
@@ -107,6 +109,12 @@ def _origin(used: int, given: int, diameter_mm: float, best: int, *, narrow: boo
     if best == 0:
         return f"the built-in look-up, which {presses} did not surely better"
     return f"{presses} correct the built-in look-up"
+
+
+def _where(places: Mask | None) -> str:
+    if places is None or places.all():
+        return ""
+    return f" in {places.mean():.0%} of the picture; touches elsewhere are read without, press there too"
 
 
 def _found(

@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles
+from pipeline.base.arrays import Doubles, Mask, freeze
 from pipeline.calibration import light_field, slope_model
 from pipeline.calibration.ball_samples import Samples
 from pipeline.calibration.corrections import Held, Presses, sphere_error
@@ -31,6 +31,7 @@ _UNFORESEEN = 2.0  # times what is foreseen: circles that are off and light that
 _ALWAYS = 0.03  # where the contact ends is not known better, however many presses: a real Mini, forty of them
 _LEAST = 0.005  # a median of a few errors below this is luck
 _FEWEST_COVERED = 0.5  # of the picture: with less, how it is read in the middle of its places is a guess
+_FEWEST_TOLD = 0.3  # of the places: with less, hardly a touch would be read by the look-up
 _NINE_OF_TEN = 2.44  # times the middle of the sizes of normal errors: nine of ten are smaller
 _MEDIAN_OF_MEAN = 0.845  # of the sizes of normal errors; the mean of a few is known better by a third
 
@@ -79,14 +80,19 @@ def expected(virtual: Doubles, held: Held | None, best: int) -> ExpectedError:
     )
 
 
-def guesses(virtual: Doubles, known: Presses, without: Doubles) -> bool:
-    """Whether too much of the picture is a guess: far from presses what is `foreseen` is worse than what is read there.
+def told(virtual: Doubles, without: Doubles) -> Mask:
+    """Places (down, across) that are no guess: what is `foreseen` there is no worse than what is read without.
 
-    `without` (n,) are the errors of the presses read without a calibration. One place of ten counts: of normal errors
-    as large as these one of ten is there.
+    `without` (n,) are the errors of the presses read without a calibration. Nine draws of ten count: of normal errors
+    as large as these nine of ten are smaller.
     """
-    worst = _UNFORESEEN * float(np.percentile(np.abs(virtual), 90))
-    return coverage(known) < _FEWEST_COVERED or worst > _NINE_OF_TEN * of_errors(without).diameter_share
+    worst = np.percentile(np.abs(virtual), 90, axis=0).reshape(_PLACES)
+    return freeze(np.asarray(worst <= _NINE_OF_TEN * of_errors(without).diameter_share, np.bool_))
+
+
+def too_narrow(places: Mask, known: Presses) -> bool:
+    """Whether too much of the picture is a guess, by what is `told` and by how near presses are."""
+    return coverage(known) < _FEWEST_COVERED or float(places.mean()) < _FEWEST_TOLD
 
 
 def coverage(known: Presses) -> float:

@@ -1,18 +1,15 @@
-"""The colour-to-slope look-up of one sensor: where it came from, how good it is, and its file."""
+"""The colour-to-slope look-up of one sensor: where it came from, and how good it is."""
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.arrays import Doubles, Floats, Image, Mask, freeze
-from pipeline.base.errors import CalibrationError, FileProblem
-from pipeline.base.files import read_arrays, whole_file
+from pipeline.base.arrays import Floats, Image, Mask
+from pipeline.base.errors import CalibrationError
 from pipeline.base.memo import Memo
 from pipeline.calibration import slope_model
 from pipeline.calibration.markers import marker_mask, unprinted, without_markers
@@ -22,7 +19,6 @@ from pipeline.engine.digests import content
 from pipeline.sensors.spec import Markers, SensorSpec
 
 SMOOTHING_PX = 1.0  # of the colour change, the same when the look-up is fitted and when it is used
-_VERSION = 1
 _DEGREES = 4, 2  # of colour and of position, of the built-in look-up
 _CODE = (  # what it comes from
     "pipeline.calibration.lookup", "pipeline.calibration.slope_model", "pipeline.physics.optics",
@@ -30,6 +26,7 @@ _CODE = (  # what it comes from
 )  # fmt: skip
 _N_SLOPES = 96  # slope images that the built-in look-up is fitted to
 _N_PIXELS = 400  # pixels taken from each
+_MOST = 0.5  # of a touch
 _STEEPEST = 1.2  # mm/mm: about 50 degrees, the rim of a deep ball press
 
 
@@ -72,11 +69,23 @@ class Calibration:
         None  # the ball's diameter that is read without calibration over the one given; None = unknown
     )
     still: Image | None = None  # the unit's untouched picture, `units.small`; None = nobody has kept it
+    told: Mask | None = None  # places of the picture, on any coarse grid, where presses tell the light; None = all
+    usual_share: float | None = None  # of the usual pressure that ends a contact on this gel (`contact`); None = usual
 
     @property
     def is_built_in(self) -> bool:
         """Whether this is what the sensor's description implies, whatever was pressed."""
         return self.kept_built_in or not self.presses
+
+    def tells(self, where: Mask, corner: tuple[int, int]) -> bool:
+        """Whether presses tell the light of most of `where` (rows, cols), whose first pixel is `corner`."""
+        import cv2
+
+        if self.told is None or not where.any():
+            return True
+        whole = cv2.resize(self.told.astype(np.float32), (self.cols, self.rows), interpolation=cv2.INTER_LINEAR)
+        row, col = corner
+        return bool(whole[row : row + where.shape[0], col : col + where.shape[1]][where].mean() > _MOST)
 
 
 def slopes(
@@ -188,104 +197,6 @@ def _inverted(sensor: SensorSpec) -> _Fitted:
 
 def _without_markers(sensor: SensorSpec) -> SensorSpec:
     return sensor if sensor.markers is None else replace(sensor, markers=None)
-
-
-def is_file(path: Path) -> bool:
-    """Whether a file is a look-up made by `tactoscope calibrate`, told from other archives by what it holds."""
-    if path.suffix.lower() != ".npz" or not path.is_file():
-        return False
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return {"coefficients.npy", "slope_max.npy"} <= set(archive.namelist())
-    except (OSError, zipfile.BadZipFile):
-        return False
-
-
-def save(calibration: Calibration, path: Path) -> None:
-    """Write the look-up as .npz, beside its place first, so that no half-written file is ever found there."""
-    path = path if path.suffix == ".npz" else path.with_name(path.name + ".npz")
-    model = calibration.model
-    with whole_file(path, "the calibration") as file:
-        np.savez_compressed(
-            file, version=_VERSION, sensor=calibration.sensor, size=(calibration.rows, calibration.cols),
-            pixel_mm=calibration.pixel_mm, coefficients=model.coefficients, colour_degree=model.colour_degree,
-            position_degree=model.position_degree, slope_max=model.slope_max, residual=calibration.residual,
-            origin=calibration.origin, presses=_table_of(calibration.presses),
-            kept_built_in=calibration.kept_built_in, expected=_row_of(calibration.expected),
-            read_as=[] if calibration.read_as is None else [calibration.read_as],
-            still=np.zeros((0, 0, 3), np.uint8) if calibration.still is None else calibration.still,
-        )  # fmt: skip
-
-
-def load(path: Path) -> Calibration:
-    """Read a look-up back; raises FileProblem naming the field that is missing or damaged."""
-    fields = read_arrays(path, "the calibration")
-    try:
-        return _from_fields(fields)
-    except KeyError as error:
-        field = str(error.args[0])
-        raise FileProblem(f"the calibration lacks {field!r}; calibrate again", path, field=field) from error
-    except (CalibrationError, ValueError, TypeError) as error:
-        raise FileProblem(f"the calibration is damaged ({error}); calibrate again", path) from error
-
-
-def _from_fields(fields: dict[str, NDArray[Any]]) -> Calibration:
-    if int(cast("int", fields["version"])) != _VERSION:
-        raise CalibrationError(f"version {fields['version']} is not {_VERSION}")
-    colour_degree, position_degree = (int(cast("int", fields[k])) for k in ("colour_degree", "position_degree"))
-    if not (1 <= colour_degree <= 6 and 0 <= position_degree <= 6):
-        raise CalibrationError("its degrees are out of range")
-    table = np.ascontiguousarray(fields["coefficients"], np.float32)
-    side = position_degree + 1
-    if table.shape != (side, side, len(slope_model.powers(colour_degree)), 2) or not np.isfinite(table).all():
-        raise CalibrationError("its coefficients do not fit its degrees or are not finite")
-    numbers = {k: float(cast("float", fields[k])) for k in ("pixel_mm", "slope_max", "residual")}
-    if not all(np.isfinite(v) for v in numbers.values()) or min(numbers["pixel_mm"], numbers["slope_max"]) <= 0:
-        raise CalibrationError("pixel_mm and slope_max must be positive")
-    rows, cols = (int(cast("int", n)) for n in fields["size"])
-    return Calibration(
-        sensor=str(fields["sensor"]), rows=rows, cols=cols, pixel_mm=numbers["pixel_mm"],
-        model=SlopeModel(colour_degree=colour_degree, position_degree=position_degree, coefficients=freeze(table),
-                         slope_max=numbers["slope_max"]),
-        residual=numbers["residual"], origin=str(fields["origin"]), presses=_presses_of(fields["presses"]),
-        kept_built_in=bool(fields.get("kept_built_in", False)),  # this and all below older files lack
-        expected=_expected_of(fields.get("expected", np.zeros(0))), still=_still_of(fields.get("still")),
-        read_as=next(iter(fields.get("read_as", np.zeros(0)).tolist()), None),
-    )  # fmt: skip
-
-
-def _table_of(presses: tuple[BallFit, ...]) -> Doubles:
-    rows = [(p.index, p.x_px, p.y_px, p.radius_px, p.residual, p.used) for p in presses]
-    return np.array(rows, np.float64).reshape(-1, 6)
-
-
-def _presses_of(table: NDArray[Any]) -> tuple[BallFit, ...]:
-    if table.ndim != 2 or table.shape[1] != 6:
-        raise CalibrationError(f"its table of presses has shape {table.shape}")
-    return tuple(
-        BallFit(index=int(i), x_px=float(x), y_px=float(y), radius_px=float(r), residual=float(e), used=bool(used))
-        for i, x, y, r, e, used in table
-    )
-
-
-def _row_of(error: ExpectedError | None) -> Doubles:
-    return np.array([] if error is None else [error.diameter_share, error.depth_share, error.n_held_out], np.float64)
-
-
-def _expected_of(row: NDArray[Any]) -> ExpectedError | None:
-    if row.shape == (0,):
-        return None
-    if row.shape != (3,) or not np.isfinite(row).all() or row.min() < 0:
-        raise CalibrationError("its expected error must be three numbers of 0 or more")
-    return ExpectedError(diameter_share=float(row[0]), depth_share=float(row[1]), n_held_out=int(row[2]))
-
-
-def _still_of(picture: NDArray[Any] | None) -> Image | None:
-    if picture is None or picture.size == 0:
-        return None
-    if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
-        raise CalibrationError(f"its untouched picture is {picture.dtype} of shape {picture.shape}")
-    return freeze(np.ascontiguousarray(picture))
 
 
 def check_for(calibration: Calibration, sensor: str, image: Image) -> None:

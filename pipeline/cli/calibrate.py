@@ -13,7 +13,8 @@ from pipeline.base.arrays import Image
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import ready_for
 from pipeline.calibration.description import lines
-from pipeline.calibration.lookup import Calibration, save
+from pipeline.calibration.lookup import Calibration
+from pipeline.calibration.lookup_file import save
 from pipeline.cli.terminal import Bar, print_line, shown_bar
 from pipeline.networks.weights import SUFFIX
 from pipeline.recordings import open_recording

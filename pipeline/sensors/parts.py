@@ -115,6 +115,8 @@ class Limits:
 
     contact_min_mm: float = told("mm", 0.0, 100.0)  # smallest indentation that counts
     indentation_max_mm: float = told("mm", 1e-3, 100.0)
-    depth_rms_mm: float = told("mm", 0.0, 100.0, 0.0)  # of measured depth where it touches; 0 = nobody has measured it
+    # Of measured depth where it touches; of a gel, of a touch of slope 1 read by the described lamps (`depth_error`).
+    depth_rms_mm: float = told("mm", 0.0, 100.0, 0.0)  # 0 = nobody has measured it
+    depth_rms_other_mm: float = told("mm", 0.0, 100.0, 0.0)  # by lamps of another unit, that the touch has to tell
     depth_correlation_mm: float = 1.0  # length over which that error hangs together
     no_touch: float  # largest smoothed change from the reference of an untouched frame: grey levels, or mm of a bubble

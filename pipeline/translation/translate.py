@@ -14,7 +14,7 @@ from pipeline.base.arrays import Image
 from pipeline.base.errors import SettingProblem
 from pipeline.base.frame_lists import one_of
 from pipeline.calibration.lookup import Calibration
-from pipeline.calibration.lookup import load as load_calibration
+from pipeline.calibration.lookup_file import load as load_calibration
 from pipeline.engine.graph import Graph, Method, StageResult
 from pipeline.geometry.meshes import Mesh, load_mesh
 from pipeline.recordings import open_recording

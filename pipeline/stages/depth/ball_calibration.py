@@ -6,8 +6,11 @@ asked what it makes of every press.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from pipeline.base.arrays import Floats, Image
 from pipeline.base.progress import SILENT, Progress
@@ -17,6 +20,10 @@ from pipeline.physics.slopes import slopes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth.stage import DepthParams, depth
 from pipeline.values.frames import TactileFrame
+
+_LOOKED_AT = 8  # presses
+_SHARES = (0.45, 0.6, 0.75)
+_AS_WIDE = 1.08  # times a contact's circle: balls on simulated gels 0.96, on a real Mini 1.03, on a GelSlim 3 1.16
 
 
 def calibrated(
@@ -38,6 +45,31 @@ def calibrated(
         frame = TactileFrame(sensor=sensor.name, image=images[index], reference=reference, index=index)
         return slopes(depth(frame, sensor, plain, DepthParams()).indentation_mm, plain.pixel_mm)
 
-    return calibrate_balls(
+    found = calibrate_balls(
         images, reference, sensor, diameter_mm, pixel_mm=pixel_mm, progress=progress, seed=seed, read=read
     )
+    return found if found.kept_built_in else ended(found, images, reference, sensor)
+
+
+def ended(found: Calibration, images: Sequence[Image], reference: Image, sensor: SensorSpec) -> Calibration:
+    """The look-up with the share of the usual pressure at which contacts end on this gel.
+
+    Skin or coating that bridges the gel beside a ball looks as if it pressed there: where contacts of the presses come
+    out wider than their circles, the least share by which they do not is taken.
+    """
+    fits = [fit for fit in found.presses if fit.used]
+    fits = fits[:: max(1, len(fits) // _LOOKED_AT)]
+
+    def wider(look_up: Calibration) -> float:
+        widths: list[float] = []
+        for fit in fits:
+            frame = TactileFrame(sensor=sensor.name, image=images[fit.index], reference=reference, index=fit.index)
+            area = np.count_nonzero(depth(frame, sensor, look_up, DepthParams()).contact)
+            widths.append(math.sqrt(area / math.pi) / fit.radius_px)
+        return float(np.median(widths))
+
+    for share in (None, *_SHARES):
+        look_up = replace(found, usual_share=share)
+        if wider(look_up) <= (_AS_WIDE if share is None else 1.0):
+            return look_up
+    return replace(found, usual_share=_SHARES[-1])

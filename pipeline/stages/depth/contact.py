@@ -33,7 +33,7 @@ from pipeline.physics.slopes import slopes
 _WORKERS = 2
 _NEAR_MM = 0.25  # farther than lens and smoothing spread light
 _LEAST_PRESSURE = np.float32(0.02)  # mm/mm, in slopes: noise and light that is not quite this unit's make as much
-_USUAL_SHARE = np.float32(0.32)  # of the usual pressure of a region: the median of what exceeds `_CORE_SHARE`
+USUAL_SHARE = 0.32  # of the usual pressure of a region: the median of what exceeds `_CORE_SHARE`
 _CORE_SHARE, _PART_SHARE = np.float32(0.16), np.float32(0.25)  # of the region's peak
 _RIDGE_FROM, _RIDGE_TO, _RIDGE_SHARE = 1.7, 3.5, 0.6  # times what is usual; the share of such a peak nearby
 _HANGS_MM, _HANGS_SHARE = 2.0, np.float32(0.25)  # within about a gel's thickness of what is deep
@@ -63,7 +63,13 @@ def relative_pressure(indentation_mm: Floats, smoothing_px: float, order: Litera
 
 
 def touched(
-    indentation_mm: Floats, pixel_mm: float, *, least_mm: float, pressure_share: float, smoothing_px: float
+    indentation_mm: Floats,
+    pixel_mm: float,
+    *,
+    least_mm: float,
+    pressure_share: float,
+    smoothing_px: float,
+    usual_share: float = USUAL_SHARE,
 ) -> Mask:
     """A gel's contact (rows, cols): pushed in by `least_mm` or more, and pressed by more than a share of what is near.
 
@@ -87,7 +93,7 @@ def touched(
     usual = _usual(deep, pressure, deep_here & (pressure > np.maximum(least, _CORE_SHARE * peak)))
     ridge = np.clip((near / np.maximum(usual, _LEAST_PRESSURE) - _RIDGE_FROM) / (_RIDGE_TO - _RIDGE_FROM), 0.0, 1.0)
     share = pressure_share + np.maximum(_RIDGE_SHARE - pressure_share, 0.0) * ridge
-    limit = np.maximum(np.maximum(_LEAST_PRESSURE, _USUAL_SHARE * usual), share * near)
+    limit = np.maximum(np.maximum(_LEAST_PRESSURE, np.float32(usual_share) * usual), share * near)
     mask = np.asarray(deep_here & (pressure > limit), np.bool_)
     return _faces(indentation_mm, _with(mask, mask & (pressure > _PART_SHARE * peak)), deep)
 

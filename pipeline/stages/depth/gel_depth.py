@@ -11,7 +11,7 @@ less or half as much again: the best of these take 3 % off the error, the worst 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -20,7 +20,7 @@ from pipeline.base.arrays import Floats, Image, Mask, freeze
 from pipeline.base.doubts import AT_BORDER, Doubt
 from pipeline.base.errors import ShapeError
 from pipeline.base.progress import Progress
-from pipeline.calibration.lookup import Calibration, check_for
+from pipeline.calibration.lookup import Calibration, built_in, check_for
 from pipeline.sensors.parts import Optics
 from pipeline.sensors.spec import Gel, SensorSpec
 from pipeline.stages.depth import (
@@ -54,6 +54,7 @@ _SPECK_MM2 = 0.15  # smaller contacts are camera noise
 _HOLE_MM2 = 0.5  # what a rough ball or a book leaves between its threads: those of `benchmarks/real_things.py`
 _FULL_SHARE = 0.9  # of the view
 _HARDLY_TOLD = Doubt("the touch lies where the lamps hardly tell slopes: sizes and depths there may be wrong by half")
+_NO_PRESS_NEAR = Doubt("no press of the calibration tells the light of this touch: it is read without")
 _NARROW = 0.5  # thicknesses, within which the gel beyond the border bears on what is seen
 
 
@@ -114,6 +115,9 @@ def read(
     else:
         here = (window.rows, window.cols)
         notes += _doubts(image[here], source, window)
+        if not calibration.tells(window.moved, (window.rows.start, window.cols.start)):
+            notes.append(_NO_PRESS_NEAR)
+            calibration = replace(built_in(source), pixel_mm=pixel_mm, usual_share=calibration.usual_share)
         progress.step(0.2, "integrating slopes")
         changed = Changed(
             image=image, still=still, window=window, source=source, calibration=calibration,
@@ -127,8 +131,9 @@ def read(
             notes.append(f"read by the lamps of this unit, fitted to {of}")
         surface, inside = _settled(surface, window, source, pixel_mm)
         pressed = inside | contact.touched(
-            surface, pixel_mm, least_mm=least_mm, pressure_share=pressure_share, smoothing_px=_CONTACT_BLUR_PX
-        )
+            surface, pixel_mm, least_mm=least_mm, pressure_share=pressure_share, smoothing_px=_CONTACT_BLUR_PX,
+            usual_share=calibration.usual_share or contact.USUAL_SHARE,
+        )  # fmt: skip
         pressed = contact.without_specks(pressed & (window.moved | inside), max(4, round(_SPECK_MM2 / pixel_mm**2)))
         pressed = flanks.pressed_in(pressed, surface, pixel_mm, _border(shape)[here])
         pressed = contact.without_small_holes(pressed, round(_HOLE_MM2 / pixel_mm**2))

@@ -23,7 +23,7 @@ from pipeline.engine.digests import content
 from pipeline.geometry.camera import Camera
 from pipeline.physics.colours import compared
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import bubble_depth, coarse, gel_depth, gel_light, own_light
+from pipeline.stages.depth import bubble_depth, coarse, depth_error, gel_depth, gel_light, own_light
 from pipeline.stages.depth.mirrored import looks_mirrored
 from pipeline.stages.depth.poisson import Boundary
 from pipeline.values.frames import TactileFrame
@@ -129,11 +129,12 @@ def gel(
         rounds=coarse.ROUNDS if params.draft else gel_light.ROUNDS,
         light=light,
     )  # fmt: skip
-    return replace(found, error=measured_error(source)), measured
+    told = depth_error.of_gel(found, seen_by, None if measured is None else measured.light)
+    return replace(found, error=told), measured
 
 
 def measured_error(source: SensorSpec) -> DepthError | None:
-    """What a sensor's depth is known to be off by where it touches; None where nobody has measured it."""
+    """What a bubble's depth is known to be off by where it touches; None where nobody has measured it."""
     rms_mm = source.limits.depth_rms_mm
     return DepthError(rms_mm=rms_mm, correlation_mm=source.limits.depth_correlation_mm) if rms_mm else None
 

@@ -12,7 +12,7 @@ from pipeline.calibration.ball_slopes import Ball, Press
 from pipeline.calibration.balls import calibrate_balls
 from pipeline.calibration.contact_circles import Circle
 from pipeline.calibration.corrections import Held, chosen, diameter_error
-from pipeline.calibration.expected_error import guesses, of_errors
+from pipeline.calibration.expected_error import of_errors, told, too_narrow
 from pipeline.calibration.light_field import Fields
 from pipeline.calibration.lookup import built_in, relative_change
 from pipeline.physics import optics
@@ -135,8 +135,11 @@ def test_places_far_from_presses_are_not_read_worse_than_without():
     known = corrections.Presses(presses=pressed, ball=Ball(radius_px=50.0, share=None), pixel_mm=0.06, before=unknown,
                                 built_in=built_in(sensor("gelsight_mini")).model, seed=0)  # fmt: skip
     without, virtual = np.full(12, 0.1), np.full((12, 30), 0.02)
-    assert not guesses(virtual, known, without)
-    virtual[:, :5] = 0.4  # a sixth of the places
-    assert guesses(virtual, known, without)
-    assert not guesses(virtual, known, 5.0 * without)
-    assert guesses(np.zeros((12, 30)), known.without(set(range(1, 12))), without)
+    assert told(virtual, without).all()
+    virtual[:, :5] = 0.4  # the first row but one place
+    places = told(virtual, without)
+    assert np.flatnonzero(~places.ravel()).tolist() == [0, 1, 2, 3, 4]
+    assert not too_narrow(places, known)
+    assert told(virtual, 5.0 * without).all()
+    assert too_narrow(np.arange(30).reshape(5, 6) < 8, known)
+    assert too_narrow(np.ones((5, 6), np.bool_), known.without(set(range(1, 12))))

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.base.errors import CalibrationError, FileProblem
 from pipeline.calibration import lookup as calibration
-from pipeline.calibration import slope_model
+from pipeline.calibration import lookup_file, slope_model
 from pipeline.physics import optics
 from pipeline.sensors.spec import sensor
 
@@ -65,8 +65,8 @@ def test_slopes_are_finite_and_bounded_for_any_picture(mini):
 def test_a_saved_look_up_comes_back_the_same(mini, tmp_path):
     press = calibration.BallFit(index=0, x_px=1.5, y_px=2.5, radius_px=20.0, residual=0.03, used=True)
     written = replace(mini, presses=(press,), read_as=1.25)
-    calibration.save(written, tmp_path / "mini.npz")
-    read = calibration.load(tmp_path / "mini.npz")
+    lookup_file.save(written, tmp_path / "mini.npz")
+    read = lookup_file.load(tmp_path / "mini.npz")
     assert np.array_equal(read.model.coefficients, written.model.coefficients)
     assert replace(read, model=written.model) == written
     assert [p.name for p in tmp_path.iterdir()] == ["mini.npz"]
@@ -74,17 +74,17 @@ def test_a_saved_look_up_comes_back_the_same(mini, tmp_path):
 
 def test_a_missing_look_up_is_told_in_a_sentence(tmp_path):
     with pytest.raises(FileProblem, match="No such file"):
-        calibration.load(tmp_path / "none.npz")
+        lookup_file.load(tmp_path / "none.npz")
 
 
 def test_a_damaged_look_up_is_told_in_a_sentence(mini, tmp_path):
     path = tmp_path / "mini.npz"
-    calibration.save(mini, path)
+    lookup_file.save(mini, path)
     whole = path.read_bytes()
     for cut in (0, 10, len(whole) // 2):
         path.write_bytes(whole[:cut])
         with pytest.raises(FileProblem, match="calibrat"):
-            calibration.load(path)
+            lookup_file.load(path)
 
 
 @pytest.mark.parametrize(("field", "value"), [
@@ -93,24 +93,24 @@ def test_a_damaged_look_up_is_told_in_a_sentence(mini, tmp_path):
 ])  # fmt: skip
 def test_numbers_that_no_look_up_has_are_refused(mini, tmp_path, field, value):
     path = tmp_path / "mini.npz"
-    calibration.save(mini, path)
+    lookup_file.save(mini, path)
     with np.load(path) as read:
         fields = dict(read)
     np.savez(path, **{**fields, field: value})
     with pytest.raises(FileProblem, match="must be positive"):
-        calibration.load(path)
+        lookup_file.load(path)
 
 
 def test_a_look_up_that_lacks_a_field_names_it(tmp_path):
     np.savez(tmp_path / "half.npz", version=1)
     with pytest.raises(FileProblem, match="lacks 'colour_degree'"):
-        calibration.load(tmp_path / "half.npz")
+        lookup_file.load(tmp_path / "half.npz")
 
 
 def test_a_pickled_file_is_not_opened(tmp_path):
     np.savez(tmp_path / "evil.npz", version=np.array([{}], dtype=object))
     with pytest.raises(FileProblem, match="could run code"):
-        calibration.load(tmp_path / "evil.npz")
+        lookup_file.load(tmp_path / "evil.npz")
 
 
 def test_the_slopes_of_a_part_are_those_of_the_whole(mini):
@@ -176,37 +176,67 @@ def test_the_built_in_look_up_is_kept_for_the_next_process(tmp_path, monkeypatch
 def test_the_expected_error_and_the_kept_look_up_come_back(mini, tmp_path):
     expected = calibration.ExpectedError(diameter_share=0.08, depth_share=0.07, n_held_out=4)
     still = np.arange(4 * 5 * 3, dtype=np.uint8).reshape(4, 5, 3)
-    known = replace(mini, kept_built_in=True, expected=expected, still=still)
-    calibration.save(known, tmp_path / "look_up.npz")
-    back = calibration.load(tmp_path / "look_up.npz")
+    told = np.eye(5, 6) > 0
+    known = replace(mini, kept_built_in=True, expected=expected, still=still, told=told, usual_share=0.6)
+    lookup_file.save(known, tmp_path / "look_up.npz")
+    back = lookup_file.load(tmp_path / "look_up.npz")
     assert back.expected == expected
     assert back.kept_built_in
     assert np.array_equal(back.still, still)
+    assert np.array_equal(back.told, told)
+    assert back.usual_share == 0.6
+
+
+LATER = ("kept_built_in", "expected", "still", "told", "usual_share")  # what files had to learn
 
 
 def test_a_look_up_of_before_expected_errors_is_read(mini, tmp_path):
     path = tmp_path / "look_up.npz"
-    calibration.save(mini, path)
-    fields = {k: v for k, v in np.load(path).items() if k not in ("kept_built_in", "expected", "still")}
+    lookup_file.save(mini, path)
+    fields = {k: v for k, v in np.load(path).items() if k not in LATER}
     np.savez(path, **fields)
-    back = calibration.load(path)
+    back = lookup_file.load(path)
     assert back.expected is None
-    assert back.still is None
+    assert back.still is back.told is back.usual_share is None
     assert not back.kept_built_in
 
 
 @pytest.mark.parametrize("row", [[0.1, 0.1], [0.1, np.nan, 4.0], [-0.1, 0.1, 4.0]])
 def test_an_expected_error_that_is_none_is_refused(mini, tmp_path, row):
     path = tmp_path / "look_up.npz"
-    calibration.save(mini, path)
+    lookup_file.save(mini, path)
     np.savez(path, **{**np.load(path), "expected": np.array(row)})
     with pytest.raises(FileProblem, match="expected error"):
-        calibration.load(path)
+        lookup_file.load(path)
 
 
 def test_an_untouched_picture_that_is_none_is_refused(mini, tmp_path):
     path = tmp_path / "look_up.npz"
-    calibration.save(mini, path)
+    lookup_file.save(mini, path)
     np.savez(path, **{**np.load(path), "still": np.zeros((4, 5), np.float32)})
     with pytest.raises(FileProblem, match="untouched picture"):
-        calibration.load(path)
+        lookup_file.load(path)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        ("told", np.zeros(4, np.bool_), "places that presses tell"),
+        ("usual_share", [7.0], "share of the usual pressure"),
+    ],
+)
+def test_what_presses_tell_is_read_whole_or_refused(mini, tmp_path, field, value, said):
+    path = tmp_path / "look_up.npz"
+    lookup_file.save(mini, path)
+    np.savez(path, **{**np.load(path), field: np.array(value)})
+    with pytest.raises(FileProblem, match=said):
+        lookup_file.load(path)
+
+
+def test_a_touch_is_told_where_presses_tell_most_of_it(mini):
+    left = replace(mini, told=np.array([[True, False]]))
+    touch = np.ones((20, 20), np.bool_)
+    assert mini.tells(touch, (0, mini.cols - 20))
+    assert left.tells(touch, (50, 10))
+    assert not left.tells(touch, (50, mini.cols - 30))
+    assert left.tells(np.zeros((20, 20), np.bool_), (50, mini.cols - 30))

@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 import pytest
 
-from pipeline.calibration import lookup
+from pipeline.calibration import lookup, lookup_file
 from pipeline.cli import calibrate
 from pipeline.cli.main import EXIT_USER_ERROR, build, run
 from pipeline.sensors.spec import sensor
@@ -93,7 +93,7 @@ def test_calibrating_says_what_error_to_expect_and_what_one_ball_cannot_tell(kno
     told = " ".join(capsys.readouterr().out.split())
     assert "expected error of a ball's diameter" in told
     assert ("any width of a pixel" in told) is not known
-    assert lookup.load(out).expected is not None
+    assert lookup_file.load(out).expected is not None
 
 
 def test_calibrating_on_pictures_with_swapped_colours_is_doubted(touches, tmp_path, capsys, monkeypatch):
@@ -113,7 +113,7 @@ def test_inspect_says_what_a_calibration_is_worth(tmp_path, capsys):
     error = lookup.ExpectedError(diameter_share=0.08, depth_share=0.07, n_held_out=4)
     press = lookup.BallFit(index=0, x_px=9, y_px=9, radius_px=9, residual=0.02, used=True)
     known = replace(lookup.built_in(sensor("gelsight_mini")), presses=(press,), expected=error)
-    lookup.save(known, tmp_path / "mini.npz")
+    lookup_file.save(known, tmp_path / "mini.npz")
     assert run(build(), ["inspect", str(tmp_path / "mini.npz")]) == 0
     assert "expected error of a ball's diameter 8 %" in capsys.readouterr().out
 

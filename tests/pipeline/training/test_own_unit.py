@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import CalibrationError, SettingProblem
-from pipeline.calibration.lookup import BallFit, built_in, load
+from pipeline.calibration.lookup import BallFit, built_in
+from pipeline.calibration.lookup_file import load
 from pipeline.cli import calibrate_network
 from pipeline.cli.calibrate import Balls, calibrate_balls_command
 from pipeline.networks.building import network
