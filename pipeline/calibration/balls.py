@@ -80,8 +80,7 @@ def calibrate_balls(
     as_read = None if read is None else without_any(known, read)
     if as_read is not None:
         without, seen = at_most_unseen(as_read), np.zeros(0) if held is None else held.diameter[:, best]
-        places = told(virtual, without)
-        narrow = too_narrow(places, known)
+        places, narrow = told(virtual, known), too_narrow(known)
         if narrow or not best or not betters(worth.diameter_share, without, seen):
             best, worth, places = 0, of_errors(without), None
     model = models[best]

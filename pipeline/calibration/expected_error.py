@@ -31,8 +31,6 @@ _UNFORESEEN = 2.0  # times what is foreseen: circles that are off and light that
 _ALWAYS = 0.03  # where the contact ends is not known better, however many presses: a real Mini, forty of them
 _LEAST = 0.005  # a median of a few errors below this is luck
 _FEWEST_COVERED = 0.5  # of the picture: with less, how it is read in the middle of its places is a guess
-_FEWEST_TOLD = 0.3  # of the places: with less, hardly a touch would be read by the look-up
-_NINE_OF_TEN = 2.44  # times the middle of the sizes of normal errors: nine of ten are smaller
 _MEDIAN_OF_MEAN = 0.845  # of the sizes of normal errors; the mean of a few is known better by a third
 
 
@@ -80,27 +78,30 @@ def expected(virtual: Doubles, held: Held | None, best: int) -> ExpectedError:
     )
 
 
-def told(virtual: Doubles, without: Doubles) -> Mask:
-    """Places (down, across) that are no guess: what is `foreseen` there is no worse than what is read without.
-
-    `without` (n,) are the errors of the presses read without a calibration. Nine draws of ten count: of normal errors
-    as large as these nine of ten are smaller.
-    """
-    worst = np.percentile(np.abs(virtual), 90, axis=0).reshape(_PLACES)
-    return freeze(np.asarray(worst <= _NINE_OF_TEN * of_errors(without).diameter_share, np.bool_))
+def told(virtual: Doubles, known: Presses) -> Mask:
+    """Places (down, across) where presses tell the light: one is near, and what is `foreseen` there is a ball."""
+    rows, cols = known.shape
+    down, across = (np.linspace(_MARGIN * n, (1 - _MARGIN) * n, k) for n, k in zip((rows, cols), _PLACES, strict=True))
+    seen = np.median(np.abs(virtual), axis=0).reshape(_PLACES) < 1.0
+    return freeze(np.asarray(seen & _near(known, *np.meshgrid(across, down)), np.bool_))
 
 
-def too_narrow(places: Mask, known: Presses) -> bool:
-    """Whether too much of the picture is a guess, by what is `told` and by how near presses are."""
-    return coverage(known) < _FEWEST_COVERED or float(places.mean()) < _FEWEST_TOLD
+def too_narrow(known: Presses) -> bool:
+    """Whether too much of the picture is a guess."""
+    return coverage(known) < _FEWEST_COVERED
 
 
 def coverage(known: Presses) -> float:
     """The share of the picture that lies near a press: in the rest the field of light is guessed."""
     rows, cols = known.shape
     x, y = np.meshgrid(np.arange(0.5, _COVERED) / _COVERED * cols, np.arange(0.5, _COVERED) / _COVERED * rows)
-    away = np.min([np.hypot(x - p.circle.x_px, y - p.circle.y_px) for p in known.presses], axis=0)
-    return float((away < _NEAR * 0.5 * max(rows, cols)).mean())
+    return float(_near(known, x, y).mean())
+
+
+def _near(known: Presses, x_px: Doubles, y_px: Doubles) -> Mask:
+    """Which places are near a press."""
+    away = np.min([np.hypot(x_px - p.circle.x_px, y_px - p.circle.y_px) for p in known.presses], axis=0)
+    return np.asarray(away < _NEAR * 0.5 * max(known.shape), np.bool_)
 
 
 def of_errors(errors: Doubles) -> ExpectedError:

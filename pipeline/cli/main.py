@@ -134,12 +134,12 @@ def inspect(
     sensor
         The sensor that made it, where the file does not say.
     """
-    from pipeline.calibration import description, lookup
+    from pipeline.calibration import description, lookup_file
     from pipeline.inspection.recording import inspect as report_on
     from pipeline.inspection.recording import lines
 
-    if lookup.is_file(recording):
-        for line in description.lines(lookup.load(recording)):
+    if lookup_file.is_file(recording):
+        for line in description.lines(lookup_file.load(recording)):
             print_line(line)
         return 0
     report = report_on(recording, sensor=sensor, reference=reference, depth_unit=depth_unit)

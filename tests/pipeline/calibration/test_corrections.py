@@ -127,19 +127,19 @@ def test_the_error_said_of_presses_that_change_nothing_is_the_middle_one_and_ste
     assert middles.std() < 0.85 * np.median(np.abs(errors), axis=1).std()
 
 
-def test_places_far_from_presses_are_not_read_worse_than_without():
+def test_places_far_from_presses_are_not_told_by_them():
     everywhere = [Circle(x_px=x, y_px=y, radius_px=20.0) for x in range(40, 320, 80) for y in range(40, 240, 80)]
     change = np.zeros((240, 320, 3), np.float32)
     pressed = tuple(Press(index=i, change=change, circle=c) for i, c in enumerate(everywhere))
     unknown = Fields(mean=np.zeros(1), precision=np.eye(1))
     known = corrections.Presses(presses=pressed, ball=Ball(radius_px=50.0, share=None), pixel_mm=0.06, before=unknown,
                                 built_in=built_in(sensor("gelsight_mini")).model, seed=0)  # fmt: skip
-    without, virtual = np.full(12, 0.1), np.full((12, 30), 0.02)
-    assert told(virtual, without).all()
-    virtual[:, :5] = 0.4  # the first row but one place
-    places = told(virtual, without)
-    assert np.flatnonzero(~places.ravel()).tolist() == [0, 1, 2, 3, 4]
-    assert not too_narrow(places, known)
-    assert told(virtual, 5.0 * without).all()
-    assert too_narrow(np.arange(30).reshape(5, 6) < 8, known)
-    assert too_narrow(np.ones((5, 6), np.bool_), known.without(set(range(1, 12))))
+    virtual = np.full((12, 30), 0.02)
+    assert told(virtual, known).all()
+    virtual[:, 3] = 5.0  # no ball is foreseen there
+    assert np.flatnonzero(~told(virtual, known).ravel()).tolist() == [3]
+    assert not too_narrow(known)
+    left = known.without({i for i, c in enumerate(everywhere) if c.x_px > 160})
+    assert told(virtual * 0, left)[:, :3].all()
+    assert not told(virtual * 0, left)[:, 4:].any()
+    assert too_narrow(known.without(set(range(1, 12))))
