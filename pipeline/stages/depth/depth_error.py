@@ -5,7 +5,7 @@ of the error goes with that of how steep the touch is (to the power .97; how dee
 covers, tells no more then), and with the light that it was read by: lamps that are as described err by a third to a
 sixth of what lamps do that the touch has to tell (a sensor's description has both), and where no lamps explain the
 picture the error is 2.6 times that. What is left of the logarithm scatters by .86, so that a touch in ten errs by three
-times what is told, the middle of them; what the light leaves of the picture tells hardly more of that (.81).
+times what is told, about the middle of them; what the light leaves of the picture tells hardly more of that (.81).
 """
 
 from __future__ import annotations

@@ -93,4 +93,5 @@ def test_the_poses_covariance_is_as_wide_as_poses_from_measured_depth_err(name):
         if rank:  # a grasp that leaves every direction open has no error to compare
             found.append(error @ np.linalg.pinv(known, rcond=1e-10) @ error / rank)
     assert len(found) >= PRESSES - 1
-    assert 0.1 < np.median(found) < 2.5, "chi-square over its degrees of freedom; 30 and 100 without the sensor's error"
+    # The middle of six touches, each of which errs by 2.4 times more or less than is told, scatters by 2.7 times.
+    assert 0.1 < np.median(found) < 4.0, "chi-square over its degrees of freedom; 30 and 100 without the sensor's error"
