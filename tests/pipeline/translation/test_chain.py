@@ -63,7 +63,7 @@ def test_the_error_of_the_measured_depth_goes_with_the_touch_into_the_pose(trans
     assert felt.error == measured.error
     assert measured.error is not None
     exact = pose_from(replace(felt, error=None), translation.mesh, PoseParams(), found.sensor_from_object)
-    assert np.trace(found.covariance) > 4 * np.trace(exact.covariance)
+    assert np.trace(found.covariance) > 1.2 * np.trace(exact.covariance)  # by the described lamps, which err little
 
 
 def test_a_setting_without_effect_stops_at_the_stage_it_belongs_to(translation, warm):
