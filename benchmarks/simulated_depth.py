@@ -87,16 +87,27 @@ def tools(read, name: str):
                 answer, truth, _, ms = felt
                 inside = truth.contact
                 off = [1e3 * mean_abs_mm(answer.indentation_mm, truth.indentation_mm, of) for of in (inside, ~inside)]
+                off.append(1e3 * mean_abs_mm(scaled(answer, truth), truth.indentation_mm, inside))
                 exact = iou(by_rule(truth.indentation_mm, source), inside)
                 found.append((1 - iou(answer.contact, inside), *off, exact, ms))
-        wrong, inside_um, outside_um, exact, ms = np.array(found).T
+        wrong, inside_um, outside_um, shape_um, exact, ms = np.array(found).T
         label = f"{name}, unseen tools, {depth_mm:g} mm"
         note = f"{label}: IoU of each {_listed(1 - wrong)}; by the rule in exact depth {_listed(exact)}"
         yield (
             row(f"{label}: contact", ours=timing(ms), ours_error=wrong.mean(), unit="1 - IoU", bar=Bar(error=0.10)),
             row(f"{label}: depth in contact", ours=timing(ms), ours_error=inside_um.mean(), unit="um",
                 bar=Bar(error=most_um)),
-        ), f"{note}; beside the contact {outside_um.mean():.1f} um"  # fmt: skip
+        ), (f"{note}; beside the contact {outside_um.mean():.1f} um; in it, were each touch's scale known, "
+            f"{shape_um.mean():.1f} um")  # fmt: skip
+
+
+def scaled(answer, truth):
+    """The indentation read, times what brings it nearest to the true one in its contact: what is left is shape.
+
+    How bright a unit's lamps are is told by one touch to a tenth at best, and all of its depth with it.
+    """
+    seen, true = (field.indentation_mm[truth.contact].astype(np.float64) for field in (answer, truth))
+    return answer.indentation_mm * np.float32((seen @ true) / max(float(seen @ seen), 1e-9))
 
 
 def recordings(read, name: str):
