@@ -21,8 +21,8 @@ Simulated touches that nothing was taught on; the source is another unit than th
 described. In brackets what the paper tells of real recordings of its own sensors: it shows what is hard, not who is
 better. Its FID is Inception's; ours is the Frechet distance on the features of earlier pose networks, kept for it,
 beside the distance of two halves of the true touches. Errors are of the target's membrane: over all, and where the
-target is really touched. Weights as they come along (fourteen minutes on a card, T2D2's some more); one step each, latent
-diffusion by 200 steps at 2.54; one machine of two cores, with several other programs at work, so that
+target is really touched. Weights as they come along (fourteen minutes on a card, T2D2's some more); one step each,
+latent diffusion by 200 steps at 2.54; one machine of two cores, with several other programs at work, so that
 times compare rows of one transfer alone.
 
 Poses are counted as the paper does: shift and turn in the sensor's plane, here at the contact and up to the object's
