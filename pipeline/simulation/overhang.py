@@ -8,6 +8,7 @@ from pipeline.base.arrays import Doubles, Indices
 
 HALF_WINDOW_MM = 6.0  # of the square, centred on the alignment frame, that every gel of the shipped sensors sees
 _CORNERS = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+_UPRIGHT = 1e-12  # of the square of its sides is the area under a triangle that stands upright, but for rounding
 
 
 def lowest_mm(vertices_mm: Doubles, triangles: Indices, half_mm: float = HALF_WINDOW_MM) -> float:
@@ -37,7 +38,8 @@ def _corner_z(triangles_mm: Doubles, half_mm: float) -> Doubles:
     a, ab, ac = triangles_mm[:, 0], triangles_mm[:, 1] - triangles_mm[:, 0], triangles_mm[:, 2] - triangles_mm[:, 0]
     doubled = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
     found: list[Doubles] = []
-    level = doubled != 0  # an upright triangle's least height is on its edges
+    sides = np.linalg.norm(ab, axis=1) * np.linalg.norm(ac, axis=1)
+    level = np.abs(doubled) > _UPRIGHT * sides  # an upright triangle's least height is on its edges
     for corner in half_mm * _CORNERS:
         to = corner - a[level, :2]
         u = (to[:, 0] * ac[level, 1] - to[:, 1] * ac[level, 0]) / doubled[level]

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pipeline.base.arrays import freeze
@@ -81,6 +81,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not():
     turn=st.floats(-180, 180),
     lean=st.floats(0, 8),
 )
+@example(name="sphere", x=0.0, y=0.0, turn=0.0, lean=1.1e-308)
 @settings(max_examples=15, deadline=None)
 def test_the_deepest_point_is_that_of_a_fine_grid_over_the_gels(name, x, y, turn, lean):
     thing = mesh_of(name)
