@@ -40,7 +40,7 @@ directions, and used 58 and 3 of its 512 codes.
     python docs/make_tables.py registered.json tools.json grasps.json > docs/tables/README.md
 
 The files beside this page were made so, one direction after the other (`--direction`), all by the program and the
-weights of one day, but for the rows of latent diffusion and the VQ-VAE: they are a day older, and nothing changed in them.
+weights of one day, but for the rows of latent diffusion and the VQ-VAE, a day older and not changed.
 What samples, steps and a few real pairs give is told in [samples.md](samples.md).
 """
 COLUMNS = (
