@@ -13,6 +13,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from pipeline.base.errors import FileProblem
 from pipeline.base.files import ready
 from pipeline.cli.terminal import Bar, print_line, shown_bar
 from pipeline.cli.train import followed
@@ -21,17 +22,18 @@ from pipeline.training import export, own_unit, state
 from pipeline.training.loop import Run
 from pipeline.training.own_unit import LOOK_UP, SHIPPED, TAUGHT, Off, Presses
 
+_SIMULATED = "simulated"  # pictures, in a lesson's folder
+
 
 def taught(presses: Presses, out: Path, look_up: Path, *, seed: int, even_if_worse: bool) -> None:
     """Teach, judge on the presses held out, say which is best, and write the weights where they are.
 
     What was learned stays beside `out` until then, so that the same command goes on after Ctrl-C.
     """
-    folder = out.with_suffix(".run")
-    ready(folder)
+    folder = _own_folder(out)
     with shown_bar() as bar:
         shown = own_unit.look_up_of(presses, seed=seed, progress=Bar(bar))
-        recipe = own_unit.recipe(presses, shown, folder / "simulated", seed=seed, progress=Bar(bar))
+        recipe = own_unit.recipe(presses, shown, folder / _SIMULATED, seed=seed, progress=Bar(bar))
     command = shlex.join(["tactoscope", *sys.argv[1:]])
     followed(Run(recipe=recipe, out=folder, resume=True, workers=0, command=command))
     weights = export.weights_of(state.load(folder), out.stem)
@@ -55,6 +57,18 @@ def taught(presses: Presses, out: Path, look_up: Path, *, seed: int, even_if_wor
         instead = "read by --method depth=network without the look-up" if best == SHIPPED else "use the look-up"
         print_line(f"{_not_best(best)}: no weights are written; {instead}")
     shutil.rmtree(folder, ignore_errors=True)
+
+
+def _own_folder(out: Path) -> Path:
+    """The folder of a lesson, which is taken away in the end; raises FileProblem where it holds what is no lesson's."""
+    folder = out.with_suffix(".run")
+    if folder.is_dir() and any(folder.iterdir()) and not (state.is_there(folder) or (folder / _SIMULATED).is_dir()):
+        raise FileProblem(
+            "a folder that other things are kept in stands where the lesson would; choose another name for --network",
+            folder,
+        )
+    ready(folder)
+    return folder
 
 
 def _not_best(best: str) -> str:

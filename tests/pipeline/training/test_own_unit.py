@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.base.errors import CalibrationError, SettingProblem
+from pipeline.base.errors import CalibrationError, FileProblem, SettingProblem
 from pipeline.calibration.lookup import BallFit, built_in
 from pipeline.calibration.lookup_file import load
 from pipeline.cli import calibrate_network
@@ -139,6 +139,16 @@ def test_a_lesson_that_was_interrupted_goes_on(asked, monkeypatch, tmp_path):
     assert began == [True]
     assert not (tmp_path / "unit.run").exists()
     assert asked.network.is_file()
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_folder_of_other_things_is_left_alone(asked, tmp_path):
+    other = tmp_path / "unit.run" / "notes.txt"
+    other.parent.mkdir()
+    other.write_text("mine")
+    with pytest.raises(FileProblem, match="a folder that other things are kept in"):
+        calibrate_balls_command(asked)
+    assert other.read_text() == "mine"
 
 
 @pytest.mark.usefixtures("quick")
