@@ -6,6 +6,7 @@ import math
 import numpy as np
 
 from pipeline.base.kept_kernels import FAST, inlined, kernel
+from pipeline.physics.slope_kernels import row_slopes
 
 # What is called is inlined before it is compiled: as functions of their own, with sums free to be contracted, they come
 # out different in the last bit in a process that compiles them and in one that loads them from the cache.
@@ -25,7 +26,7 @@ def light_of(height, pixel, glow, leds, strength, vignette, slope, part, light, 
     gx, gy, more = slope[0], slope[1], part[1]
     for r in range(rows):
         change = light[r] if light.shape[0] else part[0]
-        _row_slopes(height, r, pixel, gx, gy)
+        row_slopes(height, r, np.float32(1.0) / pixel, gx, gy)
         _row_change(gx, gy, r, rows, leds, strength, vignette, more, change)
         if light.shape[0]:
             _add(glow[r], change)
@@ -97,26 +98,6 @@ def _row_greys(glow, change, out):
         n = np.uint64(i)
         value = glow[n] + change[n] + np.float32(0.5)
         out[n] = np.uint8(np.int32(min(max(value, np.float32(0.0)), np.float32(255.0))))
-
-
-@inlined()
-def _row_slopes(height, r, pixel, gx, gy):
-    rows, cols = height.shape
-    per_px = np.float32(1.0) / pixel
-    up, down = max(r - 1, 0), min(r + 1, rows - 1)
-    here = height[r]
-    _scaled_difference(height[down], height[up], per_px / np.float32(max(down - up, 1)), gy)
-    _scaled_difference(here[2:], here[:-2], np.float32(0.5) * per_px, gx[1:-1])
-    last = cols - 1
-    gx[0] = (here[min(1, last)] - here[0]) * per_px
-    gx[last] = (here[last] - here[max(last - 1, 0)]) * per_px
-
-
-@inlined()
-def _scaled_difference(plus, minus, scale, out):
-    for i in range(out.shape[0]):
-        c = np.uint64(i)
-        out[c] = (plus[c] - minus[c]) * scale
 
 
 @kernel(fastmath=_FAST)

@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.base.arrays import Floats, Image
 from pipeline.base.errors import CalibrationError
 from pipeline.base.progress import Progress
+from pipeline.base.ranks import median
 from pipeline.calibration.lookup import Calibration, slopes
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import gel_light, own_lamps, own_light
@@ -121,5 +122,8 @@ def _integrated(gx: Floats, gy: Floats, changed: Changed, window: Window, pixel_
     ends: list[Boundary] = [changed.boundary if held else "free" for held in inside]
     z = integrate(gx, gy, pixel_mm, Sides(*ends))
     outside = ~window.moved
-    level = np.median(z[..., outside], axis=-1) if outside.any() else z.min(axis=(-2, -1))
-    return np.ascontiguousarray(z - np.asarray(level, np.float32)[..., None, None])
+    if not outside.any():
+        return z - z.min(axis=(-2, -1), keepdims=True)
+    images = z.reshape(-1, *z.shape[-2:])
+    level = np.array([median(image, outside) for image in images], np.float32)
+    return (images - level[:, None, None]).reshape(z.shape)

@@ -1,11 +1,14 @@
-"""From slopes back to a surface: the least-squares integral, solved exactly by cosine and sine transforms.
+"""From slopes back to a surface: the least-squares integral, solved exactly by cosine or sine transforms.
 
 Minimises the sum of |D z - g|^2 over the edges between neighbouring pixels, where the slope of an edge is the mean of
 its two pixels, g_{i+1/2} = (g_i + g_{i+1}) / 2. The normal equations are a five-point Poisson equation, which waves
-along each axis make diagonal, cosines at an end where nothing is known, sines at one that is held at zero:
+along an axis make diagonal, cosines at an end where nothing is known, sines at one that is held at zero:
 
     z^(k, l) = -div^(k, l) / (4 sin^2(pi k / 2W) + 4 sin^2(pi l / 2H)),
     k = 0..W-1 both ends free (DCT-II);  1..W both flat (DST-II);  1/2..W-1/2 one of each (DCT-IV, DST-IV).
+
+Waves are made along the axis whose length they are found quickly at; along the other, each wave has three terms a
+pixel, which are eliminated one after the other (Hockney 1965): as exact, and a third of the time of waves along both.
 
 Frankot & Chellappa 1988, Simchony et al. 1990. Two slips are common in public integrators and are avoided here:
 counting k from 1, which damps the long waves, and a divergence without the half of the central difference.
@@ -18,6 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -28,10 +32,13 @@ from pipeline.base.memo import remembered
 from pipeline.physics.slopes import slopes
 
 Boundary = Literal["flat", "free"]
+Ends = tuple[Boundary, Boundary]
 Integrated = Callable[[Floats, Floats], Floats]  # slopes (gx, gy) in mm/mm to a surface in mm
 
-_WORKERS = 2
+_WORKERS, _WORTH_WORKERS = 2, 2**18  # threads, and pixels of fewer of which they take longer to wake
 _NOTHING = 1e-20
+_SLOW = 8  # waves of so few lengths along a side that single precision loses some of its own on the other
+_QUICK = 13  # waves of lengths of no larger primes are quick to find
 
 
 class Sides(NamedTuple):
@@ -52,19 +59,27 @@ def integrate(gx: Floats, gy: Floats, pixel_mm: float, boundary: Boundary | Side
     """
     if gx.ndim < 2 or gx.shape != gy.shape or gx.size == 0:
         raise ShapeError(f"slopes must be two images of one shape (rows, cols), got {gx.shape} and {gy.shape}")
+    from pipeline.stages.depth.poisson_kernels import divergence, solved
+
     sides = boundary if isinstance(boundary, Sides) else Sides(boundary, boundary, boundary, boundary)
     for side in sides:
         if side not in get_args(Boundary):
             raise SettingProblem(f"boundary must be one of {', '.join(get_args(Boundary))}, got {side!r}")
-    if not (math.isfinite(float(gx.sum(dtype=np.float64))) and math.isfinite(float(gy.sum(dtype=np.float64)))):
+    *_, rows, cols = gx.shape
+    across = _is_quicker(cols, rows)
+    free = np.array([side == "free" for side in sides])
+    out = np.empty((gx.size // (rows * cols), rows, cols), np.float32)
+    if not math.isfinite(divergence(_kept(gx.reshape(out.shape)), _kept(gy.reshape(out.shape)), free, out)):
         raise ShapeError("slopes hold values that are not finite; fill them before integrating")
-    wave = _divergence(gx, gy, sides)
-    for axis, ends in ((-1, sides[:2]), (-2, sides[2:])):
-        wave = _waves(wave, axis, ends, back=False)
-    wave = wave * _inverse_eigenvalues(gx.shape[-2], gx.shape[-1], sides)
-    for axis, ends in ((-2, sides[2:]), (-1, sides[:2])):
-        wave = _waves(wave, axis, ends, back=True)
-    return freeze(np.ascontiguousarray(wave * np.float32(pixel_mm), np.float32))
+    along_x: Ends = (sides.left, sides.right)
+    along_y: Ends = (sides.top, sides.bottom)
+    ends, others = (along_x, along_y) if across else (along_y, along_x)
+    wave = out if across else _turned(out)
+    wave = _waves(wave, ends, back=False)
+    per, slow = _pivots(wave.shape[1], wave.shape[2], ends, others)
+    solved(wave, per, np.float32(-pixel_mm), slow, np.empty(slow.shape))
+    wave = _waves(wave, ends, back=True)
+    return freeze((wave if across else _turned(wave)).reshape(gx.shape))
 
 
 def nearest(
@@ -75,36 +90,28 @@ def nearest(
     sure (rows, cols, 3): the weight of a pixel's two slopes, a matrix (xx, xy, yy). `steps` of conjugate gradients from
     `surface_mm`, helped by `integrated`, the surfaces when all slopes count alike.
     """
-    weight = np.ascontiguousarray(np.moveaxis(sure, 2, 0), np.float32)
-    surface, slope = np.array(surface_mm, np.float32), np.stack(slopes(surface_mm, pixel_mm))
-    left = _weighed(weight, np.stack(wanted) - slope)  # a field, whose divergence is the gradient
-    way, along, energy = np.zeros_like(surface), np.zeros_like(left), np.zeros(surface.shape[:-2])
-    for k in range(steps):
-        step = integrated(left[0], left[1])
-        slope = np.stack(slopes(step, pixel_mm))
-        new = _dot(left, slope)
-        on = _single(_share(new, energy) if k else np.zeros_like(new))
-        way = on * way + step
-        along = on * along + slope
-        pulled = _weighed(weight, along)
-        stiff, energy = _dot(along, pulled), new
-        far = _single(_share(new, stiff))
+    from pipeline.stages.depth.poisson_kernels import advanced, gained, missing, turned
+
+    flat = (-1, surface_mm.shape[-2] * surface_mm.shape[-1])
+    surface, weights = np.array(surface_mm, np.float32).reshape(flat), [w.reshape(-1) for w in planes(sure)]
+
+    def inclined(surfaces: Floats) -> list[Floats]:
+        return [_kept(g.reshape(flat)) for g in slopes(surfaces, pixel_mm)]
+
+    left = np.empty((2, *surface.shape), np.float32)
+    missing(*inclined(surface_mm), *(_kept(g.reshape(flat)) for g in wanted), *weights, *left)
+    way, along, energy = np.zeros_like(surface), np.zeros_like(left), np.zeros(len(surface))
+    for _ in range(steps):
+        field = left.reshape(2, *surface_mm.shape)
+        step = integrated(field[0], field[1])
+        slope, new, stiff = inclined(step), np.empty_like(energy), np.empty_like(energy)
+        gained(*slope, *left, new)
+        turned(_kept(step.reshape(flat)), *slope, _share(new, energy), *weights, way, *along, stiff)
+        energy, far = new, _share(new, stiff)
         if not far.any():
             break
-        surface += far * way
-        left -= far * pulled
-    return surface
-
-
-def _weighed(weight: Floats, field: Floats) -> Floats:
-    """Matrices (xx, xy, yy) times vectors (2, ..., rows, cols)."""
-    (xx, xy, yy), (x, y) = weight, field
-    return np.stack([xx * x + xy * y, xy * x + yy * y])
-
-
-def _dot(a: Floats, b: Floats) -> Doubles:
-    """Sums (...) of a b (2, ..., rows, cols), the same however many threads there are."""
-    return np.asarray((a * b).sum(axis=(0, -2, -1), dtype=np.float64))
+        advanced(far, way, *along, *weights, surface, *left)
+    return surface.reshape(surface_mm.shape)
 
 
 def _share(part: Doubles, whole: Doubles) -> Doubles:
@@ -112,50 +119,61 @@ def _share(part: Doubles, whole: Doubles) -> Doubles:
     return np.divide(part, whole, out=np.zeros_like(part), where=whole > _NOTHING)
 
 
-def _single(numbers: Doubles) -> Floats:
-    """To be multiplied with images (..., rows, cols)."""
-    return numbers.astype(np.float32)[..., None, None]
+def planes(sure: Floats) -> tuple[Floats, ...]:
+    """The three numbers (rows, cols) of the matrices `sure` (rows, cols, 3), each beside its own."""
+    import cv2
+
+    return tuple(_kept(np.asarray(one, np.float32)) for one in cv2.split(np.asarray(sure, np.float32)))
 
 
-def _waves(image: Floats, axis: int, ends: tuple[Boundary, ...], *, back: bool) -> Floats:
-    """The orthonormal transform along one axis whose waves fit both ends, or back from it."""
+def _kept(images: Floats) -> Floats:
+    """As the kernels take it; read-only, as they are compiled anew for what can be written to."""
+    return freeze(np.ascontiguousarray(images, np.float32).view())
+
+
+def _waves(images: Floats, ends: Ends, *, back: bool) -> Floats:
+    """The orthonormal transform along the last axis whose waves fit both ends, or back from it."""
     from scipy import fft
 
     first, last = ends
     kind = 2 if first == last else 4
     transforms = (fft.dct, fft.idct) if first == "free" else (fft.dst, fft.idst)
-    return np.asarray(transforms[back](image, type=kind, axis=axis, norm="ortho", workers=_WORKERS), np.float32)
+    workers = _WORKERS if images.size > _WORTH_WORKERS else 1
+    return np.asarray(transforms[back](images, type=kind, norm="ortho", workers=workers), np.float32)
+
+
+def _turned(images: Floats) -> Floats:
+    """The images (n, cols, rows) of (n, rows, cols)."""
+    import cv2
+
+    out = np.empty((images.shape[0], images.shape[2], images.shape[1]), np.float32)
+    for image, to in zip(images, out, strict=True):
+        cv2.transpose(image, dst=to)
+    return out
+
+
+@lru_cache(maxsize=256)
+def _is_quicker(n: int, other: int) -> bool:
+    """Whether waves of `n` are found no more slowly than those of another length: by the largest prime in either."""
+    return _largest_prime(n) <= max(_largest_prime(other), _QUICK)
+
+
+def _largest_prime(n: int) -> int:
+    largest, k = 1, 2
+    while k * k <= n:
+        while n % k == 0:
+            n, largest = n // k, k
+        k += 1
+    return max(n, largest)
 
 
 @remembered(8)
-def _inverse_eigenvalues(rows: int, cols: int, sides: Sides) -> Floats:
-    """-1 / eigenvalue of the five-point Laplacian (rows, cols); the constant has none and is left at zero."""
-    first = {("free", "free"): 0.0, ("flat", "flat"): 1.0}
-    kx, ky = (
-        (np.arange(n) + first.get(ends, 0.5)) * (math.pi / (2 * n))
-        for n, ends in ((cols, sides[:2]), (rows, sides[2:]))
-    )
-    total = 4.0 * np.sin(ky)[:, None] ** 2 + 4.0 * np.sin(kx)[None, :] ** 2
-    inverse = np.divide(-1.0, total, out=np.zeros_like(total), where=total > 0)
-    return freeze(inverse.astype(np.float32))
+def _pivots(rows: int, modes: int, ends: Ends, others: Ends) -> tuple[Floats, Doubles]:
+    """What `solved` needs of images (rows, modes) in waves that fit `ends`, and have `others` along their columns."""
+    from pipeline.stages.depth.poisson_kernels import pivots
 
-
-def _divergence(gx: Floats, gy: Floats, sides: Sides) -> Floats:
-    """Edge slopes in minus out. A flat border lies half a pixel outside: the edge to it has its pixel's own slope.
-
-    The edge across a free border is left out: the divergence is the transpose of D applied to the slopes, negated.
-    """
-    div = np.zeros(gx.shape, dtype=np.float32)
-    for d, g, (first, last) in ((div, gx, sides[:2]), (div.swapaxes(-1, -2), gy.swapaxes(-1, -2), sides[2:])):
-        n = g.shape[-1]
-        if n > 1:
-            d[..., 1:-1] += g[..., 2:]
-            d[..., 1:-1] -= g[..., :-2]
-            d[..., 0] += g[..., 0] + g[..., 1]
-            d[..., -1] -= g[..., -2] + g[..., -1]
-        if first == "flat":
-            d[..., 0] -= 2.0 * g[..., 0]
-        if last == "flat":
-            d[..., -1] += 2.0 * g[..., -1]
-    div *= np.float32(0.5)
-    return div
+    first = 0.5 if ends[0] != ends[1] else float(ends[0] == "flat")
+    waves = 4.0 * np.sin((np.arange(modes) + first) * (math.pi / (2 * modes))) ** 2
+    out, slow = np.empty((rows, modes), np.float32), np.empty((rows, min(_SLOW, modes)))
+    pivots(waves, *(1.0 if end == "free" else 3.0 for end in others), np.zeros(modes), out, slow)
+    return freeze(out), freeze(slow)

@@ -15,7 +15,7 @@ PHYSICS = Method(
     run=unless(stage.untouched, stage.recorded),
     params=stage.DepthParams,
     reads=("frame", "source", "calibration"),
-    version=10,
+    version=11,
     draft=stage.draft,
 )
 NETWORK = Method(

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.base.arrays import Floats
+from pipeline.base.arrays import Floats, freeze
+from pipeline.base.ranks import percentile
 from pipeline.physics.slopes import slopes
+from pipeline.stages.depth.poisson import planes
 
 _STEPPED = ((0.1, 0.5), (0.3, 0.8), (0.6, 1.0))  # from and to what share of the depth a wall is made higher
 _DENTS, _DENT_SHARE = 4, 0.5  # the largest, by themselves; of the depth
@@ -22,29 +24,33 @@ _HELD = 1e-6
 
 def raised(surface_mm: Floats, wanted: tuple[Floats, Floats], sure: Floats, pixel_mm: float) -> Floats:
     """The surface (rows, cols), moved as a whole, whose slopes come nearest to those wanted; see `poisson.nearest`."""
+    import cv2
+
+    from pipeline.stages.depth.walls_kernels import weighed
+
     shapes = _shapes(surface_mm)
     if not shapes:
         return surface_mm
-    xx, xy, yy = np.ascontiguousarray(np.moveaxis(sure, 2, 0))
-    steep = [slopes(shape, pixel_mm) for shape in shapes]
-    pulled = [(xx * gx + xy * gy, xy * gx + yy * gy) for gx, gy in steep]
-    gx, gy = slopes(surface_mm, pixel_mm)
-    left = (wanted[0] - gx, wanted[1] - gy)
-    normal = np.array([[_dot(a, b) for b in steep] for a in pulled])
-    pull = np.array([_dot(a, left) for a in pulled])
-    by = np.linalg.solve(normal + _HELD * np.trace(normal) * np.eye(len(shapes)), pull)
-    return surface_mm + sum((np.float32(k) * shape for k, shape in zip(by, shapes, strict=True)), np.float32(0.0))
+    n, cols = len(shapes), surface_mm.shape[1]
+    normal, pull, line = np.empty((n, n)), np.empty(n), np.empty((2, cols), np.float32)
+    steep = (*slopes(np.stack(shapes), pixel_mm), *wanted)
+    # Read-only, as the kernel is compiled anew for what can be written to.
+    weighed(*(freeze(np.ascontiguousarray(g, np.float32).view()) for g in steep), *planes(sure), line, normal, pull)
+    by = np.linalg.solve(normal + _HELD * np.trace(normal) * np.eye(n), pull)
+    raised_mm = np.array(surface_mm, np.float32)
+    for k, shape in zip(by, shapes, strict=True):
+        cv2.scaleAdd(shape, float(k), raised_mm, dst=raised_mm)
+    return raised_mm
 
 
 def _shapes(surface_mm: Floats) -> list[Floats]:
     """Ways of moving (rows, cols) a surface as a whole."""
     import cv2
 
-    deep = float(np.percentile(surface_mm, _DEEPEST))
+    deep = float(percentile(surface_mm, _DEEPEST))
     if deep <= _LEAST_MM:
         return []
-    stepped = [np.clip((surface_mm / np.float32(deep) - low) / (high - low), 0.0, 1.0) for low, high in _STEPPED]
-    found = [surface_mm, *(np.asarray(one, np.float32) for one in stepped)]
+    found = [surface_mm, *(_stepped(surface_mm, deep, low, high) for low, high in _STEPPED)]
     n, of, stats, _ = cv2.connectedComponentsWithStats(
         (surface_mm > _DENT_SHARE * deep).astype(np.uint8), connectivity=8
     )
@@ -56,5 +62,9 @@ def _shapes(surface_mm: Floats) -> list[Floats]:
     return found
 
 
-def _dot(a: tuple[Floats, Floats], b: tuple[Floats, Floats]) -> float:
-    return sum(float((u * v).sum(dtype=np.float64)) for u, v in zip(a, b, strict=True))
+def _stepped(surface_mm: Floats, deep_mm: float, low: float, high: float) -> Floats:
+    """From 0 to 1 where the surface (rows, cols) goes from one share of the depth to the other."""
+    out = surface_mm * np.float32(1.0 / (deep_mm * (high - low)))
+    out -= np.float32(low / (high - low))
+    np.maximum(out, np.float32(0.0), out=out)
+    return np.minimum(out, np.float32(1.0), out=out)

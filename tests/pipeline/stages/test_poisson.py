@@ -66,6 +66,18 @@ def test_every_side_may_be_free_or_flat_on_its_own(sides, seed):
     assert np.abs(gradient).max() < 1e-4
 
 
+@pytest.mark.parametrize("sides", [("free",) * 4, ("flat",) * 4, ("free", "flat", "flat", "flat")])
+@pytest.mark.parametrize("shape", [(107, 60), (60, 107), (107, 61)])
+def test_it_does_not_matter_along_which_axis_the_waves_are_made(shape, sides):
+    g = np.random.default_rng(1).normal(size=(2, 2, *shape)).astype(np.float32)
+    z = integrate(g[0], g[1], 1.0, Sides(*sides))
+    left, right, top, bottom = sides
+    turned = integrate(g[1].swapaxes(1, 2), g[0].swapaxes(1, 2), 1.0, Sides(top, bottom, left, right))
+    assert np.abs(z - turned.swapaxes(1, 2)).max() < ROUNDING * np.abs(z).max()
+    alone = integrate(g[0, 1], g[1, 1], 1.0, Sides(*sides))
+    assert alone.tobytes() == z[1].tobytes()
+
+
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 99), scale=st.floats(0.01, 10.0))
 def test_the_integral_is_linear_and_scales_with_the_pixel(seed, scale):
