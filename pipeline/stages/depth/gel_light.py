@@ -184,7 +184,7 @@ def corrected(
     `integrated` makes slopes (gx, gy) of these pixels a surface in mm; in a light that is "sure", each round takes
     `steps` of it towards the `nearest`. Needs a sensor that `applies`.
     """
-    from pipeline.stages.depth.gel_light_kernels import explained, lit
+    from pipeline.stages.depth.gel_light_kernels import TILE, explained, lit
 
     told, camera = optics.optics_of(source), source.camera
     pixel_mm, size = picture.pixel_mm, np.array([camera.cols, camera.rows], np.float32)
@@ -192,21 +192,27 @@ def corrected(
     bright, out, misfit = _brightness(source, picture, light), np.empty_like(picture.change), 0.0
     pull, steepest = (_SURE_PULL, _SURE_STEEPEST) if light == "sure" else (_PULL, _STEEPEST)
     limits = (np.float32(pull), np.float32(HUBER_GREY), steepest, OUTSIDE)
-    by, sure = np.empty((2, 3), np.float32), np.empty_like(picture.change)
+    line, sure = np.empty(6 * TILE, np.float32), np.empty_like(picture.change)
+    still, change = in_rows(picture.still), in_rows(picture.change)
     for _ in range(rounds):
         z = within(surface_mm, picture, source)
         gx, gy = slopes(z, pixel_mm)
         share = passed(source, z, pixel_mm)
-        lit(gx, gy, place, (picture.still, bright, share), out)
+        lit(gx, gy, place, (still, in_rows(bright), in_rows(share)), line, in_rows(out))
         rest = (picture.change - recorded(out, source, picture)) * picture.bare
-        shone = (picture.still, bright, share * picture.bare)
-        misfit = explained(rest, picture.change, picture.moved, place, shone, limits, by, gx, gy, sure)
+        shone = (still, in_rows(bright), in_rows(share * picture.bare))
+        misfit = explained(in_rows(rest), change, picture.moved, place, shone, limits, line, gx, gy, in_rows(sure))
         surface_mm = (
             nearest(raised(surface_mm, (gx, gy), sure, pixel_mm), (gx, gy), sure, pixel_mm, integrated, steps)
             if light == "sure"
             else integrated(gx, gy)
         )
     return surface_mm, misfit
+
+
+def in_rows(image: Floats) -> Floats:
+    """An image (rows, cols, 3) as (rows, 3 cols), a view of it: a stride that is not written down is a slow one."""
+    return image.reshape(len(image), -1)
 
 
 def within(surface_mm: Floats, picture: Seen, source: SensorSpec) -> Floats:

@@ -206,13 +206,14 @@ def _rates(unit: SensorSpec, base: Optics, steps: Doubles, spread: Doubles, touc
 
 def _shown(source: SensorSpec, picture: Seen, share: Floats, gx: Floats, gy: Floats) -> Floats:
     """Grey levels (rows, cols, 3) that slopes change as described, before the lens; `share` of the light gets there."""
-    from pipeline.stages.depth.gel_light_kernels import lit
+    from pipeline.stages.depth.gel_light_kernels import TILE, lit
 
     told, camera = optics.optics_of(source), source.camera
     size = np.array([camera.cols, camera.rows], np.float32)
     place = (picture.x_px, picture.y_px, size, *optics.lamps(told, camera), np.float32(told.vignette))
-    out = np.empty_like(picture.change)
-    lit(gx, gy, place, (picture.still, np.ones_like(picture.still), share), out)
+    out, light = np.empty_like(picture.change), (picture.still, np.ones_like(picture.still), share)
+    line = np.empty(3 * TILE, np.float32)
+    lit(gx, gy, place, tuple(gel_light.in_rows(a) for a in light), line, gel_light.in_rows(out))
     return out
 
 

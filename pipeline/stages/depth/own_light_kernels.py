@@ -4,7 +4,7 @@
 import numpy as np
 
 from pipeline.base.kept_kernels import FAST, kernel
-from pipeline.stages.depth.slope_step_kernels import added, stepped, weighed
+from pipeline.stages.depth.slope_step_kernels import pulled, stepped
 
 
 @kernel(fastmath=FAST)
@@ -33,7 +33,7 @@ def explained(rest, change, still, moved, field, pull, huber, steepest, gx, gy):
     sum of what was left before the step, each no larger than twice that.
     """
     rows, cols = moved.shape
-    one, two, nothing, misfit = np.float32(1.0), np.float32(2.0), np.float32(0.0), 0.0
+    one, nothing, misfit = np.float32(1.0), np.float32(0.0), 0.0
     for r in range(rows):
         for c in range(cols):
             if not moved[r, c]:
@@ -42,13 +42,12 @@ def explained(rest, change, still, moved, field, pull, huber, steepest, gx, gy):
             sx, sy = gx[r, c], gy[r, c]
             n = one / np.sqrt(one + sx * sx + sy * sy)
             bent = n * n * n
-            sums = (pull, nothing, pull, nothing, nothing)
+            sums = (pull, nothing, pull, nothing, nothing, nothing)
             for k in range(3):
-                off, a = rest[r, c, k], field[r, c, k]
-                weight = weighed(off, still[r, c, k] + change[r, c, k], huber)
-                if weight > nothing:
-                    along = (a[0] * sx + a[1] * sy - a[2]) * bent
-                    sums = added(sums, along * sx - a[0] * n, along * sy - a[1] * n, off, weight)
-                    misfit += min(abs(off), two * huber)
+                a = field[r, c, k]
+                along = (a[0] * sx + a[1] * sy - a[2]) * bent
+                to_x, to_y = along * sx - a[0] * n, along * sy - a[1] * n
+                sums = pulled(sums, to_x, to_y, rest[r, c, k], still[r, c, k] + change[r, c, k], huber)
+            misfit += sums[5]
             gx[r, c], gy[r, c] = stepped(sx, sy, sums, steepest)
     return misfit

@@ -13,32 +13,29 @@ _LONGEST = np.float32(0.3)  # mm/mm of one step: the light is linear in the slop
 
 
 @inlined()
-def weighed(off, seen, huber):
-    """How hard a colour `off` by grey levels pulls, no harder beyond `huber`; 0 where the camera tells nothing."""
-    drawn = seen - off
-    if (drawn < _DARK and seen < _DARK + _NOISE) or (drawn > _BRIGHT and seen > _BRIGHT - _NOISE):
-        return np.float32(0.0)
-    return min(np.float32(1.0), huber / max(abs(off), np.float32(1e-6)))
+def pulled(sums, jx, jy, off, seen, huber):
+    """The normal equations (xx, xy, yy, to x, to y) and what is left, with a colour that is `off` by grey levels.
 
-
-@inlined()
-def added(sums, jx, jy, off, weight):
-    """The normal equations (xx, xy, yy, to x, to y) with a colour that changes by jx and jy with the two slopes."""
-    xx, xy, yy, to_x, to_y = sums
+    It changes by jx and jy with the two slopes, and pulls no harder beyond `huber`, of which at most twice is left; not
+    at all where the camera, which has `seen` it, tells nothing.
+    """
+    xx, xy, yy, to_x, to_y, left = sums
+    one, nothing, drawn, away = np.float32(1.0), np.float32(0.0), seen - off, abs(off)
+    told = (drawn >= _DARK or seen >= _DARK + _NOISE) and (drawn <= _BRIGHT or seen <= _BRIGHT - _NOISE)
+    weight = min(one, huber / max(away, np.float32(1e-6))) if told else nothing
+    left += min(away, huber + huber) if told else nothing
     wx, wy = weight * jx, weight * jy
-    return xx + wx * jx, xy + wx * jy, yy + wy * jy, to_x + wx * off, to_y + wy * off
+    return xx + wx * jx, xy + wx * jy, yy + wy * jy, to_x + wx * off, to_y + wy * off, left
 
 
 @inlined()
 def stepped(sx, sy, sums, steepest):
     """The slopes after the step that solves the equations, no longer than `_LONGEST`, nor steeper than `steepest`."""
     one = np.float32(1.0)
-    xx, xy, yy, to_x, to_y = sums
+    xx, xy, yy, to_x, to_y, _ = sums
     per = one / (xx * yy - xy * xy)
     step_x, step_y = (yy * to_x - xy * to_y) * per, (xx * to_y - xy * to_x) * per
-    length = math.sqrt(step_x * step_x + step_y * step_y)
-    cut = _LONGEST / length if length > _LONGEST else one
+    cut = min(one, _LONGEST / math.sqrt(step_x * step_x + step_y * step_y))
     to_x, to_y = sx + step_x * cut, sy + step_y * cut
-    length = math.sqrt(to_x * to_x + to_y * to_y)
-    cut = steepest / length if length > steepest else one
+    cut = min(one, steepest / math.sqrt(to_x * to_x + to_y * to_y))
     return to_x * cut, to_y * cut
