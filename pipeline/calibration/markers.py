@@ -16,6 +16,7 @@ from pipeline.sensors.spec import Markers
 _DARKER = 0.12  # share of the local brightness by which a marker lies below its surroundings
 _HALO_PX = 2  # lens blur around a dot
 _WIDEST_PX = 41  # of the disc that closes dots
+_SEEN_SHARE = 0.02  # of a mean: fewer visible pixels tell nothing
 _PART_HIDDEN = 0.25  # share of a pixel
 _SHARP_PX = 1.6  # Gaussian means wider than this are taken on fewer pixels
 
@@ -49,18 +50,21 @@ def inpainted(change: Floats, hidden: Mask, reach_px: float) -> Floats:
 
     Wider means take over where a narrower one sees nothing.
     """
-    out = change.copy()
+    channels = change.shape[2]
+    out = np.array(change)
     seen = (~hidden).astype(np.float32)
-    todo = hidden
+    shown = change * seen[..., None]
+    filled, todo = out.reshape(-1, channels), np.flatnonzero(hidden)
     for reach in (reach_px, 3 * reach_px, 9 * reach_px):
-        weight = _mean(seen, reach)
-        ready = todo & (weight > 0.02)
-        mean = _mean(change * seen[..., None], reach)
-        out[ready] = mean[ready] / weight[ready][:, None]
-        todo = todo & ~ready
-        if not todo.any():
+        weight = _mean(seen, reach).ravel()[todo]
+        ready = weight > _SEEN_SHARE
+        at = todo[ready]
+        mean = _mean(shown, reach).reshape(-1, channels)
+        filled[at] = mean[at] / weight[ready][:, None]
+        todo = todo[~ready]
+        if not len(todo):
             break
-    out[todo] = 0.0
+    filled[todo] = 0.0
     return out
 
 

@@ -21,6 +21,7 @@ from pipeline.sensors.parts import Gel
 
 _LARGEST_X = 40.0  # K is 1 to double precision long before sinh overflows
 _REACH = 8.0  # thicknesses: there the kernel of a nearly incompressible layer has faded below 1e-4 of its peak
+_WORTH_WORKERS = 2**15  # pixels of fewer of which threads take longer to wake than to work
 _REACH_MAX_PX = 1024  # beyond any picture; keeps the table of a very thick pad small
 
 
@@ -67,11 +68,12 @@ def _filtered(field: Floats, symbol: Doubles | Floats, padded: tuple[int, int]) 
     from scipy import fft
 
     rows, cols = field.shape
-    waves: Any = fft.rfft(field, n=padded[1], axis=1, workers=2)
-    waves = fft.fft(waves, n=padded[0], axis=0, workers=2, overwrite_x=True)
+    workers = 2 if padded[0] * padded[1] > _WORTH_WORKERS else 1
+    waves: Any = fft.rfft(field, n=padded[1], axis=1, workers=workers)
+    waves = fft.fft(waves, n=padded[0], axis=0, workers=workers, overwrite_x=True)
     waves *= symbol
-    waves = fft.ifft(waves, axis=0, workers=2, overwrite_x=True)[:rows]
-    back: Any = fft.irfft(waves, n=padded[1], axis=1, workers=2)
+    waves = fft.ifft(waves, axis=0, workers=workers, overwrite_x=True)[:rows]
+    back: Any = fft.irfft(waves, n=padded[1], axis=1, workers=workers)
     return np.ascontiguousarray(back[:, :cols])
 
 

@@ -26,11 +26,12 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.base.arrays import Floats, Mask, freeze
+from pipeline.base.arrays import Floats, Indices, Mask, freeze
 from pipeline.base.memo import remembered
+from pipeline.base.ranks import percentile
 from pipeline.physics.slopes import slopes
 
-_WORKERS = 2
+_WORKERS, _WORTH_WORKERS = 2, 2**18  # threads, and pixels of fewer of which they take longer to wake
 _NEAR_MM = 0.25  # farther than lens and smoothing spread light
 _LEAST_PRESSURE = np.float32(0.02)  # mm/mm, in slopes: noise and light that is not quite this unit's make as much
 USUAL_SHARE = 0.32  # of the usual pressure of a region: the median of what exceeds `_CORE_SHARE`
@@ -38,6 +39,7 @@ _CORE_SHARE, _PART_SHARE = np.float32(0.16), np.float32(0.25)  # of the region's
 _RIDGE_FROM, _RIDGE_TO, _RIDGE_SHARE = 1.7, 3.5, 0.6  # times what is usual; the share of such a peak nearby
 _HANGS_MM, _HANGS_SHARE = 2.0, np.float32(0.25)  # within about a gel's thickness of what is deep
 _REACH_CELLS = 8
+_MOST_SHORT = 2**16  # regions, whose numbers are sorted in one pass
 _SPECK_SHARE = 0.05  # of the largest region: dust and scratches that the press has shifted
 _FLAT_DEPTH_SHARE = 0.8  # of the depth of the nearest rim: a face that is level with its rim is touched as well
 _PRESSURE_FREE_BLUR_PX = 1.0
@@ -56,10 +58,11 @@ def relative_pressure(indentation_mm: Floats, smoothing_px: float, order: Litera
     """
     from scipy import fft
 
-    wave = np.asarray(fft.dctn(indentation_mm, type=2, norm="ortho", workers=_WORKERS))
     rows, cols = indentation_mm.shape
-    wave = wave * _wavenumbers(rows, cols, smoothing_px, order)
-    return np.asarray(fft.idctn(wave, type=2, norm="ortho", workers=_WORKERS), np.float32)
+    workers = _WORKERS if rows * cols > _WORTH_WORKERS else 1
+    wave = np.asarray(fft.dctn(indentation_mm, type=2, norm="ortho", workers=workers))
+    wave *= _wavenumbers(rows, cols, smoothing_px, order)
+    return np.asarray(fft.idctn(wave, type=2, norm="ortho", workers=workers, overwrite_x=True), np.float32)
 
 
 def touched(
@@ -87,10 +90,11 @@ def touched(
     pressure[~deep] = 0.0
     reach = 2 * max(1, round(_NEAR_MM / pixel_mm)) + 1
     near = np.asarray(cv2.dilate(pressure, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))), np.float32)
-    peak = _peaks(deep, pressure)
+    regions, n = _regions(deep)
+    peak = _peaks(deep, pressure, regions, n)
     deep_here = deep & (indentation_mm >= _HANGS_SHARE * _deepest_near(indentation_mm, _HANGS_MM / pixel_mm))
     least = np.maximum(_LEAST_PRESSURE, pressure_share * near)
-    usual = _usual(deep, pressure, deep_here & (pressure > np.maximum(least, _CORE_SHARE * peak)))
+    usual = _usual(pressure, regions, n, deep_here & (pressure > np.maximum(least, _CORE_SHARE * peak)))
     ridge = np.clip((near / np.maximum(usual, _LEAST_PRESSURE) - _RIDGE_FROM) / (_RIDGE_TO - _RIDGE_FROM), 0.0, 1.0)
     share = pressure_share + np.maximum(_RIDGE_SHARE - pressure_share, 0.0) * ridge
     limit = np.maximum(np.maximum(_LEAST_PRESSURE, np.float32(usual_share) * usual), share * near)
@@ -107,7 +111,9 @@ def touched_membrane(indentation_mm: Floats, *, least_mm: float, pressure_share:
     if not deep.any():
         return deep
     load = relative_pressure(indentation_mm, smoothing_px, 2)
-    mask = deep & (load > np.maximum(_peaks(deep, load), np.float32(1e-9)) * np.float32(pressure_share))
+    mask = deep & (
+        load > np.maximum(_peaks(deep, load, *_regions(deep)), np.float32(1e-9)) * np.float32(pressure_share)
+    )
     return without_holes(np.asarray(mask, np.bool_))
 
 
@@ -125,25 +131,26 @@ def _deepest_near(indentation_mm: Floats, reach_px: float) -> Floats:
     )
 
 
-def _peaks(deep: Mask, pressure: Floats) -> Floats:
-    """The largest pressure (rows, cols) of the connected region of `deep` that each pixel belongs to."""
+def _regions(mask: Mask, connectivity: int = 8) -> tuple[Indices, int]:
+    """The number of the connected region (rows, cols) that each pixel belongs to, 0 beside the mask, and how many."""
     import cv2
 
-    n, found = cv2.connectedComponents(deep.astype(np.uint8), connectivity=8)
-    regions = np.asarray(found, np.int32)
+    n, found = cv2.connectedComponents(mask.astype(np.uint8), connectivity=connectivity)
+    return np.asarray(found, np.int32), int(n)
+
+
+def _peaks(deep: Mask, pressure: Floats, regions: Indices, n: int) -> Floats:
+    """The largest pressure (rows, cols) of the connected region of `deep` that each pixel belongs to."""
     peaks = np.zeros(n, np.float32)
     np.maximum.at(peaks, regions[deep], pressure[deep])
     return peaks[regions]
 
 
-def _usual(deep: Mask, pressure: Floats, core: Mask) -> Floats:
-    """The median pressure (rows, cols) of the `core` in the connected region of `deep` that each pixel belongs to."""
-    import cv2
-
-    n, found = cv2.connectedComponents(deep.astype(np.uint8), connectivity=8)
-    regions = np.asarray(found, np.int32)
+def _usual(pressure: Floats, regions: Indices, n: int, core: Mask) -> Floats:
+    """The median pressure (rows, cols) of the `core` in the connected region that each pixel belongs to."""
     of, values = regions[core], pressure[core]
-    order = np.lexsort((values, of))
+    order = np.argsort(values)
+    order = order[np.argsort(of[order].astype(np.uint16 if n < _MOST_SHORT else np.int32), kind="stable")]
     ends = np.searchsorted(of[order], np.arange(n + 1))
     count = np.diff(ends)
     middle = values[order][np.minimum(ends[:-1] + count // 2, max(0, len(values) - 1))] if len(values) else 0.0
@@ -152,12 +159,9 @@ def _usual(deep: Mask, pressure: Floats, core: Mask) -> Floats:
 
 def _with(mask: Mask, seeds: Mask) -> Mask:
     """The connected parts of `mask` in which a seed lies."""
-    import cv2
-
-    n, found = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
-    regions = np.asarray(found, np.int32)
+    regions, n = _regions(mask)
     keep = np.zeros(n, np.bool_)
-    keep[np.unique(regions[seeds])] = True
+    keep[regions[seeds]] = True
     return keep[regions]
 
 
@@ -172,20 +176,19 @@ def _faces(indentation_mm: Floats, pressed: Mask, deep: Mask) -> Mask:
     if not pressed.any():
         return pressed
     smooth = np.asarray(cv2.GaussianBlur(indentation_mm, (0, 0), _PRESSURE_FREE_BLUR_PX), np.float32)
-    slope = np.hypot(*slopes(smooth, 1.0))
+    slope = np.asarray(cv2.magnitude(*slopes(smooth, 1.0)), np.float32)
     _, nearest = cv2.distanceTransformWithLabels(
         (~pressed).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
     labels = np.asarray(nearest, np.int32)
     depth_of = np.zeros(int(labels.max()) + 1, np.float32)
     depth_of[labels[pressed]] = indentation_mm[pressed]
-    steep = float(np.percentile(slope[deep], 95.0))
+    steep = float(percentile(slope, 95.0, deep))
     level = deep & ~pressed & (slope < _FLAT_SLOPE_SHARE * steep)
     level &= indentation_mm >= _FLAT_DEPTH_SHARE * depth_of[labels]
-    n, found = cv2.connectedComponents((level | pressed).astype(np.uint8), connectivity=4)
-    regions = np.asarray(found, np.int32)
+    regions, n = _regions(level | pressed, 4)
     with_rim = np.zeros(n, np.bool_)
-    with_rim[np.unique(regions[pressed])] = True
+    with_rim[regions[pressed]] = True
     with_rim[0] = False
     joined = with_rim[regions].astype(np.uint8)
     # The rim's pressure ridge and the face meet in a line of pixels that are neither.
@@ -198,35 +201,29 @@ def without_holes(mask: Mask) -> Mask:
 
     As scipy's `binary_fill_holes`, whose package takes a third of a second to load.
     """
-    import cv2
-
-    beside = np.pad(~mask, 1, constant_values=True).astype(np.uint8)
-    _, found = cv2.connectedComponents(beside, connectivity=4)
-    regions = np.asarray(found, np.int32)
+    regions, _ = _regions(np.pad(~mask, 1, constant_values=True), 4)
     return np.asarray(regions[1:-1, 1:-1] != regions[0, 0], np.bool_)
 
 
 def without_small_holes(mask: Mask, max_pixels: int) -> Mask:
     """The mask (rows, cols) with what it encloses where that is `max_pixels` pixels or less."""
-    import cv2
-
-    n, found, stats, _ = cv2.connectedComponentsWithStats(
-        (without_holes(mask) & ~mask).astype(np.uint8), connectivity=4
-    )
-    small = np.zeros(n, np.bool_)
-    small[1:] = stats[1:, cv2.CC_STAT_AREA] <= max_pixels
-    return mask | small[np.asarray(found, np.int32)]
+    holes = without_holes(mask) & ~mask
+    if not holes.any():
+        return mask
+    regions, n = _regions(holes, 4)
+    small = np.bincount(regions.ravel(), minlength=n) <= max_pixels
+    small[0] = False
+    return mask | small[regions]
 
 
 def without_specks(mask: Mask, min_pixels: int) -> Mask:
     """The mask without regions of fewer than `min_pixels` pixels or 5 % of the largest region."""
-    import cv2
-
-    n, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
-    keep = np.zeros(n, np.bool_)
-    areas = stats[1:, cv2.CC_STAT_AREA]
-    keep[1:] = areas >= max(min_pixels, _SPECK_SHARE * int(areas.max(initial=0)))
-    return keep[np.asarray(labels, np.int32)]
+    regions, n = _regions(mask)
+    areas = np.bincount(regions.ravel(), minlength=n)
+    areas[0] = 0
+    keep = areas >= max(min_pixels, _SPECK_SHARE * int(areas.max()))
+    keep[0] = False
+    return mask if keep[1:].all() else keep[regions]
 
 
 def without_margins(
@@ -240,7 +237,8 @@ def without_margins(
     """
     import cv2
 
-    if not mask.any():
+    borders = (rows.start == 0, rows.stop == shape[0], cols.start == 0, cols.stop == shape[1])
+    if not any(at and end.any() for at, end in zip(borders, (mask[0], mask[-1], mask[:, 0], mask[:, -1]), strict=True)):
         return mask
     n, found, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
     regions, keep = np.asarray(found, np.int32), np.ones(n, np.bool_)
@@ -264,4 +262,5 @@ def _wavenumbers(rows: int, cols: int, smoothing_px: float, order: Literal[1, 2]
     """Wavenumbers (rows, cols) of a cosine transform to the power of `order`, radians per pixel, damped by a blur."""
     ky, kx = (np.arange(n) * (math.pi / n) for n in (rows, cols))
     q_sq = ky[:, None] ** 2 + kx[None, :] ** 2
-    return freeze((q_sq ** (0.5 * order) * np.exp(-0.5 * smoothing_px**2 * q_sq)).astype(np.float32))
+    blurs = [np.exp(-0.5 * (smoothing_px * k) ** 2) for k in (ky, kx)]
+    return freeze(((np.sqrt(q_sq) if order == 1 else q_sq) * blurs[0][:, None] * blurs[1]).astype(np.float32))

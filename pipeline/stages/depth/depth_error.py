@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pipeline.base.ranks import percentile
 from pipeline.physics.slopes import slopes
 from pipeline.sensors.parts import Optics
 from pipeline.sensors.spec import SensorSpec
@@ -39,9 +40,11 @@ def of_gel(found: DepthMap, source: SensorSpec, light: Told | None) -> DepthErro
 
 def _steepness(found: DepthMap, pixel_mm: float) -> float:
     """How steep a touch is, mm/mm; 1 without a contact."""
+    import cv2
+
     if not found.contact.any():
         return 1.0
     where = np.flatnonzero(found.contact.any(axis=1)), np.flatnonzero(found.contact.any(axis=0))
     here = tuple(slice(max(int(n[0]) - 1, 0), int(n[-1]) + 2) for n in where)
-    steep = np.hypot(*slopes(found.indentation_mm[here], pixel_mm))[found.contact[here]]
-    return float(np.clip(np.percentile(steep, _STEEP), *_STEEPNESS))
+    steep = np.asarray(cv2.magnitude(*slopes(found.indentation_mm[here], pixel_mm)), np.float32)
+    return float(np.clip(percentile(steep, _STEEP, found.contact[here]), *_STEEPNESS))

@@ -220,7 +220,10 @@ def _solved(now: Floats, still: _Blocks, place: Floats, shift: Doubles, agrees: 
     """(gain - 1, offset, ramp of each colour, further shift), and the share of blocks that agree."""
     target = (now - still.mean).astype(np.float64)  # (n, 3)
     ones = np.ones(len(now))
-    columns = [np.stack([still.mean[:, c], ones, *place.T, -still.by_x[:, c], -still.by_y[:, c]]) for c in range(3)]
+    columns = np.stack(
+        [np.stack([still.mean[:, c], ones, *place.T, -still.by_x[:, c], -still.by_y[:, c]]) for c in range(3)]
+    )
+    numbers = [np.r_[4 * c : 4 * c + 4, 12, 13] for c in range(3)]  # of which a colour depends
     own_prior = np.array([_LIKELY[0], _LIKELY[1], _LIKELY[2], _LIKELY[2]]) / _BLOCK_NOISE_GREY
     prior = np.concatenate([np.tile(own_prior, 3), np.full(2, _LIKELY[3] / _BLOCK_NOISE_GREY)]) ** -2.0
     weight = ones
@@ -229,13 +232,12 @@ def _solved(now: Floats, still: _Blocks, place: Floats, shift: Doubles, agrees: 
     for scale in (*_SCALES_GREY, agrees, agrees):
         normal, right = np.diag(prior), np.zeros(14)
         right[12:] = -prior[12:] * shift
-        for c, a in enumerate(columns):
-            where = np.r_[4 * c : 4 * c + 4, 12, 13]
-            weighted = a * weight
-            normal[np.ix_(where, where)] += weighted @ a.T
-            right[where] += weighted @ target[:, c]
+        weighted = columns * weight
+        blocks, to = weighted @ columns.swapaxes(1, 2), weighted @ target.T[:, :, None]
+        for c, where in enumerate(numbers):
+            normal[np.ix_(where, where)] += blocks[c]
+            right[where] += to[c, :, 0]
         solution = np.asarray(np.linalg.solve(normal, right), np.float64)
-        rest = np.stack([target[:, c] - solution[np.r_[4 * c : 4 * c + 4, 12, 13]] @ a for c, a in enumerate(columns)])
-        off = np.abs(rest).max(axis=0)
-        weight = (1.0 + (off / scale) ** 2) ** -2.0
+        off = np.abs(target.T - (solution[numbers][:, None] @ columns)[:, 0]).max(axis=0)
+        weight = 1.0 / (1.0 + (off / scale) ** 2) ** 2
     return solution, float((off < agrees).mean())

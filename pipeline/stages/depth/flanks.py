@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.base.arrays import Floats, Mask
+from pipeline.base.ranks import percentile
 from pipeline.physics.slopes import slopes
 
 _FLANK, _FLANK_SHARE = 0.12, 0.1  # mm/mm, and of a region's pixels
@@ -27,8 +28,8 @@ def pressed_in(touched: Mask, surface_mm: Floats, pixel_mm: float, border: Mask 
     depths = np.full(n, -np.inf, np.float32)
     np.maximum.at(depths, regions[touched], surface_mm[touched])
     depths = depths[1:]
-    slope = np.hypot(*slopes(surface_mm, pixel_mm))
-    steepest = float(np.percentile(slope[regions == 1 + int(np.argmax(depths))], 90.0))
+    slope = np.asarray(cv2.magnitude(*slopes(surface_mm, pixel_mm)), np.float32)
+    steepest = float(percentile(slope, 90.0, regions == 1 + int(np.argmax(depths))))
     steep = slope > min(_FLANK, _FLANK_OF_DEEPEST * steepest)
     keep = np.bincount(regions[touched & steep], minlength=n) > _FLANK_SHARE * np.bincount(regions.ravel(), minlength=n)
     if border is not None:

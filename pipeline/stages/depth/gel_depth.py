@@ -74,11 +74,14 @@ class Measured:
         whole[self.window.rows, self.window.cols] = self.surface_mm
         return whole
 
-    def relaxed(self, touched: Mask) -> Floats:
-        """The indentation (rows, cols) in mm when this is the contact (rows, cols); zero beside the window."""
+    def relaxed(self, touched: Mask, away: Floats | None = None) -> Floats:
+        """The indentation (rows, cols) in mm when this is the contact (rows, cols); zero beside the window.
+
+        `away`, how far the window's pixels lie from the contact, in thicknesses of the gel, need not be known.
+        """
         here = (self.window.rows, self.window.cols)
         indentation = np.zeros(touched.shape, np.float32)
-        indentation[here] = _relaxed(self.surface_mm, touched[here], self.window, self.source, self.pixel_mm)
+        indentation[here] = _relaxed(self.surface_mm, touched[here], away, self.window, self.source, self.pixel_mm)
         return indentation
 
 
@@ -139,13 +142,14 @@ def read(
         pressed = contact.without_small_holes(pressed, round(_HOLE_MM2 / pixel_mm**2))
         narrow_px = _NARROW * (0.0 if source.gel is None else source.gel.thickness_mm) / pixel_mm
         touched[here] = contact.without_margins(pressed, surface, *here, shape, narrow_px)
+        away = None if source.gel is None else _away(touched[here], pixel_mm, source.gel)
         if own_light.explains(light):
-            surface = _lowered(surface, touched[here], window, source, pixel_mm)
+            surface = _lowered(surface, touched[here], away, window, source, pixel_mm)
         progress.step(0.8, "relaxing the gel around the contact")
         measured = Measured(
             surface_mm=freeze(surface), window=window, source=source, pixel_mm=pixel_mm, light=light
         )  # fmt: skip
-        indentation = measured.relaxed(touched)
+        indentation = measured.relaxed(touched, away)
         by_near = isinstance(light, np.ndarray) or (isinstance(light, str) and light == "near")
         if by_near and gel_light.hardly_told(touched, still.picture, source):
             notes.append(_HARDLY_TOLD)
@@ -190,7 +194,9 @@ def _settled(surface: Floats, window: Window, source: SensorSpec, pixel_mm: floa
     return found.surface_mm, found.inside
 
 
-def _relaxed(surface: Floats, touched: Mask, window: Window, source: SensorSpec, pixel_mm: float) -> Floats:
+def _relaxed(
+    surface: Floats, touched: Mask, away: Floats | None, window: Window, source: SensorSpec, pixel_mm: float
+) -> Floats:
     """The surface without what cannot be the gel's doing.
 
     Beside a contact a nearly incompressible layer of thickness t, bonded to its back, falls to its rest within about
@@ -199,21 +205,23 @@ def _relaxed(surface: Floats, touched: Mask, window: Window, source: SensorSpec,
     """
     if source.gel is None or not touched.any():
         return surface * window.share
-    thicknesses = _away(touched, pixel_mm, source.gel)
+    thicknesses = _away(touched, pixel_mm, source.gel) if away is None else away
     keep = np.clip((_GONE_AT - thicknesses) / (_GONE_AT - _FADES_FROM), 0.0, 1.0)
     keep = np.maximum(keep * window.share, touched)
     beyond = rest.far_field(surface, touched, pixel_mm, source.gel)
     return np.asarray(beyond + (surface - beyond) * keep, np.float32)
 
 
-def _lowered(surface: Floats, touched: Mask, window: Window, source: SensorSpec, pixel_mm: float) -> Floats:
+def _lowered(
+    surface: Floats, touched: Mask, away: Floats | None, window: Window, source: SensorSpec, pixel_mm: float
+) -> Floats:
     """The surface as high far from the contact as mechanics have it there, for a light that is known.
 
     Another light is found together with the depth, of surfaces that are at rest beside the contact.
     """
-    if source.gel is None or not touched.any():
+    if source.gel is None or away is None or not touched.any():
         return surface
-    far = (_away(touched, pixel_mm, source.gel) > _FAR) & window.moved
+    far = (away > _FAR) & window.moved
     return rest.lowered(surface, touched, far, pixel_mm, source.gel)
 
 
@@ -236,9 +244,13 @@ def _doubts(part: Image, source: SensorSpec, window: Window) -> list[str]:
     notes: list[str] = []
     if source.markers is not None:
         notes.append("slopes under the printed markers were filled in from around them")
-    clipped = (part >= _SATURATED_GREY)[window.moved].any(axis=1)
-    if np.count_nonzero(clipped) > _TELL_SATURATED * clipped.size:
-        notes.append(Doubt(f"{clipped.mean():.0%} of the touch is saturated: slopes there are doubtful"))
+    import cv2
+
+    red, green, blue = cv2.split(part)
+    clipped = np.asarray(cv2.max(cv2.max(red, green), blue)) >= _SATURATED_GREY
+    share = np.count_nonzero(clipped & window.moved) / np.count_nonzero(window.moved)
+    if share > _TELL_SATURATED:
+        notes.append(Doubt(f"{share:.0%} of the touch is saturated: slopes there are doubtful"))
     return notes
 
 

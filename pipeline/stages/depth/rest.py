@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Mask
+from pipeline.base.ranks import median
 from pipeline.physics import gel as gel_mechanics
 from pipeline.sensors.spec import Gel
 
@@ -99,7 +100,7 @@ def lowered(surface_mm: Floats, touched: Mask, far: Mask, pixel_mm: float, gel: 
     if np.count_nonzero(far) <= _FEWEST_FAR * far.size:
         return surface_mm
     beyond = far_field(surface_mm, touched, pixel_mm, gel)
-    return surface_mm + np.float32(np.median(beyond[far]) - np.median(surface_mm[far]))
+    return surface_mm + np.float32(median(beyond, far) - median(surface_mm, far))
 
 
 def _relaxed(depth_mm: Floats, held: Mask, cell_mm: float, gel: Gel) -> Floats:

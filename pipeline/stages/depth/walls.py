@@ -51,12 +51,11 @@ def _shapes(surface_mm: Floats) -> list[Floats]:
     if deep <= _LEAST_MM:
         return []
     found = [surface_mm, *(_stepped(surface_mm, deep, low, high) for low, high in _STEPPED)]
-    n, of, stats, _ = cv2.connectedComponentsWithStats(
-        (surface_mm > _DENT_SHARE * deep).astype(np.uint8), connectivity=8
-    )
+    n, of = cv2.connectedComponents((surface_mm > _DENT_SHARE * deep).astype(np.uint8), connectivity=8)
     if n > 2:  # the background and one dent
         dents = np.asarray(of, np.int32)
-        for k in 1 + np.argsort(-stats[1:, cv2.CC_STAT_AREA], kind="stable")[:_DENTS]:
+        areas = np.bincount(dents.ravel(), minlength=n)[1:]
+        for k in 1 + np.argsort(-areas, kind="stable")[:_DENTS]:
             alone = cv2.dilate((dents == k).astype(np.uint8), np.ones((_REACH, _REACH), np.uint8))
             found.append(np.asarray(found[2] * alone, np.float32))
     return found
