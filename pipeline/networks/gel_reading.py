@@ -9,9 +9,10 @@ the surface itself is, d0, and the correction d is the surface nearest to both,
 solved exactly by a cosine transform (two products with a matrix), which gradients pass through. g is a share of the
 slopes of z, and more: walls steeper than light can tell come out too low everywhere alike.
 
-All heights are told in the depth of the physical contact, and what is added is bounded by a share of the height there:
-how deep all of a touch is depends on how bright a unit's lamps are, which no picture tells. A network that has learned
-nothing yet corrects nothing: its last layer begins at zero.
+All heights are told in the depth of the physical contact, and what is added is bounded by a share of the height there.
+How deep all of a touch is depends on how bright a unit's lamps are and on walls that light does not tell: a network
+that is `scaled`, which has been shown what the light is like, tells a factor as well, the mean over the contact of what
+its pixels make of it. A network that has learned nothing yet corrects nothing: its last layer begins at zero.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ SLOPE_PX = 8.0  # pixels in which slopes are told
 SURE = 2.0  # logit of what physics holds for contact
 _ROUGH = 0.25  # brings the rough correction to the order of 1
 _MOST, _MOST_SHARE = 0.08, 0.35  # that is added: of the depth, and of the height at the place
+_SCALE, _MOST_SCALE = 0.3, 1.0  # of the factor's logarithm: brings it to the order of 1, and as far as it goes
+_BESIDE = 1e-3  # of a pixel's say in it, beside the contact
 
 
 class Reading(NamedTuple):
@@ -42,7 +45,8 @@ class Reading(NamedTuple):
     correction: Tensor
     contact: Tensor  # logit
     more_contact: Tensor  # what of it is not physics'
-    log_spread: Tensor  # logarithm of the Laplace scale of `surface`
+    log_spread: Tensor  # logarithm of the Laplace scale of `surface`, of its product with the factor if it is scaled
+    log_scale: Tensor | None = None  # (n,) logarithm of the factor that makes `surface` true; None: it is not told
 
 
 class GelReading(nn.Module):
@@ -58,14 +62,17 @@ class GelReading(nn.Module):
         widest: int = 120,
         reach_px: float = 25.0,
         calibrated: bool = False,
+        scaled: bool = False,
     ) -> None:
         """`physical`: the first of four inputs by physics: slopes right and down, indentation, share in contact.
 
         `calibrated`: it has learned what a look-up of the very unit leaves, not what physics reads without one.
+        `scaled`: it tells how deep all of a touch is, of units whose light is as described but for what units differ
+        by (`stages.depth.light_fields`).
         """
         super().__init__()
-        self.physical, self.calibrated = physical, calibrated
-        self.body = CompactUnet(inputs=inputs, outputs=6, first=first, levels=levels, widest=widest)
+        self.physical, self.calibrated, self.scaled = physical, calibrated, scaled
+        self.body = CompactUnet(inputs=inputs, outputs=6 + scaled, first=first, levels=levels, widest=widest)
         for last in (self.body.finish.weight, self.body.finish.bias):
             assert last is not None
             nn.init.zeros_(last)
@@ -74,7 +81,8 @@ class GelReading(nn.Module):
     def forward(self, fields: Tensor) -> Reading:
         """What the fields show."""
         fields = fields.contiguous(memory_format=torch.channels_last)  # a third of the time less
-        rough, more_x, more_y, factor, more_contact, log_spread = self.body(fields).float().unbind(1)
+        told = self.body(fields).float()
+        rough, more_x, more_y, factor, more_contact, log_spread = told[:, :6].unbind(1)
         slope_x, slope_y, deep, pressed = fields[:, self.physical : self.physical + 4].unbind(1)
         share = torch.expm1(0.5 * factor.clamp(-8.0, 4.0))
         with torch.autocast(fields.device.type, enabled=False):
@@ -87,8 +95,15 @@ class GelReading(nn.Module):
         return Reading(
             surface=deep + correction, correction=correction,
             contact=SURE * (2.0 * pressed - 1.0) + more_contact, more_contact=more_contact,
-            log_spread=log_spread.clamp(-6.0, 3.0),
+            log_spread=log_spread.clamp(-6.0, 3.0), log_scale=_over(pressed, told[:, 6]) if self.scaled else None,
         )  # fmt: skip
+
+
+def _over(pressed: Tensor, told: Tensor) -> Tensor:
+    """The factor's logarithm (n,), as the contact's pixels have it on the mean."""
+    say = pressed.clamp(min=0.0) + _BESIDE
+    mean = (told * say).sum(dim=(1, 2)) / say.sum(dim=(1, 2))
+    return (_SCALE * mean).clamp(-_MOST_SCALE, _MOST_SCALE)
 
 
 def integrated(slope_x: Tensor, slope_y: Tensor, rough: Tensor, reach: float) -> Tensor:

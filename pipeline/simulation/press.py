@@ -80,7 +80,7 @@ def photograph(
 def _gel(vertices_mm: Doubles, thing: Mesh, sensor: SensorSpec, load: Load | None) -> _Felt:
     if sensor.gel is None:
         raise SettingProblem(f"{sensor.name} has no gel to press; its description lacks [gel]")
-    on = _gel_lattice(sensor)
+    on = gel_lattice(sensor)
     rest_z = float(np.median(sensor.rest_depth_mm))
     overlap = rest_z - lattice.nearest_of_mesh(vertices_mm, thing.triangles, on)
     answer = gel.press(sensor.gel, on.step_mm, overlap)
@@ -102,7 +102,7 @@ def _gel(vertices_mm: Doubles, thing: Mesh, sensor: SensorSpec, load: Load | Non
     )  # fmt: skip
 
 
-def _gel_lattice(sensor: SensorSpec) -> Lattice:
+def gel_lattice(sensor: SensorSpec) -> Lattice:
     """The pad on the picture's own grid at rest, and a thickness more on every side."""
     assert sensor.gel is not None
     step, camera = sensor.pixel_mm, sensor.camera

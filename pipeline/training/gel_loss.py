@@ -43,6 +43,24 @@ def loss(reading: Reading, indentation: Tensor, contact: Tensor) -> tuple[Tensor
     return whole, {name: part.detach() for name, part in parts.items()}
 
 
+def scaled(reading: Reading, indentation: Tensor, contact: Tensor) -> tuple[Tensor, dict[str, Any]]:
+    """The same of a network that tells the scale: surfaces are compared as they are. Each touch has a contact."""
+    assert reading.log_scale is not None
+    surface = reading.surface * reading.log_scale.exp()[:, None, None]
+    touched = contact.float()
+    depth = (indentation * touched).amax(dim=(1, 2), keepdim=True).clamp(min=0.1)
+    weight = (_BESIDE + (_INSIDE - _BESIDE) * touched) / depth
+    off = surface - indentation
+    slopes = 0.5 * ((weight[..., 1:] * _across(off).abs()).mean() + (weight[..., 1:, :] * _down(off).abs()).mean())
+    told = functional.binary_cross_entropy_with_logits(reading.contact, touched)
+    overlap = _overlap(torch.sigmoid(reading.contact), touched)
+    spread = (off.abs().detach() * torch.exp(-reading.log_spread) + reading.log_spread).mean()
+    parts = {"surface": (weight * off.abs()).mean(), "slopes": slopes, "contact": told, "overlap": overlap,
+             "spread": spread}  # fmt: skip
+    whole = parts["surface"] + _SLOPES * slopes + _CONTACT * told + _OVERLAP * overlap + _SPREAD * spread
+    return whole, {name: part.detach() for name, part in parts.items()}
+
+
 def _factor(surface: Tensor, wanted: Tensor, touched: Tensor) -> Tensor:
     """What brings a surface nearest to another by least squares over the contact: (n, 1, 1), a third to three."""
     both = (touched * surface * wanted).sum(dim=(1, 2), keepdim=True)

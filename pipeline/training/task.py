@@ -69,6 +69,7 @@ class Entry:
 
 TASKS: dict[str, Entry] = {
     "gel_depth": Entry(what="depth", where="pipeline.training.gel_depth:GelDepth"),
+    "gel_units": Entry(what="depth", where="pipeline.training.gel_units:GelUnits"),
     "depth_anything": Entry(what="depth", where="pipeline.training.depth_anything:DepthAnythingTask"),
     "vqvae": Entry(what="vqvae", where="pipeline.training.vqvae:VqVaeTask"),
     "latent": Entry(what="latent", where="pipeline.training.latent:LatentTask"),

@@ -1,9 +1,13 @@
 """Depth of a gel by physics, corrected by the network that has learned where it errs on units that nobody calibrated.
 
-The network looks at 120 x 160 pixels whatever the sensor has (`network_input`), and of these at the contact's box, so
-that its time does not depend on the picture; what it adds is smooth, and what physics tells more finely stays, as does
-its scale. Where physics finds no contact, and for a unit that is calibrated, its answer stands: neither was learned
-from. Weights that were taught on a unit's own presses (`training.own_unit`) correct its look-up, and nothing else.
+The network looks at 120 x 160 pixels whatever the sensor has (`network_input`), so that its time does not depend on the
+picture; what it adds is smooth, and what physics tells more finely stays. Where physics finds no contact, and for a
+unit that is calibrated, its answer stands: neither was learned from.
+
+The network that comes along (`training.gel_units`) has learned from units that differ as a lab's do, and tells how deep
+all of a touch is as well: it answers where physics explains the light by a unit's lamps, and is believed half as far as
+physics. Others have seen units of any light and leave the scale to physics; weights that were taught on a unit's own
+presses (`training.own_unit`) correct its look-up, and nothing else.
 """
 
 from __future__ import annotations
@@ -22,7 +26,7 @@ from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.lookup import Calibration
 from pipeline.engine.digests import content
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import contact, drift, network_input, stage
+from pipeline.stages.depth import contact, drift, light_fields, network_input, own_light, stage
 from pipeline.stages.depth.gel_depth import Measured
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthError, DepthMap
@@ -32,6 +36,8 @@ if TYPE_CHECKING:
 
 _SPECK_MM2 = 0.15  # smaller contacts are camera noise
 _CORRELATION_PX = 8.0  # of the network's pixels: its errors go together over about what it integrates over
+_BELIEVED = 0.5  # the network's say in the scale
+_ANOTHER_LIGHT = "no usual unit's lamps explain the picture: the network was not asked, and physics' answer stands"
 _SURE = 2.0  # logit of what physics holds for contact, as the network has learned
 _PUSHED_IN = (
     0.3  # of the nearest contact's depth, at its edge: half of it on a deep gel, less on a thin one (`contact`)
@@ -72,8 +78,10 @@ def depth(
     if measured is None or not physical.contact.any():
         return physical
     progress.step(0.9, "correcting physics")
-    seen_by = source if frame.camera is None else source.seen_through(frame.camera)
-    return corrected(physical, measured, seen, as_wide(seen_by, calibration), network, params)
+    seen_by = as_wide(source if frame.camera is None else source.seen_through(frame.camera), calibration)
+    if getattr(network, "scaled", False) and not light_fields.applies(seen_by, measured.light):
+        return replace(physical, notes=(*physical.notes, _ANOTHER_LIGHT))
+    return corrected(physical, measured, seen, seen_by, network, params)
 
 
 def _not_for(calibration: Calibration | None, *, for_units: bool) -> str:
@@ -100,14 +108,16 @@ def corrected(
     """The physical answer with what the network makes of it; `source` as it is seen through the frame's camera."""
     at = network_input.frame(source.camera.shape)
     pixel_mm = np.float32(source.pixel_mm * at.pixels)
-    correction, more, spread = _read(network, seen)
-    may = physical.contact | (at.large(_may_touch(measured.raw(), seen, at).astype(np.float32)) > np.float32(0.5))
+    correction, more, spread, log_scale = _read(network, seen, source, measured.light)
+    may = np.ones_like(physical.contact)
+    if log_scale is None:  # of any light, which may throw shadows beside a touch
+        may = physical.contact | (at.large(_may_touch(measured.raw(), seen, at).astype(np.float32)) > np.float32(0.5))
     likely = np.float32(_SURE) * (2.0 * physical.contact.astype(np.float32) - 1.0) + at.large(more)
     limit = math.log(params.certainty / (1.0 - params.certainty))
     touched = contact.without_specks(may & (likely > limit), max(4, round(_SPECK_MM2 / source.pixel_mm**2)))
     by_physics = measured.relaxed(touched)
     indentation = np.asarray(by_physics + at.large(correction) * pixel_mm, np.float32)
-    indentation *= _as_deep(indentation, by_physics, touched)
+    indentation *= _as_deep(indentation, by_physics, touched, log_scale)
     notes = _limited(indentation, touched, source)
     if not touched.any():
         notes.append("the network holds what has changed for no contact: nothing touches the sensor")
@@ -141,18 +151,26 @@ def looked_at(
 _lights: Memo[str, network_input.Light] = Memo(16)
 
 
-def _read(network: nn.Module, seen: network_input.Seen) -> tuple[Floats, Floats, Floats]:
-    """(correction in pixels, logit of contact beside physics', Laplace scale in pixels), each (120, 160)."""
+def _read(
+    network: nn.Module, seen: network_input.Seen, source: SensorSpec, light: own_light.Told | None
+) -> tuple[Floats, Floats, Floats, float | None]:
+    """(correction in pixels, logit of contact beside physics', Laplace scale in pixels), each (120, 160).
+
+    And the logarithm of the factor that makes the corrected surface true, of a network that tells one.
+    """
     import torch
 
-    box, deep = network_input.box(seen), np.float32(network_input.depth_px(seen))
+    scaled = bool(getattr(network, "scaled", False))
+    everywhere = (slice(0, network_input.ROWS), slice(0, network_input.COLS))
+    box, deep = everywhere if scaled else network_input.box(seen), np.float32(network_input.depth_px(seen))
+    shown = light_fields.fields(seen, source, light) if scaled else network_input.fields(seen, box)
     with torch.inference_mode():
-        reading = network(torch.from_numpy(network_input.fields(seen, box))[None])
+        reading = network(torch.from_numpy(shown)[None])
     found = np.zeros((3, network_input.ROWS, network_input.COLS), np.float32)
     found[0][box] = deep * reading.correction[0].numpy()
     found[1][box] = reading.more_contact[0].numpy()
     found[2][box] = deep * np.exp(reading.log_spread[0].numpy())
-    return found[0], found[1], found[2]
+    return found[0], found[1], found[2], float(reading.log_scale[0]) if scaled else None
 
 
 def _may_touch(surface_mm: Floats, seen: network_input.Seen, at: network_input.Frame) -> Mask:
@@ -171,14 +189,19 @@ def _may_touch(surface_mm: Floats, seen: network_input.Seen, at: network_input.F
     return pressed | (deep > np.float32(_PUSHED_IN) * depth_of[nearest])
 
 
-def _as_deep(indentation: Floats, physical: Floats, touched: Mask) -> np.float32:
-    """What brings a surface to the scale of the physical one, by least squares over the contact; 0 where none is left.
+def _as_deep(indentation: Floats, physical: Floats, touched: Mask, log_scale: float | None) -> np.float32:
+    """What brings a surface to its scale; 0 where no contact is left.
 
-    No picture tells how bright a unit's lamps are, and so how deep all of a touch is: what the network makes of that is
-    what its training's units were like (a tenth to a fifth of the depth, another share for every kind of sensor).
+    That is physics', by least squares over the contact, where the network tells none: what one makes of it that was
+    shown units of any light is what those were like (a tenth to a fifth of the depth, another share for every kind of
+    sensor). Where it does, it is midway between the two, as they err by other things: physics by walls and by lamps
+    that one touch hardly tells, a network by how much its units are like this one.
     """
     own = indentation[touched].astype(np.float64)
-    return np.float32(own @ physical[touched] / max(float(own @ own), 1e-9))
+    as_physics = float(own @ physical[touched] / max(float(own @ own), 1e-9))
+    if log_scale is None or as_physics <= 0.0:
+        return np.float32(as_physics)
+    return np.float32(math.exp(_BELIEVED * log_scale) * as_physics ** (1.0 - _BELIEVED))
 
 
 def _error(spread_px: Floats, touched: Mask, pixel_mm: float) -> DepthError | None:

@@ -20,7 +20,7 @@ from pipeline.values.results import DepthMap
 def weights(source: SensorSpec, _target: SensorSpec, file: Path | None) -> Weights | NoWeights:
     """The weights that read this source: one network for all gels, one for all bubbles."""
     if source.kind == "gel":
-        return shelf.for_task(("gel_depth", "ball_depth"), "gel_depth", file)
+        return shelf.for_task(("gel_units", "gel_depth", "ball_depth"), "gel_units", file)
     return shelf.for_task("bubble_reading", "bubble_depth", file)
 
 

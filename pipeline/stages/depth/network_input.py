@@ -185,7 +185,7 @@ def fields(of: Seen, at: tuple[slice, slice] = (slice(0, ROWS), slice(0, COLS)))
     out[0:3] = [_in_own(change, pressed, _LEAST_GREY) for change in now - before]
     mean = np.maximum(of.untouched.mean(axis=(0, 1)), _LEAST_GREY)[:, None, None]
     out[3:6] = np.clip(before / mean - 1.0, -1.5, 1.5)
-    steepest = max(_LEAST_SLOPE, _largest(np.hypot(*of.slopes[:, at[0], at[1]]), pressed))
+    steepest = max(_LEAST_SLOPE, largest(np.hypot(*of.slopes[:, at[0], at[1]]), pressed))
     out[6:8] = np.clip(of.slopes[:, at[0], at[1]] / np.float32(steepest), -3.0, 3.0)
     surface = of.physical_px[at] / np.float32(deep)
     out[8], out[9] = (np.float32(SLOPE_PX) * slope for slope in slopes(surface, 1.0))
@@ -204,10 +204,11 @@ def inside(of: Seen) -> Mask:
 
 
 def _in_own(field: Floats, pressed: Mask, least: float) -> Floats:
-    return np.clip(field / np.float32(max(least, _largest(np.abs(field), pressed))), -3.0, 3.0)
+    return np.clip(field / np.float32(max(least, largest(np.abs(field), pressed))), -3.0, 3.0)
 
 
-def _largest(field: Floats, pressed: Mask) -> float:
+def largest(field: Floats, pressed: Mask) -> float:
+    """What is the largest of a field (rows, cols) in the contact, but for a few."""
     values = field[pressed]
     return float(np.quantile(values, _LARGEST)) if values.size else float(field.max(initial=0.0))
 

@@ -11,12 +11,16 @@ import pytest
 from pipeline.base.errors import ShapeError
 from pipeline.base.progress import SILENT
 from pipeline.calibration.lookup import BallFit, built_in
-from pipeline.evaluation.metrics import iou
+from pipeline.evaluation.metrics import iou, mean_abs_mm
+from pipeline.geometry import rigid
 from pipeline.networks import shelf
 from pipeline.networks.building import network
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.physics import gel, optics
 from pipeline.sensors.spec import sensor
+from pipeline.simulation import shapes
+from pipeline.simulation.press import press
+from pipeline.simulation.variation import varied
 from pipeline.stages.depth import gel_network, network_input, stage
 from pipeline.stages.depth.gel_network import NetworkParams, depth, looked_at
 from pipeline.stages.depth.slot import NETWORK
@@ -225,3 +229,42 @@ def test_the_weights_that_come_along_find_more_of_a_balls_contact_than_physics(n
     by_physics = stage.recorded(touched, source, None, stage.DepthParams()).contact
     assert iou(by_network, pressed.contact) > iou(by_physics, pressed.contact)
     assert not (by_network & ~by_physics & (pressed.indentation_mm < 0.05)).any()  # none of it where nothing is felt
+
+
+def of_unit(name, index, depth_mm):
+    """A tool that nothing has learned from, pressed into another unit: (frame, truth)."""
+    source = sensor(name)
+    unit, thing = varied(source, 900 + index), shapes.shape(shapes.names("unseen")[index]).mesh
+    pose = rigid.rotation((0.0, 0.0, 0.7 * index))
+    pose[2, 3] = -depth_mm - rigid.apply(pose, thing.vertices_mm)[:, 2].min()
+    felt = press(thing, pose, unit, seed=index)
+    return TactileFrame(sensor=name, image=felt.image, reference=optics.untouched(unit)), felt.truth
+
+
+def test_the_network_that_comes_along_is_nearer_on_units_that_differ_as_a_labs_do():
+    taught, off = network(shelf.shipped("gel_units")), []
+    for name in ("gelslim", "digit"):
+        for index in (0, 2, 5):
+            touched, truth = of_unit(name, index, 0.7)
+            for found in (
+                depth(touched, sensor(name), None, taught, NetworkParams()),
+                stage.recorded(touched, sensor(name), None, stage.DepthParams()),
+            ):
+                off.append(mean_abs_mm(found.indentation_mm, truth.indentation_mm, truth.contact))
+    by_network, by_physics = np.array(off).reshape(-1, 2).T
+    assert by_network.mean() < 0.85 * by_physics.mean()
+
+
+def test_the_scale_lies_midway_between_physics_and_the_network():
+    field, touched = np.full((4, 4), 2.0, np.float32), np.ones((4, 4), np.bool_)
+    assert gel_network._as_deep(field, 3 * field, touched, None) == pytest.approx(3.0)
+    assert gel_network._as_deep(field, 4 * field, touched, float(np.log(9.0))) == pytest.approx(6.0)
+    assert gel_network._as_deep(field, field, ~touched, 0.3) == 0.0
+
+
+def test_in_another_light_the_scaled_network_is_not_asked(monkeypatch):
+    monkeypatch.setattr(gel_network.light_fields, "applies", lambda source, light: False)
+    taught = network(shelf.shipped("gel_units"))
+    found = depth(frame(), sensor("gelsight_mini"), None, taught, NetworkParams())
+    assert np.array_equal(found.indentation_mm, physics().indentation_mm)
+    assert any("physics' answer stands" in note for note in found.notes)

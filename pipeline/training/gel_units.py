@@ -1,0 +1,89 @@
+"""To correct what physics reads of gels, their depth as a whole included: of units that differ as a lab's do.
+
+Loads no torch when it is imported: the examples are made in worker processes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.base.params import setting
+from pipeline.stages.depth import network_input
+from pipeline.training import unit_readings
+from pipeline.training.unit_readings import Reading
+
+if TYPE_CHECKING:
+    from torch import Tensor, nn
+
+    from pipeline.training.task import Example, Split
+
+_HELD_OUT_SEED = 7
+_UM_PER_MM = 1e3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GelUnits:
+    """What examples are made of."""
+
+    readings: int = setting(18_000, "Readings", low=1, high=10_000_000, help="that all examples are drawn from")
+    press_seed: int = setting(1, "Seed of the readings", low=0, high=2**31 - 1)
+    folder: str = setting("", "Folder", help="keeps the readings for other runs; empty = worked out each time")
+
+    def sample(self, rng: np.random.Generator) -> Example:
+        """One reading, mirrored or not."""
+        index = int(rng.integers(self.readings))
+        return _mirrored(rng, _example(unit_readings.reading(self.press_seed, index, self.folder)))
+
+    def held_out(self, split: Split, index: int) -> Example:
+        """Presses that training does not see; unseen tools as the simulator presses them."""
+        if split == "unseen_tools":
+            return _example(unit_readings.tool(index))
+        return _example(unit_readings.reading(_HELD_OUT_SEED, index, self.folder))
+
+    def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
+        """The loss of a batch and its parts."""
+        from pipeline.training import gel_loss
+
+        return gel_loss.scaled(network(batch["fields"]), batch["indentation"], batch["contact"])
+
+    def figures(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
+        """How far off depth and contact are, and how far physics is alone."""
+        import torch
+
+        rows: list[tuple[float, ...]] = []
+        for one in held_out:
+            with torch.inference_mode():
+                reading = network(torch.from_numpy(one["fields"])[None])
+            truth, touched = one["indentation"], one["contact"] > 0
+            if reading.log_scale is None or not touched.any():
+                continue
+            surface = reading.surface[0].numpy() * float(reading.log_scale[0].exp())
+            physical, um = one["fields"][network_input.SURFACE], _UM_PER_MM * float(one["depth_mm"])
+            found, alone = reading.contact[0].numpy() > 0, one["fields"][network_input.PRESSED] > 0.5
+            rows.append((
+                um * float(np.abs(surface - truth)[touched].mean()),
+                um * float(np.abs(physical - truth)[touched].mean()),
+                *(np.count_nonzero(mask & touched) / np.count_nonzero(mask | touched) for mask in (found, alone)),
+            ))  # fmt: skip
+        names = ("error in contact, um", "physics error in contact, um", "contact IoU", "physics contact IoU")
+        return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True)) if rows else {}
+
+
+def _example(of: Reading) -> Example:
+    return {
+        "fields": of.fields, "indentation": of.indentation, "contact": of.contact.astype(np.uint8),
+        "depth_mm": np.asarray(of.depth_mm, np.float32),
+    }  # fmt: skip
+
+
+def _mirrored(rng: np.random.Generator, one: Example) -> Example:
+    """The whole sensor seen in a mirror: left and right, up and down, or both."""
+    for number, (axis, turned) in enumerate(zip((-1, -2), network_input.SLOPE_FIELDS, strict=True)):
+        if rng.random() < 0.5:
+            one = {k: np.ascontiguousarray(np.flip(v, axis)) if v.ndim else v for k, v in one.items()}
+            one["fields"][[*turned, network_input.PLACE + number]] *= -1.0
+    return one
