@@ -106,7 +106,7 @@ def example(of: Taught, at: _Box = (slice(0, network_input.ROWS), slice(0, netwo
 
 def moved(rng: np.random.Generator, of: Taught) -> Example:
     """A part of a picture around its contact, mirrored or not."""
-    return _mirrored(rng, example(of, _part(rng, of)))
+    return mirrored(rng, example(of, _part(rng, of)))
 
 
 def _part(rng: np.random.Generator, of: Taught) -> _Box:
@@ -120,7 +120,7 @@ def _part(rng: np.random.Generator, of: Taught) -> _Box:
     return found[0], found[1]
 
 
-def _mirrored(rng: np.random.Generator, one: Example) -> Example:
+def mirrored(rng: np.random.Generator, one: Example) -> Example:
     """The whole sensor seen in a mirror: left and right, up and down, or both."""
     for number, (axis, turned) in enumerate(zip((-1, -2), network_input.SLOPE_FIELDS, strict=True)):
         if rng.random() < 0.5:

@@ -14,6 +14,7 @@ import numpy as np
 from pipeline.base.params import setting
 from pipeline.stages.depth import network_input
 from pipeline.training import unit_readings
+from pipeline.training.gel_depth import mirrored
 from pipeline.training.unit_readings import Reading
 
 if TYPE_CHECKING:
@@ -36,7 +37,7 @@ class GelUnits:
     def sample(self, rng: np.random.Generator) -> Example:
         """One reading, mirrored or not."""
         index = int(rng.integers(self.readings))
-        return _mirrored(rng, _example(unit_readings.reading(self.press_seed, index, self.folder)))
+        return mirrored(rng, _example(unit_readings.reading(self.press_seed, index, self.folder)))
 
     def held_out(self, split: Split, index: int) -> Example:
         """Presses that training does not see; unseen tools as the simulator presses them."""
@@ -78,12 +79,3 @@ def _example(of: Reading) -> Example:
         "fields": of.fields, "indentation": of.indentation, "contact": of.contact.astype(np.uint8),
         "depth_mm": np.asarray(of.depth_mm, np.float32),
     }  # fmt: skip
-
-
-def _mirrored(rng: np.random.Generator, one: Example) -> Example:
-    """The whole sensor seen in a mirror: left and right, up and down, or both."""
-    for number, (axis, turned) in enumerate(zip((-1, -2), network_input.SLOPE_FIELDS, strict=True)):
-        if rng.random() < 0.5:
-            one = {k: np.ascontiguousarray(np.flip(v, axis)) if v.ndim else v for k, v in one.items()}
-            one["fields"][[*turned, network_input.PLACE + number]] *= -1.0
-    return one

@@ -37,7 +37,6 @@ if TYPE_CHECKING:
 _SPECK_MM2 = 0.15  # smaller contacts are camera noise
 _CORRELATION_PX = 8.0  # of the network's pixels: its errors go together over about what it integrates over
 _BELIEVED = 0.5  # the network's say in the scale
-_ANOTHER_LIGHT = "no usual unit's lamps explain the picture: the network was not asked, and physics' answer stands"
 _SURE = 2.0  # logit of what physics holds for contact, as the network has learned
 _PUSHED_IN = (
     0.3  # of the nearest contact's depth, at its edge: half of it on a deep gel, less on a thin one (`contact`)
@@ -79,8 +78,9 @@ def depth(
         return physical
     progress.step(0.9, "correcting physics")
     seen_by = as_wide(source if frame.camera is None else source.seen_through(frame.camera), calibration)
-    if getattr(network, "scaled", False) and not light_fields.applies(seen_by, measured.light):
-        return replace(physical, notes=(*physical.notes, _ANOTHER_LIGHT))
+    why = light_fields.why_not(seen_by, measured.light) if getattr(network, "scaled", False) else ""
+    if why:
+        return replace(physical, notes=(*physical.notes, why))
     return corrected(physical, measured, seen, seen_by, network, params)
 
 

@@ -26,6 +26,8 @@ from pipeline.stages.depth.network_input import FIELDS, Seen
 
 ALL_FIELDS = FIELDS + 12
 LEARNED = ("gelslim", "digit", "gelsight_mini")
+# Without printed markers a GelSlim is lit the same; nothing was learned from it by itself.
+_LEARNED_AS = {**{name: name for name in LEARNED}, "gelslim_dotless": "gelslim"}
 _GREY, _MOST = 60.0, 4.0
 _LEAST_SLOPE, _USUAL_SLOPE = 0.02, 0.5
 _LAMPS, _POWER, _ELEVATION_DEG = 3, 0.15, 3.0  # what units differ by, about
@@ -33,14 +35,13 @@ _STEEP, _BRIGHTER, _HIGHER, _FOUND, _SENSOR = FIELDS + 3, FIELDS + 4, FIELDS + 7
 _NEAR, _FIELD = -1.0, -2.0  # lamps close beside, or none
 
 
-def applies(source: SensorSpec, light: own_light.Told | None) -> bool:
-    """Whether it is a sensor that was learned from, whose light physics has explained."""
-    return family(source.name) in LEARNED and own_light.explains(light)
-
-
-def family(name: str) -> str:
-    """The sensor that one is a kind of: without printed markers it is lit the same."""
-    return next((known for known in LEARNED if name.startswith(known)), name)
+def why_not(source: SensorSpec, light: own_light.Told | None) -> str:
+    """Why nothing was learned of such a touch, another sensor or a light that physics cannot explain; "" if it was."""
+    if source.name not in _LEARNED_AS:
+        return f"the network has not learned from {source.name}: it was not asked, and physics' answer stands"
+    if not own_light.explains(light):
+        return "no usual unit's lamps explain the picture: the network was not asked, and physics' answer stands"
+    return ""
 
 
 def fields(of: Seen, source: SensorSpec, light: own_light.Told | None) -> Floats:
@@ -58,8 +59,8 @@ def fields(of: Seen, source: SensorSpec, light: own_light.Told | None) -> Floats
         out[_FOUND] = 0.0 if light == "sure" else _NEAR
     elif light is not None:
         out[_FOUND] = _FIELD
-    if family(source.name) in LEARNED:
-        out[_SENSOR + LEARNED.index(family(source.name))] = 1.0
+    if source.name in _LEARNED_AS:
+        out[_SENSOR + LEARNED.index(_LEARNED_AS[source.name])] = 1.0
     return out
 
 

@@ -22,7 +22,7 @@ NETWORK = Method(
     slot="depth",
     name="network",
     title="Network",
-    help="a compact network, learned from simulated presses on random units; a gel's corrects physics",
+    help="a compact network, learned from simulated presses on other units; a gel's corrects physics",
     run=learned(network.depth, instead=PHYSICS),
     params=network.NetworkParams,
     reads=(*PHYSICS.reads, "depth_weights"),

@@ -263,7 +263,7 @@ def test_the_scale_lies_midway_between_physics_and_the_network():
 
 
 def test_in_another_light_the_scaled_network_is_not_asked(monkeypatch):
-    monkeypatch.setattr(gel_network.light_fields, "applies", lambda source, light: False)
+    monkeypatch.setattr(gel_network.light_fields, "why_not", lambda source, light: "physics' answer stands")
     taught = network(shelf.shipped("gel_units"))
     found = depth(frame(), sensor("gelsight_mini"), None, taught, NetworkParams())
     assert np.array_equal(found.indentation_mm, physics().indentation_mm)

@@ -34,8 +34,8 @@ def test_the_first_fields_are_those_of_any_light_and_one_tells_the_sensor(name):
     assert np.array_equal(found[: network_input.FIELDS], network_input.fields(seen))
     assert np.isfinite(found).all()
     which = [k for k in range(3) if found[25 + k].all()]
-    assert [light_fields.LEARNED[k] for k in which] == [light_fields.family(name)]
-    assert light_fields.applies(source, measured.light)
+    assert [light_fields.LEARNED[k] for k in which] == [name.removesuffix("_dotless")]
+    assert not light_fields.why_not(source, measured.light)
 
 
 def test_brighter_lamps_show_in_the_change_and_not_in_the_fields_of_any_light():
@@ -65,5 +65,5 @@ def test_lamps_that_were_found_are_told_in_what_units_differ_by():
 
 @pytest.mark.parametrize("light", ["near", "even", None])
 def test_light_that_no_lamps_explain_is_not_asked_of(light):
-    assert not light_fields.applies(sensor("digit"), light)
-    assert not light_fields.applies(replace(sensor("digit"), name="mine"), "sure")
+    assert "lamps explain" in light_fields.why_not(sensor("digit"), light)
+    assert "learned from digit_mine" in light_fields.why_not(replace(sensor("digit"), name="digit_mine"), "sure")

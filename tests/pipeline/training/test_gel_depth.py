@@ -9,7 +9,7 @@ import torch
 from pipeline.networks.gel_reading import Reading
 from pipeline.stages.depth.network_input import PLACE, PRESSED, SURFACE
 from pipeline.training import gel_depth, gel_presses, gel_readings
-from pipeline.training.gel_depth import GelDepth, _mirrored, example
+from pipeline.training.gel_depth import GelDepth, example, mirrored
 from pipeline.training.gel_loss import loss
 from pipeline.training.recipe import load
 
@@ -82,14 +82,14 @@ def test_a_mirror_turns_slopes_and_leaves_the_place(examples):
     one = next(e for e in examples if e["contact"].any())
     seen = set()
     for seed in range(12):
-        mirrored = _mirrored(np.random.default_rng(seed), {k: v.copy() for k, v in one.items()})
-        np.testing.assert_allclose(mirrored["fields"][PLACE:], one["fields"][PLACE:], atol=1e-6)
+        turned = mirrored(np.random.default_rng(seed), {k: v.copy() for k, v in one.items()})
+        np.testing.assert_allclose(turned["fields"][PLACE:], one["fields"][PLACE:], atol=1e-6)
         for flips in ((), (-1,), (-2,), (-2, -1)):
-            if np.array_equal(mirrored["indentation"], np.flip(one["indentation"], flips)):
+            if np.array_equal(turned["indentation"], np.flip(one["indentation"], flips)):
                 seen.add(flips)
                 for axis, field in ((-1, 6), (-2, 7), (-1, 8), (-2, 9)):
                     sign = -1 if axis in flips else 1
-                    assert np.array_equal(mirrored["fields"][field], sign * np.flip(one["fields"][field], flips))
+                    assert np.array_equal(turned["fields"][field], sign * np.flip(one["fields"][field], flips))
     assert len(seen) == 4
 
 

@@ -10,8 +10,9 @@ from pipeline.networks.building import build
 from pipeline.networks.gel_reading import Reading
 from pipeline.stages.depth import light_fields, network_input
 from pipeline.training import unit_readings
+from pipeline.training.gel_depth import mirrored
 from pipeline.training.gel_loss import scaled
-from pipeline.training.gel_units import GelUnits, _mirrored
+from pipeline.training.gel_units import GelUnits
 from pipeline.training.recipe import load
 
 TASK = GelUnits(readings=4)
@@ -52,7 +53,7 @@ def test_readings_of_one_press_have_one_contact_and_other_depths(readings):
 def test_a_mirror_turns_slopes_and_nothing_else_of_the_light(readings):
     one = {"fields": readings[0].fields, "contact": readings[0].contact.astype(np.uint8)}
     for seed in range(6):
-        found = _mirrored(np.random.default_rng(seed), {k: v.copy() for k, v in one.items()})
+        found = mirrored(np.random.default_rng(seed), {k: v.copy() for k, v in one.items()})
         np.testing.assert_allclose(found["fields"][19:], one["fields"][19:])
         np.testing.assert_allclose(
             np.abs(found["fields"][:14]).sum((1, 2)), np.abs(one["fields"][:14]).sum((1, 2)), rtol=1e-4
