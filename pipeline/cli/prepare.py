@@ -22,6 +22,7 @@ SAMPLE = Path(__file__).parents[2] / "sample_data" / "recordings" / "first_touch
 _FRAME = 5  # a firm touch
 _WAYS = (("gelslim", "soft_bubble"), ("soft_bubble", "digit"), ("digit", "gelslim"))
 _PRESSED = ("soft_bubble", "digit")
+_ODDLY_LIT = ("gelsight_mini", "digit")
 _TOOL = "notched_elbow"
 
 
@@ -91,7 +92,7 @@ def _pressed() -> None:
 
 
 def _oddly_lit() -> None:
-    """A touch in colours that no unit's lamps explain: it is read in a light of its own."""
+    """Touches in colours that no unit's lamps explain, without shadows and with: lights of their own are tried."""
     from pipeline.physics import optics
     from pipeline.sensors.spec import sensor
     from pipeline.simulation import shapes
@@ -100,8 +101,9 @@ def _oddly_lit() -> None:
     from pipeline.stages.depth.stage import DepthParams, depth
     from pipeline.values.frames import TactileFrame
 
-    gel, thing = sensor("gelsight_mini"), shapes.shape(_TOOL).mesh
-    image = cast("Image", press(thing, paper_grid(thing, n=1, seed=0)[0], gel, seed=0).image)
-    swapped = np.ascontiguousarray(image[..., ::-1])
-    untouched = np.ascontiguousarray(optics.untouched(gel)[..., ::-1])
-    depth(TactileFrame(sensor=gel.name, image=swapped, reference=untouched), gel, None, DepthParams())
+    thing = shapes.shape(_TOOL).mesh
+    for gel in map(sensor, _ODDLY_LIT):
+        image = cast("Image", press(thing, paper_grid(thing, n=1, seed=0)[0], gel, seed=0).image)
+        swapped = np.ascontiguousarray(image[..., ::-1])
+        untouched = np.ascontiguousarray(optics.untouched(gel)[..., ::-1])
+        depth(TactileFrame(sensor=gel.name, image=swapped, reference=untouched), gel, None, DepthParams())

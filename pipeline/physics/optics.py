@@ -9,6 +9,7 @@ Where a dent stands between an LED and a point, that LED's share of the light is
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
@@ -173,25 +174,38 @@ def _casts_shadow(optics: Optics, height_mm: Floats) -> bool:
 
 def shade(light: Floats, sensor: SensorSpec, height_mm: Floats, pixel_mm: float) -> None:
     """Take from `light` (rows, cols, 3) what does not get past a surface pressed in by `height_mm`, LED by LED."""
-    from pipeline.physics.optics_kernels import cast_shadow, darken
+    from pipeline.physics.optics_kernels import darken
 
     optics = optics_of(sensor)
-    drop = np.float32(pixel_mm * math.tan(math.radians(optics.shadow_deg)))
     leds = lamps(optics, sensor.camera)[0][: len(optics.leds)]
     all_leds = np.maximum(leds[:, 3:].sum(axis=0), 1e-6)
+    sinks = np.full(len(leds), math.tan(math.radians(optics.shadow_deg)))
+    for led, cover in zip(leds, hidden(height_mm, leds[:, :2], sinks, pixel_mm), strict=True):
+        darken(light, cover, np.float32(optics.shadow) * led[3:] / all_leds)
+
+
+def hidden(
+    height_mm: Floats, towards: NDArray[np.floating], sinks: NDArray[np.floating], pixel_mm: float
+) -> Iterator[Floats]:
+    """Lamp by lamp, how much of its light (rows, cols), 0 to 1, does not get past a surface pressed in by `height_mm`.
+
+    towards (n, 2): directions toward the lamps in the picture, of any length; sinks (n,): mm by which their light comes
+    nearer to the gel's rest in each mm of its way. The next lamp is written over the one before.
+    """
+    from pipeline.physics.optics_kernels import cast_shadow
+
     height_mm, turned = _single(height_mm), _single(height_mm.T)
-    cover_turned = np.empty_like(turned)
+    cover, cover_turned = np.empty_like(height_mm), np.empty_like(turned)
     lines = np.empty((2, max(height_mm.shape) + 4), np.float32)
-    cover = np.empty_like(height_mm)
-    for led in leds:
-        length = np.float32(math.hypot(led[0], led[1]) or 1.0)
-        to_x, to_y = led[0] / length, led[1] / length
+    for (x, y), sink in zip(towards, sinks, strict=True):
+        length, drop = np.float32(math.hypot(x, y) or 1.0), np.float32(pixel_mm * sink)
+        to_x, to_y = np.float32(x) / length, np.float32(y) / length
         if abs(to_x) >= abs(to_y):
             cast_shadow(turned, to_y, to_x, drop, np.float32(_PENUMBRA_MM), lines, cover_turned)
             cover[:] = cover_turned.T
         else:
             cast_shadow(height_mm, to_x, to_y, drop, np.float32(_PENUMBRA_MM), lines, cover)
-        darken(light, cover, np.float32(optics.shadow) * led[3:] / all_leds)
+        yield cover
 
 
 def _expose(light: Floats, optics: Optics, seed: int | None) -> Image:

@@ -35,6 +35,7 @@ from pipeline.stages.depth import (
     rest,
     unit_light,
 )
+from pipeline.stages.depth.cast_light import Lamps
 from pipeline.stages.depth.lit_surface import Changed
 from pipeline.stages.depth.moved import Window
 from pipeline.stages.depth.poisson import Boundary
@@ -55,6 +56,7 @@ _HOLE_MM2 = 0.5  # what a rough ball or a book leaves between its threads: those
 _FULL_SHARE = 0.9  # of the view
 _HARDLY_TOLD = Doubt("the touch lies where the lamps hardly tell slopes: sizes and depths there may be wrong by half")
 _NO_PRESS_NEAR = Doubt("no press of the calibration tells the light of this touch: it is read without")
+_LOST_ONCE = "no usual unit's lamps explain the picture: read by low ones, fitted to this touch, that dents hide"
 _NARROW = 0.5  # thicknesses, within which the gel beyond the border bears on what is seen
 
 
@@ -132,6 +134,8 @@ def read(
         if isinstance(light, Optics) and light != source.optics:
             of = "this touch" if pooled is None else f"{len(frame.beside)} touches of the recording"
             notes.append(f"read by the lamps of this unit, fitted to {of}")
+        if isinstance(light, Lamps):
+            notes.append(_LOST_ONCE)
         surface, inside = _settled(surface, window, source, pixel_mm)
         pressed = inside | contact.touched(
             surface, pixel_mm, least_mm=least_mm, pressure_share=pressure_share, smoothing_px=_CONTACT_BLUR_PX,

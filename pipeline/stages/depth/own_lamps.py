@@ -23,16 +23,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats
 from pipeline.physics import optics
 from pipeline.physics.slopes import slopes
 from pipeline.sensors.parts import Led, Optics
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import gel_light
+from pipeline.stages.depth import gel_light, unexplained
 from pipeline.stages.depth.gel_light import Seen
-from pipeline.stages.depth.poisson import Integrated, nearest
+from pipeline.stages.depth.poisson import Integrated
 
 CELLS = 80  # of the grid, along the longer side of a picture: half of it tells of the lamps as much
 TURNS, _ROUNDS, _STEPS = 4, 2, 8
@@ -40,14 +39,9 @@ _AZIMUTH_DEG, _ELEVATION_DEG = 8.0, 3.0  # standard deviations between units, as
 _POWER, _COLOUR = 0.12, 0.08  # of the logarithm: of a whole lamp, of each of its colours
 _OTHERS = (0.05, 0.08, 0.15, 0.25, 3.0)  # of fall-off, vignette, blur, shadow (both of the logarithm), its degrees
 _STEP = 0.15  # standard deviations, for rates of change
-_SLOPE_STEP = np.float32(0.02)  # mm/mm
 _NOISE_GREY = 6.0  # of a colour: what no lamps explain
 _WORTH = 800.0  # pixels of a touch that can be independent
-_PULL = np.float32(100.0)  # as `gel_light` has it
-_OUTSIDE = np.array([gel_light.OUTSIDE, 0.0, gel_light.OUTSIDE], np.float32)
-_BENT_STEPS = 3  # towards the surface that a change of the lamps bends
 _FARTHEST = 4.0  # of a turn, as units are far from each other: walls are not linear in their lamps
-_TELLS = (2.0, 252.0)  # grey levels between which a camera tells
 _HOPELESS = 0.65  # of the change, left by described lamps: simulated units 0.10 to 0.58 of it, other units up to 1
 _NOISE_LEFT = 1.5  # grey levels a pixel
 # Of the change, left beyond noise, and of t' C^-1 t: as much of both together as one alone may be. Simulated units have
@@ -79,7 +73,7 @@ def fitted(source: SensorSpec, touches: Sequence[Touch], turns: int = TURNS) -> 
     certain = np.linalg.inv(spread @ spread.T)
     steps, unit, normal = np.zeros(len(spread)), source, certain
     noise = sum(_NOISE_LEFT * float((touch.picture.bare[..., 0] * touch.picture.moved).sum()) for touch in touches)
-    changed = sum(_changed(touch.picture) for touch in touches)
+    changed = sum(changed_grey(touch.picture) for touch in touches)
     # Several threads would add up in another order.
     with threadpool_limits(limits=1, user_api="blas"):
         for turn in range(turns):
@@ -112,7 +106,7 @@ def _seen_in(unit: SensorSpec, touches: Sequence[Touch]) -> tuple[list[Touch], f
     return found, left
 
 
-def _changed(picture: Seen) -> float:
+def changed_grey(picture: Seen) -> float:
     """Grey levels that have changed, summed as what is left of them is."""
     changed = np.minimum(np.abs(picture.change * picture.bare), np.float32(2.0 * gel_light.HUBER_GREY))
     return float(changed[picture.moved].sum())
@@ -177,12 +171,9 @@ def _rates(unit: SensorSpec, base: Optics, steps: Doubles, spread: Doubles, touc
     share = gel_light.passed(unit, surface, picture.pixel_mm)
     level = _shown(unit, picture, share, gx, gy)
     out = gel_light.blurred(level, unit, picture)
-    weight = _weight(picture.change - gel_light.recorded(level, unit, picture), picture)
-    across = (_shown(unit, picture, share, gx + _SLOPE_STEP, gy) - level) / _SLOPE_STEP
-    down = (_shown(unit, picture, share, gx, gy + _SLOPE_STEP) - level) / _SLOPE_STEP
-    xx, xy, yy = _sum(weight, across, across) + _PULL, _sum(weight, across, down), _sum(weight, down, down) + _PULL
-    sure = np.where(picture.moved[..., None], np.stack([xx, xy, yy], axis=2), _OUTSIDE)
-    per = picture.moved / (xx * yy - xy * xy)
+    weight = unexplained.weights(picture.change - gel_light.recorded(level, unit, picture), picture)
+    across = (_shown(unit, picture, share, gx + unexplained.SLOPE_STEP, gy) - level) / unexplained.SLOPE_STEP
+    down = (_shown(unit, picture, share, gx, gy + unexplained.SLOPE_STEP) - level) / unexplained.SLOPE_STEP
     columns = np.zeros((len(steps), *out.shape), np.float32)
     for k, size in enumerate(_STEP * np.sqrt((spread**2).sum(axis=1))):
         there = steps.copy()
@@ -192,12 +183,7 @@ def _rates(unit: SensorSpec, base: Optics, steps: Doubles, spread: Doubles, touc
             share = gel_light.passed(other, surface, picture.pixel_mm)
             columns[k] = gel_light.blurred(_shown(other, picture, share, gx, gy), other, picture) - out
             columns[k] /= np.float32(size)
-    to_x, to_y = (per * np.einsum("rck,rck,nrck->nrc", weight, way, columns) for way in (across, down))
-    wanted = _single(yy * to_x - xy * to_y), _single(xx * to_y - xy * to_x)
-    still = np.zeros_like(wanted[0])
-    bent = nearest(still, wanted, _single(sure), picture.pixel_mm, touch.integrated, _BENT_STEPS) * picture.moved
-    for along, bends in zip((across, down), slopes(bent, picture.pixel_mm), strict=True):
-        columns -= along * bends[..., None]
+    unexplained.beyond_surface(columns, across, down, weight, picture, touch.integrated)
     columns = columns.reshape(len(steps), -1).T.astype(np.float64)
     share = min(1.0, _WORTH / max(1, np.count_nonzero(picture.moved))) / _NOISE_GREY**2
     weighed = columns * (share * weight.ravel().astype(np.float64))[:, None]
@@ -215,20 +201,3 @@ def _shown(source: SensorSpec, picture: Seen, share: Floats, gx: Floats, gy: Flo
     line = np.empty(3 * TILE, np.float32)
     lit(gx, gy, place, tuple(gel_light.in_rows(a) for a in light), line, gel_light.in_rows(out))
     return out
-
-
-def _weight(rest: Floats, picture: Seen) -> Floats:
-    """How much every colour (rows, cols, 3) counts."""
-    seen, (dark, bright) = picture.still + picture.change, _TELLS
-    tells = (seen > dark) & (seen < bright) & picture.moved[..., None]
-    huber = np.float32(gel_light.HUBER_GREY)
-    return np.asarray(tells * picture.bare * np.minimum(1.0, huber / np.maximum(np.abs(rest), huber)), np.float32)
-
-
-def _single(field: NDArray[np.floating]) -> Floats:
-    return np.asarray(field, np.float32)
-
-
-def _sum(weight: Floats, a: Floats, b: Floats) -> Floats:
-    """Of the colours of every pixel (rows, cols)."""
-    return _single(np.einsum("rck,rck,rck->rc", weight, a, b))

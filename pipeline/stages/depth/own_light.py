@@ -6,7 +6,8 @@ is known (`gel_light`, with the field in place of lamps), and the light for the 
 included.
 
 Lamps that shine as described, but aside, stronger or weaker, are fitted first (`own_lamps`): where some unit's explain
-the picture, no other light is looked for.
+the picture, no other light is looked for. Where dents cast shadows, those come next of which a surface loses light once
+(`cast_lamps`): as on a real DIGIT.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ from pipeline.physics import optics
 from pipeline.physics.slopes import slopes
 from pipeline.sensors.parts import Optics
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import gel_light, own_lamps
+from pipeline.stages.depth import cast_lamps, cast_light, gel_light, own_lamps
+from pipeline.stages.depth.cast_light import Lamps
 from pipeline.stages.depth.gel_light import Light, Seen, blurred
 from pipeline.stages.depth.poisson import Integrated
 
@@ -45,8 +47,9 @@ _LEAST_MM = -0.5  # no gel bulges out farther
 _SURER = 2  # times as many rounds; five times as many leave a twentieth less of a wall's height to find
 _DRAFTED = 2  # rounds of a draft: two thirds of the time, and 23 um from the whole answer where it touches, not 21
 
-# As described, by lamps of the unit's own (`own_lamps`), or the coefficients of a field (`light_field`).
-Told = Light | Optics | Doubles
+# As described, by lamps of the unit's own (`own_lamps`), by such whose light is lost once (`cast_light`), or the
+# coefficients of a field (`light_field`).
+Told = Light | Optics | Lamps | Doubles
 Integrates = Callable[[Seen], Integrated]  # what makes slopes of those pixels a surface
 
 
@@ -65,7 +68,8 @@ def best(
 ) -> tuple[Floats, Told]:  # fmt: skip
     """The surface by the light that explains most of the picture, and that light; one `known` is not looked for.
 
-    Lamps of some unit that explain the picture come first. The touch's own field has to explain far more than the
+    Lamps of some unit that explain the picture come first. Where dents cast shadows and neither they nor the described
+    light explain it, lamps whose light is lost once are tried. The touch's own field has to explain far more than the
     described light. Lamps that cast shadows stand low and aside: they shine evenly. Described light that explains most
     of the picture is "sure". `rounds` are those of `gel_light.corrected`; fewer make a draft, which takes no more turns
     either.
@@ -80,7 +84,10 @@ def best(
         unit = replace(source, optics=lamps)
         return gel_light.corrected(surface, picture, unit, "sure", integrated, _surer(rounds))[0], lamps
     if optics.optics_of(source).shadow > 0:
-        return _surely(surface, picture, source, integrated, rounds)
+        found = _surely(surface, picture, source, integrated, rounds)
+        if explains(found[1]) or misfit <= _EXPLAINED * own_lamps.changed_grey(picture):
+            return found
+        return _cast(surface_mm, picture, source, integrates, rounds) or found
     own = adapted(surface_mm, picture, source, integrated, min(rounds, _TURNS), misfit)
     if own is not None and misfit > _FAR_MORE * own.misfit:
         return own.surface_mm, own.coefficients
@@ -110,8 +117,17 @@ def _surely(
 ) -> tuple[Floats, Light]:
     """The surface of described light once its pixels count as far as they tell, if that light explains the picture."""
     found, left = gel_light.corrected(surface_mm, picture, source, "sure", integrated, _surer(rounds))
-    changed = np.minimum(np.abs(picture.change * picture.bare), np.float32(2.0 * gel_light.HUBER_GREY))[picture.moved]
-    return (found, "sure") if left <= _EXPLAINED * float(changed.sum()) else (surface_mm, "even")
+    return (found, "sure") if left <= _EXPLAINED * own_lamps.changed_grey(picture) else (surface_mm, "even")
+
+
+def _cast(
+    surface_mm: Floats, picture: Seen, source: SensorSpec, integrates: Integrates, rounds: int
+) -> tuple[Floats, Lamps] | None:
+    """The surface in the light of lamps whose light is lost once, if some usual unit's explain the picture."""
+    lamps = cast_lamps.fitted(source, touch(surface_mm, picture, source, integrates), min(rounds, cast_lamps.TURNS))
+    if lamps is None:
+        return None
+    return read_by(lamps, surface_mm, picture, source, integrates(picture), rounds, cast_light.STEPS), lamps
 
 
 def read_by(
@@ -121,6 +137,8 @@ def read_by(
     """A surface (rows, cols) corrected in a light that `best` has found."""
     if isinstance(light, Optics):
         source, light = replace(source, optics=light), "sure"
+    if isinstance(light, Lamps):
+        return cast_light.corrected(surface_mm, picture, source, light, integrated, rounds, steps)[0]
     if isinstance(light, str):
         if light == "sure" and rounds > _DRAFTED:
             surface_mm = gel_light.corrected(surface_mm, picture, source, "even", integrated, rounds)[0]
