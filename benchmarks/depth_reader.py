@@ -26,7 +26,7 @@ Reader = Callable[[TactileFrame, SensorSpec], DepthMap]
 _FEWEST_PX = 20  # of a contact that a sphere is fitted to
 
 
-def reader(method: str = "physics") -> Reader:
+def reader(method: str = "network") -> Reader:
     """What fills the slot *depth* by this method, without a calibration: the sensor's description is all it is told.
 
     "network=FILE" gives weights in place of those that come along.

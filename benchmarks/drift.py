@@ -2,7 +2,7 @@
 
     python benchmarks/drift.py [METHOD]
 
-METHOD fills the slot *depth* ("physics" unless named). Alone: 3 % more light and less; light that rises by 12 grey
+METHOD fills the slot *depth* ("network" unless named). Alone: 3 % more light and less; light that rises by 12 grey
 levels from one border to the other, along x and along y; the camera 2 pixels aside, along each axis and both. Then
 random mixtures of them: every colour's gain within 3 %, a ramp of up to 12 grey levels in any direction, of any
 colour, a shift of up to 2 pixels in any direction. Pictures are the simulated sensor's, and the untouched ones of a
@@ -128,7 +128,7 @@ def through_drift(read, rng):
                   bar=Bar(closer=0.8))  # fmt: skip
 
 
-def answer(method: str = "physics") -> Answer:
+def answer(method: str = "network") -> Answer:
     read, rng = reader(method), np.random.default_rng(0)
     every = list(stills())
     found = [false_contacts(read, f"each drift, {label}", source, still, table()) for label, source, still in every]

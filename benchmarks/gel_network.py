@@ -165,7 +165,7 @@ def drifts(read):
 def answer(weights: str = "") -> Answer:
     read = reader(f"network={weights}" if weights else "network")
     mini = sensor("gelsight_mini")
-    network = building.network(depth_network.weights(mini, mini, Path(weights) if weights else None))
+    network = building.ready(depth_network.weights(mini, mini, Path(weights) if weights else None))
     return Answer(
         title="What reading a gel by network costs, and what drift does to it",
         unit="frames",

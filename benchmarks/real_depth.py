@@ -2,7 +2,7 @@
 
     python benchmarks/real_depth.py [METHOD [DATA_FOLDER]]
 
-METHOD fills the slot *depth* ("physics" unless named) and is told nothing of the unit but its untouched picture. A
+METHOD fills the slot *depth* ("network" unless named) and is told nothing of the unit but its untouched picture. A
 sphere is fitted to the surface inside the largest part of the contact: the error of its diameter is the median over
 all presses of |diameter / true - 1|, a press without a contact of 20 pixels counting as 100 %; the residual is the
 median of the fits' rms. A patch is stray when it is any part of the contact but the largest. GelSlim 3.0's width of a
@@ -161,7 +161,7 @@ def right_and_alike(found) -> tuple[float, float]:
     return float((seen == ours).mean()), float(np.median(alike[seen > 0]))
 
 
-def answer(method: str = "physics", data: str = "") -> Answer:
+def answer(method: str = "network", data: str = "") -> Answer:
     folder, read = recorded_data(data), reader(method)
     found = [*minis(read, folder), *gelslims(read, folder), *digits(read, folder), *clips(read, folder)]
     return Answer(

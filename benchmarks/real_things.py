@@ -2,7 +2,7 @@
 
     python benchmarks/real_things.py [SHEET.png [METHOD [DATA_FOLDER]]]
 
-METHOD fills the slot *depth* ("physics" unless named) and is told nothing of the unit but its untouched picture. There
+METHOD fills the slot *depth* ("network" unless named) and is told nothing of the unit but its untouched picture. There
 is no truth: counted is what the eye would complain of. A *crumb* is a part of the contact smaller than a thousandth of
 the picture; a *corner blob* a part that lies whole in a corner of an eighth of the picture's sides; a *stair* a run of
 8 straight pixels or more in the contact's outline, along a row or a column and inside the picture: the share of the
@@ -81,7 +81,7 @@ def drawn(image, answer):
     return np.hstack([image, depth])
 
 
-def answer(sheet: str = "", method: str = "physics", data: str = "") -> Answer:
+def answer(sheet: str = "", method: str = "network", data: str = "") -> Answer:
     folder, read, mini = recorded_data(data) / "mini_things", reader(method), sensor("gelsight_mini")
     rows, shown = [], []
     for thing in sorted(path for path in folder.iterdir() if path.is_dir()):

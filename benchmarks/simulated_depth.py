@@ -2,7 +2,7 @@
 
     python benchmarks/simulated_depth.py [METHOD]
 
-METHOD fills the slot *depth* ("physics" unless named). Tools that no number was chosen by are pressed by 0.15, 0.4 and
+METHOD fills the slot *depth* ("network" unless named). Tools that no number was chosen by are pressed by 0.15, 0.4 and
 0.8 mm at random places and turns, each on another unit (`varied`, strength 1) than the one that depth is told of. The
 error of contact is 1 - intersection over union with the pixels under pressure; that of depth the mean absolute
 difference in the true contact. Boxes with a level face, 0.2 to 1.2 of the view's shorter side wide, are pressed by
@@ -102,10 +102,7 @@ def tools(read, name: str):
 
 
 def scaled(answer, truth):
-    """The indentation read, times what brings it nearest to the true one in its contact: what is left is shape.
-
-    How bright a unit's lamps are is told by one touch to a tenth at best, and all of its depth with it.
-    """
+    """The indentation read, times what brings it nearest to the true one in its contact: what is left is shape."""
     seen, true = (field.indentation_mm[truth.contact].astype(np.float64) for field in (answer, truth))
     return answer.indentation_mm * np.float32((seen @ true) / max(float(seen @ seen), 1e-9))
 
@@ -189,7 +186,7 @@ def _listed(values) -> str:
     return " ".join(f"{v:.2f}" for v in values)
 
 
-def answer(method: str = "physics") -> Answer:
+def answer(method: str = "network") -> Answer:
     read = reader(method)
     found = [
         part

@@ -62,6 +62,7 @@ class ParametersPanel(QScrollArea):
         self._params: dict[str, object] = {}
         self._controls: dict[str, dict[str, _Control]] = {}
         self._groups: dict[str, QWidget] = {}
+        self._only: list[tuple[QFormLayout, QWidget, Setting]] = []  # rows that say something of one kind of sensor
 
     def add_group(self, key: str, title: str, params: object, tip: str = "") -> None:
         """Add the controls of a method, `tip` saying what it does; nothing is shown for one without parameters."""
@@ -84,6 +85,8 @@ class ParametersPanel(QScrollArea):
             control.widget.setAccessibleName(told.label)
             control.widget.setObjectName(f"{key}.{name}")
             form.addRow(label, control.widget)
+            if told.only:
+                self._only.append((form, control.widget, told))
         group.setVisible(bool(self._controls[key]))
         self._groups[key] = group
         self._layout.insertWidget(self._layout.count() - 1, group)
@@ -96,8 +99,13 @@ class ParametersPanel(QScrollArea):
         for name, (value, _) in settings(params).items():
             self._controls[key][name].show(value)
 
-    def show_groups(self, keys: tuple[str, ...]) -> None:
-        """Show the groups of these methods only: those that fill the slots of the route."""
+    def show_groups(self, keys: tuple[str, ...], kind: str = "") -> None:
+        """Show the groups of these methods only: those that fill the slots of the route.
+
+        Of those, what says something of a source of that `kind`; "" is one that is not known.
+        """
+        for form, control, told in self._only:
+            form.setRowVisible(control, told.says(kind))
         for key, group in self._groups.items():
             group.setVisible(key in keys and bool(self._controls[key]))
 

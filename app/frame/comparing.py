@@ -138,9 +138,8 @@ class Comparing(QObject):
         if session.held is None:
             return _NO_OTHER
         other = replace(session.held, frame=session.frame, params={**session.held.params, "display": session.display})
-        opened, slot = self._instrument.screen.opened, str(self._page.slot.currentData() or "")
-        kind = "" if opened is None else opened.source.kind
-        told = "; ".join(differences(session, other, self._instrument.catalogue, kind)) or _SAME
+        slot = str(self._page.slot.currentData() or "")
+        told = "; ".join(differences(session, other, self._instrument.catalogue)) or _SAME
         both, sessions = (self._own, self._other), (session, other)
         return lambda report: two_at_once(both, sessions, slot, told, report)
 

@@ -12,15 +12,20 @@ from pipeline.engine.graph import Method
 from pipeline.translation.catalogue import Catalogue
 
 
-def show_controls(window: Window, session: Session, methods: Sequence[Method], catalogue: Catalogue) -> None:
-    """Show a session whose route is filled by these methods; no control says that anybody chose anything."""
+def show_controls(
+    window: Window, session: Session, methods: Sequence[Method], catalogue: Catalogue, kind: str = ""
+) -> None:
+    """Show a session whose route is filled by these methods; no control says that anybody chose anything.
+
+    What says nothing of a source of that `kind` is left out; "" is one that is not known.
+    """
     window.timeline.show_frame(session.frame)
     window.frames.show_frame(session.frame)
     for slot in catalogue.slots:
         for method in slot.methods:
             window.parameters.show_params(method.key, session.params_of(method))
     window.parameters.show_params(DISPLAY, session.display)
-    window.parameters.show_groups((*(m.key for m in methods), DISPLAY))
+    window.parameters.show_groups((*(m.key for m in methods), DISPLAY), kind)
     for method in methods:
         window.columns[method.slot].show_method(method.name)
     for name in ("source", "target", "route"):

@@ -68,7 +68,7 @@ class Instrument(Documents):
     def choose_method(self, slot: str, name: str) -> None:
         """Fill a slot by another method; the route's own is no choice to be kept."""
         others = {s: m for s, m in self.session.methods.items() if s != slot}
-        own = self.catalogue.own(self.session.route, self._kind()).get(slot) == name
+        own = self.catalogue.route(self.session.route).methods.get(slot) == name
         self.change(f"choose {name} for {slot}", methods=others if own else {**others, slot: name})
 
     def show_session(self, session: Session) -> None:
@@ -252,15 +252,16 @@ class Instrument(Documents):
 
     @property
     def methods(self) -> tuple[Method, ...]:
-        """Those of the session's route for the source on screen, one a slot."""
-        return self.catalogue.methods(self.session.route, self.session.methods, self._kind())
+        """Those of the session's route, one a slot."""
+        return self.catalogue.methods(self.session.route, self.session.methods)
 
-    def _kind(self) -> str:
+    @property
+    def kind(self) -> str:
         """Of the source on screen; "" where nothing is open."""
         return "" if self.screen.opened is None else self.screen.opened.source.kind
 
     def _show_controls(self) -> None:
-        show_controls(self.window, self.session, self.methods, self.catalogue)
+        show_controls(self.window, self.session, self.methods, self.catalogue, self.kind)
 
     def _ask(self, *, other_request: bool) -> None:
         session, wanted = self._drafted(), self.window.visible_columns()

@@ -10,8 +10,8 @@ from pipeline.engine.graph import Method
 from pipeline.translation.catalogue import Catalogue
 
 
-def differences(one: Session, other: Session, catalogue: Catalogue, kind: str = "") -> tuple[str, ...]:
-    """Each as `name: one | other`: everything that a frame's results rest on; `kind` is that of the source."""
+def differences(one: Session, other: Session, catalogue: Catalogue) -> tuple[str, ...]:
+    """Each as `name: one | other`: everything that a frame's results rest on."""
     found = [
         _told(name.replace("_", " "), getattr(one, name), getattr(other, name))
         for name in ASKED
@@ -19,9 +19,7 @@ def differences(one: Session, other: Session, catalogue: Catalogue, kind: str = 
     ]
     if one.offsets != other.offsets:
         found.append("the alignment is moved otherwise")
-    methods = tuple(
-        {m.slot: m for m in catalogue.methods(session.route, session.methods, kind)} for session in (one, other)
-    )
+    methods = tuple({m.slot: m for m in catalogue.methods(session.route, session.methods)} for session in (one, other))
     for slot in dict.fromkeys((*methods[0], *methods[1])):
         a, b = (there.get(slot) for there in methods)
         if a is None or b is None or a.key != b.key:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from app.session.state import ASKED, Session
 from pipeline.base.errors import FileProblem
 from pipeline.recordings import open_recording
-from pipeline.stages.depth.slot import PHYSICS
+from pipeline.stages.depth.slot import NETWORK, PHYSICS
 from pipeline.stages.depth.stage import DepthParams
 from pipeline.translation.catalogue import Catalogue
 from pipeline.translation.translate import Request, Translation, open_translation
@@ -44,7 +44,7 @@ def place_before(
 
 def depth_params(session: Session) -> DepthParams:
     """How a session has its depth worked out, on both sides of a comparison."""
-    params = session.params_of(PHYSICS)
+    params = session.params_of(PHYSICS if session.methods.get(PHYSICS.slot) == PHYSICS.name else NETWORK)
     assert isinstance(params, DepthParams)
     return params
 

@@ -26,13 +26,13 @@ _MATTERS = "guidance", "steps", "certainty", "pressure_share", "smoothing_px", "
 Offer = tuple[str, str, str, Value, Setting]  # method's key, parameter, words, value, how it is set
 
 
-def offered(session: Session, methods: Sequence[Method]) -> list[Offer]:
-    """All that can be swept."""
+def offered(session: Session, methods: Sequence[Method], kind: str = "") -> list[Offer]:
+    """All that can be swept and says something of a source of that kind; "" is one that is not known."""
     return [
         (method.key, name, f"{method.slot}.{name}", value, told)
         for method in methods
         for name, (value, told) in settings(session.params_of(method)).items()
-        if not isinstance(value, str) or told.choices
+        if (not isinstance(value, str) or told.choices) and told.says(kind)
     ]
 
 

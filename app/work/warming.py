@@ -12,7 +12,7 @@ def read_a_touch(report: Progress) -> None:
     from pipeline.base.arrays import freeze
     from pipeline.physics import optics
     from pipeline.sensors.spec import sensor
-    from pipeline.stages.depth.stage import DepthParams, depth
+    from pipeline.stages.depth.slot import NETWORK
     from pipeline.values.frames import TactileFrame
 
     source = sensor("gelslim")
@@ -20,7 +20,6 @@ def read_a_touch(report: Progress) -> None:
     image = still.copy()
     rows, cols = (n // 3 for n in image.shape[:2])
     image[rows : 2 * rows, cols : 2 * cols] = 255 - image[rows : 2 * rows, cols : 2 * cols]
-    depth(
-        TactileFrame(sensor=source.name, image=freeze(image.astype(np.uint8)), reference=still), source, None,
-        DepthParams(), report,
-    )  # fmt: skip
+    frame = TactileFrame(sensor=source.name, image=freeze(image.astype(np.uint8)), reference=still)
+    weights = None if NETWORK.weights is None else NETWORK.weights(source, source, None)
+    NETWORK.run(frame, source, None, weights, NETWORK.params(), report)

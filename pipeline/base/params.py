@@ -32,6 +32,11 @@ class Setting:
     choices: tuple[str, ...] = ()
     help: str = ""
     source: str = ""  # where the equation comes from that it stands in
+    only: str = ""  # the kind of sensor that it says anything of, "" = any
+
+    def says(self, kind: str) -> bool:
+        """Whether it says anything of a sensor of that kind; "" is one that is not known."""
+        return not (self.only and kind) or self.only == kind
 
 
 def is_draft(params: object) -> bool:
@@ -55,10 +60,13 @@ def setting(
     choices: Any = (),
     help: str = "",  # noqa: A002 - the word users know
     source: str = "",
+    only: str = "",
 ) -> Any:
     """A dataclass field with a default and its `Setting`; `choices` is the `Literal` that the field is declared as."""
     words = get_args(choices) or tuple(choices)
-    told = Setting(label=label, unit=unit, low=low, high=high, step=step, choices=words, help=help, source=source)
+    told = Setting(
+        label=label, unit=unit, low=low, high=high, step=step, choices=words, help=help, source=source, only=only
+    )  # fmt: skip
     return field(default=default, metadata={"setting": told})
 
 

@@ -25,6 +25,7 @@ KINDS: dict[str, str] = {  # kind -> module:class; torch loads with the module
 }
 LIGHT: dict[str, str] = {  # the same for kinds that need no torch to answer
     "compact_unet": "pipeline.networks.compact_unet_opencv:CompactUnetByOpenCv",
+    "gel_reading": "pipeline.networks.gel_reading_opencv:GelReadingByOpenCv",
 }
 _MOST_BYTES = 2 << 30  # of networks kept ready: a large one takes 1.3 GB
 _ready: Memo[str, nn.Module] = Memo(

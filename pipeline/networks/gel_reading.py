@@ -25,14 +25,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from pipeline.networks import gel_reading_opencv as light
 from pipeline.networks.compact_unet import CompactUnet
 
-SLOPE_PX = 8.0  # pixels in which slopes are told
 SURE = 2.0  # logit of what physics holds for contact
-_ROUGH = 0.25  # brings the rough correction to the order of 1
-_MOST, _MOST_SHARE = 0.08, 0.35  # that is added: of the depth, and of the height at the place
-_SCALE, _MOST_SCALE = 0.3, 1.0  # of the factor's logarithm: brings it to the order of 1, and as far as it goes
-_BESIDE = 1e-3  # of a pixel's say in it, beside the contact
 
 
 class Reading(NamedTuple):
@@ -72,7 +68,9 @@ class GelReading(nn.Module):
         """
         super().__init__()
         self.physical, self.calibrated, self.scaled = physical, calibrated, scaled
-        self.body = CompactUnet(inputs=inputs, outputs=6 + scaled, first=first, levels=levels, widest=widest)
+        self.body = CompactUnet(
+            inputs=inputs, outputs=light.OUTPUTS + scaled, first=first, levels=levels, widest=widest
+        )
         for last in (self.body.finish.weight, self.body.finish.bias):
             assert last is not None
             nn.init.zeros_(last)
@@ -82,28 +80,29 @@ class GelReading(nn.Module):
         """What the fields show."""
         fields = fields.contiguous(memory_format=torch.channels_last)  # a third of the time less
         told = self.body(fields).float()
-        rough, more_x, more_y, factor, more_contact, log_spread = told[:, :6].unbind(1)
+        rough, more_x, more_y, factor, more_contact, log_spread = told[:, : light.OUTPUTS].unbind(1)
         slope_x, slope_y, deep, pressed = fields[:, self.physical : self.physical + 4].unbind(1)
-        share = torch.expm1(0.5 * factor.clamp(-8.0, 4.0))
+        share = torch.expm1(light.FACTOR * factor.clamp(light.FACTOR_LOW, light.FACTOR_HIGH))
         with torch.autocast(fields.device.type, enabled=False):
             wanted = integrated(
-                (share * slope_x + more_x) / SLOPE_PX, (share * slope_y + more_y) / SLOPE_PX, _ROUGH * rough,
-                self.reach_px,
+                (share * slope_x + more_x) / light.SLOPE_PX, (share * slope_y + more_y) / light.SLOPE_PX,
+                light.ROUGH * rough, self.reach_px,
             )  # fmt: skip
-            most = _MOST + _MOST_SHARE * deep.clamp(0.0, 1.5)
+            most = light.MOST + light.MOST_SHARE * deep.clamp(0.0, 1.5)
             correction = most * torch.tanh(wanted / most)
         return Reading(
             surface=deep + correction, correction=correction,
             contact=SURE * (2.0 * pressed - 1.0) + more_contact, more_contact=more_contact,
-            log_spread=log_spread.clamp(-6.0, 3.0), log_scale=_over(pressed, told[:, 6]) if self.scaled else None,
+            log_spread=log_spread.clamp(light.SPREAD_LOW, light.SPREAD_HIGH),
+            log_scale=_over(pressed, told[:, light.OUTPUTS]) if self.scaled else None,
         )  # fmt: skip
 
 
 def _over(pressed: Tensor, told: Tensor) -> Tensor:
     """The factor's logarithm (n,), as the contact's pixels have it on the mean."""
-    say = pressed.clamp(min=0.0) + _BESIDE
+    say = pressed.clamp(min=0.0) + light.BESIDE
     mean = (told * say).sum(dim=(1, 2)) / say.sum(dim=(1, 2))
-    return (_SCALE * mean).clamp(-_MOST_SCALE, _MOST_SCALE)
+    return (light.SCALE * mean).clamp(-light.MOST_SCALE, light.MOST_SCALE)
 
 
 def integrated(slope_x: Tensor, slope_y: Tensor, rough: Tensor, reach: float) -> Tensor:

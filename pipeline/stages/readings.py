@@ -17,10 +17,7 @@ from pipeline.stages.slot import Facts, Mark, Place, Seen, Slot
 from pipeline.values.results import DepthMap
 
 
-def reading(
-    *, name: str, title: str, legend: str, place: Place, methods: tuple[Method, ...],
-    by_kind: Mapping[str, str] | None = None,
-) -> Slot:  # fmt: skip
+def reading(*, name: str, title: str, legend: str, place: Place, methods: tuple[Method, ...]) -> Slot:
     """The entry of a slot that holds how far the membrane of the sensor at `place` is pushed in."""
 
     def sensor(seen: Seen) -> SensorSpec:
@@ -46,7 +43,7 @@ def reading(
         return known_truth.membrane(facts, place, there)
 
     return Slot(
-        name=name, title=title, legend=legend, place=place, methods=methods, by_kind=by_kind or {},
+        name=name, title=title, legend=legend, place=place, methods=methods,
         picture=picture, layers=layers, follow=follow, figures=figures, truth=truth,
     )  # fmt: skip
 

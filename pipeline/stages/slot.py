@@ -7,7 +7,7 @@ module and one line in its slot's table, a slot is one folder and one line in th
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal
 
 from pipeline.engine.graph import Method
@@ -109,7 +109,6 @@ class Slot:
     follow: Callable[[Any, Mark], Mark]  # (value, mark in what it was made from) -> mark here
     figures: Callable[[Any, Facts], Mapping[str, float]] = _no_figures  # name in METRICS -> value
     truth: Callable[[Facts, SensorSpec], Any | None] = _not_known  # (facts, sensor at its place) -> its value
-    by_kind: Mapping[str, str] = field(default_factory=dict[str, str])  # source's kind -> method instead of the route's
     looks_at: tuple[str, ...] = ()  # other slots that the picture shows
     stretches: bool = True  # whether its 3D view draws indentation longer than it is
     scrubs: bool = False  # whether its value may keep `steps`

@@ -54,15 +54,8 @@ class Catalogue:
         """A method by name; raises SettingProblem with those that the slot has."""
         return _named(self.slot(slot).methods, name, f"method {name!r} for the slot {slot!r}")
 
-    def own(self, route: str, kind: str = "") -> dict[str, str]:
-        """Slot -> method of a route in running order, as it comes for a source of that kind; raises SettingProblem.
-
-        "" is a source that is not known yet.
-        """
-        return {slot: self.slot(slot).by_kind.get(kind, name) for slot, name in self.route(route).methods.items()}
-
-    def methods(self, route: str, chosen: Mapping[str, str] | None = None, kind: str = "") -> tuple[Method, ...]:
-        """The methods of a route in running order, those in `chosen` (slot -> method) in place of its `own`.
+    def methods(self, route: str, chosen: Mapping[str, str] | None = None) -> tuple[Method, ...]:
+        """The methods of a route in running order, those in `chosen` (slot -> method) in place of its own.
 
         A choice for a slot that the route does not have is kept for another route and counts for nothing here.
         Raises SettingProblem for a name that does not exist.
@@ -70,7 +63,7 @@ class Catalogue:
         said = dict(chosen or {})
         for slot, name in said.items():
             self.method(slot, name)
-        return tuple(self.method(slot, said.get(slot, name)) for slot, name in self.own(route, kind).items())
+        return tuple(self.method(slot, said.get(slot, name)) for slot, name in self.route(route).methods.items())
 
 
 def _named(entries: Sequence[Named], name: str, what: str) -> Named:
@@ -87,7 +80,7 @@ BUILT_IN = Catalogue(
             name="t2d2",
             title="T2D2: touch to depth to touch",
             methods={
-                "depth": "physics",
+                "depth": "network",
                 "cloud": "back_projection",
                 "view": "surface",
                 "touch": "physics",

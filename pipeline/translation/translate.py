@@ -79,7 +79,7 @@ class Translation:
     @property
     def methods(self) -> tuple[Method, ...]:
         """The methods of the route, one a slot, in running order."""
-        return self.catalogue.methods(self.request.route, dict(self.request.methods), self.source.kind)
+        return self.catalogue.methods(self.request.route, dict(self.request.methods))
 
     @property
     def slots(self) -> tuple[str, ...]:
@@ -188,7 +188,7 @@ class Translation:
 
 def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Translation:
     """Open and check all that `request` names; raises TouchError with what is wrong and where."""
-    catalogue.methods(request.route, dict(request.methods))  # a wrong name is told before anything is read
+    methods = catalogue.methods(request.route, dict(request.methods))  # a wrong name is told before anything is read
     target = sensor(request.target)
     recording = open_recording(
         request.recording, sensor=request.source, reference=request.reference, depth_unit=request.depth_unit
@@ -198,7 +198,6 @@ def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Trans
     if not stream.sensor:
         raise SettingProblem(f"the recording does not say which sensor made it; give --sensor: '{request.recording}'")
     source = said or sensor(stream.sensor)
-    methods = catalogue.methods(request.route, dict(request.methods), source.kind)
     mesh = recording.object_mesh
     if request.mesh is not None:
         mesh = load_mesh(request.mesh, unit=request.mesh_unit)

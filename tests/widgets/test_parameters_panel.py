@@ -113,3 +113,22 @@ def test_a_held_slider_is_a_drag_until_it_is_let_go(panel, qtbot):
     with qtbot.waitSignal(panel.drag_ended):
         slider.sliderReleased.emit()
     assert not panel.dragging
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Picky:
+    """One that says something of gels only."""
+
+    any_mm: float = setting(0.5, "Any", unit="mm", low=0.0, high=2.0)
+    gel_share: float = setting(0.5, "Of a gel", low=0.0, high=1.0, only="gel")
+
+
+@pytest.mark.parametrize(("kind", "seen"), [("gel", True), ("bubble", False), ("", True)])
+def test_what_says_nothing_of_the_sensor_on_screen_is_left_out(panel, kind, seen):
+    panel.add_group("picky", "Picky", Picky())
+    for shown in ("bubble", kind):
+        panel.show_groups(("picky",), shown)
+    label = next(w for w in panel.findChildren(QLabel) if w.text() == "Of a gel")
+    assert panel.findChild(QWidget, "picky.gel_share").isVisible() is seen
+    assert label.isVisible() is seen
+    assert panel.findChild(QWidget, "picky.any_mm").isVisible()

@@ -54,6 +54,7 @@ def enlarged(found: DepthMap, source: SensorSpec, by: int) -> DepthMap:
         camera=source.camera,
         source_index=pixel_index(shape),
         notes=(note, *found.notes),
+        spread_mm=None if found.spread_mm is None else freeze(_grown(found.spread_mm, shape)),
     )
 
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 
@@ -25,14 +25,12 @@ from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
 from pipeline.calibration.lookup import Calibration
 from pipeline.engine.digests import content
+from pipeline.networks.gel_reading_opencv import GelReadingByOpenCv
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import contact, drift, light_fields, network_input, own_light, stage
+from pipeline.stages.depth import coarse, contact, drift, light_fields, network_input, own_light, stage
 from pipeline.stages.depth.gel_depth import Measured
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthError, DepthMap
-
-if TYPE_CHECKING:
-    from torch import nn
 
 _SPECK_MM2 = 0.15  # smaller contacts are camera noise
 _CORRELATION_PX = 8.0  # of the network's pixels: its errors go together over about what it integrates over
@@ -44,9 +42,13 @@ _PUSHED_IN = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NetworkParams:
-    """How the network's answer is taken."""
+class NetworkParams(stage.DepthParams):
+    """How physics looks at a gel's frame, and how the network's answer is taken."""
 
+    smoothing_px: float = setting(
+        1.0, "Smoothing", unit="px", low=0.0, high=5.0, step=0.25, help="blur of the colour change that physics reads",
+        source="a Gaussian's standard deviation; how much is our own", only="gel",
+    )  # fmt: skip
     certainty: float = setting(
         0.4, "Certainty of contact", unit="share", low=0.05, high=0.95, step=0.05,
         help="contact is where the network holds it for likelier than this",
@@ -58,7 +60,7 @@ def depth(
     frame: TactileFrame,
     source: SensorSpec,
     calibration: Calibration | None,
-    network: nn.Module,
+    network: GelReadingByOpenCv,
     params: NetworkParams,
     progress: Progress = SILENT,
 ) -> DepthMap:
@@ -66,19 +68,34 @@ def depth(
 
     Raises what physics raises.
     """
-    for_units = bool(getattr(network, "calibrated", False))
-    why = _not_for(calibration, for_units=for_units)
+    why = _not_for(calibration, for_units=network.calibrated)
     if why:
-        found = stage.recorded(frame, source, calibration, stage.DepthParams(), progress)
+        found = stage.recorded(frame, source, calibration, params, progress)
         return replace(found, notes=(*found.notes, why))
     stage.checked(frame, source)
-    physical, measured, seen = looked_at(frame, source, progress, calibration)
-    physical = stage.worth_told(physical, frame, source, calibration)
+    by = stage.fewer(frame, source, params)
+    if by == 1:
+        found = _by_both(frame, source, calibration, network, params, progress)
+    else:
+        seen_by = source if frame.camera is None else source.seen_through(frame.camera)
+        small, less = coarse.frame(frame, seen_by.camera, by), stage.coarser(params, by)
+        light = stage.light_before(frame, source)
+        found = _by_both(small, source, coarse.look_up(calibration, by), network, less, progress, light)
+        found = coarse.enlarged(found, seen_by, by)
+    return stage.worth_told(found, frame, source, calibration)
+
+
+def _by_both(
+    frame: TactileFrame, source: SensorSpec, calibration: Calibration | None, network: GelReadingByOpenCv,
+    params: NetworkParams, progress: Progress, light: own_light.Told | None = None,
+) -> DepthMap:  # fmt: skip
+    """Physics' answer, corrected where the network has something to say."""
+    physical, measured, seen = looked_at(frame, source, progress, calibration, params, light)
     if measured is None or not physical.contact.any():
         return physical
     progress.step(0.9, "correcting physics")
     seen_by = as_wide(source if frame.camera is None else source.seen_through(frame.camera), calibration)
-    why = light_fields.why_not(seen_by, measured.light) if getattr(network, "scaled", False) else ""
+    why = light_fields.why_not(seen_by, measured.light) if network.scaled else ""
     if why:
         return replace(physical, notes=(*physical.notes, why))
     return corrected(physical, measured, seen, seen_by, network, params)
@@ -102,7 +119,7 @@ def as_wide(source: SensorSpec, calibration: Calibration | None) -> SensorSpec:
 
 
 def corrected(
-    physical: DepthMap, measured: Measured, seen: network_input.Seen, source: SensorSpec, network: nn.Module,
+    physical: DepthMap, measured: Measured, seen: network_input.Seen, source: SensorSpec, network: GelReadingByOpenCv,
     params: NetworkParams,
 ) -> DepthMap:  # fmt: skip
     """The physical answer with what the network makes of it; `source` as it is seen through the frame's camera."""
@@ -133,18 +150,27 @@ def corrected(
 
 
 def looked_at(
-    frame: TactileFrame, source: SensorSpec, progress: Progress = SILENT, calibration: Calibration | None = None
+    frame: TactileFrame,
+    source: SensorSpec,
+    progress: Progress = SILENT,
+    calibration: Calibration | None = None,
+    params: stage.DepthParams | None = None,
+    light: own_light.Told | None = None,
 ) -> tuple[DepthMap, Measured | None, network_input.Seen]:
-    """The physical answer of a frame and what it was made of, and what the network sees of both."""
-    physical, measured = stage.gel(frame, source, calibration, stage.DepthParams(), progress)
+    """The physical answer of a frame and what it was made of, and what the network sees of both.
+
+    A `light` that is known to explain the picture is not looked for.
+    """
+    params = params or stage.DepthParams()
+    physical, measured = stage.gel(frame, source, calibration, params, progress, light)
     seen_by = as_wide(source if frame.camera is None else source.seen_through(frame.camera), calibration)
     image, reference = cast("Image", frame.image), cast("Image", frame.reference)
     still = drift.stilled(image, reference).picture
-    light = _lights.of(content(seen_by), lambda: network_input.light_of(seen_by))
+    lamps = _lights.of(content(seen_by), lambda: network_input.light_of(seen_by))
     return (
         physical,
         measured,
-        network_input.seen(image, still, physical.indentation_mm, physical.contact, seen_by, light),
+        network_input.seen(image, still, physical.indentation_mm, physical.contact, seen_by, lamps),
     )
 
 
@@ -152,25 +178,21 @@ _lights: Memo[str, network_input.Light] = Memo(16)
 
 
 def _read(
-    network: nn.Module, seen: network_input.Seen, source: SensorSpec, light: own_light.Told | None
+    network: GelReadingByOpenCv, seen: network_input.Seen, source: SensorSpec, light: own_light.Told | None
 ) -> tuple[Floats, Floats, Floats, float | None]:
     """(correction in pixels, logit of contact beside physics', Laplace scale in pixels), each (120, 160).
 
     And the logarithm of the factor that makes the corrected surface true, of a network that tells one.
     """
-    import torch
-
-    scaled = bool(getattr(network, "scaled", False))
     everywhere = (slice(0, network_input.ROWS), slice(0, network_input.COLS))
-    box, deep = everywhere if scaled else network_input.box(seen), np.float32(network_input.depth_px(seen))
-    shown = light_fields.fields(seen, source, light) if scaled else network_input.fields(seen, box)
-    with torch.inference_mode():
-        reading = network(torch.from_numpy(shown)[None])
+    box, deep = everywhere if network.scaled else network_input.box(seen), np.float32(network_input.depth_px(seen))
+    shown = light_fields.fields(seen, source, light) if network.scaled else network_input.fields(seen, box)
+    told = network(shown)
     found = np.zeros((3, network_input.ROWS, network_input.COLS), np.float32)
-    found[0][box] = deep * reading.correction[0].numpy()
-    found[1][box] = reading.more_contact[0].numpy()
-    found[2][box] = deep * np.exp(reading.log_spread[0].numpy())
-    return found[0], found[1], found[2], float(reading.log_scale[0]) if scaled else None
+    found[0][box] = deep * told.correction
+    found[1][box] = told.more_contact
+    found[2][box] = deep * np.exp(told.log_spread)
+    return found[0], found[1], found[2], told.log_scale
 
 
 def _may_touch(surface_mm: Floats, seen: network_input.Seen, at: network_input.Frame) -> Mask:

@@ -17,6 +17,7 @@ _DRIFT_FACTOR = 2.5  # times the picture's typical change, above which a block i
 _TYPICAL = 0.25  # quantile of the blocks' changes that stands for what the whole picture does: a touch may fill most
 _TOGETHER = 1.2  # blocks over which a touch changes colours alike, and noise does not
 _ABOVE_NOISE = 16.0  # times the noise of neighbours: a dithered film's untouched frames reach 15, its touches 16 to 100
+_BLOCKS = 40  # along the longer side, at least, to tell noise by
 _MARGIN_MM = 2.0  # beyond the last visible change: the gel relaxes to nothing within about this distance
 _FADES = 0.5  # share of the margin over which the surface fades out
 
@@ -70,7 +71,7 @@ def window(image: Image, reference: Image, no_touch_grey: float, pixel_mm: float
     low = max(_GROWS_FROM * no_touch_grey, _DRIFT_FACTOR * float(np.quantile(blocks, _TYPICAL)))
     if float(blocks.max()) < low:  # all of it has changed alike: a touch larger than the picture
         low = no_touch_grey
-    above = _above_noise(image, reference)
+    above = _above_noise(image, reference, blocks.shape)
     n, regions = cv2.connectedComponents((blocks > low).astype(np.uint8), connectivity=8)
     strong = np.zeros(n, np.bool_)
     strong[np.unique(regions[blocks >= max(no_touch_grey, low)])] = True
@@ -82,22 +83,24 @@ def window(image: Image, reference: Image, no_touch_grey: float, pixel_mm: float
     return grown(whole, image.shape[:2], pixel_mm)
 
 
-def _above_noise(image: Image, reference: Image) -> Floats:
+def _above_noise(image: Image, reference: Image, shape: tuple[int, ...]) -> Floats:
     """How far the change of every block (rows // 8, cols // 8) and its neighbours lies above what noise makes, 1 = so.
 
     Dither and strong compression make grains of many pixels that no block averages out. Noise is told from how a block
-    lies between its neighbours; all that is smooth, a touch and drift, does not count for it.
+    lies between its neighbours; all that is smooth, a touch and drift, does not count for it. A small picture is looked
+    at in smaller blocks, between which a touch is still smooth; `shape` is that of the answer.
     """
     import cv2
 
-    rows, cols = image.shape[0] // _BLOCK_PX, image.shape[1] // _BLOCK_PX
-    if min(rows, cols) < 3:
-        return np.full((max(1, rows), max(1, cols)), np.inf, np.float32)
-    change = block_means(image, _BLOCK_PX) - block_means(reference, _BLOCK_PX)
+    if min(shape) < 3:
+        return np.full(shape, np.inf, np.float32)
+    block_px = max(1, min(_BLOCK_PX, max(image.shape[:2]) // _BLOCKS))
+    change = block_means(image, block_px) - block_means(reference, block_px)
     smooth = np.asarray(cv2.GaussianBlur(change, (0, 0), _TOGETHER), np.float32)
     bent = np.abs(smooth[:, 2:] - 2.0 * smooth[:, 1:-1] + smooth[:, :-2])
     noise = 1.48 * float(np.median(bent))  # a Gaussian's standard deviation
-    return np.abs(smooth).max(axis=2) / np.float32(max(_ABOVE_NOISE * noise, 1e-6))
+    above = np.abs(smooth).max(axis=2) / np.float32(max(_ABOVE_NOISE * noise, 1e-6))
+    return above if above.shape == shape else np.asarray(cv2.resize(above, shape[::-1], interpolation=cv2.INTER_LINEAR))
 
 
 def grown(touched: Mask, shape: tuple[int, ...], pixel_mm: float) -> Window:

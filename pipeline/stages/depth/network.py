@@ -24,6 +24,17 @@ def weights(source: SensorSpec, _target: SensorSpec, file: Path | None) -> Weigh
     return shelf.for_task("bubble_reading", "bubble_depth", file)
 
 
+def untouched(
+    frame: TactileFrame,
+    source: SensorSpec,
+    calibration: Calibration | None,
+    _weights: Weights | NoWeights,
+    params: NetworkParams,
+) -> DepthMap | None:
+    """The exact answer for a frame in which nothing touches; None when something may."""
+    return stage.untouched(frame, source, calibration, params)
+
+
 def depth(
     frame: TactileFrame,
     source: SensorSpec,
@@ -38,8 +49,8 @@ def depth(
     """
     if source.kind == "gel":
         return gel_network.depth(frame, source, calibration, network, params, progress)
-    stage.checked(frame, source)
+    stage.checked(frame, source)  # fewer pixels are no quicker here: a draft is the answer
     seen_by = source if frame.camera is None else source.seen_through(frame.camera)
-    least_mm = source.limits.contact_min_mm
+    least_mm = params.contact_limit * source.limits.contact_min_mm
     found = bubble_network.depth(frame, seen_by, network, certainty=params.certainty, least_mm=least_mm)
     return replace(found, error=stage.measured_error(source))

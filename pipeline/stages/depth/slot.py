@@ -23,9 +23,11 @@ NETWORK = Method(
     name="network",
     title="Network",
     help="a compact network, learned from simulated presses on other units; a gel's corrects physics",
-    run=learned(network.depth, instead=PHYSICS),
+    run=unless(network.untouched, learned(network.depth, instead=PHYSICS)),
     params=network.NetworkParams,
     reads=(*PHYSICS.reads, "depth_weights"),
+    version=2,
+    draft=stage.draft,
     weights=network.weights,
 )
 DEPTH_ANYTHING = Method(
@@ -40,8 +42,7 @@ DEPTH_ANYTHING = Method(
 )
 
 
-# Bubbles are read better by the network (`benchmarks/bubble_network.py`); without its weights physics answers.
+# Both kinds are read better by the network (`benchmarks/bubble_network.py`, `benchmarks/simulated_depth.py`).
 SLOT = reading(
-    name="depth", title="Depth", legend="membrane", place="source", methods=(PHYSICS, NETWORK, DEPTH_ANYTHING),
-    by_kind={"bubble": NETWORK.name},
-)  # fmt: skip
+    name="depth", title="Depth", legend="membrane", place="source", methods=(NETWORK, PHYSICS, DEPTH_ANYTHING)
+)

@@ -7,7 +7,7 @@ compared with its untouched one (`bubble_depth`).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import TypeVar, cast
 
 import numpy as np
 
@@ -48,7 +48,7 @@ class DepthParams:
     pressure_share: float = setting(
         0.25, "Pressure share", unit="share", low=0.02, high=0.8, step=0.02,
         help="contact is where the pressure exceeds this share of its peak nearby",
-        source="Johnson, Contact Mechanics, 1985",
+        source="Johnson, Contact Mechanics, 1985", only="gel",
     )  # fmt: skip
     smoothing_px: float = setting(1.0, "Smoothing", unit="px", low=0.0, high=5.0, step=0.25,
                                   help="blur of the colour change, or of a bubble's depth",
@@ -56,7 +56,7 @@ class DepthParams:
     boundary: Boundary = setting(
         "flat", "Integration border", choices=Boundary,
         help="flat: the gel is at rest around the touched part; free: nothing is known there",
-        source="least-squares integral: Frankot and Chellappa 1988, Simchony et al. 1990",
+        source="least-squares integral: Frankot and Chellappa 1988, Simchony et al. 1990", only="gel",
     )  # fmt: skip
     sensitivity: float = setting(
         1.0, "Sensitivity", unit="x", low=0.2, high=5.0, step=0.1,
@@ -66,7 +66,10 @@ class DepthParams:
     draft: bool = False  # a gel's picture is read with fewer pixels
 
 
-def draft(params: DepthParams) -> DepthParams:
+Drafting = TypeVar("Drafting", bound=DepthParams)
+
+
+def draft(params: Drafting) -> Drafting:
     """What to show while a parameter is dragged."""
     return replace(params, draft=True)
 
@@ -90,18 +93,28 @@ def depth(
         least_mm = params.contact_limit * source.limits.contact_min_mm
         found = bubble_depth.depth(frame, seen_by, smoothing_px=params.smoothing_px, least_mm=least_mm)
         return replace(found, error=measured_error(source))
-    by = coarse.fewer(seen_by.camera.shape) if params.draft else 1
-    if by > 1:
-        small = coarse.frame(frame, seen_by.camera, by)
-        params = replace(params, smoothing_px=params.smoothing_px / by)
-        light = _lights.get(_pictures(frame, source))
-        return coarse.enlarged(
-            gel(small, source, coarse.look_up(calibration, by), params, progress, light)[0], seen_by, by
-        )
-    found, measured = gel(frame, source, calibration, params, progress)
-    if measured is not None and measured.light is not None:
-        _lights.put(_pictures(frame, source), measured.light)
-    return found
+    by = fewer(frame, source, params)
+    if by == 1:
+        return gel(frame, source, calibration, params, progress)[0]
+    light = light_before(frame, source)
+    less = coarse.frame(frame, seen_by.camera, by), source, coarse.look_up(calibration, by), coarser(params, by)
+    return coarse.enlarged(gel(*less, progress, light)[0], seen_by, by)
+
+
+def fewer(frame: TactileFrame, source: SensorSpec, params: DepthParams) -> int:
+    """How many pixels of a gel's frame lie along a side of one that is looked at: more than one in a draft."""
+    seen_by = source if frame.camera is None else source.seen_through(frame.camera)
+    return coarse.fewer(seen_by.camera.shape) if params.draft else 1
+
+
+def coarser(params: Drafting, by: int) -> Drafting:
+    """The same for pictures with `by` times fewer pixels along a side."""
+    return replace(params, smoothing_px=params.smoothing_px / by)
+
+
+def light_before(frame: TactileFrame, source: SensorSpec) -> own_light.Told | None:
+    """What the last whole answer of the picture was read by; None where there was none."""
+    return _lights.get(_pictures(frame, source))
 
 
 def gel(
@@ -129,6 +142,8 @@ def gel(
         rounds=coarse.ROUNDS if params.draft else gel_light.ROUNDS,
         light=light,
     )  # fmt: skip
+    if measured is not None and measured.light is not None and not params.draft:
+        _lights.put(_pictures(frame, source), measured.light)
     told = depth_error.of_gel(found, seen_by, None if measured is None else measured.light)
     return replace(found, error=told), measured
 

@@ -151,7 +151,7 @@ def by_physics(
     params: stage.GenerateParams,
     progress: Progress = SILENT,
 ) -> Touch | Skipped:
-    """The touch by depth, cloud, view and physical render, each as it comes: a bubble is read by its network."""
+    """The touch by depth, cloud, view and physical render, each as it comes."""
     plain = depth.DepthParams()
     exact = depth.untouched(frame, source, calibration, plain)
     if exact is not None:
@@ -166,8 +166,8 @@ def by_physics(
 
 
 def _felt(frame: TactileFrame, source: SensorSpec, calibration: Calibration | None, progress: Progress) -> DepthMap:
-    reads = depth_network.weights(source, source, None) if source.kind == "bubble" else None
-    if reads is None or isinstance(reads, NoWeights):
+    reads = depth_network.weights(source, source, None)
+    if isinstance(reads, NoWeights):
         return depth.recorded(frame, source, calibration, depth.DepthParams(), progress)
     return depth_network.depth(frame, source, calibration, building.ready(reads), NetworkParams(), progress)
 

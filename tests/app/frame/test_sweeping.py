@@ -92,12 +92,12 @@ def test_what_fills_a_slot_for_this_source_is_swept(swept, qtbot):
     ("route", "kind", "wanted"),
     [
         ("t2t", "gel", ("touch.guidance", "touch.steps")),
-        ("t2d2", "gel", ("depth.pressure_share", "depth.smoothing_px")),
+        ("t2d2", "gel", ("depth.certainty", "depth.pressure_share")),
         ("t2d2", "bubble", ("depth.certainty", "view.grazing_deg")),
     ],
 )
 def test_a_sweep_begins_with_what_matters_most_on_its_route(route, kind, wanted):
-    offers = offered(Session(), BUILT_IN.methods(route, {}, kind))
+    offers = offered(Session(), BUILT_IN.methods(route), kind)
     assert tuple(offers[i][2] for i in first_two(offers)) == wanted
 
 

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 from app.session.sample import SAMPLE
+from pipeline.base.progress import SILENT
 from pipeline.engine.graph import Graph, Method
 from pipeline.evaluation.metrics import iou
 from pipeline.recordings import open_recording
 from pipeline.sensors.parts import Optics
 from pipeline.sensors.spec import sensor
 from pipeline.stages.depth import coarse, gel_light, own_lamps, own_light, stage
+from pipeline.stages.depth.gel_network import NetworkParams
+from pipeline.stages.depth.slot import NETWORK, PHYSICS
 
 TOUCHED = 5
 
@@ -23,35 +26,59 @@ def frame():
     return open_recording(SAMPLE, sensor="gelslim").stream("gelslim").frame(TOUCHED)
 
 
-def test_a_draft_of_a_gels_depth_is_near_the_full_answer_on_the_same_pixels(frame):
+def read(method, frame, params, name="gelslim"):
+    gel = sensor(name)
+    weights = () if method.weights is None else (method.weights(gel, gel, None),)
+    return method.run(frame, gel, None, *weights, params, SILENT)
+
+
+@pytest.mark.parametrize("method", [NETWORK, PHYSICS], ids=lambda method: method.name)
+def test_a_draft_of_a_gels_depth_is_near_the_full_answer_on_the_same_pixels(frame, method):
     gel = sensor("gelslim")
-    whole = stage.recorded(frame, gel, None, stage.DepthParams())
-    draft = stage.recorded(frame, gel, None, stage.draft(stage.DepthParams()))
+    whole, draft = (read(method, frame, params) for params in (method.params(), method.draft(method.params())))
     assert draft.indentation_mm.shape == whole.indentation_mm.shape == draft.contact.shape
     assert draft.camera == whole.camera
     assert iou(draft.contact, whole.contact) > 0.85
-    assert draft.indentation_mm.max() == pytest.approx(whole.indentation_mm.max(), rel=0.1)
+    inside = whole.contact
+    assert draft.indentation_mm[inside].mean() == pytest.approx(whole.indentation_mm[inside].mean(), rel=0.06)
     np.testing.assert_allclose(draft.depth_mm, gel.rest_depth_mm - draft.indentation_mm, atol=1e-4)
     assert any("draft at 1/2 of the resolution" in note for note in draft.notes)
     assert not any("draft" in note for note in whole.notes)
+    if method is NETWORK:
+        assert draft.spread_mm.shape == whole.spread_mm.shape == gel.camera.shape
+
+
+@pytest.mark.parametrize("index", [3, 8, 9, 13])
+def test_a_draft_loses_no_touch_that_fills_the_view(index):
+    stream, spec = open_recording(SAMPLE, sensor="digit").stream("digit"), sensor("digit")
+    draft = stage.depth(stream.frame(index), spec, None, stage.draft(stage.DepthParams()))
+    whole = stage.depth(stream.frame(index), spec, None, stage.DepthParams())
+    assert iou(draft.contact, whole.contact) > 0.8
+    for untouched in (1, 2, 14):
+        assert not stage.depth(stream.frame(untouched), spec, None, stage.draft(stage.DepthParams())).contact.any()
+
+
+def test_settings_of_physics_count_where_the_network_corrects_it(frame):
+    whole, faint = (read(NETWORK, frame, NetworkParams(contact_limit=limit)) for limit in (1.0, 8.0))
+    assert 0 < faint.contact.sum() < whole.contact.sum()
 
 
 def test_a_draft_looks_for_no_light_where_the_whole_answer_has_found_one(frame, monkeypatch):
-    gel, looked, read = sensor("gelslim"), [], []
+    gel, looked, lit = sensor("gelslim"), [], []
     fitted, read_by = own_lamps.fitted, own_light.read_by
     monkeypatch.setattr(own_lamps, "fitted", lambda *given: looked.append(1) or fitted(*given))
-    monkeypatch.setattr(own_light, "read_by", lambda *given, **also: read.append(given[0]) or read_by(*given, **also))
+    monkeypatch.setattr(own_light, "read_by", lambda *given, **also: lit.append(given[0]) or read_by(*given, **also))
     image = frame.image.copy()
     image[0, 0] ^= 1  # a picture that nobody has read
     unread = replace(frame, image=image)
     stage.depth(unread, gel, None, stage.draft(stage.DepthParams()))
     assert len(looked) == 1
     stage.depth(unread, gel, None, stage.DepthParams())
-    looked.clear(), read.clear()
+    looked.clear(), lit.clear()
     stage.depth(unread, gel, None, stage.draft(stage.DepthParams(sensitivity=1.2)))
     assert looked == []
-    assert read
-    assert all(isinstance(light, Optics) for light in read)
+    assert lit
+    assert all(isinstance(light, Optics) for light in lit)
 
 
 def test_a_picture_that_is_read_can_be_stopped_at_every_round(frame):

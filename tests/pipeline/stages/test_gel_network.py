@@ -14,7 +14,8 @@ from pipeline.calibration.lookup import BallFit, built_in
 from pipeline.evaluation.metrics import iou, mean_abs_mm
 from pipeline.geometry import rigid
 from pipeline.networks import shelf
-from pipeline.networks.building import network
+from pipeline.networks.building import ready
+from pipeline.networks.gel_reading_opencv import Corrected
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.physics import gel, optics
 from pipeline.sensors.spec import sensor
@@ -34,23 +35,20 @@ def disc(row, col, radius):
 
 def told(correction_px, more, spread_px=0.1):
     """A network that tells this, whatever it sees."""
-    import torch
-    from torch import nn
 
-    from pipeline.networks.gel_reading import Reading
+    def network(fields):
+        inputs, rows, cols = fields.shape
+        assert inputs == network_input.FIELDS
+        first = (round(79.5 * float(fields[14, 0, 0] + 1)), round(59.5 * float(fields[15, 0, 0] + 1)))
+        box = slice(first[1], first[1] + rows), slice(first[0], first[0] + cols)
+        deep = np.float32(4 * np.exp(fields[network_input.STEEP, 0, 0]))
+        off, logit = (np.asarray(a, np.float32)[box] for a in (correction_px, more))
+        return Corrected(
+            correction=off / deep, more_contact=logit, log_spread=0 * off + np.float32(np.log(spread_px / deep))
+        )
 
-    class Told(nn.Module):
-        def forward(self, fields):
-            _, inputs, rows, cols = fields.shape
-            assert inputs == network_input.FIELDS
-            first = (round(79.5 * float(fields[0, 14, 0, 0] + 1)), round(59.5 * float(fields[0, 15, 0, 0] + 1)))
-            box = slice(first[1], first[1] + rows), slice(first[0], first[0] + cols)
-            deep = 4 * float(fields[0, network_input.STEEP, 0, 0].exp())
-            off, logit = (torch.from_numpy(np.asarray(a, np.float32)[box][None]) for a in (correction_px, more))
-            return Reading(surface=off / deep, correction=off / deep, contact=logit, more_contact=logit,
-                           log_spread=0 * off + float(np.log(spread_px / deep)))  # fmt: skip
-
-    return Told().eval()
+    network.calibrated = network.scaled = False
+    return network
 
 
 NOTHING = np.zeros((120, 160))
@@ -225,7 +223,7 @@ def test_the_weights_that_come_along_find_more_of_a_balls_contact_than_physics(n
     touched = TactileFrame(sensor=source.name, image=image, reference=optics.untouched(source))
     taught = shelf.shipped("gel_depth")
     assert isinstance(taught, Weights)
-    by_network = depth(touched, source, None, network(taught), NetworkParams()).contact
+    by_network = depth(touched, source, None, ready(taught), NetworkParams()).contact
     by_physics = stage.recorded(touched, source, None, stage.DepthParams()).contact
     assert iou(by_network, pressed.contact) > iou(by_physics, pressed.contact)
     assert not (by_network & ~by_physics & (pressed.indentation_mm < 0.05)).any()  # none of it where nothing is felt
@@ -242,7 +240,7 @@ def of_unit(name, index, depth_mm):
 
 
 def test_the_network_that_comes_along_is_nearer_on_units_that_differ_as_a_labs_do():
-    taught, off = network(shelf.shipped("gel_units")), []
+    taught, off = ready(shelf.shipped("gel_units")), []
     for name in ("gelslim", "digit"):
         for index in (0, 2, 5):
             touched, truth = of_unit(name, index, 0.7)
@@ -264,7 +262,7 @@ def test_the_scale_lies_midway_between_physics_and_the_network():
 
 def test_in_another_light_the_scaled_network_is_not_asked(monkeypatch):
     monkeypatch.setattr(gel_network.light_fields, "why_not", lambda source, light: "physics' answer stands")
-    taught = network(shelf.shipped("gel_units"))
+    taught = ready(shelf.shipped("gel_units"))
     found = depth(frame(), sensor("gelsight_mini"), None, taught, NetworkParams())
     assert np.array_equal(found.indentation_mm, physics().indentation_mm)
     assert any("physics' answer stands" in note for note in found.notes)

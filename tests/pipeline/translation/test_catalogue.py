@@ -98,17 +98,15 @@ def test_the_truth_may_stand_for_a_slot(toy):
     assert len(given["cloud"].output.points_mm) == np.count_nonzero(truth.contact)
 
 
-def test_a_bubble_is_read_by_the_network_and_a_gel_by_physics_unless_somebody_says_otherwise():
-    assert BUILT_IN.own("t2d2", "bubble") == {**BUILT_IN.route("t2d2").methods, "depth": "network"}
-    assert BUILT_IN.own("t2d2", "gel") == BUILT_IN.own("t2d2") == BUILT_IN.route("t2d2").methods
-    assert BUILT_IN.methods("t2d2", {"depth": "physics"}, "bubble")[0].name == "physics"
-    for source, target, name in (("soft_bubble", "gelslim", "network"), ("digit", "soft_bubble", "physics")):
+def test_sensors_are_read_by_the_network_unless_somebody_says_otherwise():
+    assert BUILT_IN.methods("t2d2", {"depth": "physics"})[0].name == "physics"
+    for source, target in (("soft_bubble", "gelslim"), ("digit", "soft_bubble")):
         with closing(open_translation(Request(recording=SAMPLE, source=source, target=target))) as opened:
-            assert opened.methods[0].name == name
-            assert (opened.methods[0].weights_name in opened.inputs(TOUCHED)) == (name == "network")
+            assert opened.methods[0].name == "network"
+            assert opened.methods[0].weights_name in opened.inputs(TOUCHED)
 
 
-def test_a_gels_depth_loads_no_network():
+def test_a_gels_depth_loads_no_torch():
     code = f"""
 import sys
 from pathlib import Path
