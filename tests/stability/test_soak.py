@@ -11,6 +11,7 @@ from hypothesis import given
 from pipeline.engine.graph import Graph
 from pipeline.geometry import rigid
 from pipeline.sensors.alignment import Alignment
+from pipeline.stages.depth import network as depth_network
 from pipeline.translation.catalogue import BUILT_IN, default_params, with_setting
 from pipeline.values.frames import TactileFrame
 from tests.stability.checks import outcome, sound
@@ -67,6 +68,7 @@ def random_inputs(rng: np.random.Generator) -> dict[str, object]:
         "alignment": way,
         "mesh": mesh("ball"),
         "previous": None,
+        "depth_weights": depth_network.weights(source, target, None),
     }
 
 

@@ -17,6 +17,7 @@ from pipeline.physics import optics
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import sensor
 from pipeline.simulation.shapes import shape, taught
+from pipeline.stages.depth import network as depth_network
 from pipeline.stages.feel.stage import NO_MEMBRANE
 from pipeline.stages.generate import vqvae
 from pipeline.stages.generate.picture_input import laid
@@ -51,7 +52,7 @@ def touched():
 def inputs(frame, **more):
     return {
         "frame": frame, "source": GEL, "target": BUBBLE, "calibration": None, "mesh": None, "previous": None,
-        "alignment": alignment.between(GEL, BUBBLE), **more,
+        "alignment": alignment.between(GEL, BUBBLE), "depth_weights": depth_network.weights(GEL, BUBBLE, None), **more,
     }  # fmt: skip
 
 

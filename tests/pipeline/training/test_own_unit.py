@@ -13,7 +13,7 @@ from pipeline.calibration.lookup import BallFit, built_in
 from pipeline.calibration.lookup_file import load
 from pipeline.cli import calibrate_network
 from pipeline.cli.calibrate import Balls, calibrate_balls_command
-from pipeline.networks.building import network
+from pipeline.networks.building import ready
 from pipeline.networks.weights import Weights
 from pipeline.physics import optics
 from pipeline.sensors.spec import sensor
@@ -115,10 +115,10 @@ def _used(asked):
     assert isinstance(weights, Weights)
     frame = TactileFrame(sensor=MINI.name, image=picture((160, 120), 9), reference=optics.untouched(MINI))
     look_up, params = load(asked.out), NetworkParams()
-    corrected = by_network.depth(frame, MINI, look_up, network(weights), params)
+    corrected = by_network.depth(frame, MINI, look_up, ready(weights), params)
     plain = recorded(frame, MINI, look_up, DepthParams())
     assert not np.array_equal(corrected.indentation_mm, plain.indentation_mm)
-    alone = by_network.depth(frame, MINI, None, network(weights), params)
+    alone = by_network.depth(frame, MINI, None, ready(weights), params)
     assert np.array_equal(alone.indentation_mm, recorded(frame, MINI, None, DepthParams()).indentation_mm)
     assert any("give it as --calibration" in note for note in alone.notes)
 
