@@ -5,7 +5,7 @@
 WAY is one of those below, with every sensor's name if the first is ""; PRESSES of each object, 6 unless said.
 
 Catalogue objects are pressed into every simulated sensor. *Measured* is what the slot *depth* makes of the sensor's
-picture, by physics and, of a bubble, by the network; *modelled* is the true membrane with white noise of 0.01 mm and
+picture, by physics and by network; *modelled* is the true membrane with white noise of 0.01 mm and
 the error that the sensor's description states, drawn as a smooth field; *translated* is the touch that physics makes
 of what another sensor measured of the same press, which takes that sensor's error along. A pose begins at the truth,
 so that its error is that of the measurement and no other minimum's. Told is its chi-square under its covariance, in
@@ -128,7 +128,7 @@ def modelled(made: Press, spec: SensorSpec, seed: int) -> DepthMap:
 
 def translated(made: Press, source: SensorSpec, target: SensorSpec) -> DepthMap:
     """What the target would feel of a press of the source."""
-    cloud = adapt(measured(made, source, "physics"), between(source, target), AdaptParams())
+    cloud = adapt(measured(made, source, "network"), between(source, target), AdaptParams())
     touch = generate(project(cloud, target, ProjectParams()), target, GenerateParams())
     return feel.membrane(touch, target, NoParams())
 
@@ -202,7 +202,7 @@ def _with_itself(image: np.ndarray) -> np.ndarray:
 
 
 def _ways(spec: SensorSpec) -> tuple[str, ...]:
-    own = ("physics", "network", "modelled") if spec.kind == "bubble" else ("physics", "modelled")
+    own = ("physics", "network", "modelled")
     return (*own, "translated") if spec.name in _SOURCES else own
 
 

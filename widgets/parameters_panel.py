@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -62,7 +62,7 @@ class ParametersPanel(QScrollArea):
         self._params: dict[str, object] = {}
         self._controls: dict[str, dict[str, _Control]] = {}
         self._groups: dict[str, QWidget] = {}
-        self._only: list[tuple[QFormLayout, QWidget, Setting]] = []  # rows that say something of one kind of sensor
+        self._only: list[tuple[str, QFormLayout, QWidget, Setting]] = []  # rows that speak of one kind of sensor
 
     def add_group(self, key: str, title: str, params: object, tip: str = "") -> None:
         """Add the controls of a method, `tip` saying what it does; nothing is shown for one without parameters."""
@@ -86,7 +86,7 @@ class ParametersPanel(QScrollArea):
             control.widget.setObjectName(f"{key}.{name}")
             form.addRow(label, control.widget)
             if told.only:
-                self._only.append((form, control.widget, told))
+                self._only.append((key, form, control.widget, told))
         group.setVisible(bool(self._controls[key]))
         self._groups[key] = group
         self._layout.insertWidget(self._layout.count() - 1, group)
@@ -99,15 +99,15 @@ class ParametersPanel(QScrollArea):
         for name, (value, _) in settings(params).items():
             self._controls[key][name].show(value)
 
-    def show_groups(self, keys: tuple[str, ...], kind: str = "") -> None:
+    def show_groups(self, kinds: Mapping[str, str]) -> None:
         """Show the groups of these methods only: those that fill the slots of the route.
 
-        Of those, what says something of a source of that `kind`; "" is one that is not known.
+        `kinds`: a method's key -> the kind of sensor that it looks at, "" = not known; what speaks of others is hidden.
         """
-        for form, control, told in self._only:
-            form.setRowVisible(control, told.says(kind))
+        for key, form, control, told in self._only:
+            form.setRowVisible(control, told.says(kinds.get(key, "")))
         for key, group in self._groups.items():
-            group.setVisible(key in keys and bool(self._controls[key]))
+            group.setVisible(key in kinds and bool(self._controls[key]))
 
     def reset(self, key: str) -> None:
         """Put a method back to its defaults."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from PyQt6.QtCore import QSignalBlocker
 
@@ -13,11 +13,11 @@ from pipeline.translation.catalogue import Catalogue
 
 
 def show_controls(
-    window: Window, session: Session, methods: Sequence[Method], catalogue: Catalogue, kind: str = ""
+    window: Window, session: Session, methods: Sequence[Method], catalogue: Catalogue, kinds: Mapping[str, str]
 ) -> None:
     """Show a session whose route is filled by these methods; no control says that anybody chose anything.
 
-    What says nothing of a source of that `kind` is left out; "" is one that is not known.
+    Of every method, by its key in `kinds`, only what speaks of that kind of sensor is shown.
     """
     window.timeline.show_frame(session.frame)
     window.frames.show_frame(session.frame)
@@ -25,7 +25,7 @@ def show_controls(
         for method in slot.methods:
             window.parameters.show_params(method.key, session.params_of(method))
     window.parameters.show_params(DISPLAY, session.display)
-    window.parameters.show_groups((*(m.key for m in methods), DISPLAY), kind)
+    window.parameters.show_groups({**{m.key: kinds.get(m.key, "") for m in methods}, DISPLAY: ""})
     for method in methods:
         window.columns[method.slot].show_method(method.name)
     for name in ("source", "target", "route"):

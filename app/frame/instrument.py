@@ -256,12 +256,16 @@ class Instrument(Documents):
         return self.catalogue.methods(self.session.route, self.session.methods)
 
     @property
-    def kind(self) -> str:
-        """Of the source on screen; "" where nothing is open."""
-        return "" if self.screen.opened is None else self.screen.opened.source.kind
+    def kinds(self) -> Mapping[str, str]:
+        """Key of a method -> the kind of sensor that it looks at; nothing where nothing is open."""
+        opened = self.screen.opened
+        if opened is None:
+            return {}
+        kind = {"source": opened.source.kind, "target": opened.target.kind}
+        return {method.key: kind[self.catalogue.slot(method.slot).place] for method in self.methods}
 
     def _show_controls(self) -> None:
-        show_controls(self.window, self.session, self.methods, self.catalogue, self.kind)
+        show_controls(self.window, self.session, self.methods, self.catalogue, self.kinds)
 
     def _ask(self, *, other_request: bool) -> None:
         session, wanted = self._drafted(), self.window.visible_columns()

@@ -66,7 +66,7 @@ class Sweeping(QObject):
         if session.layout.name != "sweep":
             return
         old = [offer[:2] for offer in self._offers]
-        self._offers = sweeping.offered(session, self._instrument.methods, self._instrument.kind)
+        self._offers = sweeping.offered(session, self._instrument.methods, self._instrument.kinds)
         now = [offer[:2] for offer in self._offers]
         chosen = tuple(box.currentIndex() for box in self._page.axes)
         if now != old or min(chosen, default=-1) < 0:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -26,13 +26,14 @@ _MATTERS = "guidance", "steps", "certainty", "pressure_share", "smoothing_px", "
 Offer = tuple[str, str, str, Value, Setting]  # method's key, parameter, words, value, how it is set
 
 
-def offered(session: Session, methods: Sequence[Method], kind: str = "") -> list[Offer]:
-    """All that can be swept and says something of a source of that kind; "" is one that is not known."""
+def offered(session: Session, methods: Sequence[Method], kinds: Mapping[str, str] | None = None) -> list[Offer]:
+    """All that can be swept; `kinds`: a method's key -> the kind of sensor that it looks at, left out = not known."""
+    known = kinds or {}
     return [
         (method.key, name, f"{method.slot}.{name}", value, told)
         for method in methods
         for name, (value, told) in settings(session.params_of(method)).items()
-        if (not isinstance(value, str) or told.choices) and told.says(kind)
+        if (not isinstance(value, str) or told.choices) and told.says(known.get(method.key, ""))
     ]
 
 

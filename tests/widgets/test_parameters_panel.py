@@ -127,7 +127,7 @@ class Picky:
 def test_what_says_nothing_of_the_sensor_on_screen_is_left_out(panel, kind, seen):
     panel.add_group("picky", "Picky", Picky())
     for shown in ("bubble", kind):
-        panel.show_groups(("picky",), shown)
+        panel.show_groups({"picky": shown})
     label = next(w for w in panel.findChildren(QLabel) if w.text() == "Of a gel")
     assert panel.findChild(QWidget, "picky.gel_share").isVisible() is seen
     assert label.isVisible() is seen

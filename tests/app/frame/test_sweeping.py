@@ -97,7 +97,8 @@ def test_what_fills_a_slot_for_this_source_is_swept(swept, qtbot):
     ],
 )
 def test_a_sweep_begins_with_what_matters_most_on_its_route(route, kind, wanted):
-    offers = offered(Session(), BUILT_IN.methods(route), kind)
+    methods = BUILT_IN.methods(route)
+    offers = offered(Session(), methods, {method.key: kind for method in methods})
     assert tuple(offers[i][2] for i in first_two(offers)) == wanted
 
 

@@ -241,8 +241,8 @@ def of_unit(name, index, depth_mm):
 
 def test_the_network_that_comes_along_is_nearer_on_units_that_differ_as_a_labs_do():
     taught, off = ready(shelf.shipped("gel_units")), []
-    for name in ("gelslim", "digit"):
-        for index in (0, 2, 5):
+    for name in ("gelslim", "gelsight_mini", "digit"):
+        for index in range(3):
             touched, truth = of_unit(name, index, 0.7)
             for found in (
                 depth(touched, sensor(name), None, taught, NetworkParams()),
@@ -253,10 +253,11 @@ def test_the_network_that_comes_along_is_nearer_on_units_that_differ_as_a_labs_d
     assert by_network.mean() < 0.85 * by_physics.mean()
 
 
-def test_the_scale_lies_midway_between_physics_and_the_network():
+def test_the_scale_is_the_networks_where_that_is_more_and_between_both_where_it_is_less():
     field, touched = np.full((4, 4), 2.0, np.float32), np.ones((4, 4), np.bool_)
     assert gel_network._as_deep(field, 3 * field, touched, None) == pytest.approx(3.0)
-    assert gel_network._as_deep(field, 4 * field, touched, float(np.log(9.0))) == pytest.approx(6.0)
+    assert gel_network._as_deep(field, 4 * field, touched, float(np.log(9.0))) == pytest.approx(9.0)
+    assert gel_network._as_deep(field, 9 * field, touched, float(np.log(4.0))) == pytest.approx(9 * (4 / 9) ** 0.6)
     assert gel_network._as_deep(field, field, ~touched, 0.3) == 0.0
 
 
