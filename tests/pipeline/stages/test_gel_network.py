@@ -240,7 +240,7 @@ def of_unit(name, index, depth_mm):
 
 
 def test_the_network_that_comes_along_is_nearer_on_units_that_differ_as_a_labs_do():
-    taught, off = ready(shelf.shipped("gel_units")), []
+    taught, off, told = ready(shelf.shipped("gel_units")), [], []
     for name in ("gelslim", "gelsight_mini", "digit"):
         for index in range(3):
             touched, truth = of_unit(name, index, 0.7)
@@ -249,7 +249,9 @@ def test_the_network_that_comes_along_is_nearer_on_units_that_differ_as_a_labs_d
                 stage.recorded(touched, sensor(name), None, stage.DepthParams()),
             ):
                 off.append(mean_abs_mm(found.indentation_mm, truth.indentation_mm, truth.contact))
+                told.append(found.error.rms_mm)
     by_network, by_physics = np.array(off).reshape(-1, 2).T
+    assert 0.5 < np.median(np.array(told)[::2] / (1.25 * by_network)) < 2.0  # 1.25: of a Gaussian's rms over its mean
     assert by_network.mean() < 0.85 * by_physics.mean()
 
 
