@@ -226,6 +226,19 @@ def without_specks(mask: Mask, min_pixels: int) -> Mask:
     return mask if keep[1:].all() else keep[regions]
 
 
+def without_grains(mask: Mask, pressure: Floats, min_pixels: float, peak_share: float) -> Mask:
+    """The mask (rows, cols) without regions of fewer than `min_pixels` pixels that hardly press: specks of noise.
+
+    What presses by `peak_share` of the largest `pressure` (rows, cols) stays however small it is: of a light touch's
+    rim only pieces are seen.
+    """
+    regions, n = _regions(mask)
+    keep = np.bincount(regions.ravel(), minlength=n) >= min_pixels
+    keep[regions[mask & (pressure >= peak_share * float(pressure.max()))]] = True
+    keep[0] = False
+    return keep[regions]
+
+
 def without_margins(
     mask: Mask, indentation_mm: Floats, rows: slice, cols: slice, shape: tuple[int, int], narrow_px: float
 ) -> Mask:

@@ -51,6 +51,7 @@ _PRESSURE_BLUR_PX = 1.5  # of what certainly presses
 _CONTACT_BLUR_PX = 1.0
 _PRESSURE_CELLS = 220  # of the grid on which it is told what certainly presses, along the longer side
 _CERTAIN, _CERTAIN_SHARE = 0.04, 0.1  # mm/mm, and of the peak: pressure, in slopes, that noise does not make
+_GRAIN_SHARE = 0.5  # of the peak: a speck that presses so hard is no noise
 _SPECK_MM2 = 0.15  # smaller contacts are camera noise
 _HOLE_MM2 = 0.5  # what a rough ball or a book leaves between its threads: those of `benchmarks/real_things.py`
 _FULL_SHARE = 0.9  # of the view
@@ -142,7 +143,7 @@ def read(
             usual_share=calibration.usual_share or contact.USUAL_SHARE,
         )  # fmt: skip
         pressed = contact.without_specks(pressed & (window.moved | inside), max(4, round(_SPECK_MM2 / pixel_mm**2)))
-        pressed = flanks.pressed_in(pressed, surface, pixel_mm, _border(shape)[here])
+        pressed = flanks.pressed_in(pressed, surface, pixel_mm, _border(shape)[here], window.moved)
         pressed = contact.without_small_holes(pressed, round(_HOLE_MM2 / pixel_mm**2))
         narrow_px = _NARROW * (0.0 if source.gel is None else source.gel.thickness_mm) / pixel_mm
         touched[here] = contact.without_margins(pressed, surface, *here, shape, narrow_px)
@@ -191,9 +192,9 @@ def _settled(surface: Floats, window: Window, source: SensorSpec, pixel_mm: floa
     small, moved_share = rest.coarse(surface, by), rest.coarse(window.moved.astype(np.float32), by)
     pressure = contact.relative_pressure(small, _PRESSURE_BLUR_PX / by) / np.float32(pixel_mm * by)
     pressure[moved_share == 0] = 0.0
-    pressed = rest.fine(
-        (pressure > max(_CERTAIN, _CERTAIN_SHARE * float(pressure.max()))).astype(np.float32), surface.shape
-    )
+    certain = np.asarray(pressure > max(_CERTAIN, _CERTAIN_SHARE * float(pressure.max())), np.bool_)
+    certain = contact.without_grains(certain, pressure, _SPECK_MM2 / (pixel_mm * by) ** 2, _GRAIN_SHARE)
+    pressed = rest.fine(certain.astype(np.float32), surface.shape)
     found = rest.settled(surface, pressed > 0.5, pixel_mm, source.gel)
     return found.surface_mm, found.inside
 

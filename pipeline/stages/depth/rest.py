@@ -29,7 +29,8 @@ _FACE_SHARE = 0.7  # of the rim's depth: a patch that deep, which a rim encloses
 _OPEN_SHARE = 0.87  # the same for one that the picture's border cuts: slopes that are a little wrong lift it as well
 _FACE_RELIEF = 0.3  # of the whole relief, that a face's rim is deep at least
 _LOWEST = 2.0  # percentile of a surface that stands for its lowest part: a bulge, or what lies beside a face
-_AT_REST = 0.4  # of the whole relief: patches that lie no farther apart are at rest as they are
+_AT_REST = 0.2  # of the whole relief: what is quiet and lies no farther apart is at rest as it is
+_LOW, _HIGH = 5.0, 95.0  # percentiles that it lies between: a patch counts by its size
 _HELD = 0.3  # weight w of a cell at rest beside one step of the surface between two cells
 _STEPS = 24
 _EXACT = 1e-3
@@ -67,7 +68,7 @@ def settled(surface_mm: Floats, pressed: Mask, pixel_mm: float, gel: Gel) -> Set
                 inside |= patch
         if not inside.any():
             level = min(levels)
-        if not inside.any() and max(levels) - min(levels) < _AT_REST * (highest - lowest):
+        if not inside.any() and _spread(z[quiet]) < _AT_REST * (highest - lowest):
             return Settled(surface_mm=surface_mm, inside=np.zeros_like(pressed))
         rest &= ~inside
     z = z - np.float32(level)
@@ -132,6 +133,11 @@ def _quiet(held: Mask, reach: float) -> tuple[Mask, list[Mask]]:
     quiet = np.asarray(away > reach, np.bool_)
     n, labels = cv2.connectedComponents(quiet.astype(np.uint8), connectivity=4)
     return quiet, [np.asarray(labels == k, np.bool_) for k in range(1, n)]
+
+
+def _spread(values: Floats) -> float:
+    low, high = np.percentile(values, (_LOW, _HIGH))
+    return float(high - low)
 
 
 def _is_cut(patch: Mask) -> bool:

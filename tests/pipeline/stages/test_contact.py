@@ -14,7 +14,14 @@ from benchmarks.real_things import circle_of, straight
 from pipeline.evaluation.metrics import iou
 from pipeline.physics import gel
 from pipeline.sensors.parts import Gel
-from pipeline.stages.depth.contact import touched, touched_membrane, without_holes, without_margins, without_small_holes
+from pipeline.stages.depth.contact import (
+    touched,
+    touched_membrane,
+    without_grains,
+    without_holes,
+    without_margins,
+    without_small_holes,
+)
 
 SHAPE = (60, 80)
 PAD, PIXEL_MM = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48), 0.05
@@ -64,6 +71,16 @@ def test_a_strip_along_the_border_beside_a_larger_contact_is_left_out(wide, kept
     assert np.array_equal(found, whole if kept else mask)
     alone = whole & ~mask
     assert np.array_equal(without_margins(alone, surface, slice(0, 60), slice(0, 80), SHAPE, 6.0), alone)
+
+
+def test_specks_that_hardly_press_are_left_out_beside_what_does():
+    pressure = np.zeros(SHAPE, np.float32)
+    pressure[20:40, 20:40], pressure[5, 5], pressure[5, 50] = 1.0, 0.2, 0.6
+    found = without_grains(pressure > 0.1, pressure, 4, 0.5)
+    assert found[30, 30]
+    assert not found[5, 5]
+    assert found[5, 50]  # as a light touch's rim, of which only pieces are seen
+    assert np.array_equal(without_grains(pressure > 2.0, pressure, 4, 0.5), np.zeros(SHAPE, np.bool_))
 
 
 @given(arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=12), elements=st.booleans()))

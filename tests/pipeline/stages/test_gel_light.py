@@ -3,6 +3,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import lru_cache
 
+import cv2
 import numpy as np
 import pytest
 
@@ -196,6 +197,30 @@ def test_a_shallow_plate_beside_a_touch_is_left_out_and_a_second_touch_kept():
     assert kept[60, 40]
     assert kept[60, 100]
     assert not kept[60, 170]
+
+
+def test_what_is_steep_only_where_the_part_that_is_looked_at_ends_is_left_out():
+    y, x = np.mgrid[:120, :200].astype(np.float32)
+    ball = np.maximum(0.5 - ((x - 40) ** 2 + (y - 60) ** 2) / 2000, 0)
+    moved = np.broadcast_to(x < 150, x.shape)
+    raised = 0.15 * np.where(moved, np.clip((x - 110) / 40, 0, 1), 0.0) * np.exp(-(((y - 60) / 40) ** 2))
+    surface = (ball + cv2.GaussianBlur(raised, (0, 0), 1.0)).astype(np.float32)
+    touched = (ball > 0) | (raised > 0.06)
+    assert flanks.pressed_in(touched, surface, 0.05)[60, 140]
+    kept = flanks.pressed_in(touched, surface, 0.05, None, moved)
+    assert kept[60, 40]
+    assert not kept[60, 140]
+
+
+@pytest.mark.parametrize(("around_mm", "kept"), [(0.02, True), (0.14, False)])
+def test_a_bump_on_gel_that_lies_too_high_is_left_out_and_a_light_touch_kept(around_mm, kept):
+    y, x = np.mgrid[:120, :240].astype(np.float32)
+    ball = np.maximum(0.9 - ((x - 50) ** 2 + (y - 60) ** 2) / 1000, 0)
+    bump = np.maximum(0.08 - ((x - 180) ** 2 + (y - 60) ** 2) / 1000, 0)
+    high = around_mm * np.exp(-(((x - 180) / 40) ** 4) - ((y - 60) / 40) ** 4)
+    found = flanks.pressed_in((ball > 0) | (bump > 0), (ball + bump + high).astype(np.float32), 0.05)
+    assert found[60, 50]
+    assert found[60, 180] == kept
 
 
 def test_parts_of_a_light_touch_stay_though_none_has_steep_flanks():

@@ -12,7 +12,8 @@ from pipeline.physics import optics
 from pipeline.sensors.spec import Gel, sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.press import press
-from pipeline.stages.depth import moved, rest
+from pipeline.simulation.variation import varied
+from pipeline.stages.depth import gel_depth, moved, rest
 from pipeline.stages.depth.stage import DepthParams, depth
 from pipeline.values.frames import TactileFrame
 
@@ -76,6 +77,43 @@ def test_gel_beyond_a_dent_is_brought_back_to_rest_on_either_side():
     assert np.abs(found.surface_mm[:, :20]).max() < 0.03
     assert np.abs(found.surface_mm[:, -20:]).max() < 0.03
     assert not found.inside.any()
+
+
+@pytest.mark.parametrize("lifted_mm", [0.2, 0.28])
+def test_all_of_a_third_of_the_gel_that_lies_too_high_is_brought_to_rest(lifted_mm):
+    x = np.arange(220)
+    bar = 0.8 * np.maximum(1 - ((x - 110) / 16.0) ** 2, 0)
+    lifted = lifted_mm / (1 + np.exp(-(x - 118) / 3.0))
+    found = rest.settled(np.tile(bar + lifted, (160, 1)).astype(np.float32), np.tile(bar > 0, (160, 1)), PIXEL_MM, GEL)
+    assert np.abs(found.surface_mm[:, -20:]).max() < 0.05
+
+
+def test_specks_of_noise_on_gel_that_lies_too_high_enclose_no_face():
+    source = sensor("gelslim")
+    rows, cols = source.camera.shape
+    y, x = np.mgrid[:rows, :cols].astype(np.float32)
+    bar = 0.5 * np.maximum(1 - ((x - 120) / 24.0) ** 2, 0)
+    surface = np.maximum(bar, 0.35 / (1 + np.exp(-(x - 132) / 4.0)))
+    for angle in np.linspace(0, 2 * np.pi, 24, endpoint=False):  # grains of 0.05 mm2
+        at = np.hypot(x - 290 - 75 * np.cos(angle), y - 160 - 75 * np.sin(angle))
+        surface += 0.02 * np.exp(-((at / 2.5) ** 2))
+    whole = moved.Window(
+        rows=slice(0, rows), cols=slice(0, cols), moved=np.ones((rows, cols), np.bool_),
+        share=np.ones((rows, cols), np.float32),
+    )  # fmt: skip
+    settled, inside = gel_depth._settled(surface, whole, source, source.pixel_mm)
+    assert not inside.any()
+    assert np.abs(settled[:, -40:]).max() < 0.05
+
+
+def test_a_light_face_of_which_only_pieces_of_the_rim_are_seen_is_found_all_over():
+    source = sensor("digit")
+    face = shapes.shape("square").mesh
+    unit = varied(source, 6)
+    felt = press(face, rigid.translation(0.0, 0.0, -0.025 - face.vertices_mm[:, 2].min()), unit, seed=1)
+    frame = TactileFrame(sensor="digit", image=felt.image, reference=optics.untouched(unit))
+    found = depth(frame, source, None, DepthParams())
+    assert (found.contact & felt.truth.contact).sum() / (found.contact | felt.truth.contact).sum() > FACE_IOU
 
 
 def test_a_patch_as_deep_as_the_rim_around_it_is_the_inside_of_a_face():
