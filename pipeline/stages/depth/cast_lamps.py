@@ -27,9 +27,10 @@ _AZIMUTH, _HIGHER, _OWN, _CROSS = math.radians(8.0), 0.12, 0.15, 0.05
 _NOT_TOLD = 1e6  # how surely all lamps together stand as high as described
 _SHARES = (-0.3, 0.9)
 _MAIN = 0.5  # of the largest share: a lamp's own colour
-# Of the change, left, and of t' C^-1 t: as much of both together as one alone may be. Half of the presses on a real
-# DIGIT have up to 0.98 of it; of 777 simulated ones, those that would be read worse by such lamps, from 1.01.
-_LEFT, _UNLIKELY = 0.88, 95.0
+# Of the change, left, and of t' C^-1 t: as much of both together as one alone may be, and as much left. Half of the
+# presses on a real DIGIT have up to 0.98 of it and leave up to 0.52. So little have 5 of 1,050 simulated ones on other
+# units that no usual lamps explain: three are read better by these, two worse.
+_LEFT, _UNLIKELY, _MOST_LEFT = 0.88, 95.0, 0.55
 _STEP = 0.15  # standard deviations, for rates of change
 _NOISE_GREY, _WORTH = 6.0, 200.0  # of a colour; pixels of a touch that can be independent
 _FARTHEST = 4.0  # of a turn, as units are far from each other
@@ -56,7 +57,8 @@ def fitted(source: SensorSpec, touch: Touch, turns: int = TURNS) -> Lamps | None
                 step = np.linalg.solve(normal + before, pull - before @ steps)
                 steps = steps + step * min(1.0, _FARTHEST / max(math.sqrt(float(step @ before @ step)), 1e-9))
                 lamps = _moved(base, steps)
-    return found if off / _UNLIKELY + least / (_LEFT * max(_changed(picture), 1.0)) < 1.0 else None
+    share = least / max(_changed(picture), 1.0)
+    return found if share < _MOST_LEFT and off / _UNLIKELY + share / _LEFT < 1.0 else None
 
 
 def _changed(picture: Seen) -> float:

@@ -148,7 +148,7 @@ def read(
         narrow_px = _NARROW * (0.0 if source.gel is None else source.gel.thickness_mm) / pixel_mm
         touched[here] = contact.without_margins(pressed, surface, *here, shape, narrow_px)
         away = None if source.gel is None else _away(touched[here], pixel_mm, source.gel)
-        if own_light.explains(light):
+        if own_light.explains(light) or isinstance(light, Lamps):
             surface = _lowered(surface, touched[here], away, window, source, pixel_mm)
         progress.step(0.8, "relaxing the gel around the contact")
         measured = Measured(
