@@ -36,8 +36,9 @@ from pipeline.values.results import DepthError, DepthMap
 _SPECK_MM2 = 0.15  # smaller contacts are camera noise
 _CORRELATION_PX = 8.0  # of the network's pixels: its errors go together over about what it integrates over
 # The network's say in the scale, where that is more than physics' and where it is less: of 385 random presses on units
-# that nothing was learned from, least squares give 1.0 to 2.0 for the one and 0.5 to 0.65 for the other.
-_BELIEVED_MORE, _BELIEVED_LESS = 1.0, 0.6
+# that nothing was learned from, least squares give 1.0 to 2.0 for the one and 0.5 to 0.65 for the other. Where other
+# touches of a recording tell the lamps as well, it is 1.1 and 0.24 (141 touches of six units).
+_BELIEVED_MORE, _BELIEVED_LESS, _LESS_BESIDE = 1.0, 0.6, 0.3
 # Of what a network that tells the scale expects to be off by: what it was taught are means, which a few touches far off
 # make. Of 163 such presses the logarithm's mean is that of 0.68; physics' error is told likewise (`depth_error`).
 _MIDDLE = 0.68
@@ -104,7 +105,7 @@ def _by_both(
     why = light_fields.why_not(seen_by, measured.light) if network.scaled else ""
     if why:
         return replace(physical, notes=(*physical.notes, why))
-    return corrected(physical, measured, seen, seen_by, network, params)
+    return corrected(physical, measured, seen, seen_by, network, params, lamps_told=bool(frame.beside))
 
 
 def _not_for(calibration: Calibration | None, *, for_units: bool) -> str:
@@ -126,9 +127,12 @@ def as_wide(source: SensorSpec, calibration: Calibration | None) -> SensorSpec:
 
 def corrected(
     physical: DepthMap, measured: Measured, seen: network_input.Seen, source: SensorSpec, network: GelReadingByOpenCv,
-    params: NetworkParams,
+    params: NetworkParams, *, lamps_told: bool = False,
 ) -> DepthMap:  # fmt: skip
-    """The physical answer with what the network makes of it; `source` as it is seen through the frame's camera."""
+    """The physical answer with what the network makes of it; `source` as it is seen through the frame's camera.
+
+    `lamps_told`: by other touches of the recording as well.
+    """
     at = network_input.frame(source.camera.shape)
     pixel_mm = np.float32(source.pixel_mm * at.pixels)
     correction, more, spread, log_scale = _read(network, seen, source, measured.light)
@@ -140,7 +144,8 @@ def corrected(
     touched = contact.without_specks(may & (likely > limit), max(4, round(_SPECK_MM2 / source.pixel_mm**2)))
     by_physics = measured.relaxed(touched)
     indentation = np.asarray(by_physics + at.large(correction) * pixel_mm, np.float32)
-    indentation *= _as_deep(indentation, by_physics, touched, log_scale)
+    less = _LESS_BESIDE if lamps_told else _BELIEVED_LESS
+    indentation *= _as_deep(indentation, by_physics, touched, log_scale, less)
     notes = _limited(indentation, touched, source)
     if not touched.any():
         notes.append("the network holds what has changed for no contact: nothing touches the sensor")
@@ -221,21 +226,23 @@ def _may_touch(surface_mm: Floats, seen: network_input.Seen, at: network_input.F
     return pressed | (deep > np.float32(_PUSHED_IN) * depth_of[nearest])
 
 
-def _as_deep(indentation: Floats, physical: Floats, touched: Mask, log_scale: float | None) -> np.float32:
+def _as_deep(
+    indentation: Floats, physical: Floats, touched: Mask, log_scale: float | None, less: float = _BELIEVED_LESS
+) -> np.float32:
     """What brings a surface to its scale; 0 where no contact is left.
 
     That is physics', by least squares over the contact, where the network tells none: what one makes of it that was
     shown units of any light is what those were like (a tenth to a fifth of the depth, another share for every kind of
     sensor). Where it does, it lies between the two, nearer to the larger: they err by other things, physics by lamps
     that one touch hardly tells and by walls too steep for light, which make a touch too shallow, a network by how much
-    its units are like this one.
+    its units are like this one. `less` is its say where it tells less than physics.
     """
     own = indentation[touched].astype(np.float64)
     as_physics = float(own @ physical[touched] / max(float(own @ own), 1e-9))
     if log_scale is None or as_physics <= 0.0:
         return np.float32(as_physics)
     more = log_scale - math.log(as_physics)
-    return np.float32(as_physics * math.exp((_BELIEVED_MORE if more > 0.0 else _BELIEVED_LESS) * more))
+    return np.float32(as_physics * math.exp((_BELIEVED_MORE if more > 0.0 else less) * more))
 
 
 def _error(spread_px: Floats, touched: Mask, pixel_mm: float) -> DepthError | None:

@@ -260,6 +260,8 @@ def test_the_scale_is_the_networks_where_that_is_more_and_between_both_where_it_
     assert gel_network._as_deep(field, 3 * field, touched, None) == pytest.approx(3.0)
     assert gel_network._as_deep(field, 4 * field, touched, float(np.log(9.0))) == pytest.approx(9.0)
     assert gel_network._as_deep(field, 9 * field, touched, float(np.log(4.0))) == pytest.approx(9 * (4 / 9) ** 0.6)
+    surer = gel_network._as_deep(field, 9 * field, touched, float(np.log(4.0)), gel_network._LESS_BESIDE)
+    assert surer == pytest.approx(9 * (4 / 9) ** 0.3)  # other touches tell the lamps
     assert gel_network._as_deep(field, field, ~touched, 0.3) == 0.0
 
 
