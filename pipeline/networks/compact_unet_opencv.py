@@ -45,8 +45,8 @@ class CompactUnetByOpenCv:
         with self._one_at_a_time:
             net = self._nets.of(folded.shape[1:], lambda: self._built(*folded.shape[1:]))
             net.setInput(folded[None])
-            said = np.array(net.forward()[0], np.float32)
-        return np.ascontiguousarray(_unfolded(said, self.fold)[:, :rows, :cols])
+            said = _unfolded(net.forward()[0], self.fold)[:, :rows, :cols]
+            return np.array(said, np.float32)  # a copy: the net writes into its own next time
 
     def _check(self, widths: list[int]) -> None:
         """Raise ValueError for tensors of another network."""
@@ -114,7 +114,8 @@ def _convolution(file: OnnxFile, value: str, weight: NDArray[np.floating], bias:
 def _folded(picture: Floats, fold: int) -> Floats:
     """Patches of `fold` x `fold` pixels as channels; the edge is repeated where they do not come out even."""
     rows, cols = picture.shape[1:]
-    whole = np.pad(picture, ((0, 0), (0, -rows % fold), (0, -cols % fold)), mode="edge")
+    more = ((0, 0), (0, -rows % fold), (0, -cols % fold))
+    whole = np.pad(picture, more, mode="edge") if rows % fold or cols % fold else picture
     channels, rows, cols = whole.shape
     parts = whole.reshape(channels, rows // fold, fold, cols // fold, fold).transpose(0, 2, 4, 1, 3)
     return np.ascontiguousarray(parts.reshape(channels * fold * fold, rows // fold, cols // fold))

@@ -6,7 +6,7 @@ reader of the file sees where each figure comes from. `extends = "other"` starts
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,7 +15,7 @@ import numpy as np
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import CalibrationError, SettingProblem
 from pipeline.base.memo import Memo
-from pipeline.engine.digests import content
+from pipeline.engine.digests import UNDIGESTED, content
 from pipeline.geometry import membrane, rigid
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.membrane import Membrane
@@ -43,11 +43,12 @@ class SensorSpec:
     optics: Optics | None = None
     markers: Markers | None = None
     assumed: tuple[str, ...] = ()  # keys whose numbers nobody has published
+    # Width of one pixel on the rest surface at the optical axis: asked for often, and a median of all pixels.
+    pixel_mm: float = field(init=False, repr=False, compare=False, metadata=UNDIGESTED)
 
-    @property
-    def pixel_mm(self) -> float:
-        """Width of one pixel on the rest surface at the optical axis."""
-        return float(np.median(self.rest_depth_mm)) / self.camera.fx_px
+    def __post_init__(self) -> None:
+        """Work out how wide a pixel is, once."""
+        object.__setattr__(self, "pixel_mm", float(np.median(self.rest_depth_mm)) / self.camera.fx_px)
 
     def seen_through(self, camera: Camera) -> SensorSpec:
         """The same sensor watched by another camera: membrane, frame and limits stay; the last few are kept.

@@ -136,12 +136,12 @@ def corrected(
     at = network_input.frame(source.camera.shape)
     pixel_mm = np.float32(source.pixel_mm * at.pixels)
     correction, more, spread, log_scale = _read(network, seen, source, measured.light)
-    may = np.ones_like(physical.contact)
+    limit, told = math.log(params.certainty / (1.0 - params.certainty)), at.large(more)
+    likely = np.where(physical.contact, told > np.float32(limit - _SURE), told > np.float32(limit + _SURE))
     if log_scale is None:  # of any light, which may throw shadows beside a touch
-        may = physical.contact | (at.large(_may_touch(measured.raw(), seen, at).astype(np.float32)) > np.float32(0.5))
-    likely = np.float32(_SURE) * (2.0 * physical.contact.astype(np.float32) - 1.0) + at.large(more)
-    limit = math.log(params.certainty / (1.0 - params.certainty))
-    touched = contact.without_specks(may & (likely > limit), max(4, round(_SPECK_MM2 / source.pixel_mm**2)))
+        may = at.large(_may_touch(measured.raw(), seen, at).astype(np.float32)) > np.float32(0.5)
+        likely &= physical.contact | may
+    touched = contact.without_specks(likely, max(4, round(_SPECK_MM2 / source.pixel_mm**2)))
     by_physics = measured.relaxed(touched)
     indentation = np.asarray(by_physics + at.large(correction) * pixel_mm, np.float32)
     less = _LESS_BESIDE if lamps_told else _BELIEVED_LESS
@@ -199,8 +199,8 @@ def _read(
 
     And the logarithm of the factor that makes the corrected surface true, of a network that tells one.
     """
-    everywhere = (slice(0, network_input.ROWS), slice(0, network_input.COLS))
-    box, deep = everywhere if network.scaled else network_input.box(seen), np.float32(network_input.depth_px(seen))
+    box = network_input.EVERYWHERE if network.scaled else network_input.box(seen)
+    deep = np.float32(network_input.depth_px(seen))
     shown = light_fields.fields(seen, source, light) if network.scaled else network_input.fields(seen, box)
     told = network(shown)
     found = np.zeros((3, network_input.ROWS, network_input.COLS), np.float32)
@@ -238,7 +238,8 @@ def _as_deep(
     its units are like this one. `less` is its say where it tells less than physics.
     """
     own = indentation[touched].astype(np.float64)
-    as_physics = float(own @ physical[touched] / max(float(own @ own), 1e-9))
+    # Sums, not products of vectors: whose threads go on waiting on the other core, which the next network needs.
+    as_physics = float(np.sum(own * physical[touched])) / max(float(np.sum(own * own)), 1e-9)
     if log_scale is None or as_physics <= 0.0:
         return np.float32(as_physics)
     more = log_scale - math.log(as_physics)

@@ -29,7 +29,7 @@ LEARNED = ("gelslim", "digit", "gelsight_mini")
 # Without printed markers a GelSlim is lit the same; nothing was learned from it by itself.
 _LEARNED_AS = {**{name: name for name in LEARNED}, "gelslim_dotless": "gelslim"}
 _GREY, _MOST = 60.0, 4.0
-_LEAST_SLOPE, _USUAL_SLOPE = 0.02, 0.5
+_USUAL_SLOPE = 0.5
 _LAMPS, _POWER, _ELEVATION_DEG = 3, 0.15, 3.0  # what units differ by, about
 _STEEP, _BRIGHTER, _HIGHER, _FOUND, _SENSOR = FIELDS + 3, FIELDS + 4, FIELDS + 7, FIELDS + 8, FIELDS + 9
 _NEAR, _FIELD = -1.0, -2.0  # lamps close beside, or none
@@ -47,10 +47,10 @@ def why_not(source: SensorSpec, light: own_light.Told | None) -> str:
 def fields(of: Seen, source: SensorSpec, light: own_light.Told | None) -> Floats:
     """All fields (28, 120, 160): those of `network_input` and these."""
     out = np.zeros((ALL_FIELDS, network_input.ROWS, network_input.COLS), np.float32)
-    out[:FIELDS] = network_input.fields(of)
+    steep = network_input.steepest(of)
+    out[:FIELDS] = network_input.fields(of, steep=steep)
     out[FIELDS:_STEEP] = np.clip((of.touched - of.untouched).transpose(2, 0, 1) / _GREY, -_MOST, _MOST)
-    steepest = network_input.largest(np.hypot(*of.slopes), network_input.inside(of))
-    out[_STEEP] = math.log(max(_LEAST_SLOPE, steepest) / _USUAL_SLOPE)
+    out[_STEEP] = math.log(steep / _USUAL_SLOPE)
     described = optics.optics_of(source)
     if isinstance(light, Optics):
         if light != described:

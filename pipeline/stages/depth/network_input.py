@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, Image, Mask, freeze
+from pipeline.base.ranks import percentile
 from pipeline.geometry.camera import Camera
 from pipeline.physics import optics
 from pipeline.physics.slopes import slopes
@@ -32,10 +33,11 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import contact
 
 ROWS, COLS, FIELDS = 120, 160, 16
+EVERYWHERE = (slice(0, ROWS), slice(0, COLS))
 SLOPE_FIELDS = (6, 8), (7, 9)  # to the right, down
 SURFACE, PRESSED, PRESSURE, STEEP, PLACE = 10, 11, 12, 13, 14
 SLOPE_PX = 8.0
-_LARGEST = 0.95  # of the values: what is the largest but for a few
+_LARGEST = 95  # percentile of the values: what is the largest but for a few
 _LEAST_GREY, _LEAST_SLOPE, _LEAST_PX = 5.0, 0.02, 0.1  # what is less is noise, and stays small
 _STEEP_PX = 4.0
 _BLUR_PX = 0.7  # of the pressure
@@ -160,8 +162,8 @@ def seen(image: Image, still: Floats, physical_mm: Floats, touched: Mask, source
 
 def depth_px(of: Seen) -> float:
     """How deep the physical answer is in its contact, in pixels of the fields: what its surface is told in."""
-    values = of.physical_px[inside(of)]
-    return max(float(np.quantile(values, _LARGEST)) if values.size else 0.0, _LEAST_PX)
+    pressed = inside(of)
+    return max(float(percentile(of.physical_px, _LARGEST, pressed)) if pressed.any() else 0.0, _LEAST_PX)
 
 
 def box(of: Seen) -> tuple[slice, slice]:
@@ -177,16 +179,24 @@ def box(of: Seen) -> tuple[slice, slice]:
     return found[0], found[1]
 
 
-def fields(of: Seen, at: tuple[slice, slice] = (slice(0, ROWS), slice(0, COLS))) -> Floats:
-    """The fields (16, rows, cols) of a box."""
+def steepest(of: Seen, at: tuple[slice, slice] = EVERYWHERE) -> float:
+    """The largest slope in a box's contact that the described lights would make of the change, but for a few."""
+    import cv2
+
+    right, down = (np.ascontiguousarray(slope[at]) for slope in of.slopes)
+    return max(_LEAST_SLOPE, largest(np.asarray(cv2.magnitude(right, down), np.float32), inside(of)[at]))
+
+
+def fields(of: Seen, at: tuple[slice, slice] = EVERYWHERE, steep: float | None = None) -> Floats:
+    """The fields (16, rows, cols) of a box; `steep`: the box's `steepest`, if it is known."""
     pressed, deep = inside(of)[at], depth_px(of)
     now, before = _planes(of.touched[at]), np.maximum(_planes(of.untouched[at]), 0.0)  # drift may take all light away
     out = np.zeros((FIELDS, *now.shape[1:]), np.float32)
     out[0:3] = [_in_own(change, pressed, _LEAST_GREY) for change in now - before]
-    mean = np.maximum(of.untouched.mean(axis=(0, 1)), _LEAST_GREY)[:, None, None]
+    mean = np.maximum(_planes(of.untouched).mean(axis=(1, 2)), _LEAST_GREY)[:, None, None]
     out[3:6] = np.clip(before / mean - 1.0, -1.5, 1.5)
-    steepest = max(_LEAST_SLOPE, largest(np.hypot(*of.slopes[:, at[0], at[1]]), pressed))
-    out[6:8] = np.clip(of.slopes[:, at[0], at[1]] / np.float32(steepest), -3.0, 3.0)
+    steep = steepest(of, at) if steep is None else steep
+    out[6:8] = np.clip(of.slopes[:, at[0], at[1]] / np.float32(steep), -3.0, 3.0)
     surface = of.physical_px[at] / np.float32(deep)
     out[8], out[9] = (np.float32(SLOPE_PX) * slope for slope in slopes(surface, 1.0))
     out[SURFACE] = surface
@@ -209,8 +219,7 @@ def _in_own(field: Floats, pressed: Mask, least: float) -> Floats:
 
 def largest(field: Floats, pressed: Mask) -> float:
     """What is the largest of a field (rows, cols) in the contact, but for a few."""
-    values = field[pressed]
-    return float(np.quantile(values, _LARGEST)) if values.size else float(field.max(initial=0.0))
+    return float(percentile(field, _LARGEST, pressed)) if pressed.any() else float(field.max(initial=0.0))
 
 
 def _planes(picture: Floats) -> Floats:
