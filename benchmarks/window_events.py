@@ -141,7 +141,7 @@ def _events(instrument: Any, application: Any, clock: _Clock) -> Iterator[Row]:
     canvas = window.columns["depth"].view.canvas
     for name, act, count in (
         ("display slider", drag(slider_of("display.bubble_limit_mm"), 100, 250), STEPS),
-        ("depth slider", drag(slider_of("depth/physics.sensitivity"), 40, 120), STEPS),
+        ("depth slider", drag(slider_of("depth/network.sensitivity"), 40, 120), STEPS),
         ("alignment slider", drag(x, middle - 40, middle + 40), STEPS),
         ("hovering", lambda n: _hover(application, canvas, n), HOVERS),
         ("section line", lambda n: window.section_tab.line_typed.emit(_line(n)), HOVERS),

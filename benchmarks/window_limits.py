@@ -91,14 +91,14 @@ def _new_frames(instrument: Any, application: Any) -> list[tuple[float, float]]:
 
 def _drafts(instrument: Any, application: Any) -> list[tuple[float, float]]:
     from pipeline.base.params import changed
-    from pipeline.stages.depth.slot import PHYSICS
+    from pipeline.stages.depth.slot import NETWORK
 
     waits, panel = [], instrument.window.parameters
-    panel.dragged = PHYSICS.key
+    panel.dragged = NETWORK.key
     for n in range(DRAGS):
         depth = instrument.screen.shown("depth")
-        params = changed(instrument.session.params_of(PHYSICS), "sensitivity", 1.0 + 0.02 * (n + 1))
-        instrument.choose_params(PHYSICS.key, params)
+        params = changed(instrument.session.params_of(NETWORK), "sensitivity", 1.0 + 0.02 * (n + 1))
+        instrument.choose_params(NETWORK.key, params)
         waits.append(_wait(application, lambda old=depth: instrument.screen.shown("depth") is not old))
         spin(instrument, application)
     panel.dragged = ""
