@@ -79,6 +79,7 @@ def prepare_environment() -> None:
     """Before anything loads: idle threads do not spin, garbage is not looked for all along, threads share heaps."""
     few_arenas()
     os.environ.setdefault("OMP_WAIT_POLICY", _THREADS_LEFT_ALONE)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads spin, and no product here is large enough for two
     gc.set_threshold(*_GARBAGE_AFTER)
 
 

@@ -8,6 +8,7 @@ what OpenGL draws, which a processor does where there is no graphics card, is ta
 from __future__ import annotations
 
 import math
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -15,6 +16,8 @@ from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # as the window sets it, which is before numpy loads
 
 import numpy as np
 
