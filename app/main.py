@@ -10,15 +10,15 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from app.session.sample import SAMPLE
+from app.session.sample import SAMPLE_RECORDING
 from pipeline.base.allocator import few_arenas
 
 if TYPE_CHECKING:
     from PyQt6.QtWidgets import QApplication
 
-    from app.frame.instrument import Instrument
-    from app.frame.window import Window
     from app.session.state import Session
+    from app.window.main_window import MainWindow
+    from app.window.session_controller import SessionController
     from pipeline.translation.catalogue import Catalogue
     from pipeline.translation.translate import Request
 
@@ -33,40 +33,40 @@ def open_window(request: Request | None, *, frame: int | None = None, tour: Path
     """Show the window until it is closed, or give the `tour` and close; returns the exit code of the process.
 
     `request` None shows the welcome page, or opens the sample where a frame or a tour is asked for. See
-    `app.frame.tour` for what a tour leaves behind.
+    `app.window.tour` for what a tour leaves behind.
     """
     prepare_environment()
-    from app.ending import Ending
-    from app.frame.warming import Warming
-    from app.session.state import ASKED, ON_A_TOUCH, Session
+    from app.session.state import AUTO_FRAME, REQUEST_FIELDS, Session
+    from app.shutdown import ShutdownHandler
+    from app.window.preload import PreloadController
 
     application = make_application()
-    first = ON_A_TOUCH if frame is None else frame
+    first = AUTO_FRAME if frame is None else frame
     if request is None:
-        asked_for = SAMPLE.exists() and (frame is not None or tour is not None)
-        session = Session(recording=SAMPLE if asked_for else None, frame=first)
+        asked_for = SAMPLE_RECORDING.exists() and (frame is not None or tour is not None)
+        session = Session(recording=SAMPLE_RECORDING if asked_for else None, frame=first)
     else:
-        asked = {name: getattr(request, name) for name in ASKED}
+        asked = {name: getattr(request, name) for name in REQUEST_FIELDS}
         methods, weights = dict(request.methods), dict(request.weights)
         session = Session(**asked, offsets=request.offsets, methods=methods, weights=weights, frame=first)
     instrument = show_window(session, remembers=tour is None)
-    ending = Ending(instrument)
+    ending = ShutdownHandler(instrument)
     if tour is None:
-        Warming(instrument)
+        PreloadController(instrument)
     try:
         if tour is None:
             code = application.exec()
         else:
-            from app.frame.tour import give_tour
+            from app.window.tour import run_tour
 
-            code = give_tour(instrument, tour, show_frame=frame)
+            code = run_tour(instrument, tour, show_frame=frame)
         return ending.code or code
     finally:
-        ending.let_go()
-        let_go(instrument)
+        ending.restore_signal_handlers()
+        close_window(instrument)
 
 
-def let_go(instrument: Instrument) -> None:
+def close_window(instrument: SessionController) -> None:
     """Close the window and destroy it: one that outlives its application ends the process with a crash."""
     from PyQt6 import sip
 
@@ -87,9 +87,9 @@ def make_application() -> QApplication:
     """The one application, in our style."""
     from PyQt6.QtWidgets import QApplication
 
-    from app.ending import leave_no_window
+    from app.shutdown import destroy_windows_at_exit
 
-    leave_no_window()
+    destroy_windows_at_exit()
     running = QApplication.instance()
     if isinstance(running, QApplication):
         return running
@@ -100,7 +100,7 @@ def make_application() -> QApplication:
 
 def show_window(
     session: Session, *, with_scene: bool = True, catalogue: Catalogue | None = None, remembers: bool = False
-) -> Instrument:
+) -> SessionController:
     """A window on `session`, on screen before the recording is read and before OpenGL is loaded.
 
     `catalogue` None is what this program knows of slots, methods and routes. One that `remembers` stands where the
@@ -109,23 +109,23 @@ def show_window(
     from PyQt6.QtCore import QTimer
     from PyQt6.QtWidgets import QApplication
 
-    from app.frame.connections import connect
-    from app.frame.instrument import Instrument
-    from app.frame.themes import put_on
-    from app.frame.window import Window
-    from app.session.remembered import Remembered
+    from app.session.preferences import Preferences
+    from app.window.connections import connect
+    from app.window.main_window import MainWindow
+    from app.window.session_controller import SessionController
+    from app.window.themes import apply_theme
     from pipeline.translation.catalogue import BUILT_IN
 
     QApplication.setStyle("Fusion")
-    theme = Remembered().theme if remembers else "light"
-    put_on(theme)
+    theme = Preferences().theme if remembers else "light"
+    apply_theme(theme)
     catalogue = catalogue or BUILT_IN
-    scrubbed = frozenset(slot.name for slot in catalogue.slots if slot.scrubs)
-    window = Window([("source", "Source"), *((slot.name, slot.title) for slot in catalogue.slots)], scrubbed)
-    instrument = Instrument(window, catalogue)
+    scrubbed = frozenset(slot.name for slot in catalogue.stages if slot.has_steps)
+    window = MainWindow([("source", "Source"), *((slot.name, slot.title) for slot in catalogue.stages)], scrubbed)
+    instrument = SessionController(window, catalogue)
     keeping = connect(instrument, theme)
     if remembers:
-        keeping.take_place()
+        keeping.restore_geometry()
     instrument.relay.catch_uncaught()
     window.show()
     _wait_until_seen(window)
@@ -133,14 +133,14 @@ def show_window(
         QTimer.singleShot(0, lambda: _add_scene(instrument))
     if session.recording is not None:
         instrument.show_session(session)
-        instrument.saved = session
+        instrument.saved_session = session
     if remembers:
         keeping.offer_recovery()
     logging.getLogger("tactoscope").info("Tactoscope is ready")
     return instrument
 
 
-def _wait_until_seen(window: Window) -> None:
+def _wait_until_seen(window: MainWindow) -> None:
     """Paint the window before recording, kernels and OpenGL are loaded, which share one interpreter's lock with it."""
     from PyQt6.QtWidgets import QApplication
 
@@ -152,7 +152,7 @@ def _wait_until_seen(window: Window) -> None:
     QApplication.processEvents()
 
 
-def _add_scene(instrument: Instrument) -> None:
-    from widgets.scene import best_scene
+def _add_scene(instrument: SessionController) -> None:
+    from widgets.vtk_scene_renderer import create_scene_renderer
 
-    instrument.screen.take_scene(best_scene(instrument.window.solids), instrument.session)
+    instrument.views.set_scene(create_scene_renderer(instrument.window.views_3d), instrument.session)

@@ -24,21 +24,21 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, row, timing
-from benchmarks.recorded import recorded_data
-from pipeline.alignment.fit.agreement import correlation
-from pipeline.alignment.fit.carry import Carrying
+from benchmarks.data_folder import recorded_data
+from benchmarks.timing import Requirement, build_measurement, summarize_times
+from pipeline.alignment.fit.agreement import compute_correlation
 from pipeline.alignment.fit.difference_tiles import ridges
-from pipeline.alignment.fit.fitting import fit, score_of
+from pipeline.alignment.fit.fitting import fit_pairs, score_fit
+from pipeline.alignment.fit.image_rotation import rotate_image
 from pipeline.alignment.fit.pairs import tile_pairs, touch_pairs
-from pipeline.alignment.fit.rigid_start import aligned
-from pipeline.alignment.fit.turning import turned
+from pipeline.alignment.fit.rigid_start import align_rigidly
+from pipeline.alignment.fit.transfer import TransferModel
 from pipeline.alignment.refine import refine
-from pipeline.alignment.touches import paired_touches
-from pipeline.racing.races import Answer, Row
-from pipeline.racing.report import show
-from pipeline.recordings import pictures
-from pipeline.sensors.spec import sensor
+from pipeline.alignment.touches import load_paired_touches
+from pipeline.racing.results import BenchmarkResult, Measurement
+from pipeline.racing.text_report import print_result
+from pipeline.recordings import image_files
+from pipeline.sensors.spec import load_sensor
 from pipeline.translation.translate import Request, open_translation
 from tests.pipeline.alignment.fit.scenes import pairs as simulated
 
@@ -46,11 +46,11 @@ NEEDS = "recorded data"
 SAMPLE = Path(__file__).resolve().parents[1] / "sample_data" / "recordings" / "grasps_lines_120.h5"
 DRAWS, USED = 3, 10
 SPLITS = {"held-out centres": "Center_Generalization", "training split": "Training"}
-TRUE = Carrying(mirrored=True, log_scale=math.log(0.36), right=0.06, down=-0.05, tilt_right=0.3, tilt_down=-0.2)
+TRUE = TransferModel(mirrored=True, log_scale=math.log(0.36), right=0.06, down=-0.05, tilt_right=0.3, tilt_down=-0.2)
 
 
-def tiles(folder: Path) -> tuple[list[Row], list[str]]:
-    spec = sensor("gelslim")
+def tiles(folder: Path) -> tuple[list[Measurement], list[str]]:
+    spec = load_sensor("gelslim")
     told = {r["base"]: r for r in csv.DictReader((folder / "index.csv").open())}
     found = tile_pairs(folder, spec, "*_gelslim.png", "*_bubble_gt.png").pairs
     peers = {p.name: _peer(folder, p.name, spec) for p in found}
@@ -61,38 +61,38 @@ def tiles(folder: Path) -> tuple[list[Row], list[str]]:
         used = set(np.random.default_rng(seed).choice(training, USED, replace=False).tolist())
         tools = {told[found[k].name]["tool"] for k in used}
         started = time.process_time()
-        answer = fit([found[k] for k in sorted(used)])
+        answer = fit_pairs([found[k] for k in sorted(used)])
         seconds.append(time.process_time() - started)
         for k in set(range(len(found))) - used:
             one = told[found[k].name]
             names = [n for n, split in SPLITS.items() if one["split"] == split]
             names += ["tools not among the ten"] * (one["tool"] not in tools)
             for name in names:
-                ours[name].append(score_of(found[k], answer.carrying, answer.common))
-                vqvae[name].append(correlation(peers[found[k].name], found[k].imprint, answer.common))
-                mean[name].append(correlation(answer.common, found[k].imprint))
-    taken = timing([1e3 * s for s in seconds])
+                ours[name].append(score_fit(found[k], answer.carrying, answer.common))
+                vqvae[name].append(compute_correlation(peers[found[k].name], found[k].imprint, answer.common))
+                mean[name].append(compute_correlation(answer.common, found[k].imprint))
+    taken = summarize_times([1e3 * s for s in seconds])
     notes = [f"{name}: the mean imprint alone correlates by {np.mean(mean[name]):.2f}" for name in ours if ours[name]]
     return [
-        row(f"touch2touch tiles, {name}: imprint beyond the mean one", ours=taken, ours_error=1 - np.mean(ours[name]),
+        build_measurement(f"touch2touch tiles, {name}: imprint beyond the mean one", ours=taken, ours_error=1 - np.mean(ours[name]),
             peer="published VQ-VAE", peer_error=1 - np.mean(vqvae[name]), unit="1 - partial correlation",
-            bar=Bar(error=0.45))
+            bar=Requirement(max_error=0.45))
         for name in ours if ours[name]
     ], notes  # fmt: skip
 
 
 def _peer(folder: Path, name: str, spec) -> np.ndarray:
-    way = ridges(pictures.rgb(folder / f"{name}_gelslim.png"), spec).way
-    return turned(pictures.rgb(folder / f"{name}_bubble_vqvae.png")[..., 0], way)
+    way = ridges(image_files.read_rgb(folder / f"{name}_gelslim.png"), spec).way
+    return rotate_image(image_files.read_rgb(folder / f"{name}_bubble_vqvae.png")[..., 0], way)
 
 
-def round_trip() -> tuple[list[Row], str]:
+def round_trip() -> tuple[list[Measurement], str]:
     off: dict[str, list[float]] = {"turn": [], "scale": [], "shift": [], "tilt": []}
     in_spread, seconds = [], []
     for turn in np.radians((0, 40, 97, 180, 230, 300)):
         true = replace(TRUE, turn=float(turn))
         started = time.process_time()
-        found = fit(simulated(true, 6))
+        found = fit_pairs(simulated(true, 6))
         seconds.append(time.process_time() - started)
         how = found.carrying
         turned_by = math.remainder(how.turn - true.turn, 2 * math.pi)
@@ -105,32 +105,32 @@ def round_trip() -> tuple[list[Row], str]:
     units = {"turn": "deg", "scale": "share", "shift": "tile widths", "tilt": "of the press"}
     bars = {"turn": 1.0, "scale": 0.03, "shift": 0.01, "tilt": 0.05}
     note = f"round trip: {np.mean(in_spread):.0%} of the numbers lie within two of the spreads told"
-    taken = timing([1e3 * s for s in seconds])
-    return [row(f"round trip of known pairs, {name}", ours=taken, ours_error=max(off[name]), unit=units[name],
-                bar=Bar(error=bars[name])) for name in off], note  # fmt: skip
+    taken = summarize_times([1e3 * s for s in seconds])
+    return [build_measurement(f"round trip of known pairs, {name}", ours=taken, ours_error=max(off[name]), unit=units[name],
+                bar=Requirement(max_error=bars[name])) for name in off], note  # fmt: skip
 
 
-def recording() -> list[Row]:
+def recording() -> list[Measurement]:
     translation = open_translation(Request(recording=SAMPLE, source="gelslim", target="soft_bubble"))
-    touches = [t for t in paired_touches(translation, range(translation.n_frames), exact=True) if t.felt_by_both][:2]
+    touches = [t for t in load_paired_touches(translation, range(translation.n_frames), exact=True) if t.overlap][:2]
     started = time.process_time()
-    start = aligned(touches, fit(touch_pairs(touches).pairs).carrying, translation.alignment)
+    start = align_rigidly(touches, fit_pairs(touch_pairs(touches).pairs).carrying, translation.alignment)
     found = refine(touches, start).alignment.target_from_source
-    taken = timing([1e3 * (time.process_time() - started)])
+    taken = summarize_times([1e3 * (time.process_time() - started)])
     exact = translation.alignment.target_from_source
     turn = math.degrees(math.acos(min(1.0, (np.trace(found[:3, :3].T @ exact[:3, :3]) - 1) / 2)))
     shift = float(np.linalg.norm(found[:3, 3] - exact[:3, 3]))
     translation.close()
     asked = "alignment of two touches from nothing, exact depth"
-    return [row(f"{asked}, shift", ours=taken, ours_error=shift, unit="mm", bar=Bar(error=0.3)),
-            row(f"{asked}, turn", ours=taken, ours_error=turn, unit="deg", bar=Bar(error=1.0))]  # fmt: skip
+    return [build_measurement(f"{asked}, shift", ours=taken, ours_error=shift, unit="mm", bar=Requirement(max_error=0.3)),
+            build_measurement(f"{asked}, turn", ours=taken, ours_error=turn, unit="deg", bar=Requirement(max_error=1.0))]  # fmt: skip
 
 
-def answer(data: str = "") -> Answer:
+def measure(data: str = "") -> BenchmarkResult:
     """Rows of tiles, of the round trip and of a recording; times are of the processor."""
     of_tiles, notes = tiles(recorded_data(data) / "t2t_pairs")
     of_known, note = round_trip()
-    return Answer(
+    return BenchmarkResult(
         title="How two sensors stand to each other, from a few pairs and nothing to begin with",
         unit="1 - partial correlation",
         rows=(*of_tiles, *of_known, *recording()),
@@ -139,4 +139,4 @@ def answer(data: str = "") -> Answer:
 
 
 if __name__ == "__main__":
-    show(answer(*sys.argv[1:2]))
+    print_result(measure(*sys.argv[1:2]))

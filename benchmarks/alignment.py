@@ -19,111 +19,114 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, Timing, race, row, timing
-from pipeline.alignment.felt import PREVIEW, felt
-from pipeline.alignment.nudge import nudged
+from benchmarks.timing import Requirement, Timing, build_measurement, summarize_times, time_in_turns
+from pipeline.alignment.nudge import nudge
 from pipeline.alignment.refine import refine
-from pipeline.alignment.score import preview
-from pipeline.alignment.touches import PairedTouch, paired_touches, pivot_of
+from pipeline.alignment.score import score_preview
+from pipeline.alignment.target_observation import PREVIEW, observe_target
+from pipeline.alignment.touches import AlignmentTouch, find_pivot, load_paired_touches
 from pipeline.geometry import rigid
-from pipeline.racing.races import Answer, Point, Row
-from pipeline.racing.report import show
-from pipeline.sensors.alignment import Alignment, corrected
-from pipeline.sensors.offsets import AXES, motion_about
+from pipeline.racing.results import BenchmarkResult, Measurement, PlotPoint
+from pipeline.racing.text_report import print_result
+from pipeline.sensors.alignment import Alignment, correct_alignment
+from pipeline.sensors.offsets import AXES, compose_motion
 from pipeline.translation.translate import Request, Translation, open_translation
 
 RECORDING = Path(__file__).resolve().parents[1] / "sample_data" / "recordings" / "first_touch.h5"
 PAIRS = (("gelslim", "soft_bubble"), ("digit", "gelslim"))
-DRAG = Bar(ms=8, error=0.02)
+DRAG = Requirement(max_ms=8, max_error=0.02)
 FAR_MM, FAR_DEG, STARTS = 3.0, 5.0, 2
 TOLERANCE = {("gelslim", "soft_bubble", False): 3.0}  # elsewhere 1: what counts as known, in 0.2 mm and 1 deg
 # A bubble's pixel is 0.42 mm wide, a GelSlim's 0.042 mm.
 REFINED = {
-    ("gelslim", "soft_bubble", True): (Bar(error=0.2), Bar(error=1.0)),
-    ("digit", "gelslim", True): (Bar(error=0.05), Bar(error=0.5)),
-    ("digit", "gelslim", False): (Bar(error=0.2), Bar(error=2.0)),
-    ("gelslim", "soft_bubble", False): (Bar(error=1.0), Bar()),
+    ("gelslim", "soft_bubble", True): (Requirement(max_error=0.2), Requirement(max_error=1.0)),
+    ("digit", "gelslim", True): (Requirement(max_error=0.05), Requirement(max_error=0.5)),
+    ("digit", "gelslim", False): (Requirement(max_error=0.2), Requirement(max_error=2.0)),
+    ("gelslim", "soft_bubble", False): (Requirement(max_error=1.0), Requirement()),
 }
 
 
-def opened(source: str, target: str) -> Translation:
+def open_pair(source: str, target: str) -> Translation:
     return open_translation(Request(recording=RECORDING, source=source, target=target))
 
 
-def largest(touches: tuple[PairedTouch, ...]) -> PairedTouch:
+def largest(touches: tuple[AlignmentTouch, ...]) -> AlignmentTouch:
     return max(touches, key=lambda touch: int(touch.source.contact.sum()))
 
 
-def drags(source: str, target: str) -> tuple[list[Row], list[Point]]:
-    translation = opened(source, target)
-    touch = largest(paired_touches(translation, range(translation.n_frames), exact=True))
-    exact, pivot = translation.alignment, pivot_of(touch, translation.alignment)
+def drags(source: str, target: str) -> tuple[list[Measurement], list[PlotPoint]]:
+    translation = open_pair(source, target)
+    touch = largest(load_paired_touches(translation, range(translation.n_frames), exact=True))
+    exact, pivot = translation.alignment, find_pivot(touch, translation.alignment)
     edits = itertools.cycle([(axis, amount) for axis in AXES for amount in (-0.05, 0.05)])
 
     def drag(side):
         axis, amount = next(edits)
-        return preview(touch, nudged(exact, axis, amount, pivot_mm=pivot), side)
+        return score_preview(touch, nudge(exact, axis, amount, pivot_mm=pivot), side)
 
     sides = {
-        "quarter": felt(touch.target, translation.target, factor=PREVIEW),
-        "full": felt(touch.target, translation.target),
+        "quarter": observe_target(touch.target, translation.target, factor=PREVIEW),
+        "full": observe_target(touch.target, translation.target),
     }
-    left = {name: preview(touch, exact, side)[1].depth_mm for name, side in sides.items()}
-    times = race({name: lambda side=side: drag(side) for name, side in sides.items()}, runs=24)
+    left = {name: score_preview(touch, exact, side)[1].depth_mm for name, side in sides.items()}
+    times = time_in_turns({name: lambda side=side: drag(side) for name, side in sides.items()}, runs=24)
     name = f"{source} to {target}"
     asked = f"dragging an alignment handle, {name}"
-    rows = [row(asked, ours=times["quarter"], ours_error=left["quarter"], unit="mm", bar=DRAG)]
-    points = [Point(method=f"drag, {name}, {n}", ms=times[n].median_ms, error=left[n], ours=True) for n in sides]
+    rows = [build_measurement(asked, ours=times["quarter"], ours_error=left["quarter"], unit="mm", bar=DRAG)]
+    points = [PlotPoint(method=f"drag, {name}, {n}", ms=times[n].median_ms, error=left[n], ours=True) for n in sides]
     return rows, points
 
 
-def beginnings(exact: Alignment, pivot: np.ndarray) -> list[Alignment]:
+def draw_starts(exact: Alignment, pivot: np.ndarray) -> list[Alignment]:
     rng = np.random.default_rng(4)
     ways = rng.normal(size=(STARTS, 2, 3))
     ways /= np.linalg.norm(ways, axis=2, keepdims=True)
-    return [corrected(exact, motion_about(pivot, np.deg2rad(FAR_DEG) * turn, FAR_MM * shift)) for turn, shift in ways]
+    return [
+        correct_alignment(exact, compose_motion(pivot, np.deg2rad(FAR_DEG) * turn, FAR_MM * shift))
+        for turn, shift in ways
+    ]
 
 
-def refined(source: str, target: str, exact_depth: bool) -> tuple[list[Row], list[str]]:
-    translation = opened(source, target)
-    touches = paired_touches(translation, range(translation.n_frames), exact=exact_depth)
+def measure_refinement(source: str, target: str, exact_depth: bool) -> tuple[list[Measurement], list[str]]:
+    translation = open_pair(source, target)
+    touches = load_paired_touches(translation, range(translation.n_frames), exact=exact_depth)
     known = translation.alignment.target_from_source
     tolerance = TOLERANCE.get((source, target, exact_depth), 1.0)
     errors, took_ms, weak = [], [], []
-    for start in beginnings(translation.alignment, pivot_of(touches[0], translation.alignment)):
+    for start in draw_starts(translation.alignment, find_pivot(touches[0], translation.alignment)):
         began = time.perf_counter()
         answer = refine(touches, start, tolerance=tolerance)
         took_ms.append(1e3 * (time.perf_counter() - began))
         off = answer.alignment.target_from_source @ rigid.invert(known)
         mm = float(np.linalg.norm(rigid.apply(off, answer.pivot_mm) - answer.pivot_mm))
-        errors.append((mm, rigid.angle_deg(off)))
+        errors.append((mm, rigid.rotation_angle_deg(off)))
         weak.append(len(answer.weak))
     how = "exact" if exact_depth else "measured"
     asked = f"refining {source} to {target}, {how} depth, {len(touches)} touches"
     asked += f", tolerance {tolerance:g}" if tolerance != 1.0 else ""
-    taken: Timing = timing(took_ms)
+    taken: Timing = summarize_times(took_ms)
     bars = REFINED[source, target, exact_depth]
     worst = np.max(errors, axis=0)
     rows = [
-        row(asked, ours=taken, ours_error=float(e), unit=unit, bar=bar)
+        build_measurement(asked, ours=taken, ours_error=float(e), unit=unit, bar=bar)
         for e, unit, bar in zip(worst, ("mm", "deg"), bars, strict=True)
     ]
     told = f"{asked}: said not to be observable, of six directions, from each start: {', '.join(map(str, weak))}"
     return rows, [told]
 
 
-def answer() -> Answer:
+def measure() -> BenchmarkResult:
     rows, points, notes = [], [], []
     for source, target in PAIRS:
         more, some = drags(source, target)
         rows += more
         points += some
     for source, target, exact_depth in REFINED:
-        more, told = refined(source, target, exact_depth)
+        more, told = measure_refinement(source, target, exact_depth)
         rows += more
         notes += told
     notes.append("measured depth of a bubble, whose contact the depth stage sees too large, is what limits that pair")
-    return Answer(
+    return BenchmarkResult(
         title="An alignment: dragged, and refined",
         unit="mm",
         rows=tuple(rows),
@@ -133,4 +136,4 @@ def answer() -> Answer:
 
 
 if __name__ == "__main__":
-    show(answer())
+    print_result(measure())

@@ -16,13 +16,13 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, race, row
-from pipeline.racing.races import Answer
-from pipeline.racing.report import show
-from pipeline.stages.adapt.stage import AdaptParams, adapt
-from pipeline.stages.depth.stage import DepthParams, depth
-from pipeline.stages.generate.stage import GenerateParams, generate
-from pipeline.stages.project.stage import ProjectParams, project
+from benchmarks.timing import Requirement, build_measurement, time_in_turns
+from pipeline.racing.results import BenchmarkResult
+from pipeline.racing.text_report import print_result
+from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.depth.photometric import DepthParams, estimate_depth
+from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
+from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch
 from tests.stability.checks import outcome
 from tests.stability.scenes import aligned, depth_map, frame, indentation_mm, small, view
 from tests.stability.test_poison import POISONS, poisoned
@@ -37,15 +37,20 @@ def scenes():
     rng = np.random.default_rng(5)
     source, target, gel = small("gelslim"), small("soft_bubble", 0.5), small("digit")
     clean = depth_map(source, indentation_mm(source, "sphere", rng))
-    points = adapt(clean, aligned(source, target), AdaptParams())
+    points = back_project_depth(clean, aligned(source, target), BackProjectionParams())
     bubble_frame, bubble_view = frame("soft_bubble"), view(target, 0.3 * indentation_mm(target, "sphere", rng))
     gel_view = view(gel, 0.3 * indentation_mm(gel, "sphere", rng))
     return {
-        "depth": (depth, bubble_frame, ("image",), (small("soft_bubble"), None, DepthParams())),
-        "adapt": (adapt, clean, ("depth_mm",), (aligned(source, target), AdaptParams())),
-        "project": (project, points, ("points_mm",), (target, ProjectParams())),
-        "generate, gel": (generate, gel_view, ("depth_mm", "indentation_mm"), (gel, GenerateParams())),
-        "generate, bubble": (generate, bubble_view, ("depth_mm", "indentation_mm"), (target, GenerateParams())),
+        "depth": (estimate_depth, bubble_frame, ("image",), (small("soft_bubble"), None, DepthParams())),
+        "adapt": (back_project_depth, clean, ("depth_mm",), (aligned(source, target), BackProjectionParams())),
+        "project": (project_cloud, points, ("points_mm",), (target, SurfaceProjectionParams())),
+        "generate, gel": (render_touch, gel_view, ("depth_mm", "indentation_mm"), (gel, PhysicalRenderParams())),
+        "generate, bubble": (
+            render_touch,
+            bubble_view,
+            ("depth_mm", "indentation_mm"),
+            (target, PhysicalRenderParams()),
+        ),
     }
 
 
@@ -63,21 +68,23 @@ def slowest(stage, scene):
                 for p in (poison, plain)
             )
             calls = {"bad": bad, "usual": usual, "clean": clean}
-            times = race({name: lambda value=value: outcome(run, value, *rest) for name, value in calls.items()}, RUNS)
+            times = time_in_turns(
+                {name: lambda value=value: outcome(run, value, *rest) for name, value in calls.items()}, RUNS
+            )
             peer = max((times["usual"], times["clean"]), key=lambda timing: timing.median_ms)
             if worst is None or times["bad"].median_ms / peer.median_ms > worst[0]:
                 worst = times["bad"].median_ms / peer.median_ms, poison, share, times["bad"], peer
     _, poison, share, ours, peer = worst
-    return row(
+    return build_measurement(
         f"{stage}, bad values", ours=ours, ours_error=math.nan, unit="", peer="the clean case", peer_timing=peer,
-        bar=Bar(faster=1 / TIMES),
+        bar=Requirement(min_speedup=1 / TIMES),
     ), f"{stage}: worst with {poison} in {share} places"  # fmt: skip
 
 
-def answer() -> Answer:
+def measure() -> BenchmarkResult:
     rows, notes = zip(*(slowest(stage, scene) for stage, scene in scenes().items()), strict=True)
-    return Answer(title="Bad values beside the clean case", unit="", rows=rows, notes=notes)
+    return BenchmarkResult(title="Bad values beside the clean case", unit="", rows=rows, notes=notes)
 
 
 if __name__ == "__main__":
-    show(answer())
+    print_result(measure())

@@ -17,18 +17,18 @@ from scipy import optimize
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, row, timing
-from benchmarks.recorded import recorded_data
-from pipeline.racing.races import Answer
-from pipeline.racing.report import show
-from pipeline.sensors.spec import sensor
-from pipeline.stages.depth.ball_calibration import calibrated
-from pipeline.stages.depth.stage import DepthParams, depth
+from benchmarks.data_folder import recorded_data
+from benchmarks.timing import Requirement, build_measurement, summarize_times
+from pipeline.racing.results import BenchmarkResult
+from pipeline.racing.text_report import print_result
+from pipeline.sensors.spec import load_sensor
+from pipeline.stages.depth.ball_calibration import calibrate_sensor
+from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.values.frames import TactileFrame
 
 NEEDS = "recorded data"
 _MINI_MM_PER_PX = 0.0634
-_NO_BARS = (Bar(), Bar())
+_NO_BARS = (Requirement(), Requirement())
 _BESIDE_MM = 3.0  # farther from the contact than this the gel is called far
 
 
@@ -36,7 +36,7 @@ def read(path: Path):
     return np.ascontiguousarray(cv2.imread(str(path))[..., ::-1])
 
 
-def numbered(folder: Path, pattern: str) -> list[Path]:
+def list_numbered_files(folder: Path, pattern: str) -> list[Path]:
     return sorted(folder.glob(pattern), key=lambda p: int("".join(c for c in p.stem.split("_")[-1] if c.isdigit())))
 
 
@@ -44,20 +44,20 @@ def sphere(indentation_mm, contact, pixel_mm):
     y, x = (pixel_mm * n for n in np.nonzero(contact))
     z = indentation_mm[contact].astype(np.float64)
 
-    def off(p):
+    def compute_errors(p):
         return np.sqrt(np.maximum(p[3] ** 2 - (x - p[0]) ** 2 - (y - p[1]) ** 2, 1e-6)) + p[2] - z
 
-    found = optimize.least_squares(off, [x.mean(), y.mean(), z.max() - 4.0, 4.0])
+    found = optimize.least_squares(compute_errors, [x.mean(), y.mean(), z.max() - 4.0, 4.0])
     return 2 * abs(found.x[3]), np.sqrt(np.mean(found.fun**2))
 
 
-def measured(label, pictures, still, source, look_up, diameter_mm, bars=_NO_BARS):
+def measure_presses(label, pictures, still, source, look_up, diameter_mm, bars=_NO_BARS):
     """(row of the diameter's error, row of the rms, note) of presses measured with a look-up."""
     fits, far, ms, missing = [], [], [], 0
     for index, picture in enumerate(pictures):
         frame = TactileFrame(sensor=source.name, image=picture, reference=still, index=index)
         started = time.perf_counter()
-        result = depth(frame, source, look_up, DepthParams())
+        result = estimate_depth(frame, source, look_up, DepthParams())
         ms.append(1e3 * (time.perf_counter() - started))
         away = cv2.distanceTransform((~result.contact).astype(np.uint8), cv2.DIST_L2, 5) * look_up.pixel_mm
         far.append(float(np.abs(result.indentation_mm[away > _BESIDE_MM]).max(initial=0.0)))
@@ -68,7 +68,7 @@ def measured(label, pictures, still, source, look_up, diameter_mm, bars=_NO_BARS
         fits.append((d / diameter_mm - 1, rms))
     error, rms = np.array(fits).T
     rows = tuple(
-        row(f"{what}, {label}", ours=timing(ms), ours_error=float(value), unit=unit, bar=bar)
+        build_measurement(f"{what}, {label}", ours=summarize_times(ms), ours_error=float(value), unit=unit, bar=bar)
         for what, value, unit, bar in (
             ("diameter", 100 * np.median(np.abs(error)), "%", bars[0]),
             ("rms to the sphere", np.median(rms), "mm", bars[1]),
@@ -82,10 +82,10 @@ def measured(label, pictures, still, source, look_up, diameter_mm, bars=_NO_BARS
     return rows, note
 
 
-def answer(data: str = "") -> Answer:
+def measure(data: str = "") -> BenchmarkResult:
     folder = recorded_data(data)
-    found = [*minis(folder / "gsmini_balls"), *others(folder)]
-    return Answer(
+    found = [*measure_mini(folder / "gsmini_balls"), *measure_other_sensors(folder)]
+    return BenchmarkResult(
         title="Balls measured with a look-up from other presses",
         unit="%",
         rows=tuple(row for rows, _ in found for row in rows),
@@ -93,30 +93,32 @@ def answer(data: str = "") -> Answer:
     )
 
 
-def minis(folder: Path):
-    mini, still = sensor("gelsight_mini"), read(folder / "background.png")
-    small, large = ([read(p) for p in numbered(folder, f"ball_{d}mm_*.png")] for d in ("6.310", "9.500"))
-    whole = calibrated(small, still, mini, 6.31, pixel_mm=_MINI_MM_PER_PX)
+def measure_mini(folder: Path):
+    mini, still = load_sensor("gelsight_mini"), read(folder / "background.png")
+    small, large = ([read(p) for p in list_numbered_files(folder, f"ball_{d}mm_*.png")] for d in ("6.310", "9.500"))
+    whole = calibrate_sensor(small, still, mini, 6.31, pixel_mm=_MINI_MM_PER_PX)
     label = f"Mini {len(small)} of 6.310 mm -> {len(large)} of 9.500 mm"
-    yield measured(label, large, still, mini, whole, 9.5, (Bar(error=10), Bar(error=0.03)))
+    yield measure_presses(
+        label, large, still, mini, whole, 9.5, (Requirement(max_error=10), Requirement(max_error=0.03))
+    )
     for k in (0, 1):
-        half = calibrated(small[k::2], still, mini, 6.31, pixel_mm=_MINI_MM_PER_PX)
-        yield measured(f"Mini half of 6.310 mm -> other half ({k})", small[1 - k :: 2], still, mini, half, 6.31)
+        half = calibrate_sensor(small[k::2], still, mini, 6.31, pixel_mm=_MINI_MM_PER_PX)
+        yield measure_presses(f"Mini half of 6.310 mm -> other half ({k})", small[1 - k :: 2], still, mini, half, 6.31)
 
 
-def others(data: Path):
+def measure_other_sensors(data: Path):
     for name, folder_name, reference, pattern, sizes in (
         ("digit", "digit_balls", "background.png", "0*.png", ((5.0, None), (6.0, None), (8.0, None))),
         ("gelslim", "gelslim3_balls", "ref.jpg", "sample_*.jpg", ((7.6, 0.05), (7.6, 0.07), (7.6, 0.10577))),
     ):
-        source, folder = sensor(name), data / folder_name
+        source, folder = load_sensor(name), data / folder_name
         still = read(folder / reference)
-        pictures = [read(p) for p in numbered(folder, pattern)]
+        pictures = [read(p) for p in list_numbered_files(folder, pattern)]
         for diameter_mm, pixel_mm in sizes:
-            half = calibrated(pictures[::2], still, source, diameter_mm, pixel_mm=pixel_mm)
+            half = calibrate_sensor(pictures[::2], still, source, diameter_mm, pixel_mm=pixel_mm)
             label = f"{name} {diameter_mm:g} mm at {half.pixel_mm:.4f} mm/px, half -> half"
-            yield measured(label, pictures[1::2], still, source, half, diameter_mm)
+            yield measure_presses(label, pictures[1::2], still, source, half, diameter_mm)
 
 
 if __name__ == "__main__":
-    show(answer(*sys.argv[1:2]))
+    print_result(measure(*sys.argv[1:2]))

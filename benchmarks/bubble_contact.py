@@ -18,14 +18,14 @@ from scipy.sparse import linalg
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, race, row
+from benchmarks.timing import Requirement, build_measurement, time_in_turns
 from pipeline.physics import bubble, multigrid
 from pipeline.physics.lattice import Lattice
-from pipeline.racing.races import Answer, Point
-from pipeline.racing.report import show
-from pipeline.sensors.spec import sensor
+from pipeline.racing.results import BenchmarkResult, PlotPoint
+from pipeline.racing.text_report import print_result
+from pipeline.sensors.spec import load_sensor
 
-_BUBBLE = sensor("soft_bubble").bubble
+_BUBBLE = load_sensor("soft_bubble").bubble
 _RADIUS_MM, _REACH_MM, _OVER_KPA = 20.0, 6.0, 0.05
 _TOLERANCES_MM = (1e-2, 1e-4, 1e-6, 1e-8)
 _EQUAL_NM = 1.0  # the active set is exact to rounding; both are then the same surface to any instrument
@@ -33,20 +33,20 @@ _STEPS = ((0.75, 9), (0.5, 5), (0.375, 3))  # width of a cell in mm, runs: the p
 _PEER = "active set, sparse solver"
 
 
-def answer() -> Answer:
+def measure() -> BenchmarkResult:
     raced = [_raced(step_mm, runs) for step_mm, runs in _STEPS]
     rows = []
     for size, errors, times, _ in raced:
         _, best = min((times[name].median_ms, name) for name in errors if name != _PEER and errors[name] <= _EQUAL_NM)
-        rows.append(row(f"bubble over a ball, {size}", peer=_PEER, ours=times[best], peer_timing=times[_PEER],
+        rows.append(build_measurement(f"bubble over a ball, {size}", peer=_PEER, ours=times[best], peer_timing=times[_PEER],
                         ours_error=errors[best], peer_error=errors[_PEER], unit="nm",
-                        bar=Bar(faster=80, error=_EQUAL_NM)))  # fmt: skip
+                        bar=Requirement(min_speedup=80, max_error=_EQUAL_NM)))  # fmt: skip
     size, errors, times, _ = raced[0]
-    return Answer(
+    return BenchmarkResult(
         title=f"A bubble over a ball, {size} nodes, largest error",
         unit="nm",
         rows=tuple(rows),
-        points=tuple(Point(method=name, ms=times[name].median_ms, error=error, ours=name != _PEER)
+        points=tuple(PlotPoint(method=name, ms=times[name].median_ms, error=error, ours=name != _PEER)
                      for name, error in errors.items()),
         notes=tuple(f"{size}: the active set takes {solves} sparse solves" for size, _, _, solves in raced),
     )  # fmt: skip
@@ -54,7 +54,7 @@ def answer() -> Answer:
 
 def _raced(step_mm: float, runs: int):
     """(size of the grid, method -> error in nm, method -> timing, sparse solves of the peer)."""
-    on = bubble.lattice(_BUBBLE, step_mm)
+    on = bubble.make_lattice(_BUBBLE, step_mm)
     grid, load = problem(on)
     truth, solves = active_set(grid, load)
     methods = {
@@ -62,24 +62,24 @@ def _raced(step_mm: float, runs: int):
         for t in _TOLERANCES_MM
     }
     errors = {name: 1e6 * float(np.abs(run() - truth).max()) for name, run in methods.items()} | {_PEER: 0.0}
-    times = race({**methods, _PEER: lambda: active_set(grid, load)}, runs)
+    times = time_in_turns({**methods, _PEER: lambda: active_set(grid, load)}, runs)
     return f"{on.shape[0]} x {on.shape[1]}", errors, times, solves
 
 
-def problem(on: Lattice) -> tuple[multigrid.Grid, float]:
+def problem(on: Lattice) -> tuple[multigrid.ObstacleProblem, float]:
     """(the room around the rest dome and the free nodes, load per mm) of the ball."""
     x, y = on.x_mm()[None, :], on.y_mm()[:, None]
     low = _RADIUS_MM**2 - (x - 8.0) ** 2 - (y + 5.0) ** 2
-    rest = bubble.rest_height_mm(_BUBBLE, on)
+    rest = bubble.compute_rest_height_mm(_BUBBLE, on)
     ceiling = _BUBBLE.height_mm - _REACH_MM + _RADIUS_MM - np.sqrt(np.maximum(low, 0.0))
-    free = bubble.free_nodes(_BUBBLE, on)
+    free = bubble.find_free_nodes(_BUBBLE, on)
     room = np.where(low > 0, ceiling - rest, np.inf)
-    return multigrid.Grid(room_mm=room, free=free, step_mm=on.step_mm), _OVER_KPA * 1e-3 / bubble.tension_n_per_mm(
-        _BUBBLE
-    )
+    return multigrid.ObstacleProblem(
+        clearance_mm=room, free=free, step_mm=on.step_mm
+    ), _OVER_KPA * 1e-3 / bubble.compute_tension_n_per_mm(_BUBBLE)
 
 
-def active_set(grid: multigrid.Grid, load: float):
+def active_set(grid: multigrid.ObstacleProblem, load: float):
     """(v, number of sparse solves) on the free nodes."""
     index = np.full(grid.free.shape, -1)
     index[grid.free] = np.arange(grid.free.sum())
@@ -90,7 +90,7 @@ def active_set(grid: multigrid.Grid, load: float):
     i, j = (np.concatenate([p[k] for p in pairs]) for k in (0, 1))
     near = sparse.coo_matrix((np.ones(len(i)), (i, j)), (n, n))
     a = ((4 * sparse.eye(n) - near - near.T) / grid.step_mm**2).tocsc()
-    room, b = grid.room_mm[grid.free], np.full(n, load)
+    room, b = grid.clearance_mm[grid.free], np.full(n, load)
     v, held = np.minimum(0.0, room), room < 0
     solves = 0
     while solves < 200:
@@ -109,4 +109,4 @@ def active_set(grid: multigrid.Grid, load: float):
 
 
 if __name__ == "__main__":
-    show(answer())
+    print_result(measure())

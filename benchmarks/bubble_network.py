@@ -24,24 +24,24 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.depth_reader import reader
-from benchmarks.races import Bar, race, row, timing
-from pipeline.evaluation.metrics import iou, mean_abs_mm
+from benchmarks.depth_helpers import build_reader
+from benchmarks.timing import Requirement, build_measurement, summarize_times, time_in_turns
 from pipeline.geometry import rigid
+from pipeline.metrics.stage_metrics import iou, mean_abs_mm
 from pipeline.physics import lattice
-from pipeline.racing.races import Answer
-from pipeline.racing.report import show
+from pipeline.racing.results import BenchmarkResult
+from pipeline.racing.text_report import print_result
 from pipeline.recordings import open_recording
 from pipeline.sensors import alignment
-from pipeline.sensors.spec import sensor
+from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import datasets, poses, shapes
-from pipeline.simulation.press import photograph, press
-from pipeline.simulation.variation import varied
-from pipeline.stages.adapt.stage import AdaptParams, adapt
-from pipeline.stages.generate.stage import GenerateParams, generate
-from pipeline.stages.project.stage import ProjectParams, project
+from pipeline.simulation.press import render_sensor_image, simulate_press
+from pipeline.simulation.variation import vary_sensor
+from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
+from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch
 from pipeline.values.frames import TactileFrame
-from pipeline.values.pixel_index import pixel_index
+from pipeline.values.pixel_index import make_pixel_index
 from pipeline.values.results import DepthMap
 
 _BARS = {"unseen grasps": (0.20, 0.10), "unseen tools": (0.35, 0.15)}
@@ -52,25 +52,25 @@ _PUNYO = Path(os.environ.get("TACTILE_DATA", "../shared/data")) / "punyo_bubble"
 _PUNYO_UNTOUCHED = range(1, 5)  # frames; the first is the reference
 
 
-def answer() -> Answer:
-    methods = {"ours": reader("network"), _PEER: reader("physics")}
+def measure() -> BenchmarkResult:
+    methods = {"ours": build_reader("network"), _PEER: build_reader("physics")}
     rows, notes = [], []
     for split, bars in _BARS.items():
         touches = list(_touches(split))
         for kind in ("soft_bubble", "soft_bubble_stereo"):
             found = {name: _through(read, touches, kind) for name, read in methods.items()}
             for k, (what, unit) in enumerate((("contact", "1 - IoU"), ("indentation in contact", "mm"))):
-                rows.append(row(
-                    f"{kind} to GelSlim, {split}: {what}", ours=timing(found["ours"][1]), peer=_PEER, unit=unit,
-                    peer_timing=timing(found[_PEER][1]), ours_error=found["ours"][0][k],
-                    peer_error=found[_PEER][0][k], bar=Bar(error=bars[k]),
+                rows.append(build_measurement(
+                    f"{kind} to GelSlim, {split}: {what}", ours=summarize_times(found["ours"][1]), peer=_PEER, unit=unit,
+                    peer_timing=summarize_times(found[_PEER][1]), ours_error=found["ours"][0][k],
+                    peer_error=found[_PEER][0][k], bar=Requirement(max_error=bars[k]),
                 ))  # fmt: skip
         for name, exact in (("membrane", _membrane), ("surface of the object", _object)):
             left = np.nanmean([_felt(exact(touch), touch) for touch in touches], axis=0)
             notes.append(f"{split}, exact {name} in place of a reading: {left[0]:.3f} 1 - IoU, {left[1]:.3f} mm")
     if _PUNYO.exists():
         rows += _untouched(methods)
-    return Answer(
+    return BenchmarkResult(
         title="GelSlim's contact from a bubble's reading", unit="1 - IoU", rows=tuple(rows), notes=tuple(notes)
     )
 
@@ -79,28 +79,32 @@ class _Touch:
     """One press, felt by another unit of the bubble and of the GelSlim."""
 
     def __init__(self, name: str, k: int) -> None:
-        thing = shapes.shape(name).mesh
-        pose = poses.single(thing, np.random.default_rng([11, k]))
-        described = sensor("soft_bubble")
+        thing = shapes.make_shape(name).mesh
+        pose = poses.sample_press_pose(thing, np.random.default_rng([11, k]))
+        described = load_sensor("soft_bubble")
         nearer = rigid.translation(0.0, 0.0, datasets.BUBBLE_DEEPER_MM) @ described.alignment_from_sensor
         self.source = replace(described, alignment_from_sensor=nearer)
-        self.unit, self.gel, self.seed = varied(self.source, 300 + k), varied(sensor("gelslim"), 500 + k), 2 * k
-        self.bubble, self.truth = (press(thing, pose, unit, seed=None).truth for unit in (self.unit, self.gel))
+        self.unit, self.gel, self.seed = (
+            vary_sensor(self.source, 300 + k),
+            vary_sensor(load_sensor("gelslim"), 500 + k),
+            2 * k,
+        )
+        self.bubble, self.truth = (simulate_press(thing, pose, unit, seed=None).truth for unit in (self.unit, self.gel))
         vertices = rigid.apply(self.bubble.sensor_from_object, thing.vertices_mm)
-        self.object_mm = lattice.depth_of_mesh(vertices, thing.triangles, self.unit.camera)
+        self.object_mm = lattice.render_mesh_depth(vertices, thing.triangles, self.unit.camera)
         self.depth_mm = self.unit.rest_depth_mm - self.bubble.indentation_mm
 
     def frame(self, kind: str) -> TactileFrame:
         """What the bubble reads through this kind of depth camera."""
-        unit = replace(self.unit, depth_camera=sensor(kind).depth_camera)
+        unit = replace(self.unit, depth_camera=load_sensor(kind).depth_camera)
         nothing = np.zeros_like(self.bubble.indentation_mm)
-        image = photograph(unit, self.bubble.indentation_mm, self.depth_mm, self.seed)
-        reference = photograph(unit, nothing, unit.rest_depth_mm, self.seed + 1)
+        image = render_sensor_image(unit, self.bubble.indentation_mm, self.depth_mm, self.seed)
+        reference = render_sensor_image(unit, nothing, unit.rest_depth_mm, self.seed + 1)
         return TactileFrame(sensor=kind, image=image, reference=reference)
 
 
 def _touches(split: str):
-    names = shapes.names("training" if split == "unseen grasps" else "unseen")
+    names = shapes.list_shapes("training" if split == "unseen grasps" else "unseen")
     for k, name in enumerate(names * _GRASPS[split]):
         touch = _Touch(name, k)
         if touch.truth.contact.any():
@@ -120,9 +124,9 @@ def _through(read, touches, kind: str):
 
 def _felt(depth: DepthMap, touch: _Touch) -> tuple[float, float]:
     """(1 - IoU, mm in contact) of the GelSlim's gel that is pressed onto what the bubble's depth tells."""
-    gel = sensor("gelslim")
-    cloud = adapt(depth, alignment.between(touch.source, gel), AdaptParams())
-    felt = generate(project(cloud, gel, ProjectParams()), gel, GenerateParams()).membrane
+    gel = load_sensor("gelslim")
+    cloud = back_project_depth(depth, alignment.resolve_alignment(touch.source, gel), BackProjectionParams())
+    felt = render_touch(project_cloud(cloud, gel, SurfaceProjectionParams()), gel, PhysicalRenderParams()).membrane
     truth = touch.truth
     return 1 - iou(felt.contact, truth.contact), mean_abs_mm(felt.indentation_mm, truth.indentation_mm, truth.contact)
 
@@ -130,7 +134,7 @@ def _felt(depth: DepthMap, touch: _Touch) -> tuple[float, float]:
 def _membrane(touch: _Touch) -> DepthMap:
     return DepthMap(
         indentation_mm=touch.bubble.indentation_mm, depth_mm=touch.depth_mm.astype(np.float32),
-        contact=touch.bubble.contact, camera=touch.unit.camera, source_index=pixel_index(touch.unit.camera.shape),
+        contact=touch.bubble.contact, camera=touch.unit.camera, source_index=make_pixel_index(touch.unit.camera.shape),
     )  # fmt: skip
 
 
@@ -142,13 +146,13 @@ def _object(touch: _Touch) -> DepthMap:
 def _untouched(methods):
     """Contact pixels, in thousandths of the frame, on untouched frames of a real bubble."""
     stream = open_recording(_PUNYO, sensor="soft_bubble_stereo").stream()
-    source, frames = sensor("soft_bubble_stereo"), [stream.frame(k) for k in _PUNYO_UNTOUCHED]
+    source, frames = load_sensor("soft_bubble_stereo"), [stream.frame(k) for k in _PUNYO_UNTOUCHED]
     wrong = {name: 1e3 * np.mean([read(f, source).contact.mean() for f in frames]) for name, read in methods.items()}
-    times = race({name: partial(read, frames[0], source) for name, read in methods.items()}, runs=5)
-    yield row("untouched frames of a real bubble: contact", unit="of 1000",
+    times = time_in_turns({name: partial(read, frames[0], source) for name, read in methods.items()}, runs=5)
+    yield build_measurement("untouched frames of a real bubble: contact", unit="of 1000",
               ours=times["ours"], ours_error=wrong["ours"],
-              peer=_PEER, peer_timing=times[_PEER], peer_error=wrong[_PEER], bar=Bar(error=0.0))  # fmt: skip
+              peer=_PEER, peer_timing=times[_PEER], peer_error=wrong[_PEER], bar=Requirement(max_error=0.0))  # fmt: skip
 
 
 if __name__ == "__main__":
-    show(answer())
+    print_result(measure())

@@ -20,61 +20,75 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, Timing, race, row
+from benchmarks.timing import Requirement, Timing, build_measurement, time_in_turns
 from pipeline.base.arrays import freeze
-from pipeline.evaluation.metrics import iou, mean_abs_mm
+from pipeline.metrics.stage_metrics import iou, mean_abs_mm
 from pipeline.physics import bubble_camera
-from pipeline.racing.races import Answer, Point
-from pipeline.racing.report import show
-from pipeline.sensors.spec import sensor
+from pipeline.racing.results import BenchmarkResult, PlotPoint
+from pipeline.racing.text_report import print_result
+from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import poses, shapes
 from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
-from pipeline.simulation.press import press
+from pipeline.simulation.press import simulate_press
 from pipeline.stages.depth import contact
-from pipeline.stages.depth.bubble_depth import filled
-from pipeline.stages.depth.bubble_reading import denoised
-from pipeline.stages.depth.stage import DepthParams, depth
+from pipeline.stages.depth.bubble_contact import denoise_displacement
+from pipeline.stages.depth.bubble_depth import fill_gaps
+from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.values.frames import TactileFrame
 
-_FLIGHT, _STEREO = sensor("soft_bubble"), sensor("soft_bubble_stereo")
+_FLIGHT, _STEREO = load_sensor("soft_bubble"), load_sensor("soft_bubble_stereo")
 _GRASPS = (1, 7)  # of each tool's grid
 _SHARE, _CURVATURE_MM, _SPLINE_MM, _SPECK_MM2 = 0.35, 1.5, 1.25, 20.0  # of the reading before
 _CASES = {
-    "time of flight": (Bar(closer=1.1, ms=50), Bar(closer=1.4), Bar(closer=1.4, error=0.15)),
-    "stereo": (Bar(closer=1.05, ms=50), Bar(closer=1.0), Bar(closer=1.6, error=0.15)),
-    "no noise": (Bar(closer=1.25, ms=50), Bar(closer=8, error=0.05), Bar(error=0.02)),
+    "time of flight": (
+        Requirement(min_error_ratio=1.1, max_ms=50),
+        Requirement(min_error_ratio=1.4),
+        Requirement(min_error_ratio=1.4, max_error=0.15),
+    ),
+    "stereo": (
+        Requirement(min_error_ratio=1.05, max_ms=50),
+        Requirement(min_error_ratio=1.0),
+        Requirement(min_error_ratio=1.6, max_error=0.15),
+    ),
+    "no noise": (
+        Requirement(min_error_ratio=1.25, max_ms=50),
+        Requirement(min_error_ratio=8, max_error=0.05),
+        Requirement(max_error=0.02),
+    ),
 }
 _WHAT = (("contact", "1 - IoU"), ("depth in contact", "mm"), ("depth outside", "mm"))
 _PEER = "spline and curvature"
 
 
-def answer() -> Answer:
+def measure() -> BenchmarkResult:
     presses = [p for deeper_mm in (0.0, BUBBLE_DEEPER_MM) for p in _presses(deeper_mm)]
     rows, points = [], []
     for k, (case, bars) in enumerate(_CASES.items()):
         seen = [(_image(case, image, 100 + i), truth) for i, (image, truth) in enumerate(presses)]
         errors = {name: _errors(read, seen) for name, read in _METHODS.items()}
-        times = race({name: lambda read=read, image=seen[0][0]: read(image) for name, read in _METHODS.items()})
+        times = time_in_turns(
+            {name: lambda read=read, image=seen[0][0]: read(image) for name, read in _METHODS.items()}
+        )
         rows += [
-            row(f"{what}, {case}", ours=times["ours"], peer=_PEER, peer_timing=times[_PEER], unit=unit, bar=bar,
+            build_measurement(f"{what}, {case}", ours=times["ours"], peer=_PEER, peer_timing=times[_PEER], unit=unit, bar=bar,
                 ours_error=errors["ours"][i], peer_error=errors[_PEER][i])
             for i, ((what, unit), bar) in enumerate(zip(_WHAT, bars, strict=True))
         ]  # fmt: skip
         points += [_point(name, case, times[name], errors[name][0]) for name in _METHODS] if k == 0 else []
-    return Answer(
+    return BenchmarkResult(
         title="Contact of a bubble seen by a time-of-flight camera", unit="1 - IoU", rows=tuple(rows),
-        points=tuple(points), notes=(f"{len(presses)} presses of {', '.join(shapes.names('unseen'))}",),
+        points=tuple(points), notes=(f"{len(presses)} presses of {', '.join(shapes.list_shapes('unseen'))}",),
     )  # fmt: skip
 
 
 def _presses(deeper_mm: float):
     """(exact depth image, truth) of every press."""
     felt_by = _standing_out(deeper_mm)
-    for k, name in enumerate(shapes.names("unseen")):
-        thing = shapes.shape(name).mesh
-        grid = poses.paper_grid(thing, n=12, seed=50 + k)
+    for k, name in enumerate(shapes.list_shapes("unseen")):
+        thing = shapes.make_shape(name).mesh
+        grid = poses.make_paper_grid(thing, n=12, seed=50 + k)
         for j in _GRASPS:
-            pressed = press(thing, grid[j], felt_by, seed=None)
+            pressed = simulate_press(thing, grid[j], felt_by, seed=None)
             yield np.asarray(pressed.image, np.float64), pressed.truth
 
 
@@ -87,7 +101,7 @@ def _standing_out(deeper_mm: float):
 
 def _image(case: str, depth_mm, seed: int):
     camera = _STEREO if case == "stereo" else _FLIGHT
-    return bubble_camera.reading(camera, depth_mm, None if case == "no noise" else seed)
+    return bubble_camera.simulate_depth_frame(camera, depth_mm, None if case == "no noise" else seed)
 
 
 def _errors(read, seen) -> tuple[float, float, float]:
@@ -103,26 +117,26 @@ def _errors(read, seen) -> tuple[float, float, float]:
 
 def _ours(image):
     frame = TactileFrame(sensor=_FLIGHT.name, image=image, reference=_FLIGHT.rest_depth_mm.astype(np.float32))
-    found = depth(frame, _FLIGHT, None, DepthParams())
+    found = estimate_depth(frame, _FLIGHT, None, DepthParams())
     return found.indentation_mm, found.contact
 
 
 def _before(image):
     moved = _FLIGHT.rest_depth_mm.astype(np.float32) - image
     seen = np.isfinite(moved)
-    moved, _ = filled(np.where(seen, moved, np.float32(0.0)), seen)
-    moved = denoised(moved, _SPLINE_MM / _FLIGHT.pixel_mm)
-    pressed = contact.touched_membrane(moved, least_mm=_FLIGHT.limits.contact_min_mm, pressure_share=_SHARE,
+    moved, _ = fill_gaps(np.where(seen, moved, np.float32(0.0)), seen)
+    moved = denoise_displacement(moved, _SPLINE_MM / _FLIGHT.pixel_mm)
+    pressed = contact.detect_membrane_contact(moved, least_mm=_FLIGHT.limits.contact_min_mm, pressure_share=_SHARE,
                                        smoothing_px=_CURVATURE_MM / _FLIGHT.pixel_mm)  # fmt: skip
-    return moved, contact.without_specks(pressed, round(_SPECK_MM2 / _FLIGHT.pixel_mm**2))
+    return moved, contact.remove_specks(pressed, round(_SPECK_MM2 / _FLIGHT.pixel_mm**2))
 
 
 _METHODS = {"ours": _ours, _PEER: _before}
 
 
-def _point(name: str, case: str, timing: Timing, error: float) -> Point:
-    return Point(method=f"{name}, {case}", ms=timing.median_ms, error=error, ours=name == "ours")
+def _point(name: str, case: str, timing: Timing, error: float) -> PlotPoint:
+    return PlotPoint(method=f"{name}, {case}", ms=timing.median_ms, error=error, ours=name == "ours")
 
 
 if __name__ == "__main__":
-    show(answer())
+    print_result(measure())

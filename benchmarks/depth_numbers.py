@@ -20,38 +20,45 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, Timing, row
+from benchmarks.timing import Requirement, Timing, build_measurement
 from pipeline.base.arrays import freeze
-from pipeline.evaluation.metrics import iou, mean_abs_mm
 from pipeline.geometry import rigid
+from pipeline.metrics.stage_metrics import iou, mean_abs_mm
 from pipeline.physics import optics
-from pipeline.racing.races import Answer
-from pipeline.racing.report import show
-from pipeline.sensors.spec import sensor
+from pipeline.racing.results import BenchmarkResult
+from pipeline.racing.text_report import print_result
+from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import poses, shapes
 from pipeline.simulation.datasets import BUBBLE_DEEPER_MM
-from pipeline.simulation.press import press
-from pipeline.simulation.variation import varied
-from pipeline.stages.depth import bubble_reading, gel_depth, gel_light, membrane_load, moved, rest
-from pipeline.stages.depth.stage import DepthParams, depth
+from pipeline.simulation.press import simulate_press
+from pipeline.simulation.variation import vary_sensor
+from pipeline.stages.depth import (
+    bubble_contact,
+    change_detection,
+    gel_depth,
+    membrane_load,
+    rest_level,
+    surface_refinement,
+)
+from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.values.frames import TactileFrame
 
 NEEDS = "five minutes"
-_BAR = Bar(closer=0.97)  # a neighbour that is better by no more than the choice of presses makes
+_BAR = Requirement(min_error_ratio=0.97)  # a neighbour that is better by no more than the choice of presses makes
 _FACTORS = (2 / 3, 1.5)
 _PARAMS = DepthParams()
 _GEL_DEPTHS_MM = (0.2, 0.5)
 _LEFT_OUT = {  # what has a reason beside it in the code
-    bubble_reading: {"_MOST_PIXELS", "_USUAL_CURVATURE_PER_MM", "_SPECKLE_PX"},
+    bubble_contact: {"_MOST_PIXELS", "_USUAL_CURVATURE_PER_MM", "_SPECKLE_PX"},
     membrane_load: {"_ITERATIONS", "_SPREADS", "_FREED", "_FEWEST_BLOCKS"},
-    gel_light: {"_CELLS", "_NO_BLUR"},
+    surface_refinement: {"_CELLS", "_NO_BLUR"},
     gel_depth: {"_SATURATED_GREY", "_FULL_SHARE", "_PRESSURE_CELLS"},
-    moved: {"_BLOCK_PX"},
-    rest: {"_CELLS", "_STEPS", "_EXACT", "_FAR_MM", "_FAR_STEPS"},
+    change_detection: {"_BLOCK_PX"},
+    rest_level: {"_CELLS", "_STEPS", "_EXACT", "_FAR_MM", "_FAR_STEPS"},
 }  # fmt: skip
 
 
-def numbers(module):
+def list_constants(module):
     """The module's own numbers."""
     left_out = _LEFT_OUT[module]
     for name, value in vars(module).items():
@@ -60,14 +67,14 @@ def numbers(module):
             yield name, value
 
 
-def neighbour(value, factor):
+def scale_constant(value, factor):
     """The number beside `value`; whole ones stay whole."""
     if not isinstance(value, int):
         return type(value)(value * factor)
     return value + (round(value * (factor - 1)) or (1 if factor > 1 else -1))
 
 
-class Changed:
+class ChangedConstant:
     """A module with one number changed, for as long as the block lasts."""
 
     def __init__(self, module, name, value):
@@ -85,39 +92,39 @@ class Changed:
 
 def bubbles():
     """(frame, sensor, truth) of a bubble, far out and less far."""
-    for index, name in enumerate(shapes.names("training")):
-        told = sensor(("soft_bubble", "soft_bubble_stereo")[index % 2])
+    for index, name in enumerate(shapes.list_shapes("training")):
+        told = load_sensor(("soft_bubble", "soft_bubble_stereo")[index % 2])
         pose = np.array(told.alignment_from_sensor)
         pose[2, 3] += BUBBLE_DEEPER_MM * (index // 2 % 2)
         felt_by = replace(told, alignment_from_sensor=freeze(pose))
-        thing = shapes.shape(name).mesh
-        felt = press(thing, poses.paper_grid(thing, n=12, seed=index)[3], felt_by, seed=index)
+        thing = shapes.make_shape(name).mesh
+        felt = simulate_press(thing, poses.make_paper_grid(thing, n=12, seed=index)[3], felt_by, seed=index)
         yield frame_of(told, felt.image, told.rest_depth_mm.astype(np.float32)), told, felt.truth
 
 
 def gels():
     """(frame, sensor, truth) of gels, pressed lightly and firmly."""
-    for index, name in enumerate(shapes.names("training")[1::2]):
-        told = sensor(("digit", "gelslim_dotless", "digit", "gelsight_mini")[index % 4])
-        unit = varied(told, index) if index % 2 else told
-        thing = shapes.shape(name).mesh
+    for index, name in enumerate(shapes.list_shapes("training")[1::2]):
+        told = load_sensor(("digit", "gelslim_dotless", "digit", "gelsight_mini")[index % 4])
+        unit = vary_sensor(told, index) if index % 2 else told
+        thing = shapes.make_shape(name).mesh
         for depth_mm in _GEL_DEPTHS_MM:
             pose = rigid.rotation((0.0, 0.0, 0.3 * index))
             pose[2, 3] = -depth_mm - rigid.apply(pose, thing.vertices_mm)[:, 2].min()
-            felt = press(thing, pose, unit, seed=index)
+            felt = simulate_press(thing, pose, unit, seed=index)
             if felt.converged and felt.truth.contact.any():
-                yield frame_of(told, felt.image, optics.untouched(unit)), told, felt.truth
+                yield frame_of(told, felt.image, optics.render_reference(unit)), told, felt.truth
 
 
-def frame_of(told, image, reference):
-    return TactileFrame(sensor=told.name, image=image, reference=reference)
+def frame_of(source, image, reference):
+    return TactileFrame(sensor=source.name, image=image, reference=reference)
 
 
 def errors(presses):
     """Of every press: the logarithms of (1 - IoU, mm in the contact, mm beside it)."""
     found = []
     for frame, told, truth in presses:
-        answer = depth(frame, told, None, _PARAMS)
+        answer = estimate_depth(frame, told, None, _PARAMS)
         moved, true = answer.indentation_mm, truth.indentation_mm
         parts = (1 - iou(answer.contact, truth.contact), mean_abs_mm(moved, true, truth.contact),
                  mean_abs_mm(moved, true, ~truth.contact))  # fmt: skip
@@ -125,11 +132,11 @@ def errors(presses):
     return np.array(found)
 
 
-def answer(part: str = "") -> Answer:
+def measure(part: str = "") -> BenchmarkResult:
     rows, notes = [], []
     for presses, modules in (
-        (list(bubbles()), (membrane_load, bubble_reading)),
-        (list(gels()), (gel_depth, gel_light)),
+        (list(bubbles()), (membrane_load, bubble_contact)),
+        (list(gels()), (gel_depth, surface_refinement)),
     ):
         usual = errors(presses)
         parts = ", ".join(f"{e:.3f}" for e in np.exp(usual.mean(axis=0)))
@@ -137,25 +144,27 @@ def answer(part: str = "") -> Answer:
             f"{len(presses)} presses on a {presses[0][1].kind}: 1 - IoU, mm in the contact, mm beside: {parts}"
         )
         for module in modules:
-            for name, value in numbers(module):
+            for name, value in list_constants(module):
                 title = f"{module.__name__.rpartition('.')[2]}.{name} = {value:g}"
                 if part in title:
                     rows.append(_judged(title, module, name, value, presses, usual))
-    return Answer(title="Numbers of the depth stage beside their neighbours", unit="relative", rows=tuple(rows),
+    return BenchmarkResult(title="Numbers of the depth stage beside their neighbours", unit="relative", rows=tuple(rows),
                   notes=tuple(notes))  # fmt: skip
 
 
 def _judged(title, module, name, value, presses, usual):
     relative = {}
     for factor in _FACTORS:
-        beside = neighbour(value, factor)
-        with Changed(module, name, beside):
+        beside = scale_constant(value, factor)
+        with ChangedConstant(module, name, beside):
             relative[beside] = float(np.exp((errors(presses) - usual).mean()))
     told = ", ".join(f"{beside:.3g}: {ratio:.3f}" for beside, ratio in relative.items())
     best = min(relative, key=relative.__getitem__)
     untimed = Timing(median_ms=math.nan, p95_ms=math.nan)
-    return row(title, peer=told, ours=untimed, ours_error=1.0, peer_error=relative[best], unit="relative", bar=_BAR)
+    return build_measurement(
+        title, peer=told, ours=untimed, ours_error=1.0, peer_error=relative[best], unit="relative", bar=_BAR
+    )
 
 
 if __name__ == "__main__":
-    show(answer(*sys.argv[1:2]))
+    print_result(measure(*sys.argv[1:2]))

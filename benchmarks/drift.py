@@ -22,18 +22,18 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.depth_reader import picture, reader
-from benchmarks.races import Bar, row, timing
-from benchmarks.recorded import recorded_data
+from benchmarks.data_folder import recorded_data
+from benchmarks.depth_helpers import build_reader, picture
+from benchmarks.timing import Requirement, build_measurement, summarize_times
 from pipeline.base.errors import FileProblem
-from pipeline.evaluation.metrics import iou
 from pipeline.geometry import rigid
+from pipeline.metrics.stage_metrics import iou
 from pipeline.physics import optics
-from pipeline.racing.races import Answer
-from pipeline.racing.report import show
-from pipeline.sensors.spec import sensor
+from pipeline.racing.results import BenchmarkResult
+from pipeline.racing.text_report import print_result
+from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
-from pipeline.simulation.press import press
+from pipeline.simulation.press import simulate_press
 from pipeline.values.frames import TactileFrame
 
 _SENSORS = ("gelslim", "gelslim_dotless", "gelsight_mini", "digit")
@@ -45,7 +45,7 @@ _PRESS_MM = 0.4
 _LEVEL = (0.0, 0.0)
 
 
-def drifted(image, *, gain=(1.0, 1.0, 1.0), ramp=_LEVEL, tint=(1.0, 1.0, 1.0), shift=_LEVEL):
+def apply_drift(image, *, gain=(1.0, 1.0, 1.0), ramp=_LEVEL, tint=(1.0, 1.0, 1.0), shift=_LEVEL):
     """The picture (rows, cols, 3) with light times `gain` plus `ramp` grey levels across x and y, moved by `shift`."""
     rows, cols = image.shape[:2]
     by = np.array([[1, 0, shift[0]], [0, 1, shift[1]]], np.float64)
@@ -55,7 +55,7 @@ def drifted(image, *, gain=(1.0, 1.0, 1.0), ramp=_LEVEL, tint=(1.0, 1.0, 1.0), s
     return moved * np.array(gain) + (ramp[0] * x + ramp[1] * y)[..., None] * np.array(tint)
 
 
-def seen(light, noise_grey: float, seed: int):
+def add_camera_noise(light, noise_grey: float, seed: int):
     """What 8 bits and the camera's noise make of it."""
     noise = np.random.default_rng(seed).normal(0.0, noise_grey, light.shape)
     return np.clip(np.rint(light + noise), 0, 255).astype(np.uint8)
@@ -80,32 +80,34 @@ def mixture(rng):
             "shift": direction(_SHIFT_PX)}  # fmt: skip
 
 
-def stills():
+def render_reference_images():
     """(label, sensor, untouched picture)."""
     for name in _SENSORS:
-        yield name, sensor(name), optics.untouched(sensor(name))
+        yield name, load_sensor(name), optics.render_reference(load_sensor(name))
     try:
         data = recorded_data()
     except FileProblem:
         return
     for name, file in _REAL.items():
-        yield f"real {name}", sensor(name), picture(data / file)
+        yield f"real {name}", load_sensor(name), picture(data / file)
 
 
-def read_through(read, source, still, light, seed):
+def measure_after_drift(read, source, still, light, seed):
     """(depth map, ms) of a picture made of `light`."""
-    frame = TactileFrame(sensor=source.name, image=seen(light, source.optics.noise_grey, seed), reference=still)
+    frame = TactileFrame(
+        sensor=source.name, image=add_camera_noise(light, source.optics.noise_grey, seed), reference=still
+    )
     started = time.perf_counter()
     answer = read(frame, source)
     return answer, 1e3 * (time.perf_counter() - started)
 
 
 def false_contacts(read, label, source, still, drifts):
-    found = [read_through(read, source, still, drifted(still, **how), k) for k, how in enumerate(drifts)]
+    found = [measure_after_drift(read, source, still, apply_drift(still, **how), k) for k, how in enumerate(drifts)]
     pixels = np.array([answer.contact.sum() for answer, _ in found])
     deepest = max(float(answer.indentation_mm.max()) for answer, _ in found)
-    found_row = row(f"untouched, {label}", ours=timing([ms for _, ms in found]), ours_error=float((pixels > 0).sum()),
-                    unit="frames", bar=Bar(error=0))  # fmt: skip
+    found_row = build_measurement(f"untouched, {label}", ours=summarize_times([ms for _, ms in found]), ours_error=float((pixels > 0).sum()),
+                    unit="frames", bar=Requirement(max_error=0))  # fmt: skip
     return found_row, (f"{label}: {len(found)} frames, at most {pixels.max()} pixels of contact, "
                        f"deepest {deepest:.3f} mm")  # fmt: skip
 
@@ -113,29 +115,29 @@ def false_contacts(read, label, source, still, drifts):
 def through_drift(read, rng):
     """Rows of presses under mixtures, beside the same without."""
     for name in _SENSORS:
-        source, found = sensor(name), []
-        still = optics.untouched(source)
-        for seed, thing in enumerate(shapes.shape(n).mesh for n in shapes.names("unseen")):
+        source, found = load_sensor(name), []
+        still = optics.render_reference(source)
+        for seed, thing in enumerate(shapes.make_shape(n).mesh for n in shapes.list_shapes("unseen")):
             turn = rigid.rotation((0, 0, 0.4 * seed))
             turn[2, 3] = -_PRESS_MM - rigid.apply(turn, thing.vertices_mm)[:, 2].min()
-            felt = press(thing, turn, source, seed=None)
-            plain, _ = read_through(read, source, still, felt.image.astype(np.float32), seed)
-            answer, ms = read_through(read, source, still, drifted(felt.image, **mixture(rng)), seed)
+            felt = simulate_press(thing, turn, source, seed=None)
+            plain, _ = measure_after_drift(read, source, still, felt.image.astype(np.float32), seed)
+            answer, ms = measure_after_drift(read, source, still, apply_drift(felt.image, **mixture(rng)), seed)
             found.append((1 - iou(answer.contact, felt.truth.contact), 1 - iou(plain.contact, felt.truth.contact), ms))
         ours, plain, ms = np.array(found).T
-        yield row(f"pressed by {_PRESS_MM:g} mm, {name}", peer="without drift", ours=timing(ms), peer_timing=timing(ms),
+        yield build_measurement(f"pressed by {_PRESS_MM:g} mm, {name}", peer="without drift", ours=summarize_times(ms), peer_timing=summarize_times(ms),
                   ours_error=float(ours.mean()), peer_error=float(plain.mean()), unit="1 - IoU",
-                  bar=Bar(closer=0.8))  # fmt: skip
+                  bar=Requirement(min_error_ratio=0.8))  # fmt: skip
 
 
-def answer(method: str = "network") -> Answer:
-    read, rng = reader(method), np.random.default_rng(0)
-    every = list(stills())
+def measure(method: str = "network") -> BenchmarkResult:
+    read, rng = build_reader(method), np.random.default_rng(0)
+    every = list(render_reference_images())
     found = [false_contacts(read, f"each drift, {label}", source, still, table()) for label, source, still in every]
     each = -(-_MIXTURES // len(every))
     found += [false_contacts(read, f"random mixtures, {label}", source, still, [mixture(rng) for _ in range(each)])
               for label, source, still in every]  # fmt: skip
-    return Answer(
+    return BenchmarkResult(
         title=f"Contact that drift makes up, by {method}",
         unit="frames",
         rows=(*(r for r, _ in found), *through_drift(read, rng)),
@@ -144,4 +146,4 @@ def answer(method: str = "network") -> Answer:
 
 
 if __name__ == "__main__":
-    show(answer(*sys.argv[1:2]))
+    print_result(measure(*sys.argv[1:2]))

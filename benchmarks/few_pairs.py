@@ -25,29 +25,29 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, row, timing
-from benchmarks.recorded import recorded_data
-from pipeline.alignment.fit.agreement import correlation
-from pipeline.alignment.fit.carry import carried
+from benchmarks.data_folder import recorded_data
+from benchmarks.timing import Requirement, build_measurement, summarize_times
+from pipeline.alignment.fit.agreement import compute_correlation
 from pipeline.alignment.fit.difference_tiles import ridges
-from pipeline.alignment.fit.fitting import PairsFit, fit, score_of
+from pipeline.alignment.fit.fitting import PairsFit, fit_pairs, score_fit
+from pipeline.alignment.fit.image_rotation import rotate_image
 from pipeline.alignment.fit.pairs import tile_pairs
-from pipeline.alignment.fit.turning import turned
+from pipeline.alignment.fit.transfer import transfer_imprint
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
-from pipeline.networks import shelf
-from pipeline.networks.building import network
-from pipeline.networks.weights import load as load_weights
-from pipeline.racing.races import Answer
-from pipeline.racing.report import show
-from pipeline.recordings import pictures
+from pipeline.networks import weights_registry
+from pipeline.networks.network_factory import load_network
+from pipeline.networks.weights import load_weights as load_weights
+from pipeline.racing.results import BenchmarkResult
+from pipeline.racing.text_report import print_result
+from pipeline.recordings import image_files
 from pipeline.sensors import alignment
-from pipeline.sensors.spec import sensor
-from pipeline.stages.generate.picture_input import of_picture
-from pipeline.training.drawn_pairs import Drawn, draw
-from pipeline.training.export import export
-from pipeline.training.loop import Run, train
-from pipeline.training.recipe import load
+from pipeline.sensors.spec import load_sensor
+from pipeline.stages.touch.image_condition import build_image_condition
+from pipeline.training.export import export_run
+from pipeline.training.loop import TrainingRun, train
+from pipeline.training.pair_files import TrainingPair, save_pair
+from pipeline.training.recipe import load_recipe
 
 NEEDS = "recorded data"
 RECIPE, WEIGHTS = "t2t_few_pairs", "t2t_bubble"
@@ -61,17 +61,17 @@ _LOW, _HIGH, _TOUCHED = 2.0, 99.5, 0.35
 _PHYSICS = 0.5  # of the fit, beside the network, both of spread 1
 
 
-def laid(picture: np.ndarray, way: int, spec, imprint: np.ndarray, found: PairsFit) -> Drawn:
+def align_tile_pair(picture: np.ndarray, way: int, spec, imprint: np.ndarray, found: PairsFit) -> TrainingPair:
     """A pair of tiles as simulated ones are drawn: half a turn from each other, pixels of the bubble's own size."""
-    gel, bubble = spec, sensor("soft_bubble")
-    tile = turned(picture, way).astype(np.float32)
+    gel, bubble = spec, load_sensor("soft_bubble")
+    tile = rotate_image(picture, way).astype(np.float32)
     change = tile - np.median(tile.reshape(-1, 3), axis=0)
     change *= _STRONG_GREY / max(float(np.percentile(np.abs(change), _HIGH)), 1.0)
     eye = Camera(
         rows=SIDE, cols=SIDE, cx_px=(SIDE - 1) / 2, cy_px=(SIDE - 1) / 2,
         fx_px=gel.camera.fx_px * SIDE / gel.camera.cols, fy_px=gel.camera.fy_px * SIDE / gel.camera.rows,
     )  # fmt: skip
-    both = alignment.between(gel, bubble)
+    both = alignment.resolve_alignment(gel, bubble)
     rest = float(np.median(gel.rest_depth_mm))
     middle = rigid.apply(both.target_from_source, np.array([[0.0, 0.0, rest]]))[0]
     per_px = rest * bubble.camera.fx_px / middle[2] / found.carrying.scale
@@ -81,14 +81,14 @@ def laid(picture: np.ndarray, way: int, spec, imprint: np.ndarray, found: PairsF
         cx_px=(0.5 - found.carrying.right) * cols - 0.5 - bubble.camera.fx_px * middle[0] / middle[2],
         cy_px=(0.5 - found.carrying.down) * rows - 0.5 - bubble.camera.fy_px * middle[1] / middle[2],
     )  # fmt: skip
-    shown = of_picture(change, eye, gel, bubble.seen_through(seen), both)
+    shown = build_image_condition(change, eye, gel, bubble.with_camera(seen), both)
     low, high = np.percentile(imprint, (_LOW, _HIGH))
     share = np.clip((imprint - low) / max(float(high - low), 1e-6), 0.0, 1.2)
-    touch = _DEEP_MM * _sized(turned(share, 2), (rows, cols))
-    return Drawn(shown=shown, touch_mm=touch, contact=touch > _TOUCHED * _DEEP_MM)
+    touch = _DEEP_MM * _sized(rotate_image(share, 2), (rows, cols))
+    return TrainingPair(condition=shown, indentation_mm=touch, contact=touch > _TOUCHED * _DEEP_MM)
 
 
-def expected(net, one: Drawn) -> np.ndarray:
+def predict_imprint(net, one: TrainingPair) -> np.ndarray:
     """The imprint (SIDE, SIDE) in one step, the mean of some looks at it, laid as the tile is."""
     import cv2
     import torch
@@ -99,10 +99,10 @@ def expected(net, one: Drawn) -> np.ndarray:
         how = cv2.getRotationMatrix2D(((cols - 1) / 2, (rows - 1) / 2), turn, 1.0)
         how[:, 2] += across, down
         with torch.inference_mode():
-            told = torch.from_numpy(np.stack([_moved(channel, how) for channel in one.shown]))[None]
+            told = torch.from_numpy(np.stack([_moved(channel, how) for channel in one.condition]))[None]
             made = net(torch.zeros(1, 2, rows, cols), torch.full((1,), float(net.most)), told)[0, 0].numpy()
         found += _moved(made, cv2.invertAffineTransform(how)) / len(LOOKS)
-    return turned(_sized(found, (SIDE, SIDE)), 2)
+    return rotate_image(_sized(found, (SIDE, SIDE)), 2)
 
 
 def _moved(field: np.ndarray, how: np.ndarray) -> np.ndarray:
@@ -112,27 +112,27 @@ def _moved(field: np.ndarray, how: np.ndarray) -> np.ndarray:
     return np.asarray(cv2.warpAffine(whole, how, whole.shape[::-1], borderMode=cv2.BORDER_REPLICATE), np.float32)
 
 
-def learned(folder: Path, begin: Path, pairs: int, seed: int):
+def fine_tune(folder: Path, begin: Path, pairs: int, seed: int):
     """The network once it has seen the first pairs of a folder, in the order of that seed."""
-    recipe = load(RECIPE, "t2t")
+    recipe = load_recipe(RECIPE, "t2t")
     recipe = replace(
         recipe,
         settings=replace(recipe.settings, folder=str(folder), pairs=pairs, alike=ALIKE, mixed=MIXED),
-        pace=replace(recipe.pace, begin=str(begin), steps=STEPS[pairs], precision="bf16", seed=seed),
+        pace=replace(recipe.training, begin=str(begin), steps=STEPS[pairs], precision="bf16", seed=seed),
         optimiser=replace(recipe.optimiser, learning_rate=RATE),
     )
     out = folder / f"run_{seed}"
-    train(Run(recipe=recipe, out=out, workers=0))
-    export(out, out / "weights.safetensors")
-    return network(load_weights(out / "weights.safetensors"))
+    train(TrainingRun(recipe=recipe, folder=out, n_workers=0))
+    export_run(out, out / "weights.safetensors")
+    return load_network(load_weights(out / "weights.safetensors"))
 
 
 def tiles(folder: Path, begin: Path, draws=DRAWS, counts=tuple(BARS)) -> tuple[list, list[str]]:
-    spec = sensor("gelslim")
+    spec = load_sensor("gelslim")
     told = {r["base"]: r for r in csv.DictReader((folder / "index.csv").open())}
     found = tile_pairs(folder, spec, "*_gelslim.png", "*_bubble_gt.png").pairs
     training = [k for k, p in enumerate(found) if told[p.name]["split"] == "Training"]
-    seen = [pictures.rgb(folder / f"{p.name}_gelslim.png") for p in found]
+    seen = [image_files.read_rgb(folder / f"{p.name}_gelslim.png") for p in found]
     ways_laid = [ridges(picture, spec).way for picture in seen]
     rows, notes = [], []
     for pairs, bar in ((n, BARS[n]) for n in counts):
@@ -141,35 +141,37 @@ def tiles(folder: Path, begin: Path, draws=DRAWS, counts=tuple(BARS)) -> tuple[l
         for seed in draws:
             used = sorted(np.random.default_rng(seed).choice(training, pairs, replace=False).tolist())
             rest = [k for k in range(len(found)) if k not in used]
-            answer = fit([found[k] for k in used])
-            drawn = {k: laid(seen[k], ways_laid[k], spec, found[k].imprint, answer) for k in (*used, *rest)}
+            answer = fit_pairs([found[k] for k in used])
+            drawn = {k: align_tile_pair(seen[k], ways_laid[k], spec, found[k].imprint, answer) for k in (*used, *rest)}
             with tempfile.TemporaryDirectory() as kept:
                 for number, k in enumerate((*used, *rest)):
-                    draw(Path(kept), number, drawn[k])
+                    save_pair(Path(kept), number, drawn[k])
                 started = time.process_time()
-                nets = [learned(Path(kept), begin, pairs, seed) for seed in SEEDS]
+                nets = [fine_tune(Path(kept), begin, pairs, seed) for seed in SEEDS]
                 seconds.append(1e3 * (time.process_time() - started))
-            first = network(load_weights(begin))
+            first = load_network(load_weights(begin))
             for k in rest:
                 one, true = found[k], found[k].imprint
-                each = [expected(net, drawn[k]) for net in nets]
-                made, fitted = np.mean(each, axis=0), _sized(carried(one, answer.carrying), (SIDE, SIDE))
-                ways["alone"].append(float(np.mean([correlation(one_s, true, answer.common) for one_s in each])))
-                ways["ours"].append(correlation(made, true, answer.common))
+                each = [predict_imprint(net, drawn[k]) for net in nets]
+                made, fitted = np.mean(each, axis=0), _sized(transfer_imprint(one, answer.carrying), (SIDE, SIDE))
+                ways["alone"].append(
+                    float(np.mean([compute_correlation(one_s, true, answer.common) for one_s in each]))
+                )
+                ways["ours"].append(compute_correlation(made, true, answer.common))
                 both = made / made.std() + _PHYSICS * fitted / max(float(fitted.std()), 1e-9)
-                ways["together"].append(correlation(both, true, answer.common))
-                ways["before"].append(correlation(expected(first, drawn[k]), true, answer.common))
-                ways["physics"].append(score_of(one, answer.carrying, answer.common))
-                plain.append(correlation(answer.common, true))
+                ways["together"].append(compute_correlation(both, true, answer.common))
+                ways["before"].append(compute_correlation(predict_imprint(first, drawn[k]), true, answer.common))
+                ways["physics"].append(score_fit(one, answer.carrying, answer.common))
+                plain.append(compute_correlation(answer.common, true))
                 held.append(told[one.name]["split"] != "Training")
             by_draw.append({name: float(np.mean(values[-len(rest) :])) for name, values in ways.items()})
             print(f"{pairs} pairs, draw {seed}:", {n: round(v, 3) for n, v in by_draw[-1].items()}, file=sys.stderr)
         means = {name: float(np.mean(values)) for name, values in ways.items() if values}
         centres = float(np.mean(np.array(ways["ours"])[held]))
-        rows.append(row(f"{pairs} real pairs, the other {len(found) - pairs} tiles", ours=timing(seconds),
+        rows.append(build_measurement(f"{pairs} real pairs, the other {len(found) - pairs} tiles", ours=summarize_times(seconds),
                         ours_error=1 - means["ours"], peer="physical fit of the same pairs",
                         peer_error=1 - means["physics"], unit="1 - partial correlation",
-                        bar=Bar(error=1 - bar)))  # fmt: skip
+                        bar=Requirement(max_error=1 - bar)))  # fmt: skip
         notes.append(
             f"{pairs} pairs: {means['ours']:.3f} beyond the mean imprint (worst draw "
             f"{min(one['ours'] for one in by_draw):.3f}, held-out centres alone {centres:.3f}), one network alone "
@@ -187,15 +189,15 @@ def _sized(field: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     return np.asarray(cv2.resize(np.ascontiguousarray(field), shape[::-1], interpolation=how), np.float32)
 
 
-def answer(data: str = "", weights: str = "", draws: str = "", count: str = "") -> Answer:
-    begin = Path(weights) if weights else shelf.FOLDER / f"{WEIGHTS}.safetensors"
+def measure(data: str = "", weights: str = "", draws: str = "", count: str = "") -> BenchmarkResult:
+    begin = Path(weights) if weights else weights_registry.WEIGHTS_FOLDER / f"{WEIGHTS}.safetensors"
     seeds, counts = DRAWS[: int(draws or len(DRAWS))], (int(count),) if count else tuple(BARS)
     rows, notes = tiles(recorded_data(data) / "t2t_pairs", begin, seeds, counts)
-    return Answer(
+    return BenchmarkResult(
         title="Touch to touch after a few real pairs", unit="1 - partial correlation", rows=tuple(rows),
         notes=tuple(notes),
     )  # fmt: skip
 
 
 if __name__ == "__main__":
-    show(answer(*sys.argv[1:5]))
+    print_result(measure(*sys.argv[1:5]))

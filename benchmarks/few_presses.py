@@ -23,17 +23,17 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.ball_calibration import numbered, read, sphere
-from benchmarks.races import Bar, row, timing
-from benchmarks.recorded import recorded_data
+from benchmarks.ball_calibration import list_numbered_files, read, sphere
+from benchmarks.data_folder import recorded_data
+from benchmarks.timing import Requirement, build_measurement, summarize_times
 from pipeline.calibration.balls import calibrate_balls
-from pipeline.calibration.lookup import built_in
-from pipeline.physics.slopes import slopes
-from pipeline.racing.races import Answer
-from pipeline.racing.report import show
-from pipeline.sensors.spec import sensor
-from pipeline.stages.depth.ball_calibration import ended
-from pipeline.stages.depth.stage import DepthParams, depth
+from pipeline.calibration.calibration_table import make_built_in
+from pipeline.physics.slopes import compute_slopes
+from pipeline.racing.results import BenchmarkResult
+from pipeline.racing.text_report import print_result
+from pipeline.sensors.spec import load_sensor
+from pipeline.stages.depth.ball_calibration import fit_contact_limit
+from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.values.frames import TactileFrame
 
 NEEDS = "recorded data"
@@ -49,17 +49,17 @@ class _Ball:
     """Presses of one ball, and what is read of each without a calibration."""
 
     def __init__(self, name, folder, still, pattern, diameter_mm, pixel_mm):
-        self.source, self.still, self.diameter_mm = sensor(name), read(folder / still), diameter_mm
-        self.pictures = [read(p) for p in numbered(folder, pattern)]
+        self.source, self.still, self.diameter_mm = load_sensor(name), read(folder / still), diameter_mm
+        self.pictures = [read(p) for p in list_numbered_files(folder, pattern)]
         self.label = f"{name} {diameter_mm:g} mm"
-        self.plain = replace(built_in(self.source), pixel_mm=pixel_mm)
+        self.plain = replace(make_built_in(self.source), pixel_mm=pixel_mm)
         self._read, self._errors = {}, {}
 
     def without(self, index):
         """Slopes of a press without a calibration, as `calibrate_balls` asks for them."""
         if index not in self._read:
-            found = self.seen(index, self.plain)
-            self._read[index] = slopes(found.indentation_mm, self.plain.pixel_mm)
+            found = self.measure_press(index, self.plain)
+            self._read[index] = compute_slopes(found.indentation_mm, self.plain.pixel_mm)
             self._errors[index] = self._error(found)
         return self._read[index]
 
@@ -69,28 +69,28 @@ class _Ball:
             for i in indices:
                 self.without(i)
             return np.array([self._errors[i] for i in indices])
-        return np.array([self._error(self.seen(i, look_up)) for i in indices])
+        return np.array([self._error(self.measure_press(i, look_up)) for i in indices])
 
-    def seen(self, index, look_up):
+    def measure_press(self, index, look_up):
         frame = TactileFrame(sensor=self.source.name, image=self.pictures[index], reference=self.still, index=index)
-        return depth(frame, self.source, look_up, DepthParams())
+        return estimate_depth(frame, self.source, look_up, DepthParams())
 
     def _error(self, found):
         if found.contact.sum() < _FEWEST_PX:
             return 1.0
         return sphere(found.indentation_mm, found.contact, self.plain.pixel_mm)[0] / self.diameter_mm - 1
 
-    def calibrated(self, drawn):
+    def fit_lookup(self, drawn):
         """The look-up of some of the presses, as `tactoscope calibrate balls` makes it."""
         pictures = [self.pictures[i] for i in drawn]
         found = calibrate_balls(
             pictures, self.still, self.source, self.diameter_mm, pixel_mm=self.plain.pixel_mm,
-            read=lambda i: self.without(drawn[i]),
+            read_slopes=lambda i: self.without(drawn[i]),
         )  # fmt: skip
-        return found if found.kept_built_in else ended(found, pictures, self.still, self.source)
+        return found if found.uses_built_in else fit_contact_limit(found, pictures, self.still, self.source)
 
 
-def answer(data: str = "") -> Answer:
+def measure(data: str = "") -> BenchmarkResult:
     folder = recorded_data(data)
     small, large = (
         _Ball("gelsight_mini", folder / "gsmini_balls", "background.png", f"ball_{d}mm_*.png", float(d),
@@ -104,7 +104,7 @@ def answer(data: str = "") -> Answer:
         for ball, judged in pairs:
             found += _of_number(ball, judged, n)
     found += _of_number(small, large, len(small.pictures))
-    return Answer(
+    return BenchmarkResult(
         title="Balls measured with a look-up from few presses: the worst of ten draws",
         unit="%",
         rows=tuple(r for r, _ in found),
@@ -133,9 +133,11 @@ def _none(ball: _Ball, judged: _Ball) -> Iterator[tuple[object, str]]:
     """(row, note) of no calibration."""
     started, label = time.perf_counter(), _label(ball, judged)
     without = np.abs(judged.errors(range(len(judged.pictures)), judged.plain))
-    ms = timing([1e3 * (time.perf_counter() - started)])
+    ms = summarize_times([1e3 * (time.perf_counter() - started)])
     yield (
-        row(f"diameter, {label}, none", ours=ms, ours_error=float(100 * np.median(without)), unit="%", bar=Bar()),
+        build_measurement(
+            f"diameter, {label}, none", ours=ms, ours_error=float(100 * np.median(without)), unit="%", bar=Requirement()
+        ),
         f"{label} without calibration: p90 {100 * np.percentile(without, 90):.0f} %",
     )
 
@@ -150,15 +152,15 @@ def _of_number(ball: _Ball, judged: _Ball, n: int) -> Iterator[tuple[object, str
         for i in drawn:
             ball.without(i)
         started = time.perf_counter()
-        look_up = ball.calibrated(drawn)
+        look_up = ball.fit_lookup(drawn)
         ms.append(1e3 * (time.perf_counter() - started))
         others = [i for i in range(len(judged.pictures)) if judged is not ball or i not in drawn]
         mine = np.abs(judged.errors(others, look_up))
         errors.append(100 * np.median(mine))
         nones.append(100 * np.median(without[others]))
         high.append(100 * np.percentile(mine, 90))
-        expected.append(100 * look_up.expected.diameter_share)
-        kept += look_up.kept_built_in
+        expected.append(100 * look_up.expected_error.diameter_share)
+        kept += look_up.uses_built_in
         harmed += errors[-1] > nones[-1] + _NOISE
     worst, told = np.array(errors), np.array(expected)
     what = f"{label}, {n} presses"
@@ -168,11 +170,16 @@ def _of_number(ball: _Ball, judged: _Ball, n: int) -> Iterator[tuple[object, str
         f"half: {100 * right:.0f} % of draws); p90 of a draw {np.median(high):.0f} %, at most {max(high):.0f} %; "
         f"worse than none in {harmed}; built-in kept in {kept}"
     )
-    bar = Bar(error=_BARS[n]) if n in _BARS else Bar(error=5.0)
+    bar = Requirement(max_error=_BARS[n]) if n in _BARS else Requirement(max_error=5.0)
     print(note, file=sys.stderr, flush=True)  # the whole takes minutes
-    yield row(f"diameter, {what}", ours=timing(ms), ours_error=float(worst.max()), unit="%", bar=bar), note
-    yield row(f"draws worse than none, {what}", ours=timing(ms), ours_error=float(harmed), unit="draws",
-              bar=Bar(error=0.0)), ""  # fmt: skip
+    yield (
+        build_measurement(
+            f"diameter, {what}", ours=summarize_times(ms), ours_error=float(worst.max()), unit="%", bar=bar
+        ),
+        note,
+    )
+    yield build_measurement(f"draws worse than none, {what}", ours=summarize_times(ms), ours_error=float(harmed), unit="draws",
+              bar=Requirement(max_error=0.0)), ""  # fmt: skip
 
 
 def _listed(values) -> str:
@@ -180,4 +187,4 @@ def _listed(values) -> str:
 
 
 if __name__ == "__main__":
-    show(answer(*sys.argv[1:2]))
+    print_result(measure(*sys.argv[1:2]))

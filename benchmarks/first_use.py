@@ -24,9 +24,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, row, timing
-from pipeline.racing.races import Answer, Row
-from pipeline.racing.report import show
+from benchmarks.timing import Requirement, build_measurement, summarize_times
+from pipeline.racing.results import BenchmarkResult, Measurement
+from pipeline.racing.text_report import print_result
 
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPT = Path(sys.executable).with_name("tactoscope")
@@ -78,7 +78,7 @@ frame, ((source, target),) = json.loads(sys.argv[1])
 from app import main
 main.prepare_environment()
 from PyQt6.QtCore import QEvent, QObject
-from app.frame.tour import wait_until_shown
+from app.window.tour import wait_until_shown
 from app.session.state import Session
 application = main.make_application()
 class FirstPaint(QObject):
@@ -110,10 +110,10 @@ os._exit(0)  # what a library does on its way out is no first use
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Told:
+class ProcessTimes:
     """What one new process says of itself."""
 
-    took_s: float  # from its start to the answer
+    total_s: float  # from its start to the answer
     cpu_s: float
     painted_s: float  # from its start to the window's first paint
     shown_s: float
@@ -130,7 +130,7 @@ class Told:
         return sum(s for _, s in self.compiled.values())
 
 
-def asked(script: str, ways, caches: Path, *, watched: bool = False, display: str = "") -> Told:
+def run_process(script: str, ways, caches: Path, *, watched: bool = False, display: str = "") -> ProcessTimes:
     """Run the script in a new process; its time counts from before the process is there."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     environment |= {"NUMBA_CACHE_DIR": str(caches / "numba"), "XDG_CACHE_HOME": str(caches / "user")}
@@ -146,14 +146,14 @@ def asked(script: str, ways, caches: Path, *, watched: bool = False, display: st
     if done.returncode:
         raise RuntimeError((done.stderr.strip().splitlines() or ["no answer"])[-1])
     said = json.loads(done.stdout.strip().splitlines()[-1])
-    return Told(
-        took_s=said["ended"] - began, cpu_s=said["cpu_s"], painted_s=said["painted"] - began,
+    return ProcessTimes(
+        total_s=said["ended"] - began, cpu_s=said["cpu_s"], painted_s=said["painted"] - began,
         shown_s=said["shown"] - began, compiled={name: tuple(v) for name, v in said["compiled"].items()},
     )  # fmt: skip
 
 
 @contextlib.contextmanager
-def own_display():
+def start_display():
     """The name of a new X display of two screens' worth of pixels; "" where there is no Xvfb."""
     if shutil.which("Xvfb") is None:
         yield ""
@@ -178,29 +178,31 @@ def help_ms() -> float:
     return 1e3 * (time.time() - began)
 
 
-def of(name: str, taken_s, bar: Bar, *, error: float = math.nan, unit: str = "") -> Row:
-    return row(name, ours=timing([1e3 * s for s in taken_s]), ours_error=error, unit=unit, bar=bar)
+def select_times(name: str, taken_s, bar: Requirement, *, error: float = math.nan, unit: str = "") -> Measurement:
+    return build_measurement(
+        name, ours=summarize_times([1e3 * s for s in taken_s]), ours_error=error, unit=unit, bar=bar
+    )
 
 
-def room_of(module: str) -> str:
+def measure_cache_mb(module: str) -> str:
     parts = module.split(".")
     return ".".join(parts[1:3] if parts[1] == "stages" else parts[1:2]) if parts[0] == "pipeline" else parts[0]
 
 
-def compiling(caches: Path) -> tuple[list[Row], list[str]]:
+def compiling(caches: Path) -> tuple[list[Measurement], list[str]]:
     """What the set-up compiles, with nothing kept, and what it leaves to the first touches of every sensor."""
-    told, after = asked(PREPARE, [], caches, watched=True), asked(CHAIN, WAYS, caches, watched=True)
+    told, after = run_process(PREPARE, [], caches, watched=True), run_process(CHAIN, WAYS, caches, watched=True)
     rooms: dict[str, list[float]] = {}
     for module, (n, spent_s) in told.compiled.items():
-        room = rooms.setdefault(room_of(module), [0, 0.0])
+        room = rooms.setdefault(measure_cache_mb(module), [0, 0.0])
         room[0] += n
         room[1] += spent_s
     each = ", ".join(f"{name} {s:.1f} s ({n:.0f})" for name, (n, s) in sorted(rooms.items(), key=lambda kv: -kv[1][1]))
     rows = [
-        of(name, [run.compiling_s], bar, error=run.n_compiled, unit="compilations")
+        select_times(name, [run.compiling_s], bar, error=run.n_compiled, unit="compilations")
         for name, run, bar in (
-            ("tactoscope prepare, CPU of compiling", told, Bar(ms=40_000)),
-            ("left to compile for every sensor on either side", after, Bar(error=0)),
+            ("tactoscope prepare, CPU of compiling", told, Requirement(max_ms=40_000)),
+            ("left to compile for every sensor on either side", after, Requirement(max_error=0)),
         )
     ]
     return rows, [
@@ -209,39 +211,42 @@ def compiling(caches: Path) -> tuple[list[Row], list[str]]:
     ]
 
 
-def first_touch(caches: Path) -> list[Row]:
-    runs, unseen = [asked(CHAIN, WAYS[:1], caches) for _ in range(REPEATS)], list[Told]()
+def first_touch(caches: Path) -> list[Measurement]:
+    runs, unseen = [run_process(CHAIN, WAYS[:1], caches) for _ in range(REPEATS)], list[ProcessTimes]()
     for _ in range(REPEATS):
         shutil.rmtree(caches / "user" / "tactoscope" / "lamps")  # what is kept of a recording that was opened before
-        unseen.append(asked(CHAIN, WAYS[:1], caches))
+        unseen.append(run_process(CHAIN, WAYS[:1], caches))
     return [
         figure
         for name, told, bar in (
-            ("first touched frame of a new process", runs, Bar(ms=2500)),
-            ("the same of a recording that was never opened", unseen, Bar()),
+            ("first touched frame of a new process", runs, Requirement(max_ms=2500)),
+            ("the same of a recording that was never opened", unseen, Requirement()),
         )
         for figure in (
-            of(name, [run.took_s for run in told], bar),
-            of(f"{name}, CPU", [run.cpu_s for run in told], Bar()),
+            select_times(name, [run.total_s for run in told], bar),
+            select_times(f"{name}, CPU", [run.cpu_s for run in told], Requirement()),
         )
     ]
 
 
-def window(caches: Path, display: str) -> tuple[list[Row], list[str]]:
-    once = asked(WINDOW, WAYS[:1], caches, watched=True, display=display)  # warm, as at the second start
-    runs = [asked(WINDOW, WAYS[:1], caches, display=display) for _ in range(REPEATS)]
+def window(caches: Path, display: str) -> tuple[list[Measurement], list[str]]:
+    once = run_process(WINDOW, WAYS[:1], caches, watched=True, display=display)  # warm, as at the second start
+    runs = [run_process(WINDOW, WAYS[:1], caches, display=display) for _ in range(REPEATS)]
     rows = [
-        of("window on screen", [run.painted_s for run in runs], Bar(ms=1600)),
-        of("all columns of the first touch", [run.shown_s for run in runs], Bar(ms=4000)),
-        of("all columns of the first touch, CPU", [run.cpu_s for run in runs], Bar()),
+        select_times("window on screen", [run.painted_s for run in runs], Requirement(max_ms=1600)),
+        select_times("all columns of the first touch", [run.shown_s for run in runs], Requirement(max_ms=4000)),
+        select_times("all columns of the first touch, CPU", [run.cpu_s for run in runs], Requirement()),
     ]
     return rows, [f"compiled by the window beyond the chain: {once.n_compiled} ({once.compiling_s:.1f} s of CPU)"]
 
 
-def answer() -> Answer:
+def measure() -> BenchmarkResult:
     help_ms()  # files in memory
-    rows, notes = [of("tactoscope --help", np.divide([help_ms() for _ in range(5)], 1e3), Bar(ms=400))], []
-    with tempfile.TemporaryDirectory() as folder, own_display() as display:
+    rows, notes = (
+        [select_times("tactoscope --help", np.divide([help_ms() for _ in range(5)], 1e3), Requirement(max_ms=400))],
+        [],
+    )
+    with tempfile.TemporaryDirectory() as folder, start_display() as display:
         compiled, told = compiling(Path(folder))
         rows += [*compiled, *first_touch(Path(folder))]
         notes += told
@@ -251,8 +256,8 @@ def answer() -> Answer:
             notes += told
         else:
             notes.append("there is no Xvfb: the window was not opened")
-    return Answer(title="The first use, from nothing kept", unit="", rows=tuple(rows), notes=tuple(notes))
+    return BenchmarkResult(title="The first use, from nothing kept", unit="", rows=tuple(rows), notes=tuple(notes))
 
 
 if __name__ == "__main__":
-    show(answer())
+    print_result(measure())

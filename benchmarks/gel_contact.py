@@ -19,10 +19,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, race, row
+from benchmarks.timing import Requirement, build_measurement, time_in_turns
 from pipeline.physics import gel
-from pipeline.racing.races import Answer, Point
-from pipeline.racing.report import show
+from pipeline.racing.results import BenchmarkResult, PlotPoint
+from pipeline.racing.text_report import print_result
 from pipeline.sensors.parts import Gel
 
 _OURS, _LAYER = "ours, half-space", "ours, 2 mm bonded layer"
@@ -33,7 +33,7 @@ _PAD = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48)
 _PIXEL_MM = _WIDTH_MM / _SHAPE[1]
 
 
-def answer() -> Answer:
+def measure() -> BenchmarkResult:
     r = _radius_mm()
     overlap = (_DEPTH_MM - r * r / (2 * _RADIUS_MM)).astype(np.float32)
     exact, touching = _hertz(r, overlap)
@@ -50,20 +50,20 @@ def answer() -> Answer:
             errors[name] = 1e3 * float(np.sqrt(np.mean((surface - exact) ** 2)))
             iou = (contact & touching).sum() / (contact | touching).sum()
             notes.append(f"{name}: mask IoU {iou:.3f}, largest error {1e3 * np.abs(surface - exact).max():.3g} um")
-    times = race(methods, runs=25)
+    times = time_in_turns(methods, runs=25)
     rows = [
-        row("surface of a pressed half-space", peer=peer, ours=times[_OURS], ours_error=errors[_OURS], unit="um",
-            peer_timing=times[peer], peer_error=errors[peer], bar=Bar(ms=20, closer=100))
+        build_measurement("surface of a pressed half-space", peer=peer, ours=times[_OURS], ours_error=errors[_OURS], unit="um",
+            peer_timing=times[peer], peer_error=errors[peer], bar=Requirement(max_ms=20, min_error_ratio=100))
         for peer in ("geometric overlap", "pyramid of blurs")
     ]  # fmt: skip
-    rows.append(row("surface of a bonded layer of 2 mm", ours=times[_LAYER], ours_error=math.nan, unit="um",
-                    bar=Bar(ms=20)))  # fmt: skip
-    return Answer(
+    rows.append(build_measurement("surface of a bonded layer of 2 mm", ours=times[_LAYER], ours_error=math.nan, unit="um",
+                    bar=Requirement(max_ms=20)))  # fmt: skip
+    return BenchmarkResult(
         title=f"Contact of a ball with a gel, {_SHAPE[0]} x {_SHAPE[1]} pixels, against Hertz",
         unit="um",
         rows=tuple(rows),
         points=tuple(
-            Point(method=name, ms=times[name].median_ms, error=error, ours=name == _OURS)
+            PlotPoint(method=name, ms=times[name].median_ms, error=error, ours=name == _OURS)
             for name, error in errors.items()
         ),
         notes=tuple(notes),
@@ -71,7 +71,7 @@ def answer() -> Answer:
 
 
 def _against_hertz(overlap) -> str:
-    pressed = gel.press(_HALF_SPACE, _PIXEL_MM, overlap)
+    pressed = gel.press_gel(_HALF_SPACE, _PIXEL_MM, overlap)
     radius = math.sqrt(pressed.contact.sum() / math.pi) * _PIXEL_MM
     return (f"ours: contact radius {100 * (radius / math.sqrt(_RADIUS_MM * _DEPTH_MM) - 1):+.2f} %, "
             f"force {100 * (pressed.force_n / _hertz_force_n() - 1):+.4f} %, {pressed.steps} steps, "
@@ -97,7 +97,7 @@ def _hertz_force_n() -> float:
 
 
 def _ours(pad: Gel, overlap):
-    pressed = gel.press(pad, _PIXEL_MM, overlap)
+    pressed = gel.press_gel(pad, _PIXEL_MM, overlap)
     return pressed.indentation_mm, pressed.contact
 
 
@@ -114,4 +114,4 @@ def _pyramid(overlap):
 
 
 if __name__ == "__main__":
-    show(answer())
+    print_result(measure())

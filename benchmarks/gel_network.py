@@ -25,18 +25,18 @@ from torch.nn import functional
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.depth_reader import reader
-from benchmarks.drift import drifted, read_through
-from benchmarks.races import Bar, Timing, race, row, timing
+from benchmarks.depth_helpers import build_reader
+from benchmarks.drift import apply_drift, measure_after_drift
+from benchmarks.timing import Requirement, Timing, build_measurement, summarize_times, time_in_turns
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
-from pipeline.networks import building
+from pipeline.networks import network_factory
 from pipeline.physics import optics
-from pipeline.racing.races import Answer
-from pipeline.racing.report import show
-from pipeline.sensors.spec import sensor
+from pipeline.racing.results import BenchmarkResult
+from pipeline.racing.text_report import print_result
+from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
-from pipeline.simulation.press import press
+from pipeline.simulation.press import simulate_press
 from pipeline.stages.depth import gel_network
 from pipeline.stages.depth import network as depth_network
 from pipeline.stages.depth.gel_network import NetworkParams
@@ -80,13 +80,13 @@ def _twice(inputs, outputs):
     return nn.Sequential(*one(inputs, outputs), *one(outputs, outputs))
 
 
-def touched(source):
+def simulate_touch(source):
     """A frame of a square punch pressed by 0.4 mm."""
-    thing = shapes.shape("square").mesh
+    thing = shapes.make_shape("square").mesh
     pose = rigid.rotation((0.0, 0.0, 0.3))
     pose[2, 3] = -0.4 - rigid.apply(pose, thing.vertices_mm)[:, 2].min()
-    felt = press(thing, pose, source, seed=1)
-    return TactileFrame(sensor=source.name, image=felt.image, reference=optics.untouched(source))
+    felt = simulate_press(thing, pose, source, seed=1)
+    return TactileFrame(sensor=source.name, image=felt.image, reference=optics.render_reference(source))
 
 
 def large(source):
@@ -94,10 +94,10 @@ def large(source):
     c = source.camera
     camera = Camera(rows=_LARGE * c.rows, cols=_LARGE * c.cols, fx_px=_LARGE * c.fx_px, fy_px=_LARGE * c.fy_px,
                     cx_px=_LARGE * c.cx_px + 1.5, cy_px=_LARGE * c.cy_px + 1.5)  # fmt: skip
-    return source.seen_through(camera)
+    return source.with_camera(camera)
 
 
-def enlarged(frame):
+def enlarge_frame(frame):
     def times(picture):
         return np.ascontiguousarray(picture.repeat(_LARGE, axis=0).repeat(_LARGE, axis=1))
 
@@ -112,33 +112,33 @@ def costs(read, network):
         with torch.inference_mode():
             peer(change)
 
-    alone = reader("physics")
+    alone = build_reader("physics")
     for name in _SENSORS:
-        source = sensor(name)
-        frame = touched(source)
-        looked_at = gel_network.looked_at(frame, source)
+        source = load_sensor(name)
+        frame = simulate_touch(source)
+        looked_at = gel_network.estimate_physical_depth(frame, source)
 
         def adds(at=looked_at, of=source):
-            gel_network.corrected(*at, of, network, NetworkParams())
+            gel_network.correct_depth(*at, of, network, NetworkParams())
 
-        taken = race({"ours": adds, "peer": by_peer}, runs=_RUNS)
-        yield row(f"what the network adds to a frame of {name}", peer=f"U-Net of {size:.0f} M numbers",
+        taken = time_in_turns({"ours": adds, "peer": by_peer}, runs=_RUNS)
+        yield build_measurement(f"what the network adds to a frame of {name}", peer=f"U-Net of {size:.0f} M numbers",
                   ours=taken["ours"], peer_timing=taken["peer"], ours_error=0.0, unit="",
-                  bar=Bar(ms=15, faster=10))  # fmt: skip
-        taken = race({"ours": lambda f=frame, s=source: read(f, s), "peer": lambda f=frame, s=source: alone(f, s)},
+                  bar=Requirement(max_ms=15, min_speedup=10))  # fmt: skip
+        taken = time_in_turns({"ours": lambda f=frame, s=source: read(f, s), "peer": lambda f=frame, s=source: alone(f, s)},
                      runs=_RUNS)  # fmt: skip
-        yield row(f"a frame of {name}, physics and network", peer="physics", ours=taken["ours"],
-                  peer_timing=taken["peer"], ours_error=0.0, unit="", bar=Bar())  # fmt: skip
+        yield build_measurement(f"a frame of {name}, physics and network", peer="physics", ours=taken["ours"],
+                  peer_timing=taken["peer"], ours_error=0.0, unit="", bar=Requirement())  # fmt: skip
 
 
 def growth(read):
-    small = sensor("gelslim_dotless")
-    wide, frame = large(small), touched(small)
-    many = enlarged(frame)
-    taken = race({"few": lambda: read(frame, small), "many": lambda: read(many, wide)}, runs=_RUNS)
+    small = load_sensor("gelslim_dotless")
+    wide, frame = large(small), simulate_touch(small)
+    many = enlarge_frame(frame)
+    taken = time_in_turns({"few": lambda: read(frame, small), "many": lambda: read(many, wide)}, runs=_RUNS)
     share = taken["many"].median_ms / taken["few"].median_ms / _LARGE**2
-    return row("1280 x 1708 pixels, time over 16 times that of 320 x 427", ours=taken["many"], ours_error=share,
-               peer="320 x 427", peer_timing=taken["few"], unit="x", bar=Bar(error=1.0))  # fmt: skip
+    return build_measurement("1280 x 1708 pixels, time over 16 times that of 320 x 427", ours=taken["many"], ours_error=share,
+               peer="320 x 427", peer_timing=taken["few"], unit="x", bar=Requirement(max_error=1.0))  # fmt: skip
 
 
 def strong(rng):
@@ -153,20 +153,22 @@ def strong(rng):
 def drifts(read):
     rng = np.random.default_rng(3)
     for name in _SENSORS:
-        source = sensor(name)
-        still = optics.untouched(source)
-        found = [read_through(read, source, still, drifted(still, **strong(rng)), k) for k in range(_FRAMES)]
+        source = load_sensor(name)
+        still = optics.render_reference(source)
+        found = [measure_after_drift(read, source, still, apply_drift(still, **strong(rng)), k) for k in range(_FRAMES)]
         false = sum(bool(answer.contact.any()) for answer, _ in found)
-        ms: Timing = timing([taken for _, taken in found])
-        yield row(f"untouched, strong drift, {name}, {_FRAMES} frames", ours=ms, ours_error=float(false),
-                  unit="frames", bar=Bar(error=0))  # fmt: skip
+        ms: Timing = summarize_times([taken for _, taken in found])
+        yield build_measurement(f"untouched, strong drift, {name}, {_FRAMES} frames", ours=ms, ours_error=float(false),
+                  unit="frames", bar=Requirement(max_error=0))  # fmt: skip
 
 
-def answer(weights: str = "") -> Answer:
-    read = reader(f"network={weights}" if weights else "network")
-    mini = sensor("gelsight_mini")
-    network = building.ready(depth_network.weights(mini, mini, Path(weights) if weights else None))
-    return Answer(
+def measure(weights: str = "") -> BenchmarkResult:
+    read = build_reader(f"network={weights}" if weights else "network")
+    mini = load_sensor("gelsight_mini")
+    network = network_factory.load_predictor(
+        depth_network.select_weights(mini, mini, Path(weights) if weights else None)
+    )
+    return BenchmarkResult(
         title="What reading a gel by network costs, and what drift does to it",
         unit="frames",
         rows=(*costs(read, network), growth(read), *drifts(read)),
@@ -174,4 +176,4 @@ def answer(weights: str = "") -> Answer:
 
 
 if __name__ == "__main__":
-    show(answer(*sys.argv[1:2]))
+    print_result(measure(*sys.argv[1:2]))

@@ -18,10 +18,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, race, row, timing
+from benchmarks.timing import Requirement, build_measurement, summarize_times, time_in_turns
 from pipeline.engine.graph import Graph
-from pipeline.racing.races import Answer
-from pipeline.racing.report import show
+from pipeline.racing.results import BenchmarkResult
+from pipeline.racing.text_report import print_result
 from pipeline.translation.catalogue import BUILT_IN, default_params
 from pipeline.translation.translate import Request, open_translation
 
@@ -29,11 +29,11 @@ _SAMPLE = Path(__file__).resolve().parents[1] / "sample_data" / "recordings" / "
 _PEER = "all stages of a touched frame"
 _METHODS = BUILT_IN.methods("t2d2")
 _PARAMS = default_params(_METHODS)
-_STAGES = tuple(method.slot for method in _METHODS)
+_STAGES = tuple(method.stage for method in _METHODS)
 _RUNS = 41
 
 
-def answer(path: Path = _SAMPLE, target: str = "soft_bubble") -> Answer:
+def measure(path: Path = _SAMPLE, target: str = "soft_bubble") -> BenchmarkResult:
     translation = open_translation(Request(recording=path, target=target))
     touched, untouched = first_frames(translation)
     graph, fresh = Graph(_METHODS), Graph(_METHODS)
@@ -45,19 +45,21 @@ def answer(path: Path = _SAMPLE, target: str = "soft_bubble") -> Answer:
         return fresh.evaluate(_STAGES, next(new), _PARAMS)
 
     raced = {
-        "frame seen before": (lambda: graph.evaluate(_STAGES, next(again), _PARAMS), seen, Bar(ms=0.2, error=0)),
+        "frame seen before": (lambda: graph.evaluate(_STAGES, next(again), _PARAMS), seen, Requirement(max_ms=0.2, max_error=0)),
         "new untouched frame of a stream": (
-            lambda: graph.evaluate(_STAGES, next(new), _PARAMS), still, Bar(ms=0.5, error=0)),
-        "first untouched frame, empty cache": (first_of_all, still, Bar(ms=0.5, error=0)),
+            lambda: graph.evaluate(_STAGES, next(new), _PARAMS), still, Requirement(max_ms=0.5, max_error=0)),
+        "first untouched frame, empty cache": (first_of_all, still, Requirement(max_ms=0.5, max_error=0)),
     }  # fmt: skip
     errors = {name: differing(run(), wanted) for name, (run, wanted, _) in raced.items()}
-    times = race({name: run for name, (run, _, _) in raced.items()}, runs=_RUNS)
-    peer = race({_PEER: lambda: Graph(_METHODS).evaluate(_STAGES, touched, _PARAMS)}, runs=7)[_PEER]
+    times = time_in_turns({name: run for name, (run, _, _) in raced.items()}, runs=_RUNS)
+    peer = time_in_turns({_PEER: lambda: Graph(_METHODS).evaluate(_STAGES, touched, _PARAMS)}, runs=7)[_PEER]
     rows = [
-        row(name, peer=_PEER, ours=times[name], peer_timing=peer, ours_error=errors[name], unit="stages", bar=bar)
+        build_measurement(
+            name, peer=_PEER, ours=times[name], peer_timing=peer, ours_error=errors[name], unit="stages", bar=bar
+        )
         for name, (_, _, bar) in raced.items()
     ]
-    return Answer(
+    return BenchmarkResult(
         title=f"A frame that needs no work, {translation.source.name} to {target}",
         unit="stages",
         rows=(*rows, pose_setting_changed(graph, touched, peer)),
@@ -99,10 +101,10 @@ def pose_setting_changed(graph, touched, peer):
         results = graph.evaluate(_STAGES, touched, changed)
         taken.append(sum(r.ms for r in results.values()))
         wrong = max(wrong, sum((r.state == "computed") != (name == "pose") for name, r in results.items()))
-    return row("a setting of the pose changed", peer=_PEER, ours=timing(taken), peer_timing=peer,
-               ours_error=float(wrong), unit="stages", bar=Bar(error=0))  # fmt: skip
+    return build_measurement("a setting of the pose changed", peer=_PEER, ours=summarize_times(taken), peer_timing=peer,
+               ours_error=float(wrong), unit="stages", bar=Requirement(max_error=0))  # fmt: skip
 
 
 if __name__ == "__main__":
     given = sys.argv[1:]
-    show(answer(*([Path(given[0])] if given else []), *given[1:2]))
+    print_result(measure(*([Path(given[0])] if given else []), *given[1:2]))

@@ -16,12 +16,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, race, row
 from benchmarks.rest_mesh import rest_mesh
+from benchmarks.timing import Requirement, build_measurement, time_in_turns
 from pipeline.geometry import membrane
 from pipeline.geometry.membrane import Membrane
-from pipeline.racing.races import Answer, Point, Row
-from pipeline.racing.report import show
+from pipeline.racing.results import BenchmarkResult, Measurement, PlotPoint
+from pipeline.racing.text_report import print_result
 
 _N, _BAND_MM, _SPREAD_MM = 38_000, 1e-3, 1.0
 
@@ -47,12 +47,15 @@ def around(surface: Membrane, half_x_mm: float, half_y_mm: float) -> tuple[np.nd
     return points, exact[:, 2] - surface.depth_at(exact[:, 0], exact[:, 1])
 
 
-def answer() -> Answer:
-    rows: list[Row] = []
-    points: list[Point] = []
+def measure() -> BenchmarkResult:
+    rows: list[Measurement] = []
+    points: list[PlotPoint] = []
     notes: list[str] = []
     # 0.34 mm: the dome of 60x50 mm on 175 columns, as a target's own depth image would give it.
-    surfaces = {"dome": membrane.dome(60.0, 20.0, 30.0, 25.0, 0.34), "level pad": membrane.flat(20.0, 12.0, 9.0)}
+    surfaces = {
+        "dome": membrane.make_dome(60.0, 20.0, 30.0, 25.0, 0.34),
+        "level pad": membrane.make_flat_membrane(20.0, 12.0, 9.0),
+    }
     for name, surface in surfaces.items():
         size = {"dome": (28.0, 23.0), "level pad": (11.0, 8.0)}[name]
         cloud, behind = around(surface, *size)
@@ -62,15 +65,19 @@ def answer() -> Answer:
             "Open3D, 5 rays": open3d_distance(surface, cloud, 5),
         }
         wrong = {k: wrong_sides(call(), behind) for k, call in calls.items()}
-        times = race(calls, runs=7, calls=5)
-        rows.append(row(
+        times = time_in_turns(calls, runs=7, calls=5)
+        rows.append(build_measurement(
             f"side of a {name}: {_N:,} points", peer="Open3D compute_signed_distance", ours=times["ours"],
             ours_error=wrong["ours"], peer_timing=times["Open3D, 1 ray"], peer_error=wrong["Open3D, 1 ray"],
-            unit="wrong", bar=Bar(faster=80.0, error=0.0),
+            unit="wrong", bar=Requirement(min_speedup=80.0, max_error=0.0),
         ))  # fmt: skip
-        points += [Point(method=f"{k}, {name}", ms=times[k].median_ms, error=wrong[k], ours=k == "ours") for k in calls]
+        points += [
+            PlotPoint(method=f"{k}, {name}", ms=times[k].median_ms, error=wrong[k], ours=k == "ours") for k in calls
+        ]
         notes.append(f"{name}: lattice of {surface.z_mm.shape[0]}x{surface.z_mm.shape[1]} nodes")
-    return Answer(title="membrane sign test", unit="wrong", rows=tuple(rows), points=tuple(points), notes=tuple(notes))
+    return BenchmarkResult(
+        title="membrane sign test", unit="wrong", rows=tuple(rows), points=tuple(points), notes=tuple(notes)
+    )
 
 
 def wrong_sides(distance_mm: np.ndarray, behind_mm: np.ndarray) -> int:
@@ -81,4 +88,4 @@ def wrong_sides(distance_mm: np.ndarray, behind_mm: np.ndarray) -> int:
 
 
 if __name__ == "__main__":
-    show(answer())
+    print_result(measure())

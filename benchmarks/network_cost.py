@@ -18,15 +18,15 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, race, row
-from pipeline.networks.building import build, innermost
+from benchmarks.timing import Requirement, build_measurement, time_in_turns
 from pipeline.networks.compact_unet import CompactUnet
 from pipeline.networks.depth_anything import DepthAnything
-from pipeline.racing.races import Answer
-from pipeline.racing.report import show
-from pipeline.stages.generate.latent import LatentParams, sampled
-from pipeline.training.devices import in_precision
-from pipeline.training.recipe import load
+from pipeline.networks.network_factory import build_network, use_channels_last
+from pipeline.racing.results import BenchmarkResult
+from pipeline.racing.text_report import print_result
+from pipeline.stages.touch.latent_diffusion import LatentParams, sample_image
+from pipeline.training.distributed import wrap_precision
+from pipeline.training.recipe import load_recipe
 
 _BATCH, _CHANNELS, _SHAPE = 8, 12, (120, 160)
 _PATCHES, _WINDOW = (16, 21), (3, 5, 10, 11)  # top, left, rows, cols: a third of each side, and two patches around
@@ -34,14 +34,14 @@ _RUNS = 5
 _STEPS, _SAMPLES = 200, 3
 
 
-def stepped(precision: str, *, channels_last: bool):
+def build_gradient_step(precision: str, *, channels_last: bool):
     """A call that works out the gradient of one step, and gives it."""
     torch.manual_seed(0)
     net = CompactUnet(inputs=_CHANNELS, outputs=3).train()
     picture, truth = torch.randn(_BATCH, _CHANNELS, *_SHAPE), torch.randn(_BATCH, 3, *_SHAPE)
     if channels_last:
         net, picture = net.to(memory_format=torch.channels_last), picture.to(memory_format=torch.channels_last)
-    learns = in_precision(net, precision, torch.device("cpu"))
+    learns = wrap_precision(net, precision, torch.device("cpu"))
 
     def step():
         net.zero_grad()
@@ -52,15 +52,15 @@ def stepped(precision: str, *, channels_last: bool):
 
 
 def training_rows():
-    steps = {f"{precision}, {layout} innermost": stepped(precision, channels_last=layout == "channels")
+    steps = {f"{precision}, {layout} innermost": build_gradient_step(precision, channels_last=layout == "channels")
              for precision in ("float32", "bf16") for layout in ("pixels", "channels")}  # fmt: skip
     plain = "float32, pixels innermost"
     exact = steps[plain]()
     errors = {name: float((step() - exact).norm() / exact.norm()) for name, step in steps.items()}
-    times = race(steps, runs=_RUNS)
+    times = time_in_turns(steps, runs=_RUNS)
     return [
-        row(f"a training step of the compact U-Net, {_BATCH} of {_SHAPE[0]} x {_SHAPE[1]}: {name}", ours=times[name],
-            ours_error=errors[name], unit="of the gradient", peer=plain, peer_timing=times[plain], bar=Bar())
+        build_measurement(f"a training step of the compact U-Net, {_BATCH} of {_SHAPE[0]} x {_SHAPE[1]}: {name}", ours=times[name],
+            ours_error=errors[name], unit="of the gradient", peer=plain, peer_timing=times[plain], bar=Requirement())
         for name in steps if name != plain
     ]  # fmt: skip
 
@@ -73,15 +73,17 @@ def box_rows():
     part = picture[..., 14 * top : 14 * (top + rows), 14 * left : 14 * (left + cols)].contiguous()
     whole = (top, left, *_PATCHES)
     with torch.inference_mode():
-        times = race({"all": lambda: net(picture), "box": lambda: net(part, whole)}, runs=_RUNS)
+        times = time_in_turns({"all": lambda: net(picture), "box": lambda: net(part, whole)}, runs=_RUNS)
     told = f"Depth Anything V2, small: {rows * cols} of {_PATCHES[0] * _PATCHES[1]} patches"
-    return [row(told, ours=times["box"], ours_error=float("nan"), unit="", peer="all patches",
-                peer_timing=times["all"], bar=Bar(faster=2.0))]  # fmt: skip
+    return [build_measurement(told, ours=times["box"], ours_error=float("nan"), unit="", peer="all patches",
+                peer_timing=times["all"], bar=Requirement(min_speedup=2.0))]  # fmt: skip
 
 
 def latent_rows():
-    told = load("latent", "latent").network
-    net = innermost(build("latent", {name: value for name, value in told.items() if name != "kind"})).eval()
+    told = load_recipe("latent", "latent").network
+    net = use_channels_last(
+        build_network("latent", {name: value for name, value in told.items() if name != "kind"})
+    ).eval()
     shown = np.random.default_rng(0).normal(size=(3, net.side, net.side)).astype(np.float32)
     time = torch.tensor([500])
     with torch.inference_mode():
@@ -92,15 +94,15 @@ def latent_rows():
             for told in (seen, torch.zeros_like(seen)) * _STEPS:
                 net.noise(noisy, time, told)
 
-        runs = {"ours": lambda: sampled(net, shown, LatentParams(steps=_STEPS)), "apart": apart}
-        times = race(runs, runs=_SAMPLES)
-    return [row(f"latent diffusion, a touch of {_STEPS} steps, guided", ours=times["ours"], ours_error=float("nan"),
+        runs = {"ours": lambda: sample_image(net, shown, LatentParams(steps=_STEPS)), "apart": apart}
+        times = time_in_turns(runs, runs=_SAMPLES)
+    return [build_measurement(f"latent diffusion, a touch of {_STEPS} steps, guided", ours=times["ours"], ours_error=float("nan"),
                 unit="", peer="its passes alone, one after the other", peer_timing=times["apart"],
-                bar=Bar(ms=5000.0))]  # fmt: skip
+                bar=Requirement(max_ms=5000.0))]  # fmt: skip
 
 
-def answer() -> Answer:
-    return Answer(
+def measure() -> BenchmarkResult:
+    return BenchmarkResult(
         title="What precision, layout and the contact's box save of a network's time",
         unit="of the gradient",
         rows=(*training_rows(), *box_rows(), *latent_rows()),
@@ -109,4 +111,4 @@ def answer() -> Answer:
 
 
 if __name__ == "__main__":
-    show(answer())
+    print_result(measure())

@@ -19,31 +19,31 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks import known_motions
-from benchmarks.known_motions import Tally
-from benchmarks.known_patches import KINDS, Patch, drawn
-from benchmarks.races import Bar, Timing, race, row
+from benchmarks import observability_score
+from benchmarks.observability_patches import KINDS, Patch, draw_patch
+from benchmarks.observability_score import ObservabilityScore
+from benchmarks.timing import Requirement, Timing, build_measurement, time_in_turns
 from pipeline.geometry import rigid
-from pipeline.racing.races import Answer, Row
-from pipeline.racing.report import show
-from pipeline.registration.observability import Observability, Tolerances, observability
+from pipeline.racing.results import BenchmarkResult, Measurement
+from pipeline.racing.text_report import print_result
+from pipeline.registration.observability import Observability, Tolerances, assess_observability
 
 PATCHES = 250  # of each kind
 DENSE = 8_000  # points that stand for the exact surface
 CORRELATION_MM = 0.15  # of a gel's depth: neighbouring pixels are not independent
 FACET_DEG = 4.0
 CELL_MM = 0.25
-SLID_MM = 1.5  # start of the rod
-UNTOLD_MM = 0.01
+SLIDE_MM = 1.5  # start of the rod
+MAX_UNREPORTED_MM = 0.01
 MISSED = 0.01  # share
 PEER = "Open3D point-to-plane ICP"
 
 
-def crooked(patch: Patch, rng: np.random.Generator, noise_mm: float, facets: bool) -> Patch:
+def add_noise(patch: Patch, rng: np.random.Generator, noise_mm: float, facets: bool) -> Patch:
     """The patch as a sensor and a mesh have it: noisy points, normals of facets and off by up to 2 degrees."""
     normals = patch.normals
     if facets and len(patch.free) and np.ptp(normals, axis=0).max() > 0:
-        normals = faceted(normals)
+        normals = facet_normals(normals)
     cells = np.arange(len(normals))
     if not facets:
         cells = np.unique(np.floor(patch.points_mm / CELL_MM), axis=0, return_inverse=True)[1].ravel()
@@ -54,7 +54,7 @@ def crooked(patch: Patch, rng: np.random.Generator, noise_mm: float, facets: boo
     return Patch(points_mm=points, normals=normals, free=patch.free, area_mm2=patch.area_mm2)
 
 
-def faceted(normals):
+def facet_normals(normals):
     """Normals that jump by `FACET_DEG`: those of the middle of each facet, in bands around z and in longitude."""
     step = math.radians(FACET_DEG)
     rise = np.arctan2(normals[:, 2], np.hypot(normals[:, 0], normals[:, 1]))
@@ -65,31 +65,31 @@ def faceted(normals):
     return np.stack([np.cos(rise) * np.cos(around), np.cos(rise) * np.sin(around), np.sin(rise)], axis=1)
 
 
-def scored(kind: str, seed: int) -> Tally:
+def score_patches(kind: str, seed: int) -> ObservabilityScore:
     """All patches of one kind."""
-    total, tolerances = Tally(), Tolerances()
+    total, tolerances = ObservabilityScore(), Tolerances()
     for k in range(PATCHES):
         sizes = [seed, k]  # the dense patch is drawn from the same stream as the sparse one
         rng = np.random.default_rng([seed, k, 1])
         pose = rigid.rotation(rng.standard_normal(3) * 2.0)
         pose[:3, 3] = rng.uniform(-30.0, 30.0, 3)
         n, sigma_mm = int(rng.integers(300, 3000)), rng.uniform(0.0, 0.05)
-        sparse = crooked(drawn(kind, np.random.default_rng(sizes), n), rng, sigma_mm, k % 2 == 1).moved(pose)
-        dense = drawn(kind, np.random.default_rng(sizes), DENSE).moved(pose)
+        sparse = add_noise(draw_patch(kind, np.random.default_rng(sizes), n), rng, sigma_mm, k % 2 == 1).transform(pose)
+        dense = draw_patch(kind, np.random.default_rng(sizes), DENSE).transform(pose)
         n_eff = n / (1.0 + 2.0 * math.pi * CORRELATION_MM**2 * n / dense.area_mm2)  # of pixels that hang together
-        told = observability(
+        told = assess_observability(
             sparse.points_mm,
             sparse.normals,
             sparse.points_mm.mean(axis=0),
             max(sigma_mm, 1e-3) * math.sqrt(n / n_eff),
             tolerances=tolerances,
         )
-        truth = known_motions.known(dense, n_eff, max(sigma_mm, 1e-3), tolerances)
-        total += known_motions.tally(told.weak_motions, sparse.points_mm.mean(axis=0), truth)
+        truth = observability_score.compute_true_motions(dense, n_eff, max(sigma_mm, 1e-3), tolerances)
+        total += observability_score.score_named_motions(told.weak_motions, sparse.points_mm.mean(axis=0), truth)
     return total
 
 
-def rod_slid() -> tuple[Patch, np.ndarray, np.ndarray]:
+def measure_rod() -> tuple[Patch, np.ndarray, np.ndarray]:
     """(felt patch of a rod, points of the whole rod, their normals), the rod's frame being the sensor's."""
     rng = np.random.default_rng(0)
     angle, along = rng.uniform(-0.8, 0.8, 3000), rng.uniform(-4.0, 4.0, 3000)
@@ -101,45 +101,47 @@ def rod_slid() -> tuple[Patch, np.ndarray, np.ndarray]:
     return felt, 3.0 * model_normals + far[:, None] * np.eye(3)[0], model_normals
 
 
-def registered_by_open3d(felt: Patch, model, normals):
+def registered_by_open3d(contact: Patch, model, normals):
     """Open3D's point-to-plane ICP from a start that is slid along the rod."""
     import open3d
 
     icp = open3d.pipelines.registration
-    source, target = (open3d.geometry.PointCloud(open3d.utility.Vector3dVector(p)) for p in (felt.points_mm, model))
+    source, target = (open3d.geometry.PointCloud(open3d.utility.Vector3dVector(p)) for p in (contact.points_mm, model))
     target.normals = open3d.utility.Vector3dVector(normals)
     return icp.registration_icp(
-        source, target, 2.0, rigid.translation(SLID_MM, 0, 0), icp.TransformationEstimationPointToPlane()
+        source, target, 2.0, rigid.translation(SLIDE_MM, 0, 0), icp.TransformationEstimationPointToPlane()
     )
 
 
-def untold_mm(object_from_sensor, told: Observability | None, at_mm) -> float:
+def compute_unreported_mm(object_from_sensor, reported: Observability | None, at_mm) -> float:
     """How far the contact's middle is off in directions that the answer calls determined."""
     shift = np.concatenate(
         [rigid.rotation_vector_rad(object_from_sensor), rigid.apply(object_from_sensor, at_mm) - at_mm]
     )
-    return float(np.linalg.norm((shift if told is None else told.observable @ shift)[3:]))
+    return float(np.linalg.norm((shift if reported is None else reported.observable @ shift)[3:]))
 
 
-def answer() -> Answer:
-    tallies = {kind: scored(kind, seed) for seed, kind in enumerate(KINDS)}
-    felt, model, normals = rod_slid()
+def measure() -> BenchmarkResult:
+    tallies = {kind: score_patches(kind, seed) for seed, kind in enumerate(KINDS)}
+    felt, model, normals = measure_rod()
     middle = felt.points_mm.mean(axis=0)
 
     def ours() -> Observability:
-        return observability(felt.points_mm, felt.normals, middle, 0.03)
+        return assess_observability(felt.points_mm, felt.normals, middle, 0.03)
 
     peer = registered_by_open3d(felt, model, normals)
     ended, told = np.array(peer.transformation), ours()
-    timing = race({"ours": ours})["ours"]  # of the answer alone: it does not register, so that there is no race
-    slid = row(
-        f"rod slid by {SLID_MM} mm: error that the answer does not announce",
+    timing = time_in_turns({"ours": ours})[
+        "ours"
+    ]  # of the answer alone: it does not register, so that there is no race
+    slid = build_measurement(
+        f"rod slid by {SLIDE_MM} mm: error that the answer does not announce",
         ours=timing,
-        ours_error=untold_mm(ended, told, middle),
+        ours_error=compute_unreported_mm(ended, told, middle),
         unit="mm",
-        bar=Bar(error=UNTOLD_MM),
+        bar=Requirement(max_error=MAX_UNREPORTED_MM),
         peer=PEER,
-        peer_error=untold_mm(ended, None, middle),
+        peer_error=compute_unreported_mm(ended, None, middle),
     )
     notes = [
         f"rod: Open3D ends {np.linalg.norm(ended[:3, 3]):.4f} mm off with fitness {peer.fitness:.3f} and "
@@ -148,19 +150,19 @@ def answer() -> Answer:
         *(_counts(kind, tally) for kind, tally in tallies.items()),
     ]
     rows = [line for kind, tally in tallies.items() for line in _rows(kind, tally, timing)]
-    return Answer(title="Unobservable motions named", unit="share", rows=(*rows, slid), notes=tuple(notes))
+    return BenchmarkResult(title="Unobservable motions named", unit="share", rows=(*rows, slid), notes=tuple(notes))
 
 
-def _rows(kind: str, tally: Tally, timing: Timing) -> list[Row]:
+def _rows(kind: str, tally: ObservabilityScore, timing: Timing) -> list[Measurement]:
     """Recall, where there is something to name, and precision."""
     asked = (("recall", tally.recall, 1.0), ("precision", tally.precision, math.nan))
     return [
-        row(
+        build_measurement(
             f"{kind}: unobservable directions, 1 - {what}",
             ours=timing,
             ours_error=1.0 - share,
             unit="share",
-            bar=Bar(error=MISSED),
+            bar=Requirement(max_error=MISSED),
             peer=PEER,
             peer_error=peer,
         )
@@ -169,7 +171,7 @@ def _rows(kind: str, tally: Tally, timing: Timing) -> list[Row]:
     ]
 
 
-def _counts(kind: str, tally: Tally) -> str:
+def _counts(kind: str, tally: ObservabilityScore) -> str:
     return (
         f"{kind}: {tally.n_weak} unobservable directions, {tally.n_named} named, {tally.n_false} named wrongly, "
         f"{tally.n_between} of {6 * PATCHES} too close to the limit to be scored"
@@ -177,4 +179,4 @@ def _counts(kind: str, tally: Tally) -> str:
 
 
 if __name__ == "__main__":
-    show(answer())
+    print_result(measure())

@@ -22,13 +22,13 @@ import torch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, Timing, race, row
+from benchmarks.timing import Requirement, Timing, build_measurement, time_in_turns
 from pipeline.physics import gel, optics
-from pipeline.racing.races import Answer, Point, Row
-from pipeline.sensors.spec import SensorSpec, sensor
+from pipeline.racing.results import BenchmarkResult, Measurement, PlotPoint
+from pipeline.sensors.spec import SensorSpec, load_sensor
 
 _BINS = 125
-_BAR = Bar(faster=15)
+_BAR = Requirement(min_speedup=15)
 _RAY_STEPS, _STEP_PX, _FAN_RAD, _DIRECTION_RAD = 40, 1.25, (-0.1, -0.05, 0.0, 0.05), 0.1
 _NOTES = (
     "ours runs on one thread, and the peer too where its name says nothing else",
@@ -40,36 +40,39 @@ _NOTES = (
 )  # fmt: skip
 
 
-def answer() -> Answer:
+def measure() -> BenchmarkResult:
     """Rows: a small, a usual and an image-wide deformation, the plain writing of the peer, and shadows."""
-    spec = _bare(sensor("gelslim_dotless"))
+    spec = _bare(load_sensor("gelslim_dotless"))
     table = Table(spec)
     rows = [_row(question, spec, surface, table) for question, surface in _surfaces(spec).items()]
     usual = _surfaces(spec)["usual contact"]
     rows.append(_row("usual contact", spec, usual, table, "table look-up, 2 threads", 2))
-    rows.append(_row("usual contact", spec, usual, table.plainly, "plain writing, 2 threads", 2))
-    digit = _bare(sensor("digit"), shadow=True)
+    rows.append(_row("usual contact", spec, usual, table.render_plain, "plain writing, 2 threads", 2))
+    digit = _bare(load_sensor("digit"), shadow=True)
     shadow = _row(
-        "usual contact, shadows", digit, _pressed(digit, 4.0, 0.5), Table(digit).shadowed, "and fan of shadows"
+        "usual contact, shadows", digit, _pressed(digit, 4.0, 0.5), Table(digit).render_shadowed, "and fan of shadows"
     )
     rows.append(replace(shadow, peer_error=math.nan))
     points = [
-        Point(method=f"ours: {r.question}, beside {r.peer}", ms=r.ours_ms, error=r.ours_error, ours=True) for r in rows
+        PlotPoint(method=f"ours: {r.question}, beside {r.peer}", ms=r.ours_ms, error=r.ours_error, ours=True)
+        for r in rows
     ]
     points += [
-        Point(method=f"{r.peer}: {r.question}", ms=r.peer_ms, error=r.peer_error) for r in rows if r.peer_error > 0
+        PlotPoint(method=f"{r.peer}: {r.question}", ms=r.peer_ms, error=r.peer_error) for r in rows if r.peer_error > 0
     ]
     title = "A gel's picture from its deformed surface"
-    return Answer(title=title, unit="grey levels", rows=tuple(rows), points=tuple(points), notes=_NOTES)
+    return BenchmarkResult(title=title, unit="grey levels", rows=tuple(rows), points=tuple(points), notes=_NOTES)
 
 
-def _row(question: str, spec: SensorSpec, surface, peer, name: str = "table look-up (torch)", threads: int = 1) -> Row:
+def _row(
+    question: str, spec: SensorSpec, surface, peer, name: str = "table look-up (torch)", threads: int = 1
+) -> Measurement:
     torch.set_num_threads(threads)
-    truth = np.clip(optics._lit(spec, optics.optics_of(spec), surface), 0, 255)
+    truth = np.clip(optics._render_light(spec, optics.require_optics(spec), surface), 0, 255)
     methods = {"ours": lambda: optics.render(spec, surface, seed=None), name: lambda: peer(surface)}
     errors = {method: _rms(call(), truth) for method, call in methods.items()}  # outputs are compared first
-    times: dict[str, Timing] = race(methods, 25, calls=5)
-    return row(
+    times: dict[str, Timing] = time_in_turns(methods, 25, calls=5)
+    return build_measurement(
         question, ours=times["ours"], ours_error=errors["ours"], unit="grey levels", bar=_BAR,
         peer=name, peer_timing=times[name], peer_error=errors[name],
     )  # fmt: skip
@@ -95,7 +98,7 @@ def _pressed(spec: SensorSpec, radius_mm: float, depth_mm: float):
     y, x = np.mgrid[: spec.camera.rows, : spec.camera.cols]
     r = np.hypot(y - spec.camera.cy_px, x - spec.camera.cx_px) * spec.pixel_mm
     assert spec.gel is not None
-    return gel.press(spec.gel, spec.pixel_mm, depth_mm - r * r / (2 * radius_mm)).indentation_mm.copy()
+    return gel.press_gel(spec.gel, spec.pixel_mm, depth_mm - r * r / (2 * radius_mm)).indentation_mm.copy()
 
 
 class Table:
@@ -109,7 +112,7 @@ class Table:
         self.side_by_side = torch.from_numpy(side_by_side)
         self.powers = torch.from_numpy(_powers(*self.shape))
         level = np.zeros(self.shape, np.float32)
-        lit = optics._lit(spec, optics.optics_of(spec), level)
+        lit = optics._render_light(spec, optics.require_optics(spec), level)
         self.to_grey = torch.from_numpy(lit + np.float32(0.5))  # the background, and what rounds to 8 bits
         self.pixel_mm = spec.pixel_mm
 
@@ -120,7 +123,7 @@ class Table:
             bins = self._bin(steep, direction)
             return self._change(bins).add_(self.to_grey).clamp_(0, 255).to(torch.uint8).numpy()
 
-    def plainly(self, surface):
+    def render_plain(self, surface):
         """The recipe as one would write it down."""
         with torch.no_grad():
             gy, gx = torch.gradient(torch.from_numpy(surface), spacing=self.pixel_mm)
@@ -130,7 +133,7 @@ class Table:
             change = (self.table[:, i, j].flatten(1, 2) * self.powers).sum(-1).unflatten(1, self.shape)
             return torch.clip(change.permute(1, 2, 0) + self.to_grey, 0, 255).to(torch.uint8).numpy()
 
-    def shadowed(self, surface):
+    def render_shadowed(self, surface):
         """With the fan of shadows, and the blurs that go with it."""
         with torch.no_grad():
             height = torch.from_numpy(surface)
@@ -163,7 +166,7 @@ class Table:
 
 def _filled(spec: SensorSpec):
     """The table (3, bins, bins, 6), fitted to our own optics on few pixels: light varies slowly over the picture."""
-    small = spec.camera.scaled(1 / 24)
+    small = spec.camera.scale(1 / 24)
     few = replace(spec, camera=small, rest_depth_mm=spec.membrane.rest_depth_mm(small))
     fit, one = np.linalg.pinv(_powers(*small.shape)), np.ones(small.shape, np.float32)
     table = np.empty((3, _BINS, _BINS, 6), np.float32)
@@ -171,7 +174,7 @@ def _filled(spec: SensorSpec):
         steep = math.tan(min((i + 0.5) * 0.5 * math.pi / (_BINS - 1), 1.5))
         for j in range(_BINS):
             angle = (j + 0.5) * 2 * math.pi / (_BINS - 1) - math.pi
-            change = optics.colour_change(few, steep * math.cos(angle) * one, steep * math.sin(angle) * one)
+            change = optics.compute_colour_change(few, steep * math.cos(angle) * one, steep * math.sin(angle) * one)
             table[:, i, j] = (fit @ change.reshape(-1, 3)).T
     return table
 
@@ -214,6 +217,6 @@ def _rms(picture, truth) -> float:
 
 
 if __name__ == "__main__":
-    from pipeline.racing.report import show
+    from pipeline.racing.text_report import print_result
 
-    show(answer())
+    print_result(measure())

@@ -13,10 +13,10 @@ from scipy import ndimage
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, row, timing
-from benchmarks.recorded import recorded_data
-from pipeline.racing.races import Answer
-from pipeline.racing.report import show
+from benchmarks.data_folder import recorded_data
+from benchmarks.timing import Requirement, build_measurement, summarize_times
+from pipeline.racing.results import BenchmarkResult
+from pipeline.racing.text_report import print_result
 from pipeline.translation.catalogue import default_params
 from pipeline.translation.translate import Request, open_translation
 
@@ -24,13 +24,13 @@ NEEDS = "recorded data"
 DISTANCES_MM = (0.5, 1.0, 1.25, 2.0, 3.0)
 
 
-def answer(data: str = "") -> Answer:
+def measure(data: str = "") -> BenchmarkResult:
     folder = recorded_data(data) / "digit_balls"
     translation = open_translation(Request(recording=folder, source="digit", target="gelslim"))
-    graph, params = translation.graph(), default_params(translation.methods)
+    graph, params = translation.build_graph(), default_params(translation.methods)
     largest, taken, n_touched = [], [], 0
     for index in range(translation.n_frames):
-        result = graph.evaluate(["depth"], translation.inputs(index), params)["depth"]
+        result = graph.evaluate(["depth"], translation.read_inputs(index), params)["depth"]
         depth = result.output
         taken.append(result.ms)
         n_touched += bool(depth.contact.any())
@@ -38,13 +38,13 @@ def answer(data: str = "") -> Answer:
         largest.append([depth.indentation_mm[away_mm > d].max(initial=0.0) for d in DISTANCES_MM])
     most = np.array(largest).max(axis=0)
     rows = tuple(
-        row(f"largest depth beyond {distance:g} mm of the contact", ours=timing(taken), ours_error=float(mm), unit="mm",
-            bar=Bar(error=0.03))
+        build_measurement(f"largest depth beyond {distance:g} mm of the contact", ours=summarize_times(taken), ours_error=float(mm), unit="mm",
+            bar=Requirement(max_error=0.03))
         for distance, mm in zip(DISTANCES_MM, most, strict=True)
     )  # fmt: skip
-    return Answer(title="A real DIGIT at rest outside its contact", unit="mm", rows=rows,
+    return BenchmarkResult(title="A real DIGIT at rest outside its contact", unit="mm", rows=rows,
                   notes=(f"contact in {n_touched} of {translation.n_frames} frames",))  # fmt: skip
 
 
 if __name__ == "__main__":
-    show(answer(*sys.argv[1:2]))
+    print_result(measure(*sys.argv[1:2]))

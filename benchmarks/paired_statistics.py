@@ -21,12 +21,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar
-from pipeline.racing.races import Answer, Row
-from pipeline.racing.report import show
+from benchmarks.timing import Requirement
+from pipeline.racing.results import BenchmarkResult, Measurement
+from pipeline.racing.text_report import print_result
 from pipeline.simulation import datasets
-from pipeline.simulation.datasets import Plan
-from pipeline.simulation.recorder import workers
+from pipeline.simulation.datasets import SimulationPlan
+from pipeline.simulation.recorder import make_worker_pool
 
 WITHIN = 0.25
 LAB_TOOLS = ("01", "02", "03", "04", "06", "31", "32", "33", "37")  # those of the published training pairs
@@ -43,14 +43,14 @@ PUBLISHED = {
 
 def changes(plan, index):
     """(GelSlim difference (n, 3) of full scale, bubble imprint in mm) of one grasp."""
-    (gel, _), (bubble, _) = datasets.moment(plan, index).readings
+    (gel, _), (bubble, _) = datasets.simulate_moment(plan, index).frames
     difference = (gel.image.astype(np.float32) - gel.reference) / 255
     return difference.reshape(-1, 3), np.asarray(bubble.reference - bubble.image, np.float64)
 
 
 def statistics(plans, pool):
     """The published figures of all grasps of `plans`, and the mean imprint of each object."""
-    jobs = [(plan.tool, pool.submit(summed, plan, k)) for plan in plans for k in range(plan.poses)]
+    jobs = [(plan.tool, pool.submit(sum_changes, plan, k)) for plan in plans for k in range(plan.poses)]
     sums = {}
     for tool, job in jobs:
         sums.setdefault(tool, []).append(job.result())
@@ -66,7 +66,7 @@ def statistics(plans, pool):
     return figures, each, (np.median(low), np.median(high))
 
 
-def summed(plan, index):
+def sum_changes(plan, index):
     difference, imprint = changes(plan, index)
     seen = imprint[np.isfinite(imprint)]
     wide = difference.astype(np.float64)
@@ -82,38 +82,42 @@ def lab_tools():
     return tuple(str(path) for number in LAB_TOOLS for path in folder.glob(f"pattern_{number}*.stl"))
 
 
-def compared(objects, figures, seconds):
+def compare_published(objects, figures, seconds):
     """One row a figure: the error is how far simulated over published is from 1."""
-    bar = Bar(error=WITHIN)
+    bar = Requirement(max_error=WITHIN)
     for name, published in PUBLISHED.items():
         off = abs(figures[name] / published - 1)
-        yield Row(
+        yield Measurement(
             question=f"{name}, {objects}, for {published:.4g}", peer="", ours_ms=seconds * 1e3,
-            peer_ms=math.nan, ratio=math.nan, ours_error=off, peer_error=math.nan, unit="of it", bar=bar.told("of it"),
-            holds=bar.holds((math.nan, off), (math.nan, math.nan)),
+            peer_ms=math.nan, ratio=math.nan, ours_error=off, peer_error=math.nan, unit="of it", bar=bar.describe("of it"),
+            holds=bar.is_met((math.nan, off), (math.nan, math.nan)),
         )  # fmt: skip
 
 
-def answer(n: int = 10) -> Answer:
-    like = Plan(sensors=("gelslim", "soft_bubble"), tool="", poses=n, seed=0, mesh_unit="m", mesh_face="-x")
-    sets = {"training objects": datasets.plans(("training",), like)}
+def measure(n: int = 10) -> BenchmarkResult:
+    like = SimulationPlan(
+        sensors=("gelslim", "soft_bubble"), object_source="", n_poses=n, seed=0, mesh_unit="m", mesh_face="-x"
+    )
+    sets = {"training objects": datasets.make_plans(("training",), like)}
     notes = []
     if lab_tools():
-        sets["the lab's tools"] = datasets.plans(lab_tools(), like)
+        sets["the lab's tools"] = datasets.make_plans(lab_tools(), like)
     else:
         notes.append("the lab's tool meshes are not at hand; only our own objects were pressed")
     rows = []
-    with workers(2) as pool:
+    with make_worker_pool(2) as pool:
         for objects, plans in sets.items():
             started = time.perf_counter()
             figures, each, (low, high) = statistics(plans, pool)
-            rows += compared(objects, figures, (time.perf_counter() - started) / (n * len(plans)))
+            rows += compare_published(objects, figures, (time.perf_counter() - started) / (n * len(plans)))
             notes.append(f"{len(plans)} {objects} x {n} grasps; a usual one spans {low:.1f} to {high:.1f} mm")
             means = ", ".join(f"{Path(tool).stem} {mean:.2f}" for tool, mean in each.items())
             notes.append(f"mean imprint in mm: {means}")
             notes.append(f"{objects}: " + ", ".join(f"{name} {figure:.4g}" for name, figure in figures.items()))
-    return Answer(title="Simulated pairs beside published ones", unit="of it", rows=tuple(rows), notes=tuple(notes))
+    return BenchmarkResult(
+        title="Simulated pairs beside published ones", unit="of it", rows=tuple(rows), notes=tuple(notes)
+    )
 
 
 if __name__ == "__main__":
-    show(answer(*(int(word) for word in sys.argv[1:2])))
+    print_result(measure(*(int(word) for word in sys.argv[1:2])))

@@ -20,15 +20,15 @@ from scipy.sparse import linalg
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, race, row
-from pipeline.racing.races import Answer, Point
-from pipeline.racing.report import show
-from pipeline.stages.depth.poisson import integrate
+from benchmarks.timing import Requirement, build_measurement, time_in_turns
+from pipeline.racing.results import BenchmarkResult, PlotPoint
+from pipeline.racing.text_report import print_result
+from pipeline.stages.depth.poisson import integrate_slopes
 
 _SHAPES = ((140, 175), (240, 320), (320, 427), (480, 640))
 _DRAWN = (320, 427)
 _TILT = 0.05
-_BAR = Bar(faster=3.5, ms=3, closer=1000, error=1e-3)
+_BAR = Requirement(min_speedup=3.5, max_ms=3, min_error_ratio=1000, max_error=1e-3)
 
 
 def bump(rows: int, cols: int):
@@ -54,7 +54,7 @@ def public(gx, gy):
     return z - z.mean()
 
 
-def tidied(gx, gy):
+def integrate_consistent(gx, gy):
     rows, cols = gx.shape
     wave = fft.dctn(divergence(gx, gy), norm="ortho")
     ky, kx = np.arange(1, rows + 1), np.arange(1, cols + 1)
@@ -74,10 +74,10 @@ def sparse_solve(gx, gy):
 
 def methods_for(gx, gy):
     return {
-        "ours, free border (cosine)": lambda: integrate(gx, gy, 1.0),
-        "ours, flat border (sine)": lambda: integrate(gx - np.float32(_TILT), gy, 1.0, "flat"),
+        "ours, free border (cosine)": lambda: integrate_slopes(gx, gy, 1.0),
+        "ours, flat border (sine)": lambda: integrate_slopes(gx - np.float32(_TILT), gy, 1.0, "flat"),
         "public integrator": lambda: public(gx, gy),
-        "public integrator, tidied": lambda: tidied(gx, gy),
+        "public integrator, tidied": lambda: integrate_consistent(gx, gy),
     }
 
 
@@ -86,25 +86,25 @@ def rmse_px(z, truth) -> float:
     return float(np.sqrt(np.mean((off - off.mean()) ** 2)))
 
 
-def answer() -> Answer:
+def measure() -> BenchmarkResult:
     rows, points = [], []
     for shape in _SHAPES:
         z, gx, gy = bump(*shape)
         level = z - _TILT * (np.arange(shape[1]) - 0.51 * shape[1])[None, :]
         methods = methods_for(gx, gy)
         errors = {name: rmse_px(run(), level if "flat" in name else z) for name, run in methods.items()}
-        times = race(methods, runs=15, calls=5)
+        times = time_in_turns(methods, runs=15, calls=5)
         free, _, peer, _ = methods
-        rows.append(row(f"integrate slopes, {shape[0]} x {shape[1]}", peer=peer, ours=times[free],
+        rows.append(build_measurement(f"integrate slopes, {shape[0]} x {shape[1]}", peer=peer, ours=times[free],
                         peer_timing=times[peer], ours_error=errors[free], peer_error=errors[peer], unit="px",
-                        bar=_BAR if shape == _DRAWN else Bar(closer=1000)))  # fmt: skip
+                        bar=_BAR if shape == _DRAWN else Requirement(min_error_ratio=1000)))  # fmt: skip
         if shape == _DRAWN:
             solve = {"sparse least squares": lambda gx=gx, gy=gy: sparse_solve(gx, gy)}
             errors["sparse least squares"] = rmse_px(sparse_solve(gx, gy), z)
-            times |= race(solve, runs=1)
-            points = [Point(method=name, ms=t.median_ms, error=errors[name], ours=name.startswith("ours"))
+            times |= time_in_turns(solve, runs=1)
+            points = [PlotPoint(method=name, ms=t.median_ms, error=errors[name], ours=name.startswith("ours"))
                       for name, t in times.items()]  # fmt: skip
-    return Answer(
+    return BenchmarkResult(
         title=f"Slopes to a surface, {_DRAWN[0]} x {_DRAWN[1]} pixels",
         unit="px",
         rows=tuple(rows),
@@ -114,4 +114,4 @@ def answer() -> Answer:
 
 
 if __name__ == "__main__":
-    show(answer())
+    print_result(measure())

@@ -26,17 +26,17 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, Timing, race, row
+from benchmarks.timing import Requirement, Timing, build_measurement, time_in_turns
 from pipeline.base.errors import CalibrationError
 from pipeline.geometry import rigid
-from pipeline.geometry.distance_grid import DistanceGrid, built
+from pipeline.geometry.distance_grid import DistanceGrid, build_grid
 from pipeline.geometry.meshes import Mesh, sample_surface
-from pipeline.racing.races import Answer, Point
-from pipeline.racing.report import show
-from pipeline.registration.gauss_newton import Fit, How, register
+from pipeline.racing.results import BenchmarkResult, PlotPoint
+from pipeline.racing.text_report import print_result
+from pipeline.registration.gauss_newton import FitOptions, PoseFit, register_points
 from pipeline.simulation.shapes import prisms, solids
 
-NOISE_MM, N_MODEL, N_FELT, REACH_MM, TRIALS = 0.03, 20_000, 4_000, 2.0, 96
+NOISE_MM, N_MODEL, N_CONTACT, REACH_MM, TRIALS = 0.03, 20_000, 4_000, 2.0, 96
 _DEEP_MM, _TURN_DEG, _SHIFT_MM = 2.0, 5.0, 0.7
 _NEIGHBOURS = (5, 8, 10, 15, 20)  # that small_gicp may take its normals from
 
@@ -49,8 +49,8 @@ class Tool:
     grid: DistanceGrid
     points: np.ndarray  # of the outer surface
     normals: np.ndarray
-    felt: np.ndarray
-    felt_normals: np.ndarray
+    contact: np.ndarray
+    contact_normals: np.ndarray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,9 +68,11 @@ def tool() -> Tool:
     round_ = 4.0 * np.stack([np.sin(quarter), np.cos(quarter)], axis=-1)
     lower, upper = round_ * (1, -1), np.flipud(round_)
     profile = np.vstack([lower - np.array([0, 15]), upper + np.array([0, 15])])
-    shaft = solids.moved(solids.turned(profile, 192, "shaft"), rigid.rotation([0.0, np.pi / 2, 0.0]))
+    shaft = solids.transform_mesh(solids.revolve_profile(profile, 192, "shaft"), rigid.rotation([0.0, np.pi / 2, 0.0]))
     outline = [(3.0, -12.0), (9.0, -12.0), (9.0, 12.0), (3.0, 12.0)]
-    bar = solids.moved(prisms.bar(outline, 6.0, 1.0, "bar"), rigid.translation(0.0, 0.0, -4.6))
+    bar = solids.transform_mesh(
+        prisms.make_chamfered_prism(outline, 6.0, 1.0, "bar"), rigid.translation(0.0, 0.0, -4.6)
+    )
     points, normals = _outer(shaft, bar, 400_000)
     low = points[:, 2] < points[:, 2].min() + _DEEP_MM
     one_side = low & (normals[:, 2] < -0.1)
@@ -80,14 +82,14 @@ def tool() -> Tool:
         vertices_mm=np.concatenate([shaft.vertices_mm, bar.vertices_mm]),
         triangles=np.concatenate([shaft.triangles, bar.triangles + len(shaft.vertices_mm)]).astype(np.int32),
     )
-    return Tool(mesh=both, grid=built(both), points=points[model], normals=normals[model],
-                felt=points[one_side], felt_normals=normals[one_side])  # fmt: skip
+    return Tool(mesh=both, grid=build_grid(both), points=points[model], normals=normals[model],
+                contact=points[one_side], contact_normals=normals[one_side])  # fmt: skip
 
 
 def _outer(a: Mesh, b: Mesh, n: int):
     """Points of both bodies that are not inside the other."""
     rng = np.random.default_rng(1)
-    grids, kept = (built(a), built(b)), []
+    grids, kept = (build_grid(a), build_grid(b)), []
     area = [_area(a), _area(b)]
     for mesh, other, share in ((a, grids[1], area[0] / sum(area)), (b, grids[0], area[1] / sum(area))):
         points, normals = sample_surface(mesh, int(n * share), 2)
@@ -107,9 +109,9 @@ def trial(
 ) -> Trial:
     """A contact and a first guess off by `turn_deg` and `shift_mm`; with `spread` these are standard deviations."""
     rng = np.random.default_rng([seed, 7])
-    chosen = rng.choice(len(of.felt), N_FELT, replace=False)
-    normals = of.felt_normals[chosen]
-    felt = of.felt[chosen] + NOISE_MM * rng.standard_normal((N_FELT, 1)) * normals
+    chosen = rng.choice(len(of.contact), N_CONTACT, replace=False)
+    normals = of.contact_normals[chosen]
+    felt = of.contact[chosen] + NOISE_MM * rng.standard_normal((N_CONTACT, 1)) * normals
     truth = rigid.from_parts([3.0, -2.0, 40.0], _unit(rng) * rng.uniform(0.0, 180.0))
     points, middle = rigid.apply(truth, felt), rigid.apply(truth, felt).mean(axis=0)
     angle, way = (rng.standard_normal() * turn_deg, rng.standard_normal(3) * shift_mm) if spread else (
@@ -136,12 +138,12 @@ def _bound(points: np.ndarray, normals: np.ndarray) -> tuple[float, float]:
 def error(found: np.ndarray, of: Trial) -> tuple[float, float]:
     """(mm at the middle of the contact, degrees)."""
     off, middle = found @ rigid.invert(of.truth), of.points.mean(axis=0)
-    return float(np.linalg.norm(rigid.apply(off, middle) - middle)), rigid.angle_deg(off)
+    return float(np.linalg.norm(rigid.apply(off, middle) - middle)), rigid.rotation_angle_deg(off)
 
 
 def ours(of: Tool, points: np.ndarray, start: np.ndarray) -> np.ndarray:
-    found = register(points, of.grid, start, How(max_distance_mm=REACH_MM))
-    return found.sensor_from_object if isinstance(found, Fit) else start
+    found = register_points(points, of.grid, start, FitOptions(max_distance_mm=REACH_MM))
+    return found.sensor_from_object if isinstance(found, PoseFit) else start
 
 
 def open3d_icp(of: Tool) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
@@ -157,7 +159,7 @@ def open3d_icp(of: Tool) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
         source = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
         found = icp.registration_icp(source, target, REACH_MM, rigid.invert(start), method, criteria)
         try:
-            return rigid.invert(rigid.checked(np.array(found.transformation), "the peer's result"))
+            return rigid.invert(rigid.validate_rigid(np.array(found.transformation), "the peer's result"))
         except CalibrationError:  # thrown out of the scene: the guess is nearer
             return start
 
@@ -174,7 +176,7 @@ class SmallGicp:
     prepared_ms: float
 
     @classmethod
-    def of(cls, it: Tool, neighbours: int) -> SmallGicp:
+    def prepare(cls, it: Tool, neighbours: int) -> SmallGicp:
         """Made with normals from so many neighbours."""
         import small_gicp
 
@@ -193,18 +195,18 @@ class SmallGicp:
             self.target, small_gicp.PointCloud(points), self.tree, rigid.invert(start), registration_type="PLANE_ICP",
             max_correspondence_distance=REACH_MM, num_threads=threads, max_iterations=30,
         )  # fmt: skip
-        return rigid.invert(rigid.checked(found.T_target_source, "the peer's result"))
+        return rigid.invert(rigid.validate_rigid(found.T_target_source, "the peer's result"))
 
 
 def best_small_gicp(it: Tool, trials: list[Trial]) -> tuple[SmallGicp, str]:
     """The peer at the number of neighbours with the least median error, and what each of them gave."""
-    tried = [SmallGicp.of(it, neighbours) for neighbours in _NEIGHBOURS]
+    tried = [SmallGicp.prepare(it, neighbours) for neighbours in _NEIGHBOURS]
     mm = [float(np.median([error(peer(t.points, t.start, 1), t)[0] for t in trials])) for peer in tried]
     told = ", ".join(f"{peer.neighbours}: {e:.4f}" for peer, e in zip(tried, mm, strict=True))
     return tried[int(np.argmin(mm))], f"small_gicp, median mm by neighbours for its normals: {told}"
 
 
-def answer() -> Answer:
+def measure() -> BenchmarkResult:
     it = tool()
     trials = [trial(it, seed) for seed in range(TRIALS)]
     open3d = open3d_icp(it)
@@ -225,19 +227,19 @@ def answer() -> Answer:
     rows = []
     for peer, faster in (("Open3D point-to-plane", 5.0), (gicp, 1.5)):
         for what, unit, found in (("place", "mm", mm), ("turn", "deg", deg)):
-            rows.append(row(
+            rows.append(build_measurement(
                 f"pose, {what}", ours=times["ours"], ours_error=found["ours"], unit=unit, peer=peer,
-                peer_timing=times[peer], peer_error=found[peer], bar=Bar(faster=faster, closer=1.0),
+                peer_timing=times[peer], peer_error=found[peer], bar=Requirement(min_speedup=faster, min_error_ratio=1.0),
             ))  # fmt: skip
     rms = {name: np.sqrt((e**2).mean(axis=0)) for name, e in errors.items()}
     for k, (what, unit) in enumerate((("place", "mm"), ("turn", "deg"))):
-        rows.append(row(
+        rows.append(build_measurement(
             f"pose, rms {what} against 1.5 times the Cramer-Rao bound", ours=times["ours"],
-            ours_error=float(rms["ours"][k]), unit=unit, bar=Bar(error=1.5 * float(bound[k])),
+            ours_error=float(rms["ours"][k]), unit=unit, bar=Requirement(max_error=1.5 * float(bound[k])),
         ))  # fmt: skip
-    return Answer(
+    return BenchmarkResult(
         title="Pose of a tool from 4,000 contact points", unit="mm", rows=tuple(rows),
-        points=tuple(Point(method=n, ms=times[n].median_ms, error=mm[n], ours=n.startswith("ours")) for n in calls),
+        points=tuple(PlotPoint(method=n, ms=times[n].median_ms, error=mm[n], ours=n.startswith("ours")) for n in calls),
         notes=(
             f"Cramer-Rao bound, rms: {bound[0]:.4f} mm, {bound[1]:.4f} deg",
             *(f"{n}: rms {rms[n][0]:.4f} mm, {rms[n][1]:.4f} deg; median {deg[n]:.4f} deg" for n in calls),
@@ -250,7 +252,7 @@ def answer() -> Answer:
 
 def _timed(calls, trials: list[Trial]) -> dict[str, Timing]:
     """Medians over trials of the median of each trial's race."""
-    found = [race({n: (lambda c=c, t=t: c(t)) for n, c in calls.items()}, runs=3) for t in trials[::8]]
+    found = [time_in_turns({n: (lambda c=c, t=t: c(t)) for n, c in calls.items()}, runs=3) for t in trials[::8]]
     return {
         n: Timing(median_ms=float(np.median([f[n].median_ms for f in found])),
                   p95_ms=float(np.percentile([f[n].p95_ms for f in found], 95)))
@@ -259,4 +261,4 @@ def _timed(calls, trials: list[Trial]) -> dict[str, Timing]:
 
 
 if __name__ == "__main__":
-    show(answer())
+    print_result(measure())

@@ -21,12 +21,12 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks import pose
-from benchmarks.races import Bar, Timing, race, row
+from benchmarks.timing import Requirement, Timing, build_measurement, time_in_turns
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
-from pipeline.racing.races import Answer, Point
-from pipeline.racing.report import show
-from pipeline.stages.pose.stage import PoseParams, pose_from
+from pipeline.racing.results import BenchmarkResult, PlotPoint
+from pipeline.racing.text_report import print_result
+from pipeline.stages.pose.signed_distances import PoseParams, track_pose
 from pipeline.values.results import DepthMap
 
 TRIALS, TOUCHES, _TURN_DEG, _SHIFT_MM = 200, 24, 20.0, 2.5
@@ -37,7 +37,7 @@ _REST_MM, _DEEP_MM, _TILT_DEG, _SLID_MM = 20.0, 1.2, 4.0, 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Felt:
+class PoseTrial:
     """A touch, where the tool truly is, and a first guess."""
 
     touch: DepthMap
@@ -46,7 +46,7 @@ class Felt:
     start: np.ndarray
 
 
-def felt(of: pose.Tool, seed: int) -> Felt:
+def simulate_trial(of: pose.Tool, seed: int) -> PoseTrial:
     """The tool's outermost side pressed into a gel that follows it wherever they overlap."""
     rng = np.random.default_rng([seed, 11])
     turn = rigid.rotation([0.0, 0.0, rng.uniform(0.0, 2 * np.pi)])
@@ -66,7 +66,7 @@ def felt(of: pose.Tool, seed: int) -> Felt:
     off = rigid.translation(*(middle + rng.standard_normal(3) * _SHIFT_MM)) @ rigid.rotation(
         np.deg2rad(rng.standard_normal() * _TURN_DEG) * _unit(rng)
     )
-    return Felt(touch=touch, points=points, truth=truth, start=off @ rigid.translation(*-middle) @ truth)
+    return PoseTrial(touch=touch, points=points, truth=truth, start=off @ rigid.translation(*-middle) @ truth)
 
 
 def _seen(of: pose.Tool, truth: np.ndarray) -> np.ndarray:
@@ -87,52 +87,54 @@ def _unit(rng: np.random.Generator) -> np.ndarray:
     return v / np.linalg.norm(v)
 
 
-def by_the_stage(of: pose.Tool, it: Felt) -> np.ndarray:
+def register_with_stage(of: pose.Tool, it: PoseTrial) -> np.ndarray:
     """Followed from the first guess or, where that does not fit, searched."""
-    found = pose_from(it.touch, of.mesh, PoseParams(keep_steps=False), it.start).sensor_from_object
+    found = track_pose(it.touch, of.mesh, PoseParams(keep_steps=False), it.start).sensor_from_object
     return it.start if found is None else found
 
 
-def answer() -> Answer:
+def measure() -> BenchmarkResult:
     it = pose.tool()
     trials = [
         pose.trial(it, seed, _TURN_DEG, _SHIFT_MM, spread=True) for seed in range(_FIRST_SEED, _FIRST_SEED + TRIALS)
     ]
-    touches = [felt(it, seed) for seed in range(_FIRST_SEED, _FIRST_SEED + TOUCHES)]
+    touches = [simulate_trial(it, seed) for seed in range(_FIRST_SEED, _FIRST_SEED + TOUCHES)]
     open3d = pose.open3d_icp(it)
     one = {
         "ours, one start": lambda t: pose.ours(it, t.points, t.start),
         "Open3D point-to-plane, one start": lambda t: open3d(t.points, t.start),
     }
     stage = {
-        "ours, the stage": lambda t: by_the_stage(it, t),
+        "ours, the stage": lambda t: register_with_stage(it, t),
         "Open3D point-to-plane, the stage's touches": lambda t: open3d(t.points, t.start),
     }
     rows, points, notes = [], [], []
     for calls, cases, what, bar in (
-        (one, trials, "basin, one start", Bar(closer=1.0)),
-        (stage, touches, "basin, the stage", Bar(error=5.0, closer=1.0)),
+        (one, trials, "basin, one start", Requirement(min_error_ratio=1.0)),
+        (stage, touches, "basin, the stage", Requirement(max_error=5.0, min_error_ratio=1.0)),
     ):
         missed = {n: 100.0 * float(np.mean([not _found(c(t), t) for t in cases])) for n, c in calls.items()}
         times = _timed(calls, cases)
         ours, peer = calls
-        rows.append(row(what, ours=times[ours], ours_error=missed[ours], unit="% missed", peer=peer,
+        rows.append(build_measurement(what, ours=times[ours], ours_error=missed[ours], unit="% missed", peer=peer,
                         peer_timing=times[peer], peer_error=missed[peer], bar=bar))  # fmt: skip
-        points += [Point(method=n, ms=times[n].median_ms, error=missed[n], ours=n.startswith("ours")) for n in calls]
+        points += [
+            PlotPoint(method=n, ms=times[n].median_ms, error=missed[n], ours=n.startswith("ours")) for n in calls
+        ]
         notes += [f"{n}: found {100 - missed[n]:.1f} % of {len(cases)}" for n in calls]
-    return Answer(
+    return BenchmarkResult(
         title="Poses found from 20 degrees and 2.5 mm off", unit="% missed", rows=tuple(rows), points=tuple(points),
         notes=tuple(notes),
     )  # fmt: skip
 
 
-def _found(pose_: np.ndarray, of: pose.Trial | Felt) -> bool:
+def _found(pose_: np.ndarray, of: pose.Trial | PoseTrial) -> bool:
     mm, deg = pose.error(pose_, of)
     return mm < _FOUND_MM and deg < _FOUND_DEG
 
 
 def _timed(calls, trials: list) -> dict[str, Timing]:
-    raced = [race({n: (lambda c=c, t=t: c(t)) for n, c in calls.items()}, runs=3) for t in trials[:16]]
+    raced = [time_in_turns({n: (lambda c=c, t=t: c(t)) for n, c in calls.items()}, runs=3) for t in trials[:16]]
     return {
         n: Timing(median_ms=float(np.median([r[n].median_ms for r in raced])), p95_ms=max(r[n].p95_ms for r in raced))
         for n in calls
@@ -140,4 +142,4 @@ def _timed(calls, trials: list) -> dict[str, Timing]:
 
 
 if __name__ == "__main__":
-    show(answer())
+    print_result(measure())

@@ -31,34 +31,34 @@ from scipy.stats import chi2
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.depth_reader import reader
-from benchmarks.races import Bar, row, timing
+from benchmarks.depth_helpers import build_reader
+from benchmarks.timing import Requirement, build_measurement, summarize_times
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.params import NoParams
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
-from pipeline.racing.races import Answer
-from pipeline.racing.report import show
-from pipeline.sensors.alignment import between
-from pipeline.sensors.spec import SensorSpec, names, sensor
+from pipeline.racing.results import BenchmarkResult
+from pipeline.racing.text_report import print_result
+from pipeline.sensors.alignment import resolve_alignment
+from pipeline.sensors.spec import SensorSpec, list_sensor_names, load_sensor
 from pipeline.simulation import shapes
-from pipeline.simulation.poses import paper_grid
-from pipeline.simulation.press import Press, photograph, press
-from pipeline.stages.adapt.stage import AdaptParams, adapt
-from pipeline.stages.feel import stage as feel
-from pipeline.stages.generate.stage import GenerateParams, generate
-from pipeline.stages.pose.stage import PoseParams, pose_from
-from pipeline.stages.project.stage import ProjectParams, project
+from pipeline.simulation.poses import make_paper_grid
+from pipeline.simulation.press import SimulatedPress, render_sensor_image, simulate_press
+from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.pose.signed_distances import PoseParams, track_pose
+from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
+from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch
+from pipeline.stages.touch_depth import membrane as feel
 from pipeline.values.frames import TactileFrame
-from pipeline.values.pixel_index import pixel_index
-from pipeline.values.results import DepthError, DepthMap
+from pipeline.values.pixel_index import make_pixel_index
+from pipeline.values.results import DepthErrorModel, DepthMap
 
 OBJECTS = ("letters", "curve", "cross", "star")
 """Of the catalogue's, those whose contacts determine a pose."""
 PRESSES = 6  # of each, unless said
 _DRAWS = 1000
 _WHITE_MM = 0.01
-_COMPUTED = DepthError(rms_mm=0.03, correlation_mm=0.5)  # where nobody has measured a sensor's
+_COMPUTED = DepthErrorModel(rms_mm=0.03, correlation_mm=0.5)  # where nobody has measured a sensor's
 _SOURCES = {"gelslim": "digit", "digit": "gelslim_dotless", "soft_bubble": "gelslim"}  # of what is translated
 NEEDS = "five minutes"
 _PARAMS = PoseParams(keep_steps=False)
@@ -66,10 +66,10 @@ _OFF = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Judged:
+class CovarianceScore:
     """Touches of one sensor by one depth."""
 
-    told: tuple[float, ...]  # chi-square over what a right covariance has as its median
+    normalized_chi_square: tuple[float, ...]  # chi-square over what a right covariance has as its median
     naive: tuple[float, ...]  # without the measured error
     ms: tuple[float, ...]  # a pose, of the processor
     shift_um: tuple[float, ...]  # that the pose is off at the contact's middle, where determined
@@ -78,43 +78,47 @@ class Judged:
     @property
     def ratio(self) -> float:
         """Its median."""
-        return float(np.median(self.told)) if self.told else float("nan")
+        return float(np.median(self.normalized_chi_square)) if self.normalized_chi_square else float("nan")
 
     @property
     def ratio_error(self) -> float:
         """Standard error of that median."""
-        drawn = np.random.default_rng(5).choice(self.told, (_DRAWS, len(self.told))) if self.told else np.empty((1, 0))
-        return float(np.median(drawn, axis=1).std()) if self.told else float("nan")
+        drawn = (
+            np.random.default_rng(5).choice(self.normalized_chi_square, (_DRAWS, len(self.normalized_chi_square)))
+            if self.normalized_chi_square
+            else np.empty((1, 0))
+        )
+        return float(np.median(drawn, axis=1).std()) if self.normalized_chi_square else float("nan")
 
 
 @lru_cache(maxsize=2)
-def touches(name: str, presses: int = PRESSES) -> tuple[tuple[Press, Mesh, Doubles], ...]:
+def touches(name: str, presses: int = PRESSES) -> tuple[tuple[SimulatedPress, Mesh, Doubles], ...]:
     """Presses of a sensor that converged and touch, the object, and where it was in the alignment frame."""
-    return tuple(_pressed(sensor(name), presses))
+    return tuple(_pressed(load_sensor(name), presses))
 
 
-def _pressed(spec: SensorSpec, presses: int) -> Iterator[tuple[Press, Mesh, Doubles]]:
+def _pressed(spec: SensorSpec, presses: int) -> Iterator[tuple[SimulatedPress, Mesh, Doubles]]:
     for index, name in enumerate(OBJECTS):
-        mesh = shapes.shape(name).mesh
-        for k, at in enumerate(paper_grid(mesh, n=presses, seed=17 + index)):
-            made = press(mesh, at, spec, seed=k)
+        mesh = shapes.make_shape(name).mesh
+        for k, at in enumerate(make_paper_grid(mesh, n=presses, seed=17 + index)):
+            made = simulate_press(mesh, at, spec, seed=k)
             if made.converged and made.truth.contact is not None and made.truth.contact.any():
                 yield made, mesh, at
 
 
-def measured(made: Press, spec: SensorSpec, method: str) -> DepthMap:
+def measure_depth(made: SimulatedPress, spec: SensorSpec, method: str) -> DepthMap:
     """What the slot makes of the picture."""
     rest = np.zeros(spec.camera.shape, np.float32)
-    untouched = photograph(spec, rest, spec.rest_depth_mm, 100)
-    return reader(method)(TactileFrame(sensor=spec.name, image=made.image, reference=untouched), spec)
+    untouched = render_sensor_image(spec, rest, spec.rest_depth_mm, 100)
+    return build_reader(method)(TactileFrame(sensor=spec.name, image=made.image, reference=untouched), spec)
 
 
-def modelled(made: Press, spec: SensorSpec, seed: int) -> DepthMap:
+def simulate_depth(made: SimulatedPress, spec: SensorSpec, seed: int) -> DepthMap:
     """The true membrane with white noise and a smooth error."""
     rng, limits = np.random.default_rng([seed, 23]), spec.limits
     error = _COMPUTED
     if limits.depth_rms_mm:
-        error = DepthError(rms_mm=limits.depth_rms_mm, correlation_mm=limits.depth_correlation_mm)
+        error = DepthErrorModel(rms_mm=limits.depth_rms_mm, correlation_mm=limits.depth_correlation_mm)
     sigma_px = error.correlation_mm / spec.pixel_mm / np.sqrt(2.0)
     field = gaussian_filter(rng.standard_normal(spec.camera.shape), sigma_px, mode="wrap", truncate=3.0)
     field *= error.rms_mm * 2.0 * np.sqrt(np.pi) * sigma_px  # what smoothing left of a unit variance
@@ -122,23 +126,25 @@ def modelled(made: Press, spec: SensorSpec, seed: int) -> DepthMap:
     return DepthMap(
         indentation_mm=freeze((spec.rest_depth_mm - depth).astype(np.float32)),
         depth_mm=freeze(depth.astype(np.float32)), contact=made.truth.contact, camera=spec.camera,
-        source_index=pixel_index(spec.camera.shape), error=error,
+        source_index=make_pixel_index(spec.camera.shape), error=error,
     )  # fmt: skip
 
 
-def translated(made: Press, source: SensorSpec, target: SensorSpec) -> DepthMap:
+def translate_press(made: SimulatedPress, source: SensorSpec, target: SensorSpec) -> DepthMap:
     """What the target would feel of a press of the source."""
-    cloud = adapt(measured(made, source, "network"), between(source, target), AdaptParams())
-    touch = generate(project(cloud, target, ProjectParams()), target, GenerateParams())
-    return feel.membrane(touch, target, NoParams())
+    cloud = back_project_depth(
+        measure_depth(made, source, "network"), resolve_alignment(source, target), BackProjectionParams()
+    )
+    touch = render_touch(project_cloud(cloud, target, SurfaceProjectionParams()), target, PhysicalRenderParams())
+    return feel.use_membrane(touch, target, NoParams())
 
 
-def chi_square(felt: DepthMap, truth: Doubles, mesh: Mesh) -> tuple[float, float, int] | None:
+def chi_square(touch: DepthMap, truth: Doubles, mesh: Mesh) -> tuple[float, float, int] | None:
     """(chi-square of the error over its right median, mm that the middle is off, directions that are determined).
 
     None where nothing is determined.
     """
-    found = pose_from(felt, mesh, _PARAMS, truth)
+    found = track_pose(touch, mesh, _PARAMS, truth)
     if found.sensor_from_object is None or (rank := round(float(np.trace(found.observable)))) == 0:
         return None
     off, middle = found.sensor_from_object @ rigid.invert(truth), found.scene_mm.mean(axis=0).astype(float)
@@ -148,17 +154,17 @@ def chi_square(felt: DepthMap, truth: Doubles, mesh: Mesh) -> tuple[float, float
     return told / float(chi2.median(rank)), float(np.linalg.norm(error[3:])), rank
 
 
-def judged(spec: SensorSpec, how: str, presses: int = PRESSES) -> Judged:
+def score_sensor(spec: SensorSpec, how: str, presses: int = PRESSES) -> CovarianceScore:
     """All touches of a sensor, by a method of *depth*, "modelled" or "translated"."""
     told, naive, ms, shift, rank = list[float](), list[float](), list[float](), list[float](), list[int]()
-    source = sensor(_SOURCES[spec.name]) if how == "translated" else spec
+    source = load_sensor(_SOURCES[spec.name]) if how == "translated" else spec
     for k, (made, mesh, at) in enumerate(touches(source.name, presses)):
         if how == "modelled":
-            felt = modelled(made, spec, k)
+            felt = simulate_depth(made, spec, k)
         elif how == "translated":
-            felt = translated(made, source, spec)
+            felt = translate_press(made, source, spec)
         else:
-            felt = measured(made, spec, how)
+            felt = measure_depth(made, spec, how)
         truth = rigid.invert(spec.alignment_from_sensor) @ at
         began_s = time.process_time()
         found = chi_square(felt, truth, mesh) if felt.contact.any() else None
@@ -171,14 +177,16 @@ def judged(spec: SensorSpec, how: str, presses: int = PRESSES) -> Judged:
         shift.append(1e3 * found[1])
         ms.append(taken_ms)
         naive.append(found[0] if plain is None else plain[0])
-    return Judged(told=tuple(told), naive=tuple(naive), ms=tuple(ms), shift_um=tuple(shift), rank=tuple(rank))
+    return CovarianceScore(
+        normalized_chi_square=tuple(told), naive=tuple(naive), ms=tuple(ms), shift_um=tuple(shift), rank=tuple(rank)
+    )
 
 
 def error_of_depth(spec: SensorSpec, how: str, presses: int) -> str:
     """Over touches: rms in contact, the length at which the error's correlation is exp(-1/2), and what is told."""
     found: list[tuple[float, float, float]] = []
     for made, _mesh, _at in touches(spec.name, presses):
-        told = measured(made, spec, how)
+        told = measure_depth(made, spec, how)
         both = told.contact & made.truth.contact
         if both.sum() < 100:
             continue
@@ -206,24 +214,24 @@ def _ways(spec: SensorSpec) -> tuple[str, ...]:
     return (*own, "translated") if spec.name in _SOURCES else own
 
 
-def answer(part: str = "", way: str = "", presses: int | str = PRESSES) -> Answer:
+def measure(part: str = "", way: str = "", presses: int | str = PRESSES) -> BenchmarkResult:
     n_presses = int(presses)
     rows, notes = [], []
-    for spec in (sensor(name) for name in names() if part in name):
+    for spec in (load_sensor(name) for name in list_sensor_names() if part in name):
         for how in (how for how in _ways(spec) if way in how):
-            found = judged(spec, how, n_presses)
-            if not found.told:
+            found = score_sensor(spec, how, n_presses)
+            if not found.normalized_chi_square:
                 notes.append(f"{spec.name}, {how}: no touch determines any direction")
                 continue
             factor, plain = (max(r, 1.0 / r) for r in (found.ratio, float(np.median(found.naive))))
-            rows.append(row(
-                f"{spec.name}, {how}: covariance, times off", ours=timing(found.ms), ours_error=factor,
-                unit="times", bar=Bar(error=_OFF), peer="residuals alone", peer_error=plain,
+            rows.append(build_measurement(
+                f"{spec.name}, {how}: covariance, times off", ours=summarize_times(found.ms), ours_error=factor,
+                unit="times", bar=Requirement(max_error=_OFF), peer="residuals alone", peer_error=plain,
             ))  # fmt: skip
-            low, high = np.percentile(found.told, (25, 75))
+            low, high = np.percentile(found.normalized_chi_square, (25, 75))
             told = (
                 f"{spec.name}, {how}: chi-square {found.ratio:.2f} of a right one's, give or take "
-                f"{found.ratio_error:.2f} ({low:.2f} to {high:.2f}: half of {len(found.told)} touches), "
+                f"{found.ratio_error:.2f} ({low:.2f} to {high:.2f}: half of {len(found.normalized_chi_square)} touches), "
                 f"{np.median(found.naive):.2f} without the measured error; middle off "
                 f"{np.median(found.shift_um):.0f} um; {np.mean(found.rank):.1f} of 6 directions determined"
             )
@@ -232,8 +240,10 @@ def answer(part: str = "", way: str = "", presses: int | str = PRESSES) -> Answe
             elif how != "modelled":
                 told += f"; depth off by {error_of_depth(spec, how, n_presses)}"
             notes.append(told)
-    return Answer(title="Errors of poses beside their covariance", unit="times", rows=tuple(rows), notes=tuple(notes))
+    return BenchmarkResult(
+        title="Errors of poses beside their covariance", unit="times", rows=tuple(rows), notes=tuple(notes)
+    )
 
 
 if __name__ == "__main__":
-    show(answer(*sys.argv[1:4]))
+    print_result(measure(*sys.argv[1:4]))

@@ -23,15 +23,15 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar
+from benchmarks.timing import Requirement
 from pipeline.base.arrays import freeze
 from pipeline.base.errors import TouchError
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
-from pipeline.racing.races import Answer, Row
-from pipeline.sensors.spec import SensorSpec, names, sensor
+from pipeline.racing.results import BenchmarkResult, Measurement
+from pipeline.sensors.spec import SensorSpec, list_sensor_names, load_sensor
 from pipeline.simulation import shapes
-from pipeline.simulation.press import Press, press
+from pipeline.simulation.press import SimulatedPress, simulate_press
 
 _SHARES = (0.125, 0.2, 0.33)  # of the sensor's own pixels along each side
 DEPTHS_MM = {
@@ -61,19 +61,19 @@ def main() -> None:
     print(f"{asked.n} presses in {spent:.0f} s, {sum(n for o, n in counts.items() if o.startswith('FAILED'))} failed")
 
 
-def answer(n: int = 200, seed: int = 1) -> Answer:
+def measure(n: int = 200, seed: int = 1) -> BenchmarkResult:
     """Failures among fewer presses than the command line asks for, which none may be."""
     counts, by_sensor, spent, bad = run(n, seed)
     failed = sum(count for outcome, count in counts.items() if outcome.startswith("FAILED"))
-    bar = Bar(error=0.0)
-    row = Row(
+    bar = Requirement(max_error=0.0)
+    row = Measurement(
         question=f"{n} random presses of every sensor", peer="", ours_ms=1e3 * spent / n, peer_ms=math.nan,
-        ratio=math.nan, ours_error=float(failed), peer_error=math.nan, unit="failed", bar=bar.told("failed"),
-        holds=bar.holds((1e3 * spent / n, float(failed)), (math.nan, math.nan)),
+        ratio=math.nan, ours_error=float(failed), peer_error=math.nan, unit="failed", bar=bar.describe("failed"),
+        holds=bar.is_met((1e3 * spent / n, float(failed)), (math.nan, math.nan)),
     )  # fmt: skip
     told = tuple(f"{outcome}: {count}" for outcome, count in counts.most_common())
     each = tuple(f"{name}: {done} presses, {1e3 * s / done:.0f} ms each" for name, (done, s) in by_sensor.items())
-    return Answer(title="Random presses", unit="failed", rows=(row,), notes=(*told, *each, *bad[:20]))
+    return BenchmarkResult(title="Random presses", unit="failed", rows=(row,), notes=(*told, *each, *bad[:20]))
 
 
 def run(n: int, seed: int) -> tuple[Counter[str], dict[str, tuple[int, float]], float, list[str]]:
@@ -84,7 +84,7 @@ def run(n: int, seed: int) -> tuple[Counter[str], dict[str, tuple[int, float]], 
     began = time.perf_counter()
     for k in range(n):
         rng = np.random.default_rng((seed, k))
-        spec = small_sensor(names()[k % len(names())], _SHARES[int(rng.integers(len(_SHARES)))])
+        spec = small_sensor(list_sensor_names()[k % len(list_sensor_names())], _SHARES[int(rng.integers(len(_SHARES)))])
         thing, pose, kind = random_press(rng)
         started = time.perf_counter()
         outcome = outcome_of(thing, pose, spec, int(rng.integers(2**31)))
@@ -99,15 +99,15 @@ def run(n: int, seed: int) -> tuple[Counter[str], dict[str, tuple[int, float]], 
 @lru_cache(maxsize=64)
 def small_sensor(name: str, share: float) -> SensorSpec:
     """A sensor with fewer pixels over the same view."""
-    whole = sensor(name)
-    camera = whole.camera.scaled(share)
+    whole = load_sensor(name)
+    camera = whole.camera.scale(share)
     return replace(whole, camera=camera, rest_depth_mm=whole.membrane.rest_depth_mm(camera))
 
 
 def outcome_of(thing: Mesh, pose: np.ndarray, spec: SensorSpec, seed: int) -> str:
     """What became of one press, in a few words; those that must not be begin with FAILED."""
     try:
-        pressed = press(thing, pose, spec, seed=seed)
+        pressed = simulate_press(thing, pose, spec, seed=seed)
     except TouchError as error:
         return f"refused: {type(error).__name__}"
     except Exception as error:  # noqa: BLE001 (any other exception is what is looked for)
@@ -120,7 +120,7 @@ def outcome_of(thing: Mesh, pose: np.ndarray, spec: SensorSpec, seed: int) -> st
     return "touched" if pressed.truth.contact is not None and pressed.truth.contact.any() else "not touched"
 
 
-def contradiction(pressed: Press, spec: SensorSpec) -> str:
+def contradiction(pressed: SimulatedPress, spec: SensorSpec) -> str:
     """What of a press cannot be true; empty = nothing."""
     moved, contact = pressed.truth.indentation_mm, pressed.truth.contact
     if moved is None or contact is None:
@@ -162,7 +162,7 @@ def random_press(rng: np.random.Generator) -> tuple[Mesh, np.ndarray, str]:
 @lru_cache(maxsize=1)
 def catalogue() -> tuple[Mesh, ...]:
     """The shapes that come with the project."""
-    return tuple(shapes.shape(name).mesh for name in shapes.names())
+    return tuple(shapes.make_shape(name).mesh for name in shapes.list_shapes())
 
 
 def _any_turn(rng: np.random.Generator) -> np.ndarray:
@@ -204,7 +204,7 @@ def _prism(rng: np.random.Generator) -> Mesh:
     n = int(rng.integers(3, 9))
     angle, radius = np.arange(n) * 2 * np.pi / n, rng.uniform(0.5, 20.0)
     outline = [(radius * np.cos(a), radius * np.sin(a)) for a in angle]
-    return shapes.bar(outline, 8.0, min(0.5, 0.1 * radius), f"{n}-sided prism")
+    return shapes.make_chamfered_prism(outline, 8.0, min(0.5, 0.1 * radius), f"{n}-sided prism")
 
 
 def _rubble(rng: np.random.Generator) -> Mesh:

@@ -16,7 +16,7 @@ The correlation is Pearson's between the indentation and the lab's depth over th
 contact. The reference is once the first frame, once the median of the first frames that show the same, as when a
 recording is opened. Panels are enlarged to the sensor's own pixels first. The lab's depth is a peer, not truth.
 
-It lies in another frame than its picture (`benchmarks/laid_depth.py`), so the correlation stands once more with the
+It lies in another frame than its picture (`benchmarks/panel_registration.py`), so the correlation stands once more with the
 lab's depth laid on the touch first: by one transform for all clips, fitted to the edges in two of them and scored on
 the other two, and the other way round. Each two are of both fingers and of both things. Beside it, as the peer, how
 much the lab's own depth, so laid, is like itself as it was: an exact depth would score about that in the row above.
@@ -34,14 +34,23 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks import laid_depth
-from benchmarks.depth_reader import Reader, at_scale, largest_patch, numbered, patches, picture, reader, sphere
-from benchmarks.races import Bar, row, timing
-from benchmarks.recorded import recorded_data
-from pipeline.racing.races import Answer
-from pipeline.racing.report import show
-from pipeline.recordings.untouched import steadied
-from pipeline.sensors.spec import sensor
+from benchmarks import panel_registration
+from benchmarks.data_folder import recorded_data
+from benchmarks.depth_helpers import (
+    DepthReader,
+    at_scale,
+    build_reader,
+    largest_patch,
+    list_numbered_files,
+    patches,
+    picture,
+    sphere,
+)
+from benchmarks.timing import Requirement, build_measurement, summarize_times
+from pipeline.racing.results import BenchmarkResult
+from pipeline.racing.text_report import print_result
+from pipeline.recordings.reference_denoising import denoise_reference
+from pipeline.sensors.spec import load_sensor
 from pipeline.values.frames import TactileFrame
 
 NEEDS = "recorded data"
@@ -54,7 +63,7 @@ _HALVES = (("finray_left", "hex_key_right"), ("finray_right", "hex_key_left"))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Looked:
+class PressResult:
     """A frame of a clip."""
 
     touched: bool  # as the lab sees it
@@ -64,7 +73,7 @@ class Looked:
     ms: float
 
 
-def balls(read: Reader, files, still, source):
+def balls(read: DepthReader, files, still, source):
     """Of every press: diameter in mm, rms in mm, number of patches, time in ms."""
     found = []
     for index, file in enumerate(files):
@@ -77,7 +86,7 @@ def balls(read: Reader, files, still, source):
     return np.array(found).T
 
 
-def told(label, found, diameter_mm, bars):
+def build_rows(label, found, diameter_mm, bars):
     """Rows of diameter, residual and patches, and a note, of `balls`."""
     diameter, rms, n, ms = found
     error = np.nan_to_num(100 * np.abs(diameter / diameter_mm - 1), nan=100.0)
@@ -86,7 +95,7 @@ def told(label, found, diameter_mm, bars):
         ("residual", float(np.nanmedian(rms)), "mm", bars[1]),
         ("presses with stray patches", float((n > 1).sum()), "presses", bars[2]),
     )
-    rows = [row(f"{label}: {what}", ours=timing(ms), ours_error=value, unit=unit, bar=bar)
+    rows = [build_measurement(f"{label}: {what}", ours=summarize_times(ms), ours_error=value, unit=unit, bar=bar)
             for what, value, unit, bar in values]  # fmt: skip
     bias = 100 * (np.nanmedian(diameter) / diameter_mm - 1)
     note = (
@@ -96,66 +105,66 @@ def told(label, found, diameter_mm, bars):
     return rows, note
 
 
-def minis(read: Reader, data: Path):
-    folder, mini = data / "gsmini_balls", sensor("gelsight_mini")
+def minis(read: DepthReader, data: Path):
+    folder, mini = data / "gsmini_balls", load_sensor("gelsight_mini")
     still = picture(folder / "background.png")
     for diameter_mm, name in ((9.5, "9.500"), (6.31, "6.310")):
-        files = numbered(folder, f"ball_{name}mm_*.png")
-        bars = (Bar(error=10), Bar(error=0.03), Bar(error=2))
-        yield told(f"Mini, {diameter_mm:g} mm", balls(read, files, still, mini), diameter_mm, bars)
+        files = list_numbered_files(folder, f"ball_{name}mm_*.png")
+        bars = (Requirement(max_error=10), Requirement(max_error=0.03), Requirement(max_error=2))
+        yield build_rows(f"Mini, {diameter_mm:g} mm", balls(read, files, still, mini), diameter_mm, bars)
 
 
-def gelslims(read: Reader, data: Path):
-    folder, plain = data / "gelslim3_balls", sensor("gelslim")
-    still, files = picture(folder / "ref.jpg"), numbered(folder, "sample_*.jpg")
-    bars = (Bar(error=12), Bar(), Bar(error=2))
+def gelslims(read: DepthReader, data: Path):
+    folder, plain = data / "gelslim3_balls", load_sensor("gelslim")
+    still, files = picture(folder / "ref.jpg"), list_numbered_files(folder, "sample_*.jpg")
+    bars = (Requirement(max_error=12), Requirement(), Requirement(max_error=2))
     width = _GELSLIM3_MM_PER_PX
     found = balls(read, files, still, at_scale(plain, width))
-    yield told(f"GelSlim 3, 7.6 mm, {width:g} mm/px given", found, 7.6, bars)
+    yield build_rows(f"GelSlim 3, 7.6 mm, {width:g} mm/px given", found, 7.6, bars)
     for _ in range(_FITTING_TURNS):
         width *= 7.6 / np.nanmedian(found[0])
         found = balls(read, files[::_FITTED_TO], still, at_scale(plain, width))
     found = balls(read, files, still, at_scale(plain, width))
-    yield told(f"GelSlim 3, 7.6 mm, {width:.4f} mm/px fitted", found, 7.6, bars)
+    yield build_rows(f"GelSlim 3, 7.6 mm, {width:.4f} mm/px fitted", found, 7.6, bars)
 
 
-def digits(read: Reader, data: Path):
-    folder, digit = data / "digit_balls", sensor("digit")
-    still, files = picture(folder / "background.png"), numbered(folder, "0*.png")
+def digits(read: DepthReader, data: Path):
+    folder, digit = data / "digit_balls", load_sensor("digit")
+    still, files = picture(folder / "background.png"), list_numbered_files(folder, "0*.png")
     diameter, rms, n, ms = balls(read, files, still, digit)
-    values = (("presses without contact", float((n == 0).sum()), "presses", Bar(error=0)),
-              ("residual", float(np.nanmedian(rms)), "mm", Bar(error=0.02)),
-              ("presses with stray patches", float((n > 1).sum()), "presses", Bar()))  # fmt: skip
-    rows = [row(f"DIGIT balls: {what}", ours=timing(ms), ours_error=value, unit=unit, bar=bar)
+    values = (("presses without contact", float((n == 0).sum()), "presses", Requirement(max_error=0)),
+              ("residual", float(np.nanmedian(rms)), "mm", Requirement(max_error=0.02)),
+              ("presses with stray patches", float((n > 1).sum()), "presses", Requirement()))  # fmt: skip
+    rows = [build_measurement(f"DIGIT balls: {what}", ours=summarize_times(ms), ours_error=value, unit=unit, bar=bar)
             for what, value, unit, bar in values]  # fmt: skip
     low, middle, high = np.nanpercentile(diameter, (10, 50, 90))
     yield rows, f"DIGIT balls: diameters {low:.1f} to {high:.1f} mm (p10, p90), median {middle:.1f} mm"
 
 
-def clip(read: Reader, folder: Path, *, steady: bool):
+def clip(read: DepthReader, folder: Path, *, steady: bool):
     """What was read of every second frame after the first, and the clip's edges."""
-    source = sensor("gelslim")
+    source = load_sensor("gelslim")
     rows, cols = source.camera.shape
 
-    def enlarged(image):
+    def enlarge(image):
         return cv2.resize(image, (cols, rows), interpolation=cv2.INTER_CUBIC)
 
-    pictures = [picture(file) for file in numbered(folder, "touch_*.png")]
-    depths = [_deep(file) for file in numbered(folder, "lab_depth_*.png")]
-    still, found = enlarged(pictures[0]), []
+    pictures = [picture(file) for file in list_numbered_files(folder, "touch_*.png")]
+    depths = [_deep(file) for file in list_numbered_files(folder, "lab_depth_*.png")]
+    still, found = enlarge(pictures[0]), []
     if steady:
-        still, _ = steadied(still, (enlarged(image) for image in pictures[1:]))
+        still, _ = denoise_reference(still, (enlarge(image) for image in pictures[1:]))
     for index in range(1, len(pictures), _EVERY):
-        frame = TactileFrame(sensor=source.name, image=enlarged(pictures[index]), reference=still, index=index)
+        frame = TactileFrame(sensor=source.name, image=enlarge(pictures[index]), reference=still, index=index)
         started = time.perf_counter()
         answer = read(frame, source)
         ms = 1e3 * (time.perf_counter() - started)
         deep = depths[index]
         ours = cv2.resize(answer.indentation_mm, deep.shape[::-1], interpolation=cv2.INTER_AREA)
-        found.append(Looked(touched=_touched(deep), found=bool(answer.contact.any()), ours=ours, deep=deep, ms=ms))
+        found.append(PressResult(touched=_touched(deep), found=bool(answer.contact.any()), ours=ours, deep=deep, ms=ms))
     with_contact = [index for index in range(1, len(pictures)) if _touched(depths[index])]
     of_contact = ([images[index] for index in with_contact] for images in (pictures, depths))
-    return found, laid_depth.edges(*of_contact, still=pictures[0].astype(np.float32))
+    return found, panel_registration.edges(*of_contact, still=pictures[0].astype(np.float32))
 
 
 def _deep(file: Path) -> np.ndarray:
@@ -167,7 +176,7 @@ def _touched(deep: np.ndarray) -> bool:
     return bool((deep > _DARKER_GREY).mean() > _DARK_SHARE)
 
 
-def clips(read: Reader, data: Path):
+def clips(read: DepthReader, data: Path):
     for steady, label in ((False, "first frame"), (True, "median of first frames")):
         looked, edges, notes = {}, {}, []
         for name in _CLIPS:
@@ -176,33 +185,35 @@ def clips(read: Reader, data: Path):
             notes.append(f"{name}: {len(looked[name])} frames, told right {right:.2f}, correlation {alike:.2f}")
         every = [frame for name in _CLIPS for frame in looked[name]]
         right, alike = right_and_alike(every)
-        ms = timing([frame.ms for frame in every])
-        ours, itself, laid_notes = laid(looked, edges)
-        rows = [row(f"GelSlim 4 clips, {label}: frames told wrong", ours=ms, ours_error=1 - right, unit="share",
-                    bar=Bar(error=0.07)),
-                row(f"GelSlim 4 clips, {label}: 1 - correlation with the lab's depth", ours=ms, ours_error=1 - alike,
-                    unit="", bar=Bar(error=0.25)),
-                row(f"GelSlim 4 clips, {label}: 1 - correlation, the lab's depth laid on the touch first", ours=ms,
+        ms = summarize_times([frame.ms for frame in every])
+        ours, itself, laid_notes = compare_registered_depth(looked, edges)
+        rows = [build_measurement(f"GelSlim 4 clips, {label}: frames told wrong", ours=ms, ours_error=1 - right, unit="share",
+                    bar=Requirement(max_error=0.07)),
+                build_measurement(f"GelSlim 4 clips, {label}: 1 - correlation with the lab's depth", ours=ms, ours_error=1 - alike,
+                    unit="", bar=Requirement(max_error=0.25)),
+                build_measurement(f"GelSlim 4 clips, {label}: 1 - correlation, the lab's depth laid on the touch first", ours=ms,
                     ours_error=1 - ours, peer="the lab's own, as it was", peer_error=1 - itself, unit="",
-                    bar=Bar())]  # fmt: skip
+                    bar=Requirement())]  # fmt: skip
         yield rows, f"{label}: " + "; ".join(notes) + "; laid on the touch: " + "; ".join(laid_notes)
 
 
-def right_and_alike(found: list[Looked]) -> tuple[float, float]:
+def right_and_alike(found: list[PressResult]) -> tuple[float, float]:
     right = float(np.mean([frame.touched == frame.found for frame in found]))
-    return right, float(np.median([laid_depth.alike(frame.ours, frame.deep) for frame in found if frame.touched]))
+    return right, float(
+        np.median([panel_registration.correlate(frame.ours, frame.deep) for frame in found if frame.touched])
+    )
 
 
-def laid(looked, edges):
+def compare_registered_depth(looked, edges):
     """Median correlations with the lab's depth laid on the touch, of our depth and of the lab's as it was; notes."""
     every, notes = [], []
     for fitted_on, scored_on in (_HALVES, _HALVES[::-1]):
-        lay = laid_depth.fitted([edges[name] for name in fitted_on])
+        lay = panel_registration.fit_panel_map([edges[name] for name in fitted_on])
         for name in scored_on:
             pairs = []
             for frame in (frame for frame in looked[name] if frame.touched):
-                there, known = lay.laid(frame.deep)
-                pairs.append([laid_depth.alike(one, there, known) for one in (frame.ours, frame.deep)])
+                there, known = lay.warp(frame.deep)
+                pairs.append([panel_registration.correlate(one, there, known) for one in (frame.ours, frame.deep)])
             ours, itself = np.median(pairs, axis=0)
             every += pairs
             notes.append(f"{name} {ours:.2f}, the lab's own {itself:.2f} (x{lay.scale_x:.2f} x{lay.scale_y:.2f}, "
@@ -211,10 +222,10 @@ def laid(looked, edges):
     return float(ours), float(itself), notes
 
 
-def answer(method: str = "network", data: str = "") -> Answer:
-    folder, read = recorded_data(data), reader(method)
+def measure(method: str = "network", data: str = "") -> BenchmarkResult:
+    folder, read = recorded_data(data), build_reader(method)
     found = [*minis(read, folder), *gelslims(read, folder), *digits(read, folder), *clips(read, folder)]
-    return Answer(
+    return BenchmarkResult(
         title=f"Depth of real, uncalibrated units by {method}",
         unit="%",
         rows=tuple(row for rows, _ in found for row in rows),
@@ -223,4 +234,4 @@ def answer(method: str = "network", data: str = "") -> Answer:
 
 
 if __name__ == "__main__":
-    show(answer(*sys.argv[1:3]))
+    print_result(measure(*sys.argv[1:3]))

@@ -21,14 +21,14 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, row, timing
-from benchmarks.recorded import recorded_data
+from benchmarks.data_folder import recorded_data
+from benchmarks.timing import Requirement, build_measurement, summarize_times
 from pipeline.calibration.balls import calibrate_balls
 from pipeline.geometry.camera import Camera
 from pipeline.physics import gel, optics
-from pipeline.racing.races import Answer
-from pipeline.racing.report import show
-from pipeline.sensors.spec import sensor
+from pipeline.racing.results import BenchmarkResult
+from pipeline.racing.text_report import print_result
+from pipeline.sensors.spec import load_sensor
 
 NEEDS = "recorded data"
 _MAX_PRESSES = 24  # of each sensor
@@ -44,7 +44,7 @@ def read(path: Path):
     return np.ascontiguousarray(cv2.imread(str(path))[..., ::-1])
 
 
-def numbered(folder: Path, pattern: str) -> list[Path]:
+def list_numbered_files(folder: Path, pattern: str) -> list[Path]:
     return sorted(folder.glob(pattern), key=lambda p: int("".join(c for c in p.stem.split("_")[-1] if c.isdigit())))
 
 
@@ -56,7 +56,7 @@ def at_scale(source, pixel_mm):
     return dataclasses.replace(source, camera=camera)
 
 
-def pressed(source, pixel_mm, fit, radius_mm):
+def press_ball(source, pixel_mm, fit, radius_mm):
     """(surface, depth) of the ball pressed until its contact has the area of the circle found."""
     y, x = np.mgrid[: source.camera.rows, : source.camera.cols]
     r_sq = ((x - fit.x_px) ** 2 + (y - fit.y_px) ** 2) * pixel_mm**2
@@ -65,7 +65,7 @@ def pressed(source, pixel_mm, fit, radius_mm):
     low, high = 0.0, 0.9 * radius_mm
     for _ in range(9):
         depth = 0.5 * (low + high)
-        answer = gel.press(source.gel, pixel_mm, depth + cap, tolerance_mm=1e-3)
+        answer = gel.press_gel(source.gel, pixel_mm, depth + cap, tolerance_mm=1e-3)
         low, high = (depth, high) if answer.contact.sum() < wanted else (low, depth)
     return answer.indentation_mm, depth
 
@@ -73,22 +73,22 @@ def pressed(source, pixel_mm, fit, radius_mm):
 def on_reference(source, still, surface):
     """The built-in optics' change of colour on the real untouched picture."""
     plain = dataclasses.replace(source, markers=None)
-    change = optics.render(plain, surface, seed=None).astype(np.float32) - optics.untouched(plain)
+    change = optics.render(plain, surface, seed=None).astype(np.float32) - optics.render_reference(plain)
     return np.clip(still + change, 0, 255)
 
 
-def measured(name, data, folder_name, reference, pattern, diameter_mm, scale):
+def measure_sensor(name, data, folder_name, reference, pattern, diameter_mm, scale):
     """(row, note, some presses real and simulated) of one sensor."""
-    source, folder = sensor(name), data / folder_name
+    source, folder = load_sensor(name), data / folder_name
     if scale is not None:
         source = at_scale(source, scale)
     still = read(folder / reference)
-    pictures = [read(p) for p in numbered(folder, pattern)][:_MAX_PRESSES]
+    pictures = [read(p) for p in list_numbered_files(folder, pattern)][:_MAX_PRESSES]
     pixel_mm = source.pixel_mm
     everything = calibrate_balls(pictures, still, source, diameter_mm, pixel_mm=pixel_mm)
     errors, biases, taken, changes, depths, shown = [], [], [], [], [], []
     for fit in (fit for fit in everything.presses if fit.used):
-        surface, depth = pressed(source, pixel_mm, fit, diameter_mm / 2)
+        surface, depth = press_ball(source, pixel_mm, fit, diameter_mm / 2)
         real = pictures[fit.index].astype(np.float32)
         started = time.perf_counter()
         made = on_reference(source, still, surface)
@@ -102,9 +102,9 @@ def measured(name, data, folder_name, reference, pattern, diameter_mm, scale):
         biases.append(float(off.mean()))
         if len(shown) < _SHOWN:
             shown.append(np.vstack([real, made]).astype(np.uint8))
-    found = row(
-        f"{name}, built-in optics", peer="no change at all", ours=timing(taken), ours_error=float(np.median(errors)),
-        peer_error=float(np.median(changes)), unit="grey", bar=Bar(),
+    found = build_measurement(
+        f"{name}, built-in optics", peer="no change at all", ours=summarize_times(taken), ours_error=float(np.median(errors)),
+        peer_error=float(np.median(changes)), unit="grey", bar=Requirement(),
     )  # fmt: skip
     told = f"median depth {np.median(depths):.2f} mm; simulated less real: {np.median(biases):+.1f}"
     return found, f"{name}: {len(depths)} presses, {told}", shown
@@ -114,12 +114,12 @@ def rms(off) -> float:
     return float(np.sqrt(np.mean(off**2)))
 
 
-def answer(data: str = "", sheet: str = "") -> Answer:
+def measure(data: str = "", sheet: str = "") -> BenchmarkResult:
     folder = recorded_data(data)
-    found = [measured(name, folder, *how) for name, *how in _SENSORS]
+    found = [measure_sensor(name, folder, *how) for name, *how in _SENSORS]
     if sheet:
         save_sheet([picture for _, _, shown in found for picture in shown], sheet)
-    return Answer(
+    return BenchmarkResult(
         title="Simulated presses of a ball beside real ones, colour error in the contact",
         unit="grey",
         rows=tuple(row for row, _, _ in found),
@@ -133,4 +133,4 @@ def save_sheet(columns, sheet: str) -> None:
 
 
 if __name__ == "__main__":
-    show(answer(*sys.argv[1:3]))
+    print_result(measure(*sys.argv[1:3]))

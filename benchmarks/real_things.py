@@ -21,12 +21,12 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.depth_reader import numbered, picture, reader
-from benchmarks.races import Bar, row, timing
-from benchmarks.recorded import recorded_data
-from pipeline.racing.races import Answer
-from pipeline.racing.report import show
-from pipeline.sensors.spec import sensor
+from benchmarks.data_folder import recorded_data
+from benchmarks.depth_helpers import build_reader, list_numbered_files, picture
+from benchmarks.timing import Requirement, build_measurement, summarize_times
+from pipeline.racing.results import BenchmarkResult
+from pipeline.racing.text_report import print_result
+from pipeline.sensors.spec import load_sensor
 from pipeline.values.frames import TactileFrame
 
 NEEDS = "recorded data"
@@ -73,7 +73,7 @@ def circle_of(n_px: int) -> float:
     return straight(x**2 + y**2 <= r**2)
 
 
-def drawn(image, answer):
+def draw_depth(image, answer):
     level = np.clip(answer.indentation_mm / _WHITE_MM * 255, 0, 255).astype(np.uint8)
     depth = np.ascontiguousarray(np.repeat(level[..., None], 3, axis=2))
     found, _ = cv2.findContours(answer.contact.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
@@ -81,12 +81,12 @@ def drawn(image, answer):
     return np.hstack([image, depth])
 
 
-def answer(sheet: str = "", method: str = "network", data: str = "") -> Answer:
-    folder, read, mini = recorded_data(data) / "mini_things", reader(method), sensor("gelsight_mini")
+def measure(sheet: str = "", method: str = "network", data: str = "") -> BenchmarkResult:
+    folder, read, mini = recorded_data(data) / "mini_things", build_reader(method), load_sensor("gelsight_mini")
     rows, shown = [], []
     for thing in sorted(path for path in folder.iterdir() if path.is_dir()):
         still, taken, crumbs, blobs, stairs, pieces, line = picture(thing / "ref.jpg"), [], 0, 0, [], [], []
-        for index, file in enumerate(numbered(thing, "frame_*.jpg")):
+        for index, file in enumerate(list_numbered_files(thing, "frame_*.jpg")):
             frame = TactileFrame(sensor=mini.name, image=picture(file), reference=still, index=index)
             started = time.perf_counter()
             found = read(frame, mini)
@@ -97,19 +97,21 @@ def answer(sheet: str = "", method: str = "network", data: str = "") -> Answer:
             pieces.append(len(areas))
             if found.contact.any():
                 stairs.append(straight(found.contact) - circle_of(int(areas.max())))
-            line.append(drawn(frame.image, found))
+            line.append(draw_depth(frame.image, found))
         shown.append(np.hstack(line))
         told = f"{thing.name} ({', '.join(map(str, pieces))} parts)"
-        figures = (("crumbs", crumbs, "parts", Bar(error=0)), ("corner blobs", blobs, "parts", Bar(error=0)),
-                   ("stairs", float(np.mean(stairs)) if stairs else 0.0, "share", Bar(error=0.1)))  # fmt: skip
+        figures = (("crumbs", crumbs, "parts", Requirement(max_error=0)), ("corner blobs", blobs, "parts", Requirement(max_error=0)),
+                   ("stairs", float(np.mean(stairs)) if stairs else 0.0, "share", Requirement(max_error=0.1)))  # fmt: skip
         own = _OWN_LOOK.get(thing.name.split("_")[0], ())
         for what, value, unit, bar in figures:
-            kept = Bar() if what in own else bar
-            rows.append(row(f"{told}: {what}", ours=timing(taken), ours_error=value, unit=unit, bar=kept))
+            kept = Requirement() if what in own else bar
+            rows.append(
+                build_measurement(f"{told}: {what}", ours=summarize_times(taken), ours_error=value, unit=unit, bar=kept)
+            )
     if sheet:
         cv2.imwrite(sheet, np.vstack(shown)[..., ::-1])
-    return Answer(title=f"Contact of everyday things on a Mini, by {method}", unit="", rows=tuple(rows))
+    return BenchmarkResult(title=f"Contact of everyday things on a Mini, by {method}", unit="", rows=tuple(rows))
 
 
 if __name__ == "__main__":
-    show(answer(*sys.argv[1:4]))
+    print_result(measure(*sys.argv[1:4]))

@@ -19,86 +19,88 @@ from scipy import ndimage
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, race, row
 from benchmarks.sphere_scene import open3d_splat, scene
-from pipeline.racing.races import Answer, Point, Row
-from pipeline.racing.report import show
+from benchmarks.timing import Requirement, build_measurement, time_in_turns
+from pipeline.racing.results import BenchmarkResult, Measurement, PlotPoint
+from pipeline.racing.text_report import print_result
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.adapt.stage import AdaptParams, adapt
-from pipeline.stages.project.drawing import rasterised
-from pipeline.stages.project.stage import PaperParams, ProjectParams, project
-from pipeline.values.results import Cloud, DepthMap, TargetView
+from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.target_depth.rasterisation import rasterise_surface
+from pipeline.stages.target_depth.surface_projection import PointSplatParams, SurfaceProjectionParams, project_cloud
+from pipeline.values.results import Cloud, DepthMap, TargetDepth
 
-SURFACE, PAPER = ProjectParams(), PaperParams()
+SURFACE, PAPER = SurfaceProjectionParams(), PointSplatParams()
 _SCENES = ((0, 1), (20, 1), (45, 1), (20, 3))  # degrees aside, target resolution
 
 
-def answer() -> Answer:
-    rows: list[Row] = []
-    points: list[Point] = []
+def measure() -> BenchmarkResult:
+    rows: list[Measurement] = []
+    points: list[PlotPoint] = []
     notes: list[str] = []
     for angle_deg, factor in _SCENES:
         depth_map, alignment, target, exact = scene(angle_deg, factor)
-        cloud = adapt(depth_map, alignment, AdaptParams())
+        cloud = back_project_depth(depth_map, alignment, BackProjectionParams())
         calls = {
-            "surface": lambda c=cloud, t=target: drawn(c, t),
-            "surface, whole stage": lambda c=cloud, t=target: project(c, t, SURFACE).depth_mm,
+            "surface": lambda c=cloud, t=target: draw_depth(c, t),
+            "surface, whole stage": lambda c=cloud, t=target: project_cloud(c, t, SURFACE).depth_mm,
             "adapt and surface": lambda d=depth_map, a=alignment, t=target: reproject(d, a, t).depth_mm,
-            "paper": lambda c=cloud, t=target: project(c, t, PAPER).depth_mm,
+            "paper": lambda c=cloud, t=target: project_cloud(c, t, PAPER).depth_mm,
             "Open3D splat": open3d_splat(cloud, target.camera),
         }
         found = {name: call() for name, call in calls.items()}
-        inside = eroded(np.isfinite(found["surface"]))
+        inside = erode(np.isfinite(found["surface"]))
         error = {name: _error(depth, exact, inside) for name, depth in found.items()}
-        times = race(calls, runs=25)
+        times = time_in_turns(calls, runs=25)
         size = f"{angle_deg} deg, {target.camera.rows}x{target.camera.cols}"
         # At 3x the splat has holes, which its error does not count; there the claim is that the surface has none.
-        bar = Bar(faster=1.0, closer=300.0) if factor == 1 else Bar(closer=50.0)
-        rows.append(row(
+        bar = Requirement(min_speedup=1.0, min_error_ratio=300.0) if factor == 1 else Requirement(min_error_ratio=50.0)
+        rows.append(build_measurement(
             f"reprojected sphere, {size}", peer="Open3D project_to_depth_image", ours=times["surface"], unit="mm",
             ours_error=error["surface"], peer_timing=times["Open3D splat"], peer_error=error["Open3D splat"], bar=bar,
         ))  # fmt: skip
-        rows.append(row(
+        rows.append(build_measurement(
             f"the same with mask, notes and index maps, {size}", peer="Open3D project_to_depth_image", unit="mm",
             ours=times["surface, whole stage"], ours_error=error["surface, whole stage"],
-            peer_timing=times["Open3D splat"], peer_error=error["Open3D splat"], bar=Bar(closer=bar.closer),
+            peer_timing=times["Open3D splat"], peer_error=error["Open3D splat"], bar=Requirement(min_error_ratio=bar.min_error_ratio),
         ))  # fmt: skip
         points += [
-            Point(method=f"{name}, {size}", ms=times[name].median_ms, error=error[name], ours=name != "Open3D splat")
+            PlotPoint(
+                method=f"{name}, {size}", ms=times[name].median_ms, error=error[name], ours=name != "Open3D splat"
+            )
             for name in calls
         ]
-        holes = {name: int((enclosed(found["surface"]) & ~(np.nan_to_num(d) > 0)).sum()) for name, d in found.items()}
+        holes = {name: int((fill_holes(found["surface"]) & ~(np.nan_to_num(d) > 0)).sum()) for name, d in found.items()}
         notes.append(f"{size}: holes {holes['surface']} in the surface, {holes['Open3D splat']} in Open3D's splat")
     rows.append(_preview())
-    return Answer(title="reprojection onto a sphere seen from aside", unit="mm", rows=tuple(rows), points=tuple(points),
+    return BenchmarkResult(title="reprojection onto a sphere seen from aside", unit="mm", rows=tuple(rows), points=tuple(points),
                   notes=tuple(notes))  # fmt: skip
 
 
-def reproject(depth: DepthMap, alignment: Alignment, target: SensorSpec, stride: int = 1) -> TargetView:
+def reproject(depth: DepthMap, alignment: Alignment, target: SensorSpec, stride: int = 1) -> TargetDepth:
     """Adapt and project in one go."""
-    return project(adapt(depth, alignment, AdaptParams(stride=stride)), target, SURFACE)
+    return project_cloud(back_project_depth(depth, alignment, BackProjectionParams(stride=stride)), target, SURFACE)
 
 
-def drawn(cloud: Cloud, target: SensorSpec) -> np.ndarray:
+def draw_depth(cloud: Cloud, target: SensorSpec) -> np.ndarray:
     """The surface as a depth image (rows, cols)."""
     limits = {"jump_mm": SURFACE.jump_mm, "grazing_deg": SURFACE.grazing_deg}
-    drawing = rasterised(cloud, target.camera, target.membrane, **limits)
+    drawing = rasterise_surface(cloud, target.camera, target.membrane, **limits)
     return drawing.depth_mm.reshape(target.camera.shape)
 
 
-def _preview() -> Row:
+def _preview() -> Measurement:
     """Adapt and project at a quarter of the resolution, as while an alignment is dragged."""
     depth_map, alignment, target, _ = scene(20, 1)
-    small = target.seen_through(target.camera.scaled(0.25))
+    small = target.with_camera(target.camera.scale(0.25))
     _, _, _, exact = scene(20, 0.25)
 
     def run() -> np.ndarray:
         return reproject(depth_map, alignment, small, stride=4).depth_mm
 
     depth = run()
-    return row("quarter-resolution preview of adapt and project", ours=race({"ours": run})["ours"], unit="mm",
-               ours_error=_error(depth, exact, eroded(np.isfinite(depth))), bar=Bar(ms=2.0, error=1e-3))  # fmt: skip
+    return build_measurement("quarter-resolution preview of adapt and project", ours=time_in_turns({"ours": run})["ours"], unit="mm",
+               ours_error=_error(depth, exact, erode(np.isfinite(depth))), bar=Requirement(max_ms=2.0, max_error=1e-3))  # fmt: skip
 
 
 def _error(depth_mm: np.ndarray, exact_mm: np.ndarray, inside: np.ndarray) -> float:
@@ -106,15 +108,15 @@ def _error(depth_mm: np.ndarray, exact_mm: np.ndarray, inside: np.ndarray) -> fl
     return float(np.abs(depth_mm - exact_mm)[seen].mean())
 
 
-def enclosed(depth_mm: np.ndarray) -> np.ndarray:
+def fill_holes(depth_mm: np.ndarray) -> np.ndarray:
     """The pixels that are drawn or that drawn ones close in."""
     return ndimage.binary_fill_holes(np.isfinite(depth_mm))
 
 
-def eroded(mask: np.ndarray) -> np.ndarray:
+def erode(mask: np.ndarray) -> np.ndarray:
     padded = np.pad(mask, 1)
     return mask & padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:]
 
 
 if __name__ == "__main__":
-    show(answer())
+    print_result(measure())

@@ -21,26 +21,26 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.likeness import similarity
-from benchmarks.races import Bar, row, timing
+from benchmarks.image_similarity import compute_similarity
+from benchmarks.timing import Requirement, build_measurement, summarize_times
 from pipeline.base.progress import SILENT
-from pipeline.engine.graph import Instead, Skipped
-from pipeline.evaluation.metrics import iou
+from pipeline.engine.graph import Fallback, Skipped
 from pipeline.geometry import rigid
+from pipeline.metrics.stage_metrics import iou
 from pipeline.physics import bubble_camera, optics
-from pipeline.racing.races import Answer, Point
-from pipeline.racing.report import show
+from pipeline.racing.results import BenchmarkResult, PlotPoint
+from pipeline.racing.text_report import print_result
 from pipeline.sensors import alignment
-from pipeline.sensors.spec import sensor
+from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import datasets, poses, shapes
-from pipeline.simulation.press import press
-from pipeline.simulation.variation import varied
-from pipeline.stages.adapt.stage import AdaptParams, adapt
-from pipeline.stages.depth.slot import SLOT as DEPTH
-from pipeline.stages.generate.diffusion import DiffusionParams
-from pipeline.stages.generate.slot import PHYSICS, T2D2
-from pipeline.stages.generate.stage import GenerateParams
-from pipeline.stages.project.stage import ProjectParams, project
+from pipeline.simulation.press import simulate_press
+from pipeline.simulation.variation import vary_sensor
+from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.depth.stage import STAGE as DEPTH
+from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
+from pipeline.stages.touch.physical_render import PhysicalRenderParams
+from pipeline.stages.touch.residual_diffusion import DiffusionParams
+from pipeline.stages.touch.stage import PHYSICS, T2D2
 from pipeline.values.frames import TactileFrame
 
 _SPLITS = {"unseen grasps": ("training", 2), "unseen tools": ("unseen", 4)}  # group, grasps of each object
@@ -66,7 +66,7 @@ class _Felt:
     known: np.ndarray
 
 
-def answer(only_target: str = "", only_source: str = "", quick: str = "") -> Answer:
+def measure(only_target: str = "", only_source: str = "", quick: str = "") -> BenchmarkResult:
     rows, points, notes = [], [], []
     asked = [d for d in _DIRECTIONS if only_source in ("", d[0]) and only_target in ("", d[1])]
     ways = dict(list(_WAYS.items())[:1]) if quick else _WAYS
@@ -80,47 +80,49 @@ def answer(only_target: str = "", only_source: str = "", quick: str = "") -> Ans
                     _calibration(felt[:_SPREAD_TOUCHES], _described(target)),
                 )
                 notes += [f"{source} to {target}, {split}: {said}" for said in about]
-    return Answer(
+    return BenchmarkResult(
         title="residual diffusion beside the physical render", unit="mm", rows=tuple(rows), points=tuple(points),
         notes=tuple(notes),
     )  # fmt: skip
 
 
-def _race(what, split, felt, target, rows, points, notes, ways) -> None:
-    by_physics, spent = _touches(PHYSICS, GenerateParams(), felt, target)
-    theirs = _errors(by_physics, felt)
-    notes.append(f"{what}: {len(felt)} touches; physics {_said(by_physics, felt, target)}")
+def _race(what, split, touches, target, rows, points, notes, ways) -> None:
+    by_physics, spent = _touches(PHYSICS, PhysicalRenderParams(), touches, target)
+    theirs = _errors(by_physics, touches)
+    notes.append(f"{what}: {len(touches)} touches; physics {_said(by_physics, touches, target)}")
     for way, params in ways.items():
-        made, taken = _touches(T2D2, params, felt, target)
+        made, taken = _touches(T2D2, params, touches, target)
         if made is None:
             notes.append(f"{what}: {taken}")
             return
-        ours = _errors(made, felt)
+        ours = _errors(made, touches)
         for k, region in enumerate(_REGIONS):
             closer = {0: 1 / _SHARES[split] if target.kind == "bubble" else 1.0, 1: 1.0}.get(k)
-            bar = Bar(closer=closer) if way == "1 step" and closer else Bar()
-            rows.append(row(f"{what}, {way}: {region}", peer="physics", ours=taken, peer_timing=spent, unit="mm",
+            bar = Requirement(min_error_ratio=closer) if way == "1 step" and closer else Requirement()
+            rows.append(build_measurement(f"{what}, {way}: {region}", peer="physics", ours=taken, peer_timing=spent, unit="mm",
                             ours_error=ours[k], peer_error=theirs[k], bar=bar))  # fmt: skip
-        points.append(Point(method=f"{what}, {way}", ms=taken.median_ms, error=ours[0], ours=True))
-        notes.append(f"{what}: {way} {_said(made, felt, target)}")
+        points.append(PlotPoint(method=f"{what}, {way}", ms=taken.median_ms, error=ours[0], ours=True))
+        notes.append(f"{what}: {way} {_said(made, touches, target)}")
 
 
-def _long(felt, target) -> str:
+def _long(touches, target) -> str:
     """The paper's number of steps and guidance beside one and eight steps of the same network, physics left out."""
     told = []
     for params in (_PAPER, DiffusionParams(), DiffusionParams(steps=8)):
-        made, taken = _touches(T2D2, params, felt, target)
-        _, without = _touches(T2D2, replace(params, steps=0), felt, target)
-        alike = np.mean([similarity(m.image, f.image, _range(target)) for m, f in zip(made, felt, strict=True)])
+        made, taken = _touches(T2D2, params, touches, target)
+        _, without = _touches(T2D2, replace(params, steps=0), touches, target)
+        alike = np.mean(
+            [compute_similarity(m.image, f.image, _range(target)) for m, f in zip(made, touches, strict=True)]
+        )
         name = f"{params.steps} steps at {params.guidance:g}"
         told.append(f"{name} {taken.median_ms - without.median_ms:.0f} ms, SSIM {alike:.4f}")
     return "; ".join(told)
 
 
-def _calibration(felt, target) -> str:
+def _calibration(touches, target) -> str:
     """How large the spread over seeds is where the error of the samples' mean is of some size, and how they agree."""
     spread, off, told = [], [], []
-    for f in felt:
+    for f in touches:
         made = [_touches(T2D2, DiffusionParams(steps=8, seed=s), [f], target)[0][0].membrane for s in range(_SEEDS)]
         stack = np.stack([m.indentation_mm for m in made])
         spread.append(stack.std(0, ddof=1).ravel())
@@ -136,30 +138,32 @@ def _calibration(felt, target) -> str:
 
 
 def _all_felt(source: str, target: str, group: str, grasps: int) -> list[_Felt]:
-    return [f for k, name in enumerate(shapes.names(group) * grasps) if (f := _felt(source, target, name, k))]
+    return [f for k, name in enumerate(shapes.list_shapes(group) * grasps) if (f := _felt(source, target, name, k))]
 
 
 def _felt(source_name: str, target_name: str, name: str, k: int) -> _Felt | None:
-    thing = shapes.shape(name).mesh
-    pose = poses.single(thing, np.random.default_rng([13, k]))
+    thing = shapes.make_shape(name).mesh
+    pose = poses.sample_press_pose(thing, np.random.default_rng([13, k]))
     described, target = _described(source_name), _described(target_name)
-    unit = varied(described, 900 + k)
-    reading = press(thing, pose, unit, seed=2 * k)
+    unit = vary_sensor(described, 900 + k)
+    reading = simulate_press(thing, pose, unit, seed=2 * k)
     if not reading.truth.contact.any():
         return None
-    own = press(thing, pose, target, seed=None)
+    own = simulate_press(thing, pose, target, seed=None)
     if unit.kind == "gel":
-        reference = optics.untouched(unit)
+        reference = optics.render_reference(unit)
     else:
-        reference = bubble_camera.reading(unit, unit.rest_depth_mm, 2 * k + 1)
+        reference = bubble_camera.simulate_depth_frame(unit, unit.rest_depth_mm, 2 * k + 1)
     frame = TactileFrame(sensor=source_name, image=reading.image, reference=reference)
-    cloud = adapt(_read(frame, described), alignment.between(described, target), AdaptParams())
-    view = project(cloud, target, ProjectParams())
+    cloud = back_project_depth(
+        _read(frame, described), alignment.resolve_alignment(described, target), BackProjectionParams()
+    )
+    view = project_cloud(cloud, target, SurfaceProjectionParams())
     if not own.truth.contact.any() or not view.contact.any():
         return None
     truth = own.truth
     return _Felt(
-        view=view, truth_mm=truth.indentation_mm, contact=truth.contact, image=own.image, known=view.known
+        view=view, truth_mm=truth.indentation_mm, contact=truth.contact, image=own.image, known=view.in_view
     )  # fmt: skip
 
 
@@ -168,47 +172,47 @@ def _read(frame: TactileFrame, source):
     method = DEPTH.methods[0]
     extra = () if method.weights is None else (method.weights(source, source, None),)
     found = method.run(frame, source, None, *extra, method.params(), SILENT)
-    found = found.answer if isinstance(found, Instead) else found
+    found = found.answer if isinstance(found, Fallback) else found
     return found.output if isinstance(found, Skipped) else found
 
 
 def _described(name: str):
-    spec = sensor(name)
+    spec = load_sensor(name)
     if spec.kind != "bubble":
         return spec
     nearer = rigid.translation(0.0, 0.0, datasets.BUBBLE_DEEPER_MM) @ spec.alignment_from_sensor
     return replace(spec, alignment_from_sensor=nearer)
 
 
-def _touches(method, params, felt, target):
+def _touches(method, params, touches, target):
     """(touches, time), or (None, why) where there are no weights."""
     extra = () if method.weights is None else (method.weights(target, target, None),)
     made, taken = [], []
-    for f in felt:
+    for f in touches:
         started = time.perf_counter()
         touch = method.run(f.view, target, *extra, params, SILENT)
         taken.append(1e3 * (time.perf_counter() - started))
-        if isinstance(touch, Instead):
+        if isinstance(touch, Fallback):
             return None, touch.why
         made.append(touch.output if isinstance(touch, Skipped) else touch)
-    return made, timing(taken)
+    return made, summarize_times(taken)
 
 
-def _errors(made, felt) -> tuple[float, ...]:
+def _errors(made, touches) -> tuple[float, ...]:
     found = []
-    for touch, f in zip(made, felt, strict=True):
+    for touch, f in zip(made, touches, strict=True):
         off = np.abs(touch.membrane.indentation_mm - f.truth_mm)
         regions = (f.contact, np.ones_like(f.contact), f.known, ~f.known)
         found.append([off[r].mean() if r.any() else np.nan for r in regions])
     return tuple(np.nanmean(found, axis=0)) if np.isfinite(found).any() else (np.nan,) * 4
 
 
-def _said(made, felt, target) -> str:
-    overlap = np.mean([iou(m.membrane.contact, f.contact) for m, f in zip(made, felt, strict=True)])
-    pairs = [(np.asarray(m.image, float), np.asarray(f.image, float)) for m, f in zip(made, felt, strict=True)]
+def _said(made, touches, target) -> str:
+    overlap = np.mean([iou(m.membrane.contact, f.contact) for m, f in zip(made, touches, strict=True)])
+    pairs = [(np.asarray(m.image, float), np.asarray(f.image, float)) for m, f in zip(made, touches, strict=True)]
     span = _range(target)
     noise = np.mean([min(100.0, 10 * np.log10(span**2 / max(((a - b) ** 2).mean(), 1e-12))) for a, b in pairs])
-    alike = np.mean([similarity(m.image, f.image, _range(target)) for m, f in zip(made, felt, strict=True)])
+    alike = np.mean([compute_similarity(m.image, f.image, _range(target)) for m, f in zip(made, touches, strict=True)])
     return f"IoU {overlap:.3f}, PSNR {noise:.2f} dB, SSIM {alike:.4f}"
 
 
@@ -217,4 +221,4 @@ def _range(target) -> float:
 
 
 if __name__ == "__main__":
-    show(answer(*sys.argv[1:]))
+    print_result(measure(*sys.argv[1:]))

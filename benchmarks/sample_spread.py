@@ -21,18 +21,18 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, row, timing
+from benchmarks.timing import Requirement, build_measurement, summarize_times
 from pipeline.base.files import whole_file
-from pipeline.evaluation import distances
+from pipeline.evaluation import touch_features
+from pipeline.evaluation.held_out import HeldOutOptions, load_or_simulate
+from pipeline.evaluation.paper_tables import parse_direction
+from pipeline.evaluation.recorded_touch import build_recorded_touch, compute_generated_change
+from pipeline.metrics import set_distances
 from pipeline.networks.weights import NoWeights
-from pipeline.racing.races import Answer
-from pipeline.racing.report import show
+from pipeline.racing.results import BenchmarkResult
+from pipeline.racing.text_report import print_result
 from pipeline.recordings import open_recording
-from pipeline.scoring import features
-from pipeline.scoring.compared import generated, recorded
-from pipeline.scoring.evaluation import direction
-from pipeline.scoring.held_out import HeldOut, recordings
-from pipeline.sensors.spec import sensor
+from pipeline.sensors.spec import load_sensor
 from pipeline.translation.catalogue import BUILT_IN, default_params
 from pipeline.translation.translate import Request, open_translation
 
@@ -40,7 +40,7 @@ SEEDS, STEPS, PARTS = 5, 8, 5
 GRASPS = {"unseen_grasps": 2, "unseen_tools": 4}
 
 
-class Measured:
+class SampleStatistics:
     """What is added up over touches."""
 
     def __init__(self) -> None:
@@ -53,10 +53,12 @@ class Measured:
         self.ms: list[float] = []
 
 
-def measured(method: str, source: str, target: str, split: str, folder: str = "", guidance: float = 1.0) -> Measured:
-    found = Measured()
-    held_out = HeldOut(grasps=GRASPS[split], folder=Path(folder) if folder else None)
-    for presses in recordings(split, held_out):
+def measure_direction(
+    method: str, source: str, target: str, split: str, folder: str = "", guidance: float = 1.0
+) -> SampleStatistics:
+    found = SampleStatistics()
+    held_out = HeldOutOptions(grasps=GRASPS[split], folder=Path(folder) if folder else None)
+    for presses in load_or_simulate(split, held_out):
         request = Request(recording=presses.source, source=source, target=target, methods=(("touch", method),))
         with closing(open_translation(request)) as opened, closing(open_recording(presses.target)) as other:
             both = replace(opened.recording, streams=(opened.recording.stream(source), other.stream(target)))
@@ -66,16 +68,16 @@ def measured(method: str, source: str, target: str, split: str, folder: str = ""
     return found
 
 
-def _touch(found: Measured, one, index: int, guidance: float) -> None:
-    true = recorded(*one.truth_of_target(index))
+def _touch(found: SampleStatistics, one, index: int, guidance: float) -> None:
+    true = build_recorded_touch(*one.read_target_observation(index))
     usual = default_params(one.methods)
     plain, graph = replace(usual["touch"], caution=0.0), one.graph()
 
     def touch(params):
         return graph.evaluate(["touch"], one.inputs(index), {**usual, "touch": params})["touch"].output
 
-    def seen(what, made):
-        feature = features.of(one.target, generated(made, one.target))
+    def add_features(what, made):
+        feature = touch_features.encode_change(one.target, compute_generated_change(made, one.target))
         if feature is not None:
             found.seen[what].append(feature)
 
@@ -93,16 +95,16 @@ def _touch(found: Measured, one, index: int, guidance: float) -> None:
     found.said.append(middle.membrane.spread_mm[where])
     found.apart.append(float(np.abs(stack[1:] - stack[:-1])[:, where].mean()))
     found.astray.append(float(np.abs(stack - true.indentation_mm)[:, where].mean()))
-    seen("sample", samples[0])
-    seen("one step", middle)
-    seen("begun with", touch(replace(plain, steps=0)))
-    seen("true", _own(one, true))
+    add_features("sample", samples[0])
+    add_features("one step", middle)
+    add_features("begun with", touch(replace(plain, steps=0)))
+    add_features("true", _own(one, true))
 
 
 def _own(one, true):
-    from pipeline.stages.generate.pictured import touch_of
+    from pipeline.stages.touch.touch_from_change import make_touch_from_change
 
-    return touch_of(one.target, true.change)
+    return make_touch_from_change(one.target, true.change)
 
 
 def by_parts(guess: np.ndarray, off: np.ndarray) -> list[tuple[float, float]]:
@@ -110,15 +112,15 @@ def by_parts(guess: np.ndarray, off: np.ndarray) -> list[tuple[float, float]]:
     return [(float(guess[p].mean()), float(off[p].mean())) for p in np.array_split(np.argsort(guess), PARTS)]
 
 
-def answer(
+def measure(
     method: str = "t2t", way: str = "gelslim:soft_bubble", split: str = "unseen_tools", plot: str = "",
     folder: str = "", guidance: str = "1",
-) -> Answer:  # fmt: skip
-    source, target = direction(way)
-    known = BUILT_IN.method("touch", method).weights(sensor(source), sensor(target), None)
+) -> BenchmarkResult:  # fmt: skip
+    source, target = parse_direction(way)
+    known = BUILT_IN.method("touch", method).weights(load_sensor(source), load_sensor(target), None)
     if isinstance(known, NoWeights):
-        return Answer(title="spread of samples", unit="mm", rows=(), notes=(known.why,))
-    found = measured(method, source, target, split, folder, float(guidance))
+        return BenchmarkResult(title="spread of samples", unit="mm", rows=(), notes=(known.why,))
+    found = measure_direction(method, source, target, split, folder, float(guidance))
     spread, off, said = (np.concatenate(v) for v in (found.spread, found.off, found.said))
     parts = {"spread over seeds": by_parts(spread, off), "spread that one step tells": by_parts(said, off)}
     notes = [f"{name} against the error of the samples' mean, by fifths of the pixels, mm: "
@@ -128,16 +130,20 @@ def answer(
         f"where anything is; correlation of spread and error {np.corrcoef(spread, off)[0, 1]:.2f}"
     )
     true = np.array(found.seen.pop("true"))
-    if len(true) >= 2 * distances.FEWEST:
-        told = {k: distances.across_halves(distances.frechet, np.array(v), true) for k, v in found.seen.items() if v}
-        floor = distances.floor(distances.frechet, true)
+    if len(true) >= 2 * set_distances.FEWEST:
+        told = {
+            k: set_distances.compare_halves(set_distances.frechet_distance, np.array(v), true)
+            for k, v in found.seen.items()
+            if v
+        }
+        floor = set_distances.compute_floor(set_distances.frechet_distance, true)
         notes.append("Frechet distance: " + ", ".join(f"{k} {v:.3g}" for k, v in told.items())
                      + f"; two halves of the true touches {floor:.3g}")  # fmt: skip
     if plot:
         _draw(parts, Path(plot), f"{method}, {source} to {target}, {split.replace('_', ' ')}")
-    one = row(f"{method}, {source} to {target}, {split}: sample from truth", ours=timing(found.ms), unit="mm",
-              ours_error=float(np.mean(found.astray)), bar=Bar())  # fmt: skip
-    return Answer(title="spread of samples", unit="mm", rows=(one,), notes=tuple(notes))
+    one = build_measurement(f"{method}, {source} to {target}, {split}: sample from truth", ours=summarize_times(found.ms), unit="mm",
+              ours_error=float(np.mean(found.astray)), bar=Requirement())  # fmt: skip
+    return BenchmarkResult(title="spread of samples", unit="mm", rows=(one,), notes=tuple(notes))
 
 
 def _draw(parts, path: Path, title: str) -> None:
@@ -158,4 +164,4 @@ def _draw(parts, path: Path, title: str) -> None:
 
 
 if __name__ == "__main__":
-    show(answer(*sys.argv[1:]))
+    print_result(measure(*sys.argv[1:]))

@@ -17,10 +17,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, race, row
-from pipeline.networks.samplers import Solver, sample, sigmas
-from pipeline.racing.races import Answer, Point, Row
-from pipeline.racing.report import show
+from benchmarks.timing import Requirement, build_measurement, time_in_turns
+from pipeline.networks.samplers import Solver, make_sigma_schedule, sample
+from pipeline.racing.results import BenchmarkResult, Measurement, PlotPoint
+from pipeline.racing.text_report import print_result
 from tests.pipeline.networks.mixtures import PICKED, denoiser, modes
 
 STEPS = (5, 8, 10, 16, 25, 50)
@@ -34,9 +34,9 @@ _SETTINGS = (  # name, scale of the points, spread, largest noise, weight of gui
 )
 
 
-def answer() -> Answer:
-    rows: list[Row] = []
-    points: list[Point] = []
+def measure() -> BenchmarkResult:
+    rows: list[Measurement] = []
+    points: list[PlotPoint] = []
     for name, scale, spread, most, weight in _SETTINGS:
         picked, whole = denoiser(modes(scale)[:PICKED], spread), denoiser(modes(scale), spread)
 
@@ -47,27 +47,29 @@ def answer() -> Answer:
             return away + weight * (picked(noisy, sigma) - away)
 
         noise = np.random.default_rng(1).normal(size=(200, modes().shape[1]))
-        truth = sample(denoise, noise, sigmas(1000, most=most, least=_LEAST)).clean
+        truth = sample(denoise, noise, make_sigma_schedule(1000, sigma_max=most, sigma_min=_LEAST)).clean
 
         def run(solver: Solver, steps: int, denoise=denoise, noise=noise, most=most):
-            return sample(denoise, noise, sigmas(steps, most=most, least=_LEAST), solver=solver).clean
+            return sample(
+                denoise, noise, make_sigma_schedule(steps, sigma_max=most, sigma_min=_LEAST), solver=solver
+            ).clean
 
         for steps in STEPS:
             calls = {s: lambda s=s, n=steps: run(s, n) for s in ("ddim", "dpmpp_2m", "corrected")}
             error = {s: math.sqrt(((c() - truth) ** 2).mean() / (truth**2).mean()) for s, c in calls.items()}
-            times = race(calls, runs=3)
+            times = time_in_turns(calls, runs=3)
             best = min(("ddim", "dpmpp_2m"), key=error.__getitem__)
-            rows.append(row(
+            rows.append(build_measurement(
                 f"{name}: {steps} steps", peer=f"the better of two, {best}", ours=times["corrected"],
                 ours_error=error["corrected"], peer_timing=times[best], peer_error=error[best], unit="of the data",
-                bar=Bar(closer=0.9),  # no worse, but for a tenth where they are level
+                bar=Requirement(min_error_ratio=0.9),  # no worse, but for a tenth where they are level
             ))  # fmt: skip
             points += [
-                Point(method=f"{s}, {name}", ms=times[s].median_ms, error=error[s], ours=s == "corrected")
+                PlotPoint(method=f"{s}, {name}", ms=times[s].median_ms, error=error[s], ours=s == "corrected")
                 for s in calls
             ]
-    return Answer(title="denoising steps", unit="of the data", rows=tuple(rows), points=tuple(points))
+    return BenchmarkResult(title="denoising steps", unit="of the data", rows=tuple(rows), points=tuple(points))
 
 
 if __name__ == "__main__":
-    show(answer())
+    print_result(measure())

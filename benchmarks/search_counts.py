@@ -20,18 +20,18 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, row, timing
+from benchmarks.timing import Requirement, build_measurement, summarize_times
 from pipeline.base.arrays import freeze
-from pipeline.evaluation.symmetric import symmetric_error
 from pipeline.geometry import rigid
-from pipeline.racing.races import Answer
-from pipeline.racing.report import show
+from pipeline.metrics.symmetric_pose_error import compute_symmetric_error
+from pipeline.racing.results import BenchmarkResult
+from pipeline.racing.text_report import print_result
 from pipeline.registration import search
-from pipeline.sensors.spec import sensor
+from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
-from pipeline.simulation.press import press
-from pipeline.stages.pose.stage import PoseParams, pose
-from pipeline.values.pixel_index import pixel_index
+from pipeline.simulation.press import simulate_press
+from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose
+from pipeline.values.pixel_index import make_pixel_index
 from pipeline.values.results import DepthMap
 
 NEEDS = "fifteen minutes"
@@ -46,41 +46,41 @@ _PARAMS = PoseParams(keep_steps=False)
 
 def touches():
     """(felt touch, object, true sensor_from_object) of every training object, on its own side and tilted."""
-    told = sensor("digit")
-    for index, name in enumerate(shapes.names("training")):
-        thing = shapes.shape(name)
+    told = load_sensor("digit")
+    for index, name in enumerate(shapes.list_shapes("training")):
+        thing = shapes.make_shape(name)
         for depth_mm in _DEPTHS_MM:
             rng = np.random.default_rng([index, round(100 * depth_mm)])
             at = rigid.rotation((*rng.uniform(-0.07, 0.07, 2), rng.uniform(-np.pi, np.pi)))
             at[2, 3] = -depth_mm - rigid.apply(at, thing.mesh.vertices_mm)[:, 2].min()
-            found = press(thing.mesh, at, told, seed=index)
+            found = simulate_press(thing.mesh, at, told, seed=index)
             if not (found.converged and found.truth.contact.any()):
                 continue
             moved = found.truth.indentation_mm + _NOISE_MM * rng.standard_normal(told.camera.shape)
             yield DepthMap(
                 indentation_mm=freeze(moved.astype(np.float32)), contact=found.truth.contact, camera=told.camera,
                 depth_mm=freeze((told.rest_depth_mm - moved).astype(np.float32)),
-                source_index=pixel_index(told.camera.shape),
+                source_index=make_pixel_index(told.camera.shape),
             ), thing, found.truth.sensor_from_object  # fmt: skip
 
 
-def judged(case) -> tuple[bool, float]:
+def measure_search(case) -> tuple[bool, float]:
     """(whether it is missed, milliseconds)."""
     felt, thing, truth = case
     began_s = time.process_time()
-    found = pose(felt, thing.mesh, _PARAMS)
+    found = estimate_pose(felt, thing.mesh, _PARAMS)
     taken_ms = 1e3 * (time.process_time() - began_s)
     if found.sensor_from_object is None or found.observable is None:
         return True, taken_ms
     middle = found.scene_mm.mean(axis=0)
     off = [
-        symmetric_error(p, truth, thing.mesh, thing.symmetry, middle, found.observable)
+        compute_symmetric_error(p, truth, thing.mesh, thing.symmetry, middle, found.observable)
         for p in (found.sensor_from_object, *found.alternatives)
     ]
     return all(e.observable_mm > _FOUND_MM or e.observable_deg > _FOUND_DEG for e in off), taken_ms
 
 
-def raced(name: str, cases) -> dict[int, tuple[float, list[float]]]:
+def vary_count(name: str, cases) -> dict[int, tuple[float, list[float]]]:
     """(% missed, milliseconds of each) by the count's half, itself and its double."""
     value = getattr(search, name)
     taken: dict[int, list[tuple[bool, float]]] = {n: [] for n in (max(value // 2, 1), value, 2 * value)}
@@ -88,30 +88,30 @@ def raced(name: str, cases) -> dict[int, tuple[float, list[float]]]:
         for case in cases:
             for other, found in taken.items():
                 setattr(search, name, other)
-                found.append(judged(case))
+                found.append(measure_search(case))
     finally:
         setattr(search, name, value)
     return {n: (100.0 * float(np.mean([m for m, _ in found])), [ms for _, ms in found]) for n, found in taken.items()}
 
 
-def answer(part: str = "") -> Answer:
+def measure(part: str = "") -> BenchmarkResult:
     cases = list(touches())
     for case in cases:
-        judged(case)  # compiled, and grids at hand
+        measure_search(case)  # compiled, and grids at hand
     rows = []
     for name in (n for n in COUNTS if part in n):
-        value, beside = getattr(search, name), raced(name, cases)
+        value, beside = getattr(search, name), vary_count(name, cases)
         usual, usual_ms = beside.pop(value)
         best = min(beside, key=lambda n: (beside[n][0], np.median(beside[n][1])))
         told = ", ".join(f"{n}: {missed:.1f} %, {np.median(ms):.0f} ms" for n, (missed, ms) in beside.items())
-        bar = Bar(closer=1.0, faster=0.9 if beside[best][0] == usual else None)
-        rows.append(row(
-            f"search.{name} = {value}", peer=told, ours=timing(usual_ms), peer_timing=timing(beside[best][1]),
+        bar = Requirement(min_error_ratio=1.0, min_speedup=0.9 if beside[best][0] == usual else None)
+        rows.append(build_measurement(
+            f"search.{name} = {value}", peer=told, ours=summarize_times(usual_ms), peer_timing=summarize_times(beside[best][1]),
             ours_error=usual, peer_error=beside[best][0], unit="% missed", bar=bar,
         ))  # fmt: skip
-    return Answer(title="Counts of the pose's search beside their half and double", unit="% missed", rows=tuple(rows),
+    return BenchmarkResult(title="Counts of the pose's search beside their half and double", unit="% missed", rows=tuple(rows),
                   notes=(f"{len(cases)} touches",))  # fmt: skip
 
 
 if __name__ == "__main__":
-    show(answer(*sys.argv[1:2]))
+    print_result(measure(*sys.argv[1:2]))

@@ -25,20 +25,20 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.depth_reader import reader
-from benchmarks.races import Bar, row, timing
-from pipeline.evaluation.metrics import iou, mean_abs_mm
+from benchmarks.depth_helpers import build_reader
+from benchmarks.timing import Requirement, build_measurement, summarize_times
 from pipeline.geometry import rigid
+from pipeline.metrics.stage_metrics import iou, mean_abs_mm
 from pipeline.physics import optics
-from pipeline.racing.races import Answer
-from pipeline.racing.report import show
-from pipeline.sensors.spec import sensor
+from pipeline.racing.results import BenchmarkResult
+from pipeline.racing.text_report import print_result
+from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
-from pipeline.simulation.press import press
-from pipeline.simulation.variation import varied
+from pipeline.simulation.press import simulate_press
+from pipeline.simulation.variation import vary_sensor
 from pipeline.stages.depth import contact
-from pipeline.stages.depth.stage import DepthParams
-from pipeline.translation.touched import telling_touches
+from pipeline.stages.depth.photometric import DepthParams
+from pipeline.translation.frame_selection import select_context_images
 from pipeline.values.frames import Stream, TactileFrame
 
 _SENSORS = ("gelslim", "gelsight_mini", "digit")
@@ -50,58 +50,58 @@ _LIGHT_PRESSES = 32
 _RECORDINGS, _FRAMES = 4, 8
 
 
-def pressed(read, source, unit, thing, *, depth_mm, place, turn, seed):
+def measure_press(read, source, unit, thing, *, depth_mm, place, turn, seed):
     """(answer, truth, force, ms) of a press whose foremost point goes in by `depth_mm`; None where it is not felt."""
-    felt = pressed_on(unit, thing, depth_mm=depth_mm, place=place, turn=turn, seed=seed)
+    felt = press_foremost(unit, thing, depth_mm=depth_mm, place=place, turn=turn, seed=seed)
     if felt is None:
         return None
-    frame = TactileFrame(sensor=source.name, image=felt.image, reference=optics.untouched(unit))
+    frame = TactileFrame(sensor=source.name, image=felt.image, reference=optics.render_reference(unit))
     started = time.perf_counter()
     answer = read(frame, source)
     return answer, felt.truth, felt.force_n, 1e3 * (time.perf_counter() - started)
 
 
-def pressed_on(unit, thing, *, depth_mm, place, turn, seed):
+def press_foremost(unit, thing, *, depth_mm, place, turn, seed):
     """A press whose foremost point goes in by `depth_mm`; None where it is not felt."""
     pose = rigid.translation(*place, 0.0) @ rigid.rotation((0.0, 0.0, turn))
     pose[2, 3] = -depth_mm - rigid.apply(pose, thing.vertices_mm)[:, 2].min()
-    felt = press(thing, pose, unit, seed=seed)
+    felt = simulate_press(thing, pose, unit, seed=seed)
     return felt if felt.converged and felt.truth.contact.any() else None
 
 
 def by_rule(indentation_mm, source):
     """The contact that the rule finds in exact depth."""
-    return contact.touched(indentation_mm, source.pixel_mm, least_mm=source.limits.contact_min_mm,
+    return contact.detect_contact(indentation_mm, source.pixel_mm, least_mm=source.limits.contact_min_mm,
                            pressure_share=DepthParams().pressure_share, smoothing_px=1.0)  # fmt: skip
 
 
 def tools(read, name: str):
     """Rows of one sensor, and what they hide."""
-    source = sensor(name)
+    source = load_sensor(name)
     for depth_mm, most_um in _DEPTHS_UM.items():
         rng, found = np.random.default_rng(round(1000 * depth_mm)), []
-        for index, tool in enumerate(shapes.names("unseen")):
-            felt = pressed(read, source, varied(source, 100 + index), shapes.shape(tool).mesh, depth_mm=depth_mm,
+        for index, tool in enumerate(shapes.list_shapes("unseen")):
+            felt = measure_press(read, source, vary_sensor(source, 100 + index), shapes.make_shape(tool).mesh, depth_mm=depth_mm,
                            place=rng.uniform(-2.5, 2.5, 2), turn=rng.uniform(-3, 3), seed=index)  # fmt: skip
             if felt is not None:
                 answer, truth, _, ms = felt
                 inside = truth.contact
                 off = [1e3 * mean_abs_mm(answer.indentation_mm, truth.indentation_mm, of) for of in (inside, ~inside)]
-                off.append(1e3 * mean_abs_mm(scaled(answer, truth), truth.indentation_mm, inside))
+                off.append(1e3 * mean_abs_mm(scale_to_truth(answer, truth), truth.indentation_mm, inside))
                 exact = iou(by_rule(truth.indentation_mm, source), inside)
                 found.append((1 - iou(answer.contact, inside), *off, exact, ms))
         wrong, inside_um, outside_um, shape_um, exact, ms = np.array(found).T
         label = f"{name}, unseen tools, {depth_mm:g} mm"
         note = f"{label}: IoU of each {_listed(1 - wrong)}; by the rule in exact depth {_listed(exact)}"
         yield (
-            row(f"{label}: contact", ours=timing(ms), ours_error=wrong.mean(), unit="1 - IoU", bar=Bar(error=0.10)),
-            row(f"{label}: depth in contact", ours=timing(ms), ours_error=inside_um.mean(), unit="um",
-                bar=Bar(error=most_um)),
+            build_measurement(f"{label}: contact", ours=summarize_times(ms), ours_error=wrong.mean(), unit="1 - IoU", bar=Requirement(max_error=0.10)),
+            build_measurement(f"{label}: depth in contact", ours=summarize_times(ms), ours_error=inside_um.mean(), unit="um",
+                bar=Requirement(max_error=most_um)),
         ), (f"{note}; beside the contact {outside_um.mean():.1f} um; in it, were each touch's scale known, "
             f"{shape_um.mean():.1f} um")  # fmt: skip
 
 
-def scaled(answer, truth):
+def scale_to_truth(answer, truth):
     """The indentation read, times what brings it nearest to the true one in its contact: what is left is shape."""
     seen, true = (field.indentation_mm[truth.contact].astype(np.float64) for field in (answer, truth))
     return answer.indentation_mm * np.float32((seen @ true) / max(float(seen @ seen), 1e-9))
@@ -109,20 +109,20 @@ def scaled(answer, truth):
 
 def recordings(read, name: str):
     """Errors of depth with the light pooled over a recording, beside that of each frame by itself."""
-    source, tools_, rng = sensor(name), shapes.names("unseen"), np.random.default_rng(11)
+    source, tools_, rng = load_sensor(name), shapes.list_shapes("unseen"), np.random.default_rng(11)
     alone, pooled, taken = {d: [] for d in _DEPTHS_UM}, {d: [] for d in _DEPTHS_UM}, []
     for number in range(_RECORDINGS):
-        unit, felt = varied(source, 300 + number), []
+        unit, felt = vary_sensor(source, 300 + number), []
         for index in range(_FRAMES):
             depth_mm = tuple(_DEPTHS_UM)[(index + number) % len(_DEPTHS_UM)]
-            found = pressed_on(unit, shapes.shape(tools_[(index + number) % len(tools_)]).mesh, depth_mm=depth_mm,
+            found = press_foremost(unit, shapes.make_shape(tools_[(index + number) % len(tools_)]).mesh, depth_mm=depth_mm,
                                place=rng.uniform(-2.5, 2.5, 2), turn=rng.uniform(-3, 3), seed=index)  # fmt: skip
             if found is not None:
                 felt.append((depth_mm, found))
-        frames = [TactileFrame(sensor=name, image=one.image, reference=optics.untouched(unit), index=index)
+        frames = [TactileFrame(sensor=name, image=one.image, reference=optics.render_reference(unit), index=index)
                   for index, (_, one) in enumerate(felt)]  # fmt: skip
         stream = Stream(name=name, sensor=name, n_frames=len(frames), frame=frames.__getitem__)
-        beside = telling_touches(stream)
+        beside = select_context_images(stream)
         for frame, (depth_mm, one) in zip(frames, felt, strict=True):
             inside = one.truth.contact
             for of, touches in ((alone, ()), (pooled, beside)):
@@ -132,28 +132,30 @@ def recordings(read, name: str):
                     taken.append(1e3 * (time.perf_counter() - started))
                 of[depth_mm].append(1e3 * mean_abs_mm(answer.indentation_mm, one.truth.indentation_mm, inside))
     rows = tuple(
-        row(f"{name}, recordings of {_FRAMES}, {depth_mm:g} mm: depth in contact", peer="each alone",
-            ours=timing(taken), ours_error=float(np.mean(pooled[depth_mm])),
-            peer_error=float(np.mean(alone[depth_mm])), unit="um", bar=Bar(error=most_um))
+        build_measurement(f"{name}, recordings of {_FRAMES}, {depth_mm:g} mm: depth in contact", peer="each alone",
+            ours=summarize_times(taken), ours_error=float(np.mean(pooled[depth_mm])),
+            peer_error=float(np.mean(alone[depth_mm])), unit="um", bar=Requirement(max_error=most_um))
         for depth_mm, most_um in _DEPTHS_UM.items()
     )  # fmt: skip
     return rows, ""
 
 
 def faces(read, name: str):
-    source = sensor(name)
+    source = load_sensor(name)
     side_mm = min(source.camera.shape) * source.pixel_mm
     overlap, off, taken = [], [], []
     for share in _FACES:
         half = 0.5 * share * side_mm
-        box = shapes.bar([(-half, -half), (half, -half), (half, half), (-half, half)], 8.0, 0.0, "box")
-        for unit in (source, varied(source, round(100 * share))):
-            answer, truth, _, ms = pressed(read, source, unit, box, depth_mm=_FACE_MM, place=(0, 0), turn=0.0, seed=3)
+        box = shapes.make_chamfered_prism([(-half, -half), (half, -half), (half, half), (-half, half)], 8.0, 0.0, "box")
+        for unit in (source, vary_sensor(source, round(100 * share))):
+            answer, truth, _, ms = measure_press(
+                read, source, unit, box, depth_mm=_FACE_MM, place=(0, 0), turn=0.0, seed=3
+            )
             overlap.append(iou(answer.contact, truth.contact))
             off.append(1e3 * mean_abs_mm(answer.indentation_mm, truth.indentation_mm, truth.contact))
             taken.append(ms)
-    found = row(f"{name}, flat faces: contact", ours=timing(taken), ours_error=1 - float(np.mean(overlap)),
-                unit="1 - IoU", bar=Bar(error=0.07))  # fmt: skip
+    found = build_measurement(f"{name}, flat faces: contact", ours=summarize_times(taken), ours_error=1 - float(np.mean(overlap)),
+                unit="1 - IoU", bar=Requirement(max_error=0.07))  # fmt: skip
     return (found,), (f"{name}, flat faces of {', '.join(f'{s:g}' for s in _FACES)} of the view: IoU on the told unit "
                       f"{_listed(overlap[::2])}, on another {_listed(overlap[1::2])}; depth in contact off by "
                       f"{np.mean(off):.0f} um")  # fmt: skip
@@ -162,11 +164,11 @@ def faces(read, name: str):
 def light(read, name: str):
     from scipy import stats
 
-    source, rng = sensor(name), np.random.default_rng(7)
-    things = (*shapes.names("unseen"), *shapes.names("training"))
+    source, rng = load_sensor(name), np.random.default_rng(7)
+    things = (*shapes.list_shapes("unseen"), *shapes.list_shapes("training"))
     volume, true_volume, force, taken = [], [], [], []
     for index in range(_LIGHT_PRESSES):
-        felt = pressed(read, source, varied(source, index), shapes.shape(things[index % len(things)]).mesh,
+        felt = measure_press(read, source, vary_sensor(source, index), shapes.make_shape(things[index % len(things)]).mesh,
                        depth_mm=rng.uniform(*_LIGHT_MM), place=rng.uniform(-2, 2, 2), turn=rng.uniform(-3, 3),
                        seed=index)  # fmt: skip
         if felt is not None:
@@ -176,8 +178,8 @@ def light(read, name: str):
             force.append(newton)
             taken.append(ms)
     order = float(stats.spearmanr(volume, force).statistic)
-    found = row(f"{name}, very light presses: 1 - order of volume against force", ours=timing(taken),
-                ours_error=1 - order, unit="", bar=Bar(error=0.05))  # fmt: skip
+    found = build_measurement(f"{name}, very light presses: 1 - order of volume against force", ours=summarize_times(taken),
+                ours_error=1 - order, unit="", bar=Requirement(max_error=0.05))  # fmt: skip
     exact = float(stats.spearmanr(true_volume, force).statistic)
     return (found,), f"{name}, very light presses: order of the true volume {exact:.3f}"
 
@@ -186,14 +188,14 @@ def _listed(values) -> str:
     return " ".join(f"{v:.2f}" for v in values)
 
 
-def answer(method: str = "network") -> Answer:
-    read = reader(method)
+def measure(method: str = "network") -> BenchmarkResult:
+    read = build_reader(method)
     found = [
         part
         for name in _SENSORS
         for part in (*tools(read, name), recordings(read, name), faces(read, name), light(read, name))
     ]
-    return Answer(
+    return BenchmarkResult(
         title=f"Depth of simulated presses on other units by {method}",
         unit="1 - IoU",
         rows=tuple(r for rows, _ in found for r in rows),
@@ -202,4 +204,4 @@ def answer(method: str = "network") -> Answer:
 
 
 if __name__ == "__main__":
-    show(answer(*sys.argv[1:2]))
+    print_result(measure(*sys.argv[1:2]))

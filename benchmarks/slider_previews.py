@@ -20,10 +20,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, Timing, row
+from benchmarks.timing import Requirement, Timing, build_measurement
 from benchmarks.window_events import spin
-from pipeline.racing.races import Answer, Row
-from pipeline.racing.report import show
+from pipeline.racing.results import BenchmarkResult, Measurement
+from pipeline.racing.text_report import print_result
 
 NEEDS = "a display"
 MOVES, ANSWER_MS = 4, 100.0
@@ -39,18 +39,18 @@ class _Case:
     session: dict[str, Any]
 
 
-def answer(*only: str) -> Answer:
+def measure(*only: str) -> BenchmarkResult:
     from app import main as app_main
 
     app_main.prepare_environment()
     application = app_main.make_application()
-    from app.frame.tour import wait_until_shown
     from app.session.state import Session
+    from app.window.tour import wait_until_shown
 
     told: list[str] = []
-    rows: list[Row] = []
+    rows: list[Measurement] = []
     with tempfile.TemporaryDirectory() as folder:
-        cases = [case for case in _cases(app_main.SAMPLE, Path(folder)) if not only or case.name in only]
+        cases = [case for case in _cases(app_main.SAMPLE_RECORDING, Path(folder)) if not only or case.name in only]
         instrument = app_main.show_window(Session(**cases[0].session))
         instrument.window.resize(1600, 950)
         for case in cases:
@@ -58,8 +58,8 @@ def answer(*only: str) -> Answer:
             wait_until_shown(instrument, _LIMIT_S)
             rows += [_row(case.name, *found, told) for found in _sliders(instrument, application)]
         instrument.window.may_close = lambda: True
-        app_main.let_go(instrument)
-    return Answer(title="A dragged parameter in its column", unit="", rows=tuple(rows), notes=tuple(told))
+        app_main.close_window(instrument)
+    return BenchmarkResult(title="A dragged parameter in its column", unit="", rows=tuple(rows), notes=tuple(told))
 
 
 def _cases(sample: Path, folder: Path) -> Iterator[_Case]:
@@ -93,11 +93,11 @@ def _enlarged(sample: Path, folder: Path) -> Path:
 
 def _sliders(instrument: Any, application: Any) -> Iterator[tuple[str, list[float], list[float]]]:
     """(its name, processor's ms, ms by the wall clock) of every slider that this route has."""
-    from pipeline.base.params import settings
+    from pipeline.base.params import list_settings
 
     panel = instrument.window.parameters
     for method in instrument.screen.opened.methods:
-        for name, (value, told) in settings(instrument.session.params_of(method)).items():
+        for name, (value, told) in list_settings(instrument.session.get_params(method)).items():
             whole = isinstance(value, int)
             if isinstance(value, (bool, str)) or not math.isfinite(told.high - told.low):
                 continue
@@ -116,11 +116,11 @@ def _sliders(instrument: Any, application: Any) -> Iterator[tuple[str, list[floa
 
 
 def _moved(instrument: Any, application: Any, method: Any, name: str, value: float) -> tuple[float, float]:
-    from pipeline.base.params import changed
+    from pipeline.base.params import replace_value
 
     old = instrument.screen.shown(method.slot)
     begun_s, begun_cpu_s = time.perf_counter(), time.process_time()
-    instrument.choose_params(method.key, changed(instrument.session.params_of(method), name, value))
+    instrument.choose_params(method.key, replace_value(instrument.session.get_params(method), name, value))
     while instrument.screen.shown(method.slot) is old and time.perf_counter() - begun_s < _LIMIT_S:
         application.processEvents()
         time.sleep(0.0003)
@@ -129,11 +129,13 @@ def _moved(instrument: Any, application: Any, method: Any, name: str, value: flo
     return taken
 
 
-def _row(case: str, slider: str, cpu: list[float], wall: list[float], told: list[str]) -> Row:
-    told.append(f"{case}, {slider}: processor {np.median(cpu):.0f} ms, wall clock {np.median(wall):.0f} ms")
+def _row(case: str, slider: str, cpu: list[float], wall: list[float], notes: list[str]) -> Measurement:
+    notes.append(f"{case}, {slider}: processor {np.median(cpu):.0f} ms, wall clock {np.median(wall):.0f} ms")
     taken = Timing(median_ms=float(np.median(cpu)), p95_ms=float(max(cpu)))
-    return row(f"{case}: {slider}", ours=taken, ours_error=math.nan, unit="", bar=Bar(ms=ANSWER_MS))
+    return build_measurement(
+        f"{case}: {slider}", ours=taken, ours_error=math.nan, unit="", bar=Requirement(max_ms=ANSWER_MS)
+    )
 
 
 if __name__ == "__main__":
-    show(answer(*sys.argv[1:]))
+    print_result(measure(*sys.argv[1:]))

@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
 from pipeline.sensors.alignment import Alignment
-from pipeline.sensors.spec import SensorSpec, sensor
+from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.values.results import Cloud, DepthMap
 
 RADIUS_MM, DISTANCE_MM, N_CONTACT = 15.0, 40.0, 38_000
@@ -44,8 +44,8 @@ def scene(angle_deg: float, factor: float) -> tuple[DepthMap, Alignment, SensorS
     )
     rotation = rigid.rotation([0.0, np.deg2rad(angle_deg), 0.0])
     turn = rigid.translation(*_CENTRE_MM) @ rotation @ rigid.translation(*-_CENTRE_MM)
-    bubble = sensor("soft_bubble")
-    camera = Camera(rows=140, cols=175, fx_px=330.0, fy_px=330.0, cx_px=87.0, cy_px=69.5).scaled(factor)
+    bubble = load_sensor("soft_bubble")
+    camera = Camera(rows=140, cols=175, fx_px=330.0, fy_px=330.0, cx_px=87.0, cy_px=69.5).scale(factor)
     target = replace(bubble, camera=camera, rest_depth_mm=bubble.membrane.rest_depth_mm(camera))
     alignment = Alignment(alignment_from_source=turn, target_from_alignment=np.eye(4))
     return depth_map, alignment, target, sphere_depth_mm(camera)

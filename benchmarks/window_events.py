@@ -23,24 +23,24 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, Timing, row
-from pipeline.racing.races import Answer, Row
-from pipeline.racing.report import show
+from benchmarks.timing import Requirement, Timing, build_measurement
+from pipeline.racing.results import BenchmarkResult, Measurement
+from pipeline.racing.text_report import print_result
 
 NEEDS = "a display"
 STEPS, HOVERS, PLAYED_S = 60, 200, 10.0
 P99_MS, MAX_MS, SEEN_MS, FPS = 16.0, 33.0, 60.0, 10.0
 
 
-def answer() -> Answer:
+def measure() -> BenchmarkResult:
     from app import main as app_main
 
     app_main.prepare_environment()
     application, clock = _timed_application()
-    from app.frame.tour import wait_until_shown
     from app.session.state import Session
+    from app.window.tour import wait_until_shown
 
-    session = Session(recording=app_main.SAMPLE, source="gelslim", target="soft_bubble", frame=5)
+    session = Session(recording=app_main.SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
     instrument = app_main.show_window(session)
     instrument.window.resize(1600, 950)
     wait_until_shown(instrument)
@@ -48,11 +48,19 @@ def answer() -> Answer:
     rest(instrument, application)  # all frames known: the background is quiet
     rows = list(_events(instrument, application, clock))
     seen, played, notes = _frames(instrument, application)
-    rows.append(row("frame seen before, whole window", ours=seen, ours_error=math.nan, unit="", bar=Bar(ms=SEEN_MS)))
-    rows.append(row("frame played, all threads", ours=played, ours_error=math.nan, unit="", bar=Bar(ms=1e3 / FPS)))
+    rows.append(
+        build_measurement(
+            "frame seen before, whole window", ours=seen, ours_error=math.nan, unit="", bar=Requirement(max_ms=SEEN_MS)
+        )
+    )
+    rows.append(
+        build_measurement(
+            "frame played, all threads", ours=played, ours_error=math.nan, unit="", bar=Requirement(max_ms=1e3 / FPS)
+        )
+    )
     instrument.window.may_close = lambda: True
-    app_main.let_go(instrument)
-    return Answer(title="One event of the window", unit="", rows=tuple(rows), notes=(*notes, *clock.told))
+    app_main.close_window(instrument)
+    return BenchmarkResult(title="One event of the window", unit="", rows=tuple(rows), notes=(*notes, *clock.told))
 
 
 class _Clock:
@@ -105,20 +113,20 @@ def spin(instrument: Any, application: Any, limit_s: float = 60.0) -> None:
     end_s = time.monotonic() + limit_s
     while time.monotonic() < end_s:
         application.processEvents()
-        if instrument.idle and not getattr(instrument.screen.scene, "waiting", False):
+        if instrument.is_idle and not getattr(instrument.screen.scene, "waiting", False):
             return
         time.sleep(0.0005)
 
 
 def rest(instrument: Any, application: Any, limit_s: float = 240.0) -> None:
     known, end_s = instrument.window.frames.known, time.monotonic() + limit_s
-    while known.unknown_from(0) >= 0 and time.monotonic() < end_s:
+    while known.find_unknown_frame(0) >= 0 and time.monotonic() < end_s:
         application.processEvents()
         time.sleep(0.002)
     spin(instrument, application)
 
 
-def _events(instrument: Any, application: Any, clock: _Clock) -> Iterator[Row]:
+def _events(instrument: Any, application: Any, clock: _Clock) -> Iterator[Measurement]:
     window = instrument.window
     clock.begin()
     for drawer in window.drawers.all:
@@ -187,20 +195,20 @@ def _hover(application: Any, canvas: Any, n: int) -> None:
 
 def _line(n: int) -> Any:
     """One that a hand drags over the gel, with its curves beside it."""
-    from pipeline.translation.section import Line
+    from pipeline.translation.cross_section import SectionLine
 
-    return Line(begin_mm=(-6.0, 3.0), end_mm=(6.0 * math.sin(0.11 * n), 5.0 * math.cos(0.07 * n)))
+    return SectionLine(begin_mm=(-6.0, 3.0), end_mm=(6.0 * math.sin(0.11 * n), 5.0 * math.cos(0.07 * n)))
 
 
-def _row(name: str, clock: _Clock) -> Row:
+def _row(name: str, clock: _Clock) -> Measurement:
     ms = np.array(clock.ms)
     p99, most = float(np.percentile(ms, 99)), float(ms.max())
     gl = f"; OpenGL apart: {len(clock.gl_ms)} drawings, median {np.median(clock.gl_ms):.1f}, largest " \
          f"{max(clock.gl_ms):.1f} ms" if clock.gl_ms else "; OpenGL drew nothing"  # fmt: skip
     clock.told.append(f"{name}: {len(ms)} events, p99 {p99:.1f} ms, largest {most:.1f} ms{gl}")
     # The longest stands where a median would: the promise is about every single one.
-    return row(f"{name}, longest event", ours=Timing(median_ms=most, p95_ms=p99), ours_error=math.nan, unit="",
-               bar=Bar(ms=MAX_MS))  # fmt: skip
+    return build_measurement(f"{name}, longest event", ours=Timing(median_ms=most, p95_ms=p99), ours_error=math.nan, unit="",
+               bar=Requirement(max_ms=MAX_MS))  # fmt: skip
 
 
 def _play(instrument: Any, application: Any) -> tuple[list[int], float]:
@@ -257,4 +265,4 @@ def _frames(instrument: Any, application: Any) -> tuple[Timing, Timing, list[str
 
 
 if __name__ == "__main__":
-    show(answer())
+    print_result(measure())

@@ -24,10 +24,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, Timing, row
+from benchmarks.timing import Requirement, Timing, build_measurement
 from benchmarks.window_events import rest, spin
-from pipeline.racing.races import Answer, Row
-from pipeline.racing.report import show
+from pipeline.racing.results import BenchmarkResult, Measurement
+from pipeline.racing.text_report import print_result
 
 NEEDS = "a display"
 CHANGES, PASSES, NEW_FRAMES, DRAGS, CANCELS, IDLE_S = 1000, 2, 8, 8, 6, 10.0
@@ -36,7 +36,7 @@ _LIMIT_S = 60.0
 _WARM_UP = 2  # the first ones load and compile
 
 
-def answer(*given: str) -> Answer:
+def measure(*given: str) -> BenchmarkResult:
     changes = int(given[0]) if given else CHANGES
     from app import main as app_main
 
@@ -45,7 +45,7 @@ def answer(*given: str) -> Answer:
     from app.session.state import Session
 
     instrument = app_main.show_window(
-        Session(recording=app_main.SAMPLE, source="gelslim", target="soft_bubble", frame=5)
+        Session(recording=app_main.SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
     )
     instrument.window.resize(1600, 950)
     instrument.window.may_close = lambda: True
@@ -59,8 +59,8 @@ def answer(*given: str) -> Answer:
         _idle(instrument, application, told),
         *_memory(instrument, application, changes, told),
     ]
-    app_main.let_go(instrument)
-    return Answer(title="What the window answers and takes", unit="", rows=tuple(rows), notes=tuple(told))
+    app_main.close_window(instrument)
+    return BenchmarkResult(title="What the window answers and takes", unit="", rows=tuple(rows), notes=tuple(told))
 
 
 def _wait(application: Any, until: Callable[[], bool]) -> tuple[float, float]:
@@ -72,14 +72,14 @@ def _wait(application: Any, until: Callable[[], bool]) -> tuple[float, float]:
     return 1e3 * (time.perf_counter() - begun_s), 1e3 * (time.process_time() - begun_cpu_s)
 
 
-def _waits(name: str, told: list[str], waits: list[tuple[float, float]]) -> Row:
+def _waits(name: str, notes: list[str], waits: list[tuple[float, float]]) -> Measurement:
     wall, cpu = np.array(waits[_WARM_UP:]).T
-    told.append(
+    notes.append(
         f"{name}: processor median {np.median(cpu):.0f}, largest {cpu.max():.0f} ms; "
         f"wall clock median {np.median(wall):.0f}, largest {wall.max():.0f} ms, of {len(cpu)}"
     )
     taken = Timing(median_ms=float(np.median(cpu)), p95_ms=float(np.percentile(cpu, 95)))
-    return row(name, ours=taken, ours_error=math.nan, unit="", bar=Bar(ms=ANSWER_MS))
+    return build_measurement(name, ours=taken, ours_error=math.nan, unit="", bar=Requirement(max_ms=ANSWER_MS))
 
 
 def _new_frames(instrument: Any, application: Any) -> list[tuple[float, float]]:
@@ -93,14 +93,14 @@ def _new_frames(instrument: Any, application: Any) -> list[tuple[float, float]]:
 
 
 def _drafts(instrument: Any, application: Any) -> list[tuple[float, float]]:
-    from pipeline.base.params import changed
-    from pipeline.stages.depth.slot import NETWORK
+    from pipeline.base.params import replace_value
+    from pipeline.stages.depth.stage import NETWORK
 
     waits, panel = [], instrument.window.parameters
     panel.dragged = NETWORK.key
     for n in range(DRAGS):
         depth = instrument.screen.shown("depth")
-        params = changed(instrument.session.params_of(NETWORK), "sensitivity", 1.0 + 0.02 * (n + 1))
+        params = replace_value(instrument.session.get_params(NETWORK), "sensitivity", 1.0 + 0.02 * (n + 1))
         instrument.choose_params(NETWORK.key, params)
         waits.append(_wait(application, lambda old=depth: instrument.screen.shown("depth") is not old))
         spin(instrument, application)
@@ -115,7 +115,7 @@ def _previews(instrument: Any, application: Any) -> list[tuple[float, float]]:
     window = instrument.window
     window.drawers.alignment.show()
     spin(instrument, application)
-    slider, view, waits = window.alignment.rows["x"].slider, window.columns["view"], []
+    slider, view, waits = window.alignment.rows["x"].slider, window.columns["target_depth"], []
     slider.setSliderDown(True)
     for n in range(DRAGS):
         old = view.view.picture
@@ -146,7 +146,7 @@ def _cancels(instrument: Any, application: Any) -> list[tuple[float, float]]:
     return waits
 
 
-def _idle(instrument: Any, application: Any, told: list[str]) -> Row:
+def _idle(instrument: Any, application: Any, notes: list[str]) -> Measurement:
     """The share of one core that an open window takes while nobody touches it."""
     from PyQt6.QtCore import QEventLoop, QTimer
 
@@ -156,15 +156,17 @@ def _idle(instrument: Any, application: Any, told: list[str]) -> Row:
     begun_s = time.process_time()
     loop.exec()
     percent = 100 * (time.process_time() - begun_s) / IDLE_S
-    told.append(f"idle for {IDLE_S:g} s: {percent:.2f} % of one core")
-    return row("idle, share of one core", ours=_NO_TIME, ours_error=percent, unit="%", bar=Bar(error=IDLE_PERCENT))
+    notes.append(f"idle for {IDLE_S:g} s: {percent:.2f} % of one core")
+    return build_measurement(
+        "idle, share of one core", ours=_NO_TIME, ours_error=percent, unit="%", bar=Requirement(max_error=IDLE_PERCENT)
+    )
 
 
-def _memory(instrument: Any, application: Any, changes: int, told: list[str]) -> list[Row]:
+def _memory(instrument: Any, application: Any, changes: int, notes: list[str]) -> list[Measurement]:
     from app import main as app_main
 
     rng, held_mb = np.random.default_rng(0), []
-    recordings = sorted(app_main.SAMPLE.parent.glob("*.h5"))
+    recordings = sorted(app_main.SAMPLE_RECORDING.parent.glob("*.h5"))
     openings = [(path, swap) for _ in range(PASSES) for swap in (False, True) for path in recordings]
     done = 0
     for opening, (path, swap) in enumerate(openings):
@@ -179,19 +181,27 @@ def _memory(instrument: Any, application: Any, changes: int, told: list[str]) ->
     once = len(held_mb) // PASSES
     gained = np.array(held_mb[once:]) - held_mb[:once]  # each beside the time before: the same is on screen
     growth = float(gained[once // 2 :].mean())  # those whose like came when all of a kind had been seen once
-    told.append(f"memory after each of {len(held_mb)} openings, {done} frame changes, MB: "
+    notes.append(f"memory after each of {len(held_mb)} openings, {done} frame changes, MB: "
                 + " ".join(f"{mb:.0f}" for mb in held_mb))  # fmt: skip
     filled = held_mb[once - 1] - held_mb[once // 2]
-    told.append(f"the second half of the first pass alone, while stores fill: {filled:.0f} MB")
+    notes.append(f"the second half of the first pass alone, while stores fill: {filled:.0f} MB")
     return [
-        row("memory, largest", ours=_NO_TIME, ours_error=most, unit="MB", bar=Bar(error=MOST_MB)),
-        row("memory, growth over a second pass", ours=_NO_TIME, ours_error=growth, unit="MB", bar=Bar(error=GROWTH_MB)),
+        build_measurement(
+            "memory, largest", ours=_NO_TIME, ours_error=most, unit="MB", bar=Requirement(max_error=MOST_MB)
+        ),
+        build_measurement(
+            "memory, growth over a second pass",
+            ours=_NO_TIME,
+            ours_error=growth,
+            unit="MB",
+            bar=Requirement(max_error=GROWTH_MB),
+        ),
     ]
 
 
 def _open(instrument: Any, path: Path, *, swap: bool) -> None:
     """A recording as it was recorded, or from its target's sensor to its source's."""
-    from app.frame.tour import wait_until_shown
+    from app.window.tour import wait_until_shown
 
     instrument.change("as recorded", target="")
     instrument.open_path(path)
@@ -211,4 +221,4 @@ def _resident_mb() -> float:
 
 
 if __name__ == "__main__":
-    show(answer(*sys.argv[1:]))
+    print_result(measure(*sys.argv[1:]))

@@ -16,14 +16,14 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from benchmarks.races import Bar, race, row
 from benchmarks.sphere_scene import open3d_splat, scene
+from benchmarks.timing import Requirement, build_measurement, time_in_turns
 from pipeline.geometry.camera import Camera
-from pipeline.racing.races import Answer, Point, Row
-from pipeline.racing.report import show
-from pipeline.stages.adapt.stage import AdaptParams, adapt
-from pipeline.stages.project.drawing import pixels_of, zbuffer
-from pipeline.stages.project.stage import PaperParams, project
+from pipeline.racing.results import BenchmarkResult, Measurement, PlotPoint
+from pipeline.racing.text_report import print_result
+from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.target_depth.rasterisation import assign_pixels, compute_zbuffer
+from pipeline.stages.target_depth.surface_projection import PointSplatParams, project_cloud
 
 
 def by_sorting(points_mm: np.ndarray, camera: Camera) -> np.ndarray:
@@ -41,46 +41,46 @@ def _differing(one: np.ndarray, other: np.ndarray) -> tuple[float, int]:
     return float(off.max()), int((off > 0).sum())
 
 
-def answer() -> Answer:
-    rows: list[Row] = []
-    points: list[Point] = []
+def measure() -> BenchmarkResult:
+    rows: list[Measurement] = []
+    points: list[PlotPoint] = []
     notes: list[str] = []
     for factor in (0.5, 1.0, 2.0):
         depth_map, alignment, target, _ = scene(20.0, factor)
-        cloud = adapt(depth_map, alignment, AdaptParams())
+        cloud = back_project_depth(depth_map, alignment, BackProjectionParams())
         camera = target.camera
         peer = open3d_splat(cloud, camera)
         calls = {
-            "ours": lambda c=cloud, k=camera: zbuffer(c, k, pixels_of(c, k)[0])[0].reshape(k.shape),
-            "the whole stage": lambda c=cloud, t=target: project(c, t, PaperParams()).depth_mm,
+            "ours": lambda c=cloud, k=camera: compute_zbuffer(c, k, assign_pixels(c, k)[0])[0].reshape(k.shape),
+            "the whole stage": lambda c=cloud, t=target: project_cloud(c, t, PointSplatParams()).depth_mm,
             "Open3D": peer,
             "numpy": lambda c=cloud, k=camera: by_sorting(c.points_mm, k),
         }
         exact = by_sorting(cloud.points_mm, camera)
         off = {name: _differing(call(), exact) for name, call in calls.items()}
-        times = race(calls)
+        times = time_in_turns(calls)
         size = f"{camera.rows}x{camera.cols}"
-        rows.append(row(
+        rows.append(build_measurement(
             f"z-buffer: {len(cloud.points_mm):,} points to {size}", peer="Open3D project_to_depth_image", unit="mm",
             ours=times["ours"], ours_error=off["ours"][0], peer_timing=times["Open3D"], peer_error=off["Open3D"][0],
-            bar=Bar(faster=5.0, error=0.0),
+            bar=Requirement(min_speedup=5.0, max_error=0.0),
         ))  # fmt: skip
         if factor == 1.0:
-            rows.append(row(
+            rows.append(build_measurement(
                 f"paper mode with mask and index maps, {size}", peer="Open3D project_to_depth_image", unit="mm",
                 ours=times["the whole stage"], ours_error=off["the whole stage"][0], peer_timing=times["Open3D"],
-                peer_error=off["Open3D"][0], bar=Bar(faster=1.0, error=0.0),
+                peer_error=off["Open3D"][0], bar=Requirement(min_speedup=1.0, max_error=0.0),
             ))  # fmt: skip
         points += [
-            Point(method=f"{name}, {size}", ms=times[name].median_ms, error=off[name][0], ours=name == "ours")
+            PlotPoint(method=f"{name}, {size}", ms=times[name].median_ms, error=off[name][0], ours=name == "ours")
             for name in ("ours", "Open3D", "numpy")
         ]
         notes.append(
             f"{size}: {off['ours'][1]} pixels of ours and {off['Open3D'][1]} of Open3D's are not as by sorting"
         )
-    return Answer(title="z-buffer of a contact cloud", unit="mm", rows=tuple(rows), points=tuple(points),
+    return BenchmarkResult(title="z-buffer of a contact cloud", unit="mm", rows=tuple(rows), points=tuple(points),
                   notes=tuple(notes))  # fmt: skip
 
 
 if __name__ == "__main__":
-    show(answer())
+    print_result(measure())

@@ -16,136 +16,136 @@ from pathlib import Path
 import make_tour as tour
 from PyQt6.QtCore import QCoreApplication, QSettings
 
-from app.frame.basins import BasinsTab
-from app.frame.comparing import Comparing
-from app.frame.instrument import Instrument
-from app.frame.living import Living
-from app.frame.sweeping import Sweeping
-from app.frame.tour import follow_a_pixel, save_window_picture
-from app.main import let_go, make_application, show_window
+from app.main import close_window, make_application, show_window
 from app.session.state import Session
-from pipeline.live.simulated import Simulated
+from app.window.basin_map import BasinMapController
+from app.window.comparison import ComparisonController
+from app.window.live import LiveController
+from app.window.session_controller import SessionController
+from app.window.sweep import SweepController
+from app.window.tour import pin_deepest_pixel, save_window_screenshot
+from pipeline.live.simulated_source import SimulatedSource
 from pipeline.sensors.offsets import Offsets
 
 
-def welcome(_: Instrument) -> None:
+def welcome(_: SessionController) -> None:
     """An empty window."""
 
 
-def stages(instrument: Instrument) -> None:
+def stages(instrument: SessionController) -> None:
     """Every slot of a touched frame, a pixel followed."""
     tour.open_sample(instrument, frame=5)
-    tour.at_rest(instrument)
-    follow_a_pixel(instrument)
+    tour.wait_for_idle(instrument)
+    pin_deepest_pixel(instrument)
 
 
-def drawers(instrument: Instrument) -> None:
+def drawers(instrument: SessionController) -> None:
     """All drawers open."""
-    for drawer in instrument.window.drawers.all:
+    for drawer in instrument.window.drawers.all_drawers:
         drawer.show()
-    tour.at_rest(instrument)
+    tour.wait_for_idle(instrument)
 
 
-def basins(instrument: Instrument) -> None:
+def basins(instrument: SessionController) -> None:
     """The basin map, with the drawers that it opens."""
     tour.command(instrument, "map_basins")
-    tab = next(child for child in instrument.children() if isinstance(child, BasinsTab))
-    tour.until(lambda: tab.found is not None)
-    tour.at_rest(instrument)
+    tab = next(child for child in instrument.children() if isinstance(child, BasinMapController))
+    tour.until(lambda: tab.result is not None)
+    tour.wait_for_idle(instrument)
 
 
-def steps(instrument: Instrument) -> None:
+def steps(instrument: SessionController) -> None:
     """A step of the registration."""
     tour.command(instrument, "step_through")
-    tour.shown(instrument)
-    tour.at_rest(instrument)
+    tour.wait_for_views(instrument)
+    tour.wait_for_idle(instrument)
     instrument.window.steps["pose"].slider.setValue(1)
 
 
-def inspect(instrument: Instrument) -> None:
+def inspect(instrument: SessionController) -> None:
     """Two panes under a filmstrip."""
-    for drawer in instrument.window.drawers.all:
+    for drawer in instrument.window.drawers.all_drawers:
         drawer.hide()
     _layout(instrument, "inspect")
 
 
-def section(instrument: Instrument) -> None:
+def section(instrument: SessionController) -> None:
     """A line through both panes, and its curves."""
     tour.command(instrument, "section_line")
-    tour.at_rest(instrument)
+    tour.wait_for_idle(instrument)
 
 
-def align(instrument: Instrument) -> None:
+def align(instrument: SessionController) -> None:
     """A handle two millimetres off, felt beside carried over."""
-    instrument.move_section(None)
-    instrument.window.drawers.reading.hide()
+    instrument.set_section(None)
+    instrument.window.drawers.diagnostics.hide()
     instrument.show_session(Session(recording=tour.PAIRED, source="digit", target="gelslim", frame=3))
-    tour.shown(instrument)
+    tour.wait_for_views(instrument)
     _layout(instrument, "align")
-    instrument.change("move the alignment", offsets=Offsets(shift_mm=(2.0, 0.0, 0.0), pivot_mm=(0.0, 0.0, 22.0)))
-    tour.shown(instrument)
-    tour.at_rest(instrument)
+    instrument.change("move the alignment", offsets=Offsets(translation_mm=(2.0, 0.0, 0.0), pivot_mm=(0.0, 0.0, 22.0)))
+    tour.wait_for_views(instrument)
+    tour.wait_for_idle(instrument)
 
 
-def demo(instrument: Instrument) -> None:
+def demo(instrument: SessionController) -> None:
     """Source, generated and truth."""
     instrument.change("put it back", offsets=Offsets())
     _layout(instrument, "demo")
 
 
-def sweep(instrument: Instrument) -> None:
+def sweep(instrument: SessionController) -> None:
     """The two parameters that it opens on, all cells filled."""
     tour.open_sample(instrument, frame=5)
     _layout(instrument, "sweep")
-    sweeping = next(child for child in instrument.children() if isinstance(child, Sweeping))
-    instrument.window.sweep.sweep_wanted.emit()
-    tour.until(lambda: not sweeping.busy)
-    tour.at_rest(instrument)
+    sweeping = next(child for child in instrument.children() if isinstance(child, SweepController))
+    instrument.window.sweep.sweep_requested.emit()
+    tour.until(lambda: not sweeping.is_busy)
+    tour.wait_for_idle(instrument)
 
 
-def compare(instrument: Instrument) -> None:
+def compare(instrument: SessionController) -> None:
     """Every method on one frame."""
     _layout(instrument, "compare")
-    comparing = next(child for child in instrument.children() if isinstance(child, Comparing))
-    tour.until(lambda: not comparing.busy and len(instrument.window.compare.tab.grid.tiles) > 2)
+    comparing = next(child for child in instrument.children() if isinstance(child, ComparisonController))
+    tour.until(lambda: not comparing.is_busy and len(instrument.window.comparison.current_tab.grid.tiles) > 2)
 
 
-def two(instrument: Instrument) -> None:
+def two(instrument: SessionController) -> None:
     """Two settings on one frame."""
-    comparing = next(child for child in instrument.children() if isinstance(child, Comparing))
+    comparing = next(child for child in instrument.children() if isinstance(child, ComparisonController))
     tour.command(instrument, "hold_settings")
-    instrument.choose_method("view", "paper")
-    tour.shown(instrument)
-    box = instrument.window.compare.slot
-    box.setCurrentIndex(box.findData("view"))
+    instrument.choose_method("target_depth", "paper")
+    tour.wait_for_views(instrument)
+    box = instrument.window.comparison.stage_box
+    box.setCurrentIndex(box.findData("target_depth"))
     box.activated.emit(box.currentIndex())
-    tour.until(lambda: not comparing.busy and len(instrument.window.compare.tab.grid.tiles) == 3)
-    tour.at_rest(instrument)
+    tour.until(lambda: not comparing.is_busy and len(instrument.window.comparison.current_tab.grid.tiles) == 3)
+    tour.wait_for_idle(instrument)
 
 
-def live(instrument: Instrument) -> None:
+def live(instrument: SessionController) -> None:
     """A simulated sensor, watched."""
     _layout(instrument, "stages")
-    living = next(child for child in instrument.children() if isinstance(child, Living))
+    living = next(child for child in instrument.children() if isinstance(child, LiveController))
     instrument.show_session(Session(target="gelslim"))
-    living.watch(Simulated(sensor="digit", tool="sphere", rate_hz=5.0))
-    tour.until(lambda: living.reader is not None and living.reader.n_frames > 12 and living.on_screen)
-    living.follow(on=False)
+    living.watch_source(SimulatedSource(sensor="digit", tool="sphere", rate_hz=5.0))
+    tour.until(lambda: living.reader is not None and living.reader.n_frames > 12 and living.is_on_screen)
+    living.set_following(on=False)
     instrument.choose_frame(10)
-    tour.shown(instrument)
+    tour.wait_for_views(instrument)
 
 
-SCREENS: dict[str, Callable[[Instrument], None]] = {
+SCREENS: dict[str, Callable[[SessionController], None]] = {
     "welcome": welcome, "stages": stages, "drawers": drawers, "basins": basins, "steps": steps, "inspect": inspect,
     "section": section, "align": align,
     "demo": demo, "sweep": sweep, "compare": compare, "two": two, "live": live,
 }  # fmt: skip
 
 
-def _layout(instrument: Instrument, name: str) -> None:
+def _layout(instrument: SessionController, name: str) -> None:
     tour.command(instrument, f"layout_{name}")
-    tour.shown(instrument)
-    tour.at_rest(instrument)
+    tour.wait_for_views(instrument)
+    tour.wait_for_idle(instrument)
 
 
 def main() -> None:
@@ -163,12 +163,12 @@ def main() -> None:
                 for theme in ("dark", "light"):
                     tour.command(instrument, f"theme_{theme}")
                     QCoreApplication.processEvents()  # the 3D views ask for their pictures anew
-                    save_window_picture(instrument, out / f"{name}_{theme}.png")
+                    save_window_screenshot(instrument, out / f"{name}_{theme}.png")
                 print(out / name, flush=True)
             names = [other for other in names if other != name]
             if not names:
                 break
-        let_go(instrument)
+        close_window(instrument)
 
 
 if __name__ == "__main__":

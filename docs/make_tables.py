@@ -80,7 +80,7 @@ def _cells(source: str, target: str, contender: str, row: Mapping[str, Any]) -> 
         found = figures.get(name, {}).get(region)
         return "-" if found is None else f"{found:.3g}"
 
-    def beside(ours: str, theirs: str, digits: int = 2) -> str:
+    def format_with_paper(ours: str, theirs: str, digits: int = 2) -> str:
         known = paper.get(theirs)
         return ours if known is None else f"{ours} ({known:.{digits}f})"
 
@@ -96,8 +96,8 @@ def _cells(source: str, target: str, contender: str, row: Mapping[str, Any]) -> 
     others = (_both(row["poses"].get(name)) for name in ("signed_distances", "icp"))
     way = SHORT[target] if not source else f"{SHORT[source]} > {SHORT[target]}"
     return [
-        way, row["title"] if not source else contender, beside(value("psnr_db"), "psnr_db"),
-        beside(value("ssim"), "ssim"), frechet, value("error_mm"), value("error_mm", "contact"), value("iou"),
+        way, row["title"] if not source else contender, format_with_paper(value("psnr_db"), "psnr_db"),
+        format_with_paper(value("ssim"), "ssim"), frechet, value("error_mm"), value("error_mm", "contact"), value("iou"),
         value("correlation"), shift, turn, *others, f"{row['ms']:.0f}" if row["ms"] else "-",
     ]  # fmt: skip
 

@@ -16,25 +16,25 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from app.main import let_go, make_application, prepare_environment, show_window
-from app.session.sample import SAMPLE
+from app.main import close_window, make_application, prepare_environment, show_window
+from app.session.sample import SAMPLE_RECORDING
 
 prepare_environment()
 
 from PyQt6.QtCore import QCoreApplication, QSettings
 
-from app.frame.basins import BasinsTab
-from app.frame.comparing import Comparing
-from app.frame.instrument import Instrument
-from app.frame.living import Living
-from app.frame.tour import follow_a_pixel, save_window_picture, wait_until_shown
 from app.session.state import Session
-from pipeline.live.simulated import Simulated
+from app.window.basin_map import BasinMapController
+from app.window.comparison import ComparisonController
+from app.window.live import LiveController
+from app.window.session_controller import SessionController
+from app.window.tour import pin_deepest_pixel, save_window_screenshot, wait_until_shown
+from pipeline.live.simulated_source import SimulatedSource
 from pipeline.sensors.offsets import Offsets
 
 SIZE_PX = (1600, 950)
 LIMIT_S, QUIET_S = 300.0, 3.0
-PAIRED = SAMPLE.with_name("digit_gelslim.h5")
+PAIRED = SAMPLE_RECORDING.with_name("digit_gelslim.h5")
 
 
 def until(met: Callable[[], bool]) -> None:
@@ -47,166 +47,166 @@ def until(met: Callable[[], bool]) -> None:
         time.sleep(0.005)
 
 
-def shown(instrument: Instrument) -> None:
+def wait_for_views(instrument: SessionController) -> None:
     """Wait for everything that was asked for."""
     if not wait_until_shown(instrument, LIMIT_S):
         raise SystemExit(instrument.window.banner.text or "not shown in time")
 
 
-def at_rest(instrument: Instrument) -> None:
+def wait_for_idle(instrument: SessionController) -> None:
     """Wait until nothing has been worked out for a while, beside the stages too."""
     since_s = time.monotonic()
     while time.monotonic() - since_s < QUIET_S:
-        until(lambda: instrument.idle)
-        if instrument.job.busy:
+        until(lambda: instrument.is_idle)
+        if instrument.job.is_busy:
             since_s = time.monotonic()
         QCoreApplication.processEvents()
         time.sleep(0.005)
 
 
-def open_sample(instrument: Instrument, *, frame: int) -> None:
+def open_sample(instrument: SessionController, *, frame: int) -> None:
     """Open the sample on a touched frame."""
-    instrument.show_session(Session(recording=SAMPLE, source="gelslim", target="soft_bubble", frame=frame))
-    shown(instrument)
+    instrument.show_session(Session(recording=SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=frame))
+    wait_for_views(instrument)
 
 
-def command(instrument: Instrument, name: str) -> None:
+def command(instrument: SessionController, name: str) -> None:
     """Trigger a command by its name."""
     instrument.window.actions_by_name[name].trigger()
 
 
-def welcome(instrument: Instrument, path: Path) -> None:
+def welcome(instrument: SessionController, path: Path) -> None:
     """An empty window."""
-    save_window_picture(instrument, path)
+    save_window_screenshot(instrument, path)
 
 
-def inspect(instrument: Instrument, path: Path) -> None:
+def inspect(instrument: SessionController, path: Path) -> None:
     """The worst frame, with the truth beside it and its error taken apart."""
     open_sample(instrument, frame=5)
     window = instrument.window
     window.drawers.frames.show()
-    opened = instrument.screen.opened
+    opened = instrument.views.translation
     assert opened is not None
     n = opened.n_frames
-    until(lambda: all(window.frames.known.known(i) is not None for i in range(n)) and instrument.idle)
+    until(lambda: all(window.frames.model.get_summary(i) is not None for i in range(n)) and instrument.is_idle)
     command(instrument, "worse")
-    shown(instrument)
+    wait_for_views(instrument)
     for _ in range(n):
         command(instrument, "worse")
-    shown(instrument)
+    wait_for_views(instrument)
     command(instrument, "show_wipe")
-    shown(instrument)
-    window.drawers.reading.show()
-    window.tabs.setCurrentWidget(window.blame)
-    at_rest(instrument)
-    save_window_picture(instrument, path)
+    wait_for_views(instrument)
+    window.drawers.diagnostics.show()
+    window.tabs.setCurrentWidget(window.error_attribution)
+    wait_for_idle(instrument)
+    save_window_screenshot(instrument, path)
 
 
-def stages(instrument: Instrument, path: Path) -> None:
+def stages(instrument: SessionController, path: Path) -> None:
     """Every slot side by side, a pixel followed through all of them."""
     open_sample(instrument, frame=5)
-    at_rest(instrument)
-    follow_a_pixel(instrument)
-    at_rest(instrument)
-    save_window_picture(instrument, path)
+    wait_for_idle(instrument)
+    pin_deepest_pixel(instrument)
+    wait_for_idle(instrument)
+    save_window_screenshot(instrument, path)
 
 
-def filmstrip(instrument: Instrument, path: Path) -> None:
+def filmstrip(instrument: SessionController, path: Path) -> None:
     """Two slots large under a strip of all."""
     open_sample(instrument, frame=5)
     command(instrument, "layout_inspect")
-    shown(instrument)
-    at_rest(instrument)
-    save_window_picture(instrument, path)
+    wait_for_views(instrument)
+    wait_for_idle(instrument)
+    save_window_screenshot(instrument, path)
 
 
-def compare(instrument: Instrument, path: Path) -> None:
+def compare(instrument: SessionController, path: Path) -> None:
     """The same frame by every method that has weights."""
     comparing = _compared(instrument)
-    until(lambda: not comparing.busy and len(instrument.window.compare.tab.grid.tiles) > 2)
-    at_rest(instrument)
-    save_window_picture(instrument, path)
+    until(lambda: not comparing.is_busy and len(instrument.window.comparison.current_tab.grid.tiles) > 2)
+    wait_for_idle(instrument)
+    save_window_screenshot(instrument, path)
 
 
-def two(instrument: Instrument, path: Path) -> None:
+def two(instrument: SessionController, path: Path) -> None:
     """Two ways to the target's view on one frame and view."""
     comparing = _compared(instrument)
     command(instrument, "hold_settings")
-    instrument.choose_method("view", "paper")
-    shown(instrument)
-    box = instrument.window.compare.slot
-    box.setCurrentIndex(box.findData("view"))
+    instrument.choose_method("target_depth", "paper")
+    wait_for_views(instrument)
+    box = instrument.window.comparison.stage_box
+    box.setCurrentIndex(box.findData("target_depth"))
     box.activated.emit(box.currentIndex())
-    until(lambda: not comparing.busy and len(instrument.window.compare.tab.grid.tiles) == 3)
-    at_rest(instrument)
-    save_window_picture(instrument, path)
+    until(lambda: not comparing.is_busy and len(instrument.window.comparison.current_tab.grid.tiles) == 3)
+    wait_for_idle(instrument)
+    save_window_screenshot(instrument, path)
 
 
-def seeds(instrument: Instrument, path: Path) -> None:
+def seeds(instrument: SessionController, path: Path) -> None:
     """Eight samples of one touch."""
     comparing = _compared(instrument)
-    instrument.window.compare.show_tab("seeds")
+    instrument.window.comparison.show_tab("seeds")
     method = instrument.catalogue.method("touch", "t2d2")
     instrument.choose_method("touch", "t2d2")
     instrument.choose_params(method.key, replace(method.params(), steps=4))
-    shown(instrument)
-    instrument.window.compare.draw.click()
-    until(lambda: not comparing.busy and len(instrument.window.compare.tab.grid.tiles) == 5)
-    at_rest(instrument)
-    save_window_picture(instrument, path)
+    wait_for_views(instrument)
+    instrument.window.comparison.sample_button.click()
+    until(lambda: not comparing.is_busy and len(instrument.window.comparison.current_tab.grid.tiles) == 5)
+    wait_for_idle(instrument)
+    save_window_screenshot(instrument, path)
 
 
-def basins(instrument: Instrument, path: Path) -> None:
+def basins(instrument: SessionController, path: Path) -> None:
     """Where the registration of one touch ends, from all around."""
     open_sample(instrument, frame=8)
-    at_rest(instrument)
+    wait_for_idle(instrument)
     command(instrument, "map_basins")
-    tab = next(child for child in instrument.children() if isinstance(child, BasinsTab))
-    until(lambda: tab.found is not None)
-    at_rest(instrument)
-    save_window_picture(instrument, path)
+    tab = next(child for child in instrument.children() if isinstance(child, BasinMapController))
+    until(lambda: tab.result is not None)
+    wait_for_idle(instrument)
+    save_window_screenshot(instrument, path)
 
 
-def _compared(instrument: Instrument) -> Comparing:
+def _compared(instrument: SessionController) -> ComparisonController:
     """*Compare* on a touched frame."""
     open_sample(instrument, frame=5)
     command(instrument, "layout_compare")
-    shown(instrument)
-    return next(child for child in instrument.children() if isinstance(child, Comparing))
+    wait_for_views(instrument)
+    return next(child for child in instrument.children() if isinstance(child, ComparisonController))
 
 
-def demo(instrument: Instrument, path: Path) -> None:
+def demo(instrument: SessionController, path: Path) -> None:
     """Source, generated and truth, large."""
     instrument.show_session(Session(recording=PAIRED, source="digit", target="gelslim", frame=3))
-    shown(instrument)
+    wait_for_views(instrument)
     command(instrument, "layout_demo")
-    shown(instrument)
-    save_window_picture(instrument, path)
+    wait_for_views(instrument)
+    save_window_screenshot(instrument, path)
 
 
-def align(instrument: Instrument, path: Path) -> None:
+def align(instrument: SessionController, path: Path) -> None:
     """A handle two millimetres off."""
     instrument.show_session(Session(recording=PAIRED, source="digit", target="gelslim", frame=3))
-    shown(instrument)
+    wait_for_views(instrument)
     command(instrument, "layout_align")
-    shown(instrument)
-    instrument.change("move the alignment", offsets=Offsets(shift_mm=(2.0, 0.0, 0.0), pivot_mm=(0.0, 0.0, 22.0)))
-    shown(instrument)
-    at_rest(instrument)
-    save_window_picture(instrument, path)
+    wait_for_views(instrument)
+    instrument.change("move the alignment", offsets=Offsets(translation_mm=(2.0, 0.0, 0.0), pivot_mm=(0.0, 0.0, 22.0)))
+    wait_for_views(instrument)
+    wait_for_idle(instrument)
+    save_window_screenshot(instrument, path)
 
 
-def live(instrument: Instrument, path: Path) -> None:
+def live(instrument: SessionController, path: Path) -> None:
     """A simulated sensor, watched."""
-    living = next(child for child in instrument.children() if isinstance(child, Living))
+    living = next(child for child in instrument.children() if isinstance(child, LiveController))
     instrument.show_session(Session(target="gelslim"))
-    living.watch(Simulated(sensor="digit", tool="sphere", rate_hz=15.0))
-    until(lambda: living.reader is not None and living.reader.n_frames > 24 and living.on_screen)
-    living.follow(on=False)
+    living.watch_source(SimulatedSource(sensor="digit", tool="sphere", rate_hz=15.0))
+    until(lambda: living.reader is not None and living.reader.n_frames > 24 and living.is_on_screen)
+    living.set_following(on=False)
     instrument.choose_frame(20)
-    shown(instrument)
-    save_window_picture(instrument, path)
-    living.stop()
+    wait_for_views(instrument)
+    save_window_screenshot(instrument, path)
+    living.stop_watching()
 
 
 PICTURES = {
@@ -228,7 +228,7 @@ def main() -> None:
             instrument.window.resize(*SIZE_PX)
             QCoreApplication.processEvents()
             make(instrument, out / f"{name}.png")
-            let_go(instrument)
+            close_window(instrument)
             print(out / f"{name}.png", flush=True)
 
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles
 from pipeline.geometry import rigid
-from pipeline.sensors.spec import sensor
+from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
-from sample_data.writing import Shot, write
+from sample_data.writing import PressFrame, write_recording
 
 SENSORS = ("gelslim", "digit", "soft_bubble")
 NOTES = (
@@ -23,7 +23,7 @@ NOTES = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Key:
+class Keyframe:
     """Where the object is at one frame; between two of them it moves evenly."""
 
     frame: int
@@ -34,36 +34,36 @@ class Key:
 
 
 # Untouched, approach, press, slide, twist, lean, release, untouched.
-PATH = (
-    Key(frame=0, face_z_mm=9.0),
-    Key(frame=1, face_z_mm=7.0),
-    Key(frame=3, face_z_mm=-0.15),
-    Key(frame=5, face_z_mm=-0.3),
-    Key(frame=8, face_z_mm=-0.3, slide_mm=2.0),
-    Key(frame=11, face_z_mm=-0.3, slide_mm=2.0, twist_deg=24.0),
-    Key(frame=12, face_z_mm=-0.3, slide_mm=2.0, twist_deg=24.0, tilt_deg=1.0),
-    Key(frame=13, face_z_mm=-0.2, slide_mm=2.0, twist_deg=24.0, tilt_deg=1.0),
-    Key(frame=14, face_z_mm=3.5, slide_mm=2.0, twist_deg=24.0),
-    Key(frame=15, face_z_mm=9.0, slide_mm=2.0, twist_deg=24.0),
+KEYFRAMES = (
+    Keyframe(frame=0, face_z_mm=9.0),
+    Keyframe(frame=1, face_z_mm=7.0),
+    Keyframe(frame=3, face_z_mm=-0.15),
+    Keyframe(frame=5, face_z_mm=-0.3),
+    Keyframe(frame=8, face_z_mm=-0.3, slide_mm=2.0),
+    Keyframe(frame=11, face_z_mm=-0.3, slide_mm=2.0, twist_deg=24.0),
+    Keyframe(frame=12, face_z_mm=-0.3, slide_mm=2.0, twist_deg=24.0, tilt_deg=1.0),
+    Keyframe(frame=13, face_z_mm=-0.2, slide_mm=2.0, twist_deg=24.0, tilt_deg=1.0),
+    Keyframe(frame=14, face_z_mm=3.5, slide_mm=2.0, twist_deg=24.0),
+    Keyframe(frame=15, face_z_mm=9.0, slide_mm=2.0, twist_deg=24.0),
 )
 
 
-def make(path: Path) -> None:
+def make_recording(path: Path) -> None:
     """A moving touch of a notched elbow, felt by all `SENSORS` at once."""
-    felt_by = tuple(sensor(name) for name in SENSORS)
-    shots = [Shot(pose=pose, sensors=felt_by) for pose in poses()]
-    write(path, shapes.shape("notched_elbow"), shots, NOTES)
+    felt_by = tuple(load_sensor(name) for name in SENSORS)
+    shots = [PressFrame(pose=pose, sensors=felt_by) for pose in interpolate_poses()]
+    write_recording(path, shapes.make_shape("notched_elbow"), shots, NOTES)
 
 
-def poses() -> Iterator[Doubles]:
+def interpolate_poses() -> Iterator[Doubles]:
     """`alignment_from_object` of every frame."""
-    for before, after in pairwise(PATH):
+    for before, after in pairwise(KEYFRAMES):
         for frame in range(before.frame, after.frame):
             yield _pose(before, after, (frame - before.frame) / (after.frame - before.frame))
-    yield _pose(PATH[-1], PATH[-1], 0.0)
+    yield _pose(KEYFRAMES[-1], KEYFRAMES[-1], 0.0)
 
 
-def _pose(before: Key, after: Key, share: float) -> Doubles:
+def _pose(before: Keyframe, after: Keyframe, share: float) -> Doubles:
     def between(a: float, b: float) -> float:
         return a + share * (b - a)
 

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pipeline.sensors.alignment_files import AlignmentFile, save
+from pipeline.sensors.alignment_files import AlignmentFile, save_alignment
 from pipeline.translation.translate import Request, open_translation
-from sample_data.make_samples import FOLDER as RECORDINGS
+from sample_data.make_samples import RECORDINGS_FOLDER as RECORDINGS
 
-FOLDER = Path(__file__).parent / "alignments"
-PAIRS = (("first_touch", "gelslim", "soft_bubble"), ("digit_gelslim", "digit", "gelslim"))
+ALIGNMENTS_FOLDER = Path(__file__).parent / "alignments"
+RECORDED_PAIRS = (("first_touch", "gelslim", "soft_bubble"), ("digit_gelslim", "digit", "gelslim"))
 
 
-def file_of(source: str, target: str) -> Path:
+def alignment_path(source: str, target: str) -> Path:
     """Where the alignment of two sensors is kept."""
-    return FOLDER / f"{source}_to_{target}.toml"
+    return ALIGNMENTS_FOLDER / f"{source}_to_{target}.toml"
 
 
-def exact(recording: str, source: str, target: str) -> AlignmentFile:
+def read_exact_alignment(recording: str, source: str, target: str) -> AlignmentFile:
     """What a sample recording knows of how its two streams stand."""
     opened = open_translation(Request(recording=RECORDINGS / f"{recording}.h5", source=source, target=target))
     try:
@@ -29,8 +29,8 @@ def exact(recording: str, source: str, target: str) -> AlignmentFile:
 
 def main() -> None:
     """Write the alignment of every pair."""
-    for recording, source, target in PAIRS:
-        save(file_of(source, target), exact(recording, source, target))
+    for recording, source, target in RECORDED_PAIRS:
+        save_alignment(alignment_path(source, target), read_exact_alignment(recording, source, target))
 
 
 if __name__ == "__main__":

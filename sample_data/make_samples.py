@@ -10,39 +10,48 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from pipeline.simulation.datasets import Plan
-from pipeline.simulation.recorder import record
-from sample_data import first_touch, special
+from pipeline.simulation.datasets import SimulationPlan
+from pipeline.simulation.recorder import record_plan
+from sample_data import first_touch, hard_cases
 
-FOLDER = Path(__file__).parent / "recordings"
+RECORDINGS_FOLDER = Path(__file__).parent / "recordings"
 LIMIT_MB = 20.0  # of all samples together
 
 
-def planned(plan: Plan, path: Path) -> None:
+def write_sample(plan: SimulationPlan, path: Path) -> None:
     """A recording as `tactoscope simulate` makes it, from the start."""
     path.unlink(missing_ok=True)
-    record(plan, path)
+    record_plan(plan, path)
 
 
 MAKERS: dict[str, Callable[[Path], None]] = {
-    "first_touch": first_touch.make,
-    "grasps_lines_120": partial(planned, Plan(sensors=("gelslim", "soft_bubble"), tool="lines_120", poses=3, seed=7)),
-    "grasps_curve": partial(planned, Plan(sensors=("gelslim", "soft_bubble"), tool="curve", poses=3, seed=8)),
-    "grasps_cross": partial(planned, Plan(sensors=("gelslim", "soft_bubble"), tool="cross", poses=3, seed=9)),
-    "digit_gelslim": partial(planned, Plan(sensors=("digit", "gelslim"), tool="wave", poses=6, seed=3, sequence="all")),
-    "no_contact": special.no_contact,
-    "trouble": special.trouble,
+    "first_touch": first_touch.make_recording,
+    "grasps_lines_120": partial(
+        write_sample, SimulationPlan(sensors=("gelslim", "soft_bubble"), object_source="lines_120", n_poses=3, seed=7)
+    ),
+    "grasps_curve": partial(
+        write_sample, SimulationPlan(sensors=("gelslim", "soft_bubble"), object_source="curve", n_poses=3, seed=8)
+    ),
+    "grasps_cross": partial(
+        write_sample, SimulationPlan(sensors=("gelslim", "soft_bubble"), object_source="cross", n_poses=3, seed=9)
+    ),
+    "digit_gelslim": partial(
+        write_sample,
+        SimulationPlan(sensors=("digit", "gelslim"), object_source="wave", n_poses=6, seed=3, sequence="all"),
+    ),
+    "no_contact": hard_cases.make_no_contact,
+    "trouble": hard_cases.make_trouble,
 }
 
 
 def main() -> None:
     """Make the sample recordings named, or all, and say how large they are."""
-    FOLDER.mkdir(parents=True, exist_ok=True)
+    RECORDINGS_FOLDER.mkdir(parents=True, exist_ok=True)
     for name in sys.argv[1:] or MAKERS:
-        path = FOLDER / f"{name}.h5"
+        path = RECORDINGS_FOLDER / f"{name}.h5"
         MAKERS[name](path)
         print(f"{path.name}: {path.stat().st_size / 1e6:.2f} MB")  # noqa: T201 - what the script is asked for
-    whole = sum(path.stat().st_size for path in FOLDER.glob("*.h5")) / 1e6
+    whole = sum(path.stat().st_size for path in RECORDINGS_FOLDER.glob("*.h5")) / 1e6
     assert whole < LIMIT_MB, f"the samples take {whole:.1f} MB, more than {LIMIT_MB:g} MB"
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from app.command import view
-from pipeline.cli.main import build
+from pipeline.cli.main import build_app
 from pipeline.translation.catalogue import BUILT_IN
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -22,7 +22,7 @@ TYPED = [line.partition("#")[0] for line in README.splitlines() if line.startswi
 
 @pytest.mark.parametrize("line", TYPED)
 def test_every_command_of_the_list_can_be_typed(line):
-    app = build()
+    app = build_app()
     app.command(view)
     app.parse_args(shlex.split(line)[1:], exit_on_error=False, print_error=False)
 
@@ -30,9 +30,9 @@ def test_every_command_of_the_list_can_be_typed(line):
 def test_methods_and_parameters_that_it_names_are_there():
     for slot, method in re.findall(r"--method (\w+)=(\w+)", README):
         if slot != "slot":
-            assert method in [m.name for m in BUILT_IN.slot(slot).methods]
+            assert method in [m.name for m in BUILT_IN.stage(slot).methods]
     named = re.findall(r"`(?:--set )?(\w+)\.(\w+)[`=]", README)
-    slots = {slot.name: slot for slot in BUILT_IN.slots}
+    slots = {slot.name: slot for slot in BUILT_IN.stages}
     for slot, parameter in named:
         if slot in slots and slot != "slot":
             assert any(parameter in fields_of(m) for m in slots[slot].methods), f"{slot}.{parameter}"

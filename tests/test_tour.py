@@ -6,7 +6,7 @@ import ast
 import re
 from pathlib import Path
 
-from app.frame.actions import FILE
+from app.window.actions import FILE_COMMANDS
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 
@@ -24,6 +24,6 @@ def test_every_picture_of_the_tour_is_made_by_its_script_and_there():
 
 def test_commands_that_the_tour_names_are_in_the_menu():
     text = (DOCS / "tour.md").read_text()
-    titles = {command.text for command in FILE}
+    titles = {command.text for command in FILE_COMMANDS}
     for named in re.findall(r"\*File > ([^*]+)\*", text):
         assert named in titles

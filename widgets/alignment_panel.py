@@ -16,31 +16,39 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from pipeline.alignment.score import Score
+from pipeline.alignment.score import AlignmentScore
 from pipeline.alignment.sensitivity import Sensitivity
 from pipeline.sensors.offsets import AXES, Axis
-from widgets.axis_bars import AxisBars
 from widgets.axis_row import AxisRow
 from widgets.gauge import Gauge, GaugeScale
-from widgets.looks import InkLabel, bold, command_button, icon_button, once, smaller, spaced
 from widgets.refine_box import RefineBox
+from widgets.sensitivity_bars import SensitivityBars
+from widgets.styling import (
+    ThemedLabel,
+    make_bold,
+    make_command_button,
+    make_icon_button,
+    make_single_shot_timer,
+    set_spacing,
+    shrink_font,
+)
 
-STILL_MS = 350  # without a turn of the wheel or a key, a change made by them is over
+SETTLE_MS = 350  # without a turn of the wheel or a key, a change made by them is over
 
 _IOU = GaugeScale(
-    name="mask IoU", unit="", full=1.0, digits=3, higher_is_better=True,
+    name="mask IoU", unit="", full_value=1.0, digits=3, higher_is_better=True,
     help="contact carried over and contact felt: intersection over union",
 )  # fmt: skip
 _EDGE = GaugeScale(
-    name="edge", unit="px", full=20.0, digits=2, higher_is_better=False,
+    name="edge", unit="px", full_value=20.0, digits=2, higher_is_better=False,
     help="mean distance of the two outlines, in pixels of the target's full image",
 )  # fmt: skip
 
 
-def depth_scale(full_mm: float) -> GaugeScale:
+def make_depth_gauge_scale(full_mm: float) -> GaugeScale:
     """The gauge of depth for a sensor: a bubble gives way ten times as far as a gel."""
     return GaugeScale(
-        name="depth", unit="mm", full=full_mm, digits=3, higher_is_better=False,
+        name="depth", unit="mm", full_value=full_mm, digits=3, higher_is_better=False,
         help="median absolute difference of depth where both are in contact",
     )  # fmt: skip
 
@@ -48,12 +56,12 @@ def depth_scale(full_mm: float) -> GaugeScale:
 class AlignmentPanel(QScrollArea):
     """Values in, signals out: `moved` follows every motion of a handle, between `drag_begun` and `drag_ended`."""
 
-    drag_begun = pyqtSignal()
-    moved = pyqtSignal(str, float)  # axis, offset in mm or degrees
+    drag_started = pyqtSignal()
+    offset_changed = pyqtSignal(str, float)  # axis, offset in mm or degrees
     drag_ended = pyqtSignal()
-    reset_wanted = pyqtSignal()
-    pivot_wanted = pyqtSignal()
-    original_wanted = pyqtSignal()
+    reset_requested = pyqtSignal()
+    pivot_requested = pyqtSignal()
+    original_requested = pyqtSignal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -62,23 +70,23 @@ class AlignmentPanel(QScrollArea):
         self.setFrameShape(QFrame.Shape.NoFrame)
         self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.rows = {axis: AxisRow(axis, self) for axis in AXES}
-        self.gauges = {"iou": Gauge(_IOU), "edge_px": Gauge(_EDGE), "depth_mm": Gauge(depth_scale(1.0))}
-        self.bars, self.refine = AxisBars(), RefineBox()
+        self.gauges = {"iou": Gauge(_IOU), "edge_px": Gauge(_EDGE), "depth_mm": Gauge(make_depth_gauge_scale(1.0))}
+        self.bars, self.refine = SensitivityBars(), RefineBox()
         self.dragging = False  # whether a handle is being moved
-        self._still = once(self, STILL_MS, self._end)
-        self._origin, self._pivot, self._reason = QLabel(), QLabel(), InkLabel(lambda inks: inks.alarm)
+        self._still = make_single_shot_timer(self, SETTLE_MS, self._end)
+        self._origin, self._pivot, self._reason = QLabel(), QLabel(), ThemedLabel(lambda inks: inks.warning_text)
         self._lay_out()
         for row in self.rows.values():
             row.grabbed.connect(self._begin)
             row.released.connect(self._end)
-            row.moved.connect(self._move)
+            row.value_changed.connect(self._move)
 
     def _lay_out(self) -> None:
         body = QWidget()
-        layout = spaced(QVBoxLayout(body), 5, (8, 6, 8, 6))
+        layout = set_spacing(QVBoxLayout(body), 5, (8, 6, 8, 6))
         layout.addLayout(self._head())
         self._handles = QWidget()
-        grid = spaced(QGridLayout(self._handles), 4)
+        grid = set_spacing(QGridLayout(self._handles), 4)
         grid.setColumnStretch(1, 1)
         for n, row in enumerate(self.rows.values()):
             for column, widget in enumerate((row.label, row.slider, row.box)):
@@ -97,15 +105,15 @@ class AlignmentPanel(QScrollArea):
         layout.addStretch(1)
         self.setWidget(body)
         self.setMinimumWidth(body.minimumSizeHint().width())
-        self.show_nothing()
+        self.show_empty()
 
     def _head(self) -> QHBoxLayout:
         self._origin.setWordWrap(True)
-        self._original = icon_button(
+        self._original = make_icon_button(
             "reset", "alignment_original", "Back to the alignment that comes with the recording"
         )
-        self._original.clicked.connect(self.original_wanted)
-        self._files = spaced(QHBoxLayout(), 1)
+        self._original.clicked.connect(self.original_requested)
+        self._files = set_spacing(QHBoxLayout(), 1)
         head = QHBoxLayout()
         head.addWidget(self._origin, 1)
         head.addWidget(self._original)
@@ -114,13 +122,13 @@ class AlignmentPanel(QScrollArea):
 
     def _foot(self) -> QHBoxLayout:
         self._pivot.setWordWrap(True)
-        smaller(self._pivot, 1.0, least_pt=7.5)
-        self._here = icon_button(
+        shrink_font(self._pivot, 1.0, least_pt=7.5)
+        self._here = make_icon_button(
             "target", "alignment_pivot", "Tell the same motion about the middle of this frame's contact"
         )
-        self._here.clicked.connect(self.pivot_wanted)
-        self._reset = icon_button("reset", "alignment_reset", "Take all six offsets back to zero")
-        self._reset.clicked.connect(self.reset_wanted)
+        self._here.clicked.connect(self.pivot_requested)
+        self._reset = make_icon_button("reset", "alignment_reset", "Take all six offsets back to zero")
+        self._reset.clicked.connect(self.reset_requested)
         foot = QHBoxLayout()
         foot.addWidget(self._pivot, 1)
         foot.addWidget(self._here)
@@ -129,10 +137,10 @@ class AlignmentPanel(QScrollArea):
 
     def add_command(self, action: QAction) -> None:
         """Give a command a button at the top."""
-        self._files.addWidget(command_button(action))
+        self._files.addWidget(make_command_button(action))
 
     @property
-    def reason(self) -> str:
+    def no_score_reason(self) -> str:
         """Why there is no score, "" if there is one."""
         return self._reason.text()
 
@@ -141,20 +149,20 @@ class AlignmentPanel(QScrollArea):
         """Whose alignment is open and whether it was moved."""
         return self._origin.text()
 
-    def show_nothing(self) -> None:
+    def show_empty(self) -> None:
         """No frame is judged yet: there is nothing to move."""
         self._handles.setEnabled(False)
         self.show_score(None, "")
         self.mark_ghosts(None)
-        self.bars.show_axes(())
+        self.bars.show_sensitivities(())
 
     def show_ready(self, frame: str, depth_mm: float, pixel_mm: float) -> None:
         """Handles work now, along the axes of `frame`; `depth_mm` is where the gauge of depth is full."""
         self._handles.setEnabled(True)
-        self.bars.show_pixel(pixel_mm)
-        self.gauges["depth_mm"].show_scale(depth_scale(depth_mm))
+        self.bars.set_pixel_size(pixel_mm)
+        self.gauges["depth_mm"].show_scale(make_depth_gauge_scale(depth_mm))
         for row in self.rows.values():
-            row.tell_frame(frame)
+            row.show_frame_name(frame)
 
     def show_origin(self, origin: str, *, edited: bool, from_file: bool) -> None:
         """Name the opened alignment, and whether it was moved."""
@@ -174,34 +182,34 @@ class AlignmentPanel(QScrollArea):
         self._pivot.setText(f"offsets in the {frame} frame; turns about {whose}, ({at}) mm")
         self._here.setVisible(elsewhere)
 
-    def show_score(self, score: Score | None, reason: str) -> None:
+    def show_score(self, score: AlignmentScore | None, reason: str) -> None:
         """Show how well it agrees, or why that cannot be told."""
         self._reason.setText(reason)
         self._reason.setVisible(bool(reason))
         for name, gauge in self.gauges.items():
             gauge.show_value(None if score is None else getattr(score, name))
 
-    def mark_ghosts(self, score: Score | None) -> None:
+    def mark_ghosts(self, score: AlignmentScore | None) -> None:
         """Put the ticks at the figures of this score."""
         for name, gauge in self.gauges.items():
             gauge.mark_ghost(None if score is None else getattr(score, name))
 
-    def show_axes(self, axes: Sequence[Sensitivity]) -> None:
+    def show_sensitivities(self, axes: Sequence[Sensitivity]) -> None:
         """Show which axis matters."""
         self.bars.setEnabled(True)
-        self.bars.show_axes(axes)
+        self.bars.show_sensitivities(axes)
 
-    def take_hold(self) -> None:
+    def begin_drag(self) -> None:
         """Somebody takes hold of the touch elsewhere than here."""
         self._begin()
 
-    def drag(self, axis: Axis, value: float) -> None:
+    def drag_axis(self, axis: Axis, value: float) -> None:
         """It is being moved there: the handles follow."""
         self._begin()
         self.rows[axis].show_value(value)
-        self.moved.emit(axis, value)
+        self.offset_changed.emit(axis, value)
 
-    def let_go(self) -> None:
+    def end_drag(self) -> None:
         """That is over."""
         self._end()
 
@@ -209,13 +217,13 @@ class AlignmentPanel(QScrollArea):
         if not self.dragging:
             self.dragging = True
             self.bars.setEnabled(False)  # they tell of the place that is being left
-            self.drag_begun.emit()
+            self.drag_started.emit()
 
     def _move(self, axis: str, value: float) -> None:
         self._begin()
         if not self.rows[axis].slider.isSliderDown():  # type: ignore[index]
             self._still.start()
-        self.moved.emit(axis, value)
+        self.offset_changed.emit(axis, value)
 
     def _end(self) -> None:
         self._still.stop()
@@ -226,6 +234,6 @@ class AlignmentPanel(QScrollArea):
 
 def _title(text: str) -> QLabel:
     label = QLabel(text)
-    bold(label)
+    make_bold(label)
     label.setContentsMargins(0, 6, 0, 0)
     return label

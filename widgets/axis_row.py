@@ -5,9 +5,9 @@ from __future__ import annotations
 from PyQt6.QtCore import QObject, QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtWidgets import QDoubleSpinBox, QSizePolicy, QSlider
 
-from pipeline.alignment.nudge import unit_of
+from pipeline.alignment.nudge import axis_unit
 from pipeline.sensors.offsets import Axis
-from widgets.looks import InkLabel, bold
+from widgets.styling import ThemedLabel, make_bold
 
 _PER_UNIT = {"mm": 20, "deg": 10}  # slider positions: 0.05 mm, 0.1 deg
 _REACH = {"mm": 5, "deg": 10}  # of the slider to either side
@@ -22,15 +22,15 @@ class AxisRow(QObject):
 
     grabbed = pyqtSignal()  # the slider was taken hold of
     released = pyqtSignal()
-    moved = pyqtSignal(str, float)  # axis, mm or degrees
+    value_changed = pyqtSignal(str, float)  # axis, mm or degrees
 
     def __init__(self, axis: Axis, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self.axis: Axis = axis
-        unit = unit_of(axis)
+        unit = axis_unit(axis)
         self._per_unit = _PER_UNIT[unit]
-        self.label = InkLabel(lambda inks: inks.axes["xyz".index(axis[-1])], axis)
-        bold(self.label)
+        self.label = ThemedLabel(lambda inks: inks.axes["xyz".index(axis[-1])], axis)
+        make_bold(self.label)
         self.slider = QSlider(Qt.Orientation.Horizontal)
         self.slider.setRange(-_REACH[unit] * self._per_unit, _REACH[unit] * self._per_unit)
         self.slider.setSingleStep(1)
@@ -52,23 +52,23 @@ class AxisRow(QObject):
     def _explain(self, axis: Axis, unit: str) -> None:
         along = axis[-1]
         what = f"shift along {along}" if unit == "mm" else f"turn about {along}"
-        self.tell_frame("target")
+        self.show_frame_name("target")
         for widget, kind in ((self.slider, "slider"), (self.box, "box")):
             widget.setObjectName(f"align_{axis}_{kind}")
             widget.setAccessibleName(f"{what}, {'millimetres' if unit == 'mm' else 'degrees'}")
 
-    def tell_frame(self, frame: str) -> None:
+    def show_frame_name(self, frame: str) -> None:
         """Name the frame whose axes these are."""
         along = self.axis[-1]
-        if unit_of(self.axis) == "mm":
+        if axis_unit(self.axis) == "mm":
             tip = f"Shift the touch along {along} of the {frame} frame, mm"
         else:
             tip = (
                 f"Turn the touch about {along} of the {frame} frame, degrees, through the middle of the contact, "
                 f"which stays where it is; together the three are a rotation vector"
             )
-        tip += f"; an offset from the opened alignment. Wheel and arrow keys go by {_STEP[unit_of(self.axis)]:g}"
-        tip += _SIGN[unit_of(self.axis)]
+        tip += f"; an offset from the opened alignment. Wheel and arrow keys go by {_STEP[axis_unit(self.axis)]:g}"
+        tip += _SIGN[axis_unit(self.axis)]
         for widget in (self.label, self.slider, self.box):
             widget.setToolTip(tip)
 
@@ -83,9 +83,9 @@ class AxisRow(QObject):
         value = position / self._per_unit
         with QSignalBlocker(self.box):
             self.box.setValue(value)
-        self.moved.emit(self.axis, value)
+        self.value_changed.emit(self.axis, value)
 
     def _typed(self, value: float) -> None:
         with QSignalBlocker(self.slider):
             self.slider.setValue(round(value * self._per_unit))
-        self.moved.emit(self.axis, value)
+        self.value_changed.emit(self.axis, value)

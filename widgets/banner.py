@@ -15,8 +15,8 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from widgets.colours import is_dark
-from widgets.icons import StateSign
+from widgets.icons import StateIcon
+from widgets.theme import is_dark
 
 _ON_LIGHT, _ON_DARK = ("#fdecea", "#d9a09a", "#5c1a14"), ("#4a2522", "#8c4a44", "#ffd9d4")
 
@@ -28,7 +28,7 @@ class Banner(QFrame):
         super().__init__(parent)
         self.setObjectName("banner")
         self._take_colours()
-        self._sign, self._text = StateSign(20), QLabel()
+        self._sign, self._text = StateIcon(20), QLabel()
         self._sign.show_state("failed")
         self._text.setWordWrap(True)
         self._text.setTextFormat(Qt.TextFormat.PlainText)  # names of files are no markup

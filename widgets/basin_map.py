@@ -21,28 +21,28 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from widgets.colours import ANSWERS, qcolor
-from widgets.looks import smaller, spaced
+from widgets.styling import set_spacing, shrink_font
+from widgets.theme import CATEGORY_COLOURS, to_qcolor
 
-Place = tuple[int, int]  # row, col
+CellIndex = tuple[int, int]  # row, col
 _LEFT_PX, _GAP_PX = 62.0, 1.0
 _OTHER = (170, 174, 182)  # answers beyond those that have a colour of their own
 _NARROW_PX = 26.0  # a cell narrower than this has no number
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Cell:
+class BasinCell:
     """One start: which answer it ended in (-1 = none), and how well that fits."""
 
-    answer: int
+    pose_index: int
     rmse_mm: float
-    told: str
+    tooltip: str
 
 
 class BasinMap(QWidget):
     """Rows are shifts, columns turns; the start in the middle of the map is the pose itself."""
 
-    chosen = pyqtSignal(int, int)  # row, col
+    cell_chosen = pyqtSignal(int, int)  # row, col
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -51,34 +51,34 @@ class BasinMap(QWidget):
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAccessibleName("where the registration ends from each start; arrows choose one")
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-        smaller(self, 1.0)
-        self.cells: tuple[tuple[Cell, ...], ...] = ()
+        shrink_font(self, 1.0)
+        self.cells: tuple[tuple[BasinCell, ...], ...] = ()
         self._columns: Sequence[str] = ()
         self._rows: Sequence[str] = ()
         self._corner = ""
-        self.at: Place = (-1, -1)  # chosen
+        self.selected_cell: CellIndex = (-1, -1)  # chosen
 
     def sizeHint(self) -> QSize:  # noqa: N802
         """Room for its rows."""
         return QSize(640, 170)
 
     def show_map(
-        self, cells: Sequence[Sequence[Cell]], rows: Sequence[str], columns: Sequence[str], corner: str
+        self, cells: Sequence[Sequence[BasinCell]], rows: Sequence[str], columns: Sequence[str], corner: str
     ) -> None:
         """Show these in place of what was shown; nothing for no cells."""
         self.cells = tuple(tuple(row) for row in cells)
         self._rows, self._columns, self._corner = tuple(rows), tuple(columns), corner
-        self.at = (-1, -1)
+        self.selected_cell = (-1, -1)
         self.update()
 
-    def choose(self, row: int, col: int) -> None:
+    def choose_cell(self, row: int, col: int) -> None:
         """Go to what a start ended in."""
-        if 0 <= row < len(self.cells) and 0 <= col < len(self.cells[row]) and self.cells[row][col].answer >= 0:
-            self.at = (row, col)
+        if 0 <= row < len(self.cells) and 0 <= col < len(self.cells[row]) and self.cells[row][col].pose_index >= 0:
+            self.selected_cell = (row, col)
             self.update()
-            self.chosen.emit(row, col)
+            self.cell_chosen.emit(row, col)
 
-    def place_at(self, at: QPointF) -> Place:
+    def cell_at(self, at: QPointF) -> CellIndex:
         """The start that lies there; (-1, -1) = none."""
         for row, cells in enumerate(self.cells):
             for col in range(len(cells)):
@@ -94,12 +94,12 @@ class BasinMap(QWidget):
 
     def mouseMoveEvent(self, a0: Any) -> None:  # noqa: N802
         """Say what the start under the mouse became."""
-        row, col = self.place_at(a0.position())
-        QToolTip.showText(a0.globalPosition().toPoint(), self.cells[row][col].told if row >= 0 else "", self)
+        row, col = self.cell_at(a0.position())
+        QToolTip.showText(a0.globalPosition().toPoint(), self.cells[row][col].tooltip if row >= 0 else "", self)
 
     def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
         """Go to what it became."""
-        self.choose(*self.place_at(a0.position()))
+        self.choose_cell(*self.cell_at(a0.position()))
 
     def keyPressEvent(self, a0: Any) -> None:  # noqa: N802
         """Arrows go to the next start."""
@@ -108,8 +108,8 @@ class BasinMap(QWidget):
             super().keyPressEvent(a0)
             return
         down, right = steps[a0.key()]
-        row, col = self.at if self.at[0] >= 0 else (len(self._rows) // 2, len(self._columns) // 2)
-        self.choose(min(max(row + down, 0), len(self._rows) - 1), (col + right) % len(self._columns))
+        row, col = self.selected_cell if self.selected_cell[0] >= 0 else (len(self._rows) // 2, len(self._columns) // 2)
+        self.choose_cell(min(max(row + down, 0), len(self._rows) - 1), (col + right) % len(self._columns))
 
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
         """Cells in the colours of their answers, with letter and rmse."""
@@ -134,85 +134,85 @@ class BasinMap(QWidget):
             for col, cell in enumerate(cells):
                 self._draw(painter, row, col, cell)
 
-    def _draw(self, painter: QPainter, row: int, col: int, cell: Cell) -> None:
-        room, colour = self._room(row, col), colour_of(cell.answer)
-        if cell.answer < 0:
+    def _draw(self, painter: QPainter, row: int, col: int, cell: BasinCell) -> None:
+        room, colour = self._room(row, col), get_pose_colour(cell.pose_index)
+        if cell.pose_index < 0:
             painter.setPen(self.palette().color(QPalette.ColorRole.Mid))
             painter.drawRect(room)
             return
         painter.fillRect(room, colour)
         painter.setPen(QColor(255, 255, 255) if colour.lightness() < 150 else QColor(20, 24, 30))
-        words = f"{letter_of(cell.answer)} {cell.rmse_mm:.2f}" if room.width() > _NARROW_PX + 10 else ""
-        words = words or (letter_of(cell.answer) if room.width() > 8 else "")
+        words = f"{get_pose_letter(cell.pose_index)} {cell.rmse_mm:.2f}" if room.width() > _NARROW_PX + 10 else ""
+        words = words or (get_pose_letter(cell.pose_index) if room.width() > 8 else "")
         painter.drawText(room, Qt.AlignmentFlag.AlignCenter, words)
-        if (row, col) == self.at:
+        if (row, col) == self.selected_cell:
             painter.setPen(QPen(self.palette().color(QPalette.ColorRole.WindowText), 2.5))
             painter.drawRect(room.adjusted(1, 1, -1, -1))
 
 
-def letter_of(answer: int) -> str:
+def get_pose_letter(answer: int) -> str:
     """Of the first few answers a letter each; a dot for the rest."""
-    return chr(ord("A") + answer) if 0 <= answer < len(ANSWERS) else "·"
+    return chr(ord("A") + answer) if 0 <= answer < len(CATEGORY_COLOURS) else "·"
 
 
-def colour_of(answer: int) -> QColor:
+def get_pose_colour(answer: int) -> QColor:
     """The same in colour."""
-    return qcolor(ANSWERS[answer] if 0 <= answer < len(ANSWERS) else _OTHER)
+    return to_qcolor(CATEGORY_COLOURS[answer] if 0 <= answer < len(CATEGORY_COLOURS) else _OTHER)
 
 
 class BasinPanel(QWidget):
     """A button, a sentence and the map; `wanted(axis)` asks for it, `chosen(row, col)` goes to an answer."""
 
-    wanted = pyqtSignal(str)
-    cancel_wanted = pyqtSignal()
-    chosen = pyqtSignal(int, int)
+    map_requested = pyqtSignal(str)
+    cancel_requested = pyqtSignal()
+    cell_chosen = pyqtSignal(int, int)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.go, self.along, self.bar, self._told, self.map = (
+        self.start_button, self.axis_box, self.bar, self._told, self.map = (
             QPushButton("Map basins"), QComboBox(), QProgressBar(), QLabel(), BasinMap(),
         )  # fmt: skip
-        self.go.setObjectName("basins_go")
-        self.go.setToolTip("Register this touch from 216 starts around the pose, and see where each ends")
-        self.along.setObjectName("basins_along")
-        self.along.setAccessibleName("axis that starts are shifted along")
-        self.along.addItems(["x", "y"])
+        self.start_button.setObjectName("basins_go")
+        self.start_button.setToolTip("Register this touch from 216 starts around the pose, and see where each ends")
+        self.axis_box.setObjectName("basins_along")
+        self.axis_box.setAccessibleName("axis that starts are shifted along")
+        self.axis_box.addItems(["x", "y"])
         self.bar.setRange(0, 1000)
         self.bar.setTextVisible(False)
         self.bar.setFixedWidth(140)
         self._told.setWordWrap(True)
         self._busy = False
-        head = spaced(QHBoxLayout(), 8)
-        for widget in (self.go, QLabel("shifted along"), self.along):
+        head = set_spacing(QHBoxLayout(), 8)
+        for widget in (self.start_button, QLabel("shifted along"), self.axis_box):
             head.addWidget(widget)
         head.addWidget(self._told, 1)
         head.addWidget(self.bar)
-        layout = spaced(QVBoxLayout(self), 4, (6, 4, 6, 4))
+        layout = set_spacing(QVBoxLayout(self), 4, (6, 4, 6, 4))
         layout.addLayout(head)
         layout.addWidget(self.map, 1)
-        self.go.clicked.connect(self._start_or_stop)
-        self.map.chosen.connect(self.chosen)
+        self.start_button.clicked.connect(self._start_or_stop)
+        self.map.cell_chosen.connect(self.cell_chosen)
         self.show_progress(None)
 
     @property
-    def told(self) -> str:
+    def message(self) -> str:
         """What is said of the map."""
         return self._told.text()
 
-    def show_told(self, text: str) -> None:
+    def show_message(self, text: str) -> None:
         """Say something of it."""
         self._told.setText(text)
 
     def show_progress(self, fraction: float | None) -> None:
         """How far it is, None when it rests."""
         self._busy = fraction is not None
-        self.go.setText("Cancel" if self._busy else "Map basins")
+        self.start_button.setText("Cancel" if self._busy else "Map basins")
         self.bar.setVisible(self._busy)
         if fraction is not None and math.isfinite(fraction):
             self.bar.setValue(round(1000 * fraction))
 
     def _start_or_stop(self) -> None:
         if self._busy:
-            self.cancel_wanted.emit()
+            self.cancel_requested.emit()
         else:
-            self.wanted.emit(self.along.currentText())
+            self.map_requested.emit(self.axis_box.currentText())

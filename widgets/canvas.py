@@ -13,9 +13,9 @@ from PyQt6.QtGui import QColor, QFont, QPainter, QPalette, QPen, QPixmap
 from PyQt6.QtWidgets import QSizePolicy, QWidget
 
 from pipeline.base.arrays import Image
-from pipeline.pictures.picture import Picture
-from widgets.colours import FELT_CASING, SECTION, TRACE, backdrop, inks, qcolor
-from widgets.plate import LEAST_ZOOM, MOST_ZOOM, Plate
+from pipeline.previews.preview import Preview
+from widgets.preview_renderer import MAX_ZOOM, MIN_ZOOM, PreviewRenderer
+from widgets.theme import CASING_COLOUR, CROSSHAIR_COLOUR, SECTION_COLOUR, get_backdrop, get_theme_colours, to_qcolor
 
 _A_CLICK_PX = 4.0  # a release nearer to its press than this ends no drag
 _ZOOM_STEP = 1.25
@@ -29,56 +29,58 @@ class Canvas(QWidget):
     mouse_moved = pyqtSignal(QPointF)
     mouse_left = pyqtSignal()
     clicked = pyqtSignal(QPointF)
-    look_changed = pyqtSignal()  # by hand
+    view_changed = pyqtSignal()  # by hand
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setMinimumSize(60, 60)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
         self.setMouseTracking(True)
-        self._plate = Plate()
-        self._plate.take_ground(inks(self.palette()).no_value)
-        self.fitted = True  # the whole picture is in view, whatever room there is
+        self._plate = PreviewRenderer()
+        self._plate.set_no_value_colour(get_theme_colours(self.palette()).no_value)
+        self.is_fitted = True  # the whole picture is in view, whatever room there is
         self._kept: QPixmap | None = None
-        self.cross: tuple[int, int] | None = None  # row, col
-        self.tag = ""  # what is read at the crosshair
+        self.crosshair: tuple[int, int] | None = None  # row, col
+        self.crosshair_text = ""  # what is read at the crosshair
         self.line: tuple[QPointF, QPointF] | None = None  # of a section, in pixels of the picture
-        self.handle: float | None = None  # share of the width at which the second picture begins, None = no handle
+        self.handle_share: float | None = (
+            None  # share of the width at which the second picture begins, None = no handle
+        )
         self._pressed: QPointF | None = None
         self._dragged: QPointF | None = None
-        self.drawn = 0  # how often the picture was put together anew
+        self.n_renders = 0  # how often the picture was put together anew
 
     def sizeHint(self) -> QSize:  # noqa: N802
         """A column's share of a laptop screen."""
         return QSize(200, 160)
 
-    def show_picture(self, picture: Picture) -> None:
+    def show_preview(self, picture: Preview) -> None:
         """Draw another picture; one of the same size stays where it is."""
-        if self._plate.take(picture):
-            self.fit()
-        self.redraw()
+        if self._plate.set_preview(picture):
+            self.fit_view()
+        self.invalidate()
 
-    def show_second(self, pixels: Image | None, share: float = 0.0) -> None:
+    def show_overlay(self, pixels: Image | None, share: float = 0.0) -> None:
         """A picture of the same size over the first, from this share of the width on; None takes it away."""
-        self._plate.take_second(pixels, share)
-        self.redraw()
+        self._plate.set_overlay(pixels, share)
+        self.invalidate()
 
-    def move_second(self, share: float) -> None:
+    def move_overlay(self, share: float) -> None:
         """Where the second picture begins."""
-        if self._plate.second is not None:
-            self._plate.second = (self._plate.second[0], share)
-            self.redraw()
+        if self._plate.overlay is not None:
+            self._plate.overlay = (self._plate.overlay[0], share)
+            self.invalidate()
 
-    def show_dimmed(self, dimmed: bool) -> None:
+    def set_dimmed(self, dimmed: bool) -> None:
         """Fade what is shown, or bring it back."""
-        if dimmed != self._plate.dimmed:
-            self._plate.dimmed = dimmed
-            self.redraw()
+        if dimmed != self._plate.is_dimmed:
+            self._plate.is_dimmed = dimmed
+            self.invalidate()
 
-    def show_cross(self, pixel: tuple[int, int] | None, tag: str = "") -> None:
+    def show_crosshair(self, pixel: tuple[int, int] | None, tag: str = "") -> None:
         """The crosshair on (row, col) and what is read there."""
-        if (pixel, tag) != (self.cross, self.tag):
-            self.cross, self.tag = pixel, tag
+        if (pixel, tag) != (self.crosshair, self.crosshair_text):
+            self.crosshair, self.crosshair_text = pixel, tag
             self.update()
 
     def show_line(self, ends: tuple[QPointF, QPointF] | None) -> None:
@@ -87,18 +89,18 @@ class Canvas(QWidget):
             self.line = ends
             self.update()
 
-    def fit(self) -> None:
+    def fit_view(self) -> None:
         """Bring the whole picture into view."""
-        self.fitted = True
-        self._plate.room = self.size()
-        self._plate.fit()
-        self.redraw()
+        self.is_fitted = True
+        self._plate.size = self.size()
+        self._plate.fit_view()
+        self.invalidate()
 
-    def look(self, centre: QPointF, scale: float) -> None:
+    def set_view(self, centre: QPointF, scale: float) -> None:
         """Put a picture pixel into the middle, at so many screen pixels a picture pixel."""
-        self.fitted = False
-        self._plate.centre, self._plate.scale = centre, min(max(scale, LEAST_ZOOM), MOST_ZOOM)
-        self.redraw()
+        self.is_fitted = False
+        self._plate.centre, self._plate.scale = centre, min(max(scale, MIN_ZOOM), MAX_ZOOM)
+        self.invalidate()
 
     @property
     def centre(self) -> QPointF:
@@ -114,16 +116,16 @@ class Canvas(QWidget):
         """Where a point of the picture, in its pixels, is drawn."""
         return self._plate.to_screen(at)
 
-    def to_picture(self, at: QPointF) -> QPointF:
+    def to_image(self, at: QPointF) -> QPointF:
         """The point of the picture that is drawn here."""
-        return self._plate.to_picture(at)
+        return self._plate.to_image(at)
 
-    def redraw(self) -> None:
+    def invalidate(self) -> None:
         """What is kept is old."""
         self._kept = None
         self.update()
 
-    def prepare(self) -> None:
+    def render_now(self) -> None:
         """Put the picture together now, so that the next painting of the whole window need not."""
         if self.isVisible():
             self._put_together()
@@ -131,24 +133,24 @@ class Canvas(QWidget):
     def _put_together(self) -> QPixmap:
         dense = self.devicePixelRatioF()
         if self._kept is None or self._kept.devicePixelRatioF() != dense:
-            self.drawn += 1
-            self._kept = self._plate.drawn(dense, backdrop(self.palette()), self.font())
+            self.n_renders += 1
+            self._kept = self._plate.render(dense, get_backdrop(self.palette()), self.font())
         return self._kept
 
     def resizeEvent(self, a0: Any) -> None:  # noqa: N802
         """More room shows the fitted picture larger, and more of one that was zoomed."""
         super().resizeEvent(a0)
-        self._plate.room = self.size()
-        if self.fitted:
-            self._plate.fit()
-        self.redraw()
+        self._plate.size = self.size()
+        if self.is_fitted:
+            self._plate.fit_view()
+        self.invalidate()
 
     def changeEvent(self, a0: Any) -> None:  # noqa: N802
         """Another theme has another ground."""
         super().changeEvent(a0)
         if a0.type() == QEvent.Type.PaletteChange:
-            self._plate.take_ground(inks(self.palette()).no_value)
-            self.redraw()
+            self._plate.set_no_value_colour(get_theme_colours(self.palette()).no_value)
+            self.invalidate()
 
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
         """The kept picture, and what moves over it."""
@@ -158,14 +160,14 @@ class Canvas(QWidget):
         painter.drawPixmap(0, 0, kept)
         if self._plate.image is None:
             return
-        if self.handle is not None:
+        if self.handle_share is not None:
             x = self._handle_x()
-            painter.setPen(QPen(qcolor(TRACE), 2))
+            painter.setPen(QPen(to_qcolor(CROSSHAIR_COLOUR), 2))
             painter.drawLine(QPointF(x, 0), QPointF(x, self.height()))
         if self.line is not None:
             self._draw_line(painter, *self.line)
-        if self.cross is not None:
-            self._draw_cross(painter, *self.cross)
+        if self.crosshair is not None:
+            self._draw_cross(painter, *self.crosshair)
         if self.hasFocus():
             painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Highlight), 2))
             painter.setBrush(Qt.BrushStyle.NoBrush)
@@ -174,14 +176,14 @@ class Canvas(QWidget):
     def _draw_line(self, painter: QPainter, begin: QPointF, end: QPointF) -> None:
         one, other = self.to_screen(begin), self.to_screen(end)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        for colour, wide in ((FELT_CASING, 4.0), (SECTION, 1.8)):
-            painter.setPen(QPen(qcolor(colour), wide))
+        for colour, wide in ((CASING_COLOUR, 4.0), (SECTION_COLOUR, 1.8)):
+            painter.setPen(QPen(to_qcolor(colour), wide))
             painter.drawLine(one, other)
         long_px = math.hypot(other.x() - one.x(), other.y() - one.y())
         named = long_px > 6 * _END_PX  # in a small picture letters would hide what is cut
         for at, name in ((one, "A"), (other, "B")):
-            painter.setPen(QPen(qcolor(FELT_CASING), 1.2))
-            painter.setBrush(qcolor(SECTION if named or name == "A" else FELT_CASING))
+            painter.setPen(QPen(to_qcolor(CASING_COLOUR), 1.2))
+            painter.setBrush(to_qcolor(SECTION_COLOUR if named or name == "A" else CASING_COLOUR))
             painter.drawEllipse(at, *(2 * [_END_PX if named else 0.4 * _END_PX]))
             if named:
                 painter.drawText(QRectF(at.x() - 8, at.y() - 8, 16, 16), Qt.AlignmentFlag.AlignCenter, name)
@@ -189,15 +191,15 @@ class Canvas(QWidget):
 
     def _draw_cross(self, painter: QPainter, row: int, col: int) -> None:
         at = self.to_screen(QPointF(col + 0.5, row + 0.5))
-        painter.setPen(QPen(qcolor(TRACE), 1.2))
+        painter.setPen(QPen(to_qcolor(CROSSHAIR_COLOUR), 1.2))
         painter.drawLine(QPointF(at.x(), 0), QPointF(at.x(), self.height()))
         painter.drawLine(QPointF(0, at.y()), QPointF(self.width(), at.y()))
-        if not self.tag:
+        if not self.crosshair_text:
             return
         font = QFont(self.font())
         font.setPointSizeF(max(7.5, font.pointSizeF() - 1.0))
         painter.setFont(font)
-        box = QRectF(painter.fontMetrics().boundingRect(self.tag)).adjusted(-4, -1, 4, 2)
+        box = QRectF(painter.fontMetrics().boundingRect(self.crosshair_text)).adjusted(-4, -1, 4, 2)
         left = at.x() + 6 if at.x() + 8 + box.width() < self.width() else at.x() - 6 - box.width()
         top = at.y() + 5 if at.y() + 8 + box.height() < self.height() else at.y() - 5 - box.height()
         box.moveTo(max(1.0, min(left, self.width() - box.width() - 1)), max(1.0, top))
@@ -205,7 +207,7 @@ class Canvas(QWidget):
         painter.setBrush(QColor(20, 24, 30, 205))
         painter.drawRoundedRect(box, 3, 3)
         painter.setPen(QColor(255, 255, 255))
-        painter.drawText(box, Qt.AlignmentFlag.AlignCenter, self.tag)
+        painter.drawText(box, Qt.AlignmentFlag.AlignCenter, self.crosshair_text)
 
     def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
         """Remember where a click or a drag began."""
@@ -217,12 +219,12 @@ class Canvas(QWidget):
         """Drag the handle of the second picture, else the picture; without a button, tell where the mouse is."""
         at: QPointF = a0.position()
         if self._dragged is None:
-            self.setCursor(Qt.CursorShape.SplitHCursor if self.near_handle(at) else Qt.CursorShape.ArrowCursor)
+            self.setCursor(Qt.CursorShape.SplitHCursor if self.is_near_handle(at) else Qt.CursorShape.ArrowCursor)
             self.mouse_moved.emit(at)
         elif self._pressed is None or (at - self._pressed).manhattanLength() >= _A_CLICK_PX:
-            self.look(self._plate.centre - (at - self._dragged) / max(self._plate.scale, 1e-3), self._plate.scale)
+            self.set_view(self._plate.centre - (at - self._dragged) / max(self._plate.scale, 1e-3), self._plate.scale)
             self._dragged = at
-            self.look_changed.emit()
+            self.view_changed.emit()
 
     def mouseReleaseEvent(self, a0: Any) -> None:  # noqa: N802
         """A release near the press is a click, one far from it the end of a drag."""
@@ -233,30 +235,30 @@ class Canvas(QWidget):
     def mouseDoubleClickEvent(self, a0: Any) -> None:  # noqa: N802
         """Bring the whole picture back."""
         del a0
-        self.fit()
-        self.look_changed.emit()
+        self.fit_view()
+        self.view_changed.emit()
 
     def wheelEvent(self, a0: Any) -> None:  # noqa: N802
         """Zoom about the pixel under the mouse."""
         if self._plate.image is None or not a0.angleDelta().y():
             return
         at = a0.position()
-        fixed = self.to_picture(at)
+        fixed = self.to_image(at)
         wanted = self._plate.scale * _ZOOM_STEP ** (a0.angleDelta().y() / _PER_NOTCH)
-        scale = min(max(wanted, LEAST_ZOOM), MOST_ZOOM)
-        self.look(fixed - (at - QPointF(0.5 * self.width(), 0.5 * self.height())) / scale, scale)
-        self.look_changed.emit()
+        scale = min(max(wanted, MIN_ZOOM), MAX_ZOOM)
+        self.set_view(fixed - (at - QPointF(0.5 * self.width(), 0.5 * self.height())) / scale, scale)
+        self.view_changed.emit()
 
     def leaveEvent(self, a0: Any) -> None:  # noqa: N802
         """Tell that the mouse is elsewhere."""
         super().leaveEvent(a0)
         self.mouse_left.emit()
 
-    def near_handle(self, at: QPointF) -> bool:
+    def is_near_handle(self, at: QPointF) -> bool:
         """Whether the handle of the second picture is here."""
-        return self.handle is not None and abs(self._handle_x() - at.x()) < _NEAR_PX
+        return self.handle_share is not None and abs(self._handle_x() - at.x()) < _NEAR_PX
 
     def _handle_x(self) -> float:
         image = self._plate.image
-        wide = 0 if image is None or self.handle is None else self.handle * image.width()
+        wide = 0 if image is None or self.handle_share is None else self.handle_share * image.width()
         return self.to_screen(QPointF(wide, 0.0)).x()

@@ -10,8 +10,8 @@ from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QHelpEvent, QPainter, QPalette, QPen, QPolygonF
 from PyQt6.QtWidgets import QSizePolicy, QToolTip, QWidget
 
-from widgets.colours import inks, qcolor
-from widgets.looks import smaller
+from widgets.styling import shrink_font
+from widgets.theme import get_theme_colours, to_qcolor
 
 _INSET_PX = 6  # half the slider's handle
 _MARK_PX = 7.0
@@ -32,24 +32,24 @@ class ErrorStrip(QWidget):
         self.setAccessibleName("error of every frame")
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Maximum)
         self.values: tuple[float, ...] = ()  # NaN = not known
-        self.doubts: Mapping[int, Sequence[str]] = {}
-        self.span: tuple[int, int] | None = None  # that playing loops over
-        self.frame, self._unit, self.high_px = 0, "", 28
+        self.warnings: Mapping[int, Sequence[str]] = {}
+        self.loop_range: tuple[int, int] | None = None  # that playing loops over
+        self.frame, self._unit, self.height_px = 0, "", 28
 
     @property
-    def worst(self) -> int:
+    def worst_frame(self) -> int:
         """The frame with the largest value, -1 while none is known."""
         known = [i for i, value in enumerate(self.values) if math.isfinite(value)]
         return max(known, key=self.values.__getitem__, default=-1)
 
     @property
-    def most(self) -> float:
+    def max_value(self) -> float:
         """What the highest bar stands for; 0 while nothing is known."""
         return max((value for value in self.values if math.isfinite(value)), default=0.0)
 
-    def show_values(self, values: Sequence[float], unit: str, doubts: Mapping[int, Sequence[str]]) -> None:
+    def show_values(self, values: Sequence[float], unit: str, warnings: Mapping[int, Sequence[str]]) -> None:
         """A value for every frame, NaN where it is not known, and what is doubted of which."""
-        self.values, self._unit, self.doubts = tuple(values), unit, doubts
+        self.values, self._unit, self.warnings = tuple(values), unit, warnings
         self.update()
 
     def show_frame(self, frame: int) -> None:
@@ -58,33 +58,33 @@ class ErrorStrip(QWidget):
             self.frame = frame
             self.update()
 
-    def show_span(self, span: tuple[int, int] | None) -> None:
+    def show_loop_range(self, span: tuple[int, int] | None) -> None:
         """Mark the frames that are looped over, None where all are."""
-        if span != self.span:
-            self.span = span
+        if span != self.loop_range:
+            self.loop_range = span
             self.update()
 
-    def show_high(self, high_px: int) -> None:
+    def set_height_px(self, high_px: int) -> None:
         """How high it stands."""
-        if high_px != self.high_px:
-            self.high_px = high_px
+        if high_px != self.height_px:
+            self.height_px = high_px
             self.updateGeometry()
 
     def sizeHint(self) -> QSize:  # noqa: N802
         """As wide as the slider over it."""
-        return QSize(200, self.high_px)
+        return QSize(200, self.height_px)
 
     def minimumSizeHint(self) -> QSize:  # noqa: N802
         """Lower where a small screen asks for it: a window does not outgrow it for the bars' sake."""
-        return QSize(60, min(self.high_px, _LEAST_PX))
+        return QSize(60, min(self.height_px, _LEAST_PX))
 
-    def told(self, frame: int) -> str:
+    def describe_frame(self, frame: int) -> str:
         """What is known of a frame, in words."""
         if not 0 <= frame < len(self.values):
             return ""
         value = self.values[frame]
         text = f"frame {frame}: " + (f"{value:.3g} {self._unit}" if math.isfinite(value) else "no error known")
-        return "\n".join((text, *self.doubts.get(frame, ())))
+        return "\n".join((text, *self.warnings.get(frame, ())))
 
     def frame_at(self, x: float) -> int:
         """The frame under a place."""
@@ -101,19 +101,19 @@ class ErrorStrip(QWidget):
         if not n:
             return
         painter.setRenderHint(QPainter.RenderHint.Antialiasing, n < 200)
-        ink = inks(self.palette())
+        ink = get_theme_colours(self.palette())
         base, top = self.height() - _BASE_PX, _TOP_PX
         painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Mid), 1))
         painter.drawLine(QPointF(_INSET_PX, base), QPointF(self.width() - _INSET_PX, base))
         step = (self.width() - 2 * _INSET_PX) / max(1, n - 1)
         wide = max(1.5, min(0.7 * step, _WIDEST_PX))
-        if self.span is not None:
-            first, last = (_INSET_PX + frame * step for frame in self.span)
+        if self.loop_range is not None:
+            first, last = (_INSET_PX + frame * step for frame in self.loop_range)
             painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Highlight), 2.5))
             painter.drawLine(QPointF(first, base), QPointF(last, base))
             for x in (first, last):
                 painter.drawLine(QPointF(x, base - 6.0), QPointF(x, base))
-        most, worst = self.most, self.worst
+        most, worst = self.max_value, self.worst_frame
         for frame, value in enumerate(self.values):
             x = _INSET_PX + frame * step
             if frame == self.frame:
@@ -122,15 +122,15 @@ class ErrorStrip(QWidget):
             if math.isfinite(value) and most > 0:
                 tall = max(1.5, value / most * (base - top))
                 bar = QRectF(x - 0.5 * wide, base - tall, wide, tall)
-                painter.fillRect(bar, qcolor(ink.worse if frame == worst else ink.taken))
-            if frame in self.doubts:
+                painter.fillRect(bar, to_qcolor(ink.worse if frame == worst else ink.accent))
+            if frame in self.warnings:
                 self._draw_mark(painter, x)
 
     def _draw_mark(self, painter: QPainter, x: float) -> None:
         half = 0.5 * _MARK_PX
         painter.save()
         painter.setPen(Qt.PenStyle.NoPen)
-        painter.setBrush(qcolor(inks(self.palette()).doubt))
+        painter.setBrush(to_qcolor(get_theme_colours(self.palette()).warning_mark))
         painter.drawPolygon(QPolygonF([QPointF(x - half, 0), QPointF(x + half, 0), QPointF(x, _MARK_PX)]))
         painter.restore()
 
@@ -145,7 +145,7 @@ class ErrorStrip(QWidget):
     def event(self, a0: Any) -> bool:
         """Tell of the frame under the mouse."""
         if isinstance(a0, QHelpEvent):
-            QToolTip.showText(a0.globalPos(), self.told(self.frame_at(a0.pos().x())), self)
+            QToolTip.showText(a0.globalPos(), self.describe_frame(self.frame_at(a0.pos().x())), self)
             return True
         return super().event(a0)
 
@@ -159,29 +159,29 @@ class ErrorScale(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        smaller(self, _FIGURES_PT, least_pt=6.0)
+        shrink_font(self, _FIGURES_PT, least_pt=6.0)
         self.setFixedWidth(self.fontMetrics().horizontalAdvance("0.0000") + round(_TICK_PX) + 2)
         self.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Ignored)
-        self.told = ""  # at the upper end
+        self.max_text = ""  # at the upper end
 
-    def show_most(self, most: float) -> None:
+    def show_max(self, most: float) -> None:
         """The bars go from 0 to this; nothing is told of bars that are not there."""
         told = f"{most:.3g}" if most > 0 else ""
-        if told != self.told:
-            self.told = told
+        if told != self.max_text:
+            self.max_text = told
             self.update()
 
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
         """Two figures at two ticks on a line."""
         del a0
-        if not self.told:
+        if not self.max_text:
             return
         painter, right, high = QPainter(self), self.width() - 1.0, float(self.height())
         top, base, letters = _TOP_PX, high - _BASE_PX, painter.fontMetrics().ascent()
         painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Mid), 1))
         painter.drawLine(QPointF(right, top), QPointF(right, base))
         painter.setPen(self.palette().color(QPalette.ColorRole.WindowText))
-        for told, y in ((self.told, top), ("0", base)):
+        for told, y in ((self.max_text, top), ("0", base)):
             painter.drawLine(QPointF(right - _TICK_PX, y), QPointF(right, y))
             under = min(y + 0.4 * letters, high - 1.0)
             wide = painter.fontMetrics().horizontalAdvance(told)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtWidgets import QComboBox, QDialog, QFormLayout, QHBoxLayout, QLabel, QLineEdit, QPushButton, QWidget
 
-KINDS = (  # suffix, words, what it can be of
+FORMATS = (  # suffix, words, what it can be of
     (".png", "picture, PNG", "every"),
     (".pdf", "picture, PDF", "every"),
     (".ply", "points in mm, PLY", "pane"),
@@ -22,22 +22,32 @@ SHEET = "sheet"
 class ExportDialog(QDialog):
     """`export_wanted` and `command_wanted` carry pane, what is shown, suffix and frames."""
 
-    export_wanted = pyqtSignal(str, str, str, str)
-    command_wanted = pyqtSignal(str, str, str, str)
+    export_requested = pyqtSignal(str, str, str, str)
+    command_requested = pyqtSignal(str, str, str, str)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setWindowTitle("Export")
         self.setObjectName("export_dialog")
-        self.pane, self.shown, self.kind, self.frames = QComboBox(), QComboBox(), QComboBox(), QLineEdit()
+        self.pane_box, self.content_box, self.format_box, self.frames = (
+            QComboBox(),
+            QComboBox(),
+            QComboBox(),
+            QLineEdit(),
+        )
         for word in ("computed", "truth", "difference"):
-            self.shown.addItem(word, word)
-        for suffix, words, _ in KINDS:
-            self.kind.addItem(words, suffix)
+            self.content_box.addItem(word, word)
+        for suffix, words, _ in FORMATS:
+            self.format_box.addItem(words, suffix)
         self.frames.setPlaceholderText("all, or such as 0,3-7")
         self.frames.setToolTip("frames of a table or a video, by number")
         form = QFormLayout(self)
-        for label, widget in (("pane", self.pane), ("shows", self.shown), ("as", self.kind), ("frames", self.frames)):
+        for label, widget in (
+            ("pane", self.pane_box),
+            ("shows", self.content_box),
+            ("as", self.format_box),
+            ("frames", self.frames),
+        ):
             widget.setObjectName(f"export_{label}")
             widget.setAccessibleName(f"export {label}")
             form.addRow(label, widget)
@@ -51,32 +61,32 @@ class ExportDialog(QDialog):
         row.addWidget(self.copy)
         row.addWidget(self.write)
         form.addRow(row)
-        self.copy.clicked.connect(lambda: self.command_wanted.emit(*self.chosen))
+        self.copy.clicked.connect(lambda: self.command_requested.emit(*self.selection))
         self.write.clicked.connect(self._export)
-        for box in (self.pane, self.kind):
+        for box in (self.pane_box, self.format_box):
             box.currentIndexChanged.connect(self._fit)
 
     @property
-    def chosen(self) -> tuple[str, str, str, str]:
+    def selection(self) -> tuple[str, str, str, str]:
         """Pane, what it shows, suffix, frames."""
-        shown = self.shown.currentData() if self.shown.isEnabled() else "computed"
+        shown = self.content_box.currentData() if self.content_box.isEnabled() else "computed"
         frames = self.frames.text().strip() if self.frames.isEnabled() else ""
-        return self.pane.currentData(), shown, self.kind.currentData(), frames
+        return self.pane_box.currentData(), shown, self.format_box.currentData(), frames
 
     def show_panes(self, panes: Sequence[tuple[str, str]], chosen: str, shown: str) -> None:
         """Offer these panes (name, title), one of them chosen, showing this."""
-        self.pane.clear()
+        self.pane_box.clear()
         for name, title in panes:
-            self.pane.addItem(title, name)
-        self.pane.setCurrentIndex(max(0, self.pane.findData(chosen)))
-        self.shown.setCurrentIndex(max(0, self.shown.findData(shown)))
+            self.pane_box.addItem(title, name)
+        self.pane_box.setCurrentIndex(max(0, self.pane_box.findData(chosen)))
+        self.content_box.setCurrentIndex(max(0, self.content_box.findData(shown)))
         self._fit()
 
     def _fit(self) -> None:
         """Ask only what matters for the pane and the kind."""
-        pane = self.pane.currentData()
-        of = next((of for suffix, _, of in KINDS if suffix == self.kind.currentData()), "every")
-        self.shown.setEnabled(pane not in (SHEET, "source", None))
+        pane = self.pane_box.currentData()
+        of = next((of for suffix, _, of in FORMATS if suffix == self.format_box.currentData()), "every")
+        self.content_box.setEnabled(pane not in (SHEET, "source", None))
         self.frames.setEnabled(of == "frames")
         wrong = of == "pane" and pane == SHEET
         self._told.setText("a sheet is no cloud of points; choose one pane" if wrong else "")
@@ -84,5 +94,5 @@ class ExportDialog(QDialog):
             button.setEnabled(not wrong)
 
     def _export(self) -> None:
-        self.export_wanted.emit(*self.chosen)
+        self.export_requested.emit(*self.selection)
         self.accept()

@@ -13,11 +13,11 @@ from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QFont, QFontMetrics, QPainter, QPalette, QPen, QPixmap
 from PyQt6.QtWidgets import QAbstractButton, QHBoxLayout, QSizePolicy, QWidget
 
-from pipeline.pictures.picture import Picture
-from widgets.colours import inks
+from pipeline.previews.preview import Preview
 from widgets.icons import paint_state
-from widgets.looks import spaced
-from widgets.plate import MOST_ZOOM, Plate
+from widgets.preview_renderer import MAX_ZOOM, PreviewRenderer
+from widgets.styling import set_spacing
+from widgets.theme import get_theme_colours
 
 _PICTURE_PX = QSize(132, 62)
 _SIGN_PX, _EDGE_PX = 16, 4
@@ -32,37 +32,37 @@ class Thumbnail(QAbstractButton):
         self.setText(title)
         self.setAccessibleName(title)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-        self.state, self.doubts = "waiting", tuple[str, ...]()
-        self.shown = self.active = self.folded = False
-        self._picture: Picture | None = None
+        self.state, self.warnings = "waiting", tuple[str, ...]()
+        self.is_in_pane = self.is_active = self.is_collapsed = False
+        self._picture: Preview | None = None
         self._pixmap: QPixmap | None = None
 
-    def show_picture(self, picture: Picture) -> None:
+    def show_preview(self, picture: Preview) -> None:
         """Take another picture; it is made small when somebody sees it."""
         if picture is not self._picture:
             self._picture, self._pixmap = picture, None
             self.update()
 
-    def show_state(self, state: str, doubts: tuple[str, ...]) -> None:
+    def show_state(self, state: str, warnings: tuple[str, ...]) -> None:
         """Where the slot stands, and what is doubted of it."""
-        if (state, doubts) != (self.state, self.doubts):
-            self.state, self.doubts = state, doubts
-            self.setToolTip("\n".join((f"{self.text()}: {state}", *doubts)))
+        if (state, warnings) != (self.state, self.warnings):
+            self.state, self.warnings = state, warnings
+            self.setToolTip("\n".join((f"{self.text()}: {state}", *warnings)))
             self.update()
 
-    def fold(self, folded: bool) -> None:
+    def set_collapsed(self, folded: bool) -> None:
         """Show sign and title alone."""
-        self.folded = folded
+        self.is_collapsed = folded
         self.updateGeometry()
 
-    def show_place(self, *, shown: bool, active: bool) -> None:
+    def show_pane_state(self, *, shown: bool, active: bool) -> None:
         """Whether it stands in a pane, and whether that is the one that a click fills."""
-        self.shown, self.active = shown, active
+        self.is_in_pane, self.is_active = shown, active
         self.update()
 
     def sizeHint(self) -> QSize:  # noqa: N802
         """The picture under a line of letters, or the line alone."""
-        high = 0 if self.folded else _PICTURE_PX.height()
+        high = 0 if self.is_collapsed else _PICTURE_PX.height()
         return QSize(_PICTURE_PX.width() + 2 * _EDGE_PX, high + self._line_px() + 2 * _EDGE_PX)
 
     def minimumSizeHint(self) -> QSize:  # noqa: N802
@@ -75,9 +75,9 @@ class Thumbnail(QAbstractButton):
         painter, palette = QPainter(self), self.palette()
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         room = QRectF(self.rect()).adjusted(1, 1, -1, -1)
-        painter.setBrush(palette.color(QPalette.ColorRole.Base if self.shown else QPalette.ColorRole.Window))
-        rim = palette.color(QPalette.ColorRole.Highlight if self.shown else QPalette.ColorRole.Mid)
-        painter.setPen(QPen(rim, 2.4 if self.active or self.hasFocus() else 1.0))
+        painter.setBrush(palette.color(QPalette.ColorRole.Base if self.is_in_pane else QPalette.ColorRole.Window))
+        rim = palette.color(QPalette.ColorRole.Highlight if self.is_in_pane else QPalette.ColorRole.Mid)
+        painter.setPen(QPen(rim, 2.4 if self.is_active or self.hasFocus() else 1.0))
         painter.drawRoundedRect(room, 4, 4)
         line = self._line_px()
         paint_state(painter, QRectF(_EDGE_PX, _EDGE_PX, _SIGN_PX, _SIGN_PX), self.state, palette)
@@ -87,11 +87,11 @@ class Thumbnail(QAbstractButton):
         wide = self.width() - _SIGN_PX - 3 * _EDGE_PX
         title = QFontMetrics(font).elidedText(self.text(), Qt.TextElideMode.ElideRight, wide)
         painter.drawText(QRectF(_SIGN_PX + 2 * _EDGE_PX, _EDGE_PX, wide, line), Qt.AlignmentFlag.AlignVCenter, title)
-        if self._picture is None or self.folded:
+        if self._picture is None or self.is_collapsed:
             return
         size = QSize(self.width() - 2 * _EDGE_PX, _PICTURE_PX.height())
         if self._pixmap is None:
-            self._pixmap = small_picture(self._picture, size, self.devicePixelRatioF(), palette)
+            self._pixmap = render_thumbnail(self._picture, size, self.devicePixelRatioF(), palette)
         painter.setOpacity(0.5 if self.state in ("stale", "running", "waiting") else 1.0)
         painter.drawPixmap(_EDGE_PX, _EDGE_PX + line, self._pixmap)
 
@@ -109,60 +109,60 @@ class Thumbnail(QAbstractButton):
     def _font(self) -> QFont:
         font = QFont(self.font())
         font.setPointSizeF(max(7.5, font.pointSizeF() - 1.0))
-        font.setBold(self.active)
+        font.setBold(self.is_active)
         return font
 
     def _line_px(self) -> int:
         return max(_SIGN_PX, QFontMetrics(self._font()).height()) + 2
 
 
-def small_picture(picture: Picture, size: QSize, dense: float, palette: QPalette) -> QPixmap:
+def render_thumbnail(picture: Preview, size: QSize, dense: float, palette: QPalette) -> QPixmap:
     """A picture with its contact's outline on the theme's ground; one with few pixels that say anything shows those."""
-    plate = Plate()
-    plate.take_ground(inks(palette).no_value)
-    plate.take(replace(picture, pixel_mm=math.nan, felt_px=None))  # without a scale bar
-    plate.room = size
-    plate.fit()
+    plate = PreviewRenderer()
+    plate.set_no_value_colour(get_theme_colours(palette).no_value)
+    plate.set_preview(replace(picture, pixel_mm=math.nan, felt_px=None))  # without a scale bar
+    plate.size = size
+    plate.fit_view()
     known = None if picture.values is None else np.isfinite(picture.values)
     if known is not None and 0 < np.count_nonzero(known) < _FEW * known.size:
         rows, cols = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
         wide, high = (_AROUND * (float(at[-1] - at[0]) + 1.0) for at in (cols, rows))
         scale = min(size.width() / wide, size.height() / high)
         plate.centre = QPointF(0.5 * float(cols[0] + cols[-1] + 1), 0.5 * float(rows[0] + rows[-1] + 1))
-        plate.scale = min(max(scale, plate.scale), MOST_ZOOM)
-    return plate.drawn(dense, palette.color(QPalette.ColorRole.Window), QFont())
+        plate.scale = min(max(scale, plate.scale), MAX_ZOOM)
+    return plate.render(dense, palette.color(QPalette.ColorRole.Window), QFont())
 
 
 class Filmstrip(QWidget):
     """Thumbnails in the order of the slots; `chosen` carries a slot's name."""
 
-    chosen = pyqtSignal(str)
+    stage_chosen = pyqtSignal(str)
 
     def __init__(self, titles: Mapping[str, str], parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setObjectName("filmstrip")
         self.thumbnails = {name: Thumbnail(title) for name, title in titles.items()}
-        self._row = spaced(QHBoxLayout(self), 3, (2, 2, 2, 2))
+        self._row = set_spacing(QHBoxLayout(self), 3, (2, 2, 2, 2))
         for name, thumbnail in self.thumbnails.items():
-            thumbnail.clicked.connect(partial(self.chosen.emit, name))
+            thumbnail.clicked.connect(partial(self.stage_chosen.emit, name))
             self._row.addWidget(thumbnail, 1)
 
-    def fold(self, folded: bool) -> None:
+    def set_collapsed(self, folded: bool) -> None:
         """Leave the pictures out, or show them again."""
         for thumbnail in self.thumbnails.values():
-            if thumbnail.folded != folded:
-                thumbnail.fold(folded)
+            if thumbnail.is_collapsed != folded:
+                thumbnail.set_collapsed(folded)
 
-    def add(self, widget: QWidget) -> None:
+    def add_control(self, widget: QWidget) -> None:
         """Put a control at the end."""
         self._row.addWidget(widget)
 
-    def leave_out(self, names: Collection[str]) -> None:
+    def hide_stages(self, names: Collection[str]) -> None:
         """Hide what the route does not have."""
         for name, thumbnail in self.thumbnails.items():
             thumbnail.setVisible(name not in names)
 
-    def show_places(self, shown: Collection[str], active: str) -> None:
+    def show_pane_stages(self, shown: Collection[str], active: str) -> None:
         """Which slots stand in panes, and which of them a click would replace."""
         for name, thumbnail in self.thumbnails.items():
-            thumbnail.show_place(shown=name in shown, active=name == active)
+            thumbnail.show_pane_state(shown=name in shown, active=name == active)

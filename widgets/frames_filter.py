@@ -6,7 +6,7 @@ import re
 
 from PyQt6.QtCore import QModelIndex, QSortFilterProxyModel
 
-from widgets.frames_model import FIGURE, SORTED_BY, FramesModel
+from widgets.frames_model import METRIC, SORT_ROLE, FramesModel
 
 _LIMIT = re.compile(r"([<>])=?(-?\d+(?:\.\d*)?|-?\.\d+)$")
 
@@ -17,9 +17,9 @@ class FramesFilter(QSortFilterProxyModel):
     def __init__(self, parent: object = None) -> None:
         super().__init__(parent)  # type: ignore[arg-type]
         self._words: tuple[str, ...] = ()
-        self.setSortRole(SORTED_BY)
+        self.setSortRole(SORT_ROLE)
 
-    def show_only(self, words: str) -> None:
+    def set_filter(self, words: str) -> None:
         """Frames of which all of these hold; all frames for none."""
         wanted = tuple(words.lower().split())
         if wanted != self._words:
@@ -30,24 +30,24 @@ class FramesFilter(QSortFilterProxyModel):
         """Whether a frame is listed."""
         model = self.sourceModel()
         assert isinstance(model, FramesModel)
-        return not source_parent.isValid() and all(holds(model, source_row, word) for word in self._words)
+        return not source_parent.isValid() and all(matches_term(model, source_row, word) for word in self._words)
 
 
-def holds(model: FramesModel, frame: int, word: str) -> bool:
+def matches_term(model: FramesModel, frame: int, word: str) -> bool:
     """Whether a word of a filter holds of a frame; what is not known of it does not."""
-    summary, limit = model.known(frame), _LIMIT.match(word)
+    summary, limit = model.get_summary(frame), _LIMIT.match(word)
     if limit is not None:
-        value = float(str(model.data(model.index(frame, FIGURE), SORTED_BY)))
+        value = float(str(model.data(model.index(frame, METRIC), SORT_ROLE)))
         bound = float(limit.group(2))
         return value > bound if limit.group(1) == ">" else -float("inf") < value < bound
     own = {
-        "touched": summary is not None and summary.contact_mm2 > 0,
-        "untouched": summary is not None and not summary.problem and summary.contact_mm2 <= 0,
-        "doubted": bool(model.own_doubts(frame)),
-        "noted": bool(model.note(frame)),
+        "touched": summary is not None and summary.contact_area_mm2 > 0,
+        "untouched": summary is not None and not summary.problem and summary.contact_area_mm2 <= 0,
+        "doubted": bool(model.get_specific_warnings(frame)),
+        "noted": bool(model.get_note(frame)),
         "failed": summary is not None and bool(summary.problem),
     }
     if word in own:
         return own[word]
-    told = (model.note(frame), *(() if summary is None else (*summary.doubts, summary.problem)))
+    told = (model.get_note(frame), *(() if summary is None else (*summary.warnings, summary.problem)))
     return any(word in text.lower() for text in told)

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from PyQt6.QtCore import QAbstractTableModel, QModelIndex, Qt, pyqtSignal
 from PyQt6.QtWidgets import QWidget
 
-from widgets.icons import state_icon
+from widgets.icons import make_state_icon
 
-SORTED_BY = Qt.ItemDataRole.UserRole  # a number, so that 10 comes after 9; what is not known comes last
-FRAME, DEPTH, CONTACT, FIGURE, NOTE = range(5)
+SORT_ROLE = Qt.ItemDataRole.UserRole  # a number, so that 10 comes after 9; what is not known comes last
+FRAME, DEPTH, CONTACT, METRIC, NOTE = range(5)
 _TITLES = ("frame", "depth\nmm", "area\nmm²")
 _TIPS = (
     "number of the frame",
@@ -25,17 +25,19 @@ _TIPS = (
 class FrameSummary:
     """What one frame turned out to be."""
 
-    deepest_mm: float = 0.0
-    contact_mm2: float = 0.0
-    figures: Mapping[str, float] = field(default_factory=dict[str, float])  # "slot.name" -> value
+    max_indentation_mm: float = 0.0
+    contact_area_mm2: float = 0.0
+    metrics: Mapping[str, float] = field(default_factory=dict[str, float])  # "slot.name" -> value
     problem: str = ""  # why there is nothing else to say
-    doubts: tuple[str, ...] = ()  # "slot: sentence"
+    warnings: tuple[str, ...] = ()  # "slot: sentence"
 
-    def value(self, column: int, figure: str) -> float:
+    def get_value(self, column: int, figure: str) -> float:
         """The number of a cell; NaN where there is none."""
-        if self.problem or (column != CONTACT and self.contact_mm2 <= 0):
+        if self.problem or (column != CONTACT and self.contact_area_mm2 <= 0):
             return math.nan
-        return {DEPTH: self.deepest_mm, CONTACT: self.contact_mm2}.get(column, self.figures.get(figure, math.nan))
+        return {DEPTH: self.max_indentation_mm, CONTACT: self.contact_area_mm2}.get(
+            column, self.metrics.get(figure, math.nan)
+        )
 
 
 class FramesModel(QAbstractTableModel):
@@ -44,7 +46,7 @@ class FramesModel(QAbstractTableModel):
     `noted(frame, text)` when somebody has written a note.
     """
 
-    noted = pyqtSignal(int, str)
+    note_edited = pyqtSignal(int, str)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -54,62 +56,62 @@ class FramesModel(QAbstractTableModel):
         self._common: frozenset[str] | None = None  # None = to be worked out
 
     @property
-    def figures(self) -> tuple[str, ...]:
+    def metrics(self) -> tuple[str, ...]:
         """The figures that any known frame has, in order of their first appearance."""
-        return tuple(dict.fromkeys(name for known in self._known.values() for name in known.figures))
+        return tuple(dict.fromkeys(name for known in self._known.values() for name in known.metrics))
 
-    def known(self, frame: int) -> FrameSummary | None:
+    def get_summary(self, frame: int) -> FrameSummary | None:
         """What is known of a frame."""
         return self._known.get(frame)
 
-    def unknown_from(self, frame: int) -> int:
+    def find_unknown_frame(self, frame: int) -> int:
         """The unknown frame nearest to `frame`, later ones first; -1 when all are known."""
         waiting = [i for i in range(self._n_frames) if i not in self._known]
         return min(waiting, key=lambda i: (abs(i - frame), -i), default=-1)
 
     @property
-    def common_doubts(self) -> frozenset[str]:
+    def common_warnings(self) -> frozenset[str]:
         """Those of every touched frame that is known: they tell no frame from another."""
         if self._common is None:
-            told = [set(known.doubts) for known in self._known.values() if known.contact_mm2 > 0]
+            told = [set(known.warnings) for known in self._known.values() if known.contact_area_mm2 > 0]
             self._common = frozenset[str]() if len(told) < 2 else frozenset(set.intersection(*told))
         return self._common
 
-    def own_doubts(self, frame: int) -> tuple[str, ...]:
+    def get_specific_warnings(self, frame: int) -> tuple[str, ...]:
         """A frame's doubts less the common ones."""
         known = self._known.get(frame)
-        return () if known is None else tuple(doubt for doubt in known.doubts if doubt not in self.common_doubts)
+        return () if known is None else tuple(doubt for doubt in known.warnings if doubt not in self.common_warnings)
 
-    def values(self, figure: str) -> tuple[float, ...]:
+    def get_values(self, figure: str) -> tuple[float, ...]:
         """A figure of every frame, NaN where it is not known."""
         unknown = FrameSummary()
-        return tuple(self._known.get(i, unknown).value(FIGURE, figure) for i in range(self._n_frames))
+        return tuple(self._known.get(i, unknown).get_value(METRIC, figure) for i in range(self._n_frames))
 
-    def show_frames(self, n_frames: int) -> None:
+    def reset_frames(self, n_frames: int) -> None:
         """Start over with this many frames of which nothing is known."""
         self.beginResetModel()
         self._n_frames = n_frames
         self._known, self._common = {}, None
         self.endResetModel()
 
-    def grow(self, n_frames: int) -> None:
+    def grow_to(self, n_frames: int) -> None:
         """Add rows for frames that have come since."""
         if n_frames > self._n_frames:
             self.beginInsertRows(QModelIndex(), self._n_frames, n_frames - 1)
             self._n_frames = n_frames
             self.endInsertRows()
 
-    def forget(self) -> None:
+    def clear_summaries(self) -> None:
         """Empty every row: what was known was worked out otherwise than what follows."""
         if self._known:
             self._known, self._common = {}, None
             self._changed(0, self._n_frames - 1)
 
-    def show_figure(self, name: str, title: str) -> None:
+    def show_metric(self, name: str, title: str) -> None:
         """Which figure the last column shows, and its heading."""
         if (name, title) != (self._figure, self._title):
             self._figure, self._title = name, title
-            self.headerDataChanged.emit(Qt.Orientation.Horizontal, FIGURE, FIGURE)
+            self.headerDataChanged.emit(Qt.Orientation.Horizontal, METRIC, METRIC)
             self._changed(0, self._n_frames - 1)
 
     def show_summary(self, frame: int, summary: FrameSummary) -> None:
@@ -126,7 +128,7 @@ class FramesModel(QAbstractTableModel):
             if self._n_frames:
                 self.dataChanged.emit(self.index(0, NOTE), self.index(self._n_frames - 1, NOTE))
 
-    def note(self, frame: int) -> str:
+    def get_note(self, frame: int) -> str:
         """What somebody wrote of a frame."""
         return self._notes.get(frame, "")
 
@@ -139,7 +141,7 @@ class FramesModel(QAbstractTableModel):
         """Somebody wrote a note: who keeps the notes is told, and shows them."""
         if not index.isValid() or index.column() != NOTE or role != Qt.ItemDataRole.EditRole:
             return False
-        self.noted.emit(index.row(), str(value).strip())
+        self.note_edited.emit(index.row(), str(value).strip())
         return True
 
     def rowCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
@@ -154,15 +156,15 @@ class FramesModel(QAbstractTableModel):
         """The text of a cell, or the number that it is sorted by."""
         if not index.isValid():
             return None
-        if index.column() == NOTE and role != SORTED_BY:
-            kept = self.note(index.row())
+        if index.column() == NOTE and role != SORT_ROLE:
+            kept = self.get_note(index.row())
             shown = Qt.ItemDataRole.DisplayRole, Qt.ItemDataRole.EditRole, Qt.ItemDataRole.ToolTipRole
             return kept if role in shown else None
         if role in (Qt.ItemDataRole.ToolTipRole, Qt.ItemDataRole.DecorationRole):
             return self._remark(index.row(), index.column(), Qt.ItemDataRole(role))
         if role == Qt.ItemDataRole.TextAlignmentRole:
             return int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        if role == SORTED_BY:
+        if role == SORT_ROLE:
             return self._number(index.row(), index.column())
         return self._text(index.row(), index.column()) if role == Qt.ItemDataRole.DisplayRole else None
 
@@ -172,16 +174,16 @@ class FramesModel(QAbstractTableModel):
         if summary is None:
             return None
         if role == Qt.ItemDataRole.ToolTipRole:
-            return summary.problem or "\n".join(summary.doubts) or None
-        return state_icon("doubtful") if column == FRAME and self.own_doubts(frame) else None
+            return summary.problem or "\n".join(summary.warnings) or None
+        return make_state_icon("doubtful") if column == FRAME and self.get_specific_warnings(frame) else None
 
     def _number(self, frame: int, column: int) -> float:
         if column == FRAME:
             return float(frame)
         if column == NOTE:
-            return 1.0 if self.note(frame) else 0.0
+            return 1.0 if self.get_note(frame) else 0.0
         summary = self._known.get(frame)
-        value = math.nan if summary is None else summary.value(column, self._figure)
+        value = math.nan if summary is None else summary.get_value(column, self._figure)
         return value if math.isfinite(value) else -math.inf
 
     def _text(self, frame: int, column: int) -> str:
@@ -191,8 +193,8 @@ class FramesModel(QAbstractTableModel):
         if summary is None:
             return ""
         if summary.problem:
-            return "failed" if column == FIGURE else ""
-        value = summary.value(column, self._figure)
+            return "failed" if column == METRIC else ""
+        value = summary.get_value(column, self._figure)
         return f"{value:.{(2, 1, 3)[column - 1]}f}" if math.isfinite(value) else "-"
 
     def headerData(  # noqa: N802
@@ -202,13 +204,13 @@ class FramesModel(QAbstractTableModel):
         if orientation == Qt.Orientation.Horizontal and section == NOTE:
             shown = {Qt.ItemDataRole.DisplayRole: "note", Qt.ItemDataRole.ToolTipRole: "what you write of a frame"}
             return shown.get(Qt.ItemDataRole(role))
-        if orientation == Qt.Orientation.Horizontal and 0 <= section <= FIGURE:
+        if orientation == Qt.Orientation.Horizontal and 0 <= section <= METRIC:
             if role == Qt.ItemDataRole.DisplayRole:
-                return self._title if section == FIGURE else _TITLES[section]
+                return self._title if section == METRIC else _TITLES[section]
             if role == Qt.ItemDataRole.ToolTipRole:
-                return f"{self._figure}; - where it is not known" if section == FIGURE else _TIPS[section]
+                return f"{self._figure}; - where it is not known" if section == METRIC else _TIPS[section]
         return None
 
     def _changed(self, first: int, last: int) -> None:
         if last >= first:
-            self.dataChanged.emit(self.index(first, DEPTH), self.index(last, FIGURE))
+            self.dataChanged.emit(self.index(first, DEPTH), self.index(last, METRIC))

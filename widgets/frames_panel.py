@@ -17,52 +17,52 @@ from PyQt6.QtWidgets import (
 )
 
 from widgets.frames_filter import FramesFilter
-from widgets.frames_model import FIGURE, FRAME, NOTE, SORTED_BY, FramesModel
-from widgets.looks import smaller, spaced
+from widgets.frames_model import FRAME, METRIC, NOTE, SORT_ROLE, FramesModel
+from widgets.styling import set_spacing, shrink_font
 
 
 class FramesPanel(QWidget):
     """Shows its `known` frames; `frame_chosen` says which row was picked, `figure_chosen` what the last column is."""
 
     frame_chosen = pyqtSignal(int)
-    figure_chosen = pyqtSignal(str)
+    metric_chosen = pyqtSignal(str)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.known = FramesModel(self)
+        self.model = FramesModel(self)
         self._sorted = FramesFilter(self)
-        self._sorted.setSourceModel(self.known)
-        self._sorted.setSortRole(SORTED_BY)
+        self._sorted.setSourceModel(self.model)
+        self._sorted.setSortRole(SORT_ROLE)
         self._frame = 0
-        self.figure, self._told, self.wanted = QComboBox(), QLabel(), QLineEdit()
-        self.wanted.setObjectName("frames_filter")
-        self.wanted.setAccessibleName("which frames are listed")
-        self.wanted.setPlaceholderText("filter: >0.3, <2, touched, doubted, noted, a word")
-        self.wanted.setToolTip("Frames of which all of these hold: a limit of the figure, touched, doubted, noted, "
+        self.metric_box, self._told, self.filter_line = QComboBox(), QLabel(), QLineEdit()
+        self.filter_line.setObjectName("frames_filter")
+        self.filter_line.setAccessibleName("which frames are listed")
+        self.filter_line.setPlaceholderText("filter: >0.3, <2, touched, doubted, noted, a word")
+        self.filter_line.setToolTip("Frames of which all of these hold: a limit of the figure, touched, doubted, noted, "
                                "or a word of a note or a doubt")  # fmt: skip
-        self.wanted.setClearButtonEnabled(True)
-        self.wanted.textChanged.connect(self._filter)
-        self.figure.setObjectName("frames_figure")
-        self.figure.setAccessibleName("figure of the frames")
-        self.figure.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-        self.figure.activated.connect(lambda: self.figure_chosen.emit(self.figure.currentText()))
-        smaller(self._told, 1.0)
+        self.filter_line.setClearButtonEnabled(True)
+        self.filter_line.textChanged.connect(self._filter)
+        self.metric_box.setObjectName("frames_figure")
+        self.metric_box.setAccessibleName("figure of the frames")
+        self.metric_box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
+        self.metric_box.activated.connect(lambda: self.metric_chosen.emit(self.metric_box.currentText()))
+        shrink_font(self._told, 1.0)
         self.table = _table(self._sorted)
-        layout = spaced(QVBoxLayout(self), 3, (2, 2, 2, 2))
-        for widget in (self.figure, self.wanted, self.table, self._told):
+        layout = set_spacing(QVBoxLayout(self), 3, (2, 2, 2, 2))
+        for widget in (self.metric_box, self.filter_line, self.table, self._told):
             layout.addWidget(widget)
         self.table.clicked.connect(self._picked)  # a double click writes a note
         self.table.activated.connect(self._picked)
-        for signal in (self.known.dataChanged, self.known.modelReset):
+        for signal in (self.model.dataChanged, self.model.modelReset):
             signal.connect(self._tell)
         self._tell()
 
     def show_frame(self, frame: int) -> None:
         """Mark the frame that is on screen."""
         self._frame = frame
-        if not 0 <= frame < self.known.rowCount():
+        if not 0 <= frame < self.model.rowCount():
             return
-        row = self._sorted.mapFromSource(self.known.index(frame, 0))
+        row = self._sorted.mapFromSource(self.model.index(frame, 0))
         if not row.isValid():  # not among those that are listed
             self.table.clearSelection()
             return
@@ -70,24 +70,24 @@ class FramesPanel(QWidget):
             self.table.setCurrentIndex(row)
         self.table.scrollTo(row)
 
-    def offer_figures(self, names: tuple[str, ...], chosen: str, title: str) -> None:
+    def offer_metrics(self, names: tuple[str, ...], chosen: str, title: str) -> None:
         """The figures to choose from, and the one that the last column shows; says nothing to anybody."""
-        with QSignalBlocker(self.figure):
-            if tuple(self.figure.itemText(i) for i in range(self.figure.count())) != names:
-                self.figure.clear()
-                self.figure.addItems(names)
-            self.figure.setCurrentText(chosen)
-        self.figure.setEnabled(bool(names))
-        self.known.show_figure(chosen, title)
+        with QSignalBlocker(self.metric_box):
+            if tuple(self.metric_box.itemText(i) for i in range(self.metric_box.count())) != names:
+                self.metric_box.clear()
+                self.metric_box.addItems(names)
+            self.metric_box.setCurrentText(chosen)
+        self.metric_box.setEnabled(bool(names))
+        self.model.show_metric(chosen, title)
 
-    def step(self, by: int, *, worst_first: Qt.SortOrder) -> None:
+    def step_by_metric(self, by: int, *, sort_order: Qt.SortOrder) -> None:
         """Go `by` rows along the frames in order of the figure, those without one left out; no further than the ends.
 
         The table takes that order; from a frame that has no figure, the first of the order comes.
         """
-        self.table.sortByColumn(FIGURE, worst_first)
+        self.table.sortByColumn(METRIC, sort_order)
         frames = [self._frame_of(row) for row in range(self._sorted.rowCount())]
-        ranked = [f for f in frames if self.known.data(self.known.index(f, FIGURE), SORTED_BY) != -math.inf]
+        ranked = [f for f in frames if self.model.data(self.model.index(f, METRIC), SORT_ROLE) != -math.inf]
         if not ranked:
             return
         at = ranked.index(self._frame) + by if self._frame in ranked else 0
@@ -97,14 +97,14 @@ class FramesPanel(QWidget):
         return self._sorted.mapToSource(self._sorted.index(row, FRAME)).row()
 
     def _tell(self) -> None:
-        frames = self.known.rowCount()
-        done = sum(self.known.known(i) is not None for i in range(frames))
+        frames = self.model.rowCount()
+        done = sum(self.model.get_summary(i) is not None for i in range(frames))
         listed = self._sorted.rowCount()
         some = f", {listed} listed" if listed != frames else ""
         self._told.setText(f"{done} of {frames} frames known{some}" if frames else "")
 
     def _filter(self, words: str) -> None:
-        self._sorted.show_only(words)
+        self._sorted.set_filter(words)
         self._tell()
         self.show_frame(self._frame)
 

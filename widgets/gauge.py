@@ -9,7 +9,7 @@ from PyQt6.QtCore import QPointF, QRectF, QSize, Qt
 from PyQt6.QtGui import QPainter, QPaintEvent, QPen, QPolygonF
 from PyQt6.QtWidgets import QSizePolicy, QWidget
 
-from widgets.colours import inks, qcolor
+from widgets.theme import get_theme_colours, to_qcolor
 
 _BAR_PX = 9
 
@@ -20,7 +20,7 @@ class GaugeScale:
 
     name: str
     unit: str  # "" of a share
-    full: float  # the bar is full here and beyond
+    full_value: float  # the bar is full here and beyond
     digits: int
     higher_is_better: bool
     help: str
@@ -38,7 +38,7 @@ class Gauge(QWidget):
         self.setAccessibleName(scale.name)
         better = "higher is better" if scale.higher_is_better else "lower is better"
         self.setToolTip(
-            f"{scale.help}; {better}; the bar is full at {scale.full:g}{self._unit()}; "
+            f"{scale.help}; {better}; the bar is full at {scale.full_value:g}{self._unit()}; "
             f"the tick stays where the last drag began"
         )
 
@@ -87,25 +87,25 @@ class Gauge(QWidget):
         painter.drawText(number, middle | int(Qt.AlignmentFlag.AlignRight), self.text)
         bar = QRectF(left, (height - _BAR_PX) / 2, max(10.0, self.width() - left - right), _BAR_PX)
         painter.setPen(Qt.PenStyle.NoPen)
-        painter.setBrush(qcolor(inks(self.palette()).gauge_room))
+        painter.setBrush(to_qcolor(get_theme_colours(self.palette()).gauge_background))
         painter.drawRoundedRect(bar, 2, 2)
         if self.value is not None and math.isfinite(self.value):
-            painter.setBrush(qcolor(inks(self.palette()).gauge))
+            painter.setBrush(to_qcolor(get_theme_colours(self.palette()).gauge))
             painter.drawRoundedRect(QRectF(bar.left(), bar.top(), bar.width() * self._share(self.value), _BAR_PX), 2, 2)
         if self.ghost is not None and math.isfinite(self.ghost):
             self._draw_ghost(painter, bar)
 
     def _draw_ghost(self, painter: QPainter, bar: QRectF) -> None:
         x = bar.left() + bar.width() * self._share(self.ghost or 0.0)
-        painter.setPen(QPen(qcolor(inks(self.palette()).ghost), 1.6))
+        painter.setPen(QPen(to_qcolor(get_theme_colours(self.palette()).ghost), 1.6))
         painter.drawLine(QPointF(x, bar.top() - 2), QPointF(x, bar.bottom() + 2))
         painter.setPen(Qt.PenStyle.NoPen)
-        painter.setBrush(qcolor(inks(self.palette()).ghost))
+        painter.setBrush(to_qcolor(get_theme_colours(self.palette()).ghost))
         top = bar.top() - 1
         painter.drawPolygon(QPolygonF([QPointF(x - 3, top - 3), QPointF(x + 3, top - 3), QPointF(x, top + 1)]))
 
     def _share(self, value: float) -> float:
-        return min(max(value / self._scale.full, 0.0), 1.0)
+        return min(max(value / self._scale.full_value, 0.0), 1.0)
 
     def _unit(self) -> str:
         return f" {self._scale.unit}" if self._scale.unit else ""

@@ -9,11 +9,11 @@ from PyQt6.QtCore import QEvent, QObject, QPointF, QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QMouseEvent, QPainter, QPen, QPolygonF
 from PyQt6.QtWidgets import QWidget
 
-from pipeline.pictures.colours import Rgb
+from pipeline.previews.colours import Rgb
 from widgets.canvas import Canvas
-from widgets.colours import inks, qcolor
+from widgets.theme import get_theme_colours, to_qcolor
 
-Part = Literal["x", "y", "xy", "rz"]
+GizmoPart = Literal["x", "y", "xy", "rz"]
 _ARROW_PX, _RING_PX, _MIDDLE_PX = 46.0, 66.0, 8.0
 _NEAR_PX, _TIP_PX = 7.0, 7.0
 
@@ -31,13 +31,13 @@ class Gizmo(QWidget):
         self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)  # the canvas is watched instead
         self._canvas = canvas
         self._at: QPointF | None = None  # pixel of the picture
-        self._held: tuple[Part, QPointF, QPointF] | None = None  # part, press, and the middle then, on the screen
-        self._under: Part | None = None
+        self._held: tuple[GizmoPart, QPointF, QPointF] | None = None  # part, press, and the middle then, on the screen
+        self._under: GizmoPart | None = None
         canvas.installEventFilter(self)
         self.hide()
 
     @property
-    def held(self) -> bool:
+    def is_dragging(self) -> bool:
         """Whether a part is being dragged."""
         return self._held is not None
 
@@ -50,7 +50,7 @@ class Gizmo(QWidget):
             self._held = self._under = None
         self.update()
 
-    def part_at(self, at: QPointF) -> Part | None:
+    def part_at(self, at: QPointF) -> GizmoPart | None:
         """What of it lies at a place of the canvas."""
         if self._at is None:
             return None
@@ -90,14 +90,14 @@ class Gizmo(QWidget):
             return self._under is not None
         return super().eventFilter(a0, a1)
 
-    def _point(self, part: Part | None) -> None:
+    def _point(self, part: GizmoPart | None) -> None:
         if part != self._under:
             self._under = part
             shapes = Qt.CursorShape
             self._canvas.setCursor(shapes.ArrowCursor if part is None else shapes.OpenHandCursor)
             self.update()
 
-    def _drag(self, part: Part, pressed: QPointF, middle: QPointF, at: QPointF) -> None:
+    def _drag(self, part: GizmoPart, pressed: QPointF, middle: QPointF, at: QPointF) -> None:
         off = (at - pressed) / max(self._canvas.scale, 1e-6)
         x, y = off.x() if part != "y" else 0.0, off.y() if part != "x" else 0.0
         if part != "rz":
@@ -115,7 +115,7 @@ class Gizmo(QWidget):
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         middle = self._canvas.to_screen(self._at)
-        red, green, blue = inks(self.palette()).axes
+        red, green, blue = get_theme_colours(self.palette()).axes
         self._ring(painter, middle, blue)
         self._arrow(painter, middle, QPointF(1, 0), red, part="x")
         self._arrow(painter, middle, QPointF(0, 1), green, part="y")
@@ -124,19 +124,19 @@ class Gizmo(QWidget):
         painter.setBrush(QColor(20, 24, 30, 220 if self._lit("xy") else 130))
         painter.drawRect(square)
 
-    def _lit(self, part: Part) -> bool:
+    def _lit(self, part: GizmoPart) -> bool:
         return (self._held[0] if self._held is not None else self._under) == part
 
     def _ring(self, painter: QPainter, middle: QPointF, colour: Rgb) -> None:
         painter.setBrush(Qt.BrushStyle.NoBrush)
-        for ink, wide in ((QColor(255, 255, 255, 190), 5.0), (qcolor(colour), 3.5 if self._lit("rz") else 2.0)):
+        for ink, wide in ((QColor(255, 255, 255, 190), 5.0), (to_qcolor(colour), 3.5 if self._lit("rz") else 2.0)):
             painter.setPen(QPen(ink, wide))
             painter.drawEllipse(middle, _RING_PX, _RING_PX)
 
-    def _arrow(self, painter: QPainter, middle: QPointF, way: QPointF, colour: Rgb, part: Part) -> None:
+    def _arrow(self, painter: QPainter, middle: QPointF, way: QPointF, colour: Rgb, part: GizmoPart) -> None:
         end, aside = middle + way * _ARROW_PX, QPointF(-way.y(), way.x())
         tip = QPolygonF([end + way * _TIP_PX * 1.6, end + aside * _TIP_PX, end - aside * _TIP_PX])
-        for ink, wide in ((QColor(255, 255, 255, 190), 6.0), (qcolor(colour), 4.0 if self._lit(part) else 2.5)):
+        for ink, wide in ((QColor(255, 255, 255, 190), 6.0), (to_qcolor(colour), 4.0 if self._lit(part) else 2.5)):
             painter.setPen(QPen(ink, wide))
             painter.setBrush(ink)
             painter.drawLine(middle, end)

@@ -6,34 +6,34 @@ from PyQt6.QtCore import QPointF, QRect, QRectF, QSize, Qt
 from PyQt6.QtGui import QColor, QGuiApplication, QIcon, QIconEngine, QPainter, QPalette, QPen, QPixmap, QPolygonF
 from PyQt6.QtWidgets import QWidget
 
-from widgets.colours import inks, qcolor
-from widgets.drawings import CANVAS_PX, COMMANDS, MARKS, Drawing
+from widgets.icon_drawings import CANVAS_PX, COMMAND_DRAWINGS, STATE_DRAWINGS, IconDrawing
+from widgets.theme import get_theme_colours, to_qcolor
 
 _LINE_PX, _MARK_PX = 2.4, 3.0  # of the drawings' canvas
 _FAINT = 90  # of 255: a command that cannot be run now
 
 
-def drawn(name: str) -> QIcon:
+def make_command_icon(name: str) -> QIcon:
     """The drawn icon of a command."""
-    return QIcon(_Engine(COMMANDS[name], state=""))
+    return QIcon(_Engine(COMMAND_DRAWINGS[name], state=""))
 
 
-def state_icon(state: str) -> QIcon:
+def make_state_icon(state: str) -> QIcon:
     """The sign of a state, for tables."""
-    return QIcon(_Engine(MARKS[state], state=state))
+    return QIcon(_Engine(STATE_DRAWINGS[state], state=state))
 
 
 def paint_state(painter: QPainter, room: QRectF, state: str, palette: QPalette) -> None:
     """A round sign for the state of a stage: told apart by its mark, not by its colour alone."""
-    ink = qcolor(inks(palette).states[state])
+    ink = to_qcolor(get_theme_colours(palette).states[state])
     with _Canvas(painter, room):
         painter.setPen(QPen(ink, 2))
         painter.setBrush(QColor(ink.red(), ink.green(), ink.blue(), 40))
         painter.drawEllipse(QRectF(3, 3, 26, 26))
-        _draw(painter, MARKS[state], ink, _MARK_PX)
+        _draw(painter, STATE_DRAWINGS[state], ink, _MARK_PX)
 
 
-class StateSign(QWidget):
+class StateIcon(QWidget):
     """The sign of a state by itself; takes its room even while there is none."""
 
     def __init__(self, size_px: int = 16, parent: QWidget | None = None) -> None:
@@ -58,7 +58,7 @@ class StateSign(QWidget):
 class _Engine(QIconEngine):
     """Draws whenever it is asked, so that an icon follows theme and density of its screen by itself."""
 
-    def __init__(self, drawing: Drawing, *, state: str) -> None:
+    def __init__(self, drawing: IconDrawing, *, state: str) -> None:
         super().__init__()
         self._drawing, self._state = drawing, state
 
@@ -81,7 +81,7 @@ class _Engine(QIconEngine):
         if self._state:
             paint_state(painter, QRectF(rect), self._state, palette)
             return
-        ink = qcolor(inks(palette).icon, _FAINT if mode == QIcon.Mode.Disabled else 255)
+        ink = to_qcolor(get_theme_colours(palette).icon, _FAINT if mode == QIcon.Mode.Disabled else 255)
         with _Canvas(painter, QRectF(rect)):
             _draw(painter, self._drawing, ink, _LINE_PX)
 
@@ -104,7 +104,7 @@ class _Canvas:
         self._painter.restore()
 
 
-def _draw(painter: QPainter, drawing: Drawing, ink: QColor, width_px: float) -> None:
+def _draw(painter: QPainter, drawing: IconDrawing, ink: QColor, width_px: float) -> None:
     painter.setPen(QPen(ink, width_px, cap=Qt.PenCapStyle.RoundCap, join=Qt.PenJoinStyle.RoundJoin))
     painter.setBrush(Qt.BrushStyle.NoBrush)
     for x, y, width, height, begin_deg, by_deg in drawing.arcs:

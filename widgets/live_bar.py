@@ -5,24 +5,24 @@ from __future__ import annotations
 from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QSizePolicy, QWidget
 
-from widgets.looks import bold
+from widgets.styling import make_bold
 
 
 class LiveBar(QFrame):
     """Hidden while nothing is watched."""
 
-    zero_wanted = pyqtSignal()
+    zero_requested = pyqtSignal()
     record_toggled = pyqtSignal(bool)
     follow_toggled = pyqtSignal(bool)
-    stop_wanted = pyqtSignal()
+    stop_requested = pyqtSignal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setObjectName("live_bar")
         self.setFrameShape(QFrame.Shape.StyledPanel)
         self._title, self._rates, self._wrong = QLabel(), QLabel(), QLabel()
-        bold(self._title)
-        bold(self._wrong)
+        make_bold(self._title)
+        make_bold(self._wrong)
         self._rates.setToolTip("readings a second that arrive, over the last two seconds; lost: counted by the sensor")
         self._wrong.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
         self.follow, self.zero = QPushButton("Follow"), QPushButton("Set zero")
@@ -45,9 +45,9 @@ class LiveBar(QFrame):
         for button in (self.follow, self.zero, self.record, self.stop):
             row.addWidget(button)
         self.follow.clicked.connect(self.follow_toggled)
-        self.zero.clicked.connect(self.zero_wanted)
+        self.zero.clicked.connect(self.zero_requested)
         self.record.clicked.connect(self.record_toggled)
-        self.stop.clicked.connect(self.stop_wanted)
+        self.stop.clicked.connect(self.stop_requested)
         self.hide()
 
     @property

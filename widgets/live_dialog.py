@@ -21,15 +21,15 @@ from PyQt6.QtWidgets import (
 class LiveDialog(QDialog):
     """`watch_wanted` carries the words of the source, the sensor, the object and the rate in Hz."""
 
-    watch_wanted = pyqtSignal(list, str, str, float)
-    folder_wanted = pyqtSignal()
-    cameras_wanted = pyqtSignal()
+    watch_requested = pyqtSignal(list, str, str, float)
+    folder_requested = pyqtSignal()
+    cameras_requested = pyqtSignal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setWindowTitle("Live")
         self.setObjectName("live_dialog")
-        self.source, self.sensor, self.tool = QComboBox(), QComboBox(), QComboBox()
+        self.source, self.sensor, self.object_box = QComboBox(), QComboBox(), QComboBox()
         self.rate, self.folder = QDoubleSpinBox(), QLineEdit()
         browse, look = QPushButton("Choose…"), QPushButton("Look again")
         self.rate.setRange(0.5, 120.0)
@@ -45,7 +45,7 @@ class LiveDialog(QDialog):
         second.addWidget(browse)
         form.addRow("source", first)
         form.addRow("folder", second)
-        for label, widget in (("sensor", self.sensor), ("object", self.tool), ("rate", self.rate)):
+        for label, widget in (("sensor", self.sensor), ("object", self.object_box), ("rate", self.rate)):
             widget.setObjectName(f"live_{label}")
             form.addRow(label, widget)
         self._told = QLabel()
@@ -54,8 +54,8 @@ class LiveDialog(QDialog):
         self.watch = QPushButton("Watch")
         self.watch.setDefault(True)
         form.addRow(self.watch)
-        look.clicked.connect(self.cameras_wanted)
-        browse.clicked.connect(self.folder_wanted)
+        look.clicked.connect(self.cameras_requested)
+        browse.clicked.connect(self.folder_requested)
         self.watch.clicked.connect(self._watch)
         self.source.currentIndexChanged.connect(self._fit)
         self.folder.textChanged.connect(self._fit)
@@ -66,8 +66,8 @@ class LiveDialog(QDialog):
         for name in sensors:
             self.sensor.addItem(name, name)
         for name in tools:
-            self.tool.addItem(name, name)
-        self.tool.setCurrentIndex(max(0, self.tool.findData("sphere")))
+            self.object_box.addItem(name, name)
+        self.object_box.setCurrentIndex(max(0, self.object_box.findData("sphere")))
 
     def show_cameras(self, cameras: Sequence[tuple[str, str]]) -> None:
         """(name, words) of what is plugged in."""
@@ -87,7 +87,7 @@ class LiveDialog(QDialog):
     def _fit(self) -> None:
         words = self.source.currentData() or ["simulated"]
         self.folder.setEnabled(words[0] == "folder")
-        for widget in (self.tool, self.rate):
+        for widget in (self.object_box, self.rate):
             widget.setEnabled(words[0] == "simulated")
         self.watch.setEnabled(words[0] != "folder" or bool(self.folder.text().strip()))
 
@@ -95,5 +95,5 @@ class LiveDialog(QDialog):
         words = list(self.source.currentData() or ["simulated"])
         if words[0] == "folder":
             words.append(self.folder.text().strip())
-        self.watch_wanted.emit(words, self.sensor.currentData(), self.tool.currentData(), self.rate.value())
+        self.watch_requested.emit(words, self.sensor.currentData(), self.object_box.currentData(), self.rate.value())
         self.accept()

@@ -7,7 +7,7 @@ from collections import deque
 
 from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QPlainTextEdit, QPushButton, QVBoxLayout, QWidget
 
-from widgets.looks import spaced
+from widgets.styling import set_spacing
 
 _KEPT = 5000
 _LEVELS = {"everything": logging.DEBUG, "info": logging.INFO, "warnings": logging.WARNING, "errors": logging.ERROR}
@@ -35,7 +35,7 @@ class LogPanel(QWidget):
         row.addWidget(self._level)
         row.addStretch(1)
         row.addWidget(clear)
-        layout = spaced(QVBoxLayout(self), 2, (4, 2, 4, 2))
+        layout = set_spacing(QVBoxLayout(self), 2, (4, 2, 4, 2))
         layout.addLayout(row)
         layout.addWidget(self._text)
 

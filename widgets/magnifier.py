@@ -9,12 +9,12 @@ from PyQt6.QtCore import QRectF, Qt
 from PyQt6.QtGui import QColor, QPainter, QPen
 from PyQt6.QtWidgets import QWidget
 
-from pipeline.pictures.picture import Picture
+from pipeline.previews.preview import Preview
 from widgets.canvas import Canvas
-from widgets.colours import TRACE, qcolor
-from widgets.looks import smaller
+from widgets.styling import shrink_font
+from widgets.theme import CROSSHAIR_COLOUR, to_qcolor
 
-MOST_REACH = 3  # pixels on either side, fewer in a small picture
+MAX_RADIUS_PX = 3  # pixels on either side, fewer in a small picture
 _SHARE = 0.5  # of the picture that is covered either way
 _CELL_PX, _LINE_PX = (31, 17), 3  # width of a value, and what is between the patch and the picture's edge
 _DARK = 140  # of 255: letters on a darker pixel are light
@@ -27,20 +27,20 @@ class Magnifier(QWidget):
         super().__init__(parent)
         self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self.setAccessibleName("values around the pixel")
-        smaller(self, 2.5, least_pt=6.5)
-        self.reach = MOST_REACH
-        self.picture: Picture | None = None
-        self.at = 0, 0  # row, col in the middle
+        shrink_font(self, 2.5, least_pt=6.5)
+        self.radius_px = MAX_RADIUS_PX
+        self.preview: Preview | None = None
+        self.centre_pixel = 0, 0  # row, col in the middle
         self.hide()
 
-    def show_at(self, canvas: Canvas, picture: Picture, row: int, col: int) -> None:
+    def show_pixel(self, canvas: Canvas, picture: Preview, row: int, col: int) -> None:
         """The surroundings of a pixel, in the corner of its canvas that is farthest from it."""
-        self.picture, self.at = picture, (row, col)
+        self.preview, self.centre_pixel = picture, (row, col)
         if self.parentWidget() is not canvas:
             self.setParent(canvas)
         room = min(_SHARE * canvas.width() / _CELL_PX[0], _SHARE * canvas.height() / _CELL_PX[1])
-        self.reach = min(MOST_REACH, max(1, int(0.5 * (room - 1.0))))
-        self.resize((2 * self.reach + 1) * _CELL_PX[0] + 2, (2 * self.reach + 1) * _CELL_PX[1] + 2)
+        self.radius_px = min(MAX_RADIUS_PX, max(1, int(0.5 * (room - 1.0))))
+        self.resize((2 * self.radius_px + 1) * _CELL_PX[0] + 2, (2 * self.radius_px + 1) * _CELL_PX[1] + 2)
         low = row < 0.5 * picture.pixels.shape[0]
         right = col < 0.5 * picture.pixels.shape[1]
         self.move(
@@ -51,9 +51,9 @@ class Magnifier(QWidget):
         self.raise_()
         self.update()
 
-    def value(self, row: int, col: int) -> str:
+    def format_value(self, row: int, col: int) -> str:
         """What a pixel reads, short: mm to a hundredth, of a colour its mean level; "" outside or without a value."""
-        picture = self.picture
+        picture = self.preview
         if picture is None or not (0 <= row < picture.pixels.shape[0] and 0 <= col < picture.pixels.shape[1]):
             return ""
         if picture.values is None:
@@ -64,21 +64,21 @@ class Magnifier(QWidget):
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
         """A cell a pixel, the one pointed at with a rim."""
         del a0
-        if self.picture is None:
+        if self.preview is None:
             return
         painter, (wide, high) = QPainter(self), _CELL_PX
         painter.fillRect(self.rect(), QColor(20, 24, 30))
-        rows, cols = self.picture.pixels.shape[:2]
-        reach = self.reach
+        rows, cols = self.preview.pixels.shape[:2]
+        reach = self.radius_px
         for i in range(2 * reach + 1):
             for j in range(2 * reach + 1):
-                row, col = self.at[0] + i - reach, self.at[1] + j - reach
+                row, col = self.centre_pixel[0] + i - reach, self.centre_pixel[1] + j - reach
                 if 0 <= row < rows and 0 <= col < cols:
-                    red, green, blue = (int(level) for level in self.picture.pixels[row, col])
+                    red, green, blue = (int(level) for level in self.preview.pixels[row, col])
                     cell = QRectF(1 + j * wide, 1 + i * high, wide, high)
                     painter.fillRect(cell, QColor(red, green, blue))
                     dark = 0.3 * red + 0.59 * green + 0.11 * blue < _DARK
                     painter.setPen(QColor(255, 255, 255) if dark else QColor(20, 24, 30))
-                    painter.drawText(cell, Qt.AlignmentFlag.AlignCenter, self.value(row, col))
-        painter.setPen(QPen(qcolor(TRACE), 2))
+                    painter.drawText(cell, Qt.AlignmentFlag.AlignCenter, self.format_value(row, col))
+        painter.setPen(QPen(to_qcolor(CROSSHAIR_COLOUR), 2))
         painter.drawRect(QRectF(1 + reach * wide, 1 + reach * high, wide, high))

@@ -26,8 +26,8 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from pipeline.base.params import Setting, Value, changed, settings
-from widgets.looks import bold, icon_button, spaced
+from pipeline.base.params import Setting, Value, list_settings, replace_value
+from widgets.styling import make_bold, make_icon_button, set_spacing
 
 _SLIDER_STEPS = 400
 _MANY, _TOO_MANY, _BEND = 200, 10_000, 3.0  # whole numbers of such a range have a slider, the small ones the most room
@@ -58,7 +58,7 @@ class ParametersPanel(QScrollArea):
         self._layout.setContentsMargins(6, 4, 6, 4)
         self._layout.addStretch(1)
         self.setWidget(self._body)
-        self.dragged = ""  # the key of the slider that is held: what is edited then will soon be something else
+        self.dragged_key = ""  # the key of the slider that is held: what is edited then will soon be something else
         self._params: dict[str, object] = {}
         self._controls: dict[str, dict[str, _Control]] = {}
         self._groups: dict[str, QWidget] = {}
@@ -69,7 +69,7 @@ class ParametersPanel(QScrollArea):
         self._params[key] = params
         group, form = self._group(key, title, tip)
         self._controls[key] = {}
-        for name, (value, told) in settings(params).items():
+        for name, (value, told) in list_settings(params).items():
             control = self._control(key, name, value, told)
             self._controls[key][name] = control
             label = QLabel(_label(told))
@@ -96,7 +96,7 @@ class ParametersPanel(QScrollArea):
         if key not in self._controls or params == self._params.get(key):
             return
         self._params[key] = params
-        for name, (value, _) in settings(params).items():
+        for name, (value, _) in list_settings(params).items():
             self._controls[key][name].show(value)
 
     def show_groups(self, kinds: Mapping[str, str]) -> None:
@@ -118,12 +118,12 @@ class ParametersPanel(QScrollArea):
 
     def _group(self, key: str, title: str, tip: str) -> tuple[QWidget, QFormLayout]:
         group = QWidget()
-        outer = spaced(QVBoxLayout(group), 3, (0, 2, 0, 6))
+        outer = set_spacing(QVBoxLayout(group), 3, (0, 2, 0, 6))
         head = QHBoxLayout()
         name = QLabel(title)
         name.setToolTip(tip)
-        bold(name)
-        button = icon_button("reset", f"reset_{key}", f"Reset {title.lower()} to its defaults")
+        make_bold(name)
+        button = make_icon_button("reset", f"reset_{key}", f"Reset {title.lower()} to its defaults")
         button.setAccessibleName(f"reset {key}")
         button.clicked.connect(lambda: self.reset(key))
         head.addWidget(name, 1)
@@ -138,48 +138,52 @@ class ParametersPanel(QScrollArea):
         return group, form
 
     @property
-    def dragging(self) -> bool:
+    def is_dragging(self) -> bool:
         """Whether a slider is held."""
-        return bool(self.dragged)
+        return bool(self.dragged_key)
 
     def _hold(self, key: str) -> None:
-        self.dragged = key
+        self.dragged_key = key
         if not key:
             self.drag_ended.emit()
 
     def _edited(self, key: str, name: str, value: Value) -> None:
-        params = changed(self._params[key], name, value)
+        params = replace_value(self._params[key], name, value)
         if params != self._params[key]:
             self._params[key] = params
             self.params_edited.emit(key, params)
 
-    def _control(self, key: str, name: str, value: Value, told: Setting) -> _Control:
-        def edited(new: Value) -> None:
+    def _control(self, key: str, name: str, value: Value, setting: Setting) -> _Control:
+        def apply_edit(new: Value) -> None:
             self._edited(key, name, new)
 
         if isinstance(value, bool):
-            return _switch(value, edited)
-        if told.choices:
-            return _choice(str(value), told, edited)
+            return _switch(value, apply_edit)
+        if setting.choices:
+            return _choice(str(value), setting, apply_edit)
         if isinstance(value, int):
-            return _whole(value, told, edited)
+            return _whole(value, setting, apply_edit)
         if isinstance(value, float):
-            return _number(value, told, edited)
-        return _text(value, edited)
+            return _number(value, setting, apply_edit)
+        return _text(value, apply_edit)
 
 
-def _label(told: Setting) -> str:
+def _label(setting: Setting) -> str:
     """With its unit, unless that is a word of it."""
-    return f"{told.label}, {told.unit}" if told.unit and told.unit not in told.label.lower() else told.label
+    return (
+        f"{setting.label}, {setting.unit}"
+        if setting.unit and setting.unit not in setting.label.lower()
+        else setting.label
+    )
 
 
-def _range(told: Setting) -> str:
+def _range(setting: Setting) -> str:
     """The numbers that it may be, with their unit."""
-    unit = f" {told.unit}" if told.unit else ""
-    if told.choices:
-        return f", {', '.join(told.choices)}"
-    if math.isfinite(told.low) and math.isfinite(told.high):
-        return f", {told.low:g} to {told.high:g}{unit}"
+    unit = f" {setting.unit}" if setting.unit else ""
+    if setting.choices:
+        return f", {', '.join(setting.choices)}"
+    if math.isfinite(setting.low) and math.isfinite(setting.high):
+        return f", {setting.low:g} to {setting.high:g}{unit}"
     return f", in{unit}" if unit else ""
 
 
@@ -200,9 +204,9 @@ def _switch(value: bool, edited: Callable[[Value], None]) -> _Control:
     return _quiet(box, box.setChecked)
 
 
-def _choice(value: str, told: Setting, edited: Callable[[Value], None]) -> _Control:
+def _choice(value: str, setting: Setting, edited: Callable[[Value], None]) -> _Control:
     box = QComboBox()
-    box.addItems(list(told.choices))
+    box.addItems(list(setting.choices))
     box.setCurrentText(value)
     box.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
     box.currentTextChanged.connect(edited)
@@ -215,39 +219,39 @@ def _text(value: str, edited: Callable[[Value], None]) -> _Control:
     return _quiet(line, line.setText)
 
 
-def _whole(value: int, told: Setting, edited: Callable[[Value], None]) -> _Control:
+def _whole(value: int, setting: Setting, edited: Callable[[Value], None]) -> _Control:
     box = QSpinBox()
-    box.setRange(int(max(told.low, -_WIDEST)), int(min(told.high, _WIDEST)))
-    box.setSingleStep(max(1, int(told.step)))
+    box.setRange(int(max(setting.low, -_WIDEST)), int(min(setting.high, _WIDEST)))
+    box.setSingleStep(max(1, int(setting.step)))
     box.setKeyboardTracking(False)
     box.setValue(value)
-    if not _MANY <= told.high - told.low <= _TOO_MANY:
+    if not _MANY <= setting.high - setting.low <= _TOO_MANY:
         box.valueChanged.connect(edited)
         return _quiet(box, box.setValue)
-    low, span = int(told.low), told.high - told.low
+    low, span = int(setting.low), setting.high - setting.low
     slider = QSlider(Qt.Orientation.Horizontal)
     slider.setRange(0, _SLIDER_STEPS)
     slider.setMinimumWidth(40)
 
-    def place(new: float) -> None:
+    def place_slider(new: float) -> None:
         with QSignalBlocker(slider):
             slider.setValue(round(((new - low) / span) ** (1 / _BEND) * _SLIDER_STEPS))
 
-    def typed(new: int) -> None:
-        place(new)
+    def apply_typed(new: int) -> None:
+        place_slider(new)
         edited(new)
 
     def show(new: Value) -> None:
         with QSignalBlocker(box):
             box.setValue(int(new))
-        place(float(new))
+        place_slider(float(new))
 
-    def dragged(at: int) -> None:
+    def apply_dragged(at: int) -> None:
         box.setValue(low + round(span * (at / _SLIDER_STEPS) ** _BEND))
 
-    place(value)
-    box.valueChanged.connect(typed)
-    slider.valueChanged.connect(dragged)
+    place_slider(value)
+    box.valueChanged.connect(apply_typed)
+    slider.valueChanged.connect(apply_dragged)
     return _Control(widget=_side_by_side(slider, box), show=show)
 
 
@@ -261,12 +265,12 @@ def _side_by_side(slider: QSlider | None, box: QWidget) -> QWidget:
     return both
 
 
-def _number(value: float, told: Setting, edited: Callable[[Value], None]) -> _Control:
+def _number(value: float, setting: Setting, edited: Callable[[Value], None]) -> _Control:
     """A spin box, with a slider beside it where the range has two ends."""
     box = QDoubleSpinBox()
-    low, high = max(told.low, -_WIDEST), min(told.high, _WIDEST)
-    bounded = math.isfinite(told.low) and math.isfinite(told.high)
-    step = told.step or ((high - low) / 10 if bounded else 0.1)
+    low, high = max(setting.low, -_WIDEST), min(setting.high, _WIDEST)
+    bounded = math.isfinite(setting.low) and math.isfinite(setting.high)
+    step = setting.step or ((high - low) / 10 if bounded else 0.1)
     box.setDecimals(max(2, min(6, 2 - math.floor(math.log10(step)))))
     box.setRange(low, high)
     box.setSingleStep(step)
@@ -276,24 +280,24 @@ def _number(value: float, told: Setting, edited: Callable[[Value], None]) -> _Co
     slider.setRange(0, _SLIDER_STEPS)
     slider.setMinimumWidth(40)
 
-    def place(new: float) -> None:
+    def place_slider(new: float) -> None:
         if bounded:
             with QSignalBlocker(slider):
                 slider.setValue(round((new - low) / (high - low) * _SLIDER_STEPS))
 
-    def typed(new: float) -> None:
-        place(new)
+    def apply_typed(new: float) -> None:
+        place_slider(new)
         edited(new)
 
-    def dragged(at: int) -> None:
+    def apply_dragged(at: int) -> None:
         box.setValue(low + (high - low) * at / _SLIDER_STEPS)
 
     def show(new: Value) -> None:
         with QSignalBlocker(box):
             box.setValue(float(new))
-        place(float(new))
+        place_slider(float(new))
 
-    place(value)
-    box.valueChanged.connect(typed)
-    slider.valueChanged.connect(dragged)
+    place_slider(value)
+    box.valueChanged.connect(apply_typed)
+    slider.valueChanged.connect(apply_dragged)
     return _Control(widget=_side_by_side(slider if bounded else None, box), show=show)

@@ -8,11 +8,11 @@ from collections.abc import Callable
 from PyQt6.QtCore import QEvent, Qt, pyqtSignal
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
-from pipeline.alignment.refine import Fit, Refinement
+from pipeline.alignment.refine import AlignmentFit, Refinement
 from pipeline.base.arrays import Doubles
-from pipeline.pictures.colours import Rgb
-from widgets.colours import Inks, hexed, inks
-from widgets.looks import spaced
+from pipeline.previews.colours import Rgb
+from widgets.styling import set_spacing
+from widgets.theme import ThemeColours, get_theme_colours, to_hex
 
 _IDLE = "least squares over all frames that both sensors feel; a quarter of them only judges"
 
@@ -20,8 +20,8 @@ _IDLE = "least squares over all frames that both sensors feel; a quarter of them
 class RefineBox(QWidget):
     """Signals what is wanted; shows what it is told."""
 
-    refine_wanted = pyqtSignal()
-    cancel_wanted = pyqtSignal()
+    refine_requested = pyqtSignal()
+    cancel_requested = pyqtSignal()
     accepted = pyqtSignal()
     discarded = pyqtSignal()
 
@@ -39,7 +39,7 @@ class RefineBox(QWidget):
         self._text.setWordWrap(True)
         self._text.setTextFormat(Qt.TextFormat.RichText)
         self._text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        layout = spaced(QVBoxLayout(self), 4)
+        layout = set_spacing(QVBoxLayout(self), 4)
         for pair in ((self.button, self.cancel), (self.accept, self.discard)):
             row = QHBoxLayout()
             for one in pair:
@@ -48,8 +48,8 @@ class RefineBox(QWidget):
             if pair[0] is self.button:
                 layout.addWidget(self.bar)
                 layout.addWidget(self._text)
-        self.button.clicked.connect(self.refine_wanted)
-        self.cancel.clicked.connect(self.cancel_wanted)
+        self.button.clicked.connect(self.refine_requested)
+        self.cancel.clicked.connect(self.cancel_requested)
         self.accept.clicked.connect(self.accepted)
         self.discard.clicked.connect(self.discarded)
         self.show_idle()
@@ -62,15 +62,15 @@ class RefineBox(QWidget):
     def show_idle(self, note: str = _IDLE) -> None:
         """Ready to begin."""
         self._show(running=False, done=False)
-        self._say(lambda ink: _in(ink.soft, note))
+        self._say(lambda ink: _in(ink.secondary_text, note))
 
     def show_progress(self, fraction: float, text: str) -> None:
         """On its way."""
         self._show(running=True, done=False)
         self.bar.setValue(round(1000 * fraction))
-        self._say(lambda ink: _in(ink.soft, text))
+        self._say(lambda ink: _in(ink.secondary_text, text))
 
-    def show_answer(self, answer: Refinement, target: str) -> None:
+    def show_result(self, answer: Refinement, target: str) -> None:
         """Before and after, what is not observable, and the choice."""
         self._show(running=False, done=True)
         self._say(lambda ink: _table(answer, ink) + _words(answer, target, ink))
@@ -81,9 +81,9 @@ class RefineBox(QWidget):
         if a0 is not None and a0.type() == QEvent.Type.PaletteChange:
             self._say(self._told)
 
-    def _say(self, told: Callable[[Inks], str]) -> None:
-        self._told = told
-        self._text.setText(told(inks(self.palette())))
+    def _say(self, make_text: Callable[[ThemeColours], str]) -> None:
+        self._told = make_text
+        self._text.setText(make_text(get_theme_colours(self.palette())))
 
     def _show(self, *, running: bool, done: bool) -> None:
         for widget, seen in (
@@ -94,7 +94,7 @@ class RefineBox(QWidget):
 
 
 def _in(colour: Rgb, text: str) -> str:
-    return f"<span style='color:{hexed(colour)}'>{text}</span>"
+    return f"<span style='color:{to_hex(colour)}'>{text}</span>"
 
 
 def _button(text: str, name: str) -> QPushButton:
@@ -103,10 +103,10 @@ def _button(text: str, name: str) -> QPushButton:
     return button
 
 
-def _table(answer: Refinement, ink: Inks) -> str:
+def _table(answer: Refinement, ink: ThemeColours) -> str:
     rows = [
-        f"<tr><td></td><td align='right'>{_in(ink.soft, 'surface mm')}</td>"
-        f"<td align='right'>{_in(ink.soft, 'outline mm')}</td></tr>"
+        f"<tr><td></td><td align='right'>{_in(ink.secondary_text, 'surface mm')}</td>"
+        f"<td align='right'>{_in(ink.secondary_text, 'outline mm')}</td></tr>"
     ]
     for name, pair in (("used", answer.used), ("held out", answer.held_out)):
         if pair is None:
@@ -127,21 +127,21 @@ def _told(value: float) -> str:
     return f"{value:.3f}" if math.isfinite(value) else "-"
 
 
-def _words(answer: Refinement, target: str, ink: Inks) -> str:
+def _words(answer: Refinement, target: str, ink: ThemeColours) -> str:
     turn, shift = answer.spread[:3], answer.spread[3:]
     said = [
         f"predicted spread of what is observable, {target} frame: "
         f"{_named(('x', 'y', 'z'), shift, 3)} mm; {_named(('rx', 'ry', 'rz'), turn, 2)}°",
-        *(_in(ink.alarm, f"not observable: {words}; left as it was") for words in answer.weak),
-        *(_in(ink.alarm, note) for note in answer.notes),
+        *(_in(ink.warning_text, f"not observable: {words}; left as it was") for words in answer.weak),
+        *(_in(ink.warning_text, note) for note in answer.notes),
     ]
     worse = _worse(answer.held_out)
     if worse:
-        said.append(_in(ink.alarm, worse))
+        said.append(_in(ink.warning_text, worse))
     return "<br>".join(said)
 
 
-def _worse(held_out: tuple[Fit, Fit] | None) -> str:
+def _worse(held_out: tuple[AlignmentFit, AlignmentFit] | None) -> str:
     """A warning where touches that took no part fit less well than before."""
     if held_out is None:
         return "no touch was left to be held out"

@@ -15,10 +15,10 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from pipeline.translation.section import Line, Section, as_csv
-from widgets.looks import command_button, spaced
+from pipeline.translation.cross_section import CrossSection, SectionLine, format_csv
+from widgets.fixed_size_label import FixedSizeLabel
 from widgets.section_plot import SectionPlot
-from widgets.still_label import StillLabel
+from widgets.styling import make_command_button, set_spacing
 
 _NAMES = ("A, mm", "", "B, mm", "")
 _TIPS = ("across", "down", "across", "down")
@@ -32,19 +32,19 @@ class SectionPanel(QWidget):
     """Shows a `Section`; tells where somebody typed that the line lies."""
 
     line_typed = pyqtSignal(object)  # Line
-    command_wanted = pyqtSignal()
+    command_requested = pyqtSignal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.plot, self.told, self.copy = SectionPlot(), StillLabel(_OFF), QPushButton("Copy CSV")
-        self.line: Line | None = None
+        self.plot, self.message, self.copy = SectionPlot(), FixedSizeLabel(_OFF), QPushButton("Copy CSV")
+        self.line: SectionLine | None = None
         self.command = QPushButton("Copy command")
         self.command.setObjectName("section_command")
         self.command.setToolTip("Copy the command line that writes this table")
-        self.command.clicked.connect(self.command_wanted)
+        self.command.clicked.connect(self.command_requested)
         self.copy.setObjectName("section_copy")
         self.copy.setToolTip("Copy the curves as a table: mm along the line, and mm of indentation for every slot")
-        self._head = spaced(QHBoxLayout(), 5)
+        self._head = set_spacing(QHBoxLayout(), 5)
         self.ends: list[QDoubleSpinBox] = []
         for k, (name, tip) in enumerate(zip(_NAMES, _TIPS, strict=True)):
             box, end = QDoubleSpinBox(), "AB"[k // 2]
@@ -60,18 +60,18 @@ class SectionPanel(QWidget):
                 self._head.addWidget(QLabel(name))
             self._head.addWidget(box)
             self.ends.append(box)
-        self.place = QComboBox()
-        self.place.setObjectName("section_place")
-        self.place.setAccessibleName("whose curves are drawn")
-        self.place.setToolTip("Whose curves are drawn: a gel is pushed in less far than a bubble")
+        self.sensor_box = QComboBox()
+        self.sensor_box.setObjectName("section_place")
+        self.sensor_box.setAccessibleName("whose curves are drawn")
+        self.sensor_box.setToolTip("Whose curves are drawn: a gel is pushed in less far than a bubble")
         for title, place in _PLACES:
-            self.place.addItem(title, place)
-        self.place.currentIndexChanged.connect(self._place_chosen)
-        self._head.addWidget(self.place)
-        self._head.addWidget(self.told, 1)
+            self.sensor_box.addItem(title, place)
+        self.sensor_box.currentIndexChanged.connect(self._place_chosen)
+        self._head.addWidget(self.sensor_box)
+        self._head.addWidget(self.message, 1)
         self._head.addWidget(self.copy)
         self._head.addWidget(self.command)
-        layout = spaced(QVBoxLayout(self), 2, (6, 4, 6, 2))
+        layout = set_spacing(QVBoxLayout(self), 2, (6, 4, 6, 2))
         layout.addLayout(self._head)
         layout.addWidget(self.plot, 1)
         self.copy.clicked.connect(self._copy)
@@ -79,34 +79,34 @@ class SectionPanel(QWidget):
 
     def add_command(self, action: QAction) -> None:
         """A button before the numbers."""
-        self._head.insertWidget(0, command_button(action))
+        self._head.insertWidget(0, make_command_button(action))
 
-    def show_line(self, line: Line | None) -> None:
+    def show_line(self, line: SectionLine | None) -> None:
         """Where the line lies; says so to nobody."""
         self.line = line
         for box, value in zip(self.ends, (0.0,) * 4 if line is None else line.plain, strict=True):
             with QSignalBlocker(box):
                 box.setValue(value)
             box.setEnabled(line is not None)
-        self.told.setText(_OFF if line is None else _HOW.format(line.length_mm))
-        self.told.setToolTip(self.told.text())
+        self.message.setText(_OFF if line is None else _HOW.format(line.length_mm))
+        self.message.setToolTip(self.message.text())
         if line is None:
             self.show_section(None)
 
-    def show_section(self, section: Section | None) -> None:
+    def show_section(self, section: CrossSection | None) -> None:
         """The curves along it."""
         self.plot.show_section(section)
         for button in (self.copy, self.command):
             button.setEnabled(section is not None)
 
     def _place_chosen(self, _: int) -> None:
-        self.plot.show_place(str(self.place.currentData()))
+        self.plot.show_sensor_role(str(self.sensor_box.currentData()))
 
     def _typed(self) -> None:
         x0, y0, x1, y1 = (box.value() for box in self.ends)
-        self.line_typed.emit(Line(begin_mm=(x0, y0), end_mm=(x1, y1)))
+        self.line_typed.emit(SectionLine(begin_mm=(x0, y0), end_mm=(x1, y1)))
 
     def _copy(self) -> None:
         board = QApplication.clipboard()
         if board is not None and self.plot.section is not None:
-            board.setText(as_csv(self.plot.section))
+            board.setText(format_csv(self.plot.section))

@@ -14,10 +14,10 @@ from PyQt6.QtCore import QLineF, QPointF, QRectF, QSize, Qt
 from PyQt6.QtGui import QColor, QPainter, QPalette, QPen
 from PyQt6.QtWidgets import QSizePolicy, QWidget
 
-from pipeline.pictures.colours import Rgb
-from pipeline.translation.section import Profile, Section
-from widgets.colours import ANSWERS, inks, qcolor
-from widgets.looks import smaller
+from pipeline.previews.colours import Rgb
+from pipeline.translation.cross_section import CrossSection, HeightProfile
+from widgets.styling import shrink_font
+from widgets.theme import CATEGORY_COLOURS, get_theme_colours, to_qcolor
 
 _LEFT_PX, _BELOW_PX, _ROOM_PX, _LEGEND_PX, _KEY_PX, _EDGE_PX = 60.0, 32.0, 8.0, 150.0, 26.0, 9.0
 _STEPS = (1.0, 2.0, 5.0)
@@ -28,24 +28,24 @@ _LEAST_TICKS = 2  # one number is no scale
 
 
 @dataclass(frozen=True, slots=True)
-class Stroke:
+class CurveStyle:
     """How a curve is drawn: colours alone tell nobody apart where two curves lie on each other."""
 
     colour: Callable[[QPalette], QColor]
     pattern: str = _SOLID
-    wide_px: float = 1.8
+    width_px: float = 1.8
 
 
 def _always(rgb: Rgb) -> Callable[[QPalette], QColor]:
-    return lambda _: qcolor(rgb)
+    return lambda _: to_qcolor(rgb)
 
 
 def _calm(palette: QPalette) -> QColor:
-    return qcolor(inks(palette).whole)
+    return to_qcolor(get_theme_colours(palette).neutral)
 
 
 def _blue(palette: QPalette) -> QColor:
-    return qcolor(inks(palette).taken)
+    return to_qcolor(get_theme_colours(palette).accent)
 
 
 def _words(palette: QPalette) -> QColor:
@@ -53,16 +53,16 @@ def _words(palette: QPalette) -> QColor:
 
 
 _STROKES = {
-    "source": Stroke(_calm),
-    "depth": Stroke(_blue),
-    "cloud": Stroke(_always(ANSWERS[1]), _DOT, 2.6),
-    "view": Stroke(_always(ANSWERS[2]), _DASH),
-    "touch": Stroke(_always(ANSWERS[3]), wide_px=3.0),
-    "felt": Stroke(_always(ANSWERS[5]), _DASH_DOT),
-    "true_source": Stroke(_blue, _DOT),
-    "true_target": Stroke(_words, wide_px=1.3),
+    "source": CurveStyle(_calm),
+    "depth": CurveStyle(_blue),
+    "cloud": CurveStyle(_always(CATEGORY_COLOURS[1]), _DOT, 2.6),
+    "target_depth": CurveStyle(_always(CATEGORY_COLOURS[2]), _DASH),
+    "touch": CurveStyle(_always(CATEGORY_COLOURS[3]), width_px=3.0),
+    "touch_depth": CurveStyle(_always(CATEGORY_COLOURS[5]), _DASH_DOT),
+    "true_source": CurveStyle(_blue, _DOT),
+    "true_target": CurveStyle(_words, width_px=1.3),
 }
-_OTHER = Stroke(_calm, _DASH)
+_OTHER = CurveStyle(_calm, _DASH)
 
 
 class SectionPlot(QWidget):
@@ -70,9 +70,9 @@ class SectionPlot(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        smaller(self)
-        self.section: Section | None = None
-        self.place = ""  # whose curves are drawn, "" = both sensors'
+        shrink_font(self)
+        self.section: CrossSection | None = None
+        self.sensor_role = ""  # whose curves are drawn, "" = both sensors'
         self.setMinimumSize(280, 110)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self.setAccessibleName("indentation along the section line")
@@ -81,14 +81,14 @@ class SectionPlot(QWidget):
             "begins and ends. Points of the cloud: square to the target's rest surface"
         )
 
-    def show_section(self, section: Section | None) -> None:
+    def show_section(self, section: CrossSection | None) -> None:
         """Draw this instead."""
         self.section = section
         self.update()
 
-    def show_place(self, place: str) -> None:
+    def show_sensor_role(self, place: str) -> None:
         """Draw the curves of the source or of the target alone, on a scale of their own; "" draws both."""
-        self.place = place
+        self.sensor_role = place
         self.update()
 
     def sizeHint(self) -> QSize:  # noqa: N802
@@ -96,15 +96,15 @@ class SectionPlot(QWidget):
         return QSize(640, 180)
 
     @property
-    def known(self) -> tuple[Profile, ...]:
+    def visible_profiles(self) -> tuple[HeightProfile, ...]:
         """The curves that are drawn: those that have a value anywhere."""
         profiles = () if self.section is None else self.section.profiles
-        return tuple(p for p in profiles if self.place in ("", p.place) and np.isfinite(p.heights_mm).any())
+        return tuple(p for p in profiles if self.sensor_role in ("", p.place) and np.isfinite(p.heights_mm).any())
 
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
         """Axes, curves, edges of contact, legend."""
         del a0
-        known, section = self.known, self.section
+        known, section = self.visible_profiles, self.section
         if section is None or not known or not section.line.length_mm > 0:
             return
         painter = QPainter(self)
@@ -117,18 +117,18 @@ class SectionPlot(QWidget):
         self._draw_axes(painter, room, section.line.length_mm, (low, low + span))
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)  # not of the grid: it would cost as much as a curve
         x = room.left() + room.width() * section.along_mm / section.line.length_mm
-        for profile in sorted(known, key=lambda p: -_STROKES.get(p.name, _OTHER).wide_px):  # none hides another
+        for profile in sorted(known, key=lambda p: -_STROKES.get(p.name, _OTHER).width_px):  # none hides another
             painter.setPen(self._pen(profile.name))
             y = room.bottom() - room.height() * (profile.heights_mm - low) / span
-            draw_lines(painter, segments(x, y, _STROKES.get(profile.name, _OTHER).pattern))
-            for edge in profile.edges_mm:
+            draw_lines(painter, compute_segments(x, y, _STROKES.get(profile.name, _OTHER).pattern))
+            for edge in profile.contact_edges_mm:
                 at = room.left() + room.width() * edge / section.line.length_mm
                 painter.drawLine(QPointF(at, room.bottom() - _EDGE_PX), QPointF(at, room.bottom()))
         self._draw_legend(painter, known, room)
 
     def _pen(self, name: str) -> QPen:
         stroke = _STROKES.get(name, _OTHER)
-        pen = QPen(stroke.colour(self.palette()), stroke.wide_px)
+        pen = QPen(stroke.colour(self.palette()), stroke.width_px)
         pen.setCapStyle(Qt.PenCapStyle.FlatCap)
         return pen
 
@@ -136,13 +136,13 @@ class SectionPlot(QWidget):
         palette, (low, high) = self.palette(), span_mm
         grid, words = palette.color(QPalette.ColorRole.Mid), palette.color(QPalette.ColorRole.WindowText)
         centre, right = Qt.AlignmentFlag.AlignCenter, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
-        for value in ticks(0.0, long_mm, max(2, int(room.width() / 70))):
+        for value in compute_ticks(0.0, long_mm, max(2, int(room.width() / 70))):
             x = room.left() + room.width() * value / long_mm
             painter.setPen(QPen(grid, 1, Qt.PenStyle.DotLine))
             painter.drawLine(QPointF(x, room.top()), QPointF(x, room.bottom()))
             painter.setPen(words)
             painter.drawText(QRectF(x - 30, room.bottom() + 1, 60, 14), centre, f"{value:.6g}")
-        for value in ticks(low, high, max(_LEAST_TICKS, int(room.height() / 20))):
+        for value in compute_ticks(low, high, max(_LEAST_TICKS, int(room.height() / 20))):
             y = room.bottom() - room.height() * (value - low) / (high - low)
             painter.setPen(QPen(grid, 1, Qt.PenStyle.SolidLine if value == 0 else Qt.PenStyle.DotLine))
             painter.drawLine(QPointF(room.left(), y), QPointF(room.right(), y))
@@ -160,19 +160,21 @@ class SectionPlot(QWidget):
         painter.drawText(QRectF(0, 0, room.height(), 14), centre, named)
         painter.restore()
 
-    def _draw_legend(self, painter: QPainter, known: tuple[Profile, ...], room: QRectF) -> None:
+    def _draw_legend(self, painter: QPainter, known: tuple[HeightProfile, ...], room: QRectF) -> None:
         left, tall = room.right() + _ROOM_PX, min(18.0, room.height() / len(known))
         for k, profile in enumerate(known):
             y = room.top() + (k + 0.5) * tall
             painter.setPen(self._pen(profile.name))
             key = np.linspace(left, left + _KEY_PX, 9)
-            draw_lines(painter, segments(key, np.full(9, y), _STROKES.get(profile.name, _OTHER).pattern))
+            draw_lines(painter, compute_segments(key, np.full(9, y), _STROKES.get(profile.name, _OTHER).pattern))
             painter.setPen(self.palette().color(QPalette.ColorRole.WindowText))
             words = QRectF(left + _KEY_PX + 5, y - 9, self.width() - left - _KEY_PX - 6, 18)
             painter.drawText(words, Qt.AlignmentFlag.AlignVCenter, profile.title)
 
 
-def segments(x_px: NDArray[np.floating], y_px: NDArray[np.floating], pattern: str = "1") -> NDArray[np.floating]:
+def compute_segments(
+    x_px: NDArray[np.floating], y_px: NDArray[np.floating], pattern: str = "1"
+) -> NDArray[np.floating]:
     """The curve from sample to sample, (n, 4) x, y of the beginning and of the end.
 
     Nothing where either is NaN, nor where the pattern, repeated, has a 0. Qt draws these in a tenth of the time of one
@@ -196,16 +198,16 @@ def draw_lines(painter: QPainter, lines: NDArray[np.floating]) -> None:
         painter.drawLines(held)
 
 
-def ticks(low: float, high: float, most: int) -> list[float]:
+def compute_ticks(low: float, high: float, max_count: int) -> list[float]:
     """Round numbers from `low` to `high` in steps of 1, 2 or 5 times a power of ten.
 
     `most` of them or fewer, but two where a smaller step is what it takes.
     """
     found: list[float] = []
     while high > low and len(found) < _LEAST_TICKS:
-        coarse = (high - low) / most
+        coarse = (high - low) / max_count
         power = 10.0 ** math.floor(math.log10(coarse))
         step = next((s * power for s in _STEPS if s * power >= coarse * (1 - 1e-9)), 10.0 * power)
         found = [k * step for k in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
-        most += 1
+        max_count += 1
     return found

@@ -10,8 +10,8 @@ from PyQt6.QtCore import QPointF, QRectF, QSize, Qt
 from PyQt6.QtGui import QPainter, QPalette, QPen
 from PyQt6.QtWidgets import QSizePolicy, QWidget
 
-from widgets.colours import inks, qcolor
-from widgets.looks import smaller
+from widgets.styling import shrink_font
+from widgets.theme import get_theme_colours, to_qcolor
 
 _LEFT_PX, _BELOW_PX, _ROOM_PX, _DOT_PX = 46.0, 34.0, 14.0, 4.0
 
@@ -21,7 +21,7 @@ class SpreadPlot(QWidget):
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        smaller(self)
+        shrink_font(self)
         self.points: tuple[tuple[float, float], ...] = ()
         self.setMinimumWidth(240)
         self.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Expanding)
@@ -48,13 +48,13 @@ class SpreadPlot(QWidget):
         side = min(self.width() - _LEFT_PX - _ROOM_PX, self.height() - _BELOW_PX - 2 * _ROOM_PX)
         left, low = _LEFT_PX, _ROOM_PX + side
 
-        def at(x: float, y: float) -> QPointF:
+        def to_screen(x: float, y: float) -> QPointF:
             return QPointF(left + side * x / most, low - side * y / most)
 
         painter.setPen(palette.color(QPalette.ColorRole.Mid))
         painter.drawRect(QRectF(left, _ROOM_PX, side, side))
         painter.setPen(QPen(palette.color(QPalette.ColorRole.Mid), 1, Qt.PenStyle.DashLine))
-        painter.drawLine(at(0, 0), at(most, most))
+        painter.drawLine(to_screen(0, 0), to_screen(most, most))
         painter.setPen(palette.color(QPalette.ColorRole.WindowText))
         centre, right = Qt.AlignmentFlag.AlignHCenter, Qt.AlignmentFlag.AlignRight
         painter.drawText(QRectF(left, low + 2, side, 16), right, f"{most:.2g}")
@@ -65,10 +65,10 @@ class SpreadPlot(QWidget):
         painter.rotate(-90)
         painter.drawText(QRectF(0, 0, side, 16), centre, "error of the mean (rms), mm")
         painter.restore()
-        dots = [at(*point) for point in self.points]
-        painter.setPen(QPen(qcolor(inks(self.palette()).taken), 1.5))
+        dots = [to_screen(*point) for point in self.points]
+        painter.setPen(QPen(to_qcolor(get_theme_colours(self.palette()).accent), 1.5))
         for one, other in pairwise(dots):
             painter.drawLine(one, other)
-        painter.setBrush(qcolor(inks(self.palette()).taken))
+        painter.setBrush(to_qcolor(get_theme_colours(self.palette()).accent))
         for dot in dots:
             painter.drawEllipse(dot, _DOT_PX, _DOT_PX)

@@ -11,10 +11,10 @@ from typing import Any
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtWidgets import QBoxLayout, QComboBox, QFrame, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
-from widgets.icons import StateSign
-from widgets.looks import bold, smaller, spaced
-from widgets.picture import PictureView
-from widgets.still_label import StillLabel
+from widgets.fixed_size_label import FixedSizeLabel
+from widgets.icons import StateIcon
+from widgets.preview_view import PreviewView
+from widgets.styling import make_bold, set_spacing, shrink_font
 
 _BETWEEN_PX = 40  # sign, word and time of a state, with the frame around them
 _SIGN_PX = 10  # between a title and the state's sign beside it, and around them
@@ -34,19 +34,19 @@ class StageColumn(QFrame):
         super().__init__(parent)
         self.setObjectName(f"column_{name}")
         self.setFrameShape(QFrame.Shape.StyledPanel)
-        self._title = StillLabel(title)
-        bold(self._title)
-        smaller(self._title, 0.5)
+        self._title = FixedSizeLabel(title)
+        make_bold(self._title)
+        shrink_font(self._title, 0.5)
         self._title.setToolTip(title)
-        self._sign, self._word, self._ms = StateSign(), QLabel(), QLabel()
+        self._sign, self._word, self._ms = StateIcon(), QLabel(), QLabel()
         self._ms.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        self.view = PictureView()
-        self._first, self._status = spaced(QHBoxLayout(), 4), QWidget()
-        status = spaced(QHBoxLayout(self._status), 4)
+        self.view = PreviewView()
+        self._first, self._status = set_spacing(QHBoxLayout(), 4), QWidget()
+        status = set_spacing(QHBoxLayout(self._status), 4)
         status.addWidget(self._sign)
         status.addWidget(self._word)
         status.addWidget(self._ms, 1)
-        layout = spaced(QVBoxLayout(self), 2, (1, 3, 1, 2))
+        layout = set_spacing(QVBoxLayout(self), 2, (1, 3, 1, 2))
         self._method = QComboBox()
         self._method.setObjectName(f"method_{name}")
         self._method.setAccessibleName(f"method of {title}")
@@ -54,7 +54,7 @@ class StageColumn(QFrame):
         self._method.activated.connect(lambda: self.method_chosen.emit(name, self._method.currentData()))
         self._only = QLabel()  # in its place where there is one way only
         for widget in (self._word, self._ms, self._method, self._only):
-            smaller(widget, 1.0)
+            shrink_font(widget, 1.0)
         self._only.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self._only.setFixedHeight(self._method.sizeHint().height())
         self._method.hide()
@@ -66,21 +66,21 @@ class StageColumn(QFrame):
             self._head.addWidget(widget)
         layout.addLayout(self._head)
         layout.addWidget(self.view, 1)
-        self._note = StillLabel()
+        self._note = FixedSizeLabel()
         self._note.setObjectName(f"note_{name}")
-        smaller(self._note, 1.0)
+        shrink_font(self._note, 1.0)
         self._note.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
         self._wide = self._joined = False
         self._show_lines(2)
         layout.addWidget(self._note)
         self.setMinimumWidth(90)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Expanding)
-        self.state, self.doubts, self._notes = "", tuple[str, ...](), tuple[str, ...]()
+        self.state, self.warnings, self._notes = "", tuple[str, ...](), tuple[str, ...]()
         self.view.pixel_hovered.connect(partial(self.pixel_hovered.emit, name))
         self.view.pixel_clicked.connect(partial(self.pixel_clicked.emit, name))
         self.show_state("waiting")
 
-    def show_wide(self, wide: bool) -> None:
+    def set_wide(self, wide: bool) -> None:
         """Title, method and state beside each other where there is width, below each other in a narrow column."""
         way = QBoxLayout.Direction
         self._head.setDirection(way.LeftToRight if wide else way.TopToBottom)
@@ -90,10 +90,10 @@ class StageColumn(QFrame):
             self._head.setStretchFactor(place, 2 if wide else 0)
         self._title.setMinimumWidth(min(self._title_px + 1, _TITLE_PX) if wide else 0)
         self._wide = wide
-        self.show_short(False)
+        self.set_compact(False)
         self._fit_time()
 
-    def show_short(self, short: bool, *, joined: bool = False) -> None:
+    def set_compact(self, short: bool, *, joined: bool = False) -> None:
         """Caption and note have one line, not two, where there is little height, or where a line is long.
 
         `joined` to have the state beside the title, in its line.
@@ -106,7 +106,7 @@ class StageColumn(QFrame):
             self._fit_time()
 
     @property
-    def joinable(self) -> bool:
+    def has_room_for_state(self) -> bool:
         """Whether the state's sign has room beside the whole title."""
         return self.width() >= self._title_px + self._sign.sizeHint().width() + _SIGN_PX
 
@@ -116,8 +116,8 @@ class StageColumn(QFrame):
 
     def _show_lines(self, lines: int) -> None:
         """The room of caption and note, theirs whether they say something or not: pictures stand in one line."""
-        self.view.show_lines(lines)
-        self._note.show_lines(lines)
+        self.view.set_caption_lines(lines)
+        self._note.set_lines(lines)
 
     def resizeEvent(self, a0: Any) -> None:  # noqa: N802
         """The time gives way where there is no room for it, and beside title or method the state's word does."""
@@ -158,7 +158,7 @@ class StageColumn(QFrame):
             self._method.setCurrentIndex(index)
         self._method.setToolTip(str(self._method.itemData(index, Qt.ItemDataRole.ToolTipRole) or ""))
 
-    def show_state(self, state: str, ms: float | None = None, notes: tuple[str, ...] = (), instead: str = "") -> None:
+    def show_state(self, state: str, ms: float | None = None, notes: tuple[str, ...] = (), fallback: str = "") -> None:
         """Show where the stage stands; notes become the tool tip, and the reason over a skipped picture.
 
         The first is read out below the picture, up to its first colon or comma. `instead` is why another method than
@@ -174,26 +174,26 @@ class StageColumn(QFrame):
         if state not in ("stale", "running"):
             first = notes[0] if notes and state not in ("skipped", "failed") else ""
             self._note.setText(_AN_END.split(first, maxsplit=1)[0])
-        old = state in ("stale", "running", "failed") and self.view.picture is not None
-        self.view.show_dimmed(old)
-        self.view.show_message(instead or self._message(state, notes))
+        old = state in ("stale", "running", "failed") and self.view.preview is not None
+        self.view.set_dimmed(old)
+        self.view.show_message(fallback or self._message(state, notes))
 
     def show_result(
-        self, state: str, ms: float, notes: tuple[str, ...], doubts: tuple[str, ...], instead: str = ""
+        self, state: str, ms: float, notes: tuple[str, ...], warnings: tuple[str, ...], fallback: str = ""
     ) -> None:
         """As `show_state`; doubts come before other notes, and make the state doubtful, unless it is a draft."""
-        plain = tuple(note for note in notes if note not in doubts)
-        self.doubts = doubts
-        self.show_state("doubtful" if doubts and state != "draft" else state, ms, (*doubts, *plain), instead)
+        plain = tuple(note for note in notes if note not in warnings)
+        self.warnings = warnings
+        self.show_state("doubtful" if warnings and state != "draft" else state, ms, (*warnings, *plain), fallback)
 
-    def wanted_height_px(self) -> int:
+    def compute_preferred_height_px(self) -> int:
         """The height at which the picture fills the width that the column has."""
-        room = self.view.room_px
-        return self.height() - room.height() + math.ceil(room.width() * self.view.tall)
+        room = self.view.canvas_size_px
+        return self.height() - room.height() + math.ceil(room.width() * self.view.height_over_width)
 
     def _message(self, state: str, notes: tuple[str, ...]) -> str:
         if state in ("stale", "running"):
-            return "updating" if self.view.picture is not None else "working…"
+            return "updating" if self.view.preview is not None else "working…"
         if state == "skipped":
             return notes[0] if notes else "not needed for this frame"
         if state == "failed":

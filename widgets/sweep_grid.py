@@ -11,37 +11,39 @@ from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QFontMetrics, QPainter, QPalette, QPen, QPixmap, QPolygonF
 from PyQt6.QtWidgets import QSizePolicy, QToolTip, QWidget
 
-from pipeline.pictures.picture import Picture
-from widgets.colours import inks, qcolor
-from widgets.plate import image_under
+from pipeline.previews.preview import Preview
+from widgets.preview_renderer import make_themed_qimage
+from widgets.theme import get_theme_colours, to_qcolor
 
-Place = tuple[int, int]  # row, col
+CellIndex = tuple[int, int]  # row, col
 _GAP_PX, _EDGE_PX = 3, 6
 _LEFT_SHARE = 0.12  # of the width, for the rows' values
 _DOT_PX, _NEAR_PX = 5.0, 14.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Tried:
+class SweepTrial:
     """One pair of values: its error (NaN = not known), time and picture, or why it failed."""
 
     error: float
-    ms: float
-    picture: Picture | None
+    time_ms: float
+    preview: Preview | None
     problem: str = ""
 
-    def told(self, unit: str) -> str:
+    def describe(self, unit: str) -> str:
         """In a few words."""
         if self.problem:
             return self.problem
         error = f"{self.error:.3g} {unit}".strip() if math.isfinite(self.error) else "no error known"
-        return f"{error}, {_time(self.ms)}"
+        return f"{error}, {_time(self.time_ms)}"
 
 
-def best_of(tried: Mapping[Place, Tried]) -> list[Place]:
+def find_pareto_front(tried: Mapping[CellIndex, SweepTrial]) -> list[CellIndex]:
     """The places that no other beats in both time and error, by time."""
-    known = [(t.ms, t.error, place) for place, t in tried.items() if math.isfinite(t.error) and math.isfinite(t.ms)]
-    front: list[Place] = []
+    known = [
+        (t.time_ms, t.error, place) for place, t in tried.items() if math.isfinite(t.error) and math.isfinite(t.time_ms)
+    ]
+    front: list[CellIndex] = []
     least = math.inf
     for _, error, place in sorted(known):
         if error < least:
@@ -53,45 +55,45 @@ def best_of(tried: Mapping[Place, Tried]) -> list[Place]:
 class _Tries(QWidget):
     """What the two views of a sweep have in common."""
 
-    chosen = pyqtSignal(int, int)
-    pointed = pyqtSignal(int, int)  # (-1, -1) = nothing
+    cell_chosen = pyqtSignal(int, int)
+    cell_hovered = pyqtSignal(int, int)  # (-1, -1) = nothing
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setMouseTracking(True)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-        self.tried: dict[Place, Tried] = {}
-        self.at: Place = (-1, -1)  # under the mouse, here or in the other
-        self.used: Place = (-1, -1)  # whose values are the session's
+        self.trials: dict[CellIndex, SweepTrial] = {}
+        self.hovered_cell: CellIndex = (-1, -1)  # under the mouse, here or in the other
+        self.used_cell: CellIndex = (-1, -1)  # whose values are the session's
         self.unit = ""
 
-    def point(self, row: int, col: int) -> None:
+    def mark_cell(self, row: int, col: int) -> None:
         """Mark a place."""
-        if (row, col) != self.at:
-            self.at = (row, col)
+        if (row, col) != self.hovered_cell:
+            self.hovered_cell = (row, col)
             self.update()
 
-    def place_at(self, at: QPointF) -> Place:
+    def cell_at(self, at: QPointF) -> CellIndex:
         """What lies there; (-1, -1) = nothing."""
         raise NotImplementedError
 
     def mouseMoveEvent(self, a0: Any) -> None:  # noqa: N802
         """Say what is under the mouse."""
-        place = self.place_at(a0.position())
-        self.pointed.emit(*place)
-        told = self.tried[place].told(self.unit) if place in self.tried else ""
+        place = self.cell_at(a0.position())
+        self.cell_hovered.emit(*place)
+        told = self.trials[place].describe(self.unit) if place in self.trials else ""
         QToolTip.showText(a0.globalPosition().toPoint(), told, self)
 
     def leaveEvent(self, a0: Any) -> None:  # noqa: N802
         """Nothing is."""
         super().leaveEvent(a0)
-        self.pointed.emit(-1, -1)
+        self.cell_hovered.emit(-1, -1)
 
     def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
         """Use what is under the mouse."""
-        place = self.place_at(a0.position())
-        if place in self.tried and not self.tried[place].problem:
-            self.chosen.emit(*place)
+        place = self.cell_at(a0.position())
+        if place in self.trials and not self.trials[place].problem:
+            self.cell_chosen.emit(*place)
 
 
 class SweepGrid(_Tries):
@@ -102,17 +104,17 @@ class SweepGrid(_Tries):
         self.setObjectName("sweep_grid")
         self._across: tuple[str, Sequence[str]] = ("", ())
         self._down: tuple[str, Sequence[str]] = ("", ())
-        self._small: dict[Place, QPixmap] = {}
+        self._small: dict[CellIndex, QPixmap] = {}
 
     def show_axes(self, across: tuple[str, Sequence[str]], down: tuple[str, Sequence[str]], unit: str) -> None:
         """(name, values) of columns and rows; what was there before goes."""
         self._across, self._down, self.unit = across, down, unit
-        self.tried, self._small = {}, {}
+        self.trials, self._small = {}, {}
         self.update()
 
-    def show_cell(self, row: int, col: int, tried: Tried) -> None:
+    def show_cell(self, row: int, col: int, tried: SweepTrial) -> None:
         """One more is known."""
-        self.tried[row, col] = tried
+        self.trials[row, col] = tried
         self._small.pop((row, col), None)
         self.update()
 
@@ -120,7 +122,7 @@ class SweepGrid(_Tries):
         """Room for a few small pictures."""
         return QSize(560, 420)
 
-    def place_at(self, at: QPointF) -> Place:
+    def cell_at(self, at: QPointF) -> CellIndex:
         """The cell that lies there."""
         rows, cols = len(self._down[1]), len(self._across[1])
         for row in range(rows):
@@ -172,12 +174,12 @@ class SweepGrid(_Tries):
                 self._draw_cell(painter, row, col)
 
     def _draw_cell(self, painter: QPainter, row: int, col: int) -> None:
-        room, tried, palette = self._cell(row, col), self.tried.get((row, col)), self.palette()
+        room, tried, palette = self._cell(row, col), self.trials.get((row, col)), self.palette()
         rim = palette.color(QPalette.ColorRole.Mid)
         wide = 1.0
-        if (row, col) == self.used:
+        if (row, col) == self.used_cell:
             rim, wide = palette.color(QPalette.ColorRole.Highlight), 3.0
-        elif (row, col) == self.at:
+        elif (row, col) == self.hovered_cell:
             rim, wide = palette.color(QPalette.ColorRole.WindowText), 2.0
         painter.setPen(QPen(rim, wide))
         painter.setBrush(palette.color(QPalette.ColorRole.Base))
@@ -185,21 +187,23 @@ class SweepGrid(_Tries):
         if tried is None:
             return
         line = QFontMetrics(self.font()).height()
-        if tried.picture is not None:
-            self._draw_picture(painter, (row, col), tried.picture, room.adjusted(3, 3, -3, -line - 4))
+        if tried.preview is not None:
+            self._draw_picture(painter, (row, col), tried.preview, room.adjusted(3, 3, -3, -line - 4))
         painter.setPen(palette.color(QPalette.ColorRole.WindowText))
-        words = "failed" if tried.problem else tried.told(self.unit)
+        words = "failed" if tried.problem else tried.describe(self.unit)
         under = QRectF(room.left() + 3, room.bottom() - line - 2, room.width() - 6, line)
         text = QFontMetrics(self.font()).elidedText(words, Qt.TextElideMode.ElideRight, int(under.width()))
         painter.drawText(under, Qt.AlignmentFlag.AlignCenter, text)
 
-    def _draw_picture(self, painter: QPainter, place: Place, picture: Picture, room: QRectF) -> None:
+    def _draw_picture(self, painter: QPainter, place: CellIndex, picture: Preview, room: QRectF) -> None:
         if room.width() < 8 or room.height() < 8:
             return
         small = self._small.get(place)
         if small is None:
             fit, smooth = Qt.AspectRatioMode.KeepAspectRatio, Qt.TransformationMode.SmoothTransformation
-            small = QPixmap.fromImage(image_under(self.palette(), picture).scaled(room.size().toSize(), fit, smooth))
+            small = QPixmap.fromImage(
+                make_themed_qimage(self.palette(), picture).scaled(room.size().toSize(), fit, smooth)
+            )
             self._small[place] = small
         left = room.left() + 0.5 * (room.width() - small.width())
         painter.drawPixmap(QPointF(left, room.top() + 0.5 * (room.height() - small.height())), small)
@@ -212,35 +216,35 @@ class SweepPlot(_Tries):
         super().__init__(parent)
         self.setObjectName("sweep_plot")
 
-    def show_tried(self, tried: Mapping[Place, Tried], unit: str) -> None:
+    def show_trials(self, tried: Mapping[CellIndex, SweepTrial], unit: str) -> None:
         """Show these."""
-        self.tried, self.unit = dict(tried), unit
+        self.trials, self.unit = dict(tried), unit
         self.update()
 
     def sizeHint(self) -> QSize:  # noqa: N802
         """Half as wide as the grid."""
         return QSize(320, 320)
 
-    def place_at(self, at: QPointF) -> Place:
+    def cell_at(self, at: QPointF) -> CellIndex:
         """The dot that lies there."""
         near = {place: (self._dot(place) - at).manhattanLength() for place in self._known}
         best = min(near, key=near.__getitem__, default=(-1, -1))
         return best if best in near and near[best] < _NEAR_PX else (-1, -1)
 
     @property
-    def _known(self) -> list[Place]:
-        return [p for p, t in self.tried.items() if math.isfinite(t.error) and math.isfinite(t.ms)]
+    def _known(self) -> list[CellIndex]:
+        return [p for p, t in self.trials.items() if math.isfinite(t.error) and math.isfinite(t.time_ms)]
 
     @property
     def _frame(self) -> QRectF:
         line = QFontMetrics(self.font()).height()
         return QRectF(52, line + 4, self.width() - 64, self.height() - 3 * line - 10)
 
-    def _dot(self, place: Place) -> QPointF:
-        frame, tried = self._frame, self.tried[place]
-        most_ms = max(self.tried[p].ms for p in self._known) or 1.0
-        most = max(self.tried[p].error for p in self._known) or 1.0
-        x, y = tried.ms / (1.06 * most_ms), tried.error / (1.06 * most)
+    def _dot(self, place: CellIndex) -> QPointF:
+        frame, tried = self._frame, self.trials[place]
+        most_ms = max(self.trials[p].time_ms for p in self._known) or 1.0
+        most = max(self.trials[p].error for p in self._known) or 1.0
+        x, y = tried.time_ms / (1.06 * most_ms), tried.error / (1.06 * most)
         return QPointF(frame.left() + x * frame.width(), frame.bottom() - y * frame.height())
 
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
@@ -261,17 +265,21 @@ class SweepPlot(_Tries):
         if not known:
             painter.drawText(frame, Qt.AlignmentFlag.AlignCenter, "no error known yet")
             return
-        most_ms, most = max(self.tried[p].ms for p in known), max(self.tried[p].error for p in known)
+        most_ms, most = max(self.trials[p].time_ms for p in known), max(self.trials[p].error for p in known)
         painter.drawText(low, Qt.AlignmentFlag.AlignLeft, "0")
         painter.drawText(low, Qt.AlignmentFlag.AlignRight, _time(1.06 * most_ms))
         painter.drawText(QRectF(0, frame.top() - 4, 48, line), Qt.AlignmentFlag.AlignRight, f"{1.06 * most:.3g}")
-        best = best_of(self.tried)
-        painter.setPen(QPen(qcolor(inks(palette).taken), 1.5))
+        best = find_pareto_front(self.trials)
+        painter.setPen(QPen(to_qcolor(get_theme_colours(palette).accent), 1.5))
         painter.drawPolyline(QPolygonF([self._dot(place) for place in best]))
         for place in known:
-            painter.setPen(QPen(palette.color(QPalette.ColorRole.WindowText), 2.5 if place == self.at else 0.6))
-            painter.setBrush(qcolor(inks(palette).taken if place in best else inks(palette).worse))
-            big = _DOT_PX + (3.0 if place == self.used else 0.0)
+            painter.setPen(
+                QPen(palette.color(QPalette.ColorRole.WindowText), 2.5 if place == self.hovered_cell else 0.6)
+            )
+            painter.setBrush(
+                to_qcolor(get_theme_colours(palette).accent if place in best else get_theme_colours(palette).worse)
+            )
+            big = _DOT_PX + (3.0 if place == self.used_cell else 0.0)
             painter.drawEllipse(self._dot(place), big, big)
 
 

@@ -19,8 +19,8 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from widgets.looks import spaced
-from widgets.sweep_grid import SweepGrid, SweepPlot, Tried
+from widgets.styling import set_spacing
+from widgets.sweep_grid import SweepGrid, SweepPlot, SweepTrial
 
 _HINT = "choose two parameters and their values, then press Sweep; a click on a cell uses its values"
 
@@ -29,17 +29,17 @@ class SweepPage(QWidget):
     """`axis_chosen(which)`, `sweep_wanted`, `cancel_wanted` and `cell_chosen(row, col)`; knows nothing of methods."""
 
     axis_chosen = pyqtSignal(int)  # 0 across, 1 down
-    sweep_wanted = pyqtSignal()
-    cancel_wanted = pyqtSignal()
+    sweep_requested = pyqtSignal()
+    cancel_requested = pyqtSignal()
     cell_chosen = pyqtSignal(int, int)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.axes, self.values = (QComboBox(), QComboBox()), (QLineEdit(), QLineEdit())
-        self.figure, self.go, self.bar = QComboBox(), QPushButton("Sweep"), QProgressBar()
-        self.grid, self.plot, self.told = SweepGrid(), SweepPlot(), QLabel(_HINT)
+        self.metric_box, self.start_button, self.bar = QComboBox(), QPushButton("Sweep"), QProgressBar()
+        self.grid, self.plot, self.message = SweepGrid(), SweepPlot(), QLabel(_HINT)
         self._busy = False
-        head = spaced(QGridLayout(), 6)
+        head = set_spacing(QGridLayout(), 6)
         for which, word in enumerate(("columns", "rows")):
             box, line = self.axes[which], self.values[which]
             box.setObjectName(f"sweep_{word}")
@@ -49,45 +49,47 @@ class SweepPage(QWidget):
             line.setToolTip("Values, with commas between them")
             box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
             box.activated.connect(partial(self._choose, which))
-            line.returnPressed.connect(self.sweep_wanted)
+            line.returnPressed.connect(self.sweep_requested)
             head.addWidget(QLabel(word), which, 0)
             head.addWidget(box, which, 1)
             head.addWidget(line, which, 2)
-        self.figure.setObjectName("sweep_figure")
-        self.figure.setAccessibleName("figure that judges")
-        self.go.setObjectName("sweep_go")
+        self.metric_box.setObjectName("sweep_figure")
+        self.metric_box.setAccessibleName("figure that judges")
+        self.start_button.setObjectName("sweep_go")
         self.bar.setTextVisible(False)
         self.bar.setRange(0, 1000)
         self.bar.hide()
         head.addWidget(QLabel("judged by"), 0, 3)
-        head.addWidget(self.figure, 0, 4)
-        head.addWidget(self.go, 1, 3)
+        head.addWidget(self.metric_box, 0, 4)
+        head.addWidget(self.start_button, 1, 3)
         head.addWidget(self.bar, 1, 4)
         head.setColumnStretch(2, 1)
-        self.told.setWordWrap(True)
-        self.told.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self.message.setWordWrap(True)
+        self.message.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         both = QSplitter(Qt.Orientation.Horizontal)
         for widget, share in ((self.grid, 3), (self.plot, 2)):
             both.addWidget(widget)
             both.setStretchFactor(both.count() - 1, share)
-        layout = spaced(QVBoxLayout(self), 6, (8, 6, 8, 2))
+        layout = set_spacing(QVBoxLayout(self), 6, (8, 6, 8, 2))
         layout.addLayout(head)
-        layout.addWidget(self.told)
+        layout.addWidget(self.message)
         layout.addWidget(both, 1)
-        self.go.clicked.connect(self._start_or_stop)
+        self.start_button.clicked.connect(self._start_or_stop)
         for one, other in ((self.grid, self.plot), (self.plot, self.grid)):
-            one.pointed.connect(one.point)
-            one.pointed.connect(other.point)
-            one.chosen.connect(self.cell_chosen)
+            one.cell_hovered.connect(one.mark_cell)
+            one.cell_hovered.connect(other.mark_cell)
+            one.cell_chosen.connect(self.cell_chosen)
 
     def _choose(self, which: int, _: int) -> None:
         self.axis_chosen.emit(which)
 
     def _start_or_stop(self) -> None:
-        signal = self.cancel_wanted if self._busy else self.sweep_wanted
+        signal = self.cancel_requested if self._busy else self.sweep_requested
         signal.emit()
 
-    def offer(self, words: Sequence[str], chosen: tuple[int, int], figures: Sequence[str], figure: str) -> None:
+    def offer_parameters(
+        self, words: Sequence[str], chosen: tuple[int, int], figures: Sequence[str], figure: str
+    ) -> None:
         """The parameters to choose from, which two are, and the figures; says nothing to anybody."""
         for box, index in zip(self.axes, chosen, strict=True):
             with QSignalBlocker(box):
@@ -95,39 +97,39 @@ class SweepPage(QWidget):
                     box.clear()
                     box.addItems(list(words))
                 box.setCurrentIndex(index)
-        with QSignalBlocker(self.figure):
-            if [self.figure.itemText(i) for i in range(self.figure.count())] != list(figures):
-                self.figure.clear()
-                self.figure.addItems(list(figures))
-            self.figure.setCurrentText(figure)
+        with QSignalBlocker(self.metric_box):
+            if [self.metric_box.itemText(i) for i in range(self.metric_box.count())] != list(figures):
+                self.metric_box.clear()
+                self.metric_box.addItems(list(figures))
+            self.metric_box.setCurrentText(figure)
 
     def show_values(self, which: int, values: Sequence[object]) -> None:
         """The values to try along an axis."""
         self.values[which].setText(", ".join(f"{v:g}" if isinstance(v, float) else str(v).lower() for v in values))
 
-    def show_begun(self, across: tuple[str, Sequence[str]], down: tuple[str, Sequence[str]], unit: str) -> None:
+    def show_empty(self, across: tuple[str, Sequence[str]], down: tuple[str, Sequence[str]], unit: str) -> None:
         """An empty grid."""
         for one in (self.grid, self.plot):
-            one.used = (-1, -1)
+            one.used_cell = (-1, -1)
         self.grid.show_axes(across, down, unit)
-        self.plot.show_tried({}, unit)
+        self.plot.show_trials({}, unit)
 
-    def show_cell(self, row: int, col: int, tried: Tried) -> None:
+    def show_cell(self, row: int, col: int, tried: SweepTrial) -> None:
         """One more is known."""
         self.grid.show_cell(row, col, tried)
-        self.plot.show_tried(self.grid.tried, self.grid.unit)
+        self.plot.show_trials(self.grid.trials, self.grid.unit)
 
-    def show_used(self, row: int, col: int) -> None:
+    def mark_used_cell(self, row: int, col: int) -> None:
         """Whose values the window works with."""
         for one in (self.grid, self.plot):
-            one.used = (row, col)
+            one.used_cell = (row, col)
             one.update()
 
-    def show_progress(self, fraction: float | None, told: str = "") -> None:
+    def show_progress(self, fraction: float | None, message: str = "") -> None:
         """How far it is, None when it rests."""
         self._busy = fraction is not None
-        self.go.setText("Cancel" if self._busy else "Sweep")
+        self.start_button.setText("Cancel" if self._busy else "Sweep")
         self.bar.setVisible(self._busy)
         if fraction is not None:
             self.bar.setValue(round(1000 * fraction))
-        self.told.setText(told or _HINT)
+        self.message.setText(message or _HINT)

@@ -12,7 +12,7 @@ from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QComboBox, QGridLayout, QHBoxLayout, QLabel, QSlider, QSpinBox, QWidget
 
 from widgets.error_strip import ErrorScale, ErrorStrip
-from widgets.looks import command_button, smaller, spaced
+from widgets.styling import make_command_button, set_spacing, shrink_font
 
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0)
 FRAMES_PER_SECOND = 10.0  # at speed 1, when the recording keeps no times
@@ -55,7 +55,7 @@ class Timeline(QWidget):
         self.speed.setToolTip(
             f"playing speed; 1\N{MULTIPLICATION SIGN} shows {FRAMES_PER_SECOND:g} frames a second at most"
         )
-        self._looping, self.span = False, (0, 0)  # first and last frame of a loop
+        self._looping, self.loop_range = False, (0, 0)  # first and last frame of a loop
         self._buttons = QHBoxLayout()
         self._lay_out()
         self.slider.valueChanged.connect(self._choose)
@@ -76,31 +76,35 @@ class Timeline(QWidget):
         for widget in (QLabel("frame"), self.number, self._of, self._time, self._left_out, QLabel("speed"), self.speed):
             right.addWidget(widget)
         layout.addLayout(right, 0, 2)
-        left = spaced(QHBoxLayout(), 4)
+        left = set_spacing(QHBoxLayout(), 4)
         left.addWidget(self._figure, 1)
         left.addWidget(self.scale)
         layout.addLayout(left, 1, 0)
         for column, widget in ((1, self.errors), (2, self._worst)):
             layout.addWidget(widget, 1, column)
         for label in (self._figure, self._worst):
-            smaller(label, 1.0)
+            shrink_font(label, 1.0)
             label.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)  # beside the bars' upper end
 
     def add_command(self, action: QAction) -> None:
         """Give a command a button at the left of the slider."""
-        self._buttons.addWidget(command_button(action))
+        self._buttons.addWidget(make_command_button(action))
 
     @property
-    def playing(self) -> bool:
+    def is_playing(self) -> bool:
         """Whether frames follow each other by themselves."""
         return self._clock.isActive()
 
     def show_frames(self, n_frames: int) -> None:
         """Offer frames 0 to `n_frames` - 1."""
         if n_frames != self._n_frames:
-            kept = self.span if self.errors.span is not None and n_frames > self._n_frames else (0, n_frames - 1)
+            kept = (
+                self.loop_range
+                if self.errors.loop_range is not None and n_frames > self._n_frames
+                else (0, n_frames - 1)
+            )
             self._n_frames = n_frames
-            self.loop_over(*kept)
+            self.set_loop_range(*kept)
         last = max(0, n_frames - 1)
         with QSignalBlocker(self.slider), QSignalBlocker(self.number):
             self.slider.setRange(0, last)
@@ -121,25 +125,29 @@ class Timeline(QWidget):
         self._time.setText(f"t = {time_s:.2f} s" if math.isfinite(time_s) else "")
 
     def show_errors(
-        self, figure: str, values: Sequence[float], doubts: Mapping[int, Sequence[str]], without: str = "no error known"
+        self,
+        metric: str,
+        values: Sequence[float],
+        warnings: Mapping[int, Sequence[str]],
+        no_value_text: str = "no error known",
     ) -> None:
         """An error of every frame under the slider, NaN where it is not known, and what is doubted of which.
 
         `figure` is its name and, behind a comma, its unit; `without` is said where no frame has one.
         """
-        unit = figure.partition(", ")[2]
-        self.errors.show_values(values, unit, doubts)
-        worst = self.errors.worst
-        self.scale.show_most(self.errors.most)
+        unit = metric.partition(", ")[2]
+        self.errors.show_values(values, unit, warnings)
+        worst = self.errors.worst_frame
+        self.scale.show_max(self.errors.max_value)
         known = sum(math.isfinite(value) for value in values)
-        self._figure.setText(figure if known else without if values else "")
+        self._figure.setText(metric if known else no_value_text if values else "")
         told = f"worst: frame {worst}, {values[worst]:.3g} {unit}" if worst >= 0 else ""
         self._worst.setText(told)
 
     def show_ready(self, *, ready: bool) -> None:
         """Whether the chosen frame is on screen: playing waits for it instead of running ahead."""
         self._ready = ready
-        if ready and self._due >= 1.0 and self.playing:
+        if ready and self._due >= 1.0 and self.is_playing:
             self._clock.start(0)  # it is late: not at the next look, but not from within what shows this frame either
 
     def play(self, *, on: bool) -> None:
@@ -162,14 +170,14 @@ class Timeline(QWidget):
         """Whether playing begins again after the last frame."""
         self._looping = looping
 
-    def loop_over(self, first: int, last: int) -> None:
+    def set_loop_range(self, first: int, last: int) -> None:
         """Loop over these frames; whoever names them the wrong way round means the same."""
         most = max(0, self._n_frames - 1)
         first, last = sorted((min(max(first, 0), most), min(max(last, 0), most)))
-        self.span = (first, last)
-        self.errors.show_span(None if self.span == (0, most) else self.span)
+        self.loop_range = (first, last)
+        self.errors.show_loop_range(None if self.loop_range == (0, most) else self.loop_range)
 
-    def step(self, by: int) -> None:
+    def step_by(self, by: int) -> None:
         """Go `by` frames on, no further than the ends."""
         self.step_to(self.frame + by)
 
@@ -196,7 +204,7 @@ class Timeline(QWidget):
             self._due -= by
             self._tell_left_out(by)
             self._go_on(by)
-        if self.playing:
+        if self.is_playing:
             self._clock.start(self._until_due_ms())
 
     @property
@@ -216,7 +224,7 @@ class Timeline(QWidget):
     def _go_on(self, by: int) -> None:
         following = self.frame + by
         if self._looping:
-            first, last = self.span
+            first, last = self.loop_range
             self.step_to(following if first <= self.frame and following <= last else first)
         elif following >= self._n_frames:
             self.step_to(self._n_frames - 1)

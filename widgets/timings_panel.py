@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableWidget, QTableWidgetItem, QWidget
 
-from widgets.icons import state_icon
+from widgets.icons import make_state_icon
 
 _HEADER = ("stage", "state", "time, ms", "notes")
 
@@ -18,7 +18,7 @@ class TimingRow:
 
     title: str
     state: str
-    ms: float
+    time_ms: float
     notes: tuple[str, ...]
 
 
@@ -48,8 +48,8 @@ class TimingsPanel(QTableWidget):
         """Show these stages and their sum; only cells whose text changed are touched."""
         self.setRowCount(len(timings) + 1)
         for at, row in enumerate(timings):
-            self._cells(at, (row.title, row.state, f"{row.ms:.2f}", " · ".join(row.notes)), row.state)
-        self._cells(len(timings), ("all stages", "", f"{sum(r.ms for r in timings):.2f}", ""), "")
+            self._cells(at, (row.title, row.state, f"{row.time_ms:.2f}", " · ".join(row.notes)), row.state)
+        self._cells(len(timings), ("all stages", "", f"{sum(r.time_ms for r in timings):.2f}", ""), "")
 
     def _cells(self, at: int, texts: tuple[str, str, str, str], state: str) -> None:
         for column, text in enumerate(texts):
@@ -63,4 +63,4 @@ class TimingsPanel(QTableWidget):
                 item.setText(text)
                 item.setToolTip(text)
                 if column == 1 and state:
-                    item.setData(Qt.ItemDataRole.DecorationRole, state_icon(state))
+                    item.setData(Qt.ItemDataRole.DecorationRole, make_state_icon(state))

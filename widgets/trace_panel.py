@@ -8,7 +8,7 @@ from html import escape
 from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtWidgets import QFrame, QLabel, QScrollArea, QVBoxLayout, QWidget
 
-from widgets.colours import hexed, inks
+from widgets.theme import get_theme_colours, to_hex
 
 _INVITATION = (
     "Move the mouse over a picture to follow that pixel through every stage. "
@@ -45,20 +45,23 @@ class TracePanel(QScrollArea):
         super().changeEvent(a0)
         if a0 is not None and a0.type() == QEvent.Type.PaletteChange:
             steps, pinned, ending, waits = self._shown
-            self.show_steps(steps, pinned=pinned, ending=ending, waits=waits)
+            self.show_steps(steps, pinned=pinned, ending=ending, is_waiting=waits)
 
     def show_steps(
-        self, steps: Sequence[tuple[str, str]], *, pinned: bool = False, ending: str = "", waits: bool = False
+        self, steps: Sequence[tuple[str, str]], *, pinned: bool = False, ending: str = "", is_waiting: bool = False
     ) -> None:
         """Show (stage title, what is there) pairs in order, and why the trace ends: in plain ink where it `waits`."""
-        self._shown = steps, pinned, ending, waits
+        self._shown = steps, pinned, ending, is_waiting
         self.text = " → ".join(text for _, text in steps)
         if not steps:
             self._label.setText(_INVITATION)
             return
-        soft, alarm = hexed(inks(self.palette()).soft), hexed(inks(self.palette()).alarm)
+        soft, alarm = (
+            to_hex(get_theme_colours(self.palette()).secondary_text),
+            to_hex(get_theme_colours(self.palette()).warning_text),
+        )
         parts = [f"<span style='color:{soft}'>{escape(title)}</span> <b>{escape(text)}</b>" for title, text in steps]
         sentence = " &nbsp;→&nbsp; ".join(parts)
         if ending:
-            sentence += f" &nbsp; <span style='color:{soft if waits else alarm}'>{escape(ending)}</span>"
+            sentence += f" &nbsp; <span style='color:{soft if is_waiting else alarm}'>{escape(ending)}</span>"
         self._label.setText(sentence + (" &nbsp; <i>pinned</i>" if pinned else ""))

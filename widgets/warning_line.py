@@ -9,9 +9,9 @@ from typing import Any
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QHBoxLayout, QToolTip, QWidget
 
-from widgets.icons import StateSign
-from widgets.looks import spaced
-from widgets.still_label import StillLabel
+from widgets.fixed_size_label import FixedSizeLabel
+from widgets.icons import StateIcon
+from widgets.styling import set_spacing
 
 _BETWEEN = "   ·   "
 _A_REASON = re.compile("[:;]")  # what follows one says why, or what to do
@@ -25,19 +25,19 @@ class WarningLine(QWidget):
         self.setObjectName("warning_line")
         self.text = ""  # all of it, however much there is room for
         self._told: tuple[str, ...] = ()
-        self._sign, self._label = StateSign(), StillLabel()
-        layout = spaced(QHBoxLayout(self), 5, (6, 0, 6, 0))
+        self._sign, self._label = StateIcon(), FixedSizeLabel()
+        layout = set_spacing(QHBoxLayout(self), 5, (6, 0, 6, 0))
         layout.addWidget(self._sign)
         layout.addWidget(self._label, 1)
 
     @property
-    def shown(self) -> str:
+    def visible_text(self) -> str:
         """What there is room for."""
         return self._label.text()
 
-    def show_doubts(self, doubts: Sequence[tuple[str, str]]) -> None:
+    def show_warnings(self, warnings: Sequence[tuple[str, str]]) -> None:
         """(title of a slot, what is doubted of it), the most telling first."""
-        told = tuple(f"{title}: {doubt}" for title, doubt in doubts)
+        told = tuple(f"{title}: {doubt}" for title, doubt in warnings)
         if told != self._told:
             self._told, self.text = told, _BETWEEN.join(told)
             self.setToolTip("\n".join(told))
@@ -58,20 +58,22 @@ class WarningLine(QWidget):
         assert layout is not None
         around = layout.contentsMargins()
         room = max(60, self.width() - self._sign.width() - layout.spacing() - around.left() - around.right())
-        text = fitted(self._told, lambda words: metrics.horizontalAdvance(words) <= room)
+        text = fit_sentences(self._told, lambda words: metrics.horizontalAdvance(words) <= room)
         self._label.setText(metrics.elidedText(text, Qt.TextElideMode.ElideRight, room))
 
 
-def fitted(told: Sequence[str], fits: Callable[[str], bool]) -> str:
+def fit_sentences(sentences: Sequence[str], fits: Callable[[str], bool]) -> str:
     """As many of these sentences as fit, none of them cut: first what is doubted, then why, as far as there is room."""
-    brief = [_without_reason(sentence) for sentence in told]
-    count = next((n for n in range(len(told), 1, -1) if fits(_joined(brief[:n], len(told)))), min(1, len(told)))
+    brief = [_without_reason(sentence) for sentence in sentences]
+    count = next(
+        (n for n in range(len(sentences), 1, -1) if fits(_joined(brief[:n], len(sentences)))), min(1, len(sentences))
+    )
     shown = brief[:count]
     for i in range(count):
-        whole = [*shown[:i], told[i], *shown[i + 1 :]]
-        if fits(_joined(whole, len(told))):
+        whole = [*shown[:i], sentences[i], *shown[i + 1 :]]
+        if fits(_joined(whole, len(sentences))):
             shown = whole
-    return _joined(shown, len(told))
+    return _joined(shown, len(sentences))
 
 
 def _without_reason(sentence: str) -> str:

@@ -9,9 +9,9 @@ from PyQt6.QtCore import QEvent, QObject, QPoint, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QPainter, QPaintEvent, QPen
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QListWidget, QListWidgetItem, QToolButton, QVBoxLayout, QWidget
 
-from pipeline.base.text import plain
-from widgets.colours import inks, qcolor
-from widgets.looks import bold, smaller, spaced
+from pipeline.base.text import escape_text
+from widgets.styling import make_bold, set_spacing, shrink_font
+from widgets.theme import get_theme_colours, to_qcolor
 
 _WIDTH_PX, _ROW_PX = 620, 24
 _PURPOSE = (
@@ -23,7 +23,7 @@ _DROP = (
 )
 
 
-class DropRoom(QLabel):
+class DropArea(QLabel):
     """Words in a dashed frame that is seen in every theme."""
 
     def paintEvent(self, a0: QPaintEvent | None) -> None:  # noqa: N802
@@ -31,11 +31,11 @@ class DropRoom(QLabel):
         super().paintEvent(a0)
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        painter.setPen(QPen(qcolor(inks(self.palette()).soft), 1.5, Qt.PenStyle.DashLine))
+        painter.setPen(QPen(to_qcolor(get_theme_colours(self.palette()).secondary_text), 1.5, Qt.PenStyle.DashLine))
         painter.drawRoundedRect(QRectF(self.rect()).adjusted(1, 1, -1, -1), 6, 6)
 
 
-class Welcome(QWidget):
+class WelcomePage(QWidget):
     """Lies over `first` and all below it in its parent until something is open; `recent_chosen` says which file."""
 
     recent_chosen = pyqtSignal(object)  # Path
@@ -45,21 +45,21 @@ class Welcome(QWidget):
         self._first = first
         self.setObjectName("welcome")
         self.setAutoFillBackground(True)
-        title, purpose, drop = QLabel("Tactoscope"), QLabel(_PURPOSE), DropRoom(_DROP)
-        bold(title)
-        smaller(title, -9.0)
+        title, purpose, drop = QLabel("Tactoscope"), QLabel(_PURPOSE), DropArea(_DROP)
+        make_bold(title)
+        shrink_font(title, -9.0)
         for label in (purpose, drop):
             label.setWordWrap(True)
         drop.setAlignment(Qt.AlignmentFlag.AlignCenter)
         drop.setMinimumHeight(72)
         drop.setMargin(10)
-        row = spaced(QHBoxLayout(), 8)
+        row = set_spacing(QHBoxLayout(), 8)
         self.buttons = [_button(command) for command in commands]
         for button in self.buttons:
             row.addWidget(button)
         row.addStretch(1)
         self._told = QLabel("Recent")
-        bold(self._told)
+        make_bold(self._told)
         self.recent = QListWidget()
         self.recent.setObjectName("recent")
         self.recent.setAccessibleName("recent recordings")
@@ -67,7 +67,7 @@ class Welcome(QWidget):
         self.recent.itemClicked.connect(self._chosen)
         self._sheet = QWidget()
         self._sheet.setMaximumWidth(_WIDTH_PX)
-        column = spaced(QVBoxLayout(self._sheet), 12)
+        column = set_spacing(QVBoxLayout(self._sheet), 12)
         for widget in (title, purpose):
             column.addWidget(widget)
         column.addLayout(row)
@@ -89,9 +89,9 @@ class Welcome(QWidget):
         """What was open lately, the latest first."""
         self.recent.clear()
         for path in paths:
-            item = QListWidgetItem(f"{plain(path.name)}    {plain(str(path.parent))}")
+            item = QListWidgetItem(f"{escape_text(path.name)}    {escape_text(str(path.parent))}")
             item.setData(Qt.ItemDataRole.UserRole, path)
-            item.setToolTip(plain(str(path)))
+            item.setToolTip(escape_text(str(path)))
             item.setSizeHint(QSize(10, _ROW_PX))
             self.recent.addItem(item)
         for widget in (self._told, self.recent):

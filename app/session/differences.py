@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from app.session.state import ASKED, Session
-from pipeline.base.params import settings
+from app.session.state import REQUEST_FIELDS, Session
+from pipeline.base.params import list_settings
 from pipeline.engine.graph import Method
 from pipeline.translation.catalogue import Catalogue
 
 
-def differences(one: Session, other: Session, catalogue: Catalogue) -> tuple[str, ...]:
+def describe_differences(one: Session, other: Session, catalogue: Catalogue) -> tuple[str, ...]:
     """Each as `name: one | other`: everything that a frame's results rest on."""
     found = [
         _told(name.replace("_", " "), getattr(one, name), getattr(other, name))
-        for name in ASKED
+        for name in REQUEST_FIELDS
         if getattr(one, name) != getattr(other, name)
     ]
     if one.offsets != other.offsets:
         found.append("the alignment is moved otherwise")
-    methods = tuple({m.slot: m for m in catalogue.methods(session.route, session.methods)} for session in (one, other))
+    methods = tuple({m.stage: m for m in catalogue.methods(session.route, session.methods)} for session in (one, other))
     for slot in dict.fromkeys((*methods[0], *methods[1])):
         a, b = (there.get(slot) for there in methods)
         if a is None or b is None or a.key != b.key:
@@ -32,8 +32,8 @@ def differences(one: Session, other: Session, catalogue: Catalogue) -> tuple[str
 
 
 def _of_params(method: Method, one: Session, other: Session) -> list[str]:
-    a, b = (settings(session.params_of(method)) for session in (one, other))
-    return [_told(f"{method.slot}.{name}", a[name][0], b[name][0]) for name in a if a[name][0] != b[name][0]]
+    a, b = (list_settings(session.get_params(method)) for session in (one, other))
+    return [_told(f"{method.stage}.{name}", a[name][0], b[name][0]) for name in a if a[name][0] != b[name][0]]
 
 
 def _told(name: str, one: object, other: object) -> str:

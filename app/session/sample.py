@@ -4,4 +4,4 @@ from __future__ import annotations
 
 from pathlib import Path
 
-SAMPLE = Path(__file__).resolve().parents[2] / "sample_data" / "recordings" / "first_touch.h5"
+SAMPLE_RECORDING = Path(__file__).resolve().parents[2] / "sample_data" / "recordings" / "first_touch.h5"

@@ -8,39 +8,39 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, cast, get_args
 
-from app.session.compared import Compared
-from app.session.compared import from_plain as compared_from_plain
+from app.session.comparison_settings import ComparisonSettings
+from app.session.comparison_settings import from_plain as compared_from_plain
 from app.session.layout import Layout
 from app.session.layout import from_plain as layout_from_plain
-from app.session.sights import cameras_of, section_of
+from app.session.view_state import parse_cameras, parse_section_line
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import read_json, write_json
-from pipeline.base.params import changed, settings
+from pipeline.base.params import list_settings, replace_value
 from pipeline.engine.graph import Method
-from pipeline.pictures.display import DisplayParams
+from pipeline.previews.display_params import DisplayParams
 from pipeline.recordings.depth_arrays import DepthUnit
-from pipeline.sensors.offsets import Offsets, from_plain
+from pipeline.sensors.offsets import Offsets, parse_offsets
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
-from pipeline.translation.section import Line
+from pipeline.translation.cross_section import SectionLine
 
-SUFFIX = ".touch.json"
-DISPLAY = "display"  # the key of its parameters
-ON_A_TOUCH = -1  # in place of a frame: one on which something touches, found when the recording is open
+SESSION_SUFFIX = ".touch.json"
+DISPLAY_KEY = "display"  # the key of its parameters
+AUTO_FRAME = -1  # in place of a frame: one on which something touches, found when the recording is open
 _VERSION = 2
 _FORMER = {  # stages of version 1 -> keys of methods
     "depth": "depth/physics",
     "adapt": "cloud/back_projection",
-    "project": "view/surface",
+    "project": "target_depth/surface",
     "generate": "touch/physics",
     "pose": "pose/signed_distances",
 }
 _FORMER_CHOICES = {  # parameters of version 1 that chose what is a method now
-    ("project", "mode", "paper"): ("view", "paper"),
+    ("project", "mode", "paper"): ("target_depth", "paper"),
     ("pose", "method", "paper 2D"): ("pose", "paper_2d"),
 }
-PATHS = ("recording", "reference", "calibration", "mesh", "alignment")
+PATH_FIELDS = ("recording", "reference", "calibration", "mesh", "alignment")
 _WORDS = ("source", "target", "stream", "route", "mesh_unit")
-ASKED = (*PATHS, *_WORDS, "depth_unit")  # what a session and a request share
+REQUEST_FIELDS = (*PATH_FIELDS, *_WORDS, "depth_unit")  # what a session and a request share
 _FRAMES_OF_OFFSETS = frozenset({"source", "target", "stream", "alignment"})  # another of these is another motion
 
 
@@ -62,26 +62,26 @@ class Session:
     alignment: Path | None = None  # TOML with T_S->A and T_A->T; None = the recording's or the descriptions'
     offsets: Offsets = field(default_factory=Offsets)  # how far it was moved by hand or by refining
     layout: Layout = field(default_factory=Layout)
-    linked: bool = True  # 3D views of one frame share their camera
+    cameras_linked: bool = True  # 3D views of one frame share their camera
     methods: Mapping[str, str] = field(default_factory=dict)  # slot -> method in place of the route's own
     weights: Mapping[str, Path] = field(default_factory=dict)  # slot -> file; slot "" = the first whose method takes it
     params: Mapping[str, object] = field(default_factory=dict)  # changed ones: of methods by key, of the display
     notes: Mapping[int, str] = field(default_factory=dict)  # frame -> what somebody wrote of it
-    compared: Compared = field(default_factory=Compared)
-    held: Session | None = None  # that *Compare* holds beside this one, None = there is none
+    comparison: ComparisonSettings = field(default_factory=ComparisonSettings)
+    variant: Session | None = None  # that *Compare* holds beside this one, None = there is none
     # 3D view -> where it looks from and to, as it was when the session was saved: turning one is no change to be saved.
     cameras: Mapping[str, tuple[float, ...]] = field(default_factory=dict, compare=False)
-    section: Line | None = field(default=None, compare=False)  # the line through all pictures, likewise
+    section: SectionLine | None = field(default=None, compare=False)  # the line through all pictures, likewise
 
-    def params_of(self, method: Method) -> object:
+    def get_params(self, method: Method) -> object:
         """The parameters of a method, as they come where nobody changed them."""
         return self.params.get(method.key, method.params())
 
-    def params_for(self, methods: Iterable[Method]) -> dict[str, object]:
+    def collect_params(self, methods: Iterable[Method]) -> dict[str, object]:
         """Slot -> the parameters of the method that fills it."""
-        return {method.slot: self.params_of(method) for method in methods}
+        return {method.stage: self.get_params(method) for method in methods}
 
-    def updated(self, **updates: Any) -> Session:
+    def with_updates(self, **updates: Any) -> Session:
         """The same with other values; offsets from an alignment that is no longer the opened one are taken back.
 
         Another recording keeps those from a file, which says how its two sensors stand whoever recorded them.
@@ -95,29 +95,29 @@ class Session:
         other = other or (new.recording != self.recording and self.alignment is None)
         return replace(new, offsets=Offsets()) if other else new
 
-    def drafted(self, methods: Iterable[Method]) -> Session:
+    def with_draft_params(self, methods: Iterable[Method]) -> Session:
         """The same with cheaper parameters of those methods that have some: to show while one is dragged."""
-        cheap = {m.key: m.draft(self.params_of(m)) for m in methods if m.draft is not None}
+        cheap = {m.key: m.draft(self.get_params(m)) for m in methods if m.draft is not None}
         return replace(self, params={**self.params, **cheap}) if cheap else self
 
     @property
     def settings(self) -> Session:
         """What figures rest on besides the frame: those of sessions with equal settings may stand side by side."""
         return replace(
-            self, frame=0, linked=True, layout=Layout(), notes={}, compared=Compared(), held=None,
+            self, frame=0, linked=True, layout=Layout(), notes={}, compared=ComparisonSettings(), held=None,
             params={**self.params, "display": DisplayParams()},
         )  # fmt: skip
 
     @property
     def display(self) -> DisplayParams:
         """How things are drawn."""
-        return cast("DisplayParams", self.params.get(DISPLAY, DisplayParams()))
+        return cast("DisplayParams", self.params.get(DISPLAY_KEY, DisplayParams()))
 
 
 def save_session(session: Session, path: Path, contents: Mapping[str, str] | None = None) -> None:
     """Write `session`, beside the old file first so that a crash leaves one of the two whole.
 
-    `contents` says what the files held that it names, see `app.session.contents`.
+    `contents` says what the files held that it names, see `app.session.file_fingerprints`.
     """
     data = _plain(session, path.parent)
     if contents is not None:
@@ -126,21 +126,26 @@ def save_session(session: Session, path: Path, contents: Mapping[str, str] | Non
 
 
 def _plain(session: Session, folder: Path) -> dict[str, Any]:
-    data: dict[str, Any] = {"tactoscope session": _VERSION, "frame": max(0, session.frame), "linked": session.linked}
+    data: dict[str, Any] = {
+        "tactoscope session": _VERSION,
+        "frame": max(0, session.frame),
+        "linked": session.cameras_linked,
+    }
     data |= {name: getattr(session, name) for name in (*_WORDS, "depth_unit")}
-    for name in PATHS:
+    for name in PATH_FIELDS:
         value: Path | None = getattr(session, name)
         data[name] = None if value is None else _relative(value, folder)
     data["offsets"], data["layout"] = asdict(session.offsets), session.layout.plain
     data["methods"] = dict(session.methods)
     data["weights"] = {slot: _relative(file, folder) for slot, file in session.weights.items()}
     data["params"] = {
-        key: {name: value for name, (value, _) in settings(params).items()} for key, params in session.params.items()
+        key: {name: value for name, (value, _) in list_settings(params).items()}
+        for key, params in session.params.items()
     }
     data["notes"] = {str(frame): text for frame, text in sorted(session.notes.items())}
-    data["compared"], data["cameras"] = session.compared.plain, {n: list(c) for n, c in session.cameras.items()}
+    data["compared"], data["cameras"] = session.comparison.plain, {n: list(c) for n, c in session.cameras.items()}
     data["section"] = None if session.section is None else session.section.plain
-    data["held"] = None if session.held is None else _plain(replace(session.held, held=None), folder)
+    data["held"] = None if session.variant is None else _plain(replace(session.variant, held=None), folder)
     return data
 
 
@@ -170,21 +175,21 @@ def _loaded(data: object, path: Path, catalogue: Catalogue) -> Session:
     if frame < 0:
         raise FileProblem(f"frame must not be negative, got {frame}", path, field="frame")
     return Session(
-        **{name: _path(known, name, path) for name in PATHS},
+        **{name: _path(known, name, path) for name in PATH_FIELDS},
         **words,
         depth_unit=unit,
         frame=frame,
         offsets=_offsets(known, path),
         layout=_layout(known, path),
-        linked=_typed(known, "linked", bool, path),
+        cameras_linked=_typed(known, "linked", bool, path),
         methods=methods,
         weights=_weights(known, path),
         params=_params(known.get("params", {}), path, catalogue, former=version == 1),
         notes=_notes(known, path),
-        compared=_compared(known, path),
-        held=None if known.get("held") is None else _loaded(known["held"], path, catalogue),
-        cameras=cameras_of(known, path),
-        section=section_of(known, path),
+        comparison=_compared(known, path),
+        variant=None if known.get("held") is None else _loaded(known["held"], path, catalogue),
+        cameras=parse_cameras(known, path),
+        section=parse_section_line(known, path),
     )
 
 
@@ -245,7 +250,7 @@ def _offsets(data: Mapping[str, Any], path: Path) -> Offsets:
     if "offsets" not in data:
         return Offsets()
     try:
-        return from_plain(data["offsets"])
+        return parse_offsets(data["offsets"])
     except ValueError as error:
         raise FileProblem(f"the session's offsets cannot be used ({error})", path, field="offsets") from error
 
@@ -258,7 +263,7 @@ def _layout(data: Mapping[str, Any], path: Path) -> Layout:
         raise FileProblem(f"the session's layout cannot be used ({error})", path, field="layout") from error
 
 
-def _compared(data: Mapping[str, Any], path: Path) -> Compared:
+def _compared(data: Mapping[str, Any], path: Path) -> ComparisonSettings:
     try:
         return compared_from_plain(data.get("compared"))
     except ValueError as error:
@@ -268,8 +273,8 @@ def _compared(data: Mapping[str, Any], path: Path) -> Compared:
 def _params(data: object, path: Path, catalogue: Catalogue, *, former: bool) -> Mapping[str, object]:
     if not isinstance(data, dict):
         raise FileProblem("params must map methods to their parameters", path, field="params")
-    known: dict[str, object] = {m.key: m.params() for slot in catalogue.slots for m in slot.methods}
-    known[DISPLAY] = DisplayParams()
+    known: dict[str, object] = {m.key: m.params() for slot in catalogue.stages for m in slot.methods}
+    known[DISPLAY_KEY] = DisplayParams()
     params: dict[str, object] = {}
     for said, values in cast("dict[str, Any]", data).items():
         key = _FORMER.get(said, said) if former else said
@@ -277,10 +282,10 @@ def _params(data: object, path: Path, catalogue: Catalogue, *, former: bool) -> 
             raise FileProblem(f"params.{said} is not a method with parameters", path, field=f"params.{said}")
         params[key] = known[key]
         for name, value in cast("dict[str, Any]", values).items():
-            if former and name not in settings(params[key]):  # what has become a method of its own
+            if former and name not in list_settings(params[key]):  # what has become a method of its own
                 continue
             try:
-                params[key] = changed(params[key], name, value)
+                params[key] = replace_value(params[key], name, value)
             except (SettingProblem, TypeError) as error:
                 where = f"params.{said}.{name}"
                 raise FileProblem(f"{where} cannot be used ({error})", path, field=where) from error

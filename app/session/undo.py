@@ -9,7 +9,7 @@ from PyQt6.QtGui import QUndoCommand, QUndoStack
 
 from app.session.state import Session
 
-MOST_STEPS = 1000  # that can be taken back: each holds a session, and who works all day makes thousands
+MAX_STEPS = 1000  # that can be taken back: each holds a session, and who works all day makes thousands
 
 
 class SessionChange(QUndoCommand):
@@ -39,7 +39,7 @@ class SessionChange(QUndoCommand):
         self._show(self.old)
 
 
-def sessions_of(stack: QUndoStack) -> list[Session]:
+def list_sessions(stack: QUndoStack) -> list[Session]:
     """The session at every place of the stack, place 0 being before its first step; none where it has no step."""
     steps = [step for step in map(stack.command, range(stack.count())) if isinstance(step, SessionChange)]
     return [*(step.old for step in steps), *(step.new for step in steps[-1:])]

@@ -15,34 +15,34 @@ from pipeline.base.progress import Cancelled
 _REPORT_EVERY_S = 0.05  # a status bar that is written more often only costs time
 
 
-class Report:
+class JobReporter:
     """What running work is given: tells how far it is and what is done, and stops once nobody wants it."""
 
     def __init__(self, job: LatestJob, ticket: int) -> None:
-        self.job, self.ticket, self.stopped = job, ticket, threading.Event()
+        self.job, self.ticket, self.cancelled = job, ticket, threading.Event()
         self._told_s = self._fraction = 0.0
 
     def step(self, fraction: float, text: str) -> None:
         """Report `fraction` in 0..1; raises `Cancelled` to stop the work."""
-        if self.stopped.is_set():
+        if self.cancelled.is_set():
             raise Cancelled
         now_s = time.monotonic()
         if now_s - self._told_s >= _REPORT_EVERY_S:
             self._told_s, self._fraction = now_s, fraction
             self.job.progressed.emit(self.ticket, fraction, text)
 
-    def tell(self, text: str) -> None:
+    def report_message(self, text: str) -> None:
         """Say what is going on, however far it is; never stops the work, which may be in the midst of the compiler."""
         self.job.progressed.emit(self.ticket, self._fraction, text)
 
-    def hand_over(self, part: object) -> None:
+    def deliver(self, part: object) -> None:
         """Deliver a part of the result ahead of the rest; raises `Cancelled` like `step`."""
-        if self.stopped.is_set():
+        if self.cancelled.is_set():
             raise Cancelled
         self.job.delivered.emit(self.ticket, part)
 
 
-Work = Callable[[Report], object]
+JobFunction = Callable[[JobReporter], object]
 
 
 class LatestJob(QObject):
@@ -59,30 +59,30 @@ class LatestJob(QObject):
     def __init__(self, name: str, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self._changed = threading.Condition()
-        self._waiting: Report | None = None
-        self._work: Work | None = None
-        self._running: Report | None = None
+        self._waiting: JobReporter | None = None
+        self._work: JobFunction | None = None
+        self._running: JobReporter | None = None
         self._closing = False
-        self.newest = 0
+        self.newest_ticket = 0
         self._untold = 0  # how much work was begun whose end was not told yet
         self._over.connect(self._told)
         self._thread = threading.Thread(target=self._loop, name=name, daemon=True)
         self._thread.start()
 
-    def submit(self, work: Work, *, interrupt: bool = True) -> int:
+    def submit(self, work: JobFunction, *, interrupt: bool = True) -> int:
         """Queue `work` in place of whatever waits, and return its ticket.
 
         `interrupt` also stops what runs; without it that may finish, so that a drag shows something on its way.
         """
         with self._changed:
             if self._closing:
-                return self.newest
-            self.newest += 1
-            dropped, self._waiting, self._work = self._waiting, Report(self, self.newest), work
+                return self.newest_ticket
+            self.newest_ticket += 1
+            dropped, self._waiting, self._work = self._waiting, JobReporter(self, self.newest_ticket), work
             if interrupt and self._running is not None:
-                self._running.stopped.set()
+                self._running.cancelled.set()
             self._changed.notify()
-            ticket = self.newest
+            ticket = self.newest_ticket
         if dropped is not None:
             self.cancelled.emit(dropped.ticket)
         return ticket
@@ -92,20 +92,20 @@ class LatestJob(QObject):
         with self._changed:
             dropped, self._waiting, self._work = self._waiting, None, None
             if self._running is not None:
-                self._running.stopped.set()
+                self._running.cancelled.set()
         if dropped is not None:
             self.cancelled.emit(dropped.ticket)
 
     @property
-    def busy(self) -> bool:
+    def is_busy(self) -> bool:
         """Whether anything runs or waits."""
         with self._changed:
             return self._running is not None or self._waiting is not None
 
     @property
-    def quiet(self) -> bool:
+    def is_settled(self) -> bool:
         """Whether nothing runs or waits, and whoever listens has heard how the last of it ended."""
-        return not self.busy and not self._untold
+        return not self.is_busy and not self._untold
 
     def close(self, timeout_s: float = 5.0) -> bool:
         """Stop for good; whether the thread ended in time."""
@@ -134,10 +134,10 @@ class LatestJob(QObject):
                     return
                 raise
 
-    def _run(self, report: Report, work: Work) -> None:
+    def _run(self, report: JobReporter, work: JobFunction) -> None:
         self.started.emit(report.ticket)
         try:
-            with compiling.watched(report.tell):
+            with compiling.report_compiling(report.report_message):
                 result = work(report)
         except Cancelled:
             self._free()
@@ -147,7 +147,7 @@ class LatestJob(QObject):
             self.failed.emit(report.ticket, error)
         else:
             self._free()
-            stopped = report.stopped.is_set()
+            stopped = report.cancelled.is_set()
             _ = self.cancelled.emit(report.ticket) if stopped else self.finished.emit(report.ticket, result)
 
     def _told(self) -> None:

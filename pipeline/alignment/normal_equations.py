@@ -27,7 +27,7 @@ _ROUNDS = 3  # of finding a touch's growth
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Noise:
+class ResidualNoise:
     """Robust standard deviations of the two kinds of distance, mm."""
 
     surface_mm: float
@@ -35,39 +35,41 @@ class Noise:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sums:
+class NormalSums:
     """The quadratic model around one alignment: cost, gradient and J^T W J in units of tolerance."""
 
-    cost: float
+    compute_cost: float
     gradient: Doubles  # (6,)
     information: Doubles  # (6, 6)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Seen:
+class RefinementView:
     """The distances of one touch under one alignment."""
 
     surface: Distances
     outline: Distances
 
 
-def seen(touches: Sequence[Evidence], target_from_source: Doubles) -> list[Seen]:
+def make_view(touches: Sequence[Evidence], target_from_source: Doubles) -> list[RefinementView]:
     """Distances (mm) of all touches under T_S->T of the descriptions."""
-    found: list[Seen] = []
+    found: list[RefinementView] = []
     for touch in touches:
         surface, outline = (
             rigid.apply(target_from_source, points) - touch.unit_lift_mm
             for points in (touch.surface_mm, touch.outline_mm)
         )
-        found.append(Seen(surface=surface_distances(touch, surface), outline=outline_distances(touch, outline)))
+        found.append(
+            RefinementView(surface=surface_distances(touch, surface), outline=outline_distances(touch, outline))
+        )
     return found
 
 
-def noise_of(distances: Sequence[Seen]) -> Noise:
+def estimate_noise(distances: Sequence[RefinementView]) -> ResidualNoise:
     """From the median absolute deviation over all touches, the outlines' growth taken off."""
     surface = np.concatenate([s.surface.mm for s in distances])
     outline = np.concatenate([s.outline.mm - _middle(s.outline.mm) for s in distances])
-    return Noise(
+    return ResidualNoise(
         surface_mm=max(_LEAST_NOISE["surface"], 1.4826 * _middle(np.abs(surface))),
         outline_mm=max(_LEAST_NOISE["outline"], 1.4826 * _middle(np.abs(outline))),
     )
@@ -85,7 +87,13 @@ def growth_mm(outline_mm: Doubles, scale_mm: float, noise_mm: float, n_asked: in
     return growth, certainty
 
 
-def sums(distances: Sequence[Seen], touches: Sequence[Evidence], pivot_mm: Doubles, noise: Noise, scale: Noise) -> Sums:
+def accumulate_sums(
+    distances: Sequence[RefinementView],
+    touches: Sequence[Evidence],
+    pivot_mm: Doubles,
+    noise: ResidualNoise,
+    scale: ResidualNoise,
+) -> NormalSums:
     """Cost, gradient and information over all touches; every touch counts alike."""
     total, gradient, information = 0.0, np.zeros(6), np.zeros((6, 6))
     independent = _IN_ONE_TOUCH / (1.0 + len(touches) / _SHARED)
@@ -110,12 +118,14 @@ def sums(distances: Sequence[Seen], touches: Sequence[Evidence], pivot_mm: Doubl
             lost = s * s * (d.n_asked - len(d.mm))
             total += each * (float((s * s * gap * gap / (s * s + gap * gap)).sum()) + lost)
             total += (growth / _GROWTH_MM) ** 2
-    return Sums(cost=total, gradient=gradient, information=information)
+    return NormalSums(compute_cost=total, gradient=gradient, information=information)
 
 
-def cost(touches: Sequence[Evidence], target_from_source: Doubles, noise: Noise, scale: Noise) -> float:
+def compute_cost(
+    touches: Sequence[Evidence], target_from_source: Doubles, noise: ResidualNoise, scale: ResidualNoise
+) -> float:
     """What `sums` minimises, for places to be compared under the same `noise` and `scale`."""
-    return sums(seen(touches, target_from_source), touches, np.zeros(3), noise, scale).cost
+    return accumulate_sums(make_view(touches, target_from_source), touches, np.zeros(3), noise, scale).compute_cost
 
 
 def _weights(gap_mm: Doubles, scale_mm: float) -> Doubles:

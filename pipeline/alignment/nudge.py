@@ -10,17 +10,17 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.geometry import rigid
-from pipeline.sensors.alignment import Alignment, corrected
-from pipeline.sensors.offsets import Axis, motion_about
+from pipeline.sensors.alignment import Alignment, correct_alignment
+from pipeline.sensors.offsets import Axis, compose_motion
 from pipeline.values.results import DepthMap
 
 
-def unit_of(axis: Axis) -> str:
+def axis_unit(axis: Axis) -> str:
     """`mm` of a shift, `deg` of a turn."""
     return "deg" if axis.startswith("r") else "mm"
 
 
-def pivot_mm(depth: DepthMap, alignment: Alignment) -> Doubles:
+def compute_pivot_mm(depth: DepthMap, alignment: Alignment) -> Doubles:
     """The contact's centroid (3,) in the target frame; of the whole surface in view where nothing touches.
 
     It is found once, when an edit begins: a pivot that follows the edit would let the touch drift.
@@ -38,12 +38,12 @@ def pivot_mm(depth: DepthMap, alignment: Alignment) -> Doubles:
     return freeze(rigid.apply(alignment.target_from_source, centre))
 
 
-def nudged(alignment: Alignment, axis: Axis, amount: float, *, pivot_mm: Doubles) -> Alignment:
+def nudge(alignment: Alignment, axis: Axis, amount: float, *, pivot_mm: Doubles) -> Alignment:
     """The alignment with the touch shifted by `amount` mm along an axis, or turned by `amount` deg about it.
 
     The axis is one of the target frame; turns are about `pivot_mm` (3,), which stays where it is.
     """
     direction = amount * np.eye(3)["xyz".index(axis[-1])]
-    if unit_of(axis) == "deg":
-        return corrected(alignment, motion_about(pivot_mm, np.deg2rad(direction), np.zeros(3)))
-    return corrected(alignment, motion_about(pivot_mm, np.zeros(3), direction))
+    if axis_unit(axis) == "deg":
+        return correct_alignment(alignment, compose_motion(pivot_mm, np.deg2rad(direction), np.zeros(3)))
+    return correct_alignment(alignment, compose_motion(pivot_mm, np.zeros(3), direction))

@@ -7,31 +7,31 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.alignment.coarse import JUDGED, JUDGED_SCALE, beginnings
+from pipeline.alignment.coarse_start import JUDGED, JUDGED_SCALE, list_initial_alignments
 from pipeline.alignment.normal_equations import (
     TOLERANCE_DEG,
     TOLERANCE_MM,
     UNITS,
-    Noise,
-    Sums,
-    cost,
+    NormalSums,
+    ResidualNoise,
+    accumulate_sums,
+    compute_cost,
+    estimate_noise,
     growth_mm,
-    noise_of,
-    seen,
-    sums,
+    make_view,
 )
-from pipeline.alignment.residuals import Evidence, evidence, thinned
-from pipeline.alignment.touches import PairedTouch
+from pipeline.alignment.residuals import Evidence, collect_evidence, thin_points
+from pipeline.alignment.touches import AlignmentTouch
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry import rigid
-from pipeline.geometry.screws import in_words
-from pipeline.sensors.alignment import Alignment, Side, corrected
-from pipeline.sensors.offsets import motion_about
+from pipeline.geometry.screws import describe_motions
+from pipeline.sensors.alignment import Alignment, AlignmentPart, correct_alignment
+from pipeline.sensors.offsets import compose_motion
 
-_START = Noise(surface_mm=2.0, outline_mm=4.0)  # loss scales to begin with: as far off as a start may be
-_START_NEAR = Noise(surface_mm=0.5, outline_mm=1.0)  # once the place is roughly known
+_START = ResidualNoise(surface_mm=2.0, outline_mm=4.0)  # loss scales to begin with: as far off as a start may be
+_START_NEAR = ResidualNoise(surface_mm=0.5, outline_mm=1.0)  # once the place is roughly known
 _ROUGH_POINTS = 120  # of each kind and touch, until then
 _NARROWER = 0.75  # a round; wide loss first, so that a start that is far off is not taken for outliers
 _LOSS_SCALE = 3.0  # in standard deviations, once narrow
@@ -44,7 +44,7 @@ _RADIUS_MM = TOLERANCE_MM / np.deg2rad(TOLERANCE_DEG)  # makes a turn of the tol
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Fit:
+class AlignmentFit:
     """How far touches are from agreeing, medians over all points."""
 
     surface_mm: float  # |distance| to the target's surface along its normal
@@ -62,19 +62,19 @@ class Refinement:
     pivot_mm: Doubles  # (3,) target frame
     spread: Doubles  # (6,) predicted standard deviations (deg about the pivot, mm); 0 along frozen directions
     weak: tuple[str, ...]  # what the touches do not tell, in words; left as it was
-    used: tuple[Fit, Fit]  # before, after
-    held_out: tuple[Fit, Fit] | None
+    used: tuple[AlignmentFit, AlignmentFit]  # before, after
+    held_out: tuple[AlignmentFit, AlignmentFit] | None
     rounds: int
     converged: bool
     notes: tuple[str, ...] = ()
 
 
 def refine(
-    touches: Sequence[PairedTouch],
+    touches: Sequence[AlignmentTouch],
     alignment: Alignment,
     *,
-    held_out: Sequence[PairedTouch] = (),
-    into: Side = "target_from_alignment",
+    held_out: Sequence[AlignmentTouch] = (),
+    into: AlignmentPart = "target_from_alignment",
     tolerance: float = 1.0,
     progress: Progress = SILENT,
 ) -> Refinement:
@@ -87,16 +87,16 @@ def refine(
     """
     if not 0.0 < tolerance < np.inf:
         raise SettingProblem(f"the tolerance of a refinement must be positive and finite, got {tolerance:g}")
-    kept = [evidence(t) for t in touches if t.felt_by_both]
+    kept = [collect_evidence(t) for t in touches if t.overlap]
     kept = [e for e in kept if len(e.surface_mm) and len(e.outline_mm)]
     if not kept:
         raise SettingProblem("no frame is felt by both sensors; refining needs touches with contact on either side")
-    others = [evidence(t) for t in held_out if t.felt_by_both]
+    others = [collect_evidence(t) for t in held_out if t.overlap]
     start = alignment.target_from_source
     pivot = np.mean([rigid.apply(start, e.surface_mm).mean(axis=0) for e in kept], axis=0)
     solver = _Solver(kept, start, pivot, progress)
-    rough = _Solver([thinned(e, _ROUGH_POINTS) for e in kept], start, pivot, progress)
-    motion = rough.best(beginnings(kept, start, pivot, _BEGINNINGS, progress))
+    rough = _Solver([thin_points(e, _ROUGH_POINTS) for e in kept], start, pivot, progress)
+    motion = rough.best(list_initial_alignments(kept, start, pivot, _BEGINNINGS, progress))
     motion, converged = solver.solve(motion, np.eye(6), _START_NEAR)
     told = solver.final(motion).information
     free, lost = _determined(told, tolerance)
@@ -107,35 +107,35 @@ def refine(
     after = motion @ start
     progress.step(1.0, "refined")
     return Refinement(
-        alignment=corrected(alignment, motion, into),
+        alignment=correct_alignment(alignment, motion, into),
         motion=freeze(motion),
         pivot_mm=freeze(pivot),
         spread=freeze(spread * np.array([TOLERANCE_DEG] * 3 + [TOLERANCE_MM] * 3)),
         weak=tuple(
             words
-            for words, _ in in_words(
+            for words, _ in describe_motions(
                 lost, pivot, float(_RADIUS_MM), lambda v: bool(tolerance**2 * (v @ told @ v) < v @ v)
             )
         ),
-        used=(fit(kept, start), fit(kept, after)),
-        held_out=(fit(others, start), fit(others, after)) if others else None,
+        used=(fit_alignment(kept, start), fit_alignment(kept, after)),
+        held_out=(fit_alignment(others, start), fit_alignment(others, after)) if others else None,
         rounds=solver.rounds,
         converged=converged,
         notes=() if converged else (f"stopped after {solver.rounds} rounds while still moving; begin nearer",),
     )
 
 
-def fit(touches: Sequence[Evidence], target_from_source: Doubles) -> Fit:
+def fit_alignment(touches: Sequence[Evidence], target_from_source: Doubles) -> AlignmentFit:
     """How far `touches` are from agreeing under this T_S->T; NaN where no point met anything."""
-    distances = seen(touches, target_from_source)
-    noise = noise_of(distances)
+    distances = make_view(touches, target_from_source)
+    noise = estimate_noise(distances)
     surface = np.concatenate([s.surface.mm for s in distances])
     outline = np.concatenate(
         [s.outline.mm - growth_mm(s.outline.mm, noise.outline_mm * _LOSS_SCALE, noise.outline_mm, s.outline.n_asked)[0]
          for s in distances]
     )  # fmt: skip
     asked = sum(s.surface.n_asked + s.outline.n_asked for s in distances)
-    return Fit(
+    return AlignmentFit(
         surface_mm=float(np.median(np.abs(surface))) if surface.size else float("nan"),
         outline_mm=float(np.median(np.abs(outline))) if outline.size else float("nan"),
         met=(surface.size + outline.size) / asked if asked else 0.0,
@@ -153,7 +153,7 @@ class _Solver:
     def best(self, beginnings: Sequence[Doubles]) -> Doubles:
         """The solution of least cost from several beginnings."""
         found = [self.solve(b, np.eye(6))[0] for b in beginnings]
-        costs = [cost(self._touches, motion @ self._start, JUDGED, JUDGED_SCALE) for motion in found]
+        costs = [compute_cost(self._touches, motion @ self._start, JUDGED, JUDGED_SCALE) for motion in found]
         return found[int(np.argmin(costs))]
 
     def frozen(self, solution: Doubles, free: Doubles) -> tuple[Doubles, bool]:
@@ -162,34 +162,34 @@ class _Solver:
             return np.eye(4), True
         step = self._as_step(solution)
         turn, shift = np.split(free @ (free.T @ step) * UNITS, 2)
-        return self.solve(motion_about(self._pivot, turn, shift), free, _START_NEAR)
+        return self.solve(compose_motion(self._pivot, turn, shift), free, _START_NEAR)
 
-    def solve(self, motion: Doubles, free: Doubles, scale: Noise = _START) -> tuple[Doubles, bool]:
+    def solve(self, motion: Doubles, free: Doubles, scale: ResidualNoise = _START) -> tuple[Doubles, bool]:
         """The best motion (4, 4) from this one within the span of `free` (6, k), and whether it stands still."""
         damping = 1e-3
         for done in range(_ROUNDS):
             self._progress.step(done / _ROUNDS, f"round {done + 1}: outlines to {scale.outline_mm:.2f} mm")
             self.rounds += 1
-            distances = seen(self._touches, motion @ self._start)
-            noise = noise_of(distances)
-            wide = Noise(
+            distances = make_view(self._touches, motion @ self._start)
+            noise = estimate_noise(distances)
+            wide = ResidualNoise(
                 surface_mm=max(scale.surface_mm, _LOSS_SCALE * noise.surface_mm),
                 outline_mm=max(scale.outline_mm, _LOSS_SCALE * noise.outline_mm),
             )
             narrow = wide.surface_mm > scale.surface_mm and wide.outline_mm > scale.outline_mm
-            here = sums(distances, self._touches, self._pivot, noise, wide)
+            here = accumulate_sums(distances, self._touches, self._pivot, noise, wide)
             motion, damping, length = self._step(motion, here, noise, wide, free, damping)
             if length < _STILL and narrow:
                 return motion, True
-            scale = Noise(surface_mm=scale.surface_mm * _NARROWER, outline_mm=scale.outline_mm * _NARROWER)
+            scale = ResidualNoise(surface_mm=scale.surface_mm * _NARROWER, outline_mm=scale.outline_mm * _NARROWER)
         return motion, False
 
-    def final(self, motion: Doubles) -> Sums:
+    def final(self, motion: Doubles) -> NormalSums:
         """The quadratic model at the end, with the noise that is left."""
-        distances = seen(self._touches, motion @ self._start)
-        noise = noise_of(distances)
-        narrow = Noise(surface_mm=_LOSS_SCALE * noise.surface_mm, outline_mm=_LOSS_SCALE * noise.outline_mm)
-        return sums(distances, self._touches, self._pivot, noise, narrow)
+        distances = make_view(self._touches, motion @ self._start)
+        noise = estimate_noise(distances)
+        narrow = ResidualNoise(surface_mm=_LOSS_SCALE * noise.surface_mm, outline_mm=_LOSS_SCALE * noise.outline_mm)
+        return accumulate_sums(distances, self._touches, self._pivot, noise, narrow)
 
     def _as_step(self, motion: Doubles) -> Doubles:
         """The step (6,) in tolerances that `motion_about` makes this motion of."""
@@ -197,7 +197,13 @@ class _Solver:
         return np.concatenate([rigid.rotation_vector_rad(motion), shift]) / UNITS
 
     def _step(
-        self, motion: Doubles, here: Sums, noise: Noise, scale: Noise, free: Doubles, damping: float
+        self,
+        motion: Doubles,
+        here: NormalSums,
+        noise: ResidualNoise,
+        scale: ResidualNoise,
+        free: Doubles,
+        damping: float,
     ) -> tuple[Doubles, float, float]:
         """The next motion, damping, and the length of the step in tolerances; 0 when no step makes it better."""
         information, gradient = free.T @ here.information @ free, free.T @ here.gradient
@@ -207,9 +213,11 @@ class _Solver:
             length = float(np.linalg.norm(step))
             step *= min(1.0, _LONGEST / max(length, 1e-12))
             turn, shift = np.split(step * UNITS, 2)
-            moved = motion_about(self._pivot, turn, shift) @ motion
-            there = sums(seen(self._touches, moved @ self._start), self._touches, self._pivot, noise, scale)
-            if there.cost <= here.cost:
+            moved = compose_motion(self._pivot, turn, shift) @ motion
+            there = accumulate_sums(
+                make_view(self._touches, moved @ self._start), self._touches, self._pivot, noise, scale
+            )
+            if there.compute_cost <= here.compute_cost:
                 return moved, max(damping / 3.0, 1e-6), length
             damping = damping * 5.0
         return motion, damping, 0.0

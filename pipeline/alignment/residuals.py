@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.alignment.touches import PairedTouch
+from pipeline.alignment.touches import AlignmentTouch
 from pipeline.base.arrays import Doubles, Mask
 from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
-from pipeline.geometry.normals import area_vectors
+from pipeline.geometry.normals import compute_area_vectors
 from pipeline.values.results import DepthMap
 
 SURFACE_POINTS = 600  # of a touch; more tell the same again
@@ -52,7 +52,7 @@ class Distances:
     n_asked: int  # points that there were; those that met nothing to compare with are not among the k
 
 
-def evidence(touch: PairedTouch) -> Evidence:
+def collect_evidence(touch: AlignmentTouch) -> Evidence:
     """All that does not depend on the alignment."""
     target = touch.target
     usable = target.contact & np.isfinite(target.depth_mm)
@@ -70,7 +70,7 @@ def evidence(touch: PairedTouch) -> Evidence:
     )
 
 
-def thinned(touch: Evidence, points: int) -> Evidence:
+def thin_points(touch: Evidence, points: int) -> Evidence:
     """The same with at most about this many points of each kind."""
     surface, outline = (p[:: max(1, len(p) // points)] for p in (touch.surface_mm, touch.outline_mm))
     return replace(touch, surface_mm=surface, outline_mm=outline)
@@ -81,9 +81,9 @@ def surface_distances(touch: Evidence, points_mm: Doubles) -> Distances:
     x, y, visible = touch.camera.project(points_mm)
     visible &= points_mm[:, 2] > MIN_DEPTH_MM
     inside = np.zeros(visible.shape, np.bool_)
-    inside[visible] = bilinear(touch.outside_px, x[visible], y[visible]) < -_INSIDE_PX
+    inside[visible] = sample_bilinear(touch.outside_px, x[visible], y[visible]) < -_INSIDE_PX
     p = points_mm[inside]
-    depth = bilinear(touch.depth_mm, x[inside], y[inside])
+    depth = sample_bilinear(touch.depth_mm, x[inside], y[inside])
     row, col = np.rint(y[inside]).astype(np.intp), np.rint(x[inside]).astype(np.intp)
     normal = touch.normal[row, col]
     told = np.isfinite(depth) & np.isfinite(normal).all(axis=1)
@@ -101,17 +101,17 @@ def outline_distances(touch: Evidence, points_mm: Doubles) -> Distances:
     visible &= (x > margin) & (x < camera.cols - 1 - margin) & (y > margin) & (y < camera.rows - 1 - margin)
     p, x, y = points_mm[visible], x[visible], y[visible]
     field, h = touch.outside_px, 0.5
-    slope_x = bilinear(field, x + h, y) - bilinear(field, x - h, y)
-    slope_y = bilinear(field, x, y + h) - bilinear(field, x, y - h)
+    slope_x = sample_bilinear(field, x + h, y) - sample_bilinear(field, x - h, y)
+    slope_y = sample_bilinear(field, x, y + h) - sample_bilinear(field, x, y - h)
     # u = fx X/Z + cx: a motion of p in mm moves its pixel by fx/Z, less Z's share; in mm at the touch's distance.
     ratio = camera.fy_px / camera.fx_px
     jacobian = np.stack([slope_x, slope_y * ratio, -(slope_x * p[:, 0] + slope_y * ratio * p[:, 1]) / p[:, 2]], axis=-1)
     return Distances(
-        mm=bilinear(field, x, y) * p[:, 2] / camera.fx_px, jacobian=jacobian, points_mm=p, n_asked=len(points_mm)
+        mm=sample_bilinear(field, x, y) * p[:, 2] / camera.fx_px, jacobian=jacobian, points_mm=p, n_asked=len(points_mm)
     )
 
 
-def bilinear(field: Doubles, x_px: Doubles, y_px: Doubles) -> Doubles:
+def sample_bilinear(field: Doubles, x_px: Doubles, y_px: Doubles) -> Doubles:
     """Values (k,) of a field (rows, cols) between its pixels, clamped at its border; NaN where a corner is NaN."""
     rows, cols = field.shape
     x, y = np.clip(x_px, 0.0, cols - 1.0), np.clip(y_px, 0.0, rows - 1.0)
@@ -170,7 +170,7 @@ def _normals(depth_mm: Doubles, camera: Camera) -> Doubles:
     level = float(np.median(depth_mm[known]))
     smooth = np.asarray(cv2.GaussianBlur(np.where(known, depth_mm - level, 0.0), (0, 0), blur_px))
     smooth = level + np.divide(smooth, share, out=np.zeros_like(smooth), where=share > 1e-6)
-    normal = -area_vectors(camera.back_project(smooth))
+    normal = -compute_area_vectors(camera.back_project(smooth))
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     return np.where(known[..., None], normal, np.nan)
 

@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.alignment.felt import Felt, distance_px, edge_of
-from pipeline.alignment.touches import PairedTouch
+from pipeline.alignment.target_observation import TargetObservation, compute_distance_px, find_edge
+from pipeline.alignment.touches import AlignmentTouch
 from pipeline.base.arrays import Mask
 from pipeline.base.progress import SILENT, Progress
 from pipeline.sensors.alignment import Alignment
-from pipeline.stages.adapt.stage import AdaptParams, adapt
-from pipeline.stages.project.stage import Projection, ProjectParams, project
-from pipeline.values.results import TargetView
+from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.target_depth.surface_projection import ProjectionParams, SurfaceProjectionParams, project_cloud
+from pipeline.values.results import TargetDepth
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Score:
+class AlignmentScore:
     """Agreement within what the source could see; None where there is nothing to compare."""
 
     iou: float  # of the contact masks; 1 where both are empty
@@ -29,18 +29,18 @@ class Score:
     overlap_px: int  # pixels of the scored grid in contact on both sides
 
 
-def score(view: TargetView, felt: Felt) -> Score:
-    """Compare a view drawn into `felt.spec` with what was felt there.
+def score_alignment(view: TargetDepth, felt: TargetObservation) -> AlignmentScore:
+    """Compare a view drawn into `touch_depth.spec` with what was felt there.
 
     An outline where the source's picture ends, or the target's, is no outline of the contact and is left out.
     """
-    there = felt.contact & view.known
+    there = felt.contact & view.in_view
     both = view.contact & there
     either = int(np.count_nonzero(view.contact | there))
     overlap = int(np.count_nonzero(both))
     gap = (view.depth_mm[both] - felt.depth_mm[both]).astype(np.float64)
     gap = gap[np.isfinite(gap)]
-    return Score(
+    return AlignmentScore(
         iou=overlap / either if either else 1.0,
         edge_px=_edge_px(view, felt),
         depth_mm=float(np.median(np.abs(gap))) if gap.size else None,
@@ -50,31 +50,31 @@ def score(view: TargetView, felt: Felt) -> Score:
     )
 
 
-def preview(
-    touch: PairedTouch, alignment: Alignment, felt: Felt, params: Projection | None = None
-) -> tuple[TargetView, Score]:
+def score_preview(
+    touch: AlignmentTouch, alignment: Alignment, felt: TargetObservation, params: ProjectionParams | None = None
+) -> tuple[TargetDepth, AlignmentScore]:
     """The touch as the alignment carries it over, on the grid of `felt`, and how well it agrees."""
-    aligned, drawn = touch.placed(alignment), params or ProjectParams()
-    cloud = adapt(touch.source, aligned, AdaptParams(stride=_stride(touch, felt)))
-    view = project(cloud, felt.spec, drawn)
-    return view, score(view, felt)
+    aligned, drawn = touch.place(alignment), params or SurfaceProjectionParams()
+    cloud = back_project_depth(touch.source, aligned, BackProjectionParams(stride=_stride(touch, felt)))
+    view = project_cloud(cloud, felt.spec, drawn)
+    return view, score_alignment(view, felt)
 
 
-def scores(
-    touches: Sequence[PairedTouch],
-    felts: Sequence[Felt],
+def score_touches(
+    touches: Sequence[AlignmentTouch],
+    felts: Sequence[TargetObservation],
     alignment: Alignment,
     progress: Progress = SILENT,
-) -> tuple[Score, ...]:
+) -> tuple[AlignmentScore, ...]:
     """The score of every touch: what one frame gains at the cost of the others shows here."""
-    found: list[Score] = []
+    found: list[AlignmentScore] = []
     for done, (touch, side) in enumerate(zip(touches, felts, strict=True)):
         progress.step(done / len(touches), f"scoring frame {touch.index}")
-        found.append(preview(touch, alignment, side)[1])
+        found.append(score_preview(touch, alignment, side)[1])
     return tuple(found)
 
 
-def typical(found: Sequence[Score]) -> Score | None:
+def median_score(found: Sequence[AlignmentScore]) -> AlignmentScore | None:
     """Medians over frames, of what each can tell; None of no frames at all."""
     if not found:
         return None
@@ -83,7 +83,7 @@ def typical(found: Sequence[Score]) -> Score | None:
         told = [value for s in found if (value := getattr(s, name)) is not None]
         return float(np.median(told)) if told else None
 
-    return Score(
+    return AlignmentScore(
         iou=float(np.median([s.iou for s in found])),
         edge_px=middle("edge_px"),
         depth_mm=middle("depth_mm"),
@@ -93,8 +93,8 @@ def typical(found: Sequence[Score]) -> Score | None:
     )
 
 
-def _stride(touch: PairedTouch, felt: Felt) -> int:
-    """Every how many-th source pixel is enough: at most `felt.factor`, and never sparser than the pixels drawn."""
+def _stride(touch: AlignmentTouch, felt: TargetObservation) -> int:
+    """Every how many-th source pixel is enough: at most `touch_depth.factor`, and never sparser than the pixels drawn."""
     camera, depth = touch.source.camera, touch.source.depth_mm[::16, ::16]
     seen = depth[np.isfinite(depth)]
     if felt.factor == 1 or not seen.size:
@@ -103,13 +103,13 @@ def _stride(touch: PairedTouch, felt: Felt) -> int:
     return int(np.clip(felt.spec.pixel_mm / pixel_mm, 1, felt.factor))
 
 
-def _edge_px(view: TargetView, felt: Felt) -> float | None:
-    inside = _inside(view.known)
-    drawn, there = edge_of(view.contact) & inside, felt.edge & inside
+def _edge_px(view: TargetDepth, felt: TargetObservation) -> float | None:
+    inside = _inside(view.in_view)
+    drawn, there = find_edge(view.contact) & inside, felt.edge & inside
     if not drawn.any() or not there.any():
         return None
     onward = float(felt.to_edge_px[drawn].mean())
-    back = float(distance_px(drawn)[there].mean())
+    back = float(compute_distance_px(drawn)[there].mean())
     return 0.5 * (onward + back) * felt.factor
 
 

@@ -6,22 +6,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.alignment.felt import Felt
-from pipeline.alignment.nudge import nudged, unit_of
-from pipeline.alignment.score import Score, preview
-from pipeline.alignment.touches import PairedTouch, pivot_of
+from pipeline.alignment.nudge import axis_unit, nudge
+from pipeline.alignment.score import AlignmentScore, score_preview
+from pipeline.alignment.target_observation import TargetObservation
+from pipeline.alignment.touches import AlignmentTouch, find_pivot
 from pipeline.base.arrays import Doubles
 from pipeline.base.progress import SILENT, Progress
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.offsets import AXES, Axis
-from pipeline.stages.project.stage import Projection
+from pipeline.stages.target_depth.surface_projection import ProjectionParams
 
 UNIT_STEP = 0.1  # mm or deg: what all changes are stated per
 _STEP_PX = 0.5  # masks change by whole pixels: smaller motions than about this show nothing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Change:
+class AlignmentChange:
     """How one figure of the score answers to one axis, per 0.1 mm or 0.1 deg; None where it cannot be told."""
 
     slope: float | None  # signed, toward the axis' positive direction: which way is better
@@ -35,16 +35,16 @@ class Sensitivity:
     axis: Axis
     unit: str  # mm or deg
     step: float  # how far it was moved to either side to find out
-    iou: Change
-    edge_px: Change
-    depth_mm: Change  # of the rms difference, which is smooth
+    iou: AlignmentChange
+    edge_px: AlignmentChange
+    depth_mm: AlignmentChange  # of the rms difference, which is smooth
 
 
-def sensitivities(
-    touch: PairedTouch,
+def compute_sensitivities(
+    touch: AlignmentTouch,
     alignment: Alignment,
-    felt: Felt,
-    params: Projection | None = None,
+    felt: TargetObservation,
+    params: ProjectionParams | None = None,
     *,
     pivot: Doubles | None = None,
     progress: Progress = SILENT,
@@ -54,21 +54,22 @@ def sensitivities(
     Moves by about half a pixel of that grid and states the change per 0.1 mm or 0.1 deg. Turns are about `pivot` (3,)
     mm in the target frame, by default the contact's centroid.
     """
-    about = pivot_of(touch, alignment) if pivot is None else pivot
-    here = preview(touch, alignment, felt, params)[1]
+    about = find_pivot(touch, alignment) if pivot is None else pivot
+    here = score_preview(touch, alignment, felt, params)[1]
     shift_mm = max(UNIT_STEP, _STEP_PX * felt.spec.pixel_mm)
     turn_deg = max(UNIT_STEP, float(np.rad2deg(shift_mm / _radius_mm(touch))))
     told: list[Sensitivity] = []
     for done, axis in enumerate(AXES):
         progress.step(done / len(AXES), f"moving along {axis}")
-        step = turn_deg if unit_of(axis) == "deg" else shift_mm
+        step = turn_deg if axis_unit(axis) == "deg" else shift_mm
         down, up = (
-            preview(touch, nudged(alignment, axis, amount, pivot_mm=about), felt, params)[1] for amount in (-step, step)
+            score_preview(touch, nudge(alignment, axis, amount, pivot_mm=about), felt, params)[1]
+            for amount in (-step, step)
         )
         told.append(
             Sensitivity(
                 axis=axis,
-                unit=unit_of(axis),
+                unit=axis_unit(axis),
                 step=step,
                 iou=_change(down, here, up, "iou", step),
                 edge_px=_change(down, here, up, "edge_px", step),
@@ -78,15 +79,15 @@ def sensitivities(
     return tuple(told)
 
 
-def _change(down: Score, here: Score, up: Score, name: str, step: float) -> Change:
+def _change(down: AlignmentScore, here: AlignmentScore, up: AlignmentScore, name: str, step: float) -> AlignmentChange:
     a, b, c = (getattr(s, name) for s in (down, here, up))
     per = UNIT_STEP / step
     slope = None if a is None or c is None else 0.5 * (c - a) * per
     sides = [abs(side - b) for side in (a, c) if side is not None] if b is not None else []
-    return Change(slope=slope, size=per * sum(sides) / len(sides) if sides else None)
+    return AlignmentChange(slope=slope, size=per * sum(sides) / len(sides) if sides else None)
 
 
-def _radius_mm(touch: PairedTouch) -> float:
+def _radius_mm(touch: AlignmentTouch) -> float:
     """Root mean square distance of the contact from its middle, at least a millimetre."""
     row, col = np.nonzero(touch.source.contact)
     if not row.size:

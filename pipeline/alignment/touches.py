@@ -7,22 +7,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.alignment.nudge import pivot_mm
+from pipeline.alignment.nudge import compute_pivot_mm
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.base.progress import SILENT, Progress
-from pipeline.calibration.lookup import Calibration
-from pipeline.sensors.alignment import Alignment, placed
+from pipeline.calibration.calibration_table import Calibration
+from pipeline.sensors.alignment import Alignment, shift_alignment_along_z
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth.stage import DepthParams, depth, untouched
-from pipeline.translation.translate import Translation, own_shift_mm
+from pipeline.stages.depth.photometric import DepthParams, estimate_depth, skip_without_contact
+from pipeline.translation.translate import Translation, estimate_camera_shift_mm
 from pipeline.values.frames import TactileFrame, Truth
-from pipeline.values.pixel_index import pixel_index
+from pipeline.values.pixel_index import make_pixel_index
 from pipeline.values.results import DepthMap
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PairedTouch:
+class AlignmentTouch:
     """One moment: the source's depth map and the target's, each in its own camera frame."""
 
     index: int
@@ -31,31 +31,35 @@ class PairedTouch:
     source_shift_mm: float = 0.0  # `pipeline.translate.own_shift_mm` of either side
     target_shift_mm: float = 0.0
 
-    def placed(self, alignment: Alignment) -> Alignment:
+    def place(self, alignment: Alignment) -> Alignment:
         """The alignment between the very units that recorded this touch."""
-        return placed(alignment, source_shift_mm=self.source_shift_mm, target_shift_mm=self.target_shift_mm)
+        return shift_alignment_along_z(
+            alignment, source_shift_mm=self.source_shift_mm, target_shift_mm=self.target_shift_mm
+        )
 
     @property
-    def felt_by_both(self) -> bool:
+    def overlap(self) -> bool:
         """Whether both sensors say that they were touched."""
         return bool(self.source.contact.any()) and bool(self.target.contact.any())
 
 
-def pivot_of(touch: PairedTouch, alignment: Alignment) -> Doubles:
+def find_pivot(touch: AlignmentTouch, alignment: Alignment) -> Doubles:
     """The contact's centroid (3,) in the target frame of the descriptions: what turns are about."""
-    return pivot_mm(touch.source, placed(alignment, source_shift_mm=touch.source_shift_mm, target_shift_mm=0.0))
+    return compute_pivot_mm(
+        touch.source, shift_alignment_along_z(alignment, source_shift_mm=touch.source_shift_mm, target_shift_mm=0.0)
+    )
 
 
-def paired_touch(
+def load_paired_touch(
     translation: Translation, index: int, params: DepthParams | None = None, *, exact: bool = False
-) -> PairedTouch:
+) -> AlignmentTouch:
     """Frame `index` of both sensors through the depth stage, or (`exact`) as the recording's truth has it.
 
     Raises SettingProblem when the target took no part, or when truth is asked for and there is none; FileProblem for
     a damaged frame.
     """
     params = params or DepthParams()
-    other = translation.truth_of_target(translation.checked(index))
+    other = translation.read_target_observation(translation.check_index(index))
     if other is None:
         raise SettingProblem(
             f"{translation.target.name} recorded no frame {index} here; "
@@ -64,40 +68,40 @@ def paired_touch(
     frame, (target_frame, target_truth) = translation.stream.frame(index), other
     maps: list[DepthMap] = []
     for seen, spec, truth, look_up in (
-        (frame, translation.source, translation.truth_of_source(index) if exact else None, translation.calibration),
+        (frame, translation.source, translation.read_source_truth(index) if exact else None, translation.calibration),
         (target_frame, translation.target, target_truth, None),
     ):
         maps.append(_exact(seen, spec, truth) if exact else _measured(seen, spec, look_up, params))
-    return PairedTouch(
+    return AlignmentTouch(
         index=index,
         source=maps[0],
         target=maps[1],
-        source_shift_mm=own_shift_mm(frame, translation.source),
-        target_shift_mm=own_shift_mm(target_frame, translation.target),
+        source_shift_mm=estimate_camera_shift_mm(frame, translation.source),
+        target_shift_mm=estimate_camera_shift_mm(target_frame, translation.target),
     )
 
 
-def paired_touches(
+def load_paired_touches(
     translation: Translation,
     indices: Iterable[int],
     params: DepthParams | None = None,
     *,
     exact: bool = False,
     progress: Progress = SILENT,
-) -> tuple[PairedTouch, ...]:
+) -> tuple[AlignmentTouch, ...]:
     """Those of the frames that both sensors felt, in order; raises like `paired_touch`."""
     wanted = tuple(indices)
-    felt: list[PairedTouch] = []
+    felt: list[AlignmentTouch] = []
     for done, index in enumerate(wanted):
         progress.step(done / len(wanted), f"depth of frame {index} on both sides")
-        touch = paired_touch(translation, index, params, exact=exact)
-        if touch.felt_by_both:
+        touch = load_paired_touch(translation, index, params, exact=exact)
+        if touch.overlap:
             felt.append(touch)
     return tuple(felt)
 
 
 def _measured(frame: TactileFrame, spec: SensorSpec, look_up: Calibration | None, params: DepthParams) -> DepthMap:
-    return untouched(frame, spec, look_up, params) or depth(frame, spec, look_up, params)
+    return skip_without_contact(frame, spec, look_up, params) or estimate_depth(frame, spec, look_up, params)
 
 
 def _exact(frame: TactileFrame, spec: SensorSpec, truth: Truth | None) -> DepthMap:
@@ -112,5 +116,5 @@ def _exact(frame: TactileFrame, spec: SensorSpec, truth: Truth | None) -> DepthM
         depth_mm=freeze((rest - truth.indentation_mm).astype(np.float32)),
         contact=truth.contact,
         camera=camera,
-        source_index=pixel_index(camera.shape),
+        source_index=make_pixel_index(camera.shape),
     )

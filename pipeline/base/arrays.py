@@ -7,9 +7,9 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.lazily import loaded_once_used
+from pipeline.base.lazy_import import defer_import
 
-loaded_once_used("numpy.f2py", "numpy.testing")  # scipy asks numpy for all it has, a Fortran compiler's front among it
+defer_import("numpy.f2py", "numpy.testing")  # scipy asks numpy for all it has, a Fortran compiler's front among it
 
 Image = NDArray[np.uint8]  # (rows, cols, 3) RGB
 Floats = NDArray[np.float32]

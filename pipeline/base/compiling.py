@@ -43,7 +43,7 @@ _left: dict[str, Path] = {}  # what waited when this process first compiled, and
 
 
 @contextlib.contextmanager
-def watched(tell: Callable[[str], None]) -> Generator[Callable[[], float]]:
+def report_compiling(tell: Callable[[str], None]) -> Generator[Callable[[], float]]:
     """Have `tell` called with "compiling, once: n of m" for all that this thread compiles meanwhile.
 
     Gives a function that says how many seconds that has held up this thread, waiting for others' compiling included.
@@ -63,7 +63,7 @@ def spent_s() -> float:
 
 
 @cache
-def kernels() -> Mapping[str, Path]:
+def list_kernels() -> Mapping[str, Path]:
     """By module and name, the file that keeps what is compiled of every kernel, be it there or not."""
     version = f"py{sys.version_info.major}{sys.version_info.minor}{getattr(sys, 'abiflags', '')}"
     found: dict[str, Path] = {}
@@ -72,17 +72,17 @@ def kernels() -> Mapping[str, Path]:
         source = path.read_text("utf-8")
         for match in _KERNEL.finditer(source):
             line = source.count("\n", 0, match.start()) + 1
-            found[f"{module}.{match[1]}"] = folder(path) / f"{path.stem}.{match[1]}-{line}.{version}.nbi"
+            found[f"{module}.{match[1]}"] = kernel_folder(path) / f"{path.stem}.{match[1]}-{line}.{version}.nbi"
     return found
 
 
-def waiting() -> dict[str, Path]:
+def list_uncompiled() -> dict[str, Path]:
     """Those of `kernels` whose file lacks what their source gives on this processor."""
     import llvmlite.binding
 
     processor = llvmlite.binding.get_host_cpu_name().encode()
     missing: dict[str, Path] = {}
-    for name, file in kernels().items():
+    for name, file in list_kernels().items():
         kept = file.read_bytes() if file.is_file() else b""
         module = _ROOT.parent / (name.rpartition(".")[0].replace(".", "/") + ".py")
         if stamp(module) not in kept or processor not in kept:
@@ -101,7 +101,7 @@ def stamp(module: Path) -> bytes:
 
 
 @cache
-def folder(module: Path) -> Path:
+def kernel_folder(module: Path) -> Path:
     """Where what is compiled of a module is kept: in NUMBA_CACHE_DIR, else beside the module, else with this user.
 
     Where none of them can be written to, in a folder of this process alone, which ends with it.
@@ -123,7 +123,7 @@ def _own_folder() -> tempfile.TemporaryDirectory[str]:
     return tempfile.TemporaryDirectory(prefix="tactoscope-kernels-")
 
 
-def asked() -> None:
+def enter_compiler() -> None:
     """Note that this thread asks for the compiler."""
     _here.depth += 1
     if _here.depth == 1:
@@ -131,7 +131,7 @@ def asked() -> None:
         _lock()
 
 
-def given_back() -> None:
+def leave_compiler() -> None:
     """Note that this thread is done with the compiler, for now."""
     _here.depth -= 1
     if _here.depth == 0:
@@ -142,19 +142,19 @@ def given_back() -> None:
             _here.spent_s += time.perf_counter() - _here.since_s
 
 
-def begun(name: str) -> None:
+def begin_kernel(name: str) -> None:
     """Tell that this thread compiles a kernel, or some function that numba makes up for one."""
     global _compiled  # noqa: PLW0603 - changed under the compiler's lock
     if not _compiled:
-        _left.update(waiting())
+        _left.update(list_uncompiled())
     _compiled += 1
     _left.pop(name, None)
     if _here.tell is not None:
-        _here.tell(_said(len(kernels()) - len(_left), len(kernels())))
+        _here.tell(_said(len(list_kernels()) - len(_left), len(list_kernels())))
 
 
 def _said(n: int, total: int) -> str:
-    place, beside = folder(Path(__file__)), Path(__file__).parent
+    place, beside = kernel_folder(Path(__file__)), Path(__file__).parent
     if place.parent == Path(tempfile.gettempdir()):
         return f"compiling, as there is no folder to keep it in: {n} of {total}"
     kept = (
@@ -168,7 +168,9 @@ def _lock() -> None:
     with contextlib.suppress(ImportError, OSError):
         import fcntl
 
-        _here.file = os.open(folder(Path(__file__)) / "compiling.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        _here.file = os.open(
+            kernel_folder(Path(__file__)) / "compiling.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666
+        )
         while time.perf_counter() < _here.since_s + _LONGEST_WAIT_S:
             with contextlib.suppress(BlockingIOError):
                 fcntl.flock(_here.file, fcntl.LOCK_EX | fcntl.LOCK_NB)

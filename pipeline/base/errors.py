@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from pipeline.base.text import plain
+from pipeline.base.text import escape_text
 
 
 class TouchError(Exception):
@@ -17,7 +17,7 @@ class TouchError(Exception):
 
     def __init__(self, text: str) -> None:
         """One sentence: what, where, what to try."""
-        super().__init__(plain(text))
+        super().__init__(escape_text(text))
 
 
 class FileProblem(TouchError):

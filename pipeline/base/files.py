@@ -50,7 +50,7 @@ def whole_file(path: Path, what: str) -> Generator[BinaryIO, None, None]:
             os.fsync(file.fileno())
         part.replace(path)
     except OSError as error:
-        raise FileProblem(f"cannot write {what} ({reason(error)})", path) from error
+        raise FileProblem(f"cannot write {what} ({describe_os_error(error)})", path) from error
     finally:
         with contextlib.suppress(OSError):
             part.unlink(missing_ok=True)
@@ -68,7 +68,7 @@ def write_folder(folder: Path, fill: Callable[[Path], None]) -> None:
     except FileProblem as error:
         raise error.at(folder, instead_of=part) from error
     except OSError as error:
-        raise FileProblem(f"cannot write the results ({reason(error)})", folder) from error
+        raise FileProblem(f"cannot write the results ({describe_os_error(error)})", folder) from error
     finally:
         for rest in (part, before):
             _remove(rest)
@@ -89,7 +89,7 @@ def _take_place(part: Path, folder: Path, before: Path) -> None:
     part.replace(folder)
 
 
-def ready(folder: Path) -> None:
+def prepare_folder(folder: Path) -> None:
     """Make sure that `folder` is there and can be written to, before the work whose results it is for.
 
     Raises FileProblem otherwise.
@@ -99,14 +99,16 @@ def ready(folder: Path) -> None:
         with tempfile.TemporaryDirectory(prefix=".ready", dir=folder):
             pass
     except OSError as error:
-        raise FileProblem(f"no results can be written here ({reason(error)}); choose another place", folder) from error
+        raise FileProblem(
+            f"no results can be written here ({describe_os_error(error)}); choose another place", folder
+        ) from error
 
 
-def ready_for(path: Path) -> None:
+def prepare_folder_for(path: Path) -> None:
     """The same for a file at `path`."""
     if path.is_dir():
         raise FileProblem("a folder stands where the file is to be written; choose another name", path)
-    ready(path.parent)
+    prepare_folder(path.parent)
 
 
 @contextlib.contextmanager
@@ -120,7 +122,7 @@ def file_to_grow(path: Path, what: str) -> Generator[BinaryIO, None, None]:
         with path.open("w+b") as file:
             yield file
     except OSError as error:
-        raise FileProblem(f"cannot write {what} ({reason(error)})", path) from error
+        raise FileProblem(f"cannot write {what} ({describe_os_error(error)})", path) from error
 
 
 def open_lock(path: Path) -> BinaryIO:
@@ -135,11 +137,11 @@ def open_lock(path: Path) -> BinaryIO:
         lock = path.open("wb")
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
-        raise FileProblem(f"cannot lock this file ({reason(error)})", path) from error
+        raise FileProblem(f"cannot lock this file ({describe_os_error(error)})", path) from error
     return lock
 
 
-def put_aside(path: Path) -> Path:
+def set_aside(path: Path) -> Path:
     """Give the file at `path` another name beside, so that nothing is lost when one is written there; returns it."""
     aside = next(
         place for n in itertools.count() if not (place := path.with_name(f"{path.name}.unread{n or ''}")).exists()
@@ -147,7 +149,7 @@ def put_aside(path: Path) -> Path:
     try:
         path.rename(aside)
     except OSError as error:
-        raise FileProblem(f"cannot put this file aside ({reason(error)})", path) from error
+        raise FileProblem(f"cannot put this file aside ({describe_os_error(error)})", path) from error
     return aside
 
 
@@ -173,7 +175,7 @@ def read_arrays(path: Path, what: str) -> dict[str, NDArray[Any]]:
 
     Raises FileProblem for what is damaged, and for pickled objects, which could run code.
     """
-    must_be_file(path, what, most_bytes=1 << 50)
+    require_file(path, what, most_bytes=1 << 50)
     try:
         with path.open("rb") as file:
             if file.read(6) == b"\x93NUMPY":
@@ -191,7 +193,7 @@ def read_arrays(path: Path, what: str) -> dict[str, NDArray[Any]]:
         raise FileProblem(f"{what} cannot be read: the file is cut short or damaged, or no .npz", path) from error
 
 
-def kept_arrays(path: Path) -> dict[str, NDArray[Any]] | None:
+def pack_arrays(path: Path) -> dict[str, NDArray[Any]] | None:
     """Every array of an .npz that this program can make again; None where there is none, or a damaged one."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as opened:
@@ -200,12 +202,12 @@ def kept_arrays(path: Path) -> dict[str, NDArray[Any]] | None:
         return None
 
 
-def must_be_file(path: Path, what: str, most_bytes: int = MOST_BYTES) -> None:
+def require_file(path: Path, what: str, most_bytes: int = MOST_BYTES) -> None:
     """Raise FileProblem unless `path` is a plain file of at most `most_bytes`: a pipe would be waited for forever."""
     try:
         found = path.stat()
     except (OSError, ValueError) as error:
-        raise FileProblem(f"cannot read {what} ({reason(error)})", path) from error
+        raise FileProblem(f"cannot read {what} ({describe_os_error(error)})", path) from error
     if not stat.S_ISREG(found.st_mode):
         kind = "a folder" if stat.S_ISDIR(found.st_mode) else "a pipe or a device"
         raise FileProblem(f"cannot read {what} (this is {kind}, not a file)", path)
@@ -215,11 +217,11 @@ def must_be_file(path: Path, what: str, most_bytes: int = MOST_BYTES) -> None:
 
 def read_bytes(path: Path, what: str, most_bytes: int = MOST_BYTES) -> bytes:
     """The content of a plain file; raises FileProblem "cannot read `what`" with the reason."""
-    must_be_file(path, what, most_bytes)
+    require_file(path, what, most_bytes)
     try:
         return path.read_bytes()
     except OSError as error:
-        raise FileProblem(f"cannot read {what} ({reason(error)})", path) from error
+        raise FileProblem(f"cannot read {what} ({describe_os_error(error)})", path) from error
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:
@@ -239,7 +241,7 @@ def _parsed(path: Path, what: str, parse: Callable[[str], Any], language: str) -
         raise FileProblem(f"{what} is not valid {language} ({error})", path) from error
 
 
-def reason(error: Exception) -> str:
+def describe_os_error(error: Exception) -> str:
     """Why the system refused, in its few words; the HDF5 library wraps them in many."""
     number = error.errno if isinstance(error, OSError) else None
     return os.strerror(number) if number else str(error).partition("\n")[0]

@@ -10,7 +10,7 @@ _BLOCK_BYTES, _BLOCKS = 256 << 10, 64
 _MOST_ENTRIES = 20_000  # of a folder
 
 
-def fingerprint(path: Path) -> str:
+def compute_fingerprint(path: Path) -> str:
     """XXH3-128 in hexadecimal of a file's bytes, or of the names and sizes in a folder; "" where nothing can be read.
 
     Of a file beyond 64 MiB the size and 64 blocks spread evenly over it count: a recording of many gigabytes is told

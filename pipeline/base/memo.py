@@ -105,7 +105,7 @@ class Memo(Generic[K, V]):
             self._n_bytes = 0
 
 
-def remembered(most: int, *, most_bytes: int = MOST_BYTES) -> Callable[[Callable[P, V]], Callable[P, V]]:
+def memoise(most: int, *, most_bytes: int = MOST_BYTES) -> Callable[[Callable[P, V]], Callable[P, V]]:
     """Decorator: a function of hashable arguments keeps its last answers in a `Memo`, which is its `memo`."""
 
     def wrap(function: Callable[P, V]) -> Callable[P, V]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, TypeVar, cast, get_args
 
 from pipeline.base.errors import SettingProblem
-from pipeline.base.text import comma_hint
+from pipeline.base.text import hint_decimal_comma
 
 P = TypeVar("P")
 Value = bool | int | float | str
@@ -70,7 +70,7 @@ def setting(
     return field(default=default, metadata={"setting": told})
 
 
-def settings(params: object) -> Mapping[str, tuple[Value, Setting]]:
+def list_settings(params: object) -> Mapping[str, tuple[Value, Setting]]:
     """Name -> (value, how to show it) of every parameter, in the order of definition."""
     return {
         f.name: (getattr(params, f.name), f.metadata["setting"])
@@ -79,16 +79,18 @@ def settings(params: object) -> Mapping[str, tuple[Value, Setting]]:
     }
 
 
-def changed(params: P, name: str, value: Value) -> P:
+def replace_value(params: P, name: str, value: Value) -> P:
     """`params` with one value replaced, after checking its type and range; raises SettingProblem."""
-    known = settings(params)
+    known = list_settings(params)
     if name not in known:
         raise SettingProblem(f"no parameter {name!r}; there are {', '.join(known)}")
     old, told = known[name]
     try:
         new = _converted(value, type(old))
     except ValueError:
-        raise SettingProblem(f"{name} must be {_KINDS[type(old)]}, got {value!r}{comma_hint(str(value))}") from None
+        raise SettingProblem(
+            f"{name} must be {_KINDS[type(old)]}, got {value!r}{hint_decimal_comma(str(value))}"
+        ) from None
     if told.choices and new not in told.choices:
         raise SettingProblem(f"{name} must be one of {', '.join(told.choices)}, got {value!r}")
     if isinstance(new, (int, float)) and not isinstance(new, bool) and not told.low <= new <= told.high:

@@ -3,11 +3,11 @@
 
 import numpy as np
 
-from pipeline.base.kept_kernels import inlined, kernel
+from pipeline.base.cached_kernels import inlined, kernel
 
 
 @kernel()
-def ranked(bits, where, rank, keys, counts):
+def select_rank(bits, where, rank, keys, counts):
     """Put in front of `keys` the number of this rank, 0 the least, of those in `where` (n,), and the next one.
 
     bits (n,) uint32: of single precision, none of them NaN. They are made to order as the numbers do and counted by

@@ -16,13 +16,13 @@ def median(values: Floats, where: Mask | None = None) -> np.float32:
 
 def percentile(values: Floats, percent: float, where: Mask | None = None) -> np.float32:
     """The percentile, linear between two values, of those that lie in `where`: one at least. None may be NaN."""
-    from pipeline.base.rank_kernels import ranked
+    from pipeline.base.rank_kernels import select_rank
 
     # Read-only, as the kernel is compiled anew for what can be written to.
     flat = freeze(np.ascontiguousarray(values, np.float32).reshape(-1).view())
     held = freeze((np.ones(flat.shape, np.bool_) if where is None else np.ascontiguousarray(where)).reshape(-1).view())
     whole, share = divmod((int(np.count_nonzero(held)) - 1) * percent / 100.0, 1.0)
     keys = np.empty(max(2, flat.size), np.uint32)
-    ranked(flat.view(np.uint32), held, int(whole), keys, np.empty(_BINS, np.int64))
+    select_rank(flat.view(np.uint32), held, int(whole), keys, np.empty(_BINS, np.int64))
     low, high = keys[:2].view(np.float32)
     return np.float32(low + (np.float64(high) - low) * share)

@@ -6,14 +6,14 @@ import re
 import unicodedata
 
 
-def plain(text: str) -> str:
+def escape_text(text: str) -> str:
     r"""`text` on one line: control and direction marks, and bytes that are no text, as escapes such as `\x1b`."""
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() or unicodedata.category(c) == "Zs" else _escaped(c) for c in text)
 
 
-def comma_hint(text: str) -> str:
+def hint_decimal_comma(text: str) -> str:
     """What to write where the first decimal comma of `text` stands, as the end of a sentence; empty where none does."""
     found = re.search(r"-?\d*,\d+", text)
     return f"; decimals stand behind a point: {found[0].replace(',', '.')}" if found else ""

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats
 from pipeline.calibration import slope_model
-from pipeline.calibration.ball_slopes import RINGS, TRUSTED_SHARE, Ball, Press
-from pipeline.calibration.light_field import Surface, parts_of_slopes
-from pipeline.calibration.slope_model import Samples
+from pipeline.calibration.ball_slopes import RING_RADII, TRUSTED_RADIUS_SHARE, BallPress, BallSlopeProfile
+from pipeline.calibration.shading_field import SurfaceSamples, compute_shading_terms
+from pipeline.calibration.slope_model import SlopeSamples
 
 _RING_WEIGHT = 0.3  # of a pixel beyond the trusted contact: its slope is known from the other presses only
 _INSIDE, _RIM, _OUTSIDE = 1000, 600, 400  # pixels taken from each press
@@ -19,7 +19,9 @@ _MANY = 16  # presses, beyond which fewer are taken from each
 _UNTOUCHED_FROM = 2.5  # contact radii from the centre
 
 
-def surface(press: Press, ball: Ball, pixel_mm: float, rng: np.random.Generator) -> Surface:
+def sample_surface(
+    press: BallPress, ball: BallSlopeProfile, pixel_mm: float, rng: np.random.Generator
+) -> SurfaceSamples:
     """Pixels of the trusted contact, with how deep the ball has pushed them in.
 
     At the contact's edge, radius a, an elastic body is pushed in by a^2 / 2R (Hertz), and in the middle by twice that.
@@ -28,24 +30,26 @@ def surface(press: Press, ball: Ball, pixel_mm: float, rng: np.random.Generator)
     where = rng.choice(where, min(_INSIDE, len(where)), replace=False)
     samples, distance_px = _known(press, ball, where)
     deep_px = (press.circle.radius_px**2 - 0.5 * distance_px**2) / ball.radius_px
-    parts = parts_of_slopes(samples.slopes.astype(np.float64), deep_px * pixel_mm)
-    return Surface(u=samples.u, v=samples.v, parts=parts, change=samples.change)
+    parts = compute_shading_terms(samples.slopes.astype(np.float64), deep_px * pixel_mm)
+    return SurfaceSamples(u=samples.u, v=samples.v, shading_terms=parts, change=samples.change)
 
 
-def inside(press: Press, ball: Ball) -> Samples:
+def sample_contact(press: BallPress, ball: BallSlopeProfile) -> SlopeSamples:
     """All pixels of the trusted contact."""
     return _known(press, ball, _zones(press)[0])[0]
 
 
-def inside_of(press: Press, gx: Floats, gy: Floats) -> Floats:
+def gather_contact_slopes(press: BallPress, gx: Floats, gy: Floats) -> Floats:
     """What images of slopes (rows, cols) hold at the pixels of `inside`, (n, 2)."""
     where = _zones(press)[0]
     return np.stack([gx.ravel()[where], gy.ravel()[where]], axis=1)
 
 
-def around(presses: Sequence[Press], ball: Ball, rng: np.random.Generator) -> tuple[Samples, Floats]:
+def sample_presses(
+    presses: Sequence[BallPress], ball: BallSlopeProfile, rng: np.random.Generator
+) -> tuple[SlopeSamples, Floats]:
     """Pixels of the contacts, of their rims where the slope there is known, and untouched ones, with their weights."""
-    parts: list[Samples] = []
+    parts: list[SlopeSamples] = []
     weights: list[Floats] = []
     share = min(1.0, _MANY / len(presses))
     sizes = [round(share * n) for n in (_INSIDE, _RIM, _OUTSIDE)]
@@ -53,33 +57,33 @@ def around(presses: Sequence[Press], ball: Ball, rng: np.random.Generator) -> tu
         zones = [rng.choice(z, min(n, len(z)), replace=False) for z, n in zip(_zones(press), sizes, strict=True)]
         parts.append(_known(press, ball, np.concatenate(zones))[0])
         weights.append(np.repeat((1.0, _RING_WEIGHT, 1.0), [len(z) for z in zones]).astype(np.float32))
-    return joined(parts), np.concatenate(weights)
+    return concatenate_samples(parts), np.concatenate(weights)
 
 
-def joined(parts: Sequence[Samples]) -> Samples:
+def concatenate_samples(parts: Sequence[SlopeSamples]) -> SlopeSamples:
     """The pixels of all parts."""
-    return Samples(
+    return SlopeSamples(
         change=np.concatenate([s.change for s in parts]), u=np.concatenate([s.u for s in parts]),
         v=np.concatenate([s.v for s in parts]), slopes=np.concatenate([s.slopes for s in parts]),
     )  # fmt: skip
 
 
-def _zones(press: Press) -> tuple[NDArray[np.intp], ...]:
+def _zones(press: BallPress) -> tuple[NDArray[np.intp], ...]:
     """Flat indices of the pixels that are trusted, of the rim's, and of those that nothing touches."""
     rows, cols = press.change.shape[:2]
     c = press.circle
     distance = np.hypot((np.arange(cols) - c.x_px)[None, :], (np.arange(rows) - c.y_px)[:, None]) / c.radius_px
-    rim = (distance >= TRUSTED_SHARE) & (distance < RINGS[-1])
-    return tuple(np.flatnonzero(m) for m in (distance < TRUSTED_SHARE, rim, distance > _UNTOUCHED_FROM))
+    rim = (distance >= TRUSTED_RADIUS_SHARE) & (distance < RING_RADII[-1])
+    return tuple(np.flatnonzero(m) for m in (distance < TRUSTED_RADIUS_SHARE, rim, distance > _UNTOUCHED_FROM))
 
 
-def _known(press: Press, ball: Ball, where: NDArray[np.intp]) -> tuple[Samples, Doubles]:
+def _known(press: BallPress, ball: BallSlopeProfile, where: NDArray[np.intp]) -> tuple[SlopeSamples, Doubles]:
     """The pixels with the ball's slopes, and how far they are from its centre."""
     rows, cols = press.change.shape[:2]
     row, col = np.divmod(where, cols)
     dx, dy = col - press.circle.x_px, row - press.circle.y_px
     r = np.maximum(np.hypot(dx, dy), 1e-6)
-    fall = ball.slope(r, press.circle.radius_px) / r
-    u, v = slope_model.position((rows, cols))
+    fall = ball.compute_slope(r, press.circle.radius_px) / r
+    u, v = slope_model.compute_positions((rows, cols))
     slopes = np.stack([-dx * fall, -dy * fall], axis=1).astype(np.float32)
-    return Samples(change=press.change[row, col], u=u[col], v=v[row], slopes=slopes), r
+    return SlopeSamples(change=press.change[row, col], u=u[col], v=v[row], slopes=slopes), r

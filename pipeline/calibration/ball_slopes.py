@@ -9,15 +9,15 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats
 from pipeline.calibration import slope_model
-from pipeline.calibration.contact_circles import Circle, ring_profile
+from pipeline.calibration.contact_circles import Circle, compute_ring_profile
 from pipeline.calibration.slope_model import SlopeModel
 
-TRUSTED_SHARE = 0.85  # of the contact's radius: inside it the blurred rim is not felt
-RINGS = np.arange(0.0, 2.001, 0.05)  # r / contact radius at which the slope's profile is tabulated
+TRUSTED_RADIUS_SHARE = 0.85  # of the contact's radius: inside it the blurred rim is not felt
+RING_RADII = np.arange(0.0, 2.001, 0.05)  # r / contact radius at which the slope's profile is tabulated
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Press:
+class BallPress:
     """One picture of the ball."""
 
     index: int
@@ -26,20 +26,22 @@ class Press:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Ball:
+class BallSlopeProfile:
     """The slope that a press leaves at a distance from its centre: the sphere's, times what the rim makes of it."""
 
     radius_px: float
-    share: Doubles | None  # of the sphere's slope, at `RINGS`; None = not known beyond the trusted contact
+    sphere_slope_share: Doubles | None  # of the sphere's slope, at `RINGS`; None = not known beyond the trusted contact
 
-    def slope(self, distance_px: Doubles, contact_px: float) -> Doubles:
+    def compute_slope(self, distance_px: Doubles, contact_px: float) -> Doubles:
         """Slope toward the centre, mm/mm."""
         r = np.minimum(distance_px, 0.95 * self.radius_px)
         sphere = r / np.sqrt(self.radius_px**2 - r * r)
         t = distance_px / contact_px
-        if self.share is None:
-            return np.where(t < TRUSTED_SHARE, sphere, 0.0)
-        return sphere * np.where(t < TRUSTED_SHARE, 1.0, np.interp(t, RINGS, self.share, right=0.0))
+        if self.sphere_slope_share is None:
+            return np.where(t < TRUSTED_RADIUS_SHARE, sphere, 0.0)
+        return sphere * np.where(
+            t < TRUSTED_RADIUS_SHARE, 1.0, np.interp(t, RING_RADII, self.sphere_slope_share, right=0.0)
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,13 +54,13 @@ class _Around:
     gy: Floats
 
 
-def _around(model: SlopeModel, press: Press) -> _Around:
+def _around(model: SlopeModel, press: BallPress) -> _Around:
     c = press.circle
     rows, cols = press.change.shape[:2]
-    reach = RINGS[-1] * c.radius_px + 4.0
+    reach = RING_RADII[-1] * c.radius_px + 4.0
     r0, r1 = (min(max(0, round(c.y_px + d * reach)), rows) for d in (-1, 1))
     c0, c1 = (min(max(0, round(c.x_px + d * reach)), cols) for d in (-1, 1))
-    u, v = slope_model.position((rows, cols))
+    u, v = slope_model.compute_positions((rows, cols))
     part = np.ascontiguousarray(press.change[r0:r1, c0:c1])
     gx, gy = slope_model.evaluate(model, part, u[c0:c1], v[r0:r1], np.ones(part.shape[:2], np.bool_))
     return _Around(
@@ -73,27 +75,27 @@ def _radial(around: _Around, circle: Circle) -> tuple[Floats, Doubles]:
     return (-(around.gx * dx + around.gy * dy) / distance).astype(np.float32), distance
 
 
-def refined(model: SlopeModel, press: Press, ball: Ball) -> Circle:
+def refine_circle(model: SlopeModel, press: BallPress, ball: BallSlopeProfile) -> Circle:
     """The circle that the look-up's own slopes speak for."""
     c, around = press.circle, _around(model, press)
     x, y, gx, gy = around.x, around.y, around.gx, around.gy
-    if ball.share is not None:
+    if ball.sphere_slope_share is not None:
         return _aligned(around, c, ball)
-    inside = np.hypot(x - c.x_px, y - c.y_px) < TRUSTED_SHARE * c.radius_px
+    inside = np.hypot(x - c.x_px, y - c.y_px) < TRUSTED_RADIUS_SHARE * c.radius_px
     if inside.sum() < 12:
         return c
     along = ball.radius_px / np.sqrt(1.0 + gx * gx + gy * gy)
     moved = replace(c, x_px=float(np.median((x + along * gx)[inside])), y_px=float(np.median((y + along * gy)[inside])))
     radial, _ = _radial(around, moved)
     local = replace(moved, x_px=moved.x_px - float(x[0, 0]), y_px=moved.y_px - float(y[0, 0]))
-    radii, profile = ring_profile(radial, local, 1.7 * c.radius_px)
+    radii, profile = compute_ring_profile(radial, local, 1.7 * c.radius_px)
     far = radii >= max(4.0, 0.4 * c.radius_px)
     if not far.any():
         return moved
     return replace(moved, radius_px=min(float(radii[far][int(np.argmax(profile[far]))]), 0.95 * ball.radius_px))
 
 
-def _aligned(around: _Around, circle: Circle, ball: Ball) -> Circle:
+def _aligned(around: _Around, circle: Circle, ball: BallSlopeProfile) -> Circle:
     """The circle whose ball leaves the slopes seen: two robust Gauss-Newton steps over centre and radius."""
     c = circle
     for _ in range(2):
@@ -104,7 +106,7 @@ def _aligned(around: _Around, circle: Circle, ball: Ball) -> Circle:
             (_field(around, replace(c, radius_px=c.radius_px + 1.0), ball) - now).ravel(),
         ]
         off = (np.stack([around.gx, around.gy]) - now).ravel()
-        near = np.hypot(around.x - c.x_px, around.y - c.y_px) < RINGS[-1] * c.radius_px
+        near = np.hypot(around.x - c.x_px, around.y - c.y_px) < RING_RADII[-1] * c.radius_px
         weight = np.tile(near.ravel(), 2) * np.minimum(1.0, 0.1 / np.maximum(np.abs(off), 1e-6))
         jacobian = np.stack(columns, axis=1)
         normal = jacobian.T @ (jacobian * weight[:, None])
@@ -117,27 +119,29 @@ def _aligned(around: _Around, circle: Circle, ball: Ball) -> Circle:
     return c
 
 
-def _field(around: _Around, circle: Circle, ball: Ball) -> Doubles:
+def _field(around: _Around, circle: Circle, ball: BallSlopeProfile) -> Doubles:
     """Slopes (2, rows, cols) that the ball leaves."""
     dx, dy = around.x - circle.x_px, around.y - circle.y_px
     r = np.maximum(np.hypot(dx, dy), 1e-6)
-    fall = ball.slope(r, circle.radius_px) / r
+    fall = ball.compute_slope(r, circle.radius_px) / r
     return np.stack([-dx * fall, -dy * fall])
 
 
-def common_profile(model: SlopeModel, presses: Sequence[Press], ball_px: float) -> Ball:
+def estimate_common_profile(model: SlopeModel, presses: Sequence[BallPress], ball_px: float) -> BallSlopeProfile:
     """The share of the sphere's slope that is seen at each ring, the median of all presses: the same to all sides."""
     shares: list[Doubles] = []
     for press in presses:
         radial, distance = _radial(_around(model, press), press.circle)
         r = np.minimum(distance, 0.95 * ball_px)
         share = radial * np.sqrt(ball_px**2 - r * r) / r
-        ring = np.rint(distance / press.circle.radius_px / RINGS[1]).astype(np.intp)
+        ring = np.rint(distance / press.circle.radius_px / RING_RADII[1]).astype(np.intp)
         shares.append(
-            np.array([np.median(share[ring == k]) if (ring == k).sum() >= 4 else np.nan for k in range(len(RINGS))])
+            np.array(
+                [np.median(share[ring == k]) if (ring == k).sum() >= 4 else np.nan for k in range(len(RING_RADII))]
+            )
         )
     table = np.array(shares)
     known = np.isfinite(table).any(axis=0)
-    common = np.zeros(len(RINGS))
+    common = np.zeros(len(RING_RADII))
     common[known] = np.nanmedian(table[:, known], axis=0)
-    return Ball(radius_px=ball_px, share=np.clip(common, 0.0, 1.0))
+    return BallSlopeProfile(radius_px=ball_px, sphere_slope_share=np.clip(common, 0.0, 1.0))

@@ -21,25 +21,31 @@ import numpy as np
 from pipeline.base.arrays import Doubles, Image, Mask
 from pipeline.base.errors import CalibrationError, ShapeError
 from pipeline.base.progress import SILENT, Progress
-from pipeline.calibration import near_lamps, units
-from pipeline.calibration.ball_samples import inside
-from pipeline.calibration.ball_slopes import Ball, Press, common_profile, refined
-from pipeline.calibration.contact_circles import Circle, contact_circle
+from pipeline.calibration import near_led_prior, reference_thumbnail
+from pipeline.calibration.ball_samples import sample_contact
+from pipeline.calibration.ball_slopes import BallPress, BallSlopeProfile, estimate_common_profile, refine_circle
+from pipeline.calibration.calibration_table import BallFit, Calibration, compute_relative_change, make_built_in
+from pipeline.calibration.contact_circles import Circle, detect_contact_circle
 from pipeline.calibration.corrections import (
-    Presses,
-    Read,
-    at_most_unseen,
-    betters,
-    chosen,
-    corrections,
-    enough_for_polynomials,
-    held_out,
-    quick,
-    slope_error,
-    without_any,
+    PressSet,
+    SlopeReader,
+    choose_candidate,
+    clip_errors,
+    compute_slope_error,
+    cross_validate,
+    fit_candidates,
+    fit_quick_table,
+    has_enough_for_polynomials,
+    is_significantly_better,
+    measure_uncalibrated_errors,
 )  # fmt: skip
-from pipeline.calibration.expected_error import expected, foreseen, of_errors, told, too_narrow
-from pipeline.calibration.lookup import BallFit, Calibration, built_in, relative_change
+from pipeline.calibration.expected_error import (
+    compute_coverage_map,
+    estimate_expected_error,
+    has_low_coverage,
+    simulate_errors,
+    summarise_errors,
+)
 from pipeline.calibration.slope_model import SlopeModel
 from pipeline.sensors.spec import SensorSpec
 
@@ -56,7 +62,7 @@ def calibrate_balls(
     pixel_mm: float | None = None,
     progress: Progress = SILENT,
     seed: int = 0,
-    read: Read | None = None,
+    read_slopes: SlopeReader | None = None,
 ) -> Calibration:
     """The look-up of `sensor` from pictures (rows, cols, 3) of presses of one ball; `presses` tells of each.
 
@@ -68,30 +74,30 @@ def calibrate_balls(
     ball_px = 0.5 * diameter_mm / scale if scale > 0 else math.nan
     if not (math.isfinite(ball_px) and ball_px > 3.0):
         raise CalibrationError(f"a ball of {diameter_mm!r} mm cannot be seen at {scale!r} mm/px; check both")
-    before, first = near_lamps.prior(sensor, scale, reference.shape[:2]), built_in(sensor).model
+    before, first = near_led_prior.compute_prior(sensor, scale, reference.shape[:2]), make_built_in(sensor).model
     presses = _found(images, reference, sensor, scale, ball_px, progress)
-    known = _aligned(Presses(presses=tuple(presses), ball=Ball(radius_px=ball_px, share=None), pixel_mm=scale,
-                             before=before, built_in=first, seed=seed), progress)  # fmt: skip
-    held = held_out(known, lambda share: progress.step(0.6 + 0.3 * share, "measuring presses that were held out"))
-    models, fields = corrections(known, polynomials=enough_for_polynomials(len(known.presses)))
-    best = chosen(held)
-    virtual, narrow, places = foreseen(models[best], fields, known), False, None
-    worth = expected(virtual, held, best)
-    as_read = None if read is None else without_any(known, read)
+    known = _aligned(PressSet(presses=tuple(presses), ball=BallSlopeProfile(radius_px=ball_px, sphere_slope_share=None), pixel_mm=scale,
+                             prior=before, built_in=first, seed=seed), progress)  # fmt: skip
+    held = cross_validate(known, lambda share: progress.step(0.6 + 0.3 * share, "measuring presses that were held out"))
+    models, fields = fit_candidates(known, polynomials=has_enough_for_polynomials(len(known.presses)))
+    best = choose_candidate(held)
+    virtual, narrow, places = simulate_errors(models[best], fields, known), False, None
+    worth = estimate_expected_error(virtual, held, best)
+    as_read = None if read_slopes is None else measure_uncalibrated_errors(known, read_slopes)
     if as_read is not None:
-        without, seen = at_most_unseen(as_read), np.zeros(0) if held is None else held.diameter[:, best]
-        places, narrow = told(virtual, known), too_narrow(known)
-        if narrow or not best or not betters(worth.diameter_share, without, seen):
-            best, worth, places = 0, of_errors(without), None
+        without, seen = clip_errors(as_read), np.zeros(0) if held is None else held.diameter_share[:, best]
+        places, narrow = compute_coverage_map(virtual, known), has_low_coverage(known)
+        if narrow or not best or not is_significantly_better(worth.diameter_share, without, seen):
+            best, worth, places = 0, summarise_errors(without), None
     model = models[best]
     progress.step(1.0, "look-up is ready")
     return Calibration(
         sensor=sensor.name, rows=reference.shape[0], cols=reference.shape[1], pixel_mm=scale, model=model,
-        residual=float(np.sqrt(np.mean([slope_error(model, inside(p, known.ball)) ** 2 for p in known.presses]))),
+        residual=float(np.sqrt(np.mean([compute_slope_error(model, sample_contact(p, known.ball)) ** 2 for p in known.presses]))),
         origin=_origin(len(known.presses), len(images), diameter_mm, best, narrow=narrow) + _where(places),
-        kept_built_in=best == 0, told=None if places is None or places.all() else places,
-        still=units.small(reference),
-        presses=_report(len(images), known, model), expected=worth, read_as=_middle(as_read),
+        uses_built_in=best == 0, coverage_map=None if places is None or places.all() else places,
+        reference_thumbnail=reference_thumbnail.make_thumbnail(reference),
+        presses=_report(len(images), known, model), expected_error=worth, diameter_ratio=_middle(as_read),
     )  # fmt: skip
 
 
@@ -118,54 +124,54 @@ def _where(places: Mask | None) -> str:
 
 def _found(
     images: Sequence[Image], reference: Image, sensor: SensorSpec, scale: float, ball_px: float, progress: Progress
-) -> list[Press]:
+) -> list[BallPress]:
     if not images:
         raise CalibrationError("no pictures of presses; give a folder with at least one")
-    presses: list[Press] = []
+    presses: list[BallPress] = []
     for index, image in enumerate(images):
         if image.shape != reference.shape or image.ndim != 3:
             raise ShapeError(
                 f"press {index} has shape {image.shape}, the reference {reference.shape}; use one camera mode"
             )
-        change = relative_change(image, reference, scale, markers=sensor.markers)
-        circle = contact_circle(change)
+        change = compute_relative_change(image, reference, scale, markers=sensor.markers)
+        circle = detect_contact_circle(change)
         if circle is not None and circle.radius_px >= 3.0:
             circle = replace(circle, radius_px=min(circle.radius_px, 0.9 * ball_px))
-            presses.append(Press(index=index, change=change, circle=circle))
+            presses.append(BallPress(index=index, change=change, circle=circle))
         progress.step(0.2 * (index + 1) / len(images), f"finding the ball in press {index + 1} of {len(images)}")
     if not presses:
         raise CalibrationError("no ball found in any press; check that the reference is the untouched sensor")
     return presses
 
 
-def _aligned(known: Presses, progress: Progress) -> Presses:
+def _aligned(known: PressSet, progress: Progress) -> PressSet:
     """The presses with their circles refined; those that are not one ball on a clean gel are left out."""
     start = known
     known, model = _alternated(start, progress)
-    errors = np.array([slope_error(model, inside(p, known.ball)) for p in known.presses])
+    errors = np.array([compute_slope_error(model, sample_contact(p, known.ball)) for p in known.presses])
     bad = {int(i) for i in np.flatnonzero(errors > _OUTLIER * float(np.median(errors)))}
-    return known if not bad else _alternated(start.without(bad), progress)[0]
+    return known if not bad else _alternated(start.drop_presses(bad), progress)[0]
 
 
-def _alternated(known: Presses, progress: Progress) -> tuple[Presses, SlopeModel]:
+def _alternated(known: PressSet, progress: Progress) -> tuple[PressSet, SlopeModel]:
     """Turns of look-up, circles and the common profile of slopes beyond the trusted contact."""
-    model = quick(known)
+    model = fit_quick_table(known)
     for turn in range(_TURNS):
-        presses = tuple(replace(p, circle=refined(model, p, known.ball)) for p in known.presses)
-        ball = common_profile(model, presses, known.ball.radius_px)
+        presses = tuple(replace(p, circle=refine_circle(model, p, known.ball)) for p in known.presses)
+        ball = estimate_common_profile(model, presses, known.ball.radius_px)
         known = replace(known, presses=presses, ball=ball)
-        model = quick(known)
+        model = fit_quick_table(known)
         progress.step(0.2 + 0.4 * (turn + 1) / _TURNS, f"refining circles, turn {turn + 1} of {_TURNS}")
     return known, model
 
 
-def _report(n: int, known: Presses, model: SlopeModel) -> tuple[BallFit, ...]:
+def _report(n: int, known: PressSet, model: SlopeModel) -> tuple[BallFit, ...]:
     used = {p.index: p for p in known.presses}
     fits: list[BallFit] = []
     for index in range(n):
         p = used.get(index)
         c = p.circle if p is not None else Circle(x_px=math.nan, y_px=math.nan, radius_px=math.nan)
-        residual = math.nan if p is None else slope_error(model, inside(p, known.ball))
+        residual = math.nan if p is None else compute_slope_error(model, sample_contact(p, known.ball))
         fits.append(
             BallFit(index=index, x_px=c.x_px, y_px=c.y_px, radius_px=c.radius_px, residual=residual, used=p is not None)
         )

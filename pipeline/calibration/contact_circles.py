@@ -23,7 +23,7 @@ class Circle:
     radius_px: float
 
 
-def contact_circle(change: Floats) -> Circle | None:
+def detect_contact_circle(change: Floats) -> Circle | None:
     """The first guess from a colour change (rows, cols, 3): centre of the changed patch, radius of its steepest ring.
 
     At the edge of a contact the slope is largest (Hertz), and so is the change of colour. None if nothing stands out.
@@ -36,7 +36,7 @@ def contact_circle(change: Floats) -> Circle | None:
     if patch is None:
         return None
     outline = _outline_circle(patch)
-    radii, profile = ring_profile(strength, outline, 1.3 * outline.radius_px)
+    radii, profile = compute_ring_profile(strength, outline, 1.3 * outline.radius_px)
     # Next to the centre a ball's own brightness can outdo its rim: look from half of the patch outward.
     outer = radii >= 0.4 * outline.radius_px
     if not outer.any():
@@ -44,7 +44,7 @@ def contact_circle(change: Floats) -> Circle | None:
     return Circle(x_px=outline.x_px, y_px=outline.y_px, radius_px=float(radii[outer][int(np.argmax(profile[outer]))]))
 
 
-def ring_profile(values: Floats, circle: Circle, reach_px: float) -> tuple[Doubles, Doubles]:
+def compute_ring_profile(values: Floats, circle: Circle, reach_px: float) -> tuple[Doubles, Doubles]:
     """Median of `values` (rows, cols) on rings one pixel wide about the circle's centre: (radii, medians)."""
     rows, cols = values.shape
     dx, dy = np.arange(cols) - circle.x_px, np.arange(rows) - circle.y_px

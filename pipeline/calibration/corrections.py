@@ -16,11 +16,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, freeze
-from pipeline.calibration import light_field, slope_model
-from pipeline.calibration.ball_samples import around, inside, inside_of, surface
-from pipeline.calibration.ball_slopes import Ball, Press
-from pipeline.calibration.light_field import Fields
-from pipeline.calibration.slope_model import Samples, SlopeModel
+from pipeline.calibration import shading_field, slope_model
+from pipeline.calibration.ball_samples import gather_contact_slopes, sample_contact, sample_presses, sample_surface
+from pipeline.calibration.ball_slopes import BallPress, BallSlopeProfile
+from pipeline.calibration.shading_field import ShadingFieldPrior
+from pipeline.calibration.slope_model import SlopeModel, SlopeSamples
 
 _DRAWS, _PIXELS = 40, 8000  # fields and pixels that a look-up is made from
 _QUICK_PIXELS = 4000  # while the circles are still moving
@@ -34,17 +34,19 @@ _FEWEST_PX = 12  # that a sphere is told from
 _UNSEEN = 1.0  # error of a ball that is not seen at all
 _SURE = 2.0  # standard deviations by which a correction has to be better than none
 
-Read = Callable[[int], tuple[Floats, Floats]]  # slopes (rows, cols) that are read of a picture, without calibration
+SlopeReader = Callable[
+    [int], tuple[Floats, Floats]
+]  # slopes (rows, cols) that are read of a picture, without calibration
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Presses:
+class PressSet:
     """What corrections are made from."""
 
-    presses: tuple[Press, ...]
-    ball: Ball
+    presses: tuple[BallPress, ...]
+    ball: BallSlopeProfile
     pixel_mm: float
-    before: Fields
+    prior: ShadingFieldPrior
     built_in: SlopeModel
     seed: int  # of the pixels that are looked at
 
@@ -54,39 +56,43 @@ class Presses:
         rows, cols = self.presses[0].change.shape[:2]
         return rows, cols
 
-    def without(self, indices: set[int]) -> Presses:
+    def drop_presses(self, indices: set[int]) -> PressSet:
         """All but some."""
         return replace(self, presses=tuple(p for i, p in enumerate(self.presses) if i not in indices))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Held:
+class HeldOutErrors:
     """How the corrections do on presses that they have not seen, one row a press, one column a correction."""
 
-    slope: Doubles  # rms error, mm/mm
-    diameter: Doubles  # of the ball, less its own, over its own
+    slope_rms: Doubles  # rms error, mm/mm
+    diameter_share: Doubles  # of the ball, less its own, over its own
 
 
-def fields_of(known: Presses) -> Fields:
+def fit_field(known: PressSet) -> ShadingFieldPrior:
     """The field of light after the presses."""
     rng = np.random.default_rng(known.seed)
-    return light_field.learned(known.before, [surface(p, known.ball, known.pixel_mm, rng) for p in known.presses])
+    return shading_field.update_field(
+        known.prior, [sample_surface(p, known.ball, known.pixel_mm, rng) for p in known.presses]
+    )
 
 
-def quick(known: Presses) -> SlopeModel:
+def fit_quick_table(known: PressSet) -> SlopeModel:
     """The look-up of the likeliest field."""
-    fields = fields_of(known)
-    return light_field.look_up(fields.mean[None], known.shape, _QUICK_PIXELS, np.random.default_rng(known.seed))
+    fields = fit_field(known)
+    return shading_field.fit_slope_model(
+        fields.mean[None], known.shape, _QUICK_PIXELS, np.random.default_rng(known.seed)
+    )
 
 
-def corrections(known: Presses, *, polynomials: bool) -> tuple[list[SlopeModel], Fields]:
+def fit_candidates(known: PressSet, *, polynomials: bool) -> tuple[list[SlopeModel], ShadingFieldPrior]:
     """All look-ups, the built-in one first, and the field that they rest on."""
     rng = np.random.default_rng(known.seed)
-    fields = fields_of(known)
-    base = light_field.look_up(light_field.drawn(fields, _DRAWS, rng), known.shape, _PIXELS, rng)
+    fields = fit_field(known)
+    base = shading_field.fit_slope_model(shading_field.sample_fields(fields, _DRAWS, rng), known.shape, _PIXELS, rng)
     models = [known.built_in, base]
     if polynomials:
-        samples, weights = around(known.presses, known.ball, rng)
+        samples, weights = sample_presses(known.presses, known.ball, rng)
         left = replace(samples, slopes=samples.slopes - slope_model.predict(base, samples))
         for ridge in _RIDGES:
             more = slope_model.fit(left, weights, colour_degree=base.colour_degree, position_degree=_PLACE_DEGREE,
@@ -97,12 +103,12 @@ def corrections(known: Presses, *, polynomials: bool) -> tuple[list[SlopeModel],
     return models, fields
 
 
-def enough_for_polynomials(n_presses: int) -> bool:
+def has_enough_for_polynomials(n_presses: int) -> bool:
     """Whether so many presses can settle a polynomial."""
     return n_presses >= _ENOUGH
 
 
-def held_out(known: Presses, step: Callable[[float], None]) -> Held | None:
+def cross_validate(known: PressSet, step: Callable[[float], None]) -> HeldOutErrors | None:
     """Every press measured with the look-ups of the others; None if there is only one."""
     n = len(known.presses)
     if n < 2:
@@ -111,18 +117,20 @@ def held_out(known: Presses, step: Callable[[float], None]) -> Held | None:
     rows: dict[int, tuple[list[float], list[float]]] = {}
     for done, fold in enumerate(folds):
         out = {int(i) for i in fold}
-        models, _ = corrections(known.without(out), polynomials=enough_for_polynomials(n))
+        models, _ = fit_candidates(known.drop_presses(out), polynomials=has_enough_for_polynomials(n))
         for i in out:
-            samples = inside(known.presses[i], known.ball)
+            samples = sample_contact(known.presses[i], known.ball)
             rows[i] = (
-                [slope_error(m, samples) for m in models],
-                [diameter_error(m, samples) for m in models],
+                [compute_slope_error(m, samples) for m in models],
+                [compute_diameter_error(m, samples) for m in models],
             )
         step((done + 1) / len(folds))
-    return Held(slope=np.array([rows[i][0] for i in range(n)]), diameter=np.array([rows[i][1] for i in range(n)]))
+    return HeldOutErrors(
+        slope_rms=np.array([rows[i][0] for i in range(n)]), diameter_share=np.array([rows[i][1] for i in range(n)])
+    )
 
 
-def chosen(held: Held | None) -> int:
+def choose_candidate(held: HeldOutErrors | None) -> int:
     """The simplest correction that is nearly the best for presses that it has not seen; 0 = the built-in look-up.
 
     One that is worse than the built-in look-up in slopes times diameters is none: the diameters of a few presses may be
@@ -131,23 +139,28 @@ def chosen(held: Held | None) -> int:
     """
     if held is None:
         return 1
-    diameters = np.median(np.nan_to_num(np.abs(held.diameter), nan=1.0), axis=0)
-    errors = held.slope.mean(axis=0)
+    diameters = np.median(np.nan_to_num(np.abs(held.diameter_share), nan=1.0), axis=0)
+    errors = held.slope_rms.mean(axis=0)
     errors = np.where(errors * diameters <= errors[0] * diameters[0], errors, np.inf)
     return int(np.flatnonzero(errors <= _BEST_WITHIN * errors.min())[0])
 
 
-def without_any(known: Presses, read: Read) -> Doubles:
+def measure_uncalibrated_errors(known: PressSet, read: SlopeReader) -> Doubles:
     """Diameter errors, as shares, of what is read of the presses without a calibration; NaN = no ball is seen."""
-    return np.array([diameter_of(inside_of(p, *read(p.index)), inside(p, known.ball)) for p in known.presses])
+    return np.array(
+        [
+            measure_diameter_error(gather_contact_slopes(p, *read(p.index)), sample_contact(p, known.ball))
+            for p in known.presses
+        ]
+    )
 
 
-def at_most_unseen(errors: Doubles) -> Doubles:
+def clip_errors(errors: Doubles) -> Doubles:
     """Diameter errors, none worse than that of a ball that is not seen."""
     return np.asarray(np.minimum(np.nan_to_num(errors, nan=_UNSEEN), _UNSEEN), np.float64)
 
 
-def betters(share: float, without: Doubles, held: Doubles) -> bool:
+def is_significantly_better(share: float, without: Doubles, held: Doubles) -> bool:
     """Whether a correction of which the diameter error `share` is expected is surely better than errors without any.
 
     `held` are its own errors of the same presses, none where none could be held out. Press for press they have to be
@@ -167,24 +180,24 @@ def betters(share: float, without: Doubles, held: Doubles) -> bool:
     return float((np.sign(gained) * ranks).sum()) > _SURE * deviation
 
 
-def slope_error(model: SlopeModel, samples: Samples) -> float:
+def compute_slope_error(model: SlopeModel, samples: SlopeSamples) -> float:
     """Rms error of the slopes, mm/mm; infinite without pixels."""
     if len(samples.u) == 0:
         return float("inf")
     return float(np.sqrt(np.mean((slope_model.predict(model, samples) - samples.slopes) ** 2)))
 
 
-def diameter_error(model: SlopeModel, samples: Samples) -> float:
+def compute_diameter_error(model: SlopeModel, samples: SlopeSamples) -> float:
     """The diameter of the sphere nearest to the slopes of a contact, less the ball's, over the ball's; NaN = none."""
-    return diameter_of(slope_model.predict(model, samples), samples)
+    return measure_diameter_error(slope_model.predict(model, samples), samples)
 
 
-def diameter_of(slopes: Floats, samples: Samples) -> float:
+def measure_diameter_error(slopes: Floats, samples: SlopeSamples) -> float:
     """`diameter_error` of slopes (n, 2) that are read at the samples."""
-    return sphere_error(slopes, samples.slopes) if len(slopes) >= _FEWEST_PX else float("nan")
+    return compute_sphere_error(slopes, samples.slopes) if len(slopes) >= _FEWEST_PX else float("nan")
 
 
-def sphere_error(slopes: Floats | Doubles, true: Floats | Doubles) -> float:
+def compute_sphere_error(slopes: Floats | Doubles, true: Floats | Doubles) -> float:
     """How much larger than the true sphere's the radius of the sphere nearest to slopes (n, 2) is, as a share."""
     normal, wanted = (g / np.sqrt(1.0 + (g**2).sum(axis=1, keepdims=True)) for g in (slopes, true))
     normal, wanted = normal - normal.mean(axis=0), wanted - wanted.mean(axis=0)

@@ -21,19 +21,19 @@ _PART_HIDDEN = 0.25  # share of a pixel
 _SHARP_PX = 1.6  # Gaussian means wider than this are taken on fewer pixels
 
 
-def marker_mask(picture: NDArray[Any], markers: Markers, pixel_mm: float) -> Mask:
+def detect_markers(picture: NDArray[Any], markers: Markers, pixel_mm: float) -> Mask:
     """Pixels (rows, cols) of dark dots up to the size of the sensor's markers, with their blurred rim.
 
     Where a dot has many pixels it is looked for on fewer: closing by a disc costs its area for every pixel.
     """
     import cv2
 
-    width = 2 * math.ceil(2.2 * (markers.radius_mm + markers.twin_mm / 2) / pixel_mm) + 1
+    width = 2 * math.ceil(2.2 * (markers.radius_mm + markers.doubling_mm / 2) / pixel_mm) + 1
     if width > _WIDEST_PX:
         by = math.ceil(width / _WIDEST_PX)
         rows, cols = picture.shape[:2]
         small = cv2.resize(picture, (max(1, cols // by), max(1, rows // by)), interpolation=cv2.INTER_AREA)
-        found = marker_mask(small, markers, pixel_mm * cols / small.shape[1])
+        found = detect_markers(small, markers, pixel_mm * cols / small.shape[1])
         wide = cv2.resize(found.astype(np.float32), (cols, rows), interpolation=cv2.INTER_LINEAR)
         return np.asarray(wide > _PART_HIDDEN, np.bool_)
     red, green, blue = cv2.split(picture)
@@ -45,7 +45,7 @@ def marker_mask(picture: NDArray[Any], markers: Markers, pixel_mm: float) -> Mas
     return np.asarray(cv2.dilate(dark.astype(np.uint8), rim), np.bool_)
 
 
-def inpainted(change: Floats, hidden: Mask, reach_px: float) -> Floats:
+def inpaint(change: Floats, hidden: Mask, reach_px: float) -> Floats:
     """`change` (rows, cols, channels) with hidden pixels replaced by a Gaussian mean of the visible ones around.
 
     Wider means take over where a narrower one sees nothing.
@@ -81,7 +81,7 @@ def _mean(image: Floats, reach_px: float) -> Floats:
     return np.asarray(cv2.resize(blurred, (cols, rows), interpolation=cv2.INTER_LINEAR), np.float32)
 
 
-def unprinted(still: NDArray[Any], markers: Markers, pixel_mm: float) -> tuple[Mask, Floats]:
+def remove_printed_markers(still: NDArray[Any], markers: Markers, pixel_mm: float) -> tuple[Mask, Floats]:
     """(where the markers of an untouched picture are, the picture (rows, cols, 3) without them).
 
     Both are kept: the same untouched picture is read with every touch.
@@ -89,17 +89,17 @@ def unprinted(still: NDArray[Any], markers: Markers, pixel_mm: float) -> tuple[M
     return _unprinted.of((content(still), markers, pixel_mm), lambda: _without(still, markers, pixel_mm))
 
 
-def without_markers(change: Floats, hidden: Mask, markers: Markers, pixel_mm: float) -> Floats:
+def inpaint_markers(change: Floats, hidden: Mask, markers: Markers, pixel_mm: float) -> Floats:
     """`change` (rows, cols, 3) as it would be without the markers, which hide some pixels of either picture."""
-    return inpainted(change, hidden, _reach_px(markers, pixel_mm))
+    return inpaint(change, hidden, _reach_px(markers, pixel_mm))
 
 
 _unprinted: Memo[tuple[str, Markers, float], tuple[Mask, Floats]] = Memo(4, most_bytes=4 * 1024 * 1024)
 
 
 def _without(still: NDArray[Any], markers: Markers, pixel_mm: float) -> tuple[Mask, Floats]:
-    printed = marker_mask(still, markers, pixel_mm)
-    return freeze(printed), freeze(inpainted(still.astype(np.float32), printed, _reach_px(markers, pixel_mm)))
+    printed = detect_markers(still, markers, pixel_mm)
+    return freeze(printed), freeze(inpaint(still.astype(np.float32), printed, _reach_px(markers, pixel_mm)))
 
 
 def _reach_px(markers: Markers, pixel_mm: float) -> float:

@@ -35,7 +35,7 @@ class SlopeModel:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Samples:
+class SlopeSamples:
     """Pixels whose slope is known."""
 
     change: Floats  # (n, 3) q of the formula above
@@ -44,7 +44,7 @@ class Samples:
     slopes: Floats  # (n, 2) mm/mm
 
 
-def position(shape: tuple[int, int]) -> tuple[Floats, Floats]:
+def compute_positions(shape: tuple[int, int]) -> tuple[Floats, Floats]:
     """U of every column (cols,) and v of every row (rows,)."""
     rows, cols = shape
     half = max(rows, cols) / 2
@@ -53,13 +53,13 @@ def position(shape: tuple[int, int]) -> tuple[Floats, Floats]:
     return u.astype(np.float32), v.astype(np.float32)
 
 
-def powers(degree: int) -> NDArray[np.int64]:
+def list_exponents(degree: int) -> NDArray[np.int64]:
     """Exponents (m, 3) of red, green and blue in the order of the coefficients: degrees 1 to `degree`."""
     n = range(degree + 1)
     return np.array([(i, j, k) for i in n for j in n for k in n if 1 <= i + j + k <= degree], np.int64)
 
 
-def gain(reference: NDArray[np.generic]) -> Floats:
+def compute_gain(reference: NDArray[np.generic]) -> Floats:
     """What a change in grey levels is multiplied with to become q; (rows, cols, 3) from the untouched picture."""
     import cv2
 
@@ -69,20 +69,20 @@ def gain(reference: NDArray[np.generic]) -> Floats:
 
 def evaluate(model: SlopeModel, change: Floats, u: Floats, v: Floats, where: Mask) -> tuple[Floats, Floats]:
     """(gx, gy) of an image of q (rows, cols, 3) at the columns `u` and rows `v`; zero outside `where`."""
-    from pipeline.calibration.slope_model_kernels import polynomial
+    from pipeline.calibration.slope_model_kernels import evaluate_polynomial
 
     gx, gy = np.zeros(where.shape, np.float32), np.zeros(where.shape, np.float32)
-    of_colour = powers(model.colour_degree)
+    of_colour = list_exponents(model.colour_degree)
     row = np.empty((len(model.coefficients), len(of_colour), 2), np.float32)
     ladder = np.ones((3, model.colour_degree + 1), np.float32)
     limit = np.float32(model.slope_max)
-    polynomial(change, u, v, where, of_colour, model.coefficients, limit, row, ladder, gx, gy)
+    evaluate_polynomial(change, u, v, where, of_colour, model.coefficients, limit, row, ladder, gx, gy)
     return gx, gy
 
 
-def features(samples: Samples, colour_degree: int, position_degree: int) -> Floats:
+def compute_features(samples: SlopeSamples, colour_degree: int, position_degree: int) -> Floats:
     """The monomials (n, position x colour) of the formula, position slowest."""
-    q, e = samples.change, powers(colour_degree)
+    q, e = samples.change, list_exponents(colour_degree)
     ladder = np.stack([q**k for k in range(colour_degree + 1)])  # (degree + 1, n, 3)
     colour = ladder[e[:, 0], :, 0] * ladder[e[:, 1], :, 1] * ladder[e[:, 2], :, 2]  # (m, n)
     place = np.stack([samples.u**i * samples.v**j for j, i in _place_powers(position_degree)])  # (p, n)
@@ -90,7 +90,13 @@ def features(samples: Samples, colour_degree: int, position_degree: int) -> Floa
 
 
 def fit(
-    samples: Samples, weights: Floats, *, colour_degree: int, position_degree: int, ridge: float, huber: float = 0.05
+    samples: SlopeSamples,
+    weights: Floats,
+    *,
+    colour_degree: int,
+    position_degree: int,
+    ridge: float,
+    huber: float = 0.05,
 ) -> SlopeModel:
     """The polynomial nearest to the samples: ridge regression in closed form, three rounds of Huber weights.
 
@@ -99,12 +105,12 @@ def fit(
     """
     from threadpoolctl import threadpool_limits
 
-    f = features(samples, colour_degree, position_degree)
+    f = compute_features(samples, colour_degree, position_degree)
     target = samples.slopes
     solution: Doubles = np.zeros((f.shape[1], 2))
     w = weights
     place = np.array([j + i for j, i in _place_powers(position_degree)])
-    stiffer = (_STIFFER ** (place[:, None] + powers(colour_degree).sum(axis=1)[None, :] - 1.0)).ravel()
+    stiffer = (_STIFFER ** (place[:, None] + list_exponents(colour_degree).sum(axis=1)[None, :] - 1.0)).ravel()
     # Several threads add up in another order: one gives the same bytes everywhere, in the same time.
     with threadpool_limits(limits=1, user_api="blas"):
         for _ in range(3):
@@ -116,7 +122,7 @@ def fit(
             solution = np.asarray(np.linalg.solve(normal, (weighted.T @ target).astype(np.float64)), np.float64)
             residual = np.linalg.norm(f @ solution.astype(np.float32) - target, axis=1)
             w = weights * np.minimum(1.0, huber / np.maximum(residual, 1e-6)).astype(np.float32)
-    table = np.zeros((position_degree + 1, position_degree + 1, len(powers(colour_degree)), 2), np.float32)
+    table = np.zeros((position_degree + 1, position_degree + 1, len(list_exponents(colour_degree)), 2), np.float32)
     blocks = solution.reshape(-1, table.shape[2], 2)
     for block, (j, i) in zip(blocks, _place_powers(position_degree), strict=True):
         table[j, i] = block
@@ -129,9 +135,9 @@ def fit(
     )
 
 
-def predict(model: SlopeModel, samples: Samples) -> Floats:
+def predict(model: SlopeModel, samples: SlopeSamples) -> Floats:
     """Slopes (n, 2) that the polynomial gives the samples."""
-    f = features(samples, model.colour_degree, model.position_degree)
+    f = compute_features(samples, model.colour_degree, model.position_degree)
     place = _place_powers(model.position_degree)
     flat = np.stack([model.coefficients[j, i] for j, i in place]).reshape(-1, 2)
     g = f @ flat

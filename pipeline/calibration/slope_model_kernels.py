@@ -5,11 +5,11 @@ import math
 
 import numpy as np
 
-from pipeline.base.kept_kernels import FAST, kernel
+from pipeline.base.cached_kernels import FAST, kernel
 
 
 @kernel(fastmath=FAST)
-def polynomial(change, u, v, where, powers, coefficients, slope_max, row, ladder, gx, gy):
+def evaluate_polynomial(change, u, v, where, powers, coefficients, slope_max, row, ladder, gx, gy):
     """Slopes of every pixel of `where`; the powers of v are summed once a row.
 
     row (places, colours, 2): written over. ladder (3, degree + 1): ones first, the other columns written over.

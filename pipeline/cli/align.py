@@ -11,17 +11,17 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.alignment.felt import felt
-from pipeline.alignment.refine import Fit, Refinement, refine
-from pipeline.alignment.score import Score, scores, typical
-from pipeline.alignment.sensitivity import UNIT_STEP, Change, Sensitivity, sensitivities
-from pipeline.alignment.touches import PairedTouch, paired_touches
+from pipeline.alignment.refine import AlignmentFit, Refinement, refine
+from pipeline.alignment.score import AlignmentScore, median_score, score_touches
+from pipeline.alignment.sensitivity import UNIT_STEP, AlignmentChange, Sensitivity, compute_sensitivities
+from pipeline.alignment.target_observation import observe_target
+from pipeline.alignment.touches import AlignmentTouch, load_paired_touches
 from pipeline.base.errors import FileProblem, SettingProblem
-from pipeline.base.files import ready_for
-from pipeline.base.frame_lists import frames_of
-from pipeline.cli.terminal import Bar, print_line, shown_bar
-from pipeline.sensors.alignment import Side
-from pipeline.sensors.alignment_files import SUFFIX, AlignmentFile, save
+from pipeline.base.files import prepare_folder_for
+from pipeline.base.frame_lists import parse_frames
+from pipeline.cli.terminal import ProgressBar, create_progress_bar, print_line
+from pipeline.sensors.alignment import AlignmentPart
+from pipeline.sensors.alignment_files import ALIGNMENT_SUFFIX, AlignmentFile, save_alignment
 from pipeline.translation.translate import Request, Translation, open_translation
 
 _OPEN_DEG = 0.75  # spread of a turn: two touches of a sample leave 0.8 and lie 1.1 off, three leave 0.7 and lie 0.2 off
@@ -29,25 +29,25 @@ _OPEN_DEG = 0.75  # spread of a turn: two touches of a sample leave 0.8 and lie 
 
 def show_scores(request: Request, frames: str, exact: bool) -> int:
     """Print how well every frame agrees under the alignment, and which axis matters; returns 0."""
-    with closing(open_translation(request)) as translation, shown_bar() as bar:
-        touches = _touches(translation, frames, exact, Bar(bar))
-        sides = [felt(t.target, translation.target) for t in touches]
-        found = scores(touches, sides, translation.alignment, progress=Bar(bar))
+    with closing(open_translation(request)) as translation, create_progress_bar() as bar:
+        touches = _touches(translation, frames, exact, ProgressBar(bar))
+        sides = [observe_target(t.target, translation.target) for t in touches]
+        found = score_touches(touches, sides, translation.alignment, progress=ProgressBar(bar))
         most = int(np.argmax([s.overlap_px for s in found]))
-        axes = sensitivities(touches[most], translation.alignment, sides[most], progress=Bar(bar))
+        axes = compute_sensitivities(touches[most], translation.alignment, sides[most], progress=ProgressBar(bar))
     _print_scores(touches, found)
     _print_axes(axes, touches[most].index)
     return 0
 
 
 def refine_alignment(
-    request: Request, out: Path, frames: str, *, hold_out: float, into: Side, tolerance: float, exact: bool
+    request: Request, out: Path, frames: str, *, hold_out: float, into: AlignmentPart, tolerance: float, exact: bool
 ) -> int:
     """Refine over all touches but those held out, print before and after, and write `out`; returns 0.
 
     Raises FileProblem when `out` exists, SettingProblem for a share to hold out that leaves nothing.
     """
-    if out.suffix != SUFFIX:
+    if out.suffix != ALIGNMENT_SUFFIX:
         raise FileProblem("an alignment is written as TOML; give --out a name that ends in .toml", out)
     if out.exists():
         raise FileProblem("this alignment exists already and is kept; choose another --out", out)
@@ -55,11 +55,13 @@ def refine_alignment(
         raise SettingProblem(f"--hold-out is a share of the frames, at least 0 and below 1, got {hold_out:g}")
     if not tolerance > 0:
         raise SettingProblem(f"--tolerance must be above 0, got {tolerance:g}")
-    ready_for(out)
-    with closing(open_translation(request)) as translation, shown_bar() as bar:
-        touches = _touches(translation, frames, exact, Bar(bar))
-        used, held = split(touches, hold_out)
-        answer = refine(used, translation.alignment, held_out=held, into=into, tolerance=tolerance, progress=Bar(bar))
+    prepare_folder_for(out)
+    with closing(open_translation(request)) as translation, create_progress_bar() as bar:
+        touches = _touches(translation, frames, exact, ProgressBar(bar))
+        used, held = split_held_out(touches, hold_out)
+        answer = refine(
+            used, translation.alignment, held_out=held, into=into, tolerance=tolerance, progress=ProgressBar(bar)
+        )
     print_refinement(answer)
     kept = AlignmentFile(
         alignment=answer.alignment,
@@ -67,21 +69,23 @@ def refine_alignment(
         target=translation.target.name,
         origin=f"refined on {len(used)} touches of {request.recording.name}, change stored in {into}",
     )
-    save(out, kept)
+    save_alignment(out, kept)
     print_line(f"alignment written to {os.fspath(out)}")
     return 0
 
 
-def split(touches: Sequence[PairedTouch], hold_out: float) -> tuple[list[PairedTouch], list[PairedTouch]]:
+def split_held_out(
+    touches: Sequence[AlignmentTouch], hold_out: float
+) -> tuple[list[AlignmentTouch], list[AlignmentTouch]]:
     """The touches to use and those held out, evenly spread; at least one is used."""
     n = min(round(hold_out * len(touches)), len(touches) - 1)
     out = {int((k + 0.5) * len(touches) / n) for k in range(n)} if n > 0 else set[int]()
     return [t for k, t in enumerate(touches) if k not in out], [t for k, t in enumerate(touches) if k in out]
 
 
-def _touches(translation: Translation, frames: str, exact: bool, progress: Bar) -> tuple[PairedTouch, ...]:
-    chosen = frames_of(frames, translation.n_frames)
-    touches = paired_touches(translation, chosen, exact=exact, progress=progress)
+def _touches(translation: Translation, frames: str, exact: bool, progress: ProgressBar) -> tuple[AlignmentTouch, ...]:
+    chosen = parse_frames(frames, translation.n_frames)
+    touches = load_paired_touches(translation, chosen, exact=exact, progress=progress)
     if not touches:
         pair = f"{translation.source.name} and {translation.target.name}"
         raise SettingProblem(
@@ -90,10 +94,10 @@ def _touches(translation: Translation, frames: str, exact: bool, progress: Bar) 
     return touches
 
 
-def _print_scores(touches: Sequence[PairedTouch], found: Sequence[Score]) -> None:
+def _print_scores(touches: Sequence[AlignmentTouch], found: Sequence[AlignmentScore]) -> None:
     table = Table("frame", "mask IoU", "edge px", "depth mm", "depth rms mm", "too far by mm")
     rows = [(str(t.index), s) for t, s in zip(touches, found, strict=True)]
-    middle = typical(found)
+    middle = median_score(found)
     if middle is not None and len(found) > 1:
         rows.append(("median", middle))
     for name, s in rows:
@@ -122,7 +126,10 @@ def _print_axes(axes: Sequence[Sensitivity], frame: int) -> None:
 def print_refinement(answer: Refinement) -> None:
     """Print how touches agree before and after, what moved, and what they do not tell."""
     table = Table("touches", "n", "surface mm", "outline mm", "compared")
-    parts: list[tuple[str, tuple[Fit, Fit] | None]] = [("used", answer.used), ("held out", answer.held_out)]
+    parts: list[tuple[str, tuple[AlignmentFit, AlignmentFit] | None]] = [
+        ("used", answer.used),
+        ("held out", answer.held_out),
+    ]
     for name, pair in parts:
         for when, f in zip(("before", "after"), pair or (), strict=False):
             table.add_row(
@@ -146,7 +153,7 @@ def _told(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
 
 
-def _change(change: Change, digits: int) -> str:
+def _change(change: AlignmentChange, digits: int) -> str:
     return f"{_told(change.size, digits)} ({_told(change.slope, digits)})"
 
 

@@ -12,20 +12,20 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from pipeline.alignment.fit.carry import FREE, Pair
-from pipeline.alignment.fit.fitting import PairsFit, fit, score_of
+from pipeline.alignment.fit.fitting import PairsFit, fit_pairs, score_fit
 from pipeline.alignment.fit.pairs import Pairs, tile_pairs, touch_pairs
-from pipeline.alignment.fit.rigid_start import aligned
+from pipeline.alignment.fit.rigid_start import align_rigidly
+from pipeline.alignment.fit.transfer import FREE, ImprintPair
 from pipeline.alignment.refine import refine
-from pipeline.alignment.touches import paired_touches
-from pipeline.base.doubts import Doubt
+from pipeline.alignment.touches import load_paired_touches
 from pipeline.base.errors import FileProblem, SettingProblem
-from pipeline.base.files import ready_for
-from pipeline.base.frame_lists import frames_of
+from pipeline.base.files import prepare_folder_for
+from pipeline.base.frame_lists import parse_frames
+from pipeline.base.stage_warnings import StageWarning
 from pipeline.cli.align import print_refinement
-from pipeline.cli.terminal import Bar, print_line, shown_bar
-from pipeline.sensors.alignment_files import SUFFIX, AlignmentFile, save
-from pipeline.sensors.spec import sensor
+from pipeline.cli.terminal import ProgressBar, create_progress_bar, print_line
+from pipeline.sensors.alignment_files import ALIGNMENT_SUFFIX, AlignmentFile, save_alignment
+from pipeline.sensors.spec import load_sensor
 from pipeline.translation.translate import Request, open_translation
 
 _LEAST_AGREEMENT = 0.2  # correlation: real pairs have 0.63, the same pairs shuffled -0.12 (touch2touch tiles)
@@ -37,7 +37,7 @@ _WORDS = {
 }  # fmt: skip
 
 
-def is_of_tiles(path: Path, source_names: str) -> bool:
+def has_tiles(path: Path, source_names: str) -> bool:
     """Whether a folder holds pictures of these names."""
     return path.is_dir() and next(path.glob(source_names), None) is not None
 
@@ -46,11 +46,11 @@ def fit_tiles(folder: Path, source: str, target: str, names: tuple[str, str], us
     """Fit to some tiles of a folder, score the others, and print the map; nothing metric can be written."""
     if use < 2:
         raise SettingProblem(f"--use must be at least 2 pairs, got {use}")
-    sensor(target)  # an unknown one is refused before the work
-    found = tile_pairs(folder, sensor(source), *names)
+    load_sensor(target)  # an unknown one is refused before the work
+    found = tile_pairs(folder, load_sensor(source), *names)
     used, others = _split(found.pairs, use, seed)
-    with shown_bar() as bar:
-        answer = fit(used, Bar(bar))
+    with create_progress_bar() as bar:
+        answer = fit_pairs(used, ProgressBar(bar))
     _print_notes(found, len(used), len(others))
     _print_fit(answer, "tile widths")
     _print_scores(answer, others)
@@ -67,46 +67,48 @@ def fit_recording(request: Request, out: Path | None, frames: str, use: int, see
         raise SettingProblem(f"--use must be at least 2 pairs, got {use}")
     if out is None:
         raise SettingProblem("a recording gives a metric alignment; name the .toml for it with --out")
-    if out.suffix != SUFFIX or out.exists():
+    if out.suffix != ALIGNMENT_SUFFIX or out.exists():
         raise FileProblem("--out must be a new file whose name ends in .toml", out)
-    ready_for(out)
-    with closing(open_translation(request)) as translation, shown_bar() as bar:
-        chosen = frames_of(frames, translation.n_frames)
-        touches = [t for t in paired_touches(translation, chosen, exact=exact, progress=Bar(bar)) if t.felt_by_both]
+    prepare_folder_for(out)
+    with closing(open_translation(request)) as translation, create_progress_bar() as bar:
+        chosen = parse_frames(frames, translation.n_frames)
+        touches = [
+            t for t in load_paired_touches(translation, chosen, exact=exact, progress=ProgressBar(bar)) if t.overlap
+        ]
         by_name = {str(t.index): t for t in touches}
         found = touch_pairs(touches)
         used, others = _split(found.pairs, use, seed)
-        answer = fit(used, Bar(bar))
-        start = aligned([by_name[p.name] for p in used], answer.carrying, translation.alignment)
+        answer = fit_pairs(used, ProgressBar(bar))
+        start = align_rigidly([by_name[p.name] for p in used], answer.carrying, translation.alignment)
         held = [by_name[p.name] for p in others]
-        refined = refine([by_name[p.name] for p in used], start, held_out=held, progress=Bar(bar))
+        refined = refine([by_name[p.name] for p in used], start, held_out=held, progress=ProgressBar(bar))
     _print_notes(found, len(used), len(others))
     _print_fit(answer, "mm")
     _print_scores(answer, others)
     print_line(f"press of the touches used: {_press_mm(used)} mm (median of the deepest; lightest to deepest)")
     print_refinement(refined)
     origin = f"fitted to {len(used)} touches of {request.recording.name}, without an alignment to begin with"
-    save(out, AlignmentFile(alignment=refined.alignment, source=translation.source.name,
+    save_alignment(out, AlignmentFile(alignment=refined.alignment, source=translation.source.name,
                             target=translation.target.name, origin=origin))  # fmt: skip
     print_line(f"alignment written to {os.fspath(out)}; use it with --alignment")
     return 0
 
 
-def _split(pairs: Sequence[Pair], use: int, seed: int) -> tuple[list[Pair], list[Pair]]:
+def _split(pairs: Sequence[ImprintPair], use: int, seed: int) -> tuple[list[ImprintPair], list[ImprintPair]]:
     """Some to fit and the others to judge by, drawn by `seed`; two are kept to judge by where there are enough."""
     n = min(use, max(2, len(pairs) - 2))
     taken = set(np.random.default_rng(seed).permutation(len(pairs))[:n].tolist())
     return [p for k, p in enumerate(pairs) if k in taken], [p for k, p in enumerate(pairs) if k not in taken]
 
 
-def _press_mm(pairs: Sequence[Pair]) -> str:
+def _press_mm(pairs: Sequence[ImprintPair]) -> str:
     deepest = sorted(float(p.imprint.max()) for p in pairs)
     return f"{np.median(deepest):.2f} ({deepest[0]:.2f} to {deepest[-1]:.2f})"
 
 
 def _print_notes(found: Pairs, n_used: int, n_others: int) -> None:
     for note in found.notes:
-        print_line(f"{'doubtful' if isinstance(note, Doubt) else 'note'}: {note}")
+        print_line(f"{'doubtful' if isinstance(note, StageWarning) else 'note'}: {note}")
     print_line(f"{n_used} pairs are fitted to, {n_others} are held out")
 
 
@@ -134,18 +136,18 @@ def _print_fit(answer: PairsFit, unit: str) -> None:
         print_line(f"not determined by these pairs: {_WORDS[name][0]}")
 
 
-def _print_scores(answer: PairsFit, others: Sequence[Pair]) -> None:
+def _print_scores(answer: PairsFit, others: Sequence[ImprintPair]) -> None:
     less = ", the mean imprint of the pairs used taken away" if answer.common is not None else ""
     print_line(f"correlation of expected and real imprints{less}: pairs used {_told(answer.used)}")
-    held = [score_of(p, answer.carrying, answer.common) for p in others]
+    held = [score_fit(p, answer.carrying, answer.common) for p in others]
     if held:
         print_line(f"  held out: {_told(held)}")
-    if not agree(answer.used, held):
+    if not is_consistent(answer.used, held):
         print_line("doubtful: the map carries next to nothing over to touches that it was not fitted to: are the two "
                    "readings of each pair of one touch, and in the same order?")  # fmt: skip
 
 
-def agree(used: Sequence[float], held_out: Sequence[float]) -> bool:
+def is_consistent(used: Sequence[float], held_out: Sequence[float]) -> bool:
     """Whether correlations of the pairs fitted to, and of those held out (there may be none), speak for one map."""
     judged = float(np.mean(held_out if len(held_out) else used))
     return judged > max(_LEAST_AGREEMENT, _AS_GOOD * float(np.mean(used)))

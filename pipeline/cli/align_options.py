@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from cyclopts import Parameter
 
-from pipeline.cli.opening_options import Flag
+from pipeline.cli.translation_options import Flag
 
 if TYPE_CHECKING:
     from pipeline.translation.translate import Request
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Felt:
+class PairedTouchOptions:
     """Touches of a recording in which both sensors took part.
 
     Parameters
@@ -36,7 +36,7 @@ class Felt:
     frames: str = ""
     truth: Flag = False
 
-    def request(self, recording: Path, alignment: Path | None = None) -> Request:
+    def build_request(self, recording: Path, alignment: Path | None = None) -> Request:
         """The recording, from sensor to target."""
         from pipeline.translation.translate import Request
 
@@ -46,7 +46,7 @@ class Felt:
 def score(
     recording: Path,
     *,
-    touches: Felt,
+    touches: PairedTouchOptions,
     alignment: Path | None = None,
 ) -> int:
     """Say how well touches agree with what the target really felt of them, and which axis matters.
@@ -60,13 +60,13 @@ def score(
     """
     from pipeline.cli.align import show_scores
 
-    return show_scores(touches.request(recording, alignment), touches.frames, touches.truth)
+    return show_scores(touches.build_request(recording, alignment), touches.frames, touches.truth)
 
 
 def refine(
     recording: Path,
     *,
-    touches: Felt,
+    touches: PairedTouchOptions,
     out: Path,
     alignment: Path | None = None,
     hold_out: float = 0.2,
@@ -92,7 +92,7 @@ def refine(
     """
     from pipeline.cli.align import refine_alignment
 
-    request = touches.request(recording, alignment)
+    request = touches.build_request(recording, alignment)
     return refine_alignment(
         request, out, touches.frames, hold_out=hold_out, into=into, tolerance=tolerance, exact=touches.truth
     )
@@ -101,7 +101,7 @@ def refine(
 def fit(
     pairs: Path,
     *,
-    touches: Felt,
+    touches: PairedTouchOptions,
     out: Path | None = None,
     use: int = 10,
     seed: int = 0,
@@ -125,8 +125,8 @@ def fit(
     target_tiles
         Names of the target's tiles.
     """
-    from pipeline.cli.align_fit import fit_recording, fit_tiles, is_of_tiles
+    from pipeline.cli.align_fit import fit_recording, fit_tiles, has_tiles
 
-    if is_of_tiles(pairs, source_tiles):
+    if has_tiles(pairs, source_tiles):
         return fit_tiles(pairs, touches.sensor or "gelslim", touches.target, (source_tiles, target_tiles), use, seed)
-    return fit_recording(touches.request(pairs), out, touches.frames, use, seed, exact=touches.truth)
+    return fit_recording(touches.build_request(pairs), out, touches.frames, use, seed, exact=touches.truth)

@@ -11,25 +11,25 @@ from rich.table import Table
 
 from pipeline.base.arrays import Image
 from pipeline.base.errors import FileProblem, SettingProblem
-from pipeline.base.files import ready_for
-from pipeline.calibration.description import lines
-from pipeline.calibration.lookup import Calibration
-from pipeline.calibration.lookup_file import save
-from pipeline.cli.terminal import Bar, print_line, shown_bar
+from pipeline.base.files import prepare_folder_for
+from pipeline.calibration.calibration_file import save
+from pipeline.calibration.calibration_table import Calibration
+from pipeline.calibration.quality_notes import format_calibration
+from pipeline.cli.terminal import ProgressBar, create_progress_bar, print_line
 from pipeline.networks.weights import SUFFIX
 from pipeline.recordings import open_recording
 from pipeline.sensors.spec import SensorSpec
-from pipeline.sensors.spec import sensor as sensor_named
-from pipeline.stages.depth.ball_calibration import calibrated
-from pipeline.stages.depth.stage import oddness
+from pipeline.sensors.spec import load_sensor as sensor_named
+from pipeline.stages.depth.ball_calibration import calibrate_sensor
+from pipeline.stages.depth.photometric import describe_mismatch
 from pipeline.values.frames import TactileFrame
 
 _LOOKED_AT = 5  # presses: one in ten does not tell a mirrored picture
-LARGEST_BALL_MM = 1000.0  # flat, as far as any gel can tell
+MAX_BALL_DIAMETER_MM = 1000.0  # flat, as far as any gel can tell
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Balls:
+class BallCalibrationRequest:
     """What is asked for."""
 
     presses: Path
@@ -44,19 +44,19 @@ class Balls:
     even_if_worse: bool
 
 
-def calibrate_balls_command(asked: Balls) -> int:
+def run_ball_calibration(asked: BallCalibrationRequest) -> int:
     """Fit, save and report; raises TouchError for what is wrong with the presses."""
     _check(asked)
     pixel_mm = asked.pixel_mm
     spec = sensor_named(asked.sensor)
     frames = _pictures(asked.presses, spec, asked.reference, asked.pattern)
-    for told in dict.fromkeys(oddness(frame, spec) for frame in frames[:_LOOKED_AT]):
+    for told in dict.fromkeys(describe_mismatch(frame, spec) for frame in frames[:_LOOKED_AT]):
         if told:
             print_line(f"doubtful: {told}; this look-up will suit pictures of that kind and no others")
     images, untouched = [cast("Image", f.image) for f in frames], cast("Image", frames[0].reference)
-    with shown_bar() as bar:
-        fitted = calibrated(
-            images, untouched, spec, asked.diameter_mm, pixel_mm=pixel_mm, progress=Bar(bar), seed=asked.seed
+    with create_progress_bar() as bar:
+        fitted = calibrate_sensor(
+            images, untouched, spec, asked.diameter_mm, pixel_mm=pixel_mm, progress=ProgressBar(bar), seed=asked.seed
         )
     save(fitted, asked.out)
     _report(fitted)
@@ -67,19 +67,19 @@ def calibrate_balls_command(asked: Balls) -> int:
         )
     print_line(f"look-up written to {asked.out}; use it with --calibration")
     if asked.network is not None:
-        from pipeline.cli.calibrate_network import taught
-        from pipeline.training.own_unit import parted
+        from pipeline.cli.calibrate_network import train_network
+        from pipeline.training.instance_network import split_presses
 
-        presses = parted(images, untouched, spec, asked.diameter_mm, fitted, asked.seed)
-        taught(presses, asked.network, asked.out, seed=asked.seed, even_if_worse=asked.even_if_worse)
+        presses = split_presses(images, untouched, spec, asked.diameter_mm, fitted, asked.seed)
+        train_network(presses, asked.network, asked.out, seed=asked.seed, even_if_worse=asked.even_if_worse)
     return 0
 
 
-def _check(asked: Balls) -> None:
+def _check(asked: BallCalibrationRequest) -> None:
     """Raise for what is wrong before anything is read."""
     diameter_mm, pixel_mm = asked.diameter_mm, asked.pixel_mm
-    if not 0.1 <= diameter_mm <= LARGEST_BALL_MM:
-        raise SettingProblem(f"--diameter-mm must lie within 0.1 and {LARGEST_BALL_MM:g} mm, got {diameter_mm:g}")
+    if not 0.1 <= diameter_mm <= MAX_BALL_DIAMETER_MM:
+        raise SettingProblem(f"--diameter-mm must lie within 0.1 and {MAX_BALL_DIAMETER_MM:g} mm, got {diameter_mm:g}")
     if pixel_mm is not None and not 1e-4 <= pixel_mm <= 10.0:
         raise SettingProblem(f"--pixel-mm must lie within 0.0001 and 10 mm, got {pixel_mm:g}")
     if asked.seed < 0:
@@ -93,7 +93,7 @@ def _check(asked: Balls) -> None:
         raise SettingProblem(f"--network names weights, which are kept in a {SUFFIX} file, got {asked.network.name!r}")
     for path in (asked.out, asked.network):
         if path is not None:
-            ready_for(path)
+            prepare_folder_for(path)
 
 
 def _pictures(folder: Path, spec: SensorSpec, reference: Path, pattern: str) -> list[TactileFrame]:
@@ -116,5 +116,5 @@ def _report(fitted: Calibration) -> None:
         residual = f"{p.residual:.3f}" if p.used else "not used"
         table.add_row(str(p.index), f"{p.x_px:.1f}, {p.y_px:.1f}", f"{p.radius_px:.1f}", residual)
     Console().print(table)
-    for line in lines(fitted):
+    for line in format_calibration(fitted):
         print_line(line)

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from pipeline.cli.opening_options import NOTHING_ELSE, Opening
+from pipeline.cli.translation_options import DEFAULT_OPTIONS, TranslationOptions
 
 _Words = Annotated[str, Parameter(allow_leading_hyphen=True)]
 _Settings = Annotated[tuple[str, ...], Parameter(name="--set", negative="")]
@@ -18,15 +18,15 @@ def compare(
     *,
     target: str,
     out: Path,
-    opening: Opening = NOTHING_ELSE,
+    opening: TranslationOptions = DEFAULT_OPTIONS,
     frame: int = 0,
     order: Literal["worst first", "best first", "in order"] = "worst first",
     seeds: int = 0,
-    slot: str = "felt",
-    beside: _Words = "",
+    stage: str = "touch_depth",
+    variant: _Words = "",
     across: str = "",
     down: str = "",
-    figure: str = "felt.contact_mae_mm",
+    figure: str = "touch_depth.contact_mae_mm",
     settings: _Settings = (),
 ) -> int:
     """Show one frame several ways, as the window's Compare: by every method, by several seeds, or beside another.
@@ -58,21 +58,21 @@ def compare(
     down
         The other parameter and its values.
     figure
-        What judges a pair, where the truth is known, such as `felt.contact_mae_mm`; empty for the picture alone.
+        What judges a pair, where the truth is known, such as `touch_depth.contact_mae_mm`; empty for the picture alone.
     settings
         `slot.parameter=value`, or `slot/method.parameter=value` of a method that fills no slot here, or
         `display.parameter=value`, as often as needed.
     """
-    from pipeline.cli.compare import Wanted, write_comparison
+    from pipeline.cli.compare import ComparisonRequest, write_comparison
 
-    wanted = Wanted(
+    wanted = ComparisonRequest(
         frame=frame,
         order=order,
         seeds=seeds,
-        slot="" if slot == "all" else slot,
-        beside=beside,
+        stage="" if stage == "all" else stage,
+        variant=variant,
         across=across,
         down=down,
-        figure=figure,
+        metric=figure,
     )
     return write_comparison(recording, target, opening, settings, wanted, out)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from pipeline.base.units import MeshUnit
-from pipeline.cli.opening_options import Flag, words
+from pipeline.cli.translation_options import Flag, split_list
 
 
 def simulate(
@@ -63,14 +63,14 @@ def simulate(
         Side of a mesh file that touches, such as `--mesh-face=-x`.
     """
     from pipeline.cli.simulate import simulate_recordings
-    from pipeline.simulation.datasets import Plan
+    from pipeline.simulation.datasets import SimulationPlan
 
-    like = Plan(
-        sensors=words(sensors), tool="", poses=poses, seed=seed, sequence=sequence, vary=vary, noise=noise,
+    like = SimulationPlan(
+        sensors=split_list(sensors), object_source="", n_poses=poses, seed=seed, sequence=sequence, vary=vary, noise=noise,
         bubble_deeper_mm=bubble_deeper_mm, drag_mm=drag_mm,
         mesh_unit=mesh_unit, mesh_face=mesh_face,
     )  # fmt: skip
-    return simulate_recordings(words(tools), like, out, jobs, scheduler)
+    return simulate_recordings(split_list(tools), like, out, jobs, scheduler)
 
 
 def balls(
@@ -112,10 +112,10 @@ def balls(
     even_if_worse
         Write these weights whatever was measured.
     """
-    from pipeline.cli.calibrate import Balls, calibrate_balls_command
+    from pipeline.cli.calibrate import BallCalibrationRequest, run_ball_calibration
 
-    asked = Balls(
+    asked = BallCalibrationRequest(
         presses=presses, sensor=sensor, diameter_mm=diameter_mm, reference=reference, out=out, pixel_mm=pixel_mm,
         pattern=pattern, seed=seed, network=network, even_if_worse=even_if_worse,
     )  # fmt: skip
-    return calibrate_balls_command(asked)
+    return run_ball_calibration(asked)

@@ -14,7 +14,7 @@ from pathlib import Path
 from pipeline.base.errors import TouchError
 from pipeline.cli.terminal import print_line
 from pipeline.recordings import open_recording
-from pipeline.sensors.spec import names, sensor
+from pipeline.sensors.spec import list_sensor_names, load_sensor
 
 _PACKAGES = (
     "numpy",
@@ -38,7 +38,7 @@ _LIBRARIES = {
 _ROOT = Path(__file__).parents[2]
 
 
-def examine() -> int:
+def check_installation() -> int:
     """Print one line per finding; returns 1 if something needed is missing."""
     bad = 0
     for good, line in (*_machine(), *_packages(), *_system_libraries(), *_display(), *_project()):
@@ -85,12 +85,12 @@ def _display() -> Iterator[tuple[bool, str]]:
 
 
 def _project() -> Iterator[tuple[bool, str]]:
-    for name in names():
+    for name in list_sensor_names():
         try:
-            spec = sensor(name)
+            spec = load_sensor(name)
             yield (
                 True,
-                f"sensor {name}: {spec.camera.cols} x {spec.camera.rows} px, {len(spec.assumed)} numbers assumed",
+                f"sensor {name}: {spec.camera.cols} x {spec.camera.rows} px, {len(spec.assumed_keys)} numbers assumed",
             )
         except TouchError as error:
             yield False, str(error)

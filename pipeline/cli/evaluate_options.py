@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from pipeline.cli.opening_options import Settings, words
+from pipeline.cli.translation_options import StageSettings, split_list
 
 
 def evaluate(
@@ -19,7 +19,7 @@ def evaluate(
     directions: Annotated[tuple[str, ...], Parameter(name="--direction", negative="")] = (),
     only: Annotated[tuple[str, ...], Parameter(negative="")] = (),
     fill: Annotated[tuple[str, ...], Parameter(name="--method", negative="")] = (),
-    settings: Settings = (),
+    settings: StageSettings = (),
     poses: str = "signed_distances,network",
     sweep: str = "",
     plots: Path | None = None,
@@ -60,19 +60,23 @@ def evaluate(
     scheduler
         Address of a Dask scheduler whose workers score the recordings, such as `tcp://host:8786`.
     """
-    from pipeline.cli.evaluate import evaluate as score
-    from pipeline.scoring.evaluation import POSES, Wanted, direction
-    from pipeline.scoring.held_out import HeldOut
-    from pipeline.scoring.paper import DIRECTIONS
+    from pipeline.cli.evaluate import run_evaluation as score
+    from pipeline.evaluation.held_out import HeldOutOptions
+    from pipeline.evaluation.paper_tables import POSE_METHODS, EvaluationRequest, parse_direction
+    from pipeline.evaluation.published_results import PAPER_DIRECTIONS
     from pipeline.translation.catalogue import with_method
 
     chosen: dict[str, str] = {}
     for assignment in fill:
         chosen = with_method(chosen, assignment)
-    judges = () if poses == "none" else tuple(name for name in words(poses) if name in POSES or name != "network")
-    wanted = Wanted(
-        split=split, held_out=HeldOut(grasps=grasps, vary=vary, folder=folder),
-        directions=tuple(direction(text) for text in directions) or DIRECTIONS, contenders=only, methods=chosen,
-        settings=settings, poses=judges,
+    judges = (
+        ()
+        if poses == "none"
+        else tuple(name for name in split_list(poses) if name in POSE_METHODS or name != "network")
+    )
+    wanted = EvaluationRequest(
+        split=split, held_out=HeldOutOptions(grasps=grasps, sensor_variation=vary, folder=folder),
+        directions=tuple(parse_direction(text) for text in directions) or PAPER_DIRECTIONS, candidates=only, methods=chosen,
+        settings=settings, pose_methods=judges,
     )  # fmt: skip
-    return score(wanted, json, words(sweep), plots, scheduler)
+    return score(wanted, json, split_list(sweep), plots, scheduler)

@@ -38,9 +38,9 @@ def live(
     list_devices
         Only list the cameras that are plugged in.
     """
-    from pipeline.cli.live import list_cameras, watch
-    from pipeline.live.sources import source_of
+    from pipeline.cli.live import list_cameras, watch_sensor
+    from pipeline.live.source_parsing import parse_source
 
     if list_devices:
         return list_cameras()
-    return watch(source_of(source, sensor=sensor, tool=tool, rate_hz=rate), record, seconds)
+    return watch_sensor(parse_source(source, sensor=sensor, tool=tool, rate_hz=rate), record, seconds)

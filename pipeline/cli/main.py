@@ -13,27 +13,27 @@ from typing import Annotated
 from cyclopts import App, CycloptsError, Parameter
 
 from pipeline import __version__
-from pipeline.base import unexpected
+from pipeline.base import error_log
 from pipeline.base.errors import TouchError
-from pipeline.base.text import comma_hint
+from pipeline.base.text import hint_decimal_comma
 from pipeline.cli import align_options as cli_align
 from pipeline.cli import compare_options as cli_compare
 from pipeline.cli import data_options as cli_data
 from pipeline.cli import evaluate_options as cli_evaluate
-from pipeline.cli import hand_on_options as cli_hand_on
+from pipeline.cli import export_options as cli_hand_on
 from pipeline.cli import live_options as cli_live
 from pipeline.cli import train_options as cli_train
-from pipeline.cli.opening_options import (
-    NOTHING_ELSE,
+from pipeline.cli.terminal import print_error, print_line
+from pipeline.cli.translation_options import (
+    DEFAULT_OPTIONS,
     DepthUnit,
     Flag,
-    Opening,
-    Recorded,
-    Reference,
-    Settings,
-    Target,
+    RecordingPath,
+    ReferenceImagePath,
+    StageSettings,
+    TargetName,
+    TranslationOptions,
 )
-from pipeline.cli.terminal import complain, print_line
 
 EXIT_UNEXPECTED = 1
 EXIT_USER_ERROR = 2
@@ -43,7 +43,7 @@ _USERS_TO_MEND = frozenset(  # what a file system says to a name, wherever it is
 )
 
 
-def build(name: str = "tactoscope") -> App:
+def build_app(name: str = "tactoscope") -> App:
     """The command line with all headless commands."""
     app = App(
         name=name,
@@ -54,11 +54,11 @@ def build(name: str = "tactoscope") -> App:
     )
     app.command(inspect)
     app.command(translate)
-    app.command(blame)
+    app.command(attribute)
     app.command(cli_compare.compare)
     app.command(cli_hand_on.export)
-    app.command(cli_hand_on.make_case)
-    app.command(cli_hand_on.case)
+    app.command(cli_hand_on.bundle)
+    app.command(cli_hand_on.replay)
     app.command(cli_live.live)
     app.command(cli_evaluate.evaluate)
     app.command(cli_data.simulate)
@@ -73,16 +73,16 @@ def build(name: str = "tactoscope") -> App:
     align.command(cli_align.refine)
     align.command(cli_align.fit)
     app.command(align)
-    app.command(cli_train.build())
+    app.command(cli_train.build_train_app())
     return app
 
 
 def main() -> None:
     """Entry of `python -m pipeline`."""
-    sys.exit(run(build("python -m pipeline")))
+    sys.exit(run_app(build_app("python -m pipeline")))
 
 
-def run(app: App, tokens: list[str] | None = None) -> int:
+def run_app(app: App, tokens: list[str] | None = None) -> int:
     """Run one command line; whatever goes wrong is one sentence on stderr, never a traceback.
 
     Returns the command's own code; 2 for a user's mistake, 130 after Ctrl-C, and 1 for what nobody foresaw, with its
@@ -98,7 +98,7 @@ def run(app: App, tokens: list[str] | None = None) -> int:
         code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
     except (CycloptsError, TouchError) as error:
         told = str(error)
-        complain(told.removesuffix(".") + comma_hint(told) if told.endswith("into float.") else told)
+        print_error(told.removesuffix(".") + hint_decimal_comma(told) if told.endswith("into float.") else told)
         return EXIT_USER_ERROR
     except KeyboardInterrupt:
         sys.stderr.write("\ntactoscope: interrupted; finished frames are whole\n")
@@ -108,9 +108,9 @@ def run(app: App, tokens: list[str] | None = None) -> int:
         return EXIT_UNEXPECTED
     except Exception as error:  # noqa: BLE001 - the last border
         if isinstance(error, OSError) and error.errno in _USERS_TO_MEND and error.filename is not None:
-            complain(f"{error.strerror}: '{os.fsdecode(error.filename)}'")
+            print_error(f"{error.strerror}: '{os.fsdecode(error.filename)}'")
             return EXIT_USER_ERROR
-        complain(unexpected.kept(error))
+        print_error(error_log.log_error(error))
         return EXIT_UNEXPECTED
     return code if isinstance(code, int) else 0
 
@@ -119,7 +119,7 @@ def inspect(
     recording: Path,
     *,
     sensor: str = "",
-    reference: Reference = None,
+    reference: ReferenceImagePath = None,
     depth_unit: DepthUnit = "auto",
 ) -> int:
     """Say what a recording is: format, frames, sensor, truth, and whether its units and frames make sense.
@@ -134,30 +134,30 @@ def inspect(
     sensor
         The sensor that made it, where the file does not say.
     """
-    from pipeline.calibration import description, lookup_file
-    from pipeline.inspection.recording import inspect as report_on
-    from pipeline.inspection.recording import lines
+    from pipeline.calibration import calibration_file, quality_notes
+    from pipeline.inspection.recording_report import format_report_lines
+    from pipeline.inspection.recording_report import inspect_recording as report_on
 
-    if lookup_file.is_file(recording):
-        for line in description.lines(lookup_file.load(recording)):
+    if calibration_file.is_calibration_file(recording):
+        for line in quality_notes.format_calibration(calibration_file.load(recording)):
             print_line(line)
         return 0
     report = report_on(recording, sensor=sensor, reference=reference, depth_unit=depth_unit)
-    for line in lines(report):
+    for line in format_report_lines(report):
         print_line(line)
-    return 0 if report.passed else 1
+    return 0 if report.has_passed else 1
 
 
 def translate(
-    recording: Recorded,
+    recording: RecordingPath,
     *,
-    target: Target,
+    target: TargetName,
     out: Path,
-    opening: Opening = NOTHING_ELSE,
+    opening: TranslationOptions = DEFAULT_OPTIONS,
     frame: int | None = None,
     all_frames: Annotated[bool, Parameter(name="--all", negative="")] = False,
     follow: Flag = False,
-    settings: Settings = (),
+    settings: StageSettings = (),
     scheduler: str = "",
 ) -> int:
     """Turn touches of one sensor into what another would have felt, and write every slot.
@@ -178,19 +178,19 @@ def translate(
     from pipeline.cli.translate import translate_frames
 
     return translate_frames(
-        opening.request(recording, target), out, frame, all_frames, settings, follow=follow, scheduler=scheduler
+        opening.build_request(recording, target), out, frame, all_frames, settings, follow=follow, scheduler=scheduler
     )
 
 
-def blame(
+def attribute(
     recording: Path,
     *,
-    target: Target,
-    opening: Opening = NOTHING_ELSE,
-    figure: str = "felt.contact_mae_mm",
+    target: TargetName,
+    opening: TranslationOptions = DEFAULT_OPTIONS,
+    figure: str = "touch_depth.contact_mae_mm",
     frame: int | None = None,
     json: Path | None = None,
-    settings: Settings = (),
+    settings: StageSettings = (),
 ) -> int:
     """Say which slot each frame's error comes from, by putting the truth in place of one after the other.
 
@@ -205,23 +205,23 @@ def blame(
     json
         File for the parts of every frame.
     """
-    from pipeline.cli.blame import show_blame
+    from pipeline.cli.attribute import print_attribution
 
-    return show_blame(opening.request(recording, target), figure, frame, settings, json)
+    return print_attribution(opening.build_request(recording, target), figure, frame, settings, json)
 
 
 def prepare() -> int:
     """Compile what the sample and the simulator need, once, so that the first touch of a new process is quick."""
-    from pipeline.cli.prepare import prepare as compile_all
+    from pipeline.cli.prepare import compile_kernels as compile_all
 
     return compile_all()
 
 
 def doctor() -> int:
     """Check that this machine has all that Tactoscope needs, and say what to do where it has not."""
-    from pipeline.cli.doctor import examine
+    from pipeline.cli.doctor import check_installation
 
-    return examine()
+    return check_installation()
 
 
 def bench(
@@ -249,7 +249,7 @@ def bench(
     list_questions
         Only list the questions.
     """
-    from pipeline.cli.bench import bench as ask
-    from pipeline.cli.bench import list_questions as show
+    from pipeline.cli.bench import print_benchmarks as show
+    from pipeline.cli.bench import run_benchmarks as ask
 
     return show() if list_questions else ask(names, json, plots, against=against, strict=strict)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
-from pipeline.base.text import plain
+from pipeline.base.text import escape_text
 
 if TYPE_CHECKING:  # a sentence is said without loading what draws bars
     from rich.progress import Progress
 
 
-class Bar:
+class ProgressBar:
     """A pipeline's progress on the terminal."""
 
     def __init__(self, bar: Progress) -> None:
@@ -22,7 +22,7 @@ class Bar:
         self._bar.update(self._task, completed=fraction, description=text)
 
 
-def shown_bar() -> Progress:
+def create_progress_bar() -> Progress:
     """A bar on stderr that is gone once its work is done."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn
@@ -36,9 +36,9 @@ def print_line(text: str) -> None:
     """One line on stdout, without wrapping or colours, and whatever a file put into it as letters."""
     from rich.console import Console
 
-    Console(soft_wrap=True, highlight=False, emoji=False).print(plain(text), markup=False)
+    Console(soft_wrap=True, highlight=False, emoji=False).print(escape_text(text), markup=False)
 
 
-def complain(text: str) -> None:
+def print_error(text: str) -> None:
     """One sentence on stderr; what would move the cursor or begin a line is written out."""
-    sys.stderr.write(f"tactoscope: {plain(text)}\n")
+    sys.stderr.write(f"tactoscope: {escape_text(text)}\n")

@@ -13,15 +13,15 @@ from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextC
 from rich.table import Table
 
 from pipeline.base.errors import FileProblem, SettingProblem
-from pipeline.cli.stopping import asking
+from pipeline.cli.interrupts import handle_interrupts
 from pipeline.cli.terminal import print_line
 from pipeline.networks.weights import SUFFIX, Weights
-from pipeline.training.export import export
-from pipeline.training.loop import Run
+from pipeline.training.export import export_run
+from pipeline.training.loop import TrainingRun
 from pipeline.training.loop import train as train_run
-from pipeline.training.recipe import load, with_pace
+from pipeline.training.recipe import load_recipe, override_training
 
-WEIGHTS = f"weights{SUFFIX}"
+WEIGHTS_FILE = f"weights{SUFFIX}"
 
 
 class _Bar:
@@ -30,7 +30,7 @@ class _Bar:
     def __init__(self, bar: Progress, task: TaskID) -> None:
         self._bar, self._task, self._stop = bar, task, False
 
-    def stop(self, *_signal: object) -> None:
+    def request_stop(self, *_signal: object) -> None:
         """Ask the run to stop."""
         self._stop = True
         self._bar.update(self._task, description="stopping")
@@ -42,7 +42,7 @@ class _Bar:
             raise KeyboardInterrupt
 
 
-def train(
+def run_training(
     what: str,
     recipe: str,
     out: Path,
@@ -59,18 +59,18 @@ def train(
     if minutes is not None and steps is not None:
         raise SettingProblem("give either --minutes or --steps, not both")
     pace = {name: value for name, value in (("steps", steps), ("seed", seed)) if value is not None}
-    run = Run(
-        recipe=with_pace(load(recipe, what), **pace), out=out, resume=resume, minutes=minutes, workers=workers,
+    run = TrainingRun(
+        recipe=override_training(load_recipe(recipe, what), **pace), folder=out, resume=resume, max_minutes=minutes, n_workers=workers,
         command=shlex.join(["tactoscope", *sys.argv[1:]]),
     )  # fmt: skip
-    followed(run)
+    run_with_progress_bar(run)
     if os.environ.get("RANK", "0") == "0":
-        show(export(out, out / WEIGHTS))
-        print_line(f"weights and their card are in {os.fspath(out / WEIGHTS)}")
+        print_model_card(export_run(out, out / WEIGHTS_FILE))
+        print_line(f"weights and their card are in {os.fspath(out / WEIGHTS_FILE)}")
     return 0
 
 
-def followed(run: Run) -> None:
+def run_with_progress_bar(run: TrainingRun) -> None:
     """Run a training with a bar on the terminal; Ctrl-C and SIGTERM end it between two steps in KeyboardInterrupt."""
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before torch loads: idle threads leave the processor alone
     console = Console(stderr=True, quiet=os.environ.get("RANK", "0") != "0")
@@ -81,7 +81,7 @@ def followed(run: Run) -> None:
     with Progress(*columns, console=console, transient=True) as shown:
         bar = _Bar(shown, shown.add_task("beginning", total=1.0))
         try:
-            with asking(bar.stop):
+            with handle_interrupts(bar.request_stop):
                 train_run(run, bar)
         finally:
             log.removeHandler(told)
@@ -92,14 +92,14 @@ def export_weights(run: Path, to: Path, *, half: bool) -> int:
     """Write the weights of a run."""
     if to.suffix != SUFFIX:
         raise FileProblem(f"weights are kept in a {SUFFIX} file; choose such a name", to)
-    show(export(run, to, half=half))
+    print_model_card(export_run(run, to, half=half))
     print_line(f"{to.stat().st_size / 2**20:.2f} MiB in {os.fspath(to)}, its card beside it")
     return 0
 
 
-def show(weights: Weights) -> None:
+def print_model_card(weights: Weights) -> None:
     """Print the card."""
-    table = Table("weights", f"{weights.kind}, {weights.n_numbers:,} numbers")
+    table = Table("weights", f"{weights.kind}, {weights.n_parameters:,} numbers")
     for name, value in weights.card.items():
         if name != "recipe":
             table.add_row(name, value)

@@ -7,15 +7,15 @@ from pathlib import Path
 
 from cyclopts import App
 
-from pipeline.cli.opening_options import Flag
+from pipeline.cli.translation_options import Flag
 
 
-def build() -> App:
+def build_train_app() -> App:
     """`train` with a command for each thing that `pipeline.training.task.TASKS` learns."""
     from pipeline.training.task import TASKS
 
     app = App(name="train", help="Train the networks, and write their weights.")
-    for what in dict.fromkeys(entry.what for entry in TASKS.values()):
+    for what in dict.fromkeys(entry.subcommand for entry in TASKS.values()):
         app.command(_command(what), name=what)
     app.command(export)
     return app
@@ -54,9 +54,9 @@ def _command(what: str) -> Callable[..., int]:
         workers
             Processes that make examples; 0 makes them in this one.
         """
-        from pipeline.cli.train import train
+        from pipeline.cli.train import run_training
 
-        return train(what, recipe, out, resume=resume, minutes=minutes, steps=steps, seed=seed, workers=workers)
+        return run_training(what, recipe, out, resume=resume, minutes=minutes, steps=steps, seed=seed, workers=workers)
 
     return learn
 

@@ -13,23 +13,23 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from pipeline.base import compiling, unexpected
-from pipeline.base.elsewhere import workers_of
+from pipeline.base import compiling, error_log
+from pipeline.base.cluster import count_workers
 from pipeline.base.errors import SettingProblem, TouchError
-from pipeline.base.files import ready
+from pipeline.base.files import prepare_folder
 from pipeline.base.progress import SILENT
 from pipeline.base.progress import Progress as StageProgress
-from pipeline.base.text import plain
-from pipeline.cli.stopping import stoppable
-from pipeline.cli.terminal import complain, print_line
+from pipeline.base.text import escape_text
+from pipeline.cli.interrupts import interruptible_progress
+from pipeline.cli.terminal import print_error, print_line
 from pipeline.engine.cache import Cache
 from pipeline.engine.graph import Graph
-from pipeline.reporting.finished import Finished, finished, key_of
 from pipeline.reporting.frame_report import FrameReport
 from pipeline.reporting.report import write_frame, write_report
+from pipeline.reporting.resume import FinishedFrame, compute_frame_key, load_finished_frame
 from pipeline.translation.catalogue import with_settings
-from pipeline.translation.doubts import with_truth
 from pipeline.translation.translate import Request, Translation, open_translation
+from pipeline.translation.truth_warnings import add_truth_warnings
 from pipeline.values.results import ObjectPose
 
 CACHE_BYTES = 32 * 1024 * 1024  # a few frames: what a run has passed it does not ask for again
@@ -48,7 +48,7 @@ class _Piece:
 def _finish(piece: _Piece) -> None:
     """Translate one frame and leave it whole on disk; one that cannot be is left to who asks for it next."""
     with closing(open_translation(piece.request)) as translation:
-        graph = translation.graph(like=Graph((), cache=Cache(CACHE_BYTES)))
+        graph = translation.build_graph(like=Graph((), cache=Cache(CACHE_BYTES)))
         params = with_settings(translation.methods, piece.settings)
         _one(translation, graph, params, piece.index, piece.out, None, SILENT)
 
@@ -83,29 +83,29 @@ def translate_frames(
         raise SettingProblem("--scheduler hands out single frames; give it with --all, and without --follow")
     console, request = Console(stderr=True), _absolute(request) if scheduler else request
     translation = open_translation(request)
-    translation.checked(0)
+    translation.check_index(0)
     params = with_settings(translation.methods, settings)
-    graph = translation.graph(like=Graph((), cache=Cache(CACHE_BYTES)))
-    with console.status("looking for a touch") as status, compiling.watched(status.update):
+    graph = translation.build_graph(like=Graph((), cache=Cache(CACHE_BYTES)))
+    with console.status("looking for a touch") as status, compiling.report_compiling(status.update):
         indices = range(translation.n_frames) if every else [_chosen(translation, graph, params, frame)]
-    ready(out)
+    prepare_folder(out)
     reports: list[FrameReport] = []
-    last: Finished | None = None
+    last: FinishedFrame | None = None
     n_kept = 0
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     try:
-        with stoppable() as work, Progress(*columns, console=console, transient=True) as bar:
+        with interruptible_progress() as work, Progress(*columns, console=console, transient=True) as bar:
             task = bar.add_task("translating", total=len(indices))
             if scheduler:
                 where, said = out.resolve(), tuple(settings)
-                with workers_of(scheduler) as elsewhere:
+                with count_workers(scheduler) as elsewhere:
                     elsewhere.map(
                         _finish, [_Piece(request=request, settings=said, out=where, index=k) for k in indices], work
                     )
             for index in indices:
                 bar.update(task, description=f"frame {index}")
                 work.step(0.0, "")
-                with compiling.watched(lambda text: bar.update(task, description=text)):
+                with compiling.report_compiling(lambda text: bar.update(task, description=text)):
                     known, last = _one(translation, graph, params, index, out, last if follow else None, work)
                 reports.append(last.report)
                 n_kept += known
@@ -116,13 +116,15 @@ def translate_frames(
             write_report(out, translation, reports)
     failed = [frame for frame in reports if frame.problem]
     for one in failed:
-        complain(f"frame {one.index}: {one.problem}" if every else one.problem)
+        print_error(f"frame {one.index}: {one.problem}" if every else one.problem)
     if len(failed) == len(reports) == 1:
         return _code(failed)  # of a recording that gave nothing nothing else is of interest
     for note in translation.notes:
-        console.print(plain(f"note: {note}"), style="dim", highlight=False, markup=False, emoji=False, soft_wrap=True)
-    show_table(reports)
-    for told in (*replaced_lines(reports), *doubtful_lines(reports)):
+        console.print(
+            escape_text(f"note: {note}"), style="dim", highlight=False, markup=False, emoji=False, soft_wrap=True
+        )
+    print_stage_table(reports)
+    for told in (*list_fallbacks(reports), *list_warnings(reports)):
         print_line(told)
     if n_kept and not scheduler:
         print_line(f"{n_kept} of them were finished by an earlier run and are kept as they are")
@@ -131,10 +133,10 @@ def translate_frames(
 
 
 def _code(failed: Sequence[FrameReport]) -> int:
-    return 0 if not failed else 2 if all(frame.foreseen for frame in failed) else 1
+    return 0 if not failed else 2 if all(frame.is_user_error for frame in failed) else 1
 
 
-def show_table(reports: Sequence[FrameReport]) -> None:
+def print_stage_table(reports: Sequence[FrameReport]) -> None:
     """Print slot, median and largest ms, how often skipped, and the error against truth."""
     table = Table("slot", "median ms", "largest ms", "skipped", "error against truth", title=None)
     done = [r for r in reports if r.results]
@@ -147,19 +149,19 @@ def show_table(reports: Sequence[FrameReport]) -> None:
     Console().print(table)
 
 
-def replaced_lines(reports: Sequence[FrameReport]) -> list[str]:
+def list_fallbacks(reports: Sequence[FrameReport]) -> list[str]:
     """Every slot that another method filled than the one asked for, and why."""
-    found = {f"{name}: {result.instead}" for one in reports for name, result in one.results.items() if result.instead}
+    found = {f"{name}: {result.fallback}" for one in reports for name, result in one.results.items() if result.fallback}
     return [f"another method answered: {told}" for told in sorted(found)]
 
 
-def doubtful_lines(reports: Sequence[FrameReport]) -> list[str]:
+def list_warnings(reports: Sequence[FrameReport]) -> list[str]:
     """Every doubt once, at the first slot that has it, with its frames; where numbers differ, those of the first."""
     slots: dict[str, str] = {}
     frames: dict[str, dict[int, str]] = {}
     for one in reports:
         for name, result in one.results.items():
-            for doubt in result.doubts:
+            for doubt in result.warnings:
                 kind = re.sub(r"[\d.,]*\d", "", doubt)
                 slots.setdefault(kind, name)
                 frames.setdefault(kind, {}).setdefault(one.index, doubt)
@@ -169,13 +171,13 @@ def doubtful_lines(reports: Sequence[FrameReport]) -> list[str]:
     ]
 
 
-def _listed(told: Mapping[int, str]) -> str:
+def _listed(frames_by_warning: Mapping[int, str]) -> str:
     """Frame numbers, the first few of many, and whose numbers were told where others have others."""
-    few = ", ".join(str(n) for n in list(told)[:8])
-    if len(told) == 1:
+    few = ", ".join(str(n) for n in list(frames_by_warning)[:8])
+    if len(frames_by_warning) == 1:
         return f"frame {few}"
-    whose = f"; told is frame {next(iter(told))}" if len(set(told.values())) > 1 else ""
-    return f"{len(told)} frames: {few}{', …' if len(told) > 8 else ''}{whose}"
+    whose = f"; told is frame {next(iter(frames_by_warning))}" if len(set(frames_by_warning.values())) > 1 else ""
+    return f"{len(frames_by_warning)} frames: {few}{', …' if len(frames_by_warning) > 8 else ''}{whose}"
 
 
 def _one(
@@ -184,27 +186,27 @@ def _one(
     params: Mapping[str, object],
     index: int,
     out: Path,
-    before: Finished | None,
+    before: FinishedFrame | None,
     progress: StageProgress,
-) -> tuple[bool, Finished]:
+) -> tuple[bool, FinishedFrame]:
     """A frame that is whole on disk and whether it was already; one that cannot be made has its problem instead."""
     try:
-        key = key_of(translation, params, index, before)
-        known = finished(out, index, key)
+        key = compute_frame_key(translation, params, index, before)
+        known = load_finished_frame(out, index, key)
         if known is not None:
             return True, known
-        inputs = translation.inputs(index, before.pose if before else None)
-        results = graph.evaluate(translation.slots, inputs, params, progress)
-        facts = translation.facts(index)
-        results = {name: with_truth(result, facts) for name, result in results.items()}
-        report = FrameReport(index=index, results=results, metrics=translation.metrics(results, index))
+        inputs = translation.read_inputs(index, before.pose if before else None)
+        results = graph.evaluate(translation.stages, inputs, params, progress)
+        facts = translation.read_ground_truth(index)
+        results = {name: add_truth_warnings(result, facts) for name, result in results.items()}
+        report = FrameReport(index=index, results=results, metrics=translation.compute_metrics(results, index))
         write_frame(out, translation.stream.frame(index), report, translation, key)
-        return False, Finished(report=report.without_arrays, key=key, pose=_pose_of(report))
+        return False, FinishedFrame(report=report.without_arrays, key=key, pose=_pose_of(report))
     except Exception as error:  # noqa: BLE001 - a border: whatever one frame does, the others are translated
         foreseen = isinstance(error, TouchError)
-        problem = str(error) if foreseen else unexpected.kept(error)
-    return False, Finished(
-        report=FrameReport(index=index, results={}, metrics={}, problem=problem, foreseen=foreseen), key=""
+        problem = str(error) if foreseen else error_log.log_error(error)
+    return False, FinishedFrame(
+        report=FrameReport(index=index, results={}, metrics={}, problem=problem, is_user_error=foreseen), key=""
     )
 
 
@@ -218,10 +220,10 @@ def _pose_of(report: FrameReport) -> ObjectPose | None:
 def _chosen(translation: Translation, graph: Graph, params: Mapping[str, object], frame: int | None) -> int:
     """The frame asked for, or the first one with a contact."""
     if frame is not None:
-        return translation.checked(frame)
-    first = translation.slots[0]
+        return translation.check_index(frame)
+    first = translation.stages[0]
     for index in range(translation.n_frames):
-        result = graph.evaluate([first], translation.inputs(index), params)[first]
+        result = graph.evaluate([first], translation.read_inputs(index), params)[first]
         contact = getattr(result.output, "contact", None)
         if contact.any() if contact is not None else result.state != "skipped":
             return index

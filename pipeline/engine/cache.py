@@ -10,7 +10,7 @@ DEFAULT_MAX_BYTES = 512 * 1024 * 1024
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Entry:
+class CacheEntry:
     """One stage's output under its key."""
 
     output: object
@@ -20,7 +20,7 @@ class Entry:
     instead: str = ""  # why another method answered
 
 
-class Cache(Memo[str, Entry]):
+class Cache(Memo[str, CacheEntry]):
     """Key -> Entry, safe to share between threads."""
 
     def __init__(self, max_bytes: int = DEFAULT_MAX_BYTES) -> None:

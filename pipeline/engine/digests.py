@@ -26,7 +26,7 @@ _MOST_BYTES = 4 * 1024 * 1024  # held by a memo of digests: what is asked for ea
 _arrays: Memo[int, tuple[NDArray[Any], bytes]] = Memo(256, most_bytes=_MOST_BYTES)
 
 
-def digest(value: object) -> str:
+def compute_digest(value: object) -> str:
     """Hexadecimal digest of plain values, bytes, arrays, paths (their name), tuples, mappings and dataclasses of those.
 
     Raises TypeError for anything else: a stage that reads a value without a digest could not be cached honestly.
@@ -36,7 +36,7 @@ def digest(value: object) -> str:
     return state.hexdigest()
 
 
-class Known:
+class DigestCache:
     """Digests remembered by identity: sensors, meshes and results of an untouched sensor stay the same for hours.
 
     Only for values that nobody can change; of any other the digest is worked out each time. The values are held, so
@@ -50,18 +50,18 @@ class Known:
         """How many digests are remembered."""
         return len(self._kept)
 
-    def digest(self, value: object) -> str:
+    def compute_digest(self, value: object) -> str:
         """The same as `digest(value)`, worked out once."""
         known = self._kept.get(id(value))
         if known is not None:
             return known[1]
-        made = digest(value)
+        made = compute_digest(value)
         if is_frozen(value):
             self._kept.put(id(value), (value, made))
         return made
 
 
-content = Known(most=128).digest  # of all keys of memos
+content = DigestCache(most=128).compute_digest  # of all keys of memos
 
 
 def is_frozen(value: object) -> bool:

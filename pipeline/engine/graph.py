@@ -16,13 +16,13 @@ from typing import Any, Literal
 import xxhash
 
 from pipeline.base import compiling
-from pipeline.base.doubts import Doubt, doubts
 from pipeline.base.errors import SettingProblem
 from pipeline.base.memo import size_bytes
 from pipeline.base.params import is_draft
 from pipeline.base.progress import SILENT, Progress, Share
-from pipeline.engine.cache import Cache, Entry
-from pipeline.engine.digests import Known, digest
+from pipeline.base.stage_warnings import StageWarning, select_warnings
+from pipeline.engine.cache import Cache, CacheEntry
+from pipeline.engine.digests import DigestCache, compute_digest
 
 State = Literal["computed", "cached", "unchanged", "skipped", "given"]
 
@@ -36,7 +36,7 @@ class Skipped:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Instead:
+class Fallback:
     """What a method returns when it cannot answer and another did: that one's answer, and why."""
 
     answer: Any  # an output, or `Skipped`
@@ -47,7 +47,7 @@ class Instead:
 class Method:
     """One way to fill a slot: a pure function, its parameters, and what it reads."""
 
-    slot: str
+    stage: str
     name: str  # unique in its slot
     title: str
     run: Callable[..., Any]  # (*reads, params, progress) -> the slot's value, or `Skipped`
@@ -62,12 +62,12 @@ class Method:
     @property
     def weights_name(self) -> str:
         """The input that its weights are read under."""
-        return f"{self.slot}_weights"
+        return f"{self.stage}_weights"
 
     @property
     def key(self) -> str:
         """What its parameters are kept under."""
-        return f"{self.slot}/{self.name}"
+        return f"{self.stage}/{self.name}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,16 +81,16 @@ class StageResult:
     ms: float
     notes: tuple[str, ...]
     digest: str
-    instead: str = ""  # why another method answered; "" = this one did
+    fallback: str = ""  # why another method answered; "" = this one did
     draft: bool = False  # it, or something that it rests on, was worked out by cheaper parameters than asked for
 
     @property
-    def doubts(self) -> tuple[Doubt, ...]:
+    def warnings(self) -> tuple[StageWarning, ...]:
         """What speaks against the answer; none of one that needed no work."""
-        return () if self.state == "skipped" else doubts(self.notes)
+        return () if self.state == "skipped" else select_warnings(self.notes)
 
 
-def unless(exact: Callable[..., Any], run: Callable[..., Any]) -> Callable[..., Any]:
+def skip_if_exact(exact: Callable[..., Any], run: Callable[..., Any]) -> Callable[..., Any]:
     """A method's function of two: `exact` (*reads, params) answers where there is nothing to do, `run` otherwise."""
 
     def filled(*args: Any) -> Any:
@@ -106,9 +106,9 @@ class Graph:
 
     methods: Sequence[Method]
     cache: Cache = field(default_factory=Cache)
-    _known: Known = field(default_factory=Known)
+    _known: DigestCache = field(default_factory=DigestCache)
 
-    def rerouted(self, methods: Sequence[Method]) -> Graph:
+    def with_methods(self, methods: Sequence[Method]) -> Graph:
         """A graph of other methods that remembers what this one has worked out."""
         return replace(self, methods=methods)
 
@@ -127,42 +127,42 @@ class Graph:
         their methods; one that is left out, or that is another method's, runs on its defaults.
         Raises SettingProblem for an unknown name, Cancelled when `progress` says so, and whatever a method raises.
         """
-        order = self.needed(wanted, given=inputs.keys())
-        digests = {name: self._known.digest(value) for name, value in inputs.items()}
+        order = self.select_methods(wanted, given=inputs.keys())
+        digests = {name: self._known.compute_digest(value) for name, value in inputs.items()}
         values: dict[str, object] = dict(inputs)
         results: dict[str, StageResult] = {}
         fresh, drafts = set[str](), set[str]()
         for index, method in enumerate(order):
             part = Share(progress, index / len(order), 1.0 / len(order), method.title)
             part.step(0.0, "")
-            if method.slot in inputs:
-                result = _given(method.slot, values[method.slot], digests[method.slot])
+            if method.stage in inputs:
+                result = _given(method.stage, values[method.stage], digests[method.stage])
             else:
                 own = _fitting(params, method)
                 result = self._one(method, values, digests, own, fresh, part)
                 if is_draft(own) or drafts.intersection(method.reads):
-                    drafts.add(method.slot)
+                    drafts.add(method.stage)
                     result = replace(result, draft=True)
-            values[method.slot], digests[method.slot] = result.output, result.digest
-            results[method.slot] = result
+            values[method.stage], digests[method.stage] = result.output, result.digest
+            results[method.stage] = result
             if result.state not in ("cached", "given"):
-                fresh.add(method.slot)
+                fresh.add(method.stage)
             if on_stage is not None:
                 on_stage(result)
         progress.step(1.0, "")
         return results
 
-    def needed(self, wanted: Iterable[str], given: Iterable[str] = ()) -> tuple[Method, ...]:
+    def select_methods(self, wanted: Iterable[str], given: Iterable[str] = ()) -> tuple[Method, ...]:
         """The methods of the wanted slots and of all that they read, in running order; a given slot reads nothing."""
         names, given = set(wanted), set(given)
-        unknown = names - {m.slot for m in self.methods}
+        unknown = names - {m.stage for m in self.methods}
         if unknown:
-            known = ", ".join(m.slot for m in self.methods)
+            known = ", ".join(m.stage for m in self.methods)
             raise SettingProblem(f"no slot {sorted(unknown)[0]!r} on this route; there are {known}")
         for method in reversed(self.methods):
-            if method.slot in names and method.slot not in given:
+            if method.stage in names and method.stage not in given:
                 names.update(method.reads)
-        return tuple(m for m in self.methods if m.slot in names)
+        return tuple(m for m in self.methods if m.stage in names)
 
     def _one(
         self,
@@ -176,7 +176,7 @@ class Graph:
         started = time.perf_counter() - compiling.spent_s()
         missing = [name for name in method.reads if name not in values]
         if missing:
-            raise SettingProblem(f"{method.slot} by {method.title!r} needs {missing[0]!r}, which this route lacks")
+            raise SettingProblem(f"{method.stage} by {method.title!r} needs {missing[0]!r}, which this route lacks")
         key = _key(method, params, [digests[name] for name in method.reads])
         entry = self.cache.get(key)
         if entry is not None:
@@ -192,24 +192,24 @@ class Graph:
             notes = (entry.instead, *notes)
         ms = 1e3 * (time.perf_counter() - compiling.spent_s() - started)
         return StageResult(
-            name=method.slot, method=method, output=entry.output, state=state, ms=ms, notes=notes, digest=entry.digest,
-            instead=entry.instead,
+            name=method.stage, method=method, output=entry.output, state=state, ms=ms, notes=notes, digest=entry.digest,
+            fallback=entry.instead,
         )  # fmt: skip
 
-    def _work(self, method: Method, reads: Sequence[object], params: object, progress: Progress) -> Entry:
+    def _work(self, method: Method, reads: Sequence[object], params: object, progress: Progress) -> CacheEntry:
         answer = method.run(*reads, params, progress)
-        instead = answer.why if isinstance(answer, Instead) else ""
-        answer = answer.answer if isinstance(answer, Instead) else answer
+        instead = answer.why if isinstance(answer, Fallback) else ""
+        answer = answer.answer if isinstance(answer, Fallback) else answer
         why = answer.why if isinstance(answer, Skipped) else ""
         output = answer.output if isinstance(answer, Skipped) else answer
         # An answer without work may well be the very object that was given before.
-        made = self._known.digest(output) if why else digest(output)
+        made = self._known.compute_digest(output) if why else compute_digest(output)
         n_bytes = size_bytes(output, reads)  # what is handed on was weighed where it was made
-        return Entry(output=output, digest=made, n_bytes=n_bytes, skipped=why, instead=instead)
+        return CacheEntry(output=output, digest=made, n_bytes=n_bytes, skipped=why, instead=instead)
 
 
 def _fitting(params: Mapping[str, object], method: Method) -> object:
-    given = params.get(method.slot)
+    given = params.get(method.stage)
     return given if isinstance(given, method.params) else method.params()
 
 
@@ -219,5 +219,5 @@ def _given(slot: str, value: object, made: str) -> StageResult:
 
 
 def _key(method: Method, params: object, reads: Sequence[str]) -> str:
-    text = f"{method.slot}|{method.name}|{method.version}|{params!r}|{'|'.join(reads)}"
+    text = f"{method.stage}|{method.name}|{method.version}|{params!r}|{'|'.join(reads)}"
     return xxhash.xxh3_128_hexdigest(text.encode())

@@ -80,22 +80,22 @@ class Camera:
         inside = (x_px >= -0.5) & (x_px < self.cols - 0.5) & (y_px >= -0.5) & (y_px < self.rows - 0.5)
         return x_px, y_px, in_front & inside
 
-    def scaled(self, factor: float) -> Camera:
+    def scale(self, factor: float) -> Camera:
         """The same view with `factor` times as many pixels along each side, pixel areas kept aligned."""
-        return self.resized(max(1, round(self.rows * factor)), max(1, round(self.cols * factor)))
+        return self.resize(max(1, round(self.rows * factor)), max(1, round(self.cols * factor)))
 
-    def resized(self, rows: int, cols: int) -> Camera:
+    def resize(self, rows: int, cols: int) -> Camera:
         """The same view in `rows` x `cols` pixels, pixel areas kept aligned."""
         sy, sx = rows / self.rows, cols / self.cols
         return Camera(rows=rows, cols=cols, fx_px=self.fx_px * sx, fy_px=self.fy_px * sy,
                       cx_px=(self.cx_px + 0.5) * sx - 0.5, cy_px=(self.cy_px + 0.5) * sy - 0.5)  # fmt: skip
 
-    def cropped(self, top: int, left: int, rows: int, cols: int) -> Camera:
+    def crop(self, top: int, left: int, rows: int, cols: int) -> Camera:
         """The window of `rows` x `cols` pixels whose first pixel is (top, left)."""
         return replace(self, rows=rows, cols=cols, cx_px=self.cx_px - left, cy_px=self.cy_px - top)
 
 
-def camera_from_matrix(k: ArrayLike, rows: int, cols: int, what: str = "the camera matrix K") -> Camera:
+def make_camera(k: ArrayLike, rows: int, cols: int, what: str = "the camera matrix K") -> Camera:
     """A camera from K (3, 3); raises CalibrationError when K is singular, skewed or not finite."""
     m = np.asarray(k, dtype=np.float64)
     if m.shape != (3, 3):

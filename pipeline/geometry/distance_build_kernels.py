@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from pipeline.base.kept_kernels import inner, kernel
+from pipeline.base.cached_kernels import inner, kernel
 from pipeline.geometry.distance_grid_kernels import CELLS, NODES
 
 _SUB = 3  # nodes along the edge of a part of a block that shares a list of triangles

@@ -56,7 +56,7 @@ class DistanceGrid:
         return freeze(found[:, 0].copy()), freeze(found[:, 1:].copy())
 
 
-def built(mesh: Mesh, progress: Progress = SILENT) -> DistanceGrid:
+def build_grid(mesh: Mesh, progress: Progress = SILENT) -> DistanceGrid:
     """The grid of a mesh, computed anew (a part of a second); MeshProblem when it has no surface.
 
     Overlapping closed bodies count as their union. An open sheet is told apart by the sides of its triangles.
@@ -72,7 +72,7 @@ def built(mesh: Mesh, progress: Progress = SILENT) -> DistanceGrid:
     sweeping = surface.begin_sweep()
     for k in range(0, len(chosen), _BATCH):
         progress.step(0.25 + 0.65 * k / len(chosen), "measuring distances to the object")
-        lengths = surface.measured(chosen[k : k + _BATCH], lists, k, sweeping)
+        lengths = surface.measure_error(chosen[k : k + _BATCH], lists, k, sweeping)
         fine[k : k + _BATCH] = np.rint(lengths / quantum_mm)
     progress.step(0.9, "measuring distances around the object")
     coarse = surface.swept(lists, sweeping)
@@ -170,7 +170,7 @@ class _Surface:
         shape = tuple(n + 1 for n in self.cells)
         return np.full(shape, -1, dtype=np.int32), np.full(shape, np.inf)
 
-    def measured(
+    def measure_error(
         self, chosen: NDArray[np.int64], lists: tuple[Any, Any, Any], start: int, sweeping: tuple[Indices, Doubles]
     ) -> Doubles:
         """Signed distances (n, 9, 9, 9) of the blocks `chosen`, the first of which has number `start`."""

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from pipeline.base.kept_kernels import inner, kernel
+from pipeline.base.cached_kernels import inner, kernel
 
 CELLS = 8  # fine cells along a block's edge
 NODES = CELLS + 1

@@ -8,9 +8,9 @@ import numpy as np
 
 from pipeline.base.memo import Memo
 from pipeline.base.progress import SILENT, Progress
-from pipeline.engine import store
-from pipeline.engine.digests import digest
-from pipeline.geometry.distance_grid import DistanceGrid, built
+from pipeline.engine import disk_store
+from pipeline.engine.digests import compute_digest
+from pipeline.geometry.distance_grid import DistanceGrid, build_grid
 from pipeline.geometry.meshes import Mesh
 
 _CODE = tuple(f"pipeline.geometry.distance_{part}" for part in ("grid", "grid_kernels", "build_kernels"))
@@ -18,14 +18,16 @@ _MOST_BYTES = 24 * 1024 * 1024  # two or three objects; another is read from the
 _grids: Memo[str, DistanceGrid] = Memo(4, most_bytes=_MOST_BYTES)
 
 
-def distance_grid(mesh: Mesh, progress: Progress = SILENT, folder: Path | None = None) -> DistanceGrid:
+def load_distance_grid(mesh: Mesh, progress: Progress = SILENT, folder: Path | None = None) -> DistanceGrid:
     """The grid of a mesh: remembered, read from `folder` (the user's cache), or built and kept there.
 
     Raises MeshProblem when the mesh has no surface.
     """
-    made_of = digest((np.asarray(mesh.vertices_mm, np.float64), np.asarray(mesh.triangles, np.int32)))
+    made_of = compute_digest((np.asarray(mesh.vertices_mm, np.float64), np.asarray(mesh.triangles, np.int32)))
 
     def make() -> DistanceGrid:
-        return store.kept(DistanceGrid, made_of, _CODE, lambda: built(mesh, progress), folder or "distance_grids")
+        return disk_store.load_or_make(
+            DistanceGrid, made_of, _CODE, lambda: build_grid(mesh, progress), folder or "distance_grids"
+        )
 
     return _grids.of(made_of, make) if folder is None else make()

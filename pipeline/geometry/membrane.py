@@ -104,7 +104,7 @@ class Membrane:
         return h, hx, hy
 
 
-def flat(z_mm: float, half_width_mm: float, half_height_mm: float) -> Membrane:
+def make_flat_membrane(z_mm: float, half_width_mm: float, half_height_mm: float) -> Membrane:
     """A level pad at distance `z_mm` from the camera."""
     step = max(half_width_mm, half_height_mm) / 8.0
     nx, ny = int(np.ceil(2 * half_width_mm / step)) + 1, int(np.ceil(2 * half_height_mm / step)) + 1
@@ -113,7 +113,7 @@ def flat(z_mm: float, half_width_mm: float, half_height_mm: float) -> Membrane:
     )
 
 
-def dome(
+def make_dome(
     rim_z_mm: float, height_mm: float, half_width_mm: float, half_height_mm: float, step_mm: float = 0.5
 ) -> Membrane:
     """An inflated membrane over an elliptic rim, its apex farthest from the camera.

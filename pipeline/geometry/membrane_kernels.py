@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from pipeline.base.kept_kernels import inlined, kernel
+from pipeline.base.cached_kernels import inlined, kernel
 
 
 @inlined()

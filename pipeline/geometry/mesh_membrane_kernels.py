@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 
-from pipeline.base.kept_kernels import kernel
+from pipeline.base.cached_kernels import kernel
 
 _SLACK = 1e-9  # barycentric: nodes on a common edge belong to both triangles
 

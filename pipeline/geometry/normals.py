@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Doubles, Mask
 
 
-def area_vectors(points_mm: NDArray[np.floating]) -> Doubles:
+def compute_area_vectors(points_mm: NDArray[np.floating]) -> Doubles:
     """Normals of an image of points (rows, cols, 3), toward the camera, as long as the pixel's area on the surface.
 
     Neighbours that are not known (NaN) are left out; NaN where a point has none to its sides, or none above and below.

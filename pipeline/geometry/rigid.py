@@ -95,21 +95,21 @@ def apply(target_from_source: Doubles, points_mm: ArrayLike) -> Doubles:
     return np.asarray(points @ target_from_source[:3, :3].T + target_from_source[:3, 3])
 
 
-def angle_deg(matrix: Doubles) -> float:
+def rotation_angle_deg(matrix: Doubles) -> float:
     """How far a transform turns, in degrees."""
     return math.degrees(float(np.linalg.norm(rotation_vector_rad(matrix))))
 
 
-def within_reach(matrix: ArrayLike, what: str) -> Doubles:
+def validate_within_reach(matrix: ArrayLike, what: str) -> Doubles:
     """`checked`, and no farther than anything that is touched; for what files say. Raises CalibrationError."""
-    m = checked(matrix, what)
+    m = validate_rigid(matrix, what)
     far = float(np.abs(m[:3, 3]).max())
     if far > FARTHEST_MM:
         raise CalibrationError(f"{what} shifts by {far:.3g} mm, it must lie within {FARTHEST_MM:g} mm")
     return m
 
 
-def checked(matrix: ArrayLike, what: str) -> Doubles:
+def validate_rigid(matrix: ArrayLike, what: str) -> Doubles:
     """`matrix` as a proper rigid transform, its rotation made exactly orthonormal; `what` names it in errors.
 
     Raises CalibrationError when it is not 4x4, not finite, mirrored, scaled or sheared.

@@ -19,7 +19,7 @@ _CENTRAL = 0.1  # an axis this near the middle of the contact, in radii of it, g
 _AXES = ("x", "y", "z")
 
 
-def in_words(
+def describe_motions(
     lost: Doubles, about_mm: Doubles, radius_mm: float, is_lost: Callable[[Doubles], bool]
 ) -> list[tuple[str, Doubles]]:
     """Names of the motions that span the orthonormal columns (6, k), each with its motion (6,) of unit size.
@@ -41,14 +41,14 @@ def in_words(
             basis[:, k], straight[k] = alone, True
     sliding, rest = basis[:, straight], basis[:, ~straight]
     slides, _ = np.linalg.qr(sliding[3:])
-    named = [(f"slides along {told(a, _EXACT)}", _closest(sliding, 3, a)) for a in _axes_in(slides)]
+    named = [(f"slides along {describe_direction(a, _EXACT)}", _closest(sliding, 3, a)) for a in _axes_in(slides)]
     turns = _turns(rest, slides)
     centre_mm = _common_centre(turns, slides, radius_mm)
     kept = np.eye(3) - slides @ slides.T
     return named + [(_turn_in_words(t, kept, centre_mm, about_mm, radius_mm, is_lost), t) for t in turns]
 
 
-def told(vector: Doubles, pure: float = _PURE) -> str:
+def describe_direction(vector: Doubles, pure: float = _PURE) -> str:
     """A direction in words: an axis of the sensor from which it is less than a cosine of `pure` off, or components."""
     unit = vector / np.linalg.norm(vector)
     k = int(np.argmax(np.abs(unit)))
@@ -106,15 +106,15 @@ def _turn_in_words(
     radius_mm: float,
     is_lost: Callable[[Doubles], bool],
 ) -> str:
-    words = f"turns about {told(turn[:3])}"
+    words = f"turns about {describe_direction(turn[:3])}"
     left = kept @ (turn[3:] + np.cross(turn[:3] / radius_mm, centre_mm))  # without what the slides undo
     if np.linalg.norm(left) > _OFF_AXIS:
-        return f"{words} while sliding along {told(turn[3:])}"
+        return f"{words} while sliding along {describe_direction(turn[3:])}"
     along = turn[:3] * float(left @ turn[:3]) / float(turn[:3] @ turn[:3])
     if np.linalg.norm(along) > _PITCH * np.linalg.norm(turn[:3]) and not is_lost(
         turn - np.concatenate([np.zeros(3), along])
     ):
-        words += f" while sliding along {told(turn[:3])}"
+        words += f" while sliding along {describe_direction(turn[:3])}"
     if np.linalg.norm(centre_mm) <= _CENTRAL * radius_mm:
         return words
     return words + " through ({:.1f}, {:.1f}, {:.1f}) mm".format(*(np.round(about_mm + centre_mm, 1) + 0.0))

@@ -56,7 +56,7 @@ def cyclic(n: int, axis: Sequence[float] = Z) -> Symmetry:
     return Symmetry(rotations=freeze(_about(axis, n)))
 
 
-def revolved(axis: Sequence[float] = Z, flip: Sequence[float] | None = None) -> Symmetry:
+def revolution(axis: Sequence[float] = Z, flip: Sequence[float] | None = None) -> Symmetry:
     """Of a body of revolution; with `flip`, of one whose ends are alike."""
     discrete = np.eye(3)[None].copy() if flip is None else _about(flip, 2)
     return Symmetry(rotations=freeze(discrete), axis=freeze(np.array(axis, dtype=np.float64)))

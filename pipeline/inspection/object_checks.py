@@ -6,17 +6,17 @@ import numpy as np
 
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import LARGEST_MM, SMALLEST_MM, Mesh
-from pipeline.inspection.checks import Check
+from pipeline.inspection.stream_checks import Check
 from pipeline.sensors.spec import SensorSpec
 from pipeline.values.frames import Truth
 
 
-def mesh_checks(mesh: Mesh, path: str) -> list[Check]:
+def check_mesh(mesh: Mesh, path: str) -> list[Check]:
     """Size, closedness and orientation of `mesh`, which the recording at `path` brings."""
     return [_size(mesh, path), _surface(mesh, path)]
 
 
-def off_contact_mm(truth: Truth, sensor: SensorSpec, mesh: Mesh) -> float:
+def measure_contact_offset_mm(truth: Truth, sensor: SensorSpec, mesh: Mesh) -> float:
     """How far the middle of what is touched lies outside the box of the object as it is said to lie; 0 = inside.
 
     Also 0 where the truth does not say where it is touched, or is of another image size.

@@ -7,20 +7,20 @@ import threading
 from pathlib import Path
 
 from pipeline.base.errors import TouchError
-from pipeline.recordings.hdf5_growing import GrowingWriter
+from pipeline.recordings.hdf5_live_writer import LiveRecordingWriter
 from pipeline.values.frames import TactileFrame, Truth
 
 _MOST_WAITING = 240  # frames: some seconds of a fast sensor
 _Item = tuple[TactileFrame, Truth | None] | None
 
 
-class Recorder:
+class LiveRecorder:
     """Give `offer` to a reader's `listen`."""
 
     def __init__(self, path: Path, about: str) -> None:
         """Raises FileProblem where nothing can be written."""
         self.path = path
-        self._writer = GrowingWriter(path, notes=(f"recorded live: {about}",), coding="row differences")
+        self._writer = LiveRecordingWriter(path, notes=(f"recorded live: {about}",), coding="row differences")
         self._waiting: queue.Queue[_Item] = queue.Queue(_MOST_WAITING)
         self.n_written = self.n_left_out = 0
         self.problem = ""  # why nothing is written any more

@@ -12,21 +12,21 @@ from pipeline.geometry.symmetry import Symmetry
 from pipeline.values.frames import Truth
 
 
-class SourceLost(TouchError):
+class LiveSourceLost(TouchError):
     """The sensor is not there, or not there any more; it is tried again until somebody stops."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Reading:
+class LiveFrame:
     """One picture as it came."""
 
     image: Image | Floats  # of the sensor's own size
     time_s: float  # monotonic clock, when it was taken
-    number: int = -1  # counted by the sensor, so that gaps are frames that were lost; -1 = it does not count
+    sequence_number: int = -1  # counted by the sensor, so that gaps are frames that were lost; -1 = it does not count
     truth: Truth | None = None  # of a simulated touch
 
 
-class Source(Protocol):
+class LiveSource(Protocol):
     """A sensor; used by one thread at a time."""
 
     @property
@@ -40,7 +40,7 @@ class Source(Protocol):
         ...
 
     @property
-    def touched(self) -> tuple[Mesh, Symmetry | None] | None:
+    def touching_object(self) -> tuple[Mesh, Symmetry | None] | None:
         """The object that touches it, where that is known: a simulated one's."""
         ...
 
@@ -48,7 +48,7 @@ class Source(Protocol):
         """Begin; raises SourceLost where it is not there."""
         ...
 
-    def read(self) -> Reading | None:
+    def read(self) -> LiveFrame | None:
         """The next picture, None if none came within a fifth of a second; raises SourceLost once it is gone."""
         ...
 

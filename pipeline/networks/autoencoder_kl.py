@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-LATENT = 4
+LATENT_CHANNELS = 4
 _EPS = 1e-6
 
 
@@ -25,8 +25,8 @@ class AutoencoderKl(nn.Module):
         super().__init__()
         self.encoder = _Encoder(width, times, blocks, groups)
         self.decoder = _Decoder(width, times, blocks, groups)
-        self.quant_conv = nn.Conv2d(2 * LATENT, 2 * LATENT, 1)
-        self.post_quant_conv = nn.Conv2d(LATENT, LATENT, 1)
+        self.quant_conv = nn.Conv2d(2 * LATENT_CHANNELS, 2 * LATENT_CHANNELS, 1)
+        self.post_quant_conv = nn.Conv2d(LATENT_CHANNELS, LATENT_CHANNELS, 1)
 
     def encode(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
         """(mean, log variance), each (n, 4, rows / 8, cols / 8) with four levels."""
@@ -52,7 +52,7 @@ class _Encoder(nn.Module):
             self.down.append(step)
         self.mid = _Middle(widths[-1], groups)
         self.norm_out = nn.GroupNorm(groups, widths[-1], _EPS)
-        self.conv_out = nn.Conv2d(widths[-1], 2 * LATENT, 3, padding=1)
+        self.conv_out = nn.Conv2d(widths[-1], 2 * LATENT_CHANNELS, 3, padding=1)
 
     def forward(self, pictures: Tensor) -> Tensor:
         """Moments before they are mixed."""
@@ -69,7 +69,7 @@ class _Decoder(nn.Module):
     def __init__(self, width: int, times: tuple[int, ...], blocks: int, groups: int) -> None:
         super().__init__()
         widths = [width * t for t in times]
-        self.conv_in = nn.Conv2d(LATENT, widths[-1], 3, padding=1)
+        self.conv_in = nn.Conv2d(LATENT_CHANNELS, widths[-1], 3, padding=1)
         self.mid = _Middle(widths[-1], groups)
         self.up = nn.ModuleList()
         for level, wide in enumerate(widths):
@@ -153,6 +153,6 @@ class _Doubled(nn.Module):
         return self.conv(functional.interpolate(field, scale_factor=2.0, mode="nearest"))
 
 
-def drawn(mean: Tensor, log_variance: Tensor, noise: Tensor) -> Tensor:
+def sample_latents(mean: Tensor, log_variance: Tensor, noise: Tensor) -> Tensor:
     """Latents of these moments."""
     return mean + torch.exp(0.5 * log_variance) * noise

@@ -21,10 +21,17 @@ class CompactUnet(nn.Module):
     """
 
     def __init__(
-        self, *, inputs: int, outputs: int, first: int = 32, levels: int = 4, widest: int = 120, fold: int = 2
+        self,
+        *,
+        inputs: int,
+        outputs: int,
+        base_channels: int = 32,
+        levels: int = 4,
+        max_channels: int = 120,
+        fold: int = 2,
     ) -> None:
         super().__init__()
-        widths = [min(first * 2**level, widest) for level in range(levels)]
+        widths = [min(base_channels * 2**level, max_channels) for level in range(levels)]
         self.fold = fold
         self.start = _block(inputs * fold * fold, widths[0])
         self.down = nn.ModuleList(

@@ -23,15 +23,15 @@ _MOST_SIZES = 4  # of pictures that it is kept ready for
 _MOST_BYTES = 1 << 30
 
 
-class CompactUnetByOpenCv:
+class CompactUnetOpenCv:
     """Fields (outputs, rows, cols) of a picture (inputs, rows, cols), float32; threads may share it."""
 
     def __init__(
-        self, weights: Weights, *, inputs: int, outputs: int, first: int = 32, levels: int = 4, widest: int = 120,
+        self, weights: Weights, *, inputs: int, outputs: int, base_channels: int = 32, levels: int = 4, max_channels: int = 120,
         fold: int = 2,
     ) -> None:  # fmt: skip
         """`CompactUnet`'s own arguments; raises ValueError where the tensors do not fit them."""
-        widths = [min(first * 2**level, widest) for level in range(levels)]
+        widths = [min(base_channels * 2**level, max_channels) for level in range(levels)]
         self.inputs, self.outputs, self.fold, self._levels = inputs, outputs, fold, levels
         self._tensors = weights.tensors
         self._check(widths)
@@ -74,7 +74,7 @@ class CompactUnetByOpenCv:
         file, sizes = OnnxFile(), [(rows, cols)]
         seen = [self._block(file, OnnxFile.INPUT, "start")]
         for level in range(self._levels - 1):
-            half = file.node("MaxPool", [seen[-1]], kernel_shape=[2, 2], strides=[2, 2], ceil_mode=1)
+            half = file.add_node("MaxPool", [seen[-1]], kernel_shape=[2, 2], strides=[2, 2], ceil_mode=1)
             sizes.append((-(-sizes[-1][0] // 2), -(-sizes[-1][1] // 2)))
             seen.append(self._block(file, self._block(file, half, f"down.{level}.0"), f"down.{level}.1"))
         field = seen.pop()
@@ -82,12 +82,12 @@ class CompactUnetByOpenCv:
             thin = self._convolved(file, field, f"thin.{level}")
             shape = np.array([1, len(self._tensors[f"thin.{level}.bias"]), *sizes[level]], np.int64)
             how = {"mode": "linear", "coordinate_transformation_mode": "half_pixel"}
-            large = file.node("Resize", [thin, "", "", file.constant(shape)], **how)
-            field = file.node("Add", [seen.pop(), large])
+            large = file.add_node("Resize", [thin, "", "", file.add_constant(shape)], **how)
+            field = file.add_node("Add", [seen.pop(), large])
             field = self._block(file, self._block(file, field, f"merge.{level}.0"), f"merge.{level}.1")
         pixels = self.fold * self.fold
         output = self._convolved(file, field, "finish")
-        content = file.content((1, self.inputs * pixels, rows, cols), output, (1, self.outputs * pixels, rows, cols))
+        content = file.serialise((1, self.inputs * pixels, rows, cols), output, (1, self.outputs * pixels, rows, cols))
         return cv2.dnn.readNetFromONNX(content, cv2.dnn.ENGINE_CLASSIC)
 
     def _block(self, file: OnnxFile, value: str, name: str) -> str:
@@ -95,7 +95,7 @@ class CompactUnetByOpenCv:
         norm = {part: self._tensors[f"{name}.1.{part}"] for part in ("weight", "bias", "running_mean", "running_var")}
         times = norm["weight"] / np.sqrt(norm["running_var"] + np.float32(_EPSILON))
         weight = self._tensors[f"{name}.0.weight"] * times[:, None, None, None]
-        return file.node("Relu", [_convolution(file, value, weight, norm["bias"] - norm["running_mean"] * times)])
+        return file.add_node("Relu", [_convolution(file, value, weight, norm["bias"] - norm["running_mean"] * times)])
 
     def _convolved(self, file: OnnxFile, value: str, name: str) -> str:
         return _convolution(file, value, self._tensors[f"{name}.weight"], self._tensors[f"{name}.bias"])
@@ -107,8 +107,8 @@ def _plain(name: str, inputs: int, outputs: int, side: int) -> dict[str, tuple[i
 
 def _convolution(file: OnnxFile, value: str, weight: NDArray[np.floating], bias: NDArray[np.floating]) -> str:
     side = weight.shape[-1]
-    inputs = [value, file.constant(weight.astype(np.float32)), file.constant(bias.astype(np.float32))]
-    return file.node("Conv", inputs, kernel_shape=[side, side], pads=[side // 2] * 4, strides=[1, 1], group=1)
+    inputs = [value, file.add_constant(weight.astype(np.float32)), file.add_constant(bias.astype(np.float32))]
+    return file.add_node("Conv", inputs, kernel_shape=[side, side], pads=[side // 2] * 4, strides=[1, 1], group=1)
 
 
 def _folded(picture: Floats, fold: int) -> Floats:

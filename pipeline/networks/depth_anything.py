@@ -12,12 +12,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from pipeline.networks.dinov2 import SIZES, Encoder
-from pipeline.networks.picturing import PATCH_PX
+from pipeline.networks.depth_anything_input import PATCH_PX
+from pipeline.networks.dinov2 import ENCODER_SIZES, DinoV2Encoder
 
-FEATURES = {"vits": 64, "vitb": 128, "vitl": 256}
-PROJECTED = {"vits": (48, 96, 192, 384), "vitb": (96, 192, 384, 768), "vitl": (256, 512, 1024, 1024)}
-MEAN, SPREAD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of the pictures that the encoder was taught on
+DECODER_CHANNELS = {"vits": 64, "vitb": 128, "vitl": 256}
+PROJECTED_CHANNELS = {"vits": (48, 96, 192, 384), "vitb": (96, 192, 384, 768), "vitl": (256, 512, 1024, 1024)}
+MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # of the pictures that the encoder was taught on
 
 
 class DepthAnything(nn.Module):
@@ -38,12 +38,18 @@ class DepthAnything(nn.Module):
         shows: Literal["picture", "difference"] = "picture",
     ) -> None:
         super().__init__()
-        if encoder not in SIZES or answer not in ("metric", "relative") or shows not in ("picture", "difference"):
+        if (
+            encoder not in ENCODER_SIZES
+            or answer not in ("metric", "relative")
+            or shows not in ("picture", "difference")
+        ):
             raise ValueError(f"no encoder {encoder!r}, answer {answer!r} or picture {shows!r}")
         self.answer, self.largest_mm, self.side, self.shows = answer, float(largest_mm), int(side), shows
-        self.pretrained = Encoder(SIZES[encoder])
-        self.depth_head = _DepthHead(SIZES[encoder].width, FEATURES[encoder], PROJECTED[encoder])
-        self.mask_head = _MaskHead(FEATURES[encoder]) if contact else None
+        self.pretrained = DinoV2Encoder(ENCODER_SIZES[encoder])
+        self.depth_head = _DepthHead(
+            ENCODER_SIZES[encoder].width, DECODER_CHANNELS[encoder], PROJECTED_CHANNELS[encoder]
+        )
+        self.mask_head = _MaskHead(DECODER_CHANNELS[encoder]) if contact else None
 
     def forward(
         self, picture: Tensor, window: tuple[int, int, int, int] | None = None, answer: str = ""
@@ -56,7 +62,7 @@ class DepthAnything(nn.Module):
         in place of the network's own where it is given.
         """
         rows, cols = picture.shape[-2] // PATCH_PX, picture.shape[-1] // PATCH_PX
-        mean, spread = (picture.new_tensor(v)[:, None, None] for v in (MEAN, SPREAD))
+        mean, spread = (picture.new_tensor(v)[:, None, None] for v in (MEAN, STD))
         tokens = self.pretrained((picture - mean) / spread, window or (0, 0, rows, cols))
         number, features = self.depth_head(tokens, rows, cols)
         depth = torch.sigmoid(number) if (answer or self.answer) == "metric" else functional.relu(number)
@@ -84,7 +90,7 @@ class _DepthHead(nn.Module):
         for project, resize, some in zip(self.projects, self.resize_layers, tokens, strict=True):
             grid = some.transpose(1, 2).reshape(some.shape[0], -1, rows, cols)
             levels.append(resize(project(grid)))
-        features = self.scratch.joined(levels)
+        features = self.scratch.fuse_levels(levels)
         field = self.scratch.output_conv1(features)
         size = (rows * PATCH_PX, cols * PATCH_PX)
         field = functional.interpolate(field, size, mode="bilinear", align_corners=True)
@@ -103,7 +109,7 @@ class _Scratch(nn.Module):
             nn.Conv2d(features // 2, 32, 3, padding=1), nn.ReLU(inplace=True), nn.Conv2d(32, 1, 1)
         )
 
-    def joined(self, levels: list[Tensor]) -> Tensor:
+    def fuse_levels(self, levels: list[Tensor]) -> Tensor:
         """Features at twice the size of the finest level."""
         thin = [
             self.layer1_rn(levels[0]),
@@ -124,9 +130,9 @@ class _Fusion(nn.Module):
         self.out_conv = nn.Conv2d(features, features, 1)
         self.resConfUnit1, self.resConfUnit2 = _Residual(features), _Residual(features)  # published names
 
-    def forward(self, path: Tensor, beside: Tensor | None, size: tuple[int, int]) -> Tensor:
+    def forward(self, path: Tensor, skip: Tensor | None, size: tuple[int, int]) -> Tensor:
         """The coarser path and the level beside it, at `size`."""
-        path = self.resConfUnit2(path if beside is None else path + self.resConfUnit1(beside))
+        path = self.resConfUnit2(path if skip is None else path + self.resConfUnit1(skip))
         return self.out_conv(functional.interpolate(path, size, mode="bilinear", align_corners=True))
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from pipeline.base.errors import FileProblem
 from pipeline.base.params import Value
 from pipeline.networks.tensor_files import read_tensors
-from pipeline.networks.weights import SUFFIX, Weights, is_ours, load, load_tensors
+from pipeline.networks.weights import SUFFIX, Weights, is_tactoscope_file, load_tensors, load_weights
 
 KIND = "depth_anything"
 _ENCODERS = {384: "vits", 768: "vitb", 1024: "vitl"}
@@ -19,12 +19,12 @@ _CONTACT = "mask_head.mask_head.0.weight"
 _LAST = "depth_head.scratch.output_conv2.2.weight"
 
 
-def read(path: Path) -> Weights:
+def read_weights(path: Path) -> Weights:
     """The weights in a file of any of those kinds; raises FileProblem where it is none of them."""
     if path.suffix == SUFFIX:
         metadata, tensors = load_tensors(path)
-        if is_ours(metadata):
-            return _checked(load(path), path)
+        if is_tactoscope_file(metadata):
+            return _checked(load_weights(path), path)
     else:
         tensors = read_tensors(path)
     tensors = {name.removeprefix("module."): tensor for name, tensor in tensors.items()}

@@ -12,35 +12,35 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from pipeline.networks.picturing import PATCH_PX
+from pipeline.networks.depth_anything_input import PATCH_PX
 
 _TAUGHT_PATCHES = 37  # a side: 518 pixels
 _OFFSET = 0.1  # patches: how the published weights were taught to stretch their places over other sizes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Size:
+class EncoderSize:
     """One of the published sizes."""
 
     width: int
     depth: int
     heads: int
-    taken: tuple[int, ...]  # the blocks whose tokens the decoder reads
+    output_blocks: tuple[int, ...]  # the blocks whose tokens the decoder reads
 
 
-SIZES = {
-    "vits": Size(width=384, depth=12, heads=6, taken=(2, 5, 8, 11)),
-    "vitb": Size(width=768, depth=12, heads=12, taken=(2, 5, 8, 11)),
-    "vitl": Size(width=1024, depth=24, heads=16, taken=(4, 11, 17, 23)),
+ENCODER_SIZES = {
+    "vits": EncoderSize(width=384, depth=12, heads=6, output_blocks=(2, 5, 8, 11)),
+    "vitb": EncoderSize(width=768, depth=12, heads=12, output_blocks=(2, 5, 8, 11)),
+    "vitl": EncoderSize(width=1024, depth=24, heads=16, output_blocks=(4, 11, 17, 23)),
 }
 
 
-class Encoder(nn.Module):
+class DinoV2Encoder(nn.Module):
     """Tokens of every patch after some of the blocks, normalised."""
 
-    def __init__(self, size: Size) -> None:
+    def __init__(self, size: EncoderSize) -> None:
         super().__init__()
-        self.taken = size.taken
+        self.taken = size.output_blocks
         self.cls_token = nn.Parameter(torch.zeros(1, 1, size.width))
         self.pos_embed = nn.Parameter(torch.zeros(1, _TAUGHT_PATCHES**2 + 1, size.width))
         self.mask_token = nn.Parameter(torch.zeros(1, size.width))  # of its own training; nothing reads it here
@@ -90,7 +90,7 @@ class _PatchEmbed(nn.Module):
 
 
 class _Block(nn.Module):
-    def __init__(self, size: Size) -> None:
+    def __init__(self, size: EncoderSize) -> None:
         super().__init__()
         self.norm1 = nn.LayerNorm(size.width, eps=1e-6)
         self.attn = _Attention(size.width, size.heads)

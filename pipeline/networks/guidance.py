@@ -13,55 +13,55 @@ from dataclasses import dataclass
 from typing import Any
 
 from pipeline.base.errors import SettingProblem
-from pipeline.networks.samplers import Denoise
+from pipeline.networks.samplers import Denoiser
 
-MOST_WEIGHT = 15.0
+MAX_WEIGHT = 15.0
 _LEAST_STEPS, _SAFE_STEPS, _SAFE_WEIGHT = 4, 20, 1.5
 _INTERVAL = (0.02, 1.0)  # of the data's range, as sigma (Kynkaanniemi et al. 2024: guide in a limited interval)
 _STEPS_PER_WEIGHT = 12  # a degree above 0 needs about this many steps for each unit of weight
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Plan:
+class GuidancePlan:
     """How a wish for guidance is carried out."""
 
     weight: float
-    most_degree: int
+    max_degree: int
     interval: tuple[float, float] | None  # of sigma, in which guidance works; None: everywhere
     note: str = ""  # what was done otherwise than asked, in words
 
 
-def plan(weight: float, steps: int, data_range: float) -> Plan:
+def plan_guidance(weight: float, steps: int, data_range: float) -> GuidancePlan:
     """What a weight of guidance becomes at this number of steps; `data_range` is the largest clean value that is sound.
 
     Raises SettingProblem for a weight outside 0 to `MOST_WEIGHT`.
     """
-    if not 0.0 <= weight <= MOST_WEIGHT:
-        raise SettingProblem(f"the guidance scale must lie between 0 and {MOST_WEIGHT:g}, got {weight!r}")
+    if not 0.0 <= weight <= MAX_WEIGHT:
+        raise SettingProblem(f"the guidance scale must lie between 0 and {MAX_WEIGHT:g}, got {weight!r}")
     if weight in (0.0, 1.0):
-        return Plan(weight=weight, most_degree=2, interval=None)
+        return GuidancePlan(weight=weight, max_degree=2, interval=None)
     if steps < _LEAST_STEPS:
         note = f"guidance needs at least {_LEAST_STEPS} steps: sampled without it"
-        return Plan(weight=1.0, most_degree=2, interval=None, note=note)
+        return GuidancePlan(weight=1.0, max_degree=2, interval=None, note=note)
     if weight <= _SAFE_WEIGHT or steps >= max(_SAFE_STEPS, _STEPS_PER_WEIGHT * weight):
-        return Plan(weight=weight, most_degree=2 if weight <= _SAFE_WEIGHT else 1, interval=None)
+        return GuidancePlan(weight=weight, max_degree=2 if weight <= _SAFE_WEIGHT else 1, interval=None)
     low, high = (share * data_range for share in _INTERVAL)
     note = f"few steps for a guidance of {weight:g}: first order, and guided in the middle of the noise only"
-    return Plan(weight=weight, most_degree=0, interval=(low, high), note=note)
+    return GuidancePlan(weight=weight, max_degree=0, interval=(low, high), note=note)
 
 
-class Guided:
+class GuidedDenoiser:
     """A denoiser of both; counts its passes, of which a weight of 0 or 1 needs one a step.
 
     `together` gives (conditional, unconditional) in one go, for those whom two cost less so.
     """
 
     def __init__(
-        self, conditional: Denoise, unconditional: Denoise, plan: Plan, data_range: float,
-        together: Callable[[Any, float], tuple[Any, Any]] | None = None,
+        self, conditional: Denoiser, unconditional: Denoiser, plan: GuidancePlan, data_range: float,
+        denoise_both: Callable[[Any, float], tuple[Any, Any]] | None = None,
     ) -> None:  # fmt: skip
         self._conditional, self._unconditional, self._plan, self._range = conditional, unconditional, plan, data_range
-        self._together = together
+        self._together = denoise_both
         self.passes = 0
 
     def __call__(self, noisy: Any, sigma: float) -> Any:

@@ -26,7 +26,7 @@ class LatentUnet(nn.Module):
         inputs: int = 68,
         outputs: int = 4,
         width: int = 192,
-        times: tuple[int, ...] = (1, 2, 2, 4, 4),
+        channel_multipliers: tuple[int, ...] = (1, 2, 2, 4, 4),
         blocks: int = 2,
         attention: tuple[int, ...] = (1, 2, 4, 8),
         heads: int = 8,
@@ -38,23 +38,23 @@ class LatentUnet(nn.Module):
         made = _Maker(told, heads, groups)
         self.input_blocks = nn.ModuleList([_Steps(nn.Conv2d(inputs, width, 3, padding=1))])
         here, smaller, beside = width, 1, [width]
-        for level, factor in enumerate(times):
+        for level, factor in enumerate(channel_multipliers):
             for _ in range(blocks):
-                self.input_blocks.append(made.steps(here, factor * width, attends=smaller in attention))
+                self.input_blocks.append(made.make_steps(here, factor * width, attends=smaller in attention))
                 here = factor * width
                 beside.append(here)
-            if level < len(times) - 1:
-                self.input_blocks.append(_Steps(made.block(here, here, "halve")))
+            if level < len(channel_multipliers) - 1:
+                self.input_blocks.append(_Steps(made.make_block(here, here, "halve")))
                 beside.append(here)
                 smaller *= 2
-        self.middle_block = _Steps(made.block(here, here), made.attention(here), made.block(here, here))
+        self.middle_block = _Steps(made.make_block(here, here), made.make_attention(here), made.make_block(here, here))
         self.output_blocks = nn.ModuleList()
-        for level, factor in reversed(list(enumerate(times))):
+        for level, factor in reversed(list(enumerate(channel_multipliers))):
             for k in range(blocks + 1):
-                steps = made.steps(here + beside.pop(), factor * width, attends=smaller in attention)
+                steps = made.make_steps(here + beside.pop(), factor * width, attends=smaller in attention)
                 here = factor * width
                 if level and k == blocks:
-                    steps.append(made.block(here, here, "double"))
+                    steps.append(made.make_block(here, here, "double"))
                     smaller //= 2
                 self.output_blocks.append(steps)
         self.out = nn.Sequential(
@@ -63,7 +63,7 @@ class LatentUnet(nn.Module):
 
     def forward(self, noisy: Tensor, time: Tensor) -> Tensor:
         """The noise."""
-        told = self.time_embed(waves(time, self.width))
+        told = self.time_embed(embed_timesteps(time, self.width))
         field, beside = noisy, list[Tensor]()
         for steps in self.input_blocks:
             field = steps(field, told)
@@ -74,7 +74,7 @@ class LatentUnet(nn.Module):
         return self.out(field)
 
 
-def waves(time: Tensor, width: int) -> Tensor:
+def embed_timesteps(time: Tensor, width: int) -> Tensor:
     """(n, width): cosines, then sines, of a time (n,) at frequencies from 1 down to 1/10,000."""
     half = width // 2
     angle = time[:, None].float() * torch.exp(-math.log(10_000.0) * torch.arange(half, device=time.device) / half)
@@ -84,47 +84,47 @@ def waves(time: Tensor, width: int) -> Tensor:
 class _Maker:
     """Makes the parts, which all share these numbers."""
 
-    def __init__(self, told: int, heads: int, groups: int) -> None:
-        self._told, self._heads, self._groups = told, heads, groups
+    def __init__(self, embedding_width: int, heads: int, groups: int) -> None:
+        self._told, self._heads, self._groups = embedding_width, heads, groups
 
-    def block(self, inputs: int, outputs: int, sized: str = "") -> nn.Module:
+    def make_block(self, inputs: int, outputs: int, sized: str = "") -> nn.Module:
         return _Block(inputs, outputs, self._told, self._groups, sized)
 
-    def attention(self, width: int) -> nn.Module:
+    def make_attention(self, width: int) -> nn.Module:
         return _Attention(width, self._heads, self._groups)
 
-    def steps(self, inputs: int, outputs: int, *, attends: bool) -> _Steps:
-        return _Steps(self.block(inputs, outputs), *([self.attention(outputs)] if attends else []))
+    def make_steps(self, inputs: int, outputs: int, *, attends: bool) -> _Steps:
+        return _Steps(self.make_block(inputs, outputs), *([self.make_attention(outputs)] if attends else []))
 
 
 class _Steps(nn.Sequential):
     """Parts in a row; blocks are told the time."""
 
-    def forward(self, field: Tensor, told: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def forward(self, field: Tensor, embedding: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
         """One part after the other."""
         for part in self:
-            field = part(field, told) if isinstance(part, _Block) else part(field)
+            field = part(field, embedding) if isinstance(part, _Block) else part(field)
         return field
 
 
 class _Block(nn.Module):
-    def __init__(self, inputs: int, outputs: int, told: int, groups: int, sized: str) -> None:
+    def __init__(self, inputs: int, outputs: int, embedding_width: int, groups: int, sized: str) -> None:
         super().__init__()
         self.in_layers = nn.Sequential(
             nn.GroupNorm(groups, inputs), nn.SiLU(), nn.Conv2d(inputs, outputs, 3, padding=1)
         )
-        self.emb_layers = nn.Sequential(nn.SiLU(), nn.Linear(told, 2 * outputs))
+        self.emb_layers = nn.Sequential(nn.SiLU(), nn.Linear(embedding_width, 2 * outputs))
         self.out_layers = nn.Sequential(
             nn.GroupNorm(groups, outputs), nn.SiLU(), nn.Identity(), _silent(nn.Conv2d(outputs, outputs, 3, padding=1))
         )
         self.skip_connection: nn.Module = nn.Identity() if inputs == outputs else nn.Conv2d(inputs, outputs, 1)
         self._sized = sized
 
-    def forward(self, field: Tensor, told: Tensor) -> Tensor:
+    def forward(self, field: Tensor, embedding: Tensor) -> Tensor:
         """What is added to the field, at its new size."""
         inner, field = self._resized(self.in_layers[:-1](field)), self._resized(field)
         inner = self.in_layers[-1](inner)
-        scale, shift = self.emb_layers(told)[:, :, None, None].chunk(2, dim=1)
+        scale, shift = self.emb_layers(embedding)[:, :, None, None].chunk(2, dim=1)
         inner = self.out_layers[1:](self.out_layers[0](inner) * (1 + scale) + shift)
         return self.skip_connection(field) + inner
 

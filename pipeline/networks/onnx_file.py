@@ -26,7 +26,7 @@ class OnnxFile:
         self._nodes: list[bytes] = []
         self._constants: list[bytes] = []
 
-    def constant(self, numbers: NDArray[np.float32] | NDArray[np.int64]) -> str:
+    def add_constant(self, numbers: NDArray[np.float32] | NDArray[np.int64]) -> str:
         """Numbers that were learned, or sizes."""
         name = f"constant {len(self._constants)}"
         kind = _FLOAT if numbers.dtype == np.float32 else _LONG
@@ -35,7 +35,7 @@ class OnnxFile:
         self._constants.append(shape + _number(2, kind) + _field(8, name) + _field(9, content))
         return name
 
-    def node(self, operator: str, inputs: Sequence[str], **how: int | str | list[int]) -> str:
+    def add_node(self, operator: str, inputs: Sequence[str], **how: int | str | list[int]) -> str:
         """The name of what an operator makes of its inputs; one that is not given is ""."""
         output = f"value {len(self._nodes)}"
         ends = b"".join(_field(1, name) for name in inputs) + _field(2, output)
@@ -43,7 +43,7 @@ class OnnxFile:
         self._nodes.append(ends + _field(3, output) + _field(4, operator) + told)
         return output
 
-    def content(self, shape: tuple[int, ...], output: str, output_shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    def serialise(self, shape: tuple[int, ...], output: str, output_shape: tuple[int, ...]) -> NDArray[np.uint8]:
         """The whole file for a picture of that shape (1, channels, rows, cols) in, and `output` out."""
         graph = b"".join(_field(1, node) for node in self._nodes) + _field(2, "network")
         graph += b"".join(_field(5, constant) for constant in self._constants)

@@ -21,9 +21,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-Prediction = Literal["clean", "v", "noise"]
-STATES = 2  # channels that are denoised: indentation and contact
-REACH = 8.0  # units: no clean field goes beyond
+PredictionTarget = Literal["clean", "v", "noise"]
+FIELD_CHANNELS = 2  # channels that are denoised: indentation and contact
+FIELD_LIMIT = 8.0  # units: no clean field goes beyond
 _WAVES = 16
 _HEARD = 64
 
@@ -32,25 +32,25 @@ class ResidualDenoiser(nn.Module):
     """(clean field, log of its expected error) (n, STATES + 1, rows, cols), from a noisy field and its condition."""
 
     def __init__(
-        self, *, inputs: int, unit_mm: float, first: int = 32, levels: int = 4, widest: int = 112, fold: int = 2,
-        most: float = 200.0, least: float = 0.02, prediction: Prediction = "clean", smooth: float = 0.0,
-        doubt: float = 1.0, doubt_beyond: float = 1.0, doubt_power: float = 1.0, blur_px: float = 0.0,
-        reach_px: float = 0.0,
+        self, *, inputs: int, unit_mm: float, base_channels: int = 32, levels: int = 4, max_channels: int = 112, fold: int = 2,
+        sigma_max: float = 200.0, sigma_min: float = 0.02, prediction: PredictionTarget = "clean", noise_correlation: float = 0.0,
+        error_factor_in_view: float = 1.0, error_factor_outside: float = 1.0, error_exponent: float = 1.0, blur_px: float = 0.0,
+        contact_margin_px: float = 0.0,
     ) -> None:  # fmt: skip
         super().__init__()
         if prediction not in ("clean", "v", "noise"):
             raise ValueError(f"prediction must be clean, v or noise, got {prediction!r}")
-        self.unit_mm, self.most, self.least, self.prediction = unit_mm, most, least, prediction
-        self.inputs, self.fold, self.reach, self.smooth = inputs, fold, REACH, smooth
-        self.doubts, self.doubt_power = (doubt, doubt_beyond), doubt_power
-        self.blur_px, self.reach_px = blur_px, reach_px
-        widths = [min(first * 2**level, widest) for level in range(levels)]
+        self.unit_mm, self.most, self.least, self.prediction = unit_mm, sigma_max, sigma_min, prediction
+        self.inputs, self.fold, self.reach, self.smooth = inputs, fold, FIELD_LIMIT, noise_correlation
+        self.doubts, self.doubt_power = (error_factor_in_view, error_factor_outside), error_exponent
+        self.blur_px, self.reach_px = blur_px, contact_margin_px
+        widths = [min(base_channels * 2**level, max_channels) for level in range(levels)]
         self.hears = nn.Sequential(nn.Linear(2 * _WAVES, _HEARD), nn.SiLU(), nn.Linear(_HEARD, _HEARD), nn.SiLU())
-        self.start = _Block((inputs + STATES) * fold * fold, widths[0])
+        self.start = _Block((inputs + FIELD_CHANNELS) * fold * fold, widths[0])
         self.down = nn.ModuleList(_Pair(narrow, wide) for narrow, wide in pairwise(widths))
         self.thin = nn.ModuleList(nn.Conv2d(wide, narrow, 1) for narrow, wide in pairwise(widths))
         self.merge = nn.ModuleList(_Block(width, width) for width in widths[:-1])
-        self.finish = nn.Conv2d(widths[0], (STATES + 1) * fold * fold, 3, padding=1)
+        self.finish = nn.Conv2d(widths[0], (FIELD_CHANNELS + 1) * fold * fold, 3, padding=1)
         nn.init.zeros_(self.finish.weight)  # it begins by adding nothing
         nn.init.zeros_(cast("Tensor", self.finish.bias))
 
@@ -59,12 +59,12 @@ class ResidualDenoiser(nn.Module):
         level = sigma.reshape(-1, 1, 1, 1)
         seen = torch.where(level < self.most, noisy / torch.sqrt(1.0 + level**2), torch.zeros_like(noisy))
         answer = self._network(torch.cat([seen, condition], 1), self.hears(_waves(sigma))).float()
-        said = answer[:, :STATES]
+        said = answer[:, :FIELD_CHANNELS]
         if self.prediction == "noise":
             said = noisy - level * said
         elif self.prediction == "v":
             said = seen / torch.sqrt(1.0 + level**2) - level / torch.sqrt(1.0 + level**2) * said
-        return torch.cat([said.clamp(-REACH, REACH), answer[:, STATES:]], 1)
+        return torch.cat([said.clamp(-FIELD_LIMIT, FIELD_LIMIT), answer[:, FIELD_CHANNELS:]], 1)
 
     def _network(self, picture: Tensor, heard: Tensor) -> Tensor:
         rows, cols = picture.shape[-2:]

@@ -31,14 +31,14 @@ from pipeline.base.errors import SettingProblem
 from pipeline.base.progress import SILENT, Progress
 
 Solver = Literal["ddim", "dpmpp_2m", "corrected"]
-Denoise = Callable[[Any, float], Any]  # (noisy, sigma) -> the clean array that is expected
+Denoiser = Callable[[Any, float], Any]  # (noisy, sigma) -> the clean array that is expected
 
-MOST_STEPS = 1000
+MAX_STEPS = 1000
 _FEW, _SOME = 12, 24  # steps from which a degree more pays, `benchmarks/sampling.py`
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Step:
+class SamplerStep:
     """What a step began with and what it expected, for looking at."""
 
     sigma: float
@@ -47,28 +47,30 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Sampled:
+class SamplerResult:
     """A sample and how it was come by."""
 
     clean: Any
     passes: int  # calls of the denoiser
-    steps: tuple[Step, ...] = ()  # kept on request
+    steps: tuple[SamplerStep, ...] = ()  # kept on request
 
 
-def sigmas(steps: int, *, most: float, least: float, bend: float = 7.0) -> Doubles:
+def make_sigma_schedule(steps: int, *, sigma_max: float, sigma_min: float, rho: float = 7.0) -> Doubles:
     """(steps + 1,) from `most` down to `least`, then 0, evenly spaced in sigma^(1/bend) (Karras et al. 2022, eq. 5).
 
     One step goes from `most` straight to 0. Raises SettingProblem for fewer than one or more than `MOST_STEPS` steps.
     """
     _check_steps(steps)
-    if not 0.0 < least < most < math.inf:
-        raise SettingProblem(f"noise must fall from a larger to a smaller positive level, got {most:g} to {least:g}")
+    if not 0.0 < sigma_min < sigma_max < math.inf:
+        raise SettingProblem(
+            f"noise must fall from a larger to a smaller positive level, got {sigma_max:g} to {sigma_min:g}"
+        )
     share = np.arange(steps) / max(1, steps - 1)
-    ends = most ** (1 / bend), least ** (1 / bend)
-    return np.append((ends[0] + share * (ends[1] - ends[0])) ** bend, 0.0)
+    ends = sigma_max ** (1 / rho), sigma_min ** (1 / rho)
+    return np.append((ends[0] + share * (ends[1] - ends[0])) ** rho, 0.0)
 
 
-def sigmas_of_times(steps: int, cumulative: Doubles) -> tuple[Doubles, tuple[int, ...]]:
+def make_timestep_schedule(steps: int, alphas_cumprod: Doubles) -> tuple[Doubles, tuple[int, ...]]:
     """As `sigmas`, of a network trained at whole times: (steps + 1,) levels, and the times they belong to, falling.
 
     `cumulative` (times,) is the share a of the signal's power that is left, usually called alpha bar:
@@ -76,10 +78,10 @@ def sigmas_of_times(steps: int, cumulative: Doubles) -> tuple[Doubles, tuple[int
     there are times are as many as there are times.
     """
     _check_steps(steps)
-    count = len(cumulative)
+    count = len(alphas_cumprod)
     wanted = min(steps, count)
     times = np.rint(count * (1.0 - np.arange(wanted) / wanted)).astype(int) - 1
-    kept = cumulative[times]
+    kept = alphas_cumprod[times]
     if not ((kept > 0) & (kept < 1)).all():
         raise SettingProblem(
             "the signal's share must lie between 0 and 1 at every time: at 0 nothing is left to denoise"
@@ -88,24 +90,24 @@ def sigmas_of_times(steps: int, cumulative: Doubles) -> tuple[Doubles, tuple[int
 
 
 def sample(
-    denoise: Denoise,
+    denoise: Denoiser,
     noise: Any,
     levels: Sequence[float] | Doubles,
     *,
     solver: Solver = "corrected",
-    most_degree: int = 2,
-    keep: bool = False,
+    max_degree: int = 2,
+    keep_steps: bool = False,
     progress: Progress = SILENT,
-) -> Sampled:
+) -> SamplerResult:
     """The sample that grows from `noise` (standard normal, any shape) along falling noise `levels`, the last of them 0.
 
     `most_degree` holds the polynomial down, 0 = a constant (see `guidance.plan`). Cancelled between any two passes.
     """
     steps = len(levels) - 1
-    predicts, corrects = (min(degree, most_degree) for degree in _degrees(solver, steps))
+    predicts, corrects = (min(degree, max_degree) for degree in _degrees(solver, steps))
     x = start = noise * float(levels[0])
     seen: list[tuple[float, Any]] = []
-    kept: list[Step] = []
+    kept: list[SamplerStep] = []
     for index in range(steps):
         sigma = float(levels[index])
         progress.step(index / steps, f"step {index + 1} of {steps}")
@@ -115,14 +117,14 @@ def sample(
             before = seen[-1][0]
             x = _advanced(start, (*seen[-corrects:], (here, clean)), before, here - before)
         seen = [*seen[-2:], (here, clean)]
-        if keep:
-            kept.append(Step(sigma=sigma, noisy=x, clean=clean))
+        if keep_steps:
+            kept.append(SamplerStep(sigma=sigma, noisy=x, clean=clean))
         if levels[index + 1] <= 0.0:
             break
         start = x
         x = _advanced(start, seen[-1 - predicts :], here, -math.log(float(levels[index + 1])) - here)
     progress.step(1.0, "sampled")
-    return Sampled(clean=seen[-1][1], passes=steps, steps=tuple(kept))
+    return SamplerResult(clean=seen[-1][1], passes=steps, steps=tuple(kept))
 
 
 def _degrees(solver: Solver, steps: int) -> tuple[int, int]:
@@ -165,5 +167,5 @@ def _gauss() -> tuple[Doubles, Doubles]:
 
 
 def _check_steps(steps: int) -> None:
-    if not 1 <= steps <= MOST_STEPS:
-        raise SettingProblem(f"the number of denoising steps must lie between 1 and {MOST_STEPS}, got {steps}")
+    if not 1 <= steps <= MAX_STEPS:
+        raise SettingProblem(f"the number of denoising steps must lie between 1 and {MAX_STEPS}, got {steps}")

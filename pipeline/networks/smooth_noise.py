@@ -17,15 +17,15 @@ from torch import Tensor
 _POWER = 1.5  # of an exponential covariance in the plane: fields with edges
 
 
-def smoothed(white: Tensor, length: float) -> Tensor:
+def correlate_noise(white: Tensor, correlation_length: float) -> Tensor:
     """Of standard normal numbers (..., rows, cols): as many whose neighbours are alike, each standard normal still.
 
     Their correlation falls as exp(-distance / (length * rows)), around the picture's edges; 0 leaves them as they are.
     """
-    if length <= 0.0:
+    if correlation_length <= 0.0:
         return white
     rows, cols = white.shape[-2:]
-    amplitude = _amplitude(rows, cols, length).to(white.device)
+    amplitude = _amplitude(rows, cols, correlation_length).to(white.device)
     return torch.fft.irfft2(torch.fft.rfft2(white) * amplitude, s=(rows, cols))
 
 

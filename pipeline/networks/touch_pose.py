@@ -13,17 +13,17 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from pipeline.networks.squares import SIDE
+from pipeline.networks.square_images import SIDE
 
-UNIT_MM = 5.0  # of the shift: half of the square that objects are held over
+TRANSLATION_UNIT_MM = 5.0  # of the shift: half of the square that objects are held over
 
 
-class Told(NamedTuple):
+class PosePrediction(NamedTuple):
     """What it says of each touch."""
 
-    shift_mm: Tensor  # (n, 2) of the object's origin, along x and y of the alignment frame
+    translation_mm: Tensor  # (n, 2) of the object's origin, along x and y of the alignment frame
     headings: Tensor  # (n, folds, 2) cosine and sine of 1, 2, .. times its turn about z, not of unit length
-    thing: Tensor  # (n, things) logits
+    object_logits: Tensor  # (n, things) logits
 
 
 class TouchPose(nn.Module):
@@ -34,11 +34,11 @@ class TouchPose(nn.Module):
     """
 
     def __init__(
-        self, *, inputs: int, things: int, first: int = 24, widest: int = 128, levels: int = 4, seen: int = 32,
-        folds: int = 1, think: int = 0,
+        self, *, inputs: int, n_objects: int, base_channels: int = 24, max_channels: int = 128, levels: int = 4, embedding_size: int = 32,
+        n_folds: int = 1, hidden_size: int = 0,
     ) -> None:  # fmt: skip
         super().__init__()
-        widths = [inputs, *(min(first * 2**k, widest) for k in range(levels))]
+        widths = [inputs, *(min(base_channels * 2**k, max_channels) for k in range(levels))]
         self.body = nn.Sequential(*(
             layer
             for narrow, wide in pairwise(widths)
@@ -51,27 +51,27 @@ class TouchPose(nn.Module):
         # Where in the picture things lie is all that matters: nothing is pooled.
         self.thin = nn.Conv2d(widths[-1], 32, 1)
         self.gather = nn.Linear(32 * side * side, 128)
-        self.look = nn.Linear(128, seen)
-        self.name, self.things, self.folds = nn.Linear(seen, things), things, folds
-        self.think = nn.Linear(128 + seen + things, think) if think else None
-        self.pose = nn.Linear(think or 128 + seen, 2 + 2 * folds)
+        self.look = nn.Linear(128, embedding_size)
+        self.name, self.things, self.folds = nn.Linear(embedding_size, n_objects), n_objects, n_folds
+        self.think = nn.Linear(128 + embedding_size + n_objects, hidden_size) if hidden_size else None
+        self.pose = nn.Linear(hidden_size or 128 + embedding_size, 2 + 2 * n_folds)
 
-    def features(self, squares: Tensor) -> Tensor:
+    def compute_embedding(self, squares: Tensor) -> Tensor:
         """(n, seen) what the encoder sees."""
         return self._looked(squares)[1]
 
-    def forward(self, squares: Tensor, known: Tensor | None = None) -> Told:
+    def forward(self, squares: Tensor, known_object: Tensor | None = None) -> PosePrediction:
         """Shift, headings and name of what touches; `known` (n, things) has a 1 for what it is known to be."""
         gathered, seen = self._looked(squares)
         seen = torch.relu(seen)
         name = self.name(seen)
         told = torch.cat([gathered, seen], dim=1)
         if self.think is not None:
-            said = torch.zeros_like(name) if known is None else known.to(name.dtype)
+            said = torch.zeros_like(name) if known_object is None else known_object.to(name.dtype)
             told = torch.relu(self.think(torch.cat([told, said], dim=1)))
         pose = self.pose(told)
         headings = pose[:, 2:].reshape(len(pose), self.folds, 2)
-        return Told(shift_mm=UNIT_MM * pose[:, :2], headings=headings, thing=name)
+        return PosePrediction(translation_mm=TRANSLATION_UNIT_MM * pose[:, :2], headings=headings, object_logits=name)
 
     def _looked(self, squares: Tensor) -> tuple[Tensor, Tensor]:
         thin = torch.relu(self.thin(self.body(squares)))

@@ -17,16 +17,16 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from pipeline.networks.squares import SIDE
+from pipeline.networks.square_images import SIDE
 
 _SPREAD = 1.0  # a codebook as wide as this is no new one
 _MANY = 8  # places for each entry, of which one that is used should have some
 
 
-class Translated(NamedTuple):
+class VqVaeOutput(NamedTuple):
     """What comes out, and what the codebook is taught by."""
 
-    made: Tensor  # (n, outputs, side, side)
+    generated: Tensor  # (n, outputs, side, side)
     encoded: Tensor  # (n, width, side / 4, side / 4) what the encoder says
     quantised: Tensor  # the same as codes
 
@@ -42,37 +42,40 @@ class VqVae(nn.Module):
 
     def __init__(
         self, *, inputs: int = 3, outputs: int = 1, width: int = 256, codes: int = 16_385, half_turn: bool = False,
-        laid: bool = False, reach: int = 1, placed: bool = False,
+        reprojects_input: bool = False, dilation: int = 1, has_position_bias: bool = False,
     ) -> None:  # fmt: skip
         super().__init__()
-        self.inputs, self.outputs, self.half_turn, self.laid = inputs, outputs, bool(half_turn), bool(laid)
+        self.inputs, self.outputs, self.half_turn, self.laid = inputs, outputs, bool(half_turn), bool(reprojects_input)
         self.encoder = nn.Sequential(
             nn.Conv2d(inputs, width, 4, 2, 1), nn.ReLU(inplace=True), nn.Conv2d(width, width, 4, 2, 1),
-            Residual(width), Residual(width, reach),
+            ResidualBlock(width), ResidualBlock(width, dilation),
         )  # fmt: skip
         self.codebook = Codebook(codes, width)
         self.decoder = nn.Sequential(
-            Residual(width, reach), Residual(width), nn.ReLU(inplace=True), nn.ConvTranspose2d(width, width, 4, 2, 1),
+            ResidualBlock(width, dilation), ResidualBlock(width), nn.ReLU(inplace=True), nn.ConvTranspose2d(width, width, 4, 2, 1),
             nn.ReLU(inplace=True), nn.ConvTranspose2d(width, outputs, 4, 2, 1),
         )  # fmt: skip
-        self.place = nn.Parameter(torch.zeros(1, width, SIDE // 4, SIDE // 4)) if placed else None
+        self.place = nn.Parameter(torch.zeros(1, width, SIDE // 4, SIDE // 4)) if has_position_bias else None
 
-    def forward(self, squares: Tensor) -> Translated:
+    def forward(self, squares: Tensor) -> VqVaeOutput:
         """Gradients pass the codebook as if it were not there."""
         encoded = self.encoder(squares)
         quantised = self.codebook(encoded)
         seen = encoded + (quantised - encoded).detach()
         made = self.decoder(seen if self.place is None else seen + self.place)
-        return Translated(made=made, encoded=encoded, quantised=quantised)
+        return VqVaeOutput(generated=made, encoded=encoded, quantised=quantised)
 
 
-class Residual(nn.Module):
+class ResidualBlock(nn.Module):
     """A residual block that adds to what its first activation leaves, as the released one does by working in place."""
 
-    def __init__(self, width: int, reach: int = 1) -> None:
+    def __init__(self, width: int, dilation: int = 1) -> None:
         super().__init__()
         self.block = nn.Sequential(
-            nn.ReLU(), nn.Conv2d(width, width, 3, 1, reach, reach), nn.ReLU(inplace=True), nn.Conv2d(width, width, 1)
+            nn.ReLU(),
+            nn.Conv2d(width, width, 3, 1, dilation, dilation),
+            nn.ReLU(inplace=True),
+            nn.Conv2d(width, width, 1),
         )
 
     def forward(self, field: Tensor) -> Tensor:
@@ -98,14 +101,14 @@ class Codebook(nn.Module):
         flat = places.reshape(-1, places.shape[-1])
         if self.training and self._is_new():
             self._begin(flat)
-        index = self.nearest(flat)
+        index = self.assign_codes(flat)
         if self.training and len(flat) >= _MANY * self.embedding.num_embeddings:
             self._begin_unused(flat, index)
         with torch.autocast(encoded.device.type, enabled=False):
             found = self.embedding(index).reshape(places.shape)
         return found.permute(0, 3, 1, 2)
 
-    def nearest(self, places: Tensor) -> Tensor:
+    def assign_codes(self, places: Tensor) -> Tensor:
         """Which entry (n,) lies nearest to each row of (n, width)."""
         entries = self.embedding.weight.detach()
         with torch.autocast(places.device.type, enabled=False):

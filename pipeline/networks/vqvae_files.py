@@ -7,16 +7,16 @@ from pathlib import Path
 from pipeline.base.errors import FileProblem
 from pipeline.base.params import Value
 from pipeline.networks.tensor_files import read_tensors
-from pipeline.networks.weights import SUFFIX, Weights, is_ours, load, load_tensors
+from pipeline.networks.weights import SUFFIX, Weights, is_tactoscope_file, load_tensors, load_weights
 
 KIND = TASK = "vqvae"
 _FIRST, _LAST, _CODES = "encoder.0.weight", "decoder.5.weight", "codebook.embedding.weight"
 
 
-def read(path: Path) -> Weights:
+def read_weights(path: Path) -> Weights:
     """Ours, or a state of the released `VQ-VAE-small`; raises FileProblem where it is neither."""
-    if path.suffix == SUFFIX and is_ours(load_tensors(path)[0]):
-        return load(path)
+    if path.suffix == SUFFIX and is_tactoscope_file(load_tensors(path)[0]):
+        return load_weights(path)
     tensors = {name.removeprefix("module."): tensor for name, tensor in read_tensors(path).items()}
     if not {_FIRST, _LAST, _CODES} <= tensors.keys():
         raise FileProblem(

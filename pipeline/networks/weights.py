@@ -18,7 +18,7 @@ from pipeline.base.arrays import Floats, freeze
 from pipeline.base.errors import FileProblem
 from pipeline.base.files import read_bytes, whole_file, write_text
 from pipeline.base.params import Value
-from pipeline.engine.digests import UNDIGESTED, digest
+from pipeline.engine.digests import UNDIGESTED, compute_digest
 
 SUFFIX = ".safetensors"
 _WHAT = "the weights"
@@ -33,20 +33,20 @@ class Weights:
     """All that makes a network: which one, with what arguments, and the numbers learned."""
 
     name: str  # for people: that of the file
-    kind: str  # of `pipeline.networks.building.KINDS`
+    kind: str  # of `pipeline.networks.network_factory.KINDS`
     config: Mapping[str, Value] = field(metadata=UNDIGESTED)  # arguments of the network's class
     tensors: Mapping[str, Floats] = field(metadata=UNDIGESTED)  # by their names in the network
     card: Mapping[str, str] = field(default_factory=dict, metadata=UNDIGESTED)  # how they came about, in words
-    content: str = field(init=False)  # digest of kind, config and tensors: all that a result depends on
+    content_digest: str = field(init=False)  # digest of kind, config and tensors: all that a result depends on
 
     def __post_init__(self) -> None:
         """Freeze the tensors and work out their digest, once."""
         for tensor in self.tensors.values():
             freeze(tensor)
-        object.__setattr__(self, "content", digest((self.kind, dict(self.config), dict(self.tensors))))
+        object.__setattr__(self, "content", compute_digest((self.kind, dict(self.config), dict(self.tensors))))
 
     @property
-    def n_numbers(self) -> int:
+    def n_parameters(self) -> int:
         """How many numbers were learned."""
         return sum(tensor.size for tensor in self.tensors.values())
 
@@ -58,10 +58,10 @@ class NoWeights:
     why: str  # one sentence
 
 
-def load(path: Path) -> Weights:
+def load_weights(path: Path) -> Weights:
     """The weights in a file of ours, all as float32; raises FileProblem for what is missing, damaged or foreign."""
     metadata, tensors = load_tensors(path)
-    if not is_ours(metadata):
+    if not is_tactoscope_file(metadata):
         raise FileProblem("these weights do not say which network they are for; give a file that Tactoscope made", path)
     try:
         config, card = (cast("dict[str, Any]", json.loads(metadata[key])) for key in ("config", "card"))
@@ -75,7 +75,7 @@ def load(path: Path) -> Weights:
     return Weights(name=path.stem, kind=kind, config=config, tensors=tensors, card=told)
 
 
-def is_ours(metadata: Mapping[str, str]) -> bool:
+def is_tactoscope_file(metadata: Mapping[str, str]) -> bool:
     """Whether the header of a safetensors file says that it was written here."""
     return metadata.get(_MARK) == _VERSION
 
@@ -105,15 +105,17 @@ def load_tensors(path: Path) -> tuple[dict[str, str], dict[str, Floats]]:
     return {str(k): str(v) for k, v in cast("dict[str, Any]", metadata or {}).items()}, tensors
 
 
-def save(path: Path, weights: Weights, *, half: bool = False) -> None:
+def save_weights(path: Path, weights: Weights, *, use_float16: bool = False) -> None:
     """Write weights and, beside them, their card as Markdown; `half` keeps them in 16 bits. Raises FileProblem."""
     from safetensors.numpy import save as to_bytes
 
     with np.errstate(over="ignore"):  # what is too large for 16 bits is told below
-        kind = np.float16 if half else np.float32
+        kind = np.float16 if use_float16 else np.float32
         stored = {name: np.asarray(tensor, kind, order="C") for name, tensor in weights.tensors.items()}
     if not all(np.isfinite(tensor).all() for tensor in stored.values()):
-        raise FileProblem(f"{_WHAT} hold values that no {16 if half else 32} bits can keep; nothing is written", path)
+        raise FileProblem(
+            f"{_WHAT} hold values that no {16 if use_float16 else 32} bits can keep; nothing is written", path
+        )
     header = {
         _MARK: _VERSION, "kind": weights.kind,
         "config": json.dumps(dict(weights.config)), "card": json.dumps(dict(weights.card)),
@@ -126,7 +128,7 @@ def save(path: Path, weights: Weights, *, half: bool = False) -> None:
 def _card(name: str, weights: Weights) -> str:
     """What a person wants to know of them before using them."""
     settings = ", ".join(f"{key} {value}" for key, value in weights.config.items())
-    rows = {"network": f"{weights.kind} ({settings})", "numbers": f"{weights.n_numbers:,}", **weights.card}
+    rows = {"network": f"{weights.kind} ({settings})", "numbers": f"{weights.n_parameters:,}", **weights.card}
     return f"# {name}\n\n" + "".join(f"- {key}: {value}\n" for key, value in rows.items())
 
 

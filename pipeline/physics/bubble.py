@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Mask, freeze
 from pipeline.base.errors import SettingProblem, ShapeError
-from pipeline.base.memo import remembered
+from pipeline.base.memo import memoise
 from pipeline.physics import multigrid
 from pipeline.physics.lattice import Lattice
 from pipeline.sensors.parts import Bubble
@@ -35,27 +35,27 @@ class BubbleContact:
     """The pressed bubble on its lattice."""
 
     deviation_mm: Doubles  # (ny, nx) w minus the rest dome: negative where pushed toward the camera, positive bulges
-    force_kpa: Doubles  # (ny, nx) lambda: what the object presses with
+    contact_pressure_kpa: Doubles  # (ny, nx) lambda: what the object presses with
     contact: Mask  # (ny, nx) lambda > 0
     pressure_kpa: float  # gauge, inside
     force_n: float
     converged: bool
 
 
-@remembered(8)
-def lattice(bubble: Bubble, step_mm: float = STEP_MM) -> Lattice:
+@memoise(8)
+def make_lattice(bubble: Bubble, step_mm: float = STEP_MM) -> Lattice:
     """The lattice centred on the optical axis that holds the whole rim; halved again and again it stays a lattice."""
-    halves = 2**multigrid.HALVINGS
+    halves = 2**multigrid.N_HALVINGS
     ny, nx = (halves * math.ceil(2 * a / (step_mm * halves)) + 1 for a in (bubble.half_height_mm, bubble.half_width_mm))
     return Lattice(x0_mm=-0.5 * (nx - 1) * step_mm, y0_mm=-0.5 * (ny - 1) * step_mm, step_mm=step_mm, shape=(ny, nx))
 
 
-def rest_height_mm(bubble: Bubble, on: Lattice) -> Doubles:
+def compute_rest_height_mm(bubble: Bubble, on: Lattice) -> Doubles:
     """Height (ny, nx) of the untouched dome over the rim plane."""
     return bubble.height_mm * np.maximum(_dome(bubble, on), 0.0)
 
 
-def free_nodes(bubble: Bubble, on: Lattice) -> Mask:
+def find_free_nodes(bubble: Bubble, on: Lattice) -> Mask:
     """Nodes (ny, nx) that the rim lets move.
 
     Clamped are the first nodes outside; were the rim not drawn in by their mean distance, the membrane would be wider
@@ -65,7 +65,7 @@ def free_nodes(bubble: Bubble, on: Lattice) -> Mask:
     return freeze((on.x_mm()[None, :] / width) ** 2 + (on.y_mm()[:, None] / height) ** 2 < 1)
 
 
-def tension_n_per_mm(bubble: Bubble) -> float:
+def compute_tension_n_per_mm(bubble: Bubble) -> float:
     """The pre-stretch T that makes the stated pressure raise the stated dome."""
     curvature = 2.0 * bubble.height_mm * (bubble.half_width_mm**-2 + bubble.half_height_mm**-2)
     if not (curvature > 0 and bubble.pressure_kpa > 0):
@@ -73,7 +73,7 @@ def tension_n_per_mm(bubble: Bubble) -> float:
     return bubble.pressure_kpa * _KPA_TO_N_MM2 / curvature
 
 
-def press(
+def press_bubble(
     bubble: Bubble, ceiling_mm: NDArray[np.floating], on: Lattice, *, tolerance_mm: float = TOLERANCE_MM
 ) -> BubbleContact:
     """The bubble under an object whose surface is `ceiling_mm` (ny, nx) over the rim plane; not finite = no object.
@@ -82,20 +82,20 @@ def press(
     """
     if ceiling_mm.shape != on.shape:
         raise ShapeError(f"the ceiling must have the shape {on.shape} of the lattice, got {ceiling_mm.shape}")
-    free = free_nodes(bubble, on)
-    room = np.where(np.isfinite(ceiling_mm), ceiling_mm - rest_height_mm(bubble, on), np.inf)
-    grid = multigrid.Grid(room_mm=room, free=free, step_mm=on.step_mm)
-    tension = tension_n_per_mm(bubble) / _KPA_TO_N_MM2  # kPa mm, so that load = pressure / tension is 1 / mm
+    free = find_free_nodes(bubble, on)
+    room = np.where(np.isfinite(ceiling_mm), ceiling_mm - compute_rest_height_mm(bubble, on), np.inf)
+    grid = multigrid.ObstacleProblem(clearance_mm=room, free=free, step_mm=on.step_mm)
+    tension = compute_tension_n_per_mm(bubble) / _KPA_TO_N_MM2  # kPa mm, so that load = pressure / tension is 1 / mm
     v, over_kpa, settled = np.zeros(on.shape), 0.0, True
     if (room < 0).any():
-        half = grid.halved()  # finds the pressure at a quarter of the price
+        half = grid.coarsen()  # finds the pressure at a quarter of the price
         rough = _sealed(bubble, half, tension, tolerance_mm, _Sealed(v=np.zeros(half.free.shape)))
-        answer = _sealed(bubble, grid, tension, tolerance_mm, replace(rough, v=multigrid.finer(rough.v)))
+        answer = _sealed(bubble, grid, tension, tolerance_mm, replace(rough, v=multigrid.refine(rough.v)))
         v, over_kpa, settled = answer.v, answer.over_kpa, answer.converged
-    force = multigrid.held(grid, v, over_kpa / tension) * tension
+    force = multigrid.compute_contact_load(grid, v, over_kpa / tension) * tension
     return BubbleContact(
         deviation_mm=freeze(v),
-        force_kpa=freeze(force),
+        contact_pressure_kpa=freeze(force),
         contact=freeze(force > 0),
         pressure_kpa=bubble.pressure_kpa + over_kpa,
         force_n=float(force.sum()) * on.step_mm**2 * _KPA_TO_N_MM2,
@@ -103,7 +103,7 @@ def press(
     )
 
 
-def volume_mm3(bubble: Bubble) -> float:
+def compute_volume_mm3(bubble: Bubble) -> float:
     """Air between the rim plane and the untouched dome."""
     return 0.5 * math.pi * bubble.half_width_mm * bubble.half_height_mm * bubble.height_mm
 
@@ -116,13 +116,15 @@ class _Sealed:
     converged: bool = True
 
 
-def _sealed(bubble: Bubble, grid: multigrid.Grid, tension: float, tolerance_mm: float, start: _Sealed) -> _Sealed:
+def _sealed(
+    bubble: Bubble, grid: multigrid.ObstacleProblem, tension: float, tolerance_mm: float, start: _Sealed
+) -> _Sealed:
     """The shape and pressure at which Boyle's law holds: secant on the pressure, shapes warm-started."""
-    air = bubble.dead_volume_mm3 + volume_mm3(bubble)
+    air = bubble.dead_volume_mm3 + compute_volume_mm3(bubble)
     absolute = ATMOSPHERE_KPA + bubble.pressure_kpa
     v, settled = start.v, True
 
-    def missing(over_kpa: float) -> float:
+    def compute_missing_pressure(over_kpa: float) -> float:
         """How much higher the pressure has to be for the air that this shape leaves."""
         nonlocal v, settled
         v, settled = multigrid.solve(grid, v, over_kpa / tension, tolerance_mm)
@@ -130,21 +132,21 @@ def _sealed(bubble: Bubble, grid: multigrid.Grid, tension: float, tolerance_mm: 
         return absolute * air / left - absolute - over_kpa
 
     # Blowing the whole membrane up by dp lifts it by V / p; the contact holds part of it back.
-    steepest = -1.0 - absolute / air * volume_mm3(bubble) / bubble.pressure_kpa
+    steepest = -1.0 - absolute / air * compute_volume_mm3(bubble) / bubble.pressure_kpa
     slope = start.slope if math.isfinite(start.slope) else steepest
-    over, short = start.over_kpa, missing(start.over_kpa)
+    over, short = start.over_kpa, compute_missing_pressure(start.over_kpa)
     for _ in range(_MAX_PRESSURES):
         new = min(max(over - short / slope, 0.0), 8.0 * over + bubble.pressure_kpa)
         if abs(new - over) <= _PRESSURE_TOLERANCE * (bubble.pressure_kpa + over):
             return _Sealed(v=v, over_kpa=over, slope=slope, converged=settled)
-        new_short = missing(new)
+        new_short = compute_missing_pressure(new)
         secant = (new_short - short) / (new - over)
         slope = secant if secant < -1.0 else -1.0  # a higher pressure always leaves more air
         over, short = new, new_short
     return _Sealed(v=v, over_kpa=over, slope=slope, converged=False)
 
 
-@remembered(8)
+@memoise(8)
 def _dome(bubble: Bubble, on: Lattice) -> Doubles:
     return freeze(
         1.0 - (on.x_mm()[None, :] / bubble.half_width_mm) ** 2 - (on.y_mm()[:, None] / bubble.half_height_mm) ** 2

@@ -13,7 +13,7 @@ from pipeline.base.arrays import Doubles, Floats, freeze
 from pipeline.base.memo import Memo
 from pipeline.engine.digests import content
 from pipeline.geometry.camera import Camera
-from pipeline.geometry.normals import area_vectors
+from pipeline.geometry.normals import compute_area_vectors
 from pipeline.physics import lattice
 from pipeline.physics.lattice import Lattice
 from pipeline.sensors.parts import DepthCamera
@@ -22,21 +22,21 @@ from pipeline.sensors.spec import SensorSpec
 _LEAST_COSINE = 0.1  # noise stops growing at 84 degrees: the return is gone there
 
 
-def ceiling_from_depth(sensor: SensorSpec, depth_mm: NDArray[np.floating], on: Lattice) -> Doubles:
+def compute_ceiling_from_depth(sensor: SensorSpec, depth_mm: NDArray[np.floating], on: Lattice) -> Doubles:
     """Height over the rim plane (ny, nx) of the surface in a depth image; +inf where it shows none."""
-    return lattice.nearest_of_depth_image(sensor.camera, depth_mm, on) - rim_z_mm(sensor)
+    return lattice.rasterise_depth_image(sensor.camera, depth_mm, on) - get_rim_z_mm(sensor)
 
 
-def depth_from_deviation(sensor: SensorSpec, deviation_mm: NDArray[np.floating], on: Lattice) -> Doubles:
+def compute_depth_from_deviation(sensor: SensorSpec, deviation_mm: NDArray[np.floating], on: Lattice) -> Doubles:
     """Z (rows, cols) where each camera ray meets the membrane; the rest depth itself where nothing deviates."""
     if not deviation_mm.any():
         return freeze(np.array(sensor.rest_depth_mm, dtype=np.float64))
-    return lattice.depth_along_rays(
-        sensor.camera, rest_z_mm(sensor, on) + deviation_mm, on, guess_mm=sensor.rest_depth_mm
+    return lattice.intersect_rays(
+        sensor.camera, compute_rest_z_mm(sensor, on) + deviation_mm, on, guess_mm=sensor.rest_depth_mm
     )
 
 
-def reading(
+def simulate_depth_frame(
     sensor: SensorSpec, depth_mm: NDArray[np.floating], seed: int | None, *, cosine: NDArray[np.floating] | None = None
 ) -> Floats:
     """The depth camera's image (rows, cols) float32 of a membrane; NaN = no reading.
@@ -51,32 +51,34 @@ def reading(
     noise = _speckle(rng.standard_normal(depth_mm.shape, np.float32), errs.grain_px)
     exact = np.asarray(depth_mm, np.float64)
     if cosine is None:
-        cosine = incidence_cosine(sensor.camera, exact)
+        cosine = compute_incidence_cosine(sensor.camera, exact)
     sigma = sensor.bubble.depth_noise_mm * _relative_noise(exact, cosine, errs)
-    usual = _relative_noise(sensor.rest_depth_mm, rest_cosine(sensor), errs)
+    usual = _relative_noise(sensor.rest_depth_mm, compute_rest_cosine(sensor), errs)
     sigma /= np.sqrt(np.mean(usual * usual))
     seen = _with_flying_pixels(exact, errs, rng) + sigma * noise
     lost = rng.random(depth_mm.shape) < errs.gap_share
-    if errs.steepest_deg < 90.0:
-        lost |= cosine < np.cos(np.deg2rad(errs.steepest_deg))
+    if errs.max_incidence_deg < 90.0:
+        lost |= cosine < np.cos(np.deg2rad(errs.max_incidence_deg))
     if errs.step_mm > 0:
         seen = errs.step_mm * np.rint(seen / errs.step_mm)
     return freeze(np.where(lost, np.nan, seen).astype(np.float32))
 
 
-def incidence_cosine(camera: Camera, depth_mm: NDArray[np.floating]) -> Doubles:
+def compute_incidence_cosine(camera: Camera, depth_mm: NDArray[np.floating]) -> Doubles:
     """Cosine (rows, cols) of the angle between each ray and the normal of the surface that it meets; 1 = head on."""
     points = camera.back_project(depth_mm)
-    normal = area_vectors(points)
+    normal = compute_area_vectors(points)
     size = np.linalg.norm(normal, axis=2) * np.linalg.norm(points, axis=2)
     facing = np.abs(np.einsum("rcx,rcx->rc", normal, points))
     return np.divide(facing, size, out=np.zeros(depth_mm.shape), where=size > 0)
 
 
-def rest_cosine(sensor: SensorSpec) -> Doubles:
+def compute_rest_cosine(sensor: SensorSpec) -> Doubles:
     """`incidence_cosine` of the untouched membrane; kept for the last few units."""
     rest = sensor.rest_depth_mm
-    return _rest_cosines.of((content(rest), sensor.camera), lambda: freeze(incidence_cosine(sensor.camera, rest)))
+    return _rest_cosines.of(
+        (content(rest), sensor.camera), lambda: freeze(compute_incidence_cosine(sensor.camera, rest))
+    )
 
 
 _rest_cosines: Memo[tuple[str, Camera], Doubles] = Memo(16)
@@ -116,11 +118,11 @@ def _speckle(grain: Floats, width_px: float) -> Floats:
     return np.asarray(cv2.sepFilter2D(grain, cv2.CV_32F, weights, weights) / keeps, np.float32)
 
 
-def rim_z_mm(sensor: SensorSpec) -> float:
+def get_rim_z_mm(sensor: SensorSpec) -> float:
     """Distance of the rim plane from the camera."""
     return float(sensor.membrane.z_mm.min())
 
 
-def rest_z_mm(sensor: SensorSpec, on: Lattice) -> Doubles:
+def compute_rest_z_mm(sensor: SensorSpec, on: Lattice) -> Doubles:
     """Z (ny, nx) of the untouched membrane at the lattice's nodes."""
     return sensor.membrane.depth_at(on.x_mm()[None, :], on.y_mm()[:, None])

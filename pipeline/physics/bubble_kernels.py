@@ -5,7 +5,7 @@ The unknown v is the membrane's deviation from its rest shape, 0 where `free` is
 -lap v = load where v < room, -lap v <= load where v = room, and never v > room.
 """
 
-from pipeline.base.kept_kernels import FAST, kernel
+from pipeline.base.cached_kernels import FAST, kernel
 
 
 @kernel(fastmath=FAST)
@@ -22,7 +22,7 @@ def smooth(v, load, room, free, step_sq, sweeps):
 
 
 @kernel(fastmath=FAST)
-def residual(v, load, room, free, step_sq, out):
+def compute_residual(v, load, room, free, step_sq, out):
     """load + lap v where the membrane is free to follow it, 0 where the object holds it or the rim does."""
     rows, cols = v.shape
     inverse = 1.0 / step_sq

@@ -39,7 +39,7 @@ class GelContact:
     converged: bool
 
 
-def press(
+def press_gel(
     gel: Gel,
     pixel_mm: float,
     overlap_mm: NDArray[np.floating],
@@ -60,14 +60,14 @@ def press(
         pressure, steps, residual = _polonsky_keer(gel, pixel_mm, overlap[box], tolerance_mm, max_steps)
         whole = np.zeros(overlap.shape, np.float32)
         whole[box] = pressure
-        u = gel_layer.layer(gel, pixel_mm, overlap.shape).displacement(whole)
+        u = gel_layer.make_elastic_layer(gel, pixel_mm, overlap.shape).compute_displacement(whole)
         everywhere = (slice(0, overlap.shape[0]), slice(0, overlap.shape[1]))
         if box == everywhere or float((overlap - u).max()) <= max(2 * residual, tolerance_mm):
             return _result(u, whole, pixel_mm, steps, residual, residual <= tolerance_mm)
         box = everywhere  # the bulge met the object outside the guessed box
 
 
-def relax(
+def relax_gel(
     gel: Gel,
     pixel_mm: float,
     prescribed_mm: NDArray[np.floating],
@@ -84,22 +84,22 @@ def relax(
     if not mask.any():
         return _no_contact(target.shape, pixel_mm)
     box = _bounds(mask)
-    layer, inside = gel_layer.layer(gel, pixel_mm, target[box].shape), mask[box]
+    layer, inside = gel_layer.make_elastic_layer(gel, pixel_mm, target[box].shape), mask[box]
     pressure = np.zeros(inside.shape, np.float32)
     left = np.where(inside, target[box], np.float32(0))
     step = np.zeros_like(pressure)
     energy, steps, worst = 1.0, 0, float(np.abs(left).max())
     while worst > tolerance_mm and steps < max_steps:
-        preconditioned = np.where(inside, layer.pressure(left), np.float32(0))
+        preconditioned = np.where(inside, layer.compute_pressure(left), np.float32(0))
         new_energy = _dot(left, preconditioned)
         step = preconditioned + np.float32(new_energy / energy if steps else 0.0) * step
-        moved = np.where(inside, layer.displacement(step), np.float32(0))
+        moved = np.where(inside, layer.compute_displacement(step), np.float32(0))
         length = np.float32(new_energy / _dot(step, moved))
         pressure, left, energy = pressure + length * step, left - length * moved, new_energy
         steps, worst = steps + 1, float(np.abs(left).max())
     whole = np.zeros(target.shape, np.float32)
     whole[box] = pressure
-    u = gel_layer.layer(gel, pixel_mm, target.shape).displacement(whole)
+    u = gel_layer.make_elastic_layer(gel, pixel_mm, target.shape).compute_displacement(whole)
     return _result(u, whole, pixel_mm, steps, worst, worst <= tolerance_mm)
 
 
@@ -107,10 +107,10 @@ def _polonsky_keer(
     gel: Gel, pixel_mm: float, overlap: Floats, tolerance_mm: float, max_steps: int
 ) -> tuple[Floats, int, float]:
     """(pressure, steps, residual in mm) on the box of `overlap`."""
-    layer = gel_layer.layer(gel, pixel_mm, overlap.shape)
-    stiffness = np.float32(1.0) / np.float32(layer.displacement(np.ones(overlap.shape, np.float32)).max())
+    layer = gel_layer.make_elastic_layer(gel, pixel_mm, overlap.shape)
+    stiffness = np.float32(1.0) / np.float32(layer.compute_displacement(np.ones(overlap.shape, np.float32)).max())
     pressure = np.maximum(overlap, 0) * stiffness
-    u = layer.displacement(pressure)
+    u = layer.compute_displacement(pressure)
     direction = np.zeros_like(pressure)
     norm, conjugate, residual = 1.0, False, np.inf
     for step in range(max_steps):
@@ -120,17 +120,17 @@ def _polonsky_keer(
         if residual <= tolerance_mm:
             return pressure, step, residual
         along = np.where(touching, gap, np.float32(0))
-        steep = np.where(touching, layer.pressure(along), np.float32(0))
+        steep = np.where(touching, layer.compute_pressure(along), np.float32(0))
         new_norm = _dot(along, steep)
         direction = steep + np.float32(new_norm / norm if conjugate else 0.0) * np.where(
             touching, direction, np.float32(0)
         )
         norm = new_norm
-        moved = layer.displacement(direction)
+        moved = layer.compute_displacement(direction)
         curvature = _dot(direction, moved)
         if curvature <= 0:  # nothing touches yet: push where it overlaps
             pressure = np.where(gap < 0, -stiffness * gap, pressure)
-            u, conjugate = layer.displacement(pressure), False
+            u, conjugate = layer.compute_displacement(pressure), False
             continue
         length = np.float32(_dot(along, direction) / curvature)
         trial = pressure - length * direction
@@ -140,12 +140,12 @@ def _polonsky_keer(
         if conjugate and not clipped.any():
             pressure, u = trial, u - length * moved
             if step % 20 == 19:
-                u = layer.displacement(pressure)  # shed the rounding that the recursion gathers
+                u = layer.compute_displacement(pressure)  # shed the rounding that the recursion gathers
             continue
         trial[clipped] = 0
         trial[entering] -= stiffness * gap[entering]
         pressure = trial
-        u = layer.displacement(pressure)
+        u = layer.compute_displacement(pressure)
     return pressure, max_steps, residual
 
 
@@ -168,13 +168,13 @@ def _bounds(mask: Mask) -> tuple[slice, slice]:
     """The box of a mask, its sides rounded up so that tables made for one box serve many."""
     rows, cols = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
 
-    def span(found: NDArray[np.intp], n: int) -> slice:
+    def bound_axis(found: NDArray[np.intp], n: int) -> slice:
         low, high = int(found[0]), int(found[-1]) + 1
         size = min(n, -(-(high - low) // _BOX_PX) * _BOX_PX)
         start = min(low, n - size)
         return slice(start, start + size)
 
-    return span(rows, mask.shape[0]), span(cols, mask.shape[1])
+    return bound_axis(rows, mask.shape[0]), bound_axis(cols, mask.shape[1])
 
 
 def _no_contact(shape: tuple[int, ...], pixel_mm: float) -> GelContact:

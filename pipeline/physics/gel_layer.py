@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, freeze
-from pipeline.base.memo import remembered
+from pipeline.base.memo import memoise
 from pipeline.sensors.parts import Gel
 
 _LARGEST_X = 40.0  # K is 1 to double precision long before sinh overflows
@@ -26,40 +26,40 @@ _REACH_MAX_PX = 1024  # beyond any picture; keeps the table of a very thick pad 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Layer:
+class ElasticLayer:
     """The elastic answer of the pad as a convolution over a zero-padded grid: exact, nothing wraps around."""
 
-    padded: tuple[int, int]
-    repeated: tuple[int, int]  # grid of the preconditioner, which may wrap around: it guides, it does not decide
+    padded_shape: tuple[int, int]
+    periodic_shape: tuple[int, int]  # grid of the preconditioner, which may wrap around: it guides, it does not decide
     symbol: Doubles | Floats  # mm per kPa of each wave
-    inverse: Floats  # kPa per mm of each wave, always positive
+    inverse_symbol: Floats  # kPa per mm of each wave, always positive
 
-    def displacement(self, pressure_kpa: Floats) -> Floats:
+    def compute_displacement(self, pressure_kpa: Floats) -> Floats:
         """Surface displacement in mm under a pressure, same grid."""
-        return _filtered(pressure_kpa, self.symbol, self.padded)
+        return _filtered(pressure_kpa, self.symbol, self.padded_shape)
 
-    def pressure(self, displacement_mm: Floats) -> Floats:
+    def compute_pressure(self, displacement_mm: Floats) -> Floats:
         """Pressure that would make the displacement on a pad that repeats itself: the preconditioner."""
-        return _filtered(displacement_mm, self.inverse, self.repeated)
+        return _filtered(displacement_mm, self.inverse_symbol, self.periodic_shape)
 
 
-@remembered(24, most_bytes=8 * 1024 * 1024)
-def layer(gel: Gel, pixel_mm: float, shape: tuple[int, int]) -> Layer:
+@memoise(24, most_bytes=8 * 1024 * 1024)
+def make_elastic_layer(gel: Gel, pixel_mm: float, shape: tuple[int, int]) -> ElasticLayer:
     """The pad's answer over a grid of `shape`; the last few are kept."""
     # Pixels hear each other over n - 1 steps; in a thin layer no farther than the reach of its kernel.
     reach = _reach_px(gel, pixel_mm)
     heard = tuple(min(n - 1, reach) for n in shape)
-    padded = fast_length(shape[0] + heard[0]), fast_length(shape[1] + heard[1])
+    padded = find_fast_length(shape[0] + heard[0]), find_fast_length(shape[1] + heard[1])
     rows, cols = (np.arange(-n, n + 1) for n in heard)
     around = np.zeros(padded)
     around[np.ix_(rows, cols)] = _kernel(gel, pixel_mm, heard)
-    repeated = fast_length(shape[0]), fast_length(shape[1])
+    repeated = find_fast_length(shape[0]), find_fast_length(shape[1])
     inverse = 1.0 / _layer_symbol(gel, pixel_mm, repeated)
-    return Layer(
-        padded=padded,
-        repeated=repeated,
+    return ElasticLayer(
+        padded_shape=padded,
+        periodic_shape=repeated,
         symbol=freeze(np.fft.rfft2(around).real.astype(np.float32)),  # even in x and y, so real
-        inverse=freeze(inverse.astype(np.float32)),
+        inverse_symbol=freeze(inverse.astype(np.float32)),
     )
 
 
@@ -77,7 +77,7 @@ def _filtered(field: Floats, symbol: Doubles | Floats, padded: tuple[int, int]) 
     return np.ascontiguousarray(back[:, :cols])
 
 
-def fast_length(n: int) -> int:
+def find_fast_length(n: int) -> int:
     """The next length that a Fourier transform is quick at."""
     from scipy import fft
 
@@ -100,7 +100,7 @@ def _kernel(gel: Gel, pixel_mm: float, heard: tuple[int, ...]) -> Doubles:
     return wide[middle - heard[0] : middle + heard[0] + 1, middle - heard[1] : middle + heard[1] + 1]
 
 
-@remembered(8)
+@memoise(8)
 def _layer_kernel(gel: Gel, pixel_mm: float) -> Doubles:
     n = 2 * _reach_px(gel, pixel_mm) + 2
     symbol = _layer_symbol(gel, pixel_mm, (n, n))
@@ -126,8 +126,13 @@ def _love(gel: Gel, pixel_mm: float, x: Doubles, y: Doubles) -> Doubles:
     """Love's displacement of a half-space under a uniform pressure on one pixel (Boussinesq over a square)."""
     h = pixel_mm / 2
 
-    def corner(cx: Doubles, cy: Doubles) -> Doubles:
+    def integrate_corner(cx: Doubles, cy: Doubles) -> Doubles:
         return cx * np.arcsinh(cy / np.abs(cx)) + cy * np.arcsinh(cx / np.abs(cy))
 
-    square = corner(x + h, y + h) + corner(x - h, y - h) - corner(x + h, y - h) - corner(x - h, y + h)
+    square = (
+        integrate_corner(x + h, y + h)
+        + integrate_corner(x - h, y - h)
+        - integrate_corner(x + h, y - h)
+        - integrate_corner(x - h, y + h)
+    )
     return square * (1 - gel.poisson**2) / (np.pi * gel.youngs_kpa)

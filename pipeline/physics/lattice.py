@@ -34,43 +34,43 @@ class Lattice:
         return self.y0_mm + self.step_mm * np.arange(self.shape[0], dtype=np.float64)
 
 
-def nearest_of_depth_image(camera: Camera, depth_mm: NDArray[np.floating], on: Lattice) -> Doubles:
+def rasterise_depth_image(camera: Camera, depth_mm: NDArray[np.floating], on: Lattice) -> Doubles:
     """Z (ny, nx) of the surface in a depth image (NaN = nothing), the nearest where it folds; +inf where none is."""
-    from pipeline.physics.lattice_kernels import lay_over
+    from pipeline.physics.lattice_kernels import lower_to_depth_image
 
     height = np.full(on.shape, np.inf)
     ray_x, ray_y = camera.rays()
     joined = np.zeros(depth_mm.shape, np.bool_)
-    lay_over(np.asarray(depth_mm, np.float64), ray_x, ray_y, on.x0_mm, on.y0_mm, on.step_mm, joined, height)
+    lower_to_depth_image(np.asarray(depth_mm, np.float64), ray_x, ray_y, on.x0_mm, on.y0_mm, on.step_mm, joined, height)
     return height
 
 
-def nearest_of_mesh(vertices_mm: Doubles, triangles: Indices, on: Lattice) -> Doubles:
+def rasterise_mesh(vertices_mm: Doubles, triangles: Indices, on: Lattice) -> Doubles:
     """Z (ny, nx) of the side of a mesh (in the sensor frame) that faces the camera; +inf beside it."""
-    from pipeline.physics.lattice_kernels import lay_mesh
+    from pipeline.physics.lattice_kernels import lower_to_mesh
 
     height = np.full(on.shape, np.inf)
     nodes = np.array(vertices_mm, dtype=np.float64)
     nodes[:, :2] = (nodes[:, :2] - (on.x0_mm, on.y0_mm)) / on.step_mm
-    lay_mesh(nodes, triangles, height)
+    lower_to_mesh(nodes, triangles, height)
     return height
 
 
-def depth_of_mesh(vertices_mm: Doubles, triangles: Indices, camera: Camera) -> Doubles:
+def render_mesh_depth(vertices_mm: Doubles, triangles: Indices, camera: Camera) -> Doubles:
     """Z (rows, cols) of the side of a mesh (in front of the camera, in its frame) that each pixel sees; NaN beside it.
 
     1 / z is linear in the picture, so that a triangle is laid down there as it is over a lattice.
     """
-    from pipeline.physics.lattice_kernels import lay_mesh
+    from pipeline.physics.lattice_kernels import lower_to_mesh
 
     x, y, z = vertices_mm.T
     nodes = np.stack([camera.fx_px * x / z + camera.cx_px, camera.fy_px * y / z + camera.cy_px, -1.0 / z], axis=-1)
     nearness = np.full(camera.shape, np.inf)
-    lay_mesh(nodes, triangles, nearness)
+    lower_to_mesh(nodes, triangles, nearness)
     return freeze(np.where(np.isfinite(nearness), -1.0 / nearness, np.nan))
 
 
-def depth_along_rays(camera: Camera, z_mm: Doubles, on: Lattice, guess_mm: NDArray[np.floating]) -> Doubles:
+def intersect_rays(camera: Camera, z_mm: Doubles, on: Lattice, guess_mm: NDArray[np.floating]) -> Doubles:
     """Z (rows, cols) where each camera ray meets the surface `z_mm` (ny, nx), level beyond the lattice."""
     from pipeline.geometry.membrane_kernels import along_rays
 
@@ -82,7 +82,7 @@ def depth_along_rays(camera: Camera, z_mm: Doubles, on: Lattice, guess_mm: NDArr
     return freeze(z)
 
 
-def seen_at_pixels(camera: Camera, mask: Mask, on: Lattice, depth_mm: NDArray[np.floating]) -> Mask:
+def sample_mask_at_pixels(camera: Camera, mask: Mask, on: Lattice, depth_mm: NDArray[np.floating]) -> Mask:
     """`mask` (ny, nx) at the points that the camera sees at `depth_mm` (rows, cols): the nearest node decides."""
     ray_x, ray_y = camera.rays()
     col = np.rint((depth_mm * ray_x[None, :] - on.x0_mm) / on.step_mm).astype(np.intp)

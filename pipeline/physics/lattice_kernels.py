@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from pipeline.base.kept_kernels import inner, kernel
+from pipeline.base.cached_kernels import inner, kernel
 
 
 @inner()
@@ -29,7 +29,7 @@ def _triangle(xa, ya, za, xb, yb, zb, xc, yc, zc, height):
 
 
 @kernel()
-def lay_over(depth, ray_x, ray_y, x0, y0, step, joined, height):
+def lower_to_depth_image(depth, ray_x, ray_y, x0, y0, step, joined, height):
     """Lower `height` (starts at +inf) to the surface that a depth image shows; NaN pixels show nothing.
 
     joined (rows, cols): set where a pixel belongs to a triangle.
@@ -65,7 +65,7 @@ def lay_over(depth, ray_x, ray_y, x0, y0, step, joined, height):
 
 
 @kernel()
-def lay_mesh(nodes, triangles, height):
+def lower_to_mesh(nodes, triangles, height):
     """Lower `height` to a mesh whose vertices (x, y in lattice steps, z in mm) are `nodes`."""
     for t in range(triangles.shape[0]):
         a = nodes[triangles[t, 0]]

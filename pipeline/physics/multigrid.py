@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Mask, freeze
 
-HALVINGS = 4  # every lattice side is a multiple of 2^4 steps, so that it can be halved this often
+N_HALVINGS = 4  # every lattice side is a multiple of 2^4 steps, so that it can be halved this often
 MAX_CYCLES = 160
 _TRUNCATED_CYCLES = 40  # of these; usually a dozen are enough
 _BOLD_CYCLES = (
@@ -28,30 +28,30 @@ _STEP_SHARE = 0.3  # a step of this share of the tolerance leaves an error well 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Grid:
+class ObstacleProblem:
     """One obstacle problem: how much room there is above every node, and which nodes may move at all.
 
     Masks of nodes are read-only wherever kernels take them, which are compiled anew for those that are not.
     """
 
-    room_mm: Doubles  # (ny, nx), +inf = open
+    clearance_mm: Doubles  # (ny, nx), +inf = open
     free: Mask  # (ny, nx) inside the rim, read-only
     step_mm: float
-    halvings: int = HALVINGS
+    n_halvings: int = N_HALVINGS
 
-    def halved(self) -> Grid:
+    def coarsen(self) -> ObstacleProblem:
         """The same problem on every second node."""
-        return Grid(
-            room_mm=np.ascontiguousarray(self.room_mm[::2, ::2]),
+        return ObstacleProblem(
+            clearance_mm=np.ascontiguousarray(self.clearance_mm[::2, ::2]),
             free=freeze(np.ascontiguousarray(self.free[::2, ::2])),
             step_mm=2 * self.step_mm,
-            halvings=self.halvings - 1,
+            n_halvings=self.n_halvings - 1,
         )
 
 
-def solve(grid: Grid, start_mm: Doubles, load_per_mm: float, tolerance_mm: float) -> tuple[Doubles, bool]:
+def solve(grid: ObstacleProblem, start_mm: Doubles, load_per_mm: float, tolerance_mm: float) -> tuple[Doubles, bool]:
     """(v, converged) under a uniform load, from a starting shape; ends when a whole cycle moves nothing any more."""
-    v = np.minimum(start_mm, grid.room_mm)
+    v = np.minimum(start_mm, grid.clearance_mm)
     v[~grid.free] = 0.0
     load = np.full(v.shape, load_per_mm)
     before, loose = v.copy(), grid.free
@@ -60,18 +60,18 @@ def solve(grid: Grid, start_mm: Doubles, load_per_mm: float, tolerance_mm: float
         if cycle < _TRUNCATED_CYCLES:
             loose = _truncated_cycle(v, load, grid, careful)
         else:
-            _cycle(v, load, grid.room_mm, grid.free, grid.step_mm, grid.halvings)
+            _cycle(v, load, grid.clearance_mm, grid.free, grid.step_mm, grid.n_halvings)
         np.subtract(v, before, out=before)
         if max(float(before.max()), -float(before.min())) <= tolerance_mm:
             return v, True
         if 0 < cycle < _TRUNCATED_CYCLES and np.count_nonzero(loose != was_loose) <= _FEW_NODES:
             _settle(v, load, grid, loose, careful, tolerance_mm)
-            np.minimum(v, grid.room_mm, out=v, where=grid.free)
+            np.minimum(v, grid.clearance_mm, out=v, where=grid.free)
         before[:] = v
     return v, False
 
 
-def finer(v: Doubles) -> Doubles:
+def refine(v: Doubles) -> Doubles:
     """A shape on a halved grid, carried to the full one (bilinear)."""
     fine = np.empty((2 * v.shape[0] - 1, 2 * v.shape[1] - 1))
     fine[::2, ::2] = v
@@ -80,33 +80,33 @@ def finer(v: Doubles) -> Doubles:
     return fine
 
 
-def held(grid: Grid, v: Doubles, load_per_mm: float) -> Doubles:
+def compute_contact_load(grid: ObstacleProblem, v: Doubles, load_per_mm: float) -> Doubles:
     """What the object adds to the load where it holds the membrane (1/mm), 0 elsewhere."""
     force, inner = np.zeros_like(v), (slice(1, -1), slice(1, -1))
     lap = (v[:-2, 1:-1] + v[2:, 1:-1] + v[1:-1, :-2] + v[1:-1, 2:] - 4.0 * v[inner]) / grid.step_mm**2
-    holds = grid.free[inner] & (v[inner] >= grid.room_mm[inner])
+    holds = grid.free[inner] & (v[inner] >= grid.clearance_mm[inner])
     force[inner] = np.where(holds, np.maximum(load_per_mm + lap, 0.0), 0.0)
     return force
 
 
-def _truncated_cycle(v: Doubles, load: Doubles, grid: Grid, careful: bool) -> Mask:
+def _truncated_cycle(v: Doubles, load: Doubles, grid: ObstacleProblem, careful: bool) -> Mask:
     """One cycle whose coarse levels leave the held nodes where they are; the nodes that were not held."""
     from pipeline.physics import bubble_kernels as kernels
 
     step_sq, left = grid.step_mm**2, np.empty_like(v)
-    kernels.smooth(v, load, grid.room_mm, grid.free, step_sq, 2)
-    kernels.residual(v, load, grid.room_mm, grid.free, step_sq, left)
-    loose = v < grid.room_mm
+    kernels.smooth(v, load, grid.clearance_mm, grid.free, step_sq, 2)
+    kernels.compute_residual(v, load, grid.clearance_mm, grid.free, step_sq, left)
+    loose = v < grid.clearance_mm
     loose |= left != 0.0
     loose &= grid.free
     freeze(loose)
-    correction = _coarse_correction(left, None, loose, grid.step_mm, grid.halvings, careful)
-    kernels.prolong(correction, v, grid.room_mm, loose)
-    kernels.smooth(v, load, grid.room_mm, grid.free, step_sq, 2)
+    correction = _coarse_correction(left, None, loose, grid.step_mm, grid.n_halvings, careful)
+    kernels.prolong(correction, v, grid.clearance_mm, loose)
+    kernels.smooth(v, load, grid.clearance_mm, grid.free, step_sq, 2)
     return loose
 
 
-def _settle(v: Doubles, load: Doubles, grid: Grid, loose: Mask, careful: bool, tolerance_mm: float) -> None:
+def _settle(v: Doubles, load: Doubles, grid: ObstacleProblem, loose: Mask, careful: bool, tolerance_mm: float) -> None:
     """Solve the linear problem on the loose nodes, in place: flexible conjugate gradients, a cycle to guide each step.
 
     The guide is not symmetric (red before black on the way down and up), hence the flexible form. Nothing as large as
@@ -116,14 +116,14 @@ def _settle(v: Doubles, load: Doubles, grid: Grid, loose: Mask, careful: bool, t
 
     left, moved, direction, guided = np.empty_like(v), np.zeros_like(v), np.zeros_like(v), np.empty_like(v)
     unbound, nothing = _unbound(v.shape), np.zeros_like(v)
-    kernels.residual(v, load, unbound, loose, grid.step_mm**2, left)
+    kernels.compute_residual(v, load, unbound, loose, grid.step_mm**2, left)
     energy = 1.0
     for _ in range(_MAX_STEPS):
         guided[:] = 0.0
-        _cycle(guided, left, None, loose, grid.step_mm, grid.halvings, careful)
+        _cycle(guided, left, None, loose, grid.step_mm, grid.n_halvings, careful)
         direction *= _product(guided, moved) / energy
         direction += guided
-        kernels.residual(direction, nothing, unbound, loose, grid.step_mm**2, moved)
+        kernels.compute_residual(direction, nothing, unbound, loose, grid.step_mm**2, moved)
         energy, curvature = _product(direction, left), -_product(direction, moved)
         if not (energy > 0 and curvature > 0):
             return
@@ -152,7 +152,7 @@ def _cycle(
         return
     kernels.smooth(v, load, limit, free, step_sq, 2)
     left = np.empty_like(v)
-    kernels.residual(v, load, limit, free, step_sq, left)
+    kernels.compute_residual(v, load, limit, free, step_sq, left)
     coarse_room = None if room is None else _least_room(room - v)
     kernels.prolong(_coarse_correction(left, coarse_room, free, step_mm, level, careful), v, limit, free)
     kernels.smooth(v, load, limit, free, step_sq, 2)

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, Image, freeze
 from pipeline.base.errors import SettingProblem, ShapeError
-from pipeline.base.memo import Memo, remembered
+from pipeline.base.memo import Memo, memoise
 from pipeline.engine.digests import content
 from pipeline.geometry.camera import Camera
-from pipeline.physics.optics_markers import checked, marker_motion_px, print_on
-from pipeline.sensors.glow import untouched_light
+from pipeline.physics.optics_markers import check_surface, compute_marker_motion_px, draw_markers
 from pipeline.sensors.parts import Markers, Optics
+from pipeline.sensors.reference_light import compute_reference_light
 from pipeline.sensors.spec import SensorSpec
 
 _PENUMBRA_MM = 0.25  # how far below an LED's light a point has to lie to get none of it
@@ -32,12 +32,12 @@ _N_QUANTILES = 4096
 _Scene = tuple[np.float32, Floats, Floats, Floats, np.float32]
 
 
-def colour_change(sensor: SensorSpec, gx: NDArray[np.floating], gy: NDArray[np.floating]) -> Floats:
+def compute_colour_change(sensor: SensorSpec, gx: NDArray[np.floating], gy: NDArray[np.floating]) -> Floats:
     """Grey levels (rows, cols, 3) float32 that the slopes add to the untouched picture; exactly 0 on level ground.
 
     gx, gy (rows, cols): d indentation_mm / dx (right) and / dy (down), in mm/mm. NaN slopes give NaN.
     """
-    optics = optics_of(sensor)
+    optics = require_optics(sensor)
     if gx.shape != sensor.camera.shape or gy.shape != gx.shape:
         raise ShapeError(f"slopes must have the shape {sensor.camera.shape} of {sensor.name}, got {gx.shape}")
     rows, cols = gx.shape
@@ -47,15 +47,15 @@ def colour_change(sensor: SensorSpec, gx: NDArray[np.floating], gy: NDArray[np.f
     lens = one - np.float32(optics.vignette) * ((across * across + down * down) / 2) ** 2
     normal = one / np.sqrt(one + gx * gx + gy * gy)
     out = np.zeros((rows, cols, 3), np.float32)
-    for led, (first, per_x, per_y) in zip(*lamps(optics, sensor.camera), strict=True):
+    for led, (first, per_x, per_y) in zip(*pack_leds(optics, sensor.camera), strict=True):
         facing = np.maximum((led[2] - gx * led[0] - gy * led[1]) * normal, 0) - led[2]
         out += (lens * facing * ((first + per_x * x + per_y * y) / (one - led[2])))[..., None] * led[3:]
     return freeze(out)
 
 
-def untouched(sensor: SensorSpec) -> Image:
+def render_reference(sensor: SensorSpec) -> Image:
     """The picture (rows, cols, 3) of the sensor while nothing touches it, without noise; kept per sensor."""
-    return _untouched(sensor.camera, optics_of(sensor), sensor.markers, sensor.pixel_mm)
+    return _untouched(sensor.camera, require_optics(sensor), sensor.markers, sensor.pixel_mm)
 
 
 def render(
@@ -71,19 +71,19 @@ def render(
     is None). `shear_mm` (rows, cols, 2): how far, right and down, a tangential load has moved the material seen at each
     pixel (`shear.drag`).
     """
-    optics = optics_of(sensor)
-    checked(sensor, indentation_mm, shear_mm)
+    optics = require_optics(sensor)
+    check_surface(sensor, indentation_mm, shear_mm)
     height_mm = _single(indentation_mm)
     if _is_plain(sensor, optics, seed) and not _casts_shadow(optics, height_mm):
         return freeze(_plain_picture(sensor, height_mm))
-    light = _lit(sensor, optics, height_mm)
+    light = _render_light(sensor, optics, height_mm)
     if sensor.markers is not None and sensor.gel is not None:
-        move = marker_motion_px(sensor, indentation_mm, shear_mm)
-        print_on(light, sensor.markers, sensor.pixel_mm, *move)
+        move = compute_marker_motion_px(sensor, indentation_mm, shear_mm)
+        draw_markers(light, sensor.markers, sensor.pixel_mm, *move)
     return freeze(_expose(light, optics, seed))
 
 
-def optics_of(sensor: SensorSpec) -> Optics:
+def require_optics(sensor: SensorSpec) -> Optics:
     """The sensor's optics; raises SettingProblem for one that takes no colour picture."""
     if sensor.optics is None:
         raise SettingProblem(f"{sensor.name} takes no colour pictures; choose a gel sensor")
@@ -95,8 +95,8 @@ def _single(array: NDArray[np.floating]) -> Floats:
     return freeze(np.ascontiguousarray(array, dtype=np.float32).view())
 
 
-@remembered(32)
-def lamps(optics: Optics, camera: Camera) -> tuple[Floats, Floats]:
+@memoise(32)
+def pack_leds(optics: Optics, camera: Camera) -> tuple[Floats, Floats]:
     """Light directions and colours (n, 6), and how each weakens over the image (n, 3), as the kernels want them."""
     half_w, half_h = camera.cols / 2, camera.rows / 2
     found, strength = [], []
@@ -114,12 +114,12 @@ def lamps(optics: Optics, camera: Camera) -> tuple[Floats, Floats]:
     return freeze(np.array(found, np.float32)), freeze(np.array(strength, np.float32))
 
 
-@remembered(32)
+@memoise(32)
 def _untouched(camera: Camera, optics: Optics, markers: Markers | None, pixel_mm: float) -> Image:
-    light = untouched_light(camera, optics).copy()
+    light = compute_reference_light(camera, optics).copy()
     if markers is not None:
         still = freeze(np.zeros(camera.shape, np.float32))
-        print_on(light, markers, pixel_mm, still, still)
+        draw_markers(light, markers, pixel_mm, still, still)
     return freeze(_expose(light, optics, None))
 
 
@@ -128,16 +128,16 @@ def _scratch(cols: int) -> tuple[Floats, Floats]:
     return np.empty((2, cols), np.float32), np.empty((2, 3 * cols), np.float32)
 
 
-def _lit(sensor: SensorSpec, optics: Optics, height_mm: Floats) -> Floats:
+def _render_light(sensor: SensorSpec, optics: Optics, height_mm: Floats) -> Floats:
     """The light (rows, cols, 3) of a surface before markers and blur."""
-    from pipeline.physics.optics_kernels import light_of
+    from pipeline.physics.optics_kernels import render_light
 
     rows, cols = height_mm.shape
     light = np.empty((rows, 3 * cols), np.float32)
-    light_of(height_mm, *_scene(sensor), *_scratch(cols), light, np.empty((0, 0), np.uint8))
+    render_light(height_mm, *_scene(sensor), *_scratch(cols), light, np.empty((0, 0), np.uint8))
     light = light.reshape(rows, cols, 3)
     if _casts_shadow(optics, height_mm):
-        shade(light, sensor, height_mm, sensor.pixel_mm)
+        apply_shadows(light, sensor, height_mm, sensor.pixel_mm)
     return light
 
 
@@ -147,11 +147,11 @@ def _is_plain(sensor: SensorSpec, optics: Optics, seed: int | None) -> bool:
 
 def _plain_picture(sensor: SensorSpec, height_mm: Floats) -> Image:
     """The picture where light is all there is: no markers, shadows, blur or noise."""
-    from pipeline.physics.optics_kernels import light_of
+    from pipeline.physics.optics_kernels import render_light
 
     rows, cols = height_mm.shape
     out = np.empty((rows, 3 * cols), np.uint8)
-    light_of(height_mm, *_scene(sensor), *_scratch(cols), np.empty((0, 0), np.float32), out)
+    render_light(height_mm, *_scene(sensor), *_scratch(cols), np.empty((0, 0), np.float32), out)
     return out.reshape(rows, cols, 3)
 
 
@@ -160,11 +160,11 @@ _scenes: Memo[str, _Scene] = Memo(16)
 
 def _scene(sensor: SensorSpec) -> _Scene:
     """What the kernels need to light a surface of this sensor, after the surface itself."""
-    camera, optics = sensor.camera, optics_of(sensor)
+    camera, optics = sensor.camera, require_optics(sensor)
     return _scenes.of(
         content(sensor),
-        lambda: (np.float32(sensor.pixel_mm), untouched_light(camera, optics).reshape(camera.rows, -1),
-                 *lamps(optics, camera), np.float32(optics.vignette)),
+        lambda: (np.float32(sensor.pixel_mm), compute_reference_light(camera, optics).reshape(camera.rows, -1),
+                 *pack_leds(optics, camera), np.float32(optics.vignette)),
     )  # fmt: skip
 
 
@@ -172,19 +172,19 @@ def _casts_shadow(optics: Optics, height_mm: Floats) -> bool:
     return optics.shadow > 0 and float(height_mm.max()) > _NO_SHADOW_MM
 
 
-def shade(light: Floats, sensor: SensorSpec, height_mm: Floats, pixel_mm: float) -> None:
+def apply_shadows(light: Floats, sensor: SensorSpec, height_mm: Floats, pixel_mm: float) -> None:
     """Take from `light` (rows, cols, 3) what does not get past a surface pressed in by `height_mm`, LED by LED."""
     from pipeline.physics.optics_kernels import darken
 
-    optics = optics_of(sensor)
-    leds = lamps(optics, sensor.camera)[0][: len(optics.leds)]
+    optics = require_optics(sensor)
+    leds = pack_leds(optics, sensor.camera)[0][: len(optics.leds)]
     all_leds = np.maximum(leds[:, 3:].sum(axis=0), 1e-6)
     sinks = np.full(len(leds), math.tan(math.radians(optics.shadow_deg)))
-    for led, cover in zip(leds, hidden(height_mm, leds[:, :2], sinks, pixel_mm), strict=True):
+    for led, cover in zip(leds, iterate_led_shadows(height_mm, leds[:, :2], sinks, pixel_mm), strict=True):
         darken(light, cover, np.float32(optics.shadow) * led[3:] / all_leds)
 
 
-def hidden(
+def iterate_led_shadows(
     height_mm: Floats, towards: NDArray[np.floating], sinks: NDArray[np.floating], pixel_mm: float
 ) -> Iterator[Floats]:
     """Lamp by lamp, how much of its light (rows, cols), 0 to 1, does not get past a surface pressed in by `height_mm`.
@@ -215,17 +215,17 @@ def _expose(light: Floats, optics: Optics, seed: int | None) -> Image:
     picture: Floats = light
     if optics.blur_px > 0:
         picture = np.asarray(cv2.GaussianBlur(light, (0, 0), optics.blur_px), np.float32)
-    return recorded(picture, optics.noise_grey, seed)
+    return digitise_light(picture, optics.noise_grey, seed)
 
 
-def recorded(light: Floats, noise_grey: float, seed: int | None) -> Image:
+def digitise_light(light: Floats, noise_grey: float, seed: int | None) -> Image:
     """What 8 bits keep of `light` (rows, cols, 3), with the noise of `seed` if any."""
-    from pipeline.physics.optics_kernels import develop
+    from pipeline.physics.optics_kernels import digitise
 
     out = np.empty(light.shape, np.uint8)
     noise = np.float32(0.0 if seed is None else noise_grey)
     counted_from = np.uint64((seed or 0) % 2**64)
-    develop(light, _normal_quantiles(), noise, counted_from, out)
+    digitise(light, _normal_quantiles(), noise, counted_from, out)
     return out
 
 

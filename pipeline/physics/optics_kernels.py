@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 
-from pipeline.base.kept_kernels import FAST, inlined, kernel
-from pipeline.physics.slope_kernels import row_slopes
+from pipeline.base.cached_kernels import FAST, inlined, kernel
+from pipeline.physics.slope_kernels import write_row_slopes
 
 # What is called is inlined before it is compiled: as functions of their own, with sums free to be contracted, they come
 # out different in the last bit in a process that compiles them and in one that loads them from the cache.
@@ -16,7 +16,7 @@ _FAST = FAST - {"arcp"}
 
 
 @kernel(fastmath=_FAST)
-def light_of(height, pixel, glow, leds, strength, vignette, slope, part, light, picture):
+def render_light(height, pixel, glow, leds, strength, vignette, slope, part, light, picture):
     """`light` (rows, 3 cols) of a surface: the glow (rows, 3 cols) and what its slopes change.
 
     Where `light` has no rows, `picture` (rows, 3 cols) of 8 bits instead, without blur and noise, in one pass.
@@ -26,7 +26,7 @@ def light_of(height, pixel, glow, leds, strength, vignette, slope, part, light, 
     gx, gy, more = slope[0], slope[1], part[1]
     for r in range(rows):
         change = light[r] if light.shape[0] else part[0]
-        row_slopes(height, r, np.float32(1.0) / pixel, gx, gy)
+        write_row_slopes(height, r, np.float32(1.0) / pixel, gx, gy)
         _row_change(gx, gy, r, rows, leds, strength, vignette, more, change)
         if light.shape[0]:
             _add(glow[r], change)
@@ -157,7 +157,7 @@ def _darken_row(out, cover, red, green, blue):
 
 
 @kernel(fastmath=_FAST)
-def print_markers(image, move_x, move_y, pitch, radius, half_twin, darkness, jitter, place):
+def darken_markers(image, move_x, move_y, pitch, radius, half_twin, darkness, jitter, place):
     """Darken `image` where a marker is; lengths in pixels.
 
     move_x, move_y (rows, cols): how far the material now seen at a pixel has come from its rest place.
@@ -207,7 +207,7 @@ def _mixed(n):
 
 
 @kernel(fastmath=_FAST)
-def develop(light, quantiles, noise, seed, out):
+def digitise(light, quantiles, noise, seed, out):
     """Grey levels of 8 bits: the light plus normal noise of standard deviation `noise`.
 
     quantiles (4096,): of the standard normal; each pixel's 64 random bits, counted from `seed`, pick three of them.

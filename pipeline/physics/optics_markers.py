@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Floats, freeze
 from pipeline.base.errors import SettingProblem, ShapeError
 from pipeline.geometry.camera import Camera
-from pipeline.physics.slopes import slopes
+from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.parts import Gel, Markers
 from pipeline.sensors.spec import SensorSpec
 
@@ -18,13 +18,13 @@ _SHEAR_PER_THICKNESS = 0.15  # how far markers are squeezed out of a dent, per g
 _COARSE = 4  # the squeeze is smooth: every 4th pixel carries it
 
 
-def marker_motion_px(
+def compute_marker_motion_px(
     sensor: SensorSpec, indentation_mm: NDArray[np.floating], shear_mm: NDArray[np.floating] | None = None
 ) -> tuple[Floats, Floats]:
     """How far (x, y), in pixels, the surface point seen at each pixel is from where the untouched picture has it."""
     if sensor.gel is None:
         raise SettingProblem(f"{sensor.name} has no gel whose markers could move; choose a gel sensor")
-    checked(sensor, indentation_mm, shear_mm)
+    check_surface(sensor, indentation_mm, shear_mm)
     x, y = _marker_motion_px(
         np.ascontiguousarray(indentation_mm, dtype=np.float32), sensor.camera, sensor.gel, sensor.pixel_mm
     )
@@ -34,7 +34,9 @@ def marker_motion_px(
     return freeze(x + dragged[..., 0]), freeze(y + dragged[..., 1])
 
 
-def checked(sensor: SensorSpec, indentation_mm: NDArray[np.floating], shear_mm: NDArray[np.floating] | None) -> None:
+def check_surface(
+    sensor: SensorSpec, indentation_mm: NDArray[np.floating], shear_mm: NDArray[np.floating] | None
+) -> None:
     """Raise ShapeError unless both fit the sensor's picture and are finite."""
     shape = sensor.camera.shape
     if indentation_mm.shape != shape:
@@ -45,18 +47,18 @@ def checked(sensor: SensorSpec, indentation_mm: NDArray[np.floating], shear_mm: 
         raise ShapeError("an indentation to render must be finite, and its shear too; fill its gaps first")
 
 
-def print_on(light: Floats, markers: Markers, pixel_mm: float, move_x: Floats, move_y: Floats) -> None:
+def draw_markers(light: Floats, markers: Markers, pixel_mm: float, move_x: Floats, move_y: Floats) -> None:
     """Darken `light` (rows, cols, 3) where a dot is seen; the moves (rows, cols) are those of `marker_motion_px`."""
-    from pipeline.physics.optics_kernels import print_markers
+    from pipeline.physics.optics_kernels import darken_markers
 
-    turn = math.radians(markers.turn_deg)
+    turn = math.radians(markers.rotation_deg)
     first = (markers.phase_mm[0] / pixel_mm, markers.phase_mm[1] / pixel_mm)
-    place = np.array((*first, math.cos(turn), math.sin(turn), markers.bend), np.float32)
-    sizes = (markers.pitch_mm / pixel_mm, markers.radius_mm / pixel_mm, 0.5 * markers.twin_mm / pixel_mm)
+    place = np.array((*first, math.cos(turn), math.sin(turn), markers.distortion), np.float32)
+    sizes = (markers.pitch_mm / pixel_mm, markers.radius_mm / pixel_mm, 0.5 * markers.doubling_mm / pixel_mm)
     pitch, radius, half_twin, darkness, jitter = (
         np.float32(n) for n in (*sizes, markers.darkness, markers.jitter_mm / pixel_mm)
     )
-    print_markers(light, move_x, move_y, pitch, radius, half_twin, darkness, jitter, place)
+    darken_markers(light, move_x, move_y, pitch, radius, half_twin, darkness, jitter, place)
 
 
 def _marker_motion_px(u_mm: Floats, camera: Camera, gel: Gel, pixel_mm: float) -> tuple[Floats, Floats]:
@@ -72,7 +74,7 @@ def _marker_motion_px(u_mm: Floats, camera: Camera, gel: Gel, pixel_mm: float) -
     y = np.arange(camera.rows, dtype=np.float32) - np.float32(camera.cy_px)
     small = cv2.resize(u_mm, None, fx=1 / _COARSE, fy=1 / _COARSE, interpolation=cv2.INTER_AREA)
     small = cv2.GaussianBlur(small, (0, 0), max(0.5 * gel.thickness_mm / (pixel_mm * _COARSE), 0.1))
-    gx, gy = slopes(np.asarray(small, np.float32), pixel_mm * _COARSE)
+    gx, gy = compute_slopes(np.asarray(small, np.float32), pixel_mm * _COARSE)
     reach = np.float32(-_SHEAR_PER_THICKNESS * gel.thickness_mm / pixel_mm)
     size = (camera.cols, camera.rows)
     out_x, out_y = (

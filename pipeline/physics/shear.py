@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, Floats, Mask, freeze
 from pipeline.base.errors import SettingProblem, ShapeError
-from pipeline.base.memo import remembered
+from pipeline.base.memo import memoise
 from pipeline.geometry.camera import Camera
-from pipeline.physics.gel_layer import fast_length
+from pipeline.physics.gel_layer import find_fast_length
 from pipeline.physics.lattice import Lattice
 from pipeline.sensors.parts import Gel
 
@@ -38,32 +38,32 @@ _KPA_TO_N_MM2 = 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Load:
+class TangentialLoad:
     """How far the object has moved along the surface since it touched it."""
 
-    tangent_mm: tuple[float, float]  # right and down
+    displacement_mm: tuple[float, float]  # right and down
     friction: float = 0.8  # traction that the contact bears, per pressure
 
     def __post_init__(self) -> None:
         """Refuse what no gel can be given."""
-        if not all(math.isfinite(v) for v in self.tangent_mm):
-            raise SettingProblem(f"a tangential load must be finite, got {self.tangent_mm}")
+        if not all(math.isfinite(v) for v in self.displacement_mm):
+            raise SettingProblem(f"a tangential load must be finite, got {self.displacement_mm}")
         if not 0.0 <= self.friction <= 10.0:
             raise SettingProblem(f"friction must lie between 0 and 10, got {self.friction!r}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shear:
+class ShearResult:
     """The dragged surface; arrays are (rows, cols, ...), right and down in the last axis."""
 
-    move_mm: Floats  # (rows, cols, 2) of the material now at each pixel
+    motion_mm: Floats  # (rows, cols, 2) of the material now at each pixel
     slipping: Mask  # contact whose friction is used up
     force_n: tuple[float, float]
     steps: int
     converged: bool
 
 
-def drag(gel: Gel, pixel_mm: float, pressure_kpa: NDArray[np.floating], load: Load) -> Shear:
+def solve_shear(gel: Gel, pixel_mm: float, pressure_kpa: NDArray[np.floating], load: TangentialLoad) -> ShearResult:
     """The surface under `pressure_kpa` (rows, cols) dragged along by `load`; exact truth of the markers' motion.
 
     Least energy over tractions within the friction's reach, by accelerated projected gradients.
@@ -74,12 +74,12 @@ def drag(gel: Gel, pixel_mm: float, pressure_kpa: NDArray[np.floating], load: Lo
     pressure = _coarse(pressure_kpa, cell)
     limit = load.friction * pressure
     answer = _answer(gel, cell * pixel_mm, (int(pressure.shape[0]), int(pressure.shape[1])))
-    traction, steps, converged = _solved(answer, np.full((*pressure.shape, 2), load.tangent_mm, np.float32), limit)
-    move = answer.motion(traction)
+    traction, steps, converged = _solved(answer, np.full((*pressure.shape, 2), load.displacement_mm, np.float32), limit)
+    move = answer.compute_motion(traction)
     size = np.hypot(traction[..., 0], traction[..., 1])
     force = traction.sum(axis=(0, 1), dtype=np.float64) * (cell * pixel_mm) ** 2 * _KPA_TO_N_MM2
-    return Shear(
-        move_mm=freeze(_fine(move, cell, shape)),
+    return ShearResult(
+        motion_mm=freeze(_fine(move, cell, shape)),
         slipping=freeze(_fine(((size >= 0.999 * limit) & (limit > 0)).astype(np.float32), cell, shape) > 0.5),
         force_n=(float(force[0]), float(force[1])),
         steps=steps,
@@ -87,7 +87,7 @@ def drag(gel: Gel, pixel_mm: float, pressure_kpa: NDArray[np.floating], load: Lo
     )
 
 
-def seen_by(camera: Camera, on: Lattice, move_mm: Floats, depth_mm: NDArray[np.floating]) -> Floats:
+def sample_motion_at_pixels(camera: Camera, on: Lattice, move_mm: Floats, depth_mm: NDArray[np.floating]) -> Floats:
     """The motion (rows, cols, 2) in mm at the points a camera sees at `depth_mm`, of one on a lattice (ny, nx, 2)."""
     import cv2
 
@@ -99,45 +99,50 @@ def seen_by(camera: Camera, on: Lattice, move_mm: Floats, depth_mm: NDArray[np.f
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Answer:
+class TangentialResponse:
     """The layer's tangential answer as a filter over a padded grid."""
 
     shape: tuple[int, int]
-    padded: tuple[int, int]
-    across: Doubles  # mm per kPa of each wave, for traction across it
-    extra: Doubles  # what traction along the wave moves more, over q^2
+    padded_shape: tuple[int, int]
+    transverse_symbol: Doubles  # mm per kPa of each wave, for traction across it
+    longitudinal_extra: Doubles  # what traction along the wave moves more, over q^2
     qx: Doubles
     qy: Doubles
 
-    def motion(self, traction_kpa: Floats) -> Floats:
+    def compute_motion(self, traction_kpa: Floats) -> Floats:
         """Surface motion (rows, cols, 2) in mm under a traction of the same shape."""
         from scipy import fft
 
-        waves: Any = fft.rfft2(traction_kpa, s=self.padded, axes=(0, 1))
-        along = self.extra * (self.qx * waves[..., 0] + self.qy * waves[..., 1])
-        moved = np.stack([self.across * waves[..., 0] + self.qx * along, self.across * waves[..., 1] + self.qy * along])
-        back: Any = fft.irfft2(moved, s=self.padded, axes=(1, 2))
+        waves: Any = fft.rfft2(traction_kpa, s=self.padded_shape, axes=(0, 1))
+        along = self.longitudinal_extra * (self.qx * waves[..., 0] + self.qy * waves[..., 1])
+        moved = np.stack(
+            [
+                self.transverse_symbol * waves[..., 0] + self.qx * along,
+                self.transverse_symbol * waves[..., 1] + self.qy * along,
+            ]
+        )
+        back: Any = fft.irfft2(moved, s=self.padded_shape, axes=(1, 2))
         return np.moveaxis(back[:, : self.shape[0], : self.shape[1]], 0, -1).astype(np.float32)
 
 
-@remembered(16)
-def _answer(gel: Gel, cell_mm: float, shape: tuple[int, int]) -> Answer:
+@memoise(16)
+def _answer(gel: Gel, cell_mm: float, shape: tuple[int, int]) -> TangentialResponse:
     reach = [n - 1 for n in shape]
     if math.isfinite(gel.thickness_mm):
         reach = [min(n, math.ceil(_PAD * gel.thickness_mm / cell_mm)) for n in reach]
-    rows, cols = (fast_length(n + r) for n, r in zip(shape, reach, strict=True))
+    rows, cols = (find_fast_length(n + r) for n, r in zip(shape, reach, strict=True))
     qy = 2 * np.pi * np.fft.fftfreq(rows, cell_mm)[:, None] + np.zeros((1, cols // 2 + 1))
     qx = 2 * np.pi * np.fft.rfftfreq(cols, cell_mm)[None, :] + np.zeros((rows, 1))
     q = np.hypot(qx, qy)
     q[0, 0] = 0.5 * q[0, 1] if math.isinf(gel.thickness_mm) else 1e-3 / gel.thickness_mm
-    across, along = symbols(gel, q)
-    return Answer(
-        shape=shape, padded=(rows, cols), across=freeze(across), extra=freeze((along - across) / (q * q)),
+    across, along = compute_symbols(gel, q)
+    return TangentialResponse(
+        shape=shape, padded_shape=(rows, cols), transverse_symbol=freeze(across), longitudinal_extra=freeze((along - across) / (q * q)),
         qx=freeze(qx), qy=freeze(qy),
     )  # fmt: skip
 
 
-def symbols(gel: Gel, q_per_mm: Doubles) -> tuple[Doubles, Doubles]:
+def compute_symbols(gel: Gel, q_per_mm: Doubles) -> tuple[Doubles, Doubles]:
     """Motion in mm per kPa of traction across and along waves of wavenumber `q_per_mm`, which is positive."""
     v = gel.poisson
     x = np.minimum(q_per_mm * gel.thickness_mm, _LARGEST_X)
@@ -146,16 +151,21 @@ def symbols(gel: Gel, q_per_mm: Doubles) -> tuple[Doubles, Doubles]:
     return across, 2.0 * (1 - v * v) / gel.youngs_kpa / q_per_mm * k
 
 
-def _solved(answer: Answer, target: Floats, limit: Floats) -> tuple[Floats, int, bool]:
+def _solved(answer: TangentialResponse, target: Floats, limit: Floats) -> tuple[Floats, int, bool]:
     """(traction, steps, converged): motion equals `target` wherever the traction stays below `limit`."""
     traction: Floats = np.zeros(target.shape, np.float32)
     largest = float(np.hypot(target[..., 0], target[..., 1])[limit > 0].max(initial=0.0))
     if largest == 0:
         return traction, 0, True
-    step = np.float32(1.0 / float((answer.across + np.maximum(answer.extra * (answer.qx**2 + answer.qy**2), 0)).max()))
+    step = np.float32(
+        1.0
+        / float(
+            (answer.transverse_symbol + np.maximum(answer.longitudinal_extra * (answer.qx**2 + answer.qy**2), 0)).max()
+        )
+    )
     ahead, momentum = traction, 1.0
     for n in range(1, _STEPS + 1):
-        new = _within(ahead + step * (target - answer.motion(ahead)), limit)
+        new = _within(ahead + step * (target - answer.compute_motion(ahead)), limit)
         change = new - traction
         if float(np.abs(new - ahead).max()) <= _TOLERANCE * float(step) * largest:
             return new, n, True

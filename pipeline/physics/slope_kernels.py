@@ -3,11 +3,11 @@
 
 import numpy as np
 
-from pipeline.base.kept_kernels import inlined, kernel
+from pipeline.base.cached_kernels import inlined, kernel
 
 
 @kernel()
-def slopes_of(height, per_px, gx, gy):
+def write_slopes(height, per_px, gx, gy):
     """Write the slopes of height images (n, rows, cols) to gx, gy: central differences, one-sided at the border."""
     rows, cols = height.shape[1:]
     half, one, last = np.float32(0.5) * per_px, np.uint64(1), np.uint64(cols - 1)
@@ -27,7 +27,7 @@ def slopes_of(height, per_px, gx, gy):
 
 
 @inlined()
-def row_slopes(height, r, per_px, gx, gy):
+def write_row_slopes(height, r, per_px, gx, gy):
     """The same for row `r` of one image (rows, cols)."""
     rows, cols = height.shape
     half = np.float32(0.5) * per_px

@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Floats, freeze
 
 
-def slopes(height_mm: NDArray[np.floating], pixel_mm: float) -> tuple[Floats, Floats]:
+def compute_slopes(height_mm: NDArray[np.floating], pixel_mm: float) -> tuple[Floats, Floats]:
     """(d/dx, d/dy) in mm/mm of height images (..., rows, cols): central differences, one-sided at the border."""
-    from pipeline.physics.slope_kernels import slopes_of
+    from pipeline.physics.slope_kernels import write_slopes
 
     height = np.ascontiguousarray(height_mm, np.float32)
     gx, gy = np.empty_like(height), np.empty_like(height)
     # Read-only, as the kernel is compiled anew for what can be written to.
     images, out_x, out_y = (a.reshape(-1, *height.shape[-2:]) for a in (height, gx, gy))
-    slopes_of(freeze(images.view()), np.float32(1.0) / np.float32(pixel_mm), out_x, out_y)
+    write_slopes(freeze(images.view()), np.float32(1.0) / np.float32(pixel_mm), out_x, out_y)
     return gx, gy

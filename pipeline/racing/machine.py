@@ -8,24 +8,24 @@ import platform
 from collections.abc import Mapping
 from typing import Any
 
-from pipeline.base.processor import processor
+from pipeline.base.processor_name import describe_processor
 
-THREADS = 2
+N_THREADS = 2
 THREAD_SETTINGS: Mapping[str, str] = {
-    "OMP_NUM_THREADS": str(THREADS),
-    "OPENBLAS_NUM_THREADS": str(THREADS),
-    "MKL_NUM_THREADS": str(THREADS),
-    "NUMBA_NUM_THREADS": str(THREADS),
-    "TBB_NUM_THREADS": str(THREADS),
+    "OMP_NUM_THREADS": str(N_THREADS),
+    "OPENBLAS_NUM_THREADS": str(N_THREADS),
+    "MKL_NUM_THREADS": str(N_THREADS),
+    "NUMBA_NUM_THREADS": str(N_THREADS),
+    "TBB_NUM_THREADS": str(N_THREADS),
     "OMP_WAIT_POLICY": "PASSIVE",  # a peer's idle threads must not spin on the cores that ours run on
 }
 _PACKAGES = ("numpy", "scipy", "numba", "opencv-contrib-python-headless", "open3d", "small_gicp", "torch", "taxim")
 
 
-def machine(environment: Mapping[str, str] = os.environ) -> dict[str, Any]:
+def describe_machine(environment: Mapping[str, str] = os.environ) -> dict[str, Any]:
     """Processor, cores, load, Python, thread settings and package versions (None = not installed), ready for JSON."""
     return {
-        "cpu": processor(),
+        "cpu": describe_processor(),
         "cores": os.cpu_count() or 0,
         "system": platform.platform(),
         "python": platform.python_version(),
@@ -35,7 +35,7 @@ def machine(environment: Mapping[str, str] = os.environ) -> dict[str, Any]:
     }
 
 
-def machine_line(about: Mapping[str, Any]) -> str:
+def format_machine(about: Mapping[str, Any]) -> str:
     """The same in one line."""
     versions = ", ".join(f"{name} {version}" for name, version in about["packages"].items() if version)
     threads = about["threads"]["OMP_NUM_THREADS"]

@@ -8,22 +8,22 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base.files import whole_file
-from pipeline.racing.labels import place_labels
-from pipeline.racing.races import Answer, Point, Row
+from pipeline.racing.plot_labels import place_labels
+from pipeline.racing.results import BenchmarkResult, Measurement, PlotPoint
 
 _OURS, _PEER, _BAR = "#0b6e99", "#8a4b12", "#6b7280"
 _INCHES, _DPI = (8.4, 5.2), 120
 _MARGIN = 3.0  # factor of empty space around the points
 
 
-def plot(answer: Answer, path: Path) -> bool:
+def plot_result(answer: BenchmarkResult, path: Path) -> bool:
     """Draw the answer as a PNG; False, and no file, where no method has both a time and an error.
 
     The points are the answer's own, or else those of its rows in its unit. Shaded is where a point clears a row's bar.
     An error of exactly zero has no place on a logarithmic axis: it stands on the lowest line, which says so.
     Raises FileProblem where the picture cannot be written.
     """
-    points = [p for p in answer.points or points_of(answer) if _drawable(p)]
+    points = [p for p in answer.points or collect_points(answer) if _drawable(p)]
     if not points:
         return False
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -52,28 +52,28 @@ def plot(answer: Answer, path: Path) -> bool:
     return True
 
 
-def points_of(answer: Answer) -> tuple[Point, ...]:
+def collect_points(answer: BenchmarkResult) -> tuple[PlotPoint, ...]:
     """The methods of an answer's rows whose errors are in its unit: each peer once, ours once per question."""
-    found: dict[tuple[str, float, float], Point] = {}
+    found: dict[tuple[str, float, float], PlotPoint] = {}
     for row in answer.rows:
         if row.unit != answer.unit:
             continue
-        ours = Point(method=f"ours: {row.question}", ms=row.ours_ms, error=row.ours_error, ours=True)
+        ours = PlotPoint(method=f"ours: {row.question}", ms=row.ours_ms, error=row.ours_error, ours=True)
         found.setdefault((ours.method, 0.0, 0.0), ours)
         if row.peer:
             found.setdefault((row.peer, row.peer_ms, row.peer_error), _peer(row))
     return tuple(found.values())
 
 
-def _peer(row: Row) -> Point:
-    return Point(method=row.peer, ms=row.peer_ms, error=row.peer_error)
+def _peer(row: Measurement) -> PlotPoint:
+    return PlotPoint(method=row.peer, ms=row.peer_ms, error=row.peer_error)
 
 
-def _drawable(point: Point) -> bool:
+def _drawable(point: PlotPoint) -> bool:
     return math.isfinite(point.ms) and point.ms > 0 and math.isfinite(point.error) and point.error >= 0
 
 
-def _shown(row: Row, points: Sequence[Point]) -> bool:
+def _shown(row: Measurement, points: Sequence[PlotPoint]) -> bool:
     """Whether the row's own method is among the points; only then does its bar belong in the picture."""
     return any(p.ours and (p.ms, p.error) == (row.ours_ms, row.ours_error) for p in points)
 
@@ -84,7 +84,9 @@ def _floor(errors: Sequence[float]) -> float:
     return 10.0 ** (math.floor(math.log10(least)) - 1)
 
 
-def _axes(axes: Any, answer: Answer, points: Sequence[Point], bars: Sequence[Row], floor: float) -> None:
+def _axes(
+    axes: Any, answer: BenchmarkResult, points: Sequence[PlotPoint], bars: Sequence[Measurement], floor: float
+) -> None:
     errors = [p.error for p in points if p.error > 0] or [10 * floor]
     errors += [row.limit_error for row in bars if row.limit_error > 0]
     times = [p.ms for p in points] + [row.limit_ms for row in bars if row.limit_ms > 0]
@@ -104,10 +106,10 @@ def _axes(axes: Any, answer: Answer, points: Sequence[Point], bars: Sequence[Row
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _bars(axes: Any, rows: Sequence[Row], floor: float) -> None:
+def _bars(axes: Any, rows: Sequence[Measurement], floor: float) -> None:
     """Shade where each of our points clears all bars that it is held to."""
     (left, right), (low, top) = axes.get_xlim(), axes.get_ylim()
-    held: dict[tuple[float, float], list[Row]] = {}
+    held: dict[tuple[float, float], list[Measurement]] = {}
     for row in rows:
         if math.isfinite(row.limit_ms) or math.isfinite(row.limit_error):
             held.setdefault((row.ours_ms, row.ours_error), []).append(row)
@@ -124,7 +126,7 @@ def _bars(axes: Any, rows: Sequence[Row], floor: float) -> None:
                       fontsize=7.5, color=_BAR, annotation_clip=True)  # fmt: skip
 
 
-def _zero_line(axes: Any, points: Sequence[Point], floor: float) -> None:
+def _zero_line(axes: Any, points: Sequence[PlotPoint], floor: float) -> None:
     if all(p.error > 0 for p in points):
         return
     axes.axhline(floor, color=_BAR, lw=0.8, ls=":")

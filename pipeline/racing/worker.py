@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base.files import write_text
-from pipeline.racing.races import Answer
+from pipeline.racing.results import BenchmarkResult
 
 
 def main(question: str, out: str) -> None:
     """Answer the question and leave the answer at `out`."""
     answer = _module(Path(question)).answer()
-    if not isinstance(answer, Answer):
+    if not isinstance(answer, BenchmarkResult):
         raise TypeError(f"answer() of {Path(question).name} gave a {type(answer).__name__}, not an Answer")
     write_text(Path(out), json.dumps(asdict(answer), default=_number), "the answer")
 

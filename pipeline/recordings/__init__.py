@@ -1,5 +1,5 @@
 """Recordings of tactile sensors: every format of the field through one door."""
 
-from pipeline.recordings.opening import open_recording
+from pipeline.recordings.format_dispatch import open_recording
 
 __all__ = ["open_recording"]

@@ -11,17 +11,17 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Image, freeze
 from pipeline.base.errors import FileProblem
-from pipeline.base.text import plain
-from pipeline.recordings import pictures
-from pipeline.recordings.gel_pictures import gel_pictures
-from pipeline.recordings.indexing import checked_index
+from pipeline.base.text import escape_text
+from pipeline.recordings import image_files
+from pipeline.recordings.gel_images import make_gel_converter
+from pipeline.recordings.index_check import with_index_check
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
 _SMALLEST_PX = 8  # of a picture's sides; smaller arrays with three columns are points or matrices
 _WHITE = 255.0
 
 
-def keys(arrays: Mapping[str, NDArray[Any]]) -> tuple[str, ...]:
+def find_colour_keys(arrays: Mapping[str, NDArray[Any]]) -> tuple[str, ...]:
     """Which arrays hold colour pictures (..., rows, cols, 3) or (..., 3, rows, cols)."""
     return tuple(k for k, a in arrays.items() if a.ndim in (3, 4) and a.dtype.kind in "fiu" and _axis(a) is not None)
 
@@ -33,8 +33,8 @@ def read(
 
     Signed numbers are differences from the untouched picture, which they imply. Raises FileProblem or SettingProblem.
     """
-    coloured = keys(arrays)
-    named = [k for k in coloured if pictures.is_untouched_name(k)]
+    coloured = find_colour_keys(arrays)
+    named = [k for k in coloured if image_files.is_reference_key(k)]
     shown = [k for k in coloured if k not in named]
     if len(shown) != 1:
         seen = ", ".join(f"{k} {arrays[k].shape}" for k in coloured)
@@ -42,12 +42,12 @@ def read(
     key = shown[0]
     stack = _frames(arrays[key])
     white, notes = _scale(stack, key, path)
-    untouched = pictures.rgb(reference) if reference is not None else None
+    untouched = image_files.read_rgb(reference) if reference is not None else None
     about: tuple[str, ...] = () if reference is None else (f"{reference.name} shows the untouched sensor",)
     if untouched is None and named:
         base = _frames(arrays[named[0]])
         untouched = _bytes(base[0], _scale(base, named[0], path)[0])
-        about = (f"{plain(named[0])} shows the untouched sensor",)
+        about = (f"{escape_text(named[0])} shows the untouched sensor",)
     shape = (int(stack.shape[1]), int(stack.shape[2]))
     if untouched is not None and untouched.shape[:2] != shape:
         raise FileProblem(f"the reference has shape {untouched.shape}, the frames {stack.shape[1:]}", path)
@@ -58,16 +58,16 @@ def read(
     def raw(index: int) -> NDArray[np.generic]:
         return (stack[index] * np.float32(-white)).astype(np.float32) if signed else _bytes(stack[index], white)
 
-    made = gel_pictures(sensor, shape, untouched, lambda: raw(0))
+    made = make_gel_converter(sensor, shape, untouched, lambda: raw(0))
     if made.reference is None:
         about = ("no picture of the untouched sensor was found; name one with --reference",)
 
     def frame(index: int) -> TactileFrame:
-        return TactileFrame(sensor=made.sensor, image=made.picture(raw(index)), reference=made.reference, index=index,
+        return TactileFrame(sensor=made.sensor, image=made.convert_image(raw(index)), reference=made.reference, index=index,
                             origin=f"{path} [{key} {index}]")  # fmt: skip
 
     stream = Stream(name=made.sensor or "images", sensor=made.sensor, n_frames=len(stack),
-                    frame=checked_index(frame, len(stack), path))  # fmt: skip
+                    frame=with_index_check(frame, len(stack), path))  # fmt: skip
     return Recording(path=path, format="colour arrays", streams=(stream,), notes=(*made.notes, *notes, *about))
 
 
@@ -102,8 +102,8 @@ def _scale(stack: NDArray[Any], key: str, path: Path) -> tuple[float, tuple[str,
         )
     one = "1 is white" if scale > 1 else "255 is white"
     if low < 0:
-        return -scale, (f"{plain(key)} has negative values: {one}, and 0 is no change",)
-    return scale, (f"{plain(key)} holds {stack.dtype}: {one}",)
+        return -scale, (f"{escape_text(key)} has negative values: {one}, and 0 is no change",)
+    return scale, (f"{escape_text(key)} holds {stack.dtype}: {one}",)
 
 
 def _bytes(picture: NDArray[Any], white: float) -> Image:

@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Floats, freeze
 from pipeline.base.errors import CalibrationError, FileProblem
 from pipeline.base.files import read_arrays
-from pipeline.base.text import plain
-from pipeline.geometry.camera import Camera, camera_from_matrix
-from pipeline.recordings import pictures, resampling
-from pipeline.recordings.folders import Found
-from pipeline.recordings.indexing import checked_index
-from pipeline.recordings.sensor_guess import named_or_guessed
-from pipeline.sensors.spec import sensor as sensor_spec
+from pipeline.base.text import escape_text
+from pipeline.geometry.camera import Camera, make_camera
+from pipeline.recordings import image_files, resampling
+from pipeline.recordings.folder_contents import FolderContent
+from pipeline.recordings.index_check import with_index_check
+from pipeline.recordings.sensor_guess import resolve_sensor_name
+from pipeline.sensors.spec import load_sensor as sensor_spec
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
 DepthUnit = Literal["auto", "mm", "m", "0.1mm", "um"]
@@ -48,11 +48,11 @@ def read(
     return _recording(path, _arrays(path, arrays, unit), sensor, reference, unit)
 
 
-def read_pictures(
-    path: Path, found: Found, *, sensor: str = "", reference: Path | None = None, unit: DepthUnit = "auto"
+def read_image_folder(
+    path: Path, found: FolderContent, *, sensor: str = "", reference: Path | None = None, unit: DepthUnit = "auto"
 ) -> Recording:
     """The same of 16-bit images; one that is named as untouched is the reference where none is given."""
-    files = [p for p in found.pictures if p != reference]
+    files = [p for p in found.images if p != reference]
     if not files:
         raise FileProblem("the only depth image is the reference", path)
     named = path.stem if path.is_file() else path.name
@@ -61,25 +61,25 @@ def read_pictures(
     told = _unit_of(named, unit, path)
     loaded = _Loaded(named, told, len(files), lambda i: _sixteen_bit(files[i]), path)
     loaded.notes = found.notes
-    reference = reference or (found.untouched[0] if found.untouched else None)
+    reference = reference or (found.references[0] if found.references else None)
     return _recording(path, loaded, sensor, reference, cast("DepthUnit", told))
 
 
 def _recording(path: Path, loaded: _Loaded, sensor: str, reference: Path | None, unit: DepthUnit) -> Recording:
     n, first = loaded.n_frames, loaded.depth_mm(0)
     shape = cast("tuple[int, int]", first.shape)
-    name, notes = named_or_guessed(sensor, shape, is_depth=True)
+    name, notes = resolve_sensor_name(sensor, shape, is_depth=True)
     camera = loaded.camera
     if camera is None:
-        camera, about_camera = resampling.depth_camera(sensor_spec(sensor or name), shape)
+        camera, about_camera = resampling.infer_depth_camera(sensor_spec(sensor or name), shape)
         notes += about_camera
     untouched: Floats | None = None
     if reference is not None:
-        untouched, about = read_image(reference, unit), f"{reference.name} shows the untouched sensor"
+        untouched, about = read_depth_image(reference, unit), f"{reference.name} shows the untouched sensor"
     elif n > 1:
         n_first = min(_N_UNTOUCHED, max(1, n // 6))
-        untouched = median(np.stack([loaded.depth_mm(i) for i in range(n_first)]))
-        about = first_frames(n_first)
+        untouched = compute_median_depth(np.stack([loaded.depth_mm(i) for i in range(n_first)]))
+        about = describe_first_frames(n_first)
     else:
         about = "one picture alone has nothing to be compared to; name one of the untouched sensor with --reference"
     if untouched is not None and untouched.shape != shape:
@@ -91,23 +91,23 @@ def _recording(path: Path, loaded: _Loaded, sensor: str, reference: Path | None,
                             time_s=float(loaded.times_s[index]), origin=f"{path} [{loaded.key} {index}]",
                             camera=camera)  # fmt: skip
 
-    stream = Stream(name=name, sensor=name, n_frames=n, frame=checked_index(frame, n, path))
-    notes = (*notes, plain(f"{loaded.key} is taken as {loaded.unit}"), about, *loaded.notes)
+    stream = Stream(name=name, sensor=name, n_frames=n, frame=with_index_check(frame, n, path))
+    notes = (*notes, escape_text(f"{loaded.key} is taken as {loaded.unit}"), about, *loaded.notes)
     return Recording(path=path, format="depth arrays", streams=(stream,), notes=notes)
 
 
-def first_frames(n: int) -> str:
+def describe_first_frames(n: int) -> str:
     """What is said of a reference that is the median of the first `n` frames."""
     first = "the first frame" if n == 1 else f"the median of the first {n} frames"
     return f"{first} is taken as the untouched sensor"
 
 
-def read_image(path: Path, unit: DepthUnit = "auto") -> Floats:
+def read_depth_image(path: Path, unit: DepthUnit = "auto") -> Floats:
     """One depth image in mm: the median over all images of an array file, or one 16-bit picture."""
-    if pictures.is_picture(path):
+    if image_files.is_image_file(path):
         return _in_mm(_sixteen_bit(path), _unit_of(path.stem, unit, path), path.name, path)
     loaded = _arrays(path, read_arrays(path, "the depth images"), unit)
-    return median(np.stack([loaded.depth_mm(i) for i in range(loaded.n_frames)]))
+    return compute_median_depth(np.stack([loaded.depth_mm(i) for i in range(loaded.n_frames)]))
 
 
 class _Loaded:
@@ -137,19 +137,19 @@ def _arrays(path: Path, arrays: Mapping[str, NDArray[Any]], unit: DepthUnit) -> 
         if arrays["K"].dtype.kind not in "fiu":
             raise FileProblem(f"K must hold real numbers, got {arrays['K'].dtype}", path, field="K")
         try:
-            loaded.camera = camera_from_matrix(arrays["K"], stack.shape[1], stack.shape[2], what="K")
+            loaded.camera = make_camera(arrays["K"], stack.shape[1], stack.shape[2], what="K")
         except CalibrationError as error:
             raise CalibrationError(f"{error}: '{path}'") from error
     for name in ("timestamps_s", "time_s", "t_s"):
         if name in arrays and arrays[name].shape == (len(stack),) and arrays[name].dtype.kind in "fiu":
             loaded.times_s = arrays[name]
     left = sorted(arrays.keys() - {key, "K", "timestamps_s", "time_s", "t_s", "frame"})
-    loaded.notes = (f"also in the file and left out: {plain(', '.join(left))}",) if left else ()
+    loaded.notes = (f"also in the file and left out: {escape_text(', '.join(left))}",) if left else ()
     return loaded
 
 
 def _sixteen_bit(file: Path) -> NDArray[Any]:
-    pixels = pictures.raw_pixels(file)
+    pixels = image_files.read_raw_pixels(file)
     if pixels.ndim != 2 or pixels.dtype != np.uint16:
         raise FileProblem("a depth image must have one channel of 16 bits", file)
     return pixels
@@ -187,7 +187,7 @@ def _in_mm(raw: NDArray[Any], unit: str, what: str, path: Path) -> Floats:
     return freeze(values)
 
 
-def median(stack: NDArray[Any]) -> Floats:
+def compute_median_depth(stack: NDArray[Any]) -> Floats:
     """Of depth images (frames, rows, cols), NaN only where no frame has a reading."""
     seen = np.isfinite(stack).any(axis=0)
     median = np.full(stack.shape[1:], np.nan, np.float32)

@@ -15,7 +15,7 @@ import numpy as np
 from pipeline.base.arrays import freeze
 from pipeline.base.errors import FileProblem
 from pipeline.recordings import torch_files
-from pipeline.recordings.indexing import checked_index
+from pipeline.recordings.index_check import with_index_check
 from pipeline.values.frames import Recording, Stream, TactileFrame, Truth
 
 _SHAPE = (320, 427)
@@ -34,12 +34,12 @@ def read(path: Path) -> Recording:
 
     Raises FileProblem when a key is missing or of another shape.
     """
-    found = torch_files.tensors(path)
-    images = torch_files.numbers(found, "tactile_image", path, (None, 6, *_SHAPE))
-    base = torch_files.rows_of(found, "base_tactile_image", path, (6, *_SHAPE))
+    found = torch_files.load_tensors(path)
+    images = torch_files.require_tensor(found, "tactile_image", path, (None, 6, *_SHAPE))
+    base = torch_files.require_tensor_rows(found, "base_tactile_image", path, (6, *_SHAPE))
     # The read-me of the data names the key in the plural, the files in the singular.
     depth_key = next((k for k in ("depth_image", "depth_images") if k in found), "")
-    depth = torch_files.numbers(found, depth_key, path, (None, 2, *_SHAPE)) if depth_key else None
+    depth = torch_files.require_tensor(found, depth_key, path, (None, 2, *_SHAPE)) if depth_key else None
     n = int(images.shape[0])
     if len(base) not in (1, n) or (depth is not None and len(depth) != n):
         raise FileProblem(f"tactile_image has {n} grasps, but base_tactile_image or {depth_key} another number", path)
@@ -49,8 +49,8 @@ def read(path: Path) -> Recording:
 
         def frame(index: int) -> TactileFrame:
             return TactileFrame(
-                sensor="gelslim", image=torch_files.as_rgb(images[index, channels], "tactile_image", path),
-                reference=torch_files.as_rgb(base[min(index, len(base) - 1), channels], "base_tactile_image", path),
+                sensor="gelslim", image=torch_files.convert_to_rgb(images[index, channels], "tactile_image", path),
+                reference=torch_files.convert_to_rgb(base[min(index, len(base) - 1), channels], "base_tactile_image", path),
                 index=index, origin=f"{path} [{_FINGERS[finger]}]",
             )  # fmt: skip
 
@@ -58,7 +58,7 @@ def read(path: Path) -> Recording:
             return None if depth is None else _truth(depth[index, finger], index, depth_key, path)
 
         return Stream(name=_FINGERS[finger], sensor="gelslim", n_frames=n, has_truth=depth is not None,
-                      frame=checked_index(frame, n, path), truth=checked_index(truth, n, path))  # fmt: skip
+                      frame=with_index_check(frame, n, path), truth=with_index_check(truth, n, path))  # fmt: skip
 
     return Recording(path=path, format="gelslim_depth dictionary", streams=(stream(0), stream(1)), notes=_notes(found))
 

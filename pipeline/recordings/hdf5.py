@@ -12,22 +12,22 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import freeze
 from pipeline.base.errors import CalibrationError, FileProblem, TouchError
-from pipeline.base.files import must_be_file
-from pipeline.base.text import plain
+from pipeline.base.files import require_file
+from pipeline.base.text import escape_text
 from pipeline.geometry import rigid
-from pipeline.geometry.camera import Camera, camera_from_matrix
-from pipeline.geometry.meshes import Mesh, must_be_whole
-from pipeline.recordings import hdf5_border as border
+from pipeline.geometry.camera import Camera, make_camera
+from pipeline.geometry.meshes import Mesh, require_watertight
 from pipeline.recordings import hdf5_layout as layout
 from pipeline.recordings import hdf5_symmetry
-from pipeline.recordings.indexing import checked_index
+from pipeline.recordings import hdf5_validation as border
+from pipeline.recordings.index_check import with_index_check
 from pipeline.values.frames import Pairing, Recording, Stream, TactileFrame, Truth
 
 T = TypeVar("T")
 
-NOT_CLOSED = "the recording was not closed: it is being written, or its program was ended"
-CUT_SHORT, LOST = "the file is cut short", "cannot be read: that part of the file is damaged"
-KNOWN = "the table of what is known"
+NOT_CLOSED_NOTE = "the recording was not closed: it is being written, or its program was ended"
+TRUNCATED_NOTE, DAMAGED_NOTE = "the file is cut short", "cannot be read: that part of the file is damaged"
+TRUTH_TABLE_TITLE = "the table of what is known"
 
 
 def read(path: Path) -> Recording:
@@ -37,7 +37,7 @@ def read(path: Path) -> Recording:
     FileProblem when the file is no recording of ours, is newer than this program, says no or a wrong unit, or holds
     what `hdf5_border` keeps out.
     """
-    must_be_file(path, "the recording", most_bytes=1 << 50)
+    require_file(path, "the recording", most_bytes=1 << 50)
     notes: list[str] = []
     file = _opened(path, notes)
     try:
@@ -53,7 +53,7 @@ def read(path: Path) -> Recording:
 def _recording(file: Any, path: Path, notes: list[str]) -> Recording:
     if file.attrs.get("format") != layout.FORMAT:
         raise FileProblem("this HDF5 file is not a tactoscope recording: its attribute 'format' is missing", path)
-    border.must_hold_its_own(file, path)
+    border.require_self_contained(file, path)
     version = int(file.attrs.get("format_version", 0))
     if not 1 <= version <= layout.VERSION:
         raise FileProblem(
@@ -61,7 +61,7 @@ def _recording(file: Any, path: Path, notes: list[str]) -> Recording:
             path,
             field="format_version",
         )
-    notes += border.lines(file, "notes", path)
+    notes += border.read_text_lines(file, "notes", path)
     groups = sorted(file["streams"].items(), key=lambda item: int(item[1].attrs["order"]))
     lost: list[str] = []
     streams = tuple(_stream(group, name, path, lost) for name, group in groups)
@@ -74,7 +74,7 @@ def _recording(file: Any, path: Path, notes: list[str]) -> Recording:
     pairs = file.get("pairings", {})
     pairings = tuple(_pairing(pairs, key, path) for key in pairs)
     if lost:
-        notes.append(f"{', '.join(lost)} {LOST}")
+        notes.append(f"{', '.join(lost)} {DAMAGED_NOTE}")
     return Recording(path=path, format=layout.FORMAT, streams=streams, object_mesh=mesh, pairings=pairings,
                      notes=tuple(notes), close=file.close, symmetry=symmetry)  # fmt: skip
 
@@ -84,17 +84,17 @@ def _stream(group: Any, name: str, path: Path, lost: list[str]) -> Stream:
     grows = bool(group.file.swmr_mode)
     if grows:  # a frame of which only a part is there does not count yet
         n = min([n, *(len(group[key]) for key in ("timestamps", "reference_index", "truth/known") if key in group)])
-    sensor, shown = border.sensor(group, path), plain(name)
+    sensor, shown = border.read_sensor_name(group, path), escape_text(name)
 
     def table(key: str, kinds: str, otherwise: float, what: str) -> NDArray[Any]:
-        stored = border.dataset(group, key, layout.UNITS[key], kinds, (None if grows else n,), path)
-        kept_as = np.float64 if kinds == border.FLOAT else np.int64
+        stored = border.require_dataset(group, key, layout.UNITS[key], kinds, (None if grows else n,), path)
+        kept_as = np.float64 if kinds == border.FLOAT_KINDS else np.int64
         what = f"{what} of {shown!r}"
         return _tolerated(lambda: stored[:n].astype(kept_as), np.full(n, otherwise, kept_as), what, lost)
 
-    times = table("timestamps", border.FLOAT, np.nan, "the timestamps")
-    rows = table("reference_index", border.WHOLE, -1, "the table of references")
-    known = table("truth/known", border.WHOLE, 0, KNOWN)
+    times = table("timestamps", border.FLOAT_KINDS, np.nan, "the timestamps")
+    rows = table("reference_index", border.INTEGER_KINDS, -1, "the table of references")
+    known = table("truth/known", border.INTEGER_KINDS, 0, TRUTH_TABLE_TITLE)
     camera = _camera(group, path) if "camera_matrix" in group else None
 
     last: tuple[int, NDArray[Any]] = -1, np.empty(0)  # frames in a row mostly share their untouched reading
@@ -119,28 +119,34 @@ def _stream(group: Any, name: str, path: Path, lost: list[str]) -> Stream:
         if not bits:
             return None
         fields = {
-            t.field: _entry(group[t.key], index, index, name, path, t.kept) for t in layout.TRUTHS if bits & t.bit
+            t.field: _entry(group[t.key], index, index, name, path, t.dtype)
+            for t in layout.TRUTH_FIELDS
+            if bits & t.bit
         }
         return Truth(**fields)
 
-    for told in layout.TRUTHS:
+    for told in layout.TRUTH_FIELDS:
         if told.key not in group and (known & told.bit).any():
             raise FileProblem(f"{shown} says that its {told.key} is known, but does not hold it", path, field=told.key)
-    return Stream(name=shown, sensor=sensor, n_frames=n, frame=checked_index(frame, n, path),
-                  truth=checked_index(truth, n, path), has_truth=bool(known.any()))  # fmt: skip
+    return Stream(name=shown, sensor=sensor, n_frames=n, frame=with_index_check(frame, n, path),
+                  truth=with_index_check(truth, n, path), has_truth=bool(known.any()))  # fmt: skip
 
 
 def _checked_stream(group: Any, path: Path) -> tuple[int, type]:
     """(number of frames, type of a reading) of a stream whose datasets all are what the layout says."""
     frames = group["frames"]
-    unit, kinds, kept = ("rgb", border.BYTES, np.uint8) if frames.ndim == 4 else ("mm", border.REAL, np.float32)
+    unit, kinds, kept = (
+        ("rgb", border.UINT8_KINDS, np.uint8) if frames.ndim == 4 else ("mm", border.REAL_KINDS, np.float32)
+    )
     picture = (None, None, 3) if frames.ndim == 4 else (None, None)
-    n, *shape = border.dataset(group, "frames", unit, kinds, (None, *picture), path).shape
-    border.dataset(group, "references", unit, kinds, (None, *shape), path)
-    for told in layout.TRUTHS:
+    n, *shape = border.require_dataset(group, "frames", unit, kinds, (None, *picture), path).shape
+    border.require_dataset(group, "references", unit, kinds, (None, *shape), path)
+    for told in layout.TRUTH_FIELDS:
         if told.key in group:
-            kinds = border.REAL if told.shape is None else border.FLOAT
-            border.dataset(group, told.key, layout.UNITS[told.key], kinds, (None, *(told.shape or shape[:2])), path)
+            kinds = border.REAL_KINDS if told.shape is None else border.FLOAT_KINDS
+            border.require_dataset(
+                group, told.key, layout.UNITS[told.key], kinds, (None, *(told.shape or shape[:2])), path
+            )
     return int(n), kept
 
 
@@ -149,7 +155,7 @@ def _entry(dataset: Any, row: int, index: int, stream: str, path: Path, kept: ty
     key = str(dataset.name).removeprefix(f"/streams/{stream}/")
     if row < dataset.shape[0]:
         try:
-            return freeze(layout.decoded(dataset[row], dataset).astype(kept, copy=False))
+            return freeze(layout.decode_frame(dataset[row], dataset).astype(kept, copy=False))
         except (OSError, RuntimeError):
             pass
     raise FileProblem(f"frame {index} of {stream!r}: its {key} are damaged or cut off; other frames can be read", path,
@@ -159,26 +165,30 @@ def _entry(dataset: Any, row: int, index: int, stream: str, path: Path, kept: ty
 def _camera(group: Any, path: Path) -> Camera:
     rows, cols = group["frames"].shape[1:3]
     key = f"{group.name}/camera_matrix".lstrip("/")
-    matrix = border.dataset(group, "camera_matrix", "px", border.REAL, (3, 3), path)
+    matrix = border.require_dataset(group, "camera_matrix", "px", border.REAL_KINDS, (3, 3), path)
     try:
-        return camera_from_matrix(matrix[()], rows, cols, what=key)
+        return make_camera(matrix[()], rows, cols, what=key)
     except CalibrationError as error:
         raise CalibrationError(f"{error}: '{path}'") from error
 
 
 def _mesh(group: Any, path: Path) -> Mesh:
-    vertices = border.dataset(group, "vertices", "mm", border.FLOAT, (None, 3), path)[()].astype(np.float64)
-    triangles = border.dataset(group, "triangles", "1", border.WHOLE, (None, 3), path)[()].astype(np.int64)
-    must_be_whole(vertices, triangles, path)
+    vertices = border.require_dataset(group, "vertices", "mm", border.FLOAT_KINDS, (None, 3), path)[()].astype(
+        np.float64
+    )
+    triangles = border.require_dataset(group, "triangles", "1", border.INTEGER_KINDS, (None, 3), path)[()].astype(
+        np.int64
+    )
+    require_watertight(vertices, triangles, path)
     return Mesh(vertices_mm=freeze(vertices), triangles=freeze(triangles.astype(np.int32)),
-                name=border.word(group, "name", path))  # fmt: skip
+                name=border.read_text_line(group, "name", path))  # fmt: skip
 
 
 def _pairing(pairs: Any, key: str, path: Path) -> Pairing:
-    dataset = border.dataset(pairs, key, "mm", border.FLOAT, (4, 4), path)
-    source, target = border.word(dataset, "source", path), border.word(dataset, "target", path)
+    dataset = border.require_dataset(pairs, key, "mm", border.FLOAT_KINDS, (4, 4), path)
+    source, target = border.read_text_line(dataset, "source", path), border.read_text_line(dataset, "target", path)
     try:
-        matrix = rigid.within_reach(dataset[()], f"target_from_source of {source!r} and {target!r}")
+        matrix = rigid.validate_within_reach(dataset[()], f"target_from_source of {source!r} and {target!r}")
     except CalibrationError as error:
         raise CalibrationError(f"{error}: '{path}'") from error
     return Pairing(source=source, target=target, target_from_source=freeze(matrix))
@@ -205,7 +215,7 @@ def _opened(path: Path, notes: list[str]) -> Any:
             raise FileProblem(f"the HDF5 file cannot be opened ({_short(error)})", path) from error
     data = path.read_bytes()
     try:
-        whole = layout.whole_bytes(data)
+        whole = layout.parse_file_size(data)
         if whole > 20 * len(data) + (64 << 20):
             raise ValueError(f"{whole} bytes cannot be right")
         # The library refuses a file that ends early; with filling in place of the lost end it reads all that is there.
@@ -214,7 +224,7 @@ def _opened(path: Path, notes: list[str]) -> Any:
         file = h5py.File(image)
     except (OSError, ValueError, struct.error) as error:
         raise FileProblem("the HDF5 file is cut short before its table of contents", path) from error
-    notes.append(f"{CUT_SHORT}: {len(data)} of {whole} bytes are there; frames beyond cannot be read")
+    notes.append(f"{TRUNCATED_NOTE}: {len(data)} of {whole} bytes are there; frames beyond cannot be read")
     return file
 
 
@@ -226,7 +236,7 @@ def _not_closed(path: Path, notes: list[str]) -> Any:
         file = h5py.File(path, "r", swmr=True)
     except OSError as error:
         raise FileProblem(f"the recording is being written by another program ({_short(error)})", path) from error
-    notes.append(NOT_CLOSED)
+    notes.append(NOT_CLOSED_NOTE)
     return file
 
 

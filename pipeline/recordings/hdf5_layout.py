@@ -50,29 +50,29 @@ UNITS: Mapping[str, str] = {
 }  # fmt: skip
 
 
-class Known(NamedTuple):
+class TruthField(NamedTuple):
     """One field of `Truth`, and how it lies in a stream."""
 
     field: str
     key: str
     bit: int  # in truth/known
-    kept: type  # of its values in memory
+    dtype: type  # of its values in memory
     shape: tuple[int, ...] | None  # of one frame's; None = the picture's
 
 
-TRUTHS = (
-    Known("indentation_mm", "truth/indentation", 1, np.float32, None),
-    Known("contact", "truth/contact", 2, np.bool_, None),
-    Known("sensor_from_object", "truth/sensor_from_object", 4, np.float64, (4, 4)),
-    Known("force_n", "truth/force", 8, np.float64, (3,)),
+TRUTH_FIELDS = (
+    TruthField("indentation_mm", "truth/indentation", 1, np.float32, None),
+    TruthField("contact", "truth/contact", 2, np.bool_, None),
+    TruthField("sensor_from_object", "truth/sensor_from_object", 4, np.float64, (4, 4)),
+    TruthField("force_n", "truth/force", 8, np.float64, (3,)),
 )
 
-LARGEST_STEP_MM = 10.0  # a thousand times coarser than any depth camera
+MAX_STEP_MM = 10.0  # a thousand times coarser than any depth camera
 # 0.1 um holds +-3.2 mm, more than any gel gives way; a bubble moves by centimetres and is read to 0.4 mm.
 GEL_STEP_MM, BUBBLE_STEP_MM = 1e-4, 1e-3
 
 
-def checked_unit(dataset: Any, want: str, path: Path) -> Any:
+def require_unit(dataset: Any, want: str, path: Path) -> Any:
     """`dataset` if its attribute `unit` is `want`; raises FileProblem naming it otherwise."""
     key = str(dataset.name).lstrip("/")
     unit = dataset.attrs.get("unit")
@@ -83,7 +83,7 @@ def checked_unit(dataset: Any, want: str, path: Path) -> Any:
     return dataset
 
 
-def whole_bytes(head: bytes) -> int:
+def parse_file_size(head: bytes) -> int:
     """How long the file is that begins so: superblocks 2 and 3, which this format has, keep it in bytes 28 to 35.
 
     Raises ValueError for another superblock, struct.error where the file ends before.
@@ -94,13 +94,13 @@ def whole_bytes(head: bytes) -> int:
     return whole
 
 
-def cut_to_size(file: BinaryIO) -> None:
+def truncate_to_size(file: BinaryIO) -> None:
     """Give back the room behind the end of the recording that `file` holds, taken for what was not needed."""
     file.seek(0)
-    file.truncate(whole_bytes(file.read(64)))
+    file.truncate(parse_file_size(file.read(64)))
 
 
-def encoded(values: NDArray[Any], dataset: Any, what: str) -> NDArray[Any]:
+def encode_frame(values: NDArray[Any], dataset: Any, what: str) -> NDArray[Any]:
     """One frame of `values` as `dataset` keeps it; raises ShapeError when a length does not fit its integers."""
     if "step_mm" in dataset.attrs:
         limits, nan_code = np.iinfo(dataset.dtype), int(dataset.attrs["nan_code"])
@@ -119,7 +119,7 @@ def encoded(values: NDArray[Any], dataset: Any, what: str) -> NDArray[Any]:
     return values
 
 
-def decoded(stored: NDArray[Any], dataset: Any) -> NDArray[Any]:
+def decode_frame(stored: NDArray[Any], dataset: Any) -> NDArray[Any]:
     """What `encoded` was given."""
     if dataset.attrs.get("coding") == "row differences":
         stored = np.cumsum(stored, axis=0, dtype=stored.dtype)

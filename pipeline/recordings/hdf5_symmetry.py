@@ -9,8 +9,8 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import FileProblem
-from pipeline.recordings import hdf5_border as border
 from pipeline.recordings import hdf5_layout as layout
+from pipeline.recordings import hdf5_validation as border
 
 if TYPE_CHECKING:  # the shapes are many, and a reader needs none of them
     from pipeline.geometry.symmetry import Symmetry
@@ -38,11 +38,11 @@ def read(group: Any, path: Path) -> Symmetry | None:
     from pipeline.geometry.symmetry import Symmetry
 
     inside = group["symmetry"]
-    stored = border.dataset(inside, "rotations", "1", border.FLOAT, (None, 3, 3), path)
+    stored = border.require_dataset(inside, "rotations", "1", border.FLOAT_KINDS, (None, 3, 3), path)
     rotations: Doubles = stored[: _MOST + 1].astype(np.float64)
     axis = None
     if "axis" in inside:
-        axis = border.dataset(inside, "axis", "1", border.FLOAT, (3,), path)[()].astype(np.float64)
+        axis = border.require_dataset(inside, "axis", "1", border.FLOAT_KINDS, (3,), path)[()].astype(np.float64)
     proper = 0 < len(rotations) <= _MOST
     proper = proper and bool(np.abs(rotations.transpose(0, 2, 1) @ rotations - np.eye(3)).max() < _EXACT)
     proper = (

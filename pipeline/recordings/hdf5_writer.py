@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _TABLES_BYTES = 2 << 20  # of tables of contents and of numbers that one append may add, with a wide margin
 
 
-class Writer:
+class RecordingWriter:
     """A recording being written; what stood at `path` stays until the `with` block ends without an error."""
 
     def __init__(
@@ -65,7 +65,7 @@ class Writer:
                 dataset.attrs["source"], dataset.attrs["target"] = pair.source, pair.target
 
     @classmethod
-    def appending(cls, path: Path) -> Writer:
+    def open_for_append(cls, path: Path) -> RecordingWriter:
         """Go on with a recording that exists: on a copy, so that an interrupted append costs nothing."""
         recording = hdf5.read(path)  # refuses what is no recording before a copy is made of it
         recording.close()
@@ -112,7 +112,7 @@ class Writer:
         if hasattr(os, "posix_fallocate"):
             os.posix_fallocate(self._beside.fileno(), 0, self._file.id.get_filesize() + n_bytes + _TABLES_BYTES)
 
-    def __enter__(self) -> Writer:
+    def __enter__(self) -> RecordingWriter:
         return self
 
     def __exit__(
@@ -122,7 +122,7 @@ class Writer:
             if error is not None:
                 raise error
             self._file.close()
-            layout.cut_to_size(self._beside)
+            layout.truncate_to_size(self._beside)
             self._read_back()
 
     def _read_back(self) -> None:
@@ -145,7 +145,7 @@ class Writer:
         self._reserve(4 * frame.image.nbytes)  # the reading, perhaps its reference, and truth of both kinds
         if frame.image.shape != frames.shape[1:]:
             raise ShapeError(f"frame {index} of {stream!r} must have shape {frames.shape[1:]}, got {frame.image.shape}")
-        pixels = layout.encoded(frame.image, frames, f"frame {index} of {stream!r}")
+        pixels = layout.encode_frame(frame.image, frames, f"frame {index} of {stream!r}")
         reference = self._reference_row(stream, group, frame)
         _add(frames, index, pixels)
         _add(group["timestamps"], index, frame.time_s)
@@ -182,7 +182,7 @@ class Writer:
             return kept.shape[0] - 1
         if reference.shape != frame.image.shape:
             raise ShapeError(f"the reference of {stream!r} must have shape {frame.image.shape}, got {reference.shape}")
-        coded = layout.encoded(reference, kept, f"the reference of {stream!r}")
+        coded = layout.encode_frame(reference, kept, f"the reference of {stream!r}")
         before = kept[-1] if last is None and kept.shape[0] else None  # of a recording that is gone on with
         if before is None or not np.array_equal(before, coded, equal_nan=before.dtype.kind == "f"):
             _add(kept, kept.shape[0], coded)
@@ -193,20 +193,20 @@ class Writer:
         shape: tuple[int, ...] = group["frames"].shape[1:3]
         known = 0
         step = layout.BUBBLE_STEP_MM if group["frames"].ndim == 3 else layout.GEL_STEP_MM
-        for told in layout.TRUTHS:
+        for told in layout.TRUTH_FIELDS:
             key, want, values = told.key, told.shape or shape, getattr(truth or Truth(), told.field)
             if values is None:
                 continue
             if values.shape != want:
                 raise ShapeError(f"{key} of frame {index} must have shape {want}, got {values.shape}")
-            if key not in group and told.kept is np.float32:
+            if key not in group and told.dtype is np.float32:
                 coding: Coding = self._coding
                 _stack(group, key, shape, np.int16, "mm", coding=coding, step_mm=step, nan_code=-32768, fill=-32768)
-            elif key not in group and told.kept is np.bool_:
+            elif key not in group and told.dtype is np.bool_:
                 _stack(group, key, shape, np.uint8, layout.UNITS[key])
             elif key not in group:
-                _stack(group, key, want, told.kept, layout.UNITS[key], fill=np.nan)
-            _add(group[key], index, layout.encoded(values, group[key], f"{key} of frame {index}"))
+                _stack(group, key, want, told.dtype, layout.UNITS[key], fill=np.nan)
+            _add(group[key], index, layout.encode_frame(values, group[key], f"{key} of frame {index}"))
             known |= told.bit
         _add(group["truth/known"], index, known)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pipeline.base.arrays import Floats, Image
 from pipeline.base.errors import SettingProblem, ShapeError
-from pipeline.sensors.spec import sensor as sensor_spec
+from pipeline.sensors.spec import load_sensor as sensor_spec
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
 
@@ -31,14 +31,14 @@ def with_reference(recording: Recording, reference: Image | Floats, origin: Path
             f"a reference can be given for a recording of one stream, this one has {len(recording.streams)}: '{origin}'"
         )
 
-    def referred(frame: TactileFrame) -> TactileFrame:
+    def replace_reference(frame: TactileFrame) -> TactileFrame:
         if frame.image.shape != reference.shape:
             raise ShapeError(
                 f"the reference has shape {reference.shape} and frame {frame.index} {frame.image.shape}: '{origin}'"
             )
         return replace(frame, reference=reference)
 
-    return replace(recording, streams=(_mapped(recording.streams[0], referred),),
+    return replace(recording, streams=(_mapped(recording.streams[0], replace_reference),),
                    notes=(*recording.notes, f"{origin.name} shows the untouched sensor, as asked"))  # fmt: skip
 
 

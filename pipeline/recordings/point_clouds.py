@@ -15,11 +15,11 @@ from pipeline.base.arrays import Floats, freeze
 from pipeline.base.errors import FileProblem
 from pipeline.base.files import read_arrays
 from pipeline.geometry.camera import Camera
-from pipeline.recordings import pictures
-from pipeline.recordings.depth_arrays import first_frames, median
-from pipeline.recordings.folders import is_cloud
-from pipeline.recordings.indexing import checked_index
-from pipeline.recordings.sensor_guess import named_or_guessed
+from pipeline.recordings import image_files
+from pipeline.recordings.depth_arrays import compute_median_depth, describe_first_frames
+from pipeline.recordings.folder_contents import is_point_cloud_file
+from pipeline.recordings.index_check import with_index_check
+from pipeline.recordings.sensor_guess import resolve_sensor_name
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
 _SHAPES = ((480, 640), (480, 848), (720, 1280), (240, 320), (171, 224))  # of depth cameras
@@ -34,13 +34,13 @@ def read(folder: Path, *, sensor: str = "") -> Recording:
 
     The median of the first frames is taken as untouched, and noted. Raises FileProblem.
     """
-    files = sorted(filter(is_cloud, folder.iterdir()), key=pictures.natural_key)
+    files = sorted(filter(is_point_cloud_file, folder.iterdir()), key=image_files.natural_sort_key)
     first = _points(files[0])
     shape = next((s for s in _SHAPES if s[0] * s[1] == len(first)), None)
     if shape is None:
         raise FileProblem(f"{len(first)} points are no whole picture of a depth camera that is known", files[0])
     camera = _camera(first, shape, files[0])
-    name, notes = named_or_guessed(sensor, shape, is_depth=True)
+    name, notes = resolve_sensor_name(sensor, shape, is_depth=True)
 
     @lru_cache(maxsize=2)
     def depth_mm(index: int) -> Floats:
@@ -52,7 +52,7 @@ def read(folder: Path, *, sensor: str = "") -> Recording:
 
     n = len(files)
     n_first = min(_N_UNTOUCHED, max(1, n // 6))
-    untouched = median(np.stack([depth_mm(i) for i in range(n_first)]))
+    untouched = compute_median_depth(np.stack([depth_mm(i) for i in range(n_first)]))
 
     def frame(index: int) -> TactileFrame:
         return TactileFrame(sensor=name, image=depth_mm(index), reference=untouched, index=index, camera=camera,
@@ -60,9 +60,9 @@ def read(folder: Path, *, sensor: str = "") -> Recording:
 
     told = (
         f"the camera follows from the points: focal length {camera.fx_px:.1f} px",
-        first_frames(n_first),
+        describe_first_frames(n_first),
     )
-    stream = Stream(name=name, sensor=name, n_frames=n, frame=checked_index(frame, n, folder))
+    stream = Stream(name=name, sensor=name, n_frames=n, frame=with_index_check(frame, n, folder))
     return Recording(path=folder, format="point clouds of a depth camera", streams=(stream,), notes=(*notes, *told))
 
 

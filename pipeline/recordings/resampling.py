@@ -23,28 +23,28 @@ _FLIGHT_SHAPE, _FLIGHT_CORNER = (171, 224), (20, 25)  # the whole picture of whi
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Fit:
+class ResamplingFit:
     """How a gel's picture of one size becomes one of the sensor's."""
 
     shape: tuple[int, int]  # (rows, cols) of the sensor
-    cut: float  # share of each side that is left away
-    turned: bool  # a quarter to the left, as DIGIT's own driver does
+    crop_share: float  # share of each side that is left away
+    is_rotated: bool  # a quarter to the left, as DIGIT's own driver does
     note: str
 
-    def applied(self, image: Image) -> Image:
+    def resample_image(self, image: Image) -> Image:
         """(rows, cols, 3) of the sensor's size."""
         import cv2
 
-        rows, cols = (round(n * self.cut) for n in image.shape[:2])
+        rows, cols = (round(n * self.crop_share) for n in image.shape[:2])
         part = image[rows : image.shape[0] - rows, cols : image.shape[1] - cols]
-        part = np.rot90(part) if self.turned else part
+        part = np.rot90(part) if self.is_rotated else part
         smaller = part.shape[0] > self.shape[0]
         way = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
         resized = cv2.resize(np.ascontiguousarray(part), self.shape[::-1], interpolation=way)
         return freeze(np.asarray(resized, np.uint8))
 
 
-def fit(spec: SensorSpec, shape: tuple[int, int]) -> Fit | None:
+def fit_resampling(spec: SensorSpec, shape: tuple[int, int]) -> ResamplingFit | None:
     """What brings pictures of `shape` to the size of a gel; None where they have it, or are not this sensor's."""
     wanted = spec.camera.shape
     if spec.kind != "gel" or shape == wanted:
@@ -58,28 +58,28 @@ def fit(spec: SensorSpec, shape: tuple[int, int]) -> Fit | None:
         how = f"pictures of {size} are {to}"
         if cut:
             how = f"pictures of {size} are the camera's whole; a seventh is cut off each side, and the rest is {to}"
-        return Fit(shape=wanted, cut=cut, turned=False, note=how)
+        return ResamplingFit(shape=wanted, crop_share=cut, is_rotated=False, note=how)
     if _alike(1 / ratio, want):
         note = f"pictures of {size} lie on their side; turned a quarter to the left as the driver does, and {to}"
-        return Fit(shape=wanted, cut=0.0, turned=True, note=note)
+        return ResamplingFit(shape=wanted, crop_share=0.0, is_rotated=True, note=note)
     if ratio == 1.0 and max(shape) <= _TILE_PX:
         note = f"tiles of {size} are taken to be whole pictures squeezed to a square, and {to}"
-        return Fit(shape=wanted, cut=0.0, turned=False, note=note)
+        return ResamplingFit(shape=wanted, crop_share=0.0, is_rotated=False, note=note)
     return None
 
 
-def depth_camera(spec: SensorSpec, shape: tuple[int, int]) -> tuple[Camera | None, tuple[str, ...]]:
+def infer_depth_camera(spec: SensorSpec, shape: tuple[int, int]) -> tuple[Camera | None, tuple[str, ...]]:
     """(camera, notes) of a bubble's depth pictures that bring none; None where the sensor's own or none fits."""
     own = spec.camera
     if spec.kind != "bubble" or shape == own.shape:
         return None, ()
     size, exact = f"{shape[1]} x {shape[0]} px", "a matrix K beside the depth would be exact"
     if own.shape == (140, 175) and shape == _FLIGHT_SHAPE:
-        camera = own.cropped(-_FLIGHT_CORNER[0], -_FLIGHT_CORNER[1], *shape)
+        camera = own.crop(-_FLIGHT_CORNER[0], -_FLIGHT_CORNER[1], *shape)
         return camera, (f"depth of {size} is the whole picture of which {spec.name} is a window",)
     if _alike(shape[1] / shape[0], own.cols / own.rows, 0.01):
         note = f"depth of {size}: the camera of {spec.name} is scaled to it; {exact}"
-        return own.resized(*shape), (note,)
+        return own.resize(*shape), (note,)
     if any(_alike(shape[1] / shape[0], ratio, 0.01) for ratio in _STEREO_RATIOS):
         f_px = _STEREO_PX * shape[0] / _STEREO_ROWS
         camera = Camera(rows=shape[0], cols=shape[1], fx_px=f_px, fy_px=f_px,

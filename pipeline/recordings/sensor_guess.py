@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pipeline.sensors.spec import sensor as sensor_spec
+from pipeline.sensors.spec import load_sensor as sensor_spec
 
 # Sizes that only one of the described sensors has. A DIGIT held sideways looks like a Mini; its own driver turns it.
 _BY_SIZE = {
@@ -12,7 +12,7 @@ _BY_SIZE = {
 _ONE_OF = {(480, 640): "gelsight_mini, or digit on its side"}
 
 
-def named_or_guessed(said: str, shape: tuple[int, int], *, is_depth: bool) -> tuple[str, tuple[str, ...]]:
+def resolve_sensor_name(said: str, shape: tuple[int, int], *, is_depth: bool) -> tuple[str, tuple[str, ...]]:
     """(sensor, notes): `said` when it is a known sensor, else a guess from the image size, "" when nothing fits.
 
     Raises SettingProblem when `said` is not a sensor.

@@ -11,23 +11,23 @@ from numpy.typing import NDArray
 
 from pipeline.base.arrays import Image, freeze
 from pipeline.base.errors import FileProblem
-from pipeline.base.files import must_be_file, reason
+from pipeline.base.files import describe_os_error, require_file
 from pipeline.base.text import is_text
 
 
-def tensors(path: Path) -> Mapping[str, Any]:
+def load_tensors(path: Path) -> Mapping[str, Any]:
     """The dictionary of tensors in a `.pt` file, mapped rather than read where the file allows it.
 
     Raises FileProblem when it is no such file, or holds objects that only unpickling could restore.
     """
     import torch
 
-    must_be_file(path, "the tensors", most_bytes=1 << 50)
+    require_file(path, "the tensors", most_bytes=1 << 50)
     try:
         with path.open("rb") as file:
             head = file.read(4)
     except OSError as error:
-        raise FileProblem(f"cannot read the tensors ({reason(error)})", path) from error
+        raise FileProblem(f"cannot read the tensors ({describe_os_error(error)})", path) from error
     if head != b"PK\x03\x04" and head[:1] != b"\x80":  # every binary pickle names its protocol first
         raise FileProblem("this is not a PyTorch file, or it is cut short", path)
     mapped = head[:1] == b"P" and is_text(str(path))
@@ -45,7 +45,7 @@ def tensors(path: Path) -> Mapping[str, Any]:
     return cast("Mapping[str, Any]", found)
 
 
-def numbers(found: Mapping[str, Any], key: str, path: Path, shape: tuple[int | None, ...]) -> Any:
+def require_tensor(found: Mapping[str, Any], key: str, path: Path, shape: tuple[int | None, ...]) -> Any:
     """The tensor of `key`, of real numbers in memory and of this shape (None = any length, but some).
 
     Raises FileProblem naming the key.
@@ -58,7 +58,7 @@ def numbers(found: Mapping[str, Any], key: str, path: Path, shape: tuple[int | N
     return value
 
 
-def rows_of(found: Mapping[str, Any], key: str, path: Path, tail: tuple[int, ...]) -> Any:
+def require_tensor_rows(found: Mapping[str, Any], key: str, path: Path, tail: tuple[int, ...]) -> Any:
     """The tensor of `key` as at least one row (n, *tail), in however many dimensions they are kept."""
     value = _plain_tensor(found, key, path)
     seen = tuple(value.shape)
@@ -84,7 +84,7 @@ def _plain_tensor(found: Mapping[str, Any], key: str, path: Path) -> Any:
     return value.detach()
 
 
-def as_rgb(channels_first: Any, key: str, path: Path) -> Image:
+def convert_to_rgb(channels_first: Any, key: str, path: Path) -> Image:
     """(rows, cols, 3) uint8 of a tensor (3, rows, cols) that holds 0..255."""
     values = cast("NDArray[np.float32]", channels_first.float().numpy())
     low, high = float(values.min()), float(values.max())

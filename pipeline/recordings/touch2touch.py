@@ -18,10 +18,10 @@ import numpy as np
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import CalibrationError, FileProblem
 from pipeline.geometry import rigid
-from pipeline.geometry.camera import camera_from_matrix
+from pipeline.geometry.camera import make_camera
 from pipeline.geometry.meshes import Mesh, load_mesh
 from pipeline.recordings import torch_files
-from pipeline.recordings.indexing import checked_index
+from pipeline.recordings.index_check import with_index_check
 from pipeline.values.frames import Recording, Stream, TactileFrame, Truth
 
 _FINGERS = ("right", "left")
@@ -40,7 +40,7 @@ def is_sample(found: Mapping[str, Any]) -> bool:
 
 def read(path: Path) -> Recording:
     """One grasp as two streams, one per finger; raises FileProblem when a key is missing or of another shape."""
-    bubble = "bubble_imprint" in torch_files.tensors(path)
+    bubble = "bubble_imprint" in torch_files.load_tensors(path)
     streams = _streams([path], path, bubble=bubble)
     return Recording(
         path=path, format="touch2touch sample", streams=streams, object_mesh=_tool_mesh([path]), notes=_NOTES
@@ -87,12 +87,12 @@ _NOTES = (
 def _streams(files: list[Path], path: Path, *, bubble: bool) -> tuple[Stream, ...]:
     @lru_cache(maxsize=2)
     def load(index: int) -> Mapping[str, Any]:
-        return torch_files.tensors(files[index])
+        return torch_files.load_tensors(files[index])
 
     build = _bubble_frame if bubble else _gelslim_frame
     sensor = "soft_bubble" if bubble else "gelslim"
 
-    def named(finger: int) -> Stream:
+    def build_stream(finger: int) -> Stream:
         def frame(index: int) -> TactileFrame:
             return build(load(index), finger, index, files[index])
 
@@ -101,36 +101,36 @@ def _streams(files: list[Path], path: Path, *, bubble: bool) -> tuple[Stream, ..
 
         n = len(files)
         return Stream(name=f"{sensor} {_FINGERS[finger]}", sensor=sensor, n_frames=n, has_truth=bubble,
-                      frame=checked_index(frame, n, path), truth=checked_index(truth, n, path))  # fmt: skip
+                      frame=with_index_check(frame, n, path), truth=with_index_check(truth, n, path))  # fmt: skip
 
-    return named(0), named(1)
+    return build_stream(0), build_stream(1)
 
 
 def _bubble_frame(found: Mapping[str, Any], finger: int, index: int, file: Path) -> TactileFrame:
-    imprint = torch_files.numbers(found, "bubble_imprint", file, (2, 1, *_BUBBLE))[finger, 0].double().numpy()
-    rest = torch_files.numbers(found, "bubble_depth_ref", file, (2, 1, *_BUBBLE))[finger, 0].double().numpy()
+    imprint = torch_files.require_tensor(found, "bubble_imprint", file, (2, 1, *_BUBBLE))[finger, 0].double().numpy()
+    rest = torch_files.require_tensor(found, "bubble_depth_ref", file, (2, 1, *_BUBBLE))[finger, 0].double().numpy()
     typical = float(np.median(rest[np.isfinite(rest)])) if np.isfinite(rest).any() else np.nan
     if not 0.02 < typical < 0.5 or (np.abs(rest) > 0.5).any() or (np.abs(imprint) > 0.5).any():
         raise FileProblem(f"bubble_depth_ref and bubble_imprint must be in metres, but the median is {typical:g}", file,
                           field="bubble_depth_ref")  # fmt: skip
-    k = torch_files.rows_of(found, "K", file, (3, 3)).double().numpy()
+    k = torch_files.require_tensor_rows(found, "K", file, (3, 3)).double().numpy()
     try:
-        full = camera_from_matrix(k[min(finger, len(k) - 1)], _FULL_ROWS, _FULL_COLS, what="K")
+        full = make_camera(k[min(finger, len(k) - 1)], _FULL_ROWS, _FULL_COLS, what="K")
     except CalibrationError as error:
         raise CalibrationError(f"{error}: '{file}'") from error
     return TactileFrame(
         sensor="soft_bubble", image=freeze(((rest - imprint) * _MM_PER_M).astype(np.float32)),
         reference=freeze((rest * _MM_PER_M).astype(np.float32)), index=index, origin=f"{file} [{_FINGERS[finger]}]",
-        camera=full.cropped(_TOP, _LEFT, *_BUBBLE),
+        camera=full.crop(_TOP, _LEFT, *_BUBBLE),
     )  # fmt: skip
 
 
 def _gelslim_frame(found: Mapping[str, Any], finger: int, index: int, file: Path) -> TactileFrame:
-    images = torch_files.numbers(found, "gelslim", file, (2, 3, *_GELSLIM))
-    references = torch_files.numbers(found, "gelslim_ref", file, (2, 3, *_GELSLIM))
+    images = torch_files.require_tensor(found, "gelslim", file, (2, 3, *_GELSLIM))
+    references = torch_files.require_tensor(found, "gelslim_ref", file, (2, 3, *_GELSLIM))
     return TactileFrame(
-        sensor="gelslim", image=torch_files.as_rgb(images[finger], "gelslim", file),
-        reference=torch_files.as_rgb(references[finger], "gelslim_ref", file), index=index,
+        sensor="gelslim", image=torch_files.convert_to_rgb(images[finger], "gelslim", file),
+        reference=torch_files.convert_to_rgb(references[finger], "gelslim_ref", file), index=index,
         origin=f"{file} [{_FINGERS[finger]}]",
     )  # fmt: skip
 
@@ -140,9 +140,11 @@ def _pose(found: Mapping[str, Any], finger: int, file: Path) -> Truth | None:
     if any(key not in found for key in _POSES):
         return None
     try:
-        sensors, tools = (_transforms(torch_files.rows_of(found, key, file, (7,))) for key in _POSES)
+        sensors, tools = (_transforms(torch_files.require_tensor_rows(found, key, file, (7,))) for key in _POSES)
         base_from_sensor, base_from_tool = sensors[min(finger, len(sensors) - 1)], tools[0]
-        pose = rigid.within_reach(rigid.invert(base_from_sensor) @ base_from_tool, "the tool in the bubble's frame")
+        pose = rigid.validate_within_reach(
+            rigid.invert(base_from_sensor) @ base_from_tool, "the tool in the bubble's frame"
+        )
     except CalibrationError as error:
         raise CalibrationError(f"{error}: '{file}'") from error
     return Truth(sensor_from_object=freeze(pose))
@@ -171,7 +173,7 @@ def _is_bubble(file: Path, root: Path) -> bool:
             return True
         if part.startswith("gelslim"):
             return False
-    return "bubble_imprint" in torch_files.tensors(file)
+    return "bubble_imprint" in torch_files.load_tensors(file)
 
 
 def _tool_mesh(files: list[Path]) -> Mesh | None:

@@ -12,19 +12,19 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.arrays import Image, freeze
-from pipeline.base.doubts import Doubt
 from pipeline.base.errors import FileProblem
+from pipeline.base.stage_warnings import StageWarning
 from pipeline.base.text import is_text
-from pipeline.recordings import differences, pictures
-from pipeline.recordings.gel_pictures import gel_pictures
-from pipeline.recordings.indexing import checked_index
-from pipeline.recordings.touched_first import cleaner
-from pipeline.recordings.untouched import steadied
+from pipeline.recordings import difference_images, image_files
+from pipeline.recordings.gel_images import make_gel_converter
+from pipeline.recordings.index_check import with_index_check
+from pipeline.recordings.reference_denoising import denoise_reference
+from pipeline.recordings.reference_selection import select_reference_frame
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
 _MOST_LOOKED_AT = 16  # frames, for one that is not touched: seeking in a long video takes a while
 _MOST_FRAMES = 10_000_000  # an hour at 2,700 Hz
-SUFFIXES = frozenset({".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v"})
+VIDEO_SUFFIXES = frozenset({".mp4", ".avi", ".mov", ".mkv", ".webm", ".m4v"})
 
 
 def read(path: Path, *, sensor: str = "", reference: Path | None = None) -> Recording:
@@ -35,25 +35,25 @@ def read(path: Path, *, sensor: str = "", reference: Path | None = None) -> Reco
     """
     video = _Video(path)
     first = video.frame(0)
-    changes = reference is None and differences.mid_grey(first) is not None
-    untouched = pictures.rgb(reference) if reference is not None else None if changes else first
+    changes = reference is None and difference_images.estimate_no_change_grey(first) is not None
+    untouched = image_files.read_rgb(reference) if reference is not None else None if changes else first
     if untouched is not None and untouched.shape != first.shape:
         video.close()
         assert reference is not None
         raise FileProblem(f"the reference has shape {untouched.shape}, the video {first.shape}", reference)
     begins, steadier = 0, 0
     if reference is None and untouched is not None:
-        begins, untouched = cleaner(untouched, _spread(video)) or (0, untouched)
-        untouched, steadier = steadied(untouched, _following(video, begins))
-    made = gel_pictures(sensor, (first.shape[0], first.shape[1]), untouched, lambda: first)
+        begins, untouched = select_reference_frame(untouched, _spread(video)) or (0, untouched)
+        untouched, steadier = denoise_reference(untouched, _following(video, begins))
+    made = make_gel_converter(sensor, (first.shape[0], first.shape[1]), untouched, lambda: first)
     about = () if changes else (_about(reference, begins, steadier),)
 
     def frame(index: int) -> TactileFrame:
-        return TactileFrame(sensor=made.sensor, image=made.picture(video.frame(index)), reference=made.reference,
+        return TactileFrame(sensor=made.sensor, image=made.convert_image(video.frame(index)), reference=made.reference,
                             index=index, time_s=index / video.rate_hz, origin=f"{path} [frame {index}]")  # fmt: skip
 
     stream = Stream(name=made.sensor or "video", sensor=made.sensor, n_frames=video.n_frames,
-                    frame=checked_index(frame, video.n_frames, path))  # fmt: skip
+                    frame=with_index_check(frame, video.n_frames, path))  # fmt: skip
     notes = (*made.notes, *about, "times are counted from the frame rate that the file states")
     return Recording(path=path, format="video", streams=(stream,), close=video.close, notes=notes)
 
@@ -63,7 +63,7 @@ def _about(reference: Path | None, begins: int, steadier: int) -> str:
         return f"{reference.name} shows the untouched sensor"
     if begins:
         which = f"frame {begins}" if not steadier else f"the median of frames {begins} to {begins + steadier}"
-        return Doubt(
+        return StageWarning(
             f"its first frame looks touched: {which} is taken as the untouched sensor; if that is touched as well, "
             "give a picture of the untouched sensor with --reference"
         )

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.geometry import rigid
 from pipeline.geometry.distance_grid import DistanceGrid
-from pipeline.registration.observability import NOTHING_LASTS, TOLERANCES, Lasting, Tolerances
+from pipeline.registration.observability import NOTHING_LASTS, TOLERANCES, SystematicError, Tolerances
 from pipeline.values.results import PoseStep
 
 FEWEST_POINTS = 6  # as many as there are unknowns
@@ -30,12 +30,12 @@ NOTHING_NEAR = "no point lies within the search distance of the object"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class How:
+class FitOptions:
     """How one registration is done."""
 
     max_distance_mm: float = 2.0  # points farther off do not count as on the object
     noise_mm: float = 1e-3  # of the points at least; keeps a perfect fit from claiming certainty
-    lasting: Lasting = NOTHING_LASTS  # that no number of points averages away
+    lasting: SystematicError = NOTHING_LASTS  # that no number of points averages away
     tolerances: Tolerances = TOLERANCES  # a direction that is known less well is held
     settled_mm: float = 1e-4  # a smaller motion ends the iterations
     n_iterations: int = 30
@@ -43,7 +43,7 @@ class How:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Fit:
+class PoseFit:
     """Where a registration ended."""
 
     sensor_from_object: Doubles  # (4, 4) mm
@@ -86,15 +86,15 @@ class Points:
             return NotDetermined(why=ONE_PLACE)
         return cls(centred_mm=centred, about_mm=about, radius_mm=radius)
 
-    def thinned(self, n: int) -> Points:
+    def thin(self, n: int) -> Points:
         """About `n` of the points, every so many."""
         step = max(1, len(self.centred_mm) // n)
         return replace(self, centred_mm=np.ascontiguousarray(self.centred_mm[::step]))
 
 
-def register(
-    points_mm: NDArray[np.floating], grid: DistanceGrid, start: Doubles, how: How | None = None
-) -> Fit | NotDetermined:
+def register_points(
+    points_mm: NDArray[np.floating], grid: DistanceGrid, start: Doubles, how: FitOptions | None = None
+) -> PoseFit | NotDetermined:
     """The pose near `start` (sensor_from_object) that lays points (n, 3) of the sensor frame on the object.
 
     Raises CalibrationError when `start` is no rigid transform.
@@ -102,42 +102,42 @@ def register(
     points = Points.of(points_mm)
     if isinstance(points, NotDetermined):
         return points
-    return fitted(points, grid, start, how or How())
+    return fit_pose(points, grid, start, how or FitOptions())
 
 
-def fitted(points: Points, grid: DistanceGrid, start: Doubles, how: How) -> Fit | NotDetermined:
+def fit_pose(points: Points, grid: DistanceGrid, start: Doubles, how: FitOptions) -> PoseFit | NotDetermined:
     """`register` of points that are centred already."""
-    rows = _rows(rigid.checked(start, "the start of the registration")[None], points)
+    rows = _rows(rigid.validate_rigid(start, "the start of the registration")[None], points)
     history, scale_mm = np.empty((0, 14)), how.max_distance_mm
     if len(points.centred_mm) >= _MANY:
-        few = points.thinned(_FEW)
+        few = points.thin(_FEW)
         history, found_mm = _fit(few, rows, grid, replace(how, settled_mm=_ROUGHLY_MM), scale_mm)
         scale_mm = min(_WIDER * found_mm, scale_mm)
     rest, _ = _fit(points, rows, grid, how, scale_mm)
     if rest[-1, 13] == 0:
         return NotDetermined(why=NOTHING_NEAR)
     poses = np.concatenate([history[:-1], rest])
-    return Fit(
+    return PoseFit(
         sensor_from_object=freeze(_pose(rest[-1], points.about_mm)), rmse_mm=float(rest[-1, 12]),
         fitness=float(rest[-1, 13]), stopped=_stopped(rest, points.radius_mm, how),
         steps=_steps(poses, points, how) if how.keep_steps else (),
     )  # fmt: skip
 
 
-def way(points: Points, grid: DistanceGrid, start: Doubles, how: How) -> tuple[PoseStep, ...]:
+def way(points: Points, grid: DistanceGrid, start: Doubles, how: FitOptions) -> tuple[PoseStep, ...]:
     """The iterations of one of those that `registered` makes at once."""
     rows, _ = _fit(points, _rows(start[None], points), grid, how, how.max_distance_mm)
     return _steps(rows, points, how)
 
 
-def registered(points: Points, grid: DistanceGrid, starts: Doubles, how: How) -> Doubles:
+def register_from_starts(points: Points, grid: DistanceGrid, starts: Doubles, how: FitOptions) -> Doubles:
     """Where each start (n, 4, 4) leads, (n, 4, 4)."""
     rows = _rows(starts, points)
     _fit(points, rows, grid, how, how.max_distance_mm)
     return np.array([_pose(row, points.about_mm) for row in rows]).reshape(-1, 4, 4)
 
 
-def _fit(points: Points, rows: Doubles, grid: DistanceGrid, how: How, scale_mm: float) -> tuple[Doubles, float]:
+def _fit(points: Points, rows: Doubles, grid: DistanceGrid, how: FitOptions, scale_mm: float) -> tuple[Doubles, float]:
     """The way (k, 14) of the last of the rows (n, 12), which move in place, and the scale that it ended with."""
     from pipeline.registration.gauss_newton_kernels import N_BINS, N_SUMS, fit
 
@@ -171,17 +171,17 @@ def _pose(row: Doubles, about_mm: Doubles) -> Doubles:
     return pose
 
 
-def _steps(rows: Doubles, points: Points, how: How) -> tuple[PoseStep, ...]:
+def _steps(rows: Doubles, points: Points, how: FitOptions) -> tuple[PoseStep, ...]:
     return tuple(
         PoseStep(
             sensor_from_object=freeze(_pose(row, points.about_mm)), rmse_mm=float(row[12]), fitness=float(row[13]),
-            reach_mm=how.max_distance_mm,
+            max_correspondence_mm=how.max_distance_mm,
         )
         for row in rows
     )  # fmt: skip
 
 
-def _stopped(rows: Doubles, radius_mm: float, how: How) -> str:
+def _stopped(rows: Doubles, radius_mm: float, how: FitOptions) -> str:
     """Why a registration ended with the last of its `rows`."""
     if len(rows) < 2:
         return f"nothing within {how.max_distance_mm:g} mm of the object pulls at it"

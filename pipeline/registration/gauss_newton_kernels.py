@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from pipeline.base.kept_kernels import inner, kernel
+from pipeline.base.cached_kernels import inner, kernel
 from pipeline.geometry.distance_grid_kernels import look_up
 from pipeline.registration.step_kernels import move, step
 

@@ -17,7 +17,7 @@ _GOLDEN = (0.7548776662466927, 0.5698402909980532)  # steps of the plane's most 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Model:
+class ObjectModel:
     """Points on the surface of an object, in its own frame."""
 
     points_mm: Doubles  # (n, 3)
@@ -25,24 +25,24 @@ class Model:
     crooked_sq: Doubles  # (n,) mean squares, in rad, of how far the facet's normal is off that of a round surface
     area_mm2: float  # of the surface that they stand for
 
-    def part(self, which: Mask) -> Model:
+    def part(self, which: Mask) -> ObjectModel:
         """The points that are marked, standing for their share of the area."""
         share = float(which.mean()) if which.size else 0.0
-        return Model(
+        return ObjectModel(
             points_mm=self.points_mm[which], normals=self.normals[which], crooked_sq=self.crooked_sq[which],
             area_mm2=self.area_mm2 * share,
         )  # fmt: skip
 
-    def thinned(self, n: int) -> Model:
+    def thin(self, n: int) -> ObjectModel:
         """About `n` of the points, evenly taken, standing for the same area."""
         step = max(1, len(self.points_mm) // n)
-        return Model(
+        return ObjectModel(
             points_mm=np.ascontiguousarray(self.points_mm[::step]), normals=np.ascontiguousarray(self.normals[::step]),
             crooked_sq=self.crooked_sq[::step], area_mm2=self.area_mm2,
         )  # fmt: skip
 
 
-def sampled(mesh: Mesh, n_points: int, seed: int) -> Model:
+def sample_model(mesh: Mesh, n_points: int, seed: int) -> ObjectModel:
     """`n_points` spread by area over the triangles; raises MeshProblem for a mesh without surface."""
     if len(mesh.vertices_mm) == 0 or len(mesh.triangles) == 0 or not np.isfinite(mesh.vertices_mm).all():
         raise MeshProblem("the object mesh has no triangles, or vertices that are not finite; export it again")
@@ -65,7 +65,7 @@ def sampled(mesh: Mesh, n_points: int, seed: int) -> Model:
     points = a[triangle] + u * (b - a)[triangle] + v * (c - a)[triangle]
     mixed = rng.permutation(n_points)  # so that every n-th point is spread over the whole object
     unit = across / np.maximum(twice_area, 1e-300)[:, None]
-    return Model(
+    return ObjectModel(
         points_mm=points[mixed], normals=(sign * unit[triangle])[mixed],
         crooked_sq=_crooked_sq(mesh, unit)[triangle[mixed]], area_mm2=total / 2.0,
     )  # fmt: skip

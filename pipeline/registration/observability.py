@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.arrays import Doubles
-from pipeline.geometry.screws import in_words
-from pipeline.values.results import DepthError
+from pipeline.geometry.screws import describe_motions
+from pipeline.values.results import DepthErrorModel
 
 MIN_NOISE_MM = 1e-3  # of a tactile depth; keeps a perfect fit from claiming certainty
 NORMAL_ERROR_DEG = 3.0
@@ -44,7 +44,7 @@ TOLERANCES = Tolerances()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Lasting:
+class SystematicError:
     """Errors that no number of points averages away.
 
     A turn feels of a smooth error what differs across the contact, a shift what does not.
@@ -54,7 +54,7 @@ class Lasting:
     turn_mm: float = 0.0  # at the points' rms distance from the middle
 
 
-NOTHING_LASTS = Lasting()
+NOTHING_LASTS = SystematicError()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,17 +65,17 @@ class Observability:
     observable: Doubles  # (6, 6) idempotent: takes a motion to the part that the data determine
     weak: tuple[str, ...]  # what is left, in words
     weak_motions: Doubles  # (k, 6) of (rotation rad, translation mm) that go with them, each of 1 mm rms
-    lasting: Lasting = NOTHING_LASTS
+    estimate_systematic_error: SystematicError = NOTHING_LASTS
     tolerances: Tolerances = TOLERANCES  # that they were asked with
 
 
-def observability(
+def assess_observability(
     points_mm: Doubles,
     normals: Doubles,
     about_mm: Doubles,
     noise_mm: float,
     *,
-    lasting: Lasting = NOTHING_LASTS,
+    lasting: SystematicError = NOTHING_LASTS,
     tolerances: Tolerances = TOLERANCES,
 ) -> Observability:
     """From matched points (n, 3) with the object's normals there, the scene's centroid, and the spread of residuals.
@@ -93,7 +93,7 @@ def observability(
     lost = _undetermined(information, asked)
     to_mm = np.array([radius_mm] * 3 + [1.0] * 3)  # (rad, mm) -> mm
     projector = np.eye(6) - lost @ lost.T
-    named = in_words(
+    named = describe_motions(
         lost, np.asarray(about_mm, dtype=np.float64), radius_mm, lambda v: bool(v @ (information - asked) @ v < 0.0)
     )
     return Observability(
@@ -101,19 +101,19 @@ def observability(
         observable=projector * to_mm[None, :] / to_mm[:, None],
         weak=tuple(words for words, _ in named),
         weak_motions=np.array([motion / to_mm for _, motion in named]).reshape(-1, 6),
-        lasting=lasting,
+        estimate_systematic_error=lasting,
         tolerances=tolerances,
     )
 
 
-def correlated(
+def compute_correlated_covariance(
     points_mm: Doubles,
     normals: Doubles,
     about_mm: Doubles,
     observable: Doubles,
     *,
     noise_mm: float,
-    error: DepthError,
+    error: DepthErrorModel,
     lasting_mm: float = 0.0,
 ) -> Doubles:
     """(6, 6) covariance of (rotation rad, translation mm) of the `observable` motions, by errors that go together.
@@ -132,7 +132,9 @@ def correlated(
     return 0.5 * (found + found.T) / np.outer(to_mm, to_mm)
 
 
-def lasting(points_mm: Doubles, normals: Doubles, about_mm: Doubles, error: DepthError) -> Lasting:
+def estimate_systematic_error(
+    points_mm: Doubles, normals: Doubles, about_mm: Doubles, error: DepthErrorModel
+) -> SystematicError:
     """What an error that hangs together leaves of turns about a point, and of shifts, however many points there are.
 
     Over all three of each: the variance that the error gives the pulls on them, over what the points see of them.
@@ -141,7 +143,7 @@ def lasting(points_mm: Doubles, normals: Doubles, about_mm: Doubles, error: Dept
     seen = (jacobian**2).mean(axis=0)
     pulled = np.diag(_pulls(points_mm, jacobian, error.correlation_mm, _FEW_PAIRED))
     turn, shift = (float(pulled[k].sum() / max(seen[k].sum(), _NOTHING)) for k in (np.s_[:3], np.s_[3:]))
-    return Lasting(shift_mm=error.rms_mm * math.sqrt(shift), turn_mm=error.rms_mm * math.sqrt(turn))
+    return SystematicError(shift_mm=error.rms_mm * math.sqrt(shift), turn_mm=error.rms_mm * math.sqrt(turn))
 
 
 def _jacobian(points_mm: Doubles, normals: Doubles, about_mm: Doubles) -> tuple[Doubles, float]:

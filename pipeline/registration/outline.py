@@ -6,7 +6,7 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles
 from pipeline.geometry import rigid
-from pipeline.registration.ranking import Judge
+from pipeline.registration.ranking import PoseJudge
 
 _FIRST_STEP_MM, _LAST_STEP_MM = 0.8, 0.02
 _MAX_ROUNDS = 40
@@ -15,7 +15,7 @@ _STRAIGHT_RAD = 1e-9  # a smaller turn is a shift within rounding
 _NOTICED_SHARE, _NOTICED_MM = 0.05, 0.01  # growth of the misfit
 
 
-def placed(pose: Doubles, weak_motions: Doubles, about_mm: Doubles, by: Judge) -> Doubles:
+def align_outline(pose: Doubles, weak_motions: Doubles, about_mm: Doubles, by: PoseJudge) -> Doubles:
     """`pose` moved along the weak motions (k, 6) to the least misfit: pattern search, the step halved when stuck."""
     if len(weak_motions) == 0:
         return pose
@@ -23,7 +23,7 @@ def placed(pose: Doubles, weak_motions: Doubles, about_mm: Doubles, by: Judge) -
     best, least = pose, float(by.misfit_mm([pose])[0])
     size_mm = _FIRST_STEP_MM
     for _round in range(_MAX_ROUNDS):
-        tried = [moved(best, step * size_mm, about_mm) for step in steps]
+        tried = [apply_screw(best, step * size_mm, about_mm) for step in steps]
         misfits = by.misfit_mm(tried)
         k = int(np.argmin(misfits))
         if misfits[k] < least:
@@ -35,13 +35,13 @@ def placed(pose: Doubles, weak_motions: Doubles, about_mm: Doubles, by: Judge) -
     return best
 
 
-def shows(pose: Doubles, motion: Doubles, about_mm: Doubles, by: Judge) -> bool:
+def outline_constrains(pose: Doubles, motion: Doubles, about_mm: Doubles, by: PoseJudge) -> bool:
     """Whether the outline of the contact fixes the place along one motion (6,): shifts either way fit worse."""
-    here, one, other = by.misfit_mm([moved(pose, motion * s, about_mm) for s in (0.0, _TRIAL_MM, -_TRIAL_MM)])
+    here, one, other = by.misfit_mm([apply_screw(pose, motion * s, about_mm) for s in (0.0, _TRIAL_MM, -_TRIAL_MM)])
     return bool(min(one, other) > here * (1 + _NOTICED_SHARE) + _NOTICED_MM)
 
 
-def moved(pose: Doubles, motion: Doubles, about_mm: Doubles) -> Doubles:
+def apply_screw(pose: Doubles, motion: Doubles, about_mm: Doubles) -> Doubles:
     """`pose` after a screw (rotation rad, translation mm at a point) of the sensor frame, followed all the way round.
 
     A body of revolution that turns about its own axis thus stays where it is, however far the axis is from the point.

@@ -39,7 +39,7 @@ class PlanarFit:
     notes: tuple[str, ...] = ()
 
 
-def planar_registration(
+def register_planar(
     model_points_mm: Doubles,
     scene_points_mm: Doubles,
     placed: Doubles,

@@ -16,8 +16,8 @@ import numpy as np
 from pipeline.base.arrays import Doubles, Indices
 from pipeline.geometry import rigid
 from pipeline.geometry.distance_grid import DistanceGrid
-from pipeline.registration.model import Model
-from pipeline.registration.scene import Scene
+from pipeline.registration.model import ObjectModel
+from pipeline.registration.scene import ContactScene
 
 _FREE_MM = 0.05  # an object this much before the membrane is still within the error of its depth
 _OUTLINE_PX = 2.0  # within so many pixels the contact's own outline is not known better
@@ -28,14 +28,14 @@ _TELLING = 2.0  # standard errors from which one misfit is larger than another
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Judge:
+class PoseJudge:
     """A scene and an object, thinned for comparison."""
 
-    scene: Scene
-    felt: Doubles  # (k, 3)
-    felt_normals: Doubles  # (k, 3)
+    scene: ContactScene
+    points_mm: Doubles  # (k, 3)
+    normals: Doubles  # (k, 3)
     grid: DistanceGrid
-    model: Model
+    model: ObjectModel
     limit_mm: float  # distances beyond it count as this much
 
     def misfit_mm(self, poses: Sequence[Doubles] | Doubles) -> Doubles:
@@ -71,7 +71,7 @@ class Judge:
 
     def _unexplained(self, poses: Doubles) -> tuple[Doubles, tuple[Doubles, Doubles, Indices]]:
         """(n, 2) mean squares of poses (n, 4, 4), and those of each point for the last one, with the pixels."""
-        from pipeline.registration.ranking_kernels import unexplained
+        from pipeline.registration.ranking_kernels import measure_unexplained
 
         camera, pixel_mm = self.scene.camera, self.scene.pixel_mm
         # A light touch is lost in the error of the depth: an object so little before the membrane was perhaps felt.
@@ -83,23 +83,27 @@ class Judge:
         model, n_model = (self.model.points_mm, self.model.normals), len(self.model.points_mm)
         means, last = (
             np.empty((len(poses), 2)),
-            (np.empty(len(self.felt)), np.empty(n_model), np.empty(n_model, np.int32)),
+            (np.empty(len(self.points_mm)), np.empty(n_model), np.empty(n_model, np.int32)),
         )
-        unexplained(poses, self.felt, self.felt_normals, self.grid.lattice, model, view, self.limit_mm, means, last)
+        measure_unexplained(
+            poses, self.points_mm, self.normals, self.grid.lattice, model, view, self.limit_mm, means, last
+        )
         return means, last
 
 
-def judge(scene: Scene, grid: DistanceGrid, model: Model, n_felt: int, n_model: int, limit_mm: float) -> Judge:
+def make_judge(
+    scene: ContactScene, grid: DistanceGrid, model: ObjectModel, n_felt: int, n_model: int, limit_mm: float
+) -> PoseJudge:
     """A judge on about `n_felt` felt points and `n_model` model points."""
     step = max(1, len(scene.points_mm) // n_felt)
-    return Judge(
-        scene=scene, felt=np.ascontiguousarray(scene.points_mm[::step]),
-        felt_normals=np.ascontiguousarray(scene.normals[::step]), grid=grid, model=model.thinned(n_model),
+    return PoseJudge(
+        scene=scene, points_mm=np.ascontiguousarray(scene.points_mm[::step]),
+        normals=np.ascontiguousarray(scene.normals[::step]), grid=grid, model=model.thin(n_model),
         limit_mm=limit_mm,
     )  # fmt: skip
 
 
-def apart(a: Doubles, b: Doubles, at_mm: Doubles, mm: float, deg: float) -> bool:
+def poses_differ(a: Doubles, b: Doubles, at_mm: Doubles, mm: float, deg: float) -> bool:
     """Whether two poses differ by more than `mm` at a point of the sensor frame, or by more than `deg`."""
     relative = a @ rigid.invert(b)
-    return bool(np.linalg.norm(rigid.apply(relative, at_mm) - at_mm) > mm or rigid.angle_deg(relative) > deg)
+    return bool(np.linalg.norm(rigid.apply(relative, at_mm) - at_mm) > mm or rigid.rotation_angle_deg(relative) > deg)

@@ -6,7 +6,7 @@ Everything runs on one thread and adds up in the order of the points.
 
 from __future__ import annotations
 
-from pipeline.base.kept_kernels import inner, kernel
+from pipeline.base.cached_kernels import inner, kernel
 from pipeline.geometry.distance_grid_kernels import look_up
 
 _FACING = -0.1  # largest cosine, object's normal to felt normal, below which a match is the far side of a thin wall
@@ -66,7 +66,7 @@ def _unfelt(poses, n, model, view, limit, out, pixel):
 
 
 @kernel()
-def unexplained(poses, felt, felt_normals, grid, model, view, limit, means, last):
+def measure_unexplained(poses, felt, felt_normals, grid, model, view, limit, means, last):
     """`means` (n, 2) squares of each pose (n, 4, 4): of the felt points, and of the object's; `last`: one by one.
 
     `model` is points and normals; `view` the camera, how far noise may put the membrane behind an object, how far an

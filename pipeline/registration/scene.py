@@ -10,11 +10,13 @@ import numpy as np
 from pipeline.base.arrays import Doubles, Floats, Indices, Mask
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
-from pipeline.geometry.normals import area_vectors
-from pipeline.registration.model import Model
-from pipeline.values.results import DepthError, DepthMap
+from pipeline.geometry.normals import compute_area_vectors
+from pipeline.registration.model import ObjectModel
+from pipeline.values.results import DepthErrorModel, DepthMap
 
-COMPUTED = DepthError(rms_mm=0.0, correlation_mm=0.5)  # a membrane relaxes over about this length: the gel's pixels do
+COMPUTED = DepthErrorModel(
+    rms_mm=0.0, correlation_mm=0.5
+)  # a membrane relaxes over about this length: the gel's pixels do
 MOST_TURNED_AWAY = -0.2  # cosine to the felt normal; the wall of a notch is steep, the far side of a plate is at -1
 
 # A touch translated from a thin gel says nothing of what lies deeper than that gel reached, which is where the contact
@@ -29,7 +31,7 @@ _MIN_PART = 10  # points; fewer are no surface
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scene:
+class ContactScene:
     """Felt points in the sensor frame, and the whole membrane that no object may stick out of."""
 
     points_mm: Doubles  # (n, 3)
@@ -40,7 +42,7 @@ class Scene:
     off_contact_mm: Floats  # (rows, cols) distance to the nearest contact; 0 where the source could not see
     camera: Camera
     noise_mm: float  # of single pixels: what a smooth surface does not have
-    error: DepthError  # beside that noise
+    error: DepthErrorModel  # beside that noise
 
     @property
     def pixel_mm(self) -> float:
@@ -48,16 +50,16 @@ class Scene:
         return float(np.median(self.points_mm[:, 2])) / self.camera.fx_px
 
 
-def felt_surface(felt: DepthMap, max_points: int, seed: int) -> Scene:
+def extract_scene(felt: DepthMap, max_points: int, seed: int) -> ContactScene:
     """At most `max_points` contact points of a felt touch with their normals; a seeded choice where there are more."""
-    known = np.ones(felt.contact.shape, np.bool_) if felt.known is None else felt.known
+    known = np.ones(felt.contact.shape, np.bool_) if felt.in_view is None else felt.in_view
     usable = felt.contact & (felt.depth_mm > MIN_DEPTH_MM) & np.isfinite(felt.depth_mm)
     top, left, rows, cols = _box(usable)
     part = np.s_[top : top + rows, left : left + cols]
-    seen = felt.camera.cropped(top, left, rows, cols)
+    seen = felt.camera.crop(top, left, rows, cols)
     surface = seen.back_project(np.where(usable[part], felt.depth_mm[part], np.nan))
     # Over contact pixels only: the membrane beside a contact is not the object.
-    across = area_vectors(surface).reshape(-1, 3)
+    across = compute_area_vectors(surface).reshape(-1, 3)
     area = np.linalg.norm(across, axis=1)
     chosen = np.flatnonzero(np.isfinite(area) & (area > 0))
     area_mm2 = float(area[chosen].sum())
@@ -69,7 +71,7 @@ def felt_surface(felt: DepthMap, max_points: int, seed: int) -> Scene:
     typical_mm = float(np.median(felt.depth_mm[usable])) / felt.camera.fx_px if usable.any() else 0.0
     off_px = np.asarray(cv2.distanceTransform((~usable).astype(np.uint8), cv2.DIST_L2, 5), np.float32)
     farthest_mm = float(np.percentile(felt.depth_mm[usable], _RIM_PERCENT)) + _RIM_MM if usable.any() else 0.0
-    return Scene(
+    return ContactScene(
         points_mm=surface.reshape(-1, 3)[chosen],
         normals=across[chosen] / area[chosen, None],
         pixel=((row + top) * felt.camera.cols + col + left).astype(np.int32),
@@ -86,9 +88,9 @@ def felt_surface(felt: DepthMap, max_points: int, seed: int) -> Scene:
 
 def _told_mm(felt: DepthMap) -> Floats:
     """How far (rows, cols) an object may stick out of a generated touch that tells its own error; 0 of all others."""
-    if felt.spread_mm is None or not felt.generated:
+    if felt.expected_error_mm is None or not felt.is_generated:
         return np.zeros(felt.contact.shape, np.float32)
-    return np.float32(_TOLD) * np.nan_to_num(felt.spread_mm)
+    return np.float32(_TOLD) * np.nan_to_num(felt.expected_error_mm)
 
 
 def _noise_mm(depth_mm: Doubles) -> float:
@@ -107,7 +109,9 @@ def _box(mask: Mask) -> tuple[int, int, int, int]:
     return int(rows[0]), int(cols[0]), int(rows[-1] - rows[0]) + 1, int(cols[-1] - cols[0]) + 1
 
 
-def in_reach(scene: Scene, model: Model, sensor_from_object: Doubles, reach_mm: float) -> Model:
+def select_in_reach(
+    scene: ContactScene, model: ObjectModel, sensor_from_object: Doubles, reach_mm: float
+) -> ObjectModel:
     """What of a placed object can have been felt: near the scene and not its far side; all, where nothing is."""
     placed, toward = rigid.apply(sensor_from_object, model.points_mm), scene.normals.mean(axis=0)
     near = model.normals @ (toward @ sensor_from_object[:3, :3]) > MOST_TURNED_AWAY

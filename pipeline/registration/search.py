@@ -16,13 +16,21 @@ from pipeline.base.arrays import Doubles
 from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry import rigid
 from pipeline.geometry.screws import SLIDE
-from pipeline.registration.gauss_newton import Fit, How, NotDetermined, Points, fitted, registered, way
-from pipeline.registration.matched import Matched, matched
+from pipeline.registration.gauss_newton import (
+    FitOptions,
+    NotDetermined,
+    Points,
+    PoseFit,
+    fit_pose,
+    register_from_starts,
+    way,
+)
+from pipeline.registration.object_preparation import PreparedObject
 from pipeline.registration.observability import NORMAL_ERROR_DEG, Observability, Tolerances
-from pipeline.registration.outline import moved, placed
-from pipeline.registration.prepared import Prepared
-from pipeline.registration.ranking import LEAST_SPREAD_MM, Judge, apart, judge
-from pipeline.registration.scene import Scene, in_reach
+from pipeline.registration.outline import align_outline, apply_screw
+from pipeline.registration.point_matching import MatchedPoints, match_points
+from pipeline.registration.ranking import LEAST_SPREAD_MM, PoseJudge, make_judge, poses_differ
+from pipeline.registration.scene import ContactScene, select_in_reach
 from pipeline.registration.starts import Start
 from pipeline.values.results import PoseStep
 
@@ -59,10 +67,10 @@ _TURNED_OVER = tuple(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Minimum:
+class PoseMinimum:
     """A place where a registration ended."""
 
-    fit: Fit
+    fit: PoseFit
     misfit_mm: float
 
 
@@ -70,9 +78,9 @@ class Minimum:
 class Search:
     """A touch and an object, ready to be compared."""
 
-    scene: Scene
+    scene: ContactScene
     points: Points
-    object: Prepared
+    object: PreparedObject
     outward: tuple[float, float, float] | None  # of the face that is toward the sensor; None = any
     max_distance_mm: float
     n_iterations: int
@@ -90,7 +98,7 @@ class Search:
     def likeliest(self, tried: Sequence[Start]) -> Doubles:
         """The best places of each orientation (n, 4, 4), best first."""
         n_model = int(np.clip(self.object.model.area_mm2 / _COARSE_MM2, *_COARSE_MODEL))
-        by = judge(self.scene, self.object.grid, self.object.model, _COARSE_FELT, n_model, self.max_distance_mm)
+        by = make_judge(self.scene, self.object.grid, self.object.model, _COARSE_FELT, n_model, self.max_distance_mm)
         poses = np.array([s.sensor_from_object for s in tried])
         asked: dict[tuple[str, int], int] = {}
         chosen: list[int] = []
@@ -100,7 +108,7 @@ class Search:
                 chosen.append(int(k))
         return poses[chosen[:_N_REGISTERED]]
 
-    def followed(self, starts: Sequence[Doubles]) -> list[Minimum]:
+    def follow(self, starts: Sequence[Doubles]) -> list[PoseMinimum]:
         """The minima that poses of the touch before lead to, best first; none where not even the best one fits.
 
         From within the whole search distance or, where that leads astray, from near by.
@@ -113,11 +121,13 @@ class Search:
 
     def roughly(self, poses: Doubles) -> Doubles:
         """Where poses (n, 4, 4) lead within the whole search distance, by a few of the points."""
-        return registered(self.points.thinned(_QUICK_POINTS), self.object.grid, poses, self._quick)
+        return register_from_starts(self.points.thin(_QUICK_POINTS), self.object.grid, poses, self._quick)
 
     @property
-    def _quick(self) -> How:
-        return How(max_distance_mm=self.max_distance_mm, n_iterations=_QUICK_ITERATIONS, settled_mm=_QUICK_SETTLED_MM)
+    def _quick(self) -> FitOptions:
+        return FitOptions(
+            max_distance_mm=self.max_distance_mm, n_iterations=_QUICK_ITERATIONS, settled_mm=_QUICK_SETTLED_MM
+        )
 
     def way_to(self, starts: Doubles, steps: tuple[PoseStep, ...]) -> tuple[PoseStep, ...]:
         """The steps of a registration after those of whichever start (n, 4, 4) led to where it begins."""
@@ -126,33 +136,33 @@ class Search:
         first = steps[0].sensor_from_object
         off_mm = [self.between_mm(first, end) for end in self.roughly(starts)]
         begun = starts[int(np.argmin(off_mm))]
-        return (*way(self.points.thinned(_QUICK_POINTS), self.object.grid, begun, self._quick), *steps)
+        return (*way(self.points.thin(_QUICK_POINTS), self.object.grid, begun, self._quick), *steps)
 
     def _distinct(self, poses: Doubles) -> list[Doubles]:
         misfits_mm = self._middle().misfit_mm(poses)
         kept: list[Doubles] = []
         for k in np.argsort(misfits_mm, kind="stable"):
-            if all(apart(poses[k], other, self.middle_mm, SAME_MM, SAME_DEG) for other in kept):
+            if all(poses_differ(poses[k], other, self.middle_mm, SAME_MM, SAME_DEG) for other in kept):
                 kept.append(poses[k])
             if len(kept) == _N_POLISHED:
                 break
         return kept
 
-    def polished(self, pose: Doubles, *, dense: bool = False) -> Minimum | None:
+    def polish(self, pose: Doubles, *, dense: bool = False) -> PoseMinimum | None:
         """Set by the outline where the surface is silent, then registered on all points; None where that fails."""
-        known = self.determined(pose)
+        known = self.assess_observability(pose)
         if len(known.weak_motions):
-            pose = placed(pose, known.weak_motions, self.middle_mm, self.outline(pose, dense=dense))
-        how = How(
+            pose = align_outline(pose, known.weak_motions, self.middle_mm, self.outline(pose, dense=dense))
+        how = FitOptions(
             max_distance_mm=self.max_distance_mm / _POLISHED_SHARE, n_iterations=self.n_iterations,
-            keep_steps=self.keep_steps, lasting=known.lasting, tolerances=known.tolerances,
+            keep_steps=self.keep_steps, lasting=known.estimate_systematic_error, tolerances=known.tolerances,
         )  # fmt: skip
-        fit = fitted(self.points if dense else self.points.thinned(_POLISH_POINTS), self.object.grid, pose, how)
+        fit = fit_pose(self.points if dense else self.points.thin(_POLISH_POINTS), self.object.grid, pose, how)
         if isinstance(fit, NotDetermined):
             return None
-        return Minimum(fit=fit, misfit_mm=float(self.fine().misfit_mm([fit.sensor_from_object])[0]))
+        return PoseMinimum(fit=fit, misfit_mm=float(self.fine().misfit_mm([fit.sensor_from_object])[0]))
 
-    def explains(self, minimum: Minimum) -> bool:
+    def explains(self, minimum: PoseMinimum) -> bool:
         """Whether what is left of a fit is no more than the depth's own error, and most of the contact is on it."""
         return minimum.fit.fitness >= _MOST and minimum.fit.rmse_mm <= self.limit_mm
 
@@ -185,7 +195,7 @@ class Search:
                 new = all(self.differ(pose, other, free) for other in (first, *equal))
                 if new and fine.tells_apart(first, pose):
                     left -= 1
-                    better = self.polished(pose, dense=True)  # turned over, it may lie better a little farther on
+                    better = self.polish(pose, dense=True)  # turned over, it may lie better a little farther on
                     pose = pose if better is None else better.fit.sensor_from_object
                     new = all(self.differ(pose, other, free) for other in (first, *equal))
                 if new and not fine.tells_apart(first, pose):
@@ -201,7 +211,7 @@ class Search:
         """How far two poses are from each other at the contact: turned about its middle, and shifted there."""
         relative = b @ rigid.invert(a)
         shift_mm = np.linalg.norm(rigid.apply(relative, self.middle_mm) - self.middle_mm)
-        return math.radians(rigid.angle_deg(relative)) * self.points.radius_mm + float(shift_mm)
+        return math.radians(rigid.rotation_angle_deg(relative)) * self.points.radius_mm + float(shift_mm)
 
     def differ(self, a: Doubles, b: Doubles, free: Doubles) -> bool:
         """Whether two poses differ by more than the motions (k, 6) of (rotation rad, translation mm) at the middle."""
@@ -210,10 +220,10 @@ class Search:
         turns, slides = free[~straight], np.linalg.qr(free[straight, 3:].T)[0]
         if len(turns):
             turn = rigid.rotation_vector_rad(b @ rigid.invert(a))
-            a = moved(a, np.linalg.lstsq(turns[:, :3].T, turn, rcond=None)[0] @ turns, self.middle_mm)
+            a = apply_screw(a, np.linalg.lstsq(turns[:, :3].T, turn, rcond=None)[0] @ turns, self.middle_mm)
         left = rigid.apply(b @ rigid.invert(a), self.middle_mm) - self.middle_mm
         a = rigid.translation(*(slides @ (slides.T @ left))) @ a
-        return apart(a, b, self.middle_mm, SAME_MM, SAME_DEG)
+        return poses_differ(a, b, self.middle_mm, SAME_MM, SAME_DEG)
 
     def _about_middle(self, turn: Doubles) -> Doubles:
         """A rotation (3, 3) of the object about the middle of its box, (4, 4)."""
@@ -221,52 +231,54 @@ class Search:
         out[:3, :3], out[:3, 3] = turn, self.object.middle_mm - turn @ self.object.middle_mm
         return out
 
-    def _middle(self) -> Judge:
+    def _middle(self) -> PoseJudge:
         model = self.object.model
-        return judge(self.scene, self.object.grid, model, _MIDDLE_FELT, _MIDDLE_MODEL, self.max_distance_mm)
+        return make_judge(self.scene, self.object.grid, model, _MIDDLE_FELT, _MIDDLE_MODEL, self.max_distance_mm)
 
     def _tolerances(self, pose: Doubles, slopes: Doubles) -> Tolerances:
         """Those of the observability, with the error that normals have here: of facets around the contact, and edges.
 
         Between the nodes on both sides of an edge a gradient is the mean of two normals, and shorter for it.
         """
-        near = in_reach(self.scene, self.object.model, pose, _FACETS_REACH_MM)
+        near = select_in_reach(self.scene, self.object.model, pose, _FACETS_REACH_MM)
         short_sq = 1.0 - slopes**2
         lattice_sq = float(np.where(short_sq > _BENT_SQ, short_sq, 0.0).mean()) / 2.0
         deg = _TOGETHER * math.degrees(math.sqrt(float(near.crooked_sq.mean()) + lattice_sq))
         return Tolerances(normal_error_deg=float(np.clip(deg, _STRAIGHT_DEG, NORMAL_ERROR_DEG)))
 
-    def fine(self) -> Judge:
+    def fine(self) -> PoseJudge:
         """A judge on the whole object."""
-        return judge(self.scene, self.object.grid, self.object.model, _FINE_FELT, _FINE_MODEL, self.max_distance_mm)
+        return make_judge(
+            self.scene, self.object.grid, self.object.model, _FINE_FELT, _FINE_MODEL, self.max_distance_mm
+        )
 
-    def best(self, starts: Sequence[Doubles], progress: Progress = SILENT) -> list[Minimum]:
+    def best(self, starts: Sequence[Doubles], progress: Progress = SILENT) -> list[PoseMinimum]:
         """The minima that the starts lead to, best first; the best are set by the outline more exactly, to the end."""
-        found: list[Minimum] = []
+        found: list[PoseMinimum] = []
         for k, start in enumerate(starts):
             progress.step(k / len(starts), f"refining {k + 1} of {len(starts)}")
-            minimum = self.polished(start)
+            minimum = self.polish(start)
             found += [] if minimum is None else [minimum]
         found.sort(key=lambda m: m.misfit_mm)
         for k in range(min(_N_DENSE, len(found))):
-            again = self.polished(found[k].fit.sensor_from_object, dense=True)
+            again = self.polish(found[k].fit.sensor_from_object, dense=True)
             while again is not None:
                 gains = again.misfit_mm < _GAIN * found[k].misfit_mm
                 found[k] = replace(again, fit=replace(again.fit, steps=(*found[k].fit.steps, *again.fit.steps)))
-                again = self.polished(again.fit.sensor_from_object, dense=True) if gains else None
+                again = self.polish(again.fit.sensor_from_object, dense=True) if gains else None
         return sorted(found, key=lambda m: m.misfit_mm)
 
-    def outline(self, pose: Doubles, *, dense: bool = False) -> Judge:
+    def outline(self, pose: Doubles, *, dense: bool = False) -> PoseJudge:
         """A judge on the part of the object around the contact, so that its points lie dense there."""
-        part = in_reach(self.scene, self.object.model, pose, _OUTLINE_REACH_MM)
+        part = select_in_reach(self.scene, self.object.model, pose, _OUTLINE_REACH_MM)
         n_felt, n_model = (_DENSE_FELT, _DENSE_MODEL) if dense else (_OUTLINE_FELT, _OUTLINE_MODEL)
-        return judge(self.scene, self.object.grid, part, n_felt, n_model, self.max_distance_mm)
+        return make_judge(self.scene, self.object.grid, part, n_felt, n_model, self.max_distance_mm)
 
-    def match(self, pose: Doubles) -> Matched:
+    def match(self, pose: Doubles) -> MatchedPoints:
         """What of the scene shows the object that is placed so."""
-        return matched(self.scene, self.object.grid, pose)
+        return match_points(self.scene, self.object.grid, pose)
 
-    def determined(self, pose: Doubles) -> Observability:
+    def assess_observability(self, pose: Doubles) -> Observability:
         """Which motions the scene determines where the object is placed so."""
         match = self.match(pose)
-        return match.determined(self.middle_mm, self._tolerances(pose, match.slopes))
+        return match.assess_observability(self.middle_mm, self._tolerances(pose, match.slopes))

@@ -10,8 +10,8 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles
 from pipeline.geometry import rigid
-from pipeline.registration.model import Model
-from pipeline.registration.scene import Scene
+from pipeline.registration.model import ObjectModel
+from pipeline.registration.scene import ContactScene
 
 FACES: dict[str, tuple[float, float, float]] = {
     "+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1),
@@ -36,27 +36,27 @@ class Start:
     group: tuple[str, int]  # face, edge or corner; number of the angle
 
 
-def starts(scene: Scene, model: Model, face: str, n_starts: int) -> list[Start]:
+def list_starts(scene: ContactScene, model: ObjectModel, face: str, n_starts: int) -> list[Start]:
     """`n_starts` orientations spread over the faces and the angles in the contact plane, each at several places."""
     ways = FACES if face == "auto" else {face: FACES[face]}
     return _spread_over(scene, model, ways, max(1, n_starts // len(ways)))
 
 
-def edge_starts(scene: Scene, model: Model, face: str, n_starts: int) -> list[Start]:
+def list_edge_starts(scene: ContactScene, model: ObjectModel, face: str, n_starts: int) -> list[Start]:
     """As many angles as `starts` gives each face, for the edges and corners (of the one face) toward the sensor."""
     ways = {n: way for n, way in EDGES.items() if face == "auto" or np.dot(way, FACES[face]) > 0}
     return _spread_over(scene, model, ways, max(1, n_starts // (len(FACES) if face == "auto" else 1)))
 
 
 def _spread_over(
-    scene: Scene, model: Model, ways: Mapping[str, tuple[float, float, float]], n_angles: int
+    scene: ContactScene, model: ObjectModel, ways: Mapping[str, tuple[float, float, float]], n_angles: int
 ) -> list[Start]:  # fmt: skip
     normal = scene.normals.mean(axis=0)
     normal /= np.linalg.norm(normal)
     middle = scene.points_mm.mean(axis=0)
     layer_mm = max(_MIN_LAYER_MM, float(np.ptp(scene.points_mm @ normal)))
     extent_mm = float(np.sqrt(((scene.points_mm - middle) ** 2).sum(axis=1).mean()))
-    few = model.thinned(_N_MODEL)
+    few = model.thin(_N_MODEL)
     found: list[Start] = []
     for name, way in ways.items():
         outward = np.array(way, dtype=np.float64) / np.linalg.norm(way)
@@ -71,7 +71,7 @@ def _spread_over(
     return found
 
 
-def _anchors(model: Model, outward: Doubles, layer_mm: float, extent_mm: float) -> Doubles:
+def _anchors(model: ObjectModel, outward: Doubles, layer_mm: float, extent_mm: float) -> Doubles:
     """Places (n, 3) of a face that may lie in the middle of a contact whose rms radius is `extent_mm`.
 
     The middle of the outermost layer; points half the way to its far ends; and, where the layer is larger than the

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from pipeline.base.kept_kernels import inner, kernel
+from pipeline.base.cached_kernels import inner, kernel
 
 _MOST_TURN_RAD = 0.3  # of one step: within it, a rotation vector is nearly what the normal equations mean by a turn
 _DAMPING = 1e-9  # share of the trace (methods 5.3)
@@ -17,7 +17,7 @@ _SWEEPS, _ROUNDING = 30, 1e-30  # Jacobi's end: rounding squared, after six or s
 
 
 @inner()
-def factored(low):
+def factorise(low):
     """Cholesky's factor in the lower triangle (in place); whether the matrix is positive definite."""
     for i in range(low.shape[0]):
         for j in range(i + 1):
@@ -82,14 +82,14 @@ def step(sums, asked, work, motion):
         total += low[i, i]
         low[i, i] -= asked[i]
         motion[i] = sums[21 + i] / weight
-    certain = factored(low)
+    certain = factorise(low)
     at = 0
     for i in range(6):
         for j in range(i, 6):
             low[j, i] = low[i, j] = sums[at] / weight
             at += 1
         low[i, i] += _DAMPING * total if certain else 0.0
-    if certain and factored(low):
+    if certain and factorise(low):
         for i in range(6):
             for k in range(i):
                 motion[i] -= low[i, k] * motion[k]

@@ -16,7 +16,7 @@ class FrameReport:
     results: Mapping[str, StageResult]
     metrics: Mapping[str, float]
     problem: str = ""
-    foreseen: bool = True  # whether the problem is one that the user can mend
+    is_user_error: bool = True  # whether the problem is one that the user can mend
 
     @property
     def without_arrays(self) -> FrameReport:

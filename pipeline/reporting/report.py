@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from pipeline.base.files import write_arrays, write_folder, write_json
 from pipeline.engine.graph import StageResult
-from pipeline.evaluation.metrics import METRICS
 from pipeline.geometry.camera import Camera
+from pipeline.metrics.stage_metrics import METRICS
 from pipeline.reporting.frame_report import FrameReport
 from pipeline.translation.translate import Translation
 from pipeline.values.frames import TactileFrame
 
 
-def stage_arrays(frame: TactileFrame, results: Mapping[str, StageResult]) -> dict[str, NDArray[Any]]:
+def collect_stage_arrays(frame: TactileFrame, results: Mapping[str, StageResult]) -> dict[str, NDArray[Any]]:
     """Every array of every slot under `slot.field`; a camera becomes its K (3, 3)."""
     arrays: dict[str, NDArray[Any]] = {"source.image": frame.image}
     if frame.reference is not None:
@@ -40,7 +40,7 @@ def stage_arrays(frame: TactileFrame, results: Mapping[str, StageResult]) -> dic
     return arrays
 
 
-def folder_of(out: Path, index: int) -> Path:
+def frame_folder(out: Path, index: int) -> Path:
     """Where frame `index` is written under `out`."""
     return out / f"frame_{index:04d}"
 
@@ -52,10 +52,10 @@ def write_frame(out: Path, frame: TactileFrame, report: FrameReport, translation
     """
     from pipeline.reporting.sheet import write_sheet  # matplotlib only where a sheet is drawn
 
-    folder = folder_of(out, report.index)
+    folder = frame_folder(out, report.index)
 
     def fill(part: Path) -> None:
-        write_arrays(part / "stages.npz", stage_arrays(frame, report.results))
+        write_arrays(part / "stages.npz", collect_stage_arrays(frame, report.results))
         write_sheet(part / "sheet.png", frame, report, translation)
         write_json(part / "frame.json", {"key": key or None, **_told(report)})
 
@@ -71,7 +71,7 @@ def write_report(out: Path, translation: Translation, frames: Sequence[FrameRepo
         path,
         {
             "route": request.route,
-            "methods": {method.slot: method.name for method in translation.methods},
+            "methods": {method.stage: method.name for method in translation.methods},
             "recording": str(request.recording),
             "source": translation.source.name,
             "target": translation.target.name,
@@ -91,7 +91,7 @@ def _figure_names(frames: Sequence[FrameReport]) -> list[str]:
 def _told(frame: FrameReport) -> dict[str, object]:
     stages = [
         {"name": r.name, "ms": round(r.ms, 3), "skipped": r.state == "skipped", "state": r.state, "notes": r.notes,
-         "doubts": r.doubts, "instead": r.instead}
+         "doubts": r.warnings, "instead": r.fallback}
         for r in frame.results.values()
     ]  # fmt: skip
     lines: dict[str, object] = {"index": frame.index, "stages": stages, "metrics": dict(frame.metrics)}

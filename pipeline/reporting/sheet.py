@@ -9,11 +9,11 @@ import numpy as np
 
 from pipeline.base.files import whole_file
 from pipeline.engine.graph import StageResult
-from pipeline.pictures.colours import ColourScale, table
-from pipeline.pictures.display import DisplayParams
-from pipeline.pictures.picture import Picture, fitted, of_reading
+from pipeline.previews.colours import ColourScale, get_colour_table
+from pipeline.previews.display_params import DisplayParams
+from pipeline.previews.preview import Preview, make_frame_preview, match_camera
 from pipeline.reporting.frame_report import FrameReport
-from pipeline.stages.slot import Seen
+from pipeline.stages.stage import PreviewContext
 from pipeline.translation.translate import Translation
 from pipeline.values.frames import TactileFrame
 
@@ -23,59 +23,59 @@ if TYPE_CHECKING:
 
 _BAR_LENGTHS_MM = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 _PANEL_IN = 3.5  # width of a panel
-DISPLAYED = DisplayParams()
+DEFAULT_DISPLAY = DisplayParams()
 _CONTACT, _FELT = "#E6550D", "#FFFFFF"
 
 
 def write_sheet(path: Path, frame: TactileFrame, report: FrameReport, translation: Translation) -> None:
     """Draw the columns of the window as one PNG."""
-    drawn = sheet(frame, report, translation)
+    drawn = draw_sheet(frame, report, translation)
     with whole_file(path, "the sheet") as file:
         drawn.savefig(file, format="png")
 
 
-def sheet(
+def draw_sheet(
     frame: TactileFrame,
     report: FrameReport,
     translation: Translation,
     *,
-    display: DisplayParams = DISPLAYED,
+    display: DisplayParams = DEFAULT_DISPLAY,
     timed: bool = True,
 ) -> Figure:
     """The columns of the window as one drawing; `timed` also says what each took and whether it was known already."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    source, n = translation.source, 1 + len(translation.slots)
+    source, n = translation.source, 1 + len(translation.stages)
     figure = Figure(figsize=(_PANEL_IN * n, 4.3), dpi=90)
     FigureCanvasAgg(figure)
     # Fixed places: an automatic layout costs more time than all the drawing.
     axes = [figure.add_axes(((0.07 + i) / n, 0.2, 0.76 / n, 0.6)) for i in range(n)]
-    camera = fitted(frame.camera or source.camera, frame.image.shape)
-    reading = of_reading(frame.image, camera, source, display, reference=frame.reference)
+    camera = match_camera(frame.camera or source.camera, frame.image.shape)
+    reading = make_frame_preview(frame.image, camera, source, display, reference=frame.reference)
     draw_panel(figure, axes[0], reading, f"Source · {source.title}")
-    seen = Seen(
+    seen = PreviewContext(
         outputs={name: result.output for name, result in report.results.items()}, source=source,
         target=translation.target, mesh=translation.mesh, display=display,
     )  # fmt: skip
-    for ax, name in zip(axes[1:], translation.slots, strict=True):
-        slot, result = translation.catalogue.slot(name), report.results.get(name)
+    for ax, name in zip(axes[1:], translation.stages, strict=True):
+        slot, result = translation.catalogue.stage(name), report.results.get(name)
         if result is None:
             ax.set_axis_off()
             continue
         title = slot.title if result.method is None else f"{slot.title} · {result.method.title}"
-        draw_panel(figure, ax, slot.picture(result.output, seen), title)
+        draw_panel(figure, ax, slot.make_preview(result.output, seen), title)
         _footer(ax, result, timed=timed)
     figure.suptitle(f"frame {report.index}   {source.name} → {translation.target.name}", fontsize=11, y=0.985)
     figure.text(0.5, 0.925, _figures(report), fontsize=8, ha="center", va="top", color="0.3")
     return figure
 
 
-def draw_panel(figure: Figure, ax: Axes, picture: Picture, title: str) -> None:
+def draw_panel(figure: Figure, ax: Axes, picture: Preview, title: str) -> None:
     """Draw a picture with its outlines, scale bar, caption and colour bar."""
     ax.imshow(picture.pixels, interpolation="nearest")
     ax.set_title(title, fontsize=10)
-    for border, colour in ((picture.outline_px, _CONTACT), (picture.felt_px, _FELT)):
+    for border, colour in ((picture.outline_px, _CONTACT), (picture.observed_outline_px, _FELT)):
         if border is not None and len(border):
             ax.plot(border[:, 0] - 0.5, border[:, 1] - 0.5, color=colour, lw=1.0)
     ax.set_xlim(-0.5, picture.pixels.shape[1] - 0.5)
@@ -89,7 +89,7 @@ def draw_panel(figure: Figure, ax: Axes, picture: Picture, title: str) -> None:
 def _colour_bar(figure: Figure, ax: Axes, scale: ColourScale) -> None:
     box = ax.get_position()
     beside = figure.add_axes((box.x1 + 0.004, box.y0 + 0.1, 0.005, box.height - 0.2))
-    colours = table(scale.map)[:, None, :]
+    colours = get_colour_table(scale.colour_map)[:, None, :]
     beside.imshow(colours, origin="lower", aspect="auto", extent=(0.0, 1.0, scale.low, scale.high))
     beside.set_xticks([])
     beside.yaxis.tick_right()
@@ -97,7 +97,7 @@ def _colour_bar(figure: Figure, ax: Axes, scale: ColourScale) -> None:
     beside.tick_params(labelsize=7)
 
 
-def _scale_bar(ax: Axes, picture: Picture) -> None:
+def _scale_bar(ax: Axes, picture: Preview) -> None:
     """A bar of a round length, about a fifth of the image wide, under the image."""
     ax.set_xticks([])
     ax.set_yticks([])
@@ -112,8 +112,8 @@ def _scale_bar(ax: Axes, picture: Picture) -> None:
 
 def _footer(ax: Axes, result: StageResult, *, timed: bool) -> None:
     """Time, state and the first doubt, or else note, below a panel."""
-    notes = result.doubts or result.notes
-    lines = [f"{result.ms:.2f} ms · {'doubtful' if result.doubts else result.state}"] if timed else []
+    notes = result.warnings or result.notes
+    lines = [f"{result.ms:.2f} ms · {'doubtful' if result.warnings else result.state}"] if timed else []
     lines += [notes[0][:62]] if notes else []
     ax.text(0.0, -0.13, "\n".join(lines), transform=ax.transAxes, fontsize=7.5, va="top")
 

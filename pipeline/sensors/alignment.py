@@ -9,8 +9,8 @@ from pipeline.base.arrays import Doubles, freeze
 from pipeline.geometry import rigid
 from pipeline.sensors.spec import SensorSpec
 
-Side = Literal["alignment_from_source", "target_from_alignment"]  # which of the two transforms takes a change
-SIDES: tuple[Side, ...] = ("alignment_from_source", "target_from_alignment")
+AlignmentPart = Literal["alignment_from_source", "target_from_alignment"]  # which of the two transforms takes a change
+ALIGNMENT_PARTS: tuple[AlignmentPart, ...] = ("alignment_from_source", "target_from_alignment")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,28 +26,30 @@ class Alignment:
         return self.target_from_alignment @ self.alignment_from_source
 
 
-def between(source: SensorSpec, target: SensorSpec, recorded: Doubles | None = None) -> Alignment:
+def resolve_alignment(source: SensorSpec, target: SensorSpec, recorded: Doubles | None = None) -> Alignment:
     """The alignment that the two sensor descriptions state, or that of a recording which knows T_S->T (4, 4), mm."""
     inward, onward = source.alignment_from_sensor, rigid.invert(target.alignment_from_sensor)
     if recorded is not None:
-        onward = rigid.checked(recorded, "target_from_source of the recording") @ rigid.invert(inward)
+        onward = rigid.validate_rigid(recorded, "target_from_source of the recording") @ rigid.invert(inward)
     return Alignment(alignment_from_source=inward, target_from_alignment=freeze(onward))
 
 
-def corrected(alignment: Alignment, motion: Doubles, into: Side = "target_from_alignment") -> Alignment:
+def correct_alignment(
+    alignment: Alignment, motion: Doubles, into: AlignmentPart = "target_from_alignment"
+) -> Alignment:
     """The alignment whose T_S->T is `motion` (4, 4; in the target frame, mm) after the old one.
 
     The change is stored in one of the two transforms, `into`; the other stays as it is. Both come out orthonormal.
     """
     onward, inward = alignment.target_from_alignment, alignment.alignment_from_source
     if into == "target_from_alignment":
-        onward = freeze(rigid.checked(motion @ onward, "T_A->T"))
+        onward = freeze(rigid.validate_rigid(motion @ onward, "T_A->T"))
     else:
-        inward = freeze(rigid.checked(rigid.invert(onward) @ motion @ onward @ inward, "T_S->A"))
+        inward = freeze(rigid.validate_rigid(rigid.invert(onward) @ motion @ onward @ inward, "T_S->A"))
     return Alignment(alignment_from_source=inward, target_from_alignment=onward)
 
 
-def placed(alignment: Alignment, *, source_shift_mm: float, target_shift_mm: float) -> Alignment:
+def shift_alignment_along_z(alignment: Alignment, *, source_shift_mm: float, target_shift_mm: float) -> Alignment:
     """The alignment between two units whose own cameras read z smaller by these shifts than the descriptions say."""
     if source_shift_mm == 0.0 and target_shift_mm == 0.0:
         return alignment

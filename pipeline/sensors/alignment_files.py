@@ -16,11 +16,11 @@ import numpy as np
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import FileProblem
 from pipeline.base.files import read_toml, write_text
-from pipeline.base.text import plain
+from pipeline.base.text import escape_text
 from pipeline.geometry import rigid
-from pipeline.sensors.alignment import SIDES, Alignment
+from pipeline.sensors.alignment import ALIGNMENT_PARTS, Alignment
 
-SUFFIX = ".toml"
+ALIGNMENT_SUFFIX = ".toml"
 _MOST = {"translation_mm": rigid.FARTHEST_MM, "rotation_deg": 360.0}
 _WHAT = {
     "alignment_from_source": "the paper's T_S->A: maps points of the source's camera frame to the alignment frame",
@@ -38,25 +38,25 @@ class AlignmentFile:
     origin: str = ""  # where the numbers come from, in words
 
 
-def save(path: Path, kept: AlignmentFile) -> None:
+def save_alignment(path: Path, kept: AlignmentFile) -> None:
     """Write the file, beside an old one first so that a crash leaves one of the two whole.
 
     What is read back differs from what was written by rounding alone, below 1e-12. Raises FileProblem.
     """
-    write_text(path, text_of(kept), "the alignment")
+    write_text(path, format_alignment(kept), "the alignment")
 
 
-def text_of(kept: AlignmentFile) -> str:
+def format_alignment(kept: AlignmentFile) -> str:
     """The file as text."""
     lines = [
-        f"# How {plain(kept.source)} and {plain(kept.target)} stand to each other when they feel the same touch.",
+        f"# How {escape_text(kept.source)} and {escape_text(kept.target)} stand to each other when they feel the same touch.",
         "# Shifts in mm, rotation vectors in degrees (axis times angle).",
         "# A sensor's frame is its camera's: x right, y down, z out along the optical axis.",
         f"source = {_quoted(kept.source)}",
         f"target = {_quoted(kept.target)}",
         f"from = {_quoted(kept.origin)}",
     ]
-    for side in SIDES:
+    for side in ALIGNMENT_PARTS:
         matrix: Doubles = getattr(kept.alignment, side)
         lines += [
             "",
@@ -67,7 +67,7 @@ def text_of(kept: AlignmentFile) -> str:
     return "\n".join(lines) + "\n"
 
 
-def load(path: Path, *, source: str, target: str) -> AlignmentFile:
+def load_alignment(path: Path, *, source: str, target: str) -> AlignmentFile:
     """The alignment of a file, for these two sensors; raises FileProblem that names the key and what to try."""
     data = read_toml(path, "the alignment")
     told = {key: _word(data, key, path) for key in ("source", "target")}
@@ -83,7 +83,7 @@ def load(path: Path, *, source: str, target: str) -> AlignmentFile:
                 field=key,
             )
     return AlignmentFile(
-        alignment=Alignment(**{side: _transform(data, side, path) for side in SIDES}),
+        alignment=Alignment(**{side: _transform(data, side, path) for side in ALIGNMENT_PARTS}),
         origin=_word(data, "from", path) if "from" in data else "",
         **told,
     )
@@ -126,4 +126,4 @@ def _numbers(values: Doubles) -> str:
 
 def _quoted(text: str) -> str:
     """What JSON writes of plain text is TOML too."""
-    return json.dumps(plain(text), ensure_ascii=False)
+    return json.dumps(escape_text(text), ensure_ascii=False)

@@ -10,12 +10,12 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles
 from pipeline.geometry import rigid
-from pipeline.sensors.alignment import Alignment, corrected
+from pipeline.sensors.alignment import Alignment, correct_alignment
 
 Axis = Literal["x", "y", "z", "rx", "ry", "rz"]
 AXES: tuple[Axis, ...] = ("x", "y", "z", "rx", "ry", "rz")
 Triple = tuple[float, float, float]
-ZERO: Triple = (0.0, 0.0, 0.0)
+ZERO_TRIPLE: Triple = (0.0, 0.0, 0.0)
 _MOST = {"shift_mm": rigid.FARTHEST_MM, "turn_deg": 360.0, "pivot_mm": rigid.FARTHEST_MM}
 
 
@@ -27,57 +27,59 @@ class Offsets:
     wherever it has been shifted to.
     """
 
-    shift_mm: Triple = ZERO
-    turn_deg: Triple = ZERO  # rotation vector: axis times angle
-    pivot_mm: Triple = ZERO  # target frame
+    translation_mm: Triple = ZERO_TRIPLE
+    rotation_deg: Triple = ZERO_TRIPLE  # rotation vector: axis times angle
+    pivot_mm: Triple = ZERO_TRIPLE  # target frame
 
     @property
     def values(self) -> tuple[float, ...]:
         """The six numbers in the order of `AXES`: x y z in mm, rx ry rz in degrees."""
-        return (*self.shift_mm, *self.turn_deg)
+        return (*self.translation_mm, *self.rotation_deg)
 
     @property
-    def none(self) -> bool:
+    def is_zero(self) -> bool:
         """Whether the alignment is as it was opened."""
         return not any(self.values)
 
-    def motion(self) -> Doubles:
+    def to_matrix(self) -> Doubles:
         """The motion (4, 4) in mm."""
-        pivot, turn, shift = (np.array(v) for v in (self.pivot_mm, np.deg2rad(self.turn_deg), self.shift_mm))
-        return motion_about(pivot, turn, shift)
+        pivot, turn, shift = (np.array(v) for v in (self.pivot_mm, np.deg2rad(self.rotation_deg), self.translation_mm))
+        return compose_motion(pivot, turn, shift)
 
-    def applied(self, opened: Alignment) -> Alignment:
+    def apply_to(self, opened: Alignment) -> Alignment:
         """The opened alignment with these offsets, stored in T_A->T."""
-        return opened if self.none else corrected(opened, self.motion())
+        return opened if self.is_zero else correct_alignment(opened, self.to_matrix())
 
-    def moved(self, axis: Axis, value: float) -> Offsets:
+    def with_axis_value(self, axis: Axis, value: float) -> Offsets:
         """The same with another number for one axis, mm or degrees."""
         values = list(self.values)
         values[AXES.index(axis)] = value
         return replace(self, shift_mm=_triple(values[:3]), turn_deg=_triple(values[3:]))
 
-    def about(self, pivot_mm: Sequence[float] | Doubles) -> Offsets:
+    def with_pivot(self, pivot_mm: Sequence[float] | Doubles) -> Offsets:
         """The very same motion, told about another point."""
-        return of_motion(self.motion(), pivot_mm)
+        return decompose_motion(self.to_matrix(), pivot_mm)
 
 
-def motion_about(pivot_mm: Doubles, rotation_rad: Doubles, shift_mm: Doubles) -> Doubles:
+def compose_motion(pivot_mm: Doubles, rotation_rad: Doubles, shift_mm: Doubles) -> Doubles:
     """The motion (4, 4) that turns about a point by a rotation vector (3,) and then shifts."""
     motion = rigid.rotation(rotation_rad)
     motion[:3, 3] = pivot_mm - motion[:3, :3] @ pivot_mm + shift_mm
     return motion
 
 
-def of_motion(motion: Doubles, pivot_mm: Sequence[float] | Doubles) -> Offsets:
+def decompose_motion(motion: Doubles, pivot_mm: Sequence[float] | Doubles) -> Offsets:
     """The offsets that make a motion (4, 4) in the target frame, told about a point (3,) mm."""
     pivot = np.asarray(pivot_mm, dtype=np.float64)
     turn_deg = np.rad2deg(rigid.rotation_vector_rad(motion))
     return Offsets(
-        shift_mm=_triple(rigid.apply(motion, pivot) - pivot), turn_deg=_triple(turn_deg), pivot_mm=_triple(pivot)
+        translation_mm=_triple(rigid.apply(motion, pivot) - pivot),
+        rotation_deg=_triple(turn_deg),
+        pivot_mm=_triple(pivot),
     )
 
 
-def from_plain(data: object) -> Offsets:
+def parse_offsets(data: object) -> Offsets:
     """Of what a session file or a command line says; raises ValueError that says which entry is wrong."""
     if not isinstance(data, dict):
         raise ValueError("must be a table of shift_mm, turn_deg and pivot_mm")

@@ -19,10 +19,10 @@ from pipeline.engine.digests import UNDIGESTED, content
 from pipeline.geometry import membrane, rigid
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.membrane import Membrane
-from pipeline.sensors.parts import Bubble, DepthCamera, Gel, Limits, Markers, Optics
-from pipeline.sensors.reading import limits_in, optics_in, part
-from pipeline.sensors.rest import mesh_in
-from pipeline.sensors.sections import FOLDER, Section, read_description
+from pipeline.sensors.descriptions import DESCRIPTIONS_FOLDER, DescriptionSection, read_description
+from pipeline.sensors.part_parsing import parse_limits, parse_optics, parse_part
+from pipeline.sensors.parts import Bubble, DepthCamera, Gel, Markers, Optics, SensorLimits
+from pipeline.sensors.rest_mesh import load_rest_membrane
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,13 +36,13 @@ class SensorSpec:
     membrane: Membrane
     rest_depth_mm: Doubles  # (rows, cols) of `membrane` through `camera`
     alignment_from_sensor: Doubles  # (4, 4) mm
-    limits: Limits
+    limits: SensorLimits
     gel: Gel | None = None
     bubble: Bubble | None = None
     depth_camera: DepthCamera | None = None  # of a bubble
     optics: Optics | None = None
     markers: Markers | None = None
-    assumed: tuple[str, ...] = ()  # keys whose numbers nobody has published
+    assumed_keys: tuple[str, ...] = ()  # keys whose numbers nobody has published
     # Width of one pixel on the rest surface at the optical axis: asked for often, and a median of all pixels.
     pixel_mm: float = field(init=False, repr=False, compare=False, metadata=UNDIGESTED)
 
@@ -50,7 +50,7 @@ class SensorSpec:
         """Work out how wide a pixel is, once."""
         object.__setattr__(self, "pixel_mm", float(np.median(self.rest_depth_mm)) / self.camera.fx_px)
 
-    def seen_through(self, camera: Camera) -> SensorSpec:
+    def with_camera(self, camera: Camera) -> SensorSpec:
         """The same sensor watched by another camera: membrane, frame and limits stay; the last few are kept.
 
         Raises CalibrationError for a camera whose rays do not meet the membrane.
@@ -70,12 +70,12 @@ _views: Memo[tuple[str, Camera], SensorSpec] = Memo(32)
 _read: Memo[tuple[Path, str, str], SensorSpec] = Memo(32)
 
 
-def names() -> tuple[str, ...]:
+def list_sensor_names() -> tuple[str, ...]:
     """The sensors that come with the project, sorted."""
-    return tuple(sorted(p.stem for p in FOLDER.glob("*.toml")))
+    return tuple(sorted(p.stem for p in DESCRIPTIONS_FOLDER.glob("*.toml")))
 
 
-def sensor(name_or_file: str) -> SensorSpec:
+def load_sensor(name_or_file: str) -> SensorSpec:
     """The sensor of this name, or described by this TOML file as it is now; the same value while it stays the same.
 
     Raises SettingProblem for a name that is not known, CalibrationError, FileProblem or MeshProblem for a description
@@ -83,49 +83,49 @@ def sensor(name_or_file: str) -> SensorSpec:
     """
     path = Path(name_or_file)
     if path.suffix != ".toml":
-        path = FOLDER / f"{name_or_file}.toml"
+        path = DESCRIPTIONS_FOLDER / f"{name_or_file}.toml"
         if not path.is_file():
             raise SettingProblem(
-                f"unknown sensor {name_or_file!r}; known are {', '.join(names())}, or give a .toml file of your own"
+                f"unknown sensor {name_or_file!r}; known are {', '.join(list_sensor_names())}, or give a .toml file of your own"
             )
     data = read_description(path)
-    surface = mesh_in(data, path)
+    surface = load_rest_membrane(data, path)
     return _read.of((path, repr(data), content(surface)), lambda: _build(path.stem, data, path, surface))
 
 
 def _build(name: str, data: dict[str, Any], path: Path, surface: Membrane | None) -> SensorSpec:
     assumed: list[str] = []
 
-    def section(key: str) -> Section:
-        return Section(data, key, path, assumed)
+    def section(key: str) -> DescriptionSection:
+        return DescriptionSection(data, key, path, assumed)
 
     kind = data.get("kind")
     if kind not in ("gel", "bubble"):
         raise CalibrationError(f"kind must be 'gel' or 'bubble', got {kind!r}: '{path}'")
     image, lens, align = section("image"), section("camera"), section("alignment")
-    rows, cols = (int(image.number(k, "px", *_SIDES_PX)) for k in ("rows", "cols"))
-    fx_px, fy_px = (lens.number(k, "px", 1.0, _FOCAL_PX) for k in ("fx", "fy"))
-    cx_px, cy_px = (lens.number(k, "px", -_FOCAL_PX, _FOCAL_PX) for k in ("cx", "cy"))
+    rows, cols = (int(image.read_number(k, "px", *_SIDES_PX)) for k in ("rows", "cols"))
+    fx_px, fy_px = (lens.read_number(k, "px", 1.0, _FOCAL_PX) for k in ("fx", "fy"))
+    cx_px, cy_px = (lens.read_number(k, "px", -_FOCAL_PX, _FOCAL_PX) for k in ("cx", "cy"))
     camera = Camera(rows=rows, cols=cols, fx_px=fx_px, fy_px=fy_px, cx_px=cx_px, cy_px=cy_px)
     gel, bubble, eye, optics = None, None, None, None
     if kind == "gel":
-        gel = part(Gel, section("gel"))
+        gel = parse_part(Gel, section("gel"))
         if surface is None:
-            z = section("rest").number("depth", "mm", 0.1, 1000.0)
-            surface = membrane.flat(z, camera.cols * z / camera.fx_px, camera.rows * z / camera.fy_px)
-        optics = optics_in(section("optics"), data, path)
+            z = section("rest").read_number("depth", "mm", 0.1, 1000.0)
+            surface = membrane.make_flat_membrane(z, camera.cols * z / camera.fx_px, camera.rows * z / camera.fy_px)
+        optics = parse_optics(section("optics"), data, path)
     else:
-        bubble = part(Bubble, section("bubble"))
-        eye = part(DepthCamera, section("depth_camera")) if "depth_camera" in data else DepthCamera()
+        bubble = parse_part(Bubble, section("bubble"))
+        eye = parse_part(DepthCamera, section("depth_camera")) if "depth_camera" in data else DepthCamera()
         if surface is None:
-            surface = membrane.dome(
-                section("rest").number("rim_depth", "mm", 1.0, 1000.0),
+            surface = membrane.make_dome(
+                section("rest").read_number("rim_depth", "mm", 1.0, 1000.0),
                 bubble.height_mm,
                 bubble.half_width_mm,
                 bubble.half_height_mm,
             )
-    shift_mm = align.vector("translation", "mm", -rigid.FARTHEST_MM, rigid.FARTHEST_MM)
-    pose = rigid.from_parts(shift_mm, align.vector("rotation_vector", "deg", -360.0, 360.0))
+    shift_mm = align.read_vector("translation", "mm", -rigid.FARTHEST_MM, rigid.FARTHEST_MM)
+    pose = rigid.from_parts(shift_mm, align.read_vector("rotation_vector", "deg", -360.0, 360.0))
     return SensorSpec(
         name=name,
         title=str(data.get("title", name)),
@@ -134,11 +134,11 @@ def _build(name: str, data: dict[str, Any], path: Path, surface: Membrane | None
         membrane=surface,
         rest_depth_mm=surface.rest_depth_mm(camera),
         alignment_from_sensor=freeze(pose),
-        limits=limits_in(section("limits"), "grey" if kind == "gel" else "mm"),
+        limits=parse_limits(section("limits"), "grey" if kind == "gel" else "mm"),
         gel=gel,
         bubble=bubble,
         depth_camera=eye,
         optics=optics,
-        markers=part(Markers, section("markers")) if "markers" in data else None,
-        assumed=tuple(assumed),
+        markers=parse_part(Markers, section("markers")) if "markers" in data else None,
+        assumed_keys=tuple(assumed),
     )

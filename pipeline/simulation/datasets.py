@@ -18,25 +18,25 @@ import numpy as np
 from pipeline.base.arrays import Doubles, Floats, Image, freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.base.units import MeshUnit
-from pipeline.engine.digests import digest
+from pipeline.engine.digests import compute_digest
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
-from pipeline.physics.shear import Load
+from pipeline.physics.shear import TangentialLoad
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import SensorSpec
-from pipeline.sensors.spec import sensor as sensor_named
+from pipeline.sensors.spec import load_sensor as sensor_named
 from pipeline.simulation import poses, shapes, variation
-from pipeline.simulation.press import photograph, press
+from pipeline.simulation.press import render_sensor_image, simulate_press
 from pipeline.values.frames import Pairing, TactileFrame, Truth
 
 Face = Literal["-x", "+x", "-y", "+y", "-z", "+z"]
-Sequence = Literal["grid", "press", "slide", "twist", "release", "all"]
+PoseSequence = Literal["grid", "press", "slide", "twist", "release", "all"]
 
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
-MOST_POSES = 100_000  # of one recording: with three sensors some 50 GB
-MOST_DEEPER_MM = 30.0  # more than any bubble is high
-MOST_DRAG_MM = 5.0  # long before that all of the contact slips
-SPECIMEN_FRAMES = 10  # with varied sensors, a new specimen is taken after so many moments
+MAX_POSES = 100_000  # of one recording: with three sensors some 50 GB
+MAX_BUBBLE_DEEPER_MM = 30.0  # more than any bubble is high
+MAX_DRAG_MM = 5.0  # long before that all of the contact slips
+FRAMES_PER_INSTANCE = 10  # with varied sensors, a new specimen is taken after so many moments
 BUBBLE_DEEPER_MM = 9.0
 """How much farther a bubble comes to meet the object than its description says, 13 mm over the gels in all.
 
@@ -45,19 +45,21 @@ objects make imprints of 0.81 and 0.96 of the published mean and standard deviat
 and 1.04; with 12 mm it is 0.72 and 0.87, and 1.04 and 0.95 (benchmarks/paired_statistics.py).
 """
 
-GRASP_S, FRAME_S = 1.0, 0.1  # between single grasps, and between the frames of a sequence
-RULES = 3  # counts up when the same plan would give other readings, so that old recordings are not continued
+GRASP_INTERVAL_S, FRAME_INTERVAL_S = 1.0, 0.1  # between single grasps, and between the frames of a sequence
+SIMULATION_VERSION = (
+    3  # counts up when the same plan would give other readings, so that old recordings are not continued
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Plan:
+class SimulationPlan:
     """What one recording is to hold."""
 
     sensors: tuple[str, ...]
-    tool: str  # a shape of the catalogue, or a mesh file
-    poses: int  # single grasps, or frames of the sequence
+    object_source: str  # a shape of the catalogue, or a mesh file
+    n_poses: int  # single grasps, or frames of the sequence
     seed: int
-    sequence: Sequence = "grid"
+    sequence: PoseSequence = "grid"
     vary: float = 0.0  # how far specimens of a sensor differ: 0 = all alike, 1 = as real ones do
     noise: bool = True
     bubble_deeper_mm: float = BUBBLE_DEEPER_MM
@@ -66,46 +68,46 @@ class Plan:
     mesh_face: Face = "-z"  # the side of a mesh file that touches
 
     @property
-    def thing_name(self) -> str:
+    def object_name(self) -> str:
         """A word for the object that can be part of a file name."""
-        return Path(self.tool).stem if is_mesh(self.tool) else self.tool
+        return Path(self.object_source).stem if is_mesh_file(self.object_source) else self.object_source
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Moment:
+class SimulatedMoment:
     """What all sensors of a plan read at once, in the plan's order."""
 
-    readings: tuple[tuple[TactileFrame, Truth | None], ...]  # truth None: the solve did not converge
+    frames: tuple[tuple[TactileFrame, Truth | None], ...]  # truth None: the solve did not converge
     n_unsolved: int
 
 
-def plans(tools: tuple[str, ...], like: Plan) -> tuple[Plan, ...]:
+def make_plans(tools: tuple[str, ...], like: SimulationPlan) -> tuple[SimulationPlan, ...]:
     """One plan per object; a group's name stands for its objects.
 
     Raises SettingProblem for what does not exist or is out of its range.
     """
     fewest = 1 if like.sequence == "grid" else 2
-    if not fewest <= like.poses <= MOST_POSES:
-        raise SettingProblem(f"--poses must lie within {fewest} and {MOST_POSES}, got {like.poses:.12g}")
+    if not fewest <= like.n_poses <= MAX_POSES:
+        raise SettingProblem(f"--poses must lie within {fewest} and {MAX_POSES}, got {like.n_poses:.12g}")
     if not 0 <= like.seed < 1 << 63:
         raise SettingProblem(f"--seed must lie within 0 and {(1 << 63) - 1}")
     if not 0.0 <= like.vary <= variation.MAX_STRENGTH:
         raise SettingProblem(f"--vary must lie within 0 and {variation.MAX_STRENGTH:g}, got {like.vary:g}")
     if not like.sensors or len({sensor_named(name).name for name in like.sensors}) < len(like.sensors):
         raise SettingProblem(f"--sensors must name each sensor once, got {', '.join(like.sensors) or 'none'!r}")
-    if not 0.0 <= like.bubble_deeper_mm <= MOST_DEEPER_MM:
+    if not 0.0 <= like.bubble_deeper_mm <= MAX_BUBBLE_DEEPER_MM:
         raise SettingProblem(
-            f"--bubble-deeper-mm must lie within 0 and {MOST_DEEPER_MM:g} mm, got {like.bubble_deeper_mm:g}"
+            f"--bubble-deeper-mm must lie within 0 and {MAX_BUBBLE_DEEPER_MM:g} mm, got {like.bubble_deeper_mm:g}"
         )
-    if not 0.0 <= like.drag_mm <= MOST_DRAG_MM:
-        raise SettingProblem(f"--drag-mm must lie within 0 and {MOST_DRAG_MM:g} mm, got {like.drag_mm:g}")
+    if not 0.0 <= like.drag_mm <= MAX_DRAG_MM:
+        raise SettingProblem(f"--drag-mm must lie within 0 and {MAX_DRAG_MM:g} mm, got {like.drag_mm:g}")
     wanted = tuple(dict.fromkeys(name for tool in tools for name in _names(tool)))
     if not wanted:
         raise SettingProblem("--tools must name at least one object")
     made = tuple(replace(like, tool=name) for name in wanted)
     for plan in made:
-        thing(plan)
-    stems = [plan.thing_name for plan in made]
+        load_object_mesh(plan)
+    stems = [plan.object_name for plan in made]
     if len(set(stems)) < len(stems):
         raise SettingProblem("two of the --tools have the same name, and so would their recordings; rename a mesh file")
     return made
@@ -113,97 +115,105 @@ def plans(tools: tuple[str, ...], like: Plan) -> tuple[Plan, ...]:
 
 def _names(tool: str) -> tuple[str, ...]:
     if tool == "all":
-        return shapes.names()
-    return shapes.names(tool) if tool in shapes.GROUPS else (tool,)
+        return shapes.list_shapes()
+    return shapes.list_shapes(tool) if tool in shapes.GROUPS else (tool,)
 
 
-def is_mesh(tool: str) -> bool:
+def is_mesh_file(tool: str) -> bool:
     """Whether an object is named by a file."""
     return Path(tool).suffix.lower() in MESH_SUFFIXES
 
 
-def thing(plan: Plan) -> Mesh:
+def load_object_mesh(plan: SimulationPlan) -> Mesh:
     """The plan's object; raises SettingProblem, MeshProblem or FileProblem."""
-    return _thing(plan.tool, plan.mesh_unit, plan.mesh_face).mesh
+    return _thing(plan.object_source, plan.mesh_unit, plan.mesh_face).mesh
 
 
-def symmetry(plan: Plan) -> shapes.Symmetry | None:
+def load_object_symmetry(plan: SimulationPlan) -> shapes.Symmetry | None:
     """The turns that map the plan's object onto itself; None for a mesh file, which does not say."""
-    return None if is_mesh(plan.tool) else _thing(plan.tool, plan.mesh_unit, plan.mesh_face).symmetry
+    return (
+        None
+        if is_mesh_file(plan.object_source)
+        else _thing(plan.object_source, plan.mesh_unit, plan.mesh_face).symmetry
+    )
 
 
 @lru_cache(maxsize=4)
 def _thing(tool: str, unit: MeshUnit, face: Face) -> shapes.Shape:
-    return shapes.from_mesh(Path(tool), unit, face) if is_mesh(tool) else shapes.shape(tool)
+    return shapes.load_mesh_shape(Path(tool), unit, face) if is_mesh_file(tool) else shapes.make_shape(tool)
 
 
-def pairings(plan: Plan) -> tuple[Pairing, ...]:
+def compute_pairings(plan: SimulationPlan) -> tuple[Pairing, ...]:
     """How every two sensors of the plan stand to each other."""
     felt_by = [_described(plan, name) for name in plan.sensors]
     return tuple(
-        Pairing(source=a.name, target=b.name, target_from_source=alignment.between(a, b).target_from_source)
+        Pairing(source=a.name, target=b.name, target_from_source=alignment.resolve_alignment(a, b).target_from_source)
         for a, b in permutations(felt_by, 2)
     )
 
 
 @lru_cache(maxsize=4)
-def alignment_from_object(plan: Plan) -> tuple[Doubles, ...]:
+def compute_object_poses(plan: SimulationPlan) -> tuple[Doubles, ...]:
     """The object's pose (4, 4) at every moment."""
     if plan.sequence == "grid":
-        return poses.paper_grid(thing(plan), n=plan.poses, seed=plan.seed)
+        return poses.make_paper_grid(load_object_mesh(plan), n=plan.n_poses, seed=plan.seed)
     kind = "full" if plan.sequence == "all" else plan.sequence
-    return poses.sequence(thing(plan), kind, n=plan.poses, seed=plan.seed)
+    return poses.make_motion(load_object_mesh(plan), kind, n=plan.n_poses, seed=plan.seed)
 
 
-def moment(plan: Plan, index: int) -> Moment:
+def simulate_moment(plan: SimulationPlan, index: int) -> SimulatedMoment:
     """What the sensors read at moment `index`, with its truth."""
-    pose, readings, unsolved = alignment_from_object(plan)[index], [], 0
-    time_s = index * (GRASP_S if plan.sequence == "grid" else FRAME_S)
+    pose, readings, unsolved = compute_object_poses(plan)[index], [], 0
+    time_s = index * (GRASP_INTERVAL_S if plan.sequence == "grid" else FRAME_INTERVAL_S)
     for name in plan.sensors:
-        spec = _specimen(plan, name, index // SPECIMEN_FRAMES)
+        spec = _specimen(plan, name, index // FRAMES_PER_INSTANCE)
         seed = _seed(plan, spec.name, "reading", index) if plan.noise else None
-        felt = press(thing(plan), pose, spec, seed=seed, load=_load(plan, spec, index))
+        felt = simulate_press(load_object_mesh(plan), pose, spec, seed=seed, load=_load(plan, spec, index))
         frame = TactileFrame(
-            sensor=spec.name, image=felt.image, reference=reference(plan, name, index), index=index, time_s=time_s
+            sensor=spec.name,
+            image=felt.image,
+            reference=simulate_reference(plan, name, index),
+            index=index,
+            time_s=time_s,
         )
         readings.append((frame, felt.truth if felt.converged else None))
         unsolved += not felt.converged
-    return Moment(readings=tuple(readings), n_unsolved=unsolved)
+    return SimulatedMoment(frames=tuple(readings), n_unsolved=unsolved)
 
 
-def _load(plan: Plan, spec: SensorSpec, index: int) -> Load | None:
+def _load(plan: SimulationPlan, spec: SensorSpec, index: int) -> TangentialLoad | None:
     """The drag of moment `index` in the sensor's own axes: one way for all sensors, and for all frames of a motion."""
     if not plan.drag_mm:
         return None
     seed = _seed(plan, "", "drag", index if plan.sequence == "grid" else 0)
     heading = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi)
     way = spec.alignment_from_sensor[:3, :3].T @ (np.cos(heading), np.sin(heading), 0.0)
-    return Load(tangent_mm=(plan.drag_mm * float(way[0]), plan.drag_mm * float(way[1])))
+    return TangentialLoad(displacement_mm=(plan.drag_mm * float(way[0]), plan.drag_mm * float(way[1])))
 
 
-def reference(plan: Plan, sensor: str, index: int) -> Image | Floats:
+def simulate_reference(plan: SimulationPlan, sensor: str, index: int) -> Image | Floats:
     """The untouched reading that belongs to moment `index`; the same object for every moment of one specimen."""
-    return _reference(plan, sensor, index // SPECIMEN_FRAMES if plan.vary else 0)
+    return _reference(plan, sensor, index // FRAMES_PER_INSTANCE if plan.vary else 0)
 
 
 @lru_cache(maxsize=16)
-def _reference(plan: Plan, sensor: str, block: int) -> Image | Floats:
+def _reference(plan: SimulationPlan, sensor: str, block: int) -> Image | Floats:
     spec = _specimen(plan, sensor, block)
     still = np.zeros(spec.camera.shape, np.float32)
-    return photograph(
+    return render_sensor_image(
         spec, still, spec.rest_depth_mm, _seed(plan, spec.name, "reference", block) if plan.noise else None
     )
 
 
 @lru_cache(maxsize=16)
-def _specimen(plan: Plan, sensor: str, block: int) -> SensorSpec:
+def _specimen(plan: SimulationPlan, sensor: str, block: int) -> SensorSpec:
     spec = _described(plan, sensor)
     if not plan.vary:
         return spec
-    return variation.varied(spec, _seed(plan, spec.name, "specimen", block), plan.vary)
+    return variation.vary_sensor(spec, _seed(plan, spec.name, "specimen", block), plan.vary)
 
 
-def _described(plan: Plan, sensor: str) -> SensorSpec:
+def _described(plan: SimulationPlan, sensor: str) -> SensorSpec:
     """The sensor where the plan's gripper brings it; `pairings` say so exactly."""
     spec = sensor_named(sensor)
     if spec.kind != "bubble" or not plan.bubble_deeper_mm:
@@ -212,17 +222,25 @@ def _described(plan: Plan, sensor: str) -> SensorSpec:
     return replace(spec, alignment_from_sensor=freeze(nearer))
 
 
-def _seed(plan: Plan, sensor: str, what: str, index: int) -> int:
-    words = [zlib.crc32(word.encode()) for word in (plan.thing_name, sensor, what)]
+def _seed(plan: SimulationPlan, sensor: str, what: str, index: int) -> int:
+    words = [zlib.crc32(word.encode()) for word in (plan.object_name, sensor, what)]
     return int(np.random.SeedSequence([plan.seed, *words, index]).generate_state(1, np.uint64)[0])
 
 
-def told(plan: Plan) -> str:
+def describe_plan(plan: SimulationPlan) -> str:
     """The plan in words with a digest of all that its readings depend on; equal words, equal readings."""
     specs = tuple(_described(plan, name) for name in plan.sensors)
-    content = digest((RULES, thing(plan).vertices_mm, thing(plan).triangles, alignment_from_object(plan), specs))
+    content = compute_digest(
+        (
+            SIMULATION_VERSION,
+            load_object_mesh(plan).vertices_mm,
+            load_object_mesh(plan).triangles,
+            compute_object_poses(plan),
+            specs,
+        )
+    )
     return (
-        f"simulated: sensors {' '.join(s.name for s in specs)}, object {plan.thing_name}, {plan.poses} poses, "
+        f"simulated: sensors {' '.join(s.name for s in specs)}, object {plan.object_name}, {plan.n_poses} poses, "
         f"sequence {plan.sequence}, seed {plan.seed}, vary {plan.vary:g}, noise {'on' if plan.noise else 'off'}, "
         f"{f'dragged by {plan.drag_mm:g} mm, ' if plan.drag_mm else ''}"
         f"inputs {content[:12]}"

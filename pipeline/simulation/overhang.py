@@ -11,7 +11,7 @@ _CORNERS = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
 _UPRIGHT = 1e-12  # of the square of its sides is the area under a triangle that stands upright, but for rounding
 
 
-def lowest_mm(vertices_mm: Doubles, triangles: Indices, half_mm: float = HALF_WINDOW_MM) -> float:
+def compute_lowest_mm(vertices_mm: Doubles, triangles: Indices, half_mm: float = HALF_WINDOW_MM) -> float:
     """The least z of a mesh's surface over the square; of all of the mesh when none of it is there.
 
     A triangle's least z over a square is at a vertex inside, where an edge crosses the border, or at a corner below it.

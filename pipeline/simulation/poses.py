@@ -18,19 +18,19 @@ from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
-from pipeline.simulation.overhang import lowest_mm
+from pipeline.simulation.overhang import compute_lowest_mm
 
 SPREAD_MM = 10.0  # side of the square of the paper's translations, centred on the alignment frame
-ANGLE_DEG = 45.0  # in the plane, either way
-TILT_DEG = 3.0  # out of the plane, at most: a gripper's misalignment
-DEPTH_MM = (0.3, 1.0)  # of the deepest point over the gels
-CLEAR_MM = 14.5  # above the gels: beyond a bubble that comes 13 mm to meet the object, as in data sets
-SLIDE_MM = (2.0, 4.0)
-TWIST_DEG = (10.0, 25.0)
+MAX_ANGLE_DEG = 45.0  # in the plane, either way
+MAX_TILT_DEG = 3.0  # out of the plane, at most: a gripper's misalignment
+DEPTH_RANGE_MM = (0.3, 1.0)  # of the deepest point over the gels
+CLEARANCE_MM = 14.5  # above the gels: beyond a bubble that comes 13 mm to meet the object, as in data sets
+SLIDE_RANGE_MM = (2.0, 4.0)
+TWIST_RANGE_DEG = (10.0, 25.0)
 
-Kind = Literal["press", "slide", "twist", "release", "full"]
-Phase = Literal["press", "slide", "twist", "release"]
-KINDS: tuple[Kind, ...] = ("press", "slide", "twist", "release", "full")
+MotionKind = Literal["press", "slide", "twist", "release", "full"]
+MotionPhase = Literal["press", "slide", "twist", "release"]
+MOTION_KINDS: tuple[MotionKind, ...] = ("press", "slide", "twist", "release", "full")
 _PLASTIC = 1.32471795724474602596  # root of x^3 = x + 1: its powers spread points over a square most evenly (Roberts)
 
 
@@ -45,7 +45,7 @@ class _Held:
     depth_mm: float  # negative = above the gels
 
 
-def paper_grid(thing: Mesh, *, n: int = 60, seed: int) -> tuple[Doubles, ...]:
+def make_paper_grid(thing: Mesh, *, n: int = 60, seed: int) -> tuple[Doubles, ...]:
     """`n` presses: 10 mm x 10 mm evenly covered, angles within 45 degrees, small tilts, depths of 0.3 to 1 mm.
 
     Angles, tilts and depths are each drawn from n equal shares of their range, in an order of their own. The same seed
@@ -56,27 +56,27 @@ def paper_grid(thing: Mesh, *, n: int = 60, seed: int) -> tuple[Doubles, ...]:
     rng = np.random.default_rng(seed)
     spread = (rng.random(2) + np.arange(1, n + 1)[:, None] / (_PLASTIC, _PLASTIC**2)) % 1.0 - 0.5
     angle, heading, tilt, depth = ((rng.permutation(n) + rng.random(n)) / n for _ in range(4))
-    lean = math.radians(TILT_DEG) * np.sqrt(tilt)  # even over the disc of tilts
+    lean = math.radians(MAX_TILT_DEG) * np.sqrt(tilt)  # even over the disc of tilts
     turn = 2.0 * math.pi * heading
     return tuple(
         _pose(thing, _Held(
             x_mm=SPREAD_MM * float(spread[k, 0]), y_mm=SPREAD_MM * float(spread[k, 1]),
-            angle_rad=math.radians(ANGLE_DEG) * (2.0 * float(angle[k]) - 1.0),
+            angle_rad=math.radians(MAX_ANGLE_DEG) * (2.0 * float(angle[k]) - 1.0),
             tilt_rad=(float(lean[k] * np.cos(turn[k])), float(lean[k] * np.sin(turn[k]))),
-            depth_mm=DEPTH_MM[0] + (DEPTH_MM[1] - DEPTH_MM[0]) * float(depth[k]),
+            depth_mm=DEPTH_RANGE_MM[0] + (DEPTH_RANGE_MM[1] - DEPTH_RANGE_MM[0]) * float(depth[k]),
         ))
         for k in range(n)
     )  # fmt: skip
 
 
-def single(
+def sample_press_pose(
     thing: Mesh,
     rng: np.random.Generator,
     *,
     spread_mm: float = SPREAD_MM,
-    angle_deg: float = ANGLE_DEG,
-    tilt_deg: float = TILT_DEG,
-    depth_mm: tuple[float, float] = DEPTH_MM,
+    angle_deg: float = MAX_ANGLE_DEG,
+    tilt_deg: float = MAX_TILT_DEG,
+    depth_mm: tuple[float, float] = DEPTH_RANGE_MM,
 ) -> Doubles:
     """One press of its own, each number drawn evenly from its whole range; a grid's ranges where none is given."""
     x_mm, y_mm = rng.uniform(-0.5 * spread_mm, 0.5 * spread_mm, 2)
@@ -87,48 +87,51 @@ def single(
     ))  # fmt: skip
 
 
-def sequence(thing: Mesh, kind: Kind, *, n: int, seed: int) -> tuple[Doubles, ...]:
+def make_motion(thing: Mesh, kind: MotionKind, *, n: int, seed: int) -> tuple[Doubles, ...]:
     """A smooth motion of `n` frames: one phase that starts and ends at rest, or with "full" all four in a row.
 
     A press comes from clear of every sensor, a slide and a twist keep their depth, a release goes back. The seed draws
     the place, depth, direction and way. Raises SettingProblem for an unknown kind or fewer than two frames.
     """
-    if kind not in KINDS:
-        raise SettingProblem(f"unknown motion {kind!r}; there are {', '.join(KINDS)}")
+    if kind not in MOTION_KINDS:
+        raise SettingProblem(f"unknown motion {kind!r}; there are {', '.join(MOTION_KINDS)}")
     if n < 2:
         raise SettingProblem(f"a motion needs at least two frames, got {n}")
     at = _motion(kind, np.random.default_rng(seed))
     return tuple(_pose(thing, at(float(share))) for share in np.arange(n) / (n - 1))
 
 
-def _motion(kind: Kind, rng: np.random.Generator) -> Callable[[float], _Held]:
+def _motion(kind: MotionKind, rng: np.random.Generator) -> Callable[[float], _Held]:
     """How the object is held at each share 0..1 of the motion."""
     start_x, start_y = rng.uniform(-0.25 * SPREAD_MM, 0.25 * SPREAD_MM, 2)
-    start = math.radians(ANGLE_DEG) * rng.uniform(-1.0, 1.0)
+    start = math.radians(MAX_ANGLE_DEG) * rng.uniform(-1.0, 1.0)
     heading, tilt_heading = rng.uniform(0.0, 2.0 * math.pi, 2)
-    lean = math.radians(TILT_DEG) * math.sqrt(rng.random())
-    depth, slide = rng.uniform(*DEPTH_MM), rng.uniform(*SLIDE_MM)
-    twist = math.radians(rng.uniform(*TWIST_DEG)) * rng.choice((-1.0, 1.0))
-    order: tuple[Phase, ...] = ("press", "slide", "twist", "release") if kind == "full" else (kind,)
+    lean = math.radians(MAX_TILT_DEG) * math.sqrt(rng.random())
+    depth, slide = rng.uniform(*DEPTH_RANGE_MM), rng.uniform(*SLIDE_RANGE_MM)
+    twist = math.radians(rng.uniform(*TWIST_RANGE_DEG)) * rng.choice((-1.0, 1.0))
+    order: tuple[MotionPhase, ...] = ("press", "slide", "twist", "release") if kind == "full" else (kind,)
 
-    def at(share: float) -> _Held:
+    def interpolate_pose(share: float) -> _Held:
         index = min(int(share * len(order)), len(order) - 1)
         now = _eased(share * len(order) - index)
 
-        def done(phase: Phase) -> float:
+        def compute_phase_progress(phase: MotionPhase) -> float:
             if phase not in order:
                 return 1.0 if phase == "press" else 0.0  # a slide alone begins pressed in
             return now if order[index] == phase else float(order.index(phase) < index)
 
-        way, lift = slide * done("slide"), 1.0 - done("press") + done("release")
+        way, lift = (
+            slide * compute_phase_progress("slide"),
+            1.0 - compute_phase_progress("press") + compute_phase_progress("release"),
+        )
         return _Held(
             x_mm=float(start_x + way * math.cos(heading)), y_mm=float(start_y + way * math.sin(heading)),
-            angle_rad=float(start + twist * done("twist")),
+            angle_rad=float(start + twist * compute_phase_progress("twist")),
             tilt_rad=(lean * math.cos(tilt_heading), lean * math.sin(tilt_heading)),
-            depth_mm=float(depth - (depth + CLEAR_MM) * lift),
+            depth_mm=float(depth - (depth + CLEARANCE_MM) * lift),
         )  # fmt: skip
 
-    return at
+    return interpolate_pose
 
 
 def _eased(share: float) -> float:
@@ -139,5 +142,5 @@ def _eased(share: float) -> float:
 def _pose(thing: Mesh, held: _Held) -> Doubles:
     turn = rigid.rotation((*held.tilt_rad, 0.0)) @ rigid.rotation((0.0, 0.0, held.angle_rad))
     level = rigid.translation(held.x_mm, held.y_mm, 0.0) @ turn
-    level[2, 3] = -held.depth_mm - lowest_mm(rigid.apply(level, thing.vertices_mm), thing.triangles)
+    level[2, 3] = -held.depth_mm - compute_lowest_mm(rigid.apply(level, thing.vertices_mm), thing.triangles)
     return freeze(level)

@@ -19,13 +19,13 @@ from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.physics import bubble, bubble_camera, gel, lattice, optics, shear
 from pipeline.physics.lattice import Lattice
-from pipeline.physics.shear import Load
+from pipeline.physics.shear import TangentialLoad
 from pipeline.sensors.spec import SensorSpec
 from pipeline.values.frames import Truth
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Press:
+class SimulatedPress:
     """A simulated reading with its truth."""
 
     image: Image | Floats  # (rows, cols, 3) uint8, or (rows, cols) depth_mm
@@ -47,15 +47,20 @@ class _Felt:
     shear_mm: Floats | None = None
 
 
-def press(
-    thing: Mesh, alignment_from_object: Doubles, sensor: SensorSpec, *, seed: int | None, load: Load | None = None
-) -> Press:
+def simulate_press(
+    thing: Mesh,
+    alignment_from_object: Doubles,
+    sensor: SensorSpec,
+    *,
+    seed: int | None,
+    load: TangentialLoad | None = None,
+) -> SimulatedPress:
     """What `sensor` records of `thing` at this pose; `seed` is of its noise, None = no noise.
 
     `load` drags the object along a gel's surface (a bubble does not feel it). Raises CalibrationError for a pose that
     is no rigid transform.
     """
-    pose = rigid.checked(alignment_from_object, "the object's pose")
+    pose = rigid.validate_rigid(alignment_from_object, "the object's pose")
     sensor_from_object = rigid.invert(sensor.alignment_from_sensor) @ pose
     vertices = rigid.apply(sensor_from_object, thing.vertices_mm)
     felt = _gel(vertices, thing, sensor, load) if sensor.kind == "gel" else _bubble(vertices, thing, sensor)
@@ -64,45 +69,50 @@ def press(
         indentation_mm=indentation, contact=felt.contact, sensor_from_object=freeze(sensor_from_object),
         force_n=freeze(np.array([*felt.tangent_n, -felt.force_n])),
     )  # fmt: skip
-    image = photograph(sensor, indentation, felt.depth_mm, seed, shear_mm=felt.shear_mm)
-    return Press(image=image, truth=truth, force_n=felt.force_n, converged=felt.converged, shear_mm=felt.shear_mm)
+    image = render_sensor_image(sensor, indentation, felt.depth_mm, seed, shear_mm=felt.shear_mm)
+    return SimulatedPress(
+        image=image, truth=truth, force_n=felt.force_n, converged=felt.converged, shear_mm=felt.shear_mm
+    )
 
 
-def photograph(
+def render_sensor_image(
     sensor: SensorSpec, indentation_mm: Floats, depth_mm: Doubles, seed: int | None, *, shear_mm: Floats | None = None
 ) -> Image | Floats:
     """The sensor's reading of a membrane at `depth_mm`, `indentation_mm` from rest, with its noise if seeded."""
     if sensor.kind == "gel":
         return optics.render(sensor, indentation_mm, seed=seed, shear_mm=shear_mm)
-    return bubble_camera.reading(sensor, depth_mm, seed)
+    return bubble_camera.simulate_depth_frame(sensor, depth_mm, seed)
 
 
-def _gel(vertices_mm: Doubles, thing: Mesh, sensor: SensorSpec, load: Load | None) -> _Felt:
+def _gel(vertices_mm: Doubles, thing: Mesh, sensor: SensorSpec, load: TangentialLoad | None) -> _Felt:
     if sensor.gel is None:
         raise SettingProblem(f"{sensor.name} has no gel to press; its description lacks [gel]")
-    on = gel_lattice(sensor)
+    on = make_gel_lattice(sensor)
     rest_z = float(np.median(sensor.rest_depth_mm))
-    overlap = rest_z - lattice.nearest_of_mesh(vertices_mm, thing.triangles, on)
-    answer = gel.press(sensor.gel, on.step_mm, overlap)
+    overlap = rest_z - lattice.rasterise_mesh(vertices_mm, thing.triangles, on)
+    answer = gel.press_gel(sensor.gel, on.step_mm, overlap)
     if not answer.contact.any():
         nowhere = freeze(np.zeros(sensor.camera.shape, np.bool_))
         return _Felt(depth_mm=sensor.rest_depth_mm, contact=nowhere, force_n=0.0, converged=answer.converged)
     surface_z = rest_z - answer.indentation_mm.astype(np.float64)
-    depth = lattice.depth_along_rays(sensor.camera, surface_z, on, guess_mm=sensor.rest_depth_mm)
-    contact = lattice.seen_at_pixels(sensor.camera, answer.contact, on, depth)
+    depth = lattice.intersect_rays(sensor.camera, surface_z, on, guess_mm=sensor.rest_depth_mm)
+    contact = lattice.sample_mask_at_pixels(sensor.camera, answer.contact, on, depth)
     # Beside the view a long tool's end may lie deeper; a linear layer answers for that well enough.
     possible = float((sensor.rest_depth_mm - depth).max()) < sensor.gel.thickness_mm
     moved, tangent_n = None, (0.0, 0.0)
     if load is not None:
-        dragged = shear.drag(sensor.gel, on.step_mm, answer.pressure_kpa, load)
-        tangent_n, moved = dragged.force_n, freeze(shear.seen_by(sensor.camera, on, dragged.move_mm, depth))
+        dragged = shear.solve_shear(sensor.gel, on.step_mm, answer.pressure_kpa, load)
+        tangent_n, moved = (
+            dragged.force_n,
+            freeze(shear.sample_motion_at_pixels(sensor.camera, on, dragged.motion_mm, depth)),
+        )
     return _Felt(
         depth_mm=depth, contact=contact, force_n=answer.force_n, converged=answer.converged and possible,
         tangent_n=tangent_n, shear_mm=moved,
     )  # fmt: skip
 
 
-def gel_lattice(sensor: SensorSpec) -> Lattice:
+def make_gel_lattice(sensor: SensorSpec) -> Lattice:
     """The pad on the picture's own grid at rest, and a thickness more on every side."""
     assert sensor.gel is not None
     step, camera = sensor.pixel_mm, sensor.camera
@@ -118,9 +128,9 @@ def gel_lattice(sensor: SensorSpec) -> Lattice:
 def _bubble(vertices_mm: Doubles, thing: Mesh, sensor: SensorSpec) -> _Felt:
     if sensor.bubble is None:
         raise SettingProblem(f"{sensor.name} has no membrane to press; its description lacks [bubble]")
-    on = bubble.lattice(sensor.bubble)
-    ceiling = lattice.nearest_of_mesh(vertices_mm, thing.triangles, on) - bubble_camera.rim_z_mm(sensor)
-    answer = bubble.press(sensor.bubble, ceiling, on)
-    depth = bubble_camera.depth_from_deviation(sensor, answer.deviation_mm, on)
-    contact = lattice.seen_at_pixels(sensor.camera, answer.contact, on, depth)
+    on = bubble.make_lattice(sensor.bubble)
+    ceiling = lattice.rasterise_mesh(vertices_mm, thing.triangles, on) - bubble_camera.get_rim_z_mm(sensor)
+    answer = bubble.press_bubble(sensor.bubble, ceiling, on)
+    depth = bubble_camera.compute_depth_from_deviation(sensor, answer.deviation_mm, on)
+    contact = lattice.sample_mask_at_pixels(sensor.camera, answer.contact, on, depth)
     return _Felt(depth_mm=depth, contact=contact, force_n=answer.force_n, converged=answer.converged)

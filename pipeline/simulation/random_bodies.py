@@ -19,7 +19,7 @@ _REACH_MM = 18.0  # height of bodies: more than a bubble comes to meet them, 13 
 _FAR_MM = 1e3
 
 
-def body(rng: np.random.Generator, *, bare: float = 0.25) -> Mesh:
+def make_random_body(rng: np.random.Generator, *, unsupported_share: float = 0.25) -> Mesh:
     """A random object: the side that faces a sensor, z away from it, lowest at z = 0; the same for the same state.
 
     `bare`: share of the patterns that nothing but their own walls carries.
@@ -27,7 +27,7 @@ def body(rng: np.random.Generator, *, bare: float = 0.25) -> Mesh:
     x, y = _plane()
     way = rng.random()
     if way < 0.68:
-        height = _on_body(_pattern(rng, x, y), rng, x, y, bare)
+        height = _on_body(_pattern(rng, x, y), rng, x, y, unsupported_share)
     elif way < 0.88:
         height = _boulder(rng, x, y)
     else:

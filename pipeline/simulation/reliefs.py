@@ -21,7 +21,7 @@ _WALL = 8.0  # steps up per step out, beyond a rounded edge
 _Draw = Callable[[np.random.Generator, Floats, Floats, float], Floats]
 
 
-def relief(rng: np.random.Generator, n: int, view: float) -> Floats:
+def make_random_relief(rng: np.random.Generator, n: int, view: float) -> Floats:
     """A random thing (n, n) float32, its lowest point 0; `view` is the length, in steps, that a camera sees of it."""
     x, y = _plane(n)
     height = _solid(rng, x, y, view)

@@ -41,7 +41,7 @@ _DUST_GREY = 14.0
 _PRESSURE = 0.10
 
 
-def varied(sensor: SensorSpec, seed: int, strength: float = 1.0) -> SensorSpec:
+def vary_sensor(sensor: SensorSpec, seed: int, strength: float = 1.0) -> SensorSpec:
     """Another unit of `sensor`: the same for the same seed, `sensor` itself at strength 0; camera and frames stay.
 
     Every draw is cut at two and a half standard deviations and kept within what a sensor description may hold.
@@ -68,86 +68,89 @@ class _Draw:
     def __init__(self, seed: np.random.SeedSequence, strength: float) -> None:
         self._rng, self._strength = np.random.default_rng(seed), strength
 
-    def off(self, deviation: float) -> float:
+    def sample_offset(self, deviation: float) -> float:
         """A step to either side."""
         return float(np.clip(self._rng.normal(), -2.5, 2.5)) * deviation * self._strength
 
-    def times(self, deviation: float) -> float:
+    def sample_factor(self, deviation: float) -> float:
         """A factor about 1."""
-        return math.exp(self.off(deviation))
+        return math.exp(self.sample_offset(deviation))
 
-    def evenly(self, low: float, high: float) -> float:
+    def sample_uniform(self, low: float, high: float) -> float:
         """Anything between, whatever the strength."""
         return float(self._rng.uniform(low, high))
 
-    def tinted(self, rgb: tuple[float, float, float], power: float, colour: float) -> tuple[float, float, float]:
+    def tint_colour(self, rgb: tuple[float, float, float], power: float, colour: float) -> tuple[float, float, float]:
         """A colour made brighter or darker, and each of its parts a little more so."""
-        whole = self.times(power)
-        red, green, blue = (v * whole * self.times(colour) for v in rgb)
+        whole = self.sample_factor(power)
+        red, green, blue = (v * whole * self.sample_factor(colour) for v in rgb)
         return red, green, blue
 
 
 def _optics(o: Optics, draw: _Draw) -> Optics:
     leds = tuple(
         Led(
-            azimuth_deg=(led.azimuth_deg + draw.off(_LED_AZIMUTH_DEG)) % 360.0,
-            elevation_deg=min(max(led.elevation_deg + draw.off(_LED_ELEVATION_DEG), 5.0), 80.0),
-            rgb=draw.tinted(led.rgb, _LED_POWER, _LED_COLOUR),
+            azimuth_deg=(led.azimuth_deg + draw.sample_offset(_LED_AZIMUTH_DEG)) % 360.0,
+            elevation_deg=min(max(led.elevation_deg + draw.sample_offset(_LED_ELEVATION_DEG), 5.0), 80.0),
+            rgb=draw.tint_colour(led.rgb, _LED_POWER, _LED_COLOUR),
         )
         for led in o.leds
     )
     glows = tuple(
         Glow(
-            x=g.x + draw.off(_GLOW_PLACE),
-            y=g.y + draw.off(_GLOW_PLACE),
-            width=g.width * draw.times(_GLOW_PLACE),
-            height=g.height * draw.times(_GLOW_PLACE),
-            rgb=draw.tinted(g.rgb, _GLOW_POWER, _GLOW_COLOUR),
+            x=g.x + draw.sample_offset(_GLOW_PLACE),
+            y=g.y + draw.sample_offset(_GLOW_PLACE),
+            width=g.width * draw.sample_factor(_GLOW_PLACE),
+            height=g.height * draw.sample_factor(_GLOW_PLACE),
+            rgb=draw.tint_colour(g.rgb, _GLOW_POWER, _GLOW_COLOUR),
         )
         for g in o.glows
     )
     return Optics(
-        base_rgb=draw.tinted(o.base_rgb, _BASE, _BASE),
+        base_rgb=draw.tint_colour(o.base_rgb, _BASE, _BASE),
         leds=leds,
-        falloff=_share(o.falloff + draw.off(_FALLOFF)),
-        vignette=_share(o.vignette + draw.off(_VIGNETTE)),
-        blur_px=o.blur_px * draw.times(_BLUR),
-        noise_grey=o.noise_grey * draw.times(_NOISE),
+        falloff=_share(o.falloff + draw.sample_offset(_FALLOFF)),
+        vignette=_share(o.vignette + draw.sample_offset(_VIGNETTE)),
+        blur_px=o.blur_px * draw.sample_factor(_BLUR),
+        noise_grey=o.noise_grey * draw.sample_factor(_NOISE),
         glows=glows + _dust(draw),
-        shadow=_share(o.shadow * draw.times(_SHADOW)),
-        shadow_deg=min(max(o.shadow_deg + draw.off(_LED_ELEVATION_DEG), 5.0), 80.0),
+        shadow=_share(o.shadow * draw.sample_factor(_SHADOW)),
+        shadow_deg=min(max(o.shadow_deg + draw.sample_offset(_LED_ELEVATION_DEG), 5.0), 80.0),
     )
 
 
 def _dust(draw: _Draw) -> tuple[Glow, ...]:
     """A few bright or dark specks that neither move nor change."""
-    count = max(0, min(_DUST, round(abs(draw.off(0.5 * _DUST)))))
+    count = max(0, min(_DUST, round(abs(draw.sample_offset(0.5 * _DUST)))))
     specks: list[Glow] = []
     for _ in range(count):
-        size, grey = _DUST_HALVES * draw.times(0.3), draw.off(_DUST_GREY)
-        x, y = draw.evenly(-1.0, 1.0), draw.evenly(-1.0, 1.0)
+        size, grey = _DUST_HALVES * draw.sample_factor(0.3), draw.sample_offset(_DUST_GREY)
+        x, y = draw.sample_uniform(-1.0, 1.0), draw.sample_uniform(-1.0, 1.0)
         specks.append(Glow(x=x, y=y, width=size, height=size, rgb=(grey, grey, grey)))
     return tuple(specks)
 
 
 def _gel(g: Gel, draw: _Draw) -> Gel:
-    thickness_mm, youngs_kpa = g.thickness_mm * draw.times(_THICKNESS), g.youngs_kpa * draw.times(_STIFFNESS)
+    thickness_mm, youngs_kpa = (
+        g.thickness_mm * draw.sample_factor(_THICKNESS),
+        g.youngs_kpa * draw.sample_factor(_STIFFNESS),
+    )
     return replace(g, thickness_mm=thickness_mm, youngs_kpa=youngs_kpa)
 
 
 def _markers(m: Markers, draw: _Draw) -> Markers:
-    pitch = m.pitch_mm * draw.times(_PITCH)
+    pitch = m.pitch_mm * draw.sample_factor(_PITCH)
     # The grid's phase is anything at all between two units; a weak variation moves it little.
     half = 0.5 * pitch
-    phase = tuple(min(max(p + draw.off(half), -half), half) for p in m.phase_mm)
+    phase = tuple(min(max(p + draw.sample_offset(half), -half), half) for p in m.phase_mm)
     return Markers(
         pitch_mm=pitch,
-        radius_mm=min(m.radius_mm * draw.times(_DOT), 0.3 * pitch),
-        darkness=_share(m.darkness + draw.off(0.5 * _DOT)),
-        twin_mm=min(m.twin_mm * draw.times(_DOT), 0.3 * pitch),
-        jitter_mm=min(m.jitter_mm * draw.times(2 * _DOT), 0.15 * pitch),
-        bend=min(max(m.bend + draw.off(_BEND), -0.2), 0.2),
-        turn_deg=m.turn_deg + draw.off(_TURN_DEG),
+        radius_mm=min(m.radius_mm * draw.sample_factor(_DOT), 0.3 * pitch),
+        darkness=_share(m.darkness + draw.sample_offset(0.5 * _DOT)),
+        doubling_mm=min(m.doubling_mm * draw.sample_factor(_DOT), 0.3 * pitch),
+        jitter_mm=min(m.jitter_mm * draw.sample_factor(2 * _DOT), 0.15 * pitch),
+        distortion=min(max(m.distortion + draw.sample_offset(_BEND), -0.2), 0.2),
+        rotation_deg=m.rotation_deg + draw.sample_offset(_TURN_DEG),
         phase_mm=(phase[0], phase[1]),
     )
 
@@ -155,9 +158,9 @@ def _markers(m: Markers, draw: _Draw) -> Markers:
 def _bubble(b: Bubble, draw: _Draw) -> Bubble:
     return replace(
         b,
-        pressure_kpa=b.pressure_kpa * draw.times(_PRESSURE),
-        dead_volume_mm3=b.dead_volume_mm3 * draw.times(_PRESSURE),
-        depth_noise_mm=b.depth_noise_mm * draw.times(_NOISE),
+        pressure_kpa=b.pressure_kpa * draw.sample_factor(_PRESSURE),
+        dead_volume_mm3=b.dead_volume_mm3 * draw.sample_factor(_PRESSURE),
+        depth_noise_mm=b.depth_noise_mm * draw.sample_factor(_NOISE),
     )
 
 

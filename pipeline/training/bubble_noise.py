@@ -13,17 +13,19 @@ import numpy as np
 
 from pipeline.base.arrays import Floats, freeze
 from pipeline.physics import bubble_camera
-from pipeline.sensors.spec import DepthCamera, SensorSpec, sensor
-from pipeline.training.bubble_presses import Pressed
+from pipeline.sensors.spec import DepthCamera, SensorSpec, load_sensor
+from pipeline.training.bubble_presses import BubblePress
 
 _WORST, _BEST = 2.0, 0.12  # times the described noise: Punyo's stereo camera is the best of those looked at
 
 
-def readings(pressed: Pressed, rng: np.random.Generator, *, plain: bool = False) -> tuple[Floats, Floats]:
+def simulate_noisy_depth_pair(
+    pressed: BubblePress, rng: np.random.Generator, *, plain: bool = False
+) -> tuple[Floats, Floats]:
     """(untouched, touched) depth (rows, cols) in mm, NaN = no reading; `plain`: with the description's noise alone."""
-    unit, shape = _camera(pressed.sensor, rng, plain), pressed.moved_mm.shape
+    unit, shape = _camera(pressed.sensor, rng, plain), pressed.indentation_mm.shape
     rest = unit.rest_depth_mm.astype(np.float64)
-    now = rest - pressed.moved_mm
+    now = rest - pressed.indentation_mm
     if not plain:
         still = _texture(rng, shape) if rng.random() < 0.4 else np.float32(0.0)
         untouched = not pressed.contact.any()
@@ -33,9 +35,9 @@ def readings(pressed: Pressed, rng: np.random.Generator, *, plain: bool = False)
             now = now - _blobs(rng, shape)
         rest, now = rest + still, now + still
     seeds = rng.integers(0, 1 << 62, 2)
-    cosines = (bubble_camera.rest_cosine(unit), pressed.cosine)
+    cosines = (bubble_camera.compute_rest_cosine(unit), pressed.incidence_cosine)
     first, second = (
-        np.array(bubble_camera.reading(unit, depth, int(seed), cosine=cosine))
+        np.array(bubble_camera.simulate_depth_frame(unit, depth, int(seed), cosine=cosine))
         for depth, seed, cosine in zip((rest, now), seeds, cosines, strict=True)
     )
     if not plain and rng.random() < 0.25:  # the mean of several untouched readings
@@ -60,7 +62,7 @@ def _camera(unit: SensorSpec, rng: np.random.Generator, plain: bool) -> SensorSp
 
 @lru_cache(maxsize=2)
 def _depth_camera(name: str) -> DepthCamera | None:
-    return sensor(name).depth_camera
+    return load_sensor(name).depth_camera
 
 
 def _field(rng: np.random.Generator, shape: tuple[int, ...], length_px: float) -> Floats:

@@ -9,16 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base.files import whole_file, write_text
-from pipeline.training.state import State
+from pipeline.training.state import TrainingState
 
 _INCHES, _DPI = (9.0, 3.0), 110
 _COLOURS = {"unseen_grasps": "#0b6e99", "unseen_tools": "#8a4b12"}
 
 
-def write(folder: Path, state: State) -> None:
+def write_tables(folder: Path, state: TrainingState) -> None:
     """`curve.csv` (a line every so many steps) and `figures.csv` (step, split, name, value); raises FileProblem."""
     _table(folder / "curve.csv", state.curve)
-    _table(folder / "figures.csv", state.figures)
+    _table(folder / "figures.csv", state.metrics)
 
 
 def _table(path: Path, rows: Sequence[dict[str, Any]]) -> None:
@@ -30,22 +30,22 @@ def _table(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     write_text(path, text.getvalue(), "the learning curves")
 
 
-def draw(folder: Path, state: State) -> None:
+def draw_curves(folder: Path, state: TrainingState) -> None:
     """`curve.png`: the loss, and below it every figure of the held-out examples; raises FileProblem."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    names = list(dict.fromkeys(str(row["name"]) for row in state.figures))
+    names = list(dict.fromkeys(str(row["name"]) for row in state.metrics))
     figure = Figure(figsize=(_INCHES[0], _INCHES[1] * (1 + len(names))), dpi=_DPI, layout="constrained")
     FigureCanvasAgg(figure)
     axes: Any = figure.subplots(1 + len(names), 1, squeeze=False, sharex=True)[:, 0]
     axes[0].plot([row["step"] for row in state.curve], [row["loss"] for row in state.curve], color="#374151", lw=1.0)
-    axes[0].set(ylabel="loss", title=f"{state.examples:,} examples in {state.seconds / 60.0:.0f} minutes")
+    axes[0].set(ylabel="loss", title=f"{state.n_examples:,} examples in {state.trained_s / 60.0:.0f} minutes")
     if state.curve and min(row["loss"] for row in state.curve) > 0:
         axes[0].set_yscale("log")
     for own, name in zip(axes[1:], names, strict=True):
         for split, colour in _COLOURS.items():
-            rows = [row for row in state.figures if row["name"] == name and row["split"] == split]
+            rows = [row for row in state.metrics if row["name"] == name and row["split"] == split]
             label = split.replace("_", " ")
             own.plot(
                 [row["step"] for row in rows], [row["value"] for row in rows], "o-", ms=3, color=colour, label=label

@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from pipeline.base.params import setting
-from pipeline.networks.samplers import sample, sigmas
-from pipeline.sensors.spec import sensor
-from pipeline.stages.generate.caution import taken
-from pipeline.stages.generate.diffusion import LOG_SPREAD
-from pipeline.training.devices import bare
+from pipeline.networks.samplers import make_sigma_schedule, sample
+from pipeline.sensors.spec import load_sensor
+from pipeline.stages.touch.confidence_weighting import compute_wiener_gain
+from pipeline.stages.touch.residual_diffusion import LOG_ERROR_RANGE
+from pipeline.training.distributed import unwrap_network
 
 if TYPE_CHECKING:
     from torch import Tensor, nn
@@ -33,18 +33,20 @@ _USUAL = 0.0, 1.5  # of the logarithm of all other noise, in units: mean and dev
 _DROPPED = 0.1  # share without a condition
 _HUBER = 0.25  # units
 _FEW = 6  # steps of the sample among the figures
-Target = Literal["soft_bubble", "gelslim"]
-UNITS_MM = {"bubble": 3.0, "gel": 0.2}  # of the residual: about its standard deviation where it is large
+TargetSensor = Literal["soft_bubble", "gelslim"]
+RESIDUAL_SCALE_MM = {"bubble": 3.0, "gel": 0.2}  # of the residual: about its standard deviation where it is large
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Denoising:
+class DenoisingTask:
     """What every task has whose network denoises a residual of the target's touch."""
 
-    target: Target = setting("soft_bubble", "Target", choices=Target)
-    near: float = setting(1.0, "Weight of the contact", low=0.0, high=100.0)
-    slopes: float = setting(0.0, "Weight of the slopes", low=0.0, high=1000.0, help="of what a gel's picture shows")
-    doubt_alone: bool = setting(
+    target: TargetSensor = setting("soft_bubble", "Target", choices=TargetSensor)
+    contact_weight: float = setting(1.0, "Weight of the contact", low=0.0, high=100.0)
+    slope_weight: float = setting(
+        0.0, "Weight of the slopes", low=0.0, high=1000.0, help="of what a gel's picture shows"
+    )
+    uncertainty_only: bool = setting(
         False,
         "Doubt alone",
         help="of what a network says, learn only how far off it is: by touches held back",
@@ -53,18 +55,22 @@ class Denoising:
     @property
     def kind(self) -> Literal["bubble", "gel"]:
         """The target's."""
-        return sensor(self.target).kind
+        return load_sensor(self.target).kind
 
-    def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
+    def compute_loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
         """See `denoising.loss` and `denoising.doubt`."""
-        return doubt(network, batch) if self.doubt_alone else loss(network, batch, self.near, self.slopes)
+        return (
+            compute_uncertainty_loss(network, batch)
+            if self.uncertainty_only
+            else compute_denoising_loss(network, batch, self.contact_weight, self.slope_weight)
+        )
 
-    def figures(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
+    def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
         """See `denoising.figures`; what touch to touch begins with is the untouched target."""
-        return figures(network, held_out, UNITS_MM[self.kind])
+        return evaluate_denoiser(network, held_out, RESIDUAL_SCALE_MM[self.kind])
 
 
-def loss(
+def compute_denoising_loss(
     network: nn.Module, batch: Mapping[str, Tensor], near: float, slopes: float = 0.0
 ) -> tuple[Tensor, dict[str, Any]]:
     """The error of the clean residual and of the spread that is said of it.
@@ -74,16 +80,16 @@ def loss(
     import torch
     from torch.nn import functional
 
-    from pipeline.networks.smooth_noise import smoothed
+    from pipeline.networks.smooth_noise import correlate_noise
 
-    net = bare(network)
+    net = unwrap_network(network)
     clean, condition = batch["residual"], batch["condition"]
     n = len(clean)
     level = torch.exp(torch.empty(n).normal_(*_USUAL)).clamp(net.least, 0.999 * net.most)
     hidden = torch.rand(n) < _AT_MOST
     sigma = torch.where(hidden, torch.full((n,), float(net.most)), level).to(clean.device)
     kept = (torch.rand(n) >= _DROPPED).to(clean.device).float().reshape(-1, 1, 1, 1)
-    noisy = clean + sigma.reshape(-1, 1, 1, 1) * smoothed(torch.randn_like(clean), net.smooth)
+    noisy = clean + sigma.reshape(-1, 1, 1, 1) * correlate_noise(torch.randn_like(clean), net.smooth)
     said = network(noisy, sigma, condition * kept)
     off, wrong = said[:, 0] - clean[:, 0], said[:, 1] - clean[:, 1]
     weight = 1.0 + near * batch["contact"][:, 0]
@@ -101,14 +107,14 @@ def loss(
     return total, {name: part.detach() for name, part in parts.items()}
 
 
-def doubt(network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
+def compute_uncertainty_loss(network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
     """How unlikely one step's errors are by what is told of them: for a recipe whose `factors` hold all else still.
 
     What knows its touches by heart is right about them and tells so; only on others it learns how far off it is.
     """
     import torch
 
-    net = bare(network)
+    net = unwrap_network(network)
     net.eval()  # norms stay as they were learned
     clean = batch["residual"]
     sigma = torch.full((len(clean),), float(net.most), device=clean.device)
@@ -119,11 +125,11 @@ def doubt(network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict
 
 def _unlikely(said: Tensor, off: Tensor) -> Tensor:
     """How unlikely errors `off` (n, rows, cols) are by the log of their mean that `said` tells (Laplace)."""
-    log = said[:, 2].clamp(*LOG_SPREAD)
+    log = said[:, 2].clamp(*LOG_ERROR_RANGE)
     return (off.detach().abs() * (-log).exp() + log).mean()
 
 
-def figures(network: nn.Module, held_out: Sequence[Example], unit_mm: float) -> dict[str, float]:
+def evaluate_denoiser(network: nn.Module, held_out: Sequence[Example], unit_mm: float) -> dict[str, float]:
     """Errors in mm in the target's contact and over all, and overlap of contact, of four answers.
 
     One step, a sample, one step that is held back where it is unsure, and what all of them are added to. Another
@@ -131,23 +137,25 @@ def figures(network: nn.Module, held_out: Sequence[Example], unit_mm: float) -> 
     """
     import torch
 
-    from pipeline.networks.smooth_noise import smoothed
+    from pipeline.networks.smooth_noise import correlate_noise
 
-    net = bare(network)
+    net = unwrap_network(network)
     rows: list[list[float]] = []
     for k, example in enumerate(held_out):
         condition = torch.from_numpy(np.array(example["condition"]))[None]
         rng = torch.Generator().manual_seed(k)
-        noises = [smoothed(torch.randn((1, *example["residual"].shape), generator=rng), net.smooth) for _ in range(2)]
+        noises = [
+            correlate_noise(torch.randn((1, *example["residual"].shape), generator=rng), net.smooth) for _ in range(2)
+        ]
 
         def denoise(noisy: Tensor, sigma: float, condition: Tensor = condition) -> Tensor:
             return network(noisy, torch.full((1,), sigma), condition)[:, :2]
 
         with torch.inference_mode():
             first = network(noises[0] * net.most, torch.full((1,), float(net.most)), condition)[0].numpy()
-            levels = sigmas(_FEW, most=net.most, least=net.least)
+            levels = make_sigma_schedule(_FEW, sigma_max=net.most, sigma_min=net.least)
             drawn, other = (sample(denoise, noise, levels).clean[0].numpy() for noise in noises)
-        held = first[0] * taken(first[0], np.exp(np.clip(first[2], *LOG_SPREAD)))
+        held = first[0] * compute_wiener_gain(first[0], np.exp(np.clip(first[2], *LOG_ERROR_RANGE)))
         mm, touched = unit_mm * example["residual"][0], example["contact"][0] > 0
         base, right = example["contact"][1], example["contact"][0]
         found = ((first[0], first[1]), (drawn[0], drawn[1]), (held, first[1]), (0.0 * first[0], 0.0 * first[1]))

@@ -18,73 +18,75 @@ from pipeline.training.task import SPLITS, Split, Task
 if TYPE_CHECKING:
     from pipeline.training.task import Example
 
-MOST_WORKERS = 64
+MAX_WORKERS = 64
 _NICE = 5  # what learns goes before what makes its examples
 _AHEAD = 2  # batches in work or waiting, for each worker
 _TOGETHER = 4  # held-out examples that one worker makes in a row
 
 
-class Examples:
+class ExampleSource:
     """What a run learns from and is judged by."""
 
     def __init__(self, task: Task, seed: int, batch: int, pool: Executor | None, ahead: int) -> None:
         self._task, self._seed, self._batch, self._pool, self._ahead = task, seed, batch, pool, ahead
 
-    def batches(self, first: int, stride: int) -> Generator[Example, None, None]:
+    def iterate_batches(self, first: int, stride: int) -> Generator[Example, None, None]:
         """Batches that begin at example `first`, `first + stride` and so on, without end."""
         waiting: deque[Future[Example]] = deque()
         try:
             while True:
                 if self._pool is None:
-                    yield drawn(self._task, self._seed, first, self._batch)
+                    yield make_batch(self._task, self._seed, first, self._batch)
                 else:
                     while len(waiting) < self._ahead:
                         start = first + len(waiting) * stride
-                        waiting.append(self._pool.submit(drawn, self._task, self._seed, start, self._batch))
+                        waiting.append(self._pool.submit(make_batch, self._task, self._seed, start, self._batch))
                     yield _answer(waiting.popleft())
                 first += stride
         finally:
             for future in waiting:
                 future.cancel()
 
-    def held_out(self, n: int) -> dict[Split, list[Example]]:
+    def make_validation_set(self, n: int) -> dict[Split, list[Example]]:
         """The first `n` held-out examples of every split."""
         made: dict[Split, list[Example]] = {}
         for split in SPLITS:
             starts = range(0, n, _TOGETHER)
             parts = [range(start, min(start + _TOGETHER, n)) for start in starts]
             if self._pool is None:
-                made[split] = [example for part in parts for example in kept_out(self._task, split, part)]
+                made[split] = [
+                    example for part in parts for example in make_validation_examples(self._task, split, part)
+                ]
             else:
-                futures = [self._pool.submit(kept_out, self._task, split, part) for part in parts]
+                futures = [self._pool.submit(make_validation_examples, self._task, split, part) for part in parts]
                 made[split] = [example for future in futures for example in _answer(future)]
         return made
 
 
 @contextmanager
-def examples(task: Task, seed: int, batch: int, workers: int) -> Generator[Examples, None, None]:
+def open_example_source(task: Task, seed: int, batch: int, workers: int) -> Generator[ExampleSource, None, None]:
     """Examples made by `workers` processes, or in this one where there are none; raises SettingProblem."""
-    if not 0 <= workers <= MOST_WORKERS:
-        raise SettingProblem(f"--workers must lie within 0 and {MOST_WORKERS}, got {workers}")
+    if not 0 <= workers <= MAX_WORKERS:
+        raise SettingProblem(f"--workers must lie within 0 and {MAX_WORKERS}, got {workers}")
     if not workers:
-        yield Examples(task, seed, batch, None, 0)
+        yield ExampleSource(task, seed, batch, None, 0)
         return
     pool = worker_pool(workers, _NICE)
     try:
-        yield Examples(task, seed, batch, pool, _AHEAD * workers)
+        yield ExampleSource(task, seed, batch, pool, _AHEAD * workers)
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def drawn(task: Task, seed: int, start: int, n: int) -> Example:
+def make_batch(task: Task, seed: int, start: int, n: int) -> Example:
     """Examples `start` to `start + n` in one: name -> (n, ...)."""
     made = [task.sample(np.random.default_rng([seed, index])) for index in range(start, start + n)]
     return {name: np.stack([one[name] for one in made]) for name in made[0]}
 
 
-def kept_out(task: Task, split: Split, indices: Sequence[int]) -> list[Example]:
+def make_validation_examples(task: Task, split: Split, indices: Sequence[int]) -> list[Example]:
     """Held-out examples by their numbers."""
-    return [task.held_out(split, index) for index in indices]
+    return [task.make_validation_example(split, index) for index in indices]
 
 
 def _answer(future: Future[Any]) -> Any:

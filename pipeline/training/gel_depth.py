@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.params import setting
-from pipeline.stages.depth import network_input
-from pipeline.training import gel_readings
-from pipeline.training.gel_readings import Taught
-from pipeline.training.own import Known
+from pipeline.stages.depth import gel_network_input
+from pipeline.training import gel_samples
+from pipeline.training.gel_samples import GelTrainingSample
+from pipeline.training.recorded_touches import LabelledTouch
 from pipeline.training.task import Split
 
 if TYPE_CHECKING:
@@ -31,44 +31,46 @@ _SEED, _HELD_OUT_SEED, _HELD_OUT_PRESSES = 20_000, 7, 400
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class GelDepth:
+class GelDepthTask:
     """What examples are made of."""
 
-    presses: int = setting(3000, "Presses in the pool", low=1, high=4096)
-    pictures: int = setting(10_000, "Pictures of them", low=1, high=10_000_000, help="that all examples are drawn from")
+    n_presses: int = setting(3000, "Presses in the pool", low=1, high=4096)
+    n_images: int = setting(10_000, "Pictures of them", low=1, high=10_000_000, help="that all examples are drawn from")
     folder: str = setting("", "Folder", help="keeps the pictures for other runs; empty = worked out each time")
 
     def sample(self, rng: np.random.Generator) -> Example:
         """Fields, indentation and contact of a part of one picture around its contact, mirrored or not."""
-        index = int(rng.integers(self.pictures))
-        return moved(rng, gel_readings.reading(_SEED, index, self.presses, self.folder))
+        index = int(rng.integers(self.n_images))
+        return crop_around_contact(rng, gel_samples.simulate_gel_sample(_SEED, index, self.n_presses, self.folder))
 
-    def of_touch(self, known: Known, rng: np.random.Generator) -> Example:
+    def make_touch_example(self, known: LabelledTouch, rng: np.random.Generator) -> Example:
         """A touch of the user's own sensor."""
-        return moved(rng, gel_readings.taught(known.frame, known.source, known.indentation_mm, known.contact))
+        return crop_around_contact(
+            rng, gel_samples.make_gel_sample(known.frame, known.source, known.indentation_mm, known.contact)
+        )
 
-    def held_out(self, split: Split, index: int) -> Example:
+    def make_validation_example(self, split: Split, index: int) -> Example:
         """Pictures of presses that training does not see; of unseen tools as the simulator presses them."""
         if split == "unseen_tools":
-            return example(gel_readings.tool(index))
-        return example(gel_readings.reading(_HELD_OUT_SEED, index, _HELD_OUT_PRESSES))
+            return make_example(gel_samples.simulate_unseen_tool(index))
+        return make_example(gel_samples.simulate_gel_sample(_HELD_OUT_SEED, index, _HELD_OUT_PRESSES))
 
-    def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
+    def compute_loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
         """The loss of a batch and its parts."""
         from pipeline.training import gel_loss
 
-        return gel_loss.loss(network(batch["fields"]), batch["indentation"], batch["contact"])
+        return gel_loss.compute_scale_free_loss(network(batch["fields"]), batch["indentation"], batch["contact"])
 
-    def figures(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
+    def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
         """How far off depth and contact are, and how far physics is alone."""
         import torch
 
         named: dict[str, list[float]] = {}
         for one in held_out:
             reading = network(torch.from_numpy(one["fields"])[None])
-            physical = one["fields"][network_input.SURFACE]
+            physical = one["fields"][gel_network_input.SURFACE_CHANNEL]
             found, surface = reading.contact[0].numpy() > 0, reading.surface[0].numpy()
-            alone = one["fields"][network_input.PRESSED] > 0.5
+            alone = one["fields"][gel_network_input.CONTACT_CHANNEL] > 0.5
             for name, value in {
                 **_figures(one, found, surface * _factor(surface, physical, found)),
                 **{f"physics {name}": v for name, v in _figures(one, alone, physical).items()},
@@ -95,24 +97,28 @@ def _factor(surface: NDArray[Any], wanted: NDArray[Any], inside: NDArray[Any]) -
     return float(own @ wanted[inside]) / max(float(own @ own), 1e-9)
 
 
-def example(of: Taught, at: _Box = (slice(0, network_input.ROWS), slice(0, network_input.COLS))) -> Example:
+def make_example(
+    of: GelTrainingSample, at: _Box = (slice(0, gel_network_input.ROWS), slice(0, gel_network_input.COLS))
+) -> Example:
     """A part of a picture as the loop wants it."""
-    deep = np.float32(network_input.depth_px(of.seen))
+    deep = np.float32(gel_network_input.compute_depth_px(of.observation))
     return {
-        "fields": network_input.fields(of.seen, at), "contact": of.contact[at].astype(np.uint8),
+        "fields": gel_network_input.compute_channels(of.observation, at), "contact": of.contact[at].astype(np.uint8),
         "depth": np.asarray(deep), "indentation": np.asarray(of.indentation_px[at] / deep, np.float32),
     }  # fmt: skip
 
 
-def moved(rng: np.random.Generator, of: Taught) -> Example:
+def crop_around_contact(rng: np.random.Generator, of: GelTrainingSample) -> Example:
     """A part of a picture around its contact, mirrored or not."""
-    return mirrored(rng, example(of, _part(rng, of)))
+    return mirror_example(rng, make_example(of, _part(rng, of)))
 
 
-def _part(rng: np.random.Generator, of: Taught) -> _Box:
+def _part(rng: np.random.Generator, of: GelTrainingSample) -> _Box:
     """A part of one size, somewhere around what is looked at when a touch is read."""
     found: list[slice] = []
-    for length, seen, most in zip(_LOOKED_AT, network_input.box(of.seen), of.contact.shape, strict=True):
+    for length, seen, most in zip(
+        _LOOKED_AT, gel_network_input.compute_contact_box(of.observation), of.contact.shape, strict=True
+    ):
         spare = max(_ASIDE, (seen.stop - seen.start - length) // 2)
         first = (seen.start + seen.stop - length) // 2 + int(rng.integers(-spare, spare + 1))
         first = min(max(first, 0), most - length)
@@ -120,10 +126,10 @@ def _part(rng: np.random.Generator, of: Taught) -> _Box:
     return found[0], found[1]
 
 
-def mirrored(rng: np.random.Generator, one: Example) -> Example:
+def mirror_example(rng: np.random.Generator, one: Example) -> Example:
     """The whole sensor seen in a mirror: left and right, up and down, or both."""
-    for number, (axis, turned) in enumerate(zip((-1, -2), network_input.SLOPE_FIELDS, strict=True)):
+    for number, (axis, turned) in enumerate(zip((-1, -2), gel_network_input.SLOPE_CHANNELS, strict=True)):
         if rng.random() < 0.5:
             one = {k: np.ascontiguousarray(np.flip(v, axis)) if v.ndim else v for k, v in one.items()}
-            one["fields"][[*turned, network_input.PLACE + number]] *= -1.0
+            one["fields"][[*turned, gel_network_input.POSITION_CHANNEL + number]] *= -1.0
     return one

@@ -9,13 +9,15 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from pipeline.networks.gel_reading import Reading
+from pipeline.networks.gel_depth import GelDepthPrediction
 
 _INSIDE, _BESIDE, _SLOPES, _CONTACT, _OVERLAP, _SPREAD = 3.0, 0.7, 5.0, 0.7, 0.5, 0.05
 _LEAST = 1e-6
 
 
-def loss(reading: Reading, indentation: Tensor, contact: Tensor) -> tuple[Tensor, dict[str, Any]]:
+def compute_scale_free_loss(
+    reading: GelDepthPrediction, indentation: Tensor, contact: Tensor
+) -> tuple[Tensor, dict[str, Any]]:
     """The loss and its parts; indentation (n, rows, cols) in depths of the physical contact, contact 0 or 1.
 
     Surfaces are compared when each has been brought to the true scale by the one factor that suits it best: what is
@@ -33,28 +35,30 @@ def loss(reading: Reading, indentation: Tensor, contact: Tensor) -> tuple[Tensor
         (weight[..., 1:] * (_across(surface) - _across(indentation)).abs()).mean()
         + (weight[..., 1:, :] * (_down(surface) - _down(indentation)).abs()).mean()
     )
-    told = functional.binary_cross_entropy_with_logits(reading.contact, touched)
-    overlap = _overlap(torch.sigmoid(reading.contact), touched)
+    told = functional.binary_cross_entropy_with_logits(reading.contact_logit, touched)
+    overlap = _overlap(torch.sigmoid(reading.contact_logit), touched)
     as_physics = _factor(reading.surface, reading.surface - reading.correction, touched)
     handed_on = (as_physics * reading.surface - indentation).abs().detach()
-    spread = (there * (handed_on * torch.exp(-reading.log_spread) + reading.log_spread)).mean()
+    spread = (there * (handed_on * torch.exp(-reading.log_error_scale) + reading.log_error_scale)).mean()
     parts = {"surface": (weight * off).mean(), "slopes": slopes, "contact": told, "overlap": overlap, "spread": spread}
     whole = parts["surface"] + _SLOPES * slopes + _CONTACT * told + _OVERLAP * overlap + _SPREAD * spread
     return whole, {name: part.detach() for name, part in parts.items()}
 
 
-def scaled(reading: Reading, indentation: Tensor, contact: Tensor) -> tuple[Tensor, dict[str, Any]]:
+def compute_absolute_loss(
+    reading: GelDepthPrediction, indentation: Tensor, contact: Tensor
+) -> tuple[Tensor, dict[str, Any]]:
     """The same of a network that tells the scale: surfaces are compared as they are. Each touch has a contact."""
-    assert reading.log_scale is not None
-    surface = reading.surface * reading.log_scale.exp()[:, None, None]
+    assert reading.log_depth_factor is not None
+    surface = reading.surface * reading.log_depth_factor.exp()[:, None, None]
     touched = contact.float()
     depth = (indentation * touched).amax(dim=(1, 2), keepdim=True).clamp(min=0.1)
     weight = (_BESIDE + (_INSIDE - _BESIDE) * touched) / depth
     off = surface - indentation
     slopes = 0.5 * ((weight[..., 1:] * _across(off).abs()).mean() + (weight[..., 1:, :] * _down(off).abs()).mean())
-    told = functional.binary_cross_entropy_with_logits(reading.contact, touched)
-    overlap = _overlap(torch.sigmoid(reading.contact), touched)
-    spread = (off.abs().detach() * torch.exp(-reading.log_spread) + reading.log_spread).mean()
+    told = functional.binary_cross_entropy_with_logits(reading.contact_logit, touched)
+    overlap = _overlap(torch.sigmoid(reading.contact_logit), touched)
+    spread = (off.abs().detach() * torch.exp(-reading.log_error_scale) + reading.log_error_scale).mean()
     parts = {"surface": (weight * off.abs()).mean(), "slopes": slopes, "contact": told, "overlap": overlap,
              "spread": spread}  # fmt: skip
     whole = parts["surface"] + _SLOPES * slopes + _CONTACT * told + _OVERLAP * overlap + _SPREAD * spread

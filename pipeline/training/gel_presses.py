@@ -22,8 +22,8 @@ from pipeline.physics import gel, lattice
 from pipeline.physics.lattice import Lattice
 from pipeline.sensors.parts import Gel
 from pipeline.sensors.spec import SensorSpec
-from pipeline.simulation.reliefs import relief
-from pipeline.training.own_touches import thing_of
+from pipeline.simulation.reliefs import make_random_relief
+from pipeline.training.target_touches import sample_object_mesh
 
 _SIDE = 208  # lattice steps: any turn of a picture fits into it, nearly
 _ALONG = 160  # steps to the longer side of a picture, before it is seen nearer or farther
@@ -40,14 +40,14 @@ _KEPT = 4096  # presses a worker remembers, some 200 kB each
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Pressed:
+class GelPress:
     """A gel's surface (rows, cols) on a sensor's own pixels."""
 
     indentation_mm: Floats
     contact: Mask
 
 
-def drawn(rng: np.random.Generator, pool: tuple[int, int], source: SensorSpec, *, mesh: bool) -> Pressed:
+def sample_gel_press(rng: np.random.Generator, pool: tuple[int, int], source: SensorSpec, *, mesh: bool) -> GelPress:
     """A press of the pool (its seed, how many of each sort) as one picture of a sensor sees it; of a mesh or not."""
     while True:
         seen = _drawn(rng, pool, source, mesh)
@@ -55,9 +55,9 @@ def drawn(rng: np.random.Generator, pool: tuple[int, int], source: SensorSpec, *
             return seen
 
 
-def _drawn(rng: np.random.Generator, pool: tuple[int, int], source: SensorSpec, mesh: bool) -> Pressed:
+def _drawn(rng: np.random.Generator, pool: tuple[int, int], source: SensorSpec, mesh: bool) -> GelPress:
     seed, count = pool
-    surface, touched = _press(seed, int(rng.integers(count)), mesh)
+    surface, touched = _simulate_press(seed, int(rng.integers(count)), mesh)
     deepest = float(surface.max())
     zoom = math.exp(rng.uniform(math.log(0.8), math.log(1.45)))
     # Depths from a fiftieth of a millimetre to one and a half, at steps of an eighth.
@@ -71,9 +71,9 @@ def _drawn(rng: np.random.Generator, pool: tuple[int, int], source: SensorSpec, 
     shape = source.camera.shape
     view = _view(rng, zoom * max(shape) / _ALONG, shape)
     step_mm = source.pixel_mm * max(shape) / _ALONG
-    return Pressed(
-        indentation_mm=_seen(surface, view, shape) * np.float32(zoom * deeper * step_mm),
-        contact=_seen(touched, view, shape) > np.float32(0.5),
+    return GelPress(
+        indentation_mm=_resample_to_sensor(surface, view, shape) * np.float32(zoom * deeper * step_mm),
+        contact=_resample_to_sensor(touched, view, shape) > np.float32(0.5),
     )
 
 
@@ -88,7 +88,7 @@ def _view(rng: np.random.Generator, zoom: float, shape: tuple[int, int]) -> Floa
     return np.column_stack([turn, shift]).astype(np.float32)
 
 
-def _seen(field: Floats, view: Floats, shape: tuple[int, int]) -> Floats:
+def _resample_to_sensor(field: Floats, view: Floats, shape: tuple[int, int]) -> Floats:
     import cv2
 
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
@@ -97,15 +97,15 @@ def _seen(field: Floats, view: Floats, shape: tuple[int, int]) -> Floats:
 
 
 @lru_cache(maxsize=_KEPT)
-def _press(seed: int, number: int, mesh: bool) -> tuple[Floats, Floats]:
+def _simulate_press(seed: int, number: int, mesh: bool) -> tuple[Floats, Floats]:
     """Indentation in steps and contact (0 or 1) of one press of a pool; one that touches enough to be seen."""
     rng = np.random.default_rng([seed, number, 1] if mesh else [seed, number])
     while True:
         thickness = math.exp(rng.uniform(math.log(_THICKNESS[0]), math.log(_THICKNESS[1])))
         layer = Gel(thickness_mm=thickness, youngs_kpa=1.0, poisson=float(rng.uniform(0.45, 0.49)))
         depth = math.exp(rng.uniform(math.log(2.5), math.log(min(_DEEPEST, 0.55 * thickness))))
-        overlap = np.float32(depth) - (_of_mesh(rng) if mesh else relief(rng, _SIDE, _VIEW))
-        found = gel.press(layer, 1.0, overlap, tolerance_mm=_TOLERANCE, max_steps=_MOST_STEPS)
+        overlap = np.float32(depth) - (_of_mesh(rng) if mesh else make_random_relief(rng, _SIDE, _VIEW))
+        found = gel.press_gel(layer, 1.0, overlap, tolerance_mm=_TOLERANCE, max_steps=_MOST_STEPS)
         if found.converged and np.count_nonzero(found.contact[30:-30, 30:-30]) > 12:
             return found.indentation_mm, freeze(found.contact.astype(np.float32))
 
@@ -113,7 +113,7 @@ def _press(seed: int, number: int, mesh: bool) -> tuple[Floats, Floats]:
 def _of_mesh(rng: np.random.Generator) -> Floats:
     """How far, in steps, a mesh's underside is above its lowest point over the lattice; far where there is none."""
     while True:
-        thing, step_mm = thing_of("learned", rng, 0), math.exp(rng.uniform(*np.log(_STEP_MM)))
+        thing, step_mm = sample_object_mesh("learned", rng, 0), math.exp(rng.uniform(*np.log(_STEP_MM)))
         lean = math.radians(_LEAN_DEG) * rng.normal(0.0, 0.4, 2) * (rng.random() < 0.5)
         pose = rigid.rotation((*lean, 0.0)) @ rigid.rotation((0.0, 0.0, rng.uniform(-math.pi, math.pi)))
         if rng.random() > _UPRIGHT:
@@ -124,6 +124,6 @@ def _of_mesh(rng: np.random.Generator) -> Floats:
         vertices[:, :2] += rng.uniform(-_ASIDE_MM, _ASIDE_MM, 2) - np.where(rng.random() < 0.5, foremost[:2], 0.0)
         first = -0.5 * (_SIDE - 1) * step_mm
         on = Lattice(x0_mm=first, y0_mm=first, step_mm=step_mm, shape=(_SIDE, _SIDE))
-        height = lattice.nearest_of_mesh(vertices, thing.triangles, on)
+        height = lattice.rasterise_mesh(vertices, thing.triangles, on)
         if np.isfinite(height).any():
             return np.asarray(np.minimum((height - height.min()) / step_mm, _NOWHERE), np.float32)

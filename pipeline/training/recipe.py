@@ -9,29 +9,29 @@ from typing import Any, Literal, TypeVar, cast
 
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.base.files import read_toml
-from pipeline.base.params import Value, changed, setting, settings
-from pipeline.training.own import Own
-from pipeline.training.task import TASKS, Task, task_class
+from pipeline.base.params import Value, list_settings, replace_value, setting
+from pipeline.training.recorded_touches import RecordingSource
+from pipeline.training.task import TASKS, Task, import_task_class
 
 Precision = Literal["float32", "bf16"]
-Method = Literal["adamw", "adam"]
+OptimiserKind = Literal["adamw", "adam"]
 Schedule = Literal["cosine", "poly", "constant"]
-SHIPPED = Path(__file__).parent / "recipes"
+RECIPES_FOLDER = Path(__file__).parent / "recipes"
 P = TypeVar("P")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Pace:
+class TrainingSettings:
     """The top of a recipe: how much is learned from."""
 
     seed: int = setting(0, "Seed", low=0, high=2**31)
     batch: int = setting(16, "Examples a step", low=1, high=4096, help="for each of several devices")
     steps: int = setting(10_000, "Steps", low=1, high=10**9, help="--minutes stands in place of it")
-    kept: int = setting(
+    n_cached_examples: int = setting(
         0, "Examples kept on the device", low=0, high=10**7,
         help="made once and each shown often, for a device that learns faster than they are made; 0 = each shown once",
     )  # fmt: skip
-    begin: str = setting("", "File of weights to begin with", help="empty = random ones")
+    initial_weights: str = setting("", "File of weights to begin with", help="empty = random ones")
     precision: Precision = setting("float32", "Precision", choices=Precision, help="of the network, not of its loss")
 
 
@@ -39,30 +39,30 @@ class Pace:
 class Optimiser:
     """[optimiser]: how a loss becomes a change."""
 
-    method: Method = setting("adamw", "Method", choices=Method)
+    kind: OptimiserKind = setting("adamw", "Method", choices=OptimiserKind)
     learning_rate: float = setting(1e-3, "Learning rate", low=0.0, high=10.0)
     schedule: Schedule = setting("cosine", "Schedule", choices=Schedule, help="poly is (1 - t)^0.9")
-    warm_up: int = setting(100, "Warm-up", unit="steps", low=0, high=10**6)
-    final: float = setting(0.01, "Final share of the learning rate", low=0.0, high=1.0)
+    warm_up_steps: int = setting(100, "Warm-up", unit="steps", low=0, high=10**6)
+    final_share: float = setting(0.01, "Final share of the learning rate", low=0.0, high=1.0)
     weight_decay: float = setting(0.01, "Weight decay", low=0.0, high=10.0)
-    beta: float = setting(0.99, "Memory of the squared gradient", low=0.0, high=0.99999)
-    clip: float = setting(1.0, "Longest gradient", low=1e-6, high=1e9)
-    average: float = setting(0.999, "Memory of the averaged weights", low=0.0, high=0.99999)
+    beta2: float = setting(0.99, "Memory of the squared gradient", low=0.0, high=0.99999)
+    max_gradient_norm: float = setting(1.0, "Longest gradient", low=1e-6, high=1e9)
+    ema_decay: float = setting(0.999, "Memory of the averaged weights", low=0.0, high=0.99999)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Validation:
     """[validation]: how often, and on how many held-out examples of each split."""
 
-    times: int = setting(10, "Times", low=1, high=10_000)
-    examples: int = setting(48, "Examples", low=1, high=100_000)
+    n_evaluations: int = setting(10, "Times", low=1, high=10_000)
+    n_examples: int = setting(48, "Examples", low=1, high=100_000)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Data:
     """[data]."""
 
-    share: float = setting(0.2, "Share of own touches", low=0.0, high=1.0)
+    recorded_share: float = setting(0.2, "Share of own touches", low=0.0, high=1.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,32 +73,32 @@ class Recipe:
     task: str  # of `TASKS`
     settings: Task
     network: Mapping[str, Value]  # kind and the arguments of its class
-    pace: Pace = field(default_factory=Pace)
+    training: TrainingSettings = field(default_factory=TrainingSettings)
     optimiser: Optimiser = field(default_factory=Optimiser)
-    factors: Mapping[str, float] = field(default_factory=dict)  # beginning of a parameter's name -> times the rate
+    rate_factors: Mapping[str, float] = field(default_factory=dict)  # beginning of a parameter's name -> times the rate
     validation: Validation = field(default_factory=Validation)
-    recordings: tuple[Own, ...] = ()  # of the user, mixed in for a share
-    share: float = 0.0
+    recordings: tuple[RecordingSource, ...] = ()  # of the user, mixed in for a share
+    recorded_share: float = 0.0
 
     @property
-    def told(self) -> dict[str, Any]:
+    def plain_values(self) -> dict[str, Any]:
         """All of it in plain values, for files and cards; equal ones give equal runs."""
-        parts = {"pace": self.pace, "optimiser": self.optimiser, "settings": self.settings}
-        plain = {name: {key: value for key, (value, _) in settings(part).items()} for name, part in parts.items()}
-        if not self.pace.kept:
+        parts = {"pace": self.training, "optimiser": self.optimiser, "settings": self.settings}
+        plain = {name: {key: value for key, (value, _) in list_settings(part).items()} for name, part in parts.items()}
+        if not self.training.n_cached_examples:
             del plain["pace"]["kept"]  # runs begun before there was such a thing go on
-        own = [{key: value for key, (value, _) in settings(one).items()} for one in self.recordings]
-        told = {"task": self.task, "network": dict(self.network), "factors": dict(self.factors), **plain}
-        return told | ({"data": {"share": self.share, "recordings": own}} if own else {})
+        own = [{key: value for key, (value, _) in list_settings(one).items()} for one in self.recordings]
+        told = {"task": self.task, "network": dict(self.network), "factors": dict(self.rate_factors), **plain}
+        return told | ({"data": {"share": self.recorded_share, "recordings": own}} if own else {})
 
 
-def shipped(what: str = "") -> tuple[str, ...]:
+def list_shipped_recipes(what: str = "") -> tuple[str, ...]:
     """The names of the recipes that come along, of those that train `what` where that is given."""
-    names = sorted(path.stem for path in SHIPPED.glob("*.toml"))
-    return tuple(n for n in names if not what or TASKS[read_toml(_path(n), "the recipe")["task"]].what == what)
+    names = sorted(path.stem for path in RECIPES_FOLDER.glob("*.toml"))
+    return tuple(n for n in names if not what or TASKS[read_toml(_path(n), "the recipe")["task"]].subcommand == what)
 
 
-def load(name: str, what: str = "") -> Recipe:
+def load_recipe(name: str, what: str = "") -> Recipe:
     """The recipe of that name, or in that file.
 
     Raises SettingProblem for a name that does not exist and FileProblem for what is wrong inside, a recipe that trains
@@ -106,19 +106,21 @@ def load(name: str, what: str = "") -> Recipe:
     """
     path = Path(name) if name.endswith(".toml") else _path(name)
     if not name.endswith(".toml") and not path.is_file():
-        raise SettingProblem(f"no recipe {name!r}; there are {', '.join(shipped(what))}, or give a .toml file")
+        raise SettingProblem(
+            f"no recipe {name!r}; there are {', '.join(list_shipped_recipes(what))}, or give a .toml file"
+        )
     data = read_toml(path, "the recipe")
     try:
         made = _recipe(path.stem, data, path.parent)
-        if what and TASKS[made.task].what != what:
-            raise SettingProblem(f"it trains {TASKS[made.task].what}, not {what}")
+        if what and TASKS[made.task].subcommand != what:
+            raise SettingProblem(f"it trains {TASKS[made.task].subcommand}, not {what}")
     except SettingProblem as error:
         raise FileProblem(f"the recipe cannot be used: {error}", path) from error
     return made
 
 
 def _path(name: str) -> Path:
-    return SHIPPED / f"{name}.toml"
+    return RECIPES_FOLDER / f"{name}.toml"
 
 
 def _recipe(name: str, data: Mapping[str, Any], folder: Path) -> Recipe:
@@ -136,23 +138,23 @@ def _recipe(name: str, data: Mapping[str, Any], folder: Path) -> Recipe:
     if not numbers:
         raise SettingProblem("[optimiser.factors] must map beginnings of parameters' names to factors")
     return Recipe(
-        name=name, task=task, settings=_filled(task_class(task)(), tables["settings"], "[settings] "),
-        network=_plain(tables["network"]), pace=_filled(Pace(), top, ""),
+        name=name, task=task, settings=_filled(import_task_class(task)(), tables["settings"], "[settings] "),
+        network=_plain(tables["network"]), training=_filled(TrainingSettings(), top, ""),
         optimiser=_filled(Optimiser(), tables["optimiser"], "[optimiser] "),
-        factors={key: float(value) for key, value in factors.items()},
+        rate_factors={key: float(value) for key, value in factors.items()},
         validation=_filled(Validation(), tables["validation"], "[validation] "),
-        recordings=_recordings(tables["data"], folder), share=_filled(_Data(), tables["data"], "[data] ").share,
+        recordings=_recordings(tables["data"], folder), recorded_share=_filled(_Data(), tables["data"], "[data] ").recorded_share,
     )  # fmt: skip
 
 
-def _recordings(table: dict[str, Any], folder: Path) -> tuple[Own, ...]:
+def _recordings(table: dict[str, Any], folder: Path) -> tuple[RecordingSource, ...]:
     """The [[data.recordings]], whose paths are told from the recipe's folder; what else is in [data] stays."""
     listed = table.pop("recordings", [])
     if not isinstance(listed, list) or not all(isinstance(one, dict) for one in cast("list[Any]", listed)):
         raise SettingProblem("recordings must be tables, [[data.recordings]]")
-    made: list[Own] = []
+    made: list[RecordingSource] = []
     for one in cast("list[dict[str, Any]]", listed):
-        own = _filled(Own(), one, "[[data.recordings]] ")
+        own = _filled(RecordingSource(), one, "[[data.recordings]] ")
         if not own.path:
             raise SettingProblem("every one of [[data.recordings]] must name its path")
         beside = {"path": own.path, "reference": own.reference}
@@ -179,15 +181,15 @@ def _filled(part: P, table: Mapping[str, Any], where: str) -> P:
     for key, value in table.items():
         try:
             plain = isinstance(value, (bool, int, float, str))
-            part = changed(part, key, value if plain else str(value))
+            part = replace_value(part, key, value if plain else str(value))
         except SettingProblem as error:
             raise SettingProblem(f"{where}{error}") from error
     return part
 
 
-def with_pace(recipe: Recipe, **pace: int | str) -> Recipe:
+def override_training(recipe: Recipe, **pace: int | str) -> Recipe:
     """The same with another seed, other steps or another beginning."""
-    made = recipe.pace
+    made = recipe.training
     for name, value in pace.items():
-        made = changed(made, name, value)
+        made = replace_value(made, name, value)
     return replace(recipe, pace=made)

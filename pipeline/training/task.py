@@ -33,11 +33,11 @@ class Task(Protocol):
         """One example drawn with `rng` alone: arrays of equal shape every time, channels first, uint8 or float32."""
         ...
 
-    def held_out(self, split: Split, index: int) -> Example:
+    def make_validation_example(self, split: Split, index: int) -> Example:
         """Example `index` of those that training never sees; the same each time it is asked for."""
         ...
 
-    def loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
+    def compute_loss(self, network: nn.Module, batch: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Any]]:
         """The loss, a mean over the examples, and its parts by name (numbers or tensors of one number).
 
         `network` is called, `network(x)`, never reached into: it may be one of several that learn together. What it
@@ -45,45 +45,45 @@ class Task(Protocol):
         """
         ...
 
-    def figures(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
+    def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
         """How good it is on held-out examples: name with its unit -> number, such as "error in contact, um"."""
         ...
 
 
 @runtime_checkable
-class Noted(Protocol):
+class HasNotes(Protocol):
     """What a task has, too, that learns from what somebody recorded."""
 
-    def notes(self) -> tuple[str, ...]:
+    def collect_notes(self) -> tuple[str, ...]:
         """What was assumed of it or left out; asked for, and with it opened, before the training begins."""
         ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Entry:
+class TaskEntry:
     """One line of the table."""
 
-    what: str  # `tactoscope train WHAT`
-    where: str  # module:class
+    subcommand: str  # `tactoscope train WHAT`
+    import_path: str  # module:class
 
 
-TASKS: dict[str, Entry] = {
-    "gel_depth": Entry(what="depth", where="pipeline.training.gel_depth:GelDepth"),
-    "gel_units": Entry(what="depth", where="pipeline.training.gel_units:GelUnits"),
-    "depth_anything": Entry(what="depth", where="pipeline.training.depth_anything:DepthAnythingTask"),
-    "vqvae": Entry(what="vqvae", where="pipeline.training.vqvae:VqVaeTask"),
-    "latent": Entry(what="latent", where="pipeline.training.latent:LatentTask"),
-    "touch_pose": Entry(what="pose", where="pipeline.training.touch_pose:TouchPoseTask"),
-    "bubble_reading": Entry(what="depth", where="pipeline.training.bubble_reading:BubbleReading"),
-    "residual_of_view": Entry(what="t2d2", where="pipeline.training.residual:ResidualOfView"),
-    "touch_to_touch": Entry(what="t2t", where="pipeline.training.touch_to_touch:TouchToTouch"),
-    "kept_pairs": Entry(what="t2t", where="pipeline.training.kept_pairs:KeptPairs"),
+TASKS: dict[str, TaskEntry] = {
+    "gel_depth": TaskEntry(subcommand="depth", import_path="pipeline.training.gel_depth:GelDepth"),
+    "gel_units": TaskEntry(subcommand="depth", import_path="pipeline.training.gel_instances:GelUnits"),
+    "depth_anything": TaskEntry(subcommand="depth", import_path="pipeline.training.depth_anything:DepthAnythingTask"),
+    "vqvae": TaskEntry(subcommand="vqvae", import_path="pipeline.training.vqvae:VqVaeTask"),
+    "latent": TaskEntry(subcommand="latent", import_path="pipeline.training.latent:LatentTask"),
+    "touch_pose": TaskEntry(subcommand="pose", import_path="pipeline.training.touch_pose:TouchPoseTask"),
+    "bubble_reading": TaskEntry(subcommand="depth", import_path="pipeline.training.bubble_depth:BubbleReading"),
+    "residual_of_view": TaskEntry(subcommand="t2d2", import_path="pipeline.training.touch_residual:ResidualOfView"),
+    "touch_to_touch": TaskEntry(subcommand="t2t", import_path="pipeline.training.touch_to_touch:TouchToTouch"),
+    "kept_pairs": TaskEntry(subcommand="t2t", import_path="pipeline.training.pair_fine_tuning:KeptPairs"),
 }
 
 
-def task_class(name: str) -> type[Any]:
+def import_task_class(name: str) -> type[Any]:
     """The class of a task; raises SettingProblem for one that does not exist."""
     if name not in TASKS:
         raise SettingProblem(f"no task {name!r}; there are {', '.join(TASKS)}")
-    module, _, wanted = TASKS[name].where.partition(":")
+    module, _, wanted = TASKS[name].import_path.partition(":")
     return getattr(importlib.import_module(module), wanted)

@@ -12,15 +12,15 @@ from pathlib import Path
 from typing import TypeVar
 
 from pipeline.base.errors import SettingProblem
-from pipeline.base.params import changed
+from pipeline.base.params import replace_value
 from pipeline.engine.graph import Method
-from pipeline.stages.adapt.slot import SLOT as CLOUD
-from pipeline.stages.depth.slot import SLOT as DEPTH
-from pipeline.stages.feel.slot import SLOT as FELT
-from pipeline.stages.generate.slot import SLOT as TOUCH
-from pipeline.stages.pose.slot import SLOT as POSE
-from pipeline.stages.project.slot import SLOT as VIEW
-from pipeline.stages.slot import Slot
+from pipeline.stages.cloud.stage import STAGE as CLOUD
+from pipeline.stages.depth.stage import STAGE as DEPTH
+from pipeline.stages.pose.stage import STAGE as POSE
+from pipeline.stages.stage import Stage
+from pipeline.stages.target_depth.stage import STAGE as VIEW
+from pipeline.stages.touch.stage import STAGE as TOUCH
+from pipeline.stages.touch_depth.stage import STAGE as FELT
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,27 +32,27 @@ class Route:
     methods: Mapping[str, str]  # slot -> method, in running order
 
 
-Named = TypeVar("Named", Slot, Route, Method)
+NamedEntry = TypeVar("NamedEntry", Stage, Route, Method)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Catalogue:
     """All slots in the order of their columns, and the routes; another one may be given wherever this is read."""
 
-    slots: tuple[Slot, ...]
+    stages: tuple[Stage, ...]
     routes: tuple[Route, ...]
 
-    def slot(self, name: str) -> Slot:
+    def stage(self, name: str) -> Stage:
         """The slot of that name; raises SettingProblem."""
-        return _named(self.slots, name, f"slot {name!r}")
+        return _named(self.stages, name, f"slot {name!r}")
 
     def route(self, name: str) -> Route:
         """The route of that name; raises SettingProblem."""
         return _named(self.routes, name, f"route {name!r}")
 
-    def method(self, slot: str, name: str) -> Method:
+    def method(self, stage: str, name: str) -> Method:
         """A method by name; raises SettingProblem with those that the slot has."""
-        return _named(self.slot(slot).methods, name, f"method {name!r} for the slot {slot!r}")
+        return _named(self.stage(stage).methods, name, f"method {name!r} for the slot {stage!r}")
 
     def methods(self, route: str, chosen: Mapping[str, str] | None = None) -> tuple[Method, ...]:
         """The methods of a route in running order, those in `chosen` (slot -> method) in place of its own.
@@ -66,7 +66,7 @@ class Catalogue:
         return tuple(self.method(slot, said.get(slot, name)) for slot, name in self.route(route).methods.items())
 
 
-def _named(entries: Sequence[Named], name: str, what: str) -> Named:
+def _named(entries: Sequence[NamedEntry], name: str, what: str) -> NamedEntry:
     for entry in entries:
         if entry.name == name:
             return entry
@@ -74,7 +74,7 @@ def _named(entries: Sequence[Named], name: str, what: str) -> Named:
 
 
 BUILT_IN = Catalogue(
-    slots=(DEPTH, CLOUD, VIEW, TOUCH, FELT, POSE),
+    stages=(DEPTH, CLOUD, VIEW, TOUCH, FELT, POSE),
     routes=(
         Route(
             name="t2d2",
@@ -82,16 +82,16 @@ BUILT_IN = Catalogue(
             methods={
                 "depth": "network",
                 "cloud": "back_projection",
-                "view": "surface",
+                "target_depth": "surface",
                 "touch": "physics",
-                "felt": "membrane",
+                "touch_depth": "membrane",
                 "pose": "signed_distances",
             },
         ),
         Route(
             name="t2t",
             title="T2T: touch to touch, without depth between",
-            methods={"touch": "t2t", "felt": "membrane", "pose": "signed_distances"},
+            methods={"touch": "t2t", "touch_depth": "membrane", "pose": "signed_distances"},
         ),
     ),
 )
@@ -99,7 +99,7 @@ BUILT_IN = Catalogue(
 
 def default_params(methods: tuple[Method, ...]) -> dict[str, object]:
     """Slot -> the parameters of its method as they come."""
-    return {method.slot: method.params() for method in methods}
+    return {method.stage: method.params() for method in methods}
 
 
 def with_setting(params: Mapping[str, object], assignment: str) -> dict[str, object]:
@@ -110,7 +110,7 @@ def with_setting(params: Mapping[str, object], assignment: str) -> dict[str, obj
         raise SettingProblem(f"a setting is written slot.parameter=value, got {assignment!r}")
     if slot not in params:
         raise SettingProblem(f"no slot {slot!r} on this route; there are {', '.join(params)}")
-    return {**params, slot: changed(params[slot], name, value.strip())}
+    return {**params, slot: replace_value(params[slot], name, value.strip())}
 
 
 def with_settings(methods: tuple[Method, ...], assignments: Sequence[str]) -> dict[str, object]:
@@ -124,7 +124,7 @@ def with_settings(methods: tuple[Method, ...], assignments: Sequence[str]) -> di
 def with_weights(given: Mapping[str, Path], assignment: str, catalogue: Catalogue = BUILT_IN) -> dict[str, Path]:
     """`given` (slot -> file) after one `slot=file`, or one `file` for the first slot whose method takes weights."""
     slot, equals, name = assignment.partition("=")
-    known = equals and any(entry.name == slot.strip() for entry in catalogue.slots)
+    known = equals and any(entry.name == slot.strip() for entry in catalogue.stages)
     return {**given, slot.strip(): Path(name.strip())} if known else {**given, "": Path(assignment)}
 
 

@@ -12,21 +12,21 @@ import numpy as np
 
 from pipeline.base.arrays import Image
 from pipeline.base.errors import SettingProblem
-from pipeline.base.frame_lists import one_of
-from pipeline.calibration.lookup import Calibration
-from pipeline.calibration.lookup_file import load as load_calibration
+from pipeline.base.frame_lists import pick_frame
+from pipeline.calibration.calibration_file import load as load_calibration
+from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.graph import Graph, Method, StageResult
 from pipeline.geometry.meshes import Mesh, load_mesh
 from pipeline.recordings import open_recording
 from pipeline.recordings.depth_arrays import DepthUnit
 from pipeline.sensors import alignment as alignments
-from pipeline.sensors.alignment import Alignment, placed
-from pipeline.sensors.alignment_files import load as load_alignment
+from pipeline.sensors.alignment import Alignment, shift_alignment_along_z
+from pipeline.sensors.alignment_files import load_alignment as load_alignment
 from pipeline.sensors.offsets import Offsets
-from pipeline.sensors.spec import SensorSpec, sensor
-from pipeline.stages.slot import Facts
+from pipeline.sensors.spec import SensorSpec, load_sensor
+from pipeline.stages.stage import GroundTruth
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
-from pipeline.translation.touched import telling_touches
+from pipeline.translation.frame_selection import select_context_images
 from pipeline.values.frames import Recording, Stream, TactileFrame, Truth
 from pipeline.values.results import ObjectPose
 
@@ -69,7 +69,9 @@ class Translation:
     notes: tuple[str, ...] = field(default=())
     symmetry: Symmetry | None = None  # of `mesh`; None = not known
     catalogue: Catalogue = BUILT_IN
-    telling: Callable[[], tuple[Image, ...]] = tuple  # touches of the source's unit by which its light is told
+    load_context_images: Callable[[], tuple[Image, ...]] = (
+        tuple  # touches of the source's unit by which its light is told
+    )
 
     @property
     def n_frames(self) -> int:
@@ -82,43 +84,45 @@ class Translation:
         return self.catalogue.methods(self.request.route, dict(self.request.methods))
 
     @property
-    def slots(self) -> tuple[str, ...]:
+    def stages(self) -> tuple[str, ...]:
         """The slots of the route, in order."""
-        return tuple(method.slot for method in self.methods)
+        return tuple(method.stage for method in self.methods)
 
-    def grown(self) -> Translation:
+    def reload_frames(self) -> Translation:
         """The same with the frames that have come since, of a recording that grows."""
-        if self.recording.now is None:
+        if self.recording.refresh is None:
             return self
-        recording = self.recording.now()
+        recording = self.recording.refresh()
         return replace(self, recording=recording, stream=recording.stream(self.stream.name))
 
-    def of_target(self) -> Translation:
+    def with_target_as_source(self) -> Translation:
         """What the target itself recorded, read as a source; the recording must hold it."""
         own = self.recording.stream_of_sensor(self.target.name)
         assert own is not None
         telling = _telling(self.request, self.recording, own, self.target)
         return replace(self, stream=own, source=self.target, target=self.source, telling=telling)
 
-    def graph(self, like: Graph | None = None) -> Graph:
+    def build_graph(self, like: Graph | None = None) -> Graph:
         """What evaluates the route; one that remembers what `like` has worked out, where that is given."""
-        return Graph(self.methods) if like is None else like.rerouted(self.methods)
+        return Graph(self.methods) if like is None else like.with_methods(self.methods)
 
-    def inputs(self, index: int, previous: ObjectPose | None = None) -> Mapping[str, object]:
+    def read_inputs(self, index: int, previous: ObjectPose | None = None) -> Mapping[str, object]:
         """What the graph reads for frame `index`; raises FileProblem if that frame is damaged.
 
         `previous` is the pose of the touch before, where a sequence is to be followed.
         """
-        return self.inputs_of(self.stream.frame(self.checked(index)), previous)
+        return self.build_inputs(self.stream.frame(self.check_index(index)), previous)
 
-    def inputs_of(self, frame: TactileFrame, previous: ObjectPose | None = None) -> Mapping[str, object]:
+    def build_inputs(self, frame: TactileFrame, previous: ObjectPose | None = None) -> Mapping[str, object]:
         """What the graph reads for a frame at hand."""
         return {
-            "frame": replace(frame, beside=self.telling()),
+            "frame": replace(frame, beside=self.load_context_images()),
             "source": self.source,
             "target": self.target,
             "calibration": self.calibration,
-            "alignment": placed(self.alignment, source_shift_mm=own_shift_mm(frame, self.source), target_shift_mm=0.0),
+            "alignment": shift_alignment_along_z(
+                self.alignment, source_shift_mm=estimate_camera_shift_mm(frame, self.source), target_shift_mm=0.0
+            ),
             "mesh": self.mesh,
             "previous": previous,
             **self._weights(),
@@ -135,69 +139,71 @@ class Translation:
         read: dict[str, object] = {}
         for method in learned:
             assert method.weights is not None
-            file = given.get(method.slot, given.get("") if method is learned[0] else None)
+            file = given.get(method.stage, given.get("") if method is learned[0] else None)
             read[method.weights_name] = method.weights(self.source, self.target, file)
         return read
 
-    def truth_of_source(self, index: int) -> Truth | None:
+    def read_source_truth(self, index: int) -> Truth | None:
         """What is known of frame `index` on the source's side."""
         return self.stream.truth(index)
 
-    def truth_of_target(self, index: int) -> tuple[TactileFrame, Truth | None] | None:
+    def read_target_observation(self, index: int) -> tuple[TactileFrame, Truth | None] | None:
         """What the target sensor really recorded of the same touch, None if it took no part."""
         other = self.recording.stream_of_sensor(self.target.name)
         if other is None or other.name == self.stream.name or index >= other.n_frames:
             return None
         return other.frame(index), other.truth(index)
 
-    def facts(self, index: int) -> Facts:
+    def read_ground_truth(self, index: int) -> GroundTruth:
         """All that is exactly known of frame `index`."""
-        other = self.truth_of_target(index)
-        return Facts(
-            source=self.truth_of_source(index), mesh=self.mesh, symmetry=self.symmetry,
-            target_frame=None if other is None else other[0], target=None if other is None else other[1],
+        other = self.read_target_observation(index)
+        return GroundTruth(
+            source_truth=self.read_source_truth(index), mesh=self.mesh, symmetry=self.symmetry,
+            target_observation=None if other is None else other[0], target_truth=None if other is None else other[1],
         )  # fmt: skip
 
-    def truths(self, index: int) -> dict[str, object]:
+    def read_true_outputs(self, index: int) -> dict[str, object]:
         """Slot -> the value that it should hold on frame `index`; slots of which that is not known are absent."""
-        facts = self.facts(index)
-        slots = [self.catalogue.slot(name) for name in self.slots]
-        values = {s.name: s.truth(facts, self.source if s.place == "source" else self.target) for s in slots}
+        facts = self.read_ground_truth(index)
+        slots = [self.catalogue.stage(name) for name in self.stages]
+        values = {
+            s.name: s.make_ground_truth(facts, self.source if s.sensor_role == "source" else self.target) for s in slots
+        }
         return {name: value for name, value in values.items() if value is not None}
 
-    def metrics(self, results: Mapping[str, StageResult], index: int) -> dict[str, float]:
+    def compute_metrics(self, results: Mapping[str, StageResult], index: int) -> dict[str, float]:
         """Every figure that the known truth of frame `index` allows, as slot.name; see `METRICS` for units."""
-        return self.figures(results, self.facts(index))
+        return self.compute_metrics_against(results, self.read_ground_truth(index))
 
-    def figures(self, results: Mapping[str, StageResult], facts: Facts) -> dict[str, float]:
+    def compute_metrics_against(self, results: Mapping[str, StageResult], facts: GroundTruth) -> dict[str, float]:
         """The same of a frame of which all that is known is at hand."""
         return {
             f"{name}.{figure}": value
             for name, result in results.items()
-            for figure, value in self.catalogue.slot(name).figures(result.output, facts).items()
+            for figure, value in self.catalogue.stage(name).compute_metrics(result.output, facts).items()
         }
 
     def close(self) -> None:
         """Let go of the recording's file."""
         self.recording.close()
 
-    def checked(self, index: int) -> int:
+    def check_index(self, index: int) -> int:
         """`index` if there is such a frame; raises SettingProblem otherwise."""
-        return one_of(index, self.n_frames)
+        return pick_frame(index, self.n_frames)
 
 
 def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Translation:
     """Open and check all that `request` names; raises TouchError with what is wrong and where."""
     methods = catalogue.methods(request.route, dict(request.methods))  # a wrong name is told before anything is read
-    target = sensor(request.target)
+    target = load_sensor(request.target)
     recording = open_recording(
         request.recording, sensor=request.source, reference=request.reference, depth_unit=request.depth_unit
     )
-    said = sensor(request.source) if request.source else None
+    said = load_sensor(request.source) if request.source else None
     stream = recording.stream(request.stream or (said.name if said else ""))
     if not stream.sensor:
         raise SettingProblem(f"the recording does not say which sensor made it; give --sensor: '{request.recording}'")
-    source = said or sensor(stream.sensor)
+    source = said or load_sensor(stream.sensor)
     mesh = recording.object_mesh
     if request.mesh is not None:
         mesh = load_mesh(request.mesh, unit=request.mesh_unit)
@@ -207,13 +213,13 @@ def open_translation(request: Request, catalogue: Catalogue = BUILT_IN) -> Trans
         stream=stream,
         source=source,
         target=target,
-        alignment=request.offsets.applied(_alignment(request, recording, stream, source, target)),
+        alignment=request.offsets.apply_to(_alignment(request, recording, stream, source, target)),
         calibration=None if request.calibration is None else load_calibration(request.calibration),
         mesh=mesh,
         notes=(*recording.notes, *_about_symmetry(recording, stream, mesh), *_about_weights(request, methods)),
         symmetry=recording.symmetry if mesh is recording.object_mesh else None,
         catalogue=catalogue,
-        telling=_telling(request, recording, stream, source),
+        load_context_images=_telling(request, recording, stream, source),
     )
 
 
@@ -224,9 +230,9 @@ def _telling(
 
     A calibration has the light in it. What grows has none that stay the same.
     """
-    if source.kind != "gel" or request.calibration is not None or recording.now is not None:
+    if source.kind != "gel" or request.calibration is not None or recording.refresh is not None:
         return tuple
-    return cache(lambda: telling_touches(stream))
+    return cache(lambda: select_context_images(stream))
 
 
 def _about_symmetry(recording: Recording, stream: Stream, mesh: Mesh | None) -> tuple[str, ...]:
@@ -238,7 +244,7 @@ def _about_symmetry(recording: Recording, stream: Stream, mesh: Mesh | None) -> 
 
 def _about_weights(request: Request, methods: tuple[Method, ...]) -> tuple[str, ...]:
     """What is to be said of weights that nobody reads."""
-    learned = {method.slot for method in methods if method.weights is not None}
+    learned = {method.stage for method in methods if method.weights is not None}
     return tuple(
         f"the weights {file.name!r} count for nothing: "
         f"{f'the method of {slot} reads none' if slot else 'no method reads any'}; "
@@ -256,10 +262,10 @@ def _alignment(
         return load_alignment(request.alignment, source=source.name, target=target.name).alignment
     other = recording.stream_of_sensor(target.name)
     known = None if other is None else recording.target_from_source(stream.name, other.name)
-    return alignments.between(source, target, known)
+    return alignments.resolve_alignment(source, target, known)
 
 
-def own_shift_mm(frame: TactileFrame, spec: SensorSpec) -> float:
+def estimate_camera_shift_mm(frame: TactileFrame, spec: SensorSpec) -> float:
     """How much smaller z reads in this frame's own camera than in the description's; 0 where there is no telling.
 
     A depth recording may come from a unit whose camera sits nearer or farther than the description says; what the

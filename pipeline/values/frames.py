@@ -29,7 +29,9 @@ class TactileFrame:
     time_s: float = math.nan
     origin: str = ""  # where it was read from, for messages
     camera: Camera | None = None  # intrinsics that the recording brings along; None = the sensor's own
-    beside: tuple[Image, ...] = ()  # other touches of the same unit, with the same reference: they tell of its light
+    context_frames: tuple[
+        Image, ...
+    ] = ()  # other touches of the same unit, with the same reference: they tell of its light
 
     @property
     def is_depth(self) -> bool:
@@ -88,7 +90,7 @@ class Recording:
     notes: tuple[str, ...] = field(default=())  # plain sentences: what was assumed, converted or left out
     close: Callable[[], None] = _nothing
     symmetry: Symmetry | None = None  # of the object; None = not known, so that no two of its poses count as one
-    now: Callable[[], Recording] | None = None  # the same with what has come since; None = nothing comes any more
+    refresh: Callable[[], Recording] | None = None  # the same with what has come since; None = nothing comes any more
 
     def stream(self, wanted: str = "") -> Stream:
         """The stream with this name or sensor, the first one when `wanted` is empty."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.base.arrays import Indices, freeze
-from pipeline.base.memo import remembered
+from pipeline.base.memo import memoise
 
 
-@remembered(16)
-def pixel_index(shape: tuple[int, int]) -> Indices:
+@memoise(16)
+def make_pixel_index(shape: tuple[int, int]) -> Indices:
     """0, 1, 2, ... in C order (rows, cols); kept per shape."""
     return freeze(np.arange(shape[0] * shape[1], dtype=np.int32).reshape(shape))

@@ -14,7 +14,7 @@ from pipeline.geometry.camera import Camera
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DepthError:
+class DepthErrorModel:
     """How far a measured surface is off where it touches, beside the noise of single pixels."""
 
     rms_mm: float
@@ -31,13 +31,15 @@ class DepthMap:
     camera: Camera  # of this very grid
     source_index: Indices  # (rows, cols) -> pixel of the reading it was made from
     notes: tuple[str, ...] = ()
-    known: Mask | None = None  # (rows, cols) where "no contact" means anything; None = everywhere
-    error: DepthError | None = None  # of the measurement that it comes from; None = computed without one
-    spread_mm: Floats | None = (
+    in_view: Mask | None = None  # (rows, cols) where "no contact" means anything; None = everywhere
+    error: DepthErrorModel | None = None  # of the measurement that it comes from; None = computed without one
+    expected_error_mm: Floats | None = (
         None  # (rows, cols) mean error to be expected of each pixel; NaN = no value, None = not told
     )
-    generated: bool = False  # by a network, and not measured: all of it is known no better than `spread_mm`
-    object_mm: Floats | None = None  # (rows, cols) z of the object itself, also beside the contact where a membrane
+    is_generated: bool = False  # by a network, and not measured: all of it is known no better than `spread_mm`
+    object_depth_mm: Floats | None = (
+        None  # (rows, cols) z of the object itself, also beside the contact where a membrane
+    )
     # bridges it; NaN = not told, None = the membrane in contact is all that is known of it
 
 
@@ -48,16 +50,16 @@ class Cloud:
     points_mm: Floats  # (n, 3)
     source_index: Indices  # (n,) -> pixel of DepthMap
     grid_shape: tuple[int, int]  # of that DepthMap, so that neighbours can be found again
-    window_mm: (
+    field_of_view_mm: (
         Floats  # (4, 3) corners of the source's whole image on its surface, in turn: beyond them nothing is known
     )
     stride: int = 1  # every stride-th row and column of it was looked at: neighbours are this far apart
     notes: tuple[str, ...] = ()
-    error: DepthError | None = None  # of the depth that it comes from
+    error: DepthErrorModel | None = None  # of the depth that it comes from
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TargetView:
+class TargetDepth:
     """The cloud as the target sensor's camera would see it (paper's D_T'' and M_T'')."""
 
     depth_mm: Floats  # (rows, cols) z in the target frame; NaN = nothing there
@@ -65,11 +67,11 @@ class TargetView:
     indentation_mm: Floats  # (rows, cols) rest - depth where `contact`, else 0; NaN never
     camera: Camera
     source_index: Indices  # (rows, cols) -> point of Cloud
-    known: Mask  # (rows, cols) inside what the source could see: only here does "no contact" mean anything
+    in_view: Mask  # (rows, cols) inside what the source could see: only here does "no contact" mean anything
     notes: tuple[str, ...] = ()
     pixel_of_point: Indices | None = None  # (n,) of Cloud -> the pixel that shows it, -1 = outside, hidden or cut away
     coverage: Floats | None = None  # (rows, cols) 0..1, share of each pixel in contact; None = not asked for
-    error: DepthError | None = None  # of the depth that it comes from
+    error: DepthErrorModel | None = None  # of the depth that it comes from
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,13 +84,13 @@ class TouchStep:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Touch:
+class GeneratedTouch:
     """What the target sensor would have recorded, and the membrane behind that picture where the method knows it."""
 
     image: Image | Floats  # (rows, cols, 3) uint8 RGB, or (rows, cols) float32 depth_mm for a bubble
     camera: Camera
     source_index: Indices  # (rows, cols) -> pixel of what it was made from; -1 everywhere where a method cannot tell
-    known: Mask  # (rows, cols) as in TargetView; everywhere for a method that guesses beyond the source's window
+    in_view: Mask  # (rows, cols) as in TargetView; everywhere for a method that guesses beyond the source's window
     membrane: DepthMap | None = None  # of the very picture; None = only the picture is known
     notes: tuple[str, ...] = ()
     steps: tuple[TouchStep, ...] = field(default=(), metadata=UNDIGESTED)  # kept states, the noisiest first
@@ -102,7 +104,7 @@ class PoseStep:
     sensor_from_object: Doubles  # (4, 4) mm
     rmse_mm: float
     fitness: float  # share of scene points with a partner within the distance limit
-    reach_mm: float = math.inf  # that limit: points farther from the object count for nothing
+    max_correspondence_mm: float = math.inf  # that limit: points farther from the object count for nothing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,13 +114,13 @@ class ObjectPose:
     sensor_from_object: Doubles | None  # (4, 4) mm
     covariance: Doubles | None  # (6, 6) of (rotation rad, translation mm) about the scene centroid
     observable: Doubles | None  # (6, 6) projector onto the directions the data determine
-    weak: tuple[str, ...]  # the other directions in words, such as "slides along y"
+    weak_directions: tuple[str, ...]  # the other directions in words, such as "slides along y"
     rmse_mm: float
     fitness: float
     scene_mm: Floats  # (n, 3) the points that were registered, target frame
     source_index: Indices  # (n,) -> pixel of the felt DepthMap
     steps: tuple[PoseStep, ...] = field(default=(), metadata=UNDIGESTED)
-    stopped: str = field(default="", metadata=UNDIGESTED)  # why the registration ended, in words
+    stop_reason: str = field(default="", metadata=UNDIGESTED)  # why the registration ended, in words
     starts_tried: int = 0
     notes: tuple[str, ...] = ()
     alternatives: tuple[Doubles, ...] = ()  # (4, 4) each, best first: other poses that this touch fits as well

@@ -10,23 +10,23 @@ import pytest
 
 from app.main import prepare_environment
 from pipeline.base.arrays import freeze
-from pipeline.recordings.hdf5_writer import Writer
-from pipeline.sensors.spec import sensor
+from pipeline.recordings.hdf5_writer import RecordingWriter
+from pipeline.sensors.spec import load_sensor
 from pipeline.values.frames import TactileFrame
 
 prepare_environment()
 
-from app.frame.instrument import Instrument  # noqa: E402 - the environment comes first
-from app.frame.tour import wait_until_shown  # noqa: E402
 from app.main import show_window  # noqa: E402
 from app.session.state import Session  # noqa: E402
+from app.window.session_controller import SessionController  # noqa: E402 - the environment comes first
+from app.window.tour import wait_until_shown  # noqa: E402
 
 N_FRAMES = 3
 
 
 def bubble_frames() -> list[TactileFrame]:
     """A bubble untouched, then pressed by a ball of 15 mm radius, deeper and deeper."""
-    spec = sensor("soft_bubble")
+    spec = load_sensor("soft_bubble")
     rest = spec.rest_depth_mm
     points = spec.camera.back_project(rest)
     from_axis_mm = np.hypot(points[..., 0], points[..., 1])
@@ -47,7 +47,7 @@ def bubble_frames() -> list[TactileFrame]:
 def touch_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The recording as a file."""
     path = tmp_path_factory.mktemp("recording") / "pressed.h5"
-    with Writer(path) as writer:
+    with RecordingWriter(path) as writer:
         for frame in bubble_frames():
             writer.append("bubble", frame)
     return path
@@ -78,11 +78,11 @@ def remembered_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def open_window(qtbot) -> Iterator[Callable[..., Instrument]]:
+def open_window(qtbot) -> Iterator[Callable[..., SessionController]]:
     """Opens windows without 3D unless asked, and closes them."""
-    made: list[Instrument] = []
+    made: list[SessionController] = []
 
-    def open_one(recording: Path | None = None, *, gl: bool = False, **session) -> Instrument:
+    def open_one(recording: Path | None = None, *, gl: bool = False, **session) -> SessionController:
         instrument = show_window(Session(recording=recording, **session), with_scene=gl)
         made.append(instrument)
         qtbot.addWidget(instrument.window, before_close_func=lambda _: instrument.close())  # asks about nothing then
@@ -95,7 +95,7 @@ def open_window(qtbot) -> Iterator[Callable[..., Instrument]]:
 
 
 @pytest.fixture
-def bubble_window(open_window, touch_file) -> Instrument:
+def bubble_window(open_window, touch_file) -> SessionController:
     """A window on frame 2 of the recording, through all stages."""
     instrument = open_window(touch_file, target="gelslim", frame=2)
     assert wait_until_shown(instrument, 60), instrument.window.banner.text

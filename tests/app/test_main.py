@@ -7,14 +7,14 @@ import subprocess
 import sys
 from pathlib import Path
 
-from app.frame.tour import wait_until_shown
-from app.session.sample import SAMPLE
-from app.session.state import ON_A_TOUCH
+from app.session.sample import SAMPLE_RECORDING
+from app.session.state import AUTO_FRAME
+from app.window.tour import wait_until_shown
 
 
 def test_a_recording_opens_on_a_touched_frame_whatever_comes_first(open_window, touch_file):
     """The sample begins untouched; so does what is opened later."""
-    instrument = open_window(SAMPLE, frame=ON_A_TOUCH)
+    instrument = open_window(SAMPLE_RECORDING, frame=AUTO_FRAME)
     assert wait_until_shown(instrument, 60), instrument.window.banner.text
     assert instrument.latest.results["depth"].output.contact.any()
     assert instrument.window.timeline.frame == instrument.session.frame == instrument.latest.index > 0

@@ -49,7 +49,7 @@ import numpy as np
 from pipeline.base.progress import SILENT
 from pipeline.physics.optics import untouched
 from pipeline.sensors.spec import sensor
-from pipeline.stages.depth.stage import DepthParams, depth
+from pipeline.stages.depth.photometric import DepthParams, depth
 from pipeline.values.frames import TactileFrame
 digit = sensor("digit")
 still = untouched(digit)

@@ -59,7 +59,7 @@ def _cloud(c) -> None:
     assert c.points_mm.shape == (n, 3)
     assert c.points_mm.dtype == np.float32
     assert np.isfinite(c.points_mm).all(), "a point that is nowhere"
-    assert np.isfinite(c.window_mm).all(), "a window without corners"
+    assert np.isfinite(c.field_of_view_mm).all(), "a window without corners"
     assert c.source_index.shape == (n,)
     assert (np.diff(c.source_index) > 0).all()
     assert n == 0 or 0 <= c.source_index[0] <= c.source_index[-1] < c.grid_shape[0] * c.grid_shape[1]
@@ -97,7 +97,7 @@ def _pose(p) -> None:
         assert p.covariance is None
         assert p.observable is None
         return
-    rigid.checked(p.sensor_from_object, "the pose")
+    rigid.validate_rigid(p.sensor_from_object, "the pose")
     if p.covariance is None:  # a network and ICP say nothing of it
         assert p.observable is None
         return

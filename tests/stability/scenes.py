@@ -12,14 +12,14 @@ from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.meshes import Mesh
 from pipeline.physics import optics
-from pipeline.sensors.alignment import Alignment, between
-from pipeline.sensors.spec import SensorSpec, sensor
+from pipeline.sensors.alignment import Alignment, resolve_alignment
+from pipeline.sensors.spec import SensorSpec, load_sensor
 from pipeline.simulation import shapes
-from pipeline.simulation.press import press
-from pipeline.stages.project.stage import PaperParams, Projection, ProjectParams
+from pipeline.simulation.press import simulate_press
+from pipeline.stages.target_depth.surface_projection import PointSplatParams, ProjectionParams, SurfaceProjectionParams
 from pipeline.values.frames import TactileFrame
-from pipeline.values.pixel_index import pixel_index
-from pipeline.values.results import Cloud, DepthMap, TargetView
+from pipeline.values.pixel_index import make_pixel_index
+from pipeline.values.results import Cloud, DepthMap, TargetDepth
 
 GELS, BUBBLES = ("digit", "gelslim"), ("soft_bubble",)
 _SHARE = {"digit": 0.2, "gelslim": 0.15, "gelsight_mini": 0.15, "soft_bubble": 0.25}
@@ -32,8 +32,8 @@ seeds = st.integers(0, 2**32 - 1)
 @lru_cache(maxsize=16)
 def small(name: str, share: float | None = None) -> SensorSpec:
     """A sensor with fewer pixels over the same view."""
-    whole = sensor(name)
-    camera = whole.camera.scaled(_SHARE[name] if share is None else share)
+    whole = load_sensor(name)
+    camera = whole.camera.scale(_SHARE[name] if share is None else share)
     return replace(whole, camera=camera, rest_depth_mm=whole.membrane.rest_depth_mm(camera))
 
 
@@ -68,20 +68,20 @@ def depth_map(spec: SensorSpec, pushed_mm: np.ndarray) -> DepthMap:
         depth_mm=(spec.rest_depth_mm - pushed_mm).astype(np.float32),
         contact=pushed_mm > 0,
         camera=spec.camera,
-        source_index=pixel_index(spec.camera.shape),
+        source_index=make_pixel_index(spec.camera.shape),
     )
 
 
-def view(spec: SensorSpec, pushed_mm: np.ndarray) -> TargetView:
+def view(spec: SensorSpec, pushed_mm: np.ndarray) -> TargetDepth:
     """What the project stage would say of this indentation, all of it seen by the source."""
     touched = pushed_mm > 0
-    return TargetView(
+    return TargetDepth(
         depth_mm=np.where(touched, spec.rest_depth_mm - pushed_mm, np.nan).astype(np.float32),
         contact=touched,
         indentation_mm=np.where(touched, pushed_mm, 0).astype(np.float32),
         camera=spec.camera,
-        source_index=np.where(touched, pixel_index(spec.camera.shape), -1).astype(np.int32),
-        known=np.ones(spec.camera.shape, bool),
+        source_index=np.where(touched, make_pixel_index(spec.camera.shape), -1).astype(np.int32),
+        in_view=np.ones(spec.camera.shape, bool),
     )
 
 
@@ -92,8 +92,8 @@ def touch(spec: SensorSpec, pushed_mm: np.ndarray) -> DepthMap:
         depth_mm=(spec.rest_depth_mm - pushed_mm).astype(np.float32),
         contact=pushed_mm > 0,
         camera=spec.camera,
-        source_index=pixel_index(spec.camera.shape),
-        known=np.ones(spec.camera.shape, bool),
+        source_index=make_pixel_index(spec.camera.shape),
+        in_view=np.ones(spec.camera.shape, bool),
     )
 
 
@@ -104,7 +104,7 @@ def cloud(points, grid=(50, 50), stride: int = 1) -> Cloud:
         points_mm=points,
         source_index=np.arange(len(points), dtype=np.int32),
         grid_shape=grid,
-        window_mm=np.array([[-9, -9, 20], [9, -9, 20], [9, 9, 20], [-9, 9, 20]], np.float32),
+        field_of_view_mm=np.array([[-9, -9, 20], [9, -9, 20], [9, 9, 20], [-9, 9, 20]], np.float32),
         stride=stride,
     )
 
@@ -117,15 +117,15 @@ def frame(name: str, seed: int = 0, share: float | None = None) -> TactileFrame:
     deep_mm = 0.35 * spec.limits.indentation_max_mm
     lowest_mm = float(thing.vertices_mm[:, 2].min())
     x, y = np.random.default_rng(seed).uniform(-1, 1, 2)
-    pressed = press(thing, rigid.translation(x, y, -deep_mm - lowest_mm), spec, seed=seed)
-    still = optics.untouched(spec) if spec.kind == "gel" else spec.rest_depth_mm.astype(np.float32)
+    pressed = simulate_press(thing, rigid.translation(x, y, -deep_mm - lowest_mm), spec, seed=seed)
+    still = optics.render_reference(spec) if spec.kind == "gel" else spec.rest_depth_mm.astype(np.float32)
     return TactileFrame(sensor=name, image=pressed.image, reference=still)
 
 
 @lru_cache(maxsize=8)
 def mesh(kind: str) -> Mesh:
     """A ball of 8 mm, or a shape of the simulator."""
-    return _ball(8.0) if kind == "ball" else shapes.shape(kind).mesh
+    return _ball(8.0) if kind == "ball" else shapes.make_shape(kind).mesh
 
 
 def _ball(radius_mm: float, n: int = 48, m: int = 24) -> Mesh:
@@ -150,9 +150,9 @@ def rigid_motions(draw, mm: float, rad: float = np.pi):
 
 def aligned(source: SensorSpec, target: SensorSpec) -> Alignment:
     """The alignment that the descriptions state."""
-    return between(source, target)
+    return resolve_alignment(source, target)
 
 
-def projection(mode: str, **limits) -> Projection:
+def projection(mode: str, **limits) -> ProjectionParams:
     """The parameters of a way to draw; the paper's points have no limits."""
-    return PaperParams() if mode == "paper" else ProjectParams(**limits)
+    return PointSplatParams() if mode == "paper" else SurfaceProjectionParams(**limits)

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from pipeline.geometry import membrane, rigid
 from pipeline.geometry.camera import MIN_DEPTH_MM, Camera
 from pipeline.sensors.alignment import Alignment
-from pipeline.sensors.spec import sensor
-from pipeline.stages.adapt.stage import AdaptParams, adapt
-from pipeline.stages.project.stage import project
+from pipeline.sensors.spec import load_sensor
+from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.target_depth.surface_projection import project_cloud
 from tests.stability.checks import sound
 from tests.stability.rows import row
 from tests.stability.scenes import depth_map, projection, rigid_motions, seeds, unit_numbers
@@ -34,8 +34,10 @@ def camera_of(fx_px, fy_px=None, cx_px=(COLS - 1) / 2, cy_px=(ROWS - 1) / 2):
 def level_sensor(camera, z_mm):
     """A sensor with a level membrane at this distance, wide enough for its view."""
     half = 2 * z_mm * (COLS / camera.fx_px + ROWS / camera.fy_px) + 1e-9
-    pad = membrane.flat(z_mm, half, half)
-    return replace(sensor("gelslim"), camera=camera, membrane=pad, rest_depth_mm=np.full(camera.shape, float(z_mm)))
+    pad = membrane.make_flat_membrane(z_mm, half, half)
+    return replace(
+        load_sensor("gelslim"), camera=camera, membrane=pad, rest_depth_mm=np.full(camera.shape, float(z_mm))
+    )
 
 
 def plane_depth(camera, z_mm):
@@ -51,14 +53,14 @@ def plane_depth(camera, z_mm):
 @example(1.0, 1e5, 1.0, "paper")
 def test_same_camera(fx, fy, z_mm, mode):
     camera = camera_of(fx, fy)
-    points = adapt(plane_depth(camera, z_mm), HERE, AdaptParams())
+    points = back_project_depth(plane_depth(camera, z_mm), HERE, BackProjectionParams())
     sound(points)
     if float(np.float32(z_mm)) <= MIN_DEPTH_MM:
         assert len(points.points_mm) == 0, "nearer than a micrometre to the lens nothing has an image"
         return
     target = level_sensor(camera, 2 * z_mm)
     # At one pixel of focal length the picture's edge is seen at 86 degrees, and neighbours lie far apart.
-    seen = project(points, target, projection(mode, grazing_deg=90.0, jump_mm=1e9 * (1 + z_mm)))
+    seen = project_cloud(points, target, projection(mode, grazing_deg=90.0, jump_mm=1e9 * (1 + z_mm)))
     sound(seen)
     # float32 moves a corner of the grid by its last bit, so that the outermost pixel centres may lie beside the surface.
     inner = seen.contact if mode == "paper" else seen.contact[1:-1, 1:-1]
@@ -85,9 +87,9 @@ def test_target_anywhere(motion, fx, mode, seed):
     camera = camera_of(60.0)
     depth = plane_depth(camera, 20.0)
     way = Alignment(alignment_from_source=motion, target_from_alignment=np.eye(4))
-    points = adapt(depth, way, AdaptParams())
+    points = back_project_depth(depth, way, BackProjectionParams())
     sound(points)
-    seen = project(points, level_sensor(camera_of(fx), 200.0), projection(mode))
+    seen = project_cloud(points, level_sensor(camera_of(fx), 200.0), projection(mode))
     sound(seen)
     if (points.points_mm[:, 2] <= MIN_DEPTH_MM).all():
         assert not (seen.source_index >= 0).any()
@@ -103,8 +105,8 @@ def test_grazing(angle_deg, around, mode, limit_deg):
     axis = np.array([np.cos(np.pi * around), np.sin(np.pi * around), 0.0])
     turn = rigid.translation(0, 0, 20.0) @ rigid.rotation(axis * np.deg2rad(angle_deg)) @ rigid.translation(0, 0, -20.0)
     way = Alignment(alignment_from_source=turn, target_from_alignment=np.eye(4))
-    points = adapt(plane_depth(camera, 20.0), way, AdaptParams())
-    seen = project(points, level_sensor(camera, 200.0), projection(mode, grazing_deg=limit_deg, jump_mm=1e6))
+    points = back_project_depth(plane_depth(camera, 20.0), way, BackProjectionParams())
+    seen = project_cloud(points, level_sensor(camera, 200.0), projection(mode, grazing_deg=limit_deg, jump_mm=1e6))
     sound(seen)
     z = seen.depth_mm.astype(np.float64)
     on = seen.source_index >= 0
@@ -126,9 +128,9 @@ def test_grazing(angle_deg, around, mode, limit_deg):
 def test_rest_depth(fx, z_mm, domed):
     camera = camera_of(fx)
     half = 2 * z_mm * (COLS + ROWS) / fx + 1e-9
-    surface = membrane.flat(z_mm, half, half)
+    surface = membrane.make_flat_membrane(z_mm, half, half)
     if domed:
-        surface = membrane.dome(z_mm, 0.2 * min(z_mm, half), half, half, step_mm=half / 20)
+        surface = membrane.make_dome(z_mm, 0.2 * min(z_mm, half), half, half, step_mm=half / 20)
     rest = surface.rest_depth_mm(camera)
     assert np.isfinite(rest).all()
     assert (rest > 0).all()

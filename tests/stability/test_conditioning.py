@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.geometry import rigid
-from pipeline.registration.observability import TOLERANCES, observability
+from pipeline.registration.observability import TOLERANCES, assess_observability
 from tests.pipeline.registration.test_registration import held_by_the_kernel
 from tests.stability.rows import row
 from tests.stability.scenes import rigid_motions, seeds
@@ -70,7 +70,7 @@ def ridge(flatness, rng, n=300):
 def test_flattening_patch(flatness, noise_mm, seed):
     rng = np.random.default_rng(seed)
     points, normals = ridge(flatness, rng)
-    told = observability(points, normals, points.mean(axis=0), noise_mm)
+    told = assess_observability(points, normals, points.mean(axis=0), noise_mm)
     assert np.isfinite(told.covariance).all()
     values = np.linalg.eigvalsh(told.covariance)
     assert values.min() > 0
@@ -90,9 +90,9 @@ def test_flattening_patch(flatness, noise_mm, seed):
 def test_turns_with_the_scene(flatness, motion, seed):
     rng = np.random.default_rng(seed)
     points, normals = ridge(flatness, rng)
-    here = observability(points, normals, points.mean(axis=0), 0.02)
+    here = assess_observability(points, normals, points.mean(axis=0), 0.02)
     there_points = rigid.apply(motion, points)
-    there = observability(there_points, normals @ motion[:3, :3].T, there_points.mean(axis=0), 0.02)
+    there = assess_observability(there_points, normals @ motion[:3, :3].T, there_points.mean(axis=0), 0.02)
     assert len(here.weak) == len(there.weak)
     turn = np.kron(np.eye(2), motion[:3, :3])
     assert np.abs(turn @ here.observable @ turn.T - there.observable).max() <= 1e-6

@@ -23,7 +23,7 @@ ORDER = 0.7  # of the error's fall with the step: a first-order contact line, le
 def test_gel_complementarity(kind, name, depth, seed):
     spec = small(name)
     overlap = indentation_mm(spec, kind, np.random.default_rng(seed)) * depth - 1e-3
-    answer = gel.press(spec.gel, spec.pixel_mm, overlap)
+    answer = gel.press_gel(spec.gel, spec.pixel_mm, overlap)
     gap = answer.indentation_mm - overlap
     assert np.isfinite(answer.pressure_kpa).all()
     assert (answer.pressure_kpa >= 0).all()
@@ -43,8 +43,8 @@ def test_gel_mirror(kind, how, seed):
     n = min(square.shape)
     square = square[:n, :n]
     change = {"left-right": np.fliplr, "up-down": np.flipud, "turn": np.rot90}[how]
-    a = gel.press(spec.gel, spec.pixel_mm, square)
-    b = gel.press(spec.gel, spec.pixel_mm, np.ascontiguousarray(change(square)))
+    a = gel.press_gel(spec.gel, spec.pixel_mm, square)
+    b = gel.press_gel(spec.gel, spec.pixel_mm, np.ascontiguousarray(change(square)))
     assert np.abs(change(a.indentation_mm) - b.indentation_mm).max() <= MIRROR_MM
     assert abs(a.force_n - b.force_n) <= 2e-3 * a.force_n + 1e-6
 
@@ -55,7 +55,7 @@ def test_gel_monotone(depth_mm, factor):
     spec = small("digit")
     y, x = ((np.arange(n) - (n - 1) / 2) * spec.pixel_mm for n in spec.camera.shape)
     ball = -(x[None, :] ** 2 + y[:, None] ** 2) / 8.0
-    light, firm = (gel.press(spec.gel, spec.pixel_mm, ball + d) for d in (depth_mm, depth_mm * factor))
+    light, firm = (gel.press_gel(spec.gel, spec.pixel_mm, ball + d) for d in (depth_mm, depth_mm * factor))
     assert firm.force_n >= light.force_n
     assert (firm.contact >= light.contact).mean() >= 1 - 1e-3
     assert firm.pressure_kpa.max() >= light.pressure_kpa.max() * (1 - 1e-3)
@@ -63,7 +63,7 @@ def test_gel_monotone(depth_mm, factor):
 
 def ceiling_of(spec, on, rng):
     """A ball or a slanting plane that reaches below the dome."""
-    apex = float(bubble.rest_height_mm(spec.bubble, on).max())
+    apex = float(bubble.compute_rest_height_mm(spec.bubble, on).max())
     x, y = on.x_mm()[None, :] - rng.uniform(-10, 10), on.y_mm()[:, None] - rng.uniform(-8, 8)
     ball = (x * x + y * y) / (2 * rng.uniform(3, 40))
     plane = np.abs(x) * rng.uniform(0, 0.5) + 0 * y
@@ -74,13 +74,13 @@ def ceiling_of(spec, on, rng):
 @given(st.sampled_from([1.0, 0.5]), seeds)
 def test_bubble_complementarity(step_mm, seed):
     spec = small("soft_bubble")
-    on = bubble.lattice(spec.bubble, step_mm)
+    on = bubble.make_lattice(spec.bubble, step_mm)
     ceiling = ceiling_of(spec, on, np.random.default_rng(seed))
-    answer = bubble.press(spec.bubble, ceiling, on)
-    height = bubble.rest_height_mm(spec.bubble, on) + answer.deviation_mm
-    free = bubble.free_nodes(spec.bubble, on)
+    answer = bubble.press_bubble(spec.bubble, ceiling, on)
+    height = bubble.compute_rest_height_mm(spec.bubble, on) + answer.deviation_mm
+    free = bubble.find_free_nodes(spec.bubble, on)
     assert np.isfinite(answer.deviation_mm).all()
-    assert (answer.force_kpa >= 0).all()
+    assert (answer.contact_pressure_kpa >= 0).all()
     assert answer.pressure_kpa >= spec.bubble.pressure_kpa
     assert (ceiling - height)[free].min() >= -2 * bubble.TOLERANCE_MM
     held = answer.contact & free
@@ -93,11 +93,11 @@ def test_bubble_complementarity(step_mm, seed):
 @given(st.sampled_from(["left-right", "up-down"]), seeds)
 def test_bubble_mirror(how, seed):
     spec = small("soft_bubble")
-    on = bubble.lattice(spec.bubble, 1.0)
+    on = bubble.make_lattice(spec.bubble, 1.0)
     change = {"left-right": np.fliplr, "up-down": np.flipud}[how]
     ceiling = ceiling_of(spec, on, np.random.default_rng(seed))
-    a = bubble.press(spec.bubble, ceiling, on)
-    b = bubble.press(spec.bubble, np.ascontiguousarray(change(ceiling)), on)
+    a = bubble.press_bubble(spec.bubble, ceiling, on)
+    b = bubble.press_bubble(spec.bubble, np.ascontiguousarray(change(ceiling)), on)
     assert np.abs(change(a.deviation_mm) - b.deviation_mm).max() <= 4 * bubble.TOLERANCE_MM
     assert abs(a.pressure_kpa - b.pressure_kpa) <= 1e-3 * a.pressure_kpa
 
@@ -115,4 +115,4 @@ def test_gel_refinement_order(depth_mm, radius_mm):
 def _ball_force_n(pad, depth_mm, radius_mm, pixel_mm):
     n = 2 * round(4.0 / pixel_mm)
     x = (np.arange(n) - (n - 1) / 2) * pixel_mm
-    return gel.press(pad, pixel_mm, depth_mm - (x[None, :] ** 2 + x[:, None] ** 2) / (2 * radius_mm)).force_n
+    return gel.press_gel(pad, pixel_mm, depth_mm - (x[None, :] ** 2 + x[:, None] ** 2) / (2 * radius_mm)).force_n

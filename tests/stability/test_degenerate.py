@@ -9,11 +9,11 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pipeline.geometry.meshes import Mesh
-from pipeline.registration.observability import observability
-from pipeline.stages.adapt.stage import AdaptParams, adapt
-from pipeline.stages.generate.stage import GenerateParams, generate
-from pipeline.stages.pose.stage import PoseParams, pose
-from pipeline.stages.project.stage import project
+from pipeline.registration.observability import assess_observability
+from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose
+from pipeline.stages.target_depth.surface_projection import project_cloud
+from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch
 from tests.stability.checks import outcome, sound
 from tests.stability.rows import row
 from tests.stability.scenes import aligned, cloud, depth_map, mesh, projection, seeds, small, touch, view
@@ -77,10 +77,10 @@ def test_adapt_and_project(mask, surface, mode, stride, seed):
     source, target = small("gelslim"), small("soft_bubble", 0.5)
     touched = mask_of(mask, source.camera.shape, rng)
     depth = replace(depth_map(source, pushed_mm(surface, source, rng)), contact=touched)
-    points = adapt(depth, aligned(source, target), AdaptParams(stride=stride))
+    points = back_project_depth(depth, aligned(source, target), BackProjectionParams(stride=stride))
     sound(points)
     assert len(points.points_mm) == touched[::stride, ::stride].sum()
-    seen = project(points, target, projection(mode))
+    seen = project_cloud(points, target, projection(mode))
     sound(seen)
     # The gel's window lies inside the bubble's view: what touches the one is seen by the other.
     assert (seen.source_index >= 0).any() == bool(len(points.points_mm))
@@ -110,7 +110,7 @@ def test_few_points(n, place, mode, seed):
     elif place == "at the lens":
         points[:, 2] = 0.0
     spread = replace(cloud(points), source_index=np.sort(rng.permutation(2500)[:n]).astype(np.int32))
-    result = project(spread, target, projection(mode))
+    result = project_cloud(spread, target, projection(mode))
     sound(result)
     assert result.contact.any() == (n > 0 and place in ("coincident", "line", "plane"))
 
@@ -131,7 +131,7 @@ def test_generate(name, mask, surface, how, seed):
     seen = replace(
         seen, depth_mm=np.where(touched, spec.rest_depth_mm - seen.indentation_mm, np.nan).astype(np.float32)
     )
-    result, told = outcome(generate, seen, spec, GenerateParams(surface=how))
+    result, told = outcome(render_touch, seen, spec, PhysicalRenderParams(surface=how))
     assert result is not None, told
     sound(result)
     if not touched.any():
@@ -144,7 +144,7 @@ def test_pose(mask, surface, seed):
     rng = np.random.default_rng(seed)
     spec = small("gelslim", 0.25)
     felt = replace(touch(spec, pushed_mm(surface, spec, rng)), contact=mask_of(mask, spec.camera.shape, rng))
-    result, told = outcome(pose, felt, mesh("ball"), PoseParams(n_starts=6))
+    result, told = outcome(estimate_pose, felt, mesh("ball"), PoseParams(n_starts=6))
     assert result is not None, told
     sound(result)
 
@@ -173,7 +173,7 @@ def test_mesh(kind, seed):
     }[kind]  # fmt: skip
     felt = touch(spec, np.where(mask_of("half", spec.camera.shape, rng), pushed_mm("sphere", spec, rng), 0.0))
     bad = Mesh(vertices_mm=vertices, triangles=triangles.astype(np.int32), name=kind)
-    result, _ = outcome(pose, felt, bad, PoseParams(face="+z", n_starts=6))
+    result, _ = outcome(estimate_pose, felt, bad, PoseParams(face="+z", n_starts=6))
     if result is not None:
         sound(result)
 
@@ -192,7 +192,7 @@ def test_observability(n, place, seed):
         points[:, 2], normals[:] = 0.0, (0.0, 0.0, 1.0)
     elif place == "far":
         points += 1e6
-    told = observability(points, normals, points.mean(axis=0), 0.01)
+    told = assess_observability(points, normals, points.mean(axis=0), 0.01)
     assert np.isfinite(told.covariance).all()
     assert np.isfinite(told.observable).all()
     scale = max(1.0, float(np.abs(told.observable).max())) ** 2

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.engine.digests import digest
-from pipeline.stages.adapt.stage import AdaptParams, adapt
-from pipeline.stages.depth.stage import DepthParams, depth
-from pipeline.stages.generate.stage import GenerateParams, generate
-from pipeline.stages.pose.stage import PoseParams, pose
-from pipeline.stages.project.stage import ProjectParams, project
+from pipeline.engine.digests import compute_digest
+from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.depth.photometric import DepthParams, estimate_depth
+from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose
+from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
+from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch
 from tests.stability.rows import row
 from tests.stability.scenes import aligned, frame, mesh, small
 
@@ -26,14 +26,14 @@ ROOT = Path(__file__).resolve().parents[2]
 def chain(name: str, target: str, seed: int, *, posed: bool = False) -> dict[str, str]:
     """Stage -> digest of what it gives for one simulated frame."""
     source, other = small(name), small(target)
-    d = depth(frame(name, seed), source, None, DepthParams())
-    c = adapt(d, aligned(source, other), AdaptParams())
-    v = project(c, other, ProjectParams())
-    t = generate(v, other, GenerateParams(noise=True, seed=seed))
+    d = estimate_depth(frame(name, seed), source, None, DepthParams())
+    c = back_project_depth(d, aligned(source, other), BackProjectionParams())
+    v = project_cloud(c, other, SurfaceProjectionParams())
+    t = render_touch(v, other, PhysicalRenderParams(add_noise=True, seed=seed))
     found = {"depth": d, "adapt": c, "project": v, "generate": t}
     if posed:
-        found["pose"] = pose(t.membrane, mesh("ball"), PoseParams(face="+z", n_starts=6))
-    return {stage: digest(result) for stage, result in found.items()}
+        found["pose"] = estimate_pose(t.membrane, mesh("ball"), PoseParams(face="+z", n_starts=6))
+    return {stage: compute_digest(result) for stage, result in found.items()}
 
 
 @row(15, "the chain twice: the same bytes of every stage", share=0.02)

@@ -11,40 +11,40 @@ from hypothesis import strategies as st
 
 from pipeline.base.errors import SettingProblem
 from pipeline.base.params import NoParams
-from pipeline.engine.graph import Instead, Skipped
-from pipeline.networks import building, shelf
-from pipeline.networks.guidance import MOST_WEIGHT
-from pipeline.networks.samplers import MOST_STEPS
+from pipeline.engine.graph import Fallback, Skipped
+from pipeline.networks import network_factory, weights_registry
+from pipeline.networks.guidance import MAX_WEIGHT
+from pipeline.networks.samplers import MAX_STEPS
 from pipeline.physics import optics
 from pipeline.simulation import shapes, variation
 from pipeline.stages.depth import network as depth_network
-from pipeline.stages.depth import stage as depth_stage
+from pipeline.stages.depth import photometric as depth_stage
 from pipeline.stages.depth.gel_network import NetworkParams
-from pipeline.stages.generate import latent, picture_to_touch, view_to_touch, vqvae
-from pipeline.stages.generate.diffusion import DiffusionParams
-from pipeline.stages.generate.latent import LatentParams
 from pipeline.stages.pose import network as pose_network
-from pipeline.stages.pose.stage import PoseParams, icp, planar
+from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose_icp, estimate_pose_planar
+from pipeline.stages.touch import latent_diffusion, t2d2, t2t, vqvae
+from pipeline.stages.touch.latent_diffusion import LatentParams
+from pipeline.stages.touch.residual_diffusion import DiffusionParams
 from pipeline.values.frames import TactileFrame
 from tests.stability.checks import outcome, sound
 from tests.stability.rows import SIZE, row
 from tests.stability.scenes import KINDS, aligned, indentation_mm, mesh, seeds, small, touch, view
 
-STEPS = (0, 1, 2, 3, 8, *((999, MOST_STEPS) if SIZE.long else ()))  # a thousand take eight seconds
-GUIDANCE = (0.0, 0.5, 1.0, 1.5, 2.54, 7.0, MOST_WEIGHT)
+STEPS = (0, 1, 2, 3, 8, *((999, MAX_STEPS) if SIZE.long else ()))  # a thousand take eight seconds
+GUIDANCE = (0.0, 0.5, 1.0, 1.5, 2.54, 7.0, MAX_WEIGHT)
 SOLVERS = ("ddim", "dpmpp_2m", "corrected")
 PICTURES = ("black", "white", "hot pixel", "noise", "saturated", "flat", "untouched", "touch")
 GEL, BUBBLE = "gelslim", "soft_bubble"
 
 
 def shipped(name):
-    return building.network(shelf.shipped(name))
+    return network_factory.load_network(weights_registry.load_shipped(name))
 
 
 def reading(spec, kind: str, seed: int) -> TactileFrame:
     """A frame that is all of one kind, beside the untouched sensor's."""
     rng, gel = np.random.default_rng(seed), spec.kind == "gel"
-    still = optics.untouched(spec) if gel else spec.rest_depth_mm.astype(np.float32)
+    still = optics.render_reference(spec) if gel else spec.rest_depth_mm.astype(np.float32)
     low, high = (0, 255) if gel else (np.float32(still.min() - spec.limits.indentation_max_mm), np.float32(still.max()))
     image = still.copy()
     if kind in ("black", "white"):
@@ -67,7 +67,7 @@ def answered(result):
     """Check what a method answers, whatever it is wrapped in."""
     if isinstance(result, Skipped):
         result = result.output
-    assert not isinstance(result, Instead), "a network was to answer"
+    assert not isinstance(result, Fallback), "a network was to answer"
     return result
 
 
@@ -104,7 +104,7 @@ params = st.builds(
 def test_t2d2(target, kind, how, seed):
     spec = small(target[0])
     result, _ = outcome(
-        view_to_touch.generate, view(spec, indentation_mm(spec, kind, np.random.default_rng(seed))), spec,
+        t2d2.generate_touch, view(spec, indentation_mm(spec, kind, np.random.default_rng(seed))), spec,
         shipped(target[1]), how,
     )  # fmt: skip
     sound_touch(result, spec)
@@ -117,11 +117,11 @@ def test_t2d2(target, kind, how, seed):
     refused=0.25,
 )
 @given(st.sampled_from(PICTURES), params, seeds, st.floats(0.0, variation.MAX_STRENGTH))
-@example("noise", DiffusionParams(steps=8, guidance=MOST_WEIGHT, caution=0.0), 0, 0.0)
+@example("noise", DiffusionParams(steps=8, guidance=MAX_WEIGHT, confidence_weighting=0.0), 0, 0.0)
 def test_t2t(picture, how, seed, strength):
-    source, target = variation.varied(small(GEL), seed % 2**31, strength), small(BUBBLE)
+    source, target = variation.vary_sensor(small(GEL), seed % 2**31, strength), small(BUBBLE)
     result, _ = outcome(
-        picture_to_touch.generate, reading(source, picture, seed), source, None, aligned(source, target), target,
+        t2t.generate_touch, reading(source, picture, seed), source, None, aligned(source, target), target,
         shipped("t2t_bubble"), how,
     )  # fmt: skip
     sound_touch(result, target)
@@ -131,10 +131,10 @@ def test_a_touch_that_the_network_alone_sees_is_not_said_to_be_none():
     source, target = small(GEL, 0.3), small(BUBBLE)
     frame = reading(source, "noise", 5)
     asked = (source, None, aligned(source, target), target)
-    assert not depth_stage.depth(frame, source, None, depth_stage.DepthParams()).contact.any()
-    found = answered(picture_to_touch.generate(frame, *asked, shipped("t2t_bubble"), DiffusionParams()))
-    assert picture_to_touch.ALONE in found.notes
-    assert view_to_touch.stage.NO_CONTACT not in found.notes
+    assert not depth_stage.estimate_depth(frame, source, None, depth_stage.DepthParams()).contact.any()
+    found = answered(t2t.generate_touch(frame, *asked, shipped("t2t_bubble"), DiffusionParams()))
+    assert t2t.NETWORK_ONLY_WARNING in found.notes
+    assert t2d2.stage.NO_CONTACT not in found.notes
 
 
 @row("12,3", "VQ-VAE: any picture, either way", share=0.13, refused=0.25)
@@ -142,7 +142,7 @@ def test_a_touch_that_the_network_alone_sees_is_not_said_to_be_none():
 def test_vqvae(way, picture, seed):
     source, target = (small(name) for name in way)
     result, _ = outcome(
-        vqvae.generate, reading(source, picture, seed), source, None, aligned(source, target), target,
+        vqvae.generate_touch, reading(source, picture, seed), source, None, aligned(source, target), target,
         shipped(f"vqvae_{way[0]}_to_{way[1]}"), NoParams(),
     )  # fmt: skip
     sound_touch(result, target)
@@ -159,7 +159,7 @@ def test_latent(picture, steps, guidance, sampler, twice, raw, seed):
         steps=steps, guidance=guidance, sampler=sampler, seed=seed % 2**31, double_mapping=twice, raw_condition=raw
     )
     result, _ = outcome(
-        latent.generate, reading(source, picture, seed), source, None, aligned(source, target), target,
+        latent_diffusion.generate_touch, reading(source, picture, seed), source, None, aligned(source, target), target,
         shipped(f"latent_{GEL}_to_{BUBBLE}"), how,
     )  # fmt: skip
     sound_touch(result, target)
@@ -171,10 +171,15 @@ def test_latent(picture, steps, guidance, sampler, twice, raw, seed):
     st.floats(0.05, 0.95), seeds, st.floats(0.0, variation.MAX_STRENGTH),
 )  # fmt: skip
 def test_depth(which, picture, certainty, seed, strength):
-    spec = variation.varied(small(which[0]), seed % 2**31, strength)
-    ready = building.ready(shelf.shipped(which[1]))
+    spec = variation.vary_sensor(small(which[0]), seed % 2**31, strength)
+    ready = network_factory.load_predictor(weights_registry.load_shipped(which[1]))
     result, _ = outcome(
-        depth_network.depth, reading(spec, picture, seed), spec, None, ready, NetworkParams(certainty=certainty)
+        depth_network.estimate_depth,
+        reading(spec, picture, seed),
+        spec,
+        None,
+        ready,
+        NetworkParams(certainty=certainty),
     )
     if result is None:
         return
@@ -190,13 +195,13 @@ def test_depth(which, picture, certainty, seed, strength):
 @row("12,6", "pose by network: any touch of any object, one that it was taught and one that it was not", share=0.13)
 @given(st.sampled_from([GEL, BUBBLE]), st.sampled_from(PICTURES), st.sampled_from(KINDS), st.booleans(), seeds)
 def test_pose(name, picture, kind, known, seed):
-    spec, thing = small(name), shapes.shape("cross").mesh
+    spec, thing = small(name), shapes.make_shape("cross").mesh
     if not known:
         thing = replace(thing, vertices_mm=1e3 * thing.vertices_mm)
     felt = touch(spec, indentation_mm(spec, kind, np.random.default_rng(seed)))
-    made = replace(view_to_touch.stage.at_rest(spec), image=reading(spec, picture, seed).image, membrane=felt)
+    made = replace(t2d2.stage.make_reference_touch(spec), image=reading(spec, picture, seed).image, membrane=felt)
     result, _ = outcome(
-        pose_network.pose, made, felt, spec, thing, shipped(f"pose_{name}"), PoseParams(max_points=50)
+        pose_network.predict_pose, made, felt, spec, thing, shipped(f"pose_{name}"), PoseParams(max_points=50)
     )  # fmt: skip
     if result is not None:
         sound(answered(result))
@@ -204,7 +209,7 @@ def test_pose(name, picture, kind, known, seed):
 
 @row("12,7", "the paper's poses: any touch, iterations, search distance, points and face", share=0.13, refused=0.2)
 @given(
-    st.sampled_from([icp, planar]), st.sampled_from(["ball", "cross", "wave"]), st.sampled_from(KINDS),
+    st.sampled_from([estimate_pose_icp, estimate_pose_planar]), st.sampled_from(["ball", "cross", "wave"]), st.sampled_from(KINDS),
     st.sampled_from([1, 2, 200]), st.sampled_from([0.05, 0.5, 20.0]), st.sampled_from([50, 1500]),
     st.sampled_from(["auto", "+z", "-x"]), st.sampled_from(["on it", "three pixels", "far off"]), seeds,
 )  # fmt: skip
@@ -228,4 +233,4 @@ def test_what_is_out_of_range_is_refused_in_a_sentence(wrong):
     spec = small(BUBBLE)
     shown = view(spec, indentation_mm(spec, "sphere", np.random.default_rng(3)))
     with pytest.raises(SettingProblem):
-        view_to_touch.generate(shown, spec, shipped("t2d2_bubble"), replace(DiffusionParams(steps=2), **wrong))
+        t2d2.generate_touch(shown, spec, shipped("t2d2_bubble"), replace(DiffusionParams(steps=2), **wrong))

@@ -13,11 +13,11 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pipeline.geometry import rigid
-from pipeline.stages.adapt.stage import AdaptParams, adapt
-from pipeline.stages.depth.stage import DepthParams, depth, untouched
-from pipeline.stages.generate.stage import GenerateParams, generate
-from pipeline.stages.pose.stage import PoseParams, pose
-from pipeline.stages.project.stage import ProjectParams, project
+from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.depth.photometric import DepthParams, estimate_depth, skip_without_contact
+from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose
+from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
+from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch
 from pipeline.values.frames import TactileFrame
 from tests.stability.checks import outcome, sound
 from tests.stability.rows import row
@@ -49,13 +49,13 @@ def ulp_mm(kind, largest_mm):
 def test_bubble_frame(kind, still_kind, seed):
     spec, seen = small("soft_bubble"), frame("soft_bubble", seed)
     other = replace(seen, image=seen.image.astype(kind), reference=seen.reference.astype(still_kind))
-    a, b = (depth(f, spec, None, DepthParams()) for f in (seen, other))
+    a, b = (estimate_depth(f, spec, None, DepthParams()) for f in (seen, other))
     sound(b)
     far_mm = float(np.nanmax(seen.image))
     off_mm = np.abs(a.indentation_mm - b.indentation_mm)
     # The frame and its reference are rounded, then smoothed; a reading at a limit may go either way.
     assert np.nanquantile(off_mm, 0.99) <= 2 * (ulp_mm(kind, far_mm) + ulp_mm(still_kind, far_mm)) + 1e-4
-    early = untouched(other, spec, None, DepthParams())
+    early = skip_without_contact(other, spec, None, DepthParams())
     assert early is None
 
 
@@ -66,7 +66,7 @@ def test_any_frame(name, kind, still_kind, seed):
     with np.errstate(invalid="ignore"):
         still, image = np.nan_to_num(seen.reference).astype(still_kind), np.nan_to_num(seen.image).astype(kind)
     other = TactileFrame(sensor=name, image=image, reference=still)
-    for stage in (depth, untouched):
+    for stage in (estimate_depth, skip_without_contact):
         result, _ = outcome(stage, other, spec, None, DepthParams())
         if result is not None:
             sound(result)
@@ -80,7 +80,7 @@ def test_adapt(kind, number, seed):
     exact_mm = source.rest_depth_mm.astype(np.float64) - pushed_mm  # digits that float32 cannot hold
     exact = replace(depth_map(source, pushed_mm), depth_mm=exact_mm)
     rounded = replace(exact, depth_mm=exact_mm.astype(number))
-    a, b = (adapt(d, aligned(source, target), AdaptParams()) for d in (exact, rounded))
+    a, b = (back_project_depth(d, aligned(source, target), BackProjectionParams()) for d in (exact, rounded))
     sound(b)
     assert len(a.points_mm) == np.count_nonzero(exact.contact) > 0
     assert np.array_equal(a.source_index, b.source_index)
@@ -94,10 +94,12 @@ def test_adapt(kind, number, seed):
 def test_project(kind, number, mode, seed):
     rng = np.random.default_rng(seed)
     source, target = small("gelslim"), small("soft_bubble", 0.5)
-    points = adapt(depth_map(source, indentation_mm(source, kind, rng)), aligned(source, target), AdaptParams())
+    points = back_project_depth(
+        depth_map(source, indentation_mm(source, kind, rng)), aligned(source, target), BackProjectionParams()
+    )
     exact_mm = points.points_mm * (1.0 + rng.uniform(-1e-7, 1e-7, points.points_mm.shape))  # less than float32 holds
-    a = project(replace(points, points_mm=exact_mm), target, projection(mode))
-    b = project(replace(points, points_mm=exact_mm.astype(number)), target, projection(mode))
+    a = project_cloud(replace(points, points_mm=exact_mm), target, projection(mode))
+    b = project_cloud(replace(points, points_mm=exact_mm.astype(number)), target, projection(mode))
     sound(b)
     n_seen = np.count_nonzero(a.source_index >= 0)
     both = (a.source_index >= 0) & (b.source_index >= 0)  # of points at one distance either may be named
@@ -113,13 +115,13 @@ def test_project(kind, number, mode, seed):
 def test_half_precision(stage):
     source, target = small("gelslim"), small("soft_bubble", 0.5)
     seen = depth_map(source, indentation_mm(source, "sphere", np.random.default_rng(1)))
-    points = adapt(seen, aligned(source, target), AdaptParams())
+    points = back_project_depth(seen, aligned(source, target), BackProjectionParams())
     if stage == "adapt":
         half = replace(seen, depth_mm=seen.depth_mm.astype(np.float16))
-        result, _ = outcome(adapt, half, aligned(source, target), AdaptParams())
+        result, _ = outcome(back_project_depth, half, aligned(source, target), BackProjectionParams())
     else:
         half = replace(points, points_mm=points.points_mm.astype(np.float16))
-        result, _ = outcome(project, half, target, ProjectParams())
+        result, _ = outcome(project_cloud, half, target, SurfaceProjectionParams())
     if result is not None:
         sound(result)
 
@@ -131,7 +133,7 @@ def test_generate(name, kind, number, seed):
     spec = small(name)
     seen = view(spec, 0.3 * indentation_mm(spec, kind, np.random.default_rng(seed)))
     other = replace(seen, depth_mm=seen.depth_mm.astype(number), indentation_mm=seen.indentation_mm.astype(number))
-    a, b = (generate(v, spec, GenerateParams()) for v in (seen, other))
+    a, b = (render_touch(v, spec, PhysicalRenderParams()) for v in (seen, other))
     sound(b)
     made, other = a.membrane.indentation_mm, b.membrane.indentation_mm
     assert other.dtype == np.float32
@@ -150,7 +152,7 @@ def test_pose(number, of_mesh, of_index, seed):
     other = replace(felt, depth_mm=felt.depth_mm.astype(number))
     ball = mesh("ball")
     ball = replace(ball, vertices_mm=ball.vertices_mm.astype(of_mesh), triangles=ball.triangles.astype(of_index))
-    result, told = outcome(pose, other, ball, PoseParams(face="+z", n_starts=6))
+    result, told = outcome(estimate_pose, other, ball, PoseParams(face="+z", n_starts=6))
     assert result is not None or np.float16 in (number, of_mesh), told
     if result is not None:
         sound(result)
@@ -161,7 +163,7 @@ def test_pose(number, of_mesh, of_index, seed):
 def test_transform(number, seed):
     rng = np.random.default_rng(seed)
     moved = rigid.from_parts(rng.uniform(-30, 30, 3), rng.uniform(-180, 180, 3))
-    answer, told = outcome(rigid.checked, moved.astype(number), "it")
+    answer, told = outcome(rigid.validate_rigid, moved.astype(number), "it")
     if answer is None:
         assert number is np.float16, told
         return

@@ -8,9 +8,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.registration.observability import observability
-from pipeline.stages.adapt.stage import AdaptParams, adapt
-from pipeline.stages.project.stage import project
+from pipeline.registration.observability import assess_observability
+from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.target_depth.surface_projection import project_cloud
 from tests.stability.rows import row
 from tests.stability.scenes import KINDS, aligned, cloud, depth_map, indentation_mm, projection, seeds, small
 
@@ -22,8 +22,10 @@ SUMS = 1e-12  # relative: a sum of a few thousand numbers in another order
 def test_order_of_points(kind, mode, stride, seed):
     rng = np.random.default_rng(seed)
     source, target = small("gelslim"), small("soft_bubble", 0.5)
-    points = adapt(
-        depth_map(source, indentation_mm(source, kind, rng)), aligned(source, target), AdaptParams(stride=stride)
+    points = back_project_depth(
+        depth_map(source, indentation_mm(source, kind, rng)),
+        aligned(source, target),
+        BackProjectionParams(stride=stride),
     )
     assert_same_in_any_order(points, target, mode, rng)
 
@@ -40,7 +42,7 @@ def test_ties(n, places, mode, seed):
 def assert_same_in_any_order(points, target, mode, rng):
     order = rng.permutation(len(points.points_mm))
     shuffled = replace(points, points_mm=points.points_mm[order], source_index=points.source_index[order])
-    a, b = (project(p, target, projection(mode)) for p in (points, shuffled))
+    a, b = (project_cloud(p, target, projection(mode)) for p in (points, shuffled))
     for name in ("depth_mm", "contact", "indentation_mm", "known"):
         assert getattr(a, name).tobytes() == getattr(b, name).tobytes(), name
     assert a.notes == b.notes
@@ -55,7 +57,7 @@ def test_observability_in_any_order(n, seed):
     points, normals = rng.uniform(-5, 5, (n, 3)), rng.standard_normal((n, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     order = rng.permutation(n)
-    a, b = (observability(points[k], normals[k], points.mean(axis=0), 0.03) for k in (np.arange(n), order))
+    a, b = (assess_observability(points[k], normals[k], points.mean(axis=0), 0.03) for k in (np.arange(n), order))
     assert a.weak == b.weak
     assert np.abs(a.covariance - b.covariance).max() <= 1e3 * SUMS * np.abs(a.covariance).max()
     assert np.abs(a.observable - b.observable).max() <= 1e3 * SUMS

@@ -12,16 +12,16 @@ import numpy as np
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from pipeline.calibration.lookup import built_in
+from pipeline.calibration.calibration_table import make_built_in
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.meshes import Mesh
 from pipeline.sensors.alignment import Alignment
-from pipeline.stages.adapt.stage import AdaptParams, adapt
-from pipeline.stages.depth.stage import DepthParams, depth, untouched
-from pipeline.stages.generate.stage import GenerateParams, generate
-from pipeline.stages.pose.stage import PoseParams, pose
-from pipeline.stages.project.stage import ProjectParams, project
+from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.depth.photometric import DepthParams, estimate_depth, skip_without_contact
+from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose
+from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
+from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch
 from tests.stability.checks import outcome, sound
 from tests.stability.rows import row
 from tests.stability.scenes import (
@@ -77,7 +77,7 @@ def test_bubble_frame(field, poison, share, smoothing, seed):
     rng = np.random.default_rng(seed)
     spec, clean = small("soft_bubble"), frame("soft_bubble", seed % 4)
     bad = replace(clean, **{field: poisoned(getattr(clean, field), poison, share, rng)})
-    for stage in (depth, untouched):
+    for stage in (estimate_depth, skip_without_contact):
         result, _ = outcome(stage, bad, spec, None, DepthParams(smoothing_px=smoothing))
         if result is not None:
             sound(result)
@@ -98,7 +98,7 @@ def test_gel_frame(field, poison, share, name, as_bytes, seed):
     bad = poisoned(getattr(clean, field), poison, share, rng)
     if as_bytes:
         bad = np.nan_to_num(np.clip(bad, 0, 255)).astype(np.uint8)
-    for stage in (depth, untouched):
+    for stage in (estimate_depth, skip_without_contact):
         result, _ = outcome(stage, replace(clean, **{field: bad}), spec, None, DepthParams())
         if result is not None:
             sound(result)
@@ -110,11 +110,11 @@ def test_gel_frame(field, poison, share, name, as_bytes, seed):
 def test_calibration(poison, share, seed):
     rng = np.random.default_rng(seed)
     spec, clean = small("digit"), frame("digit", seed % 4)
-    good = built_in(spec)
+    good = make_built_in(spec)
     arrays = [f for f in good.model.__dataclass_fields__ if isinstance(getattr(good.model, f), np.ndarray)]
     field = arrays[int(rng.integers(len(arrays)))]
     bad = replace(good.model, **{field: poisoned(getattr(good.model, field), poison, share, rng)})
-    result, _ = outcome(depth, clean, spec, replace(good, model=bad), DepthParams())
+    result, _ = outcome(estimate_depth, clean, spec, replace(good, model=bad), DepthParams())
     if result is not None:
         sound(result)
 
@@ -126,7 +126,7 @@ def test_adapt(poison, share, stride, seed):
     source, target = small("gelslim"), small("soft_bubble")
     clean = depth_map(source, indentation_mm(source, "sphere", rng))
     bad = replace(clean, depth_mm=poisoned(clean.depth_mm, poison, share, rng))
-    result, _ = outcome(adapt, bad, aligned(source, target), AdaptParams(stride=stride))
+    result, _ = outcome(back_project_depth, bad, aligned(source, target), BackProjectionParams(stride=stride))
     if result is not None:
         sound(result)
 
@@ -140,10 +140,10 @@ def test_alignment(poison, entry, inward, seed):
     sides = [way.alignment_from_source.copy(), way.target_from_alignment.copy()]
     sides[inward].flat[entry] = POISONS[poison]
     bad = Alignment(alignment_from_source=sides[0], target_from_alignment=sides[1])
-    points, _ = outcome(adapt, clean, bad, AdaptParams())
+    points, _ = outcome(back_project_depth, clean, bad, BackProjectionParams())
     if points is not None:
         sound(points)
-        seen, _ = outcome(project, points, target, ProjectParams())
+        seen, _ = outcome(project_cloud, points, target, SurfaceProjectionParams())
         if seen is not None:
             sound(seen)
 
@@ -154,9 +154,11 @@ def test_alignment(poison, entry, inward, seed):
 def test_project(poison, share, mode, seed):
     rng = np.random.default_rng(seed)
     source, target = small("gelslim"), small("soft_bubble", 0.5)
-    clean = adapt(depth_map(source, indentation_mm(source, "sphere", rng)), aligned(source, target), AdaptParams())
+    clean = back_project_depth(
+        depth_map(source, indentation_mm(source, "sphere", rng)), aligned(source, target), BackProjectionParams()
+    )
     bad = replace(clean, points_mm=poisoned(clean.points_mm, poison, share, rng))
-    result, _ = outcome(project, bad, target, projection(mode))
+    result, _ = outcome(project_cloud, bad, target, projection(mode))
     if result is not None:
         sound(result)
 
@@ -166,9 +168,11 @@ def test_project(poison, share, mode, seed):
 def test_window(poison, share, seed):
     rng = np.random.default_rng(seed)
     source, target = small("gelslim"), small("soft_bubble")
-    clean = adapt(depth_map(source, indentation_mm(source, "sphere", rng)), aligned(source, target), AdaptParams())
-    bad = replace(clean, window_mm=poisoned(clean.window_mm, poison, share, rng))
-    result, _ = outcome(project, bad, target, ProjectParams())
+    clean = back_project_depth(
+        depth_map(source, indentation_mm(source, "sphere", rng)), aligned(source, target), BackProjectionParams()
+    )
+    bad = replace(clean, field_of_view_mm=poisoned(clean.field_of_view_mm, poison, share, rng))
+    result, _ = outcome(project_cloud, bad, target, SurfaceProjectionParams())
     if result is not None:
         sound(result)
 
@@ -188,7 +192,7 @@ def test_generate(name, field, poison, share, surface, seed):
     clean = view(spec, 0.3 * indentation_mm(spec, "sphere", rng))
     fields = ("depth_mm", "indentation_mm") if field == "both" else (field,)
     bad = replace(clean, **{f: poisoned(getattr(clean, f), poison, share, rng) for f in fields})
-    result, _ = outcome(generate, bad, spec, GenerateParams(surface=surface))
+    result, _ = outcome(render_touch, bad, spec, PhysicalRenderParams(surface=surface))
     if result is not None:
         sound(result)
 
@@ -200,7 +204,7 @@ def test_pose(poison, share, seed):
     spec = small("gelslim", 0.25)
     clean = touch(spec, indentation_mm(spec, "sphere", rng))
     bad = replace(clean, depth_mm=poisoned(clean.depth_mm, poison, share, rng))
-    result, _ = outcome(pose, bad, mesh("ball"), PoseParams(face="+z", n_starts=6))
+    result, _ = outcome(estimate_pose, bad, mesh("ball"), PoseParams(face="+z", n_starts=6))
     if result is not None:
         sound(result)
 
@@ -221,7 +225,7 @@ def assert_mesh_is_sound(poison, share, seed):
     spec, ball = small("gelslim", 0.25), mesh("ball")
     clean = touch(spec, indentation_mm(spec, "sphere", rng))
     bad = Mesh(vertices_mm=poisoned(ball.vertices_mm, poison, share, rng), triangles=ball.triangles)
-    result, _ = outcome(pose, clean, bad, PoseParams(face="+z", n_starts=6))
+    result, _ = outcome(estimate_pose, clean, bad, PoseParams(face="+z", n_starts=6))
     if result is not None:
         sound(result)
 
@@ -235,7 +239,7 @@ def test_mesh_indices(index, seed):
     triangles.flat[rng.integers(triangles.size)] = index
     bad = Mesh(vertices_mm=ball.vertices_mm, triangles=triangles)
     felt = touch(spec, indentation_mm(spec, "sphere", rng))
-    assert outcome(pose, felt, bad, PoseParams(face="+z", n_starts=6))[0] is None
+    assert outcome(estimate_pose, felt, bad, PoseParams(face="+z", n_starts=6))[0] is None
 
 
 @row(7, "camera: poisoned intrinsics, in a value and in a matrix", refused=0.3)
@@ -253,7 +257,7 @@ def test_camera(poison, field, seed):
     seen = replace(
         there, camera=camera, depth_mm=np.full((rows, cols), 20.0, np.float32), contact=np.ones((rows, cols), bool)
     )
-    points, _ = outcome(adapt, seen, aligned(source, target), AdaptParams())
+    points, _ = outcome(back_project_depth, seen, aligned(source, target), BackProjectionParams())
     if points is not None:
         sound(points)
 

@@ -90,7 +90,7 @@ def test_inverse(a, b, power):
 def test_a_damaged_transform(matrix, entry, value, added):
     damaged = matrix.copy()
     damaged.flat[entry] = value + (damaged.flat[entry] if added else 0.0)
-    answer, told = outcome(rigid.checked, damaged, "it")
+    answer, told = outcome(rigid.validate_rigid, damaged, "it")
     if answer is None:
         # What moves a point of the unit sphere by less than the tolerance is no damage, and a shift is any number.
         rigid_enough = np.abs(damaged - matrix)[[0, 1, 2, 3], :3].max() <= 0.1 * rigid.ORTHONORMAL_TOLERANCE

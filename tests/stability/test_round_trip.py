@@ -8,13 +8,13 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.evaluation.metrics import iou
 from pipeline.geometry import membrane, rigid
 from pipeline.geometry.camera import Camera
+from pipeline.metrics.stage_metrics import iou
 from pipeline.sensors.alignment import Alignment
-from pipeline.sensors.spec import sensor
-from pipeline.stages.adapt.stage import AdaptParams, adapt
-from pipeline.stages.project.stage import ProjectParams, project
+from pipeline.sensors.spec import load_sensor
+from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
 from pipeline.values.results import DepthMap
 from tests.stability.rows import row
 from tests.stability.scenes import depth_map, rigid_motions, seeds
@@ -28,8 +28,8 @@ REST_MM, RADIUS_MM = 45.0, 12.0
 
 def at(camera: Camera, rest_mm: float):
     """A sensor whose membrane lies behind everything: every point seen is a point that it feels."""
-    pad = membrane.flat(rest_mm, 40.0, 40.0)
-    return replace(sensor("gelslim"), camera=camera, membrane=pad, rest_depth_mm=pad.rest_depth_mm(camera))
+    pad = membrane.make_flat_membrane(rest_mm, 40.0, 40.0)
+    return replace(load_sensor("gelslim"), camera=camera, membrane=pad, rest_depth_mm=pad.rest_depth_mm(camera))
 
 
 def smooth(camera: Camera, kind: str, rng: np.random.Generator) -> np.ndarray:
@@ -55,8 +55,8 @@ def test_there_and_back(kind, motion, seed):
     about = rigid.translation(0, 0, REST_MM) @ motion @ rigid.translation(0, 0, -REST_MM)
     there = Alignment(alignment_from_source=about, target_from_alignment=np.eye(4))
     back = Alignment(alignment_from_source=np.eye(4), target_from_alignment=rigid.invert(about))
-    behind, finer = at(CAMERA, 70.0), ProjectParams(grazing_deg=89.0)
-    view = project(adapt(depth, there, AdaptParams()), behind, finer)
+    behind, finer = at(CAMERA, 70.0), SurfaceProjectionParams(grazing_deg=89.0)
+    view = project_cloud(back_project_depth(depth, there, BackProjectionParams()), behind, finer)
     seen = DepthMap(
         indentation_mm=view.indentation_mm,
         depth_mm=view.depth_mm,
@@ -64,13 +64,13 @@ def test_there_and_back(kind, motion, seed):
         camera=view.camera,
         source_index=view.source_index,
     )
-    again = project(adapt(seen, back, AdaptParams()), behind, finer)
+    again = project_cloud(back_project_depth(seen, back, BackProjectionParams()), behind, finer)
     both = again.contact & depth.contact
     off_mm = np.abs(again.depth_mm - depth.depth_mm)[both]
     assert both.sum() > 10_000
     assert np.isfinite(off_mm).all()
     assert off_mm.max() <= BACK_MM
     # The picture's border cuts the touch on the way there: only what it left can come back.
-    came = project(adapt(depth, there, AdaptParams()), behind, finer).source_index
+    came = project_cloud(back_project_depth(depth, there, BackProjectionParams()), behind, finer).source_index
     if not (came[[0, -1]] >= 0).any() and not (came[:, [0, -1]] >= 0).any():
         assert iou(again.contact, depth.contact) >= MASK_IOU

@@ -21,8 +21,8 @@ from tests.stability.scenes import aligned, frame, mesh, seeds, small
 GROWTH_MB = 200.0  # the cache of results has its own bound; what may come beside it are tables for new sizes
 CACHE_BYTES = 32 * 2**20
 SENSORS = ("digit", "gelslim", "soft_bubble")
-STAGES = ("depth", "cloud", "view", "touch")
-_METHODS, _PAPER = BUILT_IN.methods("t2d2"), BUILT_IN.methods("t2d2", {"view": "paper"})
+STAGES = ("depth", "cloud", "target_depth", "touch")
+_METHODS, _PAPER = BUILT_IN.methods("t2d2"), BUILT_IN.methods("t2d2", {"target_depth": "paper"})
 _GRAPH = Graph(_METHODS)
 _GRAPH.cache.most_bytes = CACHE_BYTES
 
@@ -68,7 +68,7 @@ def random_inputs(rng: np.random.Generator) -> dict[str, object]:
         "alignment": way,
         "mesh": mesh("ball"),
         "previous": None,
-        "depth_weights": depth_network.weights(source, target, None),
+        "depth_weights": depth_network.select_weights(source, target, None),
     }
 
 
@@ -98,7 +98,7 @@ def run(stages, rng):
         "pose.n_starts=6",
     ):
         params = with_setting(params, setting)
-    graph = _GRAPH.rerouted(_PAPER if rng.random() < 0.5 else _METHODS)
+    graph = _GRAPH.with_methods(_PAPER if rng.random() < 0.5 else _METHODS)
     results, _ = outcome(graph.evaluate, stages, random_inputs(rng), params)
     for result in (results or {}).values():
         sound(result.output)

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from pipeline.geometry import rigid
 from pipeline.geometry.membrane import Membrane
 from pipeline.physics import bubble, gel
-from pipeline.registration.observability import Tolerances, observability
+from pipeline.registration.observability import Tolerances, assess_observability
 from pipeline.sensors.alignment import Alignment
-from pipeline.stages.adapt.stage import AdaptParams, adapt
-from pipeline.stages.project.stage import project
+from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.target_depth.surface_projection import project_cloud
 from tests.stability.rows import row
 from tests.stability.scenes import KINDS, aligned, depth_map, indentation_mm, projection, seeds, small
 
@@ -53,9 +53,11 @@ def test_adapt_and_project(kind, mode, k, seed):
         target_from_alignment=moved_in_units(way.target_from_alignment, k),
     )
     depth = depth_map(source, pushed)
-    ours = project(adapt(depth, way, AdaptParams()), target, projection(mode, jump_mm=1.0))
+    ours = project_cloud(back_project_depth(depth, way, BackProjectionParams()), target, projection(mode, jump_mm=1.0))
     there = replace(depth, depth_mm=depth.depth_mm.astype(np.float64) * k)
-    theirs = project(adapt(there, scaled, AdaptParams()), in_units(target, k), projection(mode, jump_mm=k))
+    theirs = project_cloud(
+        back_project_depth(there, scaled, BackProjectionParams()), in_units(target, k), projection(mode, jump_mm=k)
+    )
     both = (ours.source_index >= 0) & (theirs.source_index >= 0)
     # float32 points round differently: a point on the border of two pixels, or of a limit, may fall either way.
     assert ((ours.source_index >= 0) ^ (theirs.source_index >= 0)).sum() <= 0.01 * both.sum() + 2
@@ -68,9 +70,9 @@ def test_adapt_and_project(kind, mode, k, seed):
 def test_gel(kind, k, seed):
     spec = small("digit")
     overlap = indentation_mm(spec, kind, np.random.default_rng(seed)) * 0.2 - 0.01
-    ours = gel.press(spec.gel, spec.pixel_mm, overlap)
+    ours = gel.press_gel(spec.gel, spec.pixel_mm, overlap)
     pad = replace(spec.gel, thickness_mm=spec.gel.thickness_mm * k)
-    theirs = gel.press(pad, spec.pixel_mm * k, overlap * k, tolerance_mm=k * gel.TOLERANCE_MM)
+    theirs = gel.press_gel(pad, spec.pixel_mm * k, overlap * k, tolerance_mm=k * gel.TOLERANCE_MM)
     # Both are solved to a tenth of a micrometre; where they stop is the same step but for the rounding of float32.
     assert np.abs(theirs.indentation_mm / k - ours.indentation_mm).max() <= 2 * gel.TOLERANCE_MM
     assert abs(theirs.force_n / k**2 - ours.force_n) <= 1e-3 * ours.force_n + 1e-6
@@ -83,8 +85,8 @@ def test_observability(n, k, seed):
     points = rng.uniform(-5, 5, (n, 3)) * (1, 1, rng.choice([0, 0.2, 1]))
     normals = rng.standard_normal((n, 3)) * (rng.choice([0, 1e-3, 1]), rng.choice([0, 1e-3, 1]), 1)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    ours = observability(points, normals, points.mean(axis=0), 0.03)
-    theirs = observability(
+    ours = assess_observability(points, normals, points.mean(axis=0), 0.03)
+    theirs = assess_observability(
         points * k, normals, k * points.mean(axis=0), 0.03 * k, tolerances=Tolerances(mm=0.2 * k, deg=1.0)
     )
     assert len(ours.weak) == len(theirs.weak)
@@ -99,17 +101,17 @@ def test_observability(n, k, seed):
 def test_bubble(k, seed):
     spec = small("soft_bubble")
     rng = np.random.default_rng(seed)
-    on = bubble.lattice(spec.bubble, 1.0)
+    on = bubble.make_lattice(spec.bubble, 1.0)
     x, y = rng.uniform(-10, 10, 2)
     r_sq = (on.x_mm()[None, :] - x) ** 2 + (on.y_mm()[:, None] - y) ** 2
-    ceiling = bubble.rest_height_mm(spec.bubble, on).max() - rng.uniform(0.5, 4.0) + r_sq / 30.0
-    ours = bubble.press(spec.bubble, ceiling, on)
+    ceiling = bubble.compute_rest_height_mm(spec.bubble, on).max() - rng.uniform(0.5, 4.0) + r_sq / 30.0
+    ours = bubble.press_bubble(spec.bubble, ceiling, on)
     b = spec.bubble
     theirs_bubble = replace(
         b, half_width_mm=b.half_width_mm * k, half_height_mm=b.half_height_mm * k, height_mm=b.height_mm * k,
         dead_volume_mm3=b.dead_volume_mm3 * k**3,
     )  # fmt: skip
     there = replace(on, x0_mm=on.x0_mm * k, y0_mm=on.y0_mm * k, step_mm=on.step_mm * k)
-    theirs = bubble.press(theirs_bubble, ceiling * k, there, tolerance_mm=k * bubble.TOLERANCE_MM)
+    theirs = bubble.press_bubble(theirs_bubble, ceiling * k, there, tolerance_mm=k * bubble.TOLERANCE_MM)
     assert np.abs(theirs.deviation_mm / k - ours.deviation_mm).max() <= 2 * bubble.TOLERANCE_MM
     assert abs(theirs.pressure_kpa - ours.pressure_kpa) <= 1e-4 * ours.pressure_kpa

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.alignment.score import Score
-from pipeline.alignment.sensitivity import Change, Sensitivity
+from pipeline.alignment.score import AlignmentScore
+from pipeline.alignment.sensitivity import AlignmentChange, Sensitivity
 from pipeline.sensors.offsets import AXES
 from widgets.alignment_panel import AlignmentPanel
 
-SCORE = Score(iou=0.8, edge_px=3.0, depth_mm=0.05, depth_rms_mm=0.1, bias_mm=0.0, overlap_px=50)
+SCORE = AlignmentScore(iou=0.8, edge_px=3.0, depth_mm=0.05, depth_rms_mm=0.1, bias_mm=0.0, overlap_px=50)
 
 
 @pytest.fixture
@@ -24,8 +24,8 @@ def panel(qtbot) -> AlignmentPanel:
 
 def _signals(panel: AlignmentPanel) -> list[object]:
     heard: list[object] = []
-    panel.drag_begun.connect(lambda: heard.append("begun"))
-    panel.moved.connect(lambda axis, value: heard.append((axis, round(value, 6))))
+    panel.drag_started.connect(lambda: heard.append("begun"))
+    panel.offset_changed.connect(lambda axis, value: heard.append((axis, round(value, 6))))
     panel.drag_ended.connect(lambda: heard.append("ended"))
     return heard
 
@@ -76,14 +76,16 @@ def test_gauges_keep_a_tick_where_the_drag_began(panel):
 
 
 def test_gauges_have_units_and_survive_figures_beyond_their_limits(panel):
-    panel.show_score(Score(iou=1.0, edge_px=500.0, depth_mm=9.0, depth_rms_mm=None, bias_mm=None, overlap_px=1), "")
+    panel.show_score(
+        AlignmentScore(iou=1.0, edge_px=500.0, depth_mm=9.0, depth_rms_mm=None, bias_mm=None, overlap_px=1), ""
+    )
     assert [g.text for g in panel.gauges.values()] == ["1.000", "500.00 px", "9.000 mm"]
     panel.grab()
 
 
 def test_bars_say_which_way_is_better(panel):
-    def one(slope: float | None, size: float | None) -> Change:
-        return Change(slope=slope, size=size)
+    def one(slope: float | None, size: float | None) -> AlignmentChange:
+        return AlignmentChange(slope=slope, size=size)
 
     axis = Sensitivity(
         axis="x", unit="mm", step=0.1, iou=one(-0.02, 0.02), edge_px=one(-0.5, 0.5), depth_mm=one(None, None)
@@ -95,7 +97,7 @@ def test_bars_say_which_way_is_better(panel):
 
 
 def test_nothing_can_be_moved_before_a_frame_is_judged(panel):
-    panel.show_nothing()
+    panel.show_empty()
     assert not panel.rows["x"].box.isEnabled()
 
 

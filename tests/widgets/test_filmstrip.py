@@ -8,23 +8,25 @@ import numpy as np
 from PyQt6.QtCore import QSize
 from PyQt6.QtGui import QPalette
 
-from pipeline.pictures.colours import ColourScale, coloured
-from pipeline.pictures.picture import Picture
-from widgets.filmstrip import Thumbnail, small_picture
+from pipeline.previews.colours import ColourScale, apply_colour_map
+from pipeline.previews.preview import Preview
+from widgets.filmstrip import Thumbnail, render_thumbnail
 
-SCALE = ColourScale(map="viridis", low=0.0, high=1.0, unit="mm", quantity="indentation, + toward camera")
+SCALE = ColourScale(colour_map="viridis", low=0.0, high=1.0, unit="mm", quantity="indentation, + toward camera")
 
 
-def _cloud(whole: bool = False) -> Picture:
+def _cloud(whole: bool = False) -> Preview:
     """A few pixels in a wide picture that has no value elsewhere, or has one everywhere."""
     values = np.full((140, 175), 0.9 if whole else np.nan, np.float32)
     values[60:75, 90:110] = 0.1
-    return Picture(pixels=coloured(values, SCALE), frame_name="soft_bubble", values=values, scale=SCALE, pixel_mm=0.4)
+    return Preview(
+        pixels=apply_colour_map(values, SCALE), frame_name="soft_bubble", values=values, scale=SCALE, pixel_mm=0.4
+    )
 
 
-def _share(picture: Picture, dense: float = 1.0) -> float:
+def _share(picture: Preview, dense: float = 1.0) -> float:
     """How much of the small picture is what the pixels at 0.1 look like."""
-    shown = small_picture(picture, QSize(132, 62), dense, QPalette()).toImage()
+    shown = render_thumbnail(picture, QSize(132, 62), dense, QPalette()).toImage()
     assert (shown.width(), shown.height()) == (132 * dense, 62 * dense)
     wanted = np.array(picture.pixels[65, 100], dtype=int)
     at = [shown.pixelColor(x, y) for x in range(0, shown.width(), 2) for y in range(0, shown.height(), 2)]
@@ -42,7 +44,7 @@ def test_a_folded_thumbnail_is_a_line_and_says_its_state(qtbot):
     one = Thumbnail("Adapted cloud")
     qtbot.addWidget(one)
     whole = one.sizeHint().height()
-    one.fold(True)
+    one.set_collapsed(True)
     one.show_state("doubtful", ("seen aslant",))
     assert one.sizeHint().height() < whole - 50
     assert "seen aslant" in one.toolTip()

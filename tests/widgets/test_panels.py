@@ -10,11 +10,11 @@ from PyQt6.QtWidgets import QApplication, QComboBox, QLabel, QPushButton
 
 from pipeline.values.results import PoseStep, TouchStep
 from widgets.banner import Banner
-from widgets.colours import hexed, inks
 from widgets.frames_model import FrameSummary
 from widgets.frames_panel import FramesPanel
 from widgets.log_panel import LogPanel
-from widgets.steps import StepsSlider
+from widgets.steps_slider import StepsSlider
+from widgets.theme import get_theme_colours, to_hex
 from widgets.timings_panel import TimingRow, TimingsPanel
 from widgets.trace_panel import TracePanel
 
@@ -51,12 +51,12 @@ def test_a_report_can_be_copied(qtbot):
 def test_the_list_of_frames_is_a_sound_model_and_fills_lazily(qtbot, qtmodeltester):
     panel = FramesPanel()
     qtbot.addWidget(panel)
-    panel.known.show_frames(5)
-    qtmodeltester.check(panel.known)
-    panel.known.show_summary(2, FrameSummary(deepest_mm=0.5, contact_mm2=12.34))
-    cells = [panel.known.data(panel.known.index(2, c)) for c in range(4)]
+    panel.model.reset_frames(5)
+    qtmodeltester.check(panel.model)
+    panel.model.show_summary(2, FrameSummary(max_indentation_mm=0.5, contact_area_mm2=12.34))
+    cells = [panel.model.data(panel.model.index(2, c)) for c in range(4)]
     assert cells == ["2", "0.50", "12.3", "-"]
-    assert panel.known.data(panel.known.index(3, 1)) == ""
+    assert panel.model.data(panel.model.index(3, 1)) == ""
 
 
 def test_timings_show_every_stage_and_their_sum(qtbot):
@@ -64,8 +64,8 @@ def test_timings_show_every_stage_and_their_sum(qtbot):
     qtbot.addWidget(panel)
     panel.show_rows(
         (
-            TimingRow(title="Depth", state="computed", ms=10.0, notes=("a", "b")),
-            TimingRow(title="Pose", state="skipped", ms=0.5, notes=("no mesh",)),
+            TimingRow(title="Depth", state="computed", time_ms=10.0, notes=("a", "b")),
+            TimingRow(title="Pose", state="skipped", time_ms=0.5, notes=("no mesh",)),
         )
     )
     assert [panel.item(r, 0).text() for r in range(3)] == ["Depth", "Pose", "all stages"]
@@ -86,8 +86,8 @@ def test_the_trace_reads_like_a_sentence(qtbot):
 def test_a_trace_that_only_waits_is_no_alarm(qtbot, waits):
     panel = TracePanel()
     qtbot.addWidget(panel)
-    panel.show_steps([("depth", "(1, 2)")], ending="so far", waits=waits)
-    assert (hexed(inks(panel.palette()).alarm) in panel.findChild(QLabel).text()) != waits
+    panel.show_steps([("depth", "(1, 2)")], ending="so far", is_waiting=waits)
+    assert (to_hex(get_theme_colours(panel.palette()).warning_text) in panel.findChild(QLabel).text()) != waits
 
 
 def test_the_log_is_filtered_by_level_and_keeps_what_is_hidden(qtbot):

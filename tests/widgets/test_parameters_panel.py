@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import pytest
 from PyQt6.QtWidgets import QCheckBox, QComboBox, QDoubleSpinBox, QLabel, QSlider, QSpinBox, QToolButton, QWidget
 
-from pipeline.base.params import setting, settings
+from pipeline.base.params import list_settings, setting
 from pipeline.translation.catalogue import BUILT_IN
 from widgets.parameters_panel import ParametersPanel
 
@@ -80,7 +80,7 @@ def test_every_stage_of_the_pipeline_can_be_shown(qtbot):
     for method in methods:
         panel.add_group(method.key, method.title, method.params())
     named = {control.objectName() for control in panel.findChildren(QWidget)}
-    assert named >= {f"{method.key}.{name}" for method in methods for name in settings(method.params())}
+    assert named >= {f"{method.key}.{name}" for method in methods for name in list_settings(method.params())}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

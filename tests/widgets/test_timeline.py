@@ -152,7 +152,7 @@ def test_one_frame_cannot_be_played(line):
 def test_a_loop_stays_within_its_frames(line, qtbot):
     seen: list[int] = []
     line.set_looping(True)
-    line.loop_over(5, 3)  # the wrong way round means the same
+    line.set_loop_range(5, 3)  # the wrong way round means the same
     assert line.errors.span == (3, 5)
     line.frame_chosen.connect(seen.append)
     line.speed.setCurrentIndex(SPEEDS.index(4.0))

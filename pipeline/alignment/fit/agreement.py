@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Doubles
 
 
-def remainder(picture: NDArray[Any], common: NDArray[Any] | None) -> Doubles:
+def compute_residual(picture: NDArray[Any], common: NDArray[Any] | None) -> Doubles:
     """What is left (n,) of a picture once its mean and its share of `common` are taken away, of unit length."""
     values = np.asarray(picture, np.float64).ravel()
     values = values - values.mean()
@@ -22,12 +22,12 @@ def remainder(picture: NDArray[Any], common: NDArray[Any] | None) -> Doubles:
     return values / max(float(np.linalg.norm(values)), 1e-30)
 
 
-def correlation(expected: NDArray[Any], real: NDArray[Any], common: NDArray[Any] | None = None) -> float:
+def compute_correlation(expected: NDArray[Any], real: NDArray[Any], common: NDArray[Any] | None = None) -> float:
     """Correlation of two pictures of one size; with `common`, after that is regressed out of both (partial)."""
-    return float(remainder(expected, common) @ remainder(real, common))
+    return float(compute_residual(expected, common) @ compute_residual(real, common))
 
 
-def mean_imprint(pictures: Sequence[NDArray[Any]]) -> Doubles:
+def compute_mean_imprint(pictures: Sequence[NDArray[Any]]) -> Doubles:
     """What imprints have in common: the mean of pictures that were each brought to mean 0 and length 1."""
-    each = [remainder(p, None) for p in pictures]
+    each = [compute_residual(p, None) for p in pictures]
     return np.mean(each, axis=0).reshape(pictures[0].shape)

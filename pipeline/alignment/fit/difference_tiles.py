@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.alignment.fit.turning import WAYS, turned, upside_down
+from pipeline.alignment.fit.image_rotation import WAYS, is_upside_down, rotate_image
 from pipeline.base.arrays import Doubles, Floats, Image, freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.sensors.spec import SensorSpec
@@ -50,13 +50,13 @@ def slopes_of_colours(spec: SensorSpec) -> Doubles:
 def ridges(tile: Image, spec: SensorSpec, way: int | None = None) -> Ridges:
     """The ridges of a tile (rows, cols, 3), laid as the sensor's camera sees them; `way` None = the tile tells it."""
     matrix = slopes_of_colours(spec)
-    explained = [_curl_free(*_slopes(turned(tile, k), matrix)) for k in WAYS]
+    explained = [_curl_free(*_slopes(rotate_image(tile, k), matrix)) for k in WAYS]
     best = int(np.argmax(explained)) if way is None else way
-    if way is None and _skewness(_peaks(turned(tile, best), matrix)) < 0:
-        best = upside_down(best)
-    peaks = np.maximum(_peaks(turned(tile, best), matrix), 0.0)
+    if way is None and _skewness(_peaks(rotate_image(tile, best), matrix)) < 0:
+        best = is_upside_down(best)
+    peaks = np.maximum(_peaks(rotate_image(tile, best), matrix), 0.0)
     strongest = max(float(np.percentile(peaks, _STRONG)), 1e-9)
-    others = [e for k, e in enumerate(explained) if k not in (best, upside_down(best))]
+    others = [e for k, e in enumerate(explained) if k not in (best, is_upside_down(best))]
     return Ridges(touching=freeze(np.minimum(peaks / (strongest * _FULL), 1.0).astype(np.float32)), way=best,
                   curl_free=explained[best], next_best=max(others))  # fmt: skip
 

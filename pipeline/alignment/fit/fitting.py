@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.alignment.fit.agreement import correlation, mean_imprint, remainder
-from pipeline.alignment.fit.carry import FREE, Carrying, Pair, carried
+from pipeline.alignment.fit.agreement import compute_correlation, compute_mean_imprint, compute_residual
+from pipeline.alignment.fit.transfer import FREE, ImprintPair, TransferModel, transfer_imprint
 from pipeline.base.arrays import Doubles, Floats
 from pipeline.base.errors import SettingProblem
 from pipeline.base.progress import SILENT, Progress
@@ -34,7 +34,7 @@ _SHIFT_TOLD = 0.05  # of the target's width
 class PairsFit:
     """A carrying, what it rests on, and how it does."""
 
-    carrying: Carrying
+    carrying: TransferModel
     spread: dict[str, float]  # standard deviations by field, from how single touches pull
     undetermined: tuple[str, ...]  # fields whose spread is beyond use
     common: Doubles | None  # mean imprint of the pairs used, at their pictures' size; None = not taken away
@@ -42,7 +42,7 @@ class PairsFit:
     beginnings: tuple[tuple[str, float], ...]  # ways of laying that were tried, best first, and how they did
 
 
-def fit(pairs: Sequence[Pair], progress: Progress = SILENT) -> PairsFit:
+def fit_pairs(pairs: Sequence[ImprintPair], progress: Progress = SILENT) -> PairsFit:
     """The carrying for which expected and real imprints of `pairs` correlate best.
 
     Where there are enough pairs, their mean imprint is taken away first, so that only what differs between touches
@@ -52,14 +52,14 @@ def fit(pairs: Sequence[Pair], progress: Progress = SILENT) -> PairsFit:
     if len(kept) < 2:
         raise SettingProblem(f"an alignment needs at least two touches felt by both, got {len(kept)}")
     less_mean = len(kept) >= _FEWEST_FOR_A_MEAN and not kept[0].metric
-    common = mean_imprint([p.coarse for p in kept]) if less_mean else None
-    real = [remainder(p.coarse, common) for p in kept]
+    common = compute_mean_imprint([p.coarse for p in kept]) if less_mean else None
+    real = [compute_residual(p.coarse, common) for p in kept]
     begun = _beginnings(kept[:_BEGUN_ON], real[:_BEGUN_ON], common, progress)
-    best: tuple[float, Carrying] | None = None
+    best: tuple[float, TransferModel] | None = None
     hopeful = [how for score, how in begun[:_BEGUN] if score >= _HOPEFUL * begun[0][0]]
     for k, start in enumerate(hopeful):
         progress.step(0.3 + 0.6 * k / len(hopeful), "fitting")
-        found = _Problem(kept, real, common).solved(start, progress)
+        found = _Problem(kept, real, common).solve(start, progress)
         score = float(np.mean(_scores(kept, real, common, found)))
         if best is None or score > best[0]:
             best = (score, found)
@@ -68,22 +68,22 @@ def fit(pairs: Sequence[Pair], progress: Progress = SILENT) -> PairsFit:
     spread = _Problem(kept, real, common).spread(how)
     width = kept[0].target_size[0]
     limits = {**_TOLD, "right": _SHIFT_TOLD * width, "down": _SHIFT_TOLD * width}
-    whole = mean_imprint([p.imprint for p in kept]) if less_mean else None
+    whole = compute_mean_imprint([p.imprint for p in kept]) if less_mean else None
     ways: dict[str, float] = {}
     for score, start in begun:
         ways.setdefault(_said(start), score)
     return PairsFit(
         carrying=how, spread=spread, undetermined=tuple(n for n, most in limits.items() if not spread[n] <= most),
-        common=whole, used=tuple(score_of(p, how, whole) for p in kept), beginnings=tuple(ways.items()),
+        common=whole, used=tuple(score_fit(p, how, whole) for p in kept), beginnings=tuple(ways.items()),
     )  # fmt: skip
 
 
-def score_of(pair: Pair, how: Carrying, common: Doubles | None) -> float:
+def score_fit(pair: ImprintPair, how: TransferModel, common: Doubles | None) -> float:
     """Correlation of the expected imprint with the real one at the size of its picture, less `common` if given."""
-    return correlation(enlarged(carried(pair, how), pair), pair.imprint, common)
+    return compute_correlation(enlarge(transfer_imprint(pair, how), pair), pair.imprint, common)
 
 
-def enlarged(coarse: Floats, pair: Pair) -> Floats:
+def enlarge(coarse: Floats, pair: ImprintPair) -> Floats:
     """A picture of the coarse grid at the size of the pair's imprint."""
     import cv2
 
@@ -91,36 +91,40 @@ def enlarged(coarse: Floats, pair: Pair) -> Floats:
     return np.asarray(cv2.resize(coarse, (cols, rows), interpolation=cv2.INTER_CUBIC), np.float32)
 
 
-def _said(how: Carrying) -> str:
+def _said(how: TransferModel) -> str:
     turn = round(math.degrees(how.turn)) % 360
     return f"{'mirrored, ' if how.mirrored else ''}turned by {turn} deg"
 
 
-def _scores(pairs: Sequence[Pair], real: Sequence[Doubles], common: Doubles | None, how: Carrying) -> list[float]:
-    return [float(remainder(carried(p, how), common) @ r) for p, r in zip(pairs, real, strict=True)]
+def _scores(
+    pairs: Sequence[ImprintPair], real: Sequence[Doubles], common: Doubles | None, how: TransferModel
+) -> list[float]:
+    return [float(compute_residual(transfer_imprint(p, how), common) @ r) for p, r in zip(pairs, real, strict=True)]
 
 
 def _beginnings(
-    pairs: Sequence[Pair], real: Sequence[Doubles], common: Doubles | None, progress: Progress
-) -> list[tuple[float, Carrying]]:
+    pairs: Sequence[ImprintPair], real: Sequence[Doubles], common: Doubles | None, progress: Progress
+) -> list[tuple[float, TransferModel]]:
     """Every way of laying the source's picture, at the shift where the pairs agree best; best first."""
     scales = (1.0,) if pairs[0].metric else _SCALES
-    found: list[tuple[float, Carrying]] = []
+    found: list[tuple[float, TransferModel]] = []
     ways = list(itertools.product((False, True), range(0, 360, _BEGUN_DEG), scales))
     for k, (mirrored, turn, scale) in enumerate(ways):
         progress.step(0.3 * k / len(ways), "looking for a way to begin")
-        how = Carrying(mirrored=mirrored, turn=math.radians(turn), log_scale=math.log(scale), log_stiff=0.5)
+        how = TransferModel(mirrored=mirrored, turn=math.radians(turn), log_scale=math.log(scale), log_stiff=0.5)
         how = _shifted(pairs, real, common, how)
         found.append((float(np.mean(_scores(pairs, real, common, how))), how))
     return sorted(found, key=lambda one: -one[0])
 
 
-def _shifted(pairs: Sequence[Pair], real: Sequence[Doubles], common: Doubles | None, how: Carrying) -> Carrying:
+def _shifted(
+    pairs: Sequence[ImprintPair], real: Sequence[Doubles], common: Doubles | None, how: TransferModel
+) -> TransferModel:
     """The same at the shift for which expected and real imprints correlate best, over all pairs at once."""
     rows, cols = pairs[0].cells
     total = np.zeros((2 * rows, 2 * cols))
     for pair, r in zip(pairs, real, strict=True):
-        e = remainder(carried(pair, how), common).reshape(rows, cols)
+        e = compute_residual(transfer_imprint(pair, how), common).reshape(rows, cols)
         there, expected = (np.fft.rfft2(np.asarray(a).reshape(rows, cols), total.shape) for a in (r, e))
         total += np.fft.irfft2(there * np.conj(expected), total.shape)
     down, right = (int(k) for k in np.unravel_index(int(np.argmax(total)), total.shape))
@@ -132,22 +136,22 @@ def _shifted(pairs: Sequence[Pair], real: Sequence[Doubles], common: Doubles | N
 class _Problem:
     """Residuals of all pairs: the real imprint less its best multiple of the expected one, both of unit length."""
 
-    def __init__(self, pairs: Sequence[Pair], real: Sequence[Doubles], common: Doubles | None) -> None:
+    def __init__(self, pairs: Sequence[ImprintPair], real: Sequence[Doubles], common: Doubles | None) -> None:
         self._pairs, self._real, self._common = pairs, real, common
         width = pairs[0].target_size[0]
         # In millimetres a membrane's bridging would pass for another scale: it is 1 where both sides are metric.
         self._free = [n for n in FREE if n != "log_scale" or not pairs[0].metric]
         self._unit = np.array([_STEPS.get(n, _SHIFT_STEP * width) for n in self._free])
 
-    def residuals(self, how: Carrying) -> list[Doubles]:
+    def residuals(self, how: TransferModel) -> list[Doubles]:
         """A vector a pair, rather long: the cells of its coarse grid."""
         out: list[Doubles] = []
         for pair, r in zip(self._pairs, self._real, strict=True):
-            e = remainder(carried(pair, how), self._common)
+            e = compute_residual(transfer_imprint(pair, how), self._common)
             out.append(r - e * max(float(e @ r), 0.0))
         return out
 
-    def solved(self, start: Carrying, progress: Progress) -> Carrying:
+    def solve(self, start: TransferModel, progress: Progress) -> TransferModel:
         """Damped Gauss-Newton from `start`; numbers that a step of theirs changes nothing of stay."""
         how, damping = start, 0.3
         rest = self.residuals(how)
@@ -171,7 +175,7 @@ class _Problem:
                 break
         return how
 
-    def spread(self, how: Carrying) -> dict[str, float]:
+    def spread(self, how: TransferModel) -> dict[str, float]:
         """Standard deviation of every number of the carrying: how differently the touches pull at it (sandwich)."""
         rest = self.residuals(how)
         slopes = self._slopes(how, rest)
@@ -185,11 +189,11 @@ class _Problem:
         told = {n: float(d) if f else math.inf for n, d, f in zip(self._free, deviations, felt, strict=True)}
         return {n: told.get(n, 0.0) for n in FREE}
 
-    def _moved(self, how: Carrying, step: Doubles) -> Carrying:
+    def _moved(self, how: TransferModel, step: Doubles) -> TransferModel:
         at = {n: getattr(how, n) + float(s) for n, s in zip(self._free, step * self._unit, strict=True)}
         return replace(how, **at)
 
-    def _slopes(self, how: Carrying, rest: Sequence[Doubles]) -> list[Doubles]:
+    def _slopes(self, how: TransferModel, rest: Sequence[Doubles]) -> list[Doubles]:
         """Derivatives (cells, numbers) of every pair's residuals, a small step of every number at a time."""
         columns: list[list[Doubles]] = []
         for k in range(len(self._free)):

@@ -9,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.alignment.fit.carry import Pair
 from pipeline.alignment.fit.difference_tiles import Ridges, ridges
-from pipeline.alignment.fit.turning import in_words, turned
-from pipeline.alignment.touches import PairedTouch
+from pipeline.alignment.fit.image_rotation import describe_rotation, rotate_image
+from pipeline.alignment.fit.transfer import ImprintPair
+from pipeline.alignment.touches import AlignmentTouch
 from pipeline.base.arrays import Floats, freeze
-from pipeline.base.doubts import Doubt
 from pipeline.base.errors import FileProblem
-from pipeline.inspection.same_moments import felt, together
-from pipeline.recordings import pictures
+from pipeline.base.stage_warnings import StageWarning
+from pipeline.inspection.synchrony import compare_signatures, compute_signature
+from pipeline.recordings import image_files
 from pipeline.sensors.spec import SensorSpec
 from pipeline.values.results import DepthMap
 
@@ -29,7 +29,7 @@ _TILE = (1.0, 1.0)  # width and height: the unit of tiles is the tile
 class Pairs:
     """What was found, and what to say of it."""
 
-    pairs: tuple[Pair, ...]
+    pairs: tuple[ImprintPair, ...]
     notes: tuple[str, ...]
 
 
@@ -40,15 +40,17 @@ def tile_pairs(folder: Path, source: SensorSpec, source_names: str, target_names
     the target's of the same pair is turned back with it. Raises FileProblem where nothing is paired.
     """
     found = _named(folder, source_names), _named(folder, target_names)
-    names = sorted(found[0].keys() & found[1].keys(), key=lambda n: pictures.natural_key(Path(n)))
+    names = sorted(found[0].keys() & found[1].keys(), key=lambda n: image_files.natural_sort_key(Path(n)))
     if not names:
         raise FileProblem(f"no two pictures are named {source_names} and {target_names}", folder)
-    read = {name: ridges(pictures.rgb(found[0][name]), source) for name in names}
+    read = {name: ridges(image_files.read_rgb(found[0][name]), source) for name in names}
     way, often = Counter(r.way for r in read.values()).most_common(1)[0]
     alike = often >= _ALL_ALIKE * len(names)
     if alike:
-        read = {n: r if r.way == way else ridges(pictures.rgb(found[0][n]), source, way) for n, r in read.items()}
-        note = f"the {source.name} tiles lie alike: {in_words(way)}"
+        read = {
+            n: r if r.way == way else ridges(image_files.read_rgb(found[0][n]), source, way) for n, r in read.items()
+        }
+        note = f"the {source.name} tiles lie alike: {describe_rotation(way)}"
     else:
         ways = len({r.way for r in read.values()})
         note = (
@@ -65,9 +67,9 @@ def tile_pairs(folder: Path, source: SensorSpec, source_names: str, target_names
     return Pairs(pairs=pairs, notes=(note, said, *_doubts(pairs)))
 
 
-def touch_pairs(touches: Sequence[PairedTouch]) -> Pairs:
+def touch_pairs(touches: Sequence[AlignmentTouch]) -> Pairs:
     """Moments that both sensors felt, in millimetres on either one's rest surface."""
-    made = tuple(_touch(t) for t in touches if t.felt_by_both)
+    made = tuple(_touch(t) for t in touches if t.overlap)
     return Pairs(pairs=made, notes=(f"{len(made)} of {len(touches)} moments are felt by both", *_doubts(made)))
 
 
@@ -77,31 +79,33 @@ def pixel_mm(depth: DepthMap) -> float:
     return float(np.median(seen)) / depth.camera.fx_px
 
 
-def _doubts(pairs: Sequence[Pair]) -> tuple[Doubt, ...]:
+def _doubts(pairs: Sequence[ImprintPair]) -> tuple[StageWarning, ...]:
     """What speaks against these being pairs of one touch each."""
-    order = together([felt(pair.touching) for pair in pairs], [felt(pair.imprint) for pair in pairs])
-    return () if order is None or order.doubt is None else (order.doubt,)
+    order = compare_signatures(
+        [compute_signature(pair.touching) for pair in pairs], [compute_signature(pair.imprint) for pair in pairs]
+    )
+    return () if order is None or order.warning is None else (order.warning,)
 
 
 def _named(folder: Path, pattern: str) -> dict[str, Path]:
     if pattern.count("*") != 1:
         raise FileProblem(f"a pattern of names has one '*', got {pattern!r}", folder)
     before, after = pattern.split("*")
-    files = [p for p in folder.iterdir() if pictures.is_picture(p) and len(p.name) >= len(before) + len(after)]
+    files = [p for p in folder.iterdir() if image_files.is_image_file(p) and len(p.name) >= len(before) + len(after)]
     return {p.name[len(before) : len(p.name) - len(after)]: p
             for p in files if p.name.startswith(before) and p.name.endswith(after)}  # fmt: skip
 
 
-def _tiles(name: str, source: Ridges, target: Path) -> Pair:
-    grey = pictures.rgb(target).astype(np.float32).mean(axis=2)
-    return Pair(name=name, touching=source.touching, source_size=_TILE, target_size=_TILE,
-                imprint=freeze(np.ascontiguousarray(turned(grey, source.way))))  # fmt: skip
+def _tiles(name: str, source: Ridges, target: Path) -> ImprintPair:
+    grey = image_files.read_rgb(target).astype(np.float32).mean(axis=2)
+    return ImprintPair(name=name, touching=source.touching, source_size=_TILE, target_size=_TILE,
+                imprint=freeze(np.ascontiguousarray(rotate_image(grey, source.way))))  # fmt: skip
 
 
-def _touch(touch: PairedTouch) -> Pair:
+def _touch(touch: AlignmentTouch) -> ImprintPair:
     def size(depth: DepthMap) -> tuple[float, float]:
         return depth.camera.cols * pixel_mm(depth), depth.camera.rows * pixel_mm(depth)
 
     imprint: Floats = np.nan_to_num(touch.target.indentation_mm).astype(np.float32)
-    return Pair(name=str(touch.index), touching=freeze(touch.source.contact.astype(np.float32)), metric=True,
+    return ImprintPair(name=str(touch.index), touching=freeze(touch.source.contact.astype(np.float32)), metric=True,
                 source_size=size(touch.source), imprint=freeze(imprint), target_size=size(touch.target))  # fmt: skip

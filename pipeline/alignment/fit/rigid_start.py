@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pipeline.alignment.fit.carry import Carrying
 from pipeline.alignment.fit.pairs import pixel_mm
-from pipeline.alignment.touches import PairedTouch
+from pipeline.alignment.fit.transfer import TransferModel
+from pipeline.alignment.touches import AlignmentTouch
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.geometry import rigid
@@ -16,7 +16,7 @@ from pipeline.sensors.alignment import Alignment
 from pipeline.values.results import DepthMap
 
 
-def aligned(touches: Sequence[PairedTouch], how: Carrying, described: Alignment) -> Alignment:
+def align_rigidly(touches: Sequence[AlignmentTouch], how: TransferModel, described: Alignment) -> Alignment:
     """The alignment that lays contacts as `how` says and brings them to one depth, stored on the target's side.
 
     Raises SettingProblem for a mirrored carrying, which no motion of two sensors makes.

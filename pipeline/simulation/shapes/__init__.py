@@ -1,9 +1,18 @@
 """Objects to press: the catalogue, a user's own meshes, and what maps each onto itself."""
 
 from pipeline.geometry.symmetry import Symmetry
-from pipeline.simulation.shapes.catalogue import GROUPS, names, shape, taught
-from pipeline.simulation.shapes.own import from_mesh
-from pipeline.simulation.shapes.prisms import bar
+from pipeline.simulation.shapes.catalogue import GROUPS, list_labelled_shapes, list_shapes, make_shape
+from pipeline.simulation.shapes.mesh_file import load_mesh_shape
+from pipeline.simulation.shapes.prisms import make_chamfered_prism
 from pipeline.simulation.shapes.shape import Shape
 
-__all__ = ["GROUPS", "Shape", "Symmetry", "bar", "from_mesh", "names", "shape", "taught"]
+__all__ = [
+    "GROUPS",
+    "Shape",
+    "Symmetry",
+    "make_chamfered_prism",
+    "load_mesh_shape",
+    "list_shapes",
+    "make_shape",
+    "list_labelled_shapes",
+]

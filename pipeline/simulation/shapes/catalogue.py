@@ -17,23 +17,23 @@ _MAKERS = {
 }
 
 
-def names(group: str = "") -> tuple[str, ...]:
+def list_shapes(group: str = "") -> tuple[str, ...]:
     """The names of a group of "training", "unseen", "task" and "sample", or of all; SettingProblem if unknown."""
     if group and group not in _MAKERS:
         raise SettingProblem(f"unknown group of shapes {group!r}; there are {', '.join(GROUPS)}")
     return tuple(make.__name__ for g in GROUPS if group in ("", g) for make in _MAKERS[g])
 
 
-def taught() -> tuple[str, ...]:
+def list_labelled_shapes() -> tuple[str, ...]:
     """What networks know by name, in the order of their labels: all that is trained on, and the unseen tools."""
-    return (*names("training"), *names("unseen"))
+    return (*list_shapes("training"), *list_shapes("unseen"))
 
 
 @lru_cache(maxsize=64)
-def shape(name: str) -> Shape:
+def make_shape(name: str) -> Shape:
     """The shape of this name; made once. Raises SettingProblem, naming all, when there is none."""
     for makers in _MAKERS.values():
         for make in makers:
             if make.__name__ == name:
                 return make()
-    raise SettingProblem(f"unknown shape {name!r}; there are {', '.join(names())}")
+    raise SettingProblem(f"unknown shape {name!r}; there are {', '.join(list_shapes())}")

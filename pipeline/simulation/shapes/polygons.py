@@ -15,12 +15,12 @@ Outline = Sequence[tuple[float, float]]
 _FLAT = 1e-12
 
 
-def arc_step_rad(radius_mm: float) -> float:
+def compute_arc_step_rad(radius_mm: float) -> float:
     """The largest turn whose chord stays within `CHORD_MM` of its arc."""
     return 2.0 * math.acos(max(0.0, 1.0 - CHORD_MM / radius_mm))
 
 
-def arc(
+def make_arc(
     radius_mm: float,
     start_deg: float,
     stop_deg: float,
@@ -33,20 +33,20 @@ def arc(
     `beyond_mm` is how much farther out a surface reaches that follows the arc, and that the chords are fine enough for.
     """
     turn = math.radians(stop_deg - start_deg)
-    n = max(1, math.ceil(abs(turn) / arc_step_rad(radius_mm + beyond_mm)))
+    n = max(1, math.ceil(abs(turn) / compute_arc_step_rad(radius_mm + beyond_mm)))
     angle = math.radians(start_deg) + turn * np.arange(n + 1) / n
     return np.asarray(centre_mm) + radius_mm * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def bow(radius_mm: float, turn_deg: float, legs_mm: float, beyond_mm: float) -> Doubles:
+def make_bow(radius_mm: float, turn_deg: float, legs_mm: float, beyond_mm: float) -> Doubles:
     """An arc (n, 2) that bulges to +x and has its middle in the origin, with straight legs; `beyond_mm` as of `arc`."""
     half = 0.5 * turn_deg
-    points = arc(radius_mm, -half, half, (-radius_mm, 0.0), beyond_mm=beyond_mm)
+    points = make_arc(radius_mm, -half, half, (-radius_mm, 0.0), beyond_mm=beyond_mm)
     leg = legs_mm * np.array([math.sin(math.radians(half)), math.cos(math.radians(half))])
     return np.concatenate([points[:1] - leg, points, points[-1:] + leg * (-1.0, 1.0)])
 
 
-def thinned(dense_mm: Doubles, beyond_mm: float) -> Doubles:
+def thin_curve(dense_mm: Doubles, beyond_mm: float) -> Doubles:
     """As few points (m, 2) of a densely given smooth curve as keep its chords within `CHORD_MM`, both ends among them.
 
     A chord over a turn t of radius r strays by r t^2 / 8; what follows the curve `beyond_mm` farther out strays more.
@@ -60,21 +60,21 @@ def thinned(dense_mm: Doubles, beyond_mm: float) -> Doubles:
     return dense_mm[np.append(chosen, -1)]
 
 
-def counter_clockwise(outline_mm: Outline | Doubles, name: str) -> Doubles:
+def orient_counter_clockwise(outline_mm: Outline | Doubles, name: str) -> Doubles:
     """The outline (n, 2) running counter-clockwise; raises MeshProblem when it crosses itself."""
     ring = np.array(outline_mm, dtype=np.float64)
     if _crosses_itself(ring):
         raise MeshProblem(f"the outline of {name!r} must not cross itself")
-    return ring[::-1] if area(ring) < 0 else ring
+    return ring[::-1] if compute_area(ring) < 0 else ring
 
 
-def area(ring: Doubles) -> float:
+def compute_area(ring: Doubles) -> float:
     """Area in the outline's unit squared, positive when it runs counter-clockwise."""
     after = np.roll(ring, -1, axis=0)
     return 0.5 * float((ring[:, 0] * after[:, 1] - after[:, 0] * ring[:, 1]).sum())
 
 
-def inset(ring: Doubles, width_mm: float) -> Doubles:
+def inset_polygon(ring: Doubles, width_mm: float) -> Doubles:
     """The polygon moved inward by `width_mm`, corners mitred; the ring runs counter-clockwise.
 
     Raises MeshProblem when an edge would vanish.
@@ -91,7 +91,7 @@ def inset(ring: Doubles, width_mm: float) -> Doubles:
     return moved
 
 
-def ears(ring: Doubles) -> list[tuple[int, int, int]]:
+def triangulate_polygon(ring: Doubles) -> list[tuple[int, int, int]]:
     """Triangles of a simple counter-clockwise polygon, by cutting ears; MeshProblem when it touches itself."""
     left, triangles = list(range(len(ring))), []
     while len(left) > 3:
@@ -99,7 +99,7 @@ def ears(ring: Doubles) -> list[tuple[int, int, int]]:
             before, after = left[k - 1], left[(k + 1) % len(left)]
             corner = ring[[before, tip, after]]
             others = ring[[i for i in left if i not in (before, tip, after)]]
-            if area(corner) > _FLAT and not _inside(corner, others).any():
+            if compute_area(corner) > _FLAT and not _inside(corner, others).any():
                 triangles.append((before, tip, after))
                 left.pop(k)
                 break
@@ -113,7 +113,7 @@ def _crosses_itself(ring: Doubles) -> bool:
     for i in range(n):
         for k in range(i + 2, n - (i == 0)):  # edges that share a corner do not count
             a, b, c, d = ring[i], ring[(i + 1) % n], ring[k], ring[(k + 1) % n]
-            sides = [area(np.array([p, q, r])) > 0 for p, q, r in ((a, b, c), (a, b, d), (c, d, a), (c, d, b))]
+            sides = [compute_area(np.array([p, q, r])) > 0 for p, q, r in ((a, b, c), (a, b, d), (c, d, a), (c, d, b))]
             if sides[0] != sides[1] and sides[2] != sides[3]:
                 return True
     return False

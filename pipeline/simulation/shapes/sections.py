@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from pipeline.base.arrays import Doubles
-from pipeline.simulation.shapes.polygons import arc, arc_step_rad
+from pipeline.simulation.shapes.polygons import compute_arc_step_rad, make_arc
 
 SHOULDER_MM = 7.5  # radius of the lab's shoulders, and half the width of its tools' arms
 STAMP_MM = 18.5  # half the width of bodies under compact patterns: 37 mm, what the lab's tools measure between fingers
@@ -20,29 +20,29 @@ FINE_MM = 2.0  # no gel is pressed deeper: above it a few chords do
 _COARSE_RAD = math.radians(10.0)
 
 
-def crest(width_mm: float, edge_mm: float) -> Doubles:
+def make_crest(width_mm: float, edge_mm: float) -> Doubles:
     """Flat with rounded edges of radius `edge_mm`, at most half the width, from the left foot to the right; (n, 2)."""
     flat = 0.5 * width_mm - edge_mm
-    left = arc(edge_mm, -180.0, -90.0, (-flat, edge_mm))
-    right = arc(edge_mm, -90.0, 0.0, (flat, edge_mm))
+    left = make_arc(edge_mm, -180.0, -90.0, (-flat, edge_mm))
+    right = make_arc(edge_mm, -90.0, 0.0, (flat, edge_mm))
     return np.concatenate([left, right if flat > 0 else right[1:]])
 
 
-def strip(width_mm: float, edge_mm: float, height_mm: float) -> Doubles:
+def make_strip(width_mm: float, edge_mm: float, height_mm: float) -> Doubles:
     """A `crest` with upright walls; (n, 2)."""
     half = 0.5 * width_mm
-    return np.concatenate([crest(width_mm, edge_mm), [(half, height_mm), (-half, height_mm)]])
+    return np.concatenate([make_crest(width_mm, edge_mm), [(half, height_mm), (-half, height_mm)]])
 
 
-def apex(flank_deg: float, radius_mm: float, half_width_mm: float, height_mm: float) -> Doubles:
+def make_apex(flank_deg: float, radius_mm: float, half_width_mm: float, height_mm: float) -> Doubles:
     """A roof with flanks that rise by `flank_deg`, its edge rounded by `radius_mm`; (n, 2)."""
-    top = arc(radius_mm, -90.0 - flank_deg, -90.0 + flank_deg, (0.0, radius_mm))
+    top = make_arc(radius_mm, -90.0 - flank_deg, -90.0 + flank_deg, (0.0, radius_mm))
     eave = top[-1, 1] + (half_width_mm - top[-1, 0]) * math.tan(math.radians(flank_deg))
     walls = [(half_width_mm, eave), (half_width_mm, height_mm), (-half_width_mm, height_mm), (-half_width_mm, eave)]
     return np.concatenate([top, walls])
 
 
-def shoulder(half_mm: float, proud_mm: float, back_mm: float) -> Doubles:
+def make_shoulder(half_mm: float, proud_mm: float, back_mm: float) -> Doubles:
     """The right side (n, 2) of a body under a ridge of this half width, from its foot at z = `proud_mm` to the back.
 
     The foot lies on a circle of `SHOULDER_MM` radius about the ridge's middle plane.
@@ -51,7 +51,7 @@ def shoulder(half_mm: float, proud_mm: float, back_mm: float) -> Doubles:
     return _rounded_off(0.0, proud_mm + rise, math.asin(half_mm / SHOULDER_MM), back_mm)
 
 
-def stamp(half_mm: float, back_mm: float) -> Doubles:
+def make_stamp(half_mm: float, back_mm: float) -> Doubles:
     """The right side (n, 2) of a body `2 STAMP_MM` wide under a compact pattern of this half width, from its foot.
 
     The foot is `FINE_MM` over the tactile side, so that no gel feels it even if tilted.
@@ -60,10 +60,10 @@ def stamp(half_mm: float, back_mm: float) -> Doubles:
     return np.concatenate([[(half_mm, FINE_MM)], _rounded_off(ledge, FINE_MM + SHOULDER_MM, 0.0, back_mm)])
 
 
-def on_shoulders(ridge_mm: Doubles, back_mm: float) -> Doubles:
+def place_on_shoulders(ridge_mm: Doubles, back_mm: float) -> Doubles:
     """The section (n, 2) of a ridge, given from its left foot to its right one, on a body with shoulders."""
     half, proud = ridge_mm[-1]
-    right = shoulder(float(half), float(proud), back_mm)[1:]
+    right = make_shoulder(float(half), float(proud), back_mm)[1:]
     return np.concatenate([ridge_mm, right, (right * (-1.0, 1.0))[::-1]])
 
 
@@ -73,7 +73,7 @@ def _rounded_off(centre_mm: float, centre_z_mm: float, from_rad: float, back_mm:
     until = math.acos(lowest / SHOULDER_MM) if lowest < SHOULDER_MM else 0.0
     fine = [from_rad]
     if until > from_rad:
-        n = math.ceil((until - from_rad) / arc_step_rad(SHOULDER_MM))
+        n = math.ceil((until - from_rad) / compute_arc_step_rad(SHOULDER_MM))
         fine = list(np.linspace(from_rad, until, n + 1))
     n = math.ceil((0.5 * math.pi - fine[-1]) / _COARSE_RAD)
     angle = np.array([*fine, *np.linspace(fine[-1], 0.5 * math.pi, n + 1)[1:]])

@@ -14,18 +14,18 @@ from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import MeshProblem
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
-from pipeline.simulation.shapes.polygons import arc_step_rad, ears
+from pipeline.simulation.shapes.polygons import compute_arc_step_rad, triangulate_polygon
 
 Face = tuple[int, int, int]
 _POLE_MM = 1e-9  # a ring narrower than this is a point
 
 
-def closed(vertices_mm: Doubles, faces: Sequence[Face], name: str) -> Mesh:
+def make_mesh(vertices_mm: Doubles, faces: Sequence[Face], name: str) -> Mesh:
     """The mesh of these vertices (n, 3) and faces."""
     return Mesh(vertices_mm=freeze(vertices_mm), triangles=freeze(np.array(faces, dtype=np.int32)), name=name)
 
 
-def walls(n_rings: int, n: int, *, endless: bool = False) -> list[Face]:
+def make_wall_faces(n_rings: int, n: int, *, endless: bool = False) -> list[Face]:
     """Faces between rings of `n` vertices, ring after ring; each runs counter-clockwise seen from the last ring.
 
     `endless` joins the last ring to the first.
@@ -47,14 +47,14 @@ def loft(rings_mm: Doubles, name: str, *, first_mm: Doubles | None = None, last_
     k, n, _ = rings_mm.shape
     first = rings_mm[0].mean(axis=0) if first_mm is None else first_mm
     last = rings_mm[-1].mean(axis=0) if last_mm is None else last_mm
-    faces, top = walls(k, n), (k - 1) * n
+    faces, top = make_wall_faces(k, n), (k - 1) * n
     for i in range(n):
         after = (i + 1) % n
         faces += [(k * n, after, i), (k * n + 1, top + i, top + after)]
-    return closed(np.concatenate([rings_mm.reshape(-1, 3), first[None], last[None]]), faces, name)
+    return make_mesh(np.concatenate([rings_mm.reshape(-1, 3), first[None], last[None]]), faces, name)
 
 
-def turned(profile_mm: Doubles, n_sides: int, name: str) -> Mesh:
+def revolve_profile(profile_mm: Doubles, n_sides: int, name: str) -> Mesh:
     """A body of revolution about z from a profile (n, 2) of radius and z, from the tactile end up.
 
     A profile that starts or ends at radius 0 ends in a tip there, any other in a flat disc.
@@ -67,12 +67,12 @@ def turned(profile_mm: Doubles, n_sides: int, name: str) -> Mesh:
     return loft(rings, name, first_mm=ends[0], last_mm=ends[1])
 
 
-def sides(radius_mm: float) -> int:
+def count_circle_sides(radius_mm: float) -> int:
     """How many sides a circle needs, a multiple of four so that it is as wide as high."""
-    return 4 * math.ceil(math.pi / (2.0 * arc_step_rad(radius_mm)))
+    return 4 * math.ceil(math.pi / (2.0 * compute_arc_step_rad(radius_mm)))
 
 
-def swept(path_mm: Doubles, section_mm: Doubles, name: str, *, endless: bool = False) -> Mesh:
+def sweep_section(path_mm: Doubles, section_mm: Doubles, name: str, *, endless: bool = False) -> Mesh:
     """A section (m, 2) of offset to the left and z, carried along a plane path (n, 2), corners mitred.
 
     The section runs counter-clockwise. An endless path returns to its start and has no ends; others are cut square.
@@ -93,15 +93,15 @@ def swept(path_mm: Doubles, section_mm: Doubles, name: str, *, endless: bool = F
         raise MeshProblem(f"the section of {name!r} is wider than the bends of its path allow")
     rings = np.concatenate([plane, np.broadcast_to(section_mm[None, :, 1:], (*plane.shape[:2], 1))], axis=2)
     k, n = rings.shape[:2]
-    faces, last = walls(k, n, endless=endless), (k - 1) * n
+    faces, last = make_wall_faces(k, n, endless=endless), (k - 1) * n
     if not endless:
-        lid = ears(section_mm)
+        lid = triangulate_polygon(section_mm)
         faces += [(c, b, a) for a, b, c in lid]
         faces += [(a + last, b + last, c + last) for a, b, c in lid]
-    return closed(rings.reshape(-1, 3), faces, name)
+    return make_mesh(rings.reshape(-1, 3), faces, name)
 
 
-def moved(mesh: Mesh, object_from_mesh: Doubles) -> Mesh:
+def transform_mesh(mesh: Mesh, object_from_mesh: Doubles) -> Mesh:
     """The same body elsewhere in its frame."""
     vertices = rigid.apply(object_from_mesh, mesh.vertices_mm)
     return Mesh(vertices_mm=freeze(vertices), triangles=mesh.triangles, name=mesh.name)

@@ -8,13 +8,13 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles
 from pipeline.geometry import rigid
-from pipeline.geometry.symmetry import X, asymmetric, cyclic, revolved
-from pipeline.simulation.shapes.polygons import arc, bow
-from pipeline.simulation.shapes.prisms import bar, level
-from pipeline.simulation.shapes.sections import strip
+from pipeline.geometry.symmetry import X, asymmetric, cyclic, revolution
+from pipeline.simulation.shapes.polygons import make_arc, make_bow
+from pipeline.simulation.shapes.prisms import lift_outline, make_chamfered_prism
+from pipeline.simulation.shapes.sections import make_strip
 from pipeline.simulation.shapes.shape import Shape
-from pipeline.simulation.shapes.solids import loft, moved, swept
-from pipeline.simulation.shapes.training import ball
+from pipeline.simulation.shapes.solids import loft, sweep_section, transform_mesh
+from pipeline.simulation.shapes.training import make_ball_on_shaft
 
 
 def hex_key() -> Shape:
@@ -22,9 +22,9 @@ def hex_key() -> Shape:
     corner_mm = 4.0 / math.sqrt(3.0)
     angle = np.arange(6) * math.pi / 3.0
     section = corner_mm * np.column_stack([np.cos(angle), np.sin(angle)])
-    bend = arc(5.0, -180.0, -90.0, (5.0, 5.0), beyond_mm=corner_mm)
+    bend = make_arc(5.0, -180.0, -90.0, (5.0, 5.0), beyond_mm=corner_mm)
     path = np.concatenate([[(0.0, 20.0)], bend, [(10.0, 0.0)]])
-    mesh = moved(swept(path, section, "hex_key"), rigid.translation(-2.0, -4.0, 0.0))
+    mesh = transform_mesh(sweep_section(path, section, "hex_key"), rigid.translation(-2.0, -4.0, 0.0))
     return Shape(mesh=mesh, symmetry=asymmetric())
 
 
@@ -33,8 +33,8 @@ def screwdriver() -> Shape:
     angle = 2.0 * math.pi * np.arange(64) / 64.0
     round_ = np.column_stack([np.cos(angle), np.sin(angle)])
     rings = [
-        level(_boxed(round_, 2.9, 0.4), 0.0), level(_boxed(round_, 3.0, 0.5), 0.1),
-        level(_boxed(round_, 3.2, 1.4), 6.0), level(3.0 * round_, 11.0), level(3.0 * round_, 20.0),
+        lift_outline(_boxed(round_, 2.9, 0.4), 0.0), lift_outline(_boxed(round_, 3.0, 0.5), 0.1),
+        lift_outline(_boxed(round_, 3.2, 1.4), 6.0), lift_outline(3.0 * round_, 11.0), lift_outline(3.0 * round_, 20.0),
     ]  # fmt: skip
     return Shape(mesh=loft(np.stack(rings), "screwdriver"), symmetry=cyclic(2))
 
@@ -44,11 +44,13 @@ def spanner() -> Shape:
     mouth, depth, head, handle = 4.0, -2.0, 9.0, 3.0  # half widths, the mouth's floor, the head's radius
     lip = math.degrees(math.asin(mouth / head))
     neck = math.degrees(math.asin(handle / head))
-    near = arc(head, lip + 10.0, 195.0 - neck)
+    near = make_arc(head, lip + 10.0, 195.0 - neck)
     tail = _turned(np.array([(24.0, -handle), (24.0, handle)]), 195.0)
-    far = arc(head, 195.0 + neck, 350.0 - lip)
+    far = make_arc(head, 195.0 + neck, 350.0 - lip)
     floor = [(7.6, -mouth), (depth + 2.0, -mouth), (depth, -2.0), (depth, 2.0), (depth + 2.0, mouth), (7.6, mouth)]
-    return Shape(mesh=bar(np.concatenate([near, tail, far, floor]), 5.0, 0.4, "spanner"), symmetry=asymmetric())
+    return Shape(
+        mesh=make_chamfered_prism(np.concatenate([near, tail, far, floor]), 5.0, 0.4, "spanner"), symmetry=asymmetric()
+    )
 
 
 def pencil() -> Shape:
@@ -66,18 +68,18 @@ def pencil() -> Shape:
     ]
     upright = loft(np.stack(rings), "pencil")
     # The axis to x; a flat, not an edge, is lowest.
-    return Shape(mesh=moved(upright, rigid.rotation((0.0, math.pi / 2.0, 0.0))), symmetry=cyclic(6, X))
+    return Shape(mesh=transform_mesh(upright, rigid.rotation((0.0, math.pi / 2.0, 0.0))), symmetry=cyclic(6, X))
 
 
 def cup_rim() -> Shape:
     """A piece of 26 mm of a cup's rim: 40 mm radius, 2.4 mm thick, rounded."""
-    path = bow(40.0, math.degrees(25.0 / 40.0), 0.5, 1.2)
-    return Shape(mesh=swept(path, strip(2.4, 1.2, 9.0), "cup_rim"), symmetry=asymmetric())
+    path = make_bow(40.0, math.degrees(25.0 / 40.0), 0.5, 1.2)
+    return Shape(mesh=sweep_section(path, make_strip(2.4, 1.2, 9.0), "cup_rim"), symmetry=asymmetric())
 
 
 def marble() -> Shape:
     """A marble of 16 mm diameter on a shaft."""
-    return Shape(mesh=ball(8.0, "marble"), symmetry=revolved())
+    return Shape(mesh=make_ball_on_shaft(8.0, "marble"), symmetry=revolution())
 
 
 def notched_elbow() -> Shape:
@@ -86,7 +88,9 @@ def notched_elbow() -> Shape:
         (-1.75, -1.75), (11.0, -1.75), (11.0, 1.75), (6.2, 1.75), (6.2, 0.2), (4.2, 0.2), (4.2, 1.75),
         (1.75, 1.75), (1.75, 22.0), (-1.75, 22.0),
     ]  # fmt: skip
-    return Shape(mesh=bar(outline, height_mm=8.0, chamfer_mm=0.5, name="notched_elbow"), symmetry=asymmetric())
+    return Shape(
+        mesh=make_chamfered_prism(outline, height_mm=8.0, chamfer_mm=0.5, name="notched_elbow"), symmetry=asymmetric()
+    )
 
 
 def _boxed(round_: Doubles, half_x_mm: float, half_y_mm: float) -> Doubles:

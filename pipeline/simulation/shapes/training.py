@@ -13,21 +13,21 @@ import numpy as np
 from pipeline.base.arrays import Doubles
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
-from pipeline.geometry.symmetry import X, Z, asymmetric, cyclic, revolved
-from pipeline.simulation.shapes.polygons import arc, bow
-from pipeline.simulation.shapes.prisms import level, rounding, stacked
+from pipeline.geometry.symmetry import X, Z, asymmetric, cyclic, revolution
+from pipeline.simulation.shapes.polygons import make_arc, make_bow
+from pipeline.simulation.shapes.prisms import lift_outline, make_rounded_rings, stack_rings
 from pipeline.simulation.shapes.sections import (
     FINE_MM,
     SHOULDER_MM,
     STAMP_MM,
-    apex,
-    crest,
-    on_shoulders,
-    shoulder,
-    stamp,
+    make_apex,
+    make_crest,
+    make_shoulder,
+    make_stamp,
+    place_on_shoulders,
 )
 from pipeline.simulation.shapes.shape import Shape
-from pipeline.simulation.shapes.solids import moved, sides, swept, turned
+from pipeline.simulation.shapes.solids import count_circle_sides, revolve_profile, sweep_section, transform_mesh
 
 _BACK_MM = 18.0  # height of bodies: more than a bubble's reach, 13 mm in data sets, and a press
 _LINE_MM, _LINE_EDGE_MM = 3.0, 1.2  # width of lines, and the radius of their edges
@@ -37,21 +37,21 @@ _STRAIGHT_RAD = 1e-6
 
 def square() -> Shape:
     """A flat punch, 8 mm wide, on a square body."""
-    profile = np.concatenate([[(3.7, 0.0), (4.0, 0.3)], stamp(4.0, _BACK_MM)])
-    cornered = turned(profile * (math.sqrt(2.0), 1.0), 4, "square")
-    return Shape(mesh=moved(cornered, rigid.rotation((0.0, 0.0, 0.25 * math.pi))), symmetry=cyclic(4))
+    profile = np.concatenate([[(3.7, 0.0), (4.0, 0.3)], make_stamp(4.0, _BACK_MM)])
+    cornered = revolve_profile(profile * (math.sqrt(2.0), 1.0), 4, "square")
+    return Shape(mesh=transform_mesh(cornered, rigid.rotation((0.0, 0.0, 0.25 * math.pi))), symmetry=cyclic(4))
 
 
 def edge() -> Shape:
     """The edge of a roof of 90 degrees, 60 mm long: as the lab's tools, longer than any gel."""
-    section = apex(45.0, 0.3, SHOULDER_MM, _BACK_MM)
-    return Shape(mesh=swept(np.array([(-_ARM_MM, 0.0), (_ARM_MM, 0.0)]), section, "edge"), symmetry=cyclic(2))
+    section = make_apex(45.0, 0.3, SHOULDER_MM, _BACK_MM)
+    return Shape(mesh=sweep_section(np.array([(-_ARM_MM, 0.0), (_ARM_MM, 0.0)]), section, "edge"), symmetry=cyclic(2))
 
 
 def corner() -> Shape:
     """The corner of a cube, on its tip."""
     profile = np.array([(0.0, 0.0), (STAMP_MM, STAMP_MM / math.sqrt(2.0)), (STAMP_MM, _BACK_MM)])
-    return Shape(mesh=turned(profile, 3, "corner"), symmetry=cyclic(3))
+    return Shape(mesh=revolve_profile(profile, 3, "corner"), symmetry=cyclic(3))
 
 
 def lines_45() -> Shape:
@@ -71,55 +71,62 @@ def three_lines() -> Shape:
 
 def cylinder() -> Shape:
     """A rod of 5 mm radius and 60 mm length, lying along x; its frame is on its axis."""
-    upright = turned(np.array([(5.0, -_ARM_MM), (5.0, _ARM_MM)]), sides(5.0), "cylinder")
-    return Shape(mesh=moved(upright, rigid.rotation((0.0, math.pi / 2.0, 0.0))), symmetry=revolved(X, flip=Z))
+    upright = revolve_profile(np.array([(5.0, -_ARM_MM), (5.0, _ARM_MM)]), count_circle_sides(5.0), "cylinder")
+    return Shape(
+        mesh=transform_mesh(upright, rigid.rotation((0.0, math.pi / 2.0, 0.0))), symmetry=revolution(X, flip=Z)
+    )
 
 
 def sphere() -> Shape:
     """A ball of 5 mm radius that ends a shaft."""
-    return Shape(mesh=ball(5.0, "sphere"), symmetry=revolved())
+    return Shape(mesh=make_ball_on_shaft(5.0, "sphere"), symmetry=revolution())
 
 
 def ring() -> Shape:
     """A ring of 9 mm diameter, its ridge 2 mm wide, on a round body."""
-    return Shape(mesh=turned(_framed(crest(2.0, 0.5), 4.5), sides(5.5), "ring"), symmetry=revolved())
+    return Shape(
+        mesh=revolve_profile(_framed(make_crest(2.0, 0.5), 4.5), count_circle_sides(5.5), "ring"), symmetry=revolution()
+    )
 
 
 def hexagon() -> Shape:
     """The frame of a hexagon, 11 mm over the middle of its corners, on a hexagonal body."""
     flat = math.cos(math.pi / 6.0)  # of the distance of a side over that of a corner
-    mesh = turned(_framed(crest(1.8, 0.4), 5.5 * flat) * (1.0 / flat, 1.0), 6, "hexagon")
+    mesh = revolve_profile(_framed(make_crest(1.8, 0.4), 5.5 * flat) * (1.0 / flat, 1.0), 6, "hexagon")
     return Shape(mesh=mesh, symmetry=cyclic(6))
 
 
 def peg() -> Shape:
     """The flat end of a round peg of 7 mm diameter."""
-    return Shape(mesh=turned(np.array([(3.2, 0.0), (3.5, 0.3), (3.5, 20.0)]), sides(3.5), "peg"), symmetry=revolved())
+    return Shape(
+        mesh=revolve_profile(np.array([(3.2, 0.0), (3.5, 0.3), (3.5, 20.0)]), count_circle_sides(3.5), "peg"),
+        symmetry=revolution(),
+    )
 
 
 def curve() -> Shape:
     """A ridge bent by 110 degrees of 10 mm radius, the lab's, with legs of 20 mm; its middle is in its origin."""
-    section = on_shoulders(crest(2.6, 1.1), _BACK_MM)
-    return Shape(mesh=swept(bow(10.0, 110.0, 20.0, FINE_MM), section, "curve"), symmetry=asymmetric())
+    section = place_on_shoulders(make_crest(2.6, 1.1), _BACK_MM)
+    return Shape(mesh=sweep_section(make_bow(10.0, 110.0, 20.0, FINE_MM), section, "curve"), symmetry=asymmetric())
 
 
 def _lines(directions_deg: tuple[float, ...], name: str) -> Mesh:
     """Straight lines from the origin on a body with shoulders, cut square at their ends as the lab's are."""
     lengths = (_ARM_MM,) * len(directions_deg)
-    rings = rounding(fork(directions_deg, lengths, _LINE_MM), _LINE_EDGE_MM)
-    body = shoulder(0.5 * _LINE_MM, _LINE_EDGE_MM, _BACK_MM)[1:]
-    rings += [level(fork(directions_deg, lengths, 2.0 * float(half)), float(z)) for half, z in body]
-    return stacked(rings, name)
+    rings = make_rounded_rings(make_fork_outline(directions_deg, lengths, _LINE_MM), _LINE_EDGE_MM)
+    body = make_shoulder(0.5 * _LINE_MM, _LINE_EDGE_MM, _BACK_MM)[1:]
+    rings += [lift_outline(make_fork_outline(directions_deg, lengths, 2.0 * float(half)), float(z)) for half, z in body]
+    return stack_rings(rings, name)
 
 
 def _framed(ridge_mm: Doubles, middle_mm: float) -> Doubles:
     """The profile (n, 2) of a frame with this ridge, its middle so far from the axis, on a body with a floor inside."""
     half = float(ridge_mm[-1, 0])
     floor = [(0.0, FINE_MM), (middle_mm - half, FINE_MM)]
-    return np.concatenate([floor, ridge_mm + np.array([middle_mm, 0.0]), stamp(middle_mm + half, _BACK_MM)])
+    return np.concatenate([floor, ridge_mm + np.array([middle_mm, 0.0]), make_stamp(middle_mm + half, _BACK_MM)])
 
 
-def fork(directions_deg: tuple[float, ...], lengths_mm: tuple[float, ...], width_mm: float) -> Doubles:
+def make_fork_outline(directions_deg: tuple[float, ...], lengths_mm: tuple[float, ...], width_mm: float) -> Doubles:
     """The outline (n, 2) of straight lines from the origin, directions ascending, counter-clockwise.
 
     Neighbours meet mitred; where they leave more than half a turn between them, two facets round the outer corner.
@@ -141,16 +148,16 @@ def fork(directions_deg: tuple[float, ...], lengths_mm: tuple[float, ...], width
     return np.array(points)
 
 
-def ball(radius_mm: float, name: str) -> Mesh:
+def make_ball_on_shaft(radius_mm: float, name: str) -> Mesh:
     """A ball on a shaft of 0.7 of its radius along z, fine to 2 mm above its lowest point, which is at z = 0."""
     fine_rad = math.acos(1.0 - FINE_MM / radius_mm)
     fine_deg = math.degrees(fine_rad) - 90.0
-    cap = arc(radius_mm, -90.0, fine_deg, (0.0, radius_mm))
-    rest = arc(radius_mm, fine_deg, 90.0 - math.degrees(math.asin(0.7)), (0.0, radius_mm))[8::8]
+    cap = make_arc(radius_mm, -90.0, fine_deg, (0.0, radius_mm))
+    rest = make_arc(radius_mm, fine_deg, 90.0 - math.degrees(math.asin(0.7)), (0.0, radius_mm))[8::8]
     shaft = 0.7 * radius_mm
     profile = np.concatenate([[(0.0, 0.0)], cap[1:], rest, [(shaft, 2.0 * radius_mm), (shaft, 2.5 * radius_mm)]])
     # Chords around the axis are shortest near it, so that fewer do for the cap than for the whole ball.
-    return turned(profile, 4 * math.ceil(0.25 * math.sin(fine_rad) * sides(radius_mm)), name)
+    return revolve_profile(profile, 4 * math.ceil(0.25 * math.sin(fine_rad) * count_circle_sides(radius_mm)), name)
 
 
 ALL = (square, edge, corner, lines_45, lines_120, three_lines, cylinder, sphere, ring, hexagon, peg, curve)

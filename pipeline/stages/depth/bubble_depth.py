@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, Mask, freeze
-from pipeline.base.doubts import AT_BORDER, Doubt
 from pipeline.base.errors import ShapeError
+from pipeline.base.stage_warnings import AT_BORDER, StageWarning
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import bubble_reading
-from pipeline.stages.depth.bubble_input import at_rest
+from pipeline.stages.depth import bubble_contact
+from pipeline.stages.depth.bubble_network_input import estimate_rest_surface
 from pipeline.values.frames import TactileFrame
-from pipeline.values.pixel_index import pixel_index
+from pipeline.values.pixel_index import make_pixel_index
 from pipeline.values.results import DepthMap
 
 _BLOCK_PX = 8
@@ -28,7 +28,7 @@ _BULGE_MM, _BULGE_SHARE = 1.0, 0.5  # outward, and of what is pushed in: a press
 _MOST_BLOCKS = 0.99  # the block of which this share moves less; a few are wild
 
 
-def largest_change(image: NDArray[Any], reference: NDArray[Any]) -> float:
+def compute_largest_change(image: NDArray[Any], reference: NDArray[Any]) -> float:
     """Largest mean absolute change of a block in mm over the pixels that have a reading; infinite if too few have."""
     import cv2
 
@@ -48,7 +48,7 @@ def largest_change(image: NDArray[Any], reference: NDArray[Any]) -> float:
     return float(np.abs(total / np.maximum(share, 0.25)).max())
 
 
-def depth(frame: TactileFrame, source: SensorSpec, *, smoothing_px: float, least_mm: float) -> DepthMap:
+def estimate_depth(frame: TactileFrame, source: SensorSpec, *, smoothing_px: float, least_mm: float) -> DepthMap:
     """The depth of one bubble frame, see `pipeline.stages.depth.depth`; the frame has been checked there.
 
     Rest is the reference depth without its noise, so that no shape of the bubble is assumed; with `smoothing_px` 0 it
@@ -58,11 +58,15 @@ def depth(frame: TactileFrame, source: SensorSpec, *, smoothing_px: float, least
     if frame.reference is None:
         raise ShapeError("a bubble's depth needs a reference depth image")
     notes: list[str] = []
-    moved, rest, read, seen = as_moved(frame.reference, frame.image, source.limits.indentation_max_mm, notes)
-    indentation, touched = bubble_reading.read(moved, read, source, smoothing_px=smoothing_px, least_mm=least_mm)
+    moved, rest, read, seen = compute_displacement(
+        frame.reference, frame.image, source.limits.indentation_max_mm, notes
+    )
+    indentation, touched = bubble_contact.estimate_indentation(
+        moved, read, source, smoothing_px=smoothing_px, least_mm=least_mm
+    )
     touched &= seen
     if smoothing_px > 0:
-        rest = at_rest(rest, read, source.pixel_mm)  # its noise is no part of the membrane
+        rest = estimate_rest_surface(rest, read, source.pixel_mm)  # its noise is no part of the membrane
     if not touched.any():
         notes.append("nothing touches the sensor")
     elif np.concatenate([touched[0], touched[-1], touched[:, 0], touched[:, -1]]).any():
@@ -73,12 +77,12 @@ def depth(frame: TactileFrame, source: SensorSpec, *, smoothing_px: float, least
         depth_mm=freeze(np.where(seen, rest - indentation, nothing)),
         contact=freeze(touched),
         camera=source.camera,
-        source_index=pixel_index(indentation.shape),
+        source_index=make_pixel_index(indentation.shape),
         notes=tuple(notes),
     )
 
 
-def as_moved(
+def compute_displacement(
     rest_mm: NDArray[Any], now_mm: NDArray[Any], largest_mm: float, notes: list[str]
 ) -> tuple[Floats, Floats, Mask, Mask]:
     """(move, rest, where both were read, where the move is known) of two readings (rows, cols); small gaps are filled.
@@ -89,8 +93,8 @@ def as_moved(
     moved, read = _difference(rest, now_mm.astype(np.float32), np.float32(largest_mm), notes)
     known, gaps = read, ~read
     if gaps.any():
-        moved, known = filled(moved, read)
-        rest, _ = filled(np.where(gaps, np.float32(0.0), rest), read)
+        moved, known = fill_gaps(moved, read)
+        rest, _ = fill_gaps(np.where(gaps, np.float32(0.0), rest), read)
         if n_filled := int((gaps & known).sum()):
             notes.append(f"{n_filled} pixels had no reading and were filled from around them")
         if not known.all():
@@ -108,7 +112,7 @@ def _bulge(moved_mm: Floats) -> tuple[str, ...]:
     pushed, out = (float(np.quantile(way * blocks, _MOST_BLOCKS)) for way in (1.0, -1.0))
     if out <= max(_BULGE_MM, _BULGE_SHARE * pushed):
         return ()
-    return (Doubt(f"the membrane stands {out:.1f} mm farther out than untouched: "
+    return (StageWarning(f"the membrane stands {out:.1f} mm farther out than untouched: "
                   "was the reference touched, or is the depth's sign flipped?"),)  # fmt: skip
 
 
@@ -122,12 +126,12 @@ def _difference(rest: Floats, now: Floats, largest: np.float32, notes: list[str]
         wild = seen & ~(np.abs(moved) <= largest)
     if wild.any():
         told = f"{int(wild.sum())} pixels jumped farther than the sensor's {largest:g} mm and were taken for no reading"
-        notes.append(Doubt(told) if wild.mean() > _MANY_WILD else told)
+        notes.append(StageWarning(told) if wild.mean() > _MANY_WILD else told)
     seen &= ~wild
     return np.where(seen, moved, np.float32(0.0)), np.asarray(seen, np.bool_)
 
 
-def filled(values: Floats, seen: Mask) -> tuple[Floats, Mask]:
+def fill_gaps(values: Floats, seen: Mask) -> tuple[Floats, Mask]:
     """(values, known): gaps take a Gaussian mean of the readings close by; `values` must be 0 in the gaps."""
     import cv2
 

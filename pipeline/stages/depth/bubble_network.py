@@ -12,26 +12,26 @@ from collections.abc import Callable
 import numpy as np
 
 from pipeline.base.arrays import Floats, Mask, freeze
-from pipeline.base.doubts import AT_BORDER
 from pipeline.base.errors import ShapeError
+from pipeline.base.stage_warnings import AT_BORDER
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import contact
-from pipeline.stages.depth.bubble_depth import as_moved
-from pipeline.stages.depth.bubble_fields import Found, found
-from pipeline.stages.depth.bubble_input import WORK_MM, at_rest, shown
+from pipeline.stages.depth.bubble_depth import compute_displacement
+from pipeline.stages.depth.bubble_network_input import WORKING_PIXEL_MM, estimate_rest_surface, make_network_input
+from pipeline.stages.depth.bubble_network_output import BubblePrediction, decode_prediction
 from pipeline.values.frames import TactileFrame
-from pipeline.values.pixel_index import pixel_index
+from pipeline.values.pixel_index import make_pixel_index
 from pipeline.values.results import DepthMap
 
-Network = Callable[[Floats], Floats]  # from a picture (CHANNELS, rows, cols) to an answer (OUTPUTS, rows, cols)
+BubbleNetwork = Callable[[Floats], Floats]  # from a picture (CHANNELS, rows, cols) to an answer (OUTPUTS, rows, cols)
 _AS_IT_IS = 1.4  # times finer or coarser than `WORK_MM` that the network was taught on
 _ISLAND_MM2 = 2.0  # smaller touches are noise
 _HALF = 0.5
 _TOLD = 0.6  # likelihood from which the object's surface is told; 0.5 fills rings, 0.7 loses faint touches
 
 
-def depth(
-    frame: TactileFrame, source: SensorSpec, network: Network, *, certainty: float = _HALF, least_mm: float
+def estimate_depth(
+    frame: TactileFrame, source: SensorSpec, network: BubbleNetwork, *, certainty: float = _HALF, least_mm: float
 ) -> DepthMap:
     """The depth of one bubble frame that has been checked, as a network of `BubbleReading` tells it.
 
@@ -42,40 +42,45 @@ def depth(
     if frame.reference is None:
         raise ShapeError("a bubble's depth needs a reference depth image")
     notes: list[str] = []
-    moved, rest, read, known = as_moved(frame.reference, frame.image, source.limits.indentation_max_mm, notes)
+    moved, rest, read, known = compute_displacement(
+        frame.reference, frame.image, source.limits.indentation_max_mm, notes
+    )
     said = _read(moved, rest, read, source.pixel_mm, network)
     islands = max(4, round(_ISLAND_MM2 / source.pixel_mm**2))
-    touched = contact.without_specks((said.contact > certainty) & known & (said.moved_mm > least_mm), islands)
-    told = _reaching(touched, ((said.told > _TOLD) & known) | touched)
+    touched = contact.remove_specks((said.contact > certainty) & known & (said.displacement_mm > least_mm), islands)
+    told = _reaching(touched, ((said.object_in_view > _TOLD) & known) | touched)
     if not touched.any():
         notes.append("nothing touches the sensor")
     elif np.concatenate([touched[0], touched[-1], touched[:, 0], touched[:, -1]]).any():
         notes.append(AT_BORDER)
-    nothing, rest = np.float32(np.nan), at_rest(rest, read, source.pixel_mm)  # its noise is no part of the membrane
+    nothing, rest = (
+        np.float32(np.nan),
+        estimate_rest_surface(rest, read, source.pixel_mm),
+    )  # its noise is no part of the membrane
     return DepthMap(
-        indentation_mm=freeze(np.where(known, said.moved_mm, nothing)),
-        depth_mm=freeze(np.where(known, rest - said.moved_mm, nothing)),
+        indentation_mm=freeze(np.where(known, said.displacement_mm, nothing)),
+        depth_mm=freeze(np.where(known, rest - said.displacement_mm, nothing)),
         contact=freeze(touched),
         camera=source.camera,
-        source_index=pixel_index(moved.shape),
+        source_index=make_pixel_index(moved.shape),
         notes=tuple(notes),
-        object_mm=freeze(np.where(told, rest - said.object_mm, nothing)),
-        spread_mm=freeze(np.where(known, said.spread_mm, nothing)),
+        object_depth_mm=freeze(np.where(told, rest - said.object_displacement_mm, nothing)),
+        expected_error_mm=freeze(np.where(known, said.expected_error_mm, nothing)),
     )
 
 
-def _read(moved: Floats, rest: Floats, read: Mask, pixel_mm: float, network: Network) -> Found:
+def _read(moved: Floats, rest: Floats, read: Mask, pixel_mm: float, network: BubbleNetwork) -> BubblePrediction:
     """What the network says, on the grid of the frame."""
-    (rows, cols), scale = moved.shape, pixel_mm / WORK_MM
+    (rows, cols), scale = moved.shape, pixel_mm / WORKING_PIXEL_MM
     size = (
         (rows, cols)
         if 1 / _AS_IT_IS < scale < _AS_IT_IS
         else (max(8, round(rows * scale)), max(8, round(cols * scale)))
     )
     seen = _sized(read.astype(np.float32), size) > _HALF
-    looked_at = shown(_sized(moved, size), _sized(rest, size), seen, pixel_mm * rows / size[0])
-    said = found(network(looked_at.picture), looked_at.smooth_mm)
-    return Found(*(_sized(field, (rows, cols)) for field in said))
+    looked_at = make_network_input(_sized(moved, size), _sized(rest, size), seen, pixel_mm * rows / size[0])
+    said = decode_prediction(network(looked_at.channels), looked_at.smooth_displacement_mm)
+    return BubblePrediction(*(_sized(field, (rows, cols)) for field in said))
 
 
 def _sized(image: Floats, size: tuple[int, int]) -> Floats:
@@ -88,12 +93,12 @@ def _sized(image: Floats, size: tuple[int, int]) -> Floats:
     return np.asarray(cv2.resize(image, size[::-1], interpolation=how), np.float32)
 
 
-def _reaching(touched: Mask, told: Mask) -> Mask:
+def _reaching(touched: Mask, observed: Mask) -> Mask:
     """The regions of `told` in which something touches."""
     import cv2
 
     if not touched.any():
         return touched
-    _, regions = cv2.connectedComponents(told.astype(np.uint8), connectivity=8)
+    _, regions = cv2.connectedComponents(observed.astype(np.uint8), connectivity=8)
     regions = np.asarray(regions, np.int32)
-    return told & np.isin(regions, np.unique(regions[touched]))
+    return observed & np.isin(regions, np.unique(regions[touched]))

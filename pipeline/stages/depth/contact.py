@@ -27,14 +27,14 @@ from typing import Literal
 import numpy as np
 
 from pipeline.base.arrays import Floats, Indices, Mask, freeze
-from pipeline.base.memo import remembered
+from pipeline.base.memo import memoise
 from pipeline.base.ranks import percentile
-from pipeline.physics.slopes import slopes
+from pipeline.physics.slopes import compute_slopes
 
 _WORKERS, _WORTH_WORKERS = 2, 2**18  # threads, and pixels of fewer of which they take longer to wake
 _NEAR_MM = 0.25  # farther than lens and smoothing spread light
 _LEAST_PRESSURE = np.float32(0.02)  # mm/mm, in slopes: noise and light that is not quite this unit's make as much
-USUAL_SHARE = 0.32  # of the usual pressure of a region: the median of what exceeds `_CORE_SHARE`
+MEDIAN_PRESSURE_SHARE = 0.32  # of the usual pressure of a region: the median of what exceeds `_CORE_SHARE`
 _CORE_SHARE, _PART_SHARE = np.float32(0.16), np.float32(0.25)  # of the region's peak
 _RIDGE_FROM, _RIDGE_TO, _RIDGE_SHARE = 1.7, 3.5, 0.6  # times what is usual; the share of such a peak nearby
 _HANGS_MM, _HANGS_SHARE = 2.0, np.float32(0.25)  # within about a gel's thickness of what is deep
@@ -48,7 +48,7 @@ _CORNER_MM = 0.12  # untouched frames of real Minis and drift on a real GelSlim 
 _FLAT_SLOPE_SHARE = 0.3  # of the region's steep slopes: beside a contact the gel falls away, on a face it does not
 
 
-def relative_pressure(indentation_mm: Floats, smoothing_px: float, order: Literal[1, 2] = 1) -> Floats:
+def compute_relative_pressure(indentation_mm: Floats, smoothing_px: float, order: Literal[1, 2] = 1) -> Floats:
     """Pressure (rows, cols) up to a constant factor, without its longest waves; negative where the surface hangs free.
 
     `order` is the power of the wavenumber: 1 for an elastic gel, 2 for a membrane under tension, which carries a
@@ -65,14 +65,14 @@ def relative_pressure(indentation_mm: Floats, smoothing_px: float, order: Litera
     return np.asarray(fft.idctn(wave, type=2, norm="ortho", workers=workers, overwrite_x=True), np.float32)
 
 
-def touched(
+def detect_contact(
     indentation_mm: Floats,
     pixel_mm: float,
     *,
     least_mm: float,
     pressure_share: float,
     smoothing_px: float,
-    usual_share: float = USUAL_SHARE,
+    median_pressure_share: float = MEDIAN_PRESSURE_SHARE,
 ) -> Mask:
     """A gel's contact (rows, cols): pushed in by `least_mm` or more, and pressed by more than a share of what is near.
 
@@ -86,7 +86,7 @@ def touched(
     deep = indentation_mm > least_mm
     if not deep.any():
         return deep
-    pressure = relative_pressure(indentation_mm, smoothing_px) / np.float32(pixel_mm)
+    pressure = compute_relative_pressure(indentation_mm, smoothing_px) / np.float32(pixel_mm)
     pressure[~deep] = 0.0
     reach = 2 * max(1, round(_NEAR_MM / pixel_mm)) + 1
     near = np.asarray(cv2.dilate(pressure, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))), np.float32)
@@ -97,12 +97,14 @@ def touched(
     usual = _usual(pressure, regions, n, deep_here & (pressure > np.maximum(least, _CORE_SHARE * peak)))
     ridge = np.clip((near / np.maximum(usual, _LEAST_PRESSURE) - _RIDGE_FROM) / (_RIDGE_TO - _RIDGE_FROM), 0.0, 1.0)
     share = pressure_share + np.maximum(_RIDGE_SHARE - pressure_share, 0.0) * ridge
-    limit = np.maximum(np.maximum(_LEAST_PRESSURE, np.float32(usual_share) * usual), share * near)
+    limit = np.maximum(np.maximum(_LEAST_PRESSURE, np.float32(median_pressure_share) * usual), share * near)
     mask = np.asarray(deep_here & (pressure > limit), np.bool_)
     return _faces(indentation_mm, _with(mask, mask & (pressure > _PART_SHARE * peak)), deep)
 
 
-def touched_membrane(indentation_mm: Floats, *, least_mm: float, pressure_share: float, smoothing_px: float) -> Mask:
+def detect_membrane_contact(
+    indentation_mm: Floats, *, least_mm: float, pressure_share: float, smoothing_px: float
+) -> Mask:
     """A membrane's contact (rows, cols): pushed in, and loaded by more than a share of the region's peak; no holes.
 
     Each region that is pushed in has its own peak, so that a light touch beside a firm one is kept.
@@ -110,11 +112,11 @@ def touched_membrane(indentation_mm: Floats, *, least_mm: float, pressure_share:
     deep = indentation_mm > least_mm
     if not deep.any():
         return deep
-    load = relative_pressure(indentation_mm, smoothing_px, 2)
+    load = compute_relative_pressure(indentation_mm, smoothing_px, 2)
     mask = deep & (
         load > np.maximum(_peaks(deep, load, *_regions(deep)), np.float32(1e-9)) * np.float32(pressure_share)
     )
-    return without_holes(np.asarray(mask, np.bool_))
+    return fill_holes(np.asarray(mask, np.bool_))
 
 
 def _deepest_near(indentation_mm: Floats, reach_px: float) -> Floats:
@@ -176,7 +178,7 @@ def _faces(indentation_mm: Floats, pressed: Mask, deep: Mask) -> Mask:
     if not pressed.any():
         return pressed
     smooth = np.asarray(cv2.GaussianBlur(indentation_mm, (0, 0), _PRESSURE_FREE_BLUR_PX), np.float32)
-    slope = np.asarray(cv2.magnitude(*slopes(smooth, 1.0)), np.float32)
+    slope = np.asarray(cv2.magnitude(*compute_slopes(smooth, 1.0)), np.float32)
     _, nearest = cv2.distanceTransformWithLabels(
         (~pressed).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
     )
@@ -196,7 +198,7 @@ def _faces(indentation_mm: Floats, pressed: Mask, deep: Mask) -> Mask:
     return np.asarray(closed, np.bool_) & deep
 
 
-def without_holes(mask: Mask) -> Mask:
+def fill_holes(mask: Mask) -> Mask:
     """The mask (rows, cols) with what it encloses: from there no way along rows and columns leads out of the picture.
 
     As scipy's `binary_fill_holes`, whose package takes a third of a second to load.
@@ -205,9 +207,9 @@ def without_holes(mask: Mask) -> Mask:
     return np.asarray(regions[1:-1, 1:-1] != regions[0, 0], np.bool_)
 
 
-def without_small_holes(mask: Mask, max_pixels: int) -> Mask:
+def fill_small_holes(mask: Mask, max_pixels: int) -> Mask:
     """The mask (rows, cols) with what it encloses where that is `max_pixels` pixels or less."""
-    holes = without_holes(mask) & ~mask
+    holes = fill_holes(mask) & ~mask
     if not holes.any():
         return mask
     regions, n = _regions(holes, 4)
@@ -216,7 +218,7 @@ def without_small_holes(mask: Mask, max_pixels: int) -> Mask:
     return mask | small[regions]
 
 
-def without_specks(mask: Mask, min_pixels: int) -> Mask:
+def remove_specks(mask: Mask, min_pixels: int) -> Mask:
     """The mask without regions of fewer than `min_pixels` pixels or 5 % of the largest region."""
     regions, n = _regions(mask)
     areas = np.bincount(regions.ravel(), minlength=n)
@@ -226,7 +228,7 @@ def without_specks(mask: Mask, min_pixels: int) -> Mask:
     return mask if keep[1:].all() else keep[regions]
 
 
-def without_grains(mask: Mask, pressure: Floats, min_pixels: float, peak_share: float) -> Mask:
+def remove_weak_specks(mask: Mask, pressure: Floats, min_pixels: float, peak_share: float) -> Mask:
     """The mask (rows, cols) without regions of fewer than `min_pixels` pixels that hardly press: specks of noise.
 
     What presses by `peak_share` of the largest `pressure` (rows, cols) stays however small it is: of a light touch's
@@ -239,7 +241,7 @@ def without_grains(mask: Mask, pressure: Floats, min_pixels: float, peak_share: 
     return keep[regions]
 
 
-def without_margins(
+def remove_border_artifacts(
     mask: Mask, indentation_mm: Floats, rows: slice, cols: slice, shape: tuple[int, int], narrow_px: float
 ) -> Mask:
     """The mask without what the picture's border alone makes; it is the part `rows`, `cols` of a picture of `shape`.
@@ -270,7 +272,7 @@ def without_margins(
     return np.asarray(keep[regions], np.bool_)
 
 
-@remembered(8)  # a touch has a window of its own size
+@memoise(8)  # a touch has a window of its own size
 def _wavenumbers(rows: int, cols: int, smoothing_px: float, order: Literal[1, 2]) -> Floats:
     """Wavenumbers (rows, cols) of a cosine transform to the power of `order`, radians per pixel, damped by a blur."""
     ky, kx = (np.arange(n) * (math.pi / n) for n in (rows, cols))

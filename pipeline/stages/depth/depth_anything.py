@@ -10,58 +10,58 @@ from typing import Any, Literal
 import numpy as np
 
 from pipeline.base.arrays import Floats, Mask, freeze
-from pipeline.base.doubts import Doubt
 from pipeline.base.params import setting
 from pipeline.base.progress import Progress
-from pipeline.calibration.lookup import Calibration
+from pipeline.base.stage_warnings import StageWarning
+from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.graph import Skipped
-from pipeline.networks import shelf
-from pipeline.networks.depth_anything_files import read
-from pipeline.networks.picturing import PATCH_PX, as_shown, sized
+from pipeline.networks import weights_registry
+from pipeline.networks.depth_anything_files import read_weights
+from pipeline.networks.depth_anything_input import PATCH_PX, prepare_image, resize_to_patches
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import stage
+from pipeline.stages.depth import photometric
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
 
-Answer = Literal["as taught", "metric", "relative"]
+OutputKind = Literal["as taught", "metric", "relative"]
 _MARGIN = 2  # patches around the contact's box
 _NONE = NoWeights(
     why="Depth Anything V2 does not come along; give its weights as --weights FILE, such as depth_anything_v2_vits.pth"
 )
-Window = tuple[int, int, int, int]  # top, left, rows, cols, in patches
+PatchWindow = tuple[int, int, int, int]  # top, left, rows, cols, in patches
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DepthAnythingParams:
     """How the network is asked."""
 
-    side: int = setting(0, "Shorter side", unit="px", low=0, high=1400, step=14,
+    shorter_side_px: int = setting(0, "Shorter side", unit="px", low=0, high=1400, step=14,
                         help="of the picture that the network sees; 0 = as it was taught",
                         source="Yang et al. 2024: 518 px, in patches of 14")  # fmt: skip
-    largest_mm: float = setting(
+    max_indentation_mm: float = setting(
         0.0, "Largest indentation", unit="mm", low=0.0, high=100.0, step=0.1,
         help="what its answer 1 stands for; 0 = as the weights say, or else the sensor's own limit",
         source="Yang et al. 2024, metric head: a sigmoid times the largest depth",
     )  # fmt: skip
-    answer: Answer = setting(
-        "as taught", "Answer", choices=Answer,
+    output_kind: OutputKind = setting(
+        "as taught", "Answer", choices=OutputKind,
         help="metric: a share of the largest indentation; relative: of no unit, brought to the physical estimate",
         source="Yang et al. 2024, both heads; relative depth up to scale and shift: Ranftl et al. 2022",
     )  # fmt: skip
-    box: bool = setting(
+    crop_to_contact: bool = setting(
         False, "Contact's box alone",
         help="quicker by the share of the patches; not exact, as every patch looks at all others",
         source="our own; attention over patches: Dosovitskiy et al. 2021",
     )  # fmt: skip
 
 
-def weights(_source: SensorSpec, _target: SensorSpec, file: Path | None) -> Weights | NoWeights:
+def select_weights(_source: SensorSpec, _target: SensorSpec, file: Path | None) -> Weights | NoWeights:
     """The user's weights; none come along."""
-    return _NONE if file is None else shelf.in_file(file, read)
+    return _NONE if file is None else weights_registry.load_file(file, read_weights)
 
 
-def depth(
+def estimate_depth(
     frame: TactileFrame,
     source: SensorSpec,
     calibration: Calibration | None,
@@ -74,20 +74,22 @@ def depth(
     The membrane at rest comes from the physical reading, and so does the scale of an answer without a unit.
     Raises what that reading does.
     """
-    still = stage.untouched(frame, source, calibration, stage.DepthParams())
+    still = photometric.skip_without_contact(frame, source, calibration, photometric.DepthParams())
     if still is not None:
         return Skipped(output=still, why=still.notes[0])
-    physical = stage.depth(frame, source, calibration, stage.DepthParams(), progress)
+    physical = photometric.estimate_depth(frame, source, calibration, photometric.DepthParams(), progress)
     progress.step(0.5, "asking the network")
     assert frame.reference is not None  # the physical reading has it
-    picture = sized(as_shown(frame.image, frame.reference, network.shows), params.side or network.side)
+    picture = resize_to_patches(
+        prepare_image(frame.image, frame.reference, network.shows), params.shorter_side_px or network.side
+    )
     shape = (picture.shape[0] // PATCH_PX, picture.shape[1] // PATCH_PX)
-    window = _box(physical.contact, shape) if params.box else (0, 0, *shape)
-    sense = str(network.answer) if params.answer == "as taught" else params.answer
+    window = _box(physical.contact, shape) if params.crop_to_contact else (0, 0, *shape)
+    sense = str(network.answer) if params.output_kind == "as taught" else params.output_kind
     answer, touching = _asked(network, picture, window, physical.contact.shape, sense)
     notes = [_told(window, shape)]
     if sense == "metric":
-        largest_mm = params.largest_mm or network.largest_mm or source.limits.indentation_max_mm
+        largest_mm = params.max_indentation_mm or network.largest_mm or source.limits.indentation_max_mm
         indentation = largest_mm * answer
     else:
         indentation = _scaled(answer, physical.indentation_mm, notes)
@@ -105,7 +107,7 @@ def depth(
 
 
 def _asked(
-    network: Any, picture: Floats, window: Window, shape: tuple[int, ...], sense: str
+    network: Any, picture: Floats, window: PatchWindow, shape: tuple[int, ...], sense: str
 ) -> tuple[Floats, Mask | None]:
     """The network's two answers brought back to the frame's own grid; outside the window they mean nothing."""
     import torch
@@ -117,7 +119,7 @@ def _asked(
         shown = torch.from_numpy(np.ascontiguousarray(part.transpose(2, 0, 1)))[None]
         answer, contact = network(shown, whole, sense)
 
-    def back(field: Any) -> Floats:
+    def resample_to_frame(field: Any) -> Floats:
         import cv2
 
         filled = np.zeros(picture.shape[:2], np.float32)
@@ -125,10 +127,10 @@ def _asked(
         size = (shape[1], shape[0])
         return np.asarray(cv2.resize(filled, size, interpolation=cv2.INTER_LINEAR), np.float32)
 
-    return back(answer), None if contact is None else back(torch.sigmoid(contact)) > 0.5
+    return resample_to_frame(answer), None if contact is None else resample_to_frame(torch.sigmoid(contact)) > 0.5
 
 
-def _box(contact: Mask, shape: tuple[int, int]) -> Window:
+def _box(contact: Mask, shape: tuple[int, int]) -> PatchWindow:
     """The patches that hold the contact and some around it; all of them where there is none."""
     rows, cols = np.nonzero(contact)
     if not rows.size:
@@ -141,7 +143,7 @@ def _box(contact: Mask, shape: tuple[int, int]) -> Window:
     return top, left, bottom - top, right - left
 
 
-def _seen(window: Window, shape: tuple[int, int], size: tuple[int, ...]) -> Mask:
+def _seen(window: PatchWindow, shape: tuple[int, int], size: tuple[int, ...]) -> Mask:
     """The frame's pixels that lie in the window."""
     top, left, rows, cols = window
     row, col = (np.arange(n_px) * n // n_px for n_px, n in zip(size, shape, strict=True))
@@ -155,15 +157,15 @@ def _scaled(answer: Floats, physical_mm: Floats, notes: list[str]) -> Floats:
     if known.any() and float(np.ptp(answer[known])) > 0:
         stretch, shift = np.polyfit(answer[known].astype(np.float64), physical_mm[known].astype(np.float64), 1)
     told = "the network's answer has no unit: it is brought to the physical estimate by a stretch and a shift"
-    notes.append(Doubt(told))
+    notes.append(StageWarning(told))
     if stretch <= 0:
         told = "it runs against that estimate, so that nothing of it is left; give weights of a metric depth"
-        notes.append(Doubt(told))
+        notes.append(StageWarning(told))
         stretch, shift = 0.0, 0.0
     return (stretch * answer + shift).astype(np.float32)
 
 
-def _told(window: Window, shape: tuple[int, int]) -> str:
+def _told(window: PatchWindow, shape: tuple[int, int]) -> str:
     rows, cols = (n * PATCH_PX for n in shape)
     told = f"Depth Anything V2 saw {rows}x{cols} pixels, {window[2] * window[3]} patches"
     if window[2:] != shape:

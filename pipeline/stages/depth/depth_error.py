@@ -13,29 +13,29 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.base.ranks import percentile
-from pipeline.physics.slopes import slopes
+from pipeline.physics.slopes import compute_slopes
 from pipeline.sensors.parts import Optics
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth.own_light import Told
-from pipeline.values.results import DepthError, DepthMap
+from pipeline.stages.depth.adaptive_illumination import Illumination
+from pipeline.values.results import DepthErrorModel, DepthMap
 
 _UNEXPLAINED = 2.6
 _STEEP = 95  # percentile of the contact's slopes
 _STEEPNESS = 0.2, 1.6  # mm/mm: what presses had
 
 
-def of_gel(found: DepthMap, source: SensorSpec, light: Told | None) -> DepthError | None:
+def predict_gel_error(found: DepthMap, source: SensorSpec, light: Illumination | None) -> DepthErrorModel | None:
     """The error of a gel's answer that was read by `light`, None for a look-up's own; None where it is not known."""
     limits = source.limits
     if not limits.depth_rms_mm:
         return None
-    other_mm = limits.depth_rms_other_mm or limits.depth_rms_mm
+    other_mm = limits.depth_rms_other_instance_mm or limits.depth_rms_mm
     if isinstance(light, Optics):
         rms_mm = limits.depth_rms_mm if light == source.optics else other_mm
     else:
         rms_mm = other_mm if light is None else _UNEXPLAINED * other_mm
     steep = _steepness(found, source.pixel_mm)
-    return DepthError(rms_mm=steep * rms_mm, correlation_mm=limits.depth_correlation_mm)
+    return DepthErrorModel(rms_mm=steep * rms_mm, correlation_mm=limits.depth_correlation_mm)
 
 
 def _steepness(found: DepthMap, pixel_mm: float) -> float:
@@ -46,5 +46,5 @@ def _steepness(found: DepthMap, pixel_mm: float) -> float:
         return 1.0
     where = np.flatnonzero(found.contact.any(axis=1)), np.flatnonzero(found.contact.any(axis=0))
     here = tuple(slice(max(int(n[0]) - 1, 0), int(n[-1]) + 2) for n in where)
-    steep = np.asarray(cv2.magnitude(*slopes(found.indentation_mm[here], pixel_mm)), np.float32)
+    steep = np.asarray(cv2.magnitude(*compute_slopes(found.indentation_mm[here], pixel_mm)), np.float32)
     return float(np.clip(percentile(steep, _STEEP, found.contact[here]), *_STEEPNESS))

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Image, freeze
-from pipeline.base.doubts import Doubt
 from pipeline.base.memo import Memo
+from pipeline.base.stage_warnings import StageWarning
 from pipeline.engine.digests import content
 
 _BLOCKS_ALONG = 54  # the longer side of a picture: more say no more about what is smooth
@@ -65,7 +65,7 @@ class Drift:
             )
         return tuple(told)
 
-    def beyond_one_unit(self, bright_grey: float) -> bool:
+    def exceeds_instance_drift(self, bright_grey: float) -> bool:
         """Whether so much light differs between untouched pictures, of this mean, that they may be of two units.
 
         A touch's own far light comes to as much beside a DIGIT's balls.
@@ -75,11 +75,11 @@ class Drift:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Still:
+class DriftedReference:
     """The untouched picture as it would be now, and what was done to it."""
 
-    picture: Floats  # (rows, cols, 3) grey levels
-    grey: Image  # the same in 8 bits
+    image: Floats  # (rows, cols, 3) grey levels
+    image_8bit: Image  # the same in 8 bits
     drift: Drift | None  # None = it could not be told
     notes: tuple[str, ...]
 
@@ -93,38 +93,40 @@ class _Blocks:
     by_y: Floats
 
 
-def stilled(image: Image, reference: Image) -> Still:
+def apply_estimated_drift(image: Image, reference: Image) -> DriftedReference:
     """The reference (rows, cols, 3) with the light and the place of `image`, as far as untouched parts tell them."""
     return _stilled.of((content(image), content(reference)), lambda: _made(image, reference))
 
 
-_stilled: Memo[tuple[str, str], Still] = Memo(2)  # the short cut and the stage ask for the same
+_stilled: Memo[tuple[str, str], DriftedReference] = Memo(2)  # the short cut and the stage ask for the same
 
 
-def _made(image: Image, reference: Image) -> Still:
-    drift, foreign = fitted(image, reference)
-    told = Doubt("most of the picture differs from the reference: it may be of another unit, or of another day")
+def _made(image: Image, reference: Image) -> DriftedReference:
+    drift, foreign = fit_drift(image, reference)
+    told = StageWarning("most of the picture differs from the reference: it may be of another unit, or of another day")
     notes: tuple[str, ...] = (told,) if foreign else ()
     if drift is None:
-        return Still(picture=freeze(reference.astype(np.float32)), grey=reference, drift=None, notes=notes)
-    picture = applied(reference, drift)
+        return DriftedReference(
+            image=freeze(reference.astype(np.float32)), image_8bit=reference, drift=None, notes=notes
+        )
+    picture = apply_drift(reference, drift)
     grey = np.clip(np.rint(picture), 0, 255).astype(np.uint8)
-    return Still(picture=freeze(picture), grey=freeze(grey), drift=drift, notes=notes + drift.notes)
+    return DriftedReference(image=freeze(picture), image_8bit=freeze(grey), drift=drift, notes=notes + drift.notes)
 
 
-def untouched_note(still: Still) -> str:
+def describe_no_contact(still: DriftedReference) -> str:
     """What is said of a picture in which nothing is left once the drift is taken out."""
     if still.drift is not None and still.drift.notes:
         return "nothing touches the sensor, or a level face larger than the view"
     return "nothing touches the sensor"
 
 
-def fitted(image: Image, reference: Image) -> tuple[Drift | None, bool]:
+def fit_drift(image: Image, reference: Image) -> tuple[Drift | None, bool]:
     """The drift from `reference` to `image`, None where too little speaks for one; whether they are of two units."""
     block = max(_LEAST_BLOCK_PX, round(max(image.shape) / _BLOCKS_ALONG))
     if min(image.shape[:2]) < 4 * block:
         return None, False
-    now, still = block_means(image, block), _references.of(
+    now, still = compute_block_means(image, block), _references.of(
         (content(reference), block), lambda: _blocks(reference.astype(np.float32), block)
     )  # fmt: skip
     agrees = max(_AGREES_GREY, _NOISES * _noise(now - still.mean.reshape(now.shape)))
@@ -157,7 +159,7 @@ def _noise(change: Floats) -> float:
     return 1.05 * float(np.quantile(steps, 0.25))
 
 
-def applied(reference: Image, drift: Drift) -> Floats:
+def apply_drift(reference: Image, drift: Drift) -> Floats:
     """The reference (rows, cols, 3) after the drift, in grey levels that may lie outside 0 to 255."""
     rows, cols = reference.shape[:2]
     small = math.hypot(*drift.shift_px) < _MOVED_PX
@@ -170,7 +172,7 @@ def applied(reference: Image, drift: Drift) -> Floats:
     return moved
 
 
-def block_means(picture: Image | Floats, block: int) -> Floats:
+def compute_block_means(picture: Image | Floats, block: int) -> Floats:
     """Mean of every whole block (rows // block, cols // block, 3); the last few pixels are dropped."""
     import cv2
 
@@ -190,7 +192,9 @@ def _blocks(picture: Floats, block: int) -> _Blocks:
     import cv2
 
     by_x, by_y = (0.5 * cv2.Sobel(picture, cv2.CV_32F, *axis, ksize=1) for axis in ((1, 0), (0, 1)))
-    mean, by_x, by_y = (block_means(np.asarray(a, np.float32), block).reshape(-1, 3) for a in (picture, by_x, by_y))
+    mean, by_x, by_y = (
+        compute_block_means(np.asarray(a, np.float32), block).reshape(-1, 3) for a in (picture, by_x, by_y)
+    )
     return _Blocks(mean=freeze(mean), by_x=freeze(by_x), by_y=freeze(by_y))
 
 

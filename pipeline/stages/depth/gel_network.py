@@ -20,25 +20,33 @@ from typing import cast
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image, Mask, freeze
-from pipeline.base.doubts import AT_BORDER, Doubt
 from pipeline.base.memo import Memo
 from pipeline.base.params import setting
 from pipeline.base.progress import SILENT, Progress
-from pipeline.calibration.lookup import Calibration
+from pipeline.base.stage_warnings import AT_BORDER, StageWarning
+from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.digests import content
-from pipeline.networks.gel_reading_opencv import GelReadingByOpenCv
+from pipeline.networks.gel_depth_opencv import GelDepthNetworkOpenCv
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import coarse, contact, drift, light_fields, network_input, own_light, stage
-from pipeline.stages.depth.gel_depth import Measured
+from pipeline.stages.depth import (
+    adaptive_illumination,
+    contact,
+    draft_resolution,
+    drift,
+    gel_network_input,
+    illumination_channels,
+    photometric,
+)
+from pipeline.stages.depth.gel_depth import MeasuredSurface
 from pipeline.values.frames import TactileFrame
-from pipeline.values.results import DepthError, DepthMap
+from pipeline.values.results import DepthErrorModel, DepthMap
 
 _SPECK_MM2 = 0.15  # smaller contacts are camera noise
 _CORRELATION_PX = 8.0  # of the network's pixels: its errors go together over about what it integrates over
 # The network's say in the scale, where that is more than physics' and where it is less: of 385 random presses on units
 # that nothing was learned from, least squares give 1.0 to 2.0 for the one and 0.5 to 0.65 for the other. Where other
 # touches of a recording tell the lamps as well, it is 1.1 and 0.24 (141 touches of six units).
-_BELIEVED_MORE, _BELIEVED_LESS, _LESS_BESIDE = 1.0, 0.6, 0.3
+_BELIEVED_MORE, _BELIEVED_LESS, _WEIGHT_BELOW_WITH_CONTEXT = 1.0, 0.6, 0.3
 # Of what a network that tells the scale expects to be off by: what it was taught are means, which a few touches far off
 # make. Of 163 such presses the logarithm's mean is that of 0.68; physics' error is told likewise (`depth_error`).
 _MIDDLE = 0.68
@@ -49,7 +57,7 @@ _PUSHED_IN = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class NetworkParams(stage.DepthParams):
+class NetworkParams(photometric.DepthParams):
     """How physics looks at a gel's frame, and how the network's answer is taken."""
 
     smoothing_px: float = setting(
@@ -63,11 +71,11 @@ source="measured: of 0.3, 0.4 and 0.5 the best overlap on simulated tools, which
     )  # fmt: skip
 
 
-def depth(
+def estimate_depth(
     frame: TactileFrame,
     source: SensorSpec,
     calibration: Calibration | None,
-    network: GelReadingByOpenCv,
+    network: GelDepthNetworkOpenCv,
     params: NetworkParams,
     progress: Progress = SILENT,
 ) -> DepthMap:
@@ -77,47 +85,53 @@ def depth(
     """
     why = _not_for(calibration, for_units=network.calibrated)
     if why:
-        found = stage.recorded(frame, source, calibration, params, progress)
+        found = photometric.estimate_depth_with_notes(frame, source, calibration, params, progress)
         return replace(found, notes=(*found.notes, why))
-    stage.checked(frame, source)
-    by = stage.fewer(frame, source, params)
+    photometric.check_frame(frame, source)
+    by = photometric.compute_downsampling(frame, source, params)
     if by == 1:
         found = _by_both(frame, source, calibration, network, params, progress)
     else:
-        seen_by = source if frame.camera is None else source.seen_through(frame.camera)
-        small, less = coarse.frame(frame, seen_by.camera, by), stage.coarser(params, by)
-        light = stage.light_before(frame, source)
-        found = _by_both(small, source, coarse.look_up(calibration, by), network, less, progress, light)
-        found = coarse.enlarged(found, seen_by, by)
-    return stage.worth_told(found, frame, source, calibration)
+        seen_by = source if frame.camera is None else source.with_camera(frame.camera)
+        small, less = draft_resolution.downsample_frame(frame, seen_by.camera, by), photometric.scale_params(params, by)
+        light = photometric.get_cached_light(frame, source)
+        found = _by_both(
+            small, source, draft_resolution.downsample_calibration(calibration, by), network, less, progress, light
+        )
+        found = draft_resolution.upsample_depth(found, seen_by, by)
+    return photometric.add_calibration_notes(found, frame, source, calibration)
 
 
 def _by_both(
-    frame: TactileFrame, source: SensorSpec, calibration: Calibration | None, network: GelReadingByOpenCv,
-    params: NetworkParams, progress: Progress, light: own_light.Told | None = None,
+    frame: TactileFrame, source: SensorSpec, calibration: Calibration | None, network: GelDepthNetworkOpenCv,
+    params: NetworkParams, progress: Progress, light: adaptive_illumination.Illumination | None = None,
 ) -> DepthMap:  # fmt: skip
     """Physics' answer, corrected where the network has something to say."""
-    physical, measured, seen = looked_at(frame, source, progress, calibration, params, light)
+    physical, measured, seen = estimate_physical_depth(frame, source, progress, calibration, params, light)
     if measured is None or not physical.contact.any():
         return physical
     progress.step(0.9, "correcting physics")
-    seen_by = as_wide(source if frame.camera is None else source.seen_through(frame.camera), calibration)
-    why = light_fields.why_not(seen_by, measured.light) if network.scaled else ""
+    seen_by = match_pixel_size(source if frame.camera is None else source.with_camera(frame.camera), calibration)
+    why = illumination_channels.explain_exclusion(seen_by, measured.light) if network.scaled else ""
     if why:
         return replace(physical, notes=(*physical.notes, why))
-    return corrected(physical, measured, seen, seen_by, network, params, lamps_told=bool(frame.beside))
+    return correct_depth(
+        physical, measured, seen, seen_by, network, params, has_context_frames=bool(frame.context_frames)
+    )
 
 
 def _not_for(calibration: Calibration | None, *, for_units: bool) -> str:
     """Why a network has nothing to correct of what a look-up reads; "" where it has."""
     if for_units and calibration is None:
-        return Doubt("these weights correct the look-up of the unit that they were taught on: give it as --calibration")
+        return StageWarning(
+            "these weights correct the look-up of the unit that they were taught on: give it as --calibration"
+        )
     if not for_units and calibration is not None and not calibration.is_built_in:
         return "the unit is calibrated: the network has nothing to correct"
     return ""
 
 
-def as_wide(source: SensorSpec, calibration: Calibration | None) -> SensorSpec:
+def match_pixel_size(source: SensorSpec, calibration: Calibration | None) -> SensorSpec:
     """The sensor with pixels as wide as a look-up has them."""
     if calibration is None or calibration.pixel_mm == source.pixel_mm:
         return source
@@ -125,27 +139,29 @@ def as_wide(source: SensorSpec, calibration: Calibration | None) -> SensorSpec:
     return replace(source, camera=replace(camera, fx_px=share * camera.fx_px, fy_px=share * camera.fy_px))
 
 
-def corrected(
-    physical: DepthMap, measured: Measured, seen: network_input.Seen, source: SensorSpec, network: GelReadingByOpenCv,
-    params: NetworkParams, *, lamps_told: bool = False,
+def correct_depth(
+    physical: DepthMap, measured: MeasuredSurface, seen: gel_network_input.NetworkInput, source: SensorSpec, network: GelDepthNetworkOpenCv,
+    params: NetworkParams, *, has_context_frames: bool = False,
 ) -> DepthMap:  # fmt: skip
     """The physical answer with what the network makes of it; `source` as it is seen through the frame's camera.
 
     `lamps_told`: by other touches of the recording as well.
     """
-    at = network_input.frame(source.camera.shape)
-    pixel_mm = np.float32(source.pixel_mm * at.pixels)
+    at = gel_network_input.make_grid(source.camera.shape)
+    pixel_mm = np.float32(source.pixel_mm * at.pixels_per_cell)
     correction, more, spread, log_scale = _read(network, seen, source, measured.light)
-    limit, told = math.log(params.certainty / (1.0 - params.certainty)), at.large(more)
+    limit, told = math.log(params.certainty / (1.0 - params.certainty)), at.resample_to_image(more)
     likely = np.where(physical.contact, told > np.float32(limit - _SURE), told > np.float32(limit + _SURE))
     if log_scale is None:  # of any light, which may throw shadows beside a touch
-        may = at.large(_may_touch(measured.raw(), seen, at).astype(np.float32)) > np.float32(0.5)
+        may = at.resample_to_image(_may_touch(measured.expand_to_frame(), seen, at).astype(np.float32)) > np.float32(
+            0.5
+        )
         likely &= physical.contact | may
-    touched = contact.without_specks(likely, max(4, round(_SPECK_MM2 / source.pixel_mm**2)))
-    by_physics = measured.relaxed(touched)
-    indentation = np.asarray(by_physics + at.large(correction) * pixel_mm, np.float32)
-    less = _LESS_BESIDE if lamps_told else _BELIEVED_LESS
-    indentation *= _as_deep(indentation, by_physics, touched, log_scale, less)
+    touched = contact.remove_specks(likely, max(4, round(_SPECK_MM2 / source.pixel_mm**2)))
+    by_physics = measured.relax_outside_contact(touched)
+    indentation = np.asarray(by_physics + at.resample_to_image(correction) * pixel_mm, np.float32)
+    less = _WEIGHT_BELOW_WITH_CONTEXT if has_context_frames else _BELIEVED_LESS
+    indentation *= _compute_depth_scale(indentation, by_physics, touched, log_scale, less)
     notes = _limited(indentation, touched, source)
     if not touched.any():
         notes.append("the network holds what has changed for no contact: nothing touches the sensor")
@@ -157,68 +173,75 @@ def corrected(
         notes=(*(note for note in physical.notes if note not in notes), *notes),
         error=_error(
             spread * np.float32(_MIDDLE if network.scaled else 1.0),
-            at.small(touched.astype(np.float32)) > np.float32(0.5),
+            at.resample_to_grid(touched.astype(np.float32)) > np.float32(0.5),
             float(pixel_mm),
         ),
-        spread_mm=freeze(np.maximum(at.large(spread), 0.0) * pixel_mm),
+        spread_mm=freeze(np.maximum(at.resample_to_image(spread), 0.0) * pixel_mm),
     )
 
 
-def looked_at(
+def estimate_physical_depth(
     frame: TactileFrame,
     source: SensorSpec,
     progress: Progress = SILENT,
     calibration: Calibration | None = None,
-    params: stage.DepthParams | None = None,
-    light: own_light.Told | None = None,
-) -> tuple[DepthMap, Measured | None, network_input.Seen]:
+    params: photometric.DepthParams | None = None,
+    light: adaptive_illumination.Illumination | None = None,
+) -> tuple[DepthMap, MeasuredSurface | None, gel_network_input.NetworkInput]:
     """The physical answer of a frame and what it was made of, and what the network sees of both.
 
     A `light` that is known to explain the picture is not looked for.
     """
-    params = params or stage.DepthParams()
-    physical, measured = stage.gel(frame, source, calibration, params, progress, light)
-    seen_by = as_wide(source if frame.camera is None else source.seen_through(frame.camera), calibration)
+    params = params or photometric.DepthParams()
+    physical, measured = photometric.estimate_gel_depth(frame, source, calibration, params, progress, light)
+    seen_by = match_pixel_size(source if frame.camera is None else source.with_camera(frame.camera), calibration)
     image, reference = cast("Image", frame.image), cast("Image", frame.reference)
-    still = drift.stilled(image, reference).picture
-    lamps = _lights.of(content(seen_by), lambda: network_input.light_of(seen_by))
+    still = drift.apply_estimated_drift(image, reference).image
+    lamps = _lights.of(content(seen_by), lambda: gel_network_input.describe_light(seen_by))
     return (
         physical,
         measured,
-        network_input.seen(image, still, physical.indentation_mm, physical.contact, seen_by, lamps),
+        gel_network_input.prepare_input(image, still, physical.indentation_mm, physical.contact, seen_by, lamps),
     )
 
 
-_lights: Memo[str, network_input.Light] = Memo(16)
+_lights: Memo[str, gel_network_input.DescribedLight] = Memo(16)
 
 
 def _read(
-    network: GelReadingByOpenCv, seen: network_input.Seen, source: SensorSpec, light: own_light.Told | None
+    network: GelDepthNetworkOpenCv,
+    seen: gel_network_input.NetworkInput,
+    source: SensorSpec,
+    light: adaptive_illumination.Illumination | None,
 ) -> tuple[Floats, Floats, Floats, float | None]:
     """(correction in pixels, logit of contact beside physics', Laplace scale in pixels), each (120, 160).
 
     And the logarithm of the factor that makes the corrected surface true, of a network that tells one.
     """
-    box = network_input.EVERYWHERE if network.scaled else network_input.box(seen)
-    deep = np.float32(network_input.depth_px(seen))
-    shown = light_fields.fields(seen, source, light) if network.scaled else network_input.fields(seen, box)
+    box = gel_network_input.FULL_BOX if network.scaled else gel_network_input.compute_contact_box(seen)
+    deep = np.float32(gel_network_input.compute_depth_px(seen))
+    shown = (
+        illumination_channels.compute_all_channels(seen, source, light)
+        if network.scaled
+        else gel_network_input.compute_channels(seen, box)
+    )
     told = network(shown)
-    found = np.zeros((3, network_input.ROWS, network_input.COLS), np.float32)
+    found = np.zeros((3, gel_network_input.ROWS, gel_network_input.COLS), np.float32)
     found[0][box] = deep * told.correction
-    found[1][box] = told.more_contact
-    found[2][box] = deep * np.exp(told.log_spread)
-    return found[0], found[1], found[2], told.log_scale
+    found[1][box] = told.contact_logit_correction
+    found[2][box] = deep * np.exp(told.log_error_scale)
+    return found[0], found[1], found[2], told.log_depth_factor
 
 
-def _may_touch(surface_mm: Floats, seen: network_input.Seen, at: network_input.Frame) -> Mask:
+def _may_touch(surface_mm: Floats, seen: gel_network_input.NetworkInput, at: gel_network_input.InputGrid) -> Mask:
     """Where (120, 160) a contact may be beside the physical one: where the surface is pushed in as an edge is.
 
     Shadows and light that lamps throw beside a deep touch change the picture where the gel is hardly pushed in.
     """
     import cv2
 
-    pressed = network_input.inside(seen)
-    deep = at.small(surface_mm)
+    pressed = gel_network_input.compute_contact_mask(seen)
+    deep = at.resample_to_grid(surface_mm)
     _, found = cv2.distanceTransformWithLabels((~pressed).astype(np.uint8), cv2.DIST_L2, 5)  # a label to each contact
     nearest = np.asarray(found, np.int32)
     depth_of = np.zeros(int(nearest.max()) + 1, np.float32)
@@ -226,7 +249,7 @@ def _may_touch(surface_mm: Floats, seen: network_input.Seen, at: network_input.F
     return pressed | (deep > np.float32(_PUSHED_IN) * depth_of[nearest])
 
 
-def _as_deep(
+def _compute_depth_scale(
     indentation: Floats, physical: Floats, touched: Mask, log_scale: float | None, less: float = _BELIEVED_LESS
 ) -> np.float32:
     """What brings a surface to its scale; 0 where no contact is left.
@@ -246,13 +269,13 @@ def _as_deep(
     return np.float32(as_physics * math.exp((_BELIEVED_MORE if more > 0.0 else less) * more))
 
 
-def _error(spread_px: Floats, touched: Mask, pixel_mm: float) -> DepthError | None:
+def _error(spread_px: Floats, touched: Mask, pixel_mm: float) -> DepthErrorModel | None:
     """What the network expects to be off by where it is touched: a Laplace scale b is a deviation of sqrt(2) b."""
     inside = spread_px[touched]
     if not inside.size:
         return None
     rms = math.sqrt(2.0 * float(np.mean(np.square(inside, dtype=np.float64)))) * pixel_mm
-    return DepthError(rms_mm=rms, correlation_mm=_CORRELATION_PX * pixel_mm)
+    return DepthErrorModel(rms_mm=rms, correlation_mm=_CORRELATION_PX * pixel_mm)
 
 
 def _limited(indentation: Floats, touched: Mask, sensor: SensorSpec) -> list[str]:
@@ -261,7 +284,7 @@ def _limited(indentation: Floats, touched: Mask, sensor: SensorSpec) -> list[str
     most = sensor.limits.indentation_max_mm
     beyond = int(np.count_nonzero(indentation > most))
     if beyond:
-        notes.append(Doubt(f"{beyond} pixels were deeper than the sensor's {most:g} mm and were cut to that"))
+        notes.append(StageWarning(f"{beyond} pixels were deeper than the sensor's {most:g} mm and were cut to that"))
         np.minimum(indentation, np.float32(most), out=indentation)
     if touched[0].any() or touched[-1].any() or touched[:, 0].any() or touched[:, -1].any():
         notes.append(AT_BORDER)

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.arrays import Floats, Mask, freeze
-from pipeline.base.memo import remembered
+from pipeline.base.memo import memoise
 
 _BORDER_MM = 5.0  # around the image, where unknown loads may act
 _NOISE = 0.45  # mm per root of a sample a square mm, for which all weights below were found: about what `noise_mm2`
@@ -54,13 +54,13 @@ _WHOLE = 0.7  # share of a block's pixels that must be free
 class MembraneLoad:
     """A membrane's move and what causes it."""
 
-    moved_mm: Floats  # (rows, cols)
+    displacement_mm: Floats  # (rows, cols)
     load: Floats  # (rows, cols) pressure of the contact over the pressure inside, >= 0
 
 
-def estimate(
+def estimate_load(
     moved_mm: Floats, seen: Mask, candidates: Mask, start_mm: Floats, *,
-    pixel_mm: float, curvature_per_mm: float, caution: float = 1.0,
+    pixel_mm: float, curvature_per_mm: float, noise_factor: float = 1.0,
 ) -> MembraneLoad:  # fmt: skip
     """The load (rows, cols) behind a noisy move, and the move that it makes.
 
@@ -69,15 +69,15 @@ def estimate(
     measured in the image.
     """
     kappa = np.float32(curvature_per_mm * pixel_mm**2)
-    noise = caution * noise_mm2(moved_mm, seen & ~candidates, pixel_mm) / _NOISE
-    problem = _Problem.framed(moved_mm, seen, candidates, max(1, round(_BORDER_MM / pixel_mm)))
+    noise = noise_factor * estimate_noise_mm2(moved_mm, seen & ~candidates, pixel_mm) / _NOISE
+    problem = _Problem.from_image(moved_mm, seen, candidates, max(1, round(_BORDER_MM / pixel_mm)))
     step_px = min(max(_STEP_MM * noise**0.25 / pixel_mm, _STEPS_PX[0]), _STEPS_PX[1])
-    u, load = _solved(problem, problem.wide(start_mm), kappa, np.float32(step_px**4), noise, pixel_mm)
+    u, load = _solved(problem, problem.pad_to_frame(start_mm), kappa, np.float32(step_px**4), noise, pixel_mm)
     inner = problem.inner
-    return MembraneLoad(moved_mm=freeze(u[inner].copy()), load=freeze(load[inner] / kappa))
+    return MembraneLoad(displacement_mm=freeze(u[inner].copy()), load=freeze(load[inner] / kappa))
 
 
-def noise_mm2(moved_mm: Floats, free: Mask, pixel_mm: float) -> float:
+def estimate_noise_mm2(moved_mm: Floats, free: Mask, pixel_mm: float) -> float:
     """Standard deviation of a mean over one square mm, from blocks of pixels: also right where noise is coarse.
 
     The membrane's own shape is taken out by the fourth difference of five blocks in a row, all in `free`; what is
@@ -85,12 +85,12 @@ def noise_mm2(moved_mm: Floats, free: Mask, pixel_mm: float) -> float:
     """
     rows, cols = (n // _BLOCK_PX * _BLOCK_PX for n in moved_mm.shape)
 
-    def blocks(a: Floats) -> Floats:
+    def compute_block_means(a: Floats) -> Floats:
         cut = a[:rows, :cols].reshape(rows // _BLOCK_PX, _BLOCK_PX, cols // _BLOCK_PX, _BLOCK_PX)
         return np.asarray(cut.mean(axis=(1, 3)), np.float32)
 
-    share = blocks(free.astype(np.float32))
-    mean = blocks(np.where(free, moved_mm, np.float32(0.0))) / np.maximum(share, np.float32(_WHOLE))
+    share = compute_block_means(free.astype(np.float32))
+    mean = compute_block_means(np.where(free, moved_mm, np.float32(0.0))) / np.maximum(share, np.float32(_WHOLE))
     found: list[Floats] = []
     for m, s in ((mean, share), (mean.T, share.T)):
         if len(m) >= 5:
@@ -116,7 +116,7 @@ class _Problem:
     inner: tuple[slice, slice]
 
     @classmethod
-    def framed(cls, image: Floats, seen: Mask, candidates: Mask, border: int) -> _Problem:
+    def from_image(cls, image: Floats, seen: Mask, candidates: Mask, border: int) -> _Problem:
         from scipy import fft
 
         shape = tuple(int(fft.next_fast_len(n + 2 * border, real=True) or 0) for n in image.shape)
@@ -126,12 +126,12 @@ class _Problem:
         return cls(image=np.pad(image, ends), seen=np.pad(seen.astype(np.float32), ends), sought=sought, free=free,
                    beyond=1 - sought - free, inner=inner)  # fmt: skip
 
-    def wide(self, image: Floats) -> Floats:
+    def pad_to_frame(self, image: Floats) -> Floats:
         """An image of the inner size carried on to the frame."""
         ends = [(s.start, big - s.stop) for s, big in zip(self.inner, self.image.shape, strict=True)]
         return np.pad(image, ends, mode="edge").astype(np.float32)
 
-    def filled(self, u: Floats) -> Floats:
+    def fill_gaps(self, u: Floats) -> Floats:
         """The image, with the estimate where nothing was read."""
         return np.asarray(u + self.seen * (self.image - u), np.float32)
 
@@ -147,7 +147,7 @@ def _solved(
     z = sought * np.maximum(-_laplacian(u), lowest)
     y, load = np.zeros_like(z), np.zeros_like(z)
     for k in range(_ITERATIONS):
-        u = _smoothed(problem.filled(u), penalty * _laplacian(z - y), damping)
+        u = _smoothed(problem.fill_gaps(u), penalty * _laplacian(z - y), damping)
         v = y + (1 - _RELAXED) * z - _RELAXED * _laplacian(u)
         uniform = np.float32(min(max(float((v * free).sum(dtype=np.float64)) / n_free, -float(kappa)), 0.0))
         z = sought * (lowest + np.maximum(v - (threshold + lowest), 0) * shrink) + kept * v + uniform * free
@@ -203,7 +203,7 @@ def _found(load: Floats) -> Floats:
     return np.asarray(cv2.dilate(strong.astype(np.uint8), np.ones((3, 3), np.uint8)), np.float32)
 
 
-@remembered(8)
+@memoise(8)
 def _lines(length_px: float, width_px: float) -> tuple[Floats, ...]:
     """Gaussians stretched along each direction; their sums are 1."""
     reach = max(1, round(2 * length_px))
@@ -216,7 +216,7 @@ def _lines(length_px: float, width_px: float) -> tuple[Floats, ...]:
     return tuple(lines)
 
 
-@remembered(8)
+@memoise(8)
 def _eigenvalues_sq(shape: tuple[int, int]) -> Floats:
     """Squares of the five-point Laplacian's eigenvalues (rows, cols) in cosines."""
     ky, kx = (np.arange(n) * (math.pi / n) for n in shape)

@@ -7,24 +7,24 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base.progress import SILENT, Progress
-from pipeline.calibration.lookup import Calibration
-from pipeline.networks import shelf
+from pipeline.calibration.calibration_table import Calibration
+from pipeline.networks import weights_registry
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import bubble_network, gel_network, stage
+from pipeline.stages.depth import bubble_network, gel_network, photometric
 from pipeline.stages.depth.gel_network import NetworkParams
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthMap
 
 
-def weights(source: SensorSpec, _target: SensorSpec, file: Path | None) -> Weights | NoWeights:
+def select_weights(source: SensorSpec, _target: SensorSpec, file: Path | None) -> Weights | NoWeights:
     """The weights that read this source: one network for all gels, one for all bubbles."""
     if source.kind == "gel":
-        return shelf.for_task(("gel_units", "gel_depth", "ball_depth"), "gel_units", file)
-    return shelf.for_task("bubble_reading", "bubble_depth", file)
+        return weights_registry.load_for_task(("gel_units", "gel_depth", "ball_depth"), "gel_units", file)
+    return weights_registry.load_for_task("bubble_reading", "bubble_depth", file)
 
 
-def untouched(
+def skip_without_contact(
     frame: TactileFrame,
     source: SensorSpec,
     calibration: Calibration | None,
@@ -32,10 +32,10 @@ def untouched(
     params: NetworkParams,
 ) -> DepthMap | None:
     """The exact answer for a frame in which nothing touches; None when something may."""
-    return stage.untouched(frame, source, calibration, params)
+    return photometric.skip_without_contact(frame, source, calibration, params)
 
 
-def depth(
+def estimate_depth(
     frame: TactileFrame,
     source: SensorSpec,
     calibration: Calibration | None,
@@ -48,9 +48,9 @@ def depth(
     `network` is what `building.ready` makes of the weights for this kind of sensor.
     """
     if source.kind == "gel":
-        return gel_network.depth(frame, source, calibration, network, params, progress)
-    stage.checked(frame, source)  # fewer pixels are no quicker here: a draft is the answer
-    seen_by = source if frame.camera is None else source.seen_through(frame.camera)
+        return gel_network.estimate_depth(frame, source, calibration, network, params, progress)
+    photometric.check_frame(frame, source)  # fewer pixels are no quicker here: a draft is the answer
+    seen_by = source if frame.camera is None else source.with_camera(frame.camera)
     least_mm = params.contact_limit * source.limits.contact_min_mm
-    found = bubble_network.depth(frame, seen_by, network, certainty=params.certainty, least_mm=least_mm)
-    return replace(found, error=stage.measured_error(source))
+    found = bubble_network.estimate_depth(frame, seen_by, network, certainty=params.certainty, least_mm=least_mm)
+    return replace(found, error=photometric.make_bubble_error(source))

@@ -28,12 +28,12 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, freeze
 from pipeline.base.errors import SettingProblem, ShapeError
-from pipeline.base.memo import remembered
-from pipeline.physics.slopes import slopes
+from pipeline.base.memo import memoise
+from pipeline.physics.slopes import compute_slopes
 
 Boundary = Literal["flat", "free"]
-Ends = tuple[Boundary, Boundary]
-Integrated = Callable[[Floats, Floats], Floats]  # slopes (gx, gy) in mm/mm to a surface in mm
+EndConditions = tuple[Boundary, Boundary]
+Integrator = Callable[[Floats, Floats], Floats]  # slopes (gx, gy) in mm/mm to a surface in mm
 
 _WORKERS, _WORTH_WORKERS = 2, 2**18  # threads, and pixels of fewer of which they take longer to wake
 _NOTHING = 1e-20
@@ -41,7 +41,7 @@ _SLOW = 8  # waves of so few lengths along a side that single precision loses so
 _QUICK = 13  # waves of lengths of no larger primes are quick to find
 
 
-class Sides(NamedTuple):
+class SideBoundaries(NamedTuple):
     """What is known along each side of an image."""
 
     left: Boundary
@@ -50,7 +50,7 @@ class Sides(NamedTuple):
     bottom: Boundary
 
 
-def integrate(gx: Floats, gy: Floats, pixel_mm: float, boundary: Boundary | Sides = "free") -> Floats:
+def integrate_slopes(gx: Floats, gy: Floats, pixel_mm: float, boundary: Boundary | SideBoundaries = "free") -> Floats:
     """The surfaces z_mm (..., rows, cols) float32 whose slopes (mm/mm, x right, y down) are nearest to gx, gy.
 
     "free" knows nothing at the border; "flat" holds it at zero along the outer edge of the border pixels; the four
@@ -59,9 +59,9 @@ def integrate(gx: Floats, gy: Floats, pixel_mm: float, boundary: Boundary | Side
     """
     if gx.ndim < 2 or gx.shape != gy.shape or gx.size == 0:
         raise ShapeError(f"slopes must be two images of one shape (rows, cols), got {gx.shape} and {gy.shape}")
-    from pipeline.stages.depth.poisson_kernels import divergence, solved
+    from pipeline.stages.depth.poisson_kernels import compute_divergence, solve_tridiagonal
 
-    sides = boundary if isinstance(boundary, Sides) else Sides(boundary, boundary, boundary, boundary)
+    sides = boundary if isinstance(boundary, SideBoundaries) else SideBoundaries(boundary, boundary, boundary, boundary)
     for side in sides:
         if side not in get_args(Boundary):
             raise SettingProblem(f"boundary must be one of {', '.join(get_args(Boundary))}, got {side!r}")
@@ -69,48 +69,63 @@ def integrate(gx: Floats, gy: Floats, pixel_mm: float, boundary: Boundary | Side
     across = _is_quicker(cols, rows)
     free = np.array([side == "free" for side in sides])
     out = np.empty((gx.size // (rows * cols), rows, cols), np.float32)
-    if not math.isfinite(divergence(_kept(gx.reshape(out.shape)), _kept(gy.reshape(out.shape)), free, out)):
+    if not math.isfinite(compute_divergence(_kept(gx.reshape(out.shape)), _kept(gy.reshape(out.shape)), free, out)):
         raise ShapeError("slopes hold values that are not finite; fill them before integrating")
-    along_x: Ends = (sides.left, sides.right)
-    along_y: Ends = (sides.top, sides.bottom)
+    along_x: EndConditions = (sides.left, sides.right)
+    along_y: EndConditions = (sides.top, sides.bottom)
     ends, others = (along_x, along_y) if across else (along_y, along_x)
     wave = out if across else _turned(out)
     wave = _waves(wave, ends, back=False)
     per, slow = _pivots(wave.shape[1], wave.shape[2], ends, others)
-    solved(wave, per, np.float32(-pixel_mm), slow, np.empty(slow.shape))
+    solve_tridiagonal(wave, per, np.float32(-pixel_mm), slow, np.empty(slow.shape))
     wave = _waves(wave, ends, back=True)
     return freeze((wave if across else _turned(wave)).reshape(gx.shape))
 
 
-def nearest(
-    surface_mm: Floats, wanted: tuple[Floats, Floats], sure: Floats, pixel_mm: float, integrated: Integrated, steps: int
+def solve_weighted_slopes(
+    surface_mm: Floats,
+    target_slopes: tuple[Floats, Floats],
+    slope_weights: Floats,
+    pixel_mm: float,
+    integrated: Integrator,
+    steps: int,
 ) -> Floats:
     """The surfaces (..., rows, cols) whose slopes come nearest to those `wanted`, as far as pixels are sure of them.
 
     sure (rows, cols, 3): the weight of a pixel's two slopes, a matrix (xx, xy, yy). `steps` of conjugate gradients from
     `surface_mm`, helped by `integrated`, the surfaces when all slopes count alike.
     """
-    from pipeline.stages.depth.poisson_kernels import advanced, gained, missing, turned
+    from pipeline.stages.depth.poisson_kernels import (
+        advance_solution,
+        compute_energy,
+        compute_residual,
+        update_direction,
+    )
 
     flat = (-1, surface_mm.shape[-2] * surface_mm.shape[-1])
-    surface, weights = np.array(surface_mm, np.float32).reshape(flat), [w.reshape(-1) for w in planes(sure)]
+    surface, weights = (
+        np.array(surface_mm, np.float32).reshape(flat),
+        [w.reshape(-1) for w in split_weights(slope_weights)],
+    )
 
-    def inclined(surfaces: Floats) -> list[Floats]:
-        return [_kept(g.reshape(flat)) for g in slopes(surfaces, pixel_mm)]
+    def compute_flat_slopes(surfaces: Floats) -> list[Floats]:
+        return [_kept(g.reshape(flat)) for g in compute_slopes(surfaces, pixel_mm)]
 
     left = np.empty((2, *surface.shape), np.float32)
-    missing(*inclined(surface_mm), *(_kept(g.reshape(flat)) for g in wanted), *weights, *left)
+    compute_residual(
+        *compute_flat_slopes(surface_mm), *(_kept(g.reshape(flat)) for g in target_slopes), *weights, *left
+    )
     way, along, energy = np.zeros_like(surface), np.zeros_like(left), np.zeros(len(surface))
     for _ in range(steps):
         field = left.reshape(2, *surface_mm.shape)
         step = integrated(field[0], field[1])
-        slope, new, stiff = inclined(step), np.empty_like(energy), np.empty_like(energy)
-        gained(*slope, *left, new)
-        turned(_kept(step.reshape(flat)), *slope, _share(new, energy), *weights, way, *along, stiff)
+        slope, new, stiff = compute_flat_slopes(step), np.empty_like(energy), np.empty_like(energy)
+        compute_energy(*slope, *left, new)
+        update_direction(_kept(step.reshape(flat)), *slope, _share(new, energy), *weights, way, *along, stiff)
         energy, far = new, _share(new, stiff)
         if not far.any():
             break
-        advanced(far, way, *along, *weights, surface, *left)
+        advance_solution(far, way, *along, *weights, surface, *left)
     return surface.reshape(surface_mm.shape)
 
 
@@ -119,7 +134,7 @@ def _share(part: Doubles, whole: Doubles) -> Doubles:
     return np.divide(part, whole, out=np.zeros_like(part), where=whole > _NOTHING)
 
 
-def planes(sure: Floats) -> tuple[Floats, ...]:
+def split_weights(sure: Floats) -> tuple[Floats, ...]:
     """The three numbers (rows, cols) of the matrices `sure` (rows, cols, 3), each beside its own."""
     import cv2
 
@@ -131,7 +146,7 @@ def _kept(images: Floats) -> Floats:
     return freeze(np.ascontiguousarray(images, np.float32).view())
 
 
-def _waves(images: Floats, ends: Ends, *, back: bool) -> Floats:
+def _waves(images: Floats, ends: EndConditions, *, back: bool) -> Floats:
     """The orthonormal transform along the last axis whose waves fit both ends, or back from it."""
     from scipy import fft
 
@@ -167,13 +182,13 @@ def _largest_prime(n: int) -> int:
     return max(n, largest)
 
 
-@remembered(8)
-def _pivots(rows: int, modes: int, ends: Ends, others: Ends) -> tuple[Floats, Doubles]:
+@memoise(8)
+def _pivots(rows: int, modes: int, ends: EndConditions, others: EndConditions) -> tuple[Floats, Doubles]:
     """What `solved` needs of images (rows, modes) in waves that fit `ends`, and have `others` along their columns."""
-    from pipeline.stages.depth.poisson_kernels import pivots
+    from pipeline.stages.depth.poisson_kernels import compute_pivots
 
     first = 0.5 if ends[0] != ends[1] else float(ends[0] == "flat")
     waves = 4.0 * np.sin((np.arange(modes) + first) * (math.pi / (2 * modes))) ** 2
     out, slow = np.empty((rows, modes), np.float32), np.empty((rows, min(_SLOW, modes)))
-    pivots(waves, *(1.0 if end == "free" else 3.0 for end in others), np.zeros(modes), out, slow)
+    compute_pivots(waves, *(1.0 if end == "free" else 3.0 for end in others), np.zeros(modes), out, slow)
     return freeze(out), freeze(slow)

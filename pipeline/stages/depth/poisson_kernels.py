@@ -6,11 +6,11 @@ Images are (n, rows, cols), n at once.
 
 import numpy as np
 
-from pipeline.base.kept_kernels import FAST, kernel
+from pipeline.base.cached_kernels import FAST, kernel
 
 
 @kernel(fastmath=FAST)
-def divergence(gx, gy, free, out):
+def compute_divergence(gx, gy, free, out):
     """Edge slopes in minus out; free (4,): whether nothing is known left, right, above and below.
 
     A side that is held lies half a pixel outside: the edge to it has its pixel's own slope. The edge across a free
@@ -43,7 +43,7 @@ def divergence(gx, gy, free, out):
 
 
 @kernel()
-def pivots(waves, first, last, per, out, slow):
+def compute_pivots(waves, first, last, per, out, slow):
     """Write one over the pivots (rows, modes) of a five-point operator whose rows are coupled, modes are not.
 
     waves (modes,): its eigenvalues along the other axis. first, last: the diagonal at the ends beside that, 1 at a
@@ -65,7 +65,7 @@ def pivots(waves, first, last, per, out, slow):
 
 
 @kernel(fastmath=FAST)
-def solved(wave, per, scale, slow, line):
+def solve_tridiagonal(wave, per, scale, slow, line):
     """Solve in place for `wave` (n, rows, modes), times `scale`, with `per` and `slow` of `pivots`.
 
     The modes of `slow`, which change slowly along the rows, are solved for in double precision; line, of the same
@@ -108,7 +108,7 @@ def solved(wave, per, scale, slow, line):
 
 
 @kernel(fastmath=FAST)
-def missing(slope_x, slope_y, wanted_x, wanted_y, xx, xy, yy, left_x, left_y):
+def compute_residual(slope_x, slope_y, wanted_x, wanted_y, xx, xy, yy, left_x, left_y):
     """Write what slopes lack of those wanted, times A."""
     for m in range(slope_x.shape[0]):
         image = np.uint64(m)
@@ -120,7 +120,7 @@ def missing(slope_x, slope_y, wanted_x, wanted_y, xx, xy, yy, left_x, left_y):
 
 
 @kernel(fastmath=FAST)
-def gained(slope_x, slope_y, left_x, left_y, energy):
+def compute_energy(slope_x, slope_y, left_x, left_y, energy):
     """Write the sums (n,) of what is left times the slopes of a step."""
     for m in range(slope_x.shape[0]):
         image, total = np.uint64(m), 0.0
@@ -131,7 +131,7 @@ def gained(slope_x, slope_y, left_x, left_y, energy):
 
 
 @kernel(fastmath=FAST)
-def turned(step, slope_x, slope_y, on, xx, xy, yy, way, along_x, along_y, stiff):
+def update_direction(step, slope_x, slope_y, on, xx, xy, yy, way, along_x, along_y, stiff):
     """Turn the way, and its slopes along, to `step` plus `on` (n,) of what they were; write slopes' A slopes (n,)."""
     for m in range(step.shape[0]):
         image, total = np.uint64(m), 0.0
@@ -147,7 +147,7 @@ def turned(step, slope_x, slope_y, on, xx, xy, yy, way, along_x, along_y, stiff)
 
 
 @kernel(fastmath=FAST)
-def advanced(far, way, along_x, along_y, xx, xy, yy, surface, left_x, left_y):
+def advance_solution(far, way, along_x, along_y, xx, xy, yy, surface, left_x, left_y):
     """Go `far` (n,) on the way: the surfaces, and what is left."""
     for m in range(way.shape[0]):
         image = np.uint64(m)

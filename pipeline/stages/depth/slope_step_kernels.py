@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from pipeline.base.kept_kernels import inlined
+from pipeline.base.cached_kernels import inlined
 
 _DARK, _BRIGHT = np.float32(0.5), np.float32(254.0)  # a camera tells nothing beyond
 _NOISE = np.float32(1.5)  # grey levels
@@ -13,7 +13,7 @@ _LONGEST = np.float32(0.3)  # mm/mm of one step: the light is linear in the slop
 
 
 @inlined()
-def pulled(sums, jx, jy, off, seen, huber):
+def accumulate_normal_equations(sums, jx, jy, off, seen, huber):
     """The normal equations (xx, xy, yy, to x, to y) and what is left, with a colour that is `off` by grey levels.
 
     It changes by jx and jy with the two slopes, and pulls no harder beyond `huber`, of which at most twice is left; not
@@ -29,7 +29,7 @@ def pulled(sums, jx, jy, off, seen, huber):
 
 
 @inlined()
-def stepped(sx, sy, sums, steepest):
+def solve_slope_step(sx, sy, sums, steepest):
     """The slopes after the step that solves the equations, no longer than `_LONGEST`, nor steeper than `steepest`."""
     one = np.float32(1.0)
     xx, xy, yy, to_x, to_y, _ = sums

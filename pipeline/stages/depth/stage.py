@@ -1,284 +1,50 @@
-"""Stage one: how far the source sensor's surface is pushed in, and where it is touched.
-
-A gel's picture goes through a colour-to-slope look-up and an exact integration (`gel_depth`); a bubble's depth image is
-compared with its untouched one (`bubble_depth`).
-"""
+"""The slot *depth*: how far the source's membrane is pushed in."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TypeVar, cast
+from pipeline.engine.graph import Method, skip_if_exact
+from pipeline.stages.depth import depth_anything, network, photometric
+from pipeline.stages.depth_map_stage import make_depth_stage
+from pipeline.stages.network_fallback import fall_back_without_weights
 
-import numpy as np
-
-from pipeline.base.arrays import Image, freeze
-from pipeline.base.doubts import Doubt
-from pipeline.base.errors import ShapeError
-from pipeline.base.memo import Memo
-from pipeline.base.params import setting
-from pipeline.base.progress import SILENT, Progress
-from pipeline.calibration import description
-from pipeline.calibration.lookup import Calibration, built_in
-from pipeline.engine.digests import content
-from pipeline.geometry.camera import Camera
-from pipeline.physics.colours import compared
-from pipeline.sensors.spec import SensorSpec
-from pipeline.stages.depth import bubble_depth, coarse, depth_error, gel_depth, gel_light, own_light
-from pipeline.stages.depth.mirrored import looks_mirrored
-from pipeline.stages.depth.poisson import Boundary
-from pipeline.values.frames import TactileFrame
-from pipeline.values.pixel_index import pixel_index
-from pipeline.values.results import DepthError, DepthMap
-
-_UNTOUCHED = "nothing touches the sensor"
-_BLACK_GREY = 2  # no lit gel is this dark everywhere
-_WHITE_GREY = 254  # nor this bright: noise of a grey level takes what is clipped down to here
-_LIGHTS = 1024  # pictures whose light is remembered: a few hundred bytes each
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DepthParams:
-    """How the depth stage looks at a frame."""
-
-    contact_limit: float = setting(
-        1.0, "Contact limit", unit="x", low=0.2, high=10.0, step=0.1,
-        help="smallest indentation that counts, in units of the sensor's own limit",
-        source="our own; the limit is in the sensor's description",
-    )  # fmt: skip
-    pressure_share: float = setting(
-        0.25, "Pressure share", unit="share", low=0.02, high=0.8, step=0.02,
-        help="contact is where the pressure exceeds this share of its peak nearby",
-        source="Johnson, Contact Mechanics, 1985", only="gel",
-    )  # fmt: skip
-    smoothing_px: float = setting(1.0, "Smoothing", unit="px", low=0.0, high=5.0, step=0.25,
-                                  help="blur of the colour change, or of a bubble's depth",
-                                  source="a Gaussian's standard deviation; how much is our own")  # fmt: skip
-    boundary: Boundary = setting(
-        "flat", "Integration border", choices=Boundary,
-        help="flat: the gel is at rest around the touched part; free: nothing is known there",
-        source="least-squares integral: Frankot and Chellappa 1988, Simchony et al. 1990", only="gel",
-    )  # fmt: skip
-    sensitivity: float = setting(
-        1.0, "Sensitivity", unit="x", low=0.2, high=5.0, step=0.1,
-        help="larger sees weaker touches: divides the sensor's limit of an untouched picture",
-        source="our own; the limit is in the sensor's description",
-    )  # fmt: skip
-    draft: bool = False  # a gel's picture is read with fewer pixels
+PHYSICS = Method(
+    stage="depth",
+    name="physics",
+    title="Physics",
+    help="colour look-up and integration for a gel, load on the membrane for a bubble",
+    run=skip_if_exact(photometric.skip_without_contact, photometric.estimate_depth_with_notes),
+    params=photometric.DepthParams,
+    reads=("frame", "source", "calibration"),
+    version=11,
+    draft=photometric.make_draft_params,
+)
+NETWORK = Method(
+    stage="depth",
+    name="network",
+    title="Network",
+    help="a compact network, learned from simulated presses on other units; a gel's corrects physics",
+    run=skip_if_exact(
+        network.skip_without_contact, fall_back_without_weights(network.estimate_depth, fallback=PHYSICS)
+    ),
+    params=network.NetworkParams,
+    reads=(*PHYSICS.reads, "depth_weights"),
+    version=2,
+    draft=photometric.make_draft_params,
+    weights=network.select_weights,
+)
+DEPTH_ANYTHING = Method(
+    stage="depth",
+    name="depth_anything",
+    title="Depth Anything V2",
+    help="the paper's network, on weights that you give",
+    run=fall_back_without_weights(depth_anything.estimate_depth, fallback=PHYSICS),
+    params=depth_anything.DepthAnythingParams,
+    reads=(*PHYSICS.reads, "depth_weights"),
+    weights=depth_anything.select_weights,
+)
 
 
-Drafting = TypeVar("Drafting", bound=DepthParams)
-
-
-def draft(params: Drafting) -> Drafting:
-    """What to show while a parameter is dragged."""
-    return replace(params, draft=True)
-
-
-def depth(
-    frame: TactileFrame,
-    source: SensorSpec,
-    calibration: Calibration | None,
-    params: DepthParams,
-    progress: Progress = SILENT,
-) -> DepthMap:
-    """Indentation (mm, positive toward the camera), depth and contact of a frame, in the source sensor's frame.
-
-    `calibration` None stands for the look-up that the sensor's description implies. The frame's own camera is used
-    where it brings one. Raises ShapeError for a frame that cannot be read, CalibrationError for one of another sensor.
-    """
-    progress.step(0.0, "comparing with the untouched frame")
-    checked(frame, source)
-    seen_by = source if frame.camera is None else source.seen_through(frame.camera)
-    if frame.is_depth:
-        least_mm = params.contact_limit * source.limits.contact_min_mm
-        found = bubble_depth.depth(frame, seen_by, smoothing_px=params.smoothing_px, least_mm=least_mm)
-        return replace(found, error=measured_error(source))
-    by = fewer(frame, source, params)
-    if by == 1:
-        return gel(frame, source, calibration, params, progress)[0]
-    light = light_before(frame, source)
-    less = coarse.frame(frame, seen_by.camera, by), source, coarse.look_up(calibration, by), coarser(params, by)
-    return coarse.enlarged(gel(*less, progress, light)[0], seen_by, by)
-
-
-def fewer(frame: TactileFrame, source: SensorSpec, params: DepthParams) -> int:
-    """How many pixels of a gel's frame lie along a side of one that is looked at: more than one in a draft."""
-    seen_by = source if frame.camera is None else source.seen_through(frame.camera)
-    return coarse.fewer(seen_by.camera.shape) if params.draft else 1
-
-
-def coarser(params: Drafting, by: int) -> Drafting:
-    """The same for pictures with `by` times fewer pixels along a side."""
-    return replace(params, smoothing_px=params.smoothing_px / by)
-
-
-def light_before(frame: TactileFrame, source: SensorSpec) -> own_light.Told | None:
-    """What the last whole answer of the picture was read by; None where there was none."""
-    return _lights.get(_pictures(frame, source))
-
-
-def gel(
-    frame: TactileFrame,
-    source: SensorSpec,
-    calibration: Calibration | None,
-    params: DepthParams,
-    progress: Progress = SILENT,
-    light: own_light.Told | None = None,
-) -> tuple[DepthMap, gel_depth.Measured | None]:
-    """`depth` of a gel's frame, and what it was made of; the frame has been checked.
-
-    A `light` that is known to explain the picture is not looked for.
-    """
-    seen_by = source if frame.camera is None else source.seen_through(frame.camera)
-    look_up = calibration if calibration is not None else built_in(seen_by)
-    found, measured = gel_depth.read(
-        frame, seen_by, look_up,
-        no_touch_grey=source.limits.no_touch / params.sensitivity,
-        least_mm=params.contact_limit * source.limits.contact_min_mm,
-        pressure_share=params.pressure_share,
-        smoothing_px=params.smoothing_px,
-        boundary=params.boundary,
-        progress=progress,
-        rounds=coarse.ROUNDS if params.draft else gel_light.ROUNDS,
-        light=light,
-    )  # fmt: skip
-    if measured is not None and measured.light is not None and not params.draft:
-        _lights.put(_pictures(frame, source), measured.light)
-    told = depth_error.of_gel(found, seen_by, None if measured is None else measured.light)
-    return replace(found, error=told), measured
-
-
-def measured_error(source: SensorSpec) -> DepthError | None:
-    """What a bubble's depth is known to be off by where it touches; None where nobody has measured it."""
-    rms_mm = source.limits.depth_rms_mm
-    return DepthError(rms_mm=rms_mm, correlation_mm=source.limits.depth_correlation_mm) if rms_mm else None
-
-
-def recorded(
-    frame: TactileFrame,
-    source: SensorSpec,
-    calibration: Calibration | None,
-    params: DepthParams,
-    progress: Progress = SILENT,
-) -> DepthMap:
-    """`depth` of a frame that a real unit has taken: the first note says what its look-up is worth."""
-    found = depth(frame, source, calibration, params, progress)
-    return found if source.kind == "bubble" else worth_told(found, frame, source, calibration)
-
-
-def worth_told(found: DepthMap, frame: TactileFrame, source: SensorSpec, calibration: Calibration | None) -> DepthMap:
-    """A gel's answer, with what its look-up is worth as the first note."""
-    worth = description.UNCALIBRATED_NOTE if calibration is None else description.note(calibration)
-    return replace(found, notes=(worth, *odd(frame, source, calibration), *found.notes))
-
-
-def odd(frame: TactileFrame, source: SensorSpec, calibration: Calibration | None) -> tuple[str, ...]:
-    """What speaks against a gel's pictures, where its look-up rests on the described lights."""
-    told = oddness(frame, source) if calibration is None or calibration.is_built_in else ""
-    return (Doubt(f"{told}; depth and contact may be all wrong"),) if told else ()
-
-
-def oddness(frame: TactileFrame, source: SensorSpec) -> str:
-    """How a gel's pictures differ from those that the sensor's description tells of, as a clause; "" where they do not.
-
-    The untouched picture tells most of it; whether it is mirrored, only together with a touch on some sensors.
-    """
-    if frame.is_depth or frame.reference is None:
-        return ""
-    seen_by = source if frame.camera is None else source.seen_through(frame.camera)
-    found = compared(cast("Image", frame.reference), seen_by)
-    if found.odd:
-        return f"the untouched picture is not as {source.name} takes it: {found.odd}"
-    how = found.perhaps_mirrored
-    if how is not None and looks_mirrored(frame, seen_by, built_in(seen_by), how):
-        return f"the pictures look mirrored {how}: the touch has a surface's slopes only then"
-    return ""
-
-
-def untouched(
-    frame: TactileFrame,
-    source: SensorSpec,
-    calibration: Calibration | None,  # noqa: ARG001 - every stage's short cut reads what the stage reads
-    params: DepthParams,
-) -> DepthMap | None:
-    """The exact answer for a frame in which nothing touches; None when something may, or a closer look is due."""
-    reference, image = frame.reference, frame.image
-    if reference is None or reference.shape != image.shape or reference.dtype != image.dtype:
-        return None
-    number = np.floating if frame.is_depth else np.uint8  # anything else is for `depth` to refuse in words
-    if frame.is_depth != (source.kind == "bubble") or not np.issubdtype(image.dtype, number):
-        return None
-    limit = source.limits.no_touch / params.sensitivity
-    if frame.is_depth:
-        notes = (_UNTOUCHED,) if bubble_depth.largest_change(image, reference) < limit else None
-    else:
-        notes = gel_depth.untouched_notes(cast("Image", image), cast("Image", reference), limit)
-    if notes is None:
-        return None
-    seen_by = source if frame.camera is None else source.seen_through(frame.camera)
-    if frame.image.shape[:2] != seen_by.camera.shape:
-        return None
-    at_rest = _at_rest(frame, seen_by)
-    return at_rest if notes == at_rest.notes else replace(at_rest, notes=notes)
-
-
-def checked(frame: TactileFrame, source: SensorSpec) -> None:
-    """Raise ShapeError for a frame that no method can read."""
-    where = f"frame {frame.index} of {frame.sensor or source.name}"
-    image, reference = frame.image, frame.reference
-    if reference is None:
-        raise ShapeError(
-            f"no reference image for {where}; record one untouched frame, or name a picture of it as the reference"
-        )
-    camera = frame.camera or source.camera
-    wanted = camera.shape if source.kind == "bubble" else (*camera.shape, 3)
-    for what, array in (("image", image), ("reference", reference)):
-        if array.shape != wanted:
-            raise ShapeError(
-                f"the {what} of {where} must have shape {wanted}, got {array.shape}; choose the right sensor"
-            )
-        if source.kind == "gel" and array.dtype != np.uint8:
-            bad = np.issubdtype(array.dtype, np.floating) and not np.isfinite(array).all()
-            told = "holds values that are not numbers (NaN)" if bad else f"is {array.dtype}"
-            raise ShapeError(f"the {what} of {where} {told}; a gel's picture is RGB of 8 bits")
-        if source.kind == "bubble" and not np.issubdtype(array.dtype, np.floating):
-            raise ShapeError(f"the {what} of {where} is {array.dtype}; a bubble's depth is float32 in millimetres")
-        if source.kind == "bubble" and not (array > 0).any():
-            raise ShapeError(
-                f"the {what} of {where} holds no depth at all (NaN or zero everywhere); leave this frame out"
-            )
-        if source.kind == "gel" and int(array.max()) <= _BLACK_GREY:
-            raise ShapeError(f"the {what} of {where} is black; check the light and the camera, or leave this frame out")
-        if source.kind == "gel" and int(array.min()) >= _WHITE_GREY:
-            raise ShapeError(
-                f"every pixel of the {what} of {where} is clipped, so that nothing is seen of the gel; "
-                "expose less, or leave this frame out"
-            )
-
-
-def _at_rest(frame: TactileFrame, source: SensorSpec) -> DepthMap:
-    """The result for an untouched frame: the very same for one view of a gel, and for one reference of a bubble."""
-    rest = frame.reference if frame.is_depth and frame.reference is not None else source.rest_depth_mm
-    shape = source.camera.shape
-    return _rests.of(
-        (content(rest), source.camera),
-        lambda: DepthMap(
-            indentation_mm=freeze(np.zeros(shape, np.float32)),
-            depth_mm=freeze(np.where(rest > 0, rest, np.nan).astype(np.float32)),
-            contact=freeze(np.zeros(shape, np.bool_)),
-            camera=source.camera,
-            source_index=pixel_index(shape),
-            notes=(_UNTOUCHED,),
-        ),
-    )
-
-
-def _pictures(frame: TactileFrame, source: SensorSpec) -> tuple[str, ...]:
-    """What a light belongs to: the touch as it was seen, however it is read."""
-    return source.name, content(frame.image), content(frame.reference), content(frame.beside)
-
-
-_rests: Memo[tuple[str, Camera], DepthMap] = Memo(16)
-# The light that the last whole answer of a picture was read by: a draft of it does not look for one again, which takes
-# half of its time, and shows what letting go will show.
-_lights: Memo[tuple[str, ...], own_light.Told] = Memo(_LIGHTS)
+# Both kinds are read better by the network (`benchmarks/bubble_network.py`, `benchmarks/simulated_depth.py`).
+STAGE = make_depth_stage(
+    name="depth", title="Depth", legend="membrane", sensor_role="source", methods=(NETWORK, PHYSICS, DEPTH_ANYTHING)
+)

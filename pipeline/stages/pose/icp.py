@@ -13,13 +13,13 @@ from pipeline.base.errors import CalibrationError
 from pipeline.base.progress import SILENT, Progress
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh, sample_surface
-from pipeline.registration.model import Model
-from pipeline.registration.scene import Scene
-from pipeline.registration.starts import Start, starts
+from pipeline.registration.model import ObjectModel
+from pipeline.registration.scene import ContactScene
+from pipeline.registration.starts import Start, list_starts
 from pipeline.values.results import ObjectPose, PoseStep
 
 NOTE = "icp: the start of most points near the object, then of least rmse; nothing says what is open"
-N_MODEL = 20_000  # points that the object is sampled at, as in benchmarks/pose.py
+N_MODEL_POINTS = 20_000  # points that the object is sampled at, as in benchmarks/pose.py
 _QUICK, _N_REFINED = 3, 6  # iterations from each start; starts that are registered to the end
 _SETTLED = 1e-6  # Open3D's own relative change of fitness and rmse that ends its iterations
 
@@ -32,7 +32,7 @@ class _Icp:
     target: Any
     max_distance_mm: float
 
-    def from_(self, start: Doubles, n_iterations: int) -> PoseStep:
+    def iterate(self, start: Doubles, n_iterations: int) -> PoseStep:
         """Where so many iterations lead from a sensor_from_object; the felt points are moved, the object stays."""
         import open3d
 
@@ -43,18 +43,18 @@ class _Icp:
             registration.ICPConvergenceCriteria(_SETTLED, _SETTLED, n_iterations),
         )  # fmt: skip
         try:
-            pose = rigid.invert(rigid.checked(np.array(found.transformation), "the result of ICP"))
+            pose = rigid.invert(rigid.validate_rigid(np.array(found.transformation), "the result of ICP"))
         except CalibrationError:
             # A system that nothing determines is solved to something that is no motion: such a start is worth nothing.
             return PoseStep(sensor_from_object=freeze(start), rmse_mm=math.inf, fitness=0.0)
         return PoseStep(
             sensor_from_object=freeze(pose), rmse_mm=float(found.inlier_rmse), fitness=float(found.fitness),
-            reach_mm=self.max_distance_mm,
+            max_correspondence_mm=self.max_distance_mm,
         )  # fmt: skip
 
 
-def icp_pose(
-    scene: Scene, mesh: Mesh, model: Model, *, face: str, n_starts: int, n_iterations: int, max_distance_mm: float,
+def register_icp(
+    scene: ContactScene, mesh: Mesh, model: ObjectModel, *, face: str, n_starts: int, n_iterations: int, max_distance_mm: float,
     seed: int, keep_steps: bool, progress: Progress = SILENT,
 ) -> ObjectPose:  # fmt: skip
     """ICP from the first guesses of our own search, a few iterations each, the most promising to the end.
@@ -63,13 +63,13 @@ def icp_pose(
     """
     import open3d
 
-    points_mm, normals = sample_surface(mesh, N_MODEL, seed)
+    points_mm, normals = sample_surface(mesh, N_MODEL_POINTS, seed)
     clouds = [
         open3d.geometry.PointCloud(open3d.utility.Vector3dVector(np.array(p))) for p in (scene.points_mm, points_mm)
     ]
     clouds[1].normals = open3d.utility.Vector3dVector(np.array(normals))
     icp = _Icp(source=clouds[0], target=clouds[1], max_distance_mm=max_distance_mm)
-    tried = _one_a_group(starts(scene, model, face, n_starts))
+    tried = _one_a_group(list_starts(scene, model, face, n_starts))
     # Open3D adds up on as many threads as there are, each time in another order.
     n_threads = open3d.utility.get_max_threads()
     open3d.utility.set_max_threads(1)
@@ -80,10 +80,10 @@ def icp_pose(
     best = way[-1]
     known = best.fitness > 0
     return ObjectPose(
-        sensor_from_object=best.sensor_from_object if known else None, covariance=None, observable=None, weak=(),
+        sensor_from_object=best.sensor_from_object if known else None, covariance=None, observable=None, weak_directions=(),
         rmse_mm=best.rmse_mm if known else math.nan, fitness=best.fitness,
         scene_mm=freeze(scene.points_mm.astype(np.float32)), source_index=freeze(scene.pixel),
-        steps=tuple(way) if keep_steps else (), stopped=_stopped(len(way) - 1, n_iterations) if known else "",
+        steps=tuple(way) if keep_steps else (), stop_reason=_stopped(len(way) - 1, n_iterations) if known else "",
         starts_tried=len(tried),
         notes=(NOTE,) if known else ("icp: no point lies within the search distance of the object from any start",),
     )  # fmt: skip
@@ -94,7 +94,7 @@ def _best_way(icp: _Icp, tried: list[Start], n_iterations: int, progress: Progre
     quick: list[PoseStep] = []
     for k, start in enumerate(tried):
         progress.step(k / (len(tried) + 1), f"ICP from start {k + 1} of {len(tried)}")
-        quick.append(icp.from_(start.sensor_from_object, _QUICK))
+        quick.append(icp.iterate(start.sensor_from_object, _QUICK))
     progress.step(1.0 - 1.0 / (len(tried) + 1), "ICP from the best of these")
     ways = [_way(icp, begun, n_iterations) for begun in sorted(quick, key=_worth)[:_N_REFINED]]
     return min(ways, key=lambda steps: _worth(steps[-1]))
@@ -121,7 +121,7 @@ def _one_a_group(tried: list[Start]) -> list[Start]:
 def _way(icp: _Icp, begun: PoseStep, n_iterations: int) -> list[PoseStep]:
     steps = [begun]
     for _ in range(n_iterations):
-        steps.append(icp.from_(steps[-1].sensor_from_object, 1))
+        steps.append(icp.iterate(steps[-1].sensor_from_object, 1))
         if abs(steps[-1].rmse_mm - steps[-2].rmse_mm) <= _SETTLED * max(steps[-2].rmse_mm, _SETTLED):
             break
     return steps

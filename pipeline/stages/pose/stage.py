@@ -1,266 +1,188 @@
-"""Pose: where the touched object is in the target sensor's frame (paper: ICP against the object's mesh).
-
-A contact is a one-sided, partial view of the object, so a single registration ends in some minimum, confidently. Here
-many first guesses are compared by what was felt and by what was not, the best are registered on the object's signed
-distances, and what is left open is said: directions that nothing shows, and other poses that fit as well.
-"""
+"""The slot *pose*: where the touched object is, in the target's frame."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
 
 import numpy as np
 
-from pipeline.base.arrays import Doubles, Floats, Indices, freeze
-from pipeline.base.errors import SettingProblem
-from pipeline.base.params import setting
-from pipeline.base.progress import SILENT, Progress, Share
+from pipeline.base.arrays import Floats, Image, Mask, freeze
+from pipeline.engine.graph import Method, skip_if_exact
 from pipeline.geometry import rigid
-from pipeline.geometry.meshes import Mesh
-from pipeline.registration.answer import Answered, answered
-from pipeline.registration.gauss_newton import NotDetermined, Points
-from pipeline.registration.planar_pose import planar_pose
-from pipeline.registration.prepared import prepared
-from pipeline.registration.scene import Scene, felt_surface
-from pipeline.registration.search import Minimum, Search
-from pipeline.registration.starts import FACES, edge_starts, starts
-from pipeline.stages.pose.icp import icp_pose
+from pipeline.geometry.distance_grid_store import load_distance_grid
+from pipeline.metrics.stage_metrics import compute_pose_metrics
+from pipeline.previews.colours import (
+    NO_VALUE_COLOUR,
+    REGISTERED_POINT_COLOUR,
+    UNMATCHED_POINT_COLOUR,
+    ColourScale,
+    apply_colour_map,
+    repeat_colour,
+)
+from pipeline.previews.display_params import DisplayParams
+from pipeline.previews.layers import Layer, make_cloud_layer, make_lines_layer, make_membrane_layer, make_object_layer
+from pipeline.previews.preview import PixelPositions, Preview, compute_pixel_mm, trace_outline
+from pipeline.stages import ground_truth
+from pipeline.stages.network_fallback import fall_back_without_weights
+from pipeline.stages.pixel_lookup import look_up_element, to_xyz
+from pipeline.stages.pose import network, signed_distances, step_history
+from pipeline.stages.stage import GroundTruth, PreviewContext, ProbePoint, Stage
 from pipeline.values.results import DepthMap, ObjectPose
 
-NO_CONTACT = "no contact: nothing was felt to find a pose from"
-NO_MESH = "no object mesh was given; a pose needs one"
-_MIN_POINTS = 20  # six unknowns, three times over
-_MIN_FITNESS = 0.05  # share of the contact on the object below which there is no pose to speak of
-_LARGEST = 100.0  # times the contact's size: a larger object's surface would be one plane
+_MOST_LINES = 400  # from registered points to the object: more would hide it
+
+SIGNED_DISTANCES = Method(
+    stage="pose",
+    name="signed_distances",
+    title="Signed distances",
+    help="many starts, registered on the mesh's signed distances, judged by felt and unfelt space",
+    run=skip_if_exact(signed_distances.skip_pose, signed_distances.estimate_or_track_pose),
+    params=signed_distances.PoseParams,
+    reads=("touch_depth", "mesh", "previous"),
+    version=5,
+)
+PAPER_2D = Method(
+    stage="pose",
+    name="paper_2d",
+    title="Paper, 2D",
+    help="the paper's released evaluation: in-plane turn and shift of projections",
+    run=skip_if_exact(signed_distances.skip_without_contact, signed_distances.estimate_pose_planar),
+    params=signed_distances.PoseParams,
+    reads=("touch_depth", "mesh"),
+)
+ICP = Method(
+    stage="pose",
+    name="icp",
+    title="ICP (Open3D)",
+    help="point-to-plane ICP on sampled points, the paper's own way",
+    run=skip_if_exact(signed_distances.skip_without_contact, signed_distances.estimate_pose_icp),
+    params=signed_distances.PoseParams,
+    reads=("touch_depth", "mesh"),
+)
+NETWORK = Method(
+    stage="pose",
+    name="network",
+    title="Network",
+    help="the paper's tactile metric: shift and turn of objects that it was taught, from the touch's picture",
+    run=fall_back_without_weights(network.predict_pose, fallback=network.REGISTRATION_OF_TOUCH),
+    params=signed_distances.PoseParams,
+    reads=(*network.READS, "pose_weights"),
+    weights=network.select_weights,
+)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PoseParams:
-    """How the registration is done."""
+def _picture(pose: ObjectPose, seen: PreviewContext) -> Preview:
+    """How far the registered points lie from the posed object, over the faded touch."""
+    felt: DepthMap = seen.outputs["touch_depth"]
+    values = np.full(felt.camera.shape, np.nan, dtype=np.float32)
+    element = np.full(felt.camera.shape, -1, dtype=np.int32)
+    at = np.flatnonzero(pose.source_index >= 0)
+    scale = make_residual_scale(seen.display)
+    pixels, caption = _faded(seen, felt), f"no pose: {pose.notes[0]}" if pose.notes else "no pose"
+    element.flat[pose.source_index[at]] = at
+    if pose.sensor_from_object is not None and seen.mesh is not None and at.size:
+        in_object = rigid.apply(rigid.invert(pose.sensor_from_object), pose.scene_mm[at])
+        values.flat[pose.source_index[at]] = load_distance_grid(seen.mesh).at(in_object)[0]
+        shown = _grown(values, len(pose.scene_mm), felt.contact)
+        pixels = np.where(np.isfinite(shown)[..., None], apply_colour_map(shown, scale), pixels)
+        share = f"{100 * pose.fitness:.0f} % of {at.size} points"
+        caption = f"distance to object, + outside; rms {pose.rmse_mm:.2f} mm, {share}"
+    return Preview(
+        pixels=freeze(np.ascontiguousarray(pixels, dtype=np.uint8)), values=freeze(values), scale=scale,
+        frame_name=f"{seen.target.name} frame", positions_mm=PixelPositions(felt.camera, felt.depth_mm),
+        outline_px=trace_outline(felt.contact), pixel_mm=compute_pixel_mm(felt.camera, seen.target), caption=caption,
+        element_index=freeze(element), camera=felt.camera,
+    )  # fmt: skip
 
-    face: str = setting(
-        "auto",
-        "Face toward the sensor",
-        choices=("auto", *FACES),
-        help="axis of the object that points at the sensor",
-        source="our own; the paper's evaluation knows it",
+
+def make_residual_scale(display: DisplayParams) -> ColourScale:
+    """Of the distance to the posed object."""
+    limit, sets = display.residual_limit_mm, "residual_limit_mm"
+    return ColourScale(
+        colour_map="diverging", low=-limit, high=limit, unit="mm", quantity="distance to object, + outside it", low_setting=sets,
+        high_setting=sets, is_subtractable=False,
+    )  # fmt: skip
+
+
+def _layers(pose: ObjectPose, seen: PreviewContext, _picture: Preview) -> tuple[Layer, ...]:
+    """The registered points, the object where it was found, and the rest surface."""
+    scene = make_cloud_layer("scene", pose.scene_mm, repeat_colour(REGISTERED_POINT_COLOUR, len(pose.scene_mm)), 4.0)
+    layers = (scene, make_membrane_layer(seen.target))
+    if seen.mesh is None or pose.sensor_from_object is None:
+        return layers
+    return (*layers, make_object_layer(seen.mesh, pose.sensor_from_object))
+
+
+def _state_layers(pose: ObjectPose, seen: PreviewContext, picture: Preview) -> tuple[Layer, ...]:
+    """The object at one step, with a line from each registered point to the nearest of its surface."""
+    if seen.mesh is None or pose.sensor_from_object is None:
+        return _layers(pose, seen, picture)
+    found = step_history.compute_correspondences(pose, load_distance_grid(seen.mesh))
+    colours = np.where(
+        found.is_inlier[:, None],
+        apply_colour_map(found.distance_mm.astype(np.float32), make_residual_scale(seen.display)),
+        UNMATCHED_POINT_COLOUR,
     )
-    n_starts: int = setting(
-        72, "Starts", unit="starts", low=1, high=1000, step=6, help="orientations that are tried",
-        source="our own: turns about the normals of the object's faces",
-    )  # fmt: skip
-    n_iterations: int = setting(
-        30, "Iterations", unit="iterations", low=1, high=200, step=5,
-        help="of one registration at most; it ends sooner once it moves no more",
-        source="Gauss-Newton with the weights of Geman and McClure 1985; ICP: Chen and Medioni 1992",
-    )  # fmt: skip
-    max_distance_mm: float = setting(
-        2.0, "Search distance", unit="mm", low=0.05, high=20.0, step=0.1,
-        help="points farther from the object do not count as on it",
-        source="point to surface on signed distances; covariance: Bonnabel 2014",
-    )  # fmt: skip
-    max_points: int = setting(
-        1500, "Points", unit="points", low=50, high=100_000, step=100, help="contact points that are used",
-        source="our own: drawn evenly from the contact",
-    )  # fmt: skip
-    keep_steps: bool = setting(
-        False, "Keep iterations", help="so that the way to the pose can be stepped through",
-        source="our own; changes no answer",
-    )  # fmt: skip
-    seed: int = setting(
-        0, "Seed", low=0, high=2**31 - 1, step=1, help="of the points that are drawn",
-        source="PCG64: O'Neill 2014, as numpy has it",
-    )  # fmt: skip
+    every = slice(None, None, max(1, math.ceil(len(colours) / _MOST_LINES)))
+    ends = np.stack([pose.scene_mm, found.nearest_mm.astype(np.float32)], axis=1)
+    return (
+        make_cloud_layer("scene", pose.scene_mm, colours.astype(np.uint8), 4.0),
+        make_lines_layer("partners", ends[every], colours[every].astype(np.uint8)),
+        *_layers(pose, seen, picture)[1:],
+    )
 
 
-def pose(felt: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT) -> ObjectPose:
-    """sensor_from_object (4, 4) in mm with its covariance and what it leaves open; None where it cannot be said.
-
-    Raises MeshProblem when the mesh has no surface, SettingProblem for an unknown face.
-    """
-    ready = begun(felt, mesh, params, progress)
-    return ready if isinstance(ready, ObjectPose) else _searched(*ready, params, progress, None)
-
-
-def pose_from(
-    felt: DepthMap,
-    mesh: Mesh | None,
-    params: PoseParams,
-    previous: Doubles,
-    progress: Progress = SILENT,
-    *,
-    others: Sequence[Doubles] = (),
-) -> ObjectPose:
-    """`pose` of the next touch of a sequence: followed from the `previous` sensor_from_object (4, 4) where that fits.
-
-    `others` are the poses that fitted the last touch as well (`ObjectPose.alternatives`): they are followed too, so
-    that a touch that tells them apart does. Where that leaves more than the depth's error explains, everything is
-    searched anew. Of poses that fit equally well, the one nearest to `previous` is answered. Raises what `pose` does,
-    CalibrationError when `previous` is no rigid transform.
-    """
-    ready = begun(felt, mesh, params, progress)
-    if isinstance(ready, ObjectPose):
-        return ready
-    search, checked = ready
-    found = search.followed([rigid.checked(start, "the previous pose") for start in (previous, *others)])
-    if found:
-        told = _told(search, checked, found, 0, ("followed from the touch before",), previous, progress)
-        return replace(told, steps=search.way_to(np.array([previous, *others]), told.steps))
-    return _searched(search, checked, params, progress, previous)
+def _follow(pose: ObjectPose, before: ProbePoint) -> ProbePoint:
+    point = look_up_element(pose.source_index, before.index)
+    if point < 0:
+        return ProbePoint(
+            stage="pose", index=-1, row=before.row, col=before.col, text="not among the registered points"
+        )
+    x, y, z = to_xyz(pose.scene_mm[point])
+    text = f"registered at ({x:.2f}, {y:.2f}, {z:.2f}) mm"
+    return ProbePoint(stage="pose", index=point, row=before.row, col=before.col, point_mm=(x, y, z), text=text)
 
 
-def posed(
-    felt: DepthMap, mesh: Mesh | None, previous: ObjectPose | None, params: PoseParams, progress: Progress = SILENT
-) -> ObjectPose:
-    """The stage: `pose_from` where the touch before is given and has a pose, else `pose`."""
-    if previous is None or previous.sensor_from_object is None:
-        return pose(felt, mesh, params, progress)
-    return pose_from(felt, mesh, params, previous.sensor_from_object, progress, others=previous.alternatives)
+def _figures(pose: ObjectPose, facts: GroundTruth) -> Mapping[str, float]:
+    return (
+        {} if facts.target_truth is None else compute_pose_metrics(pose, facts.target_truth, facts.mesh, facts.symmetry)
+    )
 
 
-def planar(felt: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT) -> ObjectPose:
-    """The pose by the paper's released planar evaluation, for comparison; raises what `pose` does."""
-    ready = begun(felt, mesh, params, progress)
-    if isinstance(ready, ObjectPose):
-        return ready
-    search, checked = ready
-    return planar_pose(
-        search.scene, checked, search.object.model, params.face, params.n_iterations, keep_steps=params.keep_steps,
-        progress=progress,
-    )  # fmt: skip
+def _faded(seen: PreviewContext, touch_depth: DepthMap) -> Image:
+    touch = seen.outputs.get("touch")
+    if touch is None or touch.image.ndim == 2:
+        return np.full((*touch_depth.camera.shape, 3), NO_VALUE_COLOUR, dtype=np.uint8)
+    grey = touch.image.mean(axis=-1, keepdims=True)
+    return np.broadcast_to(150.0 + 0.4 * grey, touch.image.shape).astype(np.uint8)
 
 
-def icp(felt: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT) -> ObjectPose:
-    """The pose by Open3D's point-to-plane ICP, the paper's own way; raises what `pose` does."""
-    ready = begun(felt, mesh, params, progress)
-    if isinstance(ready, ObjectPose):
-        return ready
-    search, checked = ready
-    return icp_pose(
-        search.scene, checked, search.object.model, face=params.face, n_starts=params.n_starts,
-        n_iterations=params.n_iterations, max_distance_mm=params.max_distance_mm, seed=params.seed,
-        keep_steps=params.keep_steps, progress=progress,
-    )  # fmt: skip
+def _grown(values: Floats, n_points: int, contact: Mask) -> Floats:
+    """Each point grown to the area it stands for, so that thinned points show on a small picture."""
+    import cv2
+
+    side = max(3, min(9, 2 * round(0.5 * math.sqrt(max(1, int(contact.sum())) / max(1, n_points))) + 1))
+    kernel = np.ones((side, side), dtype=np.uint8)
+    high = cv2.dilate(np.where(np.isfinite(values), values, -1e3).astype(np.float32), kernel)
+    return np.where(high > -1e2, high, np.nan).astype(np.float32)
 
 
-def nothing_to_pose(
-    felt: DepthMap,
-    mesh: Mesh | None,
-    previous: ObjectPose | None,  # noqa: ARG001 - a shortcut takes what its stage takes
-    params: PoseParams,
-) -> ObjectPose | None:
-    """`without_contact` with the inputs of `posed`."""
-    return without_contact(felt, mesh, params)
-
-
-def without_contact(felt: DepthMap, mesh: Mesh | None, params: PoseParams) -> ObjectPose | None:  # noqa: ARG001
-    """The answer "unknown" when there is no mesh or no contact, else None; same inputs as `pose`."""
-    if not felt.contact.any():
-        return _unknown(NO_CONTACT)
-    return _unknown(NO_MESH) if mesh is None else None
-
-
-def begun(
-    felt: DepthMap, mesh: Mesh | None, params: PoseParams, progress: Progress = SILENT
-) -> ObjectPose | tuple[Search, Mesh]:  # fmt: skip
-    """What a search needs, or the answer where there is nothing to search."""
-    early = without_contact(felt, mesh, params)
-    if early is not None or mesh is None:
-        return early or _unknown(NO_MESH)
-    _check(params)
-    scene = felt_surface(felt, params.max_points, params.seed)
-    few = f"only {len(scene.points_mm)} contact points show a surface; a pose needs at least {_MIN_POINTS}"
-    if len(scene.points_mm) < _MIN_POINTS:
-        return _unknown(few, scene)
-    points = Points.of(scene.points_mm)
-    if isinstance(points, NotDetermined):
-        return _unknown(points.why, scene)
-    if len(mesh.vertices_mm) and _size_mm(mesh) > _LARGEST * points.radius_mm:
-        return _unknown(_not_laid(mesh), scene)
-    progress.step(0.0, "measuring the object")
-    ready = prepared(mesh, params.seed, Share(progress, 0.0, 0.2))
-    return Search(
-        scene=scene, points=points, object=ready, outward=FACES.get(params.face),
-        max_distance_mm=params.max_distance_mm, n_iterations=params.n_iterations, keep_steps=params.keep_steps,
-    ), mesh  # fmt: skip
-
-
-def _check(params: PoseParams) -> None:
-    if params.face not in ("auto", *FACES):
-        raise SettingProblem(f"pose.face must be one of auto, {', '.join(FACES)}, got {params.face!r}")
-
-
-def _searched(
-    search: Search, mesh: Mesh, params: PoseParams, progress: Progress, near: Doubles | None
-) -> ObjectPose:  # fmt: skip
-    """The answer from all first guesses."""
-    progress.step(0.2, "comparing first guesses")
-    tried = starts(search.scene, search.object.model, params.face, params.n_starts)
-    progress.step(0.21, "registering the most promising")
-    firsts = search.likeliest(tried)
-    found = search.best(search.promising(firsts), Share(progress, 0.3, 0.4))
-    if not (found and search.explains(found[0])):
-        progress.step(0.7, "comparing first guesses on edges and corners")
-        further = edge_starts(search.scene, search.object.model, params.face, params.n_starts)
-        edges = search.likeliest(further)
-        more = search.best(search.promising(edges), Share(progress, 0.75, 0.25))
-        firsts = np.concatenate([firsts, edges])
-        tried, found = [*tried, *further], sorted([*found, *more], key=lambda m: m.misfit_mm)
-    told = _told(search, mesh, found, len(tried), (), near, progress)
-    return replace(told, steps=search.way_to(firsts, told.steps))
-
-
-def _told(
-    search: Search,
-    mesh: Mesh,
-    found: list[Minimum],
-    n_tried: int,
-    notes: tuple[str, ...],
-    near: Doubles | None,
-    progress: Progress,
-) -> ObjectPose:
-    """The best of the minima, the others that fit as well, and what is not known; of equals, the one `near` a pose."""
-    best = answered(search, found, progress)
-    if best is None or best.minimum.fit.fitness < _MIN_FITNESS:
-        return _unknown(_not_laid(mesh), search.scene)
-    if near is not None and best.alternatives:
-        equal = (best.minimum.fit.sensor_from_object, *best.alternatives)
-        nearest = min(equal, key=lambda pose: search.between_mm(near, pose))
-        other = None if nearest is equal[0] else search.polished(nearest, dense=True)
-        best = (answered(search, [other, *found], progress) if other is not None else None) or best
-    return _pose_of(search, best, n_tried, notes)
-
-
-def _pose_of(search: Search, best: Answered, n_tried: int, notes: tuple[str, ...]) -> ObjectPose:
-    fit, known = best.minimum.fit, best.known
-    points, pixel = _frozen(search.scene)
-    return ObjectPose(
-        sensor_from_object=freeze(fit.sensor_from_object), covariance=freeze(known.covariance),
-        observable=freeze(known.observable), weak=known.weak, rmse_mm=fit.rmse_mm, fitness=fit.fitness,
-        scene_mm=points, source_index=pixel, steps=fit.steps, stopped=fit.stopped, starts_tried=n_tried,
-        notes=(*best.notes, *search.object.grid.notes, *notes), alternatives=best.alternatives,
-    )  # fmt: skip
-
-
-def _unknown(why: str, scene: Scene | None = None) -> ObjectPose:
-    points, pixel = _frozen(scene)
-    return ObjectPose(
-        sensor_from_object=None, covariance=None, observable=None, weak=(), rmse_mm=math.nan, fitness=0.0,
-        scene_mm=points, source_index=pixel, notes=(why,),
-    )  # fmt: skip
-
-
-def _not_laid(mesh: Mesh) -> str:
-    return f"the object, {_size_mm(mesh):.3g} mm long, could not be laid on the contact; check the mesh's unit and face"
-
-
-def _size_mm(mesh: Mesh) -> float:
-    return float(np.ptp(mesh.vertices_mm, axis=0).max())
-
-
-def _frozen(scene: Scene | None) -> tuple[Floats, Indices]:
-    if scene is None:
-        return freeze(np.empty((0, 3), dtype=np.float32)), freeze(np.empty(0, dtype=np.int32))
-    return freeze(scene.points_mm.astype(np.float32)), freeze(scene.pixel)
+STAGE = Stage(
+    name="pose",
+    title="Object pose",
+    legend="registered points, object, target at rest",
+    sensor_role="target",
+    methods=(SIGNED_DISTANCES, PAPER_2D, ICP, NETWORK),
+    make_preview=_picture,
+    make_layers=_layers,
+    trace_point=_follow,
+    compute_metrics=_figures,
+    make_ground_truth=ground_truth.build_pose,
+    preview_stages=("touch", "touch_depth"),
+    exaggerates_indentation=False,
+    has_steps=True,
+    split_steps=step_history.split_steps,
+    make_step_layers=_state_layers,
+    summarise_steps=step_history.summarise_steps,
+)

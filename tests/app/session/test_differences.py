@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from app.session.differences import differences
+from app.session.differences import describe_differences
 from app.session.state import Session
 from pipeline.sensors.offsets import Offsets
-from pipeline.stages.adapt.slot import SLOT as CLOUD
+from pipeline.stages.cloud.stage import STAGE as CLOUD
 from pipeline.translation.catalogue import BUILT_IN
 
 ONE = Session(recording=Path("a/one.h5"), target="gelslim", frame=3)
@@ -17,15 +17,15 @@ ONE = Session(recording=Path("a/one.h5"), target="gelslim", frame=3)
 def test_all_that_results_rest_on_is_told_and_nothing_else():
     method = CLOUD.methods[0]
     other = replace(
-        ONE, recording=Path("b/two.h5"), frame=4, methods={"view": "paper"}, offsets=Offsets(shift_mm=(1.0, 0.0, 0.0)),
+        ONE, recording=Path("b/two.h5"), frame=4, methods={"target_depth": "paper"}, offsets=Offsets(translation_mm=(1.0, 0.0, 0.0)),
         params={method.key: replace(method.params(), stride=4)}, linked=False,
     )  # fmt: skip
-    assert differences(ONE, other, BUILT_IN) == (
+    assert describe_differences(ONE, other, BUILT_IN) == (
         "recording: one.h5 | two.h5", "the alignment is moved otherwise", "cloud.stride: 1 | 4", "view: Surface | Paper",
     )  # fmt: skip
 
 
 def test_equal_settings_differ_in_nothing_and_a_route_lacks_slots():
-    assert differences(ONE, replace(ONE, frame=9), BUILT_IN) == ()
-    told = differences(ONE, replace(ONE, route="t2t"), BUILT_IN)
+    assert describe_differences(ONE, replace(ONE, frame=9), BUILT_IN) == ()
+    told = describe_differences(ONE, replace(ONE, route="t2t"), BUILT_IN)
     assert any(t.startswith("depth: ") and t.endswith("| nothing") for t in told)

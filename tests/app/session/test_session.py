@@ -9,26 +9,28 @@ from pathlib import Path
 import pytest
 from PyQt6.QtGui import QUndoStack
 
-from app.session.compared import Compared
+from app.session.comparison_settings import ComparisonSettings
 from app.session.state import Session, load_session, save_session
 from app.session.undo import SessionChange
 from pipeline.base.errors import FileProblem
-from pipeline.base.params import changed
-from pipeline.pictures.display import DisplayParams
+from pipeline.base.params import replace_value
+from pipeline.previews.display_params import DisplayParams
 from pipeline.sensors.offsets import Offsets
 from pipeline.translation.catalogue import BUILT_IN
 
 
 def a_session(folder: Path) -> Session:
     session = Session(
-        recording=folder / "a.h5", target="gelslim", frame=7, mesh=folder / "m" / "ball.stl", linked=False,
+        recording=folder / "a.h5", target="gelslim", frame=7, mesh=folder / "m" / "ball.stl", cameras_linked=False,
         weights={"": folder / "own.safetensors", "touch": folder / "w" / "other.safetensors"},
-        offsets=Offsets(shift_mm=(0.1, 0.0, -2.0), turn_deg=(0.0, 3.0, 0.0), pivot_mm=(1.0, 2.0, 20.0)),
+        offsets=Offsets(translation_mm=(0.1, 0.0, -2.0), rotation_deg=(0.0, 3.0, 0.0), pivot_mm=(1.0, 2.0, 20.0)),
     )  # fmt: skip
-    display = changed(DisplayParams(), "gel_stretch", 5.0)
-    other = Session(recording=folder / "b.h5", target="gelslim", frame=7, methods={"view": "paper"})
-    session = session.updated(held=other, compared=Compared(tab="two", order="in order", slot="view", seeds=5))
-    return session.updated(params={**session.params, "display": display})
+    display = replace_value(DisplayParams(), "gel_stretch", 5.0)
+    other = Session(recording=folder / "b.h5", target="gelslim", frame=7, methods={"target_depth": "paper"})
+    session = session.with_updates(
+        held=other, compared=ComparisonSettings(tab="two", order="in order", stage="target_depth", seeds=5)
+    )
+    return session.with_updates(params={**session.params, "display": display})
 
 
 def test_a_session_comes_back_as_it_was_saved(tmp_path):
@@ -51,7 +53,7 @@ def test_paths_are_kept_relative_so_that_a_folder_can_be_moved(tmp_path):
     save_session(a_session(old), old / "s.touch.json")
     old.rename(new)
     assert load_session(new / "s.touch.json").recording == new / "a.h5"
-    assert load_session(new / "s.touch.json").held.recording == new / "b.h5"
+    assert load_session(new / "s.touch.json").variant.recording == new / "b.h5"
 
 
 @pytest.mark.parametrize(
@@ -92,12 +94,12 @@ def test_a_session_from_before_alignments_could_be_moved_still_opens(tmp_path):
 
 def test_offsets_stay_only_with_the_alignment_they_were_made_from(tmp_path):
     session = a_session(tmp_path)
-    assert session.updated(frame=3).offsets == session.offsets
-    assert session.updated(recording=tmp_path / "b.h5").offsets.none
-    assert session.updated(target="digit").offsets.none
+    assert session.with_updates(frame=3).offsets == session.offsets
+    assert session.with_updates(recording=tmp_path / "b.h5").offsets.is_zero
+    assert session.with_updates(target="digit").offsets.is_zero
     from_file = replace(session, alignment=tmp_path / "a.toml")
-    assert from_file.updated(recording=tmp_path / "b.h5").offsets == session.offsets
-    assert from_file.updated(alignment=None).offsets.none
+    assert from_file.with_updates(recording=tmp_path / "b.h5").offsets == session.offsets
+    assert from_file.with_updates(alignment=None).offsets.is_zero
 
 
 def test_a_file_that_is_no_session_says_so(tmp_path):
@@ -143,9 +145,9 @@ def test_a_session_of_before_is_read_with_what_has_become_a_method(tmp_path):
     }
     path.write_text(json.dumps({"tactoscope session": 1, "frame": 2, "linked": True, **words, "params": params}))
     session = load_session(path)
-    assert session.methods == {"view": "paper"}
-    given = {method.slot: session.params_of(method) for method in BUILT_IN.methods("t2d2")}
-    assert (given["cloud"].stride, given["view"].jump_mm, given["pose"].seed) == (3, 2.0, 4)
+    assert session.methods == {"target_depth": "paper"}
+    given = {method.stage: session.get_params(method) for method in BUILT_IN.methods("t2d2")}
+    assert (given["cloud"].stride, given["target_depth"].jump_mm, given["pose"].seed) == (3, 2.0, 4)
     assert session.display.gel_stretch == 5.0
     save_session(session, path)
     assert load_session(path) == session

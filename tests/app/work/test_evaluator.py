@@ -27,6 +27,6 @@ def test_memory_is_given_back_after_every_frame_that_is_worked_out_anew(
     monkeypatch.setattr(evaluator, "give_back", lambda: given_back.append(shown))
     asked = evaluator.Evaluator()
     for shown in (1, 2, 1, 2):
-        asked.show(Session(recording=touch_file, target="gelslim", frame=shown), ("depth",), Unheard())  # pyright: ignore[reportArgumentType]
+        asked.evaluate_frame(Session(recording=touch_file, target="gelslim", frame=shown), ("depth",), Unheard())  # pyright: ignore[reportArgumentType]
     asked.close()
     assert given_back == [1, 2]

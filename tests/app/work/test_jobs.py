@@ -8,7 +8,7 @@ import time
 import pytest
 from PyQt6 import sip
 
-from app.work.jobs import LatestJob, Report
+from app.work.jobs import JobReporter, LatestJob
 from pipeline.base import compiling
 
 SOON_MS = 5000
@@ -31,7 +31,7 @@ def test_the_last_of_a_burst_is_always_delivered(job, qtbot):
 
 
 def test_a_runtime_error_is_delivered_like_any_other(job, qtbot):
-    def fails(_report: Report) -> None:
+    def fails(_report: JobReporter) -> None:
         raise RuntimeError("out of memory")
 
     with qtbot.waitSignal(job.failed, timeout=SOON_MS) as signal:
@@ -50,7 +50,7 @@ def test_the_lane_goes_on_after_an_error(job, qtbot):
 def test_cancelling_stops_the_work_at_its_next_step(job, qtbot):
     begun = threading.Event()
 
-    def endless(report: Report) -> None:
+    def endless(report: JobReporter) -> None:
         while True:
             begun.set()
             report.step(0.5, "turning")
@@ -65,7 +65,7 @@ def test_cancelling_stops_the_work_at_its_next_step(job, qtbot):
 def test_newer_work_interrupts_older_work(job, qtbot):
     begun = threading.Event()
 
-    def endless(report: Report) -> None:
+    def endless(report: JobReporter) -> None:
         while True:
             begun.set()
             report.step(0.5, "turning")
@@ -82,7 +82,7 @@ def test_patient_work_lets_the_running_one_finish(job, qtbot):
     got: list[str] = []
     job.finished.connect(lambda _ticket, value: got.append(value))
 
-    def first(_report: Report) -> str:
+    def first(_report: JobReporter) -> str:
         begun.set()
         go.wait(5)
         return "first"
@@ -99,8 +99,8 @@ def test_parts_arrive_before_the_whole(job, qtbot):
     job.delivered.connect(lambda _ticket, part: order.append(part))
     job.finished.connect(lambda _ticket, value: order.append(value))
 
-    def work(report: Report) -> str:
-        report.hand_over("part")
+    def work(report: JobReporter) -> str:
+        report.deliver("part")
         return "whole"
 
     job.submit(work)
@@ -111,7 +111,7 @@ def test_nothing_runs_after_closing(qtbot):
     job = LatestJob("test")
     assert job.close()
     assert job.submit(lambda _report: 1) == 0
-    assert not job.busy
+    assert not job.is_busy
 
 
 def test_compiling_is_said_at_the_fraction_that_was_reached(job, qtbot, monkeypatch):
@@ -120,9 +120,9 @@ def test_compiling_is_said_at_the_fraction_that_was_reached(job, qtbot, monkeypa
     job.progressed.connect(lambda _ticket, fraction, text: told.append((fraction, text)))
     monkeypatch.setattr(compiling, "waiting", dict)
 
-    def works(report: Report) -> None:
+    def works(report: JobReporter) -> None:
         report.step(0.25, "pose")
-        compiling.begun("pipeline.some_kernels.one")
+        compiling.begin_kernel("pipeline.some_kernels.one")
 
     with qtbot.waitSignal(job.finished, timeout=SOON_MS):
         job.submit(works)
@@ -135,12 +135,12 @@ def test_it_is_quiet_only_once_the_end_was_told(job, qtbot):
     """Work that is done is not yet heard of: what it found waits in the queue of the window's thread."""
     got: list[object] = []
     job.finished.connect(lambda _ticket, value: got.append(value))
-    assert job.quiet
+    assert job.is_settled
     job.submit(lambda _report: 7)
     while job.busy:  # no event is taken meanwhile
         time.sleep(0.001)
-    assert (job.quiet, got) == (False, [])
-    qtbot.waitUntil(lambda: job.quiet, timeout=SOON_MS)
+    assert (job.is_settled, got) == (False, [])
+    qtbot.waitUntil(lambda: job.is_settled, timeout=SOON_MS)
     assert got == [7]
 
 

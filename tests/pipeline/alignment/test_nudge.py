@@ -7,18 +7,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.alignment.nudge import nudged, pivot_mm, unit_of
+from pipeline.alignment.nudge import axis_unit, compute_pivot_mm, nudge
 from pipeline.base.arrays import freeze
 from pipeline.geometry import rigid
-from pipeline.sensors.alignment import between, placed
+from pipeline.sensors.alignment import resolve_alignment, shift_alignment_along_z
 from pipeline.sensors.offsets import AXES
-from pipeline.sensors.spec import sensor
-from pipeline.values.pixel_index import pixel_index
+from pipeline.sensors.spec import load_sensor
+from pipeline.values.pixel_index import make_pixel_index
 from pipeline.values.results import DepthMap
 
 EXACT = 1e-9  # mm: rounding of float64 at a hundred millimetres, with room
-GEL, BUBBLE = sensor("gelslim"), sensor("soft_bubble")
-ALIGNED = between(GEL, BUBBLE)
+GEL, BUBBLE = load_sensor("gelslim"), load_sensor("soft_bubble")
+ALIGNED = resolve_alignment(GEL, BUBBLE)
 
 
 def touched(rows=slice(40, 60), cols=slice(300, 340)):
@@ -27,27 +27,27 @@ def touched(rows=slice(40, 60), cols=slice(300, 340)):
     depth = GEL.rest_depth_mm.astype(np.float32)
     return DepthMap(
         indentation_mm=freeze(np.zeros(GEL.camera.shape, np.float32)), depth_mm=freeze(depth), contact=freeze(contact),
-        camera=GEL.camera, source_index=pixel_index(GEL.camera.shape),
+        camera=GEL.camera, source_index=make_pixel_index(GEL.camera.shape),
     )  # fmt: skip
 
 
 @given(st.sampled_from(AXES), st.floats(-5.0, 5.0))
 def test_an_edit_is_undone_by_its_opposite_and_moves_the_pivot_by_its_shift_alone(axis, amount):
-    pivot = pivot_mm(touched(), ALIGNED)
-    moved = nudged(ALIGNED, axis, amount, pivot_mm=pivot)
+    pivot = compute_pivot_mm(touched(), ALIGNED)
+    moved = nudge(ALIGNED, axis, amount, pivot_mm=pivot)
     in_source = rigid.apply(rigid.invert(ALIGNED.target_from_source), pivot)
     shift = rigid.apply(moved.target_from_source, in_source) - pivot
-    assert np.linalg.norm(shift) == pytest.approx(abs(amount) if unit_of(axis) == "mm" else 0.0, abs=EXACT)
+    assert np.linalg.norm(shift) == pytest.approx(abs(amount) if axis_unit(axis) == "mm" else 0.0, abs=EXACT)
     turn = moved.target_from_source @ rigid.invert(ALIGNED.target_from_source)
-    assert rigid.angle_deg(turn) == pytest.approx(abs(amount) if unit_of(axis) == "deg" else 0.0, abs=EXACT)
-    back = nudged(moved, axis, -amount, pivot_mm=pivot)
+    assert rigid.rotation_angle_deg(turn) == pytest.approx(abs(amount) if axis_unit(axis) == "deg" else 0.0, abs=EXACT)
+    back = nudge(moved, axis, -amount, pivot_mm=pivot)
     np.testing.assert_allclose(back.target_from_source, ALIGNED.target_from_source, atol=EXACT)
     np.testing.assert_array_equal(moved.alignment_from_source, ALIGNED.alignment_from_source)
 
 
 def test_an_edit_is_along_the_axes_of_the_target():
     # The bubble's camera is turned by 180 degrees about z: what is right for one is left for the other.
-    moved = nudged(ALIGNED, "x", 0.5, pivot_mm=np.zeros(3))
+    moved = nudge(ALIGNED, "x", 0.5, pivot_mm=np.zeros(3))
     shift = moved.target_from_source[:3, 3] - ALIGNED.target_from_source[:3, 3]
     np.testing.assert_allclose(shift, [0.5, 0.0, 0.0], atol=EXACT)
 
@@ -57,21 +57,23 @@ def test_the_pivot_is_the_middle_of_the_contact():
     z = float(GEL.rest_depth_mm[50, 320])
     ray_x, ray_y = GEL.camera.rays()
     middle = [z * (ray_x[319] + ray_x[320]) / 2, z * (ray_y[49] + ray_y[50]) / 2, z]
-    np.testing.assert_allclose(pivot_mm(depth, ALIGNED), rigid.apply(ALIGNED.target_from_source, middle), atol=1e-5)
+    np.testing.assert_allclose(
+        compute_pivot_mm(depth, ALIGNED), rigid.apply(ALIGNED.target_from_source, middle), atol=1e-5
+    )
 
 
 def test_without_contact_the_pivot_is_the_middle_of_the_surface():
     depth = touched(rows=slice(0, 0))
-    assert np.isfinite(pivot_mm(depth, ALIGNED)).all()
+    assert np.isfinite(compute_pivot_mm(depth, ALIGNED)).all()
     blind = replace(depth, depth_mm=np.full_like(depth.depth_mm, np.nan))
-    assert np.isfinite(pivot_mm(blind, ALIGNED)).all()
+    assert np.isfinite(compute_pivot_mm(blind, ALIGNED)).all()
 
 
 def test_a_unit_whose_camera_stands_farther_back_sees_the_same_touch():
-    shifted = placed(ALIGNED, source_shift_mm=1.5, target_shift_mm=-2.0)
+    shifted = shift_alignment_along_z(ALIGNED, source_shift_mm=1.5, target_shift_mm=-2.0)
     point = np.array([1.0, 2.0, 20.0])
     described = rigid.apply(ALIGNED.target_from_source, point + np.array([0.0, 0.0, 1.5]))
     np.testing.assert_allclose(
         rigid.apply(shifted.target_from_source, point), described + np.array([0.0, 0.0, 2.0]), atol=EXACT
     )
-    assert placed(ALIGNED, source_shift_mm=0.0, target_shift_mm=0.0) is ALIGNED
+    assert shift_alignment_along_z(ALIGNED, source_shift_mm=0.0, target_shift_mm=0.0) is ALIGNED

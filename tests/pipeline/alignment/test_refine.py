@@ -5,24 +5,24 @@ import pytest
 
 from pipeline.alignment import refine as refining
 from pipeline.alignment import residuals
-from pipeline.alignment.normal_equations import Sums
+from pipeline.alignment.normal_equations import NormalSums
 from pipeline.alignment.refine import refine
-from pipeline.alignment.residuals import evidence, outline_distances, surface_distances
-from pipeline.alignment.touches import PairedTouch, pivot_of
+from pipeline.alignment.residuals import collect_evidence, outline_distances, surface_distances
+from pipeline.alignment.touches import AlignmentTouch, find_pivot
 from pipeline.base.arrays import freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.base.progress import SILENT, Cancelled
 from pipeline.geometry import rigid
-from pipeline.sensors.alignment import between, corrected
-from pipeline.sensors.offsets import motion_about
-from pipeline.sensors.spec import sensor
+from pipeline.sensors.alignment import correct_alignment, resolve_alignment
+from pipeline.sensors.offsets import compose_motion
+from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
-from pipeline.simulation.press import press
-from pipeline.values.pixel_index import pixel_index
+from pipeline.simulation.press import simulate_press
+from pipeline.values.pixel_index import make_pixel_index
 from pipeline.values.results import DepthMap
 
-SOURCE, TARGET = sensor("digit"), sensor("gelslim")
-ALIGNED = between(SOURCE, TARGET)
+SOURCE, TARGET = load_sensor("digit"), load_sensor("gelslim")
+ALIGNED = resolve_alignment(SOURCE, TARGET)
 NEAR_MM = 0.05  # of the exact transform at the contact: one GelSlim pixel
 NEAR_DEG = 0.5  # of turning: a pixel at the end of a contact of a few millimetres
 
@@ -33,18 +33,18 @@ def exact_map(spec, truth):
         depth_mm=freeze((spec.rest_depth_mm - truth.indentation_mm).astype(np.float32)),
         contact=truth.contact,
         camera=spec.camera,
-        source_index=pixel_index(spec.camera.shape),
+        source_index=make_pixel_index(spec.camera.shape),
     )
 
 
 def pressed(mesh, pose, index):
-    source, target = (press(mesh, pose, s, seed=None) for s in (SOURCE, TARGET))
-    return PairedTouch(index=index, source=exact_map(SOURCE, source.truth), target=exact_map(TARGET, target.truth))
+    source, target = (simulate_press(mesh, pose, s, seed=None) for s in (SOURCE, TARGET))
+    return AlignmentTouch(index=index, source=exact_map(SOURCE, source.truth), target=exact_map(TARGET, target.truth))
 
 
 @pytest.fixture(scope="module")
 def touches():
-    mesh = shapes.shape("notched_elbow").mesh
+    mesh = shapes.make_shape("notched_elbow").mesh
     poses = ((-3.0, -2.0, 0.0, 0.8), (1.0, 0.5, 60.0, -0.8), (-2.0, 1.0, 150.0, 0.5))
     return [
         pressed(mesh, rigid.from_parts((x, y, -0.35)) @ rigid.from_parts((0, 0, 0), (tilt, tilt, turn)), i)
@@ -53,18 +53,18 @@ def touches():
 
 
 def disturbed(touch, turn_deg, shift_mm):
-    motion = motion_about(pivot_of(touch, ALIGNED), np.deg2rad(turn_deg), np.asarray(shift_mm, np.float64))
-    return corrected(ALIGNED, motion)
+    motion = compose_motion(find_pivot(touch, ALIGNED), np.deg2rad(turn_deg), np.asarray(shift_mm, np.float64))
+    return correct_alignment(ALIGNED, motion)
 
 
 def error(answer):
     off = answer.alignment.target_from_source @ rigid.invert(ALIGNED.target_from_source)
-    return float(np.linalg.norm(rigid.apply(off, answer.pivot_mm) - answer.pivot_mm)), rigid.angle_deg(off)
+    return float(np.linalg.norm(rigid.apply(off, answer.pivot_mm) - answer.pivot_mm)), rigid.rotation_angle_deg(off)
 
 
 def test_under_the_exact_alignment_surfaces_meet_and_outlines_are_the_gels_growth_apart(touches):
     for touch in touches:
-        made = evidence(touch)
+        made = collect_evidence(touch)
         on = rigid.apply(ALIGNED.target_from_source, made.surface_mm)
         surface = surface_distances(made, on)
         assert len(surface.mm) > 0.5 * surface.n_asked
@@ -75,7 +75,7 @@ def test_under_the_exact_alignment_surfaces_meet_and_outlines_are_the_gels_growt
 
 @pytest.mark.parametrize(("off_px", "n_left"), [(0.25, 4), (-0.25, 0)])
 def test_outlines_are_compared_up_to_the_same_distance_from_every_border(touches, off_px, n_left):
-    made = evidence(touches[0])
+    made = collect_evidence(touches[0])
     rows, cols = made.camera.shape
     near = residuals._BORDER_PX + off_px
     x = np.array([near, cols - 1 - near, cols / 2, cols / 2])
@@ -88,11 +88,11 @@ def test_outlines_are_compared_up_to_the_same_distance_from_every_border(touches
 
 def test_no_step_is_longer_than_the_longest(touches, monkeypatch):
     """Asked for a step of a thousand tolerances, of information that is nearly none, and told that it is a good one."""
-    better = Sums(cost=0.0, gradient=np.zeros(6), information=np.eye(6))
+    better = NormalSums(compute_cost=0.0, gradient=np.zeros(6), information=np.eye(6))
     monkeypatch.setattr(refining, "sums", lambda *_: better)
     solver = refining._Solver([], np.eye(4), np.array([0.0, 0.0, 20.0]), SILENT)
     for size in (1e-3, 1e3):
-        here = Sums(cost=1.0, gradient=np.full(6, size), information=np.eye(6))
+        here = NormalSums(compute_cost=1.0, gradient=np.full(6, size), information=np.eye(6))
         moved, _, length = solver._step(np.eye(4), here, None, None, np.eye(6), 0.0)
         assert length == pytest.approx(size * np.sqrt(6))
         taken = np.linalg.norm(solver._as_step(moved))
@@ -101,7 +101,7 @@ def test_no_step_is_longer_than_the_longest(touches, monkeypatch):
 
 @pytest.mark.parametrize("kind", [surface_distances, outline_distances])
 def test_jacobians_are_those_of_finite_differences(touches, kind):
-    made = evidence(touches[0])
+    made = collect_evidence(touches[0])
     points = rigid.apply(ALIGNED.target_from_source, made.surface_mm if kind is surface_distances else made.outline_mm)
     points = points + np.array([0.3, 0.2, 0.05])
     here = kind(made, points)
@@ -146,7 +146,7 @@ def test_the_other_transform_can_take_the_change(touches):
 
 def test_what_a_bar_does_not_show_is_named_and_left_as_it_was():
     outline = np.array([[-25.0, -1.5], [25.0, -1.5], [25.0, 1.5], [-25.0, 1.5]])
-    across = pressed(shapes.bar(outline, 5.0, 0.1, "bar"), rigid.from_parts((0.0, 0.0, -0.35)), 0)
+    across = pressed(shapes.make_chamfered_prism(outline, 5.0, 0.1, "bar"), rigid.from_parts((0.0, 0.0, -0.35)), 0)
     start = disturbed(across, (0.0, 0.0, 2.0), (0.7, 0.5, 0.1))
     answer = refine([across], start)
     assert "slides along x" in answer.weak
@@ -181,4 +181,4 @@ def test_without_a_touch_on_both_sides_there_is_nothing_to_refine(touches):
     with pytest.raises(SettingProblem, match="tolerance of a refinement must be positive"):
         refine([touches[0]], ALIGNED, tolerance=0.0)
     with pytest.raises(SettingProblem, match="no frame is felt by both"):
-        refine([PairedTouch(index=0, source=empty, target=touches[0].target)], ALIGNED)
+        refine([AlignmentTouch(index=0, source=empty, target=touches[0].target)], ALIGNED)

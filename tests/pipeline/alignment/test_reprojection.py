@@ -11,8 +11,8 @@ from pipeline.base.errors import CalibrationError
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
 from pipeline.sensors.alignment import Alignment
-from pipeline.stages.adapt.stage import AdaptParams, adapt
-from pipeline.stages.project.stage import ProjectParams, project
+from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
 from tests.pipeline.stages.test_adapt import by, depth_map
 from tests.pipeline.stages.test_project import CENTRE_MM, PAPER, SOURCE, SURFACE, sphere_depth_mm, target_sensor
 
@@ -23,7 +23,7 @@ TOUCH = depth_map(DEPTH, DEPTH < 41.0, SOURCE)
 
 
 def reproject(depth, alignment, target, params, *, stride=1):
-    return project(adapt(depth, alignment, AdaptParams(stride=stride)), target, params)
+    return project_cloud(back_project_depth(depth, alignment, BackProjectionParams(stride=stride)), target, params)
 
 
 def turned(angle_deg):
@@ -76,9 +76,9 @@ def test_the_surface_in_one_go_is_the_sphere_that_was_felt(stride, sag_mm):
 
 def test_a_preview_is_the_same_picture_smaller():
     target = target_sensor(rows=72, cols=92)
-    small = target.seen_through(target.camera.scaled(0.25))
+    small = target.with_camera(target.camera.scale(0.25))
     assert small.camera.shape == (18, 23)
-    assert target.seen_through(target.camera.scaled(0.25)) is small
+    assert target.with_camera(target.camera.scale(0.25)) is small
     view = reproject(TOUCH, turned(20.0), small, SURFACE, stride=2)
     seen = np.isfinite(view.depth_mm)
     assert seen.sum() > 30
@@ -143,7 +143,7 @@ BAD = [np.nan, np.inf, -np.inf, 0.0, -3.0, 1e-40, 1e30, 3e38, 1e-3, 40.0]
 @given(
     st.lists(st.sampled_from(BAD), min_size=36, max_size=36),
     st.sampled_from([1.0, 40.0, 1e5]),
-    st.sampled_from([PAPER, SURFACE, ProjectParams(coverage=True)]),
+    st.sampled_from([PAPER, SURFACE, SurfaceProjectionParams(compute_coverage=True)]),
     st.sampled_from([0.0, 90.0, 180.0]),
 )
 def test_whatever_the_depth_holds_the_view_is_sound(values, fx_px, params, angle_deg):

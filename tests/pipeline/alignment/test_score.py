@@ -3,26 +3,26 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.alignment.felt import edge_of, felt, preview_factor
-from pipeline.alignment.nudge import nudged
-from pipeline.alignment.score import preview, scores, typical
-from pipeline.alignment.sensitivity import UNIT_STEP, sensitivities
-from pipeline.alignment.touches import PairedTouch, paired_touch, pivot_of
+from pipeline.alignment.nudge import nudge
+from pipeline.alignment.score import median_score, score_preview, score_touches
+from pipeline.alignment.sensitivity import UNIT_STEP, compute_sensitivities
+from pipeline.alignment.target_observation import find_edge, observe_target, preview_factor
+from pipeline.alignment.touches import AlignmentTouch, find_pivot, load_paired_touch
 from pipeline.base.arrays import freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.geometry import rigid
-from pipeline.sensors.alignment import between
+from pipeline.sensors.alignment import resolve_alignment
 from pipeline.sensors.offsets import AXES
-from pipeline.sensors.spec import sensor
+from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
-from pipeline.simulation.press import press
+from pipeline.simulation.press import simulate_press
 from pipeline.translation.translate import Request, open_translation
-from pipeline.values.pixel_index import pixel_index
+from pipeline.values.pixel_index import make_pixel_index
 from pipeline.values.results import DepthMap
-from sample_data.make_samples import FOLDER
+from sample_data.make_samples import RECORDINGS_FOLDER
 
-SOURCE, TARGET = sensor("digit"), sensor("gelslim")
-ALIGNED = between(SOURCE, TARGET)
+SOURCE, TARGET = load_sensor("digit"), load_sensor("gelslim")
+ALIGNED = resolve_alignment(SOURCE, TARGET)
 SUB_PIXEL_MM = 0.01  # both gels bridge the tool's edges a little differently; a GelSlim's pixel is 0.042 mm
 
 
@@ -32,21 +32,23 @@ def exact_map(spec, truth):
         depth_mm=freeze((spec.rest_depth_mm - truth.indentation_mm).astype(np.float32)),
         contact=truth.contact,
         camera=spec.camera,
-        source_index=pixel_index(spec.camera.shape),
+        source_index=make_pixel_index(spec.camera.shape),
     )
 
 
 @pytest.fixture(scope="module")
 def touch():
     pose = rigid.from_parts((-2.0, -1.0, -0.3), (0.5, 0.0, 15.0))
-    source, target = (press(shapes.shape("notched_elbow").mesh, pose, s, seed=None) for s in (SOURCE, TARGET))
-    return PairedTouch(index=0, source=exact_map(SOURCE, source.truth), target=exact_map(TARGET, target.truth))
+    source, target = (
+        simulate_press(shapes.make_shape("notched_elbow").mesh, pose, s, seed=None) for s in (SOURCE, TARGET)
+    )
+    return AlignmentTouch(index=0, source=exact_map(SOURCE, source.truth), target=exact_map(TARGET, target.truth))
 
 
 @pytest.mark.parametrize(("factor", "least_iou"), [(1, 0.95), (4, 0.9)])
 def test_the_exact_alignment_scores_nearly_perfectly(touch, factor, least_iou):
-    side = felt(touch.target, TARGET, factor=factor)
-    view, good = preview(touch, ALIGNED, side)
+    side = observe_target(touch.target, TARGET, factor=factor)
+    view, good = score_preview(touch, ALIGNED, side)
     assert view.camera == side.spec.camera
     assert good.iou > least_iou
     assert good.edge_px < 2.0
@@ -56,36 +58,36 @@ def test_the_exact_alignment_scores_nearly_perfectly(touch, factor, least_iou):
 
 @pytest.mark.parametrize("factor", [1, 4])
 def test_a_shift_shows_in_depth_edge_and_overlap_by_its_own_size(touch, factor):
-    side = felt(touch.target, TARGET, factor=factor)
-    pivot = pivot_of(touch, ALIGNED)
-    lower = preview(touch, nudged(ALIGNED, "z", 0.1, pivot_mm=pivot), side)[1]
+    side = observe_target(touch.target, TARGET, factor=factor)
+    pivot = find_pivot(touch, ALIGNED)
+    lower = score_preview(touch, nudge(ALIGNED, "z", 0.1, pivot_mm=pivot), side)[1]
     assert lower.bias_mm == pytest.approx(0.1, abs=SUB_PIXEL_MM)
-    here = preview(touch, ALIGNED, side)[1]
-    beside = preview(touch, nudged(ALIGNED, "x", 1.0, pivot_mm=pivot), side)[1]
+    here = score_preview(touch, ALIGNED, side)[1]
+    beside = score_preview(touch, nudge(ALIGNED, "x", 1.0, pivot_mm=pivot), side)[1]
     assert beside.iou < here.iou - 0.1
     assert beside.edge_px > here.edge_px + 3.0  # 1 mm is 24 px, seen on the edges that stand across
 
 
 def test_sensitivity_says_which_axis_matters_and_which_way_is_better(touch):
-    side = felt(touch.target, TARGET, factor=4)
-    off = nudged(ALIGNED, "z", -0.3, pivot_mm=pivot_of(touch, ALIGNED))
-    told = {s.axis: s for s in sensitivities(touch, off, side)}
+    side = observe_target(touch.target, TARGET, factor=4)
+    off = nudge(ALIGNED, "z", -0.3, pivot_mm=find_pivot(touch, ALIGNED))
+    told = {s.axis: s for s in compute_sensitivities(touch, off, side)}
     assert tuple(told) == AXES
     assert told["z"].depth_mm.slope == pytest.approx(
         -UNIT_STEP, rel=0.2
     )  # too near: 0.1 mm farther is better by as much
     assert told["z"].depth_mm.size > 3.0 * told["x"].depth_mm.size
-    at_best = {s.axis: s for s in sensitivities(touch, ALIGNED, side)}
+    at_best = {s.axis: s for s in compute_sensitivities(touch, ALIGNED, side)}
     assert at_best["x"].iou.size > 0.0
     assert (told["rz"].unit, told["x"].unit) == ("deg", "mm")
 
 
 def test_where_nothing_meets_there_is_no_distance_and_no_error(touch):
-    side = felt(touch.target, TARGET, factor=4)
-    away = nudged(ALIGNED, "x", 500.0, pivot_mm=np.zeros(3))
-    lost = preview(touch, away, side)[1]
+    side = observe_target(touch.target, TARGET, factor=4)
+    away = nudge(ALIGNED, "x", 500.0, pivot_mm=np.zeros(3))
+    lost = score_preview(touch, away, side)[1]
     assert (lost.edge_px, lost.depth_mm, lost.overlap_px) == (None, None, 0)
-    for one in sensitivities(touch, away, side):
+    for one in compute_sensitivities(touch, away, side):
         assert one.depth_mm.slope is None
         assert one.depth_mm.size is None
 
@@ -93,7 +95,7 @@ def test_where_nothing_meets_there_is_no_distance_and_no_error(touch):
 def test_the_border_of_the_image_is_no_edge():
     mask = np.zeros((20, 30), np.bool_)
     mask[:10, 5:] = True
-    edge = edge_of(mask)
+    edge = find_edge(mask)
     assert edge[9, 5:].all()
     assert edge[:10, 5].all()
     assert not edge[0, 7:].any()
@@ -101,19 +103,21 @@ def test_the_border_of_the_image_is_no_edge():
 
 
 def test_scores_of_all_frames_and_what_is_typical(touch):
-    side = felt(touch.target, TARGET, factor=4)
-    several = scores([touch, touch], [side, side], ALIGNED)
-    assert several[0] == several[1] == typical(several)
-    assert typical(()) is None
+    side = observe_target(touch.target, TARGET, factor=4)
+    several = score_touches([touch, touch], [side, side], ALIGNED)
+    assert several[0] == several[1] == median_score(several)
+    assert median_score(()) is None
 
 
 def test_a_factor_below_one_is_refused_and_a_coarse_image_is_shrunk_less(touch):
     with pytest.raises(SettingProblem, match="at least 1"):
-        felt(touch.target, TARGET, factor=0)
-    assert (preview_factor(sensor("gelslim")), preview_factor(sensor("soft_bubble"))) == (4, 2)
+        observe_target(touch.target, TARGET, factor=0)
+    assert (preview_factor(load_sensor("gelslim")), preview_factor(load_sensor("soft_bubble"))) == (4, 2)
 
 
 def test_a_recording_without_the_target_is_refused_in_words():
-    opened = open_translation(Request(recording=FOLDER / "grasps_cross.h5", source="gelslim", target="digit"))
+    opened = open_translation(
+        Request(recording=RECORDINGS_FOLDER / "grasps_cross.h5", source="gelslim", target="digit")
+    )
     with pytest.raises(SettingProblem, match="digit recorded no frame 0 here"):
-        paired_touch(opened, 0)
+        load_paired_touch(opened, 0)

@@ -66,12 +66,12 @@ def test_every_kernel_that_is_kept_is_counted_and_none_that_goes_into_others():
     from numba.core.registry import CPUDispatcher
 
     kept = set()
-    for name in {name.rpartition(".")[0] for name in compiling.kernels()}:
+    for name in {name.rpartition(".")[0] for name in compiling.list_kernels()}:
         module = importlib.import_module(name)
         own = [d for d in vars(module).values() if isinstance(d, CPUDispatcher) and d.__module__ == name]
         kept |= {f"{name}.{d.__name__}" for d in own if not isinstance(d._cache, NullCache)}
-    assert kept == set(compiling.kernels())
-    assert "pipeline.stages.depth.moved_kernels.block_change" in kept
+    assert kept == set(compiling.list_kernels())
+    assert "pipeline.stages.depth.change_detection_kernels.block_change" in kept
 
 
 @pytest.fixture
@@ -79,13 +79,13 @@ def small_tree(tmp_path, monkeypatch):
     """Two modules of kernels, one calling the other's."""
     monkeypatch.setattr(compiling, "_ROOT", tmp_path / "pipeline")
     (tmp_path / "pipeline").mkdir()
-    for kept in (compiling.stamp, compiling.folder, compiling.kernels):
+    for kept in (compiling.stamp, compiling.kernel_folder, compiling.list_kernels):
         kept.cache_clear()
     upper, lower = (tmp_path / "pipeline" / f"{name}_kernels.py" for name in ("upper", "lower"))
     lower.write_text("@njit(cache=True)\ndef low(x):\n    return x\n")
     upper.write_text("from pipeline.lower_kernels import low\n\n\n@njit(inline='always')\ndef part(x):\n    return x\n")
     yield upper, lower
-    for kept in (compiling.stamp, compiling.folder, compiling.kernels):
+    for kept in (compiling.stamp, compiling.kernel_folder, compiling.list_kernels):
         kept.cache_clear()
 
 
@@ -96,7 +96,9 @@ def test_a_change_below_makes_what_rests_on_it_stale(small_tree):
     compiling.stamp.cache_clear()
     assert compiling.stamp(lower) != before[1]
     assert compiling.stamp(upper) != before[0]
-    assert list(compiling.kernels()) == ["pipeline.lower_kernels.low"]  # what is inlined is compiled with its callers
+    assert list(compiling.list_kernels()) == [
+        "pipeline.lower_kernels.low"
+    ]  # what is inlined is compiled with its callers
 
 
 def test_where_the_program_cannot_write_the_user_keeps_what_is_compiled(small_tree, tmp_path, monkeypatch):
@@ -104,16 +106,16 @@ def test_where_the_program_cannot_write_the_user_keeps_what_is_compiled(small_tr
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "user"))
     monkeypatch.setattr(os, "access", lambda path, mode: tmp_path / "user" in Path(path).parents)
-    assert tmp_path / "user" / "tactoscope" / "kernels" in compiling.folder(upper).parents
-    assert not compiling.folder(upper).is_relative_to(tmp_path / "pipeline")
-    compiling.folder.cache_clear()
+    assert tmp_path / "user" / "tactoscope" / "kernels" in compiling.kernel_folder(upper).parents
+    assert not compiling.kernel_folder(upper).is_relative_to(tmp_path / "pipeline")
+    compiling.kernel_folder.cache_clear()
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    assert compiling.folder(upper).is_dir()
-    assert not compiling.folder(upper).is_relative_to(tmp_path)
+    assert compiling.kernel_folder(upper).is_dir()
+    assert not compiling.kernel_folder(upper).is_relative_to(tmp_path)
 
 
 def test_no_garbage_is_looked_for_while_the_compiler_runs():
-    kept = importlib.import_module("pipeline.base.kept_kernels")
+    kept = importlib.import_module("pipeline.base.cached_kernels")
     seen: list[bool] = []
 
     class Asked(kept.event.Listener):
@@ -132,7 +134,7 @@ def test_no_garbage_is_looked_for_while_the_compiler_runs():
 
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
 def test_a_damaged_file_of_a_kernel_is_as_good_as_none_and_is_written_again(tmp_path, suffix):
-    kept = importlib.import_module("pipeline.base.kept_kernels")._Whole(str(tmp_path), "kernel-1.py3", b"stamp")
+    kept = importlib.import_module("pipeline.base.cached_kernels")._Whole(str(tmp_path), "kernel-1.py3", b"stamp")
     kept.save("a signature", ("machine code", b"\x90" * 64))
     (file,) = tmp_path.glob(f"*.{suffix}")
     whole = file.read_bytes()
@@ -145,7 +147,7 @@ def test_a_damaged_file_of_a_kernel_is_as_good_as_none_and_is_written_again(tmp_
 
 
 def test_a_kernel_whose_files_cannot_be_written_works_all_the_same(tmp_path):
-    kept = importlib.import_module("pipeline.base.kept_kernels")._Whole(
+    kept = importlib.import_module("pipeline.base.cached_kernels")._Whole(
         str(tmp_path / "gone"), "kernel-1.py3", b"stamp"
     )
     kept.save("a signature", "machine code")

@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base.elsewhere import workers_of
+from pipeline.base.cluster import count_workers
 from pipeline.base.errors import SettingProblem
-from pipeline.cli.main import EXIT_USER_ERROR, build, run
+from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
 from pipeline.recordings import hdf5
 from pipeline.simulation import shapes
 
 distributed = pytest.importorskip("distributed", reason="Dask is not installed")
-ONE = shapes.names("training")[0]
+ONE = shapes.list_shapes("training")[0]
 UNTOUCHED = Path(__file__).parents[3] / "sample_data" / "recordings" / "no_contact.h5"
 
 
@@ -65,7 +65,7 @@ def test_a_killed_worker_loses_nothing_and_what_is_here_is_not_done_again(cluste
                 self.done = len(list(tmp_path.iterdir()))
 
     watching = KillsOne()
-    with workers_of(cluster.scheduler_address) as elsewhere:
+    with count_workers(cluster.scheduler_address) as elsewhere:
         found = elsewhere.map(noted, [(n, str(tmp_path)) for n in range(12)], watching)
     assert watching.killed
     assert found == [n * n for n in range(12)]
@@ -79,8 +79,8 @@ def test_a_killed_worker_loses_nothing_and_what_is_here_is_not_done_again(cluste
 def test_a_recording_made_elsewhere_has_the_same_bytes(cluster, tmp_path):
     paths = tmp_path / "here.h5", tmp_path / "there.h5"
     common = ["simulate", "--sensors", "digit", "--tools", ONE, "--poses", "3", "--jobs", "1"]
-    assert run(build(), [*common, "--out", str(paths[0])]) == 0
-    assert run(build(), [*common, "--out", str(paths[1]), "--scheduler", cluster.scheduler_address]) == 0
+    assert run_app(build_app(), [*common, "--out", str(paths[0])]) == 0
+    assert run_app(build_app(), [*common, "--out", str(paths[1]), "--scheduler", cluster.scheduler_address]) == 0
     here, there = (hdf5.read(path) for path in paths)
     for index in range(3):
         a, b = (file.stream("digit").frame(index) for file in (here, there))
@@ -107,10 +107,10 @@ def test_frames_translated_elsewhere_are_those_translated_here_though_a_worker_d
 
     killer = threading.Thread(target=kill_one, daemon=True)
     killer.start()
-    assert run(build(), [*common, "--out", "there", "--scheduler", cluster.scheduler_address]) == 0
+    assert run_app(build_app(), [*common, "--out", "there", "--scheduler", cluster.scheduler_address]) == 0
     assert not killer.is_alive()
     assert {path: path.stat().st_mtime_ns for path in written} == written
-    assert run(build(), [*common, "--out", "here"]) == 0
+    assert run_app(build_app(), [*common, "--out", "here"]) == 0
     for name in frames:
         here, there = (np.load(Path(where, name, "stages.npz")) for where in ("here", "there"))
         assert here.files == there.files
@@ -120,13 +120,13 @@ def test_frames_translated_elsewhere_are_those_translated_here_though_a_worker_d
 def test_single_frames_stay_here(capsys):
     common = ["translate", str(UNTOUCHED), "--target", "digit", "--out", "x", "--scheduler", "tcp://127.0.0.1:1"]
     for more in ([], ["--all", "--follow"]):
-        assert run(build(), [*common, *more]) == EXIT_USER_ERROR
+        assert run_app(build_app(), [*common, *more]) == EXIT_USER_ERROR
         assert "--scheduler hands out single frames" in capsys.readouterr().err
 
 
 def test_an_address_without_a_scheduler_is_one_sentence(capsys, monkeypatch):
-    monkeypatch.setattr("pipeline.base.elsewhere.CONNECT_S", 0.3)
-    with pytest.raises(SettingProblem, match="no scheduler answers"), workers_of("tcp://127.0.0.1:1"):
+    monkeypatch.setattr("pipeline.base.cluster.CONNECT_S", 0.3)
+    with pytest.raises(SettingProblem, match="no scheduler answers"), count_workers("tcp://127.0.0.1:1"):
         pass
     tokens = [
         "simulate",
@@ -141,5 +141,5 @@ def test_an_address_without_a_scheduler_is_one_sentence(capsys, monkeypatch):
         "--scheduler",
         "nonsense://",
     ]
-    assert run(build(), tokens) == EXIT_USER_ERROR
+    assert run_app(build_app(), tokens) == EXIT_USER_ERROR
     assert "no scheduler answers" in capsys.readouterr().err

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.base.memo import Memo, remembered, size_bytes
+from pipeline.base.memo import Memo, memoise, size_bytes
 
 
 @given(st.lists(st.tuples(st.integers(0, 9), st.integers(0, 120)), max_size=60), st.integers(1, 6))
@@ -71,7 +71,7 @@ def test_a_failure_is_the_asker_s_own_and_the_next_one_makes_the_answer():
 def test_a_function_remembers_its_last_answers_within_their_bytes():
     asked: list[int] = []
 
-    @remembered(4, most_bytes=1000)
+    @memoise(4, most_bytes=1000)
     def zeros(n: int, *, like: str = "<f8"):
         asked.append(n)
         return np.zeros(n, like)

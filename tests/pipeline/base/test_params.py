@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.base.errors import SettingProblem
-from pipeline.base.params import changed, setting, settings
-from pipeline.stages.depth.stage import DepthParams
-from pipeline.stages.generate.stage import GenerateParams
+from pipeline.base.params import list_settings, replace_value, setting
+from pipeline.stages.depth.photometric import DepthParams
+from pipeline.stages.touch.physical_render import PhysicalRenderParams
 
 Mode = Literal["bake", "grill"]
 
@@ -24,19 +24,19 @@ class Oven:
 
 
 def test_settings_come_in_order_with_their_values():
-    assert list(settings(Oven())) == ["heat_deg", "trays", "fan", "mode"]
-    value, told = settings(Oven())["heat_deg"]
+    assert list(list_settings(Oven())) == ["heat_deg", "trays", "fan", "mode"]
+    value, told = list_settings(Oven())["heat_deg"]
     assert (value, told.unit, told.high) == (180.0, "°C", 250.0)
 
 
 @given(st.floats(50.0, 250.0))
 def test_a_number_written_as_text_is_read_exactly(heat):
-    assert changed(Oven(), "heat_deg", repr(heat)).heat_deg == heat
+    assert replace_value(Oven(), "heat_deg", repr(heat)).heat_deg == heat
 
 
 @pytest.mark.parametrize(("text", "value"), [("true", True), ("off", False), ("1", True), ("No", False)])
 def test_switches_take_the_usual_words(text, value):
-    assert changed(Oven(), "fan", text).fan is value
+    assert replace_value(Oven(), "fan", text).fan is value
 
 
 @pytest.mark.parametrize(
@@ -54,13 +54,13 @@ def test_switches_take_the_usual_words(text, value):
 )
 def test_a_wrong_setting_is_named_with_what_is_allowed(name, value, sentence):
     with pytest.raises(SettingProblem) as caught:
-        changed(Oven(), name, value)
+        replace_value(Oven(), name, value)
     assert str(caught.value) == sentence
 
 
-@pytest.mark.parametrize("params", [DepthParams(), GenerateParams()], ids=lambda p: type(p).__name__)
+@pytest.mark.parametrize("params", [DepthParams(), PhysicalRenderParams()], ids=lambda p: type(p).__name__)
 def test_words_that_may_be_chosen_are_those_of_the_type(params):
     hints = get_type_hints(type(params))
-    words = {name: told.choices for name, (value, told) in settings(params).items() if isinstance(value, str)}
+    words = {name: told.choices for name, (value, told) in list_settings(params).items() if isinstance(value, str)}
     assert words
     assert words == {name: get_args(hints[name]) for name in words}

@@ -5,12 +5,12 @@ import pytest
 from scipy import optimize
 
 from pipeline.base.errors import CalibrationError, ShapeError
-from pipeline.calibration import lookup as calibration
+from pipeline.calibration import calibration_table as calibration
 from pipeline.calibration.balls import calibrate_balls
-from pipeline.calibration.contact_circles import contact_circle
+from pipeline.calibration.contact_circles import detect_contact_circle
 from pipeline.physics import optics
-from pipeline.sensors.spec import sensor
-from pipeline.stages.depth.stage import DepthParams, depth
+from pipeline.sensors.spec import load_sensor
+from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.values.frames import TactileFrame
 
 DIAMETER_MM = 6.31
@@ -31,7 +31,7 @@ def hertz(shape, pixel_mm, x_px, y_px, diameter_mm, depth_mm):
 
 @pytest.fixture(scope="module")
 def presses():
-    source = sensor("gelsight_mini")
+    source = load_sensor("gelsight_mini")
     rng = np.random.default_rng(3)
     places = [(float(rng.uniform(50, 270)), float(rng.uniform(50, 190))) for _ in range(8)]
     pictures = [
@@ -44,7 +44,7 @@ def presses():
 @pytest.fixture(scope="module")
 def look_up(presses):
     source, _, pictures = presses
-    return calibrate_balls(pictures, optics.untouched(source), source, DIAMETER_MM)
+    return calibrate_balls(pictures, optics.render_reference(source), source, DIAMETER_MM)
 
 
 def sphere_diameter(indentation_mm, contact, pixel_mm):
@@ -68,56 +68,58 @@ def test_centres_are_found_by_themselves(presses, look_up):
 
 def test_a_larger_ball_is_measured_with_the_look_up_of_a_smaller_one(presses, look_up):
     source, _, _ = presses
-    still = optics.untouched(source)
+    still = optics.render_reference(source)
     errors = []
     for i, (x, y) in enumerate([(120, 90), (180, 140), (150, 120)]):
         seen = optics.render(source, hertz(source.camera.shape, source.pixel_mm, x, y, 9.5, 0.5), seed=50 + i)
-        result = depth(TactileFrame(sensor=source.name, image=seen, reference=still), source, look_up, DepthParams())
+        result = estimate_depth(
+            TactileFrame(sensor=source.name, image=seen, reference=still), source, look_up, DepthParams()
+        )
         errors.append(abs(sphere_diameter(result.indentation_mm, result.contact, look_up.pixel_mm)[0] / 9.5 - 1))
     assert np.median(errors) < DIAMETER_TOLERANCE
 
 
 def test_the_same_presses_and_seed_give_the_same_bytes(presses):
     source, _, pictures = presses
-    still = optics.untouched(source)
+    still = optics.render_reference(source)
     first, second = (calibrate_balls(pictures[:3], still, source, DIAMETER_MM, seed=5) for _ in range(2))
     assert first.model.coefficients.tobytes() == second.model.coefficients.tobytes()
 
 
 def test_a_picture_without_a_ball_is_left_out_and_reported(presses):
     source, _, pictures = presses
-    still = optics.untouched(source)
+    still = optics.render_reference(source)
     found = calibrate_balls([pictures[0], still, pictures[1]], still, source, DIAMETER_MM)
     assert [p.used for p in found.presses] == [True, False, True]
 
 
 def test_nothing_but_untouched_pictures_is_refused(presses):
     source = presses[0]
-    still = optics.untouched(source)
+    still = optics.render_reference(source)
     with pytest.raises(CalibrationError, match="no ball found"):
         calibrate_balls([still], still, source, DIAMETER_MM)
 
 
 def test_no_pictures_are_refused(presses):
     with pytest.raises(CalibrationError, match="no pictures"):
-        calibrate_balls([], optics.untouched(presses[0]), presses[0], DIAMETER_MM)
+        calibrate_balls([], optics.render_reference(presses[0]), presses[0], DIAMETER_MM)
 
 
 @pytest.mark.parametrize("diameter_mm", [0.0, -1.0, float("nan")])
 def test_an_impossible_diameter_is_refused(presses, diameter_mm):
     source, _, pictures = presses
     with pytest.raises(CalibrationError, match="cannot be seen"):
-        calibrate_balls(pictures, optics.untouched(source), source, diameter_mm)
+        calibrate_balls(pictures, optics.render_reference(source), source, diameter_mm)
 
 
 def test_pictures_of_another_size_are_refused(presses):
     source = presses[0]
     with pytest.raises(ShapeError, match="press 0"):
-        calibrate_balls([np.zeros((10, 10, 3), np.uint8)], optics.untouched(source), source, DIAMETER_MM)
+        calibrate_balls([np.zeros((10, 10, 3), np.uint8)], optics.render_reference(source), source, DIAMETER_MM)
 
 
 def test_no_circle_is_found_where_nothing_has_changed():
-    assert contact_circle(np.zeros((60, 80, 3), np.float32)) is None
+    assert detect_contact_circle(np.zeros((60, 80, 3), np.float32)) is None
 
 
 @pytest.mark.real_data
@@ -127,13 +129,13 @@ def test_real_presses_of_a_small_ball_measure_a_larger_one(real_data):
     def read(name):
         return np.ascontiguousarray(cv2.imread(str(real_data / "gsmini_balls" / name))[..., ::-1])
 
-    source, still = sensor("gelsight_mini"), read("background.png")
+    source, still = load_sensor("gelsight_mini"), read("background.png")
     small = [read(f"ball_6.310mm_{i}.png") for i in range(0, 44, 3)]
     found = calibrate_balls(small, still, source, 6.31, pixel_mm=0.0634)
     fits = []
     for i in range(0, 23, 3):
         frame = TactileFrame(sensor=source.name, image=read(f"ball_9.500mm_{i}.png"), reference=still)
-        result = depth(frame, source, found, DepthParams())
+        result = estimate_depth(frame, source, found, DepthParams())
         fits.append(sphere_diameter(result.indentation_mm, result.contact, 0.0634))
     errors, residuals = np.abs(np.array(fits)[:, 0] / 9.5 - 1), np.array(fits)[:, 1]
     assert np.median(errors) < DIAMETER_TOLERANCE

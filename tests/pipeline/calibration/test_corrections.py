@@ -7,17 +7,17 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from pipeline.calibration import corrections
-from pipeline.calibration.ball_samples import inside
-from pipeline.calibration.ball_slopes import Ball, Press
+from pipeline.calibration.ball_samples import sample_contact
+from pipeline.calibration.ball_slopes import BallPress, BallSlopeProfile
 from pipeline.calibration.balls import calibrate_balls
+from pipeline.calibration.calibration_table import compute_relative_change, make_built_in
 from pipeline.calibration.contact_circles import Circle
-from pipeline.calibration.corrections import Held, chosen, diameter_error
-from pipeline.calibration.expected_error import of_errors, told, too_narrow
-from pipeline.calibration.light_field import Fields
-from pipeline.calibration.lookup import built_in, relative_change
+from pipeline.calibration.corrections import HeldOutErrors, choose_candidate, compute_diameter_error
+from pipeline.calibration.expected_error import compute_coverage_map, has_low_coverage, summarise_errors
+from pipeline.calibration.shading_field import ShadingFieldPrior
 from pipeline.physics import optics
-from pipeline.sensors.spec import sensor
-from pipeline.simulation.variation import varied
+from pipeline.sensors.spec import load_sensor
+from pipeline.simulation.variation import vary_sensor
 from tests.pipeline.calibration.test_balls import hertz
 
 FEW_PRESSES_TOLERANCE = 0.12  # of the diameter, median: what four presses promise
@@ -32,20 +32,20 @@ def press(unit, x_px, y_px, diameter_mm, seed):
 @pytest.fixture(scope="module")
 def another_unit():
     """A unit unlike the description, its still picture, and the calibration from four presses."""
-    unit = varied(sensor("gelsight_mini"), 11, 2.5)
-    still = optics.untouched(unit)
+    unit = vary_sensor(load_sensor("gelsight_mini"), 11, 2.5)
+    still = optics.render_reference(unit)
     pictures = [press(unit, x, y, 6.31, i) for i, (x, y) in enumerate(PLACES)]
-    return unit, still, calibrate_balls(pictures, still, sensor("gelsight_mini"), 6.31)
+    return unit, still, calibrate_balls(pictures, still, load_sensor("gelsight_mini"), 6.31)
 
 
 def errors_elsewhere(model, unit, still):
     found = []
     for k, (x, y) in enumerate(ELSEWHERE):
-        change = relative_change(press(unit, x, y, 9.5, 30 + k), still, unit.pixel_mm)
+        change = compute_relative_change(press(unit, x, y, 9.5, 30 + k), still, unit.pixel_mm)
         radius_px = np.sqrt(4.75 * 0.6) / unit.pixel_mm
-        seen = Press(index=0, change=change, circle=Circle(x_px=x, y_px=y, radius_px=radius_px))
-        ball = Ball(radius_px=4.75 / unit.pixel_mm, share=None)
-        found.append(abs(diameter_error(model, inside(seen, ball))))
+        seen = BallPress(index=0, change=change, circle=Circle(x_px=x, y_px=y, radius_px=radius_px))
+        ball = BallSlopeProfile(radius_px=4.75 / unit.pixel_mm, sphere_slope_share=None)
+        found.append(abs(compute_diameter_error(model, sample_contact(seen, ball))))
     return np.array(found)
 
 
@@ -53,7 +53,9 @@ def test_four_presses_measure_another_ball_where_none_of_them_was(another_unit):
     unit, still, look_up = another_unit
     errors = errors_elsewhere(look_up.model, unit, still)
     assert np.median(errors) < FEW_PRESSES_TOLERANCE
-    assert np.median(errors) < np.median(errors_elsewhere(built_in(sensor("gelsight_mini")).model, unit, still))
+    assert np.median(errors) < np.median(
+        errors_elsewhere(make_built_in(load_sensor("gelsight_mini")).model, unit, still)
+    )
 
 
 def test_the_expected_error_is_of_the_size_of_the_error(another_unit):
@@ -69,7 +71,7 @@ ERRORS = arrays.arrays(np.float64, (5, 4), elements=st.floats(0.001, 1.0))
 
 @given(ERRORS, ERRORS)
 def test_no_correction_is_chosen_that_is_worse_than_none(slope, diameter):
-    best = chosen(Held(slope=slope, diameter=diameter))
+    best = choose_candidate(HeldOutErrors(slope_rms=slope, diameter_share=diameter))
     assert slope[:, best].mean() <= slope[:, 0].mean()
     worth = slope.mean(axis=0) * np.median(diameter, axis=0)
     assert worth[best] <= worth[0]
@@ -77,16 +79,16 @@ def test_no_correction_is_chosen_that_is_worse_than_none(slope, diameter):
 
 def test_diameters_that_are_right_by_luck_do_not_keep_slopes_that_are_wrong():
     slope, diameter = np.array([[0.44, 0.12]] * 4), np.array([[-0.03, 0.9], [0.12, 0.04], [-0.1, 0.14], [-0.2, -0.26]])
-    assert chosen(Held(slope=slope, diameter=diameter)) == 1
+    assert choose_candidate(HeldOutErrors(slope_rms=slope, diameter_share=diameter)) == 1
 
 
 def test_presses_that_tell_nothing_leave_the_built_in_look_up(monkeypatch):
-    unit = sensor("gelsight_mini")
-    still, true = optics.untouched(unit), built_in(unit).model
+    unit = load_sensor("gelsight_mini")
+    still, true = optics.render_reference(unit), make_built_in(unit).model
     pictures = [press(unit, x, y, 6.31, i) for i, (x, y) in enumerate(PLACES[:2])]
     monkeypatch.setattr(corrections, "slope_error", lambda model, _: 0.0 if model is true else 1.0)
     found = calibrate_balls(pictures, still, unit, 6.31)
-    assert found.kept_built_in
+    assert found.uses_built_in
     assert found.is_built_in
     assert found.model is true
     assert "did not surely better" in found.origin
@@ -95,18 +97,18 @@ def test_presses_that_tell_nothing_leave_the_built_in_look_up(monkeypatch):
 def test_a_sphere_seen_too_flat_is_said_to_be_too_large():
     x, y = np.meshgrid(np.linspace(-0.5, 0.5, 9), np.linspace(-0.5, 0.5, 9))
     true = -np.stack([x.ravel(), y.ravel()], axis=1) / np.sqrt(1 - x.ravel() ** 2 - y.ravel() ** 2)[:, None]
-    assert corrections.sphere_error(true, true) == pytest.approx(0.0, abs=1e-9)
+    assert corrections.compute_sphere_error(true, true) == pytest.approx(0.0, abs=1e-9)
     flat = 0.5 * true / np.sqrt(1.0 + 0.75 * (true**2).sum(axis=1, keepdims=True))  # normals' tilt halved
-    assert corrections.sphere_error(flat, true) == pytest.approx(1.0, rel=0.02)
+    assert corrections.compute_sphere_error(flat, true) == pytest.approx(1.0, rel=0.02)
 
 
 @given(st.integers(1, 60), st.floats(0.01, 0.9))
 def test_the_fewer_presses_the_farther_better_a_correction_has_to_be(count, error):
     few, many, nobody = np.full(count, error), np.full(4 * count, error), np.zeros(0)
-    assert not corrections.betters(error, many, nobody)
+    assert not corrections.is_significantly_better(error, many, nobody)
     worth = error * np.exp(-2.5 / np.sqrt(count))
-    assert not corrections.betters(worth, few, nobody)
-    assert corrections.betters(worth, many, nobody)
+    assert not corrections.is_significantly_better(worth, few, nobody)
+    assert corrections.is_significantly_better(worth, many, nobody)
 
 
 @given(st.integers(1, 60), st.floats(0.5, 0.9), st.integers(0, 99))
@@ -114,15 +116,15 @@ def test_a_correction_that_is_better_by_luck_is_not_taken(count, share, seed):
     without = np.random.default_rng(seed).uniform(0.05, 0.2, count)
     held = share * without
     # Every press a little better is sure from five presses on, half of them worse by as much never.
-    assert corrections.betters(share * float(np.median(without)) - 1e-6, without, held) == (count >= 5)
+    assert corrections.is_significantly_better(share * float(np.median(without)) - 1e-6, without, held) == (count >= 5)
     half = np.concatenate([held, without])
-    assert not corrections.betters(0.9 * float(np.median(half)), half, np.concatenate([without, held]))
+    assert not corrections.is_significantly_better(0.9 * float(np.median(half)), half, np.concatenate([without, held]))
 
 
 def test_the_error_said_of_presses_that_change_nothing_is_the_middle_one_and_steadier_for_few():
     rng = np.random.default_rng(0)
     errors = rng.normal(0.0, 0.1, (400, 4))
-    middles = np.array([of_errors(row).diameter_share for row in errors])
+    middles = np.array([summarise_errors(row).diameter_share for row in errors])
     assert np.median(middles) == pytest.approx(np.median(np.abs(errors)), rel=0.1)
     assert middles.std() < 0.85 * np.median(np.abs(errors), axis=1).std()
 
@@ -130,16 +132,16 @@ def test_the_error_said_of_presses_that_change_nothing_is_the_middle_one_and_ste
 def test_places_far_from_presses_are_not_told_by_them():
     everywhere = [Circle(x_px=x, y_px=y, radius_px=20.0) for x in range(40, 320, 80) for y in range(40, 240, 80)]
     change = np.zeros((240, 320, 3), np.float32)
-    pressed = tuple(Press(index=i, change=change, circle=c) for i, c in enumerate(everywhere))
-    unknown = Fields(mean=np.zeros(1), precision=np.eye(1))
-    known = corrections.Presses(presses=pressed, ball=Ball(radius_px=50.0, share=None), pixel_mm=0.06, before=unknown,
-                                built_in=built_in(sensor("gelsight_mini")).model, seed=0)  # fmt: skip
+    pressed = tuple(BallPress(index=i, change=change, circle=c) for i, c in enumerate(everywhere))
+    unknown = ShadingFieldPrior(mean=np.zeros(1), precision=np.eye(1))
+    known = corrections.PressSet(presses=pressed, ball=BallSlopeProfile(radius_px=50.0, sphere_slope_share=None), pixel_mm=0.06, prior=unknown,
+                                built_in=make_built_in(load_sensor("gelsight_mini")).model, seed=0)  # fmt: skip
     virtual = np.full((12, 30), 0.02)
-    assert told(virtual, known).all()
+    assert compute_coverage_map(virtual, known).all()
     virtual[:, 3] = 5.0  # no ball is foreseen there
-    assert np.flatnonzero(~told(virtual, known).ravel()).tolist() == [3]
-    assert not too_narrow(known)
-    left = known.without({i for i, c in enumerate(everywhere) if c.x_px > 160})
-    assert told(virtual * 0, left)[:, :3].all()
-    assert not told(virtual * 0, left)[:, 4:].any()
-    assert too_narrow(known.without(set(range(1, 12))))
+    assert np.flatnonzero(~compute_coverage_map(virtual, known).ravel()).tolist() == [3]
+    assert not has_low_coverage(known)
+    left = known.drop_presses({i for i, c in enumerate(everywhere) if c.x_px > 160})
+    assert compute_coverage_map(virtual * 0, left)[:, :3].all()
+    assert not compute_coverage_map(virtual * 0, left)[:, 4:].any()
+    assert has_low_coverage(known.drop_presses(set(range(1, 12))))

@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import CalibrationError, FileProblem
-from pipeline.calibration import lookup as calibration
-from pipeline.calibration import lookup_file, slope_model
+from pipeline.calibration import calibration_file, slope_model
+from pipeline.calibration import calibration_table as calibration
 from pipeline.physics import optics
-from pipeline.sensors.spec import sensor
+from pipeline.sensors.spec import load_sensor
 
 BUILT_IN_SLOPE_TOLERANCE = 0.08  # rms mm/mm inside a contact; LEDs in their own shadow cannot tell steeper slopes apart
 
 
 @pytest.fixture(scope="module")
 def mini():
-    return calibration.built_in(sensor("gelsight_mini"))
+    return calibration.make_built_in(load_sensor("gelsight_mini"))
 
 
 def everywhere(picture):
@@ -37,36 +37,36 @@ def ball_slopes(shape, radius_px=60.0, contact_px=35.0):
 
 @pytest.mark.parametrize("name", ["gelslim_dotless", "digit", "gelsight_mini"])
 def test_the_built_in_look_up_inverts_the_forward_model(name):
-    source = sensor(name)
-    look_up = calibration.built_in(source)
+    source = load_sensor(name)
+    look_up = calibration.make_built_in(source)
     gx, gy, inside = ball_slopes(source.camera.shape)
-    still = optics.untouched(source)
-    seen = np.clip(np.rint(still + optics.colour_change(source, gx, gy)), 0, 255).astype(np.uint8)
-    found_x, found_y = calibration.slopes(look_up, seen, still, everywhere(still))
+    still = optics.render_reference(source)
+    seen = np.clip(np.rint(still + optics.compute_colour_change(source, gx, gy)), 0, 255).astype(np.uint8)
+    found_x, found_y = calibration.compute_slopes(look_up, seen, still, everywhere(still))
     core = inside & (np.hypot(gx, gy) < 0.6)  # the last pixels at the rim are blurred on purpose
     assert np.sqrt(np.mean((found_x - gx)[core] ** 2 + (found_y - gy)[core] ** 2)) < BUILT_IN_SLOPE_TOLERANCE
 
 
 def test_an_unchanged_picture_has_no_slope_at_all(mini):
-    still = optics.untouched(sensor("gelsight_mini"))
-    gx, gy = calibration.slopes(mini, still, still, everywhere(still))
+    still = optics.render_reference(load_sensor("gelsight_mini"))
+    gx, gy = calibration.compute_slopes(mini, still, still, everywhere(still))
     assert not gx.any()
     assert not gy.any()
 
 
 def test_slopes_are_finite_and_bounded_for_any_picture(mini):
     rng = np.random.default_rng(0)
-    still = optics.untouched(sensor("gelsight_mini"))
+    still = optics.render_reference(load_sensor("gelsight_mini"))
     for picture in (np.zeros_like(still), np.full_like(still, 255), rng.integers(0, 256, still.shape, np.uint8)):
-        gx, gy = calibration.slopes(mini, picture, still, everywhere(still))
+        gx, gy = calibration.compute_slopes(mini, picture, still, everywhere(still))
         assert np.hypot(gx, gy).max() <= mini.model.slope_max * (1 + 1e-5)
 
 
 def test_a_saved_look_up_comes_back_the_same(mini, tmp_path):
     press = calibration.BallFit(index=0, x_px=1.5, y_px=2.5, radius_px=20.0, residual=0.03, used=True)
-    written = replace(mini, presses=(press,), read_as=1.25)
-    lookup_file.save(written, tmp_path / "mini.npz")
-    read = lookup_file.load(tmp_path / "mini.npz")
+    written = replace(mini, presses=(press,), diameter_ratio=1.25)
+    calibration_file.save(written, tmp_path / "mini.npz")
+    read = calibration_file.load(tmp_path / "mini.npz")
     assert np.array_equal(read.model.coefficients, written.model.coefficients)
     assert replace(read, model=written.model) == written
     assert [p.name for p in tmp_path.iterdir()] == ["mini.npz"]
@@ -74,17 +74,17 @@ def test_a_saved_look_up_comes_back_the_same(mini, tmp_path):
 
 def test_a_missing_look_up_is_told_in_a_sentence(tmp_path):
     with pytest.raises(FileProblem, match="No such file"):
-        lookup_file.load(tmp_path / "none.npz")
+        calibration_file.load(tmp_path / "none.npz")
 
 
 def test_a_damaged_look_up_is_told_in_a_sentence(mini, tmp_path):
     path = tmp_path / "mini.npz"
-    lookup_file.save(mini, path)
+    calibration_file.save(mini, path)
     whole = path.read_bytes()
     for cut in (0, 10, len(whole) // 2):
         path.write_bytes(whole[:cut])
         with pytest.raises(FileProblem, match="calibrat"):
-            lookup_file.load(path)
+            calibration_file.load(path)
 
 
 @pytest.mark.parametrize(("field", "value"), [
@@ -93,34 +93,34 @@ def test_a_damaged_look_up_is_told_in_a_sentence(mini, tmp_path):
 ])  # fmt: skip
 def test_numbers_that_no_look_up_has_are_refused(mini, tmp_path, field, value):
     path = tmp_path / "mini.npz"
-    lookup_file.save(mini, path)
+    calibration_file.save(mini, path)
     with np.load(path) as read:
         fields = dict(read)
     np.savez(path, **{**fields, field: value})
     with pytest.raises(FileProblem, match="must be positive"):
-        lookup_file.load(path)
+        calibration_file.load(path)
 
 
 def test_a_look_up_that_lacks_a_field_names_it(tmp_path):
     np.savez(tmp_path / "half.npz", version=1)
     with pytest.raises(FileProblem, match="lacks 'colour_degree'"):
-        lookup_file.load(tmp_path / "half.npz")
+        calibration_file.load(tmp_path / "half.npz")
 
 
 def test_a_pickled_file_is_not_opened(tmp_path):
     np.savez(tmp_path / "evil.npz", version=np.array([{}], dtype=object))
     with pytest.raises(FileProblem, match="could run code"):
-        lookup_file.load(tmp_path / "evil.npz")
+        calibration_file.load(tmp_path / "evil.npz")
 
 
 def test_the_slopes_of_a_part_are_those_of_the_whole(mini):
-    source = sensor("gelsight_mini")
+    source = load_sensor("gelsight_mini")
     gx, gy, _ = ball_slopes(source.camera.shape)
-    still = optics.untouched(source)
-    seen = np.clip(np.rint(still + optics.colour_change(source, gx, gy)), 0, 255).astype(np.uint8)
+    still = optics.render_reference(source)
+    seen = np.clip(np.rint(still + optics.compute_colour_change(source, gx, gy)), 0, 255).astype(np.uint8)
     part, where = (slice(30, 200), slice(40, 300)), everywhere(still)
-    whole = calibration.slopes(mini, seen, still, where)
-    found = calibration.slopes(mini, seen[part], still[part], where[part], (30, 40))
+    whole = calibration.compute_slopes(mini, seen, still, where)
+    found = calibration.compute_slopes(mini, seen[part], still[part], where[part], (30, 40))
     inner = (slice(10, -10), slice(10, -10))  # smoothing and brightness reach some pixels over the cut
     for a, b in zip(found, whole, strict=True):
         np.testing.assert_allclose(a[inner], b[part][inner], atol=1e-4)
@@ -128,23 +128,23 @@ def test_the_slopes_of_a_part_are_those_of_the_whole(mini):
 
 def test_a_picture_of_another_size_is_refused(mini):
     with pytest.raises(CalibrationError, match="240 x 320 pixels"):
-        calibration.check_for(mini, "gelsight_mini", np.zeros((10, 10, 3), np.uint8))
+        calibration.check_calibration(mini, "gelsight_mini", np.zeros((10, 10, 3), np.uint8))
 
 
 def test_a_look_up_of_another_sensor_is_refused(mini):
     with pytest.raises(CalibrationError, match="made for 'gelsight_mini'"):
-        calibration.check_for(mini, "digit", np.zeros((320, 240, 3), np.uint8))
+        calibration.check_calibration(mini, "digit", np.zeros((320, 240, 3), np.uint8))
 
 
 def test_a_bubble_has_no_look_up():
     with pytest.raises(CalibrationError, match="no optics"):
-        calibration.built_in(sensor("soft_bubble"))
+        calibration.make_built_in(load_sensor("soft_bubble"))
 
 
 def test_the_compiled_polynomial_equals_the_fitted_one():
     rng = np.random.default_rng(1)
-    u, v = slope_model.position((6, 7))
-    samples = slope_model.Samples(
+    u, v = slope_model.compute_positions((6, 7))
+    samples = slope_model.SlopeSamples(
         change=rng.normal(0, 0.3, (42, 3)).astype(np.float32), u=np.tile(u, 6), v=np.repeat(v, 7),
         slopes=rng.normal(0, 0.3, (42, 2)).astype(np.float32),
     )  # fmt: skip
@@ -156,19 +156,19 @@ def test_the_compiled_polynomial_equals_the_fitted_one():
 
 
 def test_the_built_in_look_up_follows_the_rest_depth():
-    near = sensor("digit")
+    near = load_sensor("digit")
     far = replace(near, rest_depth_mm=1.5 * near.rest_depth_mm)
-    assert calibration.built_in(near).pixel_mm == near.pixel_mm
-    assert calibration.built_in(far).pixel_mm == pytest.approx(1.5 * near.pixel_mm)
+    assert calibration.make_built_in(near).pixel_mm == near.pixel_mm
+    assert calibration.make_built_in(far).pixel_mm == pytest.approx(1.5 * near.pixel_mm)
 
 
 def test_the_built_in_look_up_is_kept_for_the_next_process(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    source = replace(sensor("digit"), name="one that was never asked for")
-    first = calibration.built_in(source)
-    calibration._built_in.clear()
+    source = replace(load_sensor("digit"), name="one that was never asked for")
+    first = calibration.make_built_in(source)
+    calibration._built_in_cache.clear()
     monkeypatch.setattr(calibration, "_inverted", lambda _: pytest.fail("it was kept"))
-    again = calibration.built_in(source)
+    again = calibration.make_built_in(source)
     assert np.array_equal(again.model.coefficients, first.model.coefficients)
     assert replace(again, model=first.model) == first
 
@@ -177,14 +177,14 @@ def test_the_expected_error_and_the_kept_look_up_come_back(mini, tmp_path):
     expected = calibration.ExpectedError(diameter_share=0.08, depth_share=0.07, n_held_out=4)
     still = np.arange(4 * 5 * 3, dtype=np.uint8).reshape(4, 5, 3)
     told = np.eye(5, 6) > 0
-    known = replace(mini, kept_built_in=True, expected=expected, still=still, told=told, usual_share=0.6)
-    lookup_file.save(known, tmp_path / "look_up.npz")
-    back = lookup_file.load(tmp_path / "look_up.npz")
-    assert back.expected == expected
-    assert back.kept_built_in
-    assert np.array_equal(back.still, still)
-    assert np.array_equal(back.told, told)
-    assert back.usual_share == 0.6
+    known = replace(mini, uses_built_in=True, expected=expected, still=still, told=told, median_pressure_share=0.6)
+    calibration_file.save(known, tmp_path / "look_up.npz")
+    back = calibration_file.load(tmp_path / "look_up.npz")
+    assert back.expected_error == expected
+    assert back.uses_built_in
+    assert np.array_equal(back.reference_thumbnail, still)
+    assert np.array_equal(back.coverage_map, told)
+    assert back.median_pressure_share == 0.6
 
 
 LATER = ("kept_built_in", "expected", "still", "told", "usual_share")  # what files had to learn
@@ -192,30 +192,30 @@ LATER = ("kept_built_in", "expected", "still", "told", "usual_share")  # what fi
 
 def test_a_look_up_of_before_expected_errors_is_read(mini, tmp_path):
     path = tmp_path / "look_up.npz"
-    lookup_file.save(mini, path)
+    calibration_file.save(mini, path)
     fields = {k: v for k, v in np.load(path).items() if k not in LATER}
     np.savez(path, **fields)
-    back = lookup_file.load(path)
-    assert back.expected is None
-    assert back.still is back.told is back.usual_share is None
-    assert not back.kept_built_in
+    back = calibration_file.load(path)
+    assert back.expected_error is None
+    assert back.reference_thumbnail is back.coverage_map is back.median_pressure_share is None
+    assert not back.uses_built_in
 
 
 @pytest.mark.parametrize("row", [[0.1, 0.1], [0.1, np.nan, 4.0], [-0.1, 0.1, 4.0]])
 def test_an_expected_error_that_is_none_is_refused(mini, tmp_path, row):
     path = tmp_path / "look_up.npz"
-    lookup_file.save(mini, path)
+    calibration_file.save(mini, path)
     np.savez(path, **{**np.load(path), "expected": np.array(row)})
     with pytest.raises(FileProblem, match="expected error"):
-        lookup_file.load(path)
+        calibration_file.load(path)
 
 
 def test_an_untouched_picture_that_is_none_is_refused(mini, tmp_path):
     path = tmp_path / "look_up.npz"
-    lookup_file.save(mini, path)
+    calibration_file.save(mini, path)
     np.savez(path, **{**np.load(path), "still": np.zeros((4, 5), np.float32)})
     with pytest.raises(FileProblem, match="untouched picture"):
-        lookup_file.load(path)
+        calibration_file.load(path)
 
 
 @pytest.mark.parametrize(
@@ -227,16 +227,16 @@ def test_an_untouched_picture_that_is_none_is_refused(mini, tmp_path):
 )
 def test_what_presses_tell_is_read_whole_or_refused(mini, tmp_path, field, value, said):
     path = tmp_path / "look_up.npz"
-    lookup_file.save(mini, path)
+    calibration_file.save(mini, path)
     np.savez(path, **{**np.load(path), field: np.array(value)})
     with pytest.raises(FileProblem, match=said):
-        lookup_file.load(path)
+        calibration_file.load(path)
 
 
 def test_a_touch_is_told_where_presses_tell_most_of_it(mini):
     left = replace(mini, told=np.array([[True, False]]))
     touch = np.ones((20, 20), np.bool_)
-    assert mini.tells(touch, (0, mini.cols - 20))
-    assert left.tells(touch, (50, 10))
-    assert not left.tells(touch, (50, mini.cols - 30))
-    assert left.tells(np.zeros((20, 20), np.bool_), (50, mini.cols - 30))
+    assert mini.covers(touch, (0, mini.cols - 20))
+    assert left.covers(touch, (50, 10))
+    assert not left.covers(touch, (50, mini.cols - 30))
+    assert left.covers(np.zeros((20, 20), np.bool_), (50, mini.cols - 30))

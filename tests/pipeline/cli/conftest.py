@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.physics.optics import render, untouched
-from pipeline.sensors.spec import sensor
+from pipeline.physics.optics import render, render_reference
+from pipeline.sensors.spec import load_sensor
 
-MINI = sensor("gelsight_mini")
+MINI = load_sensor("gelsight_mini")
 
 
 def save(path, image):
@@ -28,7 +28,7 @@ def touches(tmp_path):
     """A folder of three simulated GelSight Mini frames: untouched, and two dents."""
     folder = tmp_path / "touches"
     folder.mkdir()
-    save(folder / "background.png", untouched(MINI))
+    save(folder / "background.png", render_reference(MINI))
     for i, depth_mm in enumerate((0.0, 0.4, 0.6)):
         save(folder / f"touch_{i}.png", dent(depth_mm, seed=i))
     return folder

@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 
 from app.session.state import Session, load_session, save_session
-from pipeline.alignment.nudge import nudged
+from pipeline.alignment.nudge import nudge
 from pipeline.base.errors import SettingProblem
-from pipeline.cli.align import frames_of
-from pipeline.cli.align_fit import agree
-from pipeline.cli.main import EXIT_USER_ERROR, build, run
+from pipeline.cli.align import parse_frames
+from pipeline.cli.align_fit import is_consistent
+from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
 from pipeline.geometry import rigid
-from pipeline.sensors.alignment_files import AlignmentFile, load, save
+from pipeline.sensors.alignment_files import AlignmentFile, load_alignment, save_alignment
 from pipeline.translation.translate import Request, open_translation
 from sample_data import make_alignments
-from sample_data.make_samples import FOLDER
+from sample_data.make_samples import RECORDINGS_FOLDER
 
-SAMPLE = FOLDER / "digit_gelslim.h5"
-EXACT = load(make_alignments.file_of("digit", "gelslim"), source="digit", target="gelslim")
+SAMPLE = RECORDINGS_FOLDER / "digit_gelslim.h5"
+EXACT = load_alignment(make_alignments.alignment_path("digit", "gelslim"), source="digit", target="gelslim")
 SAME = 1e-9  # mm and entries of a rotation: what a file rounds away, composed
 
 
@@ -29,7 +29,7 @@ def typed(capsys):
     """Run `align` with these words; returns its exit code, what it printed and what it said on stderr."""
 
     def go(*tokens):
-        code = run(build(), ["align", *(str(t) for t in tokens)])
+        code = run_app(build_app(), ["align", *(str(t) for t in tokens)])
         said = capsys.readouterr()
         return code, said.out, said.err
 
@@ -39,10 +39,10 @@ def typed(capsys):
 @pytest.fixture
 def off(tmp_path):
     """A file that is 1 mm and 2 degrees off."""
-    moved = nudged(EXACT.alignment, "x", 1.0, pivot_mm=np.array([0.0, 0.0, 20.0]))
-    moved = nudged(moved, "rz", 2.0, pivot_mm=np.array([0.0, 0.0, 20.0]))
+    moved = nudge(EXACT.alignment, "x", 1.0, pivot_mm=np.array([0.0, 0.0, 20.0]))
+    moved = nudge(moved, "rz", 2.0, pivot_mm=np.array([0.0, 0.0, 20.0]))
     path = tmp_path / "off.toml"
-    save(path, AlignmentFile(alignment=moved, source="digit", target="gelslim"))
+    save_alignment(path, AlignmentFile(alignment=moved, source="digit", target="gelslim"))
     return path
 
 
@@ -65,7 +65,7 @@ def test_refining_writes_an_alignment_nearer_to_the_exact_one_and_says_what_it_d
     assert "predicted spread" in out
     moved_mm = [float(v) for v in out.split("moved the contact by (")[1].split(")")[0].split(",")]
     assert 0.5 < np.linalg.norm(moved_mm) < 2.0  # about the millimetre that the file was off
-    found = load(out_file, source="digit", target="gelslim")
+    found = load_alignment(out_file, source="digit", target="gelslim")
     assert "digit_gelslim.h5" in found.origin
     left = found.alignment.target_from_source @ rigid.invert(EXACT.alignment.target_from_source)
     middle = np.array([0.0, 0.0, 20.0])
@@ -102,7 +102,7 @@ def test_an_alignment_of_other_sensors_is_refused(typed, off):
 def test_a_translation_uses_the_file_and_a_session_keeps_it(off, tmp_path):
     request = Request(recording=SAMPLE, source="digit", target="gelslim", alignment=off)
     opened = open_translation(request)
-    wanted = load(off, source="digit", target="gelslim").alignment.target_from_source
+    wanted = load_alignment(off, source="digit", target="gelslim").alignment.target_from_source
     np.testing.assert_allclose(opened.alignment.target_from_source, wanted, atol=SAME)
     opened.recording.close()
     session = tmp_path / "kept.touch.json"
@@ -110,20 +110,20 @@ def test_a_translation_uses_the_file_and_a_session_keeps_it(off, tmp_path):
     assert load_session(session).alignment.resolve() == off.resolve()
 
 
-@pytest.mark.parametrize(("recording", "source", "target"), make_alignments.PAIRS)
+@pytest.mark.parametrize(("recording", "source", "target"), make_alignments.RECORDED_PAIRS)
 def test_the_samples_alignments_are_those_of_their_recordings(recording, source, target):
-    path = make_alignments.file_of(source, target)
+    path = make_alignments.alignment_path(source, target)
     assert tomllib.loads(path.read_text(encoding="utf-8"))["from"].startswith("exact")
-    kept = load(path, source=source, target=target).alignment
-    known = make_alignments.exact(recording, source, target).alignment
+    kept = load_alignment(path, source=source, target=target).alignment
+    known = make_alignments.read_exact_alignment(recording, source, target).alignment
     np.testing.assert_allclose(kept.target_from_source, known.target_from_source, atol=SAME)
 
 
 def test_frames_are_numbers_and_ranges():
-    assert frames_of("", 3) == [0, 1, 2]
-    assert frames_of("4, 0-2,1", 6) == [0, 1, 2, 4]
+    assert parse_frames("", 3) == [0, 1, 2]
+    assert parse_frames("4, 0-2,1", 6) == [0, 1, 2, 4]
     with pytest.raises(SettingProblem, match="no frame 6"):
-        frames_of("2-6", 6)
+        parse_frames("2-6", 6)
 
 
 def test_fit_finds_an_alignment_without_one_to_begin_with_and_writes_it(typed, tmp_path):
@@ -134,7 +134,7 @@ def test_fit_finds_an_alignment_without_one_to_begin_with_and_writes_it(typed, t
     assert code == 0, error
     assert "held out" in said
     assert "doubtful: a turn is known to 0." in said
-    fitted = load(out, source="gelslim", target="soft_bubble").alignment.target_from_source
+    fitted = load_alignment(out, source="gelslim", target="soft_bubble").alignment.target_from_source
     exact = np.diag([-1.0, -1.0, 1.0])  # how the sample's bubble is turned; 47 mm lie between the two cameras
     off = np.degrees(np.arccos(np.clip((np.trace(fitted[:3, :3].T @ exact) - 1) / 2, -1, 1)))
     assert off < 1.0
@@ -142,10 +142,10 @@ def test_fit_finds_an_alignment_without_one_to_begin_with_and_writes_it(typed, t
 
 
 def test_pairs_that_were_mixed_up_are_told_by_those_that_were_held_out():
-    assert agree([0.54, 0.6], [0.63, 0.5])
-    assert agree([0.9, 0.8], [])
-    assert not agree([0.35, 0.34], [-0.76, 0.57])  # shuffled: the few that are fitted to are learned by heart
-    assert not agree([0.1, 0.15], [])
+    assert is_consistent([0.54, 0.6], [0.63, 0.5])
+    assert is_consistent([0.9, 0.8], [])
+    assert not is_consistent([0.35, 0.34], [-0.76, 0.57])  # shuffled: the few that are fitted to are learned by heart
+    assert not is_consistent([0.1, 0.15], [])
 
 
 def test_fit_of_a_recording_asks_for_a_place_to_write(typed):

@@ -12,10 +12,10 @@ import h5py
 import numpy as np
 import pytest
 
-from pipeline.calibration import lookup, lookup_file
+from pipeline.calibration import calibration_file, calibration_table
 from pipeline.cli import calibrate
-from pipeline.cli.main import EXIT_USER_ERROR, build, run
-from pipeline.sensors.spec import sensor
+from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
+from pipeline.sensors.spec import load_sensor
 from tests.pipeline.cli.conftest import MINI, save
 
 SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
@@ -26,7 +26,7 @@ def said(capsys):
     """Run a command line that must fail on the user's account; returns its one sentence."""
 
     def go(*tokens):
-        code = run(build(), [str(t) for t in tokens])
+        code = run_app(build_app(), [str(t) for t in tokens])
         error = capsys.readouterr().err
         assert code == EXIT_USER_ERROR, error
         assert "Traceback" not in error
@@ -39,8 +39,8 @@ def said(capsys):
 
 def test_translate_all_leaves_every_frame_whole(touches, tmp_path, capsys):
     out = tmp_path / "out"
-    code = run(
-        build(),
+    code = run_app(
+        build_app(),
         ["translate", str(touches), "--target", "gelslim", "--all", "--out", str(out), "--sensor", "gelsight_mini"],
     )
     assert code == 0, capsys.readouterr().err
@@ -48,13 +48,20 @@ def test_translate_all_leaves_every_frame_whole(touches, tmp_path, capsys):
     assert report["route"] == "t2d2"
     assert [f["index"] for f in report["frames"]] == [0, 1, 2]
     for frame in report["frames"]:
-        assert [s["name"] for s in frame["stages"]] == ["depth", "cloud", "view", "touch", "felt", "pose"]
+        assert [s["name"] for s in frame["stages"]] == [
+            "depth",
+            "cloud",
+            "target_depth",
+            "touch",
+            "touch_depth",
+            "pose",
+        ]
         assert all(set(s) >= {"name", "ms", "skipped", "notes"} for s in frame["stages"])
     assert all(s["skipped"] for s in report["frames"][0]["stages"])
     assert not report["frames"][2]["stages"][0]["skipped"]
     with np.load(out / "frame_0002" / "stages.npz", allow_pickle=False) as arrays:
         assert arrays["depth.indentation_mm"].shape == MINI.camera.shape
-        assert arrays["touch.image"].shape == (*sensor("gelslim").camera.shape, 3)
+        assert arrays["touch.image"].shape == (*load_sensor("gelslim").camera.shape, 3)
         assert arrays["depth.contact"].any()
     sheet = cv2.imread(str(out / "frame_0002" / "sheet.png"))
     assert sheet.shape[1] > 1000
@@ -63,8 +70,8 @@ def test_translate_all_leaves_every_frame_whole(touches, tmp_path, capsys):
 
 def test_a_setting_reaches_its_stage_and_an_unknown_one_is_named(touches, tmp_path, said):
     arguments = ("translate", touches, "--target", "gelslim", "--sensor", "gelsight_mini", "--out", tmp_path / "o")
-    assert run(build(), [str(a) for a in (*arguments, "--set", "view.jump_mm=2", "--frame", "2")]) == 0
-    assert "jump_mm" in said(*arguments, "--set", "view.colour=red")
+    assert run_app(build_app(), [str(a) for a in (*arguments, "--set", "target_depth.jump_mm=2", "--frame", "2")]) == 0
+    assert "jump_mm" in said(*arguments, "--set", "target_depth.colour=red")
     assert said(*arguments, "--set", "projekt.mode=paper").startswith(
         "no slot 'projekt' on this route; there are depth, cloud"
     )
@@ -74,12 +81,14 @@ def test_a_setting_reaches_its_stage_and_an_unknown_one_is_named(touches, tmp_pa
 def test_the_sample_recording_translates_with_truth(tmp_path, capsys):
     out = tmp_path / "out"
     assert (
-        run(build(), ["translate", str(SAMPLE), "--target", "soft_bubble", "--sensor", "gelslim", "--out", str(out)])
+        run_app(
+            build_app(), ["translate", str(SAMPLE), "--target", "soft_bubble", "--sensor", "gelslim", "--out", str(out)]
+        )
         == 0
     )
     frame = json.loads((out / "report.json").read_text())["frames"][0]
     assert frame["metrics"]["depth.contact_mae_mm"] < 0.15
-    assert "felt.contact_iou" in frame["metrics"]
+    assert "touch_depth.contact_iou" in frame["metrics"]
 
 
 @pytest.mark.parametrize("known", [False, True])
@@ -89,37 +98,37 @@ def test_calibrating_says_what_error_to_expect_and_what_one_ball_cannot_tell(kno
     out = tmp_path / "mini.npz"
     command = ["calibrate", "balls", str(touches), "--sensor", "gelsight_mini", "--diameter-mm", "8", *pixel,
                "--reference", str(touches / "background.png"), "--out", str(out), "--pattern", "touch_*"]  # fmt: skip
-    assert run(build(), command) == 0
+    assert run_app(build_app(), command) == 0
     told = " ".join(capsys.readouterr().out.split())
     assert "expected error of a ball's diameter" in told
     assert ("any width of a pixel" in told) is not known
-    assert lookup_file.load(out).expected is not None
+    assert calibration_file.load(out).expected_error is not None
 
 
 def test_calibrating_on_pictures_with_swapped_colours_is_doubted(touches, tmp_path, capsys, monkeypatch):
-    mini = sensor("gelsight_mini")
-    monkeypatch.setattr(calibrate, "calibrated", lambda *_, **__: lookup.built_in(mini))
+    mini = load_sensor("gelsight_mini")
+    monkeypatch.setattr(calibrate, "calibrated", lambda *_, **__: calibration_table.make_built_in(mini))
     command = ["calibrate", "balls", str(touches), "--sensor", "gelsight_mini", "--diameter-mm", "8", "--reference",
                str(touches / "background.png"), "--out", str(tmp_path / "mini.npz"), "--pattern", "touch_*"]  # fmt: skip
-    assert run(build(), command) == 0
+    assert run_app(build_app(), command) == 0
     assert "doubtful" not in capsys.readouterr().out
     for file in touches.iterdir():
         cv2.imwrite(str(file), cv2.imread(str(file))[..., ::-1])
-    assert run(build(), command) == 0
+    assert run_app(build_app(), command) == 0
     assert "doubtful: the untouched picture is not as gelsight_mini takes it: red and blue" in capsys.readouterr().out
 
 
 def test_inspect_says_what_a_calibration_is_worth(tmp_path, capsys):
-    error = lookup.ExpectedError(diameter_share=0.08, depth_share=0.07, n_held_out=4)
-    press = lookup.BallFit(index=0, x_px=9, y_px=9, radius_px=9, residual=0.02, used=True)
-    known = replace(lookup.built_in(sensor("gelsight_mini")), presses=(press,), expected=error)
-    lookup_file.save(known, tmp_path / "mini.npz")
-    assert run(build(), ["inspect", str(tmp_path / "mini.npz")]) == 0
+    error = calibration_table.ExpectedError(diameter_share=0.08, depth_share=0.07, n_held_out=4)
+    press = calibration_table.BallFit(index=0, x_px=9, y_px=9, radius_px=9, residual=0.02, used=True)
+    known = replace(calibration_table.make_built_in(load_sensor("gelsight_mini")), presses=(press,), expected=error)
+    calibration_file.save(known, tmp_path / "mini.npz")
+    assert run_app(build_app(), ["inspect", str(tmp_path / "mini.npz")]) == 0
     assert "expected error of a ball's diameter 8 %" in capsys.readouterr().out
 
 
 def test_inspect_says_what_the_sample_is(capsys):
-    assert run(build(), ["inspect", str(SAMPLE)]) == 0
+    assert run_app(build_app(), ["inspect", str(SAMPLE)]) == 0
     text = capsys.readouterr().out
     assert "gelslim" in text
     assert "soft_bubble" in text
@@ -127,7 +136,7 @@ def test_inspect_says_what_the_sample_is(capsys):
 
 
 def test_doctor_finds_everything_here(capsys):
-    code, printed = run(build(), ["doctor"]), capsys.readouterr().out
+    code, printed = run_app(build_app(), ["doctor"]), capsys.readouterr().out
     assert code == 0, printed
     assert printed.splitlines()[-1] == "everything needed is here"
     assert "MISSING" not in printed
@@ -137,7 +146,7 @@ def test_doctor_counts_what_is_missing(capsys, monkeypatch):
     from pipeline.cli import doctor
 
     monkeypatch.setattr(doctor, "_PACKAGES", ("numpy", "no-such-package", "nor-this-one"))
-    code, printed = run(build(), ["doctor"]), capsys.readouterr().out
+    code, printed = run_app(build_app(), ["doctor"]), capsys.readouterr().out
     assert code == 1
     assert "MISSING  no-such-package; run 'make setup'" in printed
     assert printed.splitlines()[-1] == "2 things are missing; each line says what to do"
@@ -208,7 +217,7 @@ def test_a_recording_of_no_frame_is_no_success(tmp_path, said, capsys):
         "the recording holds"
     )
     assert not (tmp_path / "o").exists()
-    assert run(build(), ["inspect", str(path)]) == 1
+    assert run_app(build_app(), ["inspect", str(path)]) == 1
     assert "there is no frame" in capsys.readouterr().out
 
 
@@ -272,8 +281,8 @@ def test_a_singular_camera_matrix_is_refused(tmp_path, said):
 def test_a_damaged_frame_leaves_the_others_translated(touches, tmp_path, capsys):
     (touches / "touch_1.png").write_bytes((touches / "touch_1.png").read_bytes()[:300])
     out = tmp_path / "out"
-    code = run(
-        build(),
+    code = run_app(
+        build_app(),
         ["translate", str(touches), "--target", "gelslim", "--sensor", "gelsight_mini", "--all", "--out", str(out)],
     )
     assert code == EXIT_USER_ERROR
@@ -336,9 +345,9 @@ def test_what_a_refusal_advises_the_command_knows(tmp_path, said, capsys):
     depth = tmp_path / "touch.png"
     cv2.imwrite(str(depth), np.full((140, 175), 770, np.uint16))
     assert "give --depth-unit" in said("inspect", depth)
-    assert run(build(), ["inspect", str(depth), "--depth-unit", "0.1mm"]) in (0, 1)
+    assert run_app(build_app(), ["inspect", str(depth), "--depth-unit", "0.1mm"]) in (0, 1)
     assert "name one of the untouched sensor with --reference" in capsys.readouterr().out
     for command in ("inspect", "translate"):
-        run(build(), [command, "--help"])
+        run_app(build_app(), [command, "--help"])
         shown = capsys.readouterr().out
         assert all(option in shown for option in ("--depth-unit", "--reference", "--sensor"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pipeline.cli.main import build, run
+from pipeline.cli.main import build_app, run_app
 
 
 def test_a_parameter_that_is_not_swept_is_told_at_once_and_nothing_is_written(tmp_path, monkeypatch, capsys):
@@ -11,6 +11,6 @@ def test_a_parameter_that_is_not_swept_is_told_at_once_and_nothing_is_written(tm
 
     monkeypatch.setattr("pipeline.cli.evaluate.evaluated", worked_out)
     wanted = ["evaluate", "--split", "unseen_tools", "--sweep", "nonsense", "--json", str(tmp_path / "e.json")]
-    assert run(build(), wanted) == 2
+    assert run_app(build_app(), wanted) == 2
     assert "'nonsense' is not swept; there are steps, guidance" in " ".join(capsys.readouterr().err.split())
     assert not list(tmp_path.iterdir())

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 from cyclopts import App
 
-from pipeline.cli.main import build, run
+from pipeline.cli.main import build_app, run_app
 
 WITHOUT_WORDS = re.compile(
     r"^│ \*?\s*(?:[A-Z]+ )?--[\w-]+(?: +[A-Z.]+)*\s+\[(?:default|required|choices)", re.MULTILINE
@@ -23,9 +23,9 @@ def commands(app: App, before: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]
             yield from commands(app[name], (*before, name))
 
 
-@pytest.mark.parametrize("words", list(commands(build())), ids=" ".join)
+@pytest.mark.parametrize("words", list(commands(build_app())), ids=" ".join)
 def test_every_option_says_what_it_is_for(words, capsys):
-    assert run(build(), [*words, "--help"]) == 0
+    assert run_app(build_app(), [*words, "--help"]) == 0
     said = capsys.readouterr().out
     assert f"tactoscope {' '.join(words)}" in " ".join(said.split())
     assert not WITHOUT_WORDS.findall(said)

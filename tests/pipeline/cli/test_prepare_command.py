@@ -18,8 +18,8 @@ ROOT = Path(__file__).resolve().parents[3]
 def test_nothing_is_put_to_work_once_all_is_compiled(monkeypatch, capsys):
     monkeypatch.setattr(compiling, "waiting", dict)
     monkeypatch.setattr(prepare, "_tasks", pytest.fail)
-    assert prepare.prepare() == 0
-    assert f"{len(compiling.kernels())} kernels are ready" in capsys.readouterr().out
+    assert prepare.compile_kernels() == 0
+    assert f"{len(compiling.list_kernels())} kernels are ready" in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -7,11 +7,11 @@ import signal
 
 import pytest
 
-from pipeline.cli.main import EXIT_INTERRUPTED, EXIT_USER_ERROR, build, run
-from pipeline.inspection.recording import inspect
+from pipeline.cli.main import EXIT_INTERRUPTED, EXIT_USER_ERROR, build_app, run_app
+from pipeline.inspection.recording_report import inspect_recording
 from pipeline.simulation import datasets, shapes
 
-ONE, OTHER = shapes.names("training")[:2]
+ONE, OTHER = shapes.list_shapes("training")[:2]
 
 
 @pytest.fixture
@@ -20,7 +20,7 @@ def typed(capsys):
 
     def go(*tokens):
         jobs = () if "--jobs" in tokens else ("--jobs", "1")
-        code = run(build(), ["simulate", *jobs, *(str(t) for t in tokens)])
+        code = run_app(build_app(), ["simulate", *jobs, *(str(t) for t in tokens)])
         return code, capsys.readouterr().err
 
     return go
@@ -31,13 +31,13 @@ def test_each_object_becomes_a_recording_that_passes_every_check(typed, tmp_path
     code, said = typed("--sensors", "digit,soft_bubble", "--tools", f"{ONE},{OTHER}", "--poses", 1, "--out", out)
     assert code == 0, said
     assert sorted(p.name for p in out.iterdir()) == sorted(f"{name}.h5" for name in (ONE, OTHER))
-    report = inspect(out / f"{ONE}.h5")
+    report = inspect_recording(out / f"{ONE}.h5")
     assert [check.name for check in report.checks if check.state == "fail"] == []
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_ctrl_c_and_sigterm_keep_what_is_finished_and_the_same_command_goes_on(typed, tmp_path, monkeypatch, how):
-    out, made = tmp_path / "one.h5", datasets.moment
+    out, made = tmp_path / "one.h5", datasets.simulate_moment
 
     def interrupted(plan, index):
         if index == 1:
@@ -50,9 +50,9 @@ def test_ctrl_c_and_sigterm_keep_what_is_finished_and_the_same_command_goes_on(t
     assert code == EXIT_INTERRUPTED
     assert "finished frames are whole" in said
     monkeypatch.setattr(datasets, "moment", made)
-    assert inspect(out).streams[0].n_frames == 2
+    assert inspect_recording(out).streams[0].n_frames == 2
     assert typed(*options)[0] == 0
-    assert inspect(out).streams[0].n_frames == 4
+    assert inspect_recording(out).streams[0].n_frames == 4
 
 
 def test_what_is_finished_is_not_made_again(typed, tmp_path):

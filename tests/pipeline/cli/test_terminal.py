@@ -6,13 +6,13 @@ import shlex
 
 import pytest
 
-from pipeline.cli import hand_on
-from pipeline.cli.terminal import complain, print_line
+from pipeline.cli import export
+from pipeline.cli.terminal import print_error, print_line
 
 EVIL = "\x1b[31mred\x07\r\x9b2J \u202e [bold]bold[/bold] :smile: \udcff \x7f"
 
 
-@pytest.mark.parametrize("say", [print_line, complain])
+@pytest.mark.parametrize("say", [print_line, print_error])
 def test_a_line_is_shown_letter_by_letter(say, capfd):
     say(EVIL)
     said = "".join(capfd.readouterr())
@@ -21,8 +21,8 @@ def test_a_line_is_shown_letter_by_letter(say, capfd):
 
 
 def test_the_command_that_plays_a_case_again_can_be_copied_whatever_its_folder_is_called(monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr(hand_on, "make_case", lambda *_, **__: None)
+    monkeypatch.setattr(export, "make_case", lambda *_, **__: None)
     folder = tmp_path / 'it\'s a "case"'
-    hand_on.write_case(None, (), 3, folder, "")
+    export.run_bundle(None, (), 3, folder, "")
     said = " ".join(capsys.readouterr().out.split("tactoscope ")[1:])
     assert shlex.split(said) == ["case", str(folder)]

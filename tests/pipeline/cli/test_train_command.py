@@ -6,9 +6,9 @@ import json
 
 import pytest
 
-from pipeline.cli.main import EXIT_INTERRUPTED, EXIT_USER_ERROR, build, run
-from pipeline.networks import building
-from pipeline.networks.weights import load
+from pipeline.cli.main import EXIT_INTERRUPTED, EXIT_USER_ERROR, build_app, run_app
+from pipeline.networks import network_factory
+from pipeline.networks.weights import load_weights
 from pipeline.training import task
 from tests.pipeline.training import toy
 
@@ -17,12 +17,12 @@ from tests.pipeline.training import toy
 def typed(monkeypatch, tmp_path, capsys):
     """Train the toy with these words; returns exit code, stdout and stderr."""
     monkeypatch.setitem(task.TASKS, "discs", None)
-    monkeypatch.setitem(building.KINDS, "toy_net", "")
+    monkeypatch.setitem(network_factory.NETWORK_CLASSES, "toy_net", "")
     toy.known()
     (tmp_path / "discs.toml").write_text(toy.RECIPE)
 
     def go(*words):
-        code = run(build(), ["train", *(str(word) for word in words)])
+        code = run_app(build_app(), ["train", *(str(word) for word in words)])
         said = capsys.readouterr()
         return code, said.out, said.err
 
@@ -35,7 +35,7 @@ def test_a_training_ends_in_weights_with_a_card_and_can_be_exported_smaller(type
     code, said, _ = typed(*asked)
     assert code == 0
     assert "unseen tools: overlap, 1" in said
-    weights = load(out / "weights.safetensors")
+    weights = load_weights(out / "weights.safetensors")
     assert (weights.kind, weights.config) == ("toy_net", {"width": 4})
     assert weights.card["examples seen"] == "120"
     assert json.loads(weights.card["recipe"])["pace"]["seed"] == 5
@@ -44,7 +44,7 @@ def test_a_training_ends_in_weights_with_a_card_and_can_be_exported_smaller(type
     code, said, _ = typed("export", out, "--to", tmp_path / "half.safetensors", "--half")
     assert code == 0
     assert (tmp_path / "half.safetensors").stat().st_size < (out / "weights.safetensors").stat().st_size
-    assert load(tmp_path / "half.safetensors").card == weights.card
+    assert load_weights(tmp_path / "half.safetensors").card == weights.card
     code, _, said = typed(*asked)
     assert (code, "give --resume to go on" in said) == (EXIT_USER_ERROR, True)
     assert typed(*asked, "--resume")[0] == 0
@@ -89,4 +89,4 @@ def test_ctrl_c_keeps_all_that_was_learned(typed, tmp_path, monkeypatch):
     asked = ("discs", "--recipe", tmp_path / "discs.toml", "--out", tmp_path / "out", "--workers", 0)
     assert typed(*asked)[0] == EXIT_INTERRUPTED
     assert typed(*asked, "--resume")[0] == 0
-    assert load(tmp_path / "out" / "weights.safetensors").card["steps"] == "60"
+    assert load_weights(tmp_path / "out" / "weights.safetensors").card["steps"] == "60"

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pipeline.cli import translate
-from pipeline.cli.main import EXIT_UNEXPECTED, build, run
+from pipeline.cli.main import EXIT_UNEXPECTED, build_app, run_app
 from pipeline.translation.translate import Translation
 from tests.pipeline.cli.conftest import dent, save
 
@@ -30,7 +30,7 @@ def typed(touches, tmp_path, capsys):
 
     def go(*more):
         asked = ("translate", touches, "--target", "gelslim", "--sensor", "gelsight_mini", "--out", tmp_path / "out")
-        code = run(build(), [str(a) for a in (*asked, *(more or ("--all",)))])
+        code = run_app(build_app(), [str(a) for a in (*asked, *(more or ("--all",)))])
         said = capsys.readouterr()
         return code, said.out, "".join(line for line in said.err.splitlines(keepends=True) if "tactoscope: " in line)
 
@@ -67,7 +67,7 @@ def test_doubts_that_differ_by_a_number_are_told_once_with_the_first_frames():
     def report(index, *doubts):
         return SimpleNamespace(index=index, results={"pose": SimpleNamespace(doubts=doubts)})
 
-    told = translate.doubtful_lines(
+    told = translate.list_warnings(
         [report(0, "10 poses fit"), report(1, "12 poses fit", "slides"), report(4, "12 poses fit")]
     )
     assert told == [
@@ -105,7 +105,7 @@ def test_a_frame_that_comes_from_something_else_or_is_not_whole_is_made_again(ch
     frame = tmp_path / "out" / "frame_0002"
     match changed:
         case "a setting":
-            more = (*more, "--set", "view.jump_mm=2")
+            more = (*more, "--set", "target_depth.jump_mm=2")
         case "the picture":
             save(touches / "touch_2.png", dent(0.5))
         case "the reference":
@@ -123,14 +123,22 @@ def test_a_frame_that_comes_from_something_else_or_is_not_whole_is_made_again(ch
 
 def test_following_goes_on_from_the_pose_on_disk(tmp_path, capsys):
     """What follows a frame of an earlier run comes out as in one go: the same arrays, bit by bit."""
-    from sample_data.make_samples import FOLDER
+    from sample_data.make_samples import RECORDINGS_FOLDER
 
-    asked = ["translate", str(FOLDER / "digit_gelslim.h5"), "--target", "gelslim", "--all", "--follow", "--out"]
-    assert run(build(), [*asked, str(tmp_path / "once")]) == 0, capsys.readouterr().err
-    assert run(build(), [*asked, str(tmp_path / "again")]) == 0
+    asked = [
+        "translate",
+        str(RECORDINGS_FOLDER / "digit_gelslim.h5"),
+        "--target",
+        "gelslim",
+        "--all",
+        "--follow",
+        "--out",
+    ]
+    assert run_app(build_app(), [*asked, str(tmp_path / "once")]) == 0, capsys.readouterr().err
+    assert run_app(build_app(), [*asked, str(tmp_path / "again")]) == 0
     for index in (3, 4):  # both after a touch with a pose
         (tmp_path / "again" / f"frame_{index:04d}" / "frame.json").unlink()
-    assert run(build(), [*asked, str(tmp_path / "again")]) == 0
+    assert run_app(build_app(), [*asked, str(tmp_path / "again")]) == 0
     assert f"4 of them {SAID}" in capsys.readouterr().out
     with (
         np.load(tmp_path / "once" / "frame_0003" / "stages.npz") as once,
@@ -159,7 +167,7 @@ def test_memory_does_not_grow_with_the_frames(typed, touches, monkeypatch):
 
 
 def test_whatever_one_frame_raises_the_others_are_translated(typed, tmp_path, monkeypatch, log):
-    whole = Translation.metrics
+    whole = Translation.compute_metrics
 
     def sometimes(self, results, *rest):
         if results["depth"].output.contact.any():

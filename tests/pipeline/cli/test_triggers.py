@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 import torch
 
-from pipeline.cli.main import EXIT_USER_ERROR, build, run
-from pipeline.sensors.sections import FOLDER as SENSORS
+from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
+from pipeline.sensors.descriptions import DESCRIPTIONS_FOLDER as SENSORS
 from tests.pipeline.cli.conftest import dent, save
 
 SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
@@ -670,7 +670,7 @@ def test_a_mistake_is_one_sentence_and_leaves_nothing_behind(name, tmp_path, cap
     here.mkdir()
     words = [str(word) for word in TRIGGERS[name](here)]
     before = contents(here)
-    code = run(build(), words)
+    code = run_app(build_app(), words)
     said, err = capfd.readouterr()
     assert not log.exists(), log.read_text()
     assert code == EXIT_USER_ERROR, err

@@ -11,9 +11,9 @@ from pipeline.base.arrays import freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.base.params import setting
 from pipeline.base.progress import Cancelled
-from pipeline.engine.cache import Cache, Entry
-from pipeline.engine.digests import Known, digest
-from pipeline.engine.graph import Graph, Method, unless
+from pipeline.engine.cache import Cache, CacheEntry
+from pipeline.engine.digests import DigestCache, compute_digest
+from pipeline.engine.graph import Graph, Method, skip_if_exact
 from pipeline.geometry.meshes import Mesh
 
 
@@ -41,7 +41,7 @@ class Ran:
             progress.step(0.5, "half way")
             return work(*values, params)
 
-        return Method(slot=name, name="only", title=name, run=unless(shortcut, run), params=Add, reads=reads)
+        return Method(stage=name, name="only", title=name, run=skip_if_exact(shortcut, run), params=Add, reads=reads)
 
 
 @pytest.fixture
@@ -137,10 +137,10 @@ def test_an_unknown_stage_and_a_missing_input_are_named(graph):
 def test_the_cache_never_holds_more_bytes_than_allowed():
     cache = Cache(max_bytes=100)
     for i in range(20):
-        cache.put(str(i), Entry(output=i, digest="", n_bytes=30))
+        cache.put(str(i), CacheEntry(output=i, digest="", n_bytes=30))
         assert cache.n_bytes <= 100
     assert len(cache) == 3
-    cache.put("huge", Entry(output=0, digest="", n_bytes=101))
+    cache.put("huge", CacheEntry(output=0, digest="", n_bytes=101))
     assert cache.get("huge") is None
     assert cache.get("19") is not None
 
@@ -148,16 +148,16 @@ def test_the_cache_never_holds_more_bytes_than_allowed():
 def test_the_least_recently_used_entry_goes_first():
     cache = Cache(max_bytes=60)
     for name in ("a", "b"):
-        cache.put(name, Entry(output=name, digest="", n_bytes=30))
+        cache.put(name, CacheEntry(output=name, digest="", n_bytes=30))
     cache.get("a")
-    cache.put("c", Entry(output="c", digest="", n_bytes=30))
+    cache.put("c", CacheEntry(output="c", digest="", n_bytes=30))
     assert cache.get("b") is None
     assert cache.get("a") is not None
 
 
 def test_digests_tell_apart_what_is_different_and_only_that():
     a = np.arange(6, dtype=np.float32)
-    assert digest(a) == digest(a.copy())
+    assert compute_digest(a) == compute_digest(a.copy())
     different = [
         a,
         a.astype(np.float64),
@@ -172,65 +172,65 @@ def test_digests_tell_apart_what_is_different_and_only_that():
         (1, (2,)),
         Number(value=1.0),
     ]
-    assert len({digest(v) for v in different}) == len(different)
+    assert len({compute_digest(v) for v in different}) == len(different)
     with pytest.raises(TypeError):
-        digest(object())
+        compute_digest(object())
 
 
 def test_digest_of_a_strided_view_is_that_of_its_contents():
     a = np.arange(24).reshape(4, 6)
-    assert digest(a[:, ::2]) == digest(a[:, ::2].copy())
+    assert compute_digest(a[:, ::2]) == compute_digest(a[:, ::2].copy())
 
 
 def test_known_digests_are_those_of_the_contents_and_the_longest_unused_goes_first():
-    known = Known(most=2)
+    known = DigestCache(most=2)
     a, b, c = (freeze(np.full(3, k)) for k in range(3))
     for value in (a, b, a, c, a, b):
-        assert known.digest(value) == digest(value)
+        assert known.compute_digest(value) == compute_digest(value)
         assert len(known) <= 2
-    b_before = known.digest(b)
+    b_before = known.compute_digest(b)
     b.flags.writeable = True
     b[0] = 7  # nobody may do this; it shows that b is remembered, not read again
-    assert known.digest(b) == b_before
-    known.digest(a)
-    known.digest(c)
-    assert known.digest(b) == digest(b) != b_before
+    assert known.compute_digest(b) == b_before
+    known.compute_digest(a)
+    known.compute_digest(c)
+    assert known.compute_digest(b) == compute_digest(b) != b_before
 
 
 @pytest.mark.parametrize("of", ["itself", "a view", "a frozen view", "a value"])
 def test_what_can_be_changed_in_place_is_digested_anew(of):
-    known, array = Known(), np.arange(6.0)
+    known, array = DigestCache(), np.arange(6.0)
     value = {
         "itself": lambda: array,
         "a view": lambda: array.reshape(2, 3),
         "a frozen view": lambda: freeze(array[1:]),
         "a value": lambda: Mesh(vertices_mm=freeze(array[None]), triangles=freeze(np.zeros((1, 3), np.int32))),
     }[of]()
-    before = known.digest(value)
+    before = known.compute_digest(value)
     array[3] = 70.0
-    assert known.digest(value) == digest(value) != before
+    assert known.compute_digest(value) == compute_digest(value) != before
 
 
 def test_masked_arrays_differ_by_their_masks_and_by_what_these_leave_to_see():
     data, hidden = np.arange(4.0), np.array([False, True, False, False])
     masked = np.ma.MaskedArray(data, hidden)
     others = (data, np.ma.MaskedArray(data), np.ma.MaskedArray(data, ~hidden), np.ma.MaskedArray(data + 1, hidden))
-    assert len({digest(value) for value in (masked, *others)}) == 5
-    assert digest(masked) == digest(np.ma.MaskedArray(np.where(hidden, np.nan, data), hidden))
+    assert len({compute_digest(value) for value in (masked, *others)}) == 5
+    assert compute_digest(masked) == compute_digest(np.ma.MaskedArray(np.where(hidden, np.nan, data), hidden))
 
 
 def test_known_digests_may_be_asked_for_by_several_threads():
-    known = Known(most=3)
+    known = DigestCache(most=3)
     values = [np.full(100, k) for k in range(12)]
-    wanted = [digest(v) for v in values]
+    wanted = [compute_digest(v) for v in values]
     with ThreadPoolExecutor(4) as pool:
-        assert list(pool.map(known.digest, values * 20)) == wanted * 20
+        assert list(pool.map(known.compute_digest, values * 20)) == wanted * 20
 
 
 def test_sensors_stay_known_however_many_frames_pass(monkeypatch, ran):
     graph = Graph((ran.stage("s", ("x", "sensor"), lambda x, s, p: x),))
     sensor, asked = Number(value=1.0), []
-    monkeypatch.setattr("pipeline.engine.digests.digest", lambda value: asked.append(value) or digest(value))
+    monkeypatch.setattr("pipeline.engine.digests.digest", lambda value: asked.append(value) or compute_digest(value))
     for k in range(100):
         graph.evaluate(["s"], {"x": Number(value=float(k)), "sensor": sensor}, {})
     assert sum(value is sensor for value in asked) == 1
@@ -242,7 +242,7 @@ def test_a_shortcut_that_gives_the_same_object_again_stops_the_recomputation_bel
     graph = Graph((first, ran.stage("last", ("first",), lambda r, p: r)))
     for k in range(3):
         results = graph.evaluate(["last"], {"x": Number(value=float(k))}, {})
-        assert results["first"].digest == digest(rest)
+        assert results["first"].digest == compute_digest(rest)
     assert ran.names == ["last"]
     assert results["last"].state == "unchanged"
 

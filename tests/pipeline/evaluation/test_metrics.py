@@ -8,10 +8,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from pipeline.evaluation.metrics import METRICS, PSNR_CAP_DB, called, iou, mean_abs_mm, pose_figures, psnr_db
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.geometry.symmetry import cyclic
+from pipeline.metrics.stage_metrics import (
+    METRICS,
+    PSNR_CAP_DB,
+    compute_pose_metrics,
+    describe_metric,
+    iou,
+    mean_abs_mm,
+    psnr_db,
+)
 from pipeline.values.frames import Truth
 from pipeline.values.results import ObjectPose
 
@@ -48,13 +56,13 @@ def test_pose_error_is_stated_at_the_contact_not_at_a_far_away_origin():
         sensor_from_object=turned,
         covariance=None,
         observable=None,
-        weak=(),
+        weak_directions=(),
         rmse_mm=0.0,
         fitness=1.0,
         scene_mm=scene,
         source_index=np.arange(4, dtype=np.int32),
     )
-    figures = pose_figures(pose, Truth(sensor_from_object=truth))
+    figures = compute_pose_metrics(pose, Truth(sensor_from_object=truth))
     assert figures["translation_mm"] == pytest.approx(0.0, abs=1e-6)
     assert figures["rotation_deg"] == pytest.approx(math.degrees(0.01), rel=1e-6)
 
@@ -66,7 +74,7 @@ def test_pose_errors_after_symmetry_stand_beside_the_plain_ones_once_the_mesh_is
         sensor_from_object=rigid.translation(2, 0.1, 0) @ truth @ rigid.rotation([0, 0, math.pi]),
         covariance=None,
         observable=slide,  # all but a slide along x
-        weak=("slides along x",),
+        weak_directions=("slides along x",),
         rmse_mm=0.0,
         fitness=1.0,
         scene_mm=scene,
@@ -74,20 +82,20 @@ def test_pose_errors_after_symmetry_stand_beside_the_plain_ones_once_the_mesh_is
     )
     bar = Mesh(vertices_mm=np.array([[-9.0, 0, 0], [9, 0, 0], [0, 0, 3]]), triangles=np.array([[0, 1, 2]], np.int32))
     known = Truth(sensor_from_object=truth)
-    figures = pose_figures(pose, known, bar, cyclic(2))
+    figures = compute_pose_metrics(pose, known, bar, cyclic(2))
     assert figures["rotation_deg"] == pytest.approx(180.0)
     assert figures["mssd_mm"] == pytest.approx(math.hypot(2, 0.1))
     assert figures["se2_mm"] == pytest.approx(math.hypot(2, 0.1))
     assert figures["se2_deg"] == pytest.approx(0.0, abs=1e-6)
     assert figures["observable_mm"] == pytest.approx(0.1)
     assert figures["observable_deg"] == pytest.approx(0.0, abs=1e-6)
-    unknown = pose_figures(pose, known, bar)
+    unknown = compute_pose_metrics(pose, known, bar)
     assert unknown["mssd_mm"] > 17.0, "the ends of the bar are taken as different"
-    assert "mssd_mm" not in pose_figures(pose, known)
+    assert "mssd_mm" not in compute_pose_metrics(pose, known)
     assert figures.keys() <= METRICS.keys(), "every figure says its unit and which way is better"
 
 
 def test_figures_have_a_name_for_people_and_no_two_have_one():
-    assert called("felt.contact_mae_mm") == "felt: error in contact, mm"
-    assert called("felt.contact_iou") == "felt: IoU of contact"
+    assert describe_metric("touch_depth.contact_mae_mm") == "felt: error in contact, mm"
+    assert describe_metric("touch_depth.contact_iou") == "felt: IoU of contact"
     assert len({metric.title for metric in METRICS.values()}) == len(METRICS)

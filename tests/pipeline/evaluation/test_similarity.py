@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.evaluation.similarity import BORDER_PX, similarity_map
+from pipeline.metrics.image_similarity import BORDER_PX, compute_similarity_map
 
 
 def similarity(a, b, data_range):
     """The mean, the border left out."""
-    return similarity_map(a, b, data_range)[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX].mean()
+    return compute_similarity_map(a, b, data_range)[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX].mean()
 
 
 def textbook(a, b, data_range):
@@ -61,6 +61,6 @@ def test_a_change_in_one_place_lowers_the_similarity_there_alone():
     a = np.tile(np.linspace(0, 255, 60), (50, 1))
     b = a.copy()
     b[20:25, 40:45] += 60
-    found = similarity_map(a, b, 255.0)
+    found = compute_similarity_map(a, b, 255.0)
     assert found[22, 42] < 0.9
     assert np.allclose(found[:, :30], 1.0)

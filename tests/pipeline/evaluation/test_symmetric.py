@@ -9,13 +9,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.base.errors import FileProblem
-from pipeline.evaluation.symmetric import _unrolled, ambiguity, in_plane, on_observable, symmetric_error
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
-from pipeline.geometry.symmetry import asymmetric, cyclic, revolved
+from pipeline.geometry.symmetry import asymmetric, cyclic, revolution
+from pipeline.metrics.symmetric_pose_error import (
+    _unrolled,
+    compute_ambiguity,
+    compute_symmetric_error,
+    in_plane,
+    on_observable,
+)
 from pipeline.recordings import open_recording
-from pipeline.recordings.hdf5_writer import Writer
-from pipeline.registration.observability import observability
+from pipeline.recordings.hdf5_writer import RecordingWriter
+from pipeline.registration.observability import assess_observability
 from pipeline.simulation import datasets, recorder, shapes
 from pipeline.values.frames import TactileFrame
 
@@ -26,7 +32,7 @@ TURNS = st.tuples(*[st.floats(-3.0, 3.0)] * 3)
 
 
 def mssd_mm(estimate, truth, mesh, symmetry):
-    return symmetric_error(estimate, truth, mesh, symmetry, np.zeros(3)).mssd_mm
+    return compute_symmetric_error(estimate, truth, mesh, symmetry, np.zeros(3)).mssd_mm
 
 
 def rod(radius_mm=2.0, half_mm=15.0, sides=120):
@@ -42,7 +48,7 @@ BOX = Mesh(
     vertices_mm=np.array([[x, y, z] for x in (-4.0, 4.0) for y in (-2.0, 2.0) for z in (0.0, 6.0)]),
     triangles=np.zeros((1, 3), np.int32),
 )
-ROD_TURNS = revolved((1.0, 0.0, 0.0), flip=(0.0, 0.0, 1.0))
+ROD_TURNS = revolution((1.0, 0.0, 0.0), flip=(0.0, 0.0, 1.0))
 
 
 def pose(turn, shift=(1.0, -2.0, 20.0)):
@@ -56,7 +62,7 @@ def pose(turn, shift=(1.0, -2.0, 20.0)):
 def test_a_rod_rolled_or_turned_end_for_end_is_where_it_was(turn, roll, flip):
     truth = pose(turn)
     same = truth @ rigid.rotation([roll, 0, 0]) @ (rigid.rotation([0, 0, math.pi]) if flip else np.eye(4))
-    error = symmetric_error(same, truth, rod(), ROD_TURNS, AT_MM, np.eye(6))
+    error = compute_symmetric_error(same, truth, rod(), ROD_TURNS, AT_MM, np.eye(6))
     assert error.mssd_mm < SEARCHED_MM
     assert error.se2_mm < SEARCHED_MM
     assert error.se2_deg < 1e-5
@@ -83,14 +89,14 @@ def test_mssd_is_that_of_a_search_by_brute_force(turn, moved, by):
 
 @given(turn=TURNS, axis=TURNS.filter(lambda v: np.linalg.norm(v) > 0.1), roll=st.floats(-3.1, 3.1))
 def test_a_roll_about_the_axis_is_taken_back_whatever_the_axis(turn, axis, roll):
-    symmetry, truth = revolved(np.divide(axis, np.linalg.norm(axis))), pose(turn)
+    symmetry, truth = revolution(np.divide(axis, np.linalg.norm(axis))), pose(turn)
     rolled = truth @ rigid.rotation(roll * symmetry.axis)
     np.testing.assert_allclose(_unrolled(rolled, truth, symmetry), rolled, atol=1e-9)
 
 
 def test_a_slide_along_a_rod_counts_in_mssd_and_not_between_the_axes():
     truth = pose([0.0, 0.0, 0.4])
-    error = symmetric_error(truth @ rigid.translation(3.0, 0, 0), truth, rod(), ROD_TURNS, AT_MM)
+    error = compute_symmetric_error(truth @ rigid.translation(3.0, 0, 0), truth, rod(), ROD_TURNS, AT_MM)
     assert error.mssd_mm == pytest.approx(3.0, abs=SEARCHED_MM)
     assert error.se2_mm == pytest.approx(0.0, abs=ROUNDING_MM)
     assert math.isnan(error.observable_mm), "nothing was said about what is observable"
@@ -101,7 +107,7 @@ def test_axes_of_a_rod_are_compared_by_distance_and_angle():
     turned = rigid.translation(*AT_MM) @ rigid.rotation([0, 0, math.radians(5.0)]) @ rigid.translation(*-AT_MM)
     aside = rigid.translation(*(truth[:3, 1] * 0.7))
     estimate = aside @ turned @ truth @ rigid.rotation([2.0, 0, 0])
-    error = symmetric_error(estimate, truth, rod(), ROD_TURNS, AT_MM)
+    error = compute_symmetric_error(estimate, truth, rod(), ROD_TURNS, AT_MM)
     assert error.se2_deg == pytest.approx(5.0, abs=1e-6)
     assert error.se2_mm == pytest.approx(0.7 * math.cos(math.radians(5.0)), abs=1e-6)
 
@@ -109,7 +115,7 @@ def test_axes_of_a_rod_are_compared_by_distance_and_angle():
 def test_an_upright_peg_has_no_angle_in_the_sensor_plane():
     truth = pose([0.0, 0.0, 0.0])
     estimate = rigid.translation(0.3, 0.4, 0.0) @ truth @ rigid.rotation([0.0, 0.0, 2.2])
-    error = symmetric_error(estimate, truth, BOX, revolved(), AT_MM)
+    error = compute_symmetric_error(estimate, truth, BOX, revolution(), AT_MM)
     assert error.se2_mm == pytest.approx(0.5)
     assert error.se2_deg == pytest.approx(0.0, abs=1e-9)
 
@@ -121,10 +127,10 @@ def test_half_a_turn_of_a_box_is_forgiven_only_where_its_symmetry_is_known():
     corner_mm = 2 * math.hypot(4.0, 2.0)
     assert mssd_mm(turned, truth, BOX, None) == pytest.approx(corner_mm)
     assert mssd_mm(turned, truth, BOX, asymmetric()) == pytest.approx(corner_mm)
-    known = symmetric_error(turned, truth, BOX, cyclic(2), AT_MM, np.eye(6))
+    known = compute_symmetric_error(turned, truth, BOX, cyclic(2), AT_MM, np.eye(6))
     assert known.se2_deg == pytest.approx(0.0, abs=1e-6)
     assert known.observable_deg == pytest.approx(0.0, abs=1e-6)
-    assert symmetric_error(turned, truth, BOX, None, AT_MM).se2_deg > 170.0
+    assert compute_symmetric_error(turned, truth, BOX, None, AT_MM).se2_deg > 170.0
 
 
 def test_vertices_inside_the_hull_change_nothing():
@@ -147,7 +153,7 @@ def test_a_hex_keys_shaft_is_a_rod_while_its_elbow_is_out_of_sight(slide, roll, 
     normals = np.stack([np.zeros(800), np.sin(angle), -np.cos(angle)], axis=1)
     points = AT_MM + 2.0 * normals + rng.uniform(-4, 4, (800, 1)) * [1.0, 0, 0]
     at_mm = points.mean(axis=0)
-    told = observability(points, normals, at_mm, 0.03)
+    told = assess_observability(points, normals, at_mm, 0.03)
     truth = rigid.translation(*AT_MM)
     felt_as = truth @ rigid.rotation([roll, 0, 0]) @ rigid.translation(slide, 0, 0)
     estimate = rigid.translation(0.0, 0.0, off_mm) @ felt_as
@@ -164,7 +170,7 @@ def test_a_hex_keys_shaft_is_a_rod_while_its_elbow_is_out_of_sight(slide, roll, 
 def test_with_everything_observable_the_error_is_the_whole_motion(turn, shift):
     estimate = pose(turn, shift)
     _, deg = on_observable(estimate, np.eye(4), np.eye(6), np.zeros(3))
-    assert deg == pytest.approx(rigid.angle_deg(estimate), abs=1e-9)
+    assert deg == pytest.approx(rigid.rotation_angle_deg(estimate), abs=1e-9)
     small, _ = on_observable(rigid.translation(*shift), np.eye(4), np.eye(6), AT_MM)
     assert small == pytest.approx(float(np.linalg.norm(shift)))
 
@@ -177,17 +183,17 @@ def test_in_plane_errors_leave_out_what_lies_along_the_optical_axis():
 def test_minima_that_are_the_same_pose_count_once():
     truth = pose([0.0, 0.0, 0.3])
     half, aside = truth @ rigid.rotation([0, 0, math.pi]), rigid.translation(2.0, 0, 0) @ truth
-    assert ambiguity([truth, half, aside], BOX, cyclic(2), 0.1).n_distinct == 2
-    told = ambiguity([truth, half, aside], BOX, None, 0.1)
+    assert compute_ambiguity([truth, half, aside], BOX, cyclic(2), 0.1).n_distinct == 2
+    told = compute_ambiguity([truth, half, aside], BOX, None, 0.1)
     assert told.n_distinct == 3
     assert told.spread_mm == pytest.approx(2 * math.hypot(4.0, 2.0), rel=0.3)
-    assert ambiguity([], BOX, None, 0.1).n_distinct == 0
+    assert compute_ambiguity([], BOX, None, 0.1).n_distinct == 0
 
 
 @pytest.mark.parametrize("name", ["square", "cylinder", "peg", "hex_key"])
 def test_a_recording_brings_the_symmetry_of_its_object(tmp_path, name):
-    made = shapes.shape(name)
-    with Writer(tmp_path / "a.h5", object_mesh=made.mesh, symmetry=made.symmetry) as writer:
+    made = shapes.make_shape(name)
+    with RecordingWriter(tmp_path / "a.h5", object_mesh=made.mesh, symmetry=made.symmetry) as writer:
         writer.append("gelslim", _frame())
     recording = open_recording(tmp_path / "a.h5")
     np.testing.assert_array_equal(recording.symmetry.rotations, made.symmetry.rotations)
@@ -197,7 +203,7 @@ def test_a_recording_brings_the_symmetry_of_its_object(tmp_path, name):
 
 def test_a_body_of_revolution_keeps_its_axis_and_an_older_recording_says_nothing(tmp_path):
     for name, symmetry in (("new.h5", ROD_TURNS), ("old.h5", None)):
-        with Writer(tmp_path / name, object_mesh=BOX, symmetry=symmetry) as writer:
+        with RecordingWriter(tmp_path / name, object_mesh=BOX, symmetry=symmetry) as writer:
             writer.append("gelslim", _frame())
     new, old = open_recording(tmp_path / "new.h5"), open_recording(tmp_path / "old.h5")
     np.testing.assert_array_equal(new.symmetry.axis, ROD_TURNS.axis)
@@ -210,7 +216,7 @@ def test_a_body_of_revolution_keeps_its_axis_and_an_older_recording_says_nothing
 @pytest.mark.parametrize("spoil", [lambda r: r * 2.0, lambda r: r[:0], lambda r: r[1:], lambda r: -r])
 def test_turns_that_are_none_are_refused(tmp_path, spoil):
     path = tmp_path / "a.h5"
-    with Writer(path, object_mesh=BOX, symmetry=cyclic(3)) as writer:
+    with RecordingWriter(path, object_mesh=BOX, symmetry=cyclic(3)) as writer:
         writer.append("gelslim", _frame())
     with h5py.File(path, "r+") as file:
         group = file["object/symmetry"]
@@ -222,17 +228,19 @@ def test_turns_that_are_none_are_refused(tmp_path, spoil):
 
 
 def test_the_simulator_writes_what_it_knows_and_claims_nothing_of_a_users_mesh():
-    like = datasets.Plan(sensors=("gelslim",), tool="cylinder", poses=1, seed=0)
-    np.testing.assert_array_equal(datasets.symmetry(like).rotations, shapes.shape("cylinder").symmetry.rotations)
-    mesh_file = datasets.Plan(sensors=("gelslim",), tool="part.stl", poses=1, seed=0)
-    assert datasets.symmetry(mesh_file) is None
+    like = datasets.SimulationPlan(sensors=("gelslim",), object_source="cylinder", n_poses=1, seed=0)
+    np.testing.assert_array_equal(
+        datasets.load_object_symmetry(like).rotations, shapes.make_shape("cylinder").symmetry.rotations
+    )
+    mesh_file = datasets.SimulationPlan(sensors=("gelslim",), object_source="part.stl", n_poses=1, seed=0)
+    assert datasets.load_object_symmetry(mesh_file) is None
 
 
 def test_a_simulated_recording_has_the_symmetry(tmp_path):
-    plan = datasets.Plan(sensors=("gelslim",), tool="hexagon", poses=1, seed=0)
-    recorder.record(plan, tmp_path / "a.h5")
+    plan = datasets.SimulationPlan(sensors=("gelslim",), object_source="hexagon", n_poses=1, seed=0)
+    recorder.record_plan(plan, tmp_path / "a.h5")
     recording = open_recording(tmp_path / "a.h5")
-    np.testing.assert_array_equal(recording.symmetry.rotations, datasets.symmetry(plan).rotations)
+    np.testing.assert_array_equal(recording.symmetry.rotations, datasets.load_object_symmetry(plan).rotations)
     recording.close()
 
 

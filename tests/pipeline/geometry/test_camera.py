@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.base.errors import CalibrationError
-from pipeline.geometry.camera import Camera, camera_from_matrix
+from pipeline.geometry.camera import Camera, make_camera
 
 cameras = st.builds(
     Camera,
@@ -46,7 +46,7 @@ def test_what_lies_behind_or_aside_or_is_not_a_number_is_not_visible():
 @given(st.integers(1, 60), st.integers(1, 60), st.floats(0.2, 4.0))
 def test_scaling_keeps_the_field_of_view(rows, cols, factor):
     camera = Camera(rows=rows, cols=cols, fx_px=50.0, fy_px=60.0, cx_px=cols / 3, cy_px=rows / 3)
-    other = camera.scaled(factor)
+    other = camera.scale(factor)
     for a, b, n, m in (
         (camera.cx_px, other.cx_px, camera.cols, other.cols),
         (camera.cy_px, other.cy_px, camera.rows, other.rows),
@@ -61,12 +61,12 @@ def test_scaling_keeps_the_field_of_view(rows, cols, factor):
 def test_a_crop_sees_the_same_points():
     camera = Camera(rows=20, cols=30, fx_px=40, fy_px=40, cx_px=14.5, cy_px=9.5)
     points = camera.back_project(np.full(camera.shape, 9.0))
-    np.testing.assert_array_equal(camera.cropped(3, 5, 8, 10).back_project(np.full((8, 10), 9.0)), points[3:11, 5:15])
+    np.testing.assert_array_equal(camera.crop(3, 5, 8, 10).back_project(np.full((8, 10), 9.0)), points[3:11, 5:15])
 
 
 def test_k_makes_the_camera_it_came_from():
     camera = Camera(rows=20, cols=30, fx_px=41, fy_px=42, cx_px=14.5, cy_px=9.5)
-    assert camera_from_matrix(2.0 * camera.matrix, 20, 30) == camera
+    assert make_camera(2.0 * camera.matrix, 20, 30) == camera
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def test_k_makes_the_camera_it_came_from():
 )
 def test_a_k_without_inverse_is_refused(k, words):
     with pytest.raises(CalibrationError, match=words):
-        camera_from_matrix(k, 20, 30)
+        make_camera(k, 20, 30)
 
 
 def test_an_image_without_pixels_is_refused():

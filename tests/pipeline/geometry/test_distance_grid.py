@@ -6,8 +6,8 @@ import pytest
 from pipeline.base.errors import MeshProblem
 from pipeline.base.progress import Cancelled
 from pipeline.geometry import distance_grid_store, rigid
-from pipeline.geometry.distance_grid import OPEN, built
-from pipeline.geometry.distance_grid_store import distance_grid
+from pipeline.geometry.distance_grid import OPEN, build_grid
+from pipeline.geometry.distance_grid_store import load_distance_grid
 from pipeline.geometry.meshes import Mesh, sample_surface
 from pipeline.simulation.shapes import prisms, solids
 from tests.pipeline.registration.solids import ball
@@ -18,12 +18,12 @@ EDGE_SHARE = 0.75  # of a fine step: the most that a straight line between nodes
 
 @pytest.fixture(scope="module")
 def block():
-    return prisms.bar([(0, 0), (8, 0), (8, 5), (0, 5)], 4.0, 0.5, "block")
+    return prisms.make_chamfered_prism([(0, 0), (8, 0), (8, 5), (0, 5)], 4.0, 0.5, "block")
 
 
 @pytest.fixture(scope="module")
 def grid(block):
-    return built(block)
+    return build_grid(block)
 
 
 def joined(a, b):
@@ -52,7 +52,7 @@ def test_the_surface_lies_at_zero_up_to_the_fine_step_at_edges(block, grid):
 
 
 def test_a_ball_of_fine_triangles_has_its_distances_and_a_bounded_size():
-    grid = built(ball(6.0))
+    grid = build_grid(ball(6.0))
     rng = np.random.default_rng(1)
     way = rng.standard_normal((2000, 3))
     way /= np.linalg.norm(way, axis=1, keepdims=True)
@@ -64,8 +64,8 @@ def test_a_ball_of_fine_triangles_has_its_distances_and_a_bounded_size():
 
 
 def test_overlapping_bodies_are_their_union_and_far_points_are_told_the_way_back(block):
-    other = solids.moved(block, rigid.translation(4.0, 1.0, 1.0))
-    grid = built(joined(block, other))
+    other = solids.transform_mesh(block, rigid.translation(4.0, 1.0, 1.0))
+    grid = build_grid(joined(block, other))
     inside_both, inside_one, outside = grid.at(np.array([[6.0, 3.0, 2.5], [2.0, 2.5, 2.0], [2.0, 5.6, 2.0]]))[0]
     assert inside_both < 0
     assert inside_one < 0
@@ -77,7 +77,7 @@ def test_overlapping_bodies_are_their_union_and_far_points_are_told_the_way_back
 
 def test_a_body_turned_inside_out_has_the_same_inside(block, grid):
     inverted = Mesh(vertices_mm=block.vertices_mm, triangles=block.triangles[:, ::-1].copy())
-    found = built(inverted)
+    found = build_grid(inverted)
     np.testing.assert_allclose(found.coarse_mm, grid.coarse_mm, atol=QUANTUM_MM)
     assert np.abs(found.fine.astype(int) - grid.fine).max() <= 1, "its triangles are measured from another corner"
 
@@ -87,7 +87,7 @@ def test_an_open_sheet_is_told_apart_by_its_sides_and_says_so(block):
         *(block.vertices_mm[block.triangles[:, k]] - block.vertices_mm[block.triangles[:, 0]] for k in (1, 2))
     )
     lidless = Mesh(vertices_mm=block.vertices_mm, triangles=block.triangles[normals[:, 2] < 0.5])
-    grid = built(lidless)
+    grid = build_grid(lidless)
     assert grid.notes == (OPEN,)
     np.testing.assert_allclose(grid.at(np.array([[4.0, 2.5, -0.4], [4.0, 2.5, 0.4]]))[0], [0.4, -0.4], atol=QUANTUM_MM)
 
@@ -100,9 +100,9 @@ def test_what_is_not_finite_has_no_distance(grid):
 
 def test_a_mesh_without_surface_is_refused():
     with pytest.raises(MeshProblem, match="zero area"):
-        built(Mesh(vertices_mm=np.zeros((3, 3)), triangles=np.zeros((1, 3), np.int32)))
+        build_grid(Mesh(vertices_mm=np.zeros((3, 3)), triangles=np.zeros((1, 3), np.int32)))
     with pytest.raises(MeshProblem, match="no triangles"):
-        built(Mesh(vertices_mm=np.zeros((0, 3)), triangles=np.zeros((0, 3), np.int32)))
+        build_grid(Mesh(vertices_mm=np.zeros((0, 3)), triangles=np.zeros((0, 3), np.int32)))
 
 
 def test_building_can_be_cancelled(block):
@@ -111,40 +111,40 @@ def test_building_can_be_cancelled(block):
             raise Cancelled
 
     with pytest.raises(Cancelled):
-        built(block, Impatient())
+        build_grid(block, Impatient())
 
 
 def test_a_kept_grid_equals_a_fresh_one_and_is_not_built_again(block, grid, tmp_path, monkeypatch):
-    assert same(distance_grid(block, folder=tmp_path), grid)
+    assert same(load_distance_grid(block, folder=tmp_path), grid)
     assert [p.suffix for p in tmp_path.iterdir()] == [".npz"]
     monkeypatch.setattr(distance_grid_store, "built", lambda *_: pytest.fail("it was kept"))
-    assert same(distance_grid(block, folder=tmp_path), grid)
+    assert same(load_distance_grid(block, folder=tmp_path), grid)
 
 
 @pytest.mark.parametrize("damage", [b"", b"PK\x03\x04 half a file", "flipped", "cut"])
 def test_a_damaged_file_is_made_again(block, grid, tmp_path, damage):
-    distance_grid(block, folder=tmp_path)
+    load_distance_grid(block, folder=tmp_path)
     path = next(tmp_path.iterdir())
     whole = path.read_bytes()
     middle = len(whole) // 2
     flipped = whole[:middle] + bytes([whole[middle] ^ 255]) + whole[middle + 1 :]
     path.write_bytes({"flipped": flipped, "cut": whole[:middle]}.get(damage, damage))
-    assert same(distance_grid(block, folder=tmp_path), grid)
+    assert same(load_distance_grid(block, folder=tmp_path), grid)
     assert path.read_bytes() == whole
 
 
 def test_a_folder_that_cannot_be_written_is_done_without(block, grid, tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("in the way")
-    assert same(distance_grid(block, folder=blocked / "grids"), grid)
+    assert same(load_distance_grid(block, folder=blocked / "grids"), grid)
 
 
 @pytest.mark.parametrize("turn_rad", [(0.0, 0.0, 0.0), (0.4, -0.7, 1.1)], ids=["along the lattice", "askew"])
 def test_distances_far_and_near_are_those_to_the_nearest_of_many_points(block, turn_rad):
     from scipy.spatial import KDTree
 
-    turned = solids.moved(block, rigid.rotation(turn_rad))
-    grid = built(turned)
+    turned = solids.transform_mesh(block, rigid.rotation(turn_rad))
+    grid = build_grid(turned)
     nodes = np.stack(np.meshgrid(*(np.arange(n) for n in grid.coarse_mm.shape), indexing="ij"), axis=-1)
     places = grid.origin_mm + grid.step_mm * nodes.reshape(-1, 3)
     to_points = KDTree(sample_surface(turned, 100_000, 0)[0]).query(places)[0]

@@ -9,7 +9,7 @@ from pipeline.geometry import membrane
 from pipeline.geometry.camera import Camera
 
 CAMERA = Camera(rows=35, cols=44, fx_px=46.0, fy_px=46.0, cx_px=21.5, cy_px=17.0)
-DOME = membrane.dome(60.0, 20.0, 60.0, 50.0)
+DOME = membrane.make_dome(60.0, 20.0, 60.0, 50.0)
 BILINEAR_MM = 1e-3  # 0.5 mm cells on a curvature of 2 * 20 / 50^2 per mm: h^2 / 8 * curvature, both ways
 
 
@@ -31,7 +31,7 @@ def test_the_sign_says_which_side_a_point_is_on(x_mm, y_mm, above_mm):
 
 
 def test_distance_near_the_surface_is_that_of_a_sphere_to_first_order():
-    pad = membrane.flat(20.0, 10.0, 8.0)
+    pad = membrane.make_flat_membrane(20.0, 10.0, 8.0)
     np.testing.assert_allclose(pad.signed_distance_mm([[0, 0, 19.5], [3, 4, 20.25], [99, 0, 20.0]]), [-0.5, 0.25, 0.0])
     rays = np.random.default_rng(0).uniform(-20, 20, (200, 2))
     step = 0.05
@@ -44,17 +44,17 @@ def test_distance_near_the_surface_is_that_of_a_sphere_to_first_order():
 @settings(max_examples=20, deadline=None)
 @given(st.floats(5.0, 40.0), st.floats(40.0, 90.0))
 def test_rest_depth_lies_on_the_surface_and_on_the_ray(height_mm, rim_mm):
-    surface = membrane.dome(rim_mm, height_mm, 60.0, 50.0)
+    surface = membrane.make_dome(rim_mm, height_mm, 60.0, 50.0)
     points = CAMERA.back_project(surface.rest_depth_mm(CAMERA))
     np.testing.assert_allclose(surface.depth_at(points[..., 0], points[..., 1]), points[..., 2], atol=1e-6)
 
 
 def test_a_flat_pad_rests_at_one_depth():
-    np.testing.assert_allclose(membrane.flat(20.0, 10.0, 8.0).rest_depth_mm(CAMERA), 20.0, atol=1e-9)
+    np.testing.assert_allclose(membrane.make_flat_membrane(20.0, 10.0, 8.0).rest_depth_mm(CAMERA), 20.0, atol=1e-9)
 
 
 def test_the_mesh_has_the_vertices_of_the_lattice_and_looks_one_way():
-    mesh = rest_mesh(membrane.flat(20.0, 4.0, 2.0))
+    mesh = rest_mesh(membrane.make_flat_membrane(20.0, 4.0, 2.0))
     a, b, c = (mesh.vertices_mm[mesh.triangles[:, k]] for k in range(3))
     across = np.cross(b - a, c - a)
     assert (across[:, 2] > 0).all()
@@ -76,7 +76,7 @@ def test_many_points_are_measured_like_few():
 
 
 def test_a_level_pad_knows_that_it_is_level_and_measures_many_points_so():
-    pad = membrane.flat(20.0, 10.0, 8.0)
+    pad = membrane.make_flat_membrane(20.0, 10.0, 8.0)
     assert pad.level_mm == 20.0
     assert DOME.level_mm is None
     points = np.random.default_rng(3).uniform(-30, 30, (4000, 3))

@@ -8,9 +8,9 @@ from pipeline.base.errors import CalibrationError, MeshProblem
 from pipeline.geometry import membrane
 from pipeline.geometry.mesh_membrane import MOST_ERROR_MM, from_mesh, load_membrane, usual_error_mm
 from pipeline.geometry.meshes import Mesh
-from pipeline.sensors.spec import sensor
+from pipeline.sensors.spec import load_sensor
 
-DOME = membrane.dome(60.0, 12.0, 30.0, 25.0)
+DOME = membrane.make_dome(60.0, 12.0, 30.0, 25.0)
 BILINEAR_MM = 2e-3  # a cell of 0.5 mm split into triangles against a bilinear one, and cells that straddle
 
 
@@ -83,9 +83,9 @@ def described(tmp_path, rest):
 
 
 def test_a_description_may_name_a_mesh_beside_it(tmp_path):
-    bubble = sensor("soft_bubble")
+    bubble = load_sensor("soft_bubble")
     write_stl(tmp_path / "rest.stl", rest_mesh(bubble.membrane))
-    found = sensor(described(tmp_path, 'kind = "mesh"\nfile = "rest.stl"\nunit = "mm"'))
+    found = load_sensor(described(tmp_path, 'kind = "mesh"\nfile = "rest.stl"\nunit = "mm"'))
     np.testing.assert_allclose(found.rest_depth_mm, bubble.rest_depth_mm, atol=1e-4)  # float32 of the file
 
 
@@ -99,4 +99,4 @@ def test_a_description_may_name_a_mesh_beside_it(tmp_path):
 )
 def test_a_description_of_a_mesh_that_is_not_understood_is_refused(tmp_path, rest, words):
     with pytest.raises(CalibrationError, match=words):
-        sensor(described(tmp_path, rest))
+        load_sensor(described(tmp_path, rest))

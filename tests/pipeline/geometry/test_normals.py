@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.geometry.camera import Camera
-from pipeline.geometry.normals import area_vectors
+from pipeline.geometry.normals import compute_area_vectors
 
 CAMERA = Camera(rows=12, cols=16, fx_px=90.0, fy_px=80.0, cx_px=7.0, cy_px=6.0)
 TILTS = st.floats(-1.2, 1.2)
@@ -22,7 +22,7 @@ def plane_mm(slope_x, slope_y):
 def test_a_plane_has_one_normal_whatever_is_missing_of_it(slope_x, slope_y, seed):
     depth = plane_mm(slope_x, slope_y)
     depth[np.random.default_rng(seed).random(depth.shape) < 0.3] = np.nan
-    vectors = area_vectors(CAMERA.back_project(depth))
+    vectors = compute_area_vectors(CAMERA.back_project(depth))
     known = np.isfinite(vectors[..., 2])
     toward_camera = np.array([slope_x, slope_y, -1.0]) / np.hypot(np.hypot(slope_x, slope_y), 1.0)
     unit = vectors[known] / np.linalg.norm(vectors[known], axis=1, keepdims=True)
@@ -31,11 +31,11 @@ def test_a_plane_has_one_normal_whatever_is_missing_of_it(slope_x, slope_y, seed
 
 
 def test_the_vectors_are_as_long_as_their_pixels_are_wide():
-    vectors = area_vectors(CAMERA.back_project(np.full(CAMERA.shape, 45.0)))
+    vectors = compute_area_vectors(CAMERA.back_project(np.full(CAMERA.shape, 45.0)))
     area_mm2 = 45.0**2 / (CAMERA.fx_px * CAMERA.fy_px)
     np.testing.assert_allclose(np.linalg.norm(vectors, axis=-1), area_mm2, rtol=1e-9)
 
 
 @pytest.mark.parametrize("shape", [(1, 5), (5, 1), (1, 1)])
 def test_a_row_or_a_pixel_alone_faces_nowhere(shape):
-    assert np.isnan(area_vectors(np.ones((*shape, 3)))).all()
+    assert np.isnan(compute_area_vectors(np.ones((*shape, 3)))).all()

@@ -60,7 +60,7 @@ def test_a_quaternion_says_the_same_as_a_rotation_vector(direction, length_rad):
 @example((1.0, 0.0, 0.0), 180.0)
 def test_the_angle_is_the_length_of_the_vector(direction, angle_deg):
     move = rigid.from_parts([1, 2, 3], unit(direction) * angle_deg)
-    assert abs(rigid.angle_deg(move) - angle_deg) < 1e-6
+    assert abs(rigid.rotation_angle_deg(move) - angle_deg) < 1e-6
 
 
 def test_a_quarter_turn_about_z_takes_x_to_y():
@@ -79,12 +79,12 @@ def test_a_quarter_turn_about_z_takes_x_to_y():
 )
 def test_what_is_not_a_rigid_transform_is_refused(matrix, words):
     with pytest.raises(CalibrationError, match=words):
-        rigid.checked(matrix, "the alignment")
+        rigid.validate_rigid(matrix, "the alignment")
 
 
 def test_a_transform_read_from_float32_is_made_orthonormal_again():
     move = rigid.from_parts([10, 20, 30], [40, -50, 60])
-    mended = rigid.checked(move.astype(np.float32), "the alignment")
+    mended = rigid.validate_rigid(move.astype(np.float32), "the alignment")
     np.testing.assert_allclose(mended[:3, :3].T @ mended[:3, :3], np.eye(3), atol=COMPOSED)
     np.testing.assert_allclose(mended, move, atol=1e-5)
 

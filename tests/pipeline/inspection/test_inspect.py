@@ -12,21 +12,21 @@ import pytest
 from pipeline.base.errors import FileProblem
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
-from pipeline.inspection.checks import Tally
-from pipeline.inspection.recording import Report, inspect, lines
-from pipeline.physics.optics import untouched
-from pipeline.recordings.hdf5_writer import Writer
-from pipeline.sensors.spec import sensor
+from pipeline.inspection.recording_report import InspectionReport, format_report_lines, inspect_recording
+from pipeline.inspection.stream_checks import StreamChecker
+from pipeline.physics.optics import render_reference
+from pipeline.recordings.hdf5_writer import RecordingWriter
+from pipeline.sensors.spec import load_sensor
 from pipeline.values.frames import Pairing, Stream, TactileFrame, Truth
 
-GEL, BUBBLE = sensor("digit"), sensor("soft_bubble")
+GEL, BUBBLE = load_sensor("digit"), load_sensor("soft_bubble")
 DENT = np.zeros(GEL.camera.shape, np.float32)
 DENT[100:140, 80:120] = 0.5
 TRUTH = Truth(indentation_mm=DENT, contact=DENT > 0.2, sensor_from_object=rigid.from_parts((0.0, 0.0, 22.0)))
 
 
 def gel(index: int, image=None, **changes) -> TactileFrame:
-    picture = untouched(GEL) if image is None else image
+    picture = render_reference(GEL) if image is None else image
     values = {"sensor": "digit", "image": picture, "reference": picture, "index": index, "time_s": 0.05 * index}
     return TactileFrame(**{**values, **changes})
 
@@ -39,13 +39,13 @@ def bubble(index: int, sign: float = 1.0) -> TactileFrame:
 
 
 def record(path: Path, frames, truths=(), **options) -> Path:
-    with Writer(path, **options) as writer:
+    with RecordingWriter(path, **options) as writer:
         for k, frame in enumerate(frames):
             writer.append(frame.sensor, frame, truths[k] if k < len(truths) else None)
     return path
 
 
-def state(report: Report, name: str) -> tuple[str, str]:
+def state(report: InspectionReport, name: str) -> tuple[str, str]:
     found = next(c for c in report.checks if c.name.endswith(name))
     return found.state, found.text
 
@@ -53,14 +53,14 @@ def state(report: Report, name: str) -> tuple[str, str]:
 def test_a_good_recording_passes_and_is_described(tmp_path: Path):
     frames = [gel(i) for i in range(5)] + [bubble(i) for i in range(5)]
     pair = Pairing(source="digit", target="soft_bubble", target_from_source=rigid.from_parts((0, 0, 54.0)))
-    report = inspect(record(tmp_path / "a.h5", frames, [TRUTH] * 5, pairings=[pair]))
-    assert report.passed
+    report = inspect_recording(record(tmp_path / "a.h5", frames, [TRUTH] * 5, pairings=[pair]))
+    assert report.has_passed
     assert {c.state for c in report.checks} <= {"pass", "unknown"}
     digit = report.streams[0]
     assert (digit.sensor, digit.n_frames, digit.rows, digit.cols) == ("digit", 5, 320, 240)
     assert digit.truth == ("contact", "indentation_mm", "sensor_from_object")
     assert (digit.duration_s, digit.rate_hz) == (pytest.approx(0.2), pytest.approx(20.0))
-    text = "\n".join(lines(report))
+    text = "\n".join(format_report_lines(report))
     assert "digit: digit, 5 frames, 240 x 320 px uint8 RGB, 0.20 s at 20.0 Hz" in text
     assert [stream.dtype for stream in report.streams] == ["uint8 RGB", "float32 depth in mm"]
     assert "FAIL" not in text
@@ -75,9 +75,9 @@ def test_one_damaged_frame_is_listed_and_the_others_are_counted(tmp_path: Path):
     with h5py.File(path, "r") as f:
         data[f["streams/digit/frames"].id.get_chunk_info(2).byte_offset + 50] ^= 1
     path.write_bytes(data)
-    report = inspect(path)
+    report = inspect_recording(path)
     assert report.streams[0].n_frames == 4
-    assert not report.passed
+    assert not report.has_passed
     told = state(report, "frames")
     assert told[0] == "fail"
     assert "frame 2 of 'digit': its frames are damaged" in told[1]
@@ -88,32 +88,32 @@ def test_one_damaged_frame_is_listed_and_the_others_are_counted(tmp_path: Path):
     ("change", "words"),
     [(lambda p: p[:, :, ::-1], "red and blue look swapped"), (lambda p: p[:, ::-1], "mirrored"),
      (lambda p: p[::-1, ::-1], "turned by 180"), (lambda p: p.mean(axis=2, keepdims=True) + 0 * p, "no colours"),
-     (lambda p: np.rot90(untouched(sensor("gelsight_mini"))), "it looks like one of gelsight_mini turned a quarter")],
+     (lambda p: np.rot90(render_reference(load_sensor("gelsight_mini"))), "it looks like one of gelsight_mini turned a quarter")],
 )  # fmt: skip
 def test_changed_pictures_are_noticed(tmp_path: Path, change, words: str):
-    picture = np.ascontiguousarray(change(untouched(GEL)).astype(np.uint8))
-    found = state(inspect(record(tmp_path / "a.h5", [gel(0, picture)])), "colours")
+    picture = np.ascontiguousarray(change(render_reference(GEL)).astype(np.uint8))
+    found = state(inspect_recording(record(tmp_path / "a.h5", [gel(0, picture)])), "colours")
     assert found[0] == "fail"
     assert words in found[1]
 
 
 def test_swapped_colours_of_real_pictures_are_noticed(real_data: Path, tmp_path: Path):
-    assert state(inspect(real_data / "digit_balls"), "colours")[0] == "pass"
+    assert state(inspect_recording(real_data / "digit_balls"), "colours")[0] == "pass"
     for name in ("background.png", "0000.png"):
         swapped = cv2.imread(str(real_data / "digit_balls" / name))[:, :, ::-1]
         cv2.imwrite(str(tmp_path / name), swapped)
-    assert state(inspect(tmp_path), "colours")[0] == "fail"
+    assert state(inspect_recording(tmp_path), "colours")[0] == "fail"
 
 
 def test_a_flipped_depth_sign_is_noticed(tmp_path: Path):
-    report = inspect(record(tmp_path / "a.h5", [bubble(0, sign=-1.0)]))
+    report = inspect_recording(record(tmp_path / "a.h5", [bubble(0, sign=-1.0)]))
     assert state(report, "depth sign")[0] == "fail"
 
 
 def test_depth_in_metres_is_noticed(tmp_path: Path):
     metres = (BUBBLE.rest_depth_mm / 1000.0).astype(np.float32)
     frame = TactileFrame(sensor="soft_bubble", image=metres, reference=metres)
-    found = state(inspect(record(tmp_path / "a.h5", [frame])), "depth unit")
+    found = state(inspect_recording(record(tmp_path / "a.h5", [frame])), "depth unit")
     assert found[0] == "fail"
     assert "is it in another unit?" in found[1]
 
@@ -123,11 +123,11 @@ def test_depth_without_readings_is_noticed(tmp_path: Path):
     image = frame.image.copy()
     image[:100] = np.nan
     frame = TactileFrame(sensor="soft_bubble", image=image, reference=frame.reference)
-    assert state(inspect(record(tmp_path / "a.h5", [frame])), "readings")[0] == "fail"
+    assert state(inspect_recording(record(tmp_path / "a.h5", [frame])), "readings")[0] == "fail"
 
 
 def test_times_that_go_back_are_noticed(tmp_path: Path):
-    found = state(inspect(record(tmp_path / "a.h5", [gel(0), gel(1, time_s=-1.0)])), "times")
+    found = state(inspect_recording(record(tmp_path / "a.h5", [gel(0), gel(1, time_s=-1.0)])), "times")
     assert found[0] == "fail"
     assert "do not rise after frame 0" in found[1]
 
@@ -143,7 +143,7 @@ def test_times_that_go_back_are_noticed(tmp_path: Path):
     ],
 )
 def test_truth_that_contradicts_itself_is_noticed(tmp_path: Path, truth: Truth, name: str, words: str):
-    found = state(inspect(record(tmp_path / "a.h5", [gel(0)], [truth])), name)
+    found = state(inspect_recording(record(tmp_path / "a.h5", [gel(0)], [truth])), name)
     assert found[0] == "fail"
     assert words in found[1]
 
@@ -151,15 +151,15 @@ def test_truth_that_contradicts_itself_is_noticed(tmp_path: Path, truth: Truth, 
 def test_a_gel_that_bulges_into_a_hollow_object_and_touches_it_there_is_no_contradiction(tmp_path: Path):
     hollow = np.where(np.indices(DENT.shape)[1] % 8 == 0, np.float32(-0.1), DENT) * (DENT > 0)
     touched = Truth(indentation_mm=hollow.astype(np.float32), contact=DENT > 0.2)
-    assert state(inspect(record(tmp_path / "a.h5", [gel(0)], [touched])), "truth")[0] == "pass"
+    assert state(inspect_recording(record(tmp_path / "a.h5", [gel(0)], [touched])), "truth")[0] == "pass"
     turned = Truth(indentation_mm=-DENT, contact=DENT > 0.2)
-    assert state(inspect(record(tmp_path / "b.h5", [gel(0)], [turned])), "truth")[0] == "fail"
+    assert state(inspect_recording(record(tmp_path / "b.h5", [gel(0)], [turned])), "truth")[0] == "fail"
 
 
 def test_truth_a_little_beyond_the_limit_is_let_pass_and_the_rest_is_counted(tmp_path: Path):
     deep = [Truth(indentation_mm=DENT * times) for times in (5.8, 6.2, 6.2, 6.2)]  # 2.9 mm and 3.1 mm, the limit 1.5
-    assert state(inspect(record(tmp_path / "a.h5", [gel(0)], deep[:1])), "truth")[0] == "pass"
-    found = state(inspect(record(tmp_path / "b.h5", [gel(i) for i in range(4)], deep)), "truth")
+    assert state(inspect_recording(record(tmp_path / "a.h5", [gel(0)], deep[:1])), "truth")[0] == "pass"
+    found = state(inspect_recording(record(tmp_path / "b.h5", [gel(i) for i in range(4)], deep)), "truth")
     assert found[0] == "fail"
     assert "of frame 1 reaches 3.1 mm" in found[1]
     assert "(and 2 more)" in found[1]
@@ -167,26 +167,26 @@ def test_truth_a_little_beyond_the_limit_is_let_pass_and_the_rest_is_counted(tmp
 
 def test_a_size_that_is_not_the_sensors_and_a_lost_reference_are_noticed(tmp_path: Path):
     picture = np.zeros((100, 80, 3), np.uint8)
-    report = inspect(record(tmp_path / "a.h5", [gel(0, picture), gel(1, picture, reference=None)]))
+    report = inspect_recording(record(tmp_path / "a.h5", [gel(0, picture), gel(1, picture, reference=None)]))
     assert "frame 0 does not have the size of digit" in state(report, "image size")[1]
     assert "frame 1 has no reference" in state(report, "reference")[1]
 
 
 def test_what_cannot_be_checked_is_neither_good_nor_bad(tmp_path: Path):
     cv2.imwrite(str(tmp_path / "a.png"), np.random.default_rng(0).integers(0, 255, (50, 60, 3), dtype=np.uint8))
-    report = inspect(tmp_path)
-    assert report.passed
+    report = inspect_recording(tmp_path)
+    assert report.has_passed
     assert {state(report, n)[0] for n in ("image size", "reference", "colours", "times")} == {"unknown"}
-    assert any("unknown sensor" in line for line in lines(report))
+    assert any("unknown sensor" in line for line in format_report_lines(report))
 
 
 def test_a_recording_that_cannot_be_opened_raises(tmp_path: Path):
     with pytest.raises(FileProblem, match="no such file"):
-        inspect(tmp_path / "nothing.h5")
+        inspect_recording(tmp_path / "nothing.h5")
 
 
 def test_the_real_bubble_passes(real_data: Path):
-    assert inspect(real_data / "punyo_bubble" / "depth_sequence.npz").passed
+    assert inspect_recording(real_data / "punyo_bubble" / "depth_sequence.npz").has_passed
 
 
 @pytest.mark.parametrize(
@@ -194,11 +194,16 @@ def test_the_real_bubble_passes(real_data: Path):
     [
         (np.full((*GEL.camera.shape, 3), 255, np.uint8), "frame 0 is 255 everywhere"),
         (np.zeros((*GEL.camera.shape, 3), np.uint8), "frame 0 is 0 everywhere"),
-        (np.where(np.arange(320)[:, None, None] < 200, 255, untouched(GEL)).astype(np.uint8), "burnt out: 62% of it"),
+        (
+            np.where(np.arange(320)[:, None, None] < 200, 255, render_reference(GEL)).astype(np.uint8),
+            "burnt out: 62% of it",
+        ),
     ],
 )
 def test_pictures_that_show_nothing_are_noticed(tmp_path: Path, image: np.ndarray, words: str):
-    found = state(inspect(record(tmp_path / "a.h5", [gel(0, image, reference=untouched(GEL))])), "pictures")
+    found = state(
+        inspect_recording(record(tmp_path / "a.h5", [gel(0, image, reference=render_reference(GEL))])), "pictures"
+    )
     assert found[0] == "fail"
     assert words in found[1]
 
@@ -206,17 +211,17 @@ def test_pictures_that_show_nothing_are_noticed(tmp_path: Path, image: np.ndarra
 def test_depth_without_any_value_is_noticed(tmp_path: Path):
     nothing = np.full(BUBBLE.camera.shape, np.nan, np.float32)
     frame = TactileFrame(sensor="soft_bubble", image=nothing, reference=BUBBLE.rest_depth_mm.astype(np.float32))
-    found = state(inspect(record(tmp_path / "a.h5", [frame])), "pictures")
+    found = state(inspect_recording(record(tmp_path / "a.h5", [frame])), "pictures")
     assert found == ("fail", f"frame 0 has no value at all: '{tmp_path / 'a.h5'}'")
 
 
 @pytest.mark.parametrize("kind", [np.float64, np.uint16, np.int8, np.bool_])
 def test_readings_of_another_type_are_noticed_and_named_as_they_are(tmp_path: Path, kind: type):
-    picture = untouched(GEL).astype(kind)
+    picture = render_reference(GEL).astype(kind)
     stream = Stream(name="digit", sensor="digit", n_frames=1, frame=lambda _: gel(0, picture))
-    tally = Tally("digit", "a.h5", GEL)
-    tally.frame(stream.frame(0))
-    (types,) = (check for check in tally.checks([0.0]) if check.name == "digit types")
+    tally = StreamChecker("digit", "a.h5", GEL)
+    tally.add_frame(stream.frame(0))
+    (types,) = (check for check in tally.summarize_checks([0.0]) if check.name == "digit types")
     assert types.state == "fail"
     assert f"frame 0 holds {np.dtype(kind)}, it must be uint8" in types.text
 
@@ -239,7 +244,7 @@ WHOLE = np.concatenate([SIDES[:, [0, 1, 2]], SIDES[:, [0, 2, 3]]]).astype(np.int
 )
 def test_the_mesh_of_the_object_is_looked_at(tmp_path: Path, vertices, triangles, name: str, words: str):
     mesh = Mesh(vertices_mm=vertices, triangles=np.ascontiguousarray(triangles, np.int32), name="cube")
-    found = state(inspect(record(tmp_path / "a.h5", [gel(0)], object_mesh=mesh)), f"object {name}")
+    found = state(inspect_recording(record(tmp_path / "a.h5", [gel(0)], object_mesh=mesh)), f"object {name}")
     assert words in found[1]
     assert (found[0] == "pass") == words.startswith("closed")
 
@@ -247,8 +252,8 @@ def test_the_mesh_of_the_object_is_looked_at(tmp_path: Path, vertices, triangles
 def test_a_stream_of_a_users_own_sensor_is_inspected_with_its_description_or_without(tmp_path: Path):
     path = record(tmp_path / "a.h5", [gel(0, sensor="mine")])
     (tmp_path / "mine.toml").write_text('extends = "digit"\n')
-    assert state(inspect(path), "image size")[0] == "unknown"
-    assert state(inspect(path, sensor=str(tmp_path / "mine.toml")), "image size")[0] == "pass"
+    assert state(inspect_recording(path), "image size")[0] == "unknown"
+    assert state(inspect_recording(path, sensor=str(tmp_path / "mine.toml")), "image size")[0] == "pass"
 
 
 def test_an_object_that_is_said_to_lie_beside_its_own_contact_is_noticed(tmp_path: Path):
@@ -259,6 +264,6 @@ def test_an_object_that_is_said_to_lie_beside_its_own_contact_is_noticed(tmp_pat
     for at_mm, said in ((middle, "pass"), (middle / 1000.0, "fail")):
         told = Truth(indentation_mm=DENT, contact=DENT > 0.2, sensor_from_object=rigid.from_parts(at_mm))
         path = record(tmp_path / f"{said}.h5", [gel(0)], [told], object_mesh=box)
-        found = state(inspect(path), "digit poses")
+        found = state(inspect_recording(path), "digit poses")
         assert found[0] == said
     assert "beside its own contact; is it in metres" in found[1]

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base.doubts import doubts
-from pipeline.inspection.same_moments import Felt, felt, of_streams, together
+from pipeline.base.stage_warnings import select_warnings
+from pipeline.inspection.synchrony import ContactSignature, compare_signatures, compare_streams, compute_signature
 from pipeline.recordings import open_recording
 
 SAMPLE = Path(__file__).resolve().parents[3] / "sample_data" / "recordings" / "first_touch.h5"
@@ -21,8 +21,8 @@ def moments(n, seed, *, noise=0.005):
     strength, at = np.exp(rng.normal(0.0, 0.4, n)), rng.uniform(0.2, 0.8, (n, 2))
     there = (at - 0.5) @ np.array([[0.3, 0.25], [0.25, -0.3]]) + 0.5 + rng.normal(0.0, noise, (n, 2))
     hard = 3.0 * strength ** rng.uniform(0.5, 1.0, n)
-    return [Felt(s, *p) for s, p in zip(strength, at, strict=True)], [
-        Felt(s, *p) for s, p in zip(hard, there, strict=True)
+    return [ContactSignature(s, *p) for s, p in zip(strength, at, strict=True)], [
+        ContactSignature(s, *p) for s, p in zip(hard, there, strict=True)
     ]
 
 
@@ -30,9 +30,9 @@ def test_pairs_in_their_order_are_not_doubted_and_others_mostly_are():
     told = []
     for seed in range(ORDERS):
         one, other = moments(24, seed)
-        assert together(one, other).doubt is None
+        assert compare_signatures(one, other).warning is None
         shuffled = np.random.default_rng(seed + 1000).permutation(len(other))
-        told.append(together(one, [other[k] for k in shuffled]).doubt is not None)
+        told.append(compare_signatures(one, [other[k] for k in shuffled]).warning is not None)
     assert np.mean(told) >= 0.75  # one in twenty agrees as well by chance, in either of two ways
 
 
@@ -40,31 +40,31 @@ def test_pairs_in_their_order_are_not_doubted_and_others_mostly_are():
 def test_a_stream_that_comes_late_is_told_with_the_frames(late):
     one, other = moments(40, 5)
     shifted = (one[late:], other[:-late]) if late > 0 else (one[:late], other[-late:])
-    found = together(*shifted)
-    assert found.lag == late
-    assert f"{abs(late)} frames {'late' if late > 0 else 'early'}" in found.doubt
+    found = compare_signatures(*shifted)
+    assert found.lag_frames == late
+    assert f"{abs(late)} frames {'late' if late > 0 else 'early'}" in found.warning
 
 
 def test_few_moments_and_a_press_that_is_repeated_tell_nothing():
     one, other = moments(11, 0)
-    assert together(one, other) is None
-    same = [Felt(1.0 + 0.001 * k, 0.5, 0.5) for k in range(30)]
-    assert together(same, same[::-1]) is None
+    assert compare_signatures(one, other) is None
+    same = [ContactSignature(1.0 + 0.001 * k, 0.5, 0.5) for k in range(30)]
+    assert compare_signatures(same, same[::-1]) is None
 
 
 def test_where_a_change_is_felt_is_its_strongest_place():
     change = np.zeros((60, 80), np.float32)
     change[20:24, 60:64] = 5.0
     change[40:, :30] = 1.0  # a shadow
-    found = felt(change)
+    found = compute_signature(change)
     assert (found.x, found.y) == pytest.approx((61.5 / 80, 21.5 / 80), abs=0.02)
-    assert felt(np.zeros((60, 80), np.float32)).strength == 0.0
+    assert compute_signature(np.zeros((60, 80), np.float32)).strength == 0.0
 
 
 def test_the_samples_streams_belong_together_and_in_another_order_do_not():
     with closing(open_recording(SAMPLE)) as recording:
         one, other = recording.stream("gelslim"), recording.stream("soft_bubble")
-        assert of_streams(one, other).doubt is None
+        assert compare_streams(one, other).warning is None
         order = np.random.default_rng(2).permutation(other.n_frames)
-        mixed = of_streams(one, replace(other, frame=lambda k: other.frame(int(order[k]))))
-        assert doubts((mixed.doubt,))
+        mixed = compare_streams(one, replace(other, frame=lambda k: other.frame(int(order[k]))))
+        assert select_warnings((mixed.warning,))

@@ -18,20 +18,20 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import FileProblem, SettingProblem
-from pipeline.cli.main import build, run
-from pipeline.live import device, reader, zero
-from pipeline.live.device import Device, found
-from pipeline.live.folder import GrowingFolder
-from pipeline.live.reader import Reader
-from pipeline.live.recorder import Recorder
-from pipeline.live.simulated import Simulated
-from pipeline.live.source import Reading, SourceLost
-from pipeline.recordings import hdf5, mounted, open_recording
-from pipeline.sensors.spec import sensor
+from pipeline.cli.main import build_app, run_app
+from pipeline.live import reader, reference_capture, usb_camera
+from pipeline.live.folder_source import FolderSource
+from pipeline.live.reader import LiveReader
+from pipeline.live.recorder import LiveRecorder
+from pipeline.live.simulated_source import SimulatedSource
+from pipeline.live.source import LiveFrame, LiveSourceLost
+from pipeline.live.usb_camera import UsbCameraSource, list_usb_cameras
+from pipeline.recordings import hdf5, mounts, open_recording
+from pipeline.sensors.spec import load_sensor
 
 LIMIT_S = 60.0
 SCRIPT = Path(sys.executable).with_name("tactoscope")
-DIGIT = sensor("digit")
+DIGIT = load_sensor("digit")
 
 
 def until(met: Callable[[], bool]) -> None:
@@ -51,15 +51,15 @@ class Counted:
 
     def open(self) -> None:
         if not self.plugged:
-            raise SourceLost("it is not there")
+            raise LiveSourceLost("it is not there")
 
-    def read(self) -> Reading:
+    def read(self) -> LiveFrame:
         if not self.plugged:
-            raise SourceLost("it is gone")
+            raise LiveSourceLost("it is gone")
         time.sleep(self._every_s)
         number, self._n = self._n, self._n + 1 + self._skip
         image = np.full((*DIGIT.camera.shape, 3), 100 + number % 2, np.uint8)
-        return Reading(image=image, time_s=time.monotonic(), number=number)
+        return LiveFrame(image=image, time_s=time.monotonic(), sequence_number=number)
 
     def close(self) -> None:
         pass
@@ -75,16 +75,16 @@ class Shown(Counted):
     def open(self) -> None:
         self.opened += 1
 
-    def read(self) -> Reading:
+    def read(self) -> LiveFrame:
         return replace(super().read(), image=self.image)
 
 
 @pytest.fixture
 def running():
-    made: list[Reader] = []
+    made: list[LiveReader] = []
 
-    def start(source, **options) -> Reader:
-        made.append(Reader(source, **options))
+    def start(source, **options) -> LiveReader:
+        made.append(LiveReader(source, **options))
         made[-1].start()
         return made[-1]
 
@@ -94,7 +94,7 @@ def running():
 
 
 def test_a_simulated_sensor_gives_touches_with_their_truth_and_an_untouched_zero(running):
-    watched = running(Simulated(sensor="digit", rate_hz=60.0))
+    watched = running(SimulatedSource(sensor="digit", rate_hz=60.0))
     until(lambda: watched.n_frames > 30)
     status = watched.status()
     assert status.state == "running"
@@ -154,14 +154,14 @@ def test_memory_is_bounded_and_old_frames_say_that_they_are_gone(running):
 def test_zero_is_the_median_of_the_last_readings_and_says_when_it_is_none():
     rng = np.random.default_rng(0)
     still = [np.clip(rng.normal(120, 2, (*DIGIT.camera.shape, 3)), 0, 255).astype(np.uint8) for _ in range(15)]
-    reference = zero.median_of(still)
+    reference = reference_capture.compute_median_image(still)
     assert np.abs(reference.astype(float) - 119.5).mean() < 0.7  # one picture's: 1.6
-    assert zero.problem_of(still, DIGIT) == ""
+    assert reference_capture.check_motion(still, DIGIT) == ""
     touched = still[-1].copy()
     touched[100:200, 80:160] += 60
-    assert "touched or moved" in zero.problem_of([*still[:-1], touched], DIGIT)
-    assert zero.drift_of(touched, reference, DIGIT) == ""  # a touch is no drift
-    assert "set zero again" in zero.drift_of(still[0] + 40, reference, DIGIT)
+    assert "touched or moved" in reference_capture.check_motion([*still[:-1], touched], DIGIT)
+    assert reference_capture.check_drift(touched, reference, DIGIT) == ""  # a touch is no drift
+    assert "set zero again" in reference_capture.check_drift(still[0] + 40, reference, DIGIT)
 
 
 def test_zero_with_something_on_the_gel_is_noticed(running):
@@ -170,29 +170,29 @@ def test_zero_with_something_on_the_gel_is_noticed(running):
     touched[100:200, 80:160] += 60  # and it rests there
     source = Shown(plain)
     watched = running(source)
-    until(lambda: watched.has_zero)
+    until(lambda: watched.has_reference)
     assert watched.status().sentence == ""
     source.image = touched
     n = watched.n_frames
-    until(lambda: watched.n_frames > n + 2 * zero.MOST)
+    until(lambda: watched.n_frames > n + 2 * reference_capture.MAX_FRAMES)
     for _ in range(2):  # asking twice does not make it right
         assert "as where something touches" in watched.set_zero()
     source.image = plain + 30  # the light of the room is no touch
     n = watched.n_frames
-    until(lambda: watched.n_frames > n + 2 * zero.MOST)
+    until(lambda: watched.n_frames > n + 2 * reference_capture.MAX_FRAMES)
     assert watched.set_zero() == ""
 
 
 def test_a_device_that_gives_another_size_midway_is_said_and_zeroed_anew(running, tmp_path):
     source = Shown(np.full((*DIGIT.camera.shape, 3), 110, np.uint8))
     watched = running(source)
-    recorder = Recorder(tmp_path / "a.h5", "test")
-    until(lambda: watched.has_zero)
-    watched.listen(recorder.offer)
+    recorder = LiveRecorder(tmp_path / "a.h5", "test")
+    until(lambda: watched.has_reference)
+    watched.set_listener(recorder.offer)
     until(lambda: recorder.n_written > 2)
     source.image = np.full((120, 160, 3), 90, np.uint8)
     until(lambda: bool(recorder.problem))
-    watched.listen(None)
+    watched.set_listener(None)
     assert recorder.close()
     until(lambda: watched.frame(watched.n_frames - 1).reference is not None)
     newest = watched.frame(watched.n_frames - 1)
@@ -209,7 +209,7 @@ def test_a_bubbles_zero_keeps_gaps_only_where_most_readings_have_them():
     readings[0][0, 0] = np.nan
     for one in readings[:2]:
         one[1, 1] = np.nan
-    reference = zero.median_of(readings)
+    reference = reference_capture.compute_median_image(readings)
     assert reference[0, 0] == pytest.approx(91.5)
     assert np.isnan(reference[1, 1])
     assert reference[2, 2] == 91.0
@@ -223,7 +223,7 @@ def test_a_folder_shows_the_newest_whole_picture_and_counts_the_others(tmp_path)
         os.utime(tmp_path / name, (time.time() - age_s,) * 2)
 
     write("before.png", 10, 100.0)
-    source = GrowingFolder(tmp_path, sensor="digit")
+    source = FolderSource(tmp_path, sensor="digit")
     source.open()
     assert source.read() is None  # what was there before is not watched
     for i in range(3):
@@ -231,11 +231,11 @@ def test_a_folder_shows_the_newest_whole_picture_and_counts_the_others(tmp_path)
     (tmp_path / "half.png").write_bytes((tmp_path / "2.png").read_bytes()[:500])
     newest = source.read()
     assert newest.image[0, 0].tolist() == [52, 52, 52]
-    assert newest.number == 3
+    assert newest.sequence_number == 3
     shutil.copy(tmp_path / "0.png", tmp_path / "half.png")  # it is whole now
     assert source.read().image[0, 0].tolist() == [50, 50, 50]
     shutil.rmtree(tmp_path)
-    with pytest.raises(SourceLost, match="is gone"):
+    with pytest.raises(LiveSourceLost, match="is gone"):
         source.read()
 
 
@@ -243,8 +243,8 @@ def test_a_camera_is_found_by_name_and_serial_and_not_by_its_second_node(tmp_pat
     for name in ("usb-Facebook_DIGIT_D20123-video-index0", "usb-Facebook_DIGIT_D20123-video-index1",
                  "usb-Arducam_GelSight_Mini_R0B_28WZ-video-index0", "usb-HD_Webcam-video-index0"):  # fmt: skip
         (tmp_path / name).touch()
-    cameras = found(tmp_path)
-    assert [camera.kind.sensor for camera in cameras] == ["gelsight_mini", "digit", ""]
+    cameras = list_usb_cameras(tmp_path)
+    assert [camera.profile.sensor for camera in cameras] == ["gelsight_mini", "digit", ""]
     assert all(camera.node.name.endswith("index0") for camera in cameras)
     asked = []
 
@@ -252,11 +252,11 @@ def test_a_camera_is_found_by_name_and_serial_and_not_by_its_second_node(tmp_pat
         asked.append((node.name, kind.sensor, kind.size_px))
         return _Stream(np.zeros((240, 320, 3), np.uint8))
 
-    source = Device("d20123", by_id=tmp_path, opened=opened)
+    source = UsbCameraSource("d20123", by_id=tmp_path, opened=opened)
     source.open()
     assert asked == [("usb-Facebook_DIGIT_D20123-video-index0", "digit", (320, 240))]
-    with pytest.raises(SourceLost, match="there are: "):
-        Device("D99999", by_id=tmp_path).open()
+    with pytest.raises(LiveSourceLost, match="there are: "):
+        UsbCameraSource("D99999", by_id=tmp_path).open()
 
 
 class _Stream:
@@ -279,21 +279,21 @@ def test_a_digits_stream_is_turned_as_its_own_driver_turns_it_and_its_end_is_a_l
     bgr = np.zeros((240, 320, 3), np.uint8)
     bgr[0, 0] = (255, 0, 0)  # blue, above left of the raw picture
     stream = _Stream(bgr)
-    source = Device("DIGIT", by_id=_node(tmp_path), opened=lambda node, kind: stream)
+    source = UsbCameraSource("DIGIT", by_id=_node(tmp_path), opened=lambda node, kind: stream)
     source.open()
     image = source.read().image
     assert image.shape == (320, 240, 3)
     assert image[319, 0].tolist() == [0, 0, 255]
     stream.release()
-    with pytest.raises(SourceLost, match="no picture comes"):
+    with pytest.raises(LiveSourceLost, match="no picture comes"):
         source.read()
 
 
 def test_a_gelsight_minis_whole_camera_is_cut_and_made_smaller(tmp_path):
     stream = _Stream(np.full((2464, 3280, 3), 90, np.uint8))
-    source = Device("GelSight", by_id=_node(tmp_path, "GelSight_Mini_R0B"), opened=lambda node, kind: stream)
+    source = UsbCameraSource("GelSight", by_id=_node(tmp_path, "GelSight_Mini_R0B"), opened=lambda node, kind: stream)
     source.open()
-    assert source.read().image.shape == (*sensor("gelsight_mini").camera.shape, 3)
+    assert source.read().image.shape == (*load_sensor("gelsight_mini").camera.shape, 3)
     assert source.sensor == "gelsight_mini"
 
 
@@ -309,43 +309,43 @@ def test_a_recorded_stream_goes_through_the_cameras_own_code(tmp_path, running, 
     for i in range(20):
         writer.write(np.full((320, 240, 3), 100 + i, np.uint8))
     writer.release()
-    watched = running(Device(str(path), sensor="gelsight_mini"))
+    watched = running(UsbCameraSource(str(path), sensor="gelsight_mini"))
     until(lambda: watched.n_frames > 30)  # it ended once, and was opened again
-    assert watched.frame(watched.n_frames - 1).image.shape == (*sensor("gelsight_mini").camera.shape, 3)
+    assert watched.frame(watched.n_frames - 1).image.shape == (*load_sensor("gelsight_mini").camera.shape, 3)
 
 
 def test_what_is_watched_opens_as_a_recording_that_grows(running):
     watched, path = running(Counted()), Path("live:/counted")
     until(lambda: watched.n_frames > 20)
-    mounted.mount(path, lambda: watched.recording(path))
+    mounts.mount(path, lambda: watched.recording(path))
     try:
         recording = open_recording(path)
         n = recording.streams[0].n_frames
         until(lambda: watched.n_frames > n)
-        assert recording.now().streams[0].n_frames > n
+        assert recording.refresh().streams[0].n_frames > n
         assert recording.streams[0].frame(n - 1).index == n - 1
     finally:
-        mounted.unmount(path)
+        mounts.unmount(path)
     with pytest.raises(FileProblem, match="no such file"):
         open_recording(path)
 
 
 def test_a_recording_can_be_read_while_it_grows_and_holds_what_was_watched(tmp_path, running):
-    watched = running(Simulated(sensor="digit", rate_hz=120.0))
+    watched = running(SimulatedSource(sensor="digit", rate_hz=120.0))
     until(lambda: watched.n_frames > 10)
-    recorder = Recorder(tmp_path / "a.h5", "test")
-    watched.listen(recorder.offer)
+    recorder = LiveRecorder(tmp_path / "a.h5", "test")
+    watched.set_listener(recorder.offer)
     until(lambda: recorder.n_written > 5)
     meanwhile = hdf5.read(tmp_path / "a.h5")
     assert meanwhile.streams[0].n_frames > 0
     assert meanwhile.streams[0].frame(0).image.any()
     meanwhile.close()
-    watched.listen(None)
+    watched.set_listener(None)
     assert recorder.close()
     whole = hdf5.read(tmp_path / "a.h5")
     stream = whole.streams[0]
     assert stream.n_frames == recorder.n_written
-    assert not any(hdf5.NOT_CLOSED in note for note in whole.notes)
+    assert not any(hdf5.NOT_CLOSED_NOTE in note for note in whole.notes)
     first = stream.frame(0)
     held = next(
         watched.frame(i) for i in range(watched.first, watched.n_frames) if watched.frame(i).time_s == first.time_s
@@ -365,13 +365,13 @@ def test_a_recording_outlives_a_kill_at_any_moment(tmp_path):
         other.send_signal(signal.SIGKILL)
     recording = open_recording(path)
     stream = recording.streams[0]
-    assert any(hdf5.NOT_CLOSED in note for note in recording.notes)
+    assert any(hdf5.NOT_CLOSED_NOTE in note for note in recording.notes)
     assert stream.n_frames > 5
     for index in range(stream.n_frames):
         assert stream.frame(index).image.shape == (*DIGIT.camera.shape, 3)
         assert stream.truth(index).indentation_mm is not None
     recording.close()
-    assert run(build(), ["inspect", str(path)]) == 0
+    assert run_app(build_app(), ["inspect", str(path)]) == 0
 
 
 def full_from(monkeypatch: pytest.MonkeyPatch, n_bytes: int) -> None:
@@ -387,14 +387,14 @@ def full_from(monkeypatch: pytest.MonkeyPatch, n_bytes: int) -> None:
 
 
 def test_a_disk_that_is_full_is_said_and_what_was_recorded_stays(tmp_path, running, monkeypatch, capsys):
-    watched = running(Simulated(sensor="digit", rate_hz=120.0))
+    watched = running(SimulatedSource(sensor="digit", rate_hz=120.0))
     until(lambda: watched.n_frames > 10)
     full_from(monkeypatch, 4 << 20)
     path = tmp_path / "a.h5"
-    recorder = Recorder(path, "test")
-    watched.listen(recorder.offer)
+    recorder = LiveRecorder(path, "test")
+    watched.set_listener(recorder.offer)
     until(lambda: bool(recorder.problem))
-    watched.listen(None)
+    watched.set_listener(None)
     assert recorder.close()
     assert "cannot write the recording (No space left on device)" in recorder.problem
     kept = open_recording(path)
@@ -403,52 +403,52 @@ def test_a_disk_that_is_full_is_said_and_what_was_recorded_stays(tmp_path, runni
     kept.close()
 
     full_from(monkeypatch, 0)
-    assert run(build(), ["live", "--record", str(tmp_path / "b.h5"), "--seconds", "2"]) == 2
+    assert run_app(build_app(), ["live", "--record", str(tmp_path / "b.h5"), "--seconds", "2"]) == 2
     assert "No space left on device" in capsys.readouterr().err
     assert not (tmp_path / "b.h5").exists()
 
 
 def test_a_recording_of_nothing_leaves_no_file(tmp_path):
-    recorder = Recorder(tmp_path / "a.h5", "test")
+    recorder = LiveRecorder(tmp_path / "a.h5", "test")
     assert recorder.close()
     assert recorder.n_written == 0
     assert not any(tmp_path.iterdir())
 
 
 def test_the_command_says_what_arrives(capsys, tmp_path):
-    assert run(build(), ["live", "--source", "simulated", "--sensor", "digit", "--seconds", "2.5"]) == 0
+    assert run_app(build_app(), ["live", "--source", "simulated", "--sensor", "digit", "--seconds", "2.5"]) == 0
     said = capsys.readouterr().out
     assert "running: " in said
     assert " Hz, " in said
-    assert run(build(), ["live", "--source", "folder", str(tmp_path / "none"), "--seconds", "1.2"]) == 1
+    assert run_app(build_app(), ["live", "--source", "folder", str(tmp_path / "none"), "--seconds", "1.2"]) == 1
     assert "there is no folder" in capsys.readouterr().out
-    assert run(build(), ["live", "--list"]) == 0
+    assert run_app(build_app(), ["live", "--list"]) == 0
 
 
 @pytest.mark.parametrize("words", [("nothing",), ("folder",), ("device", "a", "b")])
 def test_words_that_are_no_source_are_told(words):
-    from pipeline.live.sources import source_of
+    from pipeline.live.source_parsing import parse_source
 
     with pytest.raises(SettingProblem, match="a source is simulated, folder DIR or device NAME"):
-        source_of(words)
+        parse_source(words)
 
 
 def test_the_light_of_a_digit_is_full():
-    assert next(kind for kind in device.KINDS if kind.sensor == "digit").light == 0xFFF
+    assert next(kind for kind in usb_camera.USB_CAMERA_PROFILES if kind.sensor == "digit").led_setting == 0xFFF
 
 
 def test_too_few_readings_to_record_are_no_success(tmp_path, capsys):
     words = ["live", "--sensor", "digit", "--rate", "3", "--record", str(tmp_path / "a.h5"), "--seconds", "1.5"]
-    assert run(build(), words) == 1
+    assert run_app(build_app(), words) == 1
     assert "the first 7 readings are taken as untouched" in capsys.readouterr().out
     assert not (tmp_path / "a.h5").exists()
 
 
 @pytest.mark.parametrize("words", [["folder", "a b/c"], ["folder a b/c"]])
 def test_a_source_in_quotes_is_the_same_as_in_words(words):
-    from pipeline.live.sources import source_of
+    from pipeline.live.source_parsing import parse_source
 
-    source = source_of(words, sensor="digit")
-    assert isinstance(source, GrowingFolder)
-    with pytest.raises(SourceLost, match="there is no folder 'a b/c'"):
+    source = parse_source(words, sensor="digit")
+    assert isinstance(source, FolderSource)
+    with pytest.raises(LiveSourceLost, match="there is no folder 'a b/c'"):
         source.open()

@@ -10,7 +10,7 @@ from pipeline.networks.compact_unet import CompactUnet
 
 @pytest.mark.parametrize("size", [(120, 160), (37, 53), (16, 16)])
 def test_fields_have_the_size_of_the_picture(size: tuple[int, int]) -> None:
-    network = CompactUnet(inputs=3, outputs=2, first=8, widest=32).eval()
+    network = CompactUnet(inputs=3, outputs=2, base_channels=8, max_channels=32).eval()
     with torch.inference_mode():
         assert network(torch.zeros(2, 3, *size)).shape == (2, 2, *size)
 
@@ -22,7 +22,7 @@ def test_it_is_compact() -> None:
 
 def test_a_corner_hears_the_opposite_one() -> None:
     torch.manual_seed(0)
-    network = CompactUnet(inputs=1, outputs=1, first=8, widest=32).eval()
+    network = CompactUnet(inputs=1, outputs=1, base_channels=8, max_channels=32).eval()
     picture = torch.rand(1, 1, 96, 96, requires_grad=True)
     network(picture)[0, 0, 0, 0].backward()
     assert picture.grad is not None

@@ -10,11 +10,11 @@ import pytest
 import torch
 
 from pipeline.base.errors import ModelMissing
-from pipeline.networks import building
-from pipeline.networks.building import build
-from pipeline.networks.compact_unet_opencv import CompactUnetByOpenCv
+from pipeline.networks import network_factory
+from pipeline.networks.compact_unet_opencv import CompactUnetOpenCv
+from pipeline.networks.network_factory import build_network
 from pipeline.networks.weights import Weights
-from pipeline.stages.depth.bubble_fields import OUTPUTS, fields, found
+from pipeline.stages.depth.bubble_network_output import N_OUTPUTS, decode_prediction, decode_tensors
 
 CONFIG = {"inputs": 2, "outputs": 3, "first": 8, "levels": 3, "widest": 12}
 
@@ -22,7 +22,7 @@ CONFIG = {"inputs": 2, "outputs": 3, "first": 8, "levels": 3, "widest": 12}
 def learned(config=CONFIG):
     """Weights with something in every tensor, and the network of them."""
     torch.manual_seed(1)
-    net = build("compact_unet", config)
+    net = build_network("compact_unet", config)
     for name, tensor in net.state_dict().items():
         if tensor.is_floating_point() and not name.endswith(("0.weight", "thin.0.weight")):
             tensor.copy_(torch.rand_like(tensor) + 0.5)
@@ -37,21 +37,24 @@ def test_it_answers_as_by_torch(size, fold):
     picture = np.random.default_rng(0).normal(size=(2, *size)).astype(np.float32)
     with torch.inference_mode():
         wanted = net(torch.from_numpy(picture[None]))[0].numpy()
-    answer = building.ready(weights)(picture)
-    assert isinstance(building.ready(weights), CompactUnetByOpenCv)
+    answer = network_factory.load_predictor(weights)(picture)
+    assert isinstance(network_factory.load_predictor(weights), CompactUnetOpenCv)
     assert answer.shape == (3, *size)
     assert np.abs(answer - wanted).max() < 1e-5 * np.abs(wanted).max()
 
 
 def test_what_it_says_of_a_bubble_means_to_its_user_what_it_means_to_its_teacher():
     rng = np.random.default_rng(2)
-    answer, smooth = (rng.normal(scale=20.0, size=(n, 6, 7)).astype(np.float32) for n in (OUTPUTS, 1))
-    taught, used = fields(torch.from_numpy(answer[None]), torch.from_numpy(smooth[None])), found(answer, smooth[0])
-    np.testing.assert_allclose(used.moved_mm, taught.moved_mm[0])
-    np.testing.assert_allclose(used.object_mm, taught.object_mm[0], atol=1e-5)
-    np.testing.assert_allclose(used.spread_mm, taught.log_spread[0].exp(), rtol=1e-5)
+    answer, smooth = (rng.normal(scale=20.0, size=(n, 6, 7)).astype(np.float32) for n in (N_OUTPUTS, 1))
+    taught, used = (
+        decode_tensors(torch.from_numpy(answer[None]), torch.from_numpy(smooth[None])),
+        decode_prediction(answer, smooth[0]),
+    )
+    np.testing.assert_allclose(used.displacement_mm, taught.displacement_mm[0])
+    np.testing.assert_allclose(used.object_displacement_mm, taught.object_displacement_mm[0], atol=1e-5)
+    np.testing.assert_allclose(used.expected_error_mm, taught.log_error[0].exp(), rtol=1e-5)
     np.testing.assert_allclose(used.contact, taught.contact[0].sigmoid(), atol=1e-6)
-    np.testing.assert_allclose(used.told, taught.told[0].sigmoid(), atol=1e-6)
+    np.testing.assert_allclose(used.object_in_view, taught.object_in_view[0].sigmoid(), atol=1e-6)
 
 
 def test_weights_that_do_not_fit_are_one_sentence():
@@ -59,10 +62,10 @@ def test_weights_that_do_not_fit_are_one_sentence():
     without = {name: t for name, t in weights.tensors.items() if name != "thin.1.bias"}
     less = Weights(name="w", kind="compact_unet", config=CONFIG, tensors=without)
     with pytest.raises(ModelMissing, match=r"'w' do not fit the network 'compact_unet': 1 tensors .* 'thin.1.bias'"):
-        building.ready(less)
+        network_factory.load_predictor(less)
     other = Weights(name="w", kind="compact_unet", config={**CONFIG, "heads": 3}, tensors=weights.tensors)
     with pytest.raises(ModelMissing, match=r"do not fit .*heads"):
-        building.ready(other)
+        network_factory.load_predictor(other)
 
 
 def test_reading_a_bubble_loads_no_torch():
@@ -71,7 +74,7 @@ def test_reading_a_bubble_loads_no_torch():
 import sys
 import numpy as np
 from pipeline.sensors.spec import sensor
-from pipeline.stages.depth.slot import NETWORK
+from pipeline.stages.depth.stage import NETWORK
 from pipeline.values.frames import TactileFrame
 bubble = sensor("soft_bubble")
 rest = bubble.rest_depth_mm.astype(np.float32)

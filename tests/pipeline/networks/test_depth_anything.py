@@ -10,9 +10,9 @@ from torch.nn import functional
 
 from pipeline.base.errors import FileProblem
 from pipeline.networks import depth_anything_files as files
-from pipeline.networks.building import build, network
 from pipeline.networks.depth_anything import DepthAnything
-from pipeline.networks.dinov2 import SIZES
+from pipeline.networks.dinov2 import ENCODER_SIZES
+from pipeline.networks.network_factory import build_network, load_network
 
 # As published: `pretrained` is facebookresearch's DINOv2 (patches of 14, 518 pixels, no registers), `depth_head` the
 # DPT head of DepthAnything/Depth-Anything-V2, `mask_head` the paper's contact head. {w} is the width of the encoder,
@@ -77,7 +77,7 @@ def small():
     return net
 
 
-@pytest.mark.parametrize("encoder", sorted(SIZES))
+@pytest.mark.parametrize("encoder", sorted(ENCODER_SIZES))
 def test_every_tensor_has_its_published_name_and_shape(encoder):
     with torch.device("meta"):
         net = DepthAnything(encoder=encoder)
@@ -105,13 +105,13 @@ def test_files_of_every_kind_are_read_in_float32(small, tmp_path, kind):
         like = {"half": torch.float16, "bf16": torch.bfloat16}.get(kind, torch.float32)
         kept = {n: t.to(like) for n, t in tensors.items() if kind != "bare" or not n.startswith("mask_head.")}
         torch.save(kept, path)
-    weights = files.read(path)
+    weights = files.read_weights(path)
     assert all(tensor.dtype == np.float32 for tensor in weights.tensors.values())
     assert weights.config["encoder"] == "vits"
     assert (weights.config["contact"], weights.config["answer"]) == (
         (False, "relative") if kind == "bare" else (True, "metric")
     )
-    ready = network(weights)
+    ready = load_network(weights)
     assert all(p.dtype == torch.float32 for p in ready.parameters())
     with torch.inference_mode():
         picture = torch.rand(1, 3, 28, 42)
@@ -137,7 +137,7 @@ def test_other_files_are_one_sentence(small, tmp_path, fault):
     elif fault == "missing":
         path.unlink()
     with pytest.raises(FileProblem, match=wrong[fault][0]):
-        files.read(path)
+        files.read_weights(path)
 
 
 def test_it_answers_pictures_of_any_whole_patches(small):
@@ -186,4 +186,4 @@ def test_unknown_words_are_refused():
     from pipeline.base.errors import ModelMissing
 
     with pytest.raises(ModelMissing, match="no encoder 'vitg'"):
-        build("depth_anything", {"encoder": "vitg"})
+        build_network("depth_anything", {"encoder": "vitg"})

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from pipeline.networks.gel_reading import GelReading, integrated
+from pipeline.networks.gel_depth import GelDepthNetwork, integrate_slopes
 
 REACH = 10.0
 
@@ -28,27 +28,27 @@ def edges(z):
 
 def test_slopes_and_a_rough_surface_that_agree_give_that_surface():
     z = surface()
-    found = integrated(*edges(z.numpy()), z, REACH)
+    found = integrate_slopes(*edges(z.numpy()), z, REACH)
     torch.testing.assert_close(found, z, atol=2e-4, rtol=0)
 
 
 def test_slopes_give_the_short_waves_and_the_rough_surface_the_long_ones():
     z, nothing = surface(), torch.zeros(1, 37, 50)
-    by_slopes = integrated(*edges(z.numpy()), nothing, 1e4)
+    by_slopes = integrate_slopes(*edges(z.numpy()), nothing, 1e4)
     torch.testing.assert_close(by_slopes - by_slopes.mean(), z - z.mean(), atol=2e-3, rtol=0)
-    lifted = integrated(nothing, nothing, nothing + 3.0, REACH)
+    lifted = integrate_slopes(nothing, nothing, nothing + 3.0, REACH)
     torch.testing.assert_close(lifted, nothing + 3.0, atol=1e-4, rtol=0)
 
 
 def test_the_gradient_of_one_height_reaches_slopes_everywhere():
     x = torch.zeros(1, 20, 30, requires_grad=True)
-    integrated(x, torch.zeros(1, 20, 30), torch.zeros(1, 20, 30), REACH)[0, 10, 15].backward()
+    integrate_slopes(x, torch.zeros(1, 20, 30), torch.zeros(1, 20, 30), REACH)[0, 10, 15].backward()
     assert x.grad is not None
     assert float(x.grad[0, 10].abs().min()) > 0
 
 
 def network():
-    return GelReading(inputs=16, physical=8, first=8, levels=3, widest=16)
+    return GelDepthNetwork(inputs=16, physics_channel=8, base_channels=8, levels=3, max_channels=16)
 
 
 def test_what_has_learned_nothing_answers_physics():
@@ -61,7 +61,7 @@ def test_what_has_learned_nothing_answers_physics():
     assert torch.equal(reading.surface, fields[:, 10])
     assert torch.equal(reading.contact > 0, fields[:, 11] > 0.5)
     assert not reading.correction.any()
-    assert not reading.more_contact.any()
+    assert not reading.contact_logit_correction.any()
 
 
 def test_what_is_added_is_a_share_of_the_height_there():
@@ -82,7 +82,9 @@ def test_the_first_step_changes_what_it_answers():
 
 def test_the_scale_is_what_the_contact_makes_of_it_and_begins_at_nothing():
     torch.manual_seed(2)
-    scaled = GelReading(inputs=16, physical=8, first=8, levels=3, widest=16, scaled=True).eval()
+    scaled = GelDepthNetwork(
+        inputs=16, physics_channel=8, base_channels=8, levels=3, max_channels=16, predicts_depth_factor=True
+    ).eval()
     fields = torch.randn(2, 16, 24, 32)
     fields[:, 11] = 0.0
     fields[0, 11, 5:9, 10:20] = 1.0

@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from pipeline.base.errors import ModelMissing
-from pipeline.networks import building, shelf
-from pipeline.networks.gel_reading_opencv import GelReadingByOpenCv
+from pipeline.networks import network_factory, weights_registry
+from pipeline.networks.gel_depth_opencv import GelDepthNetworkOpenCv
 from pipeline.networks.weights import Weights
 
 
@@ -29,31 +29,31 @@ def seen(inputs, rows=120, cols=160):
     ("name", "size"), [("gel_units", (120, 160)), ("gel_depth", (120, 160)), ("gel_depth", (48, 56))]
 )
 def test_it_answers_as_by_torch(name, size):
-    weights = shelf.shipped(name)
+    weights = weights_registry.load_shipped(name)
     assert isinstance(weights, Weights)
-    light, net = building.ready(weights), building.network(weights)
-    assert isinstance(light, GelReadingByOpenCv)
+    light, net = network_factory.load_predictor(weights), network_factory.load_network(weights)
+    assert isinstance(light, GelDepthNetworkOpenCv)
     fields = seen(light.inputs, *size)
     with torch.inference_mode():
         wanted = net(torch.from_numpy(fields)[None])
     found = light(fields)
-    for here, there in ((found.correction, wanted.correction), (found.more_contact, wanted.more_contact),
-                        (found.log_spread, wanted.log_spread)):  # fmt: skip
+    for here, there in ((found.correction, wanted.correction), (found.contact_logit_correction, wanted.contact_logit_correction),
+                        (found.log_error_scale, wanted.log_spread)):  # fmt: skip
         assert here.dtype == np.float32
         assert np.abs(here - there[0].numpy()).max() < 2e-5 * max(1.0, float(there.abs().max()))
-    assert (found.log_scale is None) == (wanted.log_scale is None) == (not light.scaled)
-    if found.log_scale is not None:
-        assert found.log_scale == pytest.approx(float(wanted.log_scale[0]), abs=1e-5)
+    assert (found.log_depth_factor is None) == (wanted.log_scale is None) == (not light.scaled)
+    if found.log_depth_factor is not None:
+        assert found.log_depth_factor == pytest.approx(float(wanted.log_scale[0]), abs=1e-5)
 
 
 def test_weights_that_do_not_fit_are_one_sentence():
-    whole = shelf.shipped("gel_depth")
+    whole = weights_registry.load_shipped("gel_depth")
     assert isinstance(whole, Weights)
     less = {name: t for name, t in whole.tensors.items() if name != "body.finish.bias"}
     for tensors in (less, {**whole.tensors, "head": np.zeros(3, np.float32)}):
         bad = Weights(name="w", kind=whole.kind, config=whole.config, tensors=tensors)
         with pytest.raises(ModelMissing, match=r"the weights 'w' do not fit the network 'gel_reading': 1 tensors"):
-            building.ready(bad)
+            network_factory.load_predictor(bad)
 
 
 def test_reading_a_gel_loads_no_torch():
@@ -63,7 +63,7 @@ import sys
 import numpy as np
 from pipeline.physics import gel, optics
 from pipeline.sensors.spec import sensor
-from pipeline.stages.depth.slot import NETWORK
+from pipeline.stages.depth.stage import NETWORK
 from pipeline.values.frames import TactileFrame
 mini = sensor("gelsight_mini")
 rows, cols = mini.camera.shape

@@ -5,10 +5,10 @@ import pytest
 import torch
 
 from pipeline.base.errors import FileProblem
-from pipeline.networks import latent_files
-from pipeline.networks.autoencoder_kl import drawn
-from pipeline.networks.building import build, network
-from pipeline.networks.latent import LatentDiffusion, signal_left
+from pipeline.networks import latent_diffusion_files
+from pipeline.networks.autoencoder_kl import sample_latents
+from pipeline.networks.latent_diffusion import LatentDiffusion, compute_alphas_cumprod
+from pipeline.networks.network_factory import build_network, load_network
 
 SMALL = {
     "side": 32, "width": 8, "times": "1 2", "blocks": 1, "attention": "2", "heads": 2, "groups": 4, "first_width": 8,
@@ -55,7 +55,7 @@ def test_the_papers_width_has_the_published_parts():
 
 
 def test_noise_rises_as_published():
-    left = signal_left()
+    left = compute_alphas_cumprod()
     assert left[0] == pytest.approx(1 - 0.0015)
     assert left[-1] == pytest.approx(left[-2] * (1 - 0.0155))
     assert (np.diff(left) < 0).all()
@@ -65,7 +65,7 @@ def test_pictures_become_latents_of_an_eighth_and_come_back():
     net = small().eval()
     mean, log_variance = net.first_stage_model.encode(batch()["target"])
     assert mean.shape == log_variance.shape == (2, 4, 4, 4)
-    assert net.pictures(mean).shape == (2, 3, 32, 32)
+    assert net.decode_images(mean).shape == (2, 3, 32, 32)
 
 
 def test_the_denoiser_does_not_teach_the_autoencoder():
@@ -108,7 +108,7 @@ def test_latents_are_brought_to_spread_one():
     net = small().train()
     for _ in range(80):
         net(**batch())
-    latents = drawn(*net.first_stage_model.encode(batch()["target"]), batch()["noises"][0])
+    latents = sample_latents(*net.first_stage_model.encode(batch()["target"]), batch()["noises"][0])
     assert float(net.scale_factor * latents.detach().std()) == pytest.approx(1.0, rel=0.02)
 
 
@@ -131,12 +131,12 @@ def test_a_released_checkpoint_is_known_and_its_average_is_taken(tmp_path):
         "side": 256, "times": "1 2 2 4 4", "blocks": 2, "attention": "1 2 4 8", "heads": 8, "groups": 32,
         "first_times": "1 2 4 4", "first_blocks": 2,
     }  # fmt: skip
-    net = small(**like, width=32, first_width=32, seen=2)
+    net = small(**like, width=32, autoencoder_width=32, seen=2)
     torch.save(released(net, 0.5), tmp_path / "model.ckpt")
-    found = latent_files.read(tmp_path / "model.ckpt")
+    found = latent_diffusion_files.read_weights(tmp_path / "model.ckpt")
     assert (found.config["width"], found.config["first_width"], found.config["seen"]) == (32, 32, 2)
     assert found.config["raw_condition"]
-    ready = network(found)  # every tensor fits
+    ready = load_network(found)  # every tensor fits
     name = "model.diffusion_model.time_embed.0.bias"
     assert torch.allclose(ready.state_dict()[name], net.state_dict()[name] + 0.5)
     first = "first_stage_model.quant_conv.bias"
@@ -146,13 +146,13 @@ def test_a_released_checkpoint_is_known_and_its_average_is_taken(tmp_path):
 def test_something_else_is_no_latent_diffusion(tmp_path):
     torch.save({"state_dict": {"weight": torch.zeros(3)}}, tmp_path / "other.ckpt")
     with pytest.raises(FileProblem, match="latent diffusion under their original names"):
-        latent_files.read(tmp_path / "other.ckpt")
+        latent_diffusion_files.read_weights(tmp_path / "other.ckpt")
 
 
 @pytest.mark.slow
 def test_the_papers_width_learns_a_few_steps():
     torch.manual_seed(0)
-    net = build("latent", {"side": 128}).train()
+    net = build_network("latent", {"side": 128}).train()
     one = {name: tensor[:1] for name, tensor in batch(2, 128).items() if name != "noises"}
     one["noises"] = batch(1, 128)["noises"]
     one["time"] = torch.tensor([500])

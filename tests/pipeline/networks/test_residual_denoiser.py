@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from pipeline.networks.residual_denoiser import REACH, ResidualDenoiser
+from pipeline.networks.residual_denoiser import FIELD_LIMIT, ResidualDenoiser
 
 PREDICTIONS = ("clean", "v", "noise")
 
@@ -13,7 +13,9 @@ PREDICTIONS = ("clean", "v", "noise")
 def small(prediction="clean", seed=0, scale=0.3, levels=2):
     """A network that says something: as built, the last layer adds nothing."""
     torch.manual_seed(seed)
-    net = ResidualDenoiser(inputs=3, unit_mm=1.0, first=8, levels=levels, widest=16, prediction=prediction).eval()
+    net = ResidualDenoiser(
+        inputs=3, unit_mm=1.0, base_channels=8, levels=levels, max_channels=16, prediction=prediction
+    ).eval()
     torch.nn.init.normal_(net.finish.weight, std=scale)
     for part in net.modules():
         if hasattr(part, "tune"):
@@ -31,11 +33,11 @@ def test_every_prediction_gives_fields_of_the_picture_s_size_within_reach_at_eve
             answer = net(sigma * torch.randn(2, 2, *size), torch.full((2,), sigma), condition)
             assert answer.shape == (2, 3, *size)
             assert torch.isfinite(answer).all()
-            assert answer[:, :2].abs().max() <= REACH
+            assert answer[:, :2].abs().max() <= FIELD_LIMIT
 
 
 def test_a_fresh_network_adds_nothing():
-    net = ResidualDenoiser(inputs=3, unit_mm=1.0, first=8, levels=2, widest=16).eval()
+    net = ResidualDenoiser(inputs=3, unit_mm=1.0, base_channels=8, levels=2, max_channels=16).eval()
     assert not net(torch.randn(1, 2, 16, 16), torch.ones(1), torch.randn(1, 3, 16, 16)).any()
 
 

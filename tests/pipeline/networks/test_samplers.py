@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from pipeline.base.errors import SettingProblem
 from pipeline.base.progress import Cancelled
-from pipeline.networks.guidance import MOST_WEIGHT, Guided, plan
-from pipeline.networks.samplers import sample, sigmas, sigmas_of_times
+from pipeline.networks.guidance import MAX_WEIGHT, GuidedDenoiser, plan_guidance
+from pipeline.networks.samplers import make_sigma_schedule, make_timestep_schedule, sample
 from tests.pipeline.networks.mixtures import PICKED, denoiser, modes
 
 SOLVERS = ("ddim", "dpmpp_2m", "corrected")
@@ -26,9 +26,9 @@ def _noise(n=60, seed=1):
 
 def _error(solver, steps, denoise):
     """Relative to the same path in two thousand fine steps."""
-    noise, levels = _noise(), sigmas(1000, most=MOST, least=LEAST)
+    noise, levels = _noise(), make_sigma_schedule(1000, sigma_max=MOST, sigma_min=LEAST)
     truth = sample(denoise, noise, levels, solver="corrected").clean
-    found = sample(denoise, noise, sigmas(steps, most=MOST, least=LEAST), solver=solver).clean
+    found = sample(denoise, noise, make_sigma_schedule(steps, sigma_max=MOST, sigma_min=LEAST), solver=solver).clean
     return math.sqrt(((found - truth) ** 2).mean() / (truth**2).mean())
 
 
@@ -41,7 +41,7 @@ def test_twice_the_steps_gain_what_the_order_promises(solver, gains):
 def test_one_step_is_the_expected_value():
     """That is the best answer there is, and the same whatever the noise was."""
     denoise = denoiser(modes(), 0.3)
-    levels = sigmas(1, most=1e4, least=LEAST)
+    levels = make_sigma_schedule(1, sigma_max=1e4, sigma_min=LEAST)
     for solver in SOLVERS:
         answer = sample(denoise, _noise(), levels, solver=solver)
         assert answer.passes == 1
@@ -54,7 +54,7 @@ def test_samples_spread_as_the_data_do(solver):
         return (0.05**2 * noisy + sigma**2 * 0.4) / (0.05**2 + sigma**2)
 
     noise = np.random.default_rng(2).normal(size=(20000, 1))
-    clean = sample(denoise, noise, sigmas(100, most=MOST, least=LEAST), solver=solver).clean
+    clean = sample(denoise, noise, make_sigma_schedule(100, sigma_max=MOST, sigma_min=LEAST), solver=solver).clean
     assert clean.mean() == pytest.approx(0.4, abs=0.002)
     assert clean.std() == pytest.approx(0.05, rel=0.06)
 
@@ -67,39 +67,39 @@ def test_every_number_of_steps_guidance_and_solver_stays_within_the_data():
     for steps, weight, solver in cases:
         if steps > 200 and solver != "corrected" and weight not in (2.54, 15.0):
             continue  # as at 200, only longer
-        how = plan(weight, steps, reach)
-        guided = Guided(conditional, unconditional, how, reach)
-        levels = sigmas(steps, most=MOST, least=LEAST)
-        clean = sample(guided, noise, levels, solver=solver, most_degree=how.most_degree).clean
+        how = plan_guidance(weight, steps, reach)
+        guided = GuidedDenoiser(conditional, unconditional, how, reach)
+        levels = make_sigma_schedule(steps, sigma_max=MOST, sigma_min=LEAST)
+        clean = sample(guided, noise, levels, solver=solver, max_degree=how.max_degree).clean
         assert np.isfinite(clean).all(), (steps, weight, solver)
         assert abs(clean).max() <= reach + 1e-9, (steps, weight, solver)
 
 
 @given(st.integers(1, 60), st.sampled_from((0.0, 1.0)))
 def test_no_guidance_costs_one_pass_a_step(steps, weight):
-    counted = Guided(lambda x, _: 0.5 * x, lambda x, _: 0.4 * x, plan(weight, steps, 10.0), 10.0)
-    assert sample(counted, np.ones((1, 2)), sigmas(steps, most=MOST, least=LEAST)).passes == steps
+    counted = GuidedDenoiser(lambda x, _: 0.5 * x, lambda x, _: 0.4 * x, plan_guidance(weight, steps, 10.0), 10.0)
+    assert sample(counted, np.ones((1, 2)), make_sigma_schedule(steps, sigma_max=MOST, sigma_min=LEAST)).passes == steps
     assert counted.passes == steps
 
 
 def test_guidance_costs_two_passes_where_it_works():
-    how, levels = plan(2.54, 50, 1e9), sigmas(50, most=MOST, least=LEAST)
-    counted = Guided(lambda x, _: 0.5 * x, lambda x, _: 0.4 * x, how, 1e9)
-    together = Guided(counted, counted, how, 1e9, lambda x, _: (0.5 * x, 0.4 * x))
+    how, levels = plan_guidance(2.54, 50, 1e9), make_sigma_schedule(50, sigma_max=MOST, sigma_min=LEAST)
+    counted = GuidedDenoiser(lambda x, _: 0.5 * x, lambda x, _: 0.4 * x, how, 1e9)
+    together = GuidedDenoiser(counted, counted, how, 1e9, lambda x, _: (0.5 * x, 0.4 * x))
     found = [sample(guided, np.ones((1, 2)), levels).clean for guided in (counted, together)]
     assert counted.passes == together.passes == 100
     assert np.array_equal(*found)
 
 
 def test_too_few_steps_to_guide_are_said():
-    how = plan(2.54, 3, 1.0)
+    how = plan_guidance(2.54, 3, 1.0)
     assert how.weight == 1.0
     assert "without it" in how.note
 
 
 @given(st.integers(1, 1000))
 def test_levels_fall_to_nothing_and_none_comes_twice(steps):
-    levels = sigmas(steps, most=MOST, least=LEAST)
+    levels = make_sigma_schedule(steps, sigma_max=MOST, sigma_min=LEAST)
     assert len(levels) == steps + 1
     assert (np.diff(levels) < 0).all()
     assert levels[-1] == 0.0
@@ -108,7 +108,7 @@ def test_levels_fall_to_nothing_and_none_comes_twice(steps):
 @given(st.integers(1, 1000), st.sampled_from((25, 50, 100, 999, 1000)))
 def test_trained_times_come_once_each_the_last_one_first(steps, count):
     cumulative = np.cumprod(1 - np.linspace(math.sqrt(0.0015), math.sqrt(0.0155), count) ** 2)
-    levels, times = sigmas_of_times(steps, cumulative)
+    levels, times = make_timestep_schedule(steps, cumulative)
     assert times[0] == count - 1
     assert len(set(times)) == len(times) == len(levels) - 1 == min(steps, count)
     assert (np.diff(times) < 0).all()
@@ -117,19 +117,19 @@ def test_trained_times_come_once_each_the_last_one_first(steps, count):
 
 def test_a_share_of_nothing_is_refused():
     with pytest.raises(SettingProblem, match="nothing is left to denoise"):
-        sigmas_of_times(5, np.linspace(0.9, 0.0, 10))
+        make_timestep_schedule(5, np.linspace(0.9, 0.0, 10))
 
 
 @pytest.mark.parametrize("steps", [0, -3, 1001])
 def test_a_number_of_steps_out_of_range_is_refused(steps):
     with pytest.raises(SettingProblem, match="between 1 and 1000"):
-        sigmas(steps, most=MOST, least=LEAST)
+        make_sigma_schedule(steps, sigma_max=MOST, sigma_min=LEAST)
 
 
-@pytest.mark.parametrize("weight", [-0.1, MOST_WEIGHT + 1, math.nan, math.inf])
+@pytest.mark.parametrize("weight", [-0.1, MAX_WEIGHT + 1, math.nan, math.inf])
 def test_a_guidance_out_of_range_is_refused(weight):
     with pytest.raises(SettingProblem, match="guidance scale"):
-        plan(weight, 50, 1.0)
+        plan_guidance(weight, 50, 1.0)
 
 
 def test_sampling_is_cancelled_between_two_passes():
@@ -145,12 +145,12 @@ def test_sampling_is_cancelled_between_two_passes():
         return noisy
 
     with pytest.raises(Cancelled):
-        sample(denoise, np.ones(3), sigmas(10, most=MOST, least=LEAST), progress=Stops())
+        sample(denoise, np.ones(3), make_sigma_schedule(10, sigma_max=MOST, sigma_min=LEAST), progress=Stops())
     assert len(passes) == 5
 
 
 def test_kept_steps_tell_the_way_and_the_last_one_is_the_sample():
     denoise = denoiser(modes(), 0.3)
-    answer = sample(denoise, _noise(2), sigmas(12, most=MOST, least=LEAST), keep=True)
+    answer = sample(denoise, _noise(2), make_sigma_schedule(12, sigma_max=MOST, sigma_min=LEAST), keep_steps=True)
     assert len(answer.steps) == 12
     np.testing.assert_array_equal(answer.steps[-1].clean, answer.clean)

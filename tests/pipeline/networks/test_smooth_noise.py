@@ -5,8 +5,8 @@ import math
 import pytest
 import torch
 
-from pipeline.networks.samplers import sample, sigmas
-from pipeline.networks.smooth_noise import smoothed
+from pipeline.networks.samplers import make_sigma_schedule, sample
+from pipeline.networks.smooth_noise import correlate_noise
 
 LENGTH = 0.125
 
@@ -16,7 +16,7 @@ def white(n, rows=48, cols=64, seed=0):
 
 
 def test_it_stays_standard_normal_and_neighbours_are_alike():
-    made = smoothed(white(300), LENGTH)
+    made = correlate_noise(white(300), LENGTH)
     assert abs(float(made.mean())) < 0.03
     assert float(made.std()) == pytest.approx(1.0, abs=0.03)
     assert float(made.std(dim=(0, 1)).std()) < 0.05, "no place is noisier than another"
@@ -28,14 +28,14 @@ def test_it_stays_standard_normal_and_neighbours_are_alike():
 
 @pytest.mark.parametrize("size", [(33, 20), (20, 33), (17, 17)])
 def test_any_size_keeps_its_shape_and_two_channels_know_nothing_of_each_other(size):
-    made = smoothed(white(400, *size), LENGTH)
+    made = correlate_noise(white(400, *size), LENGTH)
     assert made.shape == (400, 2, *size)
     assert abs(float((made[:, 0] * made[:, 1]).mean())) < 0.05
 
 
 def test_no_length_leaves_white_noise_to_the_byte():
     noise = white(1)
-    assert smoothed(noise, 0.0) is noise
+    assert correlate_noise(noise, 0.0) is noise
 
 
 @pytest.mark.parametrize("solver", ["dpmpp_2m", "corrected"])
@@ -48,6 +48,11 @@ def test_with_the_exact_denoiser_samples_spread_as_what_is_sampled(solver, sprea
             return middle.expand_as(noisy)
         return middle + (noisy - middle) * spread**2 / (spread**2 + sigma**2)
 
-    made = sample(denoise, smoothed(white(200), LENGTH), sigmas(30, most=10.0, least=0.05), solver=solver).clean
+    made = sample(
+        denoise,
+        correlate_noise(white(200), LENGTH),
+        make_sigma_schedule(30, sigma_max=10.0, sigma_min=0.05),
+        solver=solver,
+    ).clean
     assert float(made.std(0).mean()) == pytest.approx(spread, rel=0.12)
     assert float((made.mean(0) - middle).abs().mean()) < 0.15 * spread

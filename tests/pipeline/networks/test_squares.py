@@ -4,16 +4,16 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.networks.squares import change, measured, normal, square, unsquared
+from pipeline.networks.square_images import compute_change, denormalise, normalise, resize_from_square, resize_to_square
 
 
 def test_a_gels_change_is_signed_and_a_bubbles_is_toward_the_camera():
     rest = np.full((4, 5, 3), 100, np.uint8)
-    assert np.allclose(change("gel", rest - 51, rest), -0.2)
+    assert np.allclose(compute_change("gel", rest - 51, rest), -0.2)
     depth = np.full((4, 5), 60.0, np.float32)
     pressed = depth.copy()
     pressed[1, 2], pressed[0, 0] = 57.5, np.nan
-    moved = change("bubble", pressed, depth)
+    moved = compute_change("bubble", pressed, depth)
     assert moved.shape == (4, 5, 1)
     assert (moved[1, 2, 0], moved[0, 0, 0]) == (2.5, 0.0)
 
@@ -21,13 +21,13 @@ def test_a_gels_change_is_signed_and_a_bubbles_is_toward_the_camera():
 @given(st.integers(0, 2**31))
 def test_what_is_made_normal_can_be_measured_again(seed):
     squares = np.random.default_rng(seed).normal(size=(3, 8, 8)).astype(np.float32)
-    assert np.allclose(measured(normal(squares, "gel"), "gel"), squares, atol=1e-6)
+    assert np.allclose(denormalise(normalise(squares, "gel"), "gel"), squares, atol=1e-6)
 
 
 def test_a_square_keeps_the_mean_and_leads_back_to_where_it_came_from():
     y, x = np.mgrid[:64, :96] / 32.0
     smooth = np.stack([np.sin(x + y), np.cos(y)], axis=-1).astype(np.float32)
-    small = square(smooth, 32)
+    small = resize_to_square(smooth, 32)
     assert small.shape == (2, 32, 32)
     assert np.allclose(small.mean((1, 2)), smooth.mean((0, 1)), atol=1e-6)
-    assert np.abs(unsquared(small, (64, 96)) - smooth)[4:-4, 4:-4].max() < 0.01
+    assert np.abs(resize_from_square(small, (64, 96)) - smooth)[4:-4, 4:-4].max() < 0.01

@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from pipeline.base.errors import FileProblem
-from pipeline.networks import shelf, vqvae_files
-from pipeline.networks.building import build, network
+from pipeline.networks import vqvae_files, weights_registry
+from pipeline.networks.network_factory import build_network, load_network
 from pipeline.networks.vqvae import VqVae
 from pipeline.networks.weights import NoWeights
 
@@ -55,7 +55,7 @@ def test_a_new_codebook_begins_at_what_the_encoder_says_and_a_taught_one_stays()
     net = small().train()
     x = torch.randn(4, 3, 32, 32)
     found = net(x)
-    assert len(torch.unique(net.codebook.nearest(found.encoded.permute(0, 2, 3, 1).reshape(-1, 8)))) > 4
+    assert len(torch.unique(net.codebook.assign_codes(found.encoded.permute(0, 2, 3, 1).reshape(-1, 8)))) > 4
     before = net.codebook.embedding.weight.detach().clone()
     net(x[:1])  # too few places to tell that an entry is not used
     assert torch.equal(net.codebook.embedding.weight.detach(), before)
@@ -72,7 +72,7 @@ def test_entries_that_are_nearest_nowhere_begin_anew_and_the_others_stay():
     assert torch.equal(entries[:5].detach(), before[:5])
     rows = encoded.permute(0, 2, 3, 1).reshape(-1, 8)
     assert (torch.cdist(entries[5:].detach(), rows).min(1).values < 1e-3).all()
-    assert len(torch.unique(net.codebook.eval().nearest(rows))) > 10
+    assert len(torch.unique(net.codebook.eval().assign_codes(rows))) > 10
 
 
 def test_what_is_told_its_place_can_answer_with_a_picture_that_its_source_does_not_hold():
@@ -99,23 +99,23 @@ def test_reach_widens_what_a_place_depends_on():
 def test_a_state_of_the_released_network_is_known_by_its_tensors(tmp_path):
     net = small(codes=33)
     torch.save(net.state_dict(), tmp_path / "best.pt")
-    found = vqvae_files.read(tmp_path / "best.pt")
+    found = vqvae_files.read_weights(tmp_path / "best.pt")
     assert dict(found.config) == {"inputs": 3, "outputs": 1, "width": 8, "codes": 33, "half_turn": True}
     x = torch.randn(1, 3, 16, 16)
-    assert torch.allclose(network(found)(x).made, net.eval()(x).made, atol=1e-6)
+    assert torch.allclose(load_network(found)(x).made, net.eval()(x).made, atol=1e-6)
 
 
 def test_something_else_is_no_vqvae(tmp_path):
     torch.save({"weight": torch.zeros(3)}, tmp_path / "other.pt")
     with pytest.raises(FileProblem, match=r"encoder\.0\.weight"):
-        vqvae_files.read(tmp_path / "other.pt")
-    assert isinstance(shelf.in_file(tmp_path / "other.pt", vqvae_files.read), NoWeights)
+        vqvae_files.read_weights(tmp_path / "other.pt")
+    assert isinstance(weights_registry.load_file(tmp_path / "other.pt", vqvae_files.read_weights), NoWeights)
 
 
 @pytest.mark.slow
 def test_the_papers_width_learns_a_few_steps():
     torch.manual_seed(1)
-    net = build("vqvae", {"inputs": 3, "outputs": 1}).train()
+    net = build_network("vqvae", {"inputs": 3, "outputs": 1}).train()
     optimiser = torch.optim.Adam(net.parameters(), 2e-4)
     x = torch.randn(1, 3, 128, 128)
     target = x.mean(1, keepdim=True)

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from safetensors.numpy import save_file
 
 from pipeline.base.errors import FileProblem
-from pipeline.engine.digests import digest
-from pipeline.networks import shelf
-from pipeline.networks.weights import NoWeights, Weights, load, load_tensors, save
+from pipeline.engine.digests import compute_digest
+from pipeline.networks import weights_registry
+from pipeline.networks.weights import NoWeights, Weights, load_tensors, load_weights, save_weights
 
 
 def some(scale=1.0, **more):
@@ -25,23 +25,23 @@ def some(scale=1.0, **more):
 
 def test_weights_come_back_as_they_were_saved_with_a_card_to_read(tmp_path):
     weights, path = some(), tmp_path / "some.safetensors"
-    save(path, weights)
-    back = load(path)
+    save_weights(path, weights)
+    back = load_weights(path)
     assert (back.kind, dict(back.config), dict(back.card)) == (weights.kind, weights.config, weights.card)
     assert all(np.array_equal(back.tensors[name], t) for name, t in weights.tensors.items())
-    assert digest(back) == digest(weights)
+    assert compute_digest(back) == compute_digest(weights)
     assert "- seed: 4\n" in (tmp_path / "some.md").read_text()
 
 
 def test_a_single_number_keeps_its_shape(tmp_path):
     """As the batches that a normalisation has counted."""
-    save(tmp_path / "one.safetensors", some(tensors={"count": np.array(7.0, np.float32)}))
-    assert load(tmp_path / "one.safetensors").tensors["count"].shape == ()
+    save_weights(tmp_path / "one.safetensors", some(tensors={"count": np.array(7.0, np.float32)}))
+    assert load_weights(tmp_path / "one.safetensors").tensors["count"].shape == ()
 
 
 def test_halves_of_either_sort_are_read_as_float32(tmp_path):
-    save(tmp_path / "half.safetensors", some(), half=True)
-    half = load(tmp_path / "half.safetensors")
+    save_weights(tmp_path / "half.safetensors", some(), use_float16=True)
+    half = load_weights(tmp_path / "half.safetensors")
     assert all(t.dtype == np.float32 for t in half.tensors.values())
     np.testing.assert_allclose(half.tensors["a.weight"], some().tensors["a.weight"], rtol=1e-3)
     torch = pytest.importorskip("torch")
@@ -54,10 +54,10 @@ def test_halves_of_either_sort_are_read_as_float32(tmp_path):
 
 
 def test_what_a_result_depends_on_makes_the_digest_and_nothing_else():
-    alike = digest(some())
-    assert digest(some(card={"seed": "5"})) == alike
-    assert digest(some(scale=1.001)) != alike
-    assert digest(some(config={"inputs": 4, "name": "x"})) != alike
+    alike = compute_digest(some())
+    assert compute_digest(some(card={"seed": "5"})) == alike
+    assert compute_digest(some(scale=1.001)) != alike
+    assert compute_digest(some(config={"inputs": 4, "name": "x"})) != alike
     with pytest.raises(ValueError, match="read-only"):
         some().tensors["a.bias"][0] = 1.0
 
@@ -66,54 +66,54 @@ def test_what_a_result_depends_on_makes_the_digest_and_nothing_else():
 @given(data=st.data())
 def test_a_file_cut_short_anywhere_or_damaged_is_one_sentence(tmp_path_factory, data):
     path = tmp_path_factory.mktemp("cut") / "w.safetensors"
-    save(path, some())
+    save_weights(path, some())
     whole = path.read_bytes()
     length = data.draw(st.integers(0, len(whole) - 1))
     path.write_bytes(whole[:length])
     with pytest.raises(FileProblem, match="cut short or damaged, or no safetensors"):
-        load(path)
-    assert isinstance(shelf.in_file(path), NoWeights)
+        load_weights(path)
+    assert isinstance(weights_registry.load_file(path), NoWeights)
 
 
 def test_a_missing_file_a_foreign_one_and_numbers_that_are_none_are_told_apart(tmp_path):
     path = tmp_path / "w.safetensors"
     with pytest.raises(FileProblem, match=r"cannot read the weights \(No such file"):
-        load(path)
+        load_weights(path)
     save_file({"x": np.ones(3, np.float32)}, path)
     with pytest.raises(FileProblem, match="do not say which network they are for"):
-        load(path)
+        load_weights(path)
     save_file({"x": np.array([1.0, np.nan], np.float32)}, path)
     with pytest.raises(FileProblem, match=r"not numbers \(in 'x'"):
-        load(path)
+        load_weights(path)
     with pytest.raises(FileProblem, match="no 16 bits can keep"):
-        save(path, some(scale=1e6), half=True)
+        save_weights(path, some(scale=1e6), use_float16=True)
 
 
 def test_the_shelf_reads_a_file_again_once_it_has_changed(tmp_path):
     path = tmp_path / "some.safetensors"
-    save(path, some())
-    first = shelf.in_file(path)
-    assert shelf.in_file(path) is first
-    save(path, some(scale=2.0))
+    save_weights(path, some())
+    first = weights_registry.load_file(path)
+    assert weights_registry.load_file(path) is first
+    save_weights(path, some(scale=2.0))
     os.utime(path, ns=(1, 1))
-    assert shelf.in_file(path).content != first.content
+    assert weights_registry.load_file(path).content_digest != first.content_digest
     path.unlink()
-    assert "No such file" in shelf.in_file(path).why
+    assert "No such file" in weights_registry.load_file(path).why
 
 
 def test_weights_of_another_task_are_not_taken(tmp_path):
     path = tmp_path / "some.safetensors"
-    save(path, some())
-    assert isinstance(shelf.for_task("gel_depth", "gel", path), Weights)
-    other = shelf.for_task("bubble_reading", "bubble", path)
+    save_weights(path, some())
+    assert isinstance(weights_registry.load_for_task("gel_depth", "gel", path), Weights)
+    other = weights_registry.load_for_task("bubble_reading", "bubble", path)
     assert other.why == "the weights 'some' have learned gel_depth, not bubble_reading; give others as --weights"
-    assert "come along; train them" in shelf.for_task("gel_depth", "unheard", None).why
+    assert "come along; train them" in weights_registry.load_for_task("gel_depth", "unheard", None).why
 
 
 def test_what_comes_along_can_be_read_and_is_small():
-    files = sorted(shelf.FOLDER.glob("*.safetensors"))
+    files = sorted(weights_registry.WEIGHTS_FOLDER.glob("*.safetensors"))
     for path in files:
-        assert isinstance(shelf.shipped(path.stem), Weights)
+        assert isinstance(weights_registry.load_shipped(path.stem), Weights)
         assert path.with_suffix(".md").is_file()
         assert path.stat().st_size <= 16 << 20
     assert sum(path.stat().st_size for path in files) <= 60 << 20
@@ -121,9 +121,9 @@ def test_what_comes_along_can_be_read_and_is_small():
 
 def test_a_tensor_of_one_number_without_axes_keeps_none(tmp_path):
     """Batch normalisation counts its batches in one; with an axis it would not fit its own network."""
-    save(
+    save_weights(
         tmp_path / "some.safetensors",
         some(tensors={"n": np.array(7.0, np.float32), "a": np.ones((2, 1), np.float32)}),
     )
-    back = load(tmp_path / "some.safetensors")
+    back = load_weights(tmp_path / "some.safetensors")
     assert {name: tensor.shape for name, tensor in back.tensors.items()} == {"n": (), "a": (2, 1)}

@@ -8,11 +8,11 @@ from scipy.optimize import brentq
 
 from pipeline.base.errors import SettingProblem, ShapeError
 from pipeline.physics import bubble, bubble_camera, lattice
-from pipeline.sensors.spec import sensor
+from pipeline.sensors.spec import load_sensor
 
-SPEC = sensor("soft_bubble")
+SPEC = load_sensor("soft_bubble")
 BUBBLE = SPEC.bubble
-ON = bubble.lattice(BUBBLE, 1.0)  # coarse, so that the tests are quick
+ON = bubble.make_lattice(BUBBLE, 1.0)  # coarse, so that the tests are quick
 X, Y = ON.x_mm()[None, :], ON.y_mm()[:, None]
 SURFACE_MM = 1e-3  # ten times the solver's tolerance: a multigrid cycle that moves 1e-4 is within this of the end
 
@@ -28,18 +28,20 @@ def ball(height_mm, radius_mm=10.0, x_mm=0.0, y_mm=0.0):
 
 
 def test_untouched_it_is_the_dome_of_the_sensor_to_the_bit():
-    at_rest = bubble.press(BUBBLE, plate(np.inf), ON)
+    at_rest = bubble.press_bubble(BUBBLE, plate(np.inf), ON)
     assert not at_rest.deviation_mm.any()
     assert at_rest.pressure_kpa == BUBBLE.pressure_kpa
-    assert np.array_equal(bubble_camera.depth_from_deviation(SPEC, at_rest.deviation_mm, ON), SPEC.rest_depth_mm)
+    assert np.array_equal(
+        bubble_camera.compute_depth_from_deviation(SPEC, at_rest.deviation_mm, ON), SPEC.rest_depth_mm
+    )
 
 
 def test_the_dome_solves_the_membrane_equation():
     """-T lap w = p on every inner node."""
-    w = bubble.rest_height_mm(BUBBLE, ON)
+    w = bubble.compute_rest_height_mm(BUBBLE, ON)
     lap = (w[2:, 1:-1] + w[:-2, 1:-1] + w[1:-1, 2:] + w[1:-1, :-2] - 4 * w[1:-1, 1:-1]) / ON.step_mm**2
     inner = (X[:, 1:-1] / 55) ** 2 + (Y[1:-1] / 45) ** 2 < 1
-    pressure_kpa = -lap * bubble.tension_n_per_mm(BUBBLE) * 1e3
+    pressure_kpa = -lap * bubble.compute_tension_n_per_mm(BUBBLE) * 1e3
     assert np.abs(pressure_kpa[inner] - BUBBLE.pressure_kpa).max() < 1e-9
 
 
@@ -47,8 +49,8 @@ def test_a_plate_on_a_round_bubble_follows_the_closed_form():
     """Annulus between contact radius c and rim a: w = A + B ln r - p r^2 / 4T with w(c) = g, w'(c) = 0, w(a) = 0."""
     a, height, gap = 50.0, 20.0, 15.0
     round_one = replace(BUBBLE, half_width_mm=a, half_height_mm=a, height_mm=height, dead_volume_mm3=1e13)
-    on = bubble.lattice(round_one, 0.5)
-    pressed = bubble.press(round_one, np.full(on.shape, gap), on)
+    on = bubble.make_lattice(round_one, 0.5)
+    pressed = bubble.press_bubble(round_one, np.full(on.shape, gap), on)
     quarter = height / a**2  # p / 4T
 
     def rim_height(c):
@@ -60,7 +62,7 @@ def test_a_plate_on_a_round_bubble_follows_the_closed_form():
     r = np.hypot(on.x_mm()[None, :], on.y_mm()[:, None])
     middle = (r > c + 1) & (r < a - 5)
     exact = gap + quarter * (c * c - r * r) + 2 * quarter * c * c * np.log(np.maximum(r, c) / c)
-    w = bubble.rest_height_mm(round_one, on) + pressed.deviation_mm
+    w = bubble.compute_rest_height_mm(round_one, on) + pressed.deviation_mm
     assert np.abs(w - exact)[middle].max() < 0.02  # 0.1 % of the dome; the staircase of the rim decides it
     assert pressed.force_n == pytest.approx(np.pi * c * c * 1e-3 * BUBBLE.pressure_kpa, rel=0.01)
 
@@ -71,15 +73,15 @@ def test_a_plate_on_a_round_bubble_follows_the_closed_form():
 @settings(max_examples=15, deadline=None)
 def test_every_press_is_complementary_and_keeps_boyles_law(height, x, y, radius):
     ceiling = ball(height, radius, x, y)
-    pressed = bubble.press(BUBBLE, ceiling, ON)
-    rest = bubble.rest_height_mm(BUBBLE, ON)
+    pressed = bubble.press_bubble(BUBBLE, ceiling, ON)
+    rest = bubble.compute_rest_height_mm(BUBBLE, ON)
     room = ceiling - rest - pressed.deviation_mm
-    inside = bubble.free_nodes(BUBBLE, ON)
+    inside = bubble.find_free_nodes(BUBBLE, ON)
     assert pressed.converged
     assert room[inside].min() >= 0.0
-    assert not pressed.force_kpa[room > 1e-9].any()
-    assert pressed.force_kpa.min() >= 0.0
-    air = BUBBLE.dead_volume_mm3 + bubble.volume_mm3(BUBBLE)
+    assert not pressed.contact_pressure_kpa[room > 1e-9].any()
+    assert pressed.contact_pressure_kpa.min() >= 0.0
+    air = BUBBLE.dead_volume_mm3 + bubble.compute_volume_mm3(BUBBLE)
     absolute = bubble.ATMOSPHERE_KPA + BUBBLE.pressure_kpa
     left = air + pressed.deviation_mm.sum() * ON.step_mm**2
     law = absolute * air / left - bubble.ATMOSPHERE_KPA
@@ -87,13 +89,13 @@ def test_every_press_is_complementary_and_keeps_boyles_law(height, x, y, radius)
 
 
 def test_a_plate_gives_a_symmetric_shape():
-    v = bubble.press(BUBBLE, plate(16.0), ON).deviation_mm
+    v = bubble.press_bubble(BUBBLE, plate(16.0), ON).deviation_mm
     assert np.abs(v - v[::-1]).max() < SURFACE_MM
     assert np.abs(v - v[:, ::-1]).max() < SURFACE_MM
 
 
 def test_pressing_deeper_raises_pressure_force_and_bulge():
-    shallow, deep = (bubble.press(BUBBLE, ball(h), ON) for h in (18.0, 12.0))
+    shallow, deep = (bubble.press_bubble(BUBBLE, ball(h), ON) for h in (18.0, 12.0))
     assert BUBBLE.pressure_kpa < shallow.pressure_kpa < deep.pressure_kpa
     assert 0 < shallow.force_n < deep.force_n
     assert 0 < shallow.deviation_mm.max() < deep.deviation_mm.max()
@@ -101,48 +103,48 @@ def test_pressing_deeper_raises_pressure_force_and_bulge():
 
 def test_a_membrane_bridges_a_groove():
     grooved = np.where(np.abs(X) < 3, np.inf, np.where((np.abs(X) < 10) & (np.abs(Y) < 20), 15.0, np.inf))
-    pressed = bubble.press(BUBBLE, grooved, ON)
+    pressed = bubble.press_bubble(BUBBLE, grooved, ON)
     row = ON.shape[0] // 2
-    over_groove = (bubble.rest_height_mm(BUBBLE, ON) + pressed.deviation_mm)[row, np.abs(X[0]) < 2]
+    over_groove = (bubble.compute_rest_height_mm(BUBBLE, ON) + pressed.deviation_mm)[row, np.abs(X[0]) < 2]
     assert (over_groove > 15.0).all()
     assert over_groove.max() < 16.0
 
 
 @pytest.mark.parametrize("height", [19.999, 1.0, -5.0, -1000.0])
 def test_absurd_depths_stay_finite(height):
-    pressed = bubble.press(BUBBLE, plate(height), ON)
+    pressed = bubble.press_bubble(BUBBLE, plate(height), ON)
     assert np.isfinite(pressed.deviation_mm).all()
     assert np.isfinite(pressed.pressure_kpa)
 
 
 def test_depth_to_ceiling_and_back_returns_the_surface():
-    pressed = bubble.press(BUBBLE, ball(14.0, 20.0), ON)
-    depth = bubble_camera.depth_from_deviation(SPEC, pressed.deviation_mm, ON)
-    again = bubble_camera.ceiling_from_depth(SPEC, depth, ON)
+    pressed = bubble.press_bubble(BUBBLE, ball(14.0, 20.0), ON)
+    depth = bubble_camera.compute_depth_from_deviation(SPEC, pressed.deviation_mm, ON)
+    again = bubble_camera.compute_ceiling_from_depth(SPEC, depth, ON)
     seen = np.isfinite(again)
-    w = bubble.rest_height_mm(BUBBLE, ON) + pressed.deviation_mm
+    w = bubble.compute_rest_height_mm(BUBBLE, ON) + pressed.deviation_mm
     assert seen.sum() > 3000
     assert np.abs(again - w)[seen].max() < 0.02  # chords of half-millimetre pixels over 1 mm lattice cells
 
 
 def test_rays_meet_the_surface_to_the_nanometre():
-    pressed = bubble.press(BUBBLE, ball(10.0, x_mm=12.0), ON)
-    z = bubble_camera.depth_from_deviation(SPEC, pressed.deviation_mm, ON)
+    pressed = bubble.press_bubble(BUBBLE, ball(10.0, x_mm=12.0), ON)
+    z = bubble_camera.compute_depth_from_deviation(SPEC, pressed.deviation_mm, ON)
     ray_x, ray_y = SPEC.camera.rays()
     surface = replace(
         SPEC.membrane,
         x0_mm=ON.x0_mm,
         y0_mm=ON.y0_mm,
         step_mm=ON.step_mm,
-        z_mm=bubble_camera.rest_z_mm(SPEC, ON) + pressed.deviation_mm,
+        z_mm=bubble_camera.compute_rest_z_mm(SPEC, ON) + pressed.deviation_mm,
     )
     assert np.abs(surface.depth_at(z * ray_x[None, :], z * ray_y[:, None]) - z).max() < 1e-6
 
 
 def test_contact_is_seen_where_it_is():
-    pressed = bubble.press(BUBBLE, ball(13.0, x_mm=10.0, y_mm=-5.0), ON)
-    depth = bubble_camera.depth_from_deviation(SPEC, pressed.deviation_mm, ON)
-    seen = lattice.seen_at_pixels(SPEC.camera, pressed.contact, ON, depth)
+    pressed = bubble.press_bubble(BUBBLE, ball(13.0, x_mm=10.0, y_mm=-5.0), ON)
+    depth = bubble_camera.compute_depth_from_deviation(SPEC, pressed.deviation_mm, ON)
+    seen = lattice.sample_mask_at_pixels(SPEC.camera, pressed.contact, ON, depth)
     points = SPEC.camera.back_project(depth)[seen]
     where = pressed.contact.nonzero()
     assert points[:, 0].mean() == pytest.approx(X[0, where[1]].mean(), abs=0.3)  # a third of a lattice step
@@ -151,6 +153,6 @@ def test_contact_is_seen_where_it_is():
 
 def test_what_cannot_be_pressed_is_refused_in_words():
     with pytest.raises(ShapeError, match="lattice"):
-        bubble.press(BUBBLE, np.zeros((3, 3)), ON)
+        bubble.press_bubble(BUBBLE, np.zeros((3, 3)), ON)
     with pytest.raises(SettingProblem, match="positive"):
-        bubble.press(replace(BUBBLE, pressure_kpa=0.0), plate(10.0), ON)
+        bubble.press_bubble(replace(BUBBLE, pressure_kpa=0.0), plate(10.0), ON)

@@ -7,13 +7,13 @@ from pipeline.geometry.camera import Camera
 from pipeline.physics import bubble, bubble_camera, lattice
 from pipeline.physics.lattice import Lattice
 from pipeline.sensors.parts import DepthCamera
-from pipeline.sensors.spec import sensor
+from pipeline.sensors.spec import load_sensor
 
-SPEC = sensor("soft_bubble")
+SPEC = load_sensor("soft_bubble")
 REST = SPEC.rest_depth_mm
 NOISE_MM = SPEC.bubble.depth_noise_mm
 QUIET = replace(SPEC, bubble=replace(SPEC.bubble, depth_noise_mm=0.0))
-STEREO = sensor("soft_bubble_stereo")
+STEREO = load_sensor("soft_bubble_stereo")
 
 
 def stepped(jump_mm):
@@ -29,7 +29,7 @@ def test_rays_meet_a_sphere_where_the_equation_says():
     r, d = 40.0, 100.0
     on = Lattice(x0_mm=-39.0, y0_mm=-39.0, step_mm=0.1, shape=(781, 781))
     low = np.maximum(r * r - on.x_mm()[None, :] ** 2 - on.y_mm()[:, None] ** 2, 0.0)
-    seen = lattice.depth_along_rays(camera, d - np.sqrt(low), on, guess_mm=np.full(camera.shape, d - r))
+    seen = lattice.intersect_rays(camera, d - np.sqrt(low), on, guess_mm=np.full(camera.shape, d - r))
     ray_x, ray_y = camera.rays()
     q = 1 + ray_x[None, :] ** 2 + ray_y[:, None] ** 2
     root = d * d - q * (d * d - r * r)
@@ -40,21 +40,21 @@ def test_rays_meet_a_sphere_where_the_equation_says():
 
 
 def test_rays_meet_the_dome_where_the_equation_says():
-    on = bubble.lattice(SPEC.bubble, 0.25)
-    rest = bubble_camera.rest_z_mm(SPEC, on)
-    seen = lattice.depth_along_rays(SPEC.camera, rest, on, guess_mm=REST)
+    on = bubble.make_lattice(SPEC.bubble, 0.25)
+    rest = bubble_camera.compute_rest_z_mm(SPEC, on)
+    seen = lattice.intersect_rays(SPEC.camera, rest, on, guess_mm=REST)
     points = SPEC.camera.back_project(seen)
     b = SPEC.bubble
     height = b.height_mm * (1 - (points[..., 0] / b.half_width_mm) ** 2 - (points[..., 1] / b.half_height_mm) ** 2)
-    assert np.abs(points[..., 2] - bubble_camera.rim_z_mm(SPEC) - height).max() < 1e-3  # chords of the lattice
+    assert np.abs(points[..., 2] - bubble_camera.get_rim_z_mm(SPEC) - height).max() < 1e-3  # chords of the lattice
 
 
 def test_without_a_seed_the_depth_is_exact():
-    assert np.array_equal(bubble_camera.reading(SPEC, REST, None), REST.astype(np.float32))
+    assert np.array_equal(bubble_camera.simulate_depth_frame(SPEC, REST, None), REST.astype(np.float32))
 
 
 def test_the_noise_over_the_untouched_bubble_is_what_the_sensor_states():
-    off = np.stack([bubble_camera.reading(SPEC, REST, seed) - REST for seed in range(4)])
+    off = np.stack([bubble_camera.simulate_depth_frame(SPEC, REST, seed) - REST for seed in range(4)])
     assert np.sqrt((off**2).mean()) == pytest.approx(NOISE_MM, rel=0.03)  # 24 500 grains of about 8 pixels, four times
     assert abs(off.mean()) < 0.02
 
@@ -62,20 +62,20 @@ def test_the_noise_over_the_untouched_bubble_is_what_the_sensor_states():
 @pytest.mark.parametrize("grain_px", [0.0, 0.8, 2.5])
 def test_a_coarser_grain_keeps_the_strength(grain_px):
     errs = replace(SPEC, depth_camera=DepthCamera(grain_px=grain_px))
-    off = np.stack([bubble_camera.reading(errs, REST, seed) - REST for seed in range(6)])
+    off = np.stack([bubble_camera.simulate_depth_frame(errs, REST, seed) - REST for seed in range(6)])
     assert np.sqrt((off**2).mean()) == pytest.approx(NOISE_MM, rel=0.06)
 
 
 def test_the_same_seed_reads_the_same_and_another_differs():
     for spec in (SPEC, STEREO):
-        one, same, other = (bubble_camera.reading(spec, REST, seed) for seed in (7, 7, 8))
+        one, same, other = (bubble_camera.simulate_depth_frame(spec, REST, seed) for seed in (7, 7, 8))
         assert one.tobytes() == same.tobytes()
         assert one.tobytes() != other.tobytes()
 
 
 def test_noise_grows_with_the_square_of_the_distance():
     level = np.ones(SPEC.camera.shape)
-    near, far = (np.std(bubble_camera.reading(SPEC, z * level, 3) - z) for z in (40.0, 80.0))
+    near, far = (np.std(bubble_camera.simulate_depth_frame(SPEC, z * level, 3) - z) for z in (40.0, 80.0))
     assert far / near == pytest.approx(4.0, rel=1e-3)
 
 
@@ -83,19 +83,19 @@ def test_noise_grows_on_a_surface_seen_at_a_grazing_angle():
     ray_x, _ = SPEC.camera.rays()
     tilted = 70.0 / (1 - 1.2 * ray_x)[None, :] * np.ones((SPEC.camera.rows, 1))  # the plane z = 70 + 1.2 x
     middle = (slice(60, 70), slice(82, 92))
-    cosine = bubble_camera.incidence_cosine(SPEC.camera, tilted)[middle]
+    cosine = bubble_camera.compute_incidence_cosine(SPEC.camera, tilted)[middle]
     assert cosine == pytest.approx(1 / np.hypot(1, 1.2), abs=0.02)
     flat = np.full(SPEC.camera.shape, 70.0)
     errs = replace(SPEC, depth_camera=DepthCamera(distance_power=0.0, grazing_power=1.0))
-    ratio = (bubble_camera.reading(errs, tilted, 5) - tilted)[middle] / (bubble_camera.reading(errs, flat, 5) - flat)[
-        middle
-    ]
+    ratio = (bubble_camera.simulate_depth_frame(errs, tilted, 5) - tilted)[middle] / (
+        bubble_camera.simulate_depth_frame(errs, flat, 5) - flat
+    )[middle]
     assert np.median(ratio) == pytest.approx(np.hypot(1, 1.2), rel=0.03)
 
 
 def test_pixels_fly_at_a_jump_and_nowhere_else():
     depth = stepped(12.0)
-    seen = bubble_camera.reading(QUIET, depth, 1)
+    seen = bubble_camera.simulate_depth_frame(QUIET, depth, 1)
     moved = np.abs(seen - depth) > 1e-3
     middle = SPEC.camera.cols // 2
     assert not np.delete(moved, [middle - 1, middle], axis=1).any()
@@ -105,21 +105,23 @@ def test_pixels_fly_at_a_jump_and_nowhere_else():
 
 
 def test_nothing_flies_and_nothing_is_lost_on_the_bubble_itself():
-    assert np.array_equal(bubble_camera.reading(QUIET, REST, 1), REST.astype(np.float32))
-    coarse = SPEC.camera.scaled(0.125)
+    assert np.array_equal(bubble_camera.simulate_depth_frame(QUIET, REST, 1), REST.astype(np.float32))
+    coarse = SPEC.camera.scale(0.125)
     small = replace(QUIET, camera=coarse, rest_depth_mm=SPEC.membrane.rest_depth_mm(coarse))
-    assert np.array_equal(bubble_camera.reading(small, small.rest_depth_mm, 1), small.rest_depth_mm.astype("f4"))
+    assert np.array_equal(
+        bubble_camera.simulate_depth_frame(small, small.rest_depth_mm, 1), small.rest_depth_mm.astype("f4")
+    )
 
 
 def test_too_steep_a_surface_is_lost():
-    blinder = replace(QUIET, depth_camera=DepthCamera(steepest_deg=80.0))
-    lost = np.isnan(bubble_camera.reading(blinder, stepped(12.0), 1))
+    blinder = replace(QUIET, depth_camera=DepthCamera(max_incidence_deg=80.0))
+    lost = np.isnan(bubble_camera.simulate_depth_frame(blinder, stepped(12.0), 1))
     assert lost.any()
     assert not np.delete(lost, np.arange(85, 90), axis=1).any()
 
 
 def test_stereo_reads_tenths_and_has_gaps():
-    seen = bubble_camera.reading(STEREO, REST, 2)
+    seen = bubble_camera.simulate_depth_frame(STEREO, REST, 2)
     known = seen[np.isfinite(seen)]
     assert np.abs(known * 10 - np.rint(known * 10)).max() < 1e-3
     assert 0.005 < np.isnan(seen).mean() < 0.05
@@ -127,8 +129,8 @@ def test_stereo_reads_tenths_and_has_gaps():
 
 def test_stereo_noise_is_shared_between_neighbours():
     def shared(spec):
-        whole = replace(spec, depth_camera=replace(spec.depth_camera, gap_share=0.0, steepest_deg=90.0))
-        off = bubble_camera.reading(whole, REST, 4) - REST
+        whole = replace(spec, depth_camera=replace(spec.depth_camera, gap_share=0.0, max_incidence_deg=90.0))
+        off = bubble_camera.simulate_depth_frame(whole, REST, 4) - REST
         return np.corrcoef(off[:, :-1].ravel(), off[:, 1:].ravel())[0, 1]
 
     assert shared(STEREO) > 0.9 > shared(SPEC) > 0.5
@@ -136,8 +138,13 @@ def test_stereo_noise_is_shared_between_neighbours():
 
 def test_an_incidence_that_is_known_already_changes_no_reading():
     depth = REST - 3.0 * np.exp(-np.hypot(*np.mgrid[-70:70, -87:88]) / 20.0)
-    known = bubble_camera.incidence_cosine(SPEC.camera, depth)
-    assert np.array_equal(bubble_camera.reading(SPEC, depth, 5), bubble_camera.reading(SPEC, depth, 5, cosine=known))
-    assert np.array_equal(bubble_camera.rest_cosine(SPEC), bubble_camera.incidence_cosine(SPEC.camera, REST))
-    level = bubble_camera.reading(STEREO, depth, 5, cosine=np.ones_like(depth))
-    assert not np.array_equal(level, bubble_camera.reading(STEREO, depth, 5), equal_nan=True)
+    known = bubble_camera.compute_incidence_cosine(SPEC.camera, depth)
+    assert np.array_equal(
+        bubble_camera.simulate_depth_frame(SPEC, depth, 5),
+        bubble_camera.simulate_depth_frame(SPEC, depth, 5, cosine=known),
+    )
+    assert np.array_equal(
+        bubble_camera.compute_rest_cosine(SPEC), bubble_camera.compute_incidence_cosine(SPEC.camera, REST)
+    )
+    level = bubble_camera.simulate_depth_frame(STEREO, depth, 5, cosine=np.ones_like(depth))
+    assert not np.array_equal(level, bubble_camera.simulate_depth_frame(STEREO, depth, 5), equal_nan=True)

@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.physics import bubble, gel, multigrid
 from pipeline.sensors.parts import Gel
-from pipeline.sensors.spec import sensor
+from pipeline.sensors.spec import load_sensor
 
 HALF_SPACE = Gel(thickness_mm=math.inf, youngs_kpa=120.0, poisson=0.48)
 EFFECTIVE_N_MM2 = 0.12 / (1 - 0.48**2)
@@ -16,7 +16,7 @@ PAD = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48)
 SURFACE_RMS_MM = 1e-4  # a tenth of a micrometre: what the simulator promises
 RADIUS_SHARE = 0.01  # of the contact radius: pixels are counted whole
 FORCE_SHARE = 0.005
-BUBBLE = sensor("soft_bubble").bubble
+BUBBLE = load_sensor("soft_bubble").bubble
 ROUND = replace(BUBBLE, half_width_mm=50.0, half_height_mm=50.0, dead_volume_mm3=1e13)  # so much air is no spring
 
 
@@ -42,7 +42,7 @@ def test_a_ball_on_a_whole_pad_is_hertz():
     """4 mm ball, 0.5 mm deep, on an 18.6 mm wide half-space seen by 320 x 427 pixels."""
     shape, pixel_mm = (320, 427), 18.6 / 427
     overlap, exact, a = hertz(shape, pixel_mm, 4.0, 0.5)
-    pressed = gel.press(HALF_SPACE, pixel_mm, overlap)
+    pressed = gel.press_gel(HALF_SPACE, pixel_mm, overlap)
     assert disc_mm(pressed.contact, pixel_mm) == pytest.approx(a, rel=RADIUS_SHARE)
     assert pressed.force_n == pytest.approx(4 / 3 * EFFECTIVE_N_MM2 * 2.0 * 0.5**1.5, rel=FORCE_SHARE)
     assert math.sqrt(((pressed.indentation_mm - exact) ** 2).mean()) <= SURFACE_RMS_MM
@@ -51,7 +51,7 @@ def test_a_ball_on_a_whole_pad_is_hertz():
 def test_a_ball_has_the_pressure_of_hertz():
     shape, pixel_mm = (161, 161), 0.05
     overlap, _, a = hertz(shape, pixel_mm, 4.0, 0.5)
-    pressed = gel.press(HALF_SPACE, pixel_mm, overlap)
+    pressed = gel.press_gel(HALF_SPACE, pixel_mm, overlap)
     r = radius_mm(shape, pixel_mm)
     peak_kpa = 2e3 * EFFECTIVE_N_MM2 * a / (math.pi * 4.0)
     inner = r < 0.9 * a  # the slope at the edge is infinite
@@ -62,7 +62,7 @@ def test_a_ball_has_the_pressure_of_hertz():
 def test_a_flat_punch_has_the_pressure_and_force_of_sneddon():
     shape, pixel_mm, depth = (161, 161), 0.05, 0.2
     r = radius_mm(shape, pixel_mm)
-    pressed = gel.press(HALF_SPACE, pixel_mm, np.where(r < 2.0, depth, -np.inf))
+    pressed = gel.press_gel(HALF_SPACE, pixel_mm, np.where(r < 2.0, depth, -np.inf))
     a = disc_mm(r < 2.0, pixel_mm)
     assert pressed.force_n == pytest.approx(2 * a * EFFECTIVE_N_MM2 * depth, rel=0.015)  # the rim is half a pixel soft
     inner = r < 0.8 * a  # the pressure at the rim is infinite
@@ -75,7 +75,7 @@ def test_a_cone_has_the_contact_and_force_of_sneddon(slope):
     """For a surface that falls by `slope` per length: a = 2 d / (pi slope), F = 2 E* d^2 / (pi slope)."""
     shape, pixel_mm, a = (201, 201), 0.05, 3.0
     depth = math.pi / 2 * a * slope
-    pressed = gel.press(HALF_SPACE, pixel_mm, depth - slope * radius_mm(shape, pixel_mm))
+    pressed = gel.press_gel(HALF_SPACE, pixel_mm, depth - slope * radius_mm(shape, pixel_mm))
     assert disc_mm(pressed.contact, pixel_mm) == pytest.approx(a, rel=RADIUS_SHARE)
     assert pressed.force_n == pytest.approx(2 / math.pi * EFFECTIVE_N_MM2 * depth**2 / slope, rel=FORCE_SHARE)
 
@@ -84,16 +84,16 @@ def test_far_away_presses_add_up():
     """Two single loaded pixels move the pad as the sum of each; far away a load is felt as its sum alone."""
     from pipeline.physics import gel_layer
 
-    layer = gel_layer.layer(HALF_SPACE, 0.1, (96, 128))
+    layer = gel_layer.make_elastic_layer(HALF_SPACE, 0.1, (96, 128))
     one, other, both = (np.zeros((96, 128), np.float32) for _ in range(3))
     one[20, 30], other[70, 100] = 50.0, 20.0
     both[20, 30], both[70, 100] = 50.0, 20.0
-    total = layer.displacement(one) + layer.displacement(other)
-    assert np.abs(layer.displacement(both) - total).max() < 1e-6 * total.max()  # single precision
+    total = layer.compute_displacement(one) + layer.compute_displacement(other)
+    assert np.abs(layer.compute_displacement(both) - total).max() < 1e-6 * total.max()  # single precision
     y, x = np.mgrid[:96, :128]
     far = np.hypot(y - 20, x - 30) * 0.1
     boussinesq = 50.0e-3 * 0.1**2 / (math.pi * EFFECTIVE_N_MM2 * np.maximum(far, 0.1))
-    assert np.abs(layer.displacement(one) / boussinesq - 1)[far > 2.0].max() < 1e-3
+    assert np.abs(layer.compute_displacement(one) / boussinesq - 1)[far > 2.0].max() < 1e-3
 
 
 def test_twice_the_pixels_halve_the_error_at_least():
@@ -101,7 +101,7 @@ def test_twice_the_pixels_halve_the_error_at_least():
     for n in (41, 81, 161):
         pixel_mm = 6.0 / n
         overlap, exact, _ = hertz((n, n), pixel_mm, 3.0, 0.4)
-        pressed = gel.press(HALF_SPACE, pixel_mm, overlap, tolerance_mm=1e-6)
+        pressed = gel.press_gel(HALF_SPACE, pixel_mm, overlap, tolerance_mm=1e-6)
         errors.append(math.sqrt(((pressed.indentation_mm - exact) ** 2).mean()))
     assert math.log2(errors[0] / errors[2]) / 2 > 0.9
 
@@ -109,7 +109,7 @@ def test_twice_the_pixels_halve_the_error_at_least():
 def test_pressure_and_gap_exclude_each_other():
     rng = np.random.default_rng(3)
     overlap = 0.4 * rng.random((120, 150)) - 0.1
-    pressed = gel.press(PAD, 0.05, overlap)
+    pressed = gel.press_gel(PAD, 0.05, overlap)
     gap = pressed.indentation_mm - overlap
     assert pressed.converged
     assert (pressed.pressure_kpa * np.abs(gap)).max() < 3e-4 * pressed.pressure_kpa.max()  # kPa times 0.3 um
@@ -120,14 +120,14 @@ def test_a_mirrored_object_leaves_the_mirrored_mark(turned):
     flip = (slice(None), slice(None, None, -1)) if turned == "left-right" else (slice(None, None, -1), slice(None))
     rng = np.random.default_rng(4)
     overlap = np.where(rng.random((60, 70)) < 0.3, 0.3 * rng.random((60, 70)), -1.0)
-    one, other = gel.press(PAD, 0.06, overlap), gel.press(PAD, 0.06, overlap[flip])
+    one, other = gel.press_gel(PAD, 0.06, overlap), gel.press_gel(PAD, 0.06, overlap[flip])
     assert np.abs(one.indentation_mm[flip] - other.indentation_mm).max() < 3e-4
     assert one.force_n == pytest.approx(other.force_n, rel=1e-3)
 
 
 def inflated(on, membrane, load_per_mm):
-    grid = multigrid.Grid(
-        room_mm=np.full(on.shape, np.inf), free=bubble.free_nodes(membrane, on), step_mm=on.step_mm
+    grid = multigrid.ObstacleProblem(
+        clearance_mm=np.full(on.shape, np.inf), free=bubble.find_free_nodes(membrane, on), step_mm=on.step_mm
     )  # fmt: skip
     return multigrid.solve(grid, np.zeros(on.shape), load_per_mm, 1e-8)
 
@@ -135,7 +135,7 @@ def inflated(on, membrane, load_per_mm):
 @pytest.mark.parametrize("membrane", [ROUND, BUBBLE], ids=["circle", "ellipse"])
 def test_a_clamped_membrane_rises_by_its_pressure(membrane):
     """Circle w = p (a^2 - r^2) / 4T; ellipse w = p / 2T (1 - (x/a)^2 - (y/b)^2) / (1/a^2 + 1/b^2)."""
-    on, load = bubble.lattice(membrane), 0.004
+    on, load = bubble.make_lattice(membrane), 0.004
     w, settled = inflated(on, membrane, load)
     top = load / 2 / (membrane.half_width_mm**-2 + membrane.half_height_mm**-2)
     assert settled
@@ -144,10 +144,10 @@ def test_a_clamped_membrane_rises_by_its_pressure(membrane):
 
 
 def test_the_rest_dome_is_the_clamped_membrane_itself():
-    tension = bubble.tension_n_per_mm(ROUND)
-    on = bubble.lattice(ROUND, 0.5)
+    tension = bubble.compute_tension_n_per_mm(ROUND)
+    on = bubble.make_lattice(ROUND, 0.5)
     exact = ROUND.pressure_kpa * 1e-3 * (50.0**2 - on.x_mm() ** 2) / (4 * tension)
-    across = bubble.rest_height_mm(ROUND, on)[on.shape[0] // 2]
+    across = bubble.compute_rest_height_mm(ROUND, on)[on.shape[0] // 2]
     assert np.abs(across - np.maximum(exact, 0.0)).max() < 1e-3 * exact.max()
 
 
@@ -159,29 +159,31 @@ def test_a_finer_bubble_is_nearer_to_the_plate_on_a_circle():
     c = brentq(lambda c: gap + quarter * (c * c - a * a) + 2 * quarter * c * c * np.log(a / c), 1e-3, a)
     errors = []
     for step_mm in (2.0, 1.0, 0.5):
-        on = bubble.lattice(ROUND, step_mm)
-        pressed = bubble.press(ROUND, np.full(on.shape, gap), on, tolerance_mm=1e-6)
+        on = bubble.make_lattice(ROUND, step_mm)
+        pressed = bubble.press_bubble(ROUND, np.full(on.shape, gap), on, tolerance_mm=1e-6)
         r = np.hypot(on.x_mm()[None, :], on.y_mm()[:, None])
         exact = gap + quarter * (c * c - r * r) + 2 * quarter * c * c * np.log(np.maximum(r, c) / c)
-        off = bubble.rest_height_mm(ROUND, on) + pressed.deviation_mm - np.where(r < c, gap, exact)
+        off = bubble.compute_rest_height_mm(ROUND, on) + pressed.deviation_mm - np.where(r < c, gap, exact)
         errors.append(math.sqrt((off[r < a - 4] ** 2).mean()))
     assert 0.7 < math.log2(errors[0] / errors[2]) / 2 < 2.3
 
 
 def test_a_bubble_of_nothing_but_pins_is_solved_as_an_active_set_solves_it():
     """Every held node has a force, every loose one solves the equation, and none passes the object."""
-    on = bubble.lattice(BUBBLE, 1.0)
+    on = bubble.make_lattice(BUBBLE, 1.0)
     rng = np.random.default_rng(5)
     ceiling = np.full(on.shape, np.inf)
     ceiling[rng.integers(10, 90, 30), rng.integers(10, 110, 30)] = rng.uniform(-5, 18, 30)
-    free = bubble.free_nodes(BUBBLE, on)
-    grid = multigrid.Grid(room_mm=ceiling - bubble.rest_height_mm(BUBBLE, on), free=free, step_mm=1.0)
+    free = bubble.find_free_nodes(BUBBLE, on)
+    grid = multigrid.ObstacleProblem(
+        clearance_mm=ceiling - bubble.compute_rest_height_mm(BUBBLE, on), free=free, step_mm=1.0
+    )
     v, settled = multigrid.solve(grid, np.zeros(on.shape), 0.003, 1e-7)
     left = np.zeros(on.shape)
     left[1:-1, 1:-1] = 0.003 + v[2:, 1:-1] + v[:-2, 1:-1] + v[1:-1, 2:] + v[1:-1, :-2] - 4 * v[1:-1, 1:-1]
-    on_object = free & (v >= grid.room_mm)
+    on_object = free & (v >= grid.clearance_mm)
     assert settled
     assert on_object.any()
-    assert (v <= grid.room_mm)[free].all()
+    assert (v <= grid.clearance_mm)[free].all()
     assert np.abs(left[free & ~on_object]).max() < 1e-6
     assert left[on_object].min() > -1e-6

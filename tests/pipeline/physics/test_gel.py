@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pipeline.base.errors import ShapeError
 from pipeline.physics import gel
 from pipeline.sensors.parts import Gel
-from pipeline.sensors.spec import sensor
+from pipeline.sensors.spec import load_sensor
 
 HALF_SPACE = Gel(thickness_mm=math.inf, youngs_kpa=120.0, poisson=0.48)
 PAD = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=0.48)
@@ -30,16 +30,16 @@ def ball(shape, depth_mm, **at):
 
 @pytest.mark.parametrize("overlap_mm", [1e-45, 1e-40, 1e-30])
 def test_what_is_thinner_than_an_atom_presses_nothing_and_costs_no_denormal_sums(overlap_mm):
-    pressed = gel.press(PAD, PIXEL_MM, np.full((60, 80), overlap_mm))
+    pressed = gel.press_gel(PAD, PIXEL_MM, np.full((60, 80), overlap_mm))
     assert not pressed.contact.any()
     assert not pressed.indentation_mm.any()
-    held = gel.relax(PAD, PIXEL_MM, np.full((60, 80), overlap_mm), np.ones((60, 80), np.bool_))
+    held = gel.relax_gel(PAD, PIXEL_MM, np.full((60, 80), overlap_mm), np.ones((60, 80), np.bool_))
     assert not held.pressure_kpa.any()
 
 
 def test_a_ball_on_a_half_space_follows_hertz():
     shape, depth = (181, 201), 0.5
-    pressed = gel.press(HALF_SPACE, PIXEL_MM, ball(shape, depth))
+    pressed = gel.press_gel(HALF_SPACE, PIXEL_MM, ball(shape, depth))
     a, r = math.sqrt(RADIUS_MM * depth), radius_mm(shape)
     outside = np.maximum(r, a * (1 + 1e-9))
     free = ((2 * a * a - outside**2) * np.arcsin(a / outside) + a * np.sqrt(outside**2 - a * a)) / (math.pi * RADIUS_MM)
@@ -54,21 +54,21 @@ def test_a_ball_on_a_half_space_follows_hertz():
 def test_a_flat_punch_needs_the_force_of_sneddon():
     shape, a = (161, 161), 2.0
     overlap = np.where(radius_mm(shape) < a, 0.3, -np.inf)
-    pressed = gel.press(HALF_SPACE, PIXEL_MM, overlap)
+    pressed = gel.press_gel(HALF_SPACE, PIXEL_MM, overlap)
     area_radius = math.sqrt((radius_mm(shape) < a).sum() / math.pi) * PIXEL_MM
     assert pressed.force_n == pytest.approx(2 * EFFECTIVE_KPA * area_radius * 0.3 * 1e-3, rel=0.01)
 
 
 def test_a_cone_needs_the_force_of_sneddon():
     shape, depth, slope = (181, 181), 0.6, 0.25
-    pressed = gel.press(HALF_SPACE, PIXEL_MM, depth - slope * radius_mm(shape))
+    pressed = gel.press_gel(HALF_SPACE, PIXEL_MM, depth - slope * radius_mm(shape))
     assert pressed.force_n == pytest.approx(2 / math.pi * EFFECTIVE_KPA * depth**2 / slope * 1e-3, rel=0.01)
 
 
 def test_a_thick_pad_is_a_half_space_and_a_thin_one_is_stiffer_and_touches_more():
     overlap = ball((101, 121), 0.05)
     half_space, thick, thin = (
-        gel.press(g, PIXEL_MM, overlap)
+        gel.press_gel(g, PIXEL_MM, overlap)
         for g in (HALF_SPACE, Gel(thickness_mm=12.0, youngs_kpa=120.0, poisson=0.48), PAD)
     )
     assert thick.force_n == pytest.approx(
@@ -88,7 +88,7 @@ def test_a_thick_pad_is_a_half_space_and_a_thin_one_is_stiffer_and_touches_more(
 def test_every_press_is_complementary(depth, row, col, poisson):
     pad = Gel(thickness_mm=2.0, youngs_kpa=120.0, poisson=poisson)
     overlap = ball((70, 80), depth, row=row, col=col)
-    pressed = gel.press(pad, PIXEL_MM, overlap)
+    pressed = gel.press_gel(pad, PIXEL_MM, overlap)
     gap = pressed.indentation_mm - overlap
     assert pressed.converged
     assert pressed.pressure_kpa.min() >= 0
@@ -101,28 +101,28 @@ def test_every_press_is_complementary(depth, row, col, poisson):
 def test_rough_and_ragged_objects_converge_too(seed, depth, share):
     rng = np.random.default_rng(seed)
     overlap = np.where(rng.random((50, 60)) < share, depth * rng.random((50, 60)), -np.inf)
-    pressed = gel.press(PAD, PIXEL_MM, overlap, tolerance_mm=1e-4 * max(1.0, depth))
+    pressed = gel.press_gel(PAD, PIXEL_MM, overlap, tolerance_mm=1e-4 * max(1.0, depth))
     assert pressed.converged
     assert np.isfinite(pressed.indentation_mm).all()
 
 
 def test_a_mirrored_press_gives_the_mirrored_surface():
     overlap = ball((80, 100), 0.4, row=30, col=37)
-    one, other = gel.press(PAD, PIXEL_MM, overlap), gel.press(PAD, PIXEL_MM, overlap[:, ::-1])
+    one, other = gel.press_gel(PAD, PIXEL_MM, overlap), gel.press_gel(PAD, PIXEL_MM, overlap[:, ::-1])
     assert np.abs(one.indentation_mm[:, ::-1] - other.indentation_mm).max() < SURFACE_MM
 
 
 def test_twice_the_resolution_gives_the_same_force():
-    coarse = gel.press(PAD, 2 * PIXEL_MM, ball((160, 160), 0.4)[::2, ::2])
-    fine = gel.press(PAD, PIXEL_MM, ball((160, 160), 0.4))
+    coarse = gel.press_gel(PAD, 2 * PIXEL_MM, ball((160, 160), 0.4)[::2, ::2])
+    fine = gel.press_gel(PAD, PIXEL_MM, ball((160, 160), 0.4))
     assert coarse.force_n == pytest.approx(fine.force_n, rel=0.01)
 
 
 def test_the_size_of_the_picture_around_a_contact_does_not_matter():
     wide = ball((200, 220), 0.3)
     narrow = wide[60:140, 70:150]
-    cut = gel.press(PAD, PIXEL_MM, wide).indentation_mm[60:140, 70:150]
-    assert np.abs(cut - gel.press(PAD, PIXEL_MM, narrow).indentation_mm).max() < SURFACE_MM
+    cut = gel.press_gel(PAD, PIXEL_MM, wide).indentation_mm[60:140, 70:150]
+    assert np.abs(cut - gel.press_gel(PAD, PIXEL_MM, narrow).indentation_mm).max() < SURFACE_MM
 
 
 @pytest.mark.parametrize(
@@ -136,7 +136,7 @@ def test_the_size_of_the_picture_around_a_contact_does_not_matter():
     ids=["nothing", "gaps", "above", "just at the surface"],
 )
 def test_what_does_not_reach_the_gel_leaves_it_alone(overlap):
-    pressed = gel.press(PAD, PIXEL_MM, overlap)
+    pressed = gel.press_gel(PAD, PIXEL_MM, overlap)
     assert not pressed.indentation_mm.any()
     assert not pressed.contact.any()
     assert pressed.force_n == 0.0
@@ -144,7 +144,7 @@ def test_what_does_not_reach_the_gel_leaves_it_alone(overlap):
 
 @pytest.mark.parametrize("depth", [1e-6, 0.5, 50.0])
 def test_a_plate_over_the_whole_pad_and_absurd_depths_stay_finite(depth):
-    pressed = gel.press(PAD, PIXEL_MM, np.full((60, 70), depth))
+    pressed = gel.press_gel(PAD, PIXEL_MM, np.full((60, 70), depth))
     assert np.isfinite(pressed.indentation_mm).all()
     assert pressed.converged
     assert pressed.contact.mean() > 0.95
@@ -153,24 +153,26 @@ def test_a_plate_over_the_whole_pad_and_absurd_depths_stay_finite(depth):
 def test_a_single_pixel_can_press():
     overlap = np.full((40, 50), -np.inf)
     overlap[0, 49] = 0.2
-    assert gel.press(PAD, PIXEL_MM, overlap).indentation_mm[0, 49] == pytest.approx(0.2, abs=SURFACE_MM)
+    assert gel.press_gel(PAD, PIXEL_MM, overlap).indentation_mm[0, 49] == pytest.approx(0.2, abs=SURFACE_MM)
 
 
 def test_a_solve_that_runs_out_of_steps_says_so():
-    assert not gel.press(PAD, PIXEL_MM, ball((80, 90), 0.4), max_steps=2).converged
+    assert not gel.press_gel(PAD, PIXEL_MM, ball((80, 90), 0.4), max_steps=2).converged
 
 
 def test_following_the_true_contact_gives_back_the_true_surface():
-    spec = sensor("digit")
+    spec = load_sensor("digit")
     assert spec.gel is not None
-    pressed = gel.press(spec.gel, PIXEL_MM, ball((100, 120), 0.5))
-    followed = gel.relax(spec.gel, PIXEL_MM, np.where(pressed.contact, pressed.indentation_mm, np.nan), pressed.contact)
+    pressed = gel.press_gel(spec.gel, PIXEL_MM, ball((100, 120), 0.5))
+    followed = gel.relax_gel(
+        spec.gel, PIXEL_MM, np.where(pressed.contact, pressed.indentation_mm, np.nan), pressed.contact
+    )
     assert followed.converged
     assert np.abs(followed.indentation_mm - pressed.indentation_mm).max() < SURFACE_MM
 
 
 def test_a_grid_of_one_row_is_refused():
     with pytest.raises(ShapeError, match="2 x 2"):
-        gel.press(PAD, PIXEL_MM, np.zeros((1, 9)))
+        gel.press_gel(PAD, PIXEL_MM, np.zeros((1, 9)))
     with pytest.raises(ShapeError, match="pixel width"):
-        gel.press(PAD, math.nan, np.zeros((9, 9)))
+        gel.press_gel(PAD, math.nan, np.zeros((9, 9)))

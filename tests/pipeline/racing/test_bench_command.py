@@ -7,13 +7,13 @@ import json
 import pytest
 
 from pipeline.cli import bench as command
-from pipeline.cli.main import EXIT_USER_ERROR, build, run
-from pipeline.racing import questions as bench_questions
+from pipeline.cli.main import EXIT_USER_ERROR, build_app, run_app
+from pipeline.racing import runner as bench_questions
 
 ANSWERS = '''"""How fast is nothing? A second sentence."""
 import math, os
-from benchmarks.races import Bar, Timing, row
-from pipeline.racing.races import Answer
+from benchmarks.timing import Bar, Timing, row
+from pipeline.racing.results import Answer
 {needs}
 def answer():
     print("not part of the report")
@@ -34,14 +34,14 @@ def folder(tmp_path, monkeypatch):
     write(folder, "first")
     write(folder, "second", needs='NEEDS = "a display"')
     (folder / "no_question.py").write_text('"""No answer here."""\n')
-    for function in (bench_questions.questions, bench_questions.chosen):
+    for function in (bench_questions.list_benchmarks, bench_questions.select_benchmarks):
         monkeypatch.setattr(command, function.__name__, lambda *a, f=function: f(*a, folder))
     return folder
 
 
 def test_every_question_that_needs_nothing_is_asked_and_its_rows_are_written(folder, tmp_path, capsys):
     out = tmp_path / "out" / "bench.json"
-    code = run(build(), ["bench", "--json", str(out), "--plots", str(tmp_path / "plots")])
+    code = run_app(build_app(), ["bench", "--json", str(out), "--plots", str(tmp_path / "plots")])
     printed = capsys.readouterr().out
     assert code == 0, printed
     said = json.loads(out.read_text())
@@ -56,12 +56,12 @@ def test_every_question_that_needs_nothing_is_asked_and_its_rows_are_written(fol
 
 
 def test_a_question_that_needs_more_is_asked_by_name(folder, capsys):
-    assert run(build(), ["bench", "second"]) == 0
+    assert run_app(build_app(), ["bench", "second"]) == 0
     assert "second asks" in capsys.readouterr().out
 
 
 def test_the_list_says_what_each_needs(folder, capsys):
-    assert run(build(), ["bench", "--list"]) == 0
+    assert run_app(build_app(), ["bench", "--list"]) == 0
     printed = capsys.readouterr().out
     assert "first" in printed
     assert "How fast is nothing?" in printed
@@ -72,7 +72,7 @@ def test_the_list_says_what_each_needs(folder, capsys):
 def test_a_question_that_fails_is_one_line_and_the_others_still_come(folder, tmp_path, capsys):
     (folder / "broken.py").write_text("def answer():\n    import no_such_peer\n")
     out = tmp_path / "bench.json"
-    assert run(build(), ["bench", "broken", "first", "--json", str(out)]) == 0
+    assert run_app(build_app(), ["bench", "broken", "first", "--json", str(out)]) == 0
     printed = capsys.readouterr().out
     assert "no answer: ModuleNotFoundError: No module named 'no_such_peer'" in printed
     assert "Traceback" not in printed
@@ -83,38 +83,38 @@ def test_a_question_that_fails_is_one_line_and_the_others_still_come(folder, tmp
 
 def test_a_process_that_dies_is_told(folder, capsys):
     (folder / "dies.py").write_text("import os\ndef answer():\n    os.kill(os.getpid(), 9)\n")
-    assert run(build(), ["bench", "dies"]) == 0
+    assert run_app(build_app(), ["bench", "dies"]) == 0
     assert "ended by SIGKILL" in capsys.readouterr().out
 
 
 def test_a_question_that_never_ends_is_given_up(folder):
     (folder / "slow.py").write_text("import time\ndef answer():\n    time.sleep(60)\n")
-    (question,) = bench_questions.chosen(("slow",), folder)
-    assert bench_questions.ask(question, longest_s=0.2).problem == "no answer within 0.2 s"
+    (question,) = bench_questions.select_benchmarks(("slow",), folder)
+    assert bench_questions.run_benchmark(question, longest_s=0.2).problem == "no answer within 0.2 s"
 
 
 def test_a_missed_bar_matters_to_strict_only(folder, capsys):
     write(folder, "missing_it", ms=0.5)
-    assert run(build(), ["bench", "missing_it"]) == 0
+    assert run_app(build_app(), ["bench", "missing_it"]) == 0
     assert "1 missed: missing_it asks (at most 0.5 ms)" in capsys.readouterr().out
-    assert run(build(), ["bench", "missing_it", "--strict"]) == 1
-    assert run(build(), ["bench", "first", "--strict"]) == 0
+    assert run_app(build_app(), ["bench", "missing_it", "--strict"]) == 1
+    assert run_app(build_app(), ["bench", "first", "--strict"]) == 0
 
 
 def test_an_earlier_run_is_held_against_this_one(folder, tmp_path, capsys):
     out, earlier = tmp_path / "now.json", tmp_path / "earlier.json"
-    assert run(build(), ["bench", "first", "--json", str(out)]) == 0
-    assert run(build(), ["bench", "first", "--against", str(out), "--strict"]) == 0
+    assert run_app(build_app(), ["bench", "first", "--json", str(out)]) == 0
+    assert run_app(build_app(), ["bench", "first", "--against", str(out), "--strict"]) == 0
     assert "none worse" in capsys.readouterr().out
     earlier.write_text(out.read_text().replace('"ours_error": 0.1', '"ours_error": 0.05'))
-    assert run(build(), ["bench", "first", "--against", str(earlier)]) == 0
+    assert run_app(build_app(), ["bench", "first", "--against", str(earlier)]) == 0
     assert "1 worse\n  first: first asks beside peer: error 0.05 -> 0.1 um" in capsys.readouterr().out
-    assert run(build(), ["bench", "first", "--against", str(earlier), "--strict"]) == 1
-    assert run(build(), ["bench", "first", "--against", str(tmp_path / "none.json")]) == EXIT_USER_ERROR
+    assert run_app(build_app(), ["bench", "first", "--against", str(earlier), "--strict"]) == 1
+    assert run_app(build_app(), ["bench", "first", "--against", str(tmp_path / "none.json")]) == EXIT_USER_ERROR
 
 
 def test_an_unknown_question_is_answered_with_the_known_ones(folder, capsys):
-    assert run(build(), ["bench", "third"]) == EXIT_USER_ERROR
+    assert run_app(build_app(), ["bench", "third"]) == EXIT_USER_ERROR
     assert "no question 'third'; there are first, second" in capsys.readouterr().err
 
 
@@ -122,5 +122,5 @@ def test_where_the_folder_is_not_there_it_is_one_sentence(folder, tmp_path, caps
     for path in folder.iterdir():
         path.unlink()
     folder.rmdir()
-    assert run(build(), ["bench"]) == EXIT_USER_ERROR
+    assert run_app(build_app(), ["bench"]) == EXIT_USER_ERROR
     assert "run bench there" in capsys.readouterr().err

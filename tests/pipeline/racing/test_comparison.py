@@ -9,57 +9,69 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.races import Bar, Timing, row
+from benchmarks.timing import Requirement, Timing, build_measurement
 from pipeline.base.errors import FileProblem
-from pipeline.cli.bench import as_json
-from pipeline.racing.comparison import WORSE, Claim, read_rows, rows_of, setbacks
-from pipeline.racing.questions import Answered, Question
-from pipeline.racing.races import Answer
+from pipeline.cli.bench import build_report
+from pipeline.racing.regressions import (
+    REGRESSION_FACTOR,
+    MeasurementKey,
+    collect_measurements,
+    find_regressions,
+    read_measurements,
+)
+from pipeline.racing.results import BenchmarkResult
+from pipeline.racing.runner import Benchmark, BenchmarkRun
 
 POSITIVE = st.floats(1e-6, 1e6)
-NO_BAR = Bar()
-KEY = Claim(asked="speed", claim="q", peer="", unit="mm")
+NO_BAR = Requirement()
+KEY = MeasurementKey(benchmark="speed", claim="q", baseline="", unit="mm")
 
 
 def claim(ms=10.0, error=1.0, bar=NO_BAR, peer_ms=None, name="q"):
     peer = {} if peer_ms is None else {"peer": "p", "peer_timing": Timing(median_ms=peer_ms, p95_ms=peer_ms)}
-    return row(name, ours=Timing(median_ms=ms, p95_ms=ms), ours_error=error, unit="mm", bar=bar, **peer)
+    return build_measurement(name, ours=Timing(median_ms=ms, p95_ms=ms), ours_error=error, unit="mm", bar=bar, **peer)
 
 
 def told(old, new, key=KEY):
-    return setbacks({key: old}, {key: new}, ["speed"])
+    return find_regressions({key: old}, {key: new}, ["speed"])
 
 
-@given(old=POSITIVE, times=st.floats(0.01, 100).filter(lambda t: abs(t / WORSE - 1) > 1e-6))
+@given(old=POSITIVE, times=st.floats(0.01, 100).filter(lambda t: abs(t / REGRESSION_FACTOR - 1) > 1e-6))
 def test_a_tenth_is_allowed_and_no_more_of_time_and_of_error(old, times):
-    assert bool(told(claim(ms=old), claim(ms=old * times))) is (times > WORSE)
-    assert bool(told(claim(error=old), claim(error=old * times))) is (times > WORSE)
+    assert bool(told(claim(ms=old), claim(ms=old * times))) is (times > REGRESSION_FACTOR)
+    assert bool(told(claim(error=old), claim(error=old * times))) is (times > REGRESSION_FACTOR)
 
 
-@given(ms=POSITIVE, busy=st.floats(1.0, 50.0), times=st.floats(0.01, 100).filter(lambda t: abs(t / WORSE - 1) > 1e-6))
+@given(
+    ms=POSITIVE,
+    busy=st.floats(1.0, 50.0),
+    times=st.floats(0.01, 100).filter(lambda t: abs(t / REGRESSION_FACTOR - 1) > 1e-6),
+)
 def test_beside_a_peer_a_busy_machine_is_no_setback(ms, busy, times):
     old, new = claim(ms=ms, peer_ms=7 * ms), claim(ms=ms * busy * times, peer_ms=7 * ms * busy)
-    assert bool(told(old, new)) is (times > WORSE)
+    assert bool(told(old, new)) is (times > REGRESSION_FACTOR)
 
 
 def test_a_bar_that_held_and_does_not_is_told_however_near():
-    bar = Bar(ms=10.0)
+    bar = Requirement(max_ms=10.0)
     (sentence,) = told(claim(bar=bar), claim(ms=10.01, bar=bar))
     assert sentence == "speed: q: no longer holds (at most 10 ms)"
     assert told(claim(ms=10.01, bar=bar), claim(ms=10.02, bar=bar)) == []
 
 
 def test_a_row_that_is_gone_and_an_error_that_is_no_number_any_more_are_told():
-    assert setbacks({KEY: claim()}, {}, ["speed"]) == ["speed: q: there is no such row any more"]
-    assert setbacks({KEY: claim()}, {}, ["another question"]) == []
+    assert find_regressions({KEY: claim()}, {}, ["speed"]) == ["speed: q: there is no such row any more"]
+    assert find_regressions({KEY: claim()}, {}, ["another question"]) == []
     assert told(claim(error=0.5), claim(error=math.nan)) == ["speed: q: error 0.5 -> - mm"]
     assert told(claim(error=0.0), claim(error=1e-9)) == ["speed: q: error 0 -> 1e-09 mm"]
     assert told(claim(error=math.nan), claim(error=math.nan)) == []
 
 
 def answered(tmp_path, name, *rows):
-    question = Question(name=name, about="", needs="", path=tmp_path / f"{name}.py")
-    return Answered(question=question, answer=Answer(title="", unit="mm", rows=rows), problem="", seconds=0.0)
+    question = Benchmark(name=name, summary="", needs="", path=tmp_path / f"{name}.py")
+    return BenchmarkRun(
+        benchmark=question, result=BenchmarkResult(title="", unit="mm", rows=rows), problem="", seconds=0.0
+    )
 
 
 def test_what_was_written_is_read_again_as_the_same_rows(tmp_path):
@@ -68,12 +80,12 @@ def test_what_was_written_is_read_again_as_the_same_rows(tmp_path):
         answered(tmp_path, "b", claim(peer_ms=3.0)),
     ]
     path = tmp_path / "bench.json"
-    path.write_text(json.dumps(as_json({}, done)))
-    before, now = read_rows(path), rows_of(done)
+    path.write_text(json.dumps(build_report({}, done)))
+    before, now = read_measurements(path), collect_measurements(done)
     assert list(before) == list(now)
-    assert [key.asked for key in before] == ["a", "a", "b"]
-    assert setbacks(before, now, ["a", "b"]) == []
-    assert setbacks(now, before, ["a", "b"]) == []
+    assert [key.benchmark for key in before] == ["a", "a", "b"]
+    assert find_regressions(before, now, ["a", "b"]) == []
+    assert find_regressions(now, before, ["a", "b"]) == []
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"questions": [], "rows": [{}]}', '{"questions": 3, "rows": []}'])
@@ -81,6 +93,6 @@ def test_another_file_is_refused_in_words(tmp_path, text):
     path = tmp_path / "other.json"
     path.write_text(text)
     with pytest.raises(FileProblem, match="no result of 'tactoscope bench --json'"):
-        read_rows(path)
+        read_measurements(path)
     with pytest.raises(FileProblem, match="cannot read the earlier run"):
-        read_rows(tmp_path / "none.json")
+        read_measurements(tmp_path / "none.json")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from benchmarks import laid_depth
+from benchmarks import panel_registration
 
 SHAPE = (68, 90)
 
@@ -26,15 +26,15 @@ def clip(lay, seed):
 
 
 def test_a_depth_shown_larger_and_aside_is_laid_on_its_touch():
-    true = laid_depth.Lay(scale_x=1.5, scale_y=1.3, shift_x_px=4.0, shift_y_px=-3.0)
+    true = panel_registration.PanelMap(scale_x=1.5, scale_y=1.3, shift_x_px=4.0, shift_y_px=-3.0)
     still = np.full((*SHAPE, 3), 100.0, np.float32)
-    found = laid_depth.fitted([laid_depth.edges(*clip(true, seed), still) for seed in (1, 2)])
+    found = panel_registration.fit_panel_map([panel_registration.edges(*clip(true, seed), still) for seed in (1, 2)])
     _, depths = clip(true, 3)
     for depth in depths:
-        (there, known), (truth, _) = found.laid(depth), true.laid(depth)
-        assert laid_depth.alike(there, truth, known) > 0.95
-        assert laid_depth.alike(depth, truth, known) < 0.8
+        (there, known), (truth, _) = found.warp(depth), true.warp(depth)
+        assert panel_registration.correlate(there, truth, known) > 0.95
+        assert panel_registration.correlate(depth, truth, known) < 0.8
 
 
 def test_what_is_level_is_like_nothing():
-    assert laid_depth.alike(np.zeros(SHAPE), np.eye(*SHAPE)) == 0.0
+    assert panel_registration.correlate(np.zeros(SHAPE), np.eye(*SHAPE)) == 0.0

@@ -17,7 +17,7 @@ from pipeline.geometry.camera import Camera
 from pipeline.geometry.meshes import Mesh
 from pipeline.recordings import open_recording
 from pipeline.recordings.hdf5_layout import BUBBLE_STEP_MM, GEL_STEP_MM
-from pipeline.recordings.hdf5_writer import Writer
+from pipeline.recordings.hdf5_writer import RecordingWriter
 from pipeline.values.frames import Pairing, Recording, TactileFrame, Truth
 
 N_FRAMES = 12
@@ -62,7 +62,7 @@ PAIR = Pairing(
 
 
 def written(path: Path, n_frames: int = N_FRAMES, **options) -> Path:
-    with Writer(path, object_mesh=MESH, pairings=(PAIR,), notes=("made by a test",), **options) as writer:
+    with RecordingWriter(path, object_mesh=MESH, pairings=(PAIR,), notes=("made by a test",), **options) as writer:
         for index in range(n_frames):
             writer.append("gelslim", gel_frame(index), gel_truth(index))
             writer.append("bubble", bubble_frame(index))
@@ -133,7 +133,7 @@ def test_row_differences_lose_nothing_and_save_room_on_smooth_pictures(tmp_path:
     image = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
     sizes = []
     for coding in ("plain", "row differences"):
-        with Writer(tmp_path / "x.h5", coding=coding) as writer:
+        with RecordingWriter(tmp_path / "x.h5", coding=coding) as writer:
             writer.append("gel", TactileFrame(sensor="gelslim", image=image, reference=None), gel_truth(0, (120, 160)))
         sizes.append((tmp_path / "x.h5").stat().st_size)
         opened = open_recording(tmp_path / "x.h5")
@@ -151,7 +151,7 @@ def test_stepped_depth_is_off_by_half_a_step_at_most(tmp_path_factory, step_mm: 
     depth = np.random.default_rng(seed).uniform(0, 65.0, (6, 7)).astype(np.float32)
     depth[2, 3] = np.nan
     path = tmp_path_factory.mktemp("s") / "s.h5"
-    with Writer(path, depth_step_mm=step_mm, coding="row differences") as writer:
+    with RecordingWriter(path, depth_step_mm=step_mm, coding="row differences") as writer:
         writer.append("bubble", TactileFrame(sensor="soft_bubble", image=depth, reference=depth))
     opened = open_recording(path)
     float_rounding_mm = 8e-6  # of float32 at 65 mm
@@ -163,7 +163,7 @@ def test_a_length_that_does_not_fit_its_steps_is_refused(tmp_path: Path):
     truth = Truth(indentation_mm=np.full((40, 60), 5.0, np.float32))
     with (
         pytest.raises(ShapeError, match=r"truth/indentation of frame 0 holds 5 mm"),
-        Writer(tmp_path / "x.h5") as writer,
+        RecordingWriter(tmp_path / "x.h5") as writer,
     ):
         writer.append("gelslim", gel_frame(0), truth)
     assert list(tmp_path.iterdir()) == []
@@ -171,7 +171,7 @@ def test_a_length_that_does_not_fit_its_steps_is_refused(tmp_path: Path):
 
 
 def test_truth_that_begins_late_is_unknown_before(tmp_path: Path):
-    with Writer(tmp_path / "x.h5") as writer:
+    with RecordingWriter(tmp_path / "x.h5") as writer:
         writer.append("g", gel_frame(0))
         writer.append("g", gel_frame(1), Truth(contact=np.ones((40, 60), bool)))
         writer.append("g", gel_frame(2), gel_truth(2))
@@ -188,7 +188,7 @@ def test_truth_that_begins_late_is_unknown_before(tmp_path: Path):
 
 def test_append_goes_on_where_the_recording_ended(tmp_path: Path):
     path = written(tmp_path / "a.h5", 3)
-    with Writer.appending(path) as writer:
+    with RecordingWriter.open_for_append(path) as writer:
         writer.append("gelslim", gel_frame(3), gel_truth(3))
     opened = open_recording(path)
     assert readable(opened, "gelslim") == [0, 1, 2, 3]
@@ -201,7 +201,7 @@ def test_append_goes_on_where_the_recording_ended(tmp_path: Path):
 def test_going_on_with_a_recording_keeps_no_reference_twice(tmp_path: Path, step_mm: float):
     path = written(tmp_path / "a.h5", 2, depth_step_mm=step_mm)
     for index in (2, 3):
-        with Writer.appending(path) as writer:
+        with RecordingWriter.open_for_append(path) as writer:
             writer.append("gelslim", gel_frame(index))
             writer.append("bubble", bubble_frame(index))
     with h5py.File(path) as file:
@@ -214,7 +214,10 @@ def test_going_on_with_a_recording_keeps_no_reference_twice(tmp_path: Path, step
 def test_an_interrupted_write_leaves_the_file_as_it_was(tmp_path: Path):
     path = written(tmp_path / "a.h5", 2)
     before = path.read_bytes()
-    with pytest.raises(ShapeError, match="frame 2 of 'gelslim' must have shape"), Writer.appending(path) as writer:
+    with (
+        pytest.raises(ShapeError, match="frame 2 of 'gelslim' must have shape"),
+        RecordingWriter.open_for_append(path) as writer,
+    ):
         writer.append("gelslim", gel_frame(2, (20, 20)))
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]
@@ -222,7 +225,7 @@ def test_an_interrupted_write_leaves_the_file_as_it_was(tmp_path: Path):
 
 def test_frames_of_one_untouched_reading_share_it_and_those_of_two_do_not(tmp_path: Path):
     path = tmp_path / "two.h5"
-    with Writer(path) as writer:
+    with RecordingWriter(path) as writer:
         for index in range(4):
             still = np.full((8, 9, 3), 100 + index // 2, np.uint8)
             writer.append("gel", TactileFrame(sensor="gelslim", image=still, reference=still, index=index))
@@ -234,7 +237,7 @@ def test_frames_of_one_untouched_reading_share_it_and_those_of_two_do_not(tmp_pa
 
 
 def test_a_recording_written_anew_is_the_same(tmp_path: Path, recording: Recording):
-    with Writer(tmp_path / "copy.h5") as writer:
+    with RecordingWriter(tmp_path / "copy.h5") as writer:
         for stream in recording.streams:
             for index in range(stream.n_frames):
                 writer.append(stream.name, stream.frame(index), stream.truth(index))
@@ -335,14 +338,14 @@ def test_what_does_not_fit_the_format_is_refused_by_name(tmp_path: Path, change,
 @pytest.mark.parametrize("truth", [{"force_n": np.zeros(4)}, {"sensor_from_object": np.eye(3)}])
 def test_truth_of_another_shape_is_not_written(tmp_path: Path, truth):
     picture = TactileFrame(sensor="digit", image=np.zeros((4, 6, 3), np.uint8), reference=None)
-    with pytest.raises(ShapeError, match="of frame 0 must have shape"), Writer(tmp_path / "a.h5") as writer:
+    with pytest.raises(ShapeError, match="of frame 0 must have shape"), RecordingWriter(tmp_path / "a.h5") as writer:
         writer.append("digit", picture, Truth(**truth))
 
 
 @pytest.mark.parametrize("truth", [{"force_n": np.arange(3.0)}, {"sensor_from_object": np.eye(4)}])
 def test_truth_of_the_right_shape_comes_back(tmp_path: Path, truth):
     picture = TactileFrame(sensor="digit", image=np.zeros((4, 6, 3), np.uint8), reference=None)
-    with Writer(tmp_path / "a.h5") as writer:
+    with RecordingWriter(tmp_path / "a.h5") as writer:
         writer.append("digit", picture, Truth(**truth))
     ((name, value),) = truth.items()
     np.testing.assert_array_equal(getattr(open_recording(tmp_path / "a.h5").stream().truth(0), name), value)

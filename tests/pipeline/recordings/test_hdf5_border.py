@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import FileProblem, TouchError
-from pipeline.inspection.recording import inspect, lines
+from pipeline.inspection.recording_report import format_report_lines, inspect_recording
 from pipeline.recordings import hdf5, open_recording
-from pipeline.recordings.hdf5_writer import Writer
+from pipeline.recordings.hdf5_writer import RecordingWriter
 
 REAL = Path(__file__).parents[3] / "sample_data" / "recordings" / "grasps_lines_120.h5"
 SECRET = b"what only the reader of the recording may see" * 100
@@ -31,7 +31,7 @@ def cut_down(path: Path) -> Path:
     """The real recording with its first two frames alone, so that a test may change it often."""
     with (
         closing(hdf5.read(REAL)) as real,
-        Writer(path, object_mesh=real.object_mesh, symmetry=real.symmetry, pairings=real.pairings, notes=real.notes,
+        RecordingWriter(path, object_mesh=real.object_mesh, symmetry=real.symmetry, pairings=real.pairings, notes=real.notes,
                coding="row differences", depth_step_mm=0.05) as writer,
     ):  # fmt: skip
         for stream in real.streams:
@@ -236,8 +236,8 @@ def test_control_marks_and_markup_of_a_recording_stay_words(tmp_path: Path, smal
         file["object"].attrs["name"] = evil
         file["streams"].move("gelslim", evil.replace("/", "|"))
 
-    report = inspect(edited(small, tmp_path, edit))
-    text = "".join(lines(report))
+    report = inspect_recording(edited(small, tmp_path, edit))
+    text = "".join(format_report_lines(report))
     assert "\\x1b[2J" in text
     assert not any(mark in text for mark in "\x1b\r\u202e\n")
 

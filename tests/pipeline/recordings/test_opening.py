@@ -13,7 +13,7 @@ import torch
 
 from pipeline.base.errors import FileProblem
 from pipeline.recordings import open_recording
-from pipeline.recordings.hdf5_writer import Writer
+from pipeline.recordings.hdf5_writer import RecordingWriter
 from pipeline.values.frames import TactileFrame
 
 NAME = os.fsdecode(b"caf\xe9\x1b[0m")  # Latin-1, and a mark of the terminal's
@@ -23,7 +23,7 @@ IMAGE = np.random.default_rng(0).integers(0, 255, (24, 32, 3), dtype=np.uint8)
 def make(kind: str, folder: Path) -> None:
     match kind:
         case "a.h5":
-            with Writer(folder / kind) as writer:
+            with RecordingWriter(folder / kind) as writer:
                 writer.append("digit", TactileFrame(sensor="digit", image=IMAGE, reference=None))
         case "a.npz":
             np.savez(folder / kind, depth_mm=np.full((2, 6, 7), 80.0))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.recordings import open_recording
-from pipeline.recordings.hdf5_writer import Writer
+from pipeline.recordings.hdf5_writer import RecordingWriter
 from pipeline.recordings.overrides import with_sensor
 from pipeline.values.frames import TactileFrame
 
@@ -17,7 +17,7 @@ def frame(sensor):
 
 def recording(tmp_path, **streams):
     path = tmp_path / "a.h5"
-    with Writer(path) as writer:
+    with RecordingWriter(path) as writer:
         for name, sensor in streams.items():
             writer.append(name, frame(sensor))
     return open_recording(path)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.inspection.recording import inspect
+from pipeline.inspection.recording_report import inspect_recording
 from pipeline.recordings import hdf5
 
 FOLDER = Path(__file__).resolve().parents[3] / "sample_data" / "recordings"
@@ -35,7 +35,7 @@ def test_all_samples_together_stay_small():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_sample_passes_every_check_and_knows_its_truth(name):
-    report = inspect(FOLDER / f"{name}.h5")
+    report = inspect_recording(FOLDER / f"{name}.h5")
     assert [check.name for check in report.checks if check.state == "fail"] == []
     assert report.has_mesh
     assert all(len(stream.truth) == 3 for stream in report.streams)

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import FileProblem
-from pipeline.inspection.recording import inspect
-from pipeline.physics.optics import colour_change, untouched
+from pipeline.inspection.recording_report import inspect_recording
+from pipeline.physics.optics import compute_colour_change, render_reference
 from pipeline.recordings import open_recording
-from pipeline.sensors.glow import untouched_light
-from pipeline.sensors.spec import sensor
-from pipeline.stages.depth.stage import DepthParams, depth
+from pipeline.sensors.reference_light import compute_reference_light
+from pipeline.sensors.spec import load_sensor
+from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 
 GREY = 3.0  # levels by which a picture that was enlarged and reduced may differ
 
@@ -33,7 +33,7 @@ def save(path: Path, rgb: np.ndarray) -> None:
     [("digit", (640, 480)), ("gelsight_mini", (480, 640)), ("gelslim", (640, 854)), ("gelslim", (128, 128))],
 )
 def test_the_right_sensor_at_another_size_is_resampled_and_said_so(tmp_path: Path, name: str, shape: tuple[int, int]):
-    own = smooth(sensor(name).camera.shape)
+    own = smooth(load_sensor(name).camera.shape)
     save(tmp_path / "press.png", cv2.resize(own, shape[::-1], interpolation=cv2.INTER_AREA))
     save(tmp_path / "ref.png", cv2.resize(own, shape[::-1], interpolation=cv2.INTER_AREA))
     recording = open_recording(tmp_path, sensor=name)
@@ -41,8 +41,12 @@ def test_the_right_sensor_at_another_size_is_resampled_and_said_so(tmp_path: Pat
     assert frame.image.shape == frame.reference.shape == own.shape
     assert np.abs(frame.image.astype(float) - own).mean() < GREY
     (note,) = [n for n in recording.notes if "resampled" in n]
-    assert f"{sensor(name).pixel_mm:.4f} mm" in note
-    assert not [c for c in inspect(tmp_path, sensor=name).checks if c.name.endswith("image size") and c.state != "pass"]
+    assert f"{load_sensor(name).pixel_mm:.4f} mm" in note
+    assert not [
+        c
+        for c in inspect_recording(tmp_path, sensor=name).checks
+        if c.name.endswith("image size") and c.state != "pass"
+    ]
 
 
 def test_a_digit_on_its_side_is_turned_as_its_driver_does(tmp_path: Path):
@@ -87,7 +91,7 @@ def test_depth_at_another_size_gets_a_camera_that_fits(tmp_path: Path, shape: tu
     frame = open_recording(folder).streams[0].frame(7)
     assert frame.camera.shape == shape
     assert frame.camera.fx_px == pytest.approx(focal_px)
-    found = depth(frame, sensor("soft_bubble"), None, DepthParams())
+    found = estimate_depth(frame, load_sensor("soft_bubble"), None, DepthParams())
     assert found.indentation_mm.shape == shape
     assert float(np.nanmedian(found.indentation_mm)) == pytest.approx(6.0, abs=0.5)
 
@@ -106,7 +110,7 @@ def test_one_sixteen_bit_picture_is_depth_with_a_unit_and_a_reference(tmp_path: 
     alone = open_recording(tmp_path / "touch.png", depth_unit="0.1mm")
     assert alone.streams[0].frame(0).reference is None
     assert any("name one of the untouched sensor" in note for note in alone.notes)
-    assert inspect(tmp_path / "touch.png", depth_unit="0.1mm").streams[0].dtype == "float32 depth in mm"
+    assert inspect_recording(tmp_path / "touch.png", depth_unit="0.1mm").streams[0].dtype == "float32 depth in mm"
 
 
 def test_a_depth_folder_knows_its_untouched_picture(tmp_path: Path):
@@ -124,12 +128,12 @@ def bump(spec) -> np.ndarray:
     r_sq = (row - spec.camera.rows / 2) ** 2 + (col - spec.camera.cols / 2) ** 2
     height = 0.5 * np.exp(-r_sq / (2 * 25.0**2))
     gy, gx = np.gradient(height, spec.pixel_mm)
-    return colour_change(spec, gx.astype(np.float32), gy.astype(np.float32))
+    return compute_colour_change(spec, gx.astype(np.float32), gy.astype(np.float32))
 
 
 @pytest.mark.parametrize("kept", ["mid-grey", "floats", "shares"])
 def test_a_difference_implies_its_reference_and_has_the_depth_of_the_touch(tmp_path: Path, kept: str):
-    spec = sensor("gelsight_mini")
+    spec = load_sensor("gelsight_mini")
     change = bump(spec)
     match kept:
         case "mid-grey":
@@ -141,18 +145,18 @@ def test_a_difference_implies_its_reference_and_has_the_depth_of_the_touch(tmp_p
             np.save(path := tmp_path / "press.npy", (change / 255.0).transpose(2, 0, 1)[None])
     recording = open_recording(path, sensor="gelsight_mini")
     assert any("differences from the untouched one" in note for note in recording.notes)
-    found = depth(recording.streams[0].frame(0), spec, None, DepthParams())
-    light = untouched_light(spec.camera, spec.optics)
+    found = estimate_depth(recording.streams[0].frame(0), spec, None, DepthParams())
+    light = compute_reference_light(spec.camera, spec.optics)
     np.savez(tmp_path / "whole.npz", frames=np.clip(np.rint(light + change), 0, 255).astype(np.uint8)[None],
              reference=np.clip(np.rint(light), 0, 255).astype(np.uint8))  # fmt: skip
-    whole = depth(open_recording(tmp_path / "whole.npz").streams[0].frame(0), spec, None, DepthParams())
+    whole = estimate_depth(open_recording(tmp_path / "whole.npz").streams[0].frame(0), spec, None, DepthParams())
     assert whole.indentation_mm.max() > 0.3
     assert found.indentation_mm.max() == pytest.approx(whole.indentation_mm.max(), rel=0.03)
 
 
 def test_an_untouched_gel_is_no_difference(tmp_path: Path):
     for name in ("digit", "gelsight_mini", "gelslim"):
-        save(tmp_path / "press.png", untouched(sensor(name)))
+        save(tmp_path / "press.png", render_reference(load_sensor(name)))
         assert open_recording(tmp_path / "press.png").streams[0].frame(0).reference is None
 
 

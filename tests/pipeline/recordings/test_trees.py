@@ -136,12 +136,12 @@ def test_pickled_objects_in_an_array_file_are_called_that(tmp_path: Path):
 
 
 def test_a_folder_of_our_own_recordings_opens(tmp_path: Path):
-    from pipeline.recordings.hdf5_writer import Writer
+    from pipeline.recordings.hdf5_writer import RecordingWriter
     from pipeline.values.frames import TactileFrame
 
     image = np.full((320, 240, 3), 90, np.uint8)
     for name in ("ball.h5", "cube.h5"):
-        with Writer(tmp_path / name) as writer:
+        with RecordingWriter(tmp_path / name) as writer:
             writer.append("digit", TactileFrame(sensor="digit", image=image, reference=None))
     recording = open_recording(tmp_path)
     assert recording.path.name == "ball.h5"

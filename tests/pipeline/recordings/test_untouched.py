@@ -6,15 +6,15 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.base.doubts import doubts
+from pipeline.base.stage_warnings import select_warnings
 from pipeline.physics import optics
-from pipeline.recordings.opening import open_recording
-from pipeline.recordings.untouched import steadied
-from pipeline.sensors.spec import sensor
+from pipeline.recordings.format_dispatch import open_recording
+from pipeline.recordings.reference_denoising import denoise_reference
+from pipeline.sensors.spec import load_sensor
 from tests.pipeline.stages.test_depth import press
 
-MINI = sensor("gelsight_mini")
-STILL = optics.untouched(MINI)
+MINI = load_sensor("gelsight_mini")
+STILL = optics.render_reference(MINI)
 
 
 def noisy(image, seed, grey=3.0):
@@ -23,7 +23,7 @@ def noisy(image, seed, grey=3.0):
 
 
 def test_the_median_of_untouched_frames_has_less_noise():
-    found, n = steadied(noisy(STILL, 0), (noisy(STILL, k) for k in range(1, 10)))
+    found, n = denoise_reference(noisy(STILL, 0), (noisy(STILL, k) for k in range(1, 10)))
     assert n == 9
     off = [np.abs(image.astype(float) - STILL).mean() for image in (found, noisy(STILL, 0))]
     assert off[0] < 0.5 * off[1]
@@ -33,13 +33,13 @@ def test_the_median_of_untouched_frames_has_less_noise():
 def test_frames_from_the_first_touch_on_stay_out(depth_mm):
     _, touch, _ = press("gelsight_mini", depth_mm=depth_mm)
     frames = [noisy(STILL, 1), noisy(STILL, 2), touch.image, noisy(STILL, 3)]
-    _, n = steadied(noisy(STILL, 0), frames)
+    _, n = denoise_reference(noisy(STILL, 0), frames)
     assert n == 2
 
 
 def test_a_single_frame_stays_as_it_is():
     first = noisy(STILL, 0)
-    found, n = steadied(first, [noisy(STILL, 1), noisy(press("gelsight_mini")[1].image, 2)])
+    found, n = denoise_reference(first, [noisy(STILL, 1), noisy(press("gelsight_mini")[1].image, 2)])
     assert n == 0
     assert found is first
 
@@ -72,7 +72,7 @@ def film(tmp_path):
 def test_a_video_that_begins_with_a_touch_takes_a_later_frame_as_untouched(film, depth_mm):
     _, touch, _ = press("gelsight_mini", depth_mm=depth_mm)
     recording = open_recording(film(*[touch.image] * 3, *[STILL] * 4, touch.image), sensor="gelsight_mini")
-    (doubt,) = doubts(recording.notes)
+    (doubt,) = select_warnings(recording.notes)
     assert "frames 3 to 6" in doubt
     assert "--reference" in doubt
     assert np.abs(recording.streams[0].frame(0).reference.astype(float) - STILL).mean() < 3.0
@@ -83,6 +83,6 @@ def test_a_video_that_begins_untouched_keeps_its_first_frames_however_the_light_
     _, touch, _ = press("gelsight_mini", depth_mm=0.5)
     dim = np.rint(0.9 * STILL).astype(np.uint8)
     recording = open_recording(film(*[STILL] * 4, *[touch.image] * 2, dim), sensor="gelsight_mini")
-    assert doubts(recording.notes) == ()
+    assert select_warnings(recording.notes) == ()
     assert any("first 4 frames" in note for note in recording.notes)
     recording.close()

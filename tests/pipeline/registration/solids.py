@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.meshes import Mesh
-from pipeline.simulation.shapes.solids import turned
+from pipeline.simulation.shapes.solids import revolve_profile
 from pipeline.values.results import DepthMap
 
 CAMERA = Camera(rows=120, cols=160, fx_px=178.0, fy_px=178.0, cx_px=79.5, cy_px=59.5)  # 0.11 mm/px on the gel
@@ -96,7 +96,7 @@ def touch_of(surface_mm: np.ndarray, contact: np.ndarray, camera: Camera = CAMER
         contact=contact,
         camera=camera,
         source_index=np.arange(contact.size, dtype=np.int32).reshape(contact.shape),
-        known=np.ones(contact.shape, bool),
+        in_view=np.ones(contact.shape, bool),
     )
 
 
@@ -145,4 +145,4 @@ def pressed(rotation_deg, x_mm: float, y_mm: float, outermost_mm: float) -> np.n
 def ball(radius_mm: float, sides: int = 128) -> Mesh:
     """A closed ball about the origin, its triangles within 0.1 % of the radius of it."""
     angle = np.linspace(0.0, np.pi, sides // 2 + 1)
-    return turned(radius_mm * np.stack([np.sin(angle), -np.cos(angle)], axis=-1), sides, "ball")
+    return revolve_profile(radius_mm * np.stack([np.sin(angle), -np.cos(angle)], axis=-1), sides, "ball")

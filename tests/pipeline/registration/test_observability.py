@@ -7,18 +7,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks import known_motions
-from benchmarks.known_patches import KINDS, drawn
+from benchmarks import observability_score
+from benchmarks.observability_patches import KINDS, draw_patch
 from pipeline.geometry import rigid
 from pipeline.registration.observability import (
     MIN_NOISE_MM,
-    Lasting,
+    SystematicError,
     Tolerances,
-    correlated,
-    lasting,
-    observability,
+    assess_observability,
+    compute_correlated_covariance,
+    estimate_systematic_error,
 )
-from pipeline.values.results import DepthError
+from pipeline.values.results import DepthErrorModel
 
 NORMAL_NOISE_DEG = 2.0  # in each of two directions: crooked gradients of a distance grid
 NOISE_MM = 0.03
@@ -26,8 +26,8 @@ N = 1200
 
 
 def patch(kind: str, seed: int, pose=None, n: int = N):
-    made = drawn(kind, np.random.default_rng(seed), n)
-    return made if pose is None else made.moved(pose)
+    made = draw_patch(kind, np.random.default_rng(seed), n)
+    return made if pose is None else made.transform(pose)
 
 
 def crooked(normals, seed: int, deg: float = NORMAL_NOISE_DEG):
@@ -44,20 +44,20 @@ def test_every_motion_nobody_can_feel_is_named_and_no_other(kind, seed, noise_mm
     felt = patch(kind, seed, pose)
     together = 0.1 * noise_mm  # of a smooth error, as of pixels that hang together over 0.15 mm
     middle = felt.points_mm.mean(axis=0)
-    told = observability(
+    told = assess_observability(
         felt.points_mm,
         crooked(felt.normals, seed),
         middle,
         noise_mm,
-        lasting=Lasting(shift_mm=together, turn_mm=together),
+        lasting=SystematicError(shift_mm=together, turn_mm=together),
     )
-    truth = known_motions.known(
+    truth = observability_score.compute_true_motions(
         patch(kind, seed, pose, 5 * N),
         1.0,
         math.hypot(max(noise_mm, MIN_NOISE_MM) / math.sqrt(N), together),
         Tolerances(),
     )
-    score = known_motions.tally(told.weak_motions, middle, truth)
+    score = observability_score.score_named_motions(told.weak_motions, middle, truth)
     assert score.n_named == score.n_weak >= len(felt.free)
     assert score.n_false == 0
     assert len(told.weak) == len(told.weak_motions)
@@ -66,28 +66,28 @@ def test_every_motion_nobody_can_feel_is_named_and_no_other(kind, seed, noise_mm
 
 def test_the_score_notices_what_is_missed_and_what_is_made_up():
     felt = patch("rod", 1)
-    truth = known_motions.known(felt, N, NOISE_MM, Tolerances())
+    truth = observability_score.compute_true_motions(felt, N, NOISE_MM, Tolerances())
     middle = felt.points_mm.mean(axis=0)
     slide, across = np.eye(6)[3:4], np.eye(6)[4:5]
-    missed = known_motions.tally(slide, middle, truth)
+    missed = observability_score.score_named_motions(slide, middle, truth)
     assert (missed.recall, missed.precision) == (0.5, 1.0)
-    made_up = known_motions.tally(across, middle, truth)
+    made_up = observability_score.score_named_motions(across, middle, truth)
     assert (made_up.recall, made_up.precision) == (0.0, 0.0)
 
 
 def test_words_tell_the_axis_and_a_point_on_it():
-    rod = patch("rod", 2).moved(rigid.translation(1.0, 2.0, 20.0))
-    told = observability(rod.points_mm, rod.normals, rod.points_mm.mean(axis=0), NOISE_MM)
+    rod = patch("rod", 2).transform(rigid.translation(1.0, 2.0, 20.0))
+    told = assess_observability(rod.points_mm, rod.normals, rod.points_mm.mean(axis=0), NOISE_MM)
     x_mm = rod.points_mm[:, 0].mean()  # the point of the axis that is nearest to the contact
     assert told.weak == ("slides along x", f"turns about x through ({x_mm:.1f}, 2.0, 20.0) mm")
-    ball = patch("sphere", 2).moved(rigid.translation(0.0, 0.0, 30.0))
-    told = observability(ball.points_mm, ball.normals, ball.points_mm.mean(axis=0), NOISE_MM)
+    ball = patch("sphere", 2).transform(rigid.translation(0.0, 0.0, 30.0))
+    told = assess_observability(ball.points_mm, ball.normals, ball.points_mm.mean(axis=0), NOISE_MM)
     assert told.weak == tuple(f"turns about {axis} through (0.0, 0.0, 30.0) mm" for axis in "xyz")
     plate = patch("plane", 2)
-    told = observability(plate.points_mm, plate.normals, plate.points_mm.mean(axis=0), NOISE_MM)
+    told = assess_observability(plate.points_mm, plate.normals, plate.points_mm.mean(axis=0), NOISE_MM)
     assert told.weak == ("slides along x", "slides along y", "turns about z")
-    skew = rod.moved(rigid.rotation([0.0, 0.0, math.radians(30.0)]))
-    told = observability(skew.points_mm, skew.normals, skew.points_mm.mean(axis=0), NOISE_MM)
+    skew = rod.transform(rigid.rotation([0.0, 0.0, math.radians(30.0)]))
+    told = assess_observability(skew.points_mm, skew.normals, skew.points_mm.mean(axis=0), NOISE_MM)
     assert told.weak[0] == "slides along (0.87, 0.50, 0.00)"
 
 
@@ -100,7 +100,7 @@ def test_a_helix_is_a_turn_with_a_slide():
     normals = -pitch_mm * around + away[:, None] * np.eye(3)[2]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     points = away[:, None] * out + pitch_mm * angle[:, None] * np.eye(3)[2]
-    told = observability(points, normals, points.mean(axis=0), 1e-3)
+    told = assess_observability(points, normals, points.mean(axis=0), 1e-3)
     assert told.weak == ("turns about z while sliding along z",)
 
 
@@ -113,17 +113,17 @@ def test_a_fine_screw_keeps_the_slide_that_goes_with_its_turn():
     normals = -pitch_mm * around + away[:, None] * np.eye(3)[2]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     points = away[:, None] * out + pitch_mm * angle[:, None] * np.eye(3)[2]
-    told = observability(points, normals, points.mean(axis=0), 1e-3)
+    told = assess_observability(points, normals, points.mean(axis=0), 1e-3)
     assert "turns about z while sliding along z" in told.weak[-1]
 
 
 @pytest.mark.parametrize("sides", [64, 96, 200])
 def test_facets_of_a_round_rod_do_not_pass_for_knowledge_of_its_roll(sides):
-    made = drawn("rod", np.random.default_rng(3), 3000)
+    made = draw_patch("rod", np.random.default_rng(3), 3000)
     step = 2 * math.pi / sides
     angle = (np.floor(np.arctan2(made.normals[:, 1], made.normals[:, 2]) / step) + 0.5) * step
     facets = np.stack([np.zeros_like(angle), np.sin(angle), np.cos(angle)], axis=1)
-    told = observability(made.points_mm, facets, made.points_mm.mean(axis=0), 0.0)
+    told = assess_observability(made.points_mm, facets, made.points_mm.mean(axis=0), 0.0)
     assert len(told.weak) == 2
     roll = np.concatenate([[1.0, 0.0, 0.0], np.cross([1.0, 0.0, 0.0], made.points_mm.mean(axis=0))])
     assert np.linalg.norm(told.observable @ roll) < 0.05 * np.linalg.norm(roll)
@@ -136,7 +136,7 @@ def test_gradients_that_are_wrong_cell_by_cell_do_not_pass_for_knowledge_either(
     off = math.radians(NORMAL_NOISE_DEG) * np.random.default_rng(1).standard_normal((cell.max() + 1, 3))
     normals = felt.normals + off[cell]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    told = observability(felt.points_mm, normals, felt.points_mm.mean(axis=0), 0.0)
+    told = assess_observability(felt.points_mm, normals, felt.points_mm.mean(axis=0), 0.0)
     assert len(told.weak) == len(felt.free)
 
 
@@ -146,13 +146,13 @@ def test_a_hexagonal_rod_knows_its_roll():
     angle = side * math.pi / 3
     normals = np.stack([np.zeros(N), np.sin(angle), np.cos(angle)], axis=1)
     points = 3.0 * (normals + across[:, None] * np.cross(normals, [1.0, 0.0, 0.0])) + along[:, None] * np.eye(3)[0]
-    told = observability(points, normals, points.mean(axis=0), NOISE_MM)
+    told = assess_observability(points, normals, points.mean(axis=0), NOISE_MM)
     assert told.weak == ("slides along x",)
 
 
 def test_no_variance_is_claimed_where_only_crooked_normals_see_something():
     rod = patch("rod", 4)
-    told = observability(rod.points_mm, crooked(rod.normals, 4), rod.points_mm.mean(axis=0), NOISE_MM)
+    told = assess_observability(rod.points_mm, crooked(rod.normals, 4), rod.points_mm.mean(axis=0), NOISE_MM)
     assert math.sqrt(told.covariance[3, 3]) > 10.0, "mm along the rod"
     known = told.observable @ told.covariance @ told.observable.T
     assert np.sqrt(np.diag(known)).max() < 0.05, "rad and mm of what is determined"
@@ -161,16 +161,16 @@ def test_no_variance_is_claimed_where_only_crooked_normals_see_something():
 def test_a_bias_widens_the_covariance_as_it_should():
     tool = patch("tool", 6)
     middle = tool.points_mm.mean(axis=0)
-    plain = observability(tool.points_mm, tool.normals, middle, NOISE_MM)
-    biased = observability(
-        tool.points_mm, tool.normals, middle, NOISE_MM, lasting=Lasting(shift_mm=0.005, turn_mm=0.005)
+    plain = assess_observability(tool.points_mm, tool.normals, middle, NOISE_MM)
+    biased = assess_observability(
+        tool.points_mm, tool.normals, middle, NOISE_MM, lasting=SystematicError(shift_mm=0.005, turn_mm=0.005)
     )
     grown = 1 + 0.005**2 * N / NOISE_MM**2
     np.testing.assert_allclose(biased.covariance, grown * plain.covariance, rtol=1e-9)
 
 
 def test_what_lasts_of_a_smooth_error_is_what_planes_through_drawn_ones_are_off():
-    rng, far_mm, error = np.random.default_rng(12), 3.0, DepthError(rms_mm=0.08, correlation_mm=4.4)
+    rng, far_mm, error = np.random.default_rng(12), 3.0, DepthErrorModel(rms_mm=0.08, correlation_mm=4.4)
     points = np.column_stack([rng.uniform(-far_mm, far_mm, (120, 2)), np.full(120, 20.0)])
     apart_sq = ((points[:, None] - points[None]) ** 2).sum(axis=-1)
     together = error.rms_mm**2 * np.exp(-0.5 * apart_sq / error.correlation_mm**2) + 1e-12 * np.eye(120)
@@ -178,7 +178,7 @@ def test_what_lasts_of_a_smooth_error_is_what_planes_through_drawn_ones_are_off(
     middle = points.mean(axis=0)
     x, y = (points - middle)[:, 0], (points - middle)[:, 1]
     shift, along_x, along_y = np.linalg.lstsq(np.column_stack([np.ones(120), x, y]), drawn_mm, rcond=None)[0]
-    told = lasting(points, np.tile([0.0, 0.0, 1.0], (120, 1)), middle, error)
+    told = estimate_systematic_error(points, np.tile([0.0, 0.0, 1.0], (120, 1)), middle, error)
     assert told.shift_mm == pytest.approx(float(np.sqrt((shift**2).mean())), rel=0.05)
     seen_mm2 = 0.5 * ((x**2).mean() + (y**2).mean())  # a turn of 1 rad moves the contact by its square root
     tilts = np.sqrt(0.5 * ((along_x**2).mean() + (along_y**2).mean()) * seen_mm2)
@@ -190,16 +190,16 @@ def test_the_answer_does_not_depend_on_the_frame():
     pose = rigid.rotation([0.3, -1.1, 0.7])
     pose[:3, 3] = (40.0, -7.0, 90.0)
     one = patch("cone", 11)
-    other = one.moved(pose)
-    a = observability(one.points_mm, one.normals, one.points_mm.mean(axis=0), NOISE_MM)
-    b = observability(other.points_mm, other.normals, other.points_mm.mean(axis=0), NOISE_MM)
+    other = one.transform(pose)
+    a = assess_observability(one.points_mm, one.normals, one.points_mm.mean(axis=0), NOISE_MM)
+    b = assess_observability(other.points_mm, other.normals, other.points_mm.mean(axis=0), NOISE_MM)
     turn = np.kron(np.eye(2), pose[:3, :3])
     np.testing.assert_allclose(turn @ a.observable @ turn.T, b.observable, atol=1e-8)
 
 
 def test_too_little_of_anything_leaves_everything_open():
     point = np.array([[1.0, 2.0, 3.0]] * 3)
-    told = observability(point, np.tile([0.0, 0.0, 1.0], (3, 1)), point.mean(axis=0), 0.05)
+    told = assess_observability(point, np.tile([0.0, 0.0, 1.0], (3, 1)), point.mean(axis=0), 0.05)
     assert np.isfinite(told.covariance).all()
     assert np.isfinite(told.weak_motions).all()
     assert len(told.weak) == 5
@@ -209,9 +209,9 @@ def test_too_little_of_anything_leaves_everything_open():
 def test_errors_that_go_together_widen_each_motion_as_draws_of_them_do(correlation_mm):
     tool = patch("tool", 5, np.eye(4), 300)
     middle = tool.points_mm.mean(axis=0)
-    error = DepthError(rms_mm=0.03, correlation_mm=correlation_mm)
-    known = observability(tool.points_mm, tool.normals, middle, 0.01).observable
-    told = correlated(tool.points_mm, tool.normals, middle, known, noise_mm=0.01, error=error)
+    error = DepthErrorModel(rms_mm=0.03, correlation_mm=correlation_mm)
+    known = assess_observability(tool.points_mm, tool.normals, middle, 0.01).observable
+    told = compute_correlated_covariance(tool.points_mm, tool.normals, middle, known, noise_mm=0.01, error=error)
     apart = np.linalg.norm(tool.points_mm[:, None] - tool.points_mm[None], axis=-1)
     drawn = error.rms_mm**2 * np.exp(-0.5 * (apart / correlation_mm) ** 2) + 0.01**2 * np.eye(300)
     jacobian = np.concatenate([np.cross(tool.points_mm - middle, tool.normals), tool.normals], axis=1)

@@ -11,7 +11,7 @@ from pipeline.base.errors import SettingProblem, ShapeError
 from pipeline.base.progress import Cancelled
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import sample_surface
-from pipeline.registration.planar import N_MODEL, SWEEP_DEG, planar_registration
+from pipeline.registration.planar import N_MODEL, SWEEP_DEG, register_planar
 from tests.pipeline.registration.solids import l_bar, rod
 
 ANGLE_DEG = 3.0  # points within a filled face find partners wherever they are; the release reports 1.4 +- 1.1
@@ -38,9 +38,9 @@ def about_z(deg: float, x_mm: float = 0.0, y_mm: float = 0.0):
 @pytest.mark.parametrize("deg", [-12.0, 4.0, 20.0])
 def test_an_l_is_found_from_nearby(deg):
     truth = about_z(deg, 0.8, -0.5)
-    fit = planar_registration(cloud_of(l_bar()), rigid.apply(truth, l_face()), HERE, N_ITERATIONS)
+    fit = register_planar(cloud_of(l_bar()), rigid.apply(truth, l_face()), HERE, N_ITERATIONS)
     off = fit.scene_from_model @ rigid.invert(truth)
-    assert rigid.angle_deg(off) < ANGLE_DEG
+    assert rigid.rotation_angle_deg(off) < ANGLE_DEG
     np.testing.assert_allclose(fit.scene_from_model[:3, 3], truth[:3, 3], atol=SHIFT_MM)
     assert fit.fitness == 1.0
 
@@ -51,7 +51,7 @@ def test_a_rod_that_was_slid_stays_slid_and_looks_perfect():
     angle, along = rng.uniform(-0.9, 0.9, 800), rng.uniform(-4.0, 4.0, 800)
     patch = np.column_stack([along, 3.0 * np.sin(angle), 3.0 * np.cos(angle)])
     slid = rigid.translation(3.0, 0, 0)
-    fit = planar_registration(cloud_of(rod(length_mm=40.0)), patch, slid, N_ITERATIONS, keep_steps=True)
+    fit = register_planar(cloud_of(rod(length_mm=40.0)), patch, slid, N_ITERATIONS, keep_steps=True)
     assert fit.scene_from_model[0, 3] > 0.9 * slid[0, 3], "it is still there"
     assert fit.steps[-1].rmse_mm < 0.15, "mm, the samples' spacing: nothing to see"
 
@@ -59,8 +59,8 @@ def test_a_rod_that_was_slid_stays_slid_and_looks_perfect():
 def test_steps_end_at_the_answer_and_do_not_change_it():
     scene = rigid.apply(about_z(10.0), l_face())
     model, placed = cloud_of(l_bar()), rigid.translation(0.2, 0.1, 5.0)
-    kept = planar_registration(model, scene, placed, N_ITERATIONS, keep_steps=True)
-    plain = planar_registration(model, scene, placed, N_ITERATIONS)
+    kept = register_planar(model, scene, placed, N_ITERATIONS, keep_steps=True)
+    plain = register_planar(model, scene, placed, N_ITERATIONS)
     assert kept.scene_from_model.tobytes() == plain.scene_from_model.tobytes()
     np.testing.assert_array_equal(kept.steps[-1].sensor_from_object, kept.scene_from_model)
     assert plain.steps == ()
@@ -75,7 +75,7 @@ def test_the_models_cloud_and_the_sweep_are_those_of_the_release():
 
 
 def test_three_points_are_no_touch():
-    fit = planar_registration(cloud_of(l_bar()), l_face()[:3], HERE, N_ITERATIONS)
+    fit = register_planar(cloud_of(l_bar()), l_face()[:3], HERE, N_ITERATIONS)
     np.testing.assert_array_equal(fit.scene_from_model, np.eye(4))
     assert "only 3 felt points" in fit.notes[0]
 
@@ -85,7 +85,7 @@ def test_three_points_are_no_touch():
 def test_an_exact_copy_is_found_exactly_from_where_it_is(deg, x, y):
     truth = about_z(deg, x, y)
     cloud = l_face(400)
-    fit = planar_registration(cloud, rigid.apply(truth, cloud), truth, N_ITERATIONS)
+    fit = register_planar(cloud, rigid.apply(truth, cloud), truth, N_ITERATIONS)
     np.testing.assert_allclose(fit.scene_from_model, truth, atol=1e-9)
     assert fit.inlier_rmse_mm < 1e-9
 
@@ -93,11 +93,11 @@ def test_an_exact_copy_is_found_exactly_from_where_it_is(deg, x, y):
 def test_wrong_clouds_and_settings_are_refused_and_nobody_waits_in_vain():
     cloud = l_face(20)
     with pytest.raises(ShapeError, match="model"):
-        planar_registration(cloud[:0], cloud, HERE, 1)
+        register_planar(cloud[:0], cloud, HERE, 1)
     with pytest.raises(ShapeError, match="scene"):
-        planar_registration(cloud, cloud * np.nan, HERE, 1)
+        register_planar(cloud, cloud * np.nan, HERE, 1)
     with pytest.raises(SettingProblem, match="iteration"):
-        planar_registration(cloud, cloud, HERE, 0)
+        register_planar(cloud, cloud, HERE, 0)
 
     class Impatient:
         def step(self, fraction, text):
@@ -105,4 +105,4 @@ def test_wrong_clouds_and_settings_are_refused_and_nobody_waits_in_vain():
                 raise Cancelled
 
     with pytest.raises(Cancelled):
-        planar_registration(cloud, cloud, HERE, N_ITERATIONS, Impatient())
+        register_planar(cloud, cloud, HERE, N_ITERATIONS, Impatient())

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 from pipeline.base.errors import CalibrationError
 from pipeline.geometry import rigid
-from pipeline.geometry.distance_grid import built
+from pipeline.geometry.distance_grid import build_grid
 from pipeline.geometry.meshes import sample_surface
-from pipeline.registration.gauss_newton import Fit, How, NotDetermined, register
-from pipeline.registration.observability import observability
+from pipeline.registration.gauss_newton import FitOptions, NotDetermined, PoseFit, register_points
+from pipeline.registration.observability import assess_observability
 from tests.pipeline.registration.solids import ball, l_bar, notched_wedge, rod, slab
 
 POSITION_TOLERANCE_MM = 0.01  # the wedge has edges, which the grid rounds within its step of 0.1 mm
@@ -24,7 +24,7 @@ def wedge():
     """The grid of the wedge, and points of its roof and of the walls of its notch."""
     points, normals = sample_surface(notched_wedge().mesh, 6000, 0)
     roof = (normals[:, 2] > -0.1) & (np.abs(points[:, 1]) < 4.5) & (points[:, 2] > 0.2)
-    grid = built(notched_wedge().mesh)
+    grid = build_grid(notched_wedge().mesh)
     roof &= grid.at(points + 0.1 * normals)[0] > 0.05  # not between its parts
     return grid, points[roof][:1500]
 
@@ -32,7 +32,7 @@ def wedge():
 def error(found, truth, points):
     middle = points.mean(axis=0)
     off = found @ rigid.invert(truth)
-    return np.linalg.norm(rigid.apply(off, middle) - middle), rigid.angle_deg(off)
+    return np.linalg.norm(rigid.apply(off, middle) - middle), rigid.rotation_angle_deg(off)
 
 
 def off_by(truth, points, turn_rad, shift_mm):
@@ -50,8 +50,8 @@ def test_any_pose_is_recovered_from_nearby(wedge, turn, place, off_turn, off_shi
     truth = rigid.rotation(3.0 * turn)
     truth[:3, 3] = 100.0 * place
     felt = rigid.apply(truth, points)
-    found = register(felt, grid, off_by(truth, felt, 0.06 * off_turn, 0.3 * off_shift))
-    assert isinstance(found, Fit)
+    found = register_points(felt, grid, off_by(truth, felt, 0.06 * off_turn, 0.3 * off_shift))
+    assert isinstance(found, PoseFit)
     assert found.fitness == 1.0
     mm, deg = error(found.sensor_from_object, truth, felt)
     assert mm < POSITION_TOLERANCE_MM
@@ -63,7 +63,7 @@ def test_a_frame_elsewhere_changes_nothing_but_rounding(wedge, far_mm):
     grid, points = wedge
     start = off_by(np.eye(4), points, np.array([0.05, 0.0, -0.04]), np.array([0.2, 0.1, 0.0]))
     moved = rigid.from_parts([far_mm, -far_mm, 0.5 * far_mm], [20.0, 50.0, -70.0])
-    here, there = register(points, grid, start), register(rigid.apply(moved, points), grid, moved @ start)
+    here, there = register_points(points, grid, start), register_points(rigid.apply(moved, points), grid, moved @ start)
     mm, deg = error(there.sensor_from_object, moved @ here.sensor_from_object, rigid.apply(moved, points))
     # The points themselves are rounded by the frame; the kinks of the lattice pass on some hundred times that.
     assert mm < ROUNDING_MM * max(1.0, 100 * far_mm / 1e6) + SETTLED_MM / 10
@@ -74,16 +74,16 @@ def test_the_order_of_the_points_changes_nothing_but_rounding(wedge):
     grid, points = wedge
     start = off_by(np.eye(4), points, np.array([0.05, 0.0, -0.04]), np.array([0.2, 0.1, 0.0]))
     mixed = points[np.random.default_rng(0).permutation(len(points))]
-    one, other = (register(p, grid, start).sensor_from_object for p in (points, mixed))
+    one, other = (register_points(p, grid, start).sensor_from_object for p in (points, mixed))
     np.testing.assert_allclose(one, other, atol=ROUNDING_MM)
-    assert one.tobytes() == register(points, grid, start).sensor_from_object.tobytes()
+    assert one.tobytes() == register_points(points, grid, start).sensor_from_object.tobytes()
 
 
 def test_many_points_begin_with_few_and_end_at_the_same_place(wedge):
     grid, points = wedge
     start = off_by(np.eye(4), points, np.array([0.05, 0.0, -0.04]), np.array([0.2, 0.1, 0.0]))
     many = np.repeat(points, 3, axis=0)
-    one, other = (register(p, grid, start).sensor_from_object for p in (points, many))
+    one, other = (register_points(p, grid, start).sensor_from_object for p in (points, many))
     np.testing.assert_allclose(one, other, atol=SETTLED_MM)
 
 
@@ -94,7 +94,7 @@ def test_outliers_and_what_is_not_finite_are_no_matter(wedge):
     spoiled[::7] += rng.uniform(0.3, 1.5, (len(spoiled[::7]), 3))
     spoiled[::50] = np.nan
     start = off_by(np.eye(4), points, np.array([0.03, 0.0, -0.02]), np.array([0.1, 0.1, 0.0]))
-    mm, deg = error(register(spoiled, grid, start).sensor_from_object, np.eye(4), points)
+    mm, deg = error(register_points(spoiled, grid, start).sensor_from_object, np.eye(4), points)
     assert mm < 2 * POSITION_TOLERANCE_MM
     assert deg < 2 * TURN_TOLERANCE_DEG
 
@@ -110,31 +110,31 @@ def patch(mesh, axis_normal, half_mm):
     ids=["rod", "plane", "sphere"],
 )  # fmt: skip
 def test_what_the_points_do_not_show_stays_where_it_was(mesh, slide_mm):
-    grid = built(mesh)
+    grid = build_grid(mesh)
     points = patch(mesh, np.array([0.0, 0.0, 1.0]), 5.0)
-    found = register(points, grid, rigid.translation(slide_mm, 0.0, 0.2))
+    found = register_points(points, grid, rigid.translation(slide_mm, 0.0, 0.2))
     assert found.sensor_from_object[0, 3] == pytest.approx(slide_mm, abs=0.02), "it did not slide"
     assert abs(found.sensor_from_object[2, 3]) < POSITION_TOLERANCE_MM, "what is shown was found"
 
 
 def test_too_little_is_told_and_never_a_number():
-    grid = built(l_bar().mesh)
+    grid = build_grid(l_bar().mesh)
     for points in (
         np.zeros((0, 3)), np.zeros((5, 3)), np.ones((50, 3)), np.full((50, 3), np.nan),
         np.random.default_rng(0).uniform(-1, 1, (50, 3)) + 1e5, np.arange(50)[:, None] * np.full(3, 1e306),
     ):  # fmt: skip
-        found = register(points, grid, np.eye(4))
+        found = register_points(points, grid, np.eye(4))
         assert isinstance(found, NotDetermined)
         assert found.why
     with pytest.raises(CalibrationError, match="start"):
-        register(np.random.default_rng(0).uniform(-1, 1, (50, 3)), grid, np.full((4, 4), np.nan))
+        register_points(np.random.default_rng(0).uniform(-1, 1, (50, 3)), grid, np.full((4, 4), np.nan))
 
 
 def test_steps_begin_at_the_start_and_end_at_the_answer(wedge):
     grid, points = wedge
     start = off_by(np.eye(4), points, np.array([0.05, 0.0, -0.04]), np.array([0.2, 0.1, 0.0]))
-    found = register(points, grid, start, How(keep_steps=True))
-    assert 3 < len(found.steps) <= How().n_iterations + 1
+    found = register_points(points, grid, start, FitOptions(keep_steps=True))
+    assert 3 < len(found.steps) <= FitOptions().n_iterations + 1
     np.testing.assert_allclose(found.steps[0].sensor_from_object, start, atol=1e-12)
     np.testing.assert_array_equal(found.steps[-1].sensor_from_object, found.sensor_from_object)
     assert found.steps[-1].rmse_mm < found.steps[0].rmse_mm
@@ -167,7 +167,7 @@ def test_the_iterations_hold_as_many_directions_as_observability_calls_weak(seed
     fake, variance = np.deg2rad(3.0) ** 2, 0.06**2 / 200
     asked = np.repeat([fake + variance / (np.deg2rad(1.0) * radius_mm) ** 2, fake + variance / 0.2**2], 3)
     n_held, step = held_by_the_kernel(rows.T @ rows / 200, asked)
-    assert n_held == len(observability(arms, normals, np.zeros(3), 0.06).weak)
+    assert n_held == len(assess_observability(arms, normals, np.zeros(3), 0.06).weak)
     np.testing.assert_allclose(step @ step, step, atol=1e-6)
     assert round(float(np.trace(step))) == 6 - n_held
 

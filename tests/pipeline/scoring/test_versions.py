@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from pipeline.base.progress import Cancelled
-from pipeline.networks import shelf
-from pipeline.scoring.versions import Kept, able, versions
+from pipeline.evaluation.method_results import MethodCache, evaluate_methods, list_available_methods
+from pipeline.networks import weights_registry
 from pipeline.translation.translate import Request, open_translation
 
 SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
@@ -21,7 +21,7 @@ FRAME = 5
 @pytest.fixture
 def without_shipped(tmp_path, monkeypatch):
     """No weights come along, so that no torch is loaded."""
-    monkeypatch.setattr(shelf, "FOLDER", tmp_path)
+    monkeypatch.setattr(weights_registry, "FOLDER", tmp_path)
 
 
 @pytest.fixture
@@ -31,14 +31,14 @@ def opened():
 
 
 def test_those_without_weights_are_named_and_not_tried(opened, without_shipped):
-    found = able(opened)
-    assert [method.name for method, _ in found.ways] == ["physics"]
-    assert len(found.absent) == len(opened.catalogue.slot("touch").methods) - 1
-    assert all("come along" in why for why in found.absent)
+    found = list_available_methods(opened)
+    assert [method.name for method, _ in found.translations] == ["physics"]
+    assert len(found.excluded) == len(opened.catalogue.slot("touch").methods) - 1
+    assert all("come along" in why for why in found.excluded)
 
 
 def test_a_touch_is_judged_in_contact_and_over_all_by_what_was_recorded(opened, without_shipped):
-    (version,) = versions(opened, FRAME, {}, Kept())
+    (version,) = evaluate_methods(opened, FRAME, {}, MethodCache())
     truth = opened.facts(FRAME).target
     off = abs(version.touch.membrane.indentation_mm.astype(float) - truth.indentation_mm)
     assert version.contact_error_mm == pytest.approx(off[truth.contact].mean(), rel=0.05)
@@ -49,12 +49,12 @@ def test_a_touch_is_judged_in_contact_and_over_all_by_what_was_recorded(opened, 
 
 
 def test_what_was_worked_out_is_shared_and_its_time_is_not_forgotten(opened, without_shipped):
-    kept = Kept()
-    (first,) = versions(opened, FRAME, {}, kept)
-    (again,) = versions(opened, FRAME, {}, kept)
+    kept = MethodCache()
+    (first,) = evaluate_methods(opened, FRAME, {}, kept)
+    (again,) = evaluate_methods(opened, FRAME, {}, kept)
     assert again.touch is first.touch
     assert again.ms == pytest.approx(first.ms)
-    (other,) = versions(opened, FRAME, {"touch/physics": replace(_physics(opened), contact_gap_mm=1.0)}, kept)
+    (other,) = evaluate_methods(opened, FRAME, {"touch/physics": replace(_physics(opened), contact_gap_mm=1.0)}, kept)
     assert other.touch is not first.touch
     assert other.ms > 0.5 * first.ms  # as if the slots before it had been worked out too
 
@@ -65,12 +65,12 @@ def test_it_stops_when_nobody_wants_it(opened):
             raise Cancelled
 
     with pytest.raises(Cancelled):
-        list(versions(opened, FRAME, {}, Kept(), Stopped()))
+        list(evaluate_methods(opened, FRAME, {}, MethodCache(), Stopped()))
 
 
 def test_a_recording_of_one_sensor_knows_no_error(opened, without_shipped):
     alone = replace(opened, recording=replace(opened.recording, streams=(opened.stream,)))
-    (version,) = versions(alone, FRAME, {}, Kept())
+    (version,) = evaluate_methods(alone, FRAME, {}, MethodCache())
     assert version.touch is not None
     assert all(math.isnan(v) for v in (version.error_mm, version.contact_error_mm, version.psnr_db, version.ssim))
 

@@ -6,27 +6,29 @@ import numpy as np
 import pytest
 
 from pipeline.geometry import rigid
-from pipeline.sensors.alignment import between
-from pipeline.sensors.spec import names, sensor
+from pipeline.sensors.alignment import resolve_alignment
+from pipeline.sensors.spec import list_sensor_names, load_sensor
 
 
-@pytest.mark.parametrize(("source", "target"), list(product(names(), repeat=2)))
+@pytest.mark.parametrize(("source", "target"), list(product(list_sensor_names(), repeat=2)))
 def test_there_and_back_is_nothing(source, target):
-    there = between(sensor(source), sensor(target)).target_from_source
-    back = between(sensor(target), sensor(source)).target_from_source
+    there = resolve_alignment(load_sensor(source), load_sensor(target)).target_from_source
+    back = resolve_alignment(load_sensor(target), load_sensor(source)).target_from_source
     np.testing.assert_allclose(back @ there, np.eye(4), atol=1e-12)
 
 
-@pytest.mark.parametrize("name", names())
+@pytest.mark.parametrize("name", list_sensor_names())
 def test_a_sensor_is_aligned_with_itself(name):
-    np.testing.assert_allclose(between(sensor(name), sensor(name)).target_from_source, np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(
+        resolve_alignment(load_sensor(name), load_sensor(name)).target_from_source, np.eye(4), atol=1e-12
+    )
 
 
 def test_the_way_goes_through_the_alignment_frame():
-    gel, bubble = sensor("gelslim"), sensor("soft_bubble")
+    gel, bubble = load_sensor("gelslim"), load_sensor("soft_bubble")
     middle_of_gel = [0.0, 0.0, gel.rest_depth_mm.mean()]
     in_alignment = rigid.apply(gel.alignment_from_sensor, middle_of_gel)
     expected = rigid.apply(rigid.invert(bubble.alignment_from_sensor), in_alignment)
     np.testing.assert_allclose(
-        rigid.apply(between(gel, bubble).target_from_source, middle_of_gel), expected, atol=1e-12
+        rigid.apply(resolve_alignment(gel, bubble).target_from_source, middle_of_gel), expected, atol=1e-12
     )

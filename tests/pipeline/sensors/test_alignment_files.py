@@ -8,16 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.base.errors import FileProblem
-from pipeline.base.text import plain
+from pipeline.base.text import escape_text
 from pipeline.geometry import rigid
-from pipeline.sensors.alignment import Alignment, between
-from pipeline.sensors.alignment_files import AlignmentFile, load, save, text_of
-from pipeline.sensors.spec import sensor
+from pipeline.sensors.alignment import Alignment, resolve_alignment
+from pipeline.sensors.alignment_files import AlignmentFile, format_alignment, load_alignment, save_alignment
+from pipeline.sensors.spec import load_sensor
 
 ROUNDING = 1e-11  # mm and entries of a rotation: twelve decimals of degrees and millimetres are kept
-GOOD = text_of(
+GOOD = format_alignment(
     AlignmentFile(
-        alignment=between(sensor("gelslim"), sensor("soft_bubble")),
+        alignment=resolve_alignment(load_sensor("gelslim"), load_sensor("soft_bubble")),
         source="gelslim",
         target="soft_bubble",
         origin="the descriptions",
@@ -36,8 +36,8 @@ def written(folder, text):
 def test_what_is_saved_is_loaded_again(tmp_path_factory, a, b, c, d):
     path = tmp_path_factory.mktemp("kept") / "new folder" / "pair.toml"
     kept = Alignment(alignment_from_source=rigid.from_parts(a, b), target_from_alignment=rigid.from_parts(c, d))
-    save(path, AlignmentFile(alignment=kept, source="gelslim", target="digit", origin='by "eye"'))
-    back = load(path, source="gelslim", target="digit")
+    save_alignment(path, AlignmentFile(alignment=kept, source="gelslim", target="digit", origin='by "eye"'))
+    back = load_alignment(path, source="gelslim", target="digit")
     assert back.origin == 'by "eye"'
     np.testing.assert_allclose(back.alignment.alignment_from_source, kept.alignment_from_source, atol=ROUNDING)
     np.testing.assert_allclose(back.alignment.target_from_alignment, kept.target_from_alignment, atol=ROUNDING)
@@ -61,29 +61,32 @@ def test_a_wrong_file_gets_one_sentence_that_names_the_key(tmp_path, old, new, t
     assert old in GOOD
     path = written(tmp_path, GOOD.replace(old, new, 1))
     with pytest.raises(FileProblem) as caught:
-        load(path, source="gelslim", target="soft_bubble")
+        load_alignment(path, source="gelslim", target="soft_bubble")
     assert told in str(caught.value)
     assert str(caught.value).endswith(f"'{path}'")
 
 
 def test_a_file_of_the_other_direction_says_so(tmp_path):
     with pytest.raises(FileProblem, match="the other way round; swap source and target"):
-        load(written(tmp_path, GOOD), source="soft_bubble", target="gelslim")
+        load_alignment(written(tmp_path, GOOD), source="soft_bubble", target="gelslim")
 
 
 def test_a_file_that_is_missing_or_no_text_is_refused(tmp_path):
     with pytest.raises(FileProblem, match="cannot read the alignment"):
-        load(tmp_path / "nothing.toml", source="gelslim", target="digit")
+        load_alignment(tmp_path / "nothing.toml", source="gelslim", target="digit")
     binary = tmp_path / "binary.toml"
     binary.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(FileProblem, match="not valid TOML"):
-        load(binary, source="gelslim", target="digit")
+        load_alignment(binary, source="gelslim", target="digit")
 
 
 def test_where_nothing_can_be_written_the_error_says_so(tmp_path):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(FileProblem, match="cannot write the alignment"):
-        save(tmp_path / "file" / "pair.toml", load(written(tmp_path, GOOD), source="gelslim", target="soft_bubble"))
+        save_alignment(
+            tmp_path / "file" / "pair.toml",
+            load_alignment(written(tmp_path, GOOD), source="gelslim", target="soft_bubble"),
+        )
 
 
 @pytest.mark.parametrize(("key", "value"), [("translation_mm", "1e6"), ("translation_mm", "1e300"), ("translation_mm", "nan"),
@@ -91,13 +94,13 @@ def test_where_nothing_can_be_written_the_error_says_so(tmp_path):
 def test_an_alignment_of_a_kilometre_or_of_many_turns_is_refused(tmp_path, key, value):
     lines = [f"{key} = [0.0, {value}, 0.0]" if line.startswith(key) else line for line in GOOD.splitlines()]
     with pytest.raises(FileProblem, match=f"{key} must be") as caught:
-        load(written(tmp_path, "\n".join(lines)), source="gelslim", target="soft_bubble")
+        load_alignment(written(tmp_path, "\n".join(lines)), source="gelslim", target="soft_bubble")
     assert "[0.0" in str(caught.value)
 
 
 @pytest.mark.parametrize("origin", ["a\x1b[31m", "b\x7f", "c\udcff.h5", "d\n[x]", 'e"\\', "\U0001f600"])
 def test_whatever_an_origin_is_called_the_file_can_be_read_again(tmp_path, origin):
-    kept = replace(load(written(tmp_path, GOOD), source="gelslim", target="soft_bubble"), origin=origin)
-    save(tmp_path / "again.toml", kept)
-    again = load(tmp_path / "again.toml", source="gelslim", target="soft_bubble")
-    assert again.origin == plain(origin)
+    kept = replace(load_alignment(written(tmp_path, GOOD), source="gelslim", target="soft_bubble"), origin=origin)
+    save_alignment(tmp_path / "again.toml", kept)
+    again = load_alignment(tmp_path / "again.toml", source="gelslim", target="soft_bubble")
+    assert again.origin == escape_text(origin)

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import CalibrationError, FileProblem, SettingProblem
-from pipeline.engine.digests import digest, is_frozen
+from pipeline.engine.digests import compute_digest, is_frozen
 from pipeline.sensors import spec
 from pipeline.sensors.parts import DepthCamera
-from pipeline.sensors.spec import names, sensor
+from pipeline.sensors.spec import list_sensor_names, load_sensor
 
 FOLDER = Path(spec.__file__).parent
 
@@ -21,9 +21,9 @@ def own(tmp_path, text, name="mine.toml"):
     return str(path)
 
 
-@pytest.mark.parametrize("name", names())
+@pytest.mark.parametrize("name", list_sensor_names())
 def test_every_sensor_of_the_project_is_sound(name):
-    s = sensor(name)
+    s = load_sensor(name)
     assert s.rest_depth_mm.shape == s.camera.shape
     assert np.isfinite(s.rest_depth_mm).all()
     assert not s.rest_depth_mm.flags.writeable
@@ -33,15 +33,15 @@ def test_every_sensor_of_the_project_is_sound(name):
 
 
 def test_the_scale_of_the_paper_is_kept():
-    assert 1 / sensor("gelslim").pixel_mm == pytest.approx(23.72, rel=1e-3)
-    bubble = sensor("soft_bubble")
+    assert 1 / load_sensor("gelslim").pixel_mm == pytest.approx(23.72, rel=1e-3)
+    bubble = load_sensor("soft_bubble")
     assert bubble.camera.fx_px / bubble.rest_depth_mm.max() == pytest.approx(2.36, rel=0.02)
     assert bubble.camera.shape == (140, 175)
-    assert sensor("gelslim").camera.shape == (320, 427)
+    assert load_sensor("gelslim").camera.shape == (320, 427)
 
 
 def test_a_variant_differs_from_its_parent_only_where_it_says():
-    dotted, dotless = sensor("gelslim"), sensor("gelslim_dotless")
+    dotted, dotless = load_sensor("gelslim"), load_sensor("gelslim_dotless")
     assert dotted.markers is not None
     assert dotless.markers is None
     assert dotless.camera == dotted.camera
@@ -50,24 +50,24 @@ def test_a_variant_differs_from_its_parent_only_where_it_says():
 
 def test_an_own_sensor_may_extend_one_of_the_project(tmp_path):
     text = 'extends = "digit"\ntitle = "my digit"\n[rest]\ndepth = { value = 30.0, unit = "mm", from = "measured" }\n'
-    s = sensor(own(tmp_path, text))
+    s = load_sensor(own(tmp_path, text))
     assert s.title == "my digit"
     assert s.rest_depth_mm.mean() == pytest.approx(30.0)
-    assert "rest.depth" not in s.assumed
-    assert s.camera == sensor("digit").camera
+    assert "rest.depth" not in s.assumed_keys
+    assert s.camera == load_sensor("digit").camera
 
 
 def test_a_description_that_was_edited_is_read_again(tmp_path):
     depth = '[rest]\ndepth = {{ value = {}, unit = "mm", from = "measured" }}\n'
     parent = own(tmp_path, 'extends = "digit"\n' + depth.format("30.0"), name="parent.toml")
     child = own(tmp_path, 'extends = "parent"\ntitle = "mine"\n')
-    first = sensor(child)
-    assert sensor(child) is first
-    assert sensor(parent).rest_depth_mm.mean() == pytest.approx(30.0)
+    first = load_sensor(child)
+    assert load_sensor(child) is first
+    assert load_sensor(parent).rest_depth_mm.mean() == pytest.approx(30.0)
     own(tmp_path, 'extends = "digit"\n' + depth.format("31.0"), name="parent.toml")
-    assert sensor(child).rest_depth_mm.mean() == pytest.approx(31.0)
+    assert load_sensor(child).rest_depth_mm.mean() == pytest.approx(31.0)
     own(tmp_path, 'extends = "parent"\ntitle = "yours"\n')
-    assert sensor(child).title == "yours"
+    assert load_sensor(child).title == "yours"
 
 
 def test_a_rest_surface_whose_mesh_was_edited_is_read_again(tmp_path):
@@ -75,34 +75,36 @@ def test_a_rest_surface_whose_mesh_was_edited_is_read_again(tmp_path):
     corners = "".join(f"v {x} {y} {{z}}\n" for x, y in ((-20, -20), (20, -20), (20, 20), (-20, 20)))
     for z in (25, 26):
         own(tmp_path, corners.format(z=z) + "f 1 2 3\nf 1 3 4\n", name="rest.obj")
-        assert sensor(own(tmp_path, text)).rest_depth_mm.mean() == pytest.approx(z)
+        assert load_sensor(own(tmp_path, text)).rest_depth_mm.mean() == pytest.approx(z)
 
 
-@pytest.mark.parametrize("name", names())
+@pytest.mark.parametrize("name", list_sensor_names())
 def test_nobody_can_change_a_sensor_that_others_hold(name):
-    assert is_frozen(sensor(name))
-    assert is_frozen(sensor(name).seen_through(sensor(name).camera.scaled(0.5)))
+    assert is_frozen(load_sensor(name))
+    assert is_frozen(load_sensor(name).with_camera(load_sensor(name).camera.scale(0.5)))
 
 
 def test_a_sensor_seen_through_another_camera_keeps_all_but_its_picture():
-    source = sensor("soft_bubble")
-    small = source.seen_through(source.camera.scaled(0.25))
-    assert source.seen_through(source.camera) is source
+    source = load_sensor("soft_bubble")
+    small = source.with_camera(source.camera.scale(0.25))
+    assert source.with_camera(source.camera) is source
     assert small.rest_depth_mm.shape == small.camera.shape
-    assert digest(replace(small, camera=source.camera, rest_depth_mm=source.rest_depth_mm)) == digest(source)
-    quiet = replace(source, limits=replace(source.limits, no_touch=9.0))
-    assert quiet.seen_through(small.camera).limits == quiet.limits
+    assert compute_digest(replace(small, camera=source.camera, rest_depth_mm=source.rest_depth_mm)) == compute_digest(
+        source
+    )
+    quiet = replace(source, limits=replace(source.limits, no_contact_change=9.0))
+    assert quiet.with_camera(small.camera).limits == quiet.limits
 
 
 @pytest.mark.parametrize("text", ["without = 3", "[kind]\nvalue = 1"])
 def test_sections_of_the_wrong_kind_are_refused_in_words(tmp_path, text):
     with pytest.raises((CalibrationError, FileProblem), match="must be"):
-        sensor(own(tmp_path, f'extends = "digit"\n{text}\n'))
+        load_sensor(own(tmp_path, f'extends = "digit"\n{text}\n'))
 
 
 def test_an_unknown_sensor_names_the_known_ones():
     with pytest.raises(SettingProblem, match=r"unknown sensor 'gelslimm'.*gelslim"):
-        sensor("gelslimm")
+        load_sensor("gelslimm")
 
 
 @pytest.mark.parametrize(
@@ -123,7 +125,7 @@ def test_a_damaged_description_says_what_is_wrong(tmp_path, find, replacement, w
     text = (FOLDER / "gelsight_mini.toml").read_text(encoding="utf-8")
     assert find in text
     with pytest.raises(CalibrationError, match=words):
-        sensor(own(tmp_path, text.replace(find, replacement)))
+        load_sensor(own(tmp_path, text.replace(find, replacement)))
 
 
 def entry(key, value, unit):
@@ -149,48 +151,48 @@ def entry(key, value, unit):
 )
 def test_what_no_sensor_can_be_is_refused_with_its_range(tmp_path, section, line, words):
     with pytest.raises(CalibrationError, match=words):
-        sensor(own(tmp_path, f'extends = "soft_bubble"\n[{section}]\n{line}'))
+        load_sensor(own(tmp_path, f'extends = "soft_bubble"\n[{section}]\n{line}'))
 
 
 def test_a_description_nested_beyond_all_use_is_refused(tmp_path):
     with pytest.raises(FileProblem, match="not valid TOML"):
-        sensor(own(tmp_path, f"extends = {'[' * 20_000}"))
+        load_sensor(own(tmp_path, f"extends = {'[' * 20_000}"))
 
 
 def test_a_missing_or_garbled_file_is_named(tmp_path):
     with pytest.raises(FileProblem, match="nowhere"):
-        sensor(str(tmp_path / "nowhere.toml"))
+        load_sensor(str(tmp_path / "nowhere.toml"))
     with pytest.raises(FileProblem, match="not valid TOML"):
-        sensor(own(tmp_path, "rows = = 3"))
+        load_sensor(own(tmp_path, "rows = = 3"))
     with pytest.raises(FileProblem, match="extends"):
-        sensor(own(tmp_path, "extends = 3", name="third.toml"))
+        load_sensor(own(tmp_path, "extends = 3", name="third.toml"))
 
 
 def test_a_description_that_extends_itself_is_refused(tmp_path):
     with pytest.raises(FileProblem, match="extends"):
-        sensor(own(tmp_path, 'extends = "loop"', name="loop.toml"))
+        load_sensor(own(tmp_path, 'extends = "loop"', name="loop.toml"))
 
 
 def test_a_value_of_the_wrong_type_is_refused_in_words(tmp_path):
     text = (FOLDER / "gelsight_mini.toml").read_text(encoding="utf-8")
     with pytest.raises(CalibrationError, match="number"):
-        sensor(own(tmp_path, text.replace("value = 240", 'value = "many"')))
+        load_sensor(own(tmp_path, text.replace("value = 240", 'value = "many"')))
 
 
 def test_a_list_where_one_number_belongs_is_refused(tmp_path):
     text = (FOLDER / "gelsight_mini.toml").read_text(encoding="utf-8")
     with pytest.raises(CalibrationError, match="number"):
-        sensor(own(tmp_path, text.replace("value = 240", "value = [240, 1]")))
+        load_sensor(own(tmp_path, text.replace("value = 240", "value = [240, 1]")))
 
 
 def test_a_bubble_says_how_its_camera_errs_and_may_watch_with_another(tmp_path):
-    flight, stereo = sensor("soft_bubble"), sensor("soft_bubble_stereo")
+    flight, stereo = load_sensor("soft_bubble"), load_sensor("soft_bubble_stereo")
     assert flight.depth_camera == DepthCamera()  # what a description without the section gets
     assert (stereo.depth_camera.gap_share, stereo.depth_camera.step_mm) == (0.01, 0.1)
     assert stereo.depth_camera.distance_power == flight.depth_camera.distance_power
     assert stereo.bubble == flight.bubble
-    assert sensor("gelslim").depth_camera is None
+    assert load_sensor("gelslim").depth_camera is None
     some = '[depth_camera]\ngap_share = { value = 0.2, unit = "1", from = "counted" }\n'
-    assert sensor(own(tmp_path, f'extends = "soft_bubble"\n{some}')).depth_camera.gap_share == 0.2
+    assert load_sensor(own(tmp_path, f'extends = "soft_bubble"\n{some}')).depth_camera.gap_share == 0.2
     with pytest.raises(CalibrationError, match=r"depth_camera\.gap_share.*0 and 1"):
-        sensor(own(tmp_path, f'extends = "soft_bubble"\n{some.replace("0.2", "1.2")}', "other.toml"))
+        load_sensor(own(tmp_path, f'extends = "soft_bubble"\n{some.replace("0.2", "1.2")}', "other.toml"))

@@ -15,10 +15,10 @@ from pipeline.base.progress import Cancelled
 from pipeline.geometry import rigid
 from pipeline.recordings import hdf5
 from pipeline.simulation import datasets, recorder, shapes
-from pipeline.simulation.datasets import Plan
+from pipeline.simulation.datasets import SimulationPlan
 
-TOOL = shapes.names("training")[0]
-PLAN = Plan(sensors=("digit", "soft_bubble"), tool=TOOL, poses=3, seed=4)
+TOOL = shapes.list_shapes("training")[0]
+PLAN = SimulationPlan(sensors=("digit", "soft_bubble"), object_source=TOOL, n_poses=3, seed=4)
 FRICTION_ROUNDING = 1.001  # float32 tractions, summed
 POSE_TOLERANCE_MM = 1e-9  # rounding of a few 4x4 products in float64
 
@@ -56,7 +56,7 @@ def prints(path):
 
 
 def images(plan, index):
-    return {frame.sensor: frame.image.tobytes() for frame, _ in datasets.moment(plan, index).readings}
+    return {frame.sensor: frame.image.tobytes() for frame, _ in datasets.simulate_moment(plan, index).frames}
 
 
 def test_the_same_seed_gives_the_same_readings_and_another_seed_others():
@@ -71,30 +71,32 @@ def test_a_reading_does_not_depend_on_the_sensors_beside_it():
 
 
 def test_the_transform_of_a_pair_is_exactly_that_of_the_true_poses():
-    (_, source), (_, target) = datasets.moment(PLAN, 0).readings
-    pair = next(p for p in datasets.pairings(PLAN) if (p.source, p.target) == ("digit", "soft_bubble"))
+    (_, source), (_, target) = datasets.simulate_moment(PLAN, 0).frames
+    pair = next(p for p in datasets.compute_pairings(PLAN) if (p.source, p.target) == ("digit", "soft_bubble"))
     expected = target.sensor_from_object @ rigid.invert(source.sensor_from_object)
     assert np.abs(pair.target_from_source - expected).max() < POSE_TOLERANCE_MM
 
 
 def test_without_noise_only_the_touch_differs_from_the_reference():
     plan = replace(PLAN, noise=False, sensors=("soft_bubble",), poses=1)
-    ((frame, truth),) = datasets.moment(plan, 0).readings
+    ((frame, truth),) = datasets.simulate_moment(plan, 0).frames
     assert truth.contact.any()
     assert np.allclose(frame.reference - frame.image, truth.indentation_mm, atol=1e-4)  # float32 at 80 mm
 
 
 def test_varied_specimens_change_the_untouched_sensor_and_keep_the_true_poses():
     plan = replace(PLAN, vary=1.0)
-    (plain, truth), (varied, varied_truth) = (datasets.moment(p, 0).readings[0] for p in (PLAN, plan))
+    (plain, truth), (varied, varied_truth) = (datasets.simulate_moment(p, 0).frames[0] for p in (PLAN, plan))
     assert not np.array_equal(plain.reference, varied.reference)
     assert np.array_equal(truth.sensor_from_object, varied_truth.sensor_from_object)
-    assert datasets.reference(plan, "digit", 0) is datasets.reference(plan, "digit", datasets.SPECIMEN_FRAMES - 1)
+    assert datasets.simulate_reference(plan, "digit", 0) is datasets.simulate_reference(
+        plan, "digit", datasets.FRAMES_PER_INSTANCE - 1
+    )
 
 
 def test_a_drag_shears_gels_alone_and_the_truth_says_with_what_force():
     plan = replace(PLAN, sensors=("digit", "gelslim", "soft_bubble"), poses=1, noise=False)
-    still, dragged = (datasets.moment(p, 0).readings for p in (plan, replace(plan, drag_mm=0.3)))
+    still, dragged = (datasets.simulate_moment(p, 0).frames for p in (plan, replace(plan, drag_mm=0.3)))
     for (frame, truth), (dragged_frame, dragged_truth) in zip(still, dragged, strict=True):
         gel = frame.sensor != "soft_bubble"
         along, pressed = np.hypot(*dragged_truth.force_n[:2]), -dragged_truth.force_n[2]
@@ -105,22 +107,24 @@ def test_a_drag_shears_gels_alone_and_the_truth_says_with_what_force():
         assert np.array_equal(frame.image, dragged_frame.image) == (frame.sensor != "gelslim")  # it alone has markers
     ways = [t.force_n[:2] / np.hypot(*t.force_n[:2]) for _, t in dragged[:2]]
     assert ways[0] @ ways[1] > 0.99  # both gels have the axes of the alignment frame
-    assert "dragged by 0.3 mm" in datasets.told(replace(plan, drag_mm=0.3))
+    assert "dragged by 0.3 mm" in datasets.describe_plan(replace(plan, drag_mm=0.3))
 
 
 def test_a_recording_keeps_the_force(tmp_path):
     plan = replace(PLAN, sensors=("gelslim",), poses=1, drag_mm=0.3)
-    recorder.record(plan, tmp_path / "dragged.h5")
+    recorder.record_plan(plan, tmp_path / "dragged.h5")
     recording = hdf5.read(tmp_path / "dragged.h5")
     try:
-        assert np.array_equal(recording.streams[0].truth(0).force_n, datasets.moment(plan, 0).readings[0][1].force_n)
+        assert np.array_equal(
+            recording.streams[0].truth(0).force_n, datasets.simulate_moment(plan, 0).frames[0][1].force_n
+        )
     finally:
         recording.close()
 
 
 def test_a_group_stands_for_its_objects_each_once():
-    made = datasets.plans(("training", TOOL), PLAN)
-    assert tuple(p.tool for p in made) == shapes.names("training")
+    made = datasets.make_plans(("training", TOOL), PLAN)
+    assert tuple(p.object_source for p in made) == shapes.list_shapes("training")
 
 
 @pytest.mark.parametrize(
@@ -139,27 +143,27 @@ def test_a_group_stands_for_its_objects_each_once():
 )
 def test_what_cannot_be_simulated_is_said_in_one_sentence(change, tools, told):
     with pytest.raises(TouchError, match=told) as caught:
-        datasets.plans(tools, replace(PLAN, **change))
+        datasets.make_plans(tools, replace(PLAN, **change))
     assert "\n" not in str(caught.value)
 
 
 def test_interrupted_work_goes_on_to_the_same_arrays(tmp_path):
     whole, parts = tmp_path / "whole.h5", tmp_path / "parts.h5"
-    assert recorder.record(PLAN, whole).n_moments == 3
+    assert recorder.record_plan(PLAN, whole).n_moments == 3
     with pytest.raises(Cancelled):
-        recorder.record(PLAN, parts, progress=StopsAfter(2))
-    assert recorder.finished(PLAN, parts) == 2
-    assert recorder.record(PLAN, parts).n_moments == 1
-    assert recorder.record(PLAN, parts).n_moments == 0
+        recorder.record_plan(PLAN, parts, progress=StopsAfter(2))
+    assert recorder.count_finished_moments(PLAN, parts) == 2
+    assert recorder.record_plan(PLAN, parts).n_moments == 1
+    assert recorder.record_plan(PLAN, parts).n_moments == 0
     assert prints(whole) == prints(parts)
 
 
 def test_two_processes_write_what_one_writes(tmp_path):
     one, two = tmp_path / "one.h5", tmp_path / "two.h5"
     plan = replace(PLAN, sensors=("digit",))
-    recorder.record(plan, one)
-    with recorder.workers(2) as pool:
-        recorder.record(plan, two, pool=pool)
+    recorder.record_plan(plan, one)
+    with recorder.make_worker_pool(2) as pool:
+        recorder.record_plan(plan, two, pool=pool)
     assert prints(one) == prints(two)
 
 
@@ -169,13 +173,13 @@ def test_what_is_finished_is_in_place_before_the_rest_is(tmp_path, monkeypatch):
 
     class Looks:
         def step(self, fraction, text):
-            seen.append(recorder.finished(PLAN, path))
+            seen.append(recorder.count_finished_moments(PLAN, path))
 
-    recorder.record(PLAN, path, progress=Looks())
+    recorder.record_plan(PLAN, path, progress=Looks())
     assert seen == [0, 1, 2]
     whole = tmp_path / "whole.h5"
     monkeypatch.undo()
-    recorder.record(PLAN, whole)
+    recorder.record_plan(PLAN, whole)
     assert prints(whole) == prints(path)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.h5", "whole.h5"]
 
@@ -183,7 +187,7 @@ def test_what_is_finished_is_in_place_before_the_rest_is(tmp_path, monkeypatch):
 @pytest.mark.parametrize("damage", ["cut", "flipped", "one sensor short", "truth/known", "object"])
 def test_a_damaged_recording_is_mended_by_the_next_run(tmp_path, damage):
     whole, path = tmp_path / "whole.h5", tmp_path / "damaged.h5"
-    recorder.record(PLAN, whole)
+    recorder.record_plan(PLAN, whole)
     data = bytearray(whole.read_bytes())
     with h5py.File(whole, "r") as file:
         chunk = file["streams/digit/frames"].id.get_chunk_info(1)
@@ -205,8 +209,8 @@ def test_a_damaged_recording_is_mended_by_the_next_run(tmp_path, damage):
                     if table.name.split("/")[-1] != "references":
                         table.resize(1, axis=0)
     left = {"truth/known": 0, "object": 3}.get(damage, 1)
-    assert recorder.finished(PLAN, path) == left
-    assert recorder.record(PLAN, path).n_moments == 3 - left
+    assert recorder.count_finished_moments(PLAN, path) == left
+    assert recorder.record_plan(PLAN, path).n_moments == 3 - left
     assert prints(path) == prints(whole)
     with closing(hdf5.read(path)) as mended, closing(hdf5.read(whole)) as wanted:
         assert np.array_equal(mended.object_mesh.vertices_mm, wanted.object_mesh.vertices_mm)
@@ -215,17 +219,17 @@ def test_a_damaged_recording_is_mended_by_the_next_run(tmp_path, damage):
 
 def test_what_is_in_the_way_stays_as_it_is(tmp_path):
     mine, foreign = tmp_path / "mine.h5", tmp_path / "notes.h5"
-    recorder.record(replace(PLAN, sensors=("digit",), poses=1), mine)
+    recorder.record_plan(replace(PLAN, sensors=("digit",), poses=1), mine)
     foreign.write_text("lab notes")
     kept = mine.read_bytes()
     for plan, path in ((PLAN, mine), (PLAN, foreign)):
         with pytest.raises(FileProblem, match="kept"):
-            recorder.record(plan, path)
+            recorder.record_plan(plan, path)
     assert mine.read_bytes() == kept
     assert foreign.read_text() == "lab notes"
 
 
 def test_several_objects_need_a_folder(tmp_path):
-    assert recorder.file_of(PLAN, tmp_path / "set", 2) == tmp_path / "set" / f"{TOOL}.h5"
+    assert recorder.resolve_recording_path(PLAN, tmp_path / "set", 2) == tmp_path / "set" / f"{TOOL}.h5"
     with pytest.raises(FileProblem, match="folder"):
-        recorder.file_of(PLAN, tmp_path / "set.h5", 2)
+        recorder.resolve_recording_path(PLAN, tmp_path / "set.h5", 2)

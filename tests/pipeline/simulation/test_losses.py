@@ -11,13 +11,13 @@ from types import SimpleNamespace
 import pytest
 
 from pipeline.recordings import hdf5
-from pipeline.sensors.spec import sensor
+from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import recorder, shapes
-from pipeline.simulation.datasets import Plan
+from pipeline.simulation.datasets import SimulationPlan
 
-TOOL = shapes.names("training")[0]
+TOOL = shapes.list_shapes("training")[0]
 POSES = 6
-PLAN = Plan(sensors=("digit",), tool=TOOL, poses=POSES, seed=0)
+PLAN = SimulationPlan(sensors=("digit",), object_source=TOOL, n_poses=POSES, seed=0)
 LONG_S = 120  # beyond any machine: only a process that hangs takes so long
 
 SIMULATE = """
@@ -62,7 +62,7 @@ def test_a_full_disk_ends_in_one_sentence_and_the_next_run_goes_on(tmp_path):
     assert simulated(tmp_path / "whole.h5", 0).returncode == 0
     whole = (tmp_path / "whole.h5").stat().st_size
     out = tmp_path / "full.h5"
-    rows, cols = sensor("digit").camera.shape
+    rows, cols = load_sensor("digit").camera.shape
     room = 2 * whole // 3 + 4 * 3 * rows * cols + (2 << 20)  # and what is taken in advance of a frame
     done = simulated(out, room)
     assert done.returncode == 2, done
@@ -92,9 +92,9 @@ def test_a_kill_costs_no_more_than_a_minute(tmp_path, monkeypatch):
         def step(self, fraction, text):
             now_s[0] += 20.0
             begun_s.append(now_s[0])
-            assert recorder.finished(PLAN, path) >= sum(done_s < now_s[0] - 60.0 for done_s in begun_s)
+            assert recorder.count_finished_moments(PLAN, path) >= sum(done_s < now_s[0] - 60.0 for done_s in begun_s)
 
-    recorder.record(PLAN, path, progress=Looks())
+    recorder.record_plan(PLAN, path, progress=Looks())
     assert len(begun_s) >= POSES
 
 
@@ -103,5 +103,5 @@ def test_what_a_killed_process_left_beside_is_taken_away_by_the_next(tmp_path):
     gone.wait()
     left = tmp_path / f".tactoscope-{gone.pid}-0.part"
     left.write_bytes(b"half a recording")
-    recorder.record(replace(PLAN, poses=1), tmp_path / "a.h5")
+    recorder.record_plan(replace(PLAN, poses=1), tmp_path / "a.h5")
     assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]

@@ -12,15 +12,15 @@ from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
 from pipeline.physics import lattice
 from pipeline.physics.lattice import Lattice
-from pipeline.physics.shear import Load
+from pipeline.physics.shear import TangentialLoad
 from pipeline.recordings import hdf5
 from pipeline.sensors import alignment
-from pipeline.sensors.spec import sensor
+from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
-from pipeline.simulation.press import press
+from pipeline.simulation.press import simulate_press
 from pipeline.values.frames import Truth
 
-ELBOW = shapes.shape("notched_elbow").mesh
+ELBOW = shapes.make_shape("notched_elbow").mesh
 SENSORS = ("digit", "gelsight_mini", "soft_bubble")
 SURFACE_MM = 0.005  # bilinear chords between pixels at a chamfer's edge; the solver itself is 50 times finer
 REACH_TOLERANCE_MM = 0.02  # the nearest pixel to the apex, and chords of the dome between lattice nodes
@@ -49,7 +49,7 @@ def test_the_elbow_is_a_closed_body_that_faces_outward():
 
 def test_the_face_of_the_elbow_is_level_at_zero_and_its_chamfer_rises_one_to_one():
     on = Lattice(x0_mm=-2.0, y0_mm=-2.0, step_mm=0.05, shape=(480, 270))
-    z = lattice.nearest_of_mesh(ELBOW.vertices_mm, ELBOW.triangles, on)
+    z = lattice.rasterise_mesh(ELBOW.vertices_mm, ELBOW.triangles, on)
     x, y = on.x_mm()[None, :], on.y_mm()[:, None]
     upright = (np.abs(x) < 1.75) & (y > 5.0) & (y < 20.0)
     assert np.abs(z - np.maximum(0.0, 0.5 - (1.75 - np.abs(x))))[upright].max() < 1e-9
@@ -58,16 +58,16 @@ def test_the_face_of_the_elbow_is_level_at_zero_and_its_chamfer_rises_one_to_one
 
 def test_an_outline_that_crosses_itself_or_is_too_thin_for_its_chamfer_is_refused():
     with pytest.raises(MeshProblem):
-        shapes.bar([(0, 0), (4, 4), (4, 0), (0, 4)], 2.0, 0.1, "bow")
+        shapes.make_chamfered_prism([(0, 0), (4, 4), (4, 0), (0, 4)], 2.0, 0.1, "bow")
     with pytest.raises(MeshProblem, match="chamfer"):
-        shapes.bar([(0, 0), (4, 0), (4, 1), (0, 1)], 2.0, 0.6, "blade")
+        shapes.make_chamfered_prism([(0, 0), (4, 0), (4, 1), (0, 1)], 2.0, 0.6, "blade")
 
 
 @pytest.mark.parametrize("name", SENSORS)
 def test_where_it_touches_the_surface_is_the_objects(name):
     """Back-projected contact pixels lie on the mesh at its true pose: depth, mask, pose and camera agree."""
-    spec = sensor(name)
-    felt = press(ELBOW, pressed_by(0.5, twist_deg=20.0), spec, seed=None)
+    spec = load_sensor(name)
+    felt = simulate_press(ELBOW, pressed_by(0.5, twist_deg=20.0), spec, seed=None)
     truth = felt.truth
     points = spec.camera.back_project(spec.rest_depth_mm - truth.indentation_mm)[truth.contact]
     in_object = rigid.apply(rigid.invert(truth.sensor_from_object), points)
@@ -82,10 +82,10 @@ def test_where_it_touches_the_surface_is_the_objects(name):
 
 
 def test_two_sensors_feel_the_same_point_of_the_object():
-    digit, mini = sensor("digit"), sensor("gelsight_mini")
+    digit, mini = load_sensor("digit"), load_sensor("gelsight_mini")
     pose = pressed_by(0.5, twist_deg=10.0)
-    felt = {s.name: press(ELBOW, pose, s, seed=None).truth for s in (digit, mini)}
-    expected = alignment.between(digit, mini).target_from_source @ felt["digit"].sensor_from_object
+    felt = {s.name: simulate_press(ELBOW, pose, s, seed=None).truth for s in (digit, mini)}
+    expected = alignment.resolve_alignment(digit, mini).target_from_source @ felt["digit"].sensor_from_object
     assert np.abs(expected - felt["gelsight_mini"].sensor_from_object).max() < 1e-9
 
 
@@ -98,25 +98,25 @@ def reach_mm(spec):
 @pytest.mark.parametrize("name", ["gelslim", *SENSORS])
 def test_a_flat_object_presses_each_sensor_by_its_reach_more(name):
     """The depth that makes up for softness is part of the alignment, so that it is in every pairing too."""
-    spec, depth_mm = sensor(name), 0.4
+    spec, depth_mm = load_sensor(name), 0.4
     assert (reach_mm(spec) == 0.0) == (spec.kind == "gel")
-    felt = press(plane(), rigid.translation(0.0, 0.0, -depth_mm), spec, seed=None)
+    felt = simulate_press(plane(), rigid.translation(0.0, 0.0, -depth_mm), spec, seed=None)
     deepest = float(felt.truth.indentation_mm.max())
     assert deepest == pytest.approx(depth_mm + reach_mm(spec), abs=REACH_TOLERANCE_MM)
-    of_gel = alignment.between(spec, sensor("gelslim")).target_from_source
+    of_gel = alignment.resolve_alignment(spec, load_sensor("gelslim")).target_from_source
     apex = rigid.apply(of_gel, np.array([[0.0, 0.0, float(spec.membrane.depth_at(0.0, 0.0))]]))[0, 2]
     assert apex - 20.0 == pytest.approx(reach_mm(spec), abs=1e-9)  # the GelSlim rests at 20 mm
 
 
 def test_a_plane_pushes_the_whole_pad_by_its_depth():
-    spec = sensor("digit")
-    felt = press(plane(), rigid.translation(0.0, 0.0, -0.3), spec, seed=None)
+    spec = load_sensor("digit")
+    felt = simulate_press(plane(), rigid.translation(0.0, 0.0, -0.3), spec, seed=None)
     assert np.abs(felt.truth.indentation_mm - 0.3).max() < SURFACE_MM
     assert felt.truth.contact.all()
 
 
 def test_a_bubble_bridges_the_inner_corner_that_a_gel_does_not_reach_either():
-    felt = press(ELBOW, pressed_by(0.6), sensor("soft_bubble"), seed=None)
+    felt = simulate_press(ELBOW, pressed_by(0.6), load_sensor("soft_bubble"), seed=None)
     covered = felt.truth.indentation_mm > 0.5
     assert felt.truth.contact.sum() < 0.5 * covered.sum()  # most of what has moved is not in contact
     assert felt.truth.indentation_mm.min() < -0.1  # and the air makes the rest bulge
@@ -124,7 +124,7 @@ def test_a_bubble_bridges_the_inner_corner_that_a_gel_does_not_reach_either():
 
 @pytest.mark.parametrize("name", ["gelslim", *SENSORS])
 def test_a_miss_is_the_untouched_reading(name):
-    felt = press(ELBOW, pressed_by(-30.0), sensor(name), seed=None)
+    felt = simulate_press(ELBOW, pressed_by(-30.0), load_sensor(name), seed=None)
     assert not felt.truth.indentation_mm.any()
     assert not felt.truth.contact.any()
     assert felt.force_n == 0.0
@@ -140,8 +140,8 @@ def test_a_miss_is_the_untouched_reading(name):
 @settings(max_examples=12, deadline=None)
 def test_any_pose_gives_finite_readings_that_converged_or_went_through_the_pad(depth, twist, lean, x, y):
     for name in ("gelsight_mini", "soft_bubble"):
-        spec = sensor(name)
-        felt = press(ELBOW, pressed_by(depth, twist, lean, x, y), spec, seed=1)
+        spec = load_sensor(name)
+        felt = simulate_press(ELBOW, pressed_by(depth, twist, lean, x, y), spec, seed=1)
         lowest_mm = rigid.apply(felt.truth.sensor_from_object, ELBOW.vertices_mm)[:, 2].min()  # perhaps beside the view
         through = spec.gel is not None and lowest_mm < spec.rest_depth_mm.max() - spec.gel.thickness_mm
         assert felt.converged or through
@@ -150,19 +150,19 @@ def test_any_pose_gives_finite_readings_that_converged_or_went_through_the_pad(d
 
 
 def test_a_press_deeper_than_the_gel_is_thick_is_not_vouched_for():
-    assert not press(ELBOW, pressed_by(5.0), sensor("gelsight_mini"), seed=None).converged
+    assert not simulate_press(ELBOW, pressed_by(5.0), load_sensor("gelsight_mini"), seed=None).converged
 
 
 @pytest.mark.parametrize("bad", [np.full((4, 4), np.nan), np.diag([1.0, 1.0, -1.0, 1.0]), np.eye(3)])
 def test_a_pose_that_is_none_is_refused(bad):
     with pytest.raises(CalibrationError, match="the object's pose"):
-        press(ELBOW, bad, sensor("digit"), seed=None)
+        simulate_press(ELBOW, bad, load_sensor("digit"), seed=None)
 
 
 def test_a_load_drags_the_gel_and_its_markers_and_nothing_else():
-    spec, pose = sensor("gelslim"), pressed_by(0.4)
-    still = press(ELBOW, pose, spec, seed=None)
-    dragged = press(ELBOW, pose, spec, seed=None, load=Load(tangent_mm=(0.2, 0.0)))
+    spec, pose = load_sensor("gelslim"), pressed_by(0.4)
+    still = simulate_press(ELBOW, pose, spec, seed=None)
+    dragged = simulate_press(ELBOW, pose, spec, seed=None, load=TangentialLoad(displacement_mm=(0.2, 0.0)))
     assert still.shear_mm is None
     assert dragged.shear_mm is not None
     assert 0.02 < dragged.shear_mm[..., 0][still.truth.contact].mean() <= 0.2
@@ -171,8 +171,8 @@ def test_a_load_drags_the_gel_and_its_markers_and_nothing_else():
 
 
 def test_the_same_seed_gives_the_same_bytes():
-    spec = sensor("soft_bubble")
-    one, again, other = (press(ELBOW, pressed_by(0.5), spec, seed=s).image.tobytes() for s in (2, 2, 3))
+    spec = load_sensor("soft_bubble")
+    one, again, other = (simulate_press(ELBOW, pressed_by(0.5), spec, seed=s).image.tobytes() for s in (2, 2, 3))
     assert one == again != other
 
 

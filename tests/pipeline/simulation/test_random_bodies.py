@@ -2,11 +2,11 @@ import numpy as np
 import pytest
 
 from pipeline.geometry import rigid
-from pipeline.physics.lattice import Lattice, depth_of_mesh, nearest_of_mesh
-from pipeline.sensors.spec import sensor
-from pipeline.simulation.random_bodies import STEP_MM, body
+from pipeline.physics.lattice import Lattice, rasterise_mesh, render_mesh_depth
+from pipeline.sensors.spec import load_sensor
+from pipeline.simulation.random_bodies import STEP_MM, make_random_body
 
-BODIES = [body(np.random.default_rng([3, k])) for k in range(12)]
+BODIES = [make_random_body(np.random.default_rng([3, k])) for k in range(12)]
 
 
 @pytest.mark.parametrize("mesh", BODIES)
@@ -21,7 +21,7 @@ def test_every_body_is_a_sound_height_field_with_its_lowest_point_at_zero(mesh):
 
 
 def test_the_same_state_gives_the_same_body_and_another_one_another():
-    again = body(np.random.default_rng([3, 0]))
+    again = make_random_body(np.random.default_rng([3, 0]))
     assert np.array_equal(again.vertices_mm, BODIES[0].vertices_mm)
     areas = {len(mesh.triangles) for mesh in BODIES}
     assert len(areas) > 9
@@ -32,7 +32,7 @@ def test_some_bodies_have_level_faces_and_some_have_none():
     on = Lattice(x0_mm=-24.0, y0_mm=-24.0, step_mm=STEP_MM, shape=(161, 161))
     shares = []
     for mesh in BODIES:
-        z = nearest_of_mesh(np.asarray(mesh.vertices_mm), mesh.triangles, on)
+        z = rasterise_mesh(np.asarray(mesh.vertices_mm), mesh.triangles, on)
         shares.append((z < 1e-6).sum() / (z < 0.3).sum())
     assert max(shares) > 0.5
     assert min(shares) < 0.1
@@ -40,12 +40,12 @@ def test_some_bodies_have_level_faces_and_some_have_none():
 
 def test_a_mesh_seen_through_a_camera_lies_where_its_rays_meet_it():
     """A tilted plane n . p = d is met at z = d / (n . (x, y, 1))."""
-    camera = sensor("soft_bubble").camera
+    camera = load_sensor("soft_bubble").camera
     tilt = rigid.rotation((0.1, -0.2, 0.0))
     tilt[2, 3] = 70.0
     square = np.array([(-15.0, -15.0, 0.0), (15.0, -15.0, 0.0), (15.0, 15.0, 0.0), (-15.0, 15.0, 0.0)])
     corners = rigid.apply(tilt, square)
-    seen = depth_of_mesh(corners, np.array([(0, 1, 2), (0, 2, 3)], np.int32), camera)
+    seen = render_mesh_depth(corners, np.array([(0, 1, 2), (0, 2, 3)], np.int32), camera)
     x, y = camera.rays()
     n = tilt[:3, 2]
     exact = n @ tilt[:3, 3] / (n[0] * x[None, :] + n[1] * y[:, None] + n[2])

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.simulation.reliefs import relief
+from pipeline.simulation.reliefs import make_random_relief
 
 N, VIEW = 96, 70.0
 
 
 def drawn(seed):
-    return relief(np.random.default_rng(seed), N, VIEW)
+    return make_random_relief(np.random.default_rng(seed), N, VIEW)
 
 
 @pytest.mark.parametrize("seed", range(24))

@@ -6,7 +6,7 @@ from pipeline.geometry import rigid
 from pipeline.geometry.meshes import sample_surface
 from pipeline.simulation import shapes
 from pipeline.simulation.shapes import polygons
-from pipeline.simulation.shapes.catalogue import shape as made_once
+from pipeline.simulation.shapes.catalogue import make_shape as made_once
 
 CHORD_MM = 0.002  # what the shapes promise
 SYMMETRIC_MM = 0.005  # twice the chord error, once for each of the two surfaces, and a little for a ball's back
@@ -52,9 +52,9 @@ def areas_sq_mm(mesh):
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
-@pytest.mark.parametrize("name", shapes.names())
+@pytest.mark.parametrize("name", shapes.list_shapes())
 def test_every_shape_is_one_closed_body_that_faces_outward(name):
-    mesh = shapes.shape(name).mesh
+    mesh = shapes.make_shape(name).mesh
     edges = edges_of(mesh)
     there = edges[:, 0] * len(mesh.vertices_mm) + edges[:, 1]
     back = edges[:, 1] * len(mesh.vertices_mm) + edges[:, 0]
@@ -67,9 +67,9 @@ def test_every_shape_is_one_closed_body_that_faces_outward(name):
     assert np.array_equal(np.unique(mesh.triangles), np.arange(len(mesh.vertices_mm)))
 
 
-@pytest.mark.parametrize("name", shapes.names())
+@pytest.mark.parametrize("name", shapes.list_shapes())
 def test_every_shape_is_as_large_as_a_finger_feels_and_over_its_origin(name):
-    found = shapes.shape(name)
+    found = shapes.make_shape(name)
     low, high = found.mesh.vertices_mm.min(axis=0), found.mesh.vertices_mm.max(axis=0)
     assert 6.0 <= (high - low).max() <= 60.1  # the lab's
     assert (low[:2] < 0).all()
@@ -80,20 +80,20 @@ def test_every_shape_is_as_large_as_a_finger_feels_and_over_its_origin(name):
 
 
 def test_the_groups_are_twelve_six_and_six_without_overlap():
-    assert [len(shapes.names(g)) for g in shapes.GROUPS] == [12, 6, 6, 1]
-    assert len(set(shapes.names())) == 25
+    assert [len(shapes.list_shapes(g)) for g in shapes.GROUPS] == [12, 6, 6, 1]
+    assert len(set(shapes.list_shapes())) == 25
 
 
 def test_unknown_names_are_answered_with_those_that_there_are():
     with pytest.raises(SettingProblem, match=r"'squre'.*square"):
-        shapes.shape("squre")
+        shapes.make_shape("squre")
     with pytest.raises(SettingProblem, match="unseen"):
-        shapes.names("hidden")
+        shapes.list_shapes("hidden")
 
 
 @pytest.mark.parametrize("name", CURVED)
 def test_curved_faces_are_within_two_micrometres_of_much_finer_ones(name, monkeypatch):
-    mesh = shapes.shape(name).mesh
+    mesh = shapes.make_shape(name).mesh
     monkeypatch.setattr(polygons, "CHORD_MM", polygons.CHORD_MM / 9.0)
     fine = made_once.__wrapped__(name).mesh
     assert len(fine.triangles) > 2 * len(mesh.triangles)
@@ -103,9 +103,9 @@ def test_curved_faces_are_within_two_micrometres_of_much_finer_ones(name, monkey
     assert surface_distance_mm(fine, tactile).max() < CHORD_MM
 
 
-@pytest.mark.parametrize("name", shapes.names())
+@pytest.mark.parametrize("name", shapes.list_shapes())
 def test_symmetries_map_the_surface_onto_itself_and_are_a_group(name):
-    found = shapes.shape(name)
+    found = shapes.make_shape(name)
     points, _normals = sample_surface(found.mesh, 150, seed=1)
     turns = found.symmetry.group(0.3)
     assert np.allclose(turns[0], np.eye(3))
@@ -115,9 +115,9 @@ def test_symmetries_map_the_surface_onto_itself_and_are_a_group(name):
         assert surface_distance_mm(found.mesh, points @ turn.T).max() < SYMMETRIC_MM
 
 
-@pytest.mark.parametrize("name", shapes.names())
+@pytest.mark.parametrize("name", shapes.list_shapes())
 def test_no_shape_has_more_symmetry_than_it_says(name):
-    found = shapes.shape(name)
+    found = shapes.make_shape(name)
     points, _normals = sample_surface(found.mesh, 300, seed=1)
     known = found.symmetry.group(1 / 60)  # turns about an axis at most 2 / 60 rad apart
     for axis in np.eye(3):
@@ -130,7 +130,7 @@ def test_no_shape_has_more_symmetry_than_it_says(name):
 
 @pytest.mark.parametrize("name", ["ring", "cylinder", "marble"])
 def test_neighbouring_turns_move_no_point_by_more_than_a_hundredth_of_the_diameter(name):
-    found = shapes.shape(name)
+    found = shapes.make_shape(name)
     turns = found.symmetry.group()
     n = len(turns) // len(found.symmetry.rotations)
     points, _normals = sample_surface(found.mesh, 500, seed=2)
@@ -141,10 +141,10 @@ def test_neighbouring_turns_move_no_point_by_more_than_a_hundredth_of_the_diamet
 
 
 def test_a_shape_without_symmetry_has_the_identity_alone():
-    assert shapes.shape("letters").symmetry.group().shape == (1, 3, 3)
-    assert shapes.shape("marble").symmetry.group().shape[0] > 1
+    assert shapes.make_shape("letters").symmetry.group().shape == (1, 3, 3)
+    assert shapes.make_shape("marble").symmetry.group().shape[0] > 1
     with pytest.raises(SettingProblem):
-        shapes.shape("ring").symmetry.group(0.0)
+        shapes.make_shape("ring").symmetry.group(0.0)
 
 
 @pytest.mark.parametrize("face", ["-x", "+x", "-y", "+y", "-z", "+z"])
@@ -154,7 +154,7 @@ def test_a_users_mesh_is_laid_on_the_face_that_was_chosen(tmp_path, face):
     path = tmp_path / "wedge.obj"
     lines = [f"v {x} {y} {z}" for x, y, z in corners] + ["f 1 3 2", "f 1 2 4", "f 1 4 3", "f 2 3 4"]
     path.write_text("\n".join(lines) + "\n")
-    found = shapes.from_mesh(path, face=face)
+    found = shapes.load_mesh_shape(path, face=face)
     v = found.mesh.vertices_mm
     assert found.symmetry.group().shape == (1, 3, 3)
     assert v[:, 2].min() == 0.0
@@ -169,15 +169,15 @@ def test_a_users_mesh_in_another_unit_or_with_an_unknown_face_is_refused(tmp_pat
     path = tmp_path / "small.obj"
     path.write_text("v 0 0 0\nv 0.02 0 0\nv 0 0.02 0\nv 0 0 0.02\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
     with pytest.raises(MeshProblem, match="--mesh-unit m"):
-        shapes.from_mesh(path)
-    assert np.ptp(shapes.from_mesh(path, "m").mesh.vertices_mm[:, 0]) == pytest.approx(20.0)
+        shapes.load_mesh_shape(path)
+    assert np.ptp(shapes.load_mesh_shape(path, "m").mesh.vertices_mm[:, 0]) == pytest.approx(20.0)
     with pytest.raises(SettingProblem, match="-z"):
-        shapes.from_mesh(path, "m", "down")
+        shapes.load_mesh_shape(path, "m", "down")
     with pytest.raises(FileProblem):
-        shapes.from_mesh(tmp_path / "none.stl")
+        shapes.load_mesh_shape(tmp_path / "none.stl")
 
 
 def test_the_labs_tools_can_be_pressed(real_data):
-    key = shapes.from_mesh(real_data / "tools" / "hex_key.stl", "m", "+x")
+    key = shapes.load_mesh_shape(real_data / "tools" / "hex_key.stl", "m", "+x")
     assert np.ptp(key.mesh.vertices_mm, axis=0).max() == pytest.approx(79.0, abs=0.1)
     assert key.mesh.vertices_mm[:, 2].min() == 0.0

@@ -11,7 +11,7 @@ from pipeline.base.errors import CalibrationError, ShapeError
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
 from pipeline.sensors.alignment import Alignment
-from pipeline.stages.adapt.stage import AdaptParams, adapt, without_contact
+from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth, skip_without_contact
 from pipeline.values.results import DepthMap
 
 CAMERA = Camera(rows=24, cols=32, fx_px=40.0, fy_px=42.0, cx_px=15.2, cy_px=11.7)
@@ -42,7 +42,7 @@ def random_depth(seed=0):
 @given(st.lists(st.floats(-180, 180), min_size=3, max_size=3), st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3))
 def test_points_are_the_equation_rounded_once(rotation_deg, shift_mm):
     depth, move = random_depth(), rigid.from_parts(shift_mm, rotation_deg)
-    cloud = adapt(depth, by(move), AdaptParams())
+    cloud = back_project_depth(depth, by(move), BackProjectionParams())
     row, col = np.nonzero(depth.contact)
     homogeneous = np.stack([col, row, np.ones_like(row)]).astype(float)
     z = depth.depth_mm[row, col].astype(float)
@@ -53,7 +53,7 @@ def test_points_are_the_equation_rounded_once(rotation_deg, shift_mm):
 
 def test_source_index_names_the_contact_pixels_in_order():
     depth = random_depth()
-    cloud = adapt(depth, by(np.eye(4)), AdaptParams())
+    cloud = back_project_depth(depth, by(np.eye(4)), BackProjectionParams())
     np.testing.assert_array_equal(cloud.source_index, np.flatnonzero(depth.contact))
     assert cloud.grid_shape == CAMERA.shape
     assert cloud.points_mm.dtype == np.float32
@@ -64,14 +64,16 @@ def test_source_index_names_the_contact_pixels_in_order():
 def test_contact_without_depth_is_left_out_and_told():
     depth_mm = np.full(CAMERA.shape, 20.0)
     depth_mm[0, :5] = (np.nan, np.inf, 0.0, -3.0, 1e-30)
-    cloud = adapt(depth_map(depth_mm, np.ones(CAMERA.shape)), by(np.eye(4)), AdaptParams())
+    cloud = back_project_depth(depth_map(depth_mm, np.ones(CAMERA.shape)), by(np.eye(4)), BackProjectionParams())
     assert np.isfinite(cloud.points_mm).all()
     assert cloud.source_index[0] == 5
     assert cloud.notes == ("5 of 768 contact pixels have no depth and were left out",)
 
 
 def test_a_preview_keeps_every_nth_row_and_column():
-    cloud = adapt(depth_map(np.full(CAMERA.shape, 20.0), np.ones(CAMERA.shape)), by(np.eye(4)), AdaptParams(stride=4))
+    cloud = back_project_depth(
+        depth_map(np.full(CAMERA.shape, 20.0), np.ones(CAMERA.shape)), by(np.eye(4)), BackProjectionParams(stride=4)
+    )
     row, col = np.divmod(cloud.source_index, CAMERA.cols)
     assert len(row) == 6 * 8
     assert (row % 4 == 0).all()
@@ -81,18 +83,21 @@ def test_a_preview_keeps_every_nth_row_and_column():
 
 def test_without_contact_is_the_same_as_running_on_nothing():
     nothing = depth_map(np.full(CAMERA.shape, 20.0), np.zeros(CAMERA.shape))
-    short, long = without_contact(nothing, by(np.eye(4)), AdaptParams()), adapt(nothing, by(np.eye(4)), AdaptParams())
+    short, long = (
+        skip_without_contact(nothing, by(np.eye(4)), BackProjectionParams()),
+        back_project_depth(nothing, by(np.eye(4)), BackProjectionParams()),
+    )
     assert short is not None
     assert short.points_mm.shape == long.points_mm.shape == (0, 3)
     assert short.notes == long.notes
-    assert without_contact(random_depth(), by(np.eye(4)), AdaptParams()) is None
+    assert skip_without_contact(random_depth(), by(np.eye(4)), BackProjectionParams()) is None
 
 
 def test_a_transform_that_is_not_rigid_and_arrays_that_do_not_fit_are_refused():
     with pytest.raises(CalibrationError, match="scale or shear"):
-        adapt(random_depth(), by(np.diag([2.0, 2.0, 2.0, 1.0])), AdaptParams())
+        back_project_depth(random_depth(), by(np.diag([2.0, 2.0, 2.0, 1.0])), BackProjectionParams())
     with pytest.raises(ShapeError, match="shape"):
-        adapt(depth_map(np.zeros((3, 3)), np.zeros((3, 3))), by(np.eye(4)), AdaptParams())
+        back_project_depth(depth_map(np.zeros((3, 3)), np.zeros((3, 3))), by(np.eye(4)), BackProjectionParams())
 
 
 def test_where_the_object_itself_is_told_the_cloud_is_made_of_it_also_beside_the_contact():
@@ -100,6 +105,6 @@ def test_where_the_object_itself_is_told_the_cloud_is_made_of_it_also_beside_the
     contact, told = depth.contact.copy(), np.full(CAMERA.shape, np.nan, np.float32)
     contact[10, 10] = True
     told[10, 10], told[10, 11] = 21.0, 22.0
-    cloud = adapt(replace(depth, contact=contact, object_mm=told), by(np.eye(4)), AdaptParams())
+    cloud = back_project_depth(replace(depth, contact=contact, object_mm=told), by(np.eye(4)), BackProjectionParams())
     assert cloud.source_index.tolist() == [10 * CAMERA.cols + 10, 10 * CAMERA.cols + 11]
     assert cloud.points_mm[:, 2].tolist() == [21.0, 22.0]

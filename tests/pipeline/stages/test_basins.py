@@ -8,9 +8,9 @@ import pytest
 from pipeline.base.errors import SettingProblem
 from pipeline.base.progress import Cancelled
 from pipeline.geometry import rigid
-from pipeline.registration.basins import NONE, basins, grid_of_starts
-from pipeline.stages.pose.basins import basin_map
-from pipeline.stages.pose.stage import PoseParams, begun, pose, without_contact
+from pipeline.registration.basin_map import NONE, make_start_grid, map_basins
+from pipeline.stages.pose.basin_map import compute_basin_map
+from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose, prepare_search, skip_without_contact
 from tests.pipeline.registration.solids import extruded, felt, l_bar
 from tests.pipeline.stages.test_pose import lying
 
@@ -20,20 +20,20 @@ TURNS, SHIFTS = np.array([-90.0, -15.0, 0.0, 15.0, 90.0]), np.array([-0.5, 0.0, 
 
 def mapped(solid, truth):
     touch, params = felt(solid, truth), PoseParams()
-    found = pose(touch, solid.mesh, params)
-    search, _ = begun(touch, solid.mesh, params)
-    return basins(search, found.sensor_from_object, TURNS, SHIFTS, "x")
+    found = estimate_pose(touch, solid.mesh, params)
+    search, _ = prepare_search(touch, solid.mesh, params)
+    return map_basins(search, found.sensor_from_object, TURNS, SHIFTS, "x")
 
 
 def test_starts_are_turned_about_the_normal_and_shifted_in_the_plane():
     touch = felt(l_bar(), lying(0.5, 0.5, 0.6, 4.0, 30.0, origin_mm=(5.0, 3.5)))
-    search, _ = begun(touch, l_bar().mesh, PoseParams())
+    search, _ = prepare_search(touch, l_bar().mesh, PoseParams())
     own = lying(0.5, 0.5, 0.6, 4.0, 30.0, origin_mm=(5.0, 3.5))
-    starts = grid_of_starts(search, own, TURNS, SHIFTS, "y")
+    starts = make_start_grid(search, own, TURNS, SHIFTS, "y")
     assert starts.shape == (3, 5, 4, 4)
     assert starts[1, 2] == pytest.approx(own)
     moved = starts[2, 4] @ rigid.invert(own)
-    assert rigid.angle_deg(moved) == pytest.approx(90.0, abs=1e-6)
+    assert rigid.rotation_angle_deg(moved) == pytest.approx(90.0, abs=1e-6)
     off = rigid.apply(moved, search.middle_mm) - search.middle_mm
     assert np.linalg.norm(off) == pytest.approx(0.5)
     assert abs(off[1]) > 0.49
@@ -49,7 +49,7 @@ def test_a_square_has_four_answers_that_fit_equally_well():
     assert of.rmse_mm[1, [0, 2, 4]] == pytest.approx(of.rmse_mm[1, 2], abs=2e-3)
     assert "fit equally well" in of.sentence
     turned = of.poses[1, 4] @ rigid.invert(of.poses[1, 2])
-    assert rigid.angle_deg(turned) == pytest.approx(90.0, abs=1.0)
+    assert rigid.rotation_angle_deg(turned) == pytest.approx(90.0, abs=1.0)
 
 
 def test_an_l_bar_is_safe_near_its_pose_and_counts_add_up():
@@ -65,7 +65,7 @@ def test_without_a_pose_it_says_why_and_it_can_be_stopped():
     truth = lying(0.0, 0.0, 0.6, 4.0, 0.0)
     touch = felt(l_bar(), truth)
     with pytest.raises(SettingProblem, match="no object mesh"):
-        basin_map(touch, None, without_contact(touch, None, PoseParams()), PoseParams())
+        compute_basin_map(touch, None, skip_without_contact(touch, None, PoseParams()), PoseParams())
 
     class Stopped:
         def step(self, fraction: float, text: str) -> None:
@@ -73,4 +73,6 @@ def test_without_a_pose_it_says_why_and_it_can_be_stopped():
                 raise Cancelled
 
     with pytest.raises(Cancelled):
-        basin_map(touch, l_bar().mesh, pose(touch, l_bar().mesh, PoseParams()), PoseParams(), progress=Stopped())
+        compute_basin_map(
+            touch, l_bar().mesh, estimate_pose(touch, l_bar().mesh, PoseParams()), PoseParams(), progress=Stopped()
+        )

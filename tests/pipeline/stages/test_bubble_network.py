@@ -7,23 +7,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.base.doubts import doubts
-from pipeline.evaluation.metrics import iou
+from pipeline.base.stage_warnings import select_warnings
 from pipeline.geometry import rigid
-from pipeline.networks import building
+from pipeline.metrics.stage_metrics import iou
+from pipeline.networks import network_factory
 from pipeline.physics import bubble_camera
 from pipeline.recordings import open_recording
-from pipeline.sensors.spec import sensor
+from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
-from pipeline.simulation.press import press
-from pipeline.simulation.variation import varied
+from pipeline.simulation.press import simulate_press
+from pipeline.simulation.variation import vary_sensor
 from pipeline.stages.depth import bubble_network, network
-from pipeline.stages.depth.bubble_input import CHANNELS, at_rest, shown
+from pipeline.stages.depth.bubble_network_input import N_CHANNELS, estimate_rest_surface, make_network_input
 from pipeline.stages.depth.network import NetworkParams
-from pipeline.stages.depth.stage import DepthParams, depth
+from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.values.frames import TactileFrame
 
-SPEC = sensor("soft_bubble")
+SPEC = load_sensor("soft_bubble")
 REST = SPEC.rest_depth_mm.astype(np.float32)
 BALL = 6.0 * np.exp(-0.5 * ((np.arange(140)[:, None] - 60) ** 2 + (np.arange(175)[None, :] - 90) ** 2) / 20.0**2)
 
@@ -51,45 +51,45 @@ def frame(rest=REST, moved=BALL):
 
 def test_the_network_is_shown_the_parts_of_the_move_and_its_answer_is_taken_in_millimetres():
     network = Says()
-    found = bubble_network.depth(frame(), SPEC, network, least_mm=0.7)
-    assert network.pictures[0].shape == (CHANNELS, 140, 175)
+    found = bubble_network.estimate_depth(frame(), SPEC, network, least_mm=0.7)
+    assert network.pictures[0].shape == (N_CHANNELS, 140, 175)
     assert found.contact.sum() == pytest.approx(np.pi * 64, rel=0.05)
     assert np.abs(found.indentation_mm - BALL).max() < 0.05, "the smooth estimate of a smooth move"
     assert np.abs(found.depth_mm - (REST - BALL)).max() < 0.05
-    assert np.nanmax(found.spread_mm) == pytest.approx(np.exp(-2.0))
+    assert np.nanmax(found.expected_error_mm) == pytest.approx(np.exp(-2.0))
 
 
 def test_the_object_is_told_beside_the_contact_behind_the_membrane():
-    found = bubble_network.depth(frame(), SPEC, Says(), least_mm=0.7)
-    beside = np.isfinite(found.object_mm) & ~found.contact
-    assert np.isfinite(found.object_mm[found.contact]).all()
+    found = bubble_network.estimate_depth(frame(), SPEC, Says(), least_mm=0.7)
+    beside = np.isfinite(found.object_depth_mm) & ~found.contact
+    assert np.isfinite(found.object_depth_mm[found.contact]).all()
     assert beside.sum() == pytest.approx(np.pi * (14**2 - 8**2), rel=0.1)
-    behind = (found.object_mm - found.depth_mm)[beside]
+    behind = (found.object_depth_mm - found.depth_mm)[beside]
     assert np.abs(behind - 0.3).max() < 1e-3
 
 
 def test_without_contact_no_object_is_told():
-    found = bubble_network.depth(frame(moved=0.0 * BALL), SPEC, Says(), least_mm=0.7)
+    found = bubble_network.estimate_depth(frame(moved=0.0 * BALL), SPEC, Says(), least_mm=0.7)
     assert not found.contact.any()
-    assert np.isnan(found.object_mm).all()
+    assert np.isnan(found.object_depth_mm).all()
     assert "nothing touches the sensor" in found.notes
 
 
 def test_a_finer_camera_is_read_at_the_pixels_that_the_network_knows_and_answered_at_its_own():
-    fine = SPEC.seen_through(SPEC.camera.scaled(2.0))
+    fine = SPEC.with_camera(SPEC.camera.scale(2.0))
     rest = fine.rest_depth_mm.astype(np.float32)
     moved = np.kron(BALL, np.ones((2, 2)))
-    found = bubble_network.depth(frame(rest, moved), fine, Says((140, 175)), least_mm=0.7)
+    found = bubble_network.estimate_depth(frame(rest, moved), fine, Says((140, 175)), least_mm=0.7)
     assert found.contact.shape == (280, 350)
     assert found.contact.sum() == pytest.approx(4 * np.pi * 64, rel=0.05)
 
 
 def test_the_noise_of_the_untouched_reading_is_no_part_of_the_surface():
-    noisy = np.array(bubble_camera.reading(SPEC, SPEC.rest_depth_mm, 3))
-    calm = at_rest(noisy, np.ones(noisy.shape, bool), SPEC.pixel_mm)
+    noisy = np.array(bubble_camera.simulate_depth_frame(SPEC, SPEC.rest_depth_mm, 3))
+    calm = estimate_rest_surface(noisy, np.ones(noisy.shape, bool), SPEC.pixel_mm)
     assert np.std(noisy - REST) > 0.3
     assert np.std(calm - REST) < 0.06
-    bias = np.abs(at_rest(REST, np.ones(noisy.shape, bool), SPEC.pixel_mm) - REST)
+    bias = np.abs(estimate_rest_surface(REST, np.ones(noisy.shape, bool), SPEC.pixel_mm) - REST)
     assert bias.max() < 0.03
     assert bias[15:-15, 15:-15].max() < 0.005
 
@@ -98,7 +98,7 @@ def test_pixels_without_a_reading_are_shown_as_such_and_have_no_value_far_from_a
     image = (REST - BALL).astype(np.float32)
     image[20:60, 20:60] = np.nan
     network = Says()
-    found = bubble_network.depth(replace(frame(), image=image), SPEC, network, least_mm=0.7)
+    found = bubble_network.estimate_depth(replace(frame(), image=image), SPEC, network, least_mm=0.7)
     assert (network.pictures[0][4, 20:60, 20:60] == 0).all()
     assert (network.pictures[0][4, 70:, 70:] == 1).all()
     assert np.isnan(found.depth_mm[40, 40])
@@ -107,9 +107,9 @@ def test_pixels_without_a_reading_are_shown_as_such_and_have_no_value_far_from_a
 
 def test_what_is_noise_in_the_reference_stands_in_two_channels_with_opposite_signs():
     """A network can only take it out if it is there twice."""
-    noisy = np.array(bubble_camera.reading(SPEC, SPEC.rest_depth_mm, 3))
+    noisy = np.array(bubble_camera.simulate_depth_frame(SPEC, SPEC.rest_depth_mm, 3))
     seen = np.ones(noisy.shape, bool)
-    looked_at = shown((noisy - REST).astype(np.float32), noisy, seen, SPEC.pixel_mm).picture
+    looked_at = make_network_input((noisy - REST).astype(np.float32), noisy, seen, SPEC.pixel_mm).channels
     inner = (slice(10, -10), slice(10, -10))
     assert np.corrcoef(looked_at[0][inner].ravel(), looked_at[3][inner].ravel())[0, 1] > 0.9
     rough_mm = looked_at[3][inner] * 0.5
@@ -117,48 +117,48 @@ def test_what_is_noise_in_the_reference_stands_in_two_channels_with_opposite_sig
 
 
 def test_physics_too_leaves_the_noise_of_the_untouched_reading_out_of_the_surface():
-    noisy = np.array(bubble_camera.reading(SPEC, SPEC.rest_depth_mm, 3))
+    noisy = np.array(bubble_camera.simulate_depth_frame(SPEC, SPEC.rest_depth_mm, 3))
     pressed = TactileFrame(sensor="soft_bubble", image=(REST - BALL).astype(np.float32), reference=noisy)
-    found = depth(pressed, SPEC, None, DepthParams())
+    found = estimate_depth(pressed, SPEC, None, DepthParams())
     assert found.contact.sum() > 50
     assert np.std((found.depth_mm - (REST - BALL))[found.contact]) < 0.2 < np.std((noisy - REST)[found.contact])
-    as_read = depth(pressed, SPEC, None, DepthParams(smoothing_px=0.0))
+    as_read = estimate_depth(pressed, SPEC, None, DepthParams(smoothing_px=0.0))
     assert np.abs(as_read.depth_mm - pressed.image).max() < 1e-4, "asked for as it was read, it is"
 
 
 @pytest.fixture(scope="module")
 def shipped():
-    weights = network.weights(SPEC, sensor("gelslim"), None)
+    weights = network.select_weights(SPEC, load_sensor("gelslim"), None)
     assert weights.card["task"] == "bubble_reading"
-    return building.ready(weights)
+    return network_factory.load_predictor(weights)
 
 
 def test_the_weights_that_come_along_read_a_tool_they_have_never_seen_better_than_physics(shipped):
     """A marble on another unit, both readings with their noise; errors of the surface that the object has."""
-    unit = varied(SPEC, 5)
+    unit = vary_sensor(SPEC, 5)
     closer = replace(unit, alignment_from_sensor=rigid.translation(0, 0, 9.0) @ unit.alignment_from_sensor)
-    thing = shapes.shape("marble").mesh
-    truth = press(thing, rigid.translation(2.0, -1.0, -0.6), closer, seed=None).truth
+    thing = shapes.make_shape("marble").mesh
+    truth = simulate_press(thing, rigid.translation(2.0, -1.0, -0.6), closer, seed=None).truth
     exact = SPEC.rest_depth_mm - truth.indentation_mm
-    seen = frame(np.array(bubble_camera.reading(unit, SPEC.rest_depth_mm, 7)), 0.0)
-    seen = replace(seen, image=bubble_camera.reading(unit, exact, 8))
-    found = network.depth(seen, SPEC, None, shipped, NetworkParams())
-    physics = depth(seen, SPEC, None, DepthParams())
+    seen = frame(np.array(bubble_camera.simulate_depth_frame(unit, SPEC.rest_depth_mm, 7)), 0.0)
+    seen = replace(seen, image=bubble_camera.simulate_depth_frame(unit, exact, 8))
+    found = network.estimate_depth(seen, SPEC, None, shipped, NetworkParams())
+    physics = estimate_depth(seen, SPEC, None, DepthParams())
     off, theirs = (np.abs(d.depth_mm - exact)[truth.contact].mean() for d in (found, physics))
     assert off < 0.15
     assert off < theirs
     assert iou(found.contact, truth.contact) > 0.7
-    assert np.nanmean(np.abs(found.object_mm - exact)[truth.contact]) < 0.15
-    assert np.nanmean(found.spread_mm[truth.contact]) < 0.3
+    assert np.nanmean(np.abs(found.object_depth_mm - exact)[truth.contact]) < 0.15
+    assert np.nanmean(found.expected_error_mm[truth.contact]) < 0.3
 
 
 def test_the_weights_that_come_along_see_no_contact_in_drift_and_noise(shipped):
     rng = np.random.default_rng(4)
-    noisy = np.array(bubble_camera.reading(SPEC, SPEC.rest_depth_mm, 1))
+    noisy = np.array(bubble_camera.simulate_depth_frame(SPEC, SPEC.rest_depth_mm, 1))
     for k in range(4):
         hump = rng.uniform(-0.6, 0.6) * np.exp(-((np.hypot(*np.mgrid[-70:70, -87:88]) / rng.uniform(20, 60)) ** 2))
-        image = np.array(bubble_camera.reading(SPEC, SPEC.rest_depth_mm, 10 + k)) - hump.astype(np.float32)
-        found = network.depth(replace(frame(noisy, 0.0), image=image), SPEC, None, shipped, NetworkParams())
+        image = np.array(bubble_camera.simulate_depth_frame(SPEC, SPEC.rest_depth_mm, 10 + k)) - hump.astype(np.float32)
+        found = network.estimate_depth(replace(frame(noisy, 0.0), image=image), SPEC, None, shipped, NetworkParams())
         assert not found.contact.any()
 
 
@@ -167,21 +167,24 @@ def test_the_weights_that_come_along_see_no_contact_in_untouched_frames_of_a_rea
     path = Path(os.environ.get("TACTILE_DATA", "../shared/data")) / "punyo_bubble" / "depth_sequence.npz"
     if not path.exists():
         pytest.skip(f"no {path}")
-    stereo = sensor("soft_bubble_stereo")
+    stereo = load_sensor("soft_bubble_stereo")
     stream = open_recording(path, sensor=stereo.name).stream()
-    touched = [network.depth(stream.frame(k), stereo, None, shipped, NetworkParams()).contact for k in (1, 2, 3, 4, 20)]
+    touched = [
+        network.estimate_depth(stream.frame(k), stereo, None, shipped, NetworkParams()).contact
+        for k in (1, 2, 3, 4, 20)
+    ]
     assert not np.any(touched[:4])
     assert touched[4].sum() > 100
 
 
 @pytest.mark.parametrize("read", [
-    lambda frame: bubble_network.depth(frame, SPEC, Says(), least_mm=0.7),
-    lambda frame: depth(frame, SPEC, None, DepthParams()),
+    lambda frame: bubble_network.estimate_depth(frame, SPEC, Says(), least_mm=0.7),
+    lambda frame: estimate_depth(frame, SPEC, None, DepthParams()),
 ])  # fmt: skip
 def test_a_membrane_that_comes_out_where_it_was_is_doubted(read):
     told = "farther out than untouched"
     assert not any(told in note for note in read(frame()).notes)
     touched_before = frame(rest=REST - np.float32(BALL), moved=-np.float32(BALL))
-    assert any(told in note for note in doubts(read(touched_before).notes))
+    assert any(told in note for note in select_warnings(read(touched_before).notes))
     flipped = frame(moved=-np.float32(BALL))
-    assert any(told in note for note in doubts(read(flipped).notes))
+    assert any(told in note for note in select_warnings(read(flipped).notes))

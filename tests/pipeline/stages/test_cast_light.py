@@ -9,16 +9,16 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from pipeline.evaluation.metrics import iou
 from pipeline.geometry.rigid import translation
+from pipeline.metrics.stage_metrics import iou
 from pipeline.physics import optics
-from pipeline.physics.slopes import slopes
-from pipeline.sensors.spec import sensor
+from pipeline.physics.slopes import compute_slopes
+from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes, variation
-from pipeline.simulation.press import press
-from pipeline.stages.depth import cast_lamps, cast_light, gel_light, own_light
-from pipeline.stages.depth.gel_light import Seen
-from pipeline.stages.depth.stage import DepthParams, depth, draft, gel
+from pipeline.simulation.press import simulate_press
+from pipeline.stages.depth import adaptive_illumination, shadow_led_calibration, shadow_model, surface_refinement
+from pipeline.stages.depth.photometric import DepthParams, estimate_depth, estimate_gel_depth, make_draft_params
+from pipeline.stages.depth.surface_refinement import ImagePatch
 from pipeline.values.frames import TactileFrame
 
 PARAMS = DepthParams()
@@ -30,13 +30,15 @@ AZIMUTH_DEG, BRIGHTER = (9.0, -6.0, 7.0), 0.1  # of the unit's lamps, beside the
 @lru_cache
 def ball():
     """A ball on a DIGIT whose lamps' light is lost once: (frame, truth, lamps)."""
-    source, thing = sensor("digit"), shapes.shape("sphere").mesh
-    felt = press(thing, translation(0.6, -0.8, -BALL_MM - thing.vertices_mm[:, 2].min()), source, seed=2)
-    told = cast_light.described(source)
+    source, thing = load_sensor("digit"), shapes.make_shape("sphere").mesh
+    felt = simulate_press(thing, translation(0.6, -0.8, -BALL_MM - thing.vertices_mm[:, 2].min()), source, seed=2)
+    told = shadow_model.make_described_leds(source)
     lamps = replace(
-        told, azimuth=told.azimuth + np.radians(AZIMUTH_DEG), share=told.share + BRIGHTER * (told.share > 0.3)
+        told,
+        azimuth=told.azimuth_rad + np.radians(AZIMUTH_DEG),
+        share=told.colour_share + BRIGHTER * (told.colour_share > 0.3),
     )
-    still = optics.untouched(source)
+    still = optics.render_reference(source)
     rng = np.random.default_rng(0)
     drawn = still + seen_of(felt.truth.indentation_mm, still, source, lamps) + rng.normal(0.0, 1.0, still.shape)
     image = np.clip(np.rint(drawn), 0, 255).astype(np.uint8)
@@ -46,16 +48,16 @@ def ball():
 def seen_of(indentation_mm, still, source, lamps):
     """The change of the picture (rows, cols, 3)."""
     rows, cols = still.shape[:2]
-    whole = Seen(
+    whole = ImagePatch(
         x_px=np.arange(cols, dtype=np.float32), y_px=np.arange(rows, dtype=np.float32),
-        change=np.zeros(still.shape, np.float32), still=still.astype(np.float32),
-        moved=np.ones((rows, cols), np.bool_), by=1, pixel_mm=source.pixel_mm, smoothing_px=0.0,
-        bare=np.ones((rows, cols, 1), np.float32),
+        change=np.zeros(still.shape, np.float32), reference=still.astype(np.float32),
+        changed=np.ones((rows, cols), np.bool_), downsampling=1, pixel_mm=source.pixel_mm, smoothing_px=0.0,
+        unmarked_share=np.ones((rows, cols, 1), np.float32),
     )  # fmt: skip
     surface = np.array(indentation_mm)
-    seen = cast_light.passed(lamps, surface, source.pixel_mm)
-    return gel_light.recorded(
-        cast_light.shown(lamps, whole, seen, *slopes(surface, source.pixel_mm)), source, whole
+    seen = shadow_model.compute_visibility(lamps, surface, source.pixel_mm)
+    return surface_refinement.simulate_recorded_change(
+        shadow_model.render_change(lamps, whole, seen, *compute_slopes(surface, source.pixel_mm)), source, whole
     )  # fmt: skip
 
 
@@ -65,8 +67,8 @@ def off_mm(found, truth):
 
 def test_a_ball_whose_lamps_lose_light_once_is_read():
     frame, truth, _ = ball()
-    found, measured = gel(frame, sensor("digit"), None, PARAMS)
-    assert isinstance(measured.light, cast_light.Lamps)
+    found, measured = estimate_gel_depth(frame, load_sensor("digit"), None, PARAMS)
+    assert isinstance(measured.light, shadow_model.LedArray)
     assert any("that dents hide" in note for note in found.notes)
     assert off_mm(found, truth) < READ_MM
     assert iou(found.contact, truth.contact) > 0.8
@@ -74,46 +76,48 @@ def test_a_ball_whose_lamps_lose_light_once_is_read():
 
 def test_the_touch_tells_where_such_lamps_stand():
     frame, _, lamps = ball()
-    _, measured = gel(frame, sensor("digit"), None, PARAMS)
-    off = np.degrees(np.abs(measured.light.azimuth - lamps.azimuth))
+    _, measured = estimate_gel_depth(frame, load_sensor("digit"), None, PARAMS)
+    off = np.degrees(np.abs(measured.light.azimuth_rad - lamps.azimuth_rad))
     assert off.max() < 0.5 * max(map(abs, AZIMUTH_DEG))
 
 
 def test_a_draft_is_read_by_such_lamps_too():
     frame, truth, _ = ball()
-    depth(frame, sensor("digit"), None, PARAMS)
-    found = depth(frame, sensor("digit"), None, draft(PARAMS))
+    estimate_depth(frame, load_sensor("digit"), None, PARAMS)
+    found = estimate_depth(frame, load_sensor("digit"), None, make_draft_params(PARAMS))
     assert off_mm(found, truth) < 1.5 * READ_MM
 
 
 @pytest.mark.parametrize("unit", [None, 4])
 def test_a_touch_that_a_usual_units_lamps_explain_asks_for_no_others(unit, monkeypatch):
-    source = sensor("digit") if unit is None else variation.varied(sensor("digit"), unit)
-    thing = shapes.shape("star").mesh
-    felt = press(thing, translation(0.3, -0.4, -0.6 - thing.vertices_mm[:, 2].min()), source, seed=2)
-    frame = TactileFrame(sensor="digit", image=felt.image, reference=optics.untouched(source))
-    monkeypatch.setattr(cast_lamps, "fitted", None)
-    _, measured = gel(frame, sensor("digit"), None, PARAMS)
-    assert own_light.explains(measured.light)
+    source = load_sensor("digit") if unit is None else variation.vary_sensor(load_sensor("digit"), unit)
+    thing = shapes.make_shape("star").mesh
+    felt = simulate_press(thing, translation(0.3, -0.4, -0.6 - thing.vertices_mm[:, 2].min()), source, seed=2)
+    frame = TactileFrame(sensor="digit", image=felt.image, reference=optics.render_reference(source))
+    monkeypatch.setattr(shadow_led_calibration, "fitted", None)
+    _, measured = estimate_gel_depth(frame, load_sensor("digit"), None, PARAMS)
+    assert adaptive_illumination.is_trusted(measured.light)
 
 
 def test_lamps_that_explain_nothing_are_refused(monkeypatch):
     frame, _, _ = ball()
-    monkeypatch.setattr(cast_lamps, "_LEFT", 1e-3)
-    found, measured = gel(frame, sensor("digit"), None, PARAMS)
+    monkeypatch.setattr(shadow_led_calibration, "_LEFT", 1e-3)
+    found, measured = estimate_gel_depth(frame, load_sensor("digit"), None, PARAMS)
     assert measured.light == "even"
-    monkeypatch.setattr(cast_lamps, "fitted", lambda *_: None)
-    np.testing.assert_array_equal(gel(frame, sensor("digit"), None, PARAMS)[0].indentation_mm, found.indentation_mm)
+    monkeypatch.setattr(shadow_led_calibration, "fitted", lambda *_: None)
+    np.testing.assert_array_equal(
+        estimate_gel_depth(frame, load_sensor("digit"), None, PARAMS)[0].indentation_mm, found.indentation_mm
+    )
 
 
 def test_a_shadow_is_as_long_as_the_lamp_is_low():
-    source = sensor("digit")
+    source = load_sensor("digit")
     surface = np.zeros(source.camera.shape, np.float32)
     surface[:, 60:80] = 0.5
-    lamps = cast_light.Lamps(
-        azimuth=np.array([0.0]), elevation=np.array([math.atan(0.5)]), share=np.full((3, 1), 0.5)
+    lamps = shadow_model.LedArray(
+        azimuth_rad=np.array([0.0]), elevation_rad=np.array([math.atan(0.5)]), colour_share=np.full((3, 1), 0.5)
     )  # the light comes from the right
-    seen = cast_light.passed(lamps, surface, source.pixel_mm)[0, 160]
+    seen = shadow_model.compute_visibility(lamps, surface, source.pixel_mm)[0, 160]
     dark = np.flatnonzero(seen < 1.0)
     assert dark.max() == 59
     assert (60 - dark.min()) * source.pixel_mm == pytest.approx(1.0, abs=2 * source.pixel_mm)

@@ -11,16 +11,16 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from scipy.ndimage import binary_fill_holes, label
 
 from benchmarks.real_things import circle_of, straight
-from pipeline.evaluation.metrics import iou
+from pipeline.metrics.stage_metrics import iou
 from pipeline.physics import gel
 from pipeline.sensors.parts import Gel
 from pipeline.stages.depth.contact import (
-    touched,
-    touched_membrane,
-    without_grains,
-    without_holes,
-    without_margins,
-    without_small_holes,
+    detect_contact,
+    detect_membrane_contact,
+    fill_holes,
+    fill_small_holes,
+    remove_border_artifacts,
+    remove_weak_specks,
 )
 
 SHAPE = (60, 80)
@@ -31,7 +31,7 @@ LIMITS = {"least_mm": 0.03, "pressure_share": 0.25, "smoothing_px": 1.0}
 def felt(height_mm):
     """A gel under an object whose overlap is this function of (x, y, distance) from the middle, and the truth."""
     y, x = (np.mgrid[:120, :140] - np.array([59.5, 69.5])[:, None, None]) * PIXEL_MM
-    pressed = gel.press(PAD, PIXEL_MM, height_mm(x, y, np.hypot(x, y)))
+    pressed = gel.press_gel(PAD, PIXEL_MM, height_mm(x, y, np.hypot(x, y)))
     return pressed.indentation_mm, pressed.contact
 
 
@@ -50,14 +50,14 @@ def felt(height_mm):
 def test_shallow_regions_in_a_corner_are_left_out(rows, cols, depth_mm, kept):
     mask, surface = np.zeros(SHAPE, np.bool_), np.zeros(SHAPE, np.float32)
     mask[rows, cols], surface[rows, cols] = True, depth_mm
-    found = without_margins(mask, surface, slice(0, 60), slice(0, 80), SHAPE, 6.0)
+    found = remove_border_artifacts(mask, surface, slice(0, 60), slice(0, 80), SHAPE, 6.0)
     assert np.array_equal(found, mask if kept else np.zeros_like(mask))
 
 
 def test_the_end_of_the_part_that_is_worked_on_is_no_side_of_the_picture():
     mask, surface = np.ones((10, 10), np.bool_), np.full((10, 10), 0.05, np.float32)
-    assert without_margins(mask, surface, slice(5, 15), slice(5, 15), SHAPE, 6.0).all()
-    assert not without_margins(mask, surface, slice(0, 10), slice(0, 10), SHAPE, 6.0).any()
+    assert remove_border_artifacts(mask, surface, slice(5, 15), slice(5, 15), SHAPE, 6.0).all()
+    assert not remove_border_artifacts(mask, surface, slice(0, 10), slice(0, 10), SHAPE, 6.0).any()
 
 
 @pytest.mark.parametrize(("wide", "kept"), [(5, False), (9, True)])
@@ -67,32 +67,32 @@ def test_a_strip_along_the_border_beside_a_larger_contact_is_left_out(wide, kept
     whole = mask.copy()
     whole[10:40, :wide] = True
     surface = whole.astype(np.float32)
-    found = without_margins(whole, surface, slice(0, 60), slice(0, 80), SHAPE, 6.0)
+    found = remove_border_artifacts(whole, surface, slice(0, 60), slice(0, 80), SHAPE, 6.0)
     assert np.array_equal(found, whole if kept else mask)
     alone = whole & ~mask
-    assert np.array_equal(without_margins(alone, surface, slice(0, 60), slice(0, 80), SHAPE, 6.0), alone)
+    assert np.array_equal(remove_border_artifacts(alone, surface, slice(0, 60), slice(0, 80), SHAPE, 6.0), alone)
 
 
 def test_specks_that_hardly_press_are_left_out_beside_what_does():
     pressure = np.zeros(SHAPE, np.float32)
     pressure[20:40, 20:40], pressure[5, 5], pressure[5, 50] = 1.0, 0.2, 0.6
-    found = without_grains(pressure > 0.1, pressure, 4, 0.5)
+    found = remove_weak_specks(pressure > 0.1, pressure, 4, 0.5)
     assert found[30, 30]
     assert not found[5, 5]
     assert found[5, 50]  # as a light touch's rim, of which only pieces are seen
-    assert np.array_equal(without_grains(pressure > 2.0, pressure, 4, 0.5), np.zeros(SHAPE, np.bool_))
+    assert np.array_equal(remove_weak_specks(pressure > 2.0, pressure, 4, 0.5), np.zeros(SHAPE, np.bool_))
 
 
 @given(arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=12), elements=st.booleans()))
 def test_what_a_mask_encloses_is_filled(mask):
-    assert np.array_equal(without_holes(mask), binary_fill_holes(mask))
+    assert np.array_equal(fill_holes(mask), binary_fill_holes(mask))
 
 
 @given(arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=12), elements=st.booleans()), st.integers(0, 9))
 def test_only_small_holes_are_filled(mask, most):
     holes, n = label(binary_fill_holes(mask) & ~mask)
     small = np.isin(holes, [k for k in range(1, n + 1) if (holes == k).sum() <= most])
-    assert np.array_equal(without_small_holes(mask, most), mask | small)
+    assert np.array_equal(fill_small_holes(mask, most), mask | small)
 
 
 def test_the_contact_of_a_rough_ball_has_no_stairs():
@@ -100,7 +100,7 @@ def test_the_contact_of_a_rough_ball_has_no_stairs():
     height_mm, _ = felt(lambda x, y, r: 0.5 - r * r / 12.0)
     rough = np.random.default_rng(5).normal(0.0, 1.0, height_mm.shape).astype(np.float32)
     rough = cv2.GaussianBlur(rough, (0, 0), 3.0)
-    contact = touched(height_mm + 0.05 * height_mm * rough / rough.std(), PIXEL_MM, **LIMITS)
+    contact = detect_contact(height_mm + 0.05 * height_mm * rough / rough.std(), PIXEL_MM, **LIMITS)
     assert straight(contact) - circle_of(int(contact.sum())) < 0.1
 
 
@@ -117,13 +117,13 @@ def test_the_contact_of_a_rough_ball_has_no_stairs():
 )
 def test_the_contact_of_what_mechanics_press_is_found_nearly_to_its_rim(height_mm, least):
     surface, contact = felt(height_mm)
-    assert iou(touched(surface, PIXEL_MM, **LIMITS), contact) > least
+    assert iou(detect_contact(surface, PIXEL_MM, **LIMITS), contact) > least
 
 
 def test_gel_that_a_deep_contact_hardly_pulls_along_is_not_touched():
     _, _, r = (np.broadcast_to(a, (120, 140)) for a in (0, 0, np.hypot(*np.mgrid[-60:60, -70:70]) * PIXEL_MM))
     ball, skirt = np.maximum(0.9 - r * r / 4.0, 0.0), np.where(r < 2.6, 0.15, 0.0)
-    found = touched(np.maximum(ball, skirt).astype(np.float32), PIXEL_MM, **LIMITS)
+    found = detect_contact(np.maximum(ball, skirt).astype(np.float32), PIXEL_MM, **LIMITS)
     assert found[r < 1.2].all()
     assert not found[r > 2.0].any()
 
@@ -131,7 +131,7 @@ def test_gel_that_a_deep_contact_hardly_pulls_along_is_not_touched():
 def test_a_light_touch_beside_a_firm_one_has_a_peak_of_its_own():
     surface, _ = felt(lambda x, y, r: 0.5 - (x + 2.0) ** 2 - y * y)
     light, contact = felt(lambda x, y, r: 0.06 - (x - 2.0) ** 2 / 2.0 - y * y / 2.0)
-    found = touched(surface + light, PIXEL_MM, **LIMITS)
+    found = detect_contact(surface + light, PIXEL_MM, **LIMITS)
     assert found[contact].mean() > 0.5
 
 
@@ -139,6 +139,6 @@ def test_a_membranes_contact_has_no_holes():
     y, x = np.mgrid[:80, :80]
     r = np.hypot(x - 39.5, y - 39.5)
     surface = np.clip(25.0 - np.abs(r - 15.0) * 2.0, 0.0, 20.0).astype(np.float32)
-    found = touched_membrane(surface, least_mm=1.0, pressure_share=0.25, smoothing_px=2.0)
+    found = detect_membrane_contact(surface, least_mm=1.0, pressure_share=0.25, smoothing_px=2.0)
     assert found[39, 39]
     assert not found[0, 0]

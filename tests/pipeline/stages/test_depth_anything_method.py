@@ -12,8 +12,8 @@ import torch
 from pipeline.base.progress import SILENT
 from pipeline.engine.graph import Skipped
 from pipeline.networks.depth_anything import DepthAnything
-from pipeline.stages.depth import stage
-from pipeline.stages.depth.depth_anything import DepthAnythingParams, depth
+from pipeline.stages.depth import photometric
+from pipeline.stages.depth.depth_anything import DepthAnythingParams, estimate_depth
 from pipeline.translation.translate import Request, open_translation
 
 SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
@@ -48,11 +48,11 @@ def frame(opened):
 
 @pytest.fixture(scope="module")
 def physical(opened, frame):
-    return stage.depth(frame, opened.source, None, stage.DepthParams())
+    return photometric.estimate_depth(frame, opened.source, None, photometric.DepthParams())
 
 
 def asked(opened, frame, network, **params):
-    return depth(frame, opened.source, None, network, DepthAnythingParams(**params), SILENT)
+    return estimate_depth(frame, opened.source, None, network, DepthAnythingParams(**params), SILENT)
 
 
 def half(picture):
@@ -134,8 +134,8 @@ def test_a_users_file_is_read_and_another_is_told(opened, tmp_path):
                           weights=() if file is None else (("", file),))  # fmt: skip
         made = open_translation(request)
         try:
-            params = {"depth": DepthAnythingParams(side=28)}
-            return made.graph().evaluate(["depth"], made.inputs(TOUCH), params)["depth"].notes[0]
+            params = {"depth": DepthAnythingParams(shorter_side_px=28)}
+            return made.build_graph().evaluate(["depth"], made.read_inputs(TOUCH), params)["depth"].notes[0]
         finally:
             made.recording.close()
 

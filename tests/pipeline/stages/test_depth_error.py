@@ -9,16 +9,16 @@ import pytest
 
 from pipeline.geometry import rigid
 from pipeline.physics import optics
-from pipeline.sensors.spec import sensor
+from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
-from pipeline.simulation.poses import paper_grid
-from pipeline.simulation.press import press
-from pipeline.simulation.variation import varied
+from pipeline.simulation.poses import make_paper_grid
+from pipeline.simulation.press import simulate_press
+from pipeline.simulation.variation import vary_sensor
 from pipeline.stages.depth import depth_error
-from pipeline.stages.depth.stage import DepthParams, depth
-from pipeline.stages.pose.stage import PoseParams, pose_from
+from pipeline.stages.depth.photometric import DepthParams, estimate_depth
+from pipeline.stages.pose.signed_distances import PoseParams, track_pose
 from pipeline.values.frames import TactileFrame
-from pipeline.values.pixel_index import pixel_index
+from pipeline.values.pixel_index import make_pixel_index
 from pipeline.values.results import DepthMap
 
 PRESSES = 6
@@ -30,12 +30,12 @@ def measured(name, other=None):
 
     `other` is the seed of the first of other units, each press on one of its own.
     """
-    spec, mesh, found = sensor(name), shapes.shape("notched_elbow").mesh, []
-    for k, pose in enumerate(paper_grid(mesh, n=PRESSES, seed=3)):
-        unit = spec if other is None else varied(spec, other + k)
-        made = press(mesh, pose, unit, seed=k)
-        frame = TactileFrame(sensor=name, image=made.image, reference=optics.untouched(unit))
-        told = depth(frame, spec, None, DepthParams())
+    spec, mesh, found = load_sensor(name), shapes.make_shape("notched_elbow").mesh, []
+    for k, pose in enumerate(make_paper_grid(mesh, n=PRESSES, seed=3)):
+        unit = spec if other is None else vary_sensor(spec, other + k)
+        made = simulate_press(mesh, pose, unit, seed=k)
+        frame = TactileFrame(sensor=name, image=made.image, reference=optics.render_reference(unit))
+        told = estimate_depth(frame, spec, None, DepthParams())
         both = told.contact & made.truth.contact
         error = np.where(both, made.truth.indentation_mm - told.indentation_mm, 0.0).astype(float)
         counted, products = (_itself(a)[0, :200] for a in (both.astype(float), error))
@@ -57,21 +57,21 @@ def test_measured_depth_carries_the_error_that_presses_show(name, other):
 
 
 def told_of(light, *, steep=1.0):
-    spec = sensor("digit")
+    spec = load_sensor("digit")
     shape = spec.camera.shape
     ramp = (steep * spec.pixel_mm * np.arange(shape[1], dtype=np.float32)[None, :]) * np.ones(shape, np.float32)
     rest = np.zeros(shape, np.float32)
     found = DepthMap(indentation_mm=ramp, depth_mm=rest, contact=rest == 0, camera=spec.camera,
-                     source_index=pixel_index(shape))  # fmt: skip
-    return depth_error.of_gel(found, spec, light).rms_mm
+                     source_index=make_pixel_index(shape))  # fmt: skip
+    return depth_error.predict_gel_error(found, spec, light).rms_mm
 
 
 def test_a_touch_errs_as_its_light_and_its_slopes_have_it():
-    spec = sensor("digit")
+    spec = load_sensor("digit")
     other = replace(spec.optics, vignette=0.5 * spec.optics.vignette + 0.1)
     described, told, refused = (told_of(light) for light in (spec.optics, other, "sure"))
     assert described == pytest.approx(spec.limits.depth_rms_mm, rel=1e-3)
-    assert told == pytest.approx(spec.limits.depth_rms_other_mm, rel=1e-3)
+    assert told == pytest.approx(spec.limits.depth_rms_other_instance_mm, rel=1e-3)
     assert 2 * described < told < 0.5 * refused
     assert told_of(None) == told
     assert told_of(other, steep=0.5) == pytest.approx(0.5 * told, rel=1e-3)
@@ -80,12 +80,12 @@ def test_a_touch_errs_as_its_light_and_its_slopes_have_it():
 
 @pytest.mark.parametrize("name", ["digit", "gelslim_dotless"])
 def test_the_poses_covariance_is_as_wide_as_poses_from_measured_depth_err(name):
-    spec, mesh, found = sensor(name), shapes.shape("notched_elbow").mesh, []
-    for k, placed in enumerate(paper_grid(mesh, n=PRESSES, seed=7)):
-        made = press(mesh, placed, spec, seed=k)
-        frame = TactileFrame(sensor=name, image=made.image, reference=optics.untouched(spec))
+    spec, mesh, found = load_sensor(name), shapes.make_shape("notched_elbow").mesh, []
+    for k, placed in enumerate(make_paper_grid(mesh, n=PRESSES, seed=7)):
+        made = simulate_press(mesh, placed, spec, seed=k)
+        frame = TactileFrame(sensor=name, image=made.image, reference=optics.render_reference(spec))
         truth = made.truth.sensor_from_object
-        told = pose_from(depth(frame, spec, None, DepthParams()), mesh, PoseParams(), truth)
+        told = track_pose(estimate_depth(frame, spec, None, DepthParams()), mesh, PoseParams(), truth)
         off, middle = told.sensor_from_object @ rigid.invert(truth), told.scene_mm.mean(axis=0).astype(float)
         error = np.concatenate([rigid.rotation_vector_rad(off), rigid.apply(off, middle) - middle])
         error, known = told.observable @ error, told.observable @ told.covariance @ told.observable.T

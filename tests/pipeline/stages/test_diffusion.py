@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from pipeline.base.progress import Cancelled
-from pipeline.stages.generate.diffusion import DiffusionParams, sampled
+from pipeline.stages.touch.residual_diffusion import DiffusionParams, sample_residual
 from tests.pipeline.networks.test_residual_denoiser import PREDICTIONS, small
 
 SAMPLERS = ("ddim", "dpmpp_2m", "corrected")
@@ -41,7 +41,7 @@ class Counts(torch.nn.Module):
 @pytest.mark.parametrize("guidance", [0.0, 1.0])
 def test_without_guidance_a_step_costs_one_pass(steps, guidance):
     net = Counts()
-    found = sampled(net, CONDITION, taking_all(steps=steps, guidance=guidance))
+    found = sample_residual(net, CONDITION, taking_all(steps=steps, guidance=guidance))
     assert found.passes == steps
     assert net.passes == steps + (guidance == 0.0), "its spread has to be asked for where no condition ever was"
     assert net.bare == (steps if guidance == 0.0 else 0)
@@ -49,23 +49,23 @@ def test_without_guidance_a_step_costs_one_pass(steps, guidance):
 
 def test_guidance_costs_two_passes_a_step():
     net = Counts()
-    assert sampled(net, CONDITION, taking_all(steps=40, guidance=2.5)).passes == net.passes == 80
+    assert sample_residual(net, CONDITION, taking_all(steps=40, guidance=2.5)).passes == net.passes == 80
 
 
 def test_one_step_is_the_middle_whatever_the_seed_and_many_are_a_sample_near_it():
     told = 2.0 * np.clip(CONDITION[0], -1, 1)
-    first = [sampled(Counts(), CONDITION, taking_all(seed=seed)).last.residual_mm for seed in (0, 1)]
+    first = [sample_residual(Counts(), CONDITION, taking_all(seed=seed)).final.residual_mm for seed in (0, 1)]
     assert np.abs(first[0] - first[1]).max() < 0.02
     assert np.abs(first[0] - told).max() < 0.02
-    many = sampled(Counts(), CONDITION, taking_all(steps=30, seed=3)).last.residual_mm
+    many = sample_residual(Counts(), CONDITION, taking_all(steps=30, seed=3)).final.residual_mm
     assert 0.1 < (many - told).std() < 0.3  # 0.1 of the network's unit around it
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_one_does_not():
     params = taking_all(steps=6, seed=5)
-    a, b, other = (sampled(small(), CONDITION, p).last for p in (params, params, replace(params, seed=6)))
+    a, b, other = (sample_residual(small(), CONDITION, p).final for p in (params, params, replace(params, seed=6)))
     assert a.residual_mm.tobytes() == b.residual_mm.tobytes()
-    assert a.contact.tobytes() == b.contact.tobytes()
+    assert a.contact_correction.tobytes() == b.contact_correction.tobytes()
     assert a.residual_mm.tobytes() != other.residual_mm.tobytes()
 
 
@@ -79,21 +79,21 @@ def test_it_can_be_stopped_between_any_two_passes(stop_after):
                 raise Cancelled
 
     with pytest.raises(Cancelled):
-        sampled(net, CONDITION, taking_all(steps=40, guidance=2.5), Stops())
+        sample_residual(net, CONDITION, taking_all(steps=40, guidance=2.5), Stops())
     assert net.passes == stop_after
 
 
 @pytest.mark.parametrize("steps", [1, 7, 50, 51, 333])
 def test_kept_states_lead_to_the_sample_and_are_not_too_many(steps):
-    found = sampled(Counts(), CONDITION, taking_all(steps=steps, keep_states=True))
+    found = sample_residual(Counts(), CONDITION, taking_all(steps=steps, keep_states=True))
     assert 1 <= len(found.states) <= min(50, steps)
-    assert found.states[-1].residual_mm.tobytes() == found.last.residual_mm.tobytes()
+    assert found.states[-1].residual_mm.tobytes() == found.final.residual_mm.tobytes()
     assert [s.sigma for s in found.states] == sorted((s.sigma for s in found.states), reverse=True)
-    assert not sampled(Counts(), CONDITION, taking_all(steps=steps)).states
+    assert not sample_residual(Counts(), CONDITION, taking_all(steps=steps)).states
 
 
 def test_few_steps_for_much_guidance_are_said():
-    assert "without it" in sampled(Counts(), CONDITION, taking_all(steps=2, guidance=7.0)).notes[0]
+    assert "without it" in sample_residual(Counts(), CONDITION, taking_all(steps=2, guidance=7.0)).notes[0]
 
 
 @pytest.mark.parametrize("prediction", PREDICTIONS)
@@ -103,9 +103,9 @@ def test_every_number_of_steps_guidance_and_sampler_stays_finite_and_within_reac
     table = itertools.product((1, 2, 3, 4, 5, 8, 11, 12, 19, 20), (0.0, 1.0, 1.5, 2.54, 7.0, 15.0), SAMPLERS)
     long = [(50, 7.0, "corrected"), (999, 2.54, "dpmpp_2m"), (1000, 15.0, "corrected")]
     for steps, guidance, sampler in (*table, *long):
-        found = sampled(net, tiny, taking_all(steps=steps, guidance=guidance, sampler=sampler))
+        found = sample_residual(net, tiny, taking_all(steps=steps, guidance=guidance, sampler=sampler))
         told = prediction, steps, guidance, sampler
-        assert np.isfinite(found.last.residual_mm).all(), told
-        assert np.abs(found.last.residual_mm).max() <= net.reach * net.unit_mm + 1e-5, told
-        assert np.isfinite(found.last.contact).all(), told
-        assert np.isfinite(found.spread_mm).all(), told
+        assert np.isfinite(found.final.residual_mm).all(), told
+        assert np.abs(found.final.residual_mm).max() <= net.reach * net.unit_mm + 1e-5, told
+        assert np.isfinite(found.final.contact_correction).all(), told
+        assert np.isfinite(found.expected_error_mm).all(), told

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from pipeline.physics import optics
-from pipeline.sensors.spec import sensor
-from pipeline.simulation.variation import varied
+from pipeline.sensors.spec import load_sensor
+from pipeline.simulation.variation import vary_sensor
 from pipeline.stages.depth import drift
-from pipeline.stages.depth.stage import DepthParams, depth, untouched
+from pipeline.stages.depth.photometric import DepthParams, estimate_depth, skip_without_contact
 from pipeline.values.frames import TactileFrame
 from tests.pipeline.stages.test_depth import contact_of, press
 
@@ -32,7 +32,7 @@ def drifted(image, *, gain=1.0, ramp_grey=0.0, shift_px=(0.0, 0.0), seed=0):
 
 
 def frame(source, image, reference=None):
-    still = optics.untouched(source) if reference is None else reference
+    still = optics.render_reference(source) if reference is None else reference
     return TactileFrame(sensor=source.name, image=image, reference=still)
 
 
@@ -40,27 +40,27 @@ def frame(source, image, reference=None):
 @pytest.mark.parametrize("how", [{"gain": 1.06}, {"ramp_grey": 20.0}, {"shift_px": (2.0, -1.0)},
                                  {"gain": 0.95, "ramp_grey": -12.0, "shift_px": (-1.0, 1.5)}])  # fmt: skip
 def test_a_picture_that_only_drifted_is_untouched(name, how):
-    source = sensor(name)
-    image = drifted(optics.untouched(source), **how)
-    found = untouched(frame(source, image), source, None, PARAMS)
+    source = load_sensor(name)
+    image = drifted(optics.render_reference(source), **how)
+    found = skip_without_contact(frame(source, image), source, None, PARAMS)
     if found is None:  # then a closer look must not find anything either
-        found = depth(frame(source, image), source, None, PARAMS)
+        found = estimate_depth(frame(source, image), source, None, PARAMS)
     assert not found.contact.any()
     assert not found.indentation_mm.any()
 
 
 def test_what_was_taken_out_is_told():
-    source = sensor("gelslim")
-    image = drifted(optics.untouched(source), gain=1.08, shift_px=(2.0, 0.0))
-    told = " ".join(untouched(frame(source, image), source, None, PARAMS).notes)
+    source = load_sensor("gelslim")
+    image = drifted(optics.render_reference(source), gain=1.08, shift_px=(2.0, 0.0))
+    told = " ".join(skip_without_contact(frame(source, image), source, None, PARAMS).notes)
     assert "the light has drifted" in told
     assert "moved by 2.0 px" in told
     assert "larger than the view" in told  # nobody can tell it from one
 
 
 def test_shift_gain_and_ramp_are_measured():
-    still = optics.untouched(sensor("gelslim"))
-    found, foreign = drift.fitted(drifted(still, gain=1.04, ramp_grey=10.0, shift_px=(1.6, -0.7)), still)
+    still = optics.render_reference(load_sensor("gelslim"))
+    found, foreign = drift.fit_drift(drifted(still, gain=1.04, ramp_grey=10.0, shift_px=(1.6, -0.7)), still)
     assert not foreign
     assert found.shift_px == pytest.approx((1.6, -0.7), abs=0.1)
     assert found.gain == pytest.approx([1.04] * 3, abs=0.01)
@@ -70,45 +70,45 @@ def test_shift_gain_and_ramp_are_measured():
 @pytest.mark.parametrize("name", ["digit", "gelsight_mini"])
 def test_a_touch_is_no_drift_and_is_found_through_one(name):
     source, touch, truth = press(name, depth_mm=0.4)
-    assert drift.stilled(touch.image, touch.reference).drift is None
+    assert drift.apply_estimated_drift(touch.image, touch.reference).drift is None
     image = drifted(touch.image, gain=1.03, ramp_grey=12.0, shift_px=(0.0, 1.0))
-    found, wanted = depth(replace(touch, image=image), source, None, PARAMS), contact_of(truth)
+    found, wanted = estimate_depth(replace(touch, image=image), source, None, PARAMS), contact_of(truth)
     assert (found.contact & wanted).sum() / (found.contact | wanted).sum() > 0.75
 
 
 def test_the_reference_of_another_unit_is_noticed():
-    source = sensor("digit")
-    image, reference = (optics.untouched(varied(source, seed, 1.5)) for seed in (1, 2))
-    found = depth(frame(source, image, reference), source, None, PARAMS)
+    source = load_sensor("digit")
+    image, reference = (optics.render_reference(vary_sensor(source, seed, 1.5)) for seed in (1, 2))
+    found = estimate_depth(frame(source, image, reference), source, None, PARAMS)
     assert any("another unit" in note for note in found.notes)
 
 
 def test_a_picture_all_white_is_no_drift():
-    still = optics.untouched(sensor("gelsight_mini"))
-    assert drift.fitted(np.full_like(still, 255), still)[0] is None
+    still = optics.render_reference(load_sensor("gelsight_mini"))
+    assert drift.fit_drift(np.full_like(still, 255), still)[0] is None
 
 
 def test_a_picture_with_large_markers_that_has_moved_is_put_back():
-    source = sensor("gelslim")
+    source = load_sensor("gelslim")
     assert source.markers is not None
     markers = replace(source.markers, pitch_mm=0.9, radius_mm=0.2, darkness=0.95)
-    still = optics.untouched(replace(source, markers=markers))
-    found, _ = drift.fitted(drifted(still, shift_px=(-2.0, 2.0)), still)
+    still = optics.render_reference(replace(source, markers=markers))
+    found, _ = drift.fit_drift(drifted(still, shift_px=(-2.0, 2.0)), still)
     assert found is not None
     assert found.shift_px == pytest.approx((-2.0, 2.0), abs=0.1)
 
 
 def test_a_face_that_fills_the_view_is_not_taken_for_drift_nor_drift_for_a_face():
-    source = sensor("gelsight_mini")
+    source = load_sensor("gelsight_mini")
     rows, cols = source.camera.shape
     beside = np.maximum(np.abs(np.arange(cols) - 0.5 * (cols - 1)) - 0.47 * cols, 0.0) * source.pixel_mm
     face = np.tile(0.5 * np.exp(-beside / 0.3), (rows, 1)).astype(np.float32)
     how = {"gain": 0.97, "ramp_grey": 12.0}
-    found = depth(frame(source, drifted(optics.render(source, face, seed=1), **how)), source, None, PARAMS)
+    found = estimate_depth(frame(source, drifted(optics.render(source, face, seed=1), **how)), source, None, PARAMS)
     assert found.contact.mean() > 0.9
     assert any("fills the view" in note for note in found.notes)
     assert any("the light has drifted" in note for note in found.notes)
-    alone = frame(source, drifted(optics.untouched(source), **how))
-    found = untouched(alone, source, None, PARAMS) or depth(alone, source, None, PARAMS)
+    alone = frame(source, drifted(optics.render_reference(source), **how))
+    found = skip_without_contact(alone, source, None, PARAMS) or estimate_depth(alone, source, None, PARAMS)
     assert not found.contact.any()
     assert any("larger than the view" in note for note in found.notes)  # which shows no rim

@@ -6,11 +6,11 @@ import pytest
 from pipeline.base.errors import ShapeError
 from pipeline.geometry import rigid
 from pipeline.physics import gel, lattice, optics
-from pipeline.sensors.spec import sensor
-from pipeline.simulation.press import press
-from pipeline.simulation.shapes.prisms import bar
-from pipeline.stages.generate.stage import GenerateParams, generate, without_contact
-from pipeline.values.results import TargetView
+from pipeline.sensors.spec import load_sensor
+from pipeline.simulation.press import simulate_press
+from pipeline.simulation.shapes.prisms import make_chamfered_prism
+from pipeline.stages.touch.physical_render import PhysicalRenderParams, render_touch, skip_without_contact
+from pipeline.values.results import TargetDepth
 
 SURFACE_MM = 2e-3  # the stage's solver tolerance (0.5 um) at a contact edge
 LEFT_OUT_MM = 0.1  # of 0.3 mm: one pixel without a value springs up by 0.065 mm between its neighbours
@@ -19,13 +19,13 @@ SENSORS = ("gelslim", "digit", "gelsight_mini", "soft_bubble")
 
 def view_of(spec, mask, indentation_mm):
     indentation = np.where(mask, indentation_mm, 0.0).astype(np.float32)
-    return TargetView(
+    return TargetDepth(
         depth_mm=np.where(mask, spec.rest_depth_mm - indentation, np.nan).astype(np.float32),
         contact=mask,
         indentation_mm=indentation,
         camera=spec.camera,
         source_index=np.where(mask, 7, -1).astype(np.int32),
-        known=np.ones(mask.shape, bool),
+        in_view=np.ones(mask.shape, bool),
     )
 
 
@@ -39,23 +39,23 @@ def corner(spec, share=0.5):
 
 @pytest.mark.parametrize("name", SENSORS)
 def test_no_contact_gives_the_untouched_reading_at_no_cost(name):
-    spec = sensor(name)
+    spec = load_sensor(name)
     empty = view_of(spec, np.zeros(spec.camera.shape, bool), 0.0)
-    touch = generate(empty, spec, GenerateParams())
-    wanted = optics.untouched(spec) if spec.kind == "gel" else spec.rest_depth_mm.astype(np.float32)
+    touch = render_touch(empty, spec, PhysicalRenderParams())
+    wanted = optics.render_reference(spec) if spec.kind == "gel" else spec.rest_depth_mm.astype(np.float32)
     assert np.array_equal(touch.image, wanted)
     assert not touch.membrane.indentation_mm.any()
     assert (touch.source_index == -1).all()
-    assert without_contact(empty, spec, GenerateParams()).image is touch.image  # kept, not made again
+    assert skip_without_contact(empty, spec, PhysicalRenderParams()).image is touch.image  # kept, not made again
 
 
 @pytest.mark.parametrize("name", SENSORS)
 def test_the_same_view_and_seed_give_the_same_bytes(name):
-    spec = sensor(name)
+    spec = load_sensor(name)
     depth_mm = 0.5 if spec.kind == "gel" else 5.0
     view = view_of(spec, corner(spec), depth_mm)
-    one, again = (generate(view, spec, GenerateParams(noise=True, seed=4)) for _ in range(2))
-    other = generate(view, spec, GenerateParams(noise=True, seed=5))
+    one, again = (render_touch(view, spec, PhysicalRenderParams(add_noise=True, seed=4)) for _ in range(2))
+    other = render_touch(view, spec, PhysicalRenderParams(add_noise=True, seed=5))
     assert one.image.tobytes() == again.image.tobytes()
     assert one.image.tobytes() != other.image.tobytes()
     assert one.image.dtype == (np.uint8 if spec.kind == "gel" else np.float32)
@@ -63,11 +63,11 @@ def test_the_same_view_and_seed_give_the_same_bytes(name):
 
 @pytest.mark.parametrize("surface", ["press", "follow"])
 def test_a_true_contact_gives_back_the_true_gel_surface(surface):
-    spec = sensor("digit")
+    spec = load_sensor("digit")
     y, x = np.mgrid[: spec.camera.rows, : spec.camera.cols]
     overlap = 0.5 - ((x - 110.0) ** 2 + (y - 170.0) ** 2) * spec.pixel_mm**2 / (2 * 4.0)
-    true = gel.press(spec.gel, spec.pixel_mm, overlap)
-    touch = generate(view_of(spec, true.contact, true.indentation_mm), spec, GenerateParams(surface=surface))
+    true = gel.press_gel(spec.gel, spec.pixel_mm, overlap)
+    touch = render_touch(view_of(spec, true.contact, true.indentation_mm), spec, PhysicalRenderParams(surface=surface))
     assert np.abs(touch.membrane.indentation_mm - true.indentation_mm).max() < SURFACE_MM
     assert (touch.membrane.contact & true.contact).sum() > 0.97 * (touch.membrane.contact | true.contact).sum()
     assert np.abs(touch.image.astype(int) - optics.render(spec, true.indentation_mm, seed=None)).max() <= 2
@@ -76,22 +76,24 @@ def test_a_true_contact_gives_back_the_true_gel_surface(surface):
 @pytest.mark.parametrize("side_mm", [6.0, 9.1, 13.3])
 def test_a_bubble_lies_on_all_of_the_object_that_is_felt_up_to_its_edge(side_mm):
     """As the simulator presses the same plate: what is told by pixels ends half a pixel before the edge."""
-    spec, half = sensor("soft_bubble"), side_mm / 2
-    plate = bar(((-half, -half), (half, -half), (half, half), (-half, half)), 8.0, 0.05, "plate")
-    truth = press(plate, rigid.translation(0.4, -0.3, -4.0), spec, seed=None).truth
-    seen = lattice.depth_of_mesh(rigid.apply(truth.sensor_from_object, plate.vertices_mm), plate.triangles, spec.camera)
+    spec, half = load_sensor("soft_bubble"), side_mm / 2
+    plate = make_chamfered_prism(((-half, -half), (half, -half), (half, half), (-half, half)), 8.0, 0.05, "plate")
+    truth = simulate_press(plate, rigid.translation(0.4, -0.3, -4.0), spec, seed=None).truth
+    seen = lattice.render_mesh_depth(
+        rigid.apply(truth.sensor_from_object, plate.vertices_mm), plate.triangles, spec.camera
+    )
     with np.errstate(invalid="ignore"):
         view = view_of(spec, seen < spec.rest_depth_mm, np.nan_to_num(spec.rest_depth_mm - seen))
-    felt = generate(view, spec, GenerateParams()).membrane
+    felt = render_touch(view, spec, PhysicalRenderParams()).membrane
     assert (felt.depth_mm <= np.where(view.contact, view.depth_mm, np.inf) + 1e-4).all(), "through the object"
     assert view.contact.sum() > 100
     assert np.abs(felt.indentation_mm - truth.indentation_mm)[view.contact].mean() < 0.03
 
 
 def test_a_bubble_is_slack_over_the_points_and_free_elsewhere():
-    spec = sensor("soft_bubble")
+    spec = load_sensor("soft_bubble")
     mask = corner(spec, 0.6)
-    touch = generate(view_of(spec, mask, 6.0), spec, GenerateParams())
+    touch = render_touch(view_of(spec, mask, 6.0), spec, PhysicalRenderParams())
     between = np.zeros_like(mask)
     between[spec.camera.rows // 2 - 18, spec.camera.cols // 2 + 18] = True  # in the crook of the L, 18 px from both
     assert 0.5 < touch.membrane.indentation_mm[between][0] < 6.0
@@ -103,9 +105,9 @@ def test_a_bubble_is_slack_over_the_points_and_free_elsewhere():
 
 @pytest.mark.parametrize("name", SENSORS)
 def test_depth_is_rest_less_indentation_and_pixels_remember_the_view(name):
-    spec = sensor(name)
+    spec = load_sensor(name)
     mask = corner(spec)
-    touch = generate(view_of(spec, mask, 0.4 if spec.kind == "gel" else 4.0), spec, GenerateParams())
+    touch = render_touch(view_of(spec, mask, 0.4 if spec.kind == "gel" else 4.0), spec, PhysicalRenderParams())
     assert (
         np.abs(spec.rest_depth_mm - touch.membrane.indentation_mm - touch.membrane.depth_mm).max() < 1e-4
     )  # float32 at 80 mm
@@ -115,14 +117,14 @@ def test_depth_is_rest_less_indentation_and_pixels_remember_the_view(name):
 
 
 def test_what_is_too_deep_is_cut_and_said():
-    spec = sensor("gelslim")
-    touch = generate(view_of(spec, corner(spec), 40.0), spec, GenerateParams())
+    spec = load_sensor("gelslim")
+    touch = render_touch(view_of(spec, corner(spec), 40.0), spec, PhysicalRenderParams())
     assert touch.membrane.indentation_mm.max() < spec.limits.indentation_max_mm + 0.01
     assert any("cut at the 1.918 mm" in note for note in touch.notes)
 
 
 def test_ragged_masks_and_contacts_at_the_border_stay_finite():
-    spec = sensor("digit")
+    spec = load_sensor("digit")
     rng = np.random.default_rng(0)
     ragged = corner(spec) & (rng.random(spec.camera.shape) < 0.4)
     edge = np.zeros(spec.camera.shape, bool)
@@ -133,14 +135,16 @@ def test_ragged_masks_and_contacts_at_the_border_stay_finite():
     for mask in (ragged, edge, everything, single):
         view = view_of(spec, mask, 0.4 + 0.05 * rng.standard_normal(mask.shape))
         for surface in ("press", "follow"):
-            assert np.isfinite(generate(view, spec, GenerateParams(surface=surface)).membrane.indentation_mm).all()
+            assert np.isfinite(
+                render_touch(view, spec, PhysicalRenderParams(surface=surface)).membrane.indentation_mm
+            ).all()
 
 
 def test_an_object_that_leaves_the_picture_goes_on_beyond_it():
-    spec = sensor("digit")
+    spec = load_sensor("digit")
     band = np.zeros(spec.camera.shape, bool)
     band[140:180] = True
-    surface = generate(view_of(spec, band, 0.4), spec, GenerateParams()).membrane.indentation_mm
+    surface = render_touch(view_of(spec, band, 0.4), spec, PhysicalRenderParams()).membrane.indentation_mm
     along_edge = surface[130, [0, 120]]
     assert along_edge[0] == pytest.approx(along_edge[1], abs=0.03)
 
@@ -148,8 +152,8 @@ def test_an_object_that_leaves_the_picture_goes_on_beyond_it():
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -20.0, 3e38])
 @pytest.mark.parametrize("name", ["digit", "soft_bubble"])
 def test_contact_without_a_value_is_left_out_and_said(name, value):
-    whole = sensor(name)
-    camera = whole.camera.scaled(0.2)
+    whole = load_sensor(name)
+    camera = whole.camera.scale(0.2)
     spec = replace(whole, camera=camera, rest_depth_mm=whole.membrane.rest_depth_mm(camera))
     clean = view_of(spec, corner(spec), 0.3)
     pushed, depth = np.array(clean.indentation_mm), np.array(clean.depth_mm)
@@ -158,8 +162,8 @@ def test_contact_without_a_value_is_left_out_and_said(name, value):
     depth[row, col] = value
     for surface in ("press", "follow"):
         bad = replace(clean, indentation_mm=pushed, depth_mm=depth)
-        touch = generate(bad, spec, GenerateParams(surface=surface))
-        near = generate(clean, spec, GenerateParams(surface=surface))
+        touch = render_touch(bad, spec, PhysicalRenderParams(surface=surface))
+        near = render_touch(clean, spec, PhysicalRenderParams(surface=surface))
         assert any("1 contact pixels" in note for note in touch.notes)
         made, wanted = touch.membrane.indentation_mm, near.membrane.indentation_mm
         assert np.isfinite(made).all()
@@ -170,14 +174,14 @@ def test_contact_without_a_value_is_left_out_and_said(name, value):
 
 
 def test_a_view_of_another_size_is_refused_in_words():
-    spec = sensor("digit")
+    spec = load_sensor("digit")
     view = view_of(spec, corner(spec), 0.4)
     with pytest.raises(ShapeError, match="digit"):
-        generate(replace(view, contact=view.contact[:-1]), spec, GenerateParams())
+        render_touch(replace(view, contact=view.contact[:-1]), spec, PhysicalRenderParams())
 
 
 def test_another_word_for_the_surface_is_not_taken_for_the_usual_one():
-    spec = sensor("digit")
+    spec = load_sensor("digit")
     mask = corner(spec)
     with pytest.raises(AssertionError, match="hold"):
-        generate(view_of(spec, mask, 0.3 * mask), spec, GenerateParams(surface="hold"))
+        render_touch(view_of(spec, mask, 0.3 * mask), spec, PhysicalRenderParams(surface="hold"))

@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from pipeline.base.progress import Cancelled
-from pipeline.networks.latent import LatentDiffusion
-from pipeline.networks.squares import LEAST_MM, MOST_MM, normal, picture, pictured
-from pipeline.stages.generate import latent
-from pipeline.stages.generate.latent import LatentParams, sampled
+from pipeline.networks.latent_diffusion import LatentDiffusion
+from pipeline.networks.square_images import MAX_IMPRINT_MM, MIN_IMPRINT_MM, decode_image, encode_image, normalise
+from pipeline.stages.touch import latent_diffusion
+from pipeline.stages.touch.latent_diffusion import LatentParams, sample_image
 
 SHOWN = np.random.default_rng(0).normal(size=(3, 32, 32)).astype(np.float32)
 
@@ -21,8 +21,8 @@ SHOWN = np.random.default_rng(0).normal(size=(3, 32, 32)).astype(np.float32)
 def net():
     torch.manual_seed(0)
     made = LatentDiffusion(
-        side=32, width=8, times="1 2", blocks=1, attention="2", heads=2, groups=4, first_width=8,
-        first_times="1 1 2 2", first_blocks=1, seen=4,
+        side=32, width=8, channel_multipliers="1 2", blocks=1, attention="2", heads=2, groups=4, autoencoder_width=8,
+        autoencoder_multipliers="1 1 2 2", autoencoder_blocks=1, condition_channels=4,
     )  # fmt: skip
     with torch.no_grad():
         made.model["diffusion_model"].out[2].weight.normal_(0, 0.02)
@@ -39,12 +39,12 @@ def counted(net, monkeypatch):
 @pytest.mark.parametrize(("guidance", "passes"), [(1.0, 1), (0.0, 1), (2.54, 2)])
 def test_a_guidance_of_one_costs_one_pass_a_step(net, monkeypatch, guidance, passes):
     calls = counted(net, monkeypatch)
-    sampled(net, SHOWN, LatentParams(steps=40, guidance=guidance))
+    sample_image(net, SHOWN, LatentParams(steps=40, guidance=guidance))
     assert len(calls) == passes * 40
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_another_touch(net):
-    first, again, other = (sampled(net, SHOWN, LatentParams(steps=4, seed=seed))[0] for seed in (3, 3, 4))
+    first, again, other = (sample_image(net, SHOWN, LatentParams(steps=4, seed=seed))[0] for seed in (3, 3, 4))
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
 
@@ -52,7 +52,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_another_touch(net):
 @pytest.mark.parametrize("steps", [1, 2, 3, 7, 20, 200])
 @pytest.mark.parametrize("guidance", [0.0, 2.54, 15.0])
 def test_every_number_of_steps_gives_a_picture(net, steps, guidance):
-    found, _ = sampled(net, SHOWN, LatentParams(steps=steps, guidance=guidance))
+    found, _ = sample_image(net, SHOWN, LatentParams(steps=steps, guidance=guidance))
     assert found.shape == (3, 32, 32)
     assert np.isfinite(found).all()
 
@@ -68,25 +68,25 @@ def test_it_is_cancelled_between_two_steps(net):
                 raise Cancelled
 
     with pytest.raises(Cancelled):
-        sampled(net, SHOWN, LatentParams(steps=200), After())
+        sample_image(net, SHOWN, LatentParams(steps=200), After())
 
 
 def test_an_imprint_becomes_three_channels_and_mm_again():
-    imprint = np.linspace(LEAST_MM, MOST_MM, 64, dtype=np.float32).reshape(1, 8, 8)
-    shown = picture(imprint, "bubble")
+    imprint = np.linspace(MIN_IMPRINT_MM, MAX_IMPRINT_MM, 64, dtype=np.float32).reshape(1, 8, 8)
+    shown = encode_image(imprint, "bubble")
     assert shown.shape == (3, 8, 8)
     assert (shown.min(), shown.max()) == (-1.0, 1.0)
-    assert np.allclose(pictured(shown, "bubble"), imprint, atol=1e-4)
-    twice = pictured(shown, "bubble", twice=True)
-    assert twice.min() == pytest.approx(0.5 * (LEAST_MM + MOST_MM))  # the released scripts' upper half
-    assert twice.max() == pytest.approx(MOST_MM)
+    assert np.allclose(decode_image(shown, "bubble"), imprint, atol=1e-4)
+    twice = decode_image(shown, "bubble", map_twice=True)
+    assert twice.min() == pytest.approx(0.5 * (MIN_IMPRINT_MM + MAX_IMPRINT_MM))  # the released scripts' upper half
+    assert twice.max() == pytest.approx(MAX_IMPRINT_MM)
 
 
 def test_bias_of_generated_imprints_is_taken_out():
     made = np.random.default_rng(1).normal(2.0, 3.0, (1, 64, 64)).astype(np.float32)
-    found = latent._unbiased(made, (2.0, 3.0), (4.0, 6.0))
+    found = latent_diffusion._renormalise_depth(made, (2.0, 3.0), (4.0, 6.0))
     assert (float(found.mean()), float(found.std())) == pytest.approx((4.0, 6.0), abs=0.2)
-    assert np.array_equal(latent._unbiased(made, (2.0, 0.0), (4.0, 6.0)), made)
+    assert np.array_equal(latent_diffusion._renormalise_depth(made, (2.0, 0.0), (4.0, 6.0)), made)
 
 
 @pytest.mark.parametrize(("asked", "taught", "times"), [
@@ -95,20 +95,22 @@ def test_bias_of_generated_imprints_is_taken_out():
 def test_the_condition_is_scaled_as_the_weights_were_taught(monkeypatch, asked, taught, times):
     from pipeline.physics import optics
     from pipeline.sensors import alignment
-    from pipeline.sensors.spec import sensor
+    from pipeline.sensors.spec import load_sensor
     from pipeline.values.frames import TactileFrame
 
-    gel, bubble = sensor("gelslim"), sensor("soft_bubble")
-    rest = optics.untouched(gel)
+    gel, bubble = load_sensor("gelslim"), load_sensor("soft_bubble")
+    rest = optics.render_reference(gel)
     image = rest.copy()
     image[100:200, 100:250] = 255 - image[100:200, 100:250]
     seen = []
     monkeypatch.setattr(
-        latent, "sampled", lambda _net, shown, *_: (seen.append(shown) or np.zeros((3, 32, 32), np.float32), ())
+        latent_diffusion,
+        "sampled",
+        lambda _net, shown, *_: (seen.append(shown) or np.zeros((3, 32, 32), np.float32), ()),
     )
     network = SimpleNamespace(side=32, raw_condition=taught, half_turn=False, made=(0.0, 0.0), true=(0.0, 0.0))
     frame = TactileFrame(sensor="gelslim", image=image, reference=rest)
     params = LatentParams(raw_condition=asked)
-    latent.generate(frame, gel, None, alignment.between(gel, bubble), bubble, network, params)
-    plain = latent.square(latent.change("gel", image, rest), 32)
-    assert np.allclose(seen[0], normal(times * plain, "gel"), atol=1e-4)
+    latent_diffusion.generate_touch(frame, gel, None, alignment.resolve_alignment(gel, bubble), bubble, network, params)
+    plain = latent_diffusion.resize_to_square(latent_diffusion.compute_change("gel", image, rest), 32)
+    assert np.allclose(seen[0], normalise(times * plain, "gel"), atol=1e-4)

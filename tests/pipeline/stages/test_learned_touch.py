@@ -7,31 +7,31 @@ import pytest
 import torch
 
 from pipeline.base.progress import SILENT
-from pipeline.engine.graph import Instead, Skipped
+from pipeline.engine.graph import Fallback, Skipped
 from pipeline.geometry import rigid
-from pipeline.networks.building import network, ready
+from pipeline.networks.network_factory import load_network, load_predictor
 from pipeline.networks.weights import NoWeights
 from pipeline.physics import optics
 from pipeline.sensors import alignment
-from pipeline.sensors.spec import sensor
+from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import poses, shapes
-from pipeline.simulation.press import press
-from pipeline.stages.adapt.stage import AdaptParams, adapt
+from pipeline.simulation.press import simulate_press
+from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
 from pipeline.stages.depth import network as depth_network
-from pipeline.stages.depth import stage as depth
+from pipeline.stages.depth import photometric as depth
 from pipeline.stages.depth.gel_network import NetworkParams
-from pipeline.stages.generate import picture_to_touch, stage, view_to_touch
-from pipeline.stages.generate.diffusion import DiffusionParams
-from pipeline.stages.generate.picture_input import CHANNELS
-from pipeline.stages.generate.residual_input import VIEW_CHANNELS, working
-from pipeline.stages.generate.slot import PHYSICS, T2D2, T2T
-from pipeline.stages.project.stage import ProjectParams, project
-from pipeline.training.residual import ResidualOfView
+from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud
+from pipeline.stages.touch import physical_render, t2d2, t2t
+from pipeline.stages.touch.depth_condition import CONDITION_CHANNELS, make_working_sensor
+from pipeline.stages.touch.image_condition import CHANNELS
+from pipeline.stages.touch.residual_diffusion import DiffusionParams
+from pipeline.stages.touch.stage import PHYSICS, T2D2, T2T
+from pipeline.training.touch_residual import TouchResidualTask
 from pipeline.values.frames import TactileFrame
-from pipeline.values.pixel_index import pixel_index
-from pipeline.values.results import TargetView
+from pipeline.values.pixel_index import make_pixel_index
+from pipeline.values.results import TargetDepth
 
-GEL, BUBBLE = sensor("gelslim"), sensor("soft_bubble")
+GEL, BUBBLE = load_sensor("gelslim"), load_sensor("soft_bubble")
 
 
 def taking_all(**how):
@@ -62,18 +62,18 @@ def view_of(target, deep_mm=3.0):
     known[shape[0] // 3 : -shape[0] // 3, shape[1] // 3 : -shape[1] // 3] = True
     indentation = np.where(contact, np.float32(deep_mm), np.float32(0)).astype(np.float32)
     depth = np.where(contact, target.rest_depth_mm - deep_mm, np.nan).astype(np.float32)
-    index = np.where(contact, pixel_index(shape), -1).astype(np.int32)
-    return TargetView(
+    index = np.where(contact, make_pixel_index(shape), -1).astype(np.int32)
+    return TargetDepth(
         depth_mm=depth, contact=contact, indentation_mm=indentation, camera=target.camera, source_index=index,
-        known=known,
+        in_view=known,
     )  # fmt: skip
 
 
 @pytest.mark.parametrize("target", [BUBBLE, GEL], ids=["bubble", "gel"])
 def test_no_step_is_physics_to_the_byte_and_asks_no_network(target):
     view, net = view_of(target, 0.5), Says(1.0)
-    physics = stage.generate(view, target, stage.GenerateParams(noise=True, seed=3))
-    touch = view_to_touch.generate(view, target, net, taking_all(steps=0, noise=True, seed=3))
+    physics = physical_render.render_touch(view, target, physical_render.PhysicalRenderParams(add_noise=True, seed=3))
+    touch = t2d2.generate_touch(view, target, net, taking_all(steps=0, noise=True, seed=3))
     assert touch.image.tobytes() == physics.image.tobytes()
     assert touch.membrane.indentation_mm.tobytes() == physics.membrane.indentation_mm.tobytes()
     assert not net.shown
@@ -82,12 +82,12 @@ def test_no_step_is_physics_to_the_byte_and_asks_no_network(target):
 @pytest.mark.parametrize("target", [BUBBLE, GEL], ids=["bubble", "gel"])
 def test_a_residual_is_added_to_the_render_and_the_picture_follows(target):
     view = view_of(target, 0.5)
-    physics = stage.generate(view, target, stage.GenerateParams())
-    touch = view_to_touch.generate(view, target, Says(0.2), taking_all())
+    physics = physical_render.render_touch(view, target, physical_render.PhysicalRenderParams())
+    touch = t2d2.generate_touch(view, target, Says(0.2), taking_all())
     assert np.abs(touch.membrane.indentation_mm - physics.membrane.indentation_mm - 0.2).max() < 1e-5
     assert np.allclose(touch.membrane.depth_mm, target.rest_depth_mm - touch.membrane.indentation_mm, atol=1e-4)
-    assert np.allclose(touch.membrane.spread_mm, 0.1)
-    assert touch.known.all()
+    assert np.allclose(touch.membrane.expected_error_mm, 0.1)
+    assert touch.in_view.all()
     if target is BUBBLE:
         assert np.allclose(touch.image, touch.membrane.depth_mm)
     else:
@@ -100,7 +100,7 @@ def test_samples_differ_where_the_network_is_unsure_by_what_the_least_noise_hide
     """The middle is the same for every seed here: what differs is what the last step would have left out."""
 
     def spread(target, told):
-        made = [view_to_touch.generate(view_of(target, 0.5), target, Says(0.2, spread=told), taking_all(steps=4, seed=s))
+        made = [t2d2.generate_touch(view_of(target, 0.5), target, Says(0.2, spread=told), taking_all(steps=4, seed=s))
                 for s in range(4)]  # fmt: skip
         return float(np.stack([touch.membrane.indentation_mm for touch in made]).std(0, ddof=1).mean())
 
@@ -111,12 +111,12 @@ def test_samples_differ_where_the_network_is_unsure_by_what_the_least_noise_hide
 
 def test_a_residual_of_nothing_leaves_the_render_and_contact_follows_the_network():
     view = view_of(GEL, 0.5)
-    physics = stage.generate(view, GEL, stage.GenerateParams())
-    nothing = view_to_touch.generate(view, GEL, Says(0.0), taking_all())
+    physics = physical_render.render_touch(view, GEL, physical_render.PhysicalRenderParams())
+    nothing = t2d2.generate_touch(view, GEL, Says(0.0), taking_all())
     assert np.array_equal(nothing.image, physics.image)
     assert np.array_equal(nothing.membrane.contact, physics.membrane.contact)
-    assert view_to_touch.generate(view, GEL, Says(0.0, contact=1.0), taking_all()).membrane.contact.all()
-    assert not view_to_touch.generate(view, GEL, Says(0.0, contact=-1.0), taking_all()).membrane.contact.any()
+    assert t2d2.generate_touch(view, GEL, Says(0.0, contact=1.0), taking_all()).membrane.contact.all()
+    assert not t2d2.generate_touch(view, GEL, Says(0.0, contact=-1.0), taking_all()).membrane.contact.any()
 
 
 def told_by(view, pixels):
@@ -132,7 +132,7 @@ def test_an_edge_is_drawn_and_contact_reaches_as_far_as_a_coarse_source_is_unsur
     def made(pixels, blur_px, reach_px, steps=1):
         net = Says(0.0)
         net.blur_px, net.reach_px = blur_px, reach_px
-        return view_to_touch.generate(told_by(view, pixels), GEL, net, taking_all(steps=steps)).membrane
+        return t2d2.generate_touch(told_by(view, pixels), GEL, net, taking_all(steps=steps)).membrane
 
     def steepest(membrane):
         return np.abs(np.diff(membrane.indentation_mm, axis=1)).max()
@@ -150,12 +150,12 @@ def test_an_edge_is_drawn_and_contact_reaches_as_far_as_a_coarse_source_is_unsur
 
 def test_what_a_gel_felt_stays_in_contact_with_a_bubble():
     view = view_of(BUBBLE)
-    touch = view_to_touch.generate(view, BUBBLE, Says(0.0, contact=-1.0), taking_all())
+    touch = t2d2.generate_touch(view, BUBBLE, Says(0.0, contact=-1.0), taking_all())
     assert touch.membrane.contact[view.contact].mean() > 0.95
 
 
 def test_no_membrane_goes_deeper_than_the_sensor_can():
-    touch = view_to_touch.generate(view_of(GEL, 0.5), GEL, Says(8.0), taking_all())
+    touch = t2d2.generate_touch(view_of(GEL, 0.5), GEL, Says(8.0), taking_all())
     assert touch.membrane.indentation_mm.max() <= GEL.limits.indentation_max_mm + 1e-6
 
 
@@ -168,14 +168,14 @@ def test_a_touch_that_is_not_there_asks_neither_weights_nor_network():
 def test_without_weights_physics_answers_and_says_so():
     view = view_of(BUBBLE)
     answer = T2D2.run(view, BUBBLE, NoWeights(why="none at hand"), taking_all(), SILENT)
-    assert isinstance(answer, Instead)
+    assert isinstance(answer, Fallback)
     assert "none at hand" in answer.why
-    physics = PHYSICS.run(view, BUBBLE, stage.GenerateParams(), SILENT)
+    physics = PHYSICS.run(view, BUBBLE, physical_render.PhysicalRenderParams(), SILENT)
     assert answer.answer.image.tobytes() == physics.image.tobytes()
 
 
 def test_kept_states_are_pictures_and_the_last_of_them_is_the_touch():
-    touch = view_to_touch.generate(view_of(GEL, 0.5), GEL, Says(0.2), taking_all(steps=3, keep_states=True))
+    touch = t2d2.generate_touch(view_of(GEL, 0.5), GEL, Says(0.2), taking_all(steps=3, keep_states=True))
     assert len(touch.steps) == 3
     assert np.array_equal(touch.steps[-1].image, touch.image)
     assert touch.steps[0].sigma == pytest.approx(8.0)
@@ -183,9 +183,9 @@ def test_kept_states_are_pictures_and_the_last_of_them_is_the_touch():
 
 def test_the_network_sees_the_working_grid():
     net = Says(0.0)
-    view_to_touch.generate(view_of(GEL, 0.5), GEL, net, taking_all())
+    t2d2.generate_touch(view_of(GEL, 0.5), GEL, net, taking_all())
     shown = net.shown[0]
-    assert shown.shape == (1, VIEW_CHANNELS, *working(GEL).camera.shape)
+    assert shown.shape == (1, CONDITION_CHANNELS, *make_working_sensor(GEL).camera.shape)
     felt = shown[0, 3]
     assert 0.5 < felt.sum() * 4 / view_of(GEL, 0.5).contact.sum() < 1.5
     assert torch.allclose(shown[0, 1][felt > 0], torch.tensor(0.5 / 0.6), atol=1e-3)
@@ -194,11 +194,11 @@ def test_the_network_sees_the_working_grid():
 @pytest.fixture(scope="module")
 def felt():
     """(frame of a GelSlim, frame of a bubble, its truth) under one ball."""
-    thing = shapes.shape("sphere").mesh
-    pose = poses.single(thing, np.random.default_rng(2), spread_mm=0.0, depth_mm=(0.8, 0.8))
-    under, over = press(thing, pose, GEL, seed=1), press(thing, pose, BUBBLE, seed=1)
+    thing = shapes.make_shape("sphere").mesh
+    pose = poses.sample_press_pose(thing, np.random.default_rng(2), spread_mm=0.0, depth_mm=(0.8, 0.8))
+    under, over = simulate_press(thing, pose, GEL, seed=1), simulate_press(thing, pose, BUBBLE, seed=1)
     return (
-        TactileFrame(sensor="gelslim", image=under.image, reference=optics.untouched(GEL)), under.truth,
+        TactileFrame(sensor="gelslim", image=under.image, reference=optics.render_reference(GEL)), under.truth,
         TactileFrame(sensor="soft_bubble", image=over.image, reference=BUBBLE.rest_depth_mm.astype(np.float32)),
         over.truth,
     )  # fmt: skip
@@ -209,37 +209,37 @@ def test_a_picture_is_drawn_where_the_target_feels_the_same(felt):
     for frame, source, target, truth in (
         (gel_frame, GEL, BUBBLE, bubble_truth), (bubble_frame, BUBBLE, GEL, gel_truth),
     ):  # fmt: skip
-        shown = picture_to_touch.condition(frame, source, alignment.between(source, target), target)
-        assert shown.shape == (CHANNELS[source.kind], *working(target).camera.shape)
+        shown = t2t.build_condition(frame, source, alignment.resolve_alignment(source, target), target)
+        assert shown.shape == (CHANNELS[source.kind], *make_working_sensor(target).camera.shape)
         change, known = np.abs(shown[: -1 if source is GEL else 1]).sum(0), shown[-1] > 0
         at = np.argwhere(truth.contact).mean(0) * np.array(change.shape) / truth.contact.shape
         weight = change * known * (change > 0.5 * change[known].max())
         found = (np.argwhere(weight > 0) * weight[weight > 0][:, None]).sum(0) / weight.sum()
-        assert np.hypot(*(found - at)) * working(target).pixel_mm < 1.0, (source.name, found, at)
+        assert np.hypot(*(found - at)) * make_working_sensor(target).pixel_mm < 1.0, (source.name, found, at)
 
 
 def test_a_moved_alignment_moves_what_is_shown(felt):
-    between = alignment.between(GEL, BUBBLE)
-    moved = alignment.corrected(between, rigid.translation(4.3, 0.0, 0.0))
-    plain, other = (picture_to_touch.condition(felt[0], GEL, a, BUBBLE)[-1] for a in (between, moved))
+    between = alignment.resolve_alignment(GEL, BUBBLE)
+    moved = alignment.correct_alignment(between, rigid.translation(4.3, 0.0, 0.0))
+    plain, other = (t2t.build_condition(felt[0], GEL, a, BUBBLE)[-1] for a in (between, moved))
     shift = np.argwhere(other > 0).mean(0) - np.argwhere(plain > 0).mean(0)
     assert shift[1] == pytest.approx(4.3 * BUBBLE.camera.fx_px / 76.0, abs=0.8)
     assert abs(shift[0]) < 0.3
 
 
 def test_touch_to_touch_starts_from_the_untouched_target_and_takes_all_from_the_network(felt):
-    frame, between = felt[0], alignment.between(GEL, BUBBLE)
+    frame, between = felt[0], alignment.resolve_alignment(GEL, BUBBLE)
     net = Says(1.0, contact=1.0)
-    touch = picture_to_touch.generate(frame, GEL, None, between, BUBBLE, net, taking_all())
+    touch = t2t.generate_touch(frame, GEL, None, between, BUBBLE, net, taking_all())
     assert np.allclose(touch.membrane.indentation_mm, 1.0)
     assert touch.membrane.contact.all()
 
 
 def test_touch_to_touch_falls_back_to_physics_where_it_is_unsure_and_at_no_step(felt):
-    frame, between = felt[0], alignment.between(GEL, BUBBLE)
+    frame, between = felt[0], alignment.resolve_alignment(GEL, BUBBLE)
 
     def made(net, **how):
-        return picture_to_touch.generate(frame, GEL, None, between, BUBBLE, net, DiffusionParams(**how))
+        return t2t.generate_touch(frame, GEL, None, between, BUBBLE, net, DiffusionParams(**how))
 
     physics = made(Says(1.0), steps=0)
     assert physics.membrane.indentation_mm.max() > 2.0
@@ -257,9 +257,9 @@ def test_touch_to_touch_falls_back_to_physics_where_it_is_unsure_and_at_no_step(
 
 
 def test_touch_to_touch_is_given_up_where_it_contradicts_what_was_felt(felt):
-    reads = felt[0], GEL, None, alignment.between(GEL, BUBBLE), BUBBLE
-    physics = picture_to_touch.generate(*reads, Says(1.0), DiffusionParams(steps=0))
-    bold = picture_to_touch.generate(*reads, Says(1.0, contact=1.0, spread=0.01), DiffusionParams())
+    reads = felt[0], GEL, None, alignment.resolve_alignment(GEL, BUBBLE), BUBBLE
+    physics = t2t.generate_touch(*reads, Says(1.0), DiffusionParams(steps=0))
+    bold = t2t.generate_touch(*reads, Says(1.0, contact=1.0, spread=0.01), DiffusionParams())
     assert bold.image.tobytes() == physics.image.tobytes()
     assert any("farther than it expects" in note for note in bold.notes)
 
@@ -267,53 +267,53 @@ def test_touch_to_touch_is_given_up_where_it_contradicts_what_was_felt(felt):
 def test_an_untouched_frame_costs_touch_to_touch_nothing(felt):
     net = Says(1.0)
     still = replace(felt[0], image=felt[0].reference)
-    answer = picture_to_touch.generate(
-        still, GEL, None, alignment.between(GEL, BUBBLE), BUBBLE, net, taking_all(steps=200)
+    answer = t2t.generate_touch(
+        still, GEL, None, alignment.resolve_alignment(GEL, BUBBLE), BUBBLE, net, taking_all(steps=200)
     )
     assert isinstance(answer, Skipped)
     assert not net.shown
 
 
 def test_without_weights_touch_to_touch_goes_by_depth_and_render(felt):
-    frame, between = felt[0], alignment.between(GEL, BUBBLE)
+    frame, between = felt[0], alignment.resolve_alignment(GEL, BUBBLE)
     answer = T2T.run(frame, GEL, None, between, BUBBLE, NoWeights(why="none"), taking_all(), SILENT)
-    assert isinstance(answer, Instead)
+    assert isinstance(answer, Fallback)
     assert answer.answer.membrane.contact.any()
     assert answer.answer.membrane.indentation_mm.max() > 1.0
 
 
 def test_which_weights_serve_which_sensors():
     for source in ("gelslim", "digit", "gelsight_mini"):
-        assert isinstance(T2T.weights(sensor("digit"), BUBBLE, None), NoWeights)
-        found = T2D2.weights(sensor(source), BUBBLE, None)
+        assert isinstance(T2T.weights(load_sensor("digit"), BUBBLE, None), NoWeights)
+        found = T2D2.weights(load_sensor(source), BUBBLE, None)
         assert getattr(found, "why", "").find("pixels") < 0, "a source is no matter for T2D2"
-    other = T2D2.weights(GEL, sensor("digit"), None)
-    assert isinstance(other, NoWeights) == (not view_to_touch.fits(sensor("digit")))
+    other = T2D2.weights(GEL, load_sensor("digit"), None)
+    assert isinstance(other, NoWeights) == (not t2d2.has_trained_pixel_size(load_sensor("digit")))
 
 
 @pytest.mark.parametrize("target", ["soft_bubble", "gelslim"])
 def test_the_weights_that_come_along_better_physics_on_grasps_they_have_never_seen(target):
-    spec = sensor(target)
-    found = T2D2.weights(sensor("digit"), spec, None)
+    spec = load_sensor(target)
+    found = T2D2.weights(load_sensor("digit"), spec, None)
     if isinstance(found, NoWeights):
         assert "come along" in found.why, "shipped weights that do not fit are no reason to answer by physics"
         return
-    net, task = network(found), ResidualOfView(target=target)
-    held_out = [task.held_out("unseen_grasps", index) for index in range(6)]
-    figures = task.figures(net, held_out)
+    net, task = load_network(found), TouchResidualTask(target=target)
+    held_out = [task.make_validation_example("unseen_grasps", index) for index in range(6)]
+    figures = task.evaluate(net, held_out)
     assert figures["held back in contact, mm"] < 0.95 * figures["none of it in contact, mm"]
     assert found.card["minutes"]
 
 
 def test_what_touch_to_touch_falls_back_to_is_a_bubble_read_as_all_bubbles_are(felt, monkeypatch):
     """By its network, so that T2T is held against the same physics as T2D2; by physics where there are no weights."""
-    frame, between = felt[2], alignment.between(BUBBLE, GEL)
-    reads = frame, BUBBLE, None, between, GEL, stage.GenerateParams()
-    by_network = depth_network.depth(
-        frame, BUBBLE, None, ready(depth_network.weights(BUBBLE, BUBBLE, None)), NetworkParams()
+    frame, between = felt[2], alignment.resolve_alignment(BUBBLE, GEL)
+    reads = frame, BUBBLE, None, between, GEL, physical_render.PhysicalRenderParams()
+    by_network = depth_network.estimate_depth(
+        frame, BUBBLE, None, load_predictor(depth_network.select_weights(BUBBLE, BUBBLE, None)), NetworkParams()
     )
-    for seen in (by_network, depth.recorded(frame, BUBBLE, None, depth.DepthParams())):
-        view = project(adapt(seen, between, AdaptParams()), GEL, ProjectParams())
-        expected = stage.generate(view, GEL, stage.GenerateParams()).membrane
-        assert np.array_equal(picture_to_touch.by_physics(*reads).membrane.contact, expected.contact)
+    for seen in (by_network, depth.estimate_depth_with_notes(frame, BUBBLE, None, depth.DepthParams())):
+        view = project_cloud(back_project_depth(seen, between, BackProjectionParams()), GEL, SurfaceProjectionParams())
+        expected = physical_render.render_touch(view, GEL, physical_render.PhysicalRenderParams()).membrane
+        assert np.array_equal(t2t.render_from_frame(*reads).membrane.contact, expected.contact)
         monkeypatch.setattr(depth_network, "weights", lambda *_: NoWeights(why="none are there"))

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.stages.depth.membrane_load import estimate, noise_mm2
+from pipeline.stages.depth.membrane_load import estimate_load, estimate_noise_mm2
 
 PIXEL_MM, CURVATURE_PER_MM = 0.4, 0.027
 SHAPE = (90, 100)
@@ -36,7 +36,7 @@ def read(moved, seen=None, **options):
 
     seen = np.ones(SHAPE, np.bool_) if seen is None else seen
     start = np.asarray(cv2.GaussianBlur(np.where(seen, moved, np.float32(0.0)), (0, 0), 2.0), np.float32)
-    return estimate(
+    return estimate_load(
         moved, seen, candidates(), start, pixel_mm=PIXEL_MM, curvature_per_mm=CURVATURE_PER_MM, **options
     )  # fmt: skip
 
@@ -53,7 +53,7 @@ def test_without_noise_a_ring_presses_as_a_ring():
     assert pressed[wanted].all()
     assert pressed.sum() < 1.5 * wanted.sum()  # half a pixel more on each side of a line of two
     assert found.load[45, 52] < 1.0  # the middle hangs free
-    assert np.abs(found.moved_mm - solved(ring())).max() < 0.05  # mm, a tenth of the noise of cameras
+    assert np.abs(found.displacement_mm - solved(ring())).max() < 0.05  # mm, a tenth of the noise of cameras
 
 
 def test_under_noise_the_middle_of_a_ring_still_hangs_free():
@@ -62,7 +62,7 @@ def test_under_noise_the_middle_of_a_ring_still_hangs_free():
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
     r = np.hypot(y - 45, x - 52)
     assert found.load[r < 5].mean() < 0.15 * found.load[np.abs(r - 12) < 2].mean()
-    assert np.abs(found.moved_mm - true).mean() < 0.15 * NOISE_MM
+    assert np.abs(found.displacement_mm - true).mean() < 0.15 * NOISE_MM
 
 
 def test_the_load_never_pulls_and_stays_among_the_candidates():
@@ -78,8 +78,8 @@ def test_pixels_that_were_not_read_are_not_used():
     spoilt = np.where(seen, image, np.float32(NEVER_SEEN_MM))
     other = np.where(seen, image, np.float32(-NEVER_SEEN_MM))
     found = read(spoilt, seen)
-    assert found.moved_mm.tobytes() == read(other, seen).moved_mm.tobytes()
-    assert np.abs(found.moved_mm - true).mean() < 0.15 * NOISE_MM
+    assert found.displacement_mm.tobytes() == read(other, seen).displacement_mm.tobytes()
+    assert np.abs(found.displacement_mm - true).mean() < 0.15 * NOISE_MM
 
 
 def test_an_offset_of_the_camera_is_no_load():
@@ -92,7 +92,9 @@ def test_twice_the_assumed_curvature_is_half_the_load():
     image = solved(ring())
     start, seen = np.zeros(SHAPE, np.float32), np.ones(SHAPE, np.bool_)
     a, b = (
-        estimate(image, seen, candidates(), start, pixel_mm=PIXEL_MM, curvature_per_mm=k * CURVATURE_PER_MM).load.sum()
+        estimate_load(
+            image, seen, candidates(), start, pixel_mm=PIXEL_MM, curvature_per_mm=k * CURVATURE_PER_MM
+        ).load.sum()
         for k in (1.0, 2.0)
     )
     assert b == pytest.approx(a / 2, rel=0.1)
@@ -106,10 +108,10 @@ def test_noise_is_measured_at_the_scale_of_a_millimetre(grain_px):
     if grain_px:
         image = cv2.GaussianBlur(image, (0, 0), grain_px)  # takes the fine noise away, not that of a mean over blocks
     hill = 5e-4 * np.add.outer(np.arange(160.0) ** 2, np.arange(200.0) ** 2)
-    found = noise_mm2((image + hill).astype(np.float32), np.ones(image.shape, np.bool_), PIXEL_MM)
+    found = estimate_noise_mm2((image + hill).astype(np.float32), np.ones(image.shape, np.bool_), PIXEL_MM)
     assert found == pytest.approx(NOISE_MM * PIXEL_MM, rel=0.3)  # from some 700 blocks, the blur leaking out of them
 
 
 def test_too_small_an_image_is_taken_to_be_as_noisy_as_usual():
     nothing = np.zeros((20, 20), np.float32)
-    assert noise_mm2(nothing, np.ones((20, 20), np.bool_), PIXEL_MM) == pytest.approx(0.45)
+    assert estimate_noise_mm2(nothing, np.ones((20, 20), np.bool_), PIXEL_MM) == pytest.approx(0.45)

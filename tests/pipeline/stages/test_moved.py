@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pipeline.physics import optics
-from pipeline.sensors.spec import sensor
-from pipeline.stages.depth.stage import DepthParams, depth
+from pipeline.sensors.spec import load_sensor
+from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.values.frames import TactileFrame
 from tests.pipeline.calibration.test_balls import hertz
 
@@ -25,19 +25,19 @@ def grainy(picture, seed):
 
 def read(source, picture, seed):
     frame = TactileFrame(
-        sensor=source.name, image=grainy(picture, seed), reference=grainy(optics.untouched(source), 99)
+        sensor=source.name, image=grainy(picture, seed), reference=grainy(optics.render_reference(source), 99)
     )
-    return depth(frame, source, None, DepthParams())
+    return estimate_depth(frame, source, None, DepthParams())
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_grain_is_no_touch(seed):
-    source = sensor("gelslim")
-    assert not read(source, optics.untouched(source), seed).contact.any()
+    source = load_sensor("gelslim")
+    assert not read(source, optics.render_reference(source), seed).contact.any()
 
 
 def test_a_touch_is_found_through_grain():
-    source = sensor("gelslim")
+    source = load_sensor("gelslim")
     pressed = hertz(source.camera.shape, source.pixel_mm, 200, 150, 7.6, 0.4)
     contact = read(source, optics.render(source, pressed, seed=None), 1).contact
     y, x = np.nonzero(contact)

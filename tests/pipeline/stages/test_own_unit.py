@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.base.doubts import doubts
-from pipeline.calibration import units
-from pipeline.calibration.lookup import built_in
+from pipeline.base.stage_warnings import select_warnings
+from pipeline.calibration import reference_thumbnail
+from pipeline.calibration.calibration_table import make_built_in
 from pipeline.physics import optics
-from pipeline.sensors.spec import sensor
-from pipeline.simulation.variation import varied
-from pipeline.stages.depth import own_unit
-from pipeline.stages.depth.stage import DepthParams, depth
+from pipeline.sensors.spec import load_sensor
+from pipeline.simulation.variation import vary_sensor
+from pipeline.stages.depth import instance_check
+from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.values.frames import TactileFrame
 from tests.pipeline.stages.test_drift import drifted
 
@@ -22,16 +22,16 @@ GELS = ("gelsight_mini", "gelslim", "digit")
 
 
 def of_unit(name, still):
-    return replace(built_in(sensor(name)), still=units.small(still))
+    return replace(make_built_in(load_sensor(name)), still=reference_thumbnail.make_thumbnail(still))
 
 
 def told_apart(name, still, now):
-    return bool(own_unit.notes(of_unit(name, still), now))
+    return bool(instance_check.check_sensor_instance(of_unit(name, still), now))
 
 
 @pytest.mark.parametrize("name", GELS)
 def test_another_unit_is_told_from_one_that_has_drifted(name):
-    first, second = (optics.untouched(varied(sensor(name), seed, 1.0)) for seed in (1, 2))
+    first, second = (optics.render_reference(vary_sensor(load_sensor(name), seed, 1.0)) for seed in (1, 2))
     assert told_apart(name, first, second)
     rng = np.random.default_rng(7)
     for _ in range(4):
@@ -42,35 +42,36 @@ def test_another_unit_is_told_from_one_that_has_drifted(name):
 
 
 def test_light_that_no_unit_loses_in_a_day_is_doubted_although_a_drift_explains_it():
-    still = optics.untouched(sensor("gelsight_mini"))
+    still = optics.render_reference(load_sensor("gelsight_mini"))
     later, other = (drifted(still, gain=gain, ramp_grey=ramp) for gain, ramp in ((0.94, 14.0), (0.85, 30.0)))
     assert not told_apart("gelsight_mini", still, later)
     assert told_apart("gelsight_mini", still, other)
 
 
 def test_a_touch_read_with_the_calibration_of_another_unit_is_doubted():
-    source = sensor("digit")
-    mine, other = (varied(source, seed, 1.0) for seed in (1, 2))
-    still = optics.untouched(mine)
+    source = load_sensor("digit")
+    mine, other = (vary_sensor(source, seed, 1.0) for seed in (1, 2))
+    still = optics.render_reference(mine)
     dent = np.zeros(source.camera.shape, np.float32)
     dent[140:180, 100:140] = 0.3
     touched = TactileFrame(sensor="digit", image=optics.render(mine, dent, seed=0), reference=still)
     alien, own = (
-        depth(touched, source, of_unit("digit", optics.untouched(unit)), DepthParams()) for unit in (other, mine)
+        estimate_depth(touched, source, of_unit("digit", optics.render_reference(unit)), DepthParams())
+        for unit in (other, mine)
     )
-    assert any("another unit" in told for told in doubts(alien.notes))
+    assert any("another unit" in told for told in select_warnings(alien.notes))
     assert not any("another unit" in told for told in own.notes)
 
 
 def test_a_calibration_that_has_no_picture_tells_nothing():
-    still = optics.untouched(varied(sensor("digit"), 1, 1.0))
-    assert own_unit.notes(built_in(sensor("digit")), still) == ()
+    still = optics.render_reference(vary_sensor(load_sensor("digit"), 1, 1.0))
+    assert instance_check.check_sensor_instance(make_built_in(load_sensor("digit")), still) == ()
 
 
 def test_pictures_of_another_size_are_compared_at_the_calibrations():
     import cv2
 
-    first, second = (optics.untouched(varied(sensor("gelsight_mini"), seed, 1.0)) for seed in (1, 2))
+    first, second = (optics.render_reference(vary_sensor(load_sensor("gelsight_mini"), seed, 1.0)) for seed in (1, 2))
     by_two = np.ascontiguousarray(cv2.resize(first, None, fx=0.4, fy=0.4, interpolation=cv2.INTER_AREA))
     assert not told_apart("gelsight_mini", first, by_two)
     assert told_apart("gelsight_mini", second, by_two)
@@ -97,4 +98,4 @@ def test_a_real_gelslim_is_told_from_the_described_ones(real_data):
     import cv2
 
     real = np.ascontiguousarray(cv2.imread(str(real_data / "gelslim3_balls" / "ref.jpg"))[..., ::-1])
-    assert told_apart("gelslim", real, optics.untouched(sensor("gelslim")))
+    assert told_apart("gelslim", real, optics.render_reference(load_sensor("gelslim")))

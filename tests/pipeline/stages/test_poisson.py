@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.base.errors import ShapeError
-from pipeline.stages.depth.poisson import Sides, integrate, nearest
+from pipeline.stages.depth.poisson import SideBoundaries, integrate_slopes, solve_weighted_slopes
 
 BUMP_TOLERANCE_PX = 1e-3  # what the stage promises; second-order staggering leaves about 7e-4 on this bump
 ROUNDING = 2e-5  # float32 transforms of values of order 1 to 10
@@ -22,13 +22,13 @@ def bump(rows: int, cols: int, tilt: float):
 @pytest.mark.parametrize(("boundary", "tilt"), [("free", 0.05), ("flat", 0.0)])
 def test_an_analytic_bump_comes_back_within_a_thousandth_of_a_pixel(boundary, tilt):
     z, gx, gy = bump(320, 427, tilt)
-    off = integrate(gx, gy, 1.0, boundary) - z
+    off = integrate_slopes(gx, gy, 1.0, boundary) - z
     off -= off.mean() if boundary == "free" else 0.0
     assert np.sqrt(np.mean(off**2)) < BUMP_TOLERANCE_PX
 
 
 def test_a_tilted_plane_is_exact_with_a_free_border():
-    z = integrate(np.full((31, 46), 0.3, np.float32), np.full((31, 46), -0.2, np.float32), 0.5)
+    z = integrate_slopes(np.full((31, 46), 0.3, np.float32), np.full((31, 46), -0.2, np.float32), 0.5)
     y, x = np.mgrid[:31, :46]
     plane = 0.5 * (0.3 * (x - 22.5) - 0.2 * (y - 15.0))
     assert np.abs(z - plane).max() < ROUNDING
@@ -38,7 +38,7 @@ def test_a_tilted_plane_is_exact_with_a_free_border():
 @given(rows=st.integers(1, 40), cols=st.integers(1, 40), seed=st.integers(0, 99))
 def test_the_free_integral_is_the_least_squares_one_for_any_size(rows, cols, seed):
     g = np.random.default_rng(seed).normal(size=(2, rows, cols)).astype(np.float32)
-    z = integrate(g[0], g[1], 1.0).astype(np.float64)
+    z = integrate_slopes(g[0], g[1], 1.0).astype(np.float64)
     ex = np.diff(z, axis=1) - (g[0, :, 1:] + g[0, :, :-1]) / 2
     ey = np.diff(z, axis=0) - (g[1, 1:] + g[1, :-1]) / 2
     gradient = -np.diff(np.pad(ex, ((0, 0), (1, 1))), axis=1) - np.diff(np.pad(ey, ((1, 1), (0, 0))), axis=0)
@@ -52,7 +52,7 @@ KINDS = st.sampled_from(["free", "flat"])
 @given(sides=st.tuples(KINDS, KINDS, KINDS, KINDS).filter(lambda s: "flat" in s), seed=st.integers(0, 99))
 def test_every_side_may_be_free_or_flat_on_its_own(sides, seed):
     g = np.random.default_rng(seed).normal(size=(2, 9, 13)).astype(np.float32)
-    z = integrate(g[0], g[1], 1.0, Sides(*sides)).astype(np.float64)
+    z = integrate_slopes(g[0], g[1], 1.0, SideBoundaries(*sides)).astype(np.float64)
     gradient = np.zeros_like(z)
     for axis, (first, last) in ((1, sides[:2]), (0, sides[2:])):
         along, slope, out = (np.moveaxis(a, axis, 1) for a in (z, g[1 - axis], gradient))
@@ -70,11 +70,11 @@ def test_every_side_may_be_free_or_flat_on_its_own(sides, seed):
 @pytest.mark.parametrize("shape", [(107, 60), (60, 107), (107, 61)])
 def test_it_does_not_matter_along_which_axis_the_waves_are_made(shape, sides):
     g = np.random.default_rng(1).normal(size=(2, 2, *shape)).astype(np.float32)
-    z = integrate(g[0], g[1], 1.0, Sides(*sides))
+    z = integrate_slopes(g[0], g[1], 1.0, SideBoundaries(*sides))
     left, right, top, bottom = sides
-    turned = integrate(g[1].swapaxes(1, 2), g[0].swapaxes(1, 2), 1.0, Sides(top, bottom, left, right))
+    turned = integrate_slopes(g[1].swapaxes(1, 2), g[0].swapaxes(1, 2), 1.0, SideBoundaries(top, bottom, left, right))
     assert np.abs(z - turned.swapaxes(1, 2)).max() < ROUNDING * np.abs(z).max()
-    alone = integrate(g[0, 1], g[1, 1], 1.0, Sides(*sides))
+    alone = integrate_slopes(g[0, 1], g[1, 1], 1.0, SideBoundaries(*sides))
     assert alone.tobytes() == z[1].tobytes()
 
 
@@ -82,8 +82,8 @@ def test_it_does_not_matter_along_which_axis_the_waves_are_made(shape, sides):
 @given(seed=st.integers(0, 99), scale=st.floats(0.01, 10.0))
 def test_the_integral_is_linear_and_scales_with_the_pixel(seed, scale):
     g = np.random.default_rng(seed).normal(size=(2, 12, 17)).astype(np.float32)
-    one = integrate(g[0], g[1], 1.0, "flat")
-    assert np.allclose(integrate(g[0], g[1], scale, "flat"), scale * one, rtol=1e-5, atol=scale * ROUNDING)
+    one = integrate_slopes(g[0], g[1], 1.0, "flat")
+    assert np.allclose(integrate_slopes(g[0], g[1], scale, "flat"), scale * one, rtol=1e-5, atol=scale * ROUNDING)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
@@ -91,19 +91,19 @@ def test_slopes_that_are_not_finite_are_refused(bad):
     g = np.zeros((5, 6), np.float32)
     g[2, 3] = bad
     with pytest.raises(ShapeError, match="not finite"):
-        integrate(g, np.zeros_like(g), 1.0)
+        integrate_slopes(g, np.zeros_like(g), 1.0)
 
 
 def test_slopes_of_different_shapes_are_refused():
     with pytest.raises(ShapeError, match="one shape"):
-        integrate(np.zeros((5, 6), np.float32), np.zeros((6, 5), np.float32), 1.0)
+        integrate_slopes(np.zeros((5, 6), np.float32), np.zeros((6, 5), np.float32), 1.0)
 
 
 def test_the_result_is_read_only_and_repeats_to_the_byte():
     _, gx, gy = bump(40, 50, 0.0)
-    first = integrate(gx, gy, 0.1, "flat")
+    first = integrate_slopes(gx, gy, 0.1, "flat")
     assert not first.flags.writeable
-    assert first.tobytes() == integrate(gx, gy, 0.1, "flat").tobytes()
+    assert first.tobytes() == integrate_slopes(gx, gy, 0.1, "flat").tobytes()
 
 
 def test_slopes_that_are_known_less_surely_give_way():
@@ -115,10 +115,10 @@ def test_slopes_that_are_known_less_surely_give_way():
     sure[..., 0] = sure[..., 2] = np.where(wall, 1e-3, 1.0)
 
     def plainly(x, y):
-        return integrate(x, y, 0.1)
+        return integrate_slopes(x, y, 0.1)
 
     first = plainly(seen_x, gy)
-    found = nearest(first, (seen_x, gy), sure, 0.1, plainly, 40)
+    found = solve_weighted_slopes(first, (seen_x, gy), sure, 0.1, plainly, 40)
     truth = plainly(gx, gy)
     off = [float(np.ptp(surface - truth)) for surface in (first, found)]
     assert off[1] < 0.1 * off[0]
@@ -129,6 +129,6 @@ def test_slopes_that_are_all_as_sure_are_integrated_at_once():
     sure = np.zeros((*z.shape, 3), np.float32)
     sure[..., 0] = sure[..., 2] = 7.0
     start = np.zeros_like(z, np.float32)
-    found = nearest(start, (gx, gy), sure, 0.1, lambda x, y: integrate(x, y, 0.1), 2)
-    truth = integrate(gx, gy, 0.1)
+    found = solve_weighted_slopes(start, (gx, gy), sure, 0.1, lambda x, y: integrate_slopes(x, y, 0.1), 2)
+    truth = integrate_slopes(gx, gy, 0.1)
     assert float(np.abs(found - truth).max()) < 0.02 * float(np.ptp(truth))

@@ -9,16 +9,24 @@ from pipeline.base.errors import MeshProblem, SettingProblem
 from pipeline.base.progress import Cancelled
 from pipeline.engine.digests import content
 from pipeline.geometry import rigid
-from pipeline.geometry.distance_grid_store import distance_grid
+from pipeline.geometry.distance_grid_store import load_distance_grid
 from pipeline.geometry.meshes import Mesh
-from pipeline.registration.answer import UNFELT
-from pipeline.registration.observability import observability
-from pipeline.registration.prepared import prepared
-from pipeline.registration.ranking import judge
-from pipeline.registration.scene import felt_surface
-from pipeline.stages.pose import way
-from pipeline.stages.pose.stage import PoseParams, icp, planar, pose, pose_from, posed, without_contact
-from pipeline.values.results import DepthError, PoseStep
+from pipeline.registration.object_preparation import prepare_object
+from pipeline.registration.observability import assess_observability
+from pipeline.registration.pose_selection import UNFELT
+from pipeline.registration.ranking import make_judge
+from pipeline.registration.scene import extract_scene
+from pipeline.stages.pose import step_history
+from pipeline.stages.pose.signed_distances import (
+    PoseParams,
+    estimate_or_track_pose,
+    estimate_pose,
+    estimate_pose_icp,
+    estimate_pose_planar,
+    skip_without_contact,
+    track_pose,
+)
+from pipeline.values.results import DepthErrorModel, PoseStep
 from tests.pipeline.registration.solids import (
     CAMERA,
     REST_MM,
@@ -54,13 +62,13 @@ def error(found, truth):
     """(mm at the middle of the contact, degrees) between two poses."""
     middle = found.scene_mm.mean(axis=0).astype(float)
     difference = found.sensor_from_object @ rigid.invert(truth)
-    return np.linalg.norm(rigid.apply(difference, middle) - middle), rigid.angle_deg(difference)
+    return np.linalg.norm(rigid.apply(difference, middle) - middle), rigid.rotation_angle_deg(difference)
 
 
 @pytest.mark.parametrize("angle_deg", [20.0, 145.0, 290.0])
 def test_an_l_bar_is_found_from_any_angle(angle_deg):
     truth = lying(1.0, -0.5, 0.6, 4.0, angle_deg, tilt_deg=(1.5, -2.0), origin_mm=(5.0, 3.5))
-    mm, deg = error(pose(felt(l_bar(), truth), l_bar().mesh, PoseParams()), truth)
+    mm, deg = error(estimate_pose(felt(l_bar(), truth), l_bar().mesh, PoseParams()), truth)
     assert mm < POSITION_TOLERANCE_MM
     assert deg < TURN_TOLERANCE_DEG
 
@@ -68,18 +76,18 @@ def test_an_l_bar_is_found_from_any_angle(angle_deg):
 @pytest.mark.parametrize("noise_mm", [0.0, NOISE_MM])
 def test_a_notched_wedge_is_found_and_nothing_of_it_is_weak(noise_mm):
     truth = lying(-0.8, 0.7, 0.8, 2.0, 70.0, tilt_deg=(4.0, -2.0))
-    found = pose(felt(notched_wedge(), truth, noise_mm=noise_mm), notched_wedge().mesh, PoseParams())
+    found = estimate_pose(felt(notched_wedge(), truth, noise_mm=noise_mm), notched_wedge().mesh, PoseParams())
     mm, deg = error(found, truth)
     assert mm < POSITION_TOLERANCE_MM
     assert deg < TURN_TOLERANCE_DEG
-    assert found.weak == ()
+    assert found.weak_directions == ()
     assert found.fitness > 0.95
 
 
 def test_a_rod_slides_along_its_axis_and_says_so():
-    found = pose(felt(rod(), lying(1.0, 0.5, 0.8, 3.0, 0.0)), rod().mesh, PoseParams())
-    assert "slides along x" in found.weak
-    assert len(found.weak) == 2, "it also rolls about itself"
+    found = estimate_pose(felt(rod(), lying(1.0, 0.5, 0.8, 3.0, 0.0)), rod().mesh, PoseParams())
+    assert "slides along x" in found.weak_directions
+    assert len(found.weak_directions) == 2, "it also rolls about itself"
     assert "slides along x: not observable, kept where the contact's middle is" in found.notes
     assert found.sensor_from_object is not None
     assert abs(found.sensor_from_object[0, 3] - found.scene_mm[:, 0].mean()) < POSITION_TOLERANCE_MM
@@ -91,8 +99,8 @@ def test_a_rod_slides_along_its_axis_and_says_so():
 
 
 def test_a_plate_leaves_three_directions_open():
-    found = pose(felt(slab(), lying(0.0, 0.0, 0.5, 5.0, 0.0)), slab().mesh, PoseParams())
-    assert set(found.weak) == {"slides along x", "slides along y", "turns about z"}
+    found = estimate_pose(felt(slab(), lying(0.0, 0.0, 0.5, 5.0, 0.0)), slab().mesh, PoseParams())
+    assert set(found.weak_directions) == {"slides along x", "slides along y", "turns about z"}
     assert all("not observable" in note for note in found.notes[:3])
 
 
@@ -100,7 +108,7 @@ def test_a_flat_box_is_placed_by_the_outline_of_its_contact():
     corners = [(-4, -2), (4, -2), (4, 2), (-4, 2)]
     box = extruded(corners, [corners], 0.0, 6.0)
     truth = lying(1.3, -0.9, 0.5, 6.0, 17.0)
-    found = pose(felt(box, truth), box.mesh, PoseParams(face="+z"))
+    found = estimate_pose(felt(box, truth), box.mesh, PoseParams(face="+z"))
     middle_mm = rigid.apply(found.sensor_from_object, [0.0, 0.0, 6.0])
     assert np.linalg.norm(middle_mm - rigid.apply(truth, [0.0, 0.0, 6.0])) < 2 * POSITION_TOLERANCE_MM
     along = abs(found.sensor_from_object[:3, 0] @ truth[:3, 0])  # either way round: the box is symmetric
@@ -110,52 +118,52 @@ def test_a_flat_box_is_placed_by_the_outline_of_its_contact():
 
 def test_the_same_input_gives_the_same_bytes():
     touch = felt(notched_wedge(), lying(0.3, 0.2, 0.8, 2.0, 30.0))
-    one, two = (pose(touch, notched_wedge().mesh, PoseParams()) for _ in range(2))
+    one, two = (estimate_pose(touch, notched_wedge().mesh, PoseParams()) for _ in range(2))
     assert one.sensor_from_object.tobytes() == two.sensor_from_object.tobytes()
     assert one.scene_mm.tobytes() == two.scene_mm.tobytes()
 
 
 def test_steps_are_kept_on_request_and_the_answer_is_the_same_with_and_without():
     touch = felt(notched_wedge(), lying(0.3, 0.2, 0.8, 2.0, 30.0))
-    kept, plain = (pose(touch, notched_wedge().mesh, PoseParams(keep_steps=keep)) for keep in (True, False))
+    kept, plain = (estimate_pose(touch, notched_wedge().mesh, PoseParams(keep_steps=keep)) for keep in (True, False))
     np.testing.assert_allclose(kept.steps[-1].sensor_from_object, kept.sensor_from_object, atol=1e-12)
     assert plain.steps == ()
     assert content(kept) == content(plain)
-    assert kept.stopped == plain.stopped
-    assert kept.stopped.startswith("settled: ")
+    assert kept.stop_reason == plain.stop_reason
+    assert kept.stop_reason.startswith("settled: ")
 
 
 def test_the_way_begins_at_a_first_guess_and_tells_every_step():
     touch = felt(notched_wedge(), lying(0.3, 0.2, 0.8, 2.0, 30.0))
-    found = pose(touch, notched_wedge().mesh, PoseParams(keep_steps=True))
-    told = way.way(found)
+    found = estimate_pose(touch, notched_wedge().mesh, PoseParams(keep_steps=True))
+    told = step_history.summarise_steps(found)
     first, last = found.steps[0], found.steps[-1]
     assert first.rmse_mm > 3 * last.rmse_mm, "a first guess lies farther off than the answer"
-    assert (first.reach_mm, last.reach_mm) == (2.0, 0.5)
-    assert all(len(curve.values) == len(found.steps) == len(told.steps) for curve in told.curves)
-    assert told.turns, "the search reaches farther than the registration after it"
-    assert found.stopped in told.told
-    assert way.way(pose(touch, notched_wedge().mesh, PoseParams())) is None
+    assert (first.max_correspondence_mm, last.max_correspondence_mm) == (2.0, 0.5)
+    assert all(len(curve.values) == len(found.steps) == len(told.descriptions) for curve in told.curves)
+    assert told.phase_starts, "the search reaches farther than the registration after it"
+    assert found.stop_reason in told.stop_reason
+    assert step_history.summarise_steps(estimate_pose(touch, notched_wedge().mesh, PoseParams())) is None
 
 
 def test_partners_lie_on_the_object_and_those_out_of_reach_are_told():
     touch = felt(notched_wedge(), lying(0.3, 0.2, 0.8, 2.0, 30.0))
-    found = pose(touch, notched_wedge().mesh, PoseParams(keep_steps=True))
+    found = estimate_pose(touch, notched_wedge().mesh, PoseParams(keep_steps=True))
     at, radius_mm = np.array([0.3, -0.2, 26.0]), 6.0
-    step = PoseStep(sensor_from_object=rigid.translation(*at), rmse_mm=1.0, fitness=1.0, reach_mm=0.4)
-    (state,) = way.states(replace(found, steps=(step,)))
-    partners = way.partners(state, distance_grid(ball(radius_mm)))
+    step = PoseStep(sensor_from_object=rigid.translation(*at), rmse_mm=1.0, fitness=1.0, max_correspondence_mm=0.4)
+    (state,) = step_history.split_steps(replace(found, steps=(step,)))
+    partners = step_history.compute_correspondences(state, load_distance_grid(ball(radius_mm)))
     near = np.abs(partners.distance_mm) < 1.0  # farther off the lattice is coarser: 0.024 mm there
     assert near.sum() > 20
-    from_middle_mm = np.linalg.norm(partners.foot_mm[near] - at, axis=1)
+    from_middle_mm = np.linalg.norm(partners.nearest_mm[near] - at, axis=1)
     np.testing.assert_allclose(from_middle_mm, radius_mm, atol=0.03)
-    np.testing.assert_array_equal(partners.taken, np.abs(partners.distance_mm) <= 0.4)
-    assert 0 < partners.taken.sum() < len(partners.taken)
+    np.testing.assert_array_equal(partners.is_inlier, np.abs(partners.distance_mm) <= 0.4)
+    assert 0 < partners.is_inlier.sum() < len(partners.is_inlier)
 
 
 def test_scene_points_lie_on_the_membrane_at_their_pixels():
     touch = felt(notched_wedge(), lying(0.3, 0.2, 0.8, 2.0, 30.0))
-    found = pose(touch, notched_wedge().mesh, PoseParams(max_points=200))
+    found = estimate_pose(touch, notched_wedge().mesh, PoseParams(max_points=200))
     assert found.scene_mm.shape == (200, 3)
     assert touch.contact.ravel()[found.source_index].all()
     np.testing.assert_array_equal(found.scene_mm[:, 2], touch.depth_mm.ravel()[found.source_index])
@@ -165,18 +173,18 @@ def test_no_contact_and_no_mesh_are_answered_without_work():
     level = np.full(CAMERA.shape, REST_MM)
     untouched = touch_of(level, np.zeros(CAMERA.shape, bool))
     touched = felt(slab(), lying(0.0, 0.0, 0.5, 5.0, 0.0))
-    assert without_contact(touched, slab().mesh, PoseParams()) is None
-    for found in (pose(untouched, slab().mesh, PoseParams()), pose(touched, None, PoseParams())):
+    assert skip_without_contact(touched, slab().mesh, PoseParams()) is None
+    for found in (estimate_pose(untouched, slab().mesh, PoseParams()), estimate_pose(touched, None, PoseParams())):
         assert found.sensor_from_object is None
         assert len(found.notes) == 1
-    assert "no contact" in without_contact(untouched, None, PoseParams()).notes[0]
-    assert "no object mesh" in without_contact(touched, None, PoseParams()).notes[0]
+    assert "no contact" in skip_without_contact(untouched, None, PoseParams()).notes[0]
+    assert "no object mesh" in skip_without_contact(touched, None, PoseParams()).notes[0]
 
 
 def test_too_few_points_are_told_instead_of_fitted():
     contact = np.zeros(CAMERA.shape, bool)
     contact[50:53, 60:63] = True
-    found = pose(touch_of(np.where(contact, REST_MM - 0.3, REST_MM), contact), slab().mesh, PoseParams())
+    found = estimate_pose(touch_of(np.where(contact, REST_MM - 0.3, REST_MM), contact), slab().mesh, PoseParams())
     assert found.sensor_from_object is None
     assert "only 9 contact points" in found.notes[0]
 
@@ -185,7 +193,9 @@ def test_too_few_points_are_told_instead_of_fitted():
 def test_a_mesh_in_another_unit_gives_no_pose_but_its_size(scale):
     bar = l_bar()
     scaled = Mesh(vertices_mm=bar.mesh.vertices_mm * scale, triangles=bar.mesh.triangles)
-    found = pose(felt(bar, lying(1.0, -0.5, 0.6, 4.0, 20.0, origin_mm=(5.0, 3.5))), scaled, PoseParams(n_starts=12))
+    found = estimate_pose(
+        felt(bar, lying(1.0, -0.5, 0.6, 4.0, 20.0, origin_mm=(5.0, 3.5))), scaled, PoseParams(n_starts=12)
+    )
     assert found.sensor_from_object is None
     assert f"{12 * scale:.3g} mm long" in found.notes[0]
     assert "unit" in found.notes[0]
@@ -195,9 +205,9 @@ def test_a_mesh_without_surface_and_an_unknown_face_are_refused():
     touch = felt(slab(), lying(0.0, 0.0, 0.5, 5.0, 0.0))
     empty = Mesh(vertices_mm=np.zeros((3, 3)), triangles=np.zeros((1, 3), np.int32))
     with pytest.raises(MeshProblem, match="zero area"):
-        pose(touch, empty, PoseParams())
+        estimate_pose(touch, empty, PoseParams())
     with pytest.raises(SettingProblem, match="face"):
-        pose(touch, slab().mesh, PoseParams(face="up"))
+        estimate_pose(touch, slab().mesh, PoseParams(face="up"))
 
 
 @pytest.mark.parametrize("doing", ["registering", "refining", "leaves open", "fit as well"])
@@ -208,7 +218,7 @@ def test_a_pose_nobody_wants_any_more_is_cancelled(doing):
                 raise Cancelled
 
     with pytest.raises(Cancelled):
-        pose(felt(slab(), lying(0.0, 0.0, 0.5, 5.0, 0.0)), slab().mesh, PoseParams(n_starts=6), Impatient())
+        estimate_pose(felt(slab(), lying(0.0, 0.0, 0.5, 5.0, 0.0)), slab().mesh, PoseParams(n_starts=6), Impatient())
 
 
 def test_covariance_is_that_of_repeated_noisy_measurements():
@@ -219,7 +229,7 @@ def test_covariance_is_that_of_repeated_noisy_measurements():
     arms = points - points.mean(axis=0)
     jacobian = np.concatenate([np.cross(arms, normals), normals], axis=1)
     solved = np.linalg.lstsq(jacobian, NOISE_MM * rng.standard_normal((400, 4000)), rcond=None)[0]
-    told = observability(points, normals, points.mean(axis=0), NOISE_MM)
+    told = assess_observability(points, normals, points.mean(axis=0), NOISE_MM)
     np.testing.assert_allclose(np.sqrt(np.diag(told.covariance)), solved.std(axis=1), rtol=0.06)  # 4000 draws: 1 %
     np.testing.assert_allclose(told.observable, np.eye(6), atol=1e-12)
     assert told.weak == ()
@@ -229,7 +239,7 @@ def test_a_sphere_patch_rolls_in_three_ways():
     rng = np.random.default_rng(4)
     normals = rng.standard_normal((500, 3)) * 0.2 + (0.0, 0.0, -1.0)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    told = observability(5.0 * normals, normals, 5.0 * normals.mean(axis=0), NOISE_MM)
+    told = assess_observability(5.0 * normals, normals, 5.0 * normals.mean(axis=0), NOISE_MM)
     assert len(told.weak) == 3
     np.testing.assert_allclose(told.observable @ told.observable, told.observable, atol=1e-9)
     turn_about_centre = np.concatenate([np.eye(3)[0], np.cross(np.eye(3)[0], 5.0 * normals.mean(axis=0))])
@@ -239,16 +249,16 @@ def test_a_sphere_patch_rolls_in_three_ways():
 def test_a_pose_that_fits_as_well_turned_is_said():
     corners = [(-4, -2), (4, -2), (4, 2), (-4, 2)]
     box = extruded(corners, [corners], 0.0, 6.0)
-    found = pose(felt(box, lying(1.3, -0.9, 0.5, 6.0, 17.0)), box.mesh, PoseParams(face="+z"))
+    found = estimate_pose(felt(box, lying(1.3, -0.9, 0.5, 6.0, 17.0)), box.mesh, PoseParams(face="+z"))
     assert len(found.alternatives) == 1
     between = found.alternatives[0] @ rigid.invert(found.sensor_from_object)
-    assert rigid.angle_deg(between) == pytest.approx(180.0, abs=2 * TURN_TOLERANCE_DEG)
+    assert rigid.rotation_angle_deg(between) == pytest.approx(180.0, abs=2 * TURN_TOLERANCE_DEG)
     assert any(note.startswith("2 poses fit equally well: turned by") and "about z" in note for note in found.notes)
 
 
 def test_a_pose_that_only_one_place_explains_has_no_alternative():
     truth = lying(1.0, -0.5, 0.6, 4.0, 20.0, tilt_deg=(1.5, -2.0), origin_mm=(5.0, 3.5))
-    assert pose(felt(l_bar(), truth), l_bar().mesh, PoseParams()).alternatives == ()
+    assert estimate_pose(felt(l_bar(), truth), l_bar().mesh, PoseParams()).alternatives == ()
 
 
 def test_a_pose_whose_object_would_be_felt_where_nothing_was_is_doubted():
@@ -260,16 +270,16 @@ def test_a_pose_whose_object_would_be_felt_where_nothing_was_is_doubted():
         whole, depth_mm=np.where(lost, np.float32(REST_MM), whole.depth_mm), contact=whole.contact & ~lost,
         indentation_mm=np.where(lost, np.float32(0.0), whole.indentation_mm),
     )  # fmt: skip
-    assert UNFELT in pose(part, l_bar().mesh, PoseParams()).notes
-    assert UNFELT not in pose(whole, l_bar().mesh, PoseParams()).notes
+    assert UNFELT in estimate_pose(part, l_bar().mesh, PoseParams()).notes
+    assert UNFELT not in estimate_pose(whole, l_bar().mesh, PoseParams()).notes
 
 
 def test_the_next_touch_is_followed_and_a_far_one_is_searched():
     bar = notched_wedge()
-    before = pose(felt(bar, lying(0.3, 0.2, 0.8, 2.0, 30.0)), bar.mesh, PoseParams())
+    before = estimate_pose(felt(bar, lying(0.3, 0.2, 0.8, 2.0, 30.0)), bar.mesh, PoseParams())
     for angle_deg, is_followed in ((33.0, True), (150.0, False)):
         truth = lying(0.5, 0.1, 0.8, 2.0, angle_deg)
-        found = pose_from(felt(bar, truth), bar.mesh, PoseParams(), before.sensor_from_object)
+        found = track_pose(felt(bar, truth), bar.mesh, PoseParams(), before.sensor_from_object)
         mm, deg = error(found, truth)
         assert mm < POSITION_TOLERANCE_MM
         assert deg < TURN_TOLERANCE_DEG
@@ -294,7 +304,7 @@ def test_a_touch_farther_on_is_found_to_the_end_and_not_turned_over(solid, place
     touch = noisy(felt(solid, truth))
     middle = touch.camera.back_project(touch.depth_mm)[touch.contact].mean(axis=0)
     turn = rigid.translation(*middle) @ rigid.rotation(np.deg2rad(turn_deg)) @ rigid.translation(*-middle)
-    found = pose_from(touch, solid.mesh, PoseParams(), rigid.translation(*shift_mm) @ turn @ truth)
+    found = track_pose(touch, solid.mesh, PoseParams(), rigid.translation(*shift_mm) @ turn @ truth)
     mm, deg = error(found, truth)
     assert mm < POSITION_TOLERANCE_MM
     assert deg < TURN_TOLERANCE_DEG
@@ -306,17 +316,17 @@ def test_of_poses_that_fit_equally_well_the_one_nearest_to_the_touch_before_is_a
     box = extruded(corners, [corners], 0.0, 6.0)
     touch = felt(box, lying(1.3, -0.9, 0.5, 6.0, 17.0))
     before = rigid.translation(30.0, 0.0, 0.0) @ lying(1.3, -0.9, 0.5, 6.0, angle_deg)  # too far off to be followed
-    found = pose_from(touch, box.mesh, PoseParams(face="+z"), before)
+    found = track_pose(touch, box.mesh, PoseParams(face="+z"), before)
     assert found.starts_tried > 0
     assert len(found.alternatives) == 1
-    assert rigid.angle_deg(found.sensor_from_object @ rigid.invert(before)) < TURN_TOLERANCE_DEG
+    assert rigid.rotation_angle_deg(found.sensor_from_object @ rigid.invert(before)) < TURN_TOLERANCE_DEG
 
 
 def test_a_face_that_only_nears_the_membrane_beside_its_contact_is_not_unfelt():
     truth = lying(0.0, 0.0, 0.3, 5.0, 10.0, tilt_deg=(0.0, 2.0))
-    scene = felt_surface(noisy(felt(slab(), truth)), 1500, 0)
-    plate = prepared(slab().mesh, 0)
-    by = judge(scene, plate.grid, plate.model, 750, 15_000, 2.0)
+    scene = extract_scene(noisy(felt(slab(), truth)), 1500, 0)
+    plate = prepare_object(slab().mesh, 0)
+    by = make_judge(scene, plate.grid, plate.model, 750, 15_000, 2.0)
     assert by.misfit_mm([truth])[0] < 1.2 * NOISE_MM
 
 
@@ -328,12 +338,12 @@ def test_a_light_part_of_a_contact_that_is_lost_in_the_error_of_the_depth_speaks
     depth = touch.depth_mm + np.where(light, np.float32(0.08), np.float32(0.0))
     lost = replace(touch, depth_mm=depth, contact=touch.contact & ~light)
     told, exact = (
-        felt_surface(replace(lost, error=error), 1500, 0)
-        for error in (DepthError(rms_mm=0.05, correlation_mm=1.0), None)
+        extract_scene(replace(lost, error=error), 1500, 0)
+        for error in (DepthErrorModel(rms_mm=0.05, correlation_mm=1.0), None)
     )
-    plate = prepared(slab().mesh, 0)
+    plate = prepare_object(slab().mesh, 0)
     told_mm, exact_mm = (
-        judge(scene, plate.grid, plate.model, 750, 15_000, 2.0).misfit_mm([truth])[0] for scene in (told, exact)
+        make_judge(scene, plate.grid, plate.model, 750, 15_000, 2.0).misfit_mm([truth])[0] for scene in (told, exact)
     )
     assert told_mm < 0.05
     assert exact_mm > 0.3, "where depth is exact, what is not felt is not there"
@@ -349,11 +359,11 @@ def test_a_generated_touch_speaks_against_a_pose_by_no_more_than_it_tells_of_its
         contact=touch.contact, known=np.ones_like(touch.contact), generated=True,
     )  # fmt: skip
     unsure = np.where(beside, np.float32(0.2), np.float32(0.001))
-    wedge = prepared(notched_wedge().mesh, 0)
+    wedge = prepare_object(notched_wedge().mesh, 0)
 
     def misfit_mm(felt_touch):
-        scene = felt_surface(felt_touch, 1500, 0)
-        return judge(scene, wedge.grid, wedge.model, 750, 15_000, 2.0).misfit_mm([truth])[0]
+        scene = extract_scene(felt_touch, 1500, 0)
+        return make_judge(scene, wedge.grid, wedge.model, 750, 15_000, 2.0).misfit_mm([truth])[0]
 
     silent, told = misfit_mm(wrong), misfit_mm(replace(wrong, spread_mm=unsure))
     assert told < 0.6 * silent
@@ -364,31 +374,31 @@ def test_a_generated_touch_speaks_against_a_pose_by_no_more_than_it_tells_of_its
 def test_an_object_smaller_than_its_contact_is_asked_for_its_unit():
     bar = l_bar()
     small = replace(bar.mesh, vertices_mm=0.1 * bar.mesh.vertices_mm)
-    found = pose(felt(bar, lying(0.3, 0.2, 0.8, 2.0, 30.0)), small, PoseParams(n_starts=12))
+    found = estimate_pose(felt(bar, lying(0.3, 0.2, 0.8, 2.0, 30.0)), small, PoseParams(n_starts=12))
     assert any("is smaller than its contact" in note and "check the mesh's unit" in note for note in found.notes)
 
 
 def test_the_stage_follows_a_touch_that_had_a_pose_and_searches_after_one_that_had_none():
     bar = l_bar()
     touch, params = felt(bar, lying(0.3, 0.2, 0.8, 2.0, 30.0)), PoseParams()
-    before = posed(touch, bar.mesh, None, params)
+    before = estimate_or_track_pose(touch, bar.mesh, None, params)
     assert before.starts_tried > 0
-    assert posed(touch, bar.mesh, before, params).starts_tried == 0
-    lost = pose(touch, None, params)
-    assert posed(touch, bar.mesh, lost, params).starts_tried == before.starts_tried
+    assert estimate_or_track_pose(touch, bar.mesh, before, params).starts_tried == 0
+    lost = estimate_pose(touch, None, params)
+    assert estimate_or_track_pose(touch, bar.mesh, lost, params).starts_tried == before.starts_tried
 
 
 def test_what_fitted_as_well_before_is_followed_too():
     bar = l_bar()
     truth = lying(1.0, -0.5, 0.6, 4.0, 20.0, tilt_deg=(1.5, -2.0), origin_mm=(5.0, 3.5))
     wrong = lying(1.0, -0.5, 0.6, 4.0, 200.0, tilt_deg=(1.5, -2.0), origin_mm=(5.0, 3.5))
-    mm, _ = error(pose_from(felt(bar, truth), bar.mesh, PoseParams(), wrong, others=(truth,)), truth)
+    mm, _ = error(track_pose(felt(bar, truth), bar.mesh, PoseParams(), wrong, alternatives=(truth,)), truth)
     assert mm < POSITION_TOLERANCE_MM
 
 
 def test_the_method_of_the_paper_moves_in_the_plane_only():
     truth = lying(1.0, -0.5, 0.6, 4.0, 10.0, origin_mm=(5.0, 3.5))
-    found = planar(felt(l_bar(), truth), l_bar().mesh, PoseParams(face="+z", keep_steps=True))
+    found = estimate_pose_planar(felt(l_bar(), truth), l_bar().mesh, PoseParams(face="+z", keep_steps=True))
     assert found.sensor_from_object is not None
     assert found.covariance is None
     assert found.notes[0].startswith("paper 2D: in-plane turn and shift only")
@@ -399,7 +409,7 @@ def test_icp_on_sampled_points_finds_a_wedge_and_says_that_it_knows_no_more():
     truth = lying(-0.8, 0.7, 0.8, 2.0, 70.0, tilt_deg=(4.0, -2.0))
     touch = felt(notched_wedge(), truth, noise_mm=0.01)
     found, again, plain = (
-        icp(touch, notched_wedge().mesh, PoseParams(face="+z", n_starts=24, keep_steps=kept))
+        estimate_pose_icp(touch, notched_wedge().mesh, PoseParams(face="+z", n_starts=24, keep_steps=kept))
         for kept in (True, True, False)
     )
     mm, deg = error(found, truth)
@@ -416,7 +426,7 @@ def test_icp_on_sampled_points_finds_a_wedge_and_says_that_it_knows_no_more():
 def test_a_mesh_that_names_missing_vertices_is_refused():
     broken = Mesh(vertices_mm=slab().mesh.vertices_mm, triangles=np.array([[0, 1, 999]], np.int32))
     with pytest.raises(MeshProblem, match="does not have"):
-        pose(felt(slab(), lying(0.0, 0.0, 0.5, 5.0, 0.0)), broken, PoseParams())
+        estimate_pose(felt(slab(), lying(0.0, 0.0, 0.5, 5.0, 0.0)), broken, PoseParams())
 
 
 def pressed_deep(solid, turn_deg, spin_deg, depth_mm):
@@ -436,7 +446,7 @@ def bar_of(length_mm, side_mm):
 def test_a_box_on_its_edge_is_found_with_all_eight_poses_that_fit_as_well(turn_deg, spin_deg):
     box = bar_of(20.0, 5.0)
     truth = pressed_deep(box, turn_deg, spin_deg, 0.6)
-    found = pose(felt(box, truth), box.mesh, PoseParams())
+    found = estimate_pose(felt(box, truth), box.mesh, PoseParams())
     assert found.fitness > 0.99
     assert found.rmse_mm < 0.02
     assert len(found.alternatives) == 7
@@ -452,17 +462,19 @@ def test_a_short_cylinder_on_its_rim_is_searched_on_until_it_fits():
     corners = rigid.apply(turn, stub.mesh.vertices_mm)
     low = corners[corners[:, 2] < corners[:, 2].min() + 0.3].mean(axis=0)
     truth = rigid.translation(-low[0], -low[1], REST_MM - 0.984 - corners[:, 2].min()) @ turn
-    found = pose(felt(stub, truth), stub.mesh, PoseParams())
+    found = estimate_pose(felt(stub, truth), stub.mesh, PoseParams())
     assert found.fitness > 0.99
     assert found.rmse_mm < 0.02
 
 
 def test_a_fit_that_is_far_above_the_noise_is_said_to_be_doubtful():
     wide, narrow = bar_of(14.0, 5.0), bar_of(14.0, 4.4)
-    found = pose(felt(wide, pressed_deep(wide, 45.0, 10.0, 1.4)), rod(1.2, 14.0, 48).mesh, PoseParams(n_starts=24))
+    found = estimate_pose(
+        felt(wide, pressed_deep(wide, 45.0, 10.0, 1.4)), rod(1.2, 14.0, 48).mesh, PoseParams(n_starts=24)
+    )
     assert found.fitness > 0.5
     assert any("where the depth's error makes up" in note and "doubtful" in note for note in found.notes)
-    fine = pose(felt(narrow, pressed_deep(narrow, 45.0, 10.0, 1.0)), narrow.mesh, PoseParams(n_starts=24))
+    fine = estimate_pose(felt(narrow, pressed_deep(narrow, 45.0, 10.0, 1.0)), narrow.mesh, PoseParams(n_starts=24))
     assert not any("doubtful" in note for note in fine.notes)
 
 
@@ -477,9 +489,9 @@ def test_a_gently_curved_body_is_not_held_where_the_data_determine_it(angle_deg)
     truth = lying(0.4, -0.3, 1.2, 4.0, angle_deg, tilt_deg=(1.0, -1.0))
     depth, contact = height_felt(truth, gently)
     touch = touch_of(depth + 0.01 * np.random.default_rng(5).standard_normal(depth.shape), contact)
-    found = pose_from(touch, body, PoseParams(), truth @ rigid.from_parts([0.3, -0.2, 0.0], [0.0, 0.0, 4.0]))
+    found = track_pose(touch, body, PoseParams(), truth @ rigid.from_parts([0.3, -0.2, 0.0], [0.0, 0.0, 4.0]))
     mm, deg = error(found, truth)
-    assert found.weak == ()
+    assert found.weak_directions == ()
     assert mm < HELD_MM / 4
     assert deg < HELD_DEG / 4
 
@@ -519,8 +531,8 @@ def test_turns_of_a_ball_are_not_seen_by_its_outline():
     depth, contact = height_felt(
         lying(0.3, 0.2, 0.8, 6.0, 0.0), lambda x, y: np.sqrt(np.maximum(36.0 - x**2 - y**2, 1.0))
     )
-    found = pose(touch_of(depth, contact), body, PoseParams())
-    assert len(found.weak) == 3
+    found = estimate_pose(touch_of(depth, contact), body, PoseParams())
+    assert len(found.weak_directions) == 3
     assert not any("outline" in note for note in found.notes)
 
 
@@ -529,6 +541,6 @@ def test_the_slide_of_a_tilted_plate_is_not_called_an_axis_of_the_sensor():
         rigid.translation(0.0, 0.0, REST_MM - 0.6) @ rigid.rotation([np.deg2rad(4.0), 0.0, 0.0])
         @ UPSIDE_DOWN @ rigid.translation(0.0, 0.0, -5.0)
     )  # fmt: skip
-    found = pose(felt(slab(), truth), slab().mesh, PoseParams())
-    assert "slides along y" not in found.weak
-    assert "slides along (0.00, 1.00, 0.07)" in found.weak
+    found = estimate_pose(felt(slab(), truth), slab().mesh, PoseParams())
+    assert "slides along y" not in found.weak_directions
+    assert "slides along (0.00, 1.00, 0.07)" in found.weak_directions

@@ -10,9 +10,9 @@ from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
 from pipeline.physics import lattice
 from pipeline.simulation import shapes
-from pipeline.stages.pose.stage import PoseParams, pose_from
-from pipeline.values.pixel_index import pixel_index
-from pipeline.values.results import DepthError, DepthMap
+from pipeline.stages.pose.signed_distances import PoseParams, track_pose
+from pipeline.values.pixel_index import make_pixel_index
+from pipeline.values.results import DepthErrorModel, DepthMap
 
 CAMERA = Camera(rows=120, cols=160, fx_px=120.0, fy_px=120.0, cx_px=79.5, cy_px=59.5)
 REST_MM, DEEP_MM, PIXEL_MM = 20.0, 1.0, 20.0 / 120.0
@@ -22,13 +22,13 @@ N_TOUCHES = 24
 
 def touch(name, seed, white_mm, error):
     """A touch of a shape, its depth off by white noise and by a correlated error; and where the shape truly is."""
-    rng, mesh = np.random.default_rng([seed, 5]), shapes.shape(name).mesh
+    rng, mesh = np.random.default_rng([seed, 5]), shapes.make_shape(name).mesh
     turn = rigid.rotation(np.deg2rad([*rng.uniform(-5.0, 5.0, 2), 0.0])) @ rigid.rotation([0, 0, rng.uniform(0, 6.3)])
     lowest_mm = rigid.apply(turn, mesh.vertices_mm)[:, 2].min()
     truth = rigid.translation(*rng.uniform(-2.0, 2.0, 2), REST_MM - DEEP_MM - lowest_mm) @ turn
     on = lattice.Lattice(x0_mm=-16.0, y0_mm=-12.0, step_mm=0.04, shape=(601, 801))
-    surface = np.minimum(lattice.nearest_of_mesh(rigid.apply(truth, mesh.vertices_mm), mesh.triangles, on), REST_MM)
-    depth = lattice.depth_along_rays(CAMERA, surface, on, guess_mm=np.full(CAMERA.shape, REST_MM))
+    surface = np.minimum(lattice.rasterise_mesh(rigid.apply(truth, mesh.vertices_mm), mesh.triangles, on), REST_MM)
+    depth = lattice.intersect_rays(CAMERA, surface, on, guess_mm=np.full(CAMERA.shape, REST_MM))
     contact = depth < REST_MM - 1e-6
     depth = depth + white_mm * rng.standard_normal(depth.shape)
     if error is not None:
@@ -37,7 +37,7 @@ def touch(name, seed, white_mm, error):
     depth = depth.astype(np.float32)
     felt = DepthMap(
         indentation_mm=np.float32(REST_MM) - depth, depth_mm=depth, contact=contact, camera=CAMERA,
-        source_index=pixel_index(CAMERA.shape), error=error,
+        source_index=make_pixel_index(CAMERA.shape), error=error,
     )  # fmt: skip
     return felt, mesh, truth
 
@@ -53,15 +53,15 @@ def off_by(pose, truth, middle):
     [
         ("notched_elbow", None, 1 / 2),
         ("letters", None, 1 / 2),
-        ("notched_elbow", DepthError(rms_mm=0.03, correlation_mm=0.5), 1 / 3),
-        ("letters", DepthError(rms_mm=0.03, correlation_mm=0.5), 1 / 3),
+        ("notched_elbow", DepthErrorModel(rms_mm=0.03, correlation_mm=0.5), 1 / 3),
+        ("letters", DepthErrorModel(rms_mm=0.03, correlation_mm=0.5), 1 / 3),
     ],
 )
 def test_the_covariance_is_that_of_poses_from_depth_with_modelled_noise(name, error, least):
     found = []
     for seed in range(N_TOUCHES):
         felt, mesh, truth = touch(name, seed, 0.02 if error is None else 0.005, error)
-        told = pose_from(felt, mesh, PARAMS, truth)
+        told = track_pose(felt, mesh, PARAMS, truth)
         off = off_by(told.sensor_from_object, truth, told.scene_mm.mean(axis=0).astype(float))
         off, known = told.observable @ off, told.observable @ told.covariance @ told.observable.T
         found.append(off @ np.linalg.pinv(known, rcond=1e-10) @ off / round(float(np.trace(told.observable))))

@@ -12,14 +12,19 @@ from pipeline.base.errors import ShapeError
 from pipeline.geometry import membrane, rigid
 from pipeline.geometry.camera import Camera
 from pipeline.sensors.alignment import Alignment
-from pipeline.sensors.spec import sensor
-from pipeline.stages.adapt.stage import AdaptParams, adapt
-from pipeline.stages.project import drawing
-from pipeline.stages.project.stage import PaperParams, ProjectParams, project, without_contact
+from pipeline.sensors.spec import load_sensor
+from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.target_depth import rasterisation
+from pipeline.stages.target_depth.surface_projection import (
+    PointSplatParams,
+    SurfaceProjectionParams,
+    project_cloud,
+    skip_without_contact,
+)
 from pipeline.values.results import Cloud
 from tests.pipeline.stages.test_adapt import depth_map
 
-PAPER, SURFACE = PaperParams(), ProjectParams()
+PAPER, SURFACE = PointSplatParams(), SurfaceProjectionParams()
 SOURCE = Camera(rows=120, cols=160, fx_px=400.0, fy_px=400.0, cx_px=79.5, cy_px=59.5)
 CENTRE_MM, RADIUS_MM = np.array([0.0, 0.0, 55.0]), 15.0
 SAG_MM = 6e-4  # a chord of one source diagonal, d^2 / 8 R, seen at up to 65 degrees; and float32 at 50 mm
@@ -28,8 +33,8 @@ RIM_SAG_MM = 3 * SAG_MM  # half a step beyond two points a chord apart: 3/8 of f
 
 def target_sensor(rows=70, cols=90, fx_px=200.0, rest_mm=45.0):
     camera = Camera(rows=rows, cols=cols, fx_px=fx_px, fy_px=fx_px, cx_px=(cols - 1) / 2, cy_px=(rows - 1) / 2)
-    pad = membrane.flat(rest_mm, 30.0, 30.0)
-    return replace(sensor("gelslim"), camera=camera, membrane=pad, rest_depth_mm=pad.rest_depth_mm(camera))
+    pad = membrane.make_flat_membrane(rest_mm, 30.0, 30.0)
+    return replace(load_sensor("gelslim"), camera=camera, membrane=pad, rest_depth_mm=pad.rest_depth_mm(camera))
 
 
 def sphere_depth_mm(camera):
@@ -48,14 +53,14 @@ def sphere_cloud(angle_deg=0.0, stride=1):
     )
     depth = sphere_depth_mm(SOURCE)
     alignment = Alignment(alignment_from_source=turn, target_from_alignment=np.eye(4))
-    return adapt(depth_map(depth, depth < 41.0, SOURCE), alignment, AdaptParams(stride=stride))
+    return back_project_depth(depth_map(depth, depth < 41.0, SOURCE), alignment, BackProjectionParams(stride=stride))
 
 
 def cloud_of(points, index=None, grid=(50, 50)):
     points = np.asarray(points, np.float32).reshape(-1, 3)
     index = np.arange(len(points)) if index is None else index
     return Cloud(
-        window_mm=np.array([[-9, -9, 20], [9, -9, 20], [9, 9, 20], [-9, 9, 20]], np.float32),
+        field_of_view_mm=np.array([[-9, -9, 20], [9, -9, 20], [9, 9, 20], [-9, 9, 20]], np.float32),
         points_mm=points,
         source_index=np.asarray(index, np.int32),
         grid_shape=grid,
@@ -66,7 +71,7 @@ def cloud_of(points, index=None, grid=(50, 50)):
 @pytest.mark.parametrize("scale", [1, 3])
 def test_the_surface_of_a_sphere_has_no_holes_and_lies_on_the_sphere(angle_deg, scale):
     target = target_sensor(rows=70 * scale, cols=90 * scale, fx_px=200.0 * scale)
-    view = project(sphere_cloud(angle_deg), target, SURFACE)
+    view = project_cloud(sphere_cloud(angle_deg), target, SURFACE)
     seen = np.isfinite(view.depth_mm)
     assert seen.sum() > 500 * scale**2
     assert (ndimage.binary_fill_holes(seen) == seen).all()
@@ -84,7 +89,7 @@ def test_a_mask_reaches_half_a_source_pixel_beyond_its_outermost_points(hole):
     there = ~((rows == 10) & (cols == 15)) if hole else np.ones((20, 30), bool)
     target = target_sensor(rows=280, cols=360, fx_px=800.0)
     cloud = cloud_of(sheet[there], index=np.flatnonzero(there), grid=(20, 30))
-    view = project(cloud, target, SURFACE)
+    view = project_cloud(cloud, target, SURFACE)
     row, col = np.nonzero(np.isfinite(view.depth_mm))
     z_mm = target.camera.back_project(view.depth_mm)[row, col]
     plane_mm = 40.0 + 0.05 * (z_mm[:, 0] / 0.5 + 14.5)
@@ -102,16 +107,16 @@ def test_noise_at_the_lens_does_not_draw_without_end():
     z, x, y = rng.uniform(2e-3, 6e-3, 10_000), *rng.uniform(-0.2, 0.2, (2, 10_000))
     noise = cloud_of(np.stack([x * z, y * z, z], -1), grid=(100, 100))
     target = target_sensor(rows=280, cols=360, fx_px=800.0)
-    view = project(noise, target, replace(SURFACE, grazing_deg=90.0))
+    view = project_cloud(noise, target, replace(SURFACE, grazing_deg=90.0))
     np.testing.assert_array_equal(view.source_index >= 0, np.isfinite(view.depth_mm))
     assert any("lies over itself" in note for note in view.notes)
-    assert not any("lies over itself" in note for note in project(sphere_cloud(), target, SURFACE).notes)
+    assert not any("lies over itself" in note for note in project_cloud(sphere_cloud(), target, SURFACE).notes)
 
 
 def test_points_leave_hundreds_of_times_the_error_of_the_surface():
     target, cloud = target_sensor(), sphere_cloud(20.0)
     exact = sphere_depth_mm(target.camera)
-    paper, surface = (np.nanmean(np.abs(project(cloud, target, p).depth_mm - exact)) for p in (PAPER, SURFACE))
+    paper, surface = (np.nanmean(np.abs(project_cloud(cloud, target, p).depth_mm - exact)) for p in (PAPER, SURFACE))
     assert paper > 100 * surface  # 1000 at the resolution of benchmarks/reprojection.py
 
 
@@ -127,7 +132,7 @@ points = st.lists(
 def test_the_nearest_point_wins_each_pixel_in_any_order(raw, random):
     target = target_sensor()
     cloud = cloud_of(raw)
-    view = project(cloud, target, PAPER)
+    view = project_cloud(cloud, target, PAPER)
     x_px, y_px, visible = target.camera.project(cloud.points_mm)
     expected = np.full(target.camera.shape, np.inf, np.float32)
     for k in np.flatnonzero(visible):
@@ -136,7 +141,7 @@ def test_the_nearest_point_wins_each_pixel_in_any_order(raw, random):
     np.testing.assert_array_equal(view.depth_mm, np.where(np.isinf(expected), np.nan, expected))
     order = list(range(len(raw)))
     random.shuffle(order)
-    again = project(cloud_of(cloud.points_mm[order], index=order), target, PAPER)
+    again = project_cloud(cloud_of(cloud.points_mm[order], index=order), target, PAPER)
     assert again.depth_mm.tobytes() == view.depth_mm.tobytes()
     assert again.contact.tobytes() == view.contact.tobytes()
     won = view.source_index >= 0
@@ -147,7 +152,7 @@ def test_shuffled_points_give_the_same_surface():
     target, cloud = target_sensor(), sphere_cloud(20.0)
     order = np.random.default_rng(0).permutation(len(cloud.points_mm))
     shuffled = replace(cloud, points_mm=cloud.points_mm[order], source_index=cloud.source_index[order])
-    one, two = project(cloud, target, SURFACE), project(shuffled, target, SURFACE)
+    one, two = project_cloud(cloud, target, SURFACE), project_cloud(shuffled, target, SURFACE)
     assert one.depth_mm.tobytes() == two.depth_mm.tobytes()
     seen = one.source_index >= 0
     np.testing.assert_array_equal(order[two.source_index[seen]], one.source_index[seen])
@@ -160,8 +165,8 @@ def test_what_is_laid_out_in_strips_is_drawn_as_if_at_once(monkeypatch, stride):
     cloud = replace(cloud, points_mm=cloud.points_mm[holed], source_index=cloud.source_index[holed])
     views = []
     for cells in (1, 1 << 20):
-        monkeypatch.setattr(drawing, "_STRIP", cells)
-        views.append(project(cloud, target, SURFACE))
+        monkeypatch.setattr(rasterisation, "_STRIP", cells)
+        views.append(project_cloud(cloud, target, SURFACE))
     for name in ("depth_mm", "contact", "source_index", "pixel_of_point"):
         np.testing.assert_array_equal(getattr(views[0], name), getattr(views[1], name))
     assert views[0].notes == views[1].notes
@@ -172,15 +177,15 @@ def test_pixels_are_half_open_squares():
     camera = replace(target.camera, cx_px=0.0, cy_px=0.0)
     target = replace(target, camera=camera)
     for x_px, col in ((-0.5, 0), (np.nextafter(np.float32(0.5), np.float32(0.0)), 0), (0.5, 1), (2.5, 3)):
-        view = project(cloud_of([(x_px, 0.0, 1.0)]), target, PAPER)
+        view = project_cloud(cloud_of([(x_px, 0.0, 1.0)]), target, PAPER)
         assert np.flatnonzero(view.source_index[0] >= 0).tolist() == [col]
     for x_px in (-0.5001, 3.5, 1e30):
-        assert (project(cloud_of([(x_px, 0.0, 1.0)]), target, PAPER).source_index == -1).all()
+        assert (project_cloud(cloud_of([(x_px, 0.0, 1.0)]), target, PAPER).source_index == -1).all()
 
 
 def test_contact_is_where_the_surface_is_pushed_through_the_membrane():
     target = target_sensor(rest_mm=40.5)
-    view = project(sphere_cloud(), target, SURFACE)
+    view = project_cloud(sphere_cloud(), target, SURFACE)
     seen = np.isfinite(view.depth_mm)
     np.testing.assert_array_equal(view.contact, seen & (view.depth_mm <= 40.5))
     np.testing.assert_allclose(view.indentation_mm[view.contact], 40.5 - view.depth_mm[view.contact], atol=1e-5)
@@ -189,7 +194,7 @@ def test_contact_is_where_the_surface_is_pushed_through_the_membrane():
 
 
 def test_a_touch_that_stays_short_says_by_how_much():
-    view = project(sphere_cloud(), target_sensor(rest_mm=39.7), SURFACE)
+    view = project_cloud(sphere_cloud(), target_sensor(rest_mm=39.7), SURFACE)
     assert not view.contact.any()
     assert any("by 0.3 mm; move it closer" in note for note in view.notes)
 
@@ -200,7 +205,7 @@ def test_a_touch_that_misses_the_image_says_why():
     behind = replace(cloud, points_mm=-cloud.points_mm)
     for moved, word in ((aside, "outside"), (behind, "behind")):
         for params in (PAPER, SURFACE):
-            view = project(moved, target_sensor(), params)
+            view = project_cloud(moved, target_sensor(), params)
             assert not np.isfinite(view.depth_mm).any()
             assert word in view.notes[0]
 
@@ -223,7 +228,7 @@ def sheet_before_another(tilt_deg):
 def test_a_front_that_is_left_out_as_grazing_still_hides_what_lies_behind_it(tilt_deg, grazing_deg):
     """What lies behind showed through: up to 21 mm off."""
     target, tilt = target_sensor(), np.deg2rad(tilt_deg)
-    view = project(sheet_before_another(tilt_deg), target, replace(SURFACE, grazing_deg=grazing_deg))
+    view = project_cloud(sheet_before_another(tilt_deg), target, replace(SURFACE, grazing_deg=grazing_deg))
     x, y = target.camera.rays()
     along = 40.0 * x / (np.cos(tilt) - x * np.sin(tilt))
     front_mm = 40.0 + along * np.sin(tilt)
@@ -240,7 +245,7 @@ def test_a_front_that_is_left_out_as_grazing_still_hides_what_lies_behind_it(til
 
 def test_what_is_hidden_by_a_front_that_is_left_out_is_said():
     for tilt_deg, said in ((86.0, True), (20.0, False)):
-        notes = project(sheet_before_another(tilt_deg), target_sensor(), SURFACE).notes
+        notes = project_cloud(sheet_before_another(tilt_deg), target_sensor(), SURFACE).notes
         assert any("hide what lies behind them" in note for note in notes) == said
 
 
@@ -248,11 +253,11 @@ def test_a_depth_jump_is_not_bridged():
     rows, cols = np.mgrid[:20, :20]
     z = np.where(cols < 10, 40.0, 44.0)
     flat = cloud_of(np.stack([(cols - 9.5) * 0.5, (rows - 9.5) * 0.5, z], -1), grid=(20, 20))
-    view = project(flat, target_sensor(), SURFACE)
+    view = project_cloud(flat, target_sensor(), SURFACE)
     seen = view.depth_mm[np.isfinite(view.depth_mm)]
     assert set(np.round(seen, 3)) <= {40.0, 44.0}
     assert any("depth jumps" in note for note in view.notes)
-    bridged = project(flat, target_sensor(), replace(SURFACE, jump_mm=10.0)).depth_mm
+    bridged = project_cloud(flat, target_sensor(), replace(SURFACE, jump_mm=10.0)).depth_mm
     assert ((bridged > 40.5) & (bridged < 43.5)).any()
 
 
@@ -261,7 +266,7 @@ def test_the_nearer_sheet_hides_the_farther_one():
     near = cols < 20
     x = np.where(near, cols - 9.5, cols - 29.5) * 0.3
     sheet = np.stack([x, (rows - 9.5) * 0.3, np.where(near, 38.0, 44.0)], -1)
-    view = project(cloud_of(sheet, grid=(20, 40)), target_sensor(), SURFACE)
+    view = project_cloud(cloud_of(sheet, grid=(20, 40)), target_sensor(), SURFACE)
     middle = view.depth_mm[25:45, 35:55]
     np.testing.assert_allclose(middle, 38.0, atol=1e-5)
     assert any("hide behind" in note for note in view.notes)
@@ -269,24 +274,24 @@ def test_the_nearer_sheet_hides_the_farther_one():
 
 def test_every_target_pixel_names_a_source_point_within_a_source_pixel():
     cloud, target = sphere_cloud(20.0), target_sensor()
-    view = project(cloud, target, SURFACE)
+    view = project_cloud(cloud, target, SURFACE)
     row, col = np.nonzero(view.source_index >= 0)
     x_px, y_px, _ = target.camera.project(cloud.points_mm[view.source_index[row, col]])
     assert np.hypot(x_px - col, y_px - row).max() < 1.0
 
 
 def test_a_coarse_preview_stays_on_the_sphere():
-    view = project(sphere_cloud(stride=4), target_sensor(), SURFACE)
+    view = project_cloud(sphere_cloud(stride=4), target_sensor(), SURFACE)
     seen = np.isfinite(view.depth_mm)
     assert seen.sum() > 600
     assert np.abs(view.depth_mm - sphere_depth_mm(target_sensor().camera))[seen].max() < 16 * SAG_MM  # sag ~ pitch^2
 
 
 def test_lonely_points_and_tiny_touches_are_not_lost():
-    lonely = project(cloud_of([(0.0, 0.0, 44.0)]), target_sensor(), SURFACE)
+    lonely = project_cloud(cloud_of([(0.0, 0.0, 44.0)]), target_sensor(), SURFACE)
     assert lonely.contact.sum() == 1
     tiny = [(0.06 + 0.01 * c, 0.06 + 0.01 * r, 44.0) for r in range(2) for c in range(2)]
-    view = project(cloud_of(tiny, index=[0, 1, 50, 51]), target_sensor(), SURFACE)
+    view = project_cloud(cloud_of(tiny, index=[0, 1, 50, 51]), target_sensor(), SURFACE)
     assert view.contact.sum() == 1
     assert any("smaller than a target pixel" in note for note in view.notes)
 
@@ -297,7 +302,7 @@ def test_lonely_points_and_tiny_touches_are_not_lost():
     st.sampled_from([PAPER, SURFACE]),
 )  # fmt: skip
 def test_whatever_the_points_hold_the_view_is_sound(raw, params):
-    view = project(cloud_of(raw, grid=(4, 4)), target_sensor(), params)
+    view = project_cloud(cloud_of(raw, grid=(4, 4)), target_sensor(), params)
     seen = view.source_index >= 0
     np.testing.assert_array_equal(seen, np.isfinite(view.depth_mm))
     assert np.isfinite(view.indentation_mm).all()
@@ -307,17 +312,17 @@ def test_whatever_the_points_hold_the_view_is_sound(raw, params):
 
 def test_an_empty_cloud_gives_the_exact_empty_view():
     target = target_sensor()
-    view = without_contact(cloud_of([]), target, SURFACE)
+    view = skip_without_contact(cloud_of([]), target, SURFACE)
     assert view is not None
     assert view.depth_mm.shape == target.camera.shape
     assert not view.contact.any()
     assert (view.source_index == -1).all()
-    assert without_contact(sphere_cloud(), target, SURFACE) is None
+    assert skip_without_contact(sphere_cloud(), target, SURFACE) is None
 
 
 def test_a_cloud_that_points_outside_its_grid_is_refused():
     with pytest.raises(ShapeError, match="outside its grid"):
-        project(cloud_of([(0, 0, 40)], index=[2500]), target_sensor(), SURFACE)
+        project_cloud(cloud_of([(0, 0, 40)], index=[2500]), target_sensor(), SURFACE)
 
 
 def test_each_point_names_the_pixel_that_shows_it_and_hidden_ones_name_none():
@@ -327,7 +332,7 @@ def test_each_point_names_the_pixel_that_shows_it_and_hidden_ones_name_none():
     sheet = cloud_of(np.stack([x, (rows - 9.5) * 0.3, np.where(near, 38.0, 44.0)], -1), grid=(20, 40))
     target = target_sensor()
     for params in (PAPER, SURFACE):
-        view = project(sheet, target, params)
+        view = project_cloud(sheet, target, params)
         assert view.pixel_of_point is not None
         shown = view.pixel_of_point >= 0
         assert shown[near.ravel()].all()
@@ -338,16 +343,16 @@ def test_each_point_names_the_pixel_that_shows_it_and_hidden_ones_name_none():
     hidden = ~near.ravel() & ~shown
     assert hidden.sum() > 200  # a far sheet is seen around the near one's rim only
     outside = replace(sheet, points_mm=sheet.points_mm + np.float32([500, 0, 0]))
-    assert (project(outside, target, SURFACE).pixel_of_point == -1).all()
+    assert (project_cloud(outside, target, SURFACE).pixel_of_point == -1).all()
 
 
 def test_the_index_maps_agree_both_ways():
     cloud, target = sphere_cloud(20.0), target_sensor()
-    view = project(cloud, target, PAPER)
+    view = project_cloud(cloud, target, PAPER)
     shown = np.flatnonzero(view.source_index.ravel() >= 0)
     assert view.pixel_of_point is not None
     np.testing.assert_array_equal(view.pixel_of_point[view.source_index.ravel()[shown]], shown)
-    surface = project(cloud, target, SURFACE).pixel_of_point
+    surface = project_cloud(cloud, target, SURFACE).pixel_of_point
     assert (surface >= 0).mean() > 0.95  # all but the points of the rim, which no triangle's pixel centre reaches
 
 
@@ -355,7 +360,7 @@ def test_the_index_maps_agree_both_ways():
 def test_coverage_is_that_of_a_disc(rest_mm):
     """The sphere is cut by a level pad in a disc of known radius, seen at the pad's depth."""
     target = target_sensor(rest_mm=rest_mm)
-    view = project(sphere_cloud(), target, ProjectParams(coverage=True))
+    view = project_cloud(sphere_cloud(), target, SurfaceProjectionParams(compute_coverage=True))
     radius_px = np.sqrt(RADIUS_MM**2 - (CENTRE_MM[2] - rest_mm) ** 2) / rest_mm * 200.0
     fine = (np.arange(32) + 0.5) / 32 - 0.5
     x, y = np.arange(90)[:, None] + fine - 44.5, np.arange(70)[:, None] + fine - 34.5
@@ -365,7 +370,7 @@ def test_coverage_is_that_of_a_disc(rest_mm):
     # 4 x 4 samples: half a sixteenth's row on an edge that runs along the pixels, and they cancel over the disc.
     assert np.abs(view.coverage - exact).max() < 0.17
     assert abs(view.coverage.sum() / (np.pi * radius_px**2) - 1.0) < 5e-3
-    assert project(sphere_cloud(), target, SURFACE).coverage is None
+    assert project_cloud(sphere_cloud(), target, SURFACE).coverage is None
 
 
 def test_a_window_turned_or_wider_than_the_image_is_known_where_it_is():
@@ -380,7 +385,9 @@ def test_a_window_turned_or_wider_than_the_image_is_known_where_it_is():
         window = np.column_stack(
             [(corners[:, 0] - 44.5) / 200 * 40, (corners[:, 1] - 34.5) / 200 * 40, np.full(4, 40.0)]
         )
-        known = project(replace(cloud_of([(0, 0, 44.0)]), window_mm=window.astype(np.float32)), target, SURFACE).known
+        known = project_cloud(
+            replace(cloud_of([(0, 0, 44.0)]), field_of_view_mm=window.astype(np.float32)), target, SURFACE
+        ).in_view
         x, y = np.meshgrid(np.arange(cols), np.arange(rows))
         side = [
             (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])

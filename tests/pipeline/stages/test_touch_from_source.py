@@ -10,29 +10,29 @@ import torch
 
 from pipeline.engine.graph import Graph
 from pipeline.geometry import rigid
-from pipeline.networks.building import build
-from pipeline.networks.squares import SIDE, change, normal, square
+from pipeline.networks.network_factory import build_network
+from pipeline.networks.square_images import SIDE, compute_change, normalise, resize_to_square
 from pipeline.networks.weights import NoWeights, Weights
 from pipeline.physics import optics
 from pipeline.sensors import alignment
-from pipeline.sensors.spec import sensor
-from pipeline.simulation.shapes import shape, taught
+from pipeline.sensors.spec import load_sensor
+from pipeline.simulation.shapes import list_labelled_shapes, make_shape
 from pipeline.stages.depth import network as depth_network
-from pipeline.stages.feel.stage import NO_MEMBRANE
-from pipeline.stages.generate import vqvae
-from pipeline.stages.generate.picture_input import laid
-from pipeline.stages.generate.pictured import touch_of
-from pipeline.stages.generate.stage import at_rest
 from pipeline.stages.pose import network as pose_network
+from pipeline.stages.touch import vqvae
+from pipeline.stages.touch.image_condition import reproject_square
+from pipeline.stages.touch.physical_render import make_reference_touch
+from pipeline.stages.touch.touch_from_change import make_touch_from_change
+from pipeline.stages.touch_depth.membrane import NO_MEMBRANE
 from pipeline.translation.catalogue import BUILT_IN
 from pipeline.values.frames import TactileFrame
 
-GEL, BUBBLE = sensor("gelslim"), sensor("soft_bubble")
+GEL, BUBBLE = load_sensor("gelslim"), load_sensor("soft_bubble")
 
 
 def weights_of(kind, task, **config):
     torch.manual_seed(0)
-    net = build(kind, config)
+    net = build_network(kind, config)
     if kind == "touch_pose":
         with torch.no_grad():
             net.pose.weight.zero_()
@@ -46,13 +46,13 @@ def touched():
     y, x = np.mgrid[: GEL.camera.rows, : GEL.camera.cols] * GEL.pixel_mm
     dent = np.maximum(0.6 - ((x - 9.0) ** 2 + (y - 7.0) ** 2) / 12.0, 0.0).astype(np.float32)
     image = optics.render(GEL, dent, seed=1)
-    return TactileFrame(sensor="gelslim", image=image, reference=optics.untouched(GEL))
+    return TactileFrame(sensor="gelslim", image=image, reference=optics.render_reference(GEL))
 
 
 def inputs(frame, **more):
     return {
         "frame": frame, "source": GEL, "target": BUBBLE, "calibration": None, "mesh": None, "previous": None,
-        "alignment": alignment.between(GEL, BUBBLE), "depth_weights": depth_network.weights(GEL, BUBBLE, None), **more,
+        "alignment": alignment.resolve_alignment(GEL, BUBBLE), "depth_weights": depth_network.select_weights(GEL, BUBBLE, None), **more,
     }  # fmt: skip
 
 
@@ -62,12 +62,12 @@ def run(frame, weights, slot="touch"):
 
 
 def test_a_picture_is_made_of_the_picture_alone_and_felt_by_reading_it(touched):
-    found = run(touched, weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8), "felt")
-    assert list(found) == ["touch", "felt"]  # no depth, no cloud, no view
+    found = run(touched, weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8), "touch_depth")
+    assert list(found) == ["touch", "touch_depth"]  # no depth, no cloud, no view
     touch = found["touch"].output
     assert touch.image.shape == BUBBLE.camera.shape
     assert touch.membrane is None
-    assert found["felt"].instead == NO_MEMBRANE
+    assert found["touch_depth"].fallback == NO_MEMBRANE
 
 
 def test_without_weights_the_physical_chain_answers_and_says_so(touched):
@@ -83,8 +83,8 @@ def test_what_speaks_against_the_source_speaks_against_a_touch_that_no_depth_sta
     weights = weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8)
     for frame, said in ((touched, False), (swapped, True)):
         for given in (weights, NoWeights(why="none come along")):
-            assert any("red and blue look swapped" in doubt for doubt in run(frame, given)["touch"].doubts) is said
-    assert any("uncalibrated" in doubt for doubt in run(touched, NoWeights(why="none come along"))["touch"].doubts)
+            assert any("red and blue look swapped" in doubt for doubt in run(frame, given)["touch"].warnings) is said
+    assert any("uncalibrated" in doubt for doubt in run(touched, NoWeights(why="none come along"))["touch"].warnings)
 
 
 def test_an_untouched_frame_costs_no_look_of_the_network(touched, monkeypatch):
@@ -93,18 +93,18 @@ def test_an_untouched_frame_costs_no_look_of_the_network(touched, monkeypatch):
     monkeypatch.setattr(vqvae, "_answer", lambda *_: pytest.fail("the network was asked"))
     found = run(still, weights)["touch"]
     assert found.state == "skipped"
-    assert np.array_equal(found.output.image, at_rest(BUBBLE).image)
+    assert np.array_equal(found.output.image, make_reference_touch(BUBBLE).image)
 
 
 def test_weights_of_another_direction_are_refused_in_words(tmp_path):
-    from pipeline.networks.weights import save
+    from pipeline.networks.weights import save_weights
 
     file = tmp_path / "other.safetensors"
-    save(file, weights_of("vqvae", "vqvae", inputs=1, outputs=3, width=4, codes=8))
-    found = vqvae.weights(GEL, BUBBLE, file)
+    save_weights(file, weights_of("vqvae", "vqvae", inputs=1, outputs=3, width=4, codes=8))
+    found = vqvae.select_weights(GEL, BUBBLE, file)
     assert isinstance(found, NoWeights)
     assert "do not take a gel's change for a bubble's" in found.why
-    assert isinstance(vqvae.weights(BUBBLE, GEL, file), Weights)
+    assert isinstance(vqvae.select_weights(BUBBLE, GEL, file), Weights)
 
 
 def test_half_a_turn_turns_the_answer(touched):
@@ -120,8 +120,8 @@ def test_half_a_turn_turns_the_answer(touched):
 
 def test_a_source_is_drawn_where_the_target_looks():
     """A spot of the gel's square lands where the bubble's camera sees that place of the gel's surface."""
-    both = alignment.between(GEL, BUBBLE)
-    eye, onto = (one.camera.resized(SIDE, SIDE) for one in (GEL, BUBBLE))
+    both = alignment.resolve_alignment(GEL, BUBBLE)
+    eye, onto = (one.camera.resize(SIDE, SIDE) for one in (GEL, BUBBLE))
     rest = float(np.median(GEL.rest_depth_mm))
     for row, col in ((40, 30), (64, 64), (90, 100)):
         spot = np.zeros((3, SIDE, SIDE), np.float32)
@@ -129,7 +129,7 @@ def test_a_source_is_drawn_where_the_target_looks():
         place = np.array([(col - eye.cx_px) / eye.fx_px * rest, (row - eye.cy_px) / eye.fy_px * rest, rest])
         x, y, seen = onto.project(rigid.apply(both.target_from_source, place[None]))
         assert seen.all()
-        moved = laid(spot, GEL, BUBBLE, both) - laid(np.zeros_like(spot), GEL, BUBBLE, both)
+        moved = reproject_square(spot, GEL, BUBBLE, both) - reproject_square(np.zeros_like(spot), GEL, BUBBLE, both)
         weight = moved[0] / moved[0].sum()
         rows, cols = np.mgrid[:SIDE, :SIDE]
         assert abs(float((weight * rows).sum()) - y[0]) < 0.6
@@ -141,16 +141,16 @@ def test_weights_taught_on_drawn_sources_are_shown_such_and_others_are_not(touch
     monkeypatch.setattr(vqvae, "_answer", lambda _net, shown: seen.append(shown) or np.zeros((1, SIDE, SIDE)))
     for drawn in (False, True):
         run(touched, weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8, laid=drawn))
-    plain = square(change("gel", touched.image, touched.reference))
-    assert np.array_equal(seen[0], normal(plain, "gel"))
-    assert np.array_equal(seen[1], laid(plain, GEL, BUBBLE, alignment.between(GEL, BUBBLE)))
+    plain = resize_to_square(compute_change("gel", touched.image, touched.reference))
+    assert np.array_equal(seen[0], normalise(plain, "gel"))
+    assert np.array_equal(seen[1], reproject_square(plain, GEL, BUBBLE, alignment.resolve_alignment(GEL, BUBBLE)))
 
 
 def test_a_change_is_laid_onto_the_untouched_reading():
     change = np.zeros((*GEL.camera.shape, 3), np.float32)
     change[10, 20] = (0.1, -0.1, 2.0)
-    image = touch_of(GEL, change).image
-    rest = optics.untouched(GEL)
+    image = make_touch_from_change(GEL, change).image
+    rest = optics.render_reference(GEL)
     changed = (image != rest).any(axis=2)
     assert np.argwhere(changed).tolist() == [[10, 20]]
     assert image[10, 20, 2] == 255
@@ -160,11 +160,11 @@ def test_a_change_is_laid_onto_the_untouched_reading():
 def test_a_pose_by_network_is_the_told_one_on_the_felt_surface(touched):
     from pipeline.simulation import shapes
 
-    mesh = shapes.shape("star").mesh
+    mesh = shapes.make_shape("star").mesh
     weights = weights_of("touch_pose", "touch_pose", inputs=1, things=2, first=4)
     graph = Graph(BUILT_IN.methods("t2d2", {"pose": "network"}))
     found = graph.evaluate(["pose"], inputs(touched, mesh=mesh, pose_weights=weights), {})
-    pose, felt = found["pose"].output, found["felt"].output
+    pose, felt = found["pose"].output, found["touch_depth"].output
     placed = BUBBLE.alignment_from_sensor @ pose.sensor_from_object
     assert np.allclose(placed[:2, 3], (2.0, -1.0), atol=1e-5)
     lowest = rigid.apply(pose.sensor_from_object, mesh.vertices_mm)[:, 2].min()
@@ -175,18 +175,22 @@ def test_a_pose_by_network_is_the_told_one_on_the_felt_surface(touched):
 @pytest.mark.parametrize(("name", "turn_deg"), [("star", 100.0 / 5), ("ellipse", 40.0 / 2), ("letters", 20.0)])
 def test_a_pose_by_network_is_told_for_the_symmetry_of_the_object(name, turn_deg):
     """Cosine and sine of so many times the turn, and the network is said which object it is."""
-    network = build("touch_pose", {"inputs": 1, "things": len(taught()), "first": 4, "folds": 6, "think": 8}).eval()
+    network = build_network(
+        "touch_pose", {"inputs": 1, "things": len(list_labelled_shapes()), "first": 4, "folds": 6, "think": 8}
+    ).eval()
     angles = np.radians([20.0, 40.0, 60.0, 80.0, 100.0, 120.0])
     said = []
-    network.think.register_forward_pre_hook(lambda _, given: said.append(given[0][0, -len(taught()) :].numpy()))
+    network.think.register_forward_pre_hook(
+        lambda _, given: said.append(given[0][0, -len(list_labelled_shapes()) :].numpy())
+    )
     with torch.no_grad():
         network.pose.weight.zero_()
         network.pose.bias.copy_(torch.tensor([0.0, 0.0, *np.column_stack([np.cos(angles), np.sin(angles)]).ravel()]))
-    x, y, turn = pose_network._told(network, np.zeros((1, 128, 128), np.float32), shape(name).mesh)
+    x, y, turn = pose_network._told(network, np.zeros((1, 128, 128), np.float32), make_shape(name).mesh)
     assert (x, y) == (0.0, 0.0)
     assert np.degrees(turn) == pytest.approx(turn_deg, abs=1e-4)
-    assert np.flatnonzero(said[0]).tolist() == [taught().index(name)]
-    pose_network._told(network, np.zeros((1, 128, 128), np.float32), shape("hex_key").mesh)
+    assert np.flatnonzero(said[0]).tolist() == [list_labelled_shapes().index(name)]
+    pose_network._told(network, np.zeros((1, 128, 128), np.float32), make_shape("hex_key").mesh)
     assert not said[1].any(), "of an object that it was not taught nothing is said"
 
 

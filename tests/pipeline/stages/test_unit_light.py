@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.sensors.spec import sensor
+from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import variation
-from pipeline.stages.depth import own_lamps, unit_light
-from pipeline.stages.depth.stage import DepthParams, gel
+from pipeline.stages.depth import led_calibration, recording_led_calibration
+from pipeline.stages.depth.photometric import DepthParams, estimate_gel_depth
 from tests.pipeline.stages.test_gel_light import on_another_gelslim
 
 PARAMS = DepthParams()
@@ -18,21 +18,21 @@ PARAMS = DepthParams()
 def fits(tmp_path, monkeypatch):
     """How often lamps are fitted to several touches, in a cache of the test's own; `again` is a new process."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    unit_light._kept.clear()
-    asked, fit = [], own_lamps.fitted
+    recording_led_calibration._cache.clear()
+    asked, fit = [], led_calibration.fit_leds
 
     def counted(source, touches, *more):
         if len(touches) > 1:
             asked.append(len(touches))
         return fit(source, touches, *more)
 
-    monkeypatch.setattr(own_lamps, "fitted", counted)
+    monkeypatch.setattr(led_calibration, "fitted", counted)
     yield asked
-    unit_light._kept.clear()
+    recording_led_calibration._cache.clear()
 
 
 def read(frame, beside):
-    found, measured = gel(replace(frame, beside=beside), sensor("gelslim"), None, PARAMS)
+    found, measured = estimate_gel_depth(replace(frame, beside=beside), load_sensor("gelslim"), None, PARAMS)
     return found.indentation_mm.tobytes(), found.notes, measured.light
 
 
@@ -40,7 +40,7 @@ def test_a_new_process_reads_a_recording_by_the_lamps_that_an_earlier_one_has_fi
     frames, *_ = on_another_gelslim()
     beside = tuple(frame.image for frame in frames)
     first = read(frames[0], beside)
-    unit_light._kept.clear()
+    recording_led_calibration._cache.clear()
     assert read(frames[0], beside) == first
     assert fits == [2]
 
@@ -51,17 +51,19 @@ def test_other_touches_are_fitted_anew(fits):
     other = beside[1].copy()
     other[100:110, 100:110] += np.uint8(1)
     for touches in (beside, (beside[0], other)):
-        unit_light._kept.clear()
+        recording_led_calibration._cache.clear()
         read(frames[0], touches)
     assert fits == [2, 2]
 
 
 def test_lamps_come_back_from_a_file_as_they_were():
-    described = sensor("gelslim").optics
-    other = variation.varied(sensor("gelslim"), 7).optics
-    kept = unit_light._Fitted.of(replace(other, base_rgb=described.base_rgb, glows=described.glows))
-    back = kept.beside(described)
+    described = load_sensor("gelslim").optics
+    other = variation.vary_sensor(load_sensor("gelslim"), 7).optics
+    kept = recording_led_calibration._StoredOptics.from_optics(
+        replace(other, base_rgb=described.base_rgb, glows=described.glows)
+    )
+    back = kept.to_optics(described)
     assert (back.leds, back.falloff, back.blur_px, back.shadow) == (
         other.leds, other.falloff, other.blur_px, other.shadow,
     )  # fmt: skip
-    assert unit_light._Fitted.of(None).beside(described) is None
+    assert recording_led_calibration._StoredOptics.from_optics(None).to_optics(described) is None

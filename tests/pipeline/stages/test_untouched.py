@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.physics.optics import untouched as untouched_picture
-from pipeline.sensors.spec import sensor
-from pipeline.stages.depth.moved import largest_change
-from pipeline.stages.depth.stage import DepthParams, untouched
+from pipeline.physics.optics import render_reference as untouched_picture
+from pipeline.sensors.spec import load_sensor
+from pipeline.stages.depth.change_detection import compute_largest_change
+from pipeline.stages.depth.photometric import DepthParams, skip_without_contact
 from pipeline.values.frames import TactileFrame
 
 BLOCK_PX = 8
-MINI = sensor("gelsight_mini")
+MINI = load_sensor("gelsight_mini")
 
 
 def largest_mean(image, reference):
@@ -32,20 +32,20 @@ def test_the_largest_change_is_that_of_exact_block_means(seed, rows, cols, level
     rng = np.random.default_rng(seed)
     image, reference = rng.integers(0, levels, (2, rows, cols, 3), dtype=np.uint8)
     image[0, 0] = 255  # not black
-    assert largest_change(image, reference) == largest_mean(image, reference)
+    assert compute_largest_change(image, reference) == largest_mean(image, reference)
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 3), (3, 40, 3), (40, 3, 3), (7, 7, 3)])
 def test_pictures_smaller_than_a_block_have_a_change_too(shape):
     reference = np.full(shape, 100, np.uint8)
-    assert largest_change(reference + np.uint8(9), reference) == 9.0
+    assert compute_largest_change(reference + np.uint8(9), reference) == 9.0
 
 
 def test_untouched_frames_of_one_camera_share_one_result():
     still = untouched_picture(MINI)
     rng = np.random.default_rng(0)
     results = [
-        untouched(
+        skip_without_contact(
             TactileFrame(
                 sensor=MINI.name, image=still ^ rng.integers(0, 2, still.shape, dtype=np.uint8), reference=still
             ),

@@ -6,24 +6,24 @@ import numpy as np
 
 from pipeline.geometry import rigid
 from pipeline.physics import optics
-from pipeline.physics.slopes import slopes
-from pipeline.sensors.spec import sensor
+from pipeline.physics.slopes import compute_slopes
+from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
-from pipeline.simulation.press import press
-from pipeline.stages.depth import poisson, walls
-from pipeline.stages.depth.stage import DepthParams, depth
+from pipeline.simulation.press import simulate_press
+from pipeline.stages.depth import poisson, wall_correction
+from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.values.frames import TactileFrame
 
 PIXEL_MM = 0.1
 
 
 def test_a_face_behind_steep_walls_is_as_deep_as_it_was_pressed():
-    spec, thing = sensor("digit"), shapes.shape("cross").mesh
+    spec, thing = load_sensor("digit"), shapes.make_shape("cross").mesh
     pose = rigid.rotation((0.0, 0.0, 0.4))
     pose[2, 3] = -0.8 - rigid.apply(pose, thing.vertices_mm)[:, 2].min()
-    felt = press(thing, pose, spec, seed=0)
-    frame = TactileFrame(sensor=spec.name, image=felt.image, reference=optics.untouched(spec))
-    told = depth(frame, spec, None, DepthParams())
+    felt = simulate_press(thing, pose, spec, seed=0)
+    frame = TactileFrame(sensor=spec.name, image=felt.image, reference=optics.render_reference(spec))
+    told = estimate_depth(frame, spec, None, DepthParams())
     inside = felt.truth.contact
     off = 1e3 * np.abs(told.indentation_mm - felt.truth.indentation_mm)[inside].mean()
     assert off < 40.0  # 59 where a wall was no steeper than 55 degrees
@@ -36,21 +36,21 @@ def two_dents():
 
 def test_dents_behind_walls_that_hardly_tell_are_raised_each_by_its_own():
     true = two_dents()
-    gx, gy = slopes(true, PIXEL_MM)
+    gx, gy = compute_slopes(true, PIXEL_MM)
     low = true.copy()
     low[:, :40] *= np.float32(0.6)
     low[:, 40:] *= np.float32(0.8)
     steep = np.hypot(gx, gy) > 0.3
     sure = np.zeros((*true.shape, 3), np.float32)
     sure[..., 0] = sure[..., 2] = np.where(steep, 1.0, 100.0)
-    found = walls.raised(low, (gx, gy), sure, PIXEL_MM)
+    found = wall_correction.raise_walls(low, (gx, gy), sure, PIXEL_MM)
     for part in (np.s_[:, :40], np.s_[:, 40:]):
         assert np.abs(found - true)[part].max() < 0.25 * np.abs(low - true)[part].max()
 
 
 def test_a_level_surface_is_left_as_it_is():
     flat = np.zeros((20, 30), np.float32)
-    assert walls.raised(flat, (flat, flat), np.ones((20, 30, 3), np.float32), PIXEL_MM) is flat
+    assert wall_correction.raise_walls(flat, (flat, flat), np.ones((20, 30, 3), np.float32), PIXEL_MM) is flat
 
 
 def test_surfaces_that_are_integrated_together_come_out_as_each_by_itself():
@@ -60,10 +60,10 @@ def test_surfaces_that_are_integrated_together_come_out_as_each_by_itself():
     sure[..., 0], sure[..., 2] = rng.uniform(1.0, 9.0, (2, 24, 31))
 
     def integrated(gx, gy):
-        return poisson.integrate(gx, gy, PIXEL_MM, "flat")
+        return poisson.integrate_slopes(gx, gy, PIXEL_MM, "flat")
 
     still = np.zeros((3, 24, 31), np.float32)
-    together = poisson.nearest(still, (wanted[0], wanted[1]), sure, PIXEL_MM, integrated, 5)
+    together = poisson.solve_weighted_slopes(still, (wanted[0], wanted[1]), sure, PIXEL_MM, integrated, 5)
     for k in range(3):
-        alone = poisson.nearest(still[k], (wanted[0, k], wanted[1, k]), sure, PIXEL_MM, integrated, 5)
+        alone = poisson.solve_weighted_slopes(still[k], (wanted[0, k], wanted[1, k]), sure, PIXEL_MM, integrated, 5)
         np.testing.assert_allclose(together[k], alone, atol=1e-5)

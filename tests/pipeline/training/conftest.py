@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.networks import building
+from pipeline.networks import network_factory
 from pipeline.training import task
 from tests.pipeline.training import toy
 
@@ -12,7 +12,7 @@ from tests.pipeline.training import toy
 @pytest.fixture(autouse=True)
 def _toys(monkeypatch):
     monkeypatch.setitem(task.TASKS, "discs", None)
-    monkeypatch.setitem(building.KINDS, "toy_net", "")
+    monkeypatch.setitem(network_factory.NETWORK_CLASSES, "toy_net", "")
     toy.known()
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from pipeline.networks.building import build
+from pipeline.networks.network_factory import build_network
 from pipeline.training import optimising, recipe
 from pipeline.training.depth_anything import DepthAnythingTask
-from pipeline.training.examples import drawn
+from pipeline.training.examples import make_batch
 
-TASK = DepthAnythingTask(sensor="digit", side=28, metric=1.0)
+TASK = DepthAnythingTask(sensor="digit", side=28, metric_weight=1.0)
 
 
 def test_examples_are_pictures_of_whole_patches_with_the_truth_of_the_press():
@@ -28,17 +28,17 @@ def test_examples_are_pictures_of_whole_patches_with_the_truth_of_the_press():
 
 
 def test_a_few_steps_lower_the_loss_and_the_encoder_moves_less_than_its_head():
-    made = recipe.load("depth_anything")
+    made = recipe.load_recipe("depth_anything")
     torch.manual_seed(0)
-    net = build("depth_anything", {"encoder": "vits", "side": 28})
+    net = build_network("depth_anything", {"encoder": "vits", "side": 28})
     start = {name: tensor.clone() for name, tensor in net.state_dict().items()}
-    batch = {name: torch.from_numpy(array) for name, array in drawn(TASK, 0, 0, 2).items()}
-    stepper = optimising.optimiser(net, made.optimiser, made.factors)
-    optimising.set_rate(stepper, 2e-4)
+    batch = {name: torch.from_numpy(array) for name, array in make_batch(TASK, 0, 0, 2).items()}
+    stepper = optimising.make_optimiser(net, made.optimiser, made.rate_factors)
+    optimising.set_learning_rate(stepper, 2e-4)
     losses = []
     for _ in range(5):
         stepper.zero_grad()
-        loss, parts = TASK.loss(net, batch)
+        loss, parts = TASK.compute_loss(net, batch)
         loss.backward()
         stepper.step()
         losses.append(float(loss.detach()))
@@ -48,5 +48,7 @@ def test_a_few_steps_lower_the_loss_and_the_encoder_moves_less_than_its_head():
     head = max(way for name, way in moved.items() if name.startswith("depth_head."))
     encoder = max(way for name, way in moved.items() if name.startswith("pretrained."))
     assert 0 < encoder < 0.3 * head
-    figures = TASK.figures(net.eval().requires_grad_(requires_grad=False), [TASK.held_out("unseen_tools", 0)])
+    figures = TASK.evaluate(
+        net.eval().requires_grad_(requires_grad=False), [TASK.make_validation_example("unseen_tools", 0)]
+    )
     assert all(np.isfinite(value) for value in figures.values())

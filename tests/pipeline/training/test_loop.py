@@ -18,11 +18,11 @@ import pytest
 
 from pipeline.base.errors import FileProblem, NotConverged, SettingProblem
 from pipeline.base.progress import Cancelled
-from pipeline.networks.weights import save
+from pipeline.networks.weights import save_weights
 from pipeline.training import examples, loop, state
-from pipeline.training.export import weights_of
-from pipeline.training.loop import Run, train
-from pipeline.training.recipe import load, with_pace
+from pipeline.training.export import make_weights
+from pipeline.training.loop import TrainingRun, train
+from pipeline.training.recipe import load_recipe, override_training
 from tests.pipeline.training import toy
 
 ROOT = Path(__file__).parents[3]
@@ -51,11 +51,11 @@ class StopAt:
 
 @pytest.fixture
 def run(recipe_file, tmp_path):
-    return Run(recipe=load(str(recipe_file), "discs"), out=tmp_path / "run", workers=0)
+    return TrainingRun(recipe=load_recipe(str(recipe_file), "discs"), folder=tmp_path / "run", n_workers=0)
 
 
 def tensors(run_state):
-    return weights_of(run_state, "x").tensors
+    return make_weights(run_state, "x").tensors
 
 
 def same(a, b):
@@ -74,7 +74,7 @@ def test_a_run_that_was_stopped_ends_with_the_weights_and_curves_of_one_that_was
             train(replace(run, resume=True), StopAt(stop))
     stopped = train(replace(run, resume=True))
     assert stopped.step == whole.step == 60
-    assert stopped.examples == whole.examples == 240
+    assert stopped.n_examples == whole.n_examples == 240
     assert same(tensors(stopped), tensors(whole))
     for name in ("curve.csv", "figures.csv"):
         assert rows(run.out, name) == rows(tmp_path / "whole", name)
@@ -83,17 +83,17 @@ def test_a_run_that_was_stopped_ends_with_the_weights_and_curves_of_one_that_was
 
 def test_something_is_learned_and_the_average_is_what_is_judged(run):
     done = train(run)
-    first, last = done.figures[0]["value"], done.figures[-1]["value"]
+    first, last = done.metrics[0]["value"], done.metrics[-1]["value"]
     assert last > max(0.8, first)
     assert done.curve[-1]["loss"] < 0.5 * done.curve[0]["loss"]
     assert (run.out / "curve.png").stat().st_size > 1000
-    assert not same(tensors(done), {name: t.numpy() for name, t in done.network.items()})
+    assert not same(tensors(done), {name: t.numpy() for name, t in done.network_tensors.items()})
 
 
 def test_another_seed_gives_other_weights_and_the_same_seed_the_same(run, tmp_path):
-    short = with_pace(run.recipe, steps=4)
+    short = override_training(run.recipe, steps=4)
     made = [
-        tensors(train(replace(run, recipe=with_pace(short, seed=seed), out=tmp_path / str(k))))
+        tensors(train(replace(run, recipe=override_training(short, seed=seed), out=tmp_path / str(k))))
         for k, seed in enumerate((5, 5, 6))
     ]
     assert same(made[0], made[1])
@@ -102,20 +102,20 @@ def test_another_seed_gives_other_weights_and_the_same_seed_the_same(run, tmp_pa
 
 def test_an_example_depends_on_seed_and_number_alone():
     task = toy.Discs()
-    with examples.examples(task, 7, 4, 0) as here, examples.examples(task, 7, 4, 2) as there:
-        alone, shared = here.batches(8, 4), there.batches(8, 4)
+    with examples.open_example_source(task, 7, 4, 0) as here, examples.open_example_source(task, 7, 4, 2) as there:
+        alone, shared = here.iterate_batches(8, 4), there.iterate_batches(8, 4)
         for _ in range(5):
             one, other = next(alone), next(shared)
             assert all(np.array_equal(one[name], other[name]) for name in one)
-        assert [e["disc"].sum() for e in here.held_out(5)["unseen_tools"]] == [
-            e["disc"].sum() for e in there.held_out(5)["unseen_tools"]
+        assert [e["disc"].sum() for e in here.make_validation_set(5)["unseen_tools"]] == [
+            e["disc"].sum() for e in there.make_validation_set(5)["unseen_tools"]
         ]
-    whole = examples.drawn(task, 7, 0, 8)
-    assert np.array_equal(examples.drawn(task, 7, 5, 1)["picture"][0], whole["picture"][5])
+    whole = examples.make_batch(task, 7, 0, 8)
+    assert np.array_equal(examples.make_batch(task, 7, 5, 1)["picture"][0], whole["picture"][5])
 
 
 def test_a_run_is_not_written_over_nor_gone_on_with_by_another_recipe(run):
-    short = replace(run, recipe=with_pace(run.recipe, steps=3))
+    short = replace(run, recipe=override_training(run.recipe, steps=3))
     train(short)
     with pytest.raises(FileProblem, match="give --resume to go on"):
         train(short)
@@ -124,7 +124,7 @@ def test_a_run_is_not_written_over_nor_gone_on_with_by_another_recipe(run):
 
 
 def test_a_damaged_state_is_one_sentence(run):
-    short = replace(run, recipe=with_pace(run.recipe, steps=3))
+    short = replace(run, recipe=override_training(run.recipe, steps=3))
     train(short)
     file = run.out / "state.pt"
     file.write_bytes(file.read_bytes()[:-200])
@@ -134,20 +134,20 @@ def test_a_damaged_state_is_one_sentence(run):
 
 def test_a_loss_that_is_no_number_is_left_out_loudly_and_ends_the_run_when_it_stays(run, caplog):
     seldom = replace(run.recipe, settings=toy.Discs(noise=0.1, bad_from=95))
-    done = train(replace(run, recipe=with_pace(seldom, steps=30)))
-    assert 0 < done.skipped == len([r for r in caplog.records if "is left out" in r.message]) < 20
+    done = train(replace(run, recipe=override_training(seldom, steps=30)))
+    assert 0 < done.n_skipped == len([r for r in caplog.records if "is left out" in r.message]) < 20
     assert all(np.isfinite(t).all() for t in tensors(done).values())
     always = replace(run.recipe, settings=toy.Discs(bad_from=0))
     with pytest.raises(NotConverged, match="no number for 10 steps"):
         train(replace(run, recipe=always, out=run.out.with_name("always")))
-    assert state.load(run.out.with_name("always")).step == 10
+    assert state.load_state(run.out.with_name("always")).step == 10
 
 
 def test_a_run_begins_with_learned_weights_where_the_recipe_says_so(run, tmp_path, caplog):
-    first = train(replace(run, recipe=with_pace(run.recipe, steps=30)))
-    save(tmp_path / "first.safetensors", weights_of(first, "first"))
+    first = train(replace(run, recipe=override_training(run.recipe, steps=30)))
+    save_weights(tmp_path / "first.safetensors", make_weights(first, "first"))
     none = replace(run.recipe, optimiser=replace(run.recipe.optimiser, learning_rate=0.0))
-    none = with_pace(none, begin=str(tmp_path / "first.safetensors"), steps=1)
+    none = override_training(none, begin=str(tmp_path / "first.safetensors"), steps=1)
     again = train(replace(run, recipe=none, out=tmp_path / "again"))
     assert same(tensors(again), tensors(first))
     assert "begun with 6 tensors of" in caplog.text
@@ -161,16 +161,16 @@ def test_by_minutes_the_learning_rate_ends_with_the_clock_also_over_a_stop(run, 
     minutes = replace(run, minutes=2.0, resume=True)
     with pytest.raises(Cancelled):
         train(minutes, StopAt(15))
-    stopped_s = state.load(run.out).seconds
+    stopped_s = state.load_state(run.out).trained_s
     assert 15 < stopped_s < 60
     for _ in range(1000):  # what passes between the two parts does not count
         next(ticks)
     done = train(minutes)
-    assert 120 <= done.seconds < 140
+    assert 120 <= done.trained_s < 140
     rates = [row["learning rate"] for row in done.curve]
     assert rates[-1] < 0.1 * max(rates)
     assert max(rates) == max(rates[:8])
-    assert done.figures[-1]["step"] == done.step
+    assert done.metrics[-1]["step"] == done.step
 
 
 @pytest.mark.timeout(2 * LONG_S)
@@ -187,7 +187,7 @@ def test_a_run_that_was_killed_goes_on_and_its_workers_are_gone(recipe_file, tmp
         time.sleep(0.05)
     killed.send_signal(signal.SIGKILL)
     killed.wait(LONG_S)
-    step = state.load(out).step
+    step = state.load_state(out).step
     assert 0 < step < 120
     done = subprocess.run(
         [*command, "--resume"], env=environment, capture_output=True, text=True, timeout=LONG_S, check=False
@@ -196,7 +196,7 @@ def test_a_run_that_was_killed_goes_on_and_its_workers_are_gone(recipe_file, tmp
     # In a process of its own too: how many threads add up changes the last digits.
     whole = tmp_path / "whole"
     subprocess.run([*command[:-3], whole, "--workers", "0"], env=environment, capture_output=True, check=True)
-    assert same(tensors(state.load(out)), tensors(state.load(whole)))
+    assert same(tensors(state.load_state(out)), tensors(state.load_state(whole)))
     assert (out / "weights.safetensors").exists()
 
 
@@ -206,7 +206,7 @@ def test_examples_that_are_kept_are_made_once_and_a_stopped_run_goes_on_as_if_it
     asked = []
     sample = toy.Discs.sample
     monkeypatch.setattr(toy.Discs, "sample", lambda self, rng: asked.append(1) or sample(self, rng))
-    keeps = replace(run, recipe=with_pace(run.recipe, kept=9, steps=20))
+    keeps = replace(run, recipe=override_training(run.recipe, kept=9, steps=20))
     whole = train(replace(keeps, out=tmp_path / "whole"))
     held_out = 2 * keeps.recipe.validation.examples
     assert len(asked) == 12 + held_out  # whole batches of four
@@ -219,12 +219,12 @@ def test_examples_that_are_kept_are_made_once_and_a_stopped_run_goes_on_as_if_it
 
 def test_a_recipe_that_keeps_nothing_is_told_as_before_there_was_such_a_thing(run):
     assert "kept" not in run.recipe.told["pace"]
-    assert with_pace(run.recipe, kept=5).told["pace"]["kept"] == 5
+    assert override_training(run.recipe, kept=5).plain_values["pace"]["kept"] == 5
 
 
 def test_a_disk_that_is_full_for_a_while_ends_no_training_and_is_said(run, monkeypatch, caplog):
     monkeypatch.setattr(loop, "SAVED_EVERY_S", 0.0)
-    kept, tried = state.save, []
+    kept, tried = state.save_state, []
 
     def full_at_first(folder, now):
         tried.append(now.step)
@@ -235,7 +235,7 @@ def test_a_disk_that_is_full_for_a_while_ends_no_training_and_is_said(run, monke
     monkeypatch.setattr(state, "save", full_at_first)
     monkeypatch.setattr(loop.curves, "draw", lambda folder, now: (_ for _ in ()).throw(FileProblem("full", folder)))
     done = train(run)
-    assert state.load(run.out).step == done.step == run.recipe.pace.steps
+    assert state.load_state(run.out).step == done.step == run.recipe.pace.steps
     assert sum("No space left" in message for message in caplog.messages) == 2
 
 

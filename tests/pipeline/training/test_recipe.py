@@ -10,11 +10,16 @@ from tests.pipeline.training import toy
 
 
 def test_a_recipe_says_all_that_decides_a_run(recipe_file):
-    made = recipe.load(str(recipe_file), "discs")
+    made = recipe.load_recipe(str(recipe_file), "discs")
     assert made.settings == toy.Discs(noise=0.2)
-    assert (made.pace.batch, made.pace.steps, made.optimiser.warm_up, made.validation.examples) == (4, 60, 5, 6)
-    assert made.told["network"] == {"kind": "toy_net", "width": 4}
-    assert recipe.with_pace(made, seed=9).told != made.told
+    assert (made.training.batch, made.training.steps, made.optimiser.warm_up_steps, made.validation.n_examples) == (
+        4,
+        60,
+        5,
+        6,
+    )
+    assert made.plain_values["network"] == {"kind": "toy_net", "width": 4}
+    assert recipe.override_training(made, seed=9).plain_values != made.plain_values
 
 
 @pytest.mark.parametrize(
@@ -39,19 +44,19 @@ def test_a_recipe_says_all_that_decides_a_run(recipe_file):
 def test_a_wrong_recipe_is_one_sentence(recipe_file, old, new, sentence):
     recipe_file.write_text(toy.RECIPE.replace(old, new))
     with pytest.raises(FileProblem, match=sentence):
-        recipe.load(str(recipe_file))
+        recipe.load_recipe(str(recipe_file))
 
 
 def test_a_recipe_for_something_else_and_one_that_is_not_there_are_refused(recipe_file, tmp_path):
     with pytest.raises(FileProblem, match="it trains discs, not depth"):
-        recipe.load(str(recipe_file), "depth")
+        recipe.load_recipe(str(recipe_file), "depth")
     with pytest.raises(SettingProblem, match=r"no recipe 'unheard'; there are .*or give a \.toml file"):
-        recipe.load("unheard", "depth")
+        recipe.load_recipe("unheard", "depth")
     with pytest.raises(FileProblem, match="cannot read the recipe"):
-        recipe.load(str(tmp_path / "missing.toml"))
+        recipe.load_recipe(str(tmp_path / "missing.toml"))
 
 
-@pytest.mark.parametrize("name", recipe.shipped())
+@pytest.mark.parametrize("name", recipe.list_shipped_recipes())
 def test_every_recipe_that_comes_along_can_be_used(name):
-    made = recipe.load(name)
-    assert name in recipe.shipped(task.TASKS[made.task].what)
+    made = recipe.load_recipe(name)
+    assert name in recipe.list_shipped_recipes(task.TASKS[made.task].subcommand)

@@ -7,13 +7,13 @@ import pytest
 import torch
 
 from pipeline.base.errors import SettingProblem
-from pipeline.networks.building import build
+from pipeline.networks.network_factory import build_network
 from pipeline.sensors import alignment
-from pipeline.simulation.shapes import taught
-from pipeline.stages.generate.picture_input import laid
-from pipeline.training import paired_touches, recipe
-from pipeline.training.loop import tensors
-from pipeline.training.paired_touches import paired_touch
+from pipeline.simulation.shapes import list_labelled_shapes
+from pipeline.stages.touch.image_condition import reproject_square
+from pipeline.training import recipe, touch_squares
+from pipeline.training.loop import to_tensors
+from pipeline.training.touch_squares import simulate_touch_squares
 from pipeline.training.vqvae import VqVaeTask
 
 
@@ -23,52 +23,52 @@ def folder(tmp_path_factory):
 
 
 def test_a_kept_touch_is_the_one_that_was_pressed(folder):
-    pressed = paired_touch("own", 3, 0)
-    first, again = paired_touch("own", 3, 0, folder), paired_touch("own", 3, 0, folder)
+    pressed = simulate_touch_squares("own", 3, 0)
+    first, again = simulate_touch_squares("own", 3, 0, folder), simulate_touch_squares("own", 3, 0, folder)
     for one in (first, again):
         assert all(
             np.array_equal(getattr(one, name), getattr(pressed, name))
             for name in ("gel", "own_gel", "bubble_mm", "exact_mm", "alignment_from_object")
         )
-    assert pressed.thing in taught()
-    assert pressed.gel.shape == (3, 128, 128)
-    assert pressed.exact_mm.max() > 1.0
+    assert pressed.object_name in list_labelled_shapes()
+    assert pressed.gel_change.shape == (3, 128, 128)
+    assert pressed.exact_imprint_mm.max() > 1.0
 
 
 @pytest.mark.parametrize("damaged", [b"", b"PK\x03\x04", bytes(100)])
 def test_a_damaged_file_is_pressed_again(folder, damaged):
-    first = paired_touch("own", 3, 0, folder)
-    paired_touches._packed.cache_clear()
-    (file,) = (p for p in paired_touches.Path(folder).iterdir() if p.name == "own_3_0.npz")
+    first = simulate_touch_squares("own", 3, 0, folder)
+    touch_squares._load_packed.cache_clear()
+    (file,) = (p for p in touch_squares.Path(folder).iterdir() if p.name == "own_3_0.npz")
     file.write_bytes(damaged)
-    assert np.array_equal(paired_touch("own", 3, 0, folder).gel, first.gel)
+    assert np.array_equal(simulate_touch_squares("own", 3, 0, folder).gel_change, first.gel_change)
 
 
 def test_the_described_gel_pictures_the_same_touch_as_the_other_unit(folder):
     """Where one picture changes the other does, though they are lit and printed differently."""
-    touch = paired_touch("own", 3, 0, folder)
-    a, b = (np.abs(picture).sum(0).ravel() for picture in (touch.gel, touch.own_gel))
-    assert not np.array_equal(touch.gel, touch.own_gel)
+    touch = simulate_touch_squares("own", 3, 0, folder)
+    a, b = (np.abs(picture).sum(0).ravel() for picture in (touch.gel_change, touch.nominal_gel_change))
+    assert not np.array_equal(touch.gel_change, touch.nominal_gel_change)
     assert np.corrcoef(a, b)[0, 1] > 0.6
 
 
 @pytest.mark.parametrize(("direction", "left"), [("gel_to_bubble", 0.7), ("bubble_to_gel", 0.96)])
 def test_a_vqvae_learns_a_pair_by_heart(direction, left, folder):
-    task = VqVaeTask(direction=direction, presses=1, folder=folder)
-    batch = tensors({k: v[None] for k, v in task.sample(np.random.default_rng(0)).items()}, "cpu")
+    task = VqVaeTask(direction=direction, n_presses=1, folder=folder)
+    batch = to_tensors({k: v[None] for k, v in task.sample(np.random.default_rng(0)).items()}, "cpu")
     torch.manual_seed(0)
     inputs, outputs = (3, 1) if direction == "gel_to_bubble" else (1, 3)
-    net = build("vqvae", {"inputs": inputs, "outputs": outputs, "width": 12, "codes": 64}).train()
+    net = build_network("vqvae", {"inputs": inputs, "outputs": outputs, "width": 12, "codes": 64}).train()
     optimiser = torch.optim.Adam(net.parameters(), 5e-3)
     losses = []
     for _ in range(30):
-        loss, parts = task.loss(net, batch)
+        loss, parts = task.compute_loss(net, batch)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
         losses.append(float(parts["made"]))
     assert losses[-1] < left * losses[0]
-    figures = task.figures(net.eval(), [{k: v[0].numpy() for k, v in batch.items()}])
+    figures = task.evaluate(net.eval(), [{k: v[0].numpy() for k, v in batch.items()}])
     unit = "mm" if direction == "gel_to_bubble" else "grey"
     assert set(figures) == {f"error, {unit}", f"error where touched, {unit}"}
 
@@ -76,23 +76,25 @@ def test_a_vqvae_learns_a_pair_by_heart(direction, left, folder):
 @pytest.mark.parametrize("direction", ["gel_to_bubble", "bubble_to_gel"])
 def test_a_drawn_source_is_what_the_method_shows_its_network(direction, folder):
     """Learned on and asked with the very same squares, and never on others than the network says."""
-    task = VqVaeTask(direction=direction, presses=1, folder=folder, laid=True)
-    touch, (gel, bubble) = paired_touch("learned", 1, 0, folder), paired_touches.described()
+    task = VqVaeTask(direction=direction, n_presses=1, folder=folder, reprojects_input=True)
+    touch, (gel, bubble) = simulate_touch_squares("learned", 1, 0, folder), touch_squares.load_nominal_sensors()
     source, target = (gel, bubble) if direction == "gel_to_bubble" else (bubble, gel)
-    square = touch.gel if direction == "gel_to_bubble" else touch.bubble_mm
+    square = touch.gel_change if direction == "gel_to_bubble" else touch.bubble_imprint_mm
     example = task.sample(np.random.default_rng(0))
-    assert np.array_equal(example["source"], laid(square, source, target, alignment.between(source, target)))
-    batch = tensors({name: np.stack([array]) for name, array in example.items()}, "cpu")
-    net = build("vqvae", {"inputs": len(square), "outputs": 4 - len(square), "width": 4, "codes": 8})
+    assert np.array_equal(
+        example["source"], reproject_square(square, source, target, alignment.resolve_alignment(source, target))
+    )
+    batch = to_tensors({name: np.stack([array]) for name, array in example.items()}, "cpu")
+    net = build_network("vqvae", {"inputs": len(square), "outputs": 4 - len(square), "width": 4, "codes": 8})
     with pytest.raises(SettingProblem, match="the same"):
-        task.loss(net, batch)
+        task.compute_loss(net, batch)
 
 
 def test_mirroring_keeps_source_and_target_together(folder):
-    plain = VqVaeTask(presses=1, folder=folder).sample(np.random.default_rng(0))
+    plain = VqVaeTask(n_presses=1, folder=folder).sample(np.random.default_rng(0))
     seen = set()
     for seed in range(40):
-        made = VqVaeTask(presses=1, folder=folder, mirrored=1.0).sample(np.random.default_rng(seed))
+        made = VqVaeTask(n_presses=1, folder=folder, mirror_share=1.0).sample(np.random.default_rng(seed))
         flips = [
             axes
             for axes in ((), (-1,), (-2,), (-1, -2))
@@ -106,34 +108,34 @@ def test_mirroring_keeps_source_and_target_together(folder):
 
 @pytest.mark.parametrize("name", ["vqvae", "vqvae_gel", "pose", "pose_gel", "latent", "latent_first"])
 def test_the_recipes_that_come_along_build_their_networks(name):
-    made = recipe.load(name)
+    made = recipe.load_recipe(name)
     arguments = {key: value for key, value in made.network.items() if key != "kind"}
-    net = build(str(made.network["kind"]), arguments)
+    net = build_network(str(made.network["kind"]), arguments)
     assert sum(p.numel() for p in net.parameters()) * 2 < 16 * 2**20
 
 
 def test_a_latent_diffusion_learns_a_touch_by_heart(folder):
     from pipeline.training.latent import LatentTask
 
-    task = LatentTask(presses=1, folder=folder, side=32)
+    task = LatentTask(n_presses=1, folder=folder, side=32)
     examples = [task.sample(np.random.default_rng(k)) for k in range(2)]
-    batch = tensors({name: np.stack([one[name] for one in examples]) for name in examples[0]}, "cpu")
+    batch = to_tensors({name: np.stack([one[name] for one in examples]) for name in examples[0]}, "cpu")
     assert batch["target"].shape == (2, 3, 32, 32)
     assert float(batch["target"].abs().max()) <= 1.0
     torch.manual_seed(0)
-    net = build("latent", {
+    net = build_network("latent", {
         "side": 32, "width": 8, "times": "1 2", "blocks": 1, "attention": "2", "heads": 2, "groups": 4,
         "first_width": 8, "first_times": "1 1 2 2", "first_blocks": 1, "seen": 4,
     }).train()  # fmt: skip
     optimiser = torch.optim.Adam(net.parameters(), 3e-3)
     losses = []
     for _ in range(40):
-        loss, parts = task.loss(net, batch)
+        loss, parts = task.compute_loss(net, batch)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
         losses.append((float(parts["noise"]), float(parts["rebuilt"])))
     assert losses[-1][0] < 0.9 * losses[0][0]
     assert losses[-1][1] < 0.5 * losses[0][1]
-    figures = task.figures(net.eval(), [task.held_out("unseen_grasps", 0)])
+    figures = task.evaluate(net.eval(), [task.make_validation_example("unseen_grasps", 0)])
     assert set(figures) == {"rebuilt, mm", "noise"}

@@ -9,15 +9,15 @@ import pytest
 import torch
 
 from pipeline.geometry import rigid
-from pipeline.networks.building import build
-from pipeline.networks.squares import measured, normal, square
-from pipeline.simulation.press import press
-from pipeline.simulation.shapes import shape, taught
-from pipeline.training import paired_touches
-from pipeline.training.loop import tensors
-from pipeline.training.paired_touches import paired_touch
-from pipeline.training.part_touches import part
-from pipeline.training.touch_pose import TouchPoseTask, turn_cost, turned
+from pipeline.networks.network_factory import build_network
+from pipeline.networks.square_images import denormalise, normalise, resize_to_square
+from pipeline.simulation.press import simulate_press
+from pipeline.simulation.shapes import list_labelled_shapes, make_shape
+from pipeline.training import touch_squares
+from pipeline.training.loop import to_tensors
+from pipeline.training.partial_touches import simulate_partial_touch
+from pipeline.training.touch_pose import TouchPoseTask, compute_rotation_loss, flip_touch
+from pipeline.training.touch_squares import simulate_touch_squares
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def folder(tmp_path_factory):
 def test_turns_that_map_an_object_onto_itself_cost_nothing():
     headings = torch.tensor([[[math.cos(n * 0.1), math.sin(n * 0.1)] for n in range(1, 7)]])
     fifth = 2 * math.pi / 5
-    cost = lambda turn, fold: float(turn_cost(headings, torch.tensor([turn]), torch.tensor([fold])))  # noqa: E731
+    cost = lambda turn, fold: float(compute_rotation_loss(headings, torch.tensor([turn]), torch.tensor([fold])))  # noqa: E731
     assert cost(0.1 + fifth, 5.0) == pytest.approx(0.0, abs=1e-4)
     assert cost(0.1 + fifth, 1.0) > 1.0
     assert cost(2.0, 0.0) == 0.0
@@ -36,47 +36,53 @@ def test_turns_that_map_an_object_onto_itself_cost_nothing():
 
 
 def test_folds_are_those_of_the_catalogue():
-    folds = {name: shape(name).symmetry.fold for name in ("star", "cone", "letters", "ellipse")}
+    folds = {name: make_shape(name).symmetry.fold for name in ("star", "cone", "letters", "ellipse")}
     assert folds == {"star": 5, "cone": 0, "letters": 1, "ellipse": 2}
 
 
 def imprint(name, x, y, turn):
     """What the described bubble feels of an object that stands so, as an example."""
-    bubble, mesh = paired_touches.described()[1], shape(name).mesh
+    bubble, mesh = touch_squares.load_nominal_sensors()[1], make_shape(name).mesh
     pose = rigid.translation(x, y, 0.0) @ rigid.rotation((0.0, 0.0, turn))
     pose[2, 3] = -0.6 - float(mesh.vertices_mm[:, 2].min())
-    felt = press(mesh, pose, bubble, seed=None).truth.indentation_mm
-    known = np.zeros(len(taught()), np.float32)
-    truth = np.array([x, y, turn, shape(name).symmetry.fold, taught().index(name), 1.0], np.float32)
-    return {"square": normal(square(felt[..., None]), "bubble"), "known": known, "truth": truth}
+    felt = simulate_press(mesh, pose, bubble, seed=None).truth.indentation_mm
+    known = np.zeros(len(list_labelled_shapes()), np.float32)
+    truth = np.array([x, y, turn, make_shape(name).symmetry.fold, list_labelled_shapes().index(name), 1.0], np.float32)
+    return {"square": normalise(resize_to_square(felt[..., None]), "bubble"), "known": known, "truth": truth}
 
 
 def test_a_turned_touch_is_the_touch_of_what_was_turned():
     here = imprint("edge", 2.0, -3.0, 0.3)
     for way in (1, 2):
-        made = turned(here, way)
+        made = flip_touch(here, way)
         x, y, turn = (float(v) for v in made["truth"][:3])
         assert (abs(x), abs(y)) == (2.0, 3.0)
         again = imprint("edge", x, y, turn)
         seen = np.s_[:, 10:108]  # beyond, the camera did not see what is seen now
         gap = np.abs(made["square"] - again["square"])[seen].mean()
         assert gap < 0.01 * np.abs(here["square"] - again["square"])[seen].mean()
-    half = turned(here, 3)
-    assert np.allclose(half["square"], turned(turned(here, 1), 2)["square"], atol=0.3)
+    half = flip_touch(here, 3)
+    assert np.allclose(half["square"], flip_touch(flip_touch(here, 1), 2)["square"], atol=0.3)
     assert np.allclose(half["truth"][:3], (-2.0, 3.0, 0.3), atol=1e-6)
-    letters = {**here, "truth": np.array([1.0, 1.0, 0.1, 1.0, taught().index("letters"), 1.0], np.float32)}
-    assert turned(letters, 1) is letters
-    assert turned(letters, 2) is letters, "an R mirrored is no R"
+    letters = {
+        **here,
+        "truth": np.array([1.0, 1.0, 0.1, 1.0, list_labelled_shapes().index("letters"), 1.0], np.float32),
+    }
+    assert flip_touch(letters, 1) is letters
+    assert flip_touch(letters, 2) is letters, "an R mirrored is no R"
 
 
 def test_a_part_is_the_touch_without_what_was_not_told(folder):
-    whole, less = paired_touch("own", 1, 0, folder).exact_mm, part("own", 1, 0, folder).imprint_mm
+    whole, less = (
+        simulate_touch_squares("own", 1, 0, folder).exact_imprint_mm,
+        simulate_partial_touch("own", 1, 0, folder).imprint_mm,
+    )
     assert 0.3 < less.sum() / whole.sum() < 0.98
     deepest = np.unravel_index(int(whole.argmax()), whole.shape)
     assert less[deepest] > 0.6 * whole[deepest]
-    assert np.array_equal(part("own", 1, 0, "").imprint_mm, less), "kept or not, a part is the same"
-    task = TouchPoseTask(presses=1, folder=folder, parts=1.0, turned=0.0)
-    shown = [measured(task.sample(np.random.default_rng(k))["square"], "bubble").sum() for k in range(12)]
+    assert np.array_equal(simulate_partial_touch("own", 1, 0, "").imprint_mm, less), "kept or not, a part is the same"
+    task = TouchPoseTask(n_presses=1, folder=folder, partial_share=1.0, augmentation_share=0.0)
+    shown = [denormalise(task.sample(np.random.default_rng(k))["square"], "bubble").sum() for k in range(12)]
     low, high = float(less.sum()), float(whole.sum())
     assert min(shown) == pytest.approx(low, rel=1e-3)
     assert sum(low * 1.01 < one < high * 0.99 for one in shown) >= 2, "none lies between part and whole"
@@ -84,20 +90,22 @@ def test_a_part_is_the_touch_without_what_was_not_told(folder):
 
 @pytest.mark.parametrize("sensor", ["gelslim", "soft_bubble"])
 def test_a_pose_network_learns_where_things_are(sensor, folder):
-    task = TouchPoseTask(sensor=sensor, presses=4, folder=folder, parts=0.0, name=1.0)
+    task = TouchPoseTask(sensor=sensor, n_presses=4, folder=folder, partial_share=0.0, name_weight=1.0)
     examples = [task.sample(np.random.default_rng(k)) for k in range(8)]
-    batch = tensors({name: np.stack([one[name] for one in examples]) for name in examples[0]}, "cpu")
+    batch = to_tensors({name: np.stack([one[name] for one in examples]) for name in examples[0]}, "cpu")
     torch.manual_seed(0)
     inputs = 3 if sensor == "gelslim" else 1
-    net = build("touch_pose", {"inputs": inputs, "things": len(taught()), "first": 8, "folds": 6, "think": 32}).train()
+    net = build_network(
+        "touch_pose", {"inputs": inputs, "things": len(list_labelled_shapes()), "first": 8, "folds": 6, "think": 32}
+    ).train()
     optimiser = torch.optim.Adam(net.parameters(), 3e-3)
-    before = task.figures(net, examples)
+    before = task.evaluate(net, examples)
     for _ in range(60):
-        loss, _ = task.loss(net, batch)
+        loss, _ = task.compute_loss(net, batch)
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
-    after = task.figures(net, examples)
+    after = task.evaluate(net, examples)
     assert after["shift, mm"] < 0.5 * before["shift, mm"]
     assert after["named"] == 1.0
     assert net.features(batch["square"]).shape == (8, 32)

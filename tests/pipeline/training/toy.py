@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.params import setting
-from pipeline.networks import building
+from pipeline.networks import network_factory
 from pipeline.training import task
-from pipeline.training.task import Entry
+from pipeline.training.task import TaskEntry
 
 SIDE = 16
 RECIPE = """
@@ -78,5 +78,5 @@ def toy_net(width):
 
 def known():
     """Add the two to the tables of this process; worker processes get the task by pickle."""
-    task.TASKS["discs"] = Entry(what="discs", where=f"{__name__}:Discs")
-    building.KINDS["toy_net"] = f"{__name__}:toy_net"
+    task.TASKS["discs"] = TaskEntry(subcommand="discs", import_path=f"{__name__}:Discs")
+    network_factory.NETWORK_CLASSES["toy_net"] = f"{__name__}:toy_net"

@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.session.sample import SAMPLE
+from app.session.sample import SAMPLE_RECORDING
 from pipeline.base.arrays import freeze
 from pipeline.base.errors import SettingProblem
 from pipeline.engine.graph import StageResult
-from pipeline.translation.blame import UNSEEN, blame
 from pipeline.translation.catalogue import default_params
+from pipeline.translation.error_attribution import OUTSIDE_VIEW, attribute_error
 from pipeline.translation.translate import Request, open_translation
 
 TOUCHED = 5
@@ -22,36 +22,39 @@ TOUCHED = 5
 @pytest.fixture(scope="module")
 def to_bubble():
     """The sample's GelSlim turned into its bubble, with what keeps its values."""
-    translation = open_translation(Request(recording=SAMPLE, source="gelslim", target="soft_bubble"))
-    yield translation, translation.graph(), default_params(translation.methods)
+    translation = open_translation(Request(recording=SAMPLE_RECORDING, source="gelslim", target="soft_bubble"))
+    yield translation, translation.build_graph(), default_params(translation.methods)
     translation.recording.close()
 
 
 def test_the_parts_and_the_rest_add_up(to_bubble):
-    for figure in ("felt.contact_mae_mm", "pose.mssd_mm"):
-        found = blame(*to_bubble, TOUCHED, figure)
+    for figure in ("touch_depth.contact_mae_mm", "pose.mssd_mm"):
+        found = attribute_error(*to_bubble, TOUCHED, figure)
         assert found.total == pytest.approx(sum(part.share for part in found.parts) + found.rest)
         assert found.parts[-1].left == found.rest
 
 
 def test_true_values_in_every_slot_leave_no_error(to_bubble):
-    found = blame(*to_bubble, TOUCHED)
+    found = attribute_error(*to_bubble, TOUCHED)
     assert found.rest == 0.0
     assert found.total > 0.1
 
 
 def test_what_the_source_never_felt_is_named(to_bubble):
     """A bubble feels much more of the tool than the gel: depth and drawing have little to do with the error."""
-    found = blame(*to_bubble, TOUCHED)
+    found = attribute_error(*to_bubble, TOUCHED)
     share = {part.title: part.share for part in found.parts}
-    assert share[UNSEEN] > 0.8 * found.total
-    assert UNSEEN in found.sentence
+    assert share[OUTSIDE_VIEW] > 0.8 * found.total
+    assert OUTSIDE_VIEW in found.sentence
 
 
 def test_a_spoilt_slot_takes_the_blame(to_bubble, monkeypatch):
     """Depth that is 1 mm too deep is found to be depth's doing, and no other slot's."""
     translation, graph, params = to_bubble
-    clean = {part.title: part.share for part in blame(translation, graph, params, TOUCHED, "felt.mae_mm").parts}
+    clean = {
+        part.title: part.share
+        for part in attribute_error(translation, graph, params, TOUCHED, "touch_depth.mae_mm").shares
+    }
     depth = next(method for method in translation.methods if method.slot == "depth")
 
     def deeper(*reads):
@@ -60,22 +63,22 @@ def test_a_spoilt_slot_takes_the_blame(to_bubble, monkeypatch):
         return replace(made, indentation_mm=freeze(more), depth_mm=freeze(made.depth_mm - 1.0 * made.contact))
 
     spoilt = tuple(replace(m, run=deeper, version=99) if m.slot == "depth" else m for m in translation.methods)
-    found = blame(translation, graph.rerouted(spoilt), params, TOUCHED, "felt.mae_mm")
-    shares = {part.title: part.share for part in found.parts}
+    found = attribute_error(translation, graph.with_methods(spoilt), params, TOUCHED, "touch_depth.mae_mm")
+    shares = {part.title: part.share for part in found.shares}
     assert shares["depth"] > clean["depth"] + 0.002
     others = [title for title in shares if title != "depth"]
     assert all(shares[title] == pytest.approx(clean[title], abs=1e-9) for title in others)
 
 
 def test_an_untouched_frame_and_a_recording_without_truth_have_nothing_to_blame(to_bubble):
-    assert blame(*to_bubble, 0) is None
+    assert attribute_error(*to_bubble, 0) is None
 
 
-@pytest.mark.parametrize(("figure", "told"), [("felt.nonsense", "no figure"), ("nowhere.mae_mm", "no figure"),
-                                              ("felt.contact_iou", "no error")])  # fmt: skip
+@pytest.mark.parametrize(("figure", "told"), [("touch_depth.nonsense", "no figure"), ("nowhere.mae_mm", "no figure"),
+                                              ("touch_depth.contact_iou", "no error")])  # fmt: skip
 def test_a_figure_that_cannot_be_taken_apart_is_refused(to_bubble, figure, told):
     with pytest.raises(SettingProblem, match=told):
-        blame(*to_bubble, TOUCHED, figure)
+        attribute_error(*to_bubble, TOUCHED, figure)
 
 
 def test_every_slot_but_the_cloud_knows_its_truth(to_bubble):
@@ -87,15 +90,15 @@ def test_every_slot_but_the_cloud_knows_its_truth(to_bubble):
         for name, value in truths.items()
     }
     metrics = translation.metrics(results, TOUCHED)
-    for name in ("depth.mae_mm", "felt.mae_mm", "touch.depth_mae_mm", "pose.translation_mm", "pose.mssd_mm"):
+    for name in ("depth.mae_mm", "touch_depth.mae_mm", "touch.depth_mae_mm", "pose.translation_mm", "pose.mssd_mm"):
         assert metrics[name] == pytest.approx(0.0, abs=1e-9), name
 
 
 def test_the_command_prints_the_worst_first_and_writes_every_part(capsys, tmp_path):
-    from pipeline.cli.main import build, run
+    from pipeline.cli.main import build_app, run_app
 
     out = tmp_path / "blame.json"
-    assert run(build(), ["blame", str(SAMPLE), "--target", "gelslim", "--sensor", "digit", "--frame", "5",
+    assert run_app(build_app(), ["blame", str(SAMPLE_RECORDING), "--target", "gelslim", "--sensor", "digit", "--frame", "5",
                          "--json", str(out)]) == 0  # fmt: skip
     printed = capsys.readouterr().out
     assert "frame 5 is the worst" in printed
@@ -104,7 +107,7 @@ def test_the_command_prints_the_worst_first_and_writes_every_part(capsys, tmp_pa
 
 
 def test_the_command_says_where_no_truth_is_known(capsys):
-    from pipeline.cli.main import build, run
+    from pipeline.cli.main import build_app, run_app
 
-    assert run(build(), ["blame", str(SAMPLE), "--target", "gelsight_mini", "--frame", "5"]) == 2
+    assert run_app(build_app(), ["blame", str(SAMPLE_RECORDING), "--target", "gelsight_mini", "--frame", "5"]) == 2
     assert "really felt" in capsys.readouterr().err

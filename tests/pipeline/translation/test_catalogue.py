@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import SettingProblem
-from pipeline.base.params import settings
+from pipeline.base.params import list_settings
 from pipeline.reporting.frame_report import FrameReport
-from pipeline.reporting.report import stage_arrays, write_frame, write_report
-from pipeline.stages.feel.stage import NO_MEMBRANE
-from pipeline.translation import trace
+from pipeline.reporting.report import collect_stage_arrays, write_frame, write_report
+from pipeline.stages.touch_depth.membrane import NO_MEMBRANE
+from pipeline.translation import pixel_trace
 from pipeline.translation.catalogue import BUILT_IN, default_params, with_method, with_setting
 from pipeline.translation.translate import Request, open_translation
 from tests.pipeline.translation.toys import TOYS
@@ -39,9 +39,9 @@ def results(toy):
 
 
 def test_a_route_has_its_own_slots_and_no_others(toy, results):
-    assert list(results) == ["brightness", "touch", "felt", "pose"]
+    assert list(results) == ["brightness", "touch", "touch_depth", "pose"]
     assert results["touch"].output.membrane is None
-    assert results["felt"].output.camera == toy.target.camera
+    assert results["touch_depth"].output.camera == toy.target.camera
     assert "melted" in results["touch"].notes
 
 
@@ -53,12 +53,12 @@ def test_what_a_toy_slot_says_reaches_figures_arrays_sheet_and_trace(toy, result
     frame = toy.stream.frame(TOUCHED)
     folder = write_frame(tmp_path, frame, report, toy, "key")
     assert (folder / "sheet.png").stat().st_size > 10_000
-    assert stage_arrays(frame, results)["brightness.share"].shape == frame.image.shape[:2]
+    assert collect_stage_arrays(frame, results)["brightness.share"].shape == frame.image.shape[:2]
     assert '"contact_mae_mm"' not in write_report(tmp_path, toy, [report]).read_text().partition("frames")[0]
-    marks = trace.forward(results, 3, 4, frame.image.shape[1], TOYS)
-    assert [mark.slot for mark in marks] == ["source", "brightness", "touch"]
+    marks = pixel_trace.trace_forward(results, 3, 4, frame.image.shape[1], TOYS)
+    assert [mark.stage for mark in marks] == ["source", "brightness", "touch"]
     assert marks[1].text.endswith("bright")
-    assert trace.back(results, "brightness", 17, TOYS) == 17
+    assert pixel_trace.trace_to_source(results, "brightness", 17, TOYS) == 17
 
 
 def test_parameters_and_methods_of_a_toy_are_set_by_name(toy, results):
@@ -73,11 +73,11 @@ def test_parameters_and_methods_of_a_toy_are_set_by_name(toy, results):
 
 
 def test_a_touch_without_a_membrane_is_read_as_recorded_and_the_note_says_so(toy):
-    asked = replace(toy, request=replace(toy.request, methods=(("felt", "membrane"),)))
-    felt = asked.graph().evaluate(["felt"], asked.inputs(TOUCHED), {})["felt"]
+    asked = replace(toy, request=replace(toy.request, methods=(("touch_depth", "membrane"),)))
+    felt = asked.graph().evaluate(["touch_depth"], asked.inputs(TOUCHED), {})["touch_depth"]
     assert NO_MEMBRANE in (*felt.notes, *felt.output.notes)
-    read = replace(toy, request=replace(toy.request, methods=(("felt", "reading"),)))
-    same = read.graph().evaluate(["felt"], read.inputs(TOUCHED), {})["felt"].output
+    read = replace(toy, request=replace(toy.request, methods=(("touch_depth", "reading"),)))
+    same = read.graph().evaluate(["touch_depth"], read.inputs(TOUCHED), {})["touch_depth"].output
     assert np.array_equal(felt.output.indentation_mm, same.indentation_mm)
 
 
@@ -86,7 +86,7 @@ def test_the_truth_may_stand_for_a_slot(toy):
     chain = replace(toy, request=replace(toy.request, route="t2d2"))
     graph, inputs = chain.graph(), chain.inputs(TOUCHED)
     measured = graph.evaluate(chain.slots[:2], inputs, {})
-    truth = chain.truth_of_source(TOUCHED)
+    truth = chain.read_source_truth(TOUCHED)
     exact = replace(
         measured["depth"].output, indentation_mm=truth.indentation_mm, contact=truth.contact,
         depth_mm=(chain.source.rest_depth_mm - truth.indentation_mm).astype(np.float32),
@@ -103,7 +103,7 @@ def test_sensors_are_read_by_the_network_unless_somebody_says_otherwise():
     for source, target in (("soft_bubble", "gelslim"), ("digit", "soft_bubble")):
         with closing(open_translation(Request(recording=SAMPLE, source=source, target=target))) as opened:
             assert opened.methods[0].name == "network"
-            assert opened.methods[0].weights_name in opened.inputs(TOUCHED)
+            assert opened.methods[0].weights_name in opened.read_inputs(TOUCHED)
 
 
 def test_a_gels_depth_loads_no_torch():
@@ -125,8 +125,8 @@ _NO_UNIT = {"seed"}  # a name more than a number
 def _all_settings():
     return {
         f"{method.key}.{name}": (value, told)
-        for slot in BUILT_IN.slots for method in slot.methods
-        for name, (value, told) in settings(method.params()).items()
+        for slot in BUILT_IN.stages for method in slot.methods
+        for name, (value, told) in list_settings(method.params()).items()
     }  # fmt: skip
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.stages.pose.stage import PoseParams, pose_from
+from pipeline.stages.pose.signed_distances import PoseParams, track_pose
 from pipeline.translation.catalogue import default_params, with_setting
-from pipeline.translation.trace import back, forward
+from pipeline.translation.pixel_trace import trace_forward, trace_to_source
 from pipeline.translation.translate import Request, open_translation
 
 SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
@@ -45,9 +45,9 @@ def test_a_pose_parameter_reruns_the_pose_only(translation, warm):
     assert after == {
         "depth": "cached",
         "cloud": "cached",
-        "view": "cached",
+        "target_depth": "cached",
         "touch": "cached",
-        "felt": "cached",
+        "touch_depth": "cached",
         "pose": "computed",
     }
 
@@ -59,10 +59,10 @@ def test_a_frame_seen_before_runs_nothing(translation, warm):
 
 def test_the_error_of_the_measured_depth_goes_with_the_touch_into_the_pose(translation, warm):
     results = warm.evaluate(translation.slots, translation.inputs(TOUCHED), {})
-    measured, felt, found = (results[slot].output for slot in ("depth", "felt", "pose"))
+    measured, felt, found = (results[slot].output for slot in ("depth", "touch_depth", "pose"))
     assert felt.error == measured.error
     assert measured.error is not None
-    exact = pose_from(replace(felt, error=None), translation.mesh, PoseParams(), found.sensor_from_object)
+    exact = track_pose(replace(felt, error=None), translation.mesh, PoseParams(), found.sensor_from_object)
     assert np.trace(found.covariance) > 1.2 * np.trace(exact.covariance)  # by the described lamps, which err little
 
 
@@ -119,16 +119,16 @@ def test_the_chain_stays_near_the_truth(translation, warm):
 
 def test_a_pixel_of_the_real_chain_goes_there_and_back(translation, warm):
     results = warm.evaluate(translation.slots, translation.inputs(TOUCHED), {})
-    inner = results["view"].output.contact.copy()
+    inner = results["target_depth"].output.contact.copy()
     inner[[0, -1]] = inner[:, [0, -1]] = False  # at the border the nearest corner may lie outside the image
     rows, cols = np.nonzero(inner)
     for k in range(0, len(rows), len(rows) // 50):
         row, col = int(rows[k]), int(cols[k])
-        pixel = back(results, "view", row * inner.shape[1] + col)
+        pixel = trace_to_source(results, "target_depth", row * inner.shape[1] + col)
         assert pixel >= 0, (row, col)
         wide = results["depth"].output.camera.cols
-        there = forward(results, *divmod(pixel, wide), wide)
-        last = next(m for m in there if m.slot == "view")
+        there = trace_forward(results, *divmod(pixel, wide), wide)
+        last = next(m for m in there if m.stage == "target_depth")
         # The nearest corner of the triangle that covers a pixel lies at most a source pixel away.
         assert abs(last.row - row) <= 1
         assert abs(last.col - col) <= 1

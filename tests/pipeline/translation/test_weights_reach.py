@@ -10,10 +10,10 @@ import pytest
 
 from pipeline.base.arrays import freeze
 from pipeline.engine.graph import Method
-from pipeline.networks import building, shelf
-from pipeline.networks.weights import Weights, save
-from pipeline.stages.depth.slot import PHYSICS
-from pipeline.stages.learned import learned
+from pipeline.networks import network_factory, weights_registry
+from pipeline.networks.weights import Weights, save_weights
+from pipeline.stages.depth.stage import PHYSICS
+from pipeline.stages.network_fallback import fall_back_without_weights
 from pipeline.translation.catalogue import BUILT_IN, Catalogue, with_weights
 from pipeline.translation.translate import Request, open_translation
 
@@ -47,19 +47,19 @@ def scaled(frame, source, calibration, network, params, progress):
 
 
 NETWORK = Method(
-    slot="depth", name="scaled", title="Scaled", run=learned(scaled, instead=PHYSICS), params=PHYSICS.params,
-    reads=(*PHYSICS.reads, "depth_weights"), weights=lambda source, target, file: shelf.for_task("toy", "toy", file),
+    stage="depth", name="scaled", title="Scaled", run=fall_back_without_weights(scaled, fallback=PHYSICS), params=PHYSICS.params,
+    reads=(*PHYSICS.reads, "depth_weights"), weights=lambda source, target, file: weights_registry.load_for_task("toy", "toy", file),
 )  # fmt: skip
-DEPTH = replace(BUILT_IN.slot("depth"), methods=(PHYSICS, NETWORK))
+DEPTH = replace(BUILT_IN.stage("depth"), methods=(PHYSICS, NETWORK))
 CATALOGUE = Catalogue(
-    slots=tuple(DEPTH if slot.name == "depth" else slot for slot in BUILT_IN.slots), routes=BUILT_IN.routes
+    stages=tuple(DEPTH if slot.name == "depth" else slot for slot in BUILT_IN.stages), routes=BUILT_IN.routes
 )
 
 
 @pytest.fixture(autouse=True)
 def _shelf(monkeypatch, tmp_path):
-    monkeypatch.setitem(building.KINDS, "scale", f"{__name__}:scale")
-    monkeypatch.setattr(shelf, "FOLDER", tmp_path / "shelf")
+    monkeypatch.setitem(network_factory.NETWORK_CLASSES, "scale", f"{__name__}:scale")
+    monkeypatch.setattr(weights_registry, "FOLDER", tmp_path / "shelf")
 
 
 def weights(factor, task="toy"):
@@ -71,24 +71,24 @@ def depth(method="scaled", graph=None, **more):
     request = Request(recording=SAMPLE, source="digit", target="gelslim", methods=(("depth", method),), **more)
     opened = open_translation(request, CATALOGUE)
     try:
-        return (graph or opened.graph()).evaluate(["depth"], opened.inputs(TOUCH), {})["depth"], opened.notes
+        return (graph or opened.build_graph()).evaluate(["depth"], opened.read_inputs(TOUCH), {})["depth"], opened.notes
     finally:
         opened.recording.close()
 
 
 def test_a_file_is_read_and_what_it_holds_is_part_of_the_key(tmp_path):
     plain, file = depth("physics")[0].output, tmp_path / "w.safetensors"
-    save(file, weights(2.0))
+    save_weights(file, weights(2.0))
     twice = depth(weights=(("", file),))[0]
     np.testing.assert_allclose(twice.output.indentation_mm, 2.0 * plain.indentation_mm, rtol=1e-6)
     assert twice.notes == ("by network",)
-    assert twice.instead == ""
+    assert twice.fallback == ""
     opened = open_translation(Request(recording=SAMPLE, source="digit", target="gelslim", methods=(("depth", "scaled"),),
                                       weights=(("depth", file),)), CATALOGUE)  # fmt: skip
-    graph = opened.graph()
+    graph = opened.build_graph()
     assert depth(graph=graph, weights=(("depth", file),))[0].state == "computed"
     assert depth(graph=graph, weights=(("depth", file),))[0].state == "cached"
-    save(file, weights(3.0))
+    save_weights(file, weights(3.0))
     again = depth(graph=graph, weights=(("depth", file),))[0]
     assert again.state == "computed"
     np.testing.assert_allclose(again.output.indentation_mm, 3.0 * plain.indentation_mm, rtol=1e-6)
@@ -96,7 +96,7 @@ def test_a_file_is_read_and_what_it_holds_is_part_of_the_key(tmp_path):
 
 
 def test_what_comes_along_is_read_where_no_file_is_given():
-    save(shelf.FOLDER / "toy.safetensors", weights(1.5))
+    save_weights(weights_registry.WEIGHTS_FOLDER / "toy.safetensors", weights(1.5))
     assert depth()[0].notes == ("by network",)
 
 
@@ -105,7 +105,7 @@ def test_without_usable_weights_physics_answers_and_the_first_note_says_why(tmp_
     file, why = tmp_path / "w.safetensors", {"missing": "No such file", "cut": "cut short", "foreign": "which network",
                                              "other task": "have learned gel", "other shape": "do not fit",
                                              "nothing on the shelf": "no weights 'toy' come along"}[fault]  # fmt: skip
-    save(file, weights(2.0, task="gel" if fault == "other task" else "toy"))
+    save_weights(file, weights(2.0, task="gel" if fault == "other task" else "toy"))
     if fault == "missing":
         file.unlink()
     elif fault == "cut":
@@ -115,11 +115,11 @@ def test_without_usable_weights_physics_answers_and_the_first_note_says_why(tmp_
 
         save_file({"x": np.zeros(3, np.float32)}, file)
     elif fault == "other shape":
-        save(file, replace(weights(2.0), tensors={"factor": np.zeros(2, np.float32)}))
+        save_weights(file, replace(weights(2.0), tensors={"factor": np.zeros(2, np.float32)}))
     given = () if fault == "nothing on the shelf" else (("", file),)
     answered, plain = depth(weights=given)[0], depth("physics")[0]
     assert why in answered.notes[0]
-    assert answered.instead == answered.notes[0]
+    assert answered.fallback == answered.notes[0]
     assert answered.notes[0].endswith("; physics answers instead")
     assert answered.notes[1:] == plain.notes
     assert np.array_equal(answered.output.indentation_mm, plain.output.indentation_mm)

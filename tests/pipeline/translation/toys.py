@@ -9,13 +9,13 @@ import numpy as np
 from pipeline.base.arrays import Floats, Indices, freeze
 from pipeline.base.params import NoParams, setting
 from pipeline.engine.graph import Method, Skipped
-from pipeline.pictures.colours import ColourScale, coloured
-from pipeline.pictures.layers import grid_layer
-from pipeline.pictures.picture import Picture
-from pipeline.stages.slot import Mark, Slot
+from pipeline.previews.colours import ColourScale, apply_colour_map
+from pipeline.previews.layers import make_grid_layer
+from pipeline.previews.preview import Preview
+from pipeline.stages.stage import ProbePoint, Stage
 from pipeline.translation.catalogue import BUILT_IN, Catalogue, Route
-from pipeline.values.pixel_index import pixel_index
-from pipeline.values.results import Touch
+from pipeline.values.pixel_index import make_pixel_index
+from pipeline.values.results import GeneratedTouch
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,7 +36,7 @@ class MeltParams:
 
 def brightness(frame, params, progress):
     share = np.asarray(frame.image, np.float32).reshape(*frame.image.shape[:2], -1).mean(axis=-1) / 255.0
-    made = Brightness(share=freeze(share), source_index=pixel_index(share.shape))
+    made = Brightness(share=freeze(share), source_index=make_pixel_index(share.shape))
     return Skipped(output=made, why="it was dark") if not share.any() else made
 
 
@@ -45,55 +45,59 @@ def melt(brightness, target, params, progress):
     progress.step(0.5, "melting")
     rows, cols = target.camera.shape
     level = np.uint8(min(255.0, 255.0 * params.gain * float(brightness.share.mean())))
-    return Touch(
+    return GeneratedTouch(
         image=freeze(np.full((rows, cols, 3), level, np.uint8)), camera=target.camera,
-        source_index=freeze(np.full((rows, cols), -1, np.int32)), known=freeze(np.ones((rows, cols), bool)),
+        source_index=freeze(np.full((rows, cols), -1, np.int32)), in_view=freeze(np.ones((rows, cols), bool)),
         notes=("melted",),
     )  # fmt: skip
 
 
-_SCALE = ColourScale(map="viridis", low=0.0, high=1.0, unit="", quantity="brightness")
+_SCALE = ColourScale(colour_map="viridis", low=0.0, high=1.0, unit="", quantity="brightness")
 
 
 def _picture(value, seen):
-    return Picture(
-        pixels=coloured(value.share, _SCALE), values=value.share, scale=_SCALE, frame_name=f"{seen.source.name} frame",
+    return Preview(
+        pixels=apply_colour_map(value.share, _SCALE), values=value.share, scale=_SCALE, frame_name=f"{seen.source.name} frame",
         caption="toy brightness",
     )  # fmt: skip
 
 
 def _layers(value, seen, picture):
     rows, cols = np.indices(value.share.shape)
-    return (grid_layer("toy", np.stack([cols, rows, 9 * value.share], axis=-1).astype(np.float32), picture.pixels),)
+    return (
+        make_grid_layer("toy", np.stack([cols, rows, 9 * value.share], axis=-1).astype(np.float32), picture.pixels),
+    )
 
 
 def _follow(value, before):
     row, col = divmod(before.index, value.share.shape[1])
-    return Mark(slot="brightness", index=before.index, row=row, col=col, text=f"{value.share[row, col]:.2f} bright")
+    return ProbePoint(
+        stage="brightness", index=before.index, row=row, col=col, text=f"{value.share[row, col]:.2f} bright"
+    )
 
 
-BRIGHTNESS = Slot(
+BRIGHTNESS = Stage(
     name="brightness",
     title="Brightness",
     legend="a hill of light",
-    place="source",
-    methods=(Method(slot="brightness", name="mean", title="Mean", run=brightness, params=NoParams, reads=("frame",)),),
-    picture=_picture,
-    layers=_layers,
-    follow=_follow,
-    figures=lambda value, facts: {"contact_mae_mm": 0.0} if facts.source is not None else {},
+    sensor_role="source",
+    methods=(Method(stage="brightness", name="mean", title="Mean", run=brightness, params=NoParams, reads=("frame",)),),
+    make_preview=_picture,
+    make_layers=_layers,
+    trace_point=_follow,
+    compute_metrics=lambda value, facts: {"contact_mae_mm": 0.0} if facts.source_truth is not None else {},
 )
-MELT = Method(slot="touch", name="melt", title="Melt", run=melt, params=MeltParams, reads=("brightness", "target"))
-TOUCH = replace(BUILT_IN.slot("touch"), methods=(*BUILT_IN.slot("touch").methods, MELT))
-SLOTS = [TOUCH if slot.name == "touch" else slot for slot in BUILT_IN.slots]
+MELT = Method(stage="touch", name="melt", title="Melt", run=melt, params=MeltParams, reads=("brightness", "target"))
+TOUCH = replace(BUILT_IN.stage("touch"), methods=(*BUILT_IN.stage("touch").methods, MELT))
+SLOTS = [TOUCH if slot.name == "touch" else slot for slot in BUILT_IN.stages]
 TOYS = Catalogue(
-    slots=(SLOTS[0], BRIGHTNESS, *SLOTS[1:]),
+    stages=(SLOTS[0], BRIGHTNESS, *SLOTS[1:]),
     routes=(
         *BUILT_IN.routes,
         Route(
             name="toy",
             title="through brightness",
-            methods={"brightness": "mean", "touch": "melt", "felt": "reading", "pose": "signed_distances"},
+            methods={"brightness": "mean", "touch": "melt", "touch_depth": "reading", "pose": "signed_distances"},
         ),
     ),
 )

@@ -7,8 +7,8 @@ import math
 import cv2
 import numpy as np
 
-from pipeline.alignment.fit.carry import Carrying, Pair, carried
-from pipeline.alignment.fit.fitting import enlarged
+from pipeline.alignment.fit.fitting import enlarge
+from pipeline.alignment.fit.transfer import ImprintPair, TransferModel, transfer_imprint
 
 SIDE_PX = 64
 
@@ -25,7 +25,7 @@ def strokes(seed: int) -> np.ndarray:
     return picture
 
 
-def pairs(how: Carrying, many: int, *, noise: float = 0.05, metric: bool = False) -> list[Pair]:
+def pairs(how: TransferModel, many: int, *, noise: float = 0.05, metric: bool = False) -> list[ImprintPair]:
     """Pairs of which `how` is true, with noise on the imprints."""
     rng = np.random.default_rng(9)
     out = []
@@ -33,8 +33,8 @@ def pairs(how: Carrying, many: int, *, noise: float = 0.05, metric: bool = False
         sizes = {"source_size": (18.0, 18.0), "target_size": (60.0, 60.0)} if metric else {
             "source_size": (1.0, 1.0), "target_size": (1.0, 1.0)}  # fmt: skip
         blank = np.zeros((SIDE_PX, SIDE_PX), np.float32)
-        empty = Pair(name=str(k), touching=strokes(k), imprint=blank, metric=metric, **sizes)
-        true = enlarged(carried(empty, how), empty)
+        empty = ImprintPair(name=str(k), touching=strokes(k), imprint=blank, metric=metric, **sizes)
+        true = enlarge(transfer_imprint(empty, how), empty)
         real = (true + noise * rng.normal(size=true.shape)).astype(np.float32)
-        out.append(Pair(name=str(k), touching=empty.touching, imprint=real, metric=metric, **sizes))
+        out.append(ImprintPair(name=str(k), touching=empty.touching, imprint=real, metric=metric, **sizes))
     return out

@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.alignment.fit.agreement import correlation, mean_imprint
-from pipeline.alignment.fit.carry import Carrying, Pair, carried
-from pipeline.alignment.fit.continuation import leaving
-from pipeline.alignment.fit.fitting import fit, score_of
+from pipeline.alignment.fit.agreement import compute_correlation, compute_mean_imprint
+from pipeline.alignment.fit.continuation import continue_fit
+from pipeline.alignment.fit.fitting import fit_pairs, score_fit
+from pipeline.alignment.fit.transfer import ImprintPair, TransferModel, transfer_imprint
 from pipeline.base.errors import SettingProblem
 from tests.pipeline.alignment.fit.scenes import SIDE_PX, pairs
 
-TRUE = Carrying(mirrored=True, turn=math.radians(40.0), log_scale=math.log(0.36), right=0.06, down=-0.05,
+TRUE = TransferModel(mirrored=True, turn=math.radians(40.0), log_scale=math.log(0.36), right=0.06, down=-0.05,
                 tilt_right=0.3, tilt_down=-0.2)  # fmt: skip
 SPREADS = 4.0  # standard deviations; and never nearer asked than
 LEAST = {"turn": math.radians(1.0), "log_scale": 0.02, "right": 0.005, "down": 0.005, "tilt_right": 0.03,
@@ -23,14 +23,14 @@ LEAST = {"turn": math.radians(1.0), "log_scale": 0.02, "right": 0.005, "down": 0
 
 
 def test_a_known_carrying_is_found_within_the_spread_told():
-    found = fit(pairs(TRUE, 6))
+    found = fit_pairs(pairs(TRUE, 6))
     assert found.carrying.mirrored
     for name, least in LEAST.items():
         off = getattr(found.carrying, name) - getattr(TRUE, name)
         off = math.remainder(off, 2 * math.pi) if name == "turn" else off
         assert abs(off) <= max(least, SPREADS * found.spread[name]), name
     others = pairs(TRUE, 10)[6:]
-    assert np.mean([score_of(p, found.carrying, found.common) for p in others]) > 0.9
+    assert np.mean([score_fit(p, found.carrying, found.common) for p in others]) > 0.9
     assert found.beginnings[0][0].startswith("mirrored")
 
 
@@ -40,15 +40,17 @@ def test_what_the_touches_do_not_tell_is_named():
     for pair in pairs(level, 4):
         y, x = np.indices(pair.touching.shape) - (SIDE_PX - 1) / 2
         spot = np.clip(6.0 - np.hypot(x, y), 0.0, 1.0).astype(np.float32)  # round: alike from every side
-        empty = Pair(name="dot", touching=spot, source_size=(1.0, 1.0), imprint=pair.imprint, target_size=(1.0, 1.0))
-        real = carried(empty, level)
+        empty = ImprintPair(
+            name="dot", touching=spot, source_size=(1.0, 1.0), imprint=pair.imprint, target_size=(1.0, 1.0)
+        )
+        real = transfer_imprint(empty, level)
         dots.append(replace(empty, imprint=real + 0.2 * np.random.default_rng(3).normal(size=real.shape).astype("f4")))
-    assert "turn" in fit(dots).undetermined
+    assert "turn" in fit_pairs(dots).undetermined
 
 
 def test_metric_pairs_keep_their_scale():
-    true = Carrying(turn=math.radians(180.0), right=2.0, down=-1.0)
-    found = fit(pairs(true, 3, metric=True))
+    true = TransferModel(turn=math.radians(180.0), right=2.0, down=-1.0)
+    found = fit_pairs(pairs(true, 3, metric=True))
     assert found.carrying.log_scale == 0.0
     assert abs(math.remainder(found.carrying.turn - math.pi, 2 * math.pi)) < math.radians(2.0)
     assert (found.carrying.right, found.carrying.down) == pytest.approx((2.0, -1.0), abs=0.5)
@@ -56,17 +58,17 @@ def test_metric_pairs_keep_their_scale():
 
 def test_too_few_pairs_are_refused():
     with pytest.raises(SettingProblem, match="at least two touches felt by both, got 1"):
-        fit(pairs(TRUE, 1))
+        fit_pairs(pairs(TRUE, 1))
 
 
 def test_what_is_common_to_all_imprints_counts_for_nothing():
     rng = np.random.default_rng(0)
     common = rng.normal(size=(16, 16))
     own = rng.normal(size=(5, 16, 16))
-    assert abs(correlation(common, own[0] + 3 * common, common)) < 1e-9
-    assert correlation(own[0] - 2 * common, own[0] + 3 * common, common) == pytest.approx(1.0)
-    mean = mean_imprint([common + 0.1 * o for o in own])
-    assert correlation(mean, common) > 0.99
+    assert abs(compute_correlation(common, own[0] + 3 * common, common)) < 1e-9
+    assert compute_correlation(own[0] - 2 * common, own[0] + 3 * common, common) == pytest.approx(1.0)
+    mean = compute_mean_imprint([common + 0.1 * o for o in own])
+    assert compute_correlation(mean, common) > 0.99
 
 
 def test_a_stroke_goes_on_where_it_pointed():
@@ -76,6 +78,6 @@ def test_a_stroke_goes_on_where_it_pointed():
     along, beside = ((x - 32) * math.cos(angle) + (y - 32) * math.sin(angle),
                      (x - 32) * math.sin(angle) - (y - 32) * math.cos(angle))  # fmt: skip
     picture[(np.abs(beside) < 3) & (along > -5)] = 1.0
-    rays = leaving(picture)
+    rays = continue_fit(picture)
     assert len(rays.x_px) == 1
     assert math.degrees(math.atan2(rays.down[0], rays.right[0])) == pytest.approx(25.0, abs=2.0)

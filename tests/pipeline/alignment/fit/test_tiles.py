@@ -8,17 +8,17 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.alignment.fit.agreement import correlation
+from pipeline.alignment.fit.agreement import compute_correlation
 from pipeline.alignment.fit.difference_tiles import ridges
+from pipeline.alignment.fit.image_rotation import WAYS, is_upside_down, rotate_image
 from pipeline.alignment.fit.pairs import tile_pairs
-from pipeline.alignment.fit.turning import WAYS, turned, upside_down
 from pipeline.base.errors import FileProblem, SettingProblem
-from pipeline.physics.optics import colour_change
-from pipeline.sensors.spec import sensor
+from pipeline.physics.optics import compute_colour_change
+from pipeline.sensors.spec import load_sensor
 from tests.pipeline.alignment.fit.scenes import strokes
 
-SPEC = sensor("gelslim")
-BACK = {k: next(j for j in WAYS if np.array_equal(turned(turned(np.arange(9).reshape(3, 3), k), j),
+SPEC = load_sensor("gelslim")
+BACK = {k: next(j for j in WAYS if np.array_equal(rotate_image(rotate_image(np.arange(9).reshape(3, 3), k), j),
                                                   np.arange(9).reshape(3, 3))) for k in WAYS}  # fmt: skip
 
 
@@ -30,10 +30,10 @@ def tile(seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 def change_of(touching: np.ndarray, seed: int) -> np.ndarray:
     """The difference picture of what touches (128, 128)."""
-    seen = SPEC.seen_through(SPEC.camera.resized(128, 128))
+    seen = SPEC.with_camera(SPEC.camera.resize(128, 128))
     surface = 0.4 * cv2.GaussianBlur(touching, (0, 0), 3)
     gy, gx = np.gradient(surface, seen.pixel_mm)
-    change = colour_change(seen, gx.astype(np.float32), gy.astype(np.float32))
+    change = compute_colour_change(seen, gx.astype(np.float32), gy.astype(np.float32))
     change = change + np.random.default_rng(seed).normal(0, 2, change.shape)
     low, high = np.percentile(change, (0.5, 99.5))
     return np.clip((change - low) / (high - low) * 255, 0, 255).astype(np.uint8)
@@ -42,31 +42,33 @@ def change_of(touching: np.ndarray, seed: int) -> np.ndarray:
 def test_half_a_turn_twice_is_none():
     picture = np.arange(12).reshape(3, 4)
     for way in WAYS:
-        assert upside_down(upside_down(way)) == way
-        np.testing.assert_array_equal(turned(picture, upside_down(way)), turned(picture, way)[::-1, ::-1])
+        assert is_upside_down(is_upside_down(way)) == way
+        np.testing.assert_array_equal(
+            rotate_image(picture, is_upside_down(way)), rotate_image(picture, way)[::-1, ::-1]
+        )
 
 
 @pytest.mark.parametrize("way", WAYS)
 def test_a_tile_tells_how_it_was_laid_and_where_it_is_touched(way: int):
     touching, picture = tile(way)
-    found = ridges(np.ascontiguousarray(turned(picture, way)), SPEC)
+    found = ridges(np.ascontiguousarray(rotate_image(picture, way)), SPEC)
     assert found.way == BACK[way]
     assert found.curl_free > found.next_best
-    assert correlation(found.touching, touching) > 0.7
+    assert compute_correlation(found.touching, touching) > 0.7
 
 
 def test_a_sensor_without_lights_has_no_tiles():
     with pytest.raises(SettingProblem, match="has no lights"):
-        ridges(tile(0)[1], sensor("soft_bubble"))
+        ridges(tile(0)[1], load_sensor("soft_bubble"))
 
 
 def write(folder: Path, *, turns: bool) -> None:
     for k in range(4):
         touching, picture = tile(k)
         way = k if turns else 0
-        cv2.imwrite(str(folder / f"{k}_gelslim.png"), np.ascontiguousarray(turned(picture, way))[..., ::-1])
+        cv2.imwrite(str(folder / f"{k}_gelslim.png"), np.ascontiguousarray(rotate_image(picture, way))[..., ::-1])
         cv2.imwrite(
-            str(folder / f"{k}_bubble_gt.png"), np.ascontiguousarray(turned((200 * touching).astype("u1"), way))
+            str(folder / f"{k}_bubble_gt.png"), np.ascontiguousarray(rotate_image((200 * touching).astype("u1"), way))
         )
 
 

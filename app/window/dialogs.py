@@ -1,0 +1,99 @@
+"""File dialogs, and what a path is."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping
+from pathlib import Path
+
+from PyQt6.QtWidgets import QFileDialog, QInputDialog, QWidget
+
+from app.session.state import SESSION_SUFFIX
+from pipeline.geometry.meshes import UnitProblem
+
+ALIGNMENT_SUFFIX = ".toml"
+WEIGHTS_SUFFIX = ".safetensors"
+MESH_SUFFIXES = (".stl", ".obj", ".ply")
+_UNITS = {
+    "auto": "Meshes, in mm if that can be",
+    "mm": "Meshes in millimetres",
+    "cm": "Meshes in centimetres",
+    "m": "Meshes in metres",
+    "in": "Meshes in inches",
+}
+
+OPEN_DIALOGS: Mapping[str, tuple[str, str]] = {  # command -> title and kinds of files, none for a folder
+    "open_recording": ("Open recording", "Recordings (*.h5 *.hdf5 *.pt *.npz *.mp4 *.avi *.mov *.mkv);;All files (*)"),
+    "hold_recording": (
+        "Beside another recording",
+        "Recordings (*.h5 *.hdf5 *.pt *.npz *.mp4 *.avi *.mov *.mkv);;All files (*)",
+    ),
+    "open_folder": ("Open folder of images", ""),
+    "open_calibration": ("Open calibration", "Calibrations (*.npz);;All files (*)"),
+    "open_weights": ("Open weights", "Weights of a network (*.safetensors *.pth *.pt);;All files (*)"),
+    "open_reference": ("Open reference", "Images (*.png *.jpg *.jpeg *.bmp *.tif *.tiff);;All files (*)"),
+    "open_alignment": ("Open alignment", f"Alignments (*{ALIGNMENT_SUFFIX});;All files (*)"),
+    "open_session": ("Open session", f"Sessions (*{SESSION_SUFFIX});;All files (*)"),
+}
+_SAVERS = {  # command -> title, kind of file and its suffix
+    "save_alignment": ("Save alignment", "Alignments", ALIGNMENT_SUFFIX),
+    "save_session": ("Save session", "Sessions", SESSION_SUFFIX),
+    "save_session_as": ("Save session as", "Sessions", SESSION_SUFFIX),
+    "save_picture": ("Save picture", "Pictures", ".png"),
+    "make_case": ("Make a case", "Cases", ".case"),
+}
+
+
+def ask_open_path(parent: QWidget, command: str, folder: str = "") -> Path | None:
+    """Ask for what a command opens, beginning in `folder`."""
+    title, kinds = OPEN_DIALOGS[command]
+    if kinds:
+        chosen, _ = QFileDialog.getOpenFileName(parent, title, folder, kinds)
+    else:
+        chosen = QFileDialog.getExistingDirectory(parent, title, folder)
+    return Path(chosen) if chosen else None
+
+
+def ask_save_path(parent: QWidget, command: str, folder: str = "") -> Path | None:
+    """Ask where a command writes to; a name without a suffix gets one, and a session always its own."""
+    title, kind, suffix = _SAVERS[command]
+    chosen, _ = QFileDialog.getSaveFileName(parent, title, folder, f"{kind} (*{suffix})")
+    path = Path(chosen)
+    if not chosen:
+        return None
+    named = path.name.endswith(suffix) or (bool(path.suffix) and suffix != SESSION_SUFFIX)
+    return path if named else path.with_name(path.name + suffix)
+
+
+def ask_export_path(parent: QWidget, title: str, suffix: str, folder: str = "") -> Path | None:
+    """Ask for a file's name that ends in `suffix`."""
+    kind = suffix.removeprefix(".").upper()
+    chosen, _ = QFileDialog.getSaveFileName(parent, title, folder, f"{kind} (*{suffix})")
+    if not chosen:
+        return None
+    path = Path(chosen)
+    return path if path.suffix.lower() == suffix else path.with_name(path.name + suffix)
+
+
+def ask_name(parent: QWidget, title: str, now: str) -> str:
+    """Ask for a name; "" for none."""
+    name, said = QInputDialog.getText(parent, title, "name", text=now)
+    return name.strip() if said else ""
+
+
+def quote_path(path: Path) -> str:
+    """A path as a word of a command line."""
+    return shlex.quote(str(path.absolute()))
+
+
+def format_unit_problem(error: UnitProblem) -> str:
+    """The sentence of a mesh that was opened in the wrong unit, with the way out that this window has."""
+    units = " or ".join(f"'{_UNITS[unit]}'" for unit in error.fits)
+    return f"{error.size}; choose 'Open mesh…' and there {units}: '{error.path}'"
+
+
+def ask_mesh(parent: QWidget, _command: str, folder: str = "") -> tuple[Path, str] | None:
+    """Ask for an object mesh and the unit it is in, which no mesh file says."""
+    kinds = {f"{text} ({' '.join('*' + s for s in MESH_SUFFIXES)})": unit for unit, text in _UNITS.items()}
+    chosen, kind = QFileDialog.getOpenFileName(parent, "Open mesh", folder, ";;".join(kinds))
+    return (Path(chosen), kinds.get(kind, "auto")) if chosen else None

@@ -1,0 +1,70 @@
+"""Log records as Qt signals, and uncaught errors as log records and banners."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import threading
+from types import TracebackType
+
+from PyQt6.QtCore import QObject, pyqtSignal
+
+from app.window.dialogs import format_unit_problem
+from pipeline.base import error_log
+from pipeline.base.errors import TouchError
+from pipeline.geometry.meshes import UnitProblem
+
+log = logging.getLogger("tactoscope")
+
+
+class LogRelay(QObject):
+    """Passes log lines and uncaught errors of any thread on to the window's thread."""
+
+    line_logged = pyqtSignal(int, str)
+    error_uncaught = pyqtSignal(object)
+
+    def __init__(self, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self._handler = _Handler(self)
+        log.addHandler(self._handler)
+        log.setLevel(logging.DEBUG)
+
+    def catch_uncaught(self) -> None:
+        """Show errors that nobody caught: PyQt would end the process for one in a slot."""
+        sys.excepthook = self._uncaught
+        threading.excepthook = self._uncaught_in_thread
+
+    def close(self) -> None:
+        """Let go of the log and of the hooks."""
+        log.removeHandler(self._handler)
+        if sys.excepthook == self._uncaught:
+            sys.excepthook = sys.__excepthook__
+            threading.excepthook = threading.__excepthook__
+
+    def _uncaught(self, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        if issubclass(kind, KeyboardInterrupt):
+            sys.__excepthook__(kind, error, trace)
+            return
+        log.error("uncaught error", exc_info=(kind, error, trace))
+        self.error_uncaught.emit(error)
+
+    def _uncaught_in_thread(self, args: threading.ExceptHookArgs) -> None:
+        if args.exc_value is not None:
+            self._uncaught(args.exc_type, args.exc_value, args.exc_traceback)
+
+
+class _Handler(logging.Handler):
+    def __init__(self, relay: LogRelay) -> None:
+        super().__init__()
+        self._relay = relay
+        self.setFormatter(logging.Formatter("%(asctime)s  %(levelname)-7s  %(message)s", "%H:%M:%S"))
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._relay.line_logged.emit(record.levelno, self.format(record))
+
+
+def describe_error(error: BaseException) -> tuple[str, str]:
+    """What the banner says: a TouchError's own sentence, else a short one with the traceback as details."""
+    if isinstance(error, TouchError):
+        return format_unit_problem(error) if isinstance(error, UnitProblem) else str(error), ""
+    return error_log.format_sentence(error), error_log.format_details(error)

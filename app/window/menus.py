@@ -1,0 +1,107 @@
+"""The window's commands where one finds them: menus, tool bar, and the buttons of the timeline."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from PyQt6.QtCore import QSize, Qt
+from PyQt6.QtGui import QAction
+from PyQt6.QtWidgets import QDockWidget, QLabel, QMainWindow, QMenu, QToolBar, QToolButton, QWidget
+
+from app.window.actions import (
+    COMPARISON_MODE_COMMANDS,
+    EDIT_COMMANDS,
+    FILE_COMMANDS,
+    HELP_COMMANDS,
+    LAYOUT_COMMANDS,
+    PLAYBACK_COMMANDS,
+    THEME_COMMANDS,
+    VIEW_COMMANDS,
+)
+from widgets.timeline import Timeline
+
+_TOOLS = (
+    "open_recording",
+    "open_folder",
+    "open_mesh",
+    "export",
+    "",
+    "undo",
+    "redo",
+    "",
+    "link_cameras",
+    "reset_view",
+    "freeze_trace",
+    "section_line",
+    "",
+    "show_truth",
+    "show_difference",
+    "show_wipe",
+    "show_blink",
+)
+_FIRST_OF_THEIR_KIND = frozenset(
+    ("open_mesh", "save_session", "export", "quit", "reset_all", "ten_back", "show_truth", "only_1")
+)
+_NAMED = ("open_recording", "open_mesh", "freeze_trace")
+
+
+def build_menus(
+    window: QMainWindow, actions: Mapping[str, QAction], n_columns: int, drawers: Iterable[QDockWidget]
+) -> dict[str, QMenu]:
+    """Every command once, by what it is about; the menus by their names."""
+    bar, menus = window.menuBar(), dict[str, QMenu]()
+    assert bar is not None
+    for title, names in (
+        ("&File", [c.name for c in FILE_COMMANDS]),
+        ("&Edit", [c.name for c in EDIT_COMMANDS]),
+        ("&Play", [c.name for c in PLAYBACK_COMMANDS]),
+        (
+            "&View",
+            [c.name for c in VIEW_COMMANDS + COMPARISON_MODE_COMMANDS] + [f"only_{i + 1}" for i in range(n_columns)],
+        ),
+        ("&Layout", [c.name for c in LAYOUT_COMMANDS]),
+        ("&Help", [c.name for c in HELP_COMMANDS]),
+    ):
+        menu = bar.addMenu(title)
+        assert menu is not None
+        menus[title.replace("&", "")] = menu
+        for name in names:
+            if name in _FIRST_OF_THEIR_KIND:
+                menu.addSeparator()
+            menu.addAction(actions[name])
+        if title == "&View":
+            menu.addSeparator()
+            for drawer in drawers:
+                menu.addAction(drawer.toggleViewAction())
+            menu.addSeparator()
+            menu.addActions([actions[command.name] for command in THEME_COMMANDS])
+    return menus
+
+
+def build_tool_bar(
+    window: QMainWindow, actions: Mapping[str, QAction], choosers: Sequence[tuple[str, QWidget]], timeline: Timeline
+) -> None:
+    """What is used most, `choosers` with their labels, and the buttons of the timeline."""
+    bar = QToolBar("Commands", window)
+    bar.setObjectName("tool_bar")
+    bar.setMovable(False)
+    bar.setIconSize(QSize(20, 20))
+    window.addToolBar(bar)
+    for name in _TOOLS:
+        if name:
+            bar.addAction(actions[name])
+        else:
+            bar.addSeparator()
+    bar.addSeparator()
+    for label, box in choosers:
+        word = QLabel(f"  {label} ")
+        word.setBuddy(box)
+        bar.addWidget(word)
+        bar.addWidget(box)
+    for name in _NAMED:  # the others' names are in their tips and in the menus
+        button = bar.widgetForAction(actions[name])
+        if isinstance(button, QToolButton):
+            button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
+    for name in ("first", "previous", "play", "next", "last"):
+        timeline.add_command(actions[name])
+    timeline.add_command(actions["loop"])

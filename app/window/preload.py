@@ -1,0 +1,35 @@
+"""An empty window makes itself ready for a first recording while nobody has chosen one."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import QObject
+
+from app.session.state import Session
+from app.window.session_controller import SessionController
+from app.work.jobs import LatestJob
+from app.work.preload import preload_depth
+from widgets.styling import make_single_shot_timer
+
+_AFTER_MS = 700  # the window, its 3D views among it, comes first
+
+
+class PreloadController(QObject):
+    """Works once, on a thread of its own; what is opened meanwhile loads the same, and goes first."""
+
+    def __init__(self, instrument: SessionController) -> None:
+        super().__init__(instrument)
+        self.job = LatestJob("warming", self)
+        self.start_timer = make_single_shot_timer(self, _AFTER_MS, lambda: self.job.submit(preload_depth))
+        instrument.session_shown.connect(self._stop)
+        instrument.closing.connect(self._close)
+        if instrument.session.recording is None:
+            self.start_timer.start()
+
+    def _stop(self, session: Session) -> None:
+        if session.recording is not None:
+            self.start_timer.stop()
+            self.job.cancel()
+
+    def _close(self) -> None:
+        self.start_timer.stop()
+        self.job.close()

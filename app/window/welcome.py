@@ -1,0 +1,43 @@
+"""The welcome page: over the empty stages until something is open."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import QObject
+
+from app.session.sample import SAMPLE_RECORDING
+from app.session.state import Session
+from app.window.autosave import AutosaveController
+from app.window.session_controller import SessionController
+from widgets.welcome import WelcomePage
+
+_COMMANDS = ("open_sample", "open_recording", "open_folder", "live")
+
+
+class WelcomeController(QObject):
+    """Between the page and the instrument."""
+
+    def __init__(self, instrument: SessionController, keeping: AutosaveController) -> None:
+        super().__init__(instrument)
+        self._instrument, self._keeping, window = instrument, keeping, instrument.window
+        centre = window.centralWidget()
+        assert centre is not None
+        actions = window.actions_by_name
+        self.page = WelcomePage(centre, window.pages, [actions[name] for name in _COMMANDS])
+        self.page.recent_chosen.connect(instrument.open_path)
+        self.page.hide()
+        actions["open_sample"].setEnabled(SAMPLE_RECORDING.exists())
+        window.connect_command("open_sample", self.open_sample)
+        instrument.session_shown.connect(self.show_session)
+        self.show_session(instrument.session)
+
+    def open_sample(self) -> None:
+        """Open the recording that comes along."""
+        self._instrument.open_path(SAMPLE_RECORDING)
+
+    def show_session(self, session: Session) -> None:
+        """Show the page while nothing is open."""
+        empty = session.recording is None
+        if empty and self.page.isHidden():
+            self.page.show_recent(self._keeping.preferences.recent_files)
+            self.page.raise_()
+        self.page.setVisible(empty)

@@ -1,0 +1,144 @@
+"""What the target really felt beside what the alignment carries over: of one frame, worked out once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from pipeline.alignment.nudge import compute_pivot_mm
+from pipeline.alignment.score import AlignmentScore, score_preview
+from pipeline.alignment.sensitivity import Sensitivity, compute_sensitivities
+from pipeline.alignment.target_observation import TargetObservation, observe_target, preview_factor
+from pipeline.alignment.touches import AlignmentTouch
+from pipeline.base.arrays import Doubles, Floats
+from pipeline.base.errors import TouchError
+from pipeline.base.progress import Progress
+from pipeline.previews.preview import trace_outline
+from pipeline.sensors.alignment import Alignment, shift_alignment_along_z
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
+from pipeline.stages.depth.photometric import DepthParams, estimate_depth, skip_without_contact
+from pipeline.stages.target_depth.surface_projection import ProjectionParams, project_cloud
+from pipeline.translation.translate import Translation, estimate_camera_shift_mm
+from pipeline.values.results import DepthMap, TargetDepth
+
+
+@dataclass(frozen=True, kw_only=True)  # no slots: what is asked for is worked out once and kept
+class TargetComparison:
+    """One frame as both sensors felt it; without `touch` there is nothing to compare with, and `reason` says why."""
+
+    index: int
+    target: SensorSpec
+    source: DepthMap
+    source_shift_mm: float
+    paired_touch: AlignmentTouch | None
+    unavailable_reason: str
+
+    def compute_pivot_mm(self, opened: Alignment) -> Doubles:
+        """The middle of the contact (3,) in the target frame under the opened alignment: what turns are about."""
+        return compute_pivot_mm(
+            self.source, shift_alignment_along_z(opened, source_shift_mm=self.source_shift_mm, target_shift_mm=0.0)
+        )
+
+    @cached_property
+    def preview_downsampling(self) -> int:
+        """One preview pixel is this many of the target's along each side."""
+        return preview_factor(self.target)
+
+    @cached_property
+    def coarse_observation(self) -> TargetObservation | None:
+        """The target's side for dragging."""
+        return (
+            None
+            if self.paired_touch is None
+            else observe_target(self.paired_touch.target, self.target, factor=self.preview_downsampling)
+        )
+
+    @cached_property
+    def full_observation(self) -> TargetObservation | None:
+        """The target's side at full size."""
+        return None if self.paired_touch is None else observe_target(self.paired_touch.target, self.target)
+
+    @cached_property
+    def observed_outline_px(self) -> Floats | None:
+        """Border (n, 2) of what the target felt, on its full image."""
+        return None if self.paired_touch is None else trace_outline(self.paired_touch.target.contact)
+
+    def preview_alignment(
+        self, alignment: Alignment, params: ProjectionParams
+    ) -> tuple[TargetDepth, AlignmentScore | None]:
+        """The touch as the alignment carries it over, drawn coarse, and how well it agrees: the figures of a rest."""
+        if self.paired_touch is not None and self.coarse_observation is not None:
+            return score_preview(self.paired_touch, alignment, self.coarse_observation, params)[0], self.compute_score(
+                alignment, params
+            )
+        there = shift_alignment_along_z(alignment, source_shift_mm=self.source_shift_mm, target_shift_mm=0.0)
+        small = self.target.with_camera(self.target.camera.scale(1.0 / self.preview_downsampling))
+        return project_cloud(
+            back_project_depth(self.source, there, BackProjectionParams(stride=min(2, self.preview_downsampling))),
+            small,
+            params,
+        ), None
+
+    def project_touch(self, alignment: Alignment, params: ProjectionParams) -> TargetDepth:
+        """The touch as the alignment carries it over, at full size."""
+        if self.paired_touch is not None and self.full_observation is not None:
+            return score_preview(self.paired_touch, alignment, self.full_observation, params)[0]
+        there = shift_alignment_along_z(alignment, source_shift_mm=self.source_shift_mm, target_shift_mm=0.0)
+        return project_cloud(back_project_depth(self.source, there, BackProjectionParams()), self.target, params)
+
+    def compute_score(self, alignment: Alignment, params: ProjectionParams) -> AlignmentScore | None:
+        """How well the touch agrees at full size."""
+        return (
+            None
+            if self.paired_touch is None or self.full_observation is None
+            else score_preview(self.paired_touch, alignment, self.full_observation, params)[1]
+        )
+
+    def compute_sensitivities(
+        self, alignment: Alignment, params: ProjectionParams, pivot: Doubles, progress: Progress
+    ) -> tuple[Sensitivity, ...]:
+        """Which axis matters; nothing where there is nothing to compare with."""
+        if self.paired_touch is None or self.coarse_observation is None:
+            return ()
+        return compute_sensitivities(
+            self.paired_touch, alignment, self.coarse_observation, params, pivot=pivot, progress=progress
+        )
+
+
+def build_target_comparison(
+    translation: Translation, index: int, params: DepthParams, source: DepthMap
+) -> TargetComparison:
+    """Frame `index` on both sides, `source` being its depth; the target's is worked out here."""
+    frame = translation.stream.frame(index)
+    shift_mm = estimate_camera_shift_mm(frame, translation.source)
+    touch, reason = None, ""
+    try:
+        touch, reason = _paired(translation, index, source, shift_mm, params)
+    except TouchError as error:
+        reason = f"{translation.target.name}'s own touch cannot be used: {error}"
+    return TargetComparison(
+        index=index,
+        target=translation.target,
+        source=source,
+        source_shift_mm=shift_mm,
+        paired_touch=touch,
+        unavailable_reason=reason,
+    )
+
+
+def _paired(
+    translation: Translation, index: int, source: DepthMap, shift_mm: float, params: DepthParams
+) -> tuple[AlignmentTouch | None, str]:
+    spec, other = translation.target, translation.read_target_observation(index)
+    if other is None:
+        return None, f"the recording has no {spec.name} touch to compare with"
+    seen = other[0]
+    felt_there = skip_without_contact(seen, spec, None, params) or estimate_depth(seen, spec, None, params)
+    touch = AlignmentTouch(
+        index=index, source=source, target=felt_there, source_shift_mm=shift_mm,
+        target_shift_mm=estimate_camera_shift_mm(seen, spec),
+    )  # fmt: skip
+    if not touch.overlap:
+        return None, f"frame {index} is not felt by both sensors"
+    return touch, ""

@@ -1,0 +1,89 @@
+"""A depth method by its name, balls fitted to what it reads, and real pictures of them: for questions about depth.
+
+Not a question itself.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy import optimize
+
+from pipeline.base.errors import SettingProblem
+from pipeline.base.progress import SILENT
+from pipeline.engine.graph import Fallback, Skipped
+from pipeline.geometry.camera import Camera
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.depth.stage import STAGE
+from pipeline.values.frames import TactileFrame
+from pipeline.values.results import DepthMap
+
+DepthReader = Callable[[TactileFrame, SensorSpec], DepthMap]
+_FEWEST_PX = 20  # of a contact that a sphere is fitted to
+
+
+def build_reader(method: str = "network") -> DepthReader:
+    """What fills the slot *depth* by this method, without a calibration: the sensor's description is all it is told.
+
+    "network=FILE" gives weights in place of those that come along.
+    """
+    method, _, file = method.partition("=")
+    found = next((m for m in STAGE.methods if m.name == method), None)
+    if found is None:
+        raise SettingProblem(f"no depth method {method!r}; there are {', '.join(m.name for m in STAGE.methods)}")
+
+    def read(frame: TactileFrame, source: SensorSpec) -> DepthMap:
+        given: dict[str, object] = {"frame": frame, "source": source}
+        if found.weights is not None:
+            given[found.weights_name] = found.weights(source, source, Path(file) if file else None)
+        answer = found.run(*(given.get(name) for name in found.reads), found.params(), SILENT)
+        if isinstance(answer, Fallback):  # another method's figures would stand under this one's name
+            raise SettingProblem(answer.why)
+        return answer.output if isinstance(answer, Skipped) else answer
+
+    return read
+
+
+def picture(path: Path):
+    return np.ascontiguousarray(cv2.imread(str(path))[..., ::-1])
+
+
+def list_numbered_files(folder: Path, pattern: str) -> list[Path]:
+    return sorted(folder.glob(pattern), key=lambda p: int("".join(c for c in p.stem.split("_")[-1] if c.isdigit())))
+
+
+def at_scale(source: SensorSpec, pixel_mm: float) -> SensorSpec:
+    """The sensor with pixels of this width, as a unit has them."""
+    c = source.camera
+    focal = float(np.median(source.rest_depth_mm)) / pixel_mm
+    camera = Camera(rows=c.rows, cols=c.cols, fx_px=focal, fy_px=focal, cx_px=c.cx_px, cy_px=c.cy_px)
+    return dataclasses.replace(source, camera=camera)
+
+
+def sphere(indentation_mm, contact, pixel_mm: float) -> tuple[float, float]:
+    """(diameter, rms) in mm of the sphere nearest to the surface inside the contact; NaN without one."""
+    if contact.sum() < _FEWEST_PX:
+        return np.nan, np.nan
+    y, x = (pixel_mm * n for n in np.nonzero(contact))
+    z = indentation_mm[contact].astype(np.float64)
+
+    def compute_errors(p):
+        return np.sqrt(np.maximum(p[3] ** 2 - (x - p[0]) ** 2 - (y - p[1]) ** 2, 1e-6)) + p[2] - z
+
+    found = optimize.least_squares(compute_errors, [x.mean(), y.mean(), z.max() - 4.0, 4.0])
+    return 2 * abs(found.x[3]), float(np.sqrt(np.mean(found.fun**2)))
+
+
+def patches(contact) -> list[int]:
+    """Pixels of every connected part of a contact, the largest first."""
+    stats = cv2.connectedComponentsWithStats(contact.astype(np.uint8), connectivity=8)[2]
+    return sorted((int(n) for n in stats[1:, cv2.CC_STAT_AREA]), reverse=True)
+
+
+def largest_patch(contact):
+    n, labels, stats, _ = cv2.connectedComponentsWithStats(contact.astype(np.uint8), connectivity=8)
+    return labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA])) if n > 1 else contact

@@ -1,0 +1,65 @@
+"""Where to begin: a search over shifts and turns in the plane of the touch, since outlines have many near misses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from pipeline.alignment.normal_equations import ResidualNoise, compute_cost, make_view
+from pipeline.alignment.residuals import Evidence, thin_points
+from pipeline.base.arrays import Doubles
+from pipeline.base.progress import Progress
+from pipeline.geometry import rigid
+from pipeline.sensors.offsets import compose_motion
+
+JUDGED = ResidualNoise(surface_mm=0.2, outline_mm=0.4)  # fixed, so that costs of different places compare
+JUDGED_SCALE = ResidualNoise(surface_mm=1.0, outline_mm=2.0)
+_SHIFTS_MM = np.arange(-4.0, 4.5, 1.0)
+_TURNS_DEG = np.arange(-8.0, 8.5, 4.0)
+_TOUCHES = 4  # that are looked at, spread over all
+_POINTS = 80  # of each kind
+_APART_MM = 1.5  # two beginnings nearer than this, and within one turn, end at the same place
+
+
+def list_initial_alignments(
+    touches: Sequence[Evidence], start: Doubles, pivot_mm: Doubles, many: int, progress: Progress
+) -> list[Doubles]:
+    """Motions (4, 4) after `start` to begin from: none at all first, then the `many` best and different of a grid.
+
+    The grid spans 4 mm and 8 deg in the plane that the touch lies in, the source's optical axis being its normal;
+    after each shift the surfaces are brought together along it, because depth is what a wrong shift spoils.
+    """
+    few = [thin_points(t, _POINTS) for t in touches[:: max(1, -(-len(touches) // _TOUCHES))]]
+    x, y, normal = start[:3, :3].T
+    ranked: list[tuple[float, int, float, float, Doubles]] = []
+    for n, (right, down, turn) in enumerate(_grid()):
+        if n % 50 == 0:
+            progress.step(0.0, "looking for a place to begin")
+        motion = compose_motion(pivot_mm, np.deg2rad(turn) * normal, right * x + down * y)
+        motion = rigid.translation(*(_lift_mm(few, motion @ start) * normal)) @ motion
+        ranked.append((compute_cost(few, motion @ start, JUDGED, JUDGED_SCALE), n, right, down, motion))
+    chosen: list[tuple[float, float]] = []
+    found = [np.eye(4)]
+    for _, _, right, down, motion in sorted(ranked, key=lambda entry: entry[:2]):
+        if all(np.hypot(right - a, down - b) >= _APART_MM for a, b in chosen):
+            chosen.append((right, down))
+            found.append(motion)
+        if len(found) > many:
+            break
+    return found
+
+
+def _grid() -> Iterator[tuple[float, float, float]]:
+    for turn in _TURNS_DEG:
+        for right in _SHIFTS_MM:
+            for down in _SHIFTS_MM:
+                yield float(right), float(down), float(turn)
+
+
+def _lift_mm(touches: Sequence[Evidence], target_from_source: Doubles) -> float:
+    """How far along the source's axis the surfaces are apart, against the sign that would close the gap."""
+    normal = target_from_source[:3, 2]
+    surfaces = [one.surface for one in make_view(touches, target_from_source)]
+    found = [s.mm / (s.jacobian @ normal) for s in surfaces if s.mm.size]
+    return -float(np.median(np.concatenate(found))) if found else 0.0

@@ -1,0 +1,17 @@
+"""The name of the processor that figures come from."""
+
+from __future__ import annotations
+
+import platform
+from pathlib import Path
+
+
+def describe_processor() -> str:
+    """Its model as the system tells it."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass  # only Linux has this file
+    return platform.processor() or platform.machine()

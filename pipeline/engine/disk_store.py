@@ -1,0 +1,86 @@
+"""Values kept on disk for the next process: what takes long to work out and depends on little.
+
+The folder is the platform's cache of this user. A file is named after what its value was made of, the code that made it
+included; one that is damaged is made again; where nothing can be read or written, everything works without.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import fields
+from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.base.arrays import freeze
+from pipeline.base.errors import FileProblem
+from pipeline.base.files import pack_arrays, whole_file
+from pipeline.engine.digests import compute_digest
+
+_MOST_FILES = 40  # of one kind; a distance grid takes 16 MB
+
+T = TypeVar("T")
+
+
+def load_or_make(kind: type[T], made_of: object, code: tuple[str, ...], make: Callable[[], T], folder: Path | str) -> T:
+    """The value that `make` makes of `made_of` by the modules `code`: read from disk, or made and written there.
+
+    A package in `code` stands for all of its own modules.
+    `kind` is a flat dataclass of arrays, numbers and tuples of words; a relative `folder` lies in this user's cache.
+    """
+    key = compute_digest((_source(code), made_of))
+    path = cache_folder() / folder / f"{key}.npz"
+    value = _read(kind, path, key)
+    if value is None:
+        value = make()
+        _write(value, path, key)
+    return value
+
+
+def cache_folder() -> Path:
+    """Where this program keeps what it can make again."""
+    import platformdirs
+
+    return Path(platformdirs.user_cache_dir("tactoscope", appauthor=False))
+
+
+@lru_cache(maxsize=16)
+def _source(code: tuple[str, ...]) -> str:
+    """Digest of the source of modules: a changed line makes other files."""
+    return compute_digest([file.read_text("utf-8") for name in code for file in _files(name)])
+
+
+def _files(name: str) -> list[Path]:
+    """The files of a module, or of a package's own modules."""
+    spec = find_spec(name)
+    if spec is None or not spec.origin:
+        return []
+    return sorted(Path(spec.origin).parent.glob("*.py")) if spec.submodule_search_locations else [Path(spec.origin)]
+
+
+def _read(kind: type[T], path: Path, key: str) -> T | None:
+    found, names = pack_arrays(path), {f.name for f in fields(cast("Any", kind))}
+    if found is None or str(found.pop("key", "")) != key or set(found) != names:
+        return None
+    return kind(**{name: _plain(array) for name, array in found.items()})
+
+
+def _plain(array: NDArray[Any]) -> object:
+    if array.ndim == 0:
+        return array.item()
+    return tuple(str(word) for word in array) if array.dtype.kind == "U" else freeze(array)
+
+
+def _write(value: object, path: Path, key: str) -> None:
+    arrays: dict[str, Any] = {f.name: np.asarray(getattr(value, f.name)) for f in fields(cast("Any", value))}
+    with contextlib.suppress(FileProblem, OSError):
+        with whole_file(path, "a file of the cache") as file:
+            np.savez(file, key=np.array(key), **arrays)
+        newest_last = sorted(path.parent.glob("*.npz"), key=lambda file: file.stat().st_mtime)
+        for old in newest_last[:-_MOST_FILES]:
+            old.unlink(missing_ok=True)

@@ -1,0 +1,109 @@
+"""The figures of one generated touch, region by region, and how many touches become one figure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles, Floats, Mask
+from pipeline.evaluation.recorded_touch import RecordedTouch, Region
+from pipeline.metrics.image_similarity import BORDER_PX, compute_similarity_map
+from pipeline.metrics.stage_metrics import PSNR_CAP_DB, Metric, iou, mean_abs_mm
+from pipeline.values.results import DepthMap
+
+TOUCH_METRICS: Mapping[str, Metric] = {
+    "psnr_db": Metric(unit="dB", better="higher", meaning="of all touches as one picture, as the paper's code has it"),
+    "ssim": Metric(unit="", better="higher", meaning="similarity to the recorded touch"),
+    "psnr_exact_db": Metric(unit="dB", better="higher", meaning="the same against a bubble's imprint without noise"),
+    "ssim_exact": Metric(unit="", better="higher", meaning="the same against a bubble's imprint without noise"),
+    "error_mm": Metric(unit="mm", better="lower", meaning="mean absolute error of the membrane"),
+    "iou": Metric(unit="", better="higher", meaning="overlap of contact"),
+    "correlation": Metric(unit="", better="higher", meaning="with the true change, both less the mean touch"),
+}
+_SQUARED = {"psnr_db": "squared", "psnr_exact_db": "squared_exact"}  # figure -> what is added up for it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TouchMetrics:
+    """Of one touch: (figure, region) -> value; NaN never, what has no value is absent."""
+
+    values: Mapping[tuple[str, Region], float]
+    n_pixels: Mapping[Region, int]
+    peak_value: float
+    pose_errors: Mapping[str, float] = field(default_factory=dict)  # pose errors by name
+
+
+def compute_touch_metrics(
+    made: Floats, touch_depth: DepthMap | None, true: RecordedTouch, known: Mask, mean: Floats | None
+) -> TouchMetrics:
+    """All figures of a generated change (rows, cols, channels); `felt` is its membrane, where that can be told.
+
+    `mean` is the mean change of other touches of this sensor: None leaves the correlation out.
+    """
+    regions = true.compute_region_masks(known)
+    values: dict[tuple[str, Region], float] = {}
+    picture, exact = true.render_image(made), true.render_image(true.noise_free_change)
+    alike = compute_similarity_map(picture, true.image, true.peak_value)
+    alike_exact = alike if true.kind == "gel" else compute_similarity_map(picture, exact, true.peak_value)
+    inner = np.zeros(true.contact.shape, np.bool_)
+    inner[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX] = True
+    membrane = made[..., 0] if true.kind == "bubble" else None if touch_depth is None else touch_depth.indentation_mm
+    for region, where in regions.items():
+        found = {
+            "squared": _mean_square(picture - true.image, where),
+            "squared_exact": _mean_square(picture - exact, where),
+            "ssim": _mean(alike, where & inner),
+            "ssim_exact": _mean(alike_exact, where & inner),
+        }
+        if membrane is not None:
+            found["error_mm"] = mean_abs_mm(membrane, true.indentation_mm, where)
+        if touch_depth is not None and (true.contact & where).any():
+            found["iou"] = iou(touch_depth.contact & where, true.contact & where)
+        if mean is not None:
+            found["correlation"] = _correlation(made - mean, true.noise_free_change - mean, where)
+        values |= {(name, region): value for name, value in found.items() if math.isfinite(value)}
+    counts: dict[Region, int] = {region: int(np.count_nonzero(where)) for region, where in regions.items()}
+    return TouchMetrics(values=values, n_pixels=counts, peak_value=true.peak_value)
+
+
+def pool_metrics(touches: Sequence[TouchMetrics]) -> dict[str, dict[str, float]]:
+    """Figure -> region -> value of many touches: PSNR of all pixels together, of the others the mean over touches."""
+    found: dict[str, dict[str, float]] = {}
+    keys = dict.fromkeys(key for one in touches for key in one.values)
+    for name in TOUCH_METRICS:
+        summed = _SQUARED.get(name)
+        for source, region in keys:
+            if source != (summed or name):
+                continue
+            those = [one for one in touches if (source, region) in one.values]
+            values = np.array([one.values[source, region] for one in those])
+            if summed:
+                weights = np.array([one.n_pixels[region] for one in those], np.float64)
+                value = _psnr_db(float(np.average(values, weights=weights)), those[0].peak_value)
+            else:
+                value = float(values.mean())
+            found.setdefault(name, {})[region] = value
+    return found
+
+
+def _psnr_db(squared: float, peak: float) -> float:
+    return min(PSNR_CAP_DB, 10.0 * math.log10(peak * peak / squared)) if squared > 0 else PSNR_CAP_DB
+
+
+def _mean(values: Doubles, where: Mask) -> float:
+    return float(values[where].mean()) if where.any() else math.nan
+
+
+def _mean_square(gap: Doubles, where: Mask) -> float:
+    return float((gap[where] ** 2).mean())
+
+
+def _correlation(a: Floats, b: Floats, where: Mask) -> float:
+    """Of two changes within a region, all channels together; NaN where one of them does not vary."""
+    x, y = (v[where].astype(np.float64).ravel() for v in (a, b))
+    x, y = x - x.mean(), y - y.mean()
+    size = math.sqrt(float(x @ x) * float(y @ y))
+    return float(x @ y) / size if size > 0 else math.nan

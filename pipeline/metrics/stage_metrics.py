@@ -1,0 +1,162 @@
+"""How far a result is from what is known to be true."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.base.arrays import Floats, Image, Mask
+from pipeline.geometry import rigid
+from pipeline.geometry.meshes import Mesh
+from pipeline.metrics.symmetric_pose_error import compute_ambiguity, compute_symmetric_error
+from pipeline.values.frames import TactileFrame, Truth
+from pipeline.values.results import ObjectPose
+
+if TYPE_CHECKING:
+    from pipeline.geometry.symmetry import Symmetry
+
+_SAME_MM = 1.0  # answers this close are one
+PSNR_CAP_DB = 100.0  # identical images have no finite ratio; published tables cap it too
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Metric:
+    """What a figure says: its unit, which way is better, and its short name where the window shows it."""
+
+    title: str = ""
+    unit: str
+    better: Literal["lower", "higher", "neither"]
+    meaning: str
+
+
+METRICS: Mapping[str, Metric] = {
+    "mae_mm": Metric(
+        title="error", unit="mm", better="lower", meaning="mean absolute error of indentation over the whole image"
+    ),
+    "contact_mae_mm": Metric(
+        title="error in contact",
+        unit="mm",
+        better="lower",
+        meaning="mean absolute error of indentation inside the true contact",
+    ),
+    "contact_iou": Metric(
+        title="IoU of contact", unit="", better="higher", meaning="intersection over union of contact and true contact"
+    ),
+    "psnr_db": Metric(title="PSNR", unit="dB", better="higher", meaning="peak signal-to-noise ratio of the picture"),
+    "depth_mae_mm": Metric(
+        title="off the depth image",
+        unit="mm",
+        better="lower",
+        meaning="mean absolute difference to the recorded depth image",
+    ),
+    "translation_mm": Metric(title="shift", unit="mm", better="lower", meaning="shift of the object at the contact"),
+    "rotation_deg": Metric(title="turn", unit="deg", better="lower", meaning="turn of the object"),
+    "mssd_mm": Metric(
+        title="surface off",
+        unit="mm",
+        better="lower",
+        meaning="largest shift of the object's surface, after its symmetry",
+    ),
+    "se2_mm": Metric(
+        title="shift in the plane", unit="mm", better="lower", meaning="shift in the sensor's plane, after its symmetry"
+    ),
+    "se2_deg": Metric(
+        title="turn in the plane", unit="deg", better="lower", meaning="turn in the sensor's plane, after its symmetry"
+    ),
+    "observable_mm": Metric(
+        title="determined shift", unit="mm", better="lower", meaning="shift along what the contact determines"
+    ),
+    "observable_deg": Metric(
+        title="determined turn", unit="deg", better="lower", meaning="turn about what the contact determines"
+    ),
+    "answers": Metric(
+        title="answers", unit="", better="neither", meaning="poses that fit equally well, up to symmetry"
+    ),
+    "answers_apart_mm": Metric(
+        title="answers apart", unit="mm", better="neither", meaning="largest distance (MSSD) between two of them"
+    ),
+}
+"""Name of a figure, as it stands behind the slot's (`pose.mssd_mm`) -> what it is."""
+
+
+def describe_metric(figure: str) -> str:
+    """`touch_depth.contact_mae_mm` as a person calls it: "felt: error in contact, mm"."""
+    slot, _, name = figure.partition(".")
+    metric = METRICS[name]
+    return f"{slot}: {metric.title}{', ' if metric.unit else ''}{metric.unit}"
+
+
+def mean_abs_mm(estimate: NDArray[np.floating], truth: NDArray[np.floating], where: Mask) -> float:
+    """Mean absolute difference in mm over `where`, pixels without a value left out; NaN if none is left."""
+    gap = np.abs(np.asarray(estimate, dtype=np.float64) - truth)[where]
+    gap = gap[np.isfinite(gap)]
+    return float(gap.mean()) if gap.size else math.nan
+
+
+def iou(a: Mask, b: Mask) -> float:
+    """Intersection over union of two masks; 1 when both are empty."""
+    union = int(np.count_nonzero(a | b))
+    return np.count_nonzero(a & b) / union if union else 1.0
+
+
+def psnr_db(a: NDArray[np.generic], b: NDArray[np.generic], peak: float) -> float:
+    """Peak signal-to-noise ratio in dB, at most `PSNR_CAP_DB`; NaN pixels are left out."""
+    gap = a.astype(np.float64) - b.astype(np.float64)
+    mse = float(np.nanmean(gap * gap))
+    return min(PSNR_CAP_DB, 10.0 * math.log10(peak * peak / mse)) if mse > 0 else PSNR_CAP_DB
+
+
+def compute_surface_metrics(indentation_mm: NDArray[np.floating], contact: Mask, truth: Truth) -> dict[str, float]:
+    """How far a membrane (rows, cols) is from what is known of it; empty where that has another size."""
+    figures: dict[str, float] = {}
+    if truth.contact is not None and truth.contact.shape == contact.shape:
+        figures["contact_iou"] = iou(contact, truth.contact)
+    if truth.indentation_mm is not None and truth.indentation_mm.shape == indentation_mm.shape:
+        everywhere = np.ones(contact.shape, dtype=np.bool_)
+        figures["mae_mm"] = mean_abs_mm(indentation_mm, truth.indentation_mm, everywhere)
+        if truth.contact is not None and truth.contact.any():
+            figures["contact_mae_mm"] = mean_abs_mm(indentation_mm, truth.indentation_mm, truth.contact)
+    return figures
+
+
+def compute_image_metrics(image: Image | Floats, frame: TactileFrame) -> dict[str, float]:
+    """How far a generated picture is from the one that was recorded; empty where that has another size."""
+    if image.shape != frame.image.shape:
+        return {}
+    if frame.is_depth:
+        everywhere = np.ones(image.shape, dtype=np.bool_)
+        return {
+            "depth_mae_mm": mean_abs_mm(np.asarray(image, np.float64), np.asarray(frame.image, np.float64), everywhere)
+        }
+    return {"psnr_db": psnr_db(image, frame.image, 255.0)}
+
+
+def compute_pose_metrics(
+    pose: ObjectPose, truth: Truth, mesh: Mesh | None = None, symmetry: Symmetry | None = None
+) -> dict[str, float]:
+    """How far a pose is from the true one; `mesh` and its `symmetry` (None = none) are those of the object.
+
+    `translation_mm` and `rotation_deg` are plain; `mssd_mm`, `se2_mm`, `se2_deg`, `observable_mm` and `observable_deg`
+    are those of `SymmetricError`.
+    """
+    if pose.sensor_from_object is None or truth.sensor_from_object is None:
+        return {}
+    centre = pose.scene_mm.astype(np.float64).mean(axis=0)
+    # The error is stated at the contact: a far-away object origin would turn a small angle into a large shift.
+    in_object = rigid.apply(rigid.invert(truth.sensor_from_object), centre)
+    off = rigid.apply(pose.sensor_from_object, in_object) - centre
+    turn = rigid.invert(truth.sensor_from_object) @ pose.sensor_from_object
+    figures = {"translation_mm": float(np.linalg.norm(off)), "rotation_deg": rigid.rotation_angle_deg(turn)}
+    if mesh is not None:
+        felt = compute_symmetric_error(
+            pose.sensor_from_object, truth.sensor_from_object, mesh, symmetry, centre, pose.observable
+        )  # fmt: skip
+        figures |= {f"{name}": value for name, value in asdict(felt).items() if math.isfinite(value)}
+        several = compute_ambiguity((pose.sensor_from_object, *pose.alternatives), mesh, symmetry, _SAME_MM)
+        figures |= {"answers": float(several.n_distinct), "answers_apart_mm": several.spread_mm}
+    return figures

@@ -1,0 +1,199 @@
+"""Pose errors that do not punish what nobody could feel: turns that map an object onto itself, and unseen motions.
+
+An object's symmetry is that of the whole object. What one touch shows can be more symmetric still: a hex key's shaft is
+a rod as long as its elbow is outside the window (BOP-Distrib). `on_observable` covers that, touch by touch.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.base.arrays import Doubles, freeze
+from pipeline.geometry import rigid
+from pipeline.geometry.meshes import Mesh
+
+if TYPE_CHECKING:
+    from pipeline.geometry.symmetry import Symmetry
+
+STEP = 0.01  # of the diameter, between neighbouring turns about an axis
+_FEW = 500  # vertices below which their convex hull is not worth its time
+_ROUGH, _AT_ONCE = 48, 8  # vertices that rank the symmetries, and symmetries that are then looked at together
+_GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
+_NARROWED = 24  # golden sections: to a hundred thousandth of the first bracket
+_SMALL_RAD = 1e-4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SymmetricError:
+    """How far an estimate is from the truth, as far as that can be felt."""
+
+    mssd_mm: float  # largest displacement of a vertex, least over the symmetries
+    se2_mm: float  # in the sensor plane, at the contact; for a body of revolution between the lines of the axes
+    se2_deg: float  # about the sensor's optical axis; for a body of revolution between the axes
+    observable_mm: float  # shift of the contact's middle, of what the estimate calls determined; NaN = it does not say
+    observable_deg: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ambiguity:
+    """Answers that fit equally well."""
+
+    n_distinct: int  # of those that no symmetry maps onto each other
+    spread_mm: float  # largest MSSD between two of them
+
+
+def compute_symmetric_error(
+    estimate: Doubles,
+    truth: Doubles,
+    mesh: Mesh,
+    symmetry: Symmetry | None,
+    at_mm: Doubles,
+    observable: Doubles | None = None,
+) -> SymmetricError:
+    """All errors of sensor_from_object (4, 4) at the contact's middle `at_mm` (3,) in the sensor frame.
+
+    `symmetry` None = not known: the object is taken as asymmetric. `observable` is that of `ObjectPose`.
+    """
+    mssd, turn = _nearest(estimate, truth, hull(mesh), symmetry)
+    same = truth @ turn
+    shift, angle = in_plane(estimate, _unrolled(estimate, same, symmetry), symmetry, at_mm)
+    seen, seen_angle = math.nan, math.nan
+    if observable is not None:
+        seen, seen_angle = on_observable(estimate, _unrolled(estimate, same, symmetry), observable, at_mm)
+    return SymmetricError(
+        mssd_mm=mssd, se2_mm=shift, se2_deg=angle, observable_mm=seen, observable_deg=seen_angle
+    )  # fmt: skip
+
+
+def in_plane(estimate: Doubles, truth: Doubles, symmetry: Symmetry | None, at_mm: Doubles) -> tuple[float, float]:
+    """(mm, deg) in the sensor's x-y plane, as the paper scores poses, for a truth already reduced by symmetry.
+
+    The shift is that of the object's point at `at_mm`. A body of revolution is compared by its axis alone: slides
+    along the axis are not counted here, they are in the MSSD.
+    """
+    motion = estimate @ rigid.invert(truth)
+    shift = rigid.apply(motion, at_mm) - at_mm
+    if symmetry is not None and symmetry.axis is not None:
+        axis = estimate[:3, :3] @ symmetry.axis
+        shift = shift - axis * (axis @ shift)
+    turn_rad = rigid.rotation_vector_rad(motion)[2]
+    return float(np.hypot(shift[0], shift[1])), abs(math.degrees(turn_rad))
+
+
+def on_observable(estimate: Doubles, truth: Doubles, observable: Doubles, at_mm: Doubles) -> tuple[float, float]:
+    """(mm, deg) of the motion from truth to estimate that lies in the directions the estimate calls determined.
+
+    The motion is taken as a screw about `at_mm` (the logarithm in SE(3)), so that a long slide and a full roll along a
+    rod, about a ball or over a plate stay within their directions, which are closed under composition.
+    """
+    middle = rigid.translation(*at_mm)
+    screw = _screw(rigid.invert(middle) @ estimate @ rigid.invert(truth) @ middle)
+    seen = observable @ screw
+    return float(np.linalg.norm(seen[3:])), math.degrees(float(np.linalg.norm(seen[:3])))
+
+
+def compute_ambiguity(poses: Sequence[Doubles], mesh: Mesh, symmetry: Symmetry | None, same_mm: float) -> Ambiguity:
+    """Of the minima that a registration reports: those within `same_mm` of MSSD of an earlier one count once."""
+    corners, kept, spread = hull(mesh), list[Doubles](), 0.0
+    for pose in poses:
+        apart = [_nearest(pose, other, corners, symmetry)[0] for other in kept]
+        if all(mm > same_mm for mm in apart):
+            kept.append(pose)
+            spread = max([spread, *apart])
+    return Ambiguity(n_distinct=len(kept), spread_mm=spread)
+
+
+def hull(mesh: Mesh) -> Doubles:
+    """The vertices (n, 3) that can be displaced most: displacement is convex, so that none within them can."""
+    return mesh.vertices_mm if len(mesh.vertices_mm) <= _FEW else _hull_of(mesh.vertices_mm.tobytes())
+
+
+@lru_cache(maxsize=8)
+def _hull_of(vertices_f64: bytes) -> Doubles:
+    from scipy.spatial import ConvexHull, QhullError
+
+    vertices = np.frombuffer(vertices_f64, dtype=np.float64).reshape(-1, 3)
+    try:
+        return freeze(vertices[ConvexHull(vertices).vertices])
+    except QhullError:  # a flat mesh has no hull
+        return vertices
+
+
+def _nearest(estimate: Doubles, truth: Doubles, points: Doubles, symmetry: Symmetry | None) -> tuple[float, Doubles]:
+    """(least MSSD in mm, the symmetry (4, 4) that gives it).
+
+    Maximum symmetry-aware surface distance of BOP: min over S of max over vertices x of |estimate x - truth S x|. A
+    continuous symmetry is searched at steps of one percent of the diameter, and then between the steps.
+    """
+    if symmetry is None:
+        return _farthest(estimate, truth, np.eye(3)[None], points)[0], np.eye(4)
+    group = symmetry.group(STEP)
+    at_least = _farthest(estimate, truth, group, points[:: max(1, len(points) // _ROUGH)])
+    best, turn = math.inf, group[0]
+    for part in np.array_split(np.argsort(at_least, kind="stable"), math.ceil(len(group) / _AT_ONCE)):
+        if at_least[part[0]] >= best:
+            break
+        all_mm = _farthest(estimate, truth, group[part], points)
+        k = int(np.argmin(all_mm))
+        best, turn = min((best, turn), (float(all_mm[k]), group[part[k]]), key=lambda each: each[0])
+    if symmetry.axis is not None:
+        best, turn = _between_steps(estimate, truth, points, turn, symmetry.axis, best)
+    matrix = np.eye(4)
+    matrix[:3, :3] = turn
+    return best, matrix
+
+
+def _farthest(estimate: Doubles, truth: Doubles, turns: Doubles, points: Doubles) -> Doubles:
+    """(k,) largest displacement in mm of a point, for each of the turns (k, 3, 3) applied before the truth."""
+    difference = estimate[:3, :3] - truth[:3, :3] @ turns
+    shift = estimate[:3, 3] - truth[:3, 3]
+    return np.sqrt(((difference @ points.T + shift[:, None]) ** 2).sum(axis=1).max(axis=1))
+
+
+def _between_steps(
+    estimate: Doubles, truth: Doubles, points: Doubles, turn: Doubles, axis: Doubles, best: float
+) -> tuple[float, Doubles]:
+    """The least MSSD near `turn` by golden sections over one step either way."""
+
+    def at(angle: float) -> tuple[float, Doubles]:
+        turned = turn @ rigid.rotation(angle * axis)[:3, :3]
+        return float(_farthest(estimate, truth, turned[None], points)[0]), turned
+
+    low, high = -2.0 * STEP, 2.0 * STEP
+    found = (best, turn)
+    for _ in range(_NARROWED):
+        left, right = at(high - _GOLDEN * (high - low)), at(low + _GOLDEN * (high - low))
+        if left[0] < right[0]:
+            high = low + _GOLDEN * (high - low)
+        else:
+            low = high - _GOLDEN * (high - low)
+        found = min(found, left, right, key=lambda each: each[0])
+    return found
+
+
+def _unrolled(estimate: Doubles, truth: Doubles, symmetry: Symmetry | None) -> Doubles:
+    """The truth after the turn about the axis of symmetry that leaves least to turn: the swing of swing and twist."""
+    if symmetry is None or symmetry.axis is None:
+        return truth
+    between = truth[:3, :3].T @ estimate[:3, :3]
+    # cos and sin of the twist, both times the same positive number.
+    along = symmetry.axis @ np.array(
+        [between[2, 1] - between[1, 2], between[0, 2] - between[2, 0], between[1, 0] - between[0, 1]]
+    )
+    twist = math.atan2(along, float(np.trace(between)) - float(symmetry.axis @ between @ symmetry.axis))
+    return truth @ rigid.rotation(twist * symmetry.axis)
+
+
+def _screw(motion: Doubles) -> Doubles:
+    """The logarithm (6,) of a rigid motion: rotation vector and the translation per unit of the way along it."""
+    turn = rigid.rotation_vector_rad(motion)
+    angle = float(np.linalg.norm(turn))
+    skew = np.array([[0.0, -turn[2], turn[1]], [turn[2], 0.0, -turn[0]], [-turn[1], turn[0], 0.0]])
+    curl = 1.0 / 12.0 if angle < _SMALL_RAD else (1.0 - 0.5 * angle / math.tan(0.5 * angle)) / angle**2
+    return np.concatenate([turn, (np.eye(3) - 0.5 * skew + curl * (skew @ skew)) @ motion[:3, 3]])

@@ -1,0 +1,74 @@
+"""Colours of quantities, so that one looks the same in pictures, in 3D, in sheets and in colour bars.
+
+Depth is viridis, signed differences are a diverging map with a neutral middle, categories are Okabe-Ito. No rainbow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.base.arrays import Floats, Image, freeze
+
+ColourMapName = Literal["viridis", "diverging"]
+Rgb = tuple[int, int, int]
+
+NO_VALUE_COLOUR: Rgb = (224, 226, 230)  # NaN: a grey that no map contains
+REGISTERED_POINT_COLOUR: Rgb = (213, 94, 0)  # registered points, Okabe-Ito vermilion
+UNMATCHED_POINT_COLOUR: Rgb = (128, 130, 136)  # such a point that is too far from the object to count
+OBJECT_COLOUR: Rgb = (86, 140, 190)
+MEMBRANE_COLOUR: Rgb = (150, 160, 175)
+
+# Every 16th colour of the perceptually uniform map D1 (Kovesi, "Good colour maps", arXiv:1509.03700).
+_DIVERGING = (
+    (33, 81, 219), (82, 98, 222), (112, 117, 226), (138, 136, 229), (160, 156, 232), (182, 177, 234),
+    (202, 197, 237), (221, 219, 239), (238, 231, 233), (242, 215, 208), (240, 190, 178), (237, 165, 148),
+    (231, 140, 119), (224, 115, 91), (215, 88, 63), (204, 57, 36), (192, 2, 6),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ColourScale:
+    """Which values become which colours; the limits are absolute, the picture's own only where that is said."""
+
+    colour_map: ColourMapName
+    low: float
+    high: float
+    unit: str
+    quantity: str  # what is shown and its sign, such as "indentation, + toward camera"
+    low_setting: str = ""  # the setting of the display that the lowest is, "" = none;
+    high_setting: str = ""  # and the highest; one for both is the larger of two equal sides
+    is_subtractable: bool = True  # whether one such value less another means anything
+    is_fitted: bool = False  # to the picture at hand
+
+
+@lru_cache(maxsize=2)
+def get_colour_table(name: ColourMapName) -> Image:
+    """The 256 colours (256, 3) uint8 of a map, from low to high."""
+    import cv2
+
+    levels = np.arange(256, dtype=np.uint8)
+    if name == "viridis":
+        drawn = np.asarray(cv2.applyColorMap(levels[:, None], cv2.COLORMAP_VIRIDIS), np.uint8)
+        return freeze(np.ascontiguousarray(drawn[:, 0, ::-1]))
+    at, anchors = np.linspace(0.0, 255.0, len(_DIVERGING)), np.array(_DIVERGING, np.float64)
+    mixed = np.stack([np.interp(levels, at, anchors[:, k]) for k in range(3)], axis=-1)
+    return freeze(np.rint(mixed).astype(np.uint8))
+
+
+def apply_colour_map(values: Floats, scale: ColourScale) -> Image:
+    """Colours (..., 3) uint8 of values (...); NaN becomes `NO_VALUE`, what is beyond a limit takes its colour."""
+    known = np.isfinite(values)
+    share = (np.where(known, values, scale.low) - scale.low) * (255.0 / (scale.high - scale.low))
+    out = get_colour_table(scale.colour_map)[np.clip(share, 0.0, 255.0).astype(np.uint8)]
+    out[~known] = NO_VALUE_COLOUR
+    return freeze(out)
+
+
+def repeat_colour(colour: Rgb, count: int) -> NDArray[np.uint8]:
+    """The same colour for `count` points, (count, 3)."""
+    return freeze(np.broadcast_to(np.array(colour, dtype=np.uint8), (count, 3)).copy())

@@ -1,0 +1,69 @@
+"""How things are drawn; no method reads these."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from pipeline.base.params import setting
+from pipeline.sensors.spec import SensorSpec
+
+_MOST_FLOOR = 0.95  # of the upper limit
+_LEAST_RANGE_MM = 1.0  # of distances
+
+BubbleQuantity = Literal["deviation", "distance"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DisplayParams:
+    """Colour limits and stretch, in the units of the quantity."""
+
+    gel_limit_mm: float = setting(
+        1.5, "Gel indentation up to", unit="mm", low=0.1, high=3.0, step=0.1, help="upper colour limit for gels"
+    )
+    bubble_limit_mm: float = setting(
+        10.0, "Bubble indentation up to", unit="mm", low=1.0, high=25.0, step=1.0, help="upper colour limit for bubbles"
+    )
+    gel_floor_mm: float = setting(
+        0.0, "Gel indentation from", unit="mm", low=-1.0, high=2.9, step=0.1, help="lower colour limit for gels"
+    )
+    bubble_floor_mm: float = setting(
+        0.0, "Bubble indentation from", unit="mm", low=-10.0, high=24.0, step=1.0, help="lower colour limit for bubbles"
+    )
+    bubble_quantity: BubbleQuantity = setting(
+        "deviation", "Bubble readings as", choices=BubbleQuantity,
+        help="deviation: from the untouched shape, + toward the camera; distance: as its camera measures it",
+    )  # fmt: skip
+    bubble_near_mm: float = setting(
+        0.0, "Bubble distance from", unit="mm", low=0.0, high=199.0, step=1.0,
+        help="lower colour limit of a bubble's distances from its camera; 0 = as the sensor is built",
+    )  # fmt: skip
+    bubble_far_mm: float = setting(
+        0.0, "Bubble distance up to", unit="mm", low=0.0, high=200.0, step=1.0,
+        help="upper colour limit of a bubble's distances from its camera; 0 = as the recorded unit is built",
+    )  # fmt: skip
+    residual_limit_mm: float = setting(
+        0.5, "Distance to the object up to", unit="mm", low=0.01, high=10.0, step=0.1,
+        help="colour limit, either way, of how far registered points lie from the posed object",
+    )  # fmt: skip
+    gel_stretch: float = setting(
+        3.0, "Gel depth in 3D times", low=1.0, high=10.0, step=0.5, help="stretches indentation of gels in the 3D views"
+    )
+
+    def get_depth_stretch(self, sensor: SensorSpec) -> float:
+        """How many times deeper indentation is drawn than it is; bubbles are deep enough as they are."""
+        return self.gel_stretch if sensor.kind == "gel" else 1.0
+
+    def get_limit_mm(self, sensor: SensorSpec) -> float:
+        """Upper colour limit of indentations of this kind of sensor."""
+        return self.gel_limit_mm if sensor.kind == "gel" else self.bubble_limit_mm
+
+    def get_floor_mm(self, sensor: SensorSpec) -> float:
+        """Lower colour limit of them, below the upper one whatever was set."""
+        floor_mm = self.gel_floor_mm if sensor.kind == "gel" else self.bubble_floor_mm
+        return min(floor_mm, _MOST_FLOOR * self.get_limit_mm(sensor))
+
+    def get_distance_limits_mm(self, built: tuple[float, float]) -> tuple[float, float]:
+        """Colour limits of distances that lie within `built` where nothing else was set, the nearer one first."""
+        far = self.bubble_far_mm or built[1]
+        return min(self.bubble_near_mm or built[0], far - _LEAST_RANGE_MM), far

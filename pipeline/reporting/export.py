@@ -1,0 +1,248 @@
+"""One file of a translation, as the window shows it: a picture, points, arrays, a table or a video, by its suffix.
+
+The window and the command line both come through `export`, so that they leave the same bytes.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.base.files import prepare_folder_for, whole_file, write_arrays
+from pipeline.base.frame_lists import parse_frames
+from pipeline.base.progress import SILENT, Progress
+from pipeline.engine.cache import Cache
+from pipeline.engine.graph import Graph, StageResult
+from pipeline.reporting import pane_figures
+from pipeline.reporting.export_request import SHEET, SOURCE, ExportRequest
+from pipeline.reporting.frame_report import FrameReport
+from pipeline.reporting.report import collect_stage_arrays
+from pipeline.translation import cross_section
+from pipeline.translation.translate import Translation, open_translation
+from pipeline.values.frames import TactileFrame
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+DEFAULT_VIDEO_RATE_HZ = 10.0  # of a video, where the recording keeps no times
+_CACHE_BYTES = 32 * 1024 * 1024
+_CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
+_UNDATED: Mapping[str, Mapping[str, None]] = {  # the same content gives the same bytes, today and tomorrow
+    "png": {"Software": None}, "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+}  # fmt: skip
+
+
+def export_file(asked: ExportRequest, progress: Progress = SILENT) -> tuple[str, ...]:
+    """Write what is asked for, whole or not at all; why slots were not filled by the method asked for, if any were.
+
+    Raises TouchError.
+    """
+    write = _WRITERS.get(asked.path.suffix.lower())
+    if asked.section:
+        write = _section
+        if asked.path.suffix.lower() != ".csv":
+            raise FileProblem("a section is written as a table, .csv", asked.path)
+    if write is None:
+        raise FileProblem(f"nothing is written as this kind of file; known are {', '.join(_WRITERS)}", asked.path)
+    prepare_folder_for(asked.path)
+    with closing(open_translation(asked.request)) as translation:
+        for pane in asked.pane.split(",") if asked.section else [asked.pane]:
+            if pane not in (SHEET, SOURCE, *translation.stages):
+                known = ", ".join((SHEET, SOURCE, *translation.stages))
+                raise SettingProblem(f"no pane {pane!r} on this route; there are {known}")
+        work = _Work(asked, translation, progress)
+        write(work)
+    return tuple(sorted(work.replaced))
+
+
+class _Work:
+    """What is open for one export."""
+
+    def __init__(self, asked: ExportRequest, translation: Translation, progress: Progress) -> None:
+        self.asked, self.translation, self.progress = asked, translation, progress
+        self.params, self.display = asked.parse_params(translation.methods), asked.display_params
+        self.replaced: set[str] = set()
+        self._graph = translation.build_graph(like=Graph((), cache=Cache(_CACHE_BYTES)))
+
+    @property
+    def frame_indices(self) -> list[int]:
+        """The frames of a table or a video."""
+        return parse_frames(self.asked.frames, self.translation.n_frames)
+
+    def evaluate_frame(self, index: int, *, every: bool = False) -> tuple[TactileFrame, dict[str, StageResult]]:
+        """A frame and its slots up to the asked one, or `every` one of them."""
+        slots = self.translation.stages
+        if self.asked.pane in slots and not every:
+            slots = slots[: slots.index(self.asked.pane) + 1]
+        elif self.asked.pane == SOURCE and not every:
+            slots = ()
+        inputs = self.translation.read_inputs(index)
+        frame = inputs["frame"]
+        assert isinstance(frame, TactileFrame)
+        results = self._graph.evaluate(slots, inputs, self.params, self.progress) if slots else {}
+        self.replaced |= {f"{name}: {result.fallback}" for name, result in results.items() if result.fallback}
+        return frame, results
+
+    def draw_figure(self, index: int) -> Figure:
+        """The sheet or the pane of a frame."""
+        frame, results = self.evaluate_frame(index)
+        if self.asked.pane == SHEET:
+            from pipeline.reporting.sheet import draw_sheet
+
+            metrics = self.translation.compute_metrics(results, index)
+            report = FrameReport(index=index, results=results, metrics=metrics)
+            return draw_sheet(frame, report, self.translation, display=self.display, timed=False)
+        time = f", {frame.time_s:.2f} s" if np.isfinite(frame.time_s) else ""
+        return pane_figures.draw_pane_figure(self._pane(frame, results), f"frame {index}{time}")
+
+    def render_pane(self, index: int) -> pane_figures.RenderedPane:
+        """The asked pane of a frame."""
+        if self.asked.pane == SHEET:
+            raise SettingProblem("a sheet is no cloud of points; name one pane of it with --pane")
+        return self._pane(*self.evaluate_frame(index))
+
+    def _pane(self, frame: TactileFrame, results: Mapping[str, StageResult]) -> pane_figures.RenderedPane:
+        asked = self.asked
+        return pane_figures.render_pane(asked.pane, frame, results, self.translation, self.display, asked.content)
+
+
+def _picture(work: _Work) -> None:
+    kind = work.asked.path.suffix.lower().removeprefix(".")
+    drawn = work.draw_figure(work.translation.check_index(work.asked.frame))
+    with whole_file(work.asked.path, "the picture") as file:
+        drawn.savefig(file, format=kind, metadata=dict(_UNDATED[kind]))
+
+
+def _points(work: _Work) -> None:
+    shown = work.render_pane(work.translation.check_index(work.asked.frame))
+    if not len(shown.points_mm):
+        raise SettingProblem(
+            f"{work.asked.pane} of frame {work.asked.frame} has no point: nothing touches there; choose another frame"
+        )
+    head = (
+        f"ply\nformat binary_little_endian 1.0\ncomment {shown.title}, mm, {shown.preview.frame_name}\n"
+        f"element vertex {len(shown.points_mm)}\nproperty float x\nproperty float y\nproperty float z\n"
+        "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n"
+    )
+    rows: Any = np.empty(len(shown.points_mm), dtype=[("xyz", "<f4", 3), ("rgb", "u1", 3)])
+    rows["xyz"], rows["rgb"] = shown.points_mm, shown.rgb
+    with whole_file(work.asked.path, "the points") as file:
+        file.write(head.encode("ascii", "replace"))
+        file.write(rows.tobytes())
+
+
+def _arrays(work: _Work) -> None:
+    frame, results = work.evaluate_frame(work.translation.check_index(work.asked.frame))
+    pane = work.asked.pane
+    wanted = results if pane == SHEET else {name: result for name, result in results.items() if name == pane}
+    write_arrays(work.asked.path, collect_stage_arrays(frame, wanted))
+
+
+def _table(work: _Work) -> None:
+    """Every figure that the truth of a frame allows, a row a frame."""
+    rows: list[tuple[int, float, Mapping[str, float]]] = []
+    indices = work.frame_indices
+    for done, index in enumerate(indices):
+        work.progress.step(done / len(indices), f"frame {index}")
+        frame, results = work.evaluate_frame(index, every=True)
+        rows.append((index, frame.time_s, work.translation.compute_metrics(results, index)))
+    names = sorted({name for _, _, metrics in rows for name in metrics})
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(["frame", "time_s", *names])
+    for index, time_s, metrics in rows:
+        table.writerow([index, _number(time_s), *(_number(metrics.get(name, np.nan)) for name in names)])
+    with whole_file(work.asked.path, "the table") as file:
+        file.write(text.getvalue().encode())
+
+
+def _section(work: _Work) -> None:
+    """The heights of every pane along a line, as the window's tab copies them."""
+    x0, y0, x1, y1 = work.asked.section
+    line, translation = cross_section.SectionLine(begin_mm=(x0, y0), end_mm=(x1, y1)), work.translation
+    if not (np.isfinite(work.asked.section).all() and line.length_mm > 0):
+        raise SettingProblem(f"a section needs a line that is longer than nothing, got {x0}, {y0} to {x1}, {y1} mm")
+    index = translation.check_index(work.asked.frame)
+    frame, results = work.evaluate_frame(index, every=True)
+    wanted = (SOURCE, *translation.stages) if work.asked.pane == SHEET else work.asked.pane.split(",")
+    shown = [
+        (name, pane_figures.render_pane(name, frame, results, translation, work.display).preview,
+         None if name == SOURCE else results[name].output)
+        for name in wanted
+    ]  # fmt: skip
+    fields = cross_section.collect_height_maps(translation, translation.read_ground_truth(index), shown)
+    if not fields:
+        raise SettingProblem(f"{work.asked.pane} of frame {index} has no heights to be cut; name another pane")
+    with whole_file(work.asked.path, "the section") as file:
+        file.write(cross_section.format_csv(cross_section.cut_section(line, fields)).encode())
+
+
+def _video(work: _Work) -> None:
+    """Frame after frame at the recording's own pace."""
+    import cv2
+
+    codec: Any = cv2.VideoWriter.fourcc(*_CODECS[work.asked.path.suffix.lower()])
+    indices = work.frame_indices
+    with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder) / f"video{work.asked.path.suffix.lower()}"
+        writer: Any = None
+        for done, index in enumerate(indices):
+            work.progress.step(done / len(indices), f"frame {index}")
+            pixels = _rgb(work.draw_figure(index))
+            if writer is None:
+                size = (pixels.shape[1], pixels.shape[0])
+                writer = cv2.VideoWriter(str(made), codec, _rate_hz(work.translation, indices), size)
+            writer.write(np.ascontiguousarray(pixels[:, :, ::-1]))
+        if writer is None or not writer.isOpened():
+            raise FileProblem("this machine's OpenCV cannot write such a video; try .avi or .mp4", work.asked.path)
+        writer.release()
+        if _n_frames(made) < len(indices):  # it says nothing of a full disk
+            raise FileProblem(f"cannot write the video (no room for it in {folder!r}?)", work.asked.path)
+        with made.open("rb") as video, whole_file(work.asked.path, "the video") as file:
+            shutil.copyfileobj(video, file)
+
+
+def _n_frames(video: Path) -> int:
+    """How many frames can be read back."""
+    import cv2
+
+    reader, n = cv2.VideoCapture(str(video)), 0
+    while reader.grab():
+        n += 1
+    reader.release()
+    return n
+
+
+def _rgb(drawn: Figure) -> Any:
+    """(rows, cols, 3) uint8, both even, as most codecs want them."""
+    canvas: Any = drawn.canvas
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())
+    return pixels[: pixels.shape[0] // 2 * 2, : pixels.shape[1] // 2 * 2, :3]
+
+
+def _rate_hz(translation: Translation, indices: Sequence[int]) -> float:
+    times = np.array([translation.stream.frame(index).time_s for index in indices[:32]])
+    steps = np.diff(times)
+    steps = steps[np.isfinite(steps) & (steps > 0)]
+    return float(np.clip(1.0 / np.median(steps), 1.0, 120.0)) if steps.size else DEFAULT_VIDEO_RATE_HZ
+
+
+def _number(value: float) -> str:
+    return f"{value:.9g}" if np.isfinite(value) else ""
+
+
+_WRITERS: Mapping[str, Callable[[_Work], None]] = {
+    ".png": _picture, ".pdf": _picture, ".ply": _points, ".npz": _arrays, ".csv": _table,
+    ".mp4": _video, ".avi": _video,
+}  # fmt: skip
+EXPORT_SUFFIXES = tuple(_WRITERS)

@@ -1,0 +1,110 @@
+"""What one pane of the window shows, as a drawing: its picture with scale bar, colour bar and caption."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.base.arrays import Floats, Image
+from pipeline.base.errors import SettingProblem
+from pipeline.engine.graph import StageResult
+from pipeline.previews.difference import compute_difference
+from pipeline.previews.display_params import DisplayParams
+from pipeline.previews.preview import PixelPositions, Preview, compute_rest_depth_mm, make_frame_preview, match_camera
+from pipeline.reporting.export_request import SOURCE, PaneContent
+from pipeline.stages.stage import PreviewContext
+from pipeline.translation.translate import Translation
+from pipeline.values.frames import TactileFrame
+from pipeline.values.results import Cloud
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_INCHES, _DPI = (5.6, 4.6), 150
+_AXES = (0.04, 0.13, 0.8, 0.77)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RenderedPane:
+    """One pane on one frame."""
+
+    title: str
+    preview: Preview
+    points_mm: Floats  # (n, 3) what it shows as points, in the frame of its place
+    rgb: Image  # (n, 3) their colours
+
+
+def render_pane(
+    name: str,
+    frame: TactileFrame,
+    results: Mapping[str, StageResult],
+    translation: Translation,
+    display: DisplayParams,
+    shown: PaneContent = "computed",
+) -> RenderedPane:
+    """A slot's pane, or the reading's; raises SettingProblem where the truth that is to be shown is not known."""
+    if name == SOURCE:
+        return _reading(frame, translation, display)
+    slot = translation.catalogue.stage(name)
+    outputs = {key: result.output for key, result in results.items()}
+    seen = PreviewContext(
+        outputs=outputs, source=translation.source, target=translation.target, mesh=translation.mesh, display=display
+    )
+    picture, value, title = slot.make_preview(outputs[name], seen), outputs[name], slot.title
+    if shown != "computed":
+        truths = translation.read_true_outputs(frame.index)
+        if name not in truths:
+            raise SettingProblem(f"the truth of {name} is not known of frame {frame.index} of this recording")
+        value, title = truths[name], f"{title}, {shown}"
+        true = slot.make_preview(value, replace(seen, outputs={**outputs, **truths}))
+        picture = true if shown == "truth" else _less(picture, true, name)
+    points_mm, rgb = _points(value, picture)
+    return RenderedPane(title=title, preview=picture, points_mm=points_mm, rgb=rgb)
+
+
+def draw_pane_figure(shown: RenderedPane, about: str) -> Figure:
+    """A drawing of a pane, with a line `about` what it is of."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from pipeline.reporting.sheet import draw_panel
+
+    drawn = Figure(figsize=_INCHES, dpi=_DPI)
+    FigureCanvasAgg(drawn)
+    draw_panel(drawn, drawn.add_axes(_AXES), shown.preview, f"{shown.title} · {about}")
+    return drawn
+
+
+def _reading(frame: TactileFrame, translation: Translation, display: DisplayParams) -> RenderedPane:
+    sensor = translation.source
+    camera = match_camera(frame.camera or sensor.camera, frame.image.shape)
+    picture = make_frame_preview(frame.image, camera, sensor, display, reference=frame.reference)
+    surface = frame.image if frame.is_depth else compute_rest_depth_mm(sensor, camera)
+    laid = replace(picture, positions_mm=PixelPositions(camera, np.asarray(surface, np.float32)))
+    points_mm, rgb = _points(None, laid)
+    return RenderedPane(title="Source", preview=picture, points_mm=points_mm, rgb=rgb)
+
+
+def _less(made: Preview, true: Preview, name: str) -> Preview:
+    gap = compute_difference(made, true)
+    if gap is None:
+        raise SettingProblem(f"what was worked out of {name} and its truth cannot be subtracted; show one of them")
+    return gap
+
+
+def _points(value: Any, picture: Preview) -> tuple[Floats, Image]:
+    """All that the value has of points, coloured as its picture is."""
+    if isinstance(value, Cloud):
+        grey = np.full((len(value.points_mm), 3), 128, np.uint8)
+        if picture.element_index is not None:
+            there = picture.element_index >= 0
+            grey[picture.element_index[there]] = picture.pixels[there]
+        return value.points_mm, grey
+    places = picture.compute_positions_mm()
+    if places is None:
+        return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8)
+    known = np.isfinite(places).all(axis=-1)
+    return places[known], picture.pixels[known]

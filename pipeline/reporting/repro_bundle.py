@@ -1,0 +1,245 @@
+"""A case: one frame with all that its translation reads, in a folder that can be sent, and what came out of it.
+
+case.json        what is asked, in paths within the folder; the figures; a note; the command that replays it
+frame.h5         the frame on both sides with all that is known of it, the object, how the sensors stand; behind it the
+                 touches of the recording that its unit's light was told by
+alignment.toml   as it was in use, moved by hand or not
+expected.npz     every array of every slot
+sheet.png        the same as a picture
+mesh.*, calibration.npz, weights_*, source.toml, target.toml   where they were given as files
+"""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline import __version__
+from pipeline.base.errors import FileProblem
+from pipeline.base.files import read_arrays, read_json, write_arrays, write_folder, write_json
+from pipeline.base.progress import SILENT, Progress
+from pipeline.engine.graph import StageResult
+from pipeline.recordings.hdf5_writer import RecordingWriter
+from pipeline.reporting.export_request import format_options
+from pipeline.reporting.frame_report import FrameReport
+from pipeline.reporting.report import collect_stage_arrays
+from pipeline.reporting.sheet import write_sheet
+from pipeline.sensors.alignment_files import AlignmentFile, save_alignment
+from pipeline.sensors.offsets import Offsets
+from pipeline.translation.catalogue import with_settings
+from pipeline.translation.frame_selection import select_context_frames
+from pipeline.translation.translate import Request, Translation, open_translation
+from pipeline.values.frames import TactileFrame
+
+REPLAY_TOLERANCE = 1e-4  # of an array's own range: what another processor's rounding may make of it
+_VERSION = 1
+_SAID = "tactoscope case"
+_WORDS = ("source", "target", "stream", "route", "mesh_unit", "depth_unit")
+_FILES = ("recording", "mesh", "calibration", "alignment")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StageAgreement:
+    """One slot of a replayed case against what it gave when the case was made."""
+
+    stage: str
+    n_arrays: int
+    largest_difference: (
+        float  # difference, as a share of the array's own range; 0 = the same bytes, inf = another shape
+    )
+    worst_array: str  # that differs most
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReplayResult:
+    """A case played again."""
+
+    note: str
+    agreements: tuple[StageAgreement, ...]
+    metrics: Mapping[str, float]
+    expected_metrics: Mapping[str, float]
+
+    @property
+    def is_same(self) -> bool:
+        """Whether everything came out as it did then, but for rounding."""
+        return all(agreement.largest_difference <= REPLAY_TOLERANCE for agreement in self.agreements)
+
+
+def write_bundle(
+    request: Request,
+    settings: tuple[str, ...],
+    frame: int,
+    folder: Path,
+    *,
+    note: str = "",
+    progress: Progress = SILENT,
+) -> None:
+    """Write the case of one frame into a new `folder`; raises TouchError."""
+    if folder.exists():
+        raise FileProblem("something of this name is there already and is kept; choose another", folder)
+    with closing(open_translation(request)) as translation:
+        index = translation.check_index(frame)
+
+        def fill(part: Path) -> None:
+            inside = _copied(translation, part)
+            _record(translation, index, part / "frame.h5")
+            told = {name: getattr(inside, name) for name in _WORDS}
+            told |= {name: _name(getattr(inside, name)) for name in _FILES}
+            told |= {"methods": dict(inside.methods), "weights": {slot: file.name for slot, file in inside.weights}}
+            frame_now, results, metrics = _played(inside, settings, part, progress)
+            write_arrays(part / "expected.npz", collect_stage_arrays(frame_now, results))
+            write_json(
+                part / "case.json",
+                {
+                    _SAID: _VERSION, "made with": __version__, "note": note, "frame": index,
+                    "of": str(request.recording),
+                    "command": shlex.join(["tactoscope", "case", str(folder.absolute())]),
+                    "translate": _translating(inside, settings), "request": told, "settings": list(settings),
+                    "metrics": metrics,
+                },
+                "the case",
+            )  # fmt: skip
+
+        write_folder(folder, fill)
+
+
+def replay_bundle(folder: Path, progress: Progress = SILENT) -> ReplayResult:
+    """Translate a case's frame again and hold it against what is kept; raises TouchError."""
+    said = _read(folder)
+    request = _request(said, folder)
+    frame, results, metrics = _played(request, tuple(map(str, said["settings"])), None, progress)
+    now, kept = collect_stage_arrays(frame, results), read_arrays(folder / "expected.npz", "what the case gave")
+    slots = dict.fromkeys(name.partition(".")[0] for name in (*kept, *now))
+    return ReplayResult(
+        note=str(said.get("note", "")), metrics=metrics,
+        expected_metrics={k: float("nan") if v is None else float(v) for k, v in said.get("metrics", {}).items()},
+        agreements=tuple(_agreement(slot, now, kept) for slot in slots),
+    )  # fmt: skip
+
+
+def _played(
+    request: Request, settings: tuple[str, ...], sheet_into: Path | None, progress: Progress
+) -> tuple[TactileFrame, Mapping[str, StageResult], dict[str, float]]:
+    with closing(open_translation(request)) as translation:
+        inputs = translation.read_inputs(0)
+        frame = cast("TactileFrame", inputs["frame"])
+        params = with_settings(translation.methods, [line for line in settings if not line.startswith("display.")])
+        results = translation.build_graph().evaluate(translation.stages, inputs, params, progress)
+        metrics = translation.compute_metrics(results, 0)
+        if sheet_into is not None:
+            report = FrameReport(index=0, results=results, metrics=metrics)
+            write_sheet(sheet_into / "sheet.png", frame, report, translation)
+        return frame, results, metrics
+
+
+def _copied(translation: Translation, part: Path) -> Request:
+    """The request by what lies in the folder."""
+    request = translation.request
+    source, target = translation.source.name, translation.target.name
+    aligned = AlignmentFile(
+        alignment=translation.alignment, source=source, target=target,
+        origin=f"in use on {request.recording.name} when the case was made",
+    )  # fmt: skip
+    save_alignment(part / "alignment.toml", aligned)
+    weights = tuple((slot, _copy(file, part / f"weights_{slot}{file.suffix}")) for slot, file in request.weights)
+    return replace(
+        request, recording=part / "frame.h5", reference=None, alignment=part / "alignment.toml", offsets=Offsets(),
+        source=_sensor(request.source or source, part / "source.toml"),
+        target=_sensor(request.target or target, part / "target.toml"), stream=translation.stream.name,
+        mesh=None if request.mesh is None else _copy(request.mesh, part / f"mesh{request.mesh.suffix}"),
+        calibration=None if request.calibration is None else _copy(request.calibration, part / "calibration.npz"),
+        weights=weights,
+    )  # fmt: skip
+
+
+def _sensor(said: str, place: Path) -> str:
+    """A sensor's name, or the copy of its description."""
+    return said if not said.endswith(".toml") else str(_copy(Path(said), place))
+
+
+def _copy(file: Path, place: Path) -> Path:
+    shutil.copyfile(file, place)
+    return place
+
+
+def _record(translation: Translation, index: int, path: Path) -> None:
+    """The frame of both sides, with its truth, and those that tell its light: alone it would be read otherwise."""
+    recording, stream = translation.recording, translation.stream
+    other = recording.stream_of_sensor(translation.target.name)
+    names = {stream.name, *(() if other is None else (other.name,))}
+    pairings = [pair for pair in recording.pairings if {pair.source, pair.target} <= names]
+    with RecordingWriter(
+        path, object_mesh=recording.object_mesh, symmetry=recording.symmetry, pairings=pairings, notes=recording.notes
+    ) as writer:
+        light = select_context_frames(stream) if translation.load_context_images() else ()
+        for place, k in enumerate(dict.fromkeys((index, *(frame.index for frame in light)))):
+            own = replace(stream.frame(k), sensor=translation.source.name, index=place)
+            writer.append(stream.name, own, stream.truth(k))
+            felt = translation.read_target_observation(k)
+            if felt is not None and other is not None:
+                writer.append(other.name, replace(felt[0], index=place), felt[1])
+
+
+def _translating(request: Request, settings: tuple[str, ...]) -> str:
+    """The same by `tactoscope translate`, typed within the folder."""
+    words = [word.removeprefix(str(request.recording.parent.absolute()) + "/") for word in format_options(request)]
+    sets = [word for line in settings if not line.startswith("display.") for word in ("--set", line)]
+    return shlex.join(["tactoscope", "translate", *words, *sets, "--frame", "0", "--out", "out"])
+
+
+def _agreement(stage: str, now: Mapping[str, NDArray[Any]], kept: Mapping[str, NDArray[Any]]) -> StageAgreement:
+    names = sorted(name for name in {*now, *kept} if name.partition(".")[0] == stage)
+    gaps = {name: _gap(now.get(name), kept.get(name)) for name in names}
+    worst = max(gaps, key=gaps.__getitem__)
+    return StageAgreement(stage=stage, n_arrays=len(names), largest_difference=gaps[worst], worst_array=worst)
+
+
+def _gap(now: NDArray[Any] | None, kept: NDArray[Any] | None) -> float:
+    """Largest difference as a share of the kept array's range; of masks and indices the share that changed."""
+    if now is None or kept is None or now.shape != kept.shape or now.dtype != kept.dtype:
+        return float("inf")
+    if now.dtype.kind != "f" or not kept.size:
+        return float((now != kept).mean()) if kept.size else 0.0
+    if np.array_equal(now, kept, equal_nan=True):
+        return 0.0
+    if not np.array_equal(np.isnan(now), np.isnan(kept)):
+        return float("inf")
+    spread = float(np.nanmax(kept) - np.nanmin(kept)) or max(1.0, float(np.nanmax(np.abs(kept))))
+    return float(np.nanmax(np.abs(now.astype(np.float64) - kept))) / spread
+
+
+def _read(folder: Path) -> dict[str, Any]:
+    path = folder / "case.json"
+    said: object = read_json(path, "the case")
+    known = cast("dict[str, Any]", said) if isinstance(said, dict) else {}
+    if _SAID not in known:
+        raise FileProblem("this folder holds no case; `tactoscope make-case` makes one", folder)
+    if known[_SAID] != _VERSION:
+        raise FileProblem(f"the case has version {known[_SAID]!r}, this program reads {_VERSION}", path)
+    if not isinstance(known.get("request"), dict) or not isinstance(known.get("settings"), list):
+        raise FileProblem("the case lacks its request or its settings", path, field="request")
+    return known
+
+
+def _request(said: Mapping[str, Any], folder: Path) -> Request:
+    asked = cast("dict[str, Any]", said["request"])
+    words = {name: str(asked.get(name, "")) for name in _WORDS}
+    for side in ("source", "target"):
+        if words[side].endswith(".toml"):
+            words[side] = str(folder / Path(words[side]).name)
+    files = {name: None if asked.get(name) is None else folder / Path(str(asked[name])).name for name in _FILES}
+    methods = tuple((str(slot), str(name)) for slot, name in dict(asked.get("methods", {})).items())
+    weights = tuple((str(slot), folder / Path(str(f)).name) for slot, f in dict(asked.get("weights", {})).items())
+    return Request(**cast("Any", files), **cast("Any", words), methods=methods, weights=weights)
+
+
+def _name(path: Path | None) -> str | None:
+    return None if path is None else path.name

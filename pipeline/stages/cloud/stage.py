@@ -1,0 +1,96 @@
+"""The slot *cloud*: the contact as points in the target's frame."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.base.arrays import Indices, freeze
+from pipeline.engine.graph import Method, skip_if_exact
+from pipeline.geometry.camera import Camera
+from pipeline.previews.colours import ColourScale, apply_colour_map
+from pipeline.previews.layers import Layer, make_cloud_layer, make_membrane_layer, stretch_depth
+from pipeline.previews.preview import Preview, compute_pixel_mm
+from pipeline.stages.cloud import back_projection
+from pipeline.stages.pixel_lookup import look_up_element, to_xyz
+from pipeline.stages.stage import PreviewContext, ProbePoint, Stage
+from pipeline.values.results import Cloud
+
+PREVIEW_SCALE = 0.5  # a cloud is drawn on the target's pixels at half density, where neighbours close up
+
+BACK_PROJECTION = Method(
+    stage="cloud",
+    name="back_projection",
+    title="Back-projection",
+    help="every contact pixel as a point (paper, eq. P_T)",
+    run=skip_if_exact(back_projection.skip_without_contact, back_projection.back_project_depth),
+    params=back_projection.BackProjectionParams,
+    reads=("depth", "alignment"),
+    version=3,
+)
+
+
+def _picture(cloud: Cloud, seen: PreviewContext) -> Preview:
+    """The points where the target's camera would see them, coloured by how far they reach past its rest surface."""
+    target = seen.target
+    camera = target.camera.scale(PREVIEW_SCALE)
+    index = _splat(cloud, camera)
+    there = index >= 0
+    reach = np.full(camera.shape, np.nan, dtype=np.float32)
+    places = np.full((*camera.shape, 3), np.nan, dtype=np.float32)
+    if len(cloud.points_mm):
+        reach[there] = -target.membrane.signed_distance_mm(cloud.points_mm[index[there]])
+        places[there] = cloud.points_mm[index[there]]
+    scale = _scale(seen)
+    return Preview(
+        pixels=apply_colour_map(reach, scale), values=freeze(reach), scale=scale, frame_name=f"{target.name} frame",
+        positions_mm=freeze(places), pixel_mm=compute_pixel_mm(camera, target), element_index=index, camera=camera,
+        caption=f"{len(cloud.points_mm)} points; past rest surface, + toward camera",
+    )  # fmt: skip
+
+
+def _layers(cloud: Cloud, seen: PreviewContext, _picture: Preview) -> tuple[Layer, ...]:
+    """The points over the target's faint rest surface."""
+    points = stretch_depth(cloud.points_mm, seen.target, seen.display.get_depth_stretch(seen.target))
+    reach = -seen.target.membrane.signed_distance_mm(cloud.points_mm).astype(np.float32)
+    layer = make_cloud_layer("cloud", points.astype(np.float32), apply_colour_map(reach, _scale(seen)), 3.0)
+    return (layer, make_membrane_layer(seen.target))
+
+
+def _follow(cloud: Cloud, before: ProbePoint) -> ProbePoint:
+    point = look_up_element(cloud.source_index, before.index)
+    if point < 0:
+        why = "thinned out of the cloud" if cloud.stride > 1 else "not carried over"
+        return ProbePoint(stage="cloud", index=-1, text=why)
+    x, y, z = to_xyz(cloud.points_mm[point])
+    return ProbePoint(stage="cloud", index=point, point_mm=(x, y, z), text=f"({x:.2f}, {y:.2f}, {z:.2f}) mm")
+
+
+def _scale(seen: PreviewContext) -> ColourScale:
+    limit, sets = seen.display.get_limit_mm(seen.target), f"{seen.target.kind}_limit_mm"
+    return ColourScale(
+        colour_map="diverging", low=-limit, high=limit, unit="mm", quantity="past rest surface, + toward camera",
+        low_setting=sets, high_setting=sets,
+    )  # fmt: skip
+
+
+def _splat(cloud: Cloud, camera: Camera) -> Indices:
+    index = np.full(camera.shape, -1, dtype=np.int32)
+    if len(cloud.points_mm):
+        x_px, y_px, visible = camera.project(cloud.points_mm)
+        rows, cols = np.rint(y_px[visible]).astype(np.intp), np.rint(x_px[visible]).astype(np.intp)
+        which = np.flatnonzero(visible)
+        nearest_last = np.argsort(-cloud.points_mm[which, 2], kind="stable")  # so that the nearest wins its pixel
+        index[rows[nearest_last], cols[nearest_last]] = which[nearest_last]
+    return freeze(index)
+
+
+STAGE = Stage(
+    name="cloud",
+    title="Adapted cloud",
+    legend="points, target at rest",
+    sensor_role="target",
+    methods=(BACK_PROJECTION,),
+    make_preview=_picture,
+    make_layers=_layers,
+    trace_point=_follow,
+)

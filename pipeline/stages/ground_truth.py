@@ -1,0 +1,79 @@
+"""What a slot would hold if everything before it and its own method were perfect, from what is known of a frame.
+
+Shown beside what was worked out, and given in its place to find which slot an error comes from (`translation.blame`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.base.arrays import freeze
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.stage import GroundTruth, SensorRole
+from pipeline.values.frames import Truth
+from pipeline.values.pixel_index import make_pixel_index
+from pipeline.values.results import DepthMap, GeneratedTouch, ObjectPose, TargetDepth
+
+_NOTE = "the truth, as the recording knows it"
+
+
+def build_depth_map(ground_truth: GroundTruth, sensor_role: SensorRole, sensor: SensorSpec) -> DepthMap | None:
+    """The true membrane of the sensor at `place`; None where indentation or contact is not known at its size."""
+    truth = ground_truth.source_truth if sensor_role == "source" else ground_truth.target_truth
+    shape = sensor.camera.shape
+    if truth is None or truth.indentation_mm is None or truth.contact is None:
+        return None
+    if truth.indentation_mm.shape != shape or truth.contact.shape != shape:
+        return None
+    return DepthMap(
+        indentation_mm=truth.indentation_mm,
+        depth_mm=freeze((sensor.rest_depth_mm - truth.indentation_mm).astype(np.float32)),
+        contact=truth.contact,
+        camera=sensor.camera,
+        source_index=make_pixel_index(shape),
+        notes=(_NOTE,),
+    )
+
+
+def build_target_depth(ground_truth: GroundTruth, target: SensorSpec) -> TargetDepth | None:
+    """What touches the target, all of it: the object's surface is where its membrane lies in contact."""
+    felt = build_depth_map(ground_truth, "target", target)
+    if felt is None:
+        return None
+    shape = felt.contact.shape
+    return TargetDepth(
+        depth_mm=freeze(np.where(felt.contact, felt.depth_mm, np.float32(np.nan))),
+        contact=felt.contact,
+        indentation_mm=freeze(np.where(felt.contact, np.maximum(felt.indentation_mm, 0.0), 0.0).astype(np.float32)),
+        camera=felt.camera,
+        source_index=freeze(np.full(shape, -1, np.int32)),
+        in_view=freeze(np.ones(shape, np.bool_)),
+        notes=(_NOTE,),
+    )
+
+
+def build_touch(ground_truth: GroundTruth, target: SensorSpec) -> GeneratedTouch | None:
+    """What the target recorded of the same touch, with its true membrane."""
+    frame = ground_truth.target_observation
+    if frame is None or frame.image.shape[:2] != target.camera.shape:
+        return None
+    felt = build_depth_map(ground_truth, "target", target)
+    return GeneratedTouch(
+        image=frame.image, camera=frame.camera or target.camera, source_index=make_pixel_index(target.camera.shape),
+        in_view=freeze(np.ones(target.camera.shape, np.bool_)), membrane=felt, notes=(_NOTE,),
+        reference=np.asarray(frame.reference, np.float32) if frame.is_depth and frame.reference is not None else None,
+    )  # fmt: skip
+
+
+def build_pose(ground_truth: GroundTruth, target: SensorSpec) -> ObjectPose | None:
+    """Where the object really is; its points are those of the true contact, and none where that is not known."""
+    truth: Truth | None = ground_truth.target_truth
+    if truth is None or truth.sensor_from_object is None:
+        return None
+    felt = build_depth_map(ground_truth, "target", target)
+    at = np.zeros(0, np.int32) if felt is None else np.flatnonzero(felt.contact).astype(np.int32)
+    points = np.zeros((0, 3)) if felt is None else felt.camera.back_project(felt.depth_mm).reshape(-1, 3)[at]
+    return ObjectPose(
+        sensor_from_object=truth.sensor_from_object, covariance=None, observable=None, weak_directions=(), rmse_mm=0.0,
+        fitness=1.0, scene_mm=freeze(points.astype(np.float32)), source_index=freeze(at), notes=(_NOTE,),
+    )  # fmt: skip

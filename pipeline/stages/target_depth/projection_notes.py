@@ -1,0 +1,87 @@
+"""What the project stage says about its view, in plain sentences."""
+
+from __future__ import annotations
+
+from pipeline.base.arrays import Floats
+from pipeline.base.stage_warnings import StageWarning
+from pipeline.geometry.camera import MIN_DEPTH_MM
+from pipeline.sensors.spec import SensorSpec
+from pipeline.stages.target_depth.rasterisation import Rasterisation
+
+_MANY = 0.05  # of the points: fewer at the rim change little
+
+
+def note_visibility(rasterisation: Rasterisation, n_inside: int, points_mm: Floats) -> tuple[str, ...]:
+    """How much of the touch is in the target's image at all."""
+    n, n_outside = len(points_mm), len(points_mm) - n_inside
+    if n_outside == n:
+        behind = bool((points_mm[:, 2] <= MIN_DEPTH_MM).all())
+        where = "behind the target's camera; turn the alignment round" if behind else "outside the target's image"
+        return (StageWarning(f"nothing arrives: the whole touch lies {where}"),)
+    told = f"{n_outside:,} of {n:,} points fall outside the target's image"
+    notes: tuple[str, ...] = (StageWarning(told) if n_outside > _MANY * n else told,) if n_outside else ()
+    if not rasterisation.n_drawn_px:
+        notes += (StageWarning("nothing arrives: no part of the touch could be drawn"),)
+    return notes
+
+
+def note_shared_pixels(n_inside: int, n_drawn: int) -> tuple[str, ...]:
+    """What the splat lost."""
+    if n_drawn == n_inside:
+        return ()
+    return (f"{n_inside - n_drawn:,} of {n_inside:,} points share a pixel with a nearer one",)
+
+
+def note_omitted_triangles(
+    rasterisation: Rasterisation, jump_mm: float, grazing_deg: float, n_hidden: int
+) -> tuple[str, ...]:
+    """What the surface left out."""
+    from pipeline.stages.target_depth import triangle_batch_kernels as kernels
+
+    counts = rasterisation.triangle_counts
+    jump, grazing, behind = (int(counts[k]) for k in (kernels.JUMP, kernels.GRAZING, kernels.BEHIND))
+    notes: list[str] = []
+    if jump:
+        notes.append(f"{jump:,} triangles over depth jumps above {jump_mm:g} mm were left out")
+    if grazing:
+        hiding = (
+            f" and hide what lies behind them in {rasterisation.n_veiled_px:,} pixels"
+            if rasterisation.n_veiled_px
+            else ""
+        )
+        notes.append(f"{grazing:,} triangles seen at more than {grazing_deg:g} degrees were left out{hiding}")
+    if behind:
+        notes.append(f"{behind:,} triangles reach behind the target's camera and were left out")
+    if counts[kernels.OVERFULL]:
+        told = (
+            f"the touch lies over itself more than {kernels.MAX_LAYERS} times: {int(counts[kernels.OVERFULL]):,} triangles "
+            "were left out; check the depth and the alignment"
+        )
+        notes.append(StageWarning(told))
+    if counts[kernels.FLIPPED] > counts[kernels.DRAWN]:
+        notes.append(StageWarning("the touch is seen from behind; check the rotation of the alignment"))
+    if rasterisation.is_point_splat:
+        notes.append("the touch is smaller than a target pixel: drawn as points")
+    if n_hidden:
+        notes.append(f"{n_hidden:,} points hide behind nearer ones")
+    return tuple(notes)
+
+
+def note_contact(
+    target: SensorSpec, *, n_drawn: int, n_contact: int, gap_mm: float, deepest_mm: float
+) -> tuple[str, ...]:
+    """Whether and how far what arrives pushes the target's membrane in; `short_mm` is what it lacks otherwise."""
+    if n_drawn == 0:
+        return ()
+    if n_contact == 0:
+        told = f"the touch does not reach the target's membrane by {gap_mm:.2g} mm; move it closer in the alignment"
+        return (StageWarning(told),)
+    notes: list[str] = []
+    if n_contact < n_drawn:
+        notes.append(f"{n_drawn - n_contact:,} of {n_drawn:,} pixels do not reach the target's membrane")
+    if deepest_mm > target.limits.indentation_max_mm:
+        limit_mm = target.limits.indentation_max_mm
+        notes.append(
+            StageWarning(f"pushed in by up to {deepest_mm:.2f} mm, beyond the {limit_mm:g} mm of {target.name}")
+        )
+    return tuple(notes)

@@ -1,0 +1,183 @@
+# pyright: basic
+"""Compiled loops of the surface mode: the source grid, and which of its quads are worth a look.
+
+Most quads of a fine source lie between the pixel centres of a coarse target. They are told apart for a strip of the
+grid at once, on vectors, before any triangle is made. Further tuples, beside those of `project_kernels`:
+
+    corners  what triangles hang on, the points of a strip of the source and then room for what the rim of a touch adds:
+             x, y, z of the points in turn, mm; those of the room, each with the point that it begins at; where each is
+             seen, px, and 1/z (3, m); the pixel centres that it lies between, across and down (2, m), see `between`
+    cells    source pixels of the strip, with an empty column on either side (rows, cols): the corner there,
+             NONE = none; THERE and UNSEEN; between which centres, both in one number; what is to be done with the quad
+             whose upper left corner this is, see `tell_apart`
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.base.cached_kernels import inner, kernel
+
+SLACK = 1e-9  # barycentric and px: neighbours share the pixels on their common edge, so that no crack opens
+NO_POINT = np.uint32(0xFFFFFFFF)  # no point
+PRESENT, NOT_VISIBLE = np.uint8(1), np.uint8(2)  # bits of a corner: a point, and one behind the lens or not finite
+PARITY_BITS, LOW_BITS = np.int64(1 << 32 | 1), np.int64((1 << 32) - 1)  # of two places in one number
+HAS_TRIANGLE, NEEDS_DRAWING, RIM, BEHIND = (
+    np.uint8(bit) for bit in (1, 2, 4, 8)
+)  # bits of a quad: three corners or more, a centre near them; see `tell_apart`
+
+
+@inner()
+def bracket_pixel_centres(u, size):
+    """The pixel centres that a coordinate lies between, as first not before + last not after.
+
+    That sum is even on a centre, to the slack, and odd between two: half of it, rounded up and down, gives them back.
+    Clamped as floats to between two centres outside the image.
+    """
+    near = u if u > -1.5 else -1.5
+    near = near if near < size + 0.5 else size + 0.5
+    return np.int32(np.ceil(near - SLACK)) + np.int32(np.floor(near + SLACK))
+
+
+@inner()
+def project_corners(lens, n, corners, state):
+    """Write where the first `n` points are seen, and which are; anything, harmlessly, for the others."""
+    flat, _, screen, between_px = corners
+    u, v, w = screen[0], screen[1], screen[2]
+    across, down = between_px[0], between_px[1]
+    fx, fy, cx, cy, rows, cols, behind = lens
+    for i in range(n):
+        x, y, z = np.float64(flat[3 * i]), np.float64(flat[3 * i + 1]), np.float64(flat[3 * i + 2])
+        near = 1.0 / z
+        u[i], v[i], w[i] = fx * x * near + cx, fy * y * near + cy, near
+        ok = (z > behind) & (z < np.inf) & (abs(x) < np.inf) & (abs(y) < np.inf)
+        state[i] = np.uint8(PRESENT if ok else PRESENT | NOT_VISIBLE)
+    for i in range(n):
+        across[i] = bracket_pixel_centres(u[i], cols)
+    for i in range(n):
+        down[i] = bracket_pixel_centres(v[i], rows)
+
+
+@kernel()
+def measure_neighbour_distances(flat, index, stride, every, behind, squares):
+    """Write the distances, squared, of every `every`-th pair of points that are neighbours in a row; how many."""
+    n = 0
+    for i in range(0, index.shape[0] - 1, every):
+        p = 3 * i
+        near = flat[p + 2] > behind and flat[p + 5] > behind and index[i + 1] - index[i] == stride
+        dx, dy = np.float64(flat[p]) - flat[p + 3], np.float64(flat[p + 1]) - flat[p + 4]
+        dz = np.float64(flat[p + 2]) - flat[p + 5]
+        square = dx * dx + dy * dy + dz * dz
+        if near and square < np.inf and n < squares.shape[0]:
+            squares[n] = square
+            n += 1
+    return n
+
+
+@inner()
+def place_corners(index, starts, bounds, strip, state, corners, cells, alone):
+    """Put the corners of a strip in its cells.
+
+    `starts` are where each source row begins in the points, `bounds` the first source row and column, the columns of
+    the source and those of the cells, and the stride, `strip` the first source row of it and the one after its last.
+    Corners count from the strip's first point. Of several points of one source pixel the last stays; the others stand
+    `alone`, as do those between the rows and columns that a stride looks at.
+    """
+    top, left, grid_cols, cols, stride = bounds
+    from_row, to_row, first_cells = strip
+    _, _, _, between_px = corners
+    across, down = between_px[0], between_px[1]
+    corner, state_at, centres_at, _ = cells
+    for g in range(corner.shape[0]):
+        corner[g] = NO_POINT
+    for g in range(corner.shape[0]):
+        state_at[g] = 0
+    start = starts[from_row]
+    for r in range(from_row, to_row):
+        begin, end = starts[r], starts[r + 1]
+        first = (top + r) * grid_cols + left
+        g = ((top + r) // stride - top // stride - first_cells) * cols + 1
+        gaps = 0
+        for i in range(begin, end - 1):
+            gaps += index[i + 1] - index[i] != 1
+        if stride == 1 and gaps == 0 and begin < end:  # most rows: on vectors
+            # Unsigned places, which cannot count from an array's end: numba's checks for that keep vectors away.
+            n, to, of = np.uint64(end - begin), np.uint64(g + index[begin] - first), np.uint64(begin - start)
+            for k in range(n):
+                corner[to + k] = of + k
+            for k in range(n):
+                state_at[to + k] = state[of + k]
+            for k in range(n):
+                centres_at[to + k] = (np.int64(down[of + k]) << 32) ^ np.int64(across[of + k])
+            continue
+        for i in range(begin, end):
+            column = index[i] - first
+            apart = stride > 1 and ((top + r) % stride != 0 or (left + column) % stride != 0)
+            if apart or (i + 1 < end and index[i + 1] == index[i]):
+                alone[i] = True
+                continue
+            at, k = g + ((left + column) // stride - left // stride if stride > 1 else column), i - start
+            corner[at] = k
+            state_at[at] = state[k]
+            centres_at[at] = (np.int64(down[k]) << 32) ^ np.int64(across[k])
+
+
+@inner()
+def classify_quads(cells, todo, late):
+    """Say of each quad what is to be done with it, and list row by row those of the strip itself that want a look.
+
+    JOINED: three corners or more are there. LOOK: these, all of them seen, and a pixel centre may lie in their box.
+    BEHIND: not all of them are seen. RIM: some corners are there, all of them seen, and others are not.
+
+    A box holds no centre if all four lie between the same two, in x or in y; what an absent corner left behind may
+    widen it, which costs a look and no more. All of it in bits, on vectors.
+
+    An entry of `todo` is twice the quad, plus one for its rim, which comes after the row's quads. Returns how many
+    entries there are, and how many quads reach behind the lens.
+    """
+    _, state, centres, quad = cells
+    rows, cols = quad.shape
+    n, n_behind = 0, 0
+    for r in range(rows - 1):
+        for c in range(cols - 1):
+            a = centres[r, c]
+            mixed = (a ^ centres[r, c + 1]) | (a ^ centres[r + 1, c]) | (a ^ centres[r + 1, c + 1]) | (~a & PARITY_BITS)
+            quad[r, c] = np.uint8(NEEDS_DRAWING if ((mixed & LOW_BITS) != 0) & ((mixed & ~LOW_BITS) != 0) else 0)
+        for c in range(cols - 1):
+            i, j, k, m = state[r, c], state[r, c + 1], state[r + 1, c], state[r + 1, c + 1]
+            three = ((i & j & (k | m)) | (k & m & (i | j))) & PRESENT
+            some, every = i | j | k | m, i & j & k & m
+            unseen = (some & NOT_VISIBLE) >> 1
+            seen = np.uint8(unseen ^ 1)
+            joined = three | (three * quad[r, c] * seen) | (three * unseen * BEHIND)
+            quad[r, c] = np.uint8(joined | ((some & ~every & seen) * RIM))
+        if r == 0 or r > rows - 3:
+            continue
+        m = 0
+        for c in range(cols - 1):  # no branch: which quads hold a centre is beyond guessing
+            todo[n] = 2 * (r * cols + c)
+            n += (quad[r, c] & NEEDS_DRAWING) >> 1
+            late[m] = 2 * (r * cols + c) + 1
+            m += (quad[r, c] & RIM) >> 2
+        for c in range(cols - 1):
+            n_behind += (quad[r, c] & BEHIND) >> 3
+        for c in range(m):
+            todo[n + c] = late[c]
+        n += m
+    return n, n_behind
+
+
+@inner()
+def mark_isolated_points(cells, start, alone):
+    """Set in `alone` the points, from `start` on, without neighbours to form a triangle with, drawn or not."""
+    corner, state, _, quad = cells
+    rows, cols = quad.shape
+    for r in range(rows - 3):
+        above, beside, there = quad[r], quad[r + 1], state[r + 1]
+        lonely = np.uint8(0)
+        for c in range(cols - 2):
+            lonely |= (there[c + 1] != 0) & ~(above[c] | above[c + 1] | beside[c] | beside[c + 1]) & HAS_TRIANGLE
+        if lonely:
+            for c in range(cols - 2):
+                if there[c + 1] != 0 and (above[c] | above[c + 1] | beside[c] | beside[c + 1]) & HAS_TRIANGLE == 0:
+                    alone[start + corner[r + 1, c + 1]] = True

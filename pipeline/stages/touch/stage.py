@@ -1,0 +1,174 @@
+"""The slot *touch*: what the target sensor would have recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from pipeline.base.arrays import Floats
+from pipeline.base.params import NoParams
+from pipeline.engine.graph import Method, skip_if_exact
+from pipeline.metrics.stage_metrics import compute_image_metrics
+from pipeline.previews.layers import Layer, make_frame_layer, make_surface_layer
+from pipeline.previews.preview import Preview, make_frame_preview
+from pipeline.stages import ground_truth
+from pipeline.stages.network_fallback import fall_back_without_weights
+from pipeline.stages.pixel_lookup import look_up_element
+from pipeline.stages.stage import GroundTruth, PreviewContext, ProbePoint, Stage, StepCurve, StepHistory
+from pipeline.stages.touch import latent_diffusion, physical_render, t2d2, t2t, vqvae
+from pipeline.stages.touch.latent_diffusion import LatentParams
+from pipeline.stages.touch.residual_diffusion import DiffusionParams, make_draft_params
+from pipeline.values.results import GeneratedTouch
+
+PHYSICS = Method(
+    stage="touch",
+    name="physics",
+    title="Physical render",
+    help="the target's gel or membrane pressed onto the view, and photographed",
+    run=skip_if_exact(physical_render.skip_without_contact, physical_render.render_touch),
+    params=physical_render.PhysicalRenderParams,
+    reads=("target_depth", "target"),
+    version=3,
+)
+T2D2 = Method(
+    stage="touch",
+    name="t2d2",
+    title="T2D2, compact diffusion",
+    help="the physical render, and what a network that knows the target's touches adds to it",
+    run=skip_if_exact(t2d2.skip_without_contact, fall_back_without_weights(t2d2.generate_touch, fallback=PHYSICS)),
+    params=DiffusionParams,
+    reads=(*PHYSICS.reads, "touch_weights"),
+    weights=t2d2.select_weights,
+    draft=make_draft_params,
+    version=4,
+)
+T2T = Method(
+    stage="touch",
+    name="t2t",
+    title="T2T, compact diffusion",
+    help="the target's touch from the source's reading, as pairs have taught it; where one step is unsure, physics",
+    run=fall_back_without_weights(t2t.generate_touch, fallback=t2t.PHYSICS_FROM_FRAME),
+    params=DiffusionParams,
+    reads=(*t2t.READS, "touch_weights"),
+    weights=t2t.select_weights,
+    draft=make_draft_params,
+    version=5,
+)
+LATENT = Method(
+    stage="touch",
+    name="latent",
+    title="T2T, latent diffusion",
+    help="the paper's own: 200 steps from noise, guided by what an encoder sees in the source's picture",
+    run=fall_back_without_weights(latent_diffusion.generate_touch, fallback=t2t.PHYSICS_FROM_FRAME),
+    params=LatentParams,
+    reads=(*t2t.READS, "touch_weights"),
+    weights=latent_diffusion.select_weights,
+    draft=latent_diffusion.make_draft_params,
+)
+VQVAE = Method(
+    stage="touch",
+    name="vqvae",
+    title="VQ-VAE, the paper's baseline",
+    help="picture to picture at 128 x 128 through a codebook; needs no depth",
+    run=fall_back_without_weights(vqvae.generate_touch, fallback=t2t.PHYSICS_FROM_FRAME),
+    params=NoParams,
+    reads=(*t2t.READS, "touch_weights"),
+    weights=vqvae.select_weights,
+)
+
+
+def _picture(touch: GeneratedTouch, seen: PreviewContext) -> Preview:
+    membrane = touch.membrane
+    return make_frame_preview(
+        touch.image, touch.camera, seen.target, seen.display,
+        depth_mm=None if membrane is None else membrane.depth_mm,
+        contact=None if membrane is None else membrane.contact, reference=touch.reference, is_recorded=False,
+    )  # fmt: skip
+
+
+def _layers(touch: GeneratedTouch, seen: PreviewContext, picture: Preview) -> tuple[Layer, ...]:
+    """The target's membrane under the generated touch, wearing its picture."""
+    at = touch.membrane
+    if at is None:
+        return (make_frame_layer("touch", touch.image, touch.camera, picture.pixels, seen.target),)
+    times = seen.display.get_depth_stretch(seen.target)
+    return (make_surface_layer("touch", at.depth_mm, at.indentation_mm, touch.camera, picture.pixels, times),)
+
+
+def _follow(touch: GeneratedTouch, before: ProbePoint) -> ProbePoint:
+    index = look_up_element(touch.source_index, before.index)
+    if index < 0:
+        untouched = touch.membrane is not None and not touch.membrane.contact.any()
+        text = "generated untouched" if untouched else "this method does not tell where a pixel comes from"
+        return ProbePoint(stage="touch", index=-1, text=text)
+    row, col = divmod(index, touch.camera.cols)
+    if touch.image.ndim == 2:
+        text = f"{_from_rest(touch, row, col)}{float(touch.image[row, col]):.2f} mm from the camera"
+    else:
+        text = "generated rgb {} {} {}".format(*(int(v) for v in touch.image[row, col]))
+    return ProbePoint(stage="touch", index=index, row=row, col=col, point_mm=before.point_mm, text=text)
+
+
+def _from_rest(touch: GeneratedTouch, row: int, col: int) -> str:
+    """How far a bubble's membrane went, where that is known, and which way."""
+    if touch.membrane is None:
+        return ""
+    moved_mm = float(touch.membrane.indentation_mm[row, col])
+    return f"{abs(moved_mm):.2f} mm {'out' if moved_mm < 0 else 'in'}, "
+
+
+def _states(touch: GeneratedTouch) -> tuple[GeneratedTouch, ...]:
+    return tuple(replace(touch, image=step.image, membrane=step.membrane, steps=()) for step in touch.steps)
+
+
+def _way(touch: GeneratedTouch) -> StepHistory | None:
+    """How far each state is from the one before and from the last, and from which on nothing changes to speak of."""
+    if not touch.steps:
+        return None
+    heights = [np.nan_to_num(step.membrane.indentation_mm) for step in touch.steps]
+    off = [heights[0] * 0, *(b - a for a, b in pairwise(heights))]
+    last_mm = tuple(_rms_mm(h - heights[-1]) for h in heights)
+    span_mm = max(float(np.ptp(heights[-1])), 1e-9)
+    settled = next(k for k, h in enumerate(heights) if _most(h - heights[-1]) <= span_mm / 255)
+    return StepHistory(
+        curves=(
+            StepCurve(name="changed", unit="mm", values=tuple(_rms_mm(o) for o in off)),
+            StepCurve(name="from the last", unit="mm", values=last_mm),
+        ),
+        stop_reason=f"settled at {settled + 1} of {len(heights)}: from there on 99 % of the pixels stay within 1/255 of the "
+        "whole indentation; it ends as all steps that were asked for are done",
+        descriptions=tuple(f"seen through noise of {s.sigma:.3g} units, {d:.3g} mm (rms) from the last"
+                    for s, d in zip(touch.steps, last_mm, strict=True)),
+    )  # fmt: skip
+
+
+def _rms_mm(gap: Floats) -> float:
+    return float(np.sqrt((gap.astype(np.float64) ** 2).mean()))
+
+
+def _most(gap: Floats) -> float:
+    return float(np.percentile(np.abs(gap), 99.0))
+
+
+def _figures(touch: GeneratedTouch, facts: GroundTruth) -> Mapping[str, float]:
+    return {} if facts.target_observation is None else compute_image_metrics(touch.image, facts.target_observation)
+
+
+STAGE = Stage(
+    name="touch",
+    title="Generated touch",
+    legend="target's membrane",
+    sensor_role="target",
+    methods=(PHYSICS, T2D2, T2T, LATENT, VQVAE),
+    make_preview=_picture,
+    make_layers=_layers,
+    trace_point=_follow,
+    compute_metrics=_figures,
+    make_ground_truth=ground_truth.build_touch,
+    has_steps=True,
+    split_steps=_states,
+    summarise_steps=_way,
+)

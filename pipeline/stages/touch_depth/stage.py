@@ -1,0 +1,39 @@
+"""The slot *felt*: the depth of the generated touch, in the target's frame."""
+
+from __future__ import annotations
+
+from pipeline.base.params import NoParams
+from pipeline.engine.graph import Method, skip_if_exact
+from pipeline.stages.depth.photometric import DepthParams
+from pipeline.stages.depth.photometric import make_draft_params as depth_draft
+from pipeline.stages.depth_map_stage import make_depth_stage
+from pipeline.stages.touch_depth import membrane
+
+MEMBRANE = Method(
+    stage="touch_depth",
+    name="membrane",
+    title="Its membrane",
+    help="the membrane that the touch was made with",
+    run=skip_if_exact(membrane.skip_without_contact, membrane.use_membrane),
+    params=NoParams,
+    reads=("touch", "target"),
+)
+FROM_IMAGE = Method(
+    stage="touch_depth",
+    name="reading",
+    title="Read as recorded",
+    help="the picture goes through the target's own depth method",
+    run=skip_if_exact(membrane.skip_without_contact, membrane.estimate_from_image),
+    params=DepthParams,
+    reads=("touch", "target"),
+    draft=depth_draft,
+)
+
+
+STAGE = make_depth_stage(
+    name="touch_depth",
+    title="Felt",
+    legend="as the target feels it",
+    sensor_role="target",
+    methods=(MEMBRANE, FROM_IMAGE),
+)

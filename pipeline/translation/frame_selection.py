@@ -1,0 +1,98 @@
+"""Which frames of a recording to look at first: one on which something touches, and those that tell of its light."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.base.arrays import Floats, Image
+from pipeline.base.errors import TouchError
+from pipeline.engine.digests import content
+from pipeline.values.frames import Stream, TactileFrame
+
+_MOST_FRAMES = 24
+_MOST_PIXELS = 40_000_000  # in all: reading more takes longer than a person waits for a recording to open
+_MOST_TELLING = 4  # touches of one unit: each takes as long as reading a frame
+_BLOCKS_ALONG = 24  # the longer side: wide enough that noise averages out
+
+
+def find_contact_frame(stream: Stream) -> int:
+    """The frame that has changed most from its untouched reading, of some spread evenly over the recording.
+
+    0 where none has, or where no frame brings an untouched reading. Frames that cannot be read are passed over.
+    """
+    best, most = 0, 0.0
+    for frame, change_of in _compared(stream):
+        change = float(change_of.max())
+        if change > most:
+            best, most = frame.index, change
+    return best
+
+
+def select_context_images(stream: Stream) -> tuple[Image, ...]:
+    """The pictures (rows, cols, 3) of `telling_frames`."""
+    return tuple(cast("Image", frame.image) for frame in select_context_frames(stream))
+
+
+def select_context_frames(stream: Stream) -> tuple[TactileFrame, ...]:
+    """Frames of one unit that tell most of its light, the most telling first; none of a bubble.
+
+    Of some frames spread evenly over the recording, those that change most of the picture where the ones before them
+    do not: strongly, and in other places. They share one untouched picture, so that all are of one unit and one day.
+    """
+    found: list[tuple[TactileFrame, Floats]] = []
+    for frame, change in _compared(stream):
+        if frame.is_depth or frame.image.dtype != np.uint8:
+            return ()
+        if not found or content(frame.reference) == content(found[0][0].reference):
+            found.append((frame, change))
+    chosen: list[TactileFrame] = []
+    while found and len(chosen) < _MOST_TELLING:
+        gains = [float(change.sum()) for _, change in found]
+        best = int(np.argmax(gains))
+        if gains[best] <= 0.0:
+            break
+        frame, most = found.pop(best)
+        chosen.append(frame)
+        found = [(other, np.maximum(change - most, 0.0)) for other, change in found]
+    return tuple(chosen)
+
+
+def _compared(stream: Stream) -> Iterator[tuple[TactileFrame, Floats]]:
+    """Frames spread over the recording that bring an untouched reading of their shape, and by how much they changed.
+
+    That is of blocks' means, in the reading's own unit; what is no reading has not changed.
+    """
+    reference, at_rest = None, None
+    for index in _spread(stream):
+        try:
+            frame = stream.frame(index)
+        except TouchError:
+            continue
+        if frame.reference is None or frame.reference.shape != frame.image.shape:
+            continue
+        if at_rest is None or frame.reference is not reference:
+            reference, at_rest = frame.reference, _blocks(frame.reference)
+        yield frame, np.abs(np.nan_to_num(_blocks(frame.image) - at_rest, nan=0.0, posinf=0.0, neginf=0.0))
+
+
+def _spread(stream: Stream) -> list[int]:
+    if stream.n_frames < 2:
+        return []
+    try:
+        rows, cols = stream.frame(0).image.shape[:2]
+    except TouchError:
+        rows, cols = 320, 427
+    count = min(_MOST_FRAMES, stream.n_frames, max(3, _MOST_PIXELS // (rows * cols)))
+    return [round(i) for i in np.linspace(0, stream.n_frames - 1, count)]
+
+
+def _blocks(image: NDArray[np.generic]) -> Floats:
+    import cv2
+
+    rows, cols = image.shape[:2]
+    size = tuple(max(1, round(_BLOCKS_ALONG * n / max(rows, cols))) for n in (cols, rows))
+    return np.asarray(cv2.resize(np.asarray(image, np.float32), size, interpolation=cv2.INTER_AREA), np.float32)

@@ -1,0 +1,341 @@
+"""The alignment dock in a real window: drags preview and are one undo step, refining is offered and accepted."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.session.sample import SAMPLE_RECORDING
+from app.session.state import Session
+from app.window.alignment import AlignmentController
+from app.window.session_controller import SessionController
+from app.window.tour import wait_until_shown
+from pipeline.geometry import rigid
+from pipeline.sensors.alignment_files import load_alignment
+from widgets.scene_renderer import SceneRenderer
+
+PAIRED = SAMPLE_RECORDING.with_name("digit_gelslim.h5")
+TOUCHED = 3  # a frame that both sensors feel
+LIMIT_S = 60
+WAIT_MS = 60_000
+ROUNDING_MM = 1e-4  # depth is kept in single precision
+TRUE_TO_MM = 0.25  # how near refining on two small touches comes to a truth that it did not begin from
+
+
+@pytest.fixture
+def settled(qtbot) -> Callable[[SessionController], None]:
+    """Waits until stages and dock are through."""
+
+    def wait(instrument: SessionController) -> None:
+        aligning = instrument.findChild(AlignmentController)
+        qtbot.waitUntil(lambda: instrument.is_idle and aligning.is_idle, timeout=WAIT_MS)
+
+    return wait
+
+
+@pytest.fixture
+def aligned(open_window, qtbot) -> SessionController:
+    """A window on a touch of both sensors, its alignment dock in front; only what the dock needs is worked out."""
+    return _window_with_dock(open_window, qtbot, PAIRED, source="digit", target="gelslim", frame=TOUCHED)
+
+
+def _window_with_dock(open_window, qtbot, recording: Path, **session) -> SessionController:
+    gl = bool(session.pop("gl", False))
+    instrument = open_window(gl=gl)
+    instrument.screen.show_only("target_depth")
+    instrument.window.drawers.alignment.show()
+    instrument.show_session(Session(recording=recording, **session))
+    panel = instrument.window.alignment
+    qtbot.waitUntil(lambda: bool(panel.reason) or bool(panel.bars.axes), timeout=WAIT_MS)
+    return instrument
+
+
+def _drag(instrument: SessionController, axis: str, to: float, qtbot) -> None:
+    """Take hold of a slider and pull it, without letting go."""
+    slider = instrument.window.alignment.rows[axis].slider
+    slider.setSliderDown(True)
+    for position in np.linspace(0, to * (20 if axis in "xyz" else 10), 6)[1:]:
+        slider.setValue(round(position))
+        instrument.window.repaint()
+        qtbot.wait(5)
+
+
+def _let_go(instrument: SessionController, axis: str) -> None:
+    instrument.window.alignment.rows[axis].slider.setSliderDown(False)
+
+
+def test_a_drag_changes_the_view_and_the_gauges_before_it_ends(aligned, qtbot):
+    panel, column = aligned.window.alignment, aligned.window.columns["target_depth"]
+    before, gauge = column.view.picture, panel.gauges["iou"]
+    good = gauge.value
+    assert before.felt_px.size > 0
+    _drag(aligned, "x", 2.0, qtbot)
+    qtbot.waitUntil(lambda: column.state == "preview" and gauge.value < good - 0.1, timeout=WAIT_MS)
+    assert column.view.picture.pixels.shape == before.pixels.shape
+    assert np.mean(column.view.picture.pixels != before.pixels) > 0.01
+    assert column.view.picture.felt_px.shape == before.felt_px.shape
+    assert gauge.ghost == good
+    assert panel.gauges["edge_px"].value > panel.gauges["edge_px"].ghost
+    assert aligned.session.offsets.none
+
+
+def test_gauges_say_the_same_while_dragging_and_at_rest(aligned, qtbot, settled):
+    panel = aligned.window.alignment
+    _drag(aligned, "x", 1.0, qtbot)
+    qtbot.waitUntil(lambda: not aligned.job.busy, timeout=WAIT_MS)
+    qtbot.wait(50)
+    assert panel.dragging
+    dragging = {name: gauge.value for name, gauge in panel.gauges.items()}
+    assert dragging["iou"] < panel.gauges["iou"].ghost
+    _let_go(aligned, "x")
+    settled(aligned)
+    assert {name: gauge.value for name, gauge in panel.gauges.items()} == dragging
+
+
+def test_stages_that_a_drag_drops_are_not_called_running_and_come_when_it_ends(aligned, qtbot, settled, monkeypatch):
+    """The order is forced: the stages are on their way, and say so, when the drag takes their place."""
+    columns, evaluator, begun = aligned.window.columns, aligned.evaluator, threading.Event()
+
+    def for_ever(_session, _wanted, report, **_):
+        begun.set()
+        while True:
+            report.step(0.5, "working")
+            time.sleep(0.001)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(evaluator, "show", for_ever)
+        aligned.screen.show_only(None)
+        aligned.choose_frame(TOUCHED + 1)
+        qtbot.waitUntil(lambda: begun.is_set() and columns["source"].state == "running", timeout=WAIT_MS)
+        _drag(aligned, "x", 1.0, qtbot)
+        qtbot.waitUntil(lambda: not aligned.job.busy and columns["target_depth"].state == "preview", timeout=WAIT_MS)
+        assert columns["source"].state == "stale", "nothing runs"
+        assert not aligned.is_idle, "the new frame has not come"
+    aligned.screen.show_only("target_depth")
+    _let_go(aligned, "x")
+    settled(aligned)
+    assert aligned.latest.index == TOUCHED + 1
+    assert columns["target_depth"].state in ("computed", "doubtful", "skipped")
+
+
+def test_a_drag_is_one_undo_step_and_ends_at_full_size(aligned, qtbot, settled):
+    panel, steps = aligned.window.alignment, aligned.undo.count()
+    good = panel.gauges["iou"].value
+    _drag(aligned, "x", 1.0, qtbot)
+    _let_go(aligned, "x")
+    settled(aligned)
+    assert aligned.undo.count() == steps + 1
+    assert "x" in aligned.undo.undoText()
+    assert aligned.session.offsets.values == (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert aligned.latest.results["target_depth"].state == "computed"
+    assert panel.gauges["iou"].value < good
+    assert "moved" in panel.origin
+    aligned.undo.undo()
+    settled(aligned)
+    assert aligned.session.offsets.none
+    assert panel.rows["x"].box.value() == 0.0
+    assert panel.gauges["iou"].value == good
+
+
+def test_turns_are_about_the_middle_of_the_contact(aligned, qtbot, settled):
+    depth = aligned.latest.results["depth"].output
+    middle = depth.camera.back_project(depth.depth_mm)[depth.contact].mean(axis=0)
+    opened = aligned.screen.opened.alignment
+    before = rigid.apply(opened.target_from_source, middle)
+    _drag(aligned, "rz", 5.0, qtbot)
+    _let_go(aligned, "rz")
+    settled(aligned)
+    offsets = aligned.session.offsets
+    assert offsets.turn_deg == (0.0, 0.0, 5.0)
+    assert np.allclose(rigid.apply(offsets.applied(opened).target_from_source, middle), before, atol=ROUNDING_MM)
+    assert np.hypot(*offsets.pivot_mm[:2]) > 1.0  # so that turning about the camera's axis would have moved it
+
+
+def test_typing_a_number_is_one_change_once_it_is_still(aligned, settled):
+    box, steps = aligned.window.alignment.rows["z"].box, aligned.undo.count()
+    box.stepUp()
+    box.stepUp()
+    settled(aligned)
+    assert aligned.undo.count() == steps + 1
+    assert aligned.session.offsets.shift_mm == (0.0, 0.0, 0.1)
+
+
+def test_a_drag_that_comes_back_leaves_no_trace(aligned, qtbot, settled):
+    steps = aligned.undo.count()
+    _drag(aligned, "y", 1.0, qtbot)
+    aligned.window.alignment.rows["y"].slider.setValue(0)
+    _let_go(aligned, "y")
+    settled(aligned)
+    assert aligned.undo.count() == steps
+    assert aligned.latest.results["target_depth"].state == "cached"
+
+
+def test_offsets_are_in_the_session_file_and_old_files_have_none(aligned, open_window, tmp_path, settled):
+    aligned.window.alignment.rows["x"].box.setValue(0.4)
+    aligned.window.alignment.rows["ry"].box.setValue(-2.0)
+    settled(aligned)
+    path = tmp_path / "s.touch.json"
+    aligned.save_session(path)
+    other = open_window()
+    other.show_only("target_depth")
+    other.open_path(path)
+    assert wait_until_shown(other, LIMIT_S)
+    assert other.session.offsets == aligned.session.offsets
+    assert other.window.alignment.rows["ry"].box.value() == -2.0
+    data = json.loads(path.read_text())
+    del data["offsets"]
+    path.write_text(json.dumps(data))
+    other.open_path(path)
+    assert other.session.offsets.none
+
+
+def test_refining_shows_before_and_after_and_accepting_is_one_step(aligned, qtbot, settled):
+    panel = aligned.window.alignment
+    refining = aligned.findChild(AlignmentController).refining
+    panel.rows["x"].box.setValue(1.0)
+    settled(aligned)
+    steps, bad = aligned.undo.count(), panel.gauges["iou"].value
+    panel.refine.button.click()
+    assert panel.refine.cancel.isVisible()
+    qtbot.waitUntil(lambda: refining.answer is not None, timeout=WAIT_MS)
+    assert "→" in panel.refine.text
+    assert "surface mm" in panel.refine.text
+    before, after = refining.answer.answer.used
+    assert after.outline_mm < before.outline_mm
+    assert aligned.undo.count() == steps
+    panel.refine.accept.click()
+    settled(aligned)
+    assert aligned.undo.count() == steps + 1
+    assert abs(aligned.session.offsets.shift_mm[0]) < TRUE_TO_MM
+    assert panel.gauges["iou"].value > bad
+    assert not panel.refine.accept.isVisible()
+
+
+def test_a_refinement_is_seen_beside_what_is_until_it_is_taken(aligned, qtbot, settled):
+    """Before left of a handle, after right of it, on whichever frame one goes to."""
+    refining, view = aligned.findChild(AlignmentController).refining, aligned.window.columns["target_depth"].view
+    aligned.window.alignment.rows["x"].box.setValue(1.0)
+    settled(aligned)
+    plain = view.picture
+    aligned.window.alignment.refine.button.click()
+    qtbot.waitUntil(lambda: refining.answer is not None and view.overlay.shown, timeout=WAIT_MS)
+    settled(aligned)
+    before, after = view.picture, view.overlay._picture
+    assert before.values.shape == after.values.shape
+    gaps = [float(np.nanmean(np.abs(picture.values))) for picture in (before, after)]
+    assert gaps[1] < gaps[0]  # of what is carried over less what was felt
+    aligned.choose_frame(TOUCHED + 1)
+    settled(aligned)
+    aligned.choose_frame(TOUCHED)
+    settled(aligned)
+    assert view.overlay.shown
+    aligned.window.alignment.refine.discard.click()
+    settled(aligned)
+    assert not view.overlay.shown
+    assert view.picture is plain
+
+
+def test_refining_can_be_cancelled_and_changes_nothing(aligned, qtbot):
+    refining = aligned.findChild(AlignmentController).refining
+    aligned.window.alignment.refine.button.click()
+    aligned.window.alignment.refine.cancel.click()
+    qtbot.waitUntil(aligned.window.alignment.refine.button.isVisible, timeout=WAIT_MS)
+    assert refining.answer is None
+    assert "cancelled" in aligned.window.alignment.refine.text
+    assert aligned.session.offsets.none
+
+
+def test_a_recording_without_the_targets_touch_says_so_and_still_previews(open_window, touch_file, qtbot):
+    instrument = _window_with_dock(open_window, qtbot, touch_file, target="gelslim", frame=2)
+    panel = instrument.window.alignment
+    assert panel.no_score_reason == "the recording has no gelslim touch to compare with"
+    assert panel.gauges["iou"].text == "-"
+    before = instrument.window.columns["target_depth"].view.preview
+    assert before.observed_outline_px is None
+    _drag(instrument, "x", 2.0, qtbot)
+    qtbot.waitUntil(lambda: instrument.window.columns["target_depth"].state == "preview", timeout=WAIT_MS)
+    assert instrument.window.columns["target_depth"].view.preview is not before
+    panel.refine.button.click()
+    qtbot.waitUntil(instrument.window.banner.isVisible, timeout=WAIT_MS)
+    assert "both sensors" in instrument.window.banner.text
+
+
+def test_a_saved_alignment_opens_again_as_it_was_seen(aligned, tmp_path, settled):
+    aligned.window.alignment.rows["x"].box.setValue(0.5)
+    settled(aligned)
+    opened = aligned.screen.opened.alignment
+    expected = aligned.session.offsets.applied(opened).target_from_source
+    path = tmp_path / "mine.toml"
+    aligned.findChild(AlignmentController).save(path)
+    kept = load_alignment(path, source="digit", target="gelslim").alignment
+    assert np.allclose(kept.target_from_source, expected, rtol=0, atol=1e-9)
+    aligned.open_path(path)
+    settled(aligned)
+    assert aligned.session.offsets.none
+    assert "mine.toml" in aligned.window.alignment.origin
+    assert np.allclose(aligned.screen.opened.alignment.target_from_source, expected, rtol=0, atol=1e-9)
+
+
+def test_an_alignment_of_other_sensors_ends_in_the_banner_and_is_taken_back(aligned, qtbot):
+    aligned.open_path(SAMPLE_RECORDING.parents[1] / "alignments" / "gelslim_to_soft_bubble.toml")
+    qtbot.waitUntil(aligned.window.banner.isVisible, timeout=WAIT_MS)
+    assert "gelslim" in aligned.window.banner.text
+    assert aligned.session.alignment is None
+
+
+def test_nothing_is_judged_while_the_dock_is_hidden(open_window, qtbot):
+    instrument = open_window()
+    instrument.show_only("target_depth")
+    instrument.show_session(Session(recording=PAIRED, source="digit", target="gelslim", frame=TOUCHED))
+    assert wait_until_shown(instrument, LIMIT_S)
+    qtbot.wait(200)
+    assert not instrument.job.busy
+    assert instrument.window.alignment.bars.axes == ()
+    assert instrument.window.columns["target_depth"].view.picture.felt_px is None
+
+
+def test_who_goes_back_has_what_was_felt_at_once(aligned, settled, monkeypatch):
+    """Playing with the dock open asks for the outline of what was felt on every frame."""
+    from app.work import evaluator
+
+    asked: list[int] = []
+
+    def counted(translation, index, *rest):
+        asked.append(index)
+        return comparison_of(translation, index, *rest)
+
+    comparison_of = evaluator.build_target_comparison
+    monkeypatch.setattr(evaluator, "comparison_of", counted)
+    for frame in (TOUCHED + 1, TOUCHED, TOUCHED + 1, TOUCHED):
+        aligned.choose_frame(frame)
+        settled(aligned)
+    assert aligned.screen.shown("target_depth").picture.felt_px is not None
+    assert asked == [TOUCHED + 1]
+
+
+def test_offsets_go_with_the_sensors_they_were_made_for(aligned, settled):
+    aligned.window.alignment.rows["x"].box.setValue(0.5)
+    settled(aligned)
+    aligned.change("choose target", target="soft_bubble")
+    assert aligned.session.offsets.none
+    aligned.undo.undo()
+    assert aligned.session.offsets.shift_mm[0] == 0.5
+
+
+@pytest.mark.gl
+def test_3d_views_follow_a_drag(open_window, qtbot):
+    instrument = _window_with_dock(open_window, qtbot, PAIRED, gl=True, source="digit", target="gelslim", frame=TOUCHED)
+    qtbot.waitUntil(lambda: type(instrument.views.scene) is not SceneRenderer, timeout=WAIT_MS)
+    shown: list[tuple[int, str]] = []
+    scene = instrument.views.scene
+    show = scene.show_layers
+    scene.show_layers = lambda column, layers: (shown.append((column, layers[0].name)), show(column, layers))
+    _drag(instrument, "x", 1.0, qtbot)
+    qtbot.waitUntil(lambda: (3, "target_depth") in shown, timeout=WAIT_MS)
+    _let_go(instrument, "x")

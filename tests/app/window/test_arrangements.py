@@ -1,0 +1,120 @@
+"""Arrangements of one's own: kept, chosen, renamed, deleted, across starts and in sessions."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from app.session.arrangement_file import ARRANGEMENTS_FILE
+from app.session.layout import Arrangement, Layout, from_plain
+from app.session.preferences import Preferences
+from app.session.state import Session, load_session, save_session
+from app.window import dialogs
+from app.window.arrangements import ArrangementController
+from app.window.tour import wait_until_shown
+
+LIMIT_S = 60.0
+
+
+@pytest.fixture
+def called(monkeypatch):
+    """Answers the question for a name."""
+    said = {"name": ""}
+    monkeypatch.setattr(dialogs, "name_of", lambda *_: said["name"])
+    return said
+
+
+def _file():
+    return Preferences().settings_folder / ARRANGEMENTS_FILE
+
+
+def test_an_arrangement_comes_back_as_it_was_kept(bubble_window, called, qtbot):
+    instrument, window, act = bubble_window, bubble_window.window, bubble_window.window.actions_by_name
+    act["layout_inspect"].trigger()
+    window.panes.dims_chosen.emit(0, "2D")
+    window.drawers.frames.show()
+    called["name"] = "mine"
+    act["keep_arrangement"].trigger()
+    act["layout_stages"].trigger()
+    window.drawers.frames.hide()
+    assert instrument.session.layout.own is None
+    chosen = next(a for a in window.actions() if a.text() == "Arrangement mine")
+    assert chosen.shortcut().toString() == "Ctrl+Alt+1"
+    chosen.trigger()
+    assert instrument.session.layout.name == "inspect"
+    assert instrument.session.layout.panes[0][1] == "2D"
+    assert not window.drawers.frames.isHidden()
+    assert chosen.isChecked()
+    instrument.undo.undo()
+    assert instrument.session.layout.name == "stages"
+
+
+def test_a_dragged_handle_is_part_of_it(bubble_window, called, qtbot):
+    window, rows = bubble_window.window, bubble_window.window.rows
+    window.show()
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    low = [rows.height() // 2 - 40, rows.height() // 2 + 40]
+    rows.restore_sizes(low)
+    qtbot.wait(50)
+    kept = rows.sizes()
+    called["name"] = "low"
+    window.actions_by_name["keep_arrangement"].trigger()
+    rows.restore_sizes(())
+    qtbot.waitUntil(lambda: abs(rows.sizes()[0] - kept[0]) > 10)
+    window.actions_by_name["layout_stages"].trigger()
+    next(a for a in window.actions() if a.text() == "Arrangement low").trigger()
+    qtbot.waitUntil(lambda: abs(rows.sizes()[0] - kept[0]) < 4)
+
+
+def test_arrangements_outlive_the_window_and_can_be_renamed_and_deleted(open_window, called):
+    first = open_window()
+    for name in ("one", "two"):
+        called["name"] = name
+        first.window.actions_by_name["keep_arrangement"].trigger()
+    second = open_window()
+    own, act = second.findChild(ArrangementController), second.window.actions_by_name
+    assert [layout.own.name for layout in own.known] == ["one", "two"]
+    assert not act["delete_arrangement"].isEnabled()
+    own.choose(own.known[1])
+    called["name"] = "three"
+    act["rename_arrangement"].trigger()
+    assert [layout.own.name for layout in own.known] == ["one", "three"]
+    act["delete_arrangement"].trigger()
+    assert [layout.own.name for layout in open_window().findChild(ArrangementController).known] == ["one"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["{", "[]", '{"tactoscope arrangements": 0}', '{"tactoscope arrangements": 1, "arrangements": [{"name": "moon"}]}',
+     '{"tactoscope arrangements": 1}', '{"tactoscope arrangements": 1, "arrangements": [3]}'],
+)  # fmt: skip
+def test_a_file_that_cannot_be_read_is_one_sentence_and_is_not_lost(open_window, called, text):
+    _file().parent.mkdir(parents=True, exist_ok=True)
+    _file().write_text(text)
+    instrument = open_window()
+    assert "arrangements" in instrument.window.banner.text
+    called["name"] = "new"
+    instrument.window.actions_by_name["keep_arrangement"].trigger()
+    assert _file().with_name(ARRANGEMENTS_FILE + ".unread").read_text() == text
+    assert len(json.loads(_file().read_text())["arrangements"]) == 1
+
+
+def test_drawers_of_another_version_are_one_sentence(bubble_window):
+    layout = Layout(arrangement=Arrangement("old", dock_state="AAAA"))
+    bubble_window.findChild(ArrangementController).choose(layout)
+    assert "'old'" in bubble_window.window.banner.text
+
+
+def test_a_session_holds_its_arrangement(tmp_path):
+    layout = Layout(
+        name="inspect",
+        arrangement=Arrangement(
+            "mine", only_stage="touch_depth", dock_state="QQ==", splitter_sizes_px={"split_rows": (300, 200)}
+        ),
+    )
+    save_session(Session(layout=layout), tmp_path / "a.touch.json")
+    assert load_session(tmp_path / "a.touch.json").layout == layout
+    for wrong in ({"name": ""}, {"name": "a", "docks": 3}, {"name": "a", "splits": {"x": ["y"]}}, 5):
+        with pytest.raises(ValueError, match=r"arrangement|splits"):
+            from_plain({**Layout().plain, "own": wrong})

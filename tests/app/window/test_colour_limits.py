@@ -1,0 +1,95 @@
+"""A colour limit that is dragged in a pane is the display's setting, everywhere."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import Qt
+
+from app.session.state import DISPLAY_KEY
+from app.window.tour import wait_until_shown
+from pipeline.previews.display_params import DisplayParams
+from pipeline.previews.preview import DEVIATION_LABEL
+
+
+def test_a_dragged_limit_is_the_panels_and_every_panes(bubble_window, qtbot):
+    window = bubble_window.window
+    before = window.columns["depth"].view.picture
+    window.columns["depth"].view.levels.limit_dragged.emit("bubble_limit_mm", 4.237)
+    window.columns["depth"].view.levels.limit_dragged.emit("bubble_floor_mm", 1.0)
+    assert wait_until_shown(bubble_window, 60)
+    assert bubble_window.session.display.bubble_limit_mm == pytest.approx(4.24)
+    scale = window.columns["depth"].view.picture.scale
+    assert (scale.low, scale.high) == (1.0, pytest.approx(4.24))
+    assert before.scale.high != scale.high
+    bubble_window.undo.undo()
+    assert bubble_window.session.display.bubble_limit_mm == 10.0
+
+
+def test_a_limit_goes_no_farther_than_its_setting_and_never_past_the_other(bubble_window):
+    levels = bubble_window.window.columns["depth"].view.levels
+    levels.limit_dragged.emit("bubble_limit_mm", 1e6)
+    assert bubble_window.session.display.bubble_limit_mm == 25.0
+    levels.limit_dragged.emit("bubble_limit_mm", -3.0)
+    levels.limit_dragged.emit("bubble_floor_mm", 20.0)
+    assert wait_until_shown(bubble_window, 60)
+    scale = bubble_window.window.columns["depth"].view.picture.scale
+    assert scale.low < scale.high
+
+
+def test_a_double_click_fits_the_limits_of_what_is_shown_in_one_step(bubble_window, qtbot):
+    columns = bubble_window.window.columns
+    source = columns["source"].view
+    bubble_window.choose_params(DISPLAY_KEY, DisplayParams(bubble_quantity="distance"))
+    assert wait_until_shown(bubble_window, 60)
+    built = source.picture.scale
+    assert (built.low_setting, built.high_setting) == ("bubble_near_mm", "bubble_far_mm")
+    qtbot.mouseDClick(source.levels, Qt.MouseButton.LeftButton)
+    assert wait_until_shown(bubble_window, 60)
+    fitted, values = source.picture.scale, source.picture.values
+    inside = values[np.isfinite(values)]
+    np.testing.assert_allclose((fitted.low, fitted.high), np.percentile(inside, (1, 99)), atol=0.006)
+    bubble_window.choose_frame(1)  # the limits are absolute: another frame keeps them
+    assert wait_until_shown(bubble_window, 60)
+    assert source.picture.scale == fitted
+    bubble_window.undo.undo()
+    bubble_window.undo.undo()
+    assert wait_until_shown(bubble_window, 60)
+    assert source.picture.scale == built
+
+
+def test_a_bubbles_deviation_from_rest_has_the_limit_of_all_indentations_either_way(bubble_window):
+    columns = bubble_window.window.columns
+    assert columns["source"].view.picture.scale.quantity == DEVIATION_LABEL
+    columns["source"].view.levels.limit_dragged.emit("bubble_limit_mm", 6.0)
+    assert wait_until_shown(bubble_window, 60)
+    scale, depth = (columns[name].view.picture.scale for name in ("source", "depth"))
+    assert (scale.low, scale.high, depth.high) == (-6.0, 6.0, 6.0)
+    bubble_window.tracer.hover("source", 70, 80)
+    said = bubble_window.window.probe.text()
+    assert "deviation from rest" in said
+    assert "distance" in said
+
+
+def test_the_distance_to_the_posed_object_has_a_limit_of_its_own(bubble_window):
+    pose = bubble_window.window.columns["pose"].view
+    before = _limits(pose)
+    pose.levels.limit_dragged.emit("residual_limit_mm", 0.123)
+    assert wait_until_shown(bubble_window, 60)
+    assert _limits(pose) == (-0.12, 0.12) != before
+
+
+def test_a_pixel_that_was_pinned_in_a_larger_picture_is_let_go(bubble_window):
+    instrument = bubble_window
+    instrument.tracer.click("target_depth", 100, 400)
+    assert instrument.window.columns["target_depth"].view.cross == (100, 400)
+    instrument.change("another target", target="digit")  # 240 pixels wide
+    assert wait_until_shown(instrument, 60)
+    assert instrument.window.columns["target_depth"].view.cross is None
+    assert "pinned" not in instrument.window.trace.text
+
+
+def _limits(view):
+    scale = view.picture.scale
+    assert (scale.low_setting, scale.high_setting) == ("residual_limit_mm", "residual_limit_mm")
+    return scale.low, scale.high

@@ -1,0 +1,120 @@
+"""Truth beside what was worked out: in its place, as a difference, under a wipe handle, in turns."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import QPointF
+from PyQt6.QtWidgets import QLabel
+
+from app.session.sample import SAMPLE_RECORDING
+from app.window.tour import wait_until_shown
+
+LIMIT_S = 60
+
+
+@pytest.fixture
+def window(open_window):
+    instrument = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
+    assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
+    return instrument
+
+
+def _choose(instrument, versus):
+    instrument.window.actions_by_name[f"show_{versus}"].trigger()
+    assert wait_until_shown(instrument, LIMIT_S)
+
+
+def _grey(image):
+    return np.array([[image.pixelColor(x, y).green() for x in range(image.width())] for y in range(0, image.height(), 4)],
+                    np.float64)  # fmt: skip
+
+
+def test_truth_takes_the_place_and_gives_it_back(window):
+    views = {name: column.view for name, column in window.window.columns.items()}
+    made = {name: view.picture for name, view in views.items()}
+    _choose(window, "truth")
+    truths = window.screen.opened.truths(5)
+    assert set(truths) == {"depth", "target_depth", "touch", "touch_depth", "pose"}
+    for name in truths:
+        assert views[name].picture.caption.startswith("truth: "), name
+    np.testing.assert_array_equal(views["depth"].picture.values, truths["depth"].indentation_mm)
+    np.testing.assert_array_equal(views["cloud"].picture.pixels, made["cloud"].pixels)  # of which no truth is known
+    _choose(window, "truth")
+    assert window.screen.versus == ""
+    np.testing.assert_array_equal(views["depth"].picture.pixels, made["depth"].pixels)
+
+
+def test_a_difference_is_what_was_worked_out_less_the_truth(window):
+    view = window.window.columns["touch_depth"].view
+    made = view.picture.values.copy()
+    _choose(window, "difference")
+    true = window.screen.opened.truths(5)["touch_depth"].indentation_mm
+    np.testing.assert_allclose(view.picture.values, made - true, atol=1e-6)
+    assert view.picture.scale.low == -view.picture.scale.high
+    pose = window.window.columns["pose"].view.picture
+    assert pose.caption.startswith("distance to object")  # a signed distance has no difference
+
+
+def test_one_way_at_a_time(window):
+    actions = window.window.actions_by_name
+    _choose(window, "wipe")
+    _choose(window, "difference")
+    assert actions["show_difference"].isChecked()
+    assert not actions["show_wipe"].isChecked()
+    assert not window.window.columns["touch_depth"].view.overlay.shown
+
+
+def test_the_truth_lies_right_of_the_wipe_handle(window):
+    _choose(window, "wipe")
+    view = window.window.columns["touch_depth"].view
+    overlay = view.overlay
+    assert overlay.shown
+    assert not window.window.columns["source"].view.overlay.shown
+    seen = {}
+    for share in (1.0, 0.0, 0.25):
+        overlay.move_handle(share)
+        seen[share] = view.canvas.grab().toImage()
+    handle = round(view.canvas.to_screen(QPointF(0.25 * view.picture.pixels.shape[1], 0.0)).x())
+    here, made, true = (_grey(seen[share]) for share in (0.25, 1.0, 0.0))
+    for whose, other, part in ((made, true, slice(None, handle - 1)), (true, made, slice(handle + 2, None))):
+        off, otherwise = (float(np.abs(here - picture)[:, part].mean()) for picture in (whose, other))
+        assert off < 0.2 * otherwise  # a part is brought to size by itself, which moves a colour by a level or two
+    overlay.move_handle(2.0)  # no farther than the picture
+    assert overlay.share == 1.0
+    assert not overlay.shown
+    window.choose_frame(6)  # the handle stays where it was put
+    assert wait_until_shown(window, LIMIT_S)
+    assert overlay.share == 1.0
+
+
+def test_blinking_shows_both_in_turns_until_it_is_switched_off(window, qtbot):
+    _choose(window, "blink")
+    overlay = window.window.columns["depth"].view.overlay
+    seen = set()
+    qtbot.waitUntil(lambda: len(seen.union({overlay.shown}) and (seen.add(overlay.shown) or seen)) == 2, timeout=5000)
+    _choose(window, "blink")
+    assert not overlay.shown
+    assert not overlay.is_blinking
+
+
+def test_no_truth_is_worked_out_while_nobody_asks(window, monkeypatch):
+    translation = type(window.screen.opened)
+    asked = []
+    honest = translation.truths
+    monkeypatch.setattr(translation, "truths", lambda self, index: asked.append(index) or honest(self, index))
+    window.choose_frame(7)
+    assert wait_until_shown(window, LIMIT_S)
+    assert not asked
+    _choose(window, "truth")
+    assert asked == [7]
+
+
+def test_a_recording_without_truth_shows_what_was_worked_out(bubble_window):
+    made = bubble_window.window.columns["depth"].view.picture
+    _choose(bubble_window, "truth")
+    shown = bubble_window.window.columns["depth"].view.picture
+    assert shown.caption == made.caption
+    np.testing.assert_array_equal(shown.pixels, made.pixels)
+    told = [label.text() for label in bubble_window.window.timeline.findChildren(QLabel)]
+    assert "the recording holds no truth" in told  # why there is no error to be seen

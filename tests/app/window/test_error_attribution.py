@@ -1,0 +1,49 @@
+"""The blame tab: takes the frame at hand apart, once somebody looks."""
+
+from __future__ import annotations
+
+import pytest
+
+from app.session.sample import SAMPLE_RECORDING
+from app.window.tour import wait_until_shown
+from pipeline.translation.error_attribution import OUTSIDE_VIEW
+from widgets.error_attribution_panel import make_bars
+
+LIMIT_MS = 60_000
+
+
+@pytest.fixture
+def window(open_window, qtbot):
+    instrument = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
+    assert wait_until_shown(instrument, 60), instrument.window.banner.text
+    return instrument
+
+
+def test_the_frame_at_hand_is_taken_apart(window, qtbot):
+    panel = window.window.blame
+    assert not panel.waterfall.bars  # nothing is worked out while nobody looks
+    window.window.drawers.reading.show()
+    window.window.tabs.setCurrentWidget(panel)
+    qtbot.waitUntil(lambda: bool(panel.waterfall.bars), timeout=LIMIT_MS)
+    assert OUTSIDE_VIEW in panel.sentence
+    first, *parts, last = panel.waterfall.bars
+    assert first.end + sum(bar.change for bar in parts) == pytest.approx(last.end)
+    window.choose_frame(6)
+    qtbot.waitUntil(lambda: not panel.waterfall.bars, timeout=LIMIT_MS)  # of another frame
+    qtbot.waitUntil(lambda: bool(panel.waterfall.bars), timeout=LIMIT_MS)
+    panel.figure.setCurrentText("pose.mssd_mm")
+    panel.metric_chosen.emit("pose.mssd_mm")
+    qtbot.waitUntil(lambda: len(panel.waterfall.bars) == 7, timeout=LIMIT_MS)
+
+
+def test_a_frame_without_truth_says_so(bubble_window, qtbot):
+    panel = bubble_window.window.blame
+    bubble_window.window.drawers.reading.show()
+    bubble_window.window.tabs.setCurrentWidget(panel)
+    qtbot.waitUntil(lambda: "does not hold" in panel.sentence, timeout=LIMIT_MS)
+    assert not panel.figure.isEnabled()
+
+
+def test_each_bar_begins_where_the_one_before_it_ended():
+    shown = make_bars(1.0, (("depth", 0.3), ("drawing", -0.1)), 0.8)
+    assert [(round(b.begin, 3), round(b.end, 3)) for b in shown] == [(0.0, 1.0), (1.0, 0.7), (0.7, 0.8), (0.0, 0.8)]

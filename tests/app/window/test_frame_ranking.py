@@ -1,0 +1,126 @@
+"""The table of frames fills by itself while it is seen, and leads to the worst."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtWidgets import QLabel
+
+from app.session.sample import SAMPLE_RECORDING
+from app.session.state import Session, load_session
+from app.window.tour import wait_until_shown
+from widgets.frames_model import NOTE, FrameSummary
+from widgets.frames_panel import FramesPanel
+
+LIMIT_MS = 120_000
+_UP, _DOWN = Qt.SortOrder.AscendingOrder, Qt.SortOrder.DescendingOrder
+
+
+@pytest.fixture
+def window(open_window):
+    instrument = open_window(SAMPLE_RECORDING, source="digit", target="gelslim", frame=5)
+    assert wait_until_shown(instrument, 60), instrument.window.banner.text
+    return instrument
+
+
+def test_every_frame_of_known_truth_is_worked_out_and_the_worst_is_a_key_away(window, qtbot):
+    panel = window.window.frames
+    known = panel.known
+    qtbot.waitUntil(lambda: known.find_unknown_frame(5) < 0, timeout=LIMIT_MS)
+    assert window.session.frame == 5
+    figures = {f: known.known(f).figures.get("touch_depth.contact_mae_mm", math.nan) for f in range(known.rowCount())}
+    ranked = sorted((f for f, v in figures.items() if math.isfinite(v)), key=figures.__getitem__, reverse=True)
+    line = window.window.timeline.errors
+    qtbot.waitUntil(lambda: line.worst_frame == ranked[0], timeout=LIMIT_MS)  # nobody opened the table
+    assert "felt: error in contact, mm" in [label.text() for label in window.window.timeline.findChildren(QLabel)]
+    np.testing.assert_array_equal(line.values, [figures[f] for f in range(known.rowCount())])
+    assert set(line.doubts) == {f for f in range(known.rowCount()) if known.get_specific_warnings(f)} != set()
+    window.window.actions_by_name["worst"].trigger()
+    assert window.session.frame == ranked[0]
+    window.choose_frame(0)  # untouched: it has no error, so the worst of all comes first
+    assert wait_until_shown(window, 60)
+    window.window.actions_by_name["worse"].trigger()
+    assert window.session.frame == ranked[0]
+    window.window.actions_by_name["better"].trigger()
+    assert window.session.frame == ranked[1]
+    assert wait_until_shown(window, 60)
+    assert window.latest.index == ranked[1]
+
+
+def test_a_click_in_the_timeline_goes_there(window, qtbot):
+    line = window.window.timeline.errors
+    n = window.screen.opened.n_frames
+    qtbot.waitUntil(lambda: len(line.values) == n, timeout=LIMIT_MS)
+    places = [line.frame_at(x) for x in range(line.width())]
+    assert sorted(set(places)) == list(range(n))
+    qtbot.mouseClick(line, Qt.MouseButton.LeftButton, pos=QPoint(places.index(9) + 3, 10))
+    assert window.session.frame == 9
+
+
+def test_without_truth_nothing_is_worked_out_that_nobody_sees(bubble_window, qtbot):
+    known = bubble_window.window.frames.known
+    qtbot.wait(700)
+    assert known.find_unknown_frame(2) == 1
+    bubble_window.window.drawers.frames.show()
+    qtbot.waitUntil(lambda: known.find_unknown_frame(2) < 0, timeout=LIMIT_MS)
+
+
+def test_a_figure_chosen_is_the_one_that_ranks(qtbot):
+    panel = FramesPanel()
+    qtbot.addWidget(panel)
+    panel.model.reset_frames(4)
+    for frame, (a, b) in enumerate(((0.1, 30.0), (0.4, 20.0), (0.2, 40.0))):
+        figures = {"a.mae_mm": a, "b.psnr_db": b}
+        panel.model.show_summary(frame, FrameSummary(max_indentation_mm=0.2, contact_area_mm2=3.0, metrics=figures))
+    chosen = []
+    panel.frame_chosen.connect(chosen.append)
+    panel.offer_metrics(("a.mae_mm", "b.psnr_db"), "a.mae_mm", "error\nmm")
+    panel.show_frame(3)  # of which nothing is known
+    panel.step_by_metric(-1, sort_order=_DOWN)
+    panel.show_frame(chosen[-1])
+    panel.step_by_metric(1, sort_order=_DOWN)
+    panel.offer_metrics(("a.mae_mm", "b.psnr_db"), "b.psnr_db", "figure\ndB")
+    panel.show_frame(3)
+    panel.step_by_metric(-1, sort_order=_UP)
+    assert chosen == [1, 2, 1]
+
+
+def test_notes_are_kept_in_the_session_and_frames_are_filtered_by_what_is_known(bubble_window, qtbot, tmp_path):
+    panel = bubble_window.window.frames
+    known = panel.known
+    known.show_metric("touch_depth.contact_mae_mm", "error")
+    for frame, error in ((0, None), (1, 0.2), (2, 0.5)):
+        figures = {} if error is None else {"touch_depth.contact_mae_mm": error}
+        area = 0.0 if error is None else 5.0
+        known.show_summary(frame, FrameSummary(max_indentation_mm=1.0, contact_area_mm2=area, metrics=figures))
+    index = known.index(1, NOTE)
+    assert known.flags(index) & Qt.ItemFlag.ItemIsEditable
+    assert known.setData(index, " slipped, look again ")
+    assert bubble_window.session.notes == {1: "slipped, look again"}
+    assert known.data(index) == "slipped, look again"
+    assert known.known(2) is not None  # figures do not rest on notes
+    for words, listed in (
+        ("", [0, 1, 2]), (">0.3", [2]), ("<0.3", [1]), ("touched", [1, 2]), ("untouched", [0]), ("noted", [1]),
+        ("slip", [1]), ("touched >0.1 again", [1]), ("nothing-of-the-kind", []),
+    ):  # fmt: skip
+        panel.wanted.setText(words)
+        assert sorted(panel._frame_of(row) for row in range(panel._sorted.rowCount())) == listed, words
+    panel.wanted.setText("noted")
+    assert "1 listed" in panel._told.text()
+    panel.step(1, sort_order=_DOWN)
+    assert bubble_window.session.frame == 1
+    bubble_window.save_session(tmp_path / "noted.touch.json")
+    assert load_session(tmp_path / "noted.touch.json").notes == {1: "slipped, look again"}
+    bubble_window.undo.undo()  # the step to frame 1,
+    bubble_window.undo.undo()  # and the note
+    assert known.note(1) == ""
+    assert wait_until_shown(bubble_window, 60)
+
+
+def test_notes_of_another_recording_are_not_taken_along():
+    noted = Session(recording=SAMPLE_RECORDING, notes={3: "good"})
+    assert noted.with_updates(frame=4).notes == {3: "good"}
+    assert noted.with_updates(recording=SAMPLE_RECORDING.with_name("no_contact.h5")).notes == {}

@@ -1,0 +1,165 @@
+"""The arrangements of the window: what each shows, what it needs to work out, and that a session keeps it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import QSize, Qt
+
+from app.session.layout import Layout, from_plain
+from app.session.sample import SAMPLE_RECORDING
+from app.session.state import load_session
+from app.window.tour import wait_until_shown
+from widgets.pane_splitter import PaneSplitter
+
+LIMIT_S = 60
+# Of picture in a pane of two, by the window's size, with any one drawer open: width and height in pixels.
+PANE_PX = {(1366, 768): (215, 160), (1600, 950): (420, 315), (2560, 1440): (700, 525)}
+
+
+@pytest.fixture
+def window(open_window):
+    instrument = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
+    assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
+    return instrument
+
+
+def _arrange(instrument, name: str) -> None:
+    instrument.window.actions_by_name[f"layout_{name}"].trigger()
+    assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
+
+
+def _large(instrument) -> list[str]:
+    return [name for name, column in instrument.window.columns.items() if column.isVisible()]
+
+
+def test_panes_have_room_with_any_drawer_open(bubble_window, qtbot):
+    window = bubble_window
+    _arrange(window, "inspect")
+    views = [window.window.columns[name].view for name, _ in window.session.layout.panes]
+    for size, (wide, high) in PANE_PX.items():
+        for drawer in window.window.drawers.all:
+            window.window.resize(*size)
+            drawer.toggleViewAction().trigger()
+
+            def roomy(size=size, wide=wide, high=high) -> bool:
+                shown = [min(v.canvas_size_px.width(), v.canvas_size_px.height() / v.tall) for v in views]
+                return window.window.size() == QSize(*size) and all(
+                    s >= wide and s * v.tall >= min(high, wide * v.tall) for s, v in zip(shown, views, strict=True)
+                )
+
+            qtbot.waitUntil(roomy, timeout=3000)
+            drawer.toggleViewAction().trigger()
+
+
+def test_a_low_page_folds_its_filmstrip_and_a_dragged_handle_stays(bubble_window, qtbot):
+    window = bubble_window
+    window.window.resize(1366, 768)
+    _arrange(window, "inspect")
+    page = window.window.panes
+    strip = page.filmstrip
+    qtbot.waitUntil(lambda: strip.height() > 70, timeout=3000)
+    window.window.drawers.reading.toggleViewAction().trigger()
+    qtbot.waitUntil(lambda: strip.height() < 40, timeout=3000)
+    both = page.panes[0].findChild(PaneSplitter)
+    assert both.orientation() == Qt.Orientation.Horizontal
+    both.moveSplitter(both.sizes()[0] + 60, 1)
+    kept = both.sizes()
+    both.fit()
+    assert both.sizes() == kept
+    window.window.drawers.reading.toggleViewAction().trigger()
+    qtbot.waitUntil(lambda: strip.height() > 70, timeout=3000)
+
+
+def test_a_click_puts_a_slot_into_the_active_pane_and_one_key_changes_back(window, qtbot):
+    whole = _large(window)
+    window.window.actions_by_name["inspect_or_stages"].trigger()
+    assert wait_until_shown(window, LIMIT_S)
+    page = window.window.panes
+    assert _large(window) == ["depth", "touch_depth"]
+    assert {n for n, t in page.filmstrip.thumbnails.items() if t.isVisible()} == set(whole)
+    qtbot.mouseClick(window.window.columns["touch_depth"].view.canvas, Qt.MouseButton.LeftButton)
+    assert page.active == 1
+    qtbot.mouseClick(page.filmstrip.thumbnails["touch"], Qt.MouseButton.LeftButton)
+    assert _large(window) == ["depth", "touch"]
+    window.window.actions_by_name["only_2"].trigger()  # a slot in another pane changes places
+    assert [slot for slot, _ in window.session.layout.panes] == ["touch", "depth"]
+    page.dims_chosen.emit(1, "2D")
+    assert not window.window.cells["depth"].isVisible()
+    assert window.window.columns["depth"].isVisible()
+    page.count_chosen.emit(3)
+    assert len(_large(window)) == 3
+    window.window.actions_by_name["inspect_or_stages"].trigger()
+    assert _large(window) == whole
+    window.undo.undo()
+    assert len(_large(window)) == 3
+
+
+def test_what_is_doubted_is_shown_in_header_line_and_strip(window):
+    column = window.window.columns["target_depth"]
+    assert column.state == "doubtful"
+    assert any("of the target's contact" in doubt for doubt in column.doubts)
+    assert "of the target's contact" in window.window.warning.text
+    assert window.window.panes.filmstrip.thumbnails["target_depth"].state == "doubtful"
+    window.choose_frame(0)
+    assert wait_until_shown(window, LIMIT_S)
+    assert column.state == "skipped"
+    assert window.window.warning.text == ""
+
+
+def test_a_demonstration_shows_the_truth_beside_the_touch(window):
+    _arrange(window, "demo")
+    assert _large(window) == ["source", "touch"]
+    truth = window.screen.opened.truths(5)["touch"]
+    shown = window.window.truth.view.picture
+    assert window.window.truth.isVisible()
+    assert shown.caption.startswith("truth: ")
+    np.testing.assert_array_equal(shown.distance_mm, truth.image)
+    np.testing.assert_allclose(shown.values, truth.reference - truth.image, atol=1e-5)
+    assert set(window.latest.results) == {"depth", "cloud", "target_depth", "touch"}  # nothing that nobody sees
+    known = window.window.frames.known.known(5)
+    assert known.figures  # what was known of the whole frame is not forgotten
+    _arrange(window, "stages")
+    assert not window.window.truth.isVisible()
+
+
+def test_align_shows_what_is_carried_over_less_what_was_felt(window):
+    _arrange(window, "align")
+    assert _large(window) == ["target_depth"]
+    assert window.window.drawers.alignment.isVisible()
+    assert wait_until_shown(window, LIMIT_S)
+    shown = window.window.columns["target_depth"].view.picture
+    assert shown.caption.startswith("carried over less felt")
+    _arrange(window, "demo")
+    assert window.screen.versus == ""
+    assert not any(drawer.isVisible() for drawer in window.window.drawers.all)
+
+
+def test_a_session_keeps_the_layout(window, open_window, tmp_path):
+    _arrange(window, "inspect")
+    window.window.panes.stage_chosen.emit(0, "pose")
+    window.save_session(tmp_path / "s.touch.json")
+    kept = load_session(tmp_path / "s.touch.json").layout
+    assert kept == window.session.layout
+    assert kept.panes[0][0] == "pose"
+    other = open_window()
+    other.open_path(tmp_path / "s.touch.json")
+    assert wait_until_shown(other, LIMIT_S)
+    assert _large(other) == ["touch_depth", "pose"]
+
+
+@pytest.mark.parametrize(
+    ("data", "told"),
+    [({"name": "mine", "panes": []}, "name"), ({"name": "inspect", "panes": [["depth", "4D"]]}, "panes"),
+     ({"name": "inspect", "panes": []}, "one to"), ([], "name")],
+)  # fmt: skip
+def test_a_layout_that_cannot_be_read_is_told(data, told):
+    with pytest.raises(ValueError, match=told):
+        from_plain(data)
+    assert from_plain(None) == Layout()
+
+
+def test_a_slot_that_the_route_lacks_makes_room_for_another():
+    layout = Layout(panes=(("depth", "2D"), ("touch_depth", "both")))
+    assert layout.resolve_panes(["source", "touch"]) == (("source", "2D"), ("touch", "both"))
+    assert layout.resolve_panes(["touch"]) == (("touch", "2D"),)

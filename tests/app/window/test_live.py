@@ -1,0 +1,128 @@
+"""A sensor in the window: the newest frame is shown, the window waits for nothing, looking back stays where it is."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import QCoreApplication
+
+from app.window.live import LiveController
+from app.window.tour import wait_until_shown
+from pipeline.live import reader
+from pipeline.live.simulated_source import SimulatedSource
+from pipeline.live.source import LiveFrame
+from pipeline.recordings import open_recording
+from pipeline.sensors.spec import load_sensor
+
+LIMIT_S = 90.0
+
+
+def living_of(instrument) -> LiveController:
+    return next(child for child in instrument.children() if isinstance(child, LiveController))
+
+
+def until(met: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + LIMIT_S
+    while not met():
+        assert time.monotonic() < end_s, "not in time"
+        QCoreApplication.processEvents()
+        time.sleep(0.003)
+
+
+@pytest.fixture
+def watching(open_window, monkeypatch):
+    monkeypatch.setattr(reader, "RETRY_S", 0.02)
+    instrument = open_window(target="gelslim")
+    living = living_of(instrument)
+    living.watch_source(SimulatedSource(sensor="digit", rate_hz=30.0))
+    until(lambda: living.is_on_screen and instrument.latest is not None)
+    return instrument, living
+
+
+def test_the_newest_frame_follows_and_looking_back_stays(watching):
+    instrument, living = watching
+    first = instrument.latest.index
+    until(lambda: instrument.latest.index > first + 3)
+    assert "Hz" in living.bar.text
+    assert instrument.window.timeline.slider.maximum() >= instrument.latest.index
+    instrument.window.timeline.frame_chosen.emit(first)
+    instrument.window.timeline.step_to(first)
+    assert not living.following
+    assert wait_until_shown(instrument, LIMIT_S)
+    n = living.reader.n_frames
+    until(lambda: living.reader.n_frames > n + 5)
+    assert instrument.session.frame == first
+    assert instrument.window.timeline.slider.maximum() >= n
+    living.bar.follow.click()
+    until(lambda: instrument.latest.index > n)
+
+
+def test_an_unplugged_sensor_is_told_and_followed_again(watching):
+    instrument, living = watching
+    living.reader.source.unplug()
+    until(lambda: "unplugged" in living.bar.text)
+    assert not instrument.window.banner.isVisible()
+    before = living.reader.n_frames
+    living.reader.source.plug()
+    until(lambda: instrument.latest.index > before)
+
+
+def test_recording_while_watching_leaves_a_whole_file(watching, tmp_path):
+    _, living = watching
+    path = tmp_path / "watched.h5"
+    living.record(path)
+    until(lambda: living.recorder.n_written > 4)
+    living.stop_recording()
+    living.stop()
+    until(lambda: _is_whole(path))
+    with_truth = open_recording(path)
+    assert with_truth.streams[0].n_frames > 4
+    assert with_truth.streams[0].has_truth
+    with_truth.close()
+
+
+def _is_whole(path: Path) -> bool:
+    recording = open_recording(path)
+    recording.close()
+    return not any("not closed" in note for note in recording.notes)
+
+
+class _Hangs:
+    """A camera that does not come back, as one does whose cable is half out."""
+
+    title, sensor, touched = "hanging", "digit", None
+
+    def __init__(self) -> None:
+        self.n, self.hang = 0, False
+
+    def open(self) -> None:
+        pass
+
+    def read(self) -> LiveFrame | None:
+        if self.hang:
+            time.sleep(5.0)
+        time.sleep(0.01)
+        self.n += 1
+        image = np.full((*load_sensor("digit").camera.shape, 3), 60, np.uint8)
+        return LiveFrame(image=image, time_s=time.monotonic(), sequence_number=self.n)
+
+    def close(self) -> None:
+        pass
+
+
+def test_the_window_waits_for_no_camera(open_window):
+    instrument, source = open_window(target="gelslim"), _Hangs()
+    living = living_of(instrument)
+    living.watch_source(source)
+    until(lambda: living.is_on_screen and instrument.latest is not None)
+    source.hang = True
+    time.sleep(0.1)
+    begun = time.monotonic()
+    living.set_zero()
+    living.stop_watching()
+    instrument.close()
+    assert time.monotonic() - begun < 4.0  # the read itself hangs for longer

@@ -1,0 +1,578 @@
+"""The window on a small recording: opens, fills its columns, plays, undoes, and survives bad files."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import pytest
+from PyQt6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
+from PyQt6.QtGui import QDropEvent, QSurface
+from PyQt6.QtWidgets import QLabel
+
+from app.session.sample import SAMPLE_RECORDING
+from app.session.state import load_session
+from app.window.tour import run_tour, save_window_screenshot, wait_until_shown
+from pipeline.base.errors import FileProblem
+from pipeline.base.params import replace_value
+from pipeline.engine.graph import Graph
+from pipeline.recordings.hdf5_writer import RecordingWriter
+from pipeline.stages.cloud.back_projection import BackProjectionParams
+from pipeline.stages.depth.photometric import DepthParams
+from tests.app.conftest import bubble_frames
+from widgets.scene_renderer import SceneRenderer
+from widgets.theme import get_theme_colours
+
+LIMIT_S = 60
+
+
+def test_all_six_columns_show_content(bubble_window):
+    window = bubble_window.window
+    assert list(window.columns) == ["source", "depth", "cloud", "target_depth", "touch", "touch_depth", "pose"]
+    for name, column in window.columns.items():
+        picture = column.view.picture
+        assert picture is not None, name
+        assert picture.frame_name.endswith("frame")
+        assert picture.pixel_mm > 0
+    assert {c.state for n, c in window.columns.items() if n != "pose"} <= {"read", "computed", "cached", "doubtful"}
+    assert window.columns["depth"].view.picture.outline_px.size > 0
+
+
+def test_a_skipped_column_says_why(bubble_window, qtbot):
+    column = bubble_window.window.columns["pose"]
+    assert column.state == "skipped"
+    assert "mesh" in column.view.message
+
+
+def test_an_untouched_frame_skips_and_a_seen_frame_is_cached(bubble_window):
+    bubble_window.choose_frame(0)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.latest.results["touch"].state == "skipped"
+    bubble_window.choose_frame(2)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.latest.results["depth"].state == "cached"
+    assert bubble_window.window.columns["depth"].state in ("cached", "doubtful")
+
+
+def test_a_missing_file_ends_in_the_banner_and_what_was_open_stays(bubble_window, tmp_path):
+    before = bubble_window.session
+    bubble_window.open_path(tmp_path / "missing.h5")
+    wait_until_shown(bubble_window, LIMIT_S)
+    banner = bubble_window.window.banner
+    assert banner.isVisible()
+    assert "missing.h5" in banner.text
+    assert "Traceback" not in banner.text + banner.details
+    assert bubble_window.session.recording == before.recording
+    bubble_window.choose_frame(1)
+    bubble_window.window.banner.hide()
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.latest.index == 1
+
+
+def test_a_file_that_is_no_recording_is_told_in_one_sentence(open_window, tmp_path):
+    bad = tmp_path / "bad.h5"
+    bad.write_bytes(b"no recording at all")
+    instrument = open_window(bad)
+    wait_until_shown(instrument, LIMIT_S)
+    assert instrument.window.banner.isVisible()
+    assert "bad.h5" in instrument.window.banner.text
+    assert instrument.window.banner.details == ""
+
+
+def test_a_bad_mesh_opened_while_the_frame_changes_is_taken_back(bubble_window, tmp_path):
+    bad = tmp_path / "bad.stl"
+    bad.write_text("no mesh at all")
+    bubble_window.open_path(bad)
+    bubble_window.choose_frame(1)
+    wait_until_shown(bubble_window, LIMIT_S)
+    assert "bad.stl" in bubble_window.window.banner.text
+    assert bubble_window.session.mesh is None
+    assert bubble_window.session.frame == 1
+    bubble_window.window.banner.hide()
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.latest.index == 1
+    bubble_window.choose_frame(2)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+
+
+def test_a_request_that_was_never_begun_says_nothing_about_the_one_after_it(bubble_window):
+    go_on = threading.Event()
+    bubble_window.job.submit(lambda _report: go_on.wait(LIMIT_S))
+    try:
+        bubble_window.choose_frame(0)
+        bubble_window.choose_frame(1)
+        assert "waiting" not in {column.state for column in bubble_window.window.columns.values()}
+    finally:
+        go_on.set()
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.latest.index == 1
+
+
+def test_a_stage_that_fails_on_what_was_open_before_takes_nothing_more_back(bubble_window, tmp_path, monkeypatch):
+    def fails(*_args, **_kwargs):
+        raise RuntimeError("out of memory")
+
+    bubble_window.choose_frame(1)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    monkeypatch.setattr("pipeline.engine.graph.Graph.evaluate", fails)
+    bubble_window.open_path(tmp_path / "missing.stl")
+    wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.session.mesh is None
+    assert bubble_window.session.frame == 1
+    assert bubble_window.window.columns["depth"].state == "failed"
+
+
+def test_a_mesh_can_be_closed_and_goes_with_its_recording(bubble_window, ball_file, touch_file, tmp_path):
+    close = bubble_window.window.actions_by_name["close_mesh"]
+    assert not close.isEnabled()
+    bubble_window.open_path(ball_file)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.latest.results["pose"].state == "computed"
+    close.trigger()
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.latest.results["pose"].state == "skipped"
+    bubble_window.undo.undo()
+    other = tmp_path / "other.h5"
+    shutil.copy(touch_file, other)
+    bubble_window.open_path(other)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.session.mesh is None
+    assert bubble_window.screen.opened.mesh is None
+
+
+def test_a_damaged_frame_after_a_route_there_and_back_fails_by_itself(open_window, tmp_path):
+    whole, cut = SAMPLE_RECORDING.read_bytes(), tmp_path / "cut.h5"
+    cut.write_bytes(whole[: len(whole) // 3])
+    window = open_window(cut, target="gelslim", frame=0)
+    wait_until_shown(window, LIMIT_S)
+    held = threading.Event()
+    window.job.submit(lambda report: held.wait(LIMIT_S))  # what is asked for meanwhile comes in one
+    window.change("choose route", route="t2t")
+    window.change("choose route", route="t2d2")
+    window.choose_frame(15)
+    held.set()
+    wait_until_shown(window, LIMIT_S)
+    assert window.session.frame == 15
+    assert "damaged" in window.window.columns["source"].view.message
+    waits = {column.state for name, column in window.window.columns.items() if name != "source"}
+    assert waits == {"waiting"}
+
+
+def test_a_part_that_comes_too_late_leaves_its_column_waiting_for_its_own(bubble_window, monkeypatch):
+    """The order is forced: a part of the frame before comes between the request for another one and its failure."""
+    window, over = bubble_window, threading.Event()
+    part, error = window.screen.shown("source"), FileProblem("this frame is damaged", SAMPLE_RECORDING)
+
+    def fails(*_args, **_kwargs):
+        over.wait(LIMIT_S)
+        raise error
+
+    monkeypatch.setattr(window.evaluator, "show", fails)
+    window.choose_frame(1)
+    before = window._ticket
+    window.choose_frame(0)
+    window.handle_part(before, part)
+    over.set()
+    wait_until_shown(window, LIMIT_S)
+    assert "this frame is damaged" in window.window.columns["source"].view.message
+
+
+def test_what_nothing_before_it_can_take_back_comes_to_rest(bubble_window, tmp_path, qtbot, monkeypatch):
+    """Where no step of the undo stack is what is open, and the one before cannot be opened any more either."""
+    empty = tmp_path / "empty.h5"
+    empty.touch()
+
+    def fails(*_args, **_kwargs):
+        raise FileProblem("the file is empty", empty)
+
+    bubble_window.change("keep a step below", linked=False)
+    monkeypatch.setattr(bubble_window.evaluator, "show", fails)
+    bubble_window._open = set()
+    bubble_window.change("open", recording=empty)
+    wait_until_shown(bubble_window, LIMIT_S)
+    qtbot.waitUntil(lambda: bubble_window.is_idle and not bubble_window.job.busy, timeout=20_000)
+    before = bubble_window.job.newest
+    qtbot.wait(300)
+    assert bubble_window.job.newest == before
+    assert "empty" in bubble_window.window.banner.text
+
+
+def test_what_fails_after_a_step_back_ends_at_the_step_before_it(bubble_window, tmp_path):
+    """Another choice after an undo cuts what is open off the stack: nothing on it counts as open."""
+    empty = tmp_path / "empty.h5"
+    empty.touch()
+    first = bubble_window.session.recording
+    bubble_window.open_path(SAMPLE_RECORDING)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    bubble_window.undo.undo()
+    bubble_window.open_path(empty)
+    wait_until_shown(bubble_window, LIMIT_S)
+    assert "empty" in bubble_window.window.banner.text
+    assert bubble_window.session.recording == first
+    assert bubble_window.screen.opened.request.recording == first
+    assert bubble_window.window.columns["depth"].state in ("computed", "cached", "unchanged", "doubtful")
+
+
+def test_taking_back_asks_for_nothing_that_lies_between(bubble_window, tmp_path):
+    """Hours of steps lie under one failure, and none of them is worked out on the way; what failed is not tried twice."""
+    empty = tmp_path / "empty.h5"
+    empty.touch()
+    bubble_window.undo.undo()  # what is open is cut off: the one step back is all there is to go to
+    bubble_window.open_path(empty)
+    for k in range(12):
+        bubble_window.change(f"note {k}", notes={0: str(k)})
+    before = bubble_window.job.newest
+    wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.job.newest <= before + 2
+    assert "empty" in bubble_window.window.banner.text
+    assert bubble_window.session.recording != empty
+
+
+def test_a_route_that_was_opened_for_nobody_is_told_to_who_asks_next(open_window, touch_file):
+    """There and back and there again while it opens: what came of the first request is no answer to the last."""
+    window = open_window(touch_file, target="gelslim", frame=2)
+    assert wait_until_shown(window, LIMIT_S)
+    window.change("choose route", route="t2t")
+    limit_s = time.monotonic() + LIMIT_S
+    while window.evaluator._translation.request.route != "t2t" and time.monotonic() < limit_s:
+        time.sleep(0.001)  # the window's own thread hears of nothing meanwhile
+    window.change("choose route", route="t2d2")
+    window.change("choose route", route="t2t")
+    assert wait_until_shown(window, LIMIT_S)
+    assert window.window.visible_columns() == ("source", "touch", "touch_depth", "pose")
+    states = {window.window.columns[name].state for name in ("touch", "touch_depth")}
+    assert not states & {"stale", "running", "waiting", "failed"}
+
+
+@pytest.mark.parametrize("layout", ["align", "stages"])
+def test_columns_that_a_route_brings_are_filled(layout, open_window, touch_file):
+    window = open_window(touch_file, target="gelslim", frame=2)
+    window.change("choose route", route="t2t")
+    assert wait_until_shown(window, LIMIT_S)
+    window.change("lay out", layout=replace(window.session.layout, name=layout))
+    wait_until_shown(window, LIMIT_S)  # in Align it says, sooner or later, that this route has nothing to align
+    window.change("choose route", route="t2d2")
+    window.choose_frame(1)  # asked for before the route has told of its columns
+    assert wait_until_shown(window, LIMIT_S)
+    assert "target_depth" in window.window.visible_columns()
+    assert window.window.columns["target_depth"].view.picture is not None
+    states = {window.window.columns[name].state for name in window.window.visible_columns()}
+    assert states <= {"read", "computed", "cached", "doubtful", "unchanged", "skipped"}
+
+
+def test_weights_are_opened_closed_and_undone(bubble_window, tmp_path, caplog):
+    close = bubble_window.window.actions_by_name["close_weights"]
+    assert not close.isEnabled()
+    file = tmp_path / "own.safetensors"
+    file.write_bytes(b"whatever it holds")
+    bubble_window.open_path(file)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.session.weights == {"": file}
+    said = bubble_window.window.columns["depth"].view._message.text()  # the network's, which reads bubbles
+    assert "cut short or damaged" in said
+    assert said.endswith("; physics answers instead")
+    bubble_window.change("choose method", methods={"depth": "physics"})
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert "the weights 'own.safetensors' count for nothing" in caplog.text  # no method of the route reads any now
+    close.trigger()
+    assert bubble_window.session.weights == {}
+    bubble_window.undo.undo()
+    assert bubble_window.session.weights == {"": file}
+    assert wait_until_shown(bubble_window, LIMIT_S)
+
+
+def test_a_dropped_mesh_in_metres_is_told_the_windows_own_way_out(bubble_window, tmp_path):
+    corners = ((0, 0, 0), (0.02, 0, 0), (0, 0.02, 0), (0, 0, 0.02))
+    faces = ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3))
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
+    (tmp_path / "ball.obj").write_text("\n".join(lines) + "\n")
+    bubble_window.open_paths([tmp_path / "ball.obj"])
+    wait_until_shown(bubble_window, LIMIT_S)
+    told = bubble_window.window.banner.text
+    assert "Open mesh…" in told
+    assert "Meshes in metres" in told
+    assert "--mesh-unit" not in told
+    assert bubble_window.session.mesh is None
+
+
+def test_the_unit_of_a_mesh_is_chosen_where_it_is_opened_and_kept(bubble_window, ball_file, tmp_path, monkeypatch):
+    def in_metres(_parent, _title, _folder, kinds):
+        return str(ball_file), next(kind for kind in kinds.split(";;") if "in metres" in kind)
+
+    monkeypatch.setattr("PyQt6.QtWidgets.QFileDialog.getOpenFileName", in_metres)
+    bubble_window.window.actions_by_name["open_mesh"].trigger()
+    assert bubble_window.session.mesh == ball_file
+    assert bubble_window.session.mesh_unit == "m"
+    bubble_window.save_session(tmp_path / "s.touch.json")
+    assert load_session(tmp_path / "s.touch.json").mesh_unit == "m"
+
+
+def test_an_empty_recording_leaves_the_open_one_as_it_is(bubble_window, tmp_path):
+    before, empty = bubble_window.session, tmp_path / "empty.h5"
+    with RecordingWriter(empty) as writer:
+        writer.append("bubble", bubble_frames()[0])
+    with h5py.File(empty, "r+") as file:
+        for name, dataset in list(file["streams/bubble"].items()):
+            if name != "references" and isinstance(dataset, h5py.Dataset):
+                dataset.resize(0, axis=0)
+    bubble_window.open_path(empty)
+    wait_until_shown(bubble_window, LIMIT_S)
+    assert "empty.h5" in bubble_window.window.banner.text
+    assert bubble_window.session.recording == before.recording
+    bubble_window.window.banner.hide()
+    bubble_window.choose_frame(1)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.window.columns["source"].state == "read"
+
+
+def test_an_error_of_our_own_is_told_briefly_with_the_traceback_behind_it(bubble_window, monkeypatch):
+    def fails(*_args, **_kwargs):
+        raise RuntimeError("out of memory")
+
+    monkeypatch.setattr("pipeline.engine.graph.Graph.evaluate", fails)
+    bubble_window.choose_frame(1)
+    wait_until_shown(bubble_window, LIMIT_S)
+    banner = bubble_window.window.banner
+    assert "out of memory" in banner.text
+    assert "\n" not in banner.text
+    assert "Traceback" in banner.details
+    assert bubble_window.window.columns["depth"].state == "failed"
+    assert bubble_window.window.columns["depth"].view.picture is not None
+
+
+def test_parameters_recompute_from_their_stage_on_and_can_be_undone(bubble_window):
+    before = bubble_window.session
+    params = replace_value(BackProjectionParams(), "stride", 2)
+    bubble_window.choose_params("cloud/back_projection", params)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    results = bubble_window.latest.results
+    assert results["depth"].state == "cached"
+    assert results["cloud"].state == "computed"
+    bubble_window.undo.undo()
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.session == before
+    assert bubble_window.latest.results["cloud"].state == "cached"
+
+
+def _rows(instrument) -> dict[int, tuple[str, ...]]:
+    """What the table of frames says of those it knows."""
+    model = instrument.window.frames.known
+    rows = {f: tuple(str(model.data(model.index(f, c))) for c in (1, 2, 3)) for f in range(model.rowCount())}
+    return {f: cells for f, cells in rows.items() if any(cells)}
+
+
+def test_the_table_of_frames_forgets_what_was_worked_out_with_other_settings(bubble_window):
+    bubble_window.choose_frame(1)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    before = _rows(bubble_window)
+    assert sorted(before) == [1, 2]
+    bubble_window.choose_params("display", replace_value(bubble_window.session.display, "gel_stretch", 5.0))
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert _rows(bubble_window) == before
+    bubble_window.choose_params("depth/physics", replace_value(DepthParams(), "contact_limit", 2.0))
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert sorted(_rows(bubble_window)) == [1]
+
+
+def test_the_error_of_a_frame_is_that_of_the_generated_touch_or_none(open_window):
+    """The sample knows the truth of its source; of a sensor that took no part in it nothing is known."""
+    instrument = open_window(SAMPLE_RECORDING, source="gelslim", target="gelsight_mini", frame=6)
+    assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
+    assert "depth.contact_mae_mm" in instrument.latest.metrics
+    assert _rows(instrument)[6][2] == "-"
+
+
+def test_another_target_is_one_change(bubble_window):
+    bubble_window.change("choose target", target="digit")
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert bubble_window.screen.opened.target.name == "digit"
+    rows, cols = bubble_window.window.columns["touch"].view.picture.pixels.shape[:2]
+    assert (rows, cols) == bubble_window.screen.opened.target.camera.shape
+
+
+def test_hovering_a_pixel_marks_it_everywhere_and_reads_its_value(bubble_window):
+    depth = bubble_window.latest.results["depth"].output
+    row, col = (int(i) for i in divmod(int(depth.indentation_mm.argmax()), depth.contact.shape[1]))
+    bubble_window.tracer.hover("depth", row, col)
+    assert "mm in soft_bubble frame" in bubble_window.window.probe.text()
+    assert f"({col}, {row})" in bubble_window.window.probe.text()
+    assert bubble_window.window.trace.text.startswith(f"({col}, {row})")
+    assert " → " in bubble_window.window.trace.text
+    assert bubble_window.window.columns["source"].view.cross == (row, col)
+    assert bubble_window.window.columns["target_depth"].view.cross is not None
+    bubble_window.tracer.clear()
+    assert bubble_window.window.columns["source"].view.cross is None
+
+
+def test_a_pinned_pixel_stays_while_the_mouse_moves_on(bubble_window):
+    bubble_window.tracer.click("depth", 70, 86)
+    bubble_window.tracer.hover("depth", 10, 10)
+    assert bubble_window.window.columns["depth"].view.cross == (70, 86)
+
+
+def test_a_trace_never_speaks_of_another_frame_than_the_picture(bubble_window, qtbot, monkeypatch):
+    """While the touch is generated, what is above it is already the new frame's."""
+    row, col = 70, 86
+    bubble_window.choose_frame(1)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    bubble_window.tracer.click("depth", row, col)
+    shallow = bubble_window.window.trace.text
+    seen, go_on = threading.Event(), threading.Event()
+
+    evaluate = Graph.evaluate
+
+    def stops_at_the_view(graph, wanted, inputs, params, progress, on_stage):
+        def on(result):
+            on_stage(result)
+            if result.name == "target_depth":
+                seen.set()
+                go_on.wait(LIMIT_S)
+
+        return evaluate(graph, wanted, inputs, params, progress, on)
+
+    monkeypatch.setattr(Graph, "evaluate", stops_at_the_view)
+    try:
+        bubble_window.choose_frame(2)
+        qtbot.waitUntil(seen.is_set, timeout=10_000)
+        qtbot.wait(100)
+        depth = bubble_window.window.columns["depth"].view.picture
+        assert f"{depth.values[row, col]:.3f} mm" in bubble_window.window.trace.text
+        assert "generated" in shallow
+        assert "generated" not in bubble_window.window.trace.text
+        bubble_window.tracer.click("touch", row, col)
+        assert "not worked out yet" in bubble_window.window.trace.findChild(QLabel).text()
+    finally:
+        go_on.set()
+    wait_until_shown(bubble_window, LIMIT_S)
+
+
+def test_a_dropped_file_is_opened(open_window, touch_file):
+    instrument = open_window()
+    mime = QMimeData()
+    mime.setUrls([QUrl.fromLocalFile(str(touch_file))])
+    buttons, keys = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.NoModifier
+    instrument.window.dropEvent(QDropEvent(QPointF(5, 5), Qt.DropAction.CopyAction, mime, buttons, keys))
+    assert wait_until_shown(instrument, LIMIT_S)
+    assert instrument.session.recording == touch_file
+
+
+def test_a_session_file_brings_everything_back(bubble_window, open_window, tmp_path):
+    path = tmp_path / "s.touch.json"
+    bubble_window.save_session(path)
+    other = open_window()
+    other.open_path(path)
+    assert wait_until_shown(other, LIMIT_S)
+    assert other.session.frame == bubble_window.session.frame
+    assert other.session.target == bubble_window.session.target
+
+
+def test_one_stage_alone_works_out_no_more_than_it_needs(bubble_window):
+    bubble_window.show_only("depth")
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert set(bubble_window.latest.results) == {"depth"}
+    bubble_window.show_only("depth")
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert set(bubble_window.latest.results) >= {"depth", "pose"}
+
+
+def test_playing_goes_on_to_the_last_frame_and_stops(bubble_window):
+    seen: list[int] = []
+    bubble_window.frame_shown.connect(seen.append)
+    bubble_window.choose_frame(0)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    bubble_window.window.timeline.speed.setCurrentIndex(4)
+    bubble_window.window.timeline.play(on=True)
+    end_s = time.monotonic() + LIMIT_S
+    while bubble_window.window.timeline.playing and time.monotonic() < end_s:
+        wait_until_shown(bubble_window, 1)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert seen[-1] == 2
+
+
+def test_every_command_can_be_found_and_explains_itself(open_window):
+    window = open_window().window
+    for name, action in window.actions_by_name.items():
+        assert action.objectName() == name
+        assert action.text()
+        assert action.toolTip()
+    keys = [s.toString() for a in window.actions_by_name.values() for s in a.shortcuts()]
+    assert len(keys) == len(set(keys))
+
+
+@pytest.mark.gl
+def test_the_tour_leaves_pictures_stages_and_a_report(open_window, touch_file, tmp_path):
+    instrument = open_window(touch_file, gl=True, target="gelslim")
+    assert run_tour(instrument, tmp_path / "out") == 0
+    assert sorted(p.name for p in (tmp_path / "out").glob("frame_*")) == ["frame_0000", "frame_0001", "frame_0002"]
+    assert (tmp_path / "out" / "report.json").exists()
+    assert (tmp_path / "out" / "window.png").stat().st_size > 20_000
+
+
+@pytest.mark.gl
+def test_the_window_is_not_built_anew_when_3d_comes(open_window, qtbot):
+    """A window that takes up an OpenGL widget while it is shown goes black for that time."""
+    instrument = open_window(gl=True)
+    handle, number = instrument.window.windowHandle(), int(instrument.window.winId())
+    qtbot.waitUntil(lambda: type(instrument.screen.scene) is not SceneRenderer, timeout=LIMIT_S * 1000)
+    view = instrument.window.solids[0]
+    assert handle.surfaceType() == QSurface.SurfaceType.RasterSurface
+    assert int(instrument.window.winId()) == number
+    assert view.grab().toImage().pixelColor(5, 5).getRgb()[:3] == get_theme_colours(view.palette()).backdrop
+
+
+@pytest.mark.gl
+def test_3d_views_are_in_the_windows_picture(open_window, touch_file, tmp_path):
+    instrument = open_window(touch_file, gl=True, target="gelslim", frame=2)
+    assert wait_until_shown(instrument, LIMIT_S)
+    save_window_screenshot(instrument, tmp_path / "w.png")
+    view = instrument.window.cells["depth"].view
+    corner = view.mapTo(instrument.window, QPoint(0, 0))
+    image = instrument.window.grab().toImage()
+    colours = {
+        image.pixelColor(corner.x() + x, corner.y() + y).rgb()
+        for x in range(4, view.width() - 4, 3)
+        for y in range(4, view.height() - 4, 3)
+    }
+    assert len(colours) > 50  # a blank view has one
+
+
+def test_opening_needs_no_gl(open_window, touch_file):
+    instrument = open_window(touch_file, target="gelslim", frame=1)
+    assert wait_until_shown(instrument, LIMIT_S)
+    assert Path(instrument.session.recording) == touch_file
+
+
+@pytest.mark.real_data
+@pytest.mark.parametrize(
+    ("folder", "source", "target"),
+    [("gsmini_balls", "gelsight_mini", "soft_bubble"), ("digit_balls", "digit", "gelslim")],
+)
+def test_real_touches_go_through_all_columns(open_window, real_data, folder, source, target):
+    instrument = open_window(real_data / folder, source=source, target=target, frame=4)
+    assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
+    assert all(column.view.picture is not None for column in instrument.window.columns.values())
+    assert instrument.latest.results["depth"].output.contact.any()
+
+
+def test_a_loop_begins_and_ends_where_one_says(bubble_window):
+    window = bubble_window.window
+    for frame, command in ((1, "loop_from"), (2, "loop_to")):
+        window.timeline.step_to(frame)
+        window.actions_by_name[command].trigger()
+    assert window.timeline.span == (1, 2)
+    assert window.actions_by_name["loop"].isChecked()
+    window.actions_by_name["loop_all"].trigger()
+    assert window.timeline.span == (0, 2)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+
+
+def test_a_recording_of_another_kind_of_sensor_is_shown_and_refused_in_words(open_window, touch_file):
+    instrument = open_window(touch_file, source="gelslim", target="soft_bubble", frame=1)
+    assert not wait_until_shown(instrument, LIMIT_S)
+    assert "choose the right sensor" in instrument.window.banner.text
+    assert instrument.window.columns["source"].view.picture is not None
+    assert instrument.window.columns["depth"].state == "failed"

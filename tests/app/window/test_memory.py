@@ -1,0 +1,45 @@
+"""A day's work does not fill the memory: what is kept to be taken back ends, and what is measured is what is held."""
+
+from __future__ import annotations
+
+import gc
+from collections import deque
+
+import numpy as np
+from PyQt6.QtGui import QImage
+
+from app.session.state import Session
+from app.session.undo import MAX_STEPS, SessionChange
+from pipeline.base.memo import Memo
+from tests.app.window.window_checks import kept_bytes
+
+
+def test_steps_that_can_be_taken_back_end_somewhere(open_window):
+    stack, shown = open_window().undo, deque[Session](maxlen=1)
+    session = Session()
+    for frame in range(1, MAX_STEPS + 201):
+        new = Session(frame=frame)
+        stack.push(SessionChange(old=session, new=new, text="go", key="", show=shown.append))
+        session = new
+    del new
+    assert stack.count() == MAX_STEPS
+    gc.collect()
+    assert sum(type(thing) is Session for thing in gc.get_objects()) < MAX_STEPS + 50
+    stack.undo()
+    assert shown[0].frame == MAX_STEPS + 199
+    stack.clear()
+
+
+def test_what_several_memos_hold_is_counted_once():
+    whole = np.zeros((100, 1000), np.float32)
+    before = kept_bytes()
+    first: Memo[str, object] = Memo()
+    second: Memo[str, object] = Memo()
+    first.put("a", (whole, whole[:10]))
+    second.put("b", {"part": whole[5:6]})
+    assert kept_bytes() - before == whole.nbytes
+    second.put("c", (QImage(100, 50, QImage.Format.Format_RGB32), (whole,)))
+    assert kept_bytes() - before == whole.nbytes + 4 * 100 * 50
+    third: Memo[str, object] = Memo(weigh=lambda _: 12345)
+    third.put("net", object())
+    assert kept_bytes() - before == whole.nbytes + 4 * 100 * 50 + 12345

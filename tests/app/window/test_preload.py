@@ -1,0 +1,51 @@
+"""An empty window loads what a first depth needs, and stops where somebody opens one."""
+
+from __future__ import annotations
+
+from app.session.sample import SAMPLE_RECORDING
+from app.window import preload
+from app.window.preload import PreloadController
+from app.work.preload import preload_depth
+from pipeline.base.progress import Cancelled
+from pipeline.stages.depth import gel_surface
+
+
+def test_an_empty_window_reads_a_touch_beforehand(monkeypatch, qtbot, open_window):
+    integrated = []
+    monkeypatch.setattr(
+        gel_surface,
+        "integrate",
+        lambda *given, whole=gel_surface.integrate_slopes: integrated.append(1) or whole(*given),
+    )
+    own = PreloadController(open_window())
+    with qtbot.waitSignal(own.job.finished, timeout=60_000):
+        assert own.start_timer.isActive()
+        own.start_timer.setInterval(0)
+    assert integrated, "it was no touch"
+
+
+def test_a_recording_that_is_opened_comes_first(monkeypatch, qtbot, open_window):
+    def waits(report):
+        while True:
+            report.step(0.5, "waiting")
+
+    monkeypatch.setattr(preload, "read_a_touch", waits)
+    instrument = open_window()
+    own = PreloadController(instrument)
+    own.start_timer.setInterval(0)
+    qtbot.waitUntil(lambda: own.job.is_busy, timeout=20_000)
+    with qtbot.waitSignal(own.job.cancelled, timeout=20_000):
+        instrument.open_path(SAMPLE_RECORDING)
+    assert not own.start_timer.isActive()
+
+
+def test_nobody_need_wait_for_it():
+    class Impatient:
+        def step(self, fraction, text):
+            raise Cancelled
+
+    try:
+        preload_depth(Impatient())
+    except Cancelled:
+        return
+    raise AssertionError("it went on")

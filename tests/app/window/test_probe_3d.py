@@ -1,0 +1,52 @@
+"""The pixel under the pointer is traced from 3D too, and a click there pins it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import QPoint, Qt
+
+from app.session.sample import SAMPLE_RECORDING
+from app.window.tour import wait_until_shown
+
+LIMIT_S = 60
+
+
+@pytest.fixture
+def window(open_window):
+    instrument = open_window(SAMPLE_RECORDING, gl=True, source="gelslim", target="soft_bubble", frame=5)
+    assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
+    instrument.window.resize(1600, 950)
+    assert wait_until_shown(instrument, LIMIT_S)
+    instrument.screen.scene.settle()
+    return instrument
+
+
+@pytest.mark.parametrize("name", ["source", "depth", "target_depth", "touch_depth"])
+def test_a_click_in_3d_pins_the_pixel_whose_dot_is_drawn_there(window, qtbot, name):
+    columns, view = window.window.columns, window.window.cells[name].view
+    of = window.latest.results["depth" if name == "source" else name].output
+    touched = np.argwhere(of.contact)
+    wanted = tuple(touched[np.abs(touched - touched.mean(axis=0)).sum(axis=1).argmin()])
+    window.tracer.hover(name, *(int(v) for v in wanted))
+    window.tracer.settle()
+    dot = view.dot
+    assert dot is not None
+    window.tracer.clear()
+    at = QPoint(round(dot.x() * view.width()), round(dot.y() * view.height()))
+    qtbot.mouseClick(view, Qt.MouseButton.LeftButton, pos=at)
+    found = columns[name].view.cross
+    assert found is not None
+    rows = columns[name].view.picture.pixels.shape[0]
+    assert np.abs(np.subtract(found, wanted)).max() < 0.06 * rows  # a few pixels of a view this small
+    assert window.window.actions_by_name["freeze_trace"].isChecked()
+
+
+def test_a_turn_is_no_click_and_empty_space_traces_nothing(window, qtbot):
+    view = window.window.cells["depth"].view
+    qtbot.mouseClick(view, Qt.MouseButton.LeftButton, pos=QPoint(1, 1))
+    assert window.window.columns["depth"].view.cross is None
+    qtbot.mousePress(view, Qt.MouseButton.LeftButton, pos=QPoint(80, 60))
+    qtbot.mouseMove(view, QPoint(110, 70))
+    qtbot.mouseRelease(view, Qt.MouseButton.LeftButton, pos=QPoint(110, 70))
+    assert window.window.columns["depth"].view.cross is None

@@ -1,0 +1,88 @@
+"""Nothing is cut off, lies outside what it stands in, or has no room: every layout, on a small screen and a large one."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+from PyQt6.QtCore import QRect, QSize
+from PyQt6.QtWidgets import QAbstractButton, QAbstractScrollArea, QComboBox, QDockWidget, QLabel, QTabBar, QWidget
+
+from app.window.tour import wait_until_shown
+from widgets.colour_bar import ColourBar
+from widgets.fixed_size_label import FixedSizeLabel
+
+LIMIT_S = 60
+SIZES = ((1366, 768), (1600, 950), (2560, 1440))
+LEAST_PX, LEAST_LETTERS = 8, 6  # of a widget's sides; of a title that ends in dots
+
+
+def _scrolled(widget: QWidget) -> bool:
+    """Whether it stands in something that can be scrolled, where it may be farther out."""
+    above = widget.parentWidget()
+    while above is not None:
+        if isinstance(above, QAbstractScrollArea):
+            return True
+        above = above.parentWidget()
+    return False
+
+
+def _faults(window) -> list[str]:
+    found = []
+    for widget in window.findChildren(QWidget):
+        above = widget.parentWidget()
+        if not widget.isVisible() or widget.isWindow() or above is None or _scrolled(widget):
+            continue
+        if isinstance(widget, QTabBar | QDockWidget) and widget.visibleRegion().isEmpty():
+            continue  # Qt lays aside what is behind another drawer, and tabs that it does not need
+        name = f"{type(widget).__name__} {widget.objectName()!r} in {type(above).__name__} {above.objectName()!r}"
+        if not QRect(0, 0, above.width(), above.height()).contains(widget.geometry()):
+            found.append(f"{name} lies outside: {widget.geometry()} of {above.size()}")
+        told = isinstance(widget, QComboBox) or (isinstance(widget, QLabel | QAbstractButton) and widget.text())
+        if told and min(widget.width(), widget.height()) < LEAST_PX:
+            found.append(f"{name} has no room: {widget.size()}")
+        if isinstance(widget, QAbstractButton) and widget.text() and widget.width() < widget.minimumSizeHint().width():
+            found.append(f"{name} is cut: {widget.text()!r}")
+        if isinstance(widget, FixedSizeLabel) and widget.font().bold():  # a title
+            letters = widget.fontMetrics().averageCharWidth() * min(LEAST_LETTERS, len(widget.text()))
+            if widget.width() < letters:
+                found.append(f"{name} ends in dots: {widget.text()!r}")
+    return found
+
+
+@pytest.mark.parametrize("layout", ["stages", "inspect", "align", "demo"])
+def test_nothing_is_cut_off_or_out_of_place(bubble_window, qtbot, layout):
+    window = bubble_window.window
+    window.actions_by_name[f"layout_{layout}"].trigger()
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    for size in SIZES:
+        for drawers in ((), (window.drawers.reading,), tuple(window.drawers.all)):
+            for drawer in drawers:
+                drawer.show()
+            window.resize(*size)
+            qtbot.waitUntil(lambda size=size: window.size() == QSize(*size), timeout=3000)
+            end_s = time.monotonic() + 2.0
+            while (faults := _faults(window)) and time.monotonic() < end_s:
+                qtbot.wait(10)  # it is being laid out
+            assert not faults, f"{size}, {len(drawers)} drawers: " + "\n".join(faults)
+            for drawer in drawers:
+                drawer.hide()
+
+
+def test_pictures_of_colours_alone_leave_no_band_for_scales(open_window, qtbot):
+    from app.session.sample import SAMPLE_RECORDING
+
+    instrument = open_window(SAMPLE_RECORDING, source="digit", target="gelslim", frame=5)
+    assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
+    window = instrument.window
+
+    def seen() -> int:
+        return sum(levels.isVisible() for levels in window.rows.findChildren(ColourBar))
+
+    qtbot.waitUntil(lambda: seen() == len(window.columns), timeout=3000)
+    window.actions_by_name["layout_demo"].trigger()
+    assert wait_until_shown(instrument, LIMIT_S)
+    qtbot.waitUntil(lambda: seen() == 0, timeout=3000)
+    window.actions_by_name["layout_inspect"].trigger()
+    assert wait_until_shown(instrument, LIMIT_S)
+    assert all(window.columns[name].view.levels.isVisible() for name, _ in instrument.session.layout.panes)

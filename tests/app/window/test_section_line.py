@@ -1,0 +1,232 @@
+"""The section line by mouse, key and number: in every picture on the same millimetres, and its curves in the tab."""
+
+from __future__ import annotations
+
+import csv
+import io
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtGui import QPainter
+from PyQt6.QtWidgets import QApplication
+
+from app.session.sample import SAMPLE_RECORDING
+from app.session.state import load_session
+from app.window.tour import wait_until_shown
+from pipeline.base.errors import FileProblem
+from pipeline.translation import cross_section
+from pipeline.translation.cross_section import SectionLine
+from widgets.canvas import Canvas
+from widgets.section_plot import SectionPlot, compute_segments, compute_ticks
+
+LIMIT_S = 60
+_Left, _Shift = Qt.MouseButton.LeftButton, Qt.KeyboardModifier.ShiftModifier
+
+
+@pytest.fixture
+def window(open_window):
+    instrument = open_window(SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5)
+    assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
+    return instrument
+
+
+@pytest.fixture
+def counted(monkeypatch):
+    """How often something was cut, and a line or a plot drawn."""
+    counts = {"cut": 0, "line": 0, "plot": 0}
+
+    def count(owner, name, what):
+        real = getattr(owner, name)
+
+        def counting(*args, **kwargs):
+            counts[what] += 1
+            return real(*args, **kwargs)
+
+        monkeypatch.setattr(owner, name, counting)
+
+    count(cross_section, "sampled", "cut")
+    count(Canvas, "_draw_line", "line")
+    count(SectionPlot, "_draw_axes", "plot")
+    return counts
+
+
+def _on(instrument, qtbot):
+    instrument.window.actions_by_name["section_line"].trigger()
+    qtbot.waitUntil(lambda: instrument.window.section_tab.plot.section is not None, timeout=3000)
+    views = [column.view for column in instrument.window.columns.values()]
+    rooms = None
+    while rooms != (
+        rooms := [view.canvas_size_px for view in views]
+    ):  # the drawer that opens takes room from the pictures
+        qtbot.wait(50)
+    return instrument.window.section_tab
+
+
+def test_how_the_line_is_laid_is_told_in_full_in_a_small_window(bubble_window, qtbot):
+    bubble_window.window.resize(1366, 768)
+    tab = _on(bubble_window, qtbot)
+    bubble_window.set_section(SectionLine(begin_mm=(-60.0, 0.0), end_mm=(60.0, 0.0)))
+    told = tab.told
+
+    def whole() -> bool:
+        return "120.00 mm" in told.text() and told.fontMetrics().horizontalAdvance(told.text()) <= told.width()
+
+    qtbot.waitUntil(whole, timeout=3000)
+
+
+def test_off_it_costs_nothing_and_on_only_what_is_seen(bubble_window, counted, qtbot):
+    window = bubble_window.window
+    for frame in (1, 2):
+        bubble_window.choose_frame(frame)
+        assert wait_until_shown(bubble_window, LIMIT_S)
+    assert counted == {"cut": 0, "line": 0, "plot": 0}
+    _on(bubble_window, qtbot)
+    window.repaint()
+    assert all(counted.values())
+    window.drawers.reading.hide()
+    bubble_window.choose_frame(1)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    cut = counted["cut"]
+    qtbot.wait(60)
+    assert counted["cut"] == cut  # nobody sees the curves
+    window.actions_by_name["section_line"].trigger()
+    qtbot.wait(30)
+    drawn = counted["line"]
+    window.repaint()
+    bubble_window.choose_frame(2)
+    assert wait_until_shown(bubble_window, LIMIT_S)
+    assert (counted["cut"], counted["line"]) == (cut, drawn)
+
+
+def test_every_slot_with_a_height_has_a_curve_that_is_what_its_pixels_read(window, qtbot):
+    panel = _on(window, qtbot)
+    shown = panel.plot.section
+    assert {p.name for p in shown.profiles} == {
+        "depth", "cloud", "target_depth", "touch", "touch_depth", "true_source", "true_target"
+    }  # fmt: skip
+    depth = window.latest.results["depth"].output
+    (profile,) = (p for p in shown.profiles if p.name == "depth")
+    deepest = np.nanmax(np.where(depth.contact, depth.indentation_mm, np.nan))
+    assert np.nanmax(profile.heights_mm) == pytest.approx(deepest, abs=0.02)  # the first line goes through it
+    assert len(profile.contact_edges_mm) >= 2
+    assert shown.along_mm[-1] == pytest.approx(shown.line.length_mm)
+    for name, column in window.window.columns.items():
+        assert column.view.canvas.line is not None, name
+    panel.place.setCurrentIndex(panel.place.findData("source"))
+    assert {p.name for p in panel.plot.known} == {"depth", "true_source"}  # on their own scale
+    panel.copy.click()
+    rows = list(csv.DictReader(io.StringIO(QApplication.clipboard().text())))
+    at = int(np.nanargmax(profile.heights_mm))
+    assert float(rows[at]["depth_mm"]) == pytest.approx(float(profile.heights_mm[at]), abs=1e-5)
+
+
+def test_the_same_place_of_the_touch_lies_under_the_line_in_both_sensors(window, qtbot):
+    """Where the cloud's point comes from a pixel under an end, the target's view has it under that end."""
+    made = window.latest.results["target_depth"].output
+    depth, cloud = (window.latest.results[name].output for name in ("depth", "cloud"))
+    row, col = divmod(int(np.where(made.contact, made.indentation_mm, -1.0).argmax()), made.camera.cols)
+    pixel = divmod(int(cloud.source_index[int(made.source_index[row, col])]), depth.camera.cols)
+    sheet = cross_section.build_plane(window.screen.opened, "source", depth.camera)
+    window.set_section(SectionLine(begin_mm=sheet.backproject_to_mm(pixel[1], pixel[0]), end_mm=(0.0, 0.0)))
+    canvas = window.window.columns["target_depth"].view.canvas
+    qtbot.waitUntil(lambda: canvas.line is not None, timeout=3000)
+    begin = canvas.line[0]
+    off_mm = (
+        np.hypot(begin.x() - col - 0.5, begin.y() - row - 0.5)
+        * window.window.columns["target_depth"].view.picture.pixel_mm
+    )
+    assert off_mm < 0.5  # the touch is that deep, and seen aslant
+
+
+def test_a_drag_lays_it_and_moves_an_end_while_other_drags_move_the_picture(window, qtbot):
+    _on(window, qtbot)
+    canvas = window.window.columns["touch_depth"].view.canvas
+    places = [
+        QPoint(int(s * canvas.width()), int(t * canvas.height())) for s, t in ((0.4, 0.4), (0.6, 0.5), (0.5, 0.6))
+    ]
+    qtbot.mousePress(canvas, _Left, _Shift, places[0])
+    qtbot.mouseMove(canvas, places[1])
+    qtbot.mouseRelease(canvas, _Left, _Shift, places[1])
+    centre = canvas.centre
+
+    def ends_at(begin: QPoint, end: QPoint) -> bool:
+        return all(
+            (canvas.to_screen(found) - wanted.toPointF()).manhattanLength() < 3.0
+            for found, wanted in zip(canvas.line, (begin, end), strict=True)
+        )
+
+    qtbot.waitUntil(lambda: ends_at(*places[:2]), timeout=3000)
+    qtbot.mousePress(canvas, _Left, pos=places[1])
+    qtbot.mouseMove(canvas, places[2])
+    qtbot.mouseRelease(canvas, _Left, pos=places[2])
+    qtbot.waitUntil(lambda: ends_at(places[0], places[2]), timeout=3000)
+    assert canvas.centre == centre
+    index, line = window.undo.index(), window.section
+    qtbot.mousePress(canvas, _Left, pos=QPoint(5, 5))
+    qtbot.mouseMove(canvas, QPoint(30, 30))
+    qtbot.mouseRelease(canvas, _Left, pos=QPoint(30, 30))
+    assert canvas.centre != centre
+    assert (window.undo.index(), window.section) == (index, line)  # no step of undo
+
+
+def test_numbers_lay_it_and_a_session_keeps_it_but_undo_does_not(window, qtbot, tmp_path):
+    panel = _on(window, qtbot)
+    for box, value in zip(panel.ends, (-2.0, 1.5, 3.25, -1.0), strict=True):
+        box.setValue(value)
+    wanted = SectionLine(begin_mm=(-2.0, 1.5), end_mm=(3.25, -1.0))
+    assert window.section == wanted
+    window.change("choose another", frame=4)
+    window.undo.undo()
+    assert window.section == wanted
+    path = tmp_path / "kept.touch.json"
+    window.save_session(path)
+    assert load_session(path).section == wanted
+    window.window.actions_by_name["section_line"].trigger()
+    assert window.section is None
+    assert not panel.ends[0].isEnabled()
+    window.window.actions_by_name["section_line"].trigger()
+    assert window.section == wanted  # where it was
+    window.set_section(None)
+    window.open_session(path)
+    assert window.section == wanted
+    assert window.window.actions_by_name["section_line"].isChecked()
+    path.write_text(path.read_text().replace("3.25", "true"))
+    with pytest.raises(FileProblem, match="section must be"):
+        load_session(path)
+
+
+def test_a_curve_has_gaps_and_its_axes_round_numbers():
+    x = np.arange(7.0)
+    drawn = compute_segments(x * 4.0, np.array([1, 2, np.nan, 3, 4, 5, 6.0]))
+    assert [line[0] / 4.0 for line in drawn] == [0, 3, 4, 5]
+    assert [line[0] / 4.0 for line in compute_segments(x * 4.0, x, "10")] == [0, 2, 4]
+    assert compute_ticks(0.0, 12.0, 4) == [0.0, 5.0, 10.0]
+    assert compute_ticks(-0.31, 0.31, 4) == pytest.approx([-0.2, 0.0, 0.2])
+    assert compute_ticks(-0.13, 4.5, 2) == [0.0, 2.0, 4.0]  # a scale of 0 alone tells nothing
+    assert compute_ticks(1.0, 1.0, 2) == []
+
+
+def test_a_low_plot_has_its_whole_label_and_a_scale(qtbot, monkeypatch):
+    said = []
+
+    class Heard(QPainter):
+        def drawText(self, where, how, text):
+            said.append((text, self.fontMetrics().horizontalAdvance(text), where.width()))
+            return super().drawText(where, how, text)
+
+    monkeypatch.setattr("widgets.section_plot.QPainter", Heard)
+    plot = SectionPlot()
+    qtbot.addWidget(plot)
+    plot.resize(900, plot.minimumHeight())
+    line = SectionLine(begin_mm=(0.0, 0.0), end_mm=(10.0, 0.0))
+    along = np.linspace(0.0, 10.0, 50)
+    felt = cross_section.HeightProfile(
+        name="touch_depth", title="Felt", place="target", heights_mm=0.05 * along**2 - 0.1
+    )
+    plot.show_section(cross_section.CrossSection(line=line, along_mm=along, profiles=(felt,)))
+    plot.grab()
+    assert all(wide <= room for _, wide, room in said)
+    numbers = [text for text, _, room in said if room < 50]
+    assert len(numbers) >= 2
+    assert "0" in numbers

@@ -1,0 +1,102 @@
+"""Light and dark: chosen, remembered, followed, and pictures that have their size at every size of window."""
+
+from __future__ import annotations
+
+import pytest
+from PyQt6.QtCore import Qt
+from PyQt6.QtGui import QGuiApplication
+from PyQt6.QtWidgets import QApplication, QLabel
+
+from app.session.preferences import Preferences
+from app.window import themes as room
+from app.window.tour import wait_until_shown
+from widgets.theme import get_theme_colours, is_dark, make_palette, to_hex
+
+LIMIT_S = 60.0
+
+
+@pytest.fixture(autouse=True)
+def as_before(qapp):
+    """The palette is the whole program's."""
+    before = QApplication.palette()
+    yield
+    QApplication.setPalette(before)
+
+
+def test_a_theme_is_chosen_by_a_command_and_remembered(open_window, qtbot):
+    window = open_window().window
+    for name, dark in (("dark", True), ("light", False)):
+        window.actions_by_name[f"theme_{name}"].trigger()
+        qtbot.waitUntil(lambda dark=dark: is_dark(window.palette()) == dark)
+        assert window.actions_by_name[f"theme_{name}"].isChecked()
+        assert Preferences().theme == name
+    assert window.actions_by_name["theme_dark"] in window.menus["View"].actions()
+
+
+def test_what_is_remembered_wrongly_is_the_systems(qapp, remembered_here):
+    kept = Preferences()
+    kept.theme = "mauve"  # pyright: ignore[reportAttributeAccessIssue]
+    assert kept.theme == "system"
+
+
+@pytest.mark.parametrize("scheme", [Qt.ColorScheme.Dark, Qt.ColorScheme.Light, Qt.ColorScheme.Unknown])
+def test_the_systems_theme_is_followed(qapp, monkeypatch, scheme):
+    class Hints:
+        def colorScheme(self):
+            return scheme
+
+    monkeypatch.setattr(QGuiApplication, "styleHints", staticmethod(Hints))
+    room.apply_theme("system")
+    assert QApplication.palette() == make_palette(dark=scheme == Qt.ColorScheme.Dark)
+
+
+def test_captions_and_trace_change_their_inks(bubble_window, qtbot):
+    window = bubble_window.window
+    bubble_window.tracer.click("target_depth", 60, 80)
+    bubble_window.tracer.settle()
+    before = bubble_window.screen.scene
+    window.actions_by_name["theme_dark"].trigger()
+    ink = get_theme_colours(make_palette(dark=True))
+    assert to_hex(ink.axes[0]) in window.cells["touch"].caption.text()
+    qtbot.waitUntil(lambda: to_hex(ink.secondary_text) in window.trace.findChild(QLabel).text())
+    assert bubble_window.screen.scene is before
+
+
+@pytest.mark.gl
+def test_3d_views_stand_on_the_ground_of_the_theme(open_window, touch_file, qtbot):
+    instrument = open_window(touch_file, gl=True, target="gelslim", frame=2)
+    assert wait_until_shown(instrument, LIMIT_S)
+    scene = instrument.screen
+    qtbot.waitUntil(lambda: hasattr(scene.scene, "drawn"), timeout=LIMIT_S * 1000)
+    for name in ("dark", "light"):
+        instrument.window.actions_by_name[f"theme_{name}"].trigger()
+        ground = get_theme_colours(make_palette(dark=name == "dark")).backdrop
+        view = instrument.window.cells["cloud"].view
+        qtbot.waitUntil(lambda: view.image.pixelColor(2, 2).getRgb()[:3] == ground, timeout=5000)  # noqa: B023
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize(("size", "least"), [((1600, 950), (215, 160)), ((1366, 768), (180, 135))])
+def test_pictures_get_the_room(open_window, touch_file, qtbot, size, least):
+    """Every slot side by side, pictures over 3D views; no view so tall that it is mostly ground."""
+    instrument = open_window(touch_file, gl=True, target="gelslim", frame=2)
+    window = instrument.window
+    window.resize(*size)
+    assert wait_until_shown(instrument, LIMIT_S)
+
+    def settled() -> bool:
+        strip, rows = window.timeline.errors, window.rows
+        return strip.height() == strip.high_px and abs(rows.sizes()[0] - window.columns["depth"].height()) < 4
+
+    qtbot.waitUntil(settled, timeout=5000)
+    shown = [name for name in window.visible_columns() if window.columns[name].view.picture is not None]
+    assert len(shown) >= 6
+    for name in shown:
+        canvas = window.columns[name].view.canvas
+        picture = window.columns[name].view.picture
+        wide, high = canvas.scale * picture.pixels.shape[1], canvas.scale * picture.pixels.shape[0]
+        assert canvas.width() >= least[0]
+        assert canvas.height() >= least[1]
+        assert wide >= least[0] or high >= least[1], (name, wide, high)
+        view = window.cells[name].view
+        assert view.height() < 1.35 * view.width()

@@ -1,0 +1,60 @@
+"""A window that shows a slot, a method and a route that it has never heard of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.main import show_window
+from app.session.state import Session, load_session, save_session
+from app.window.tour import wait_until_shown
+from tests.pipeline.translation.toys import TOYS
+
+LIMIT_S = 60.0
+SAMPLE = Path(__file__).parents[3] / "sample_data" / "recordings" / "first_touch.h5"
+
+
+@pytest.fixture
+def toys(qapp):
+    session = Session(recording=SAMPLE, source="digit", target="gelslim", frame=5, route="toy")
+    made = show_window(session, with_scene=False, catalogue=TOYS)
+    assert wait_until_shown(made, LIMIT_S), made.window.banner.text
+    yield made
+    made.window.close()
+    made.close()
+
+
+def shown(window) -> list[str]:
+    return [name for name, column in window.columns.items() if not column.isHidden()]
+
+
+def test_the_window_shows_a_toy_route_and_goes_back(toys):
+    window = toys.window
+    assert shown(window) == ["source", "brightness", "touch", "touch_depth", "pose"]
+    assert np.ptp(window.columns["brightness"].view.picture.pixels) > 0
+    assert window.columns["brightness"].view.picture.caption == "toy brightness"
+    assert window.parameters.findChild(object, "touch/melt.gain").isVisibleTo(window.parameters)
+    assert [window.route.itemData(i) for i in range(window.route.count())] == ["t2d2", "t2t", "toy"]
+    toys.change("choose route", route="t2d2")
+    assert wait_until_shown(toys, LIMIT_S)
+    assert shown(window) == ["source", "depth", "cloud", "target_depth", "touch", "touch_depth", "pose"]
+
+
+def test_a_method_is_chosen_in_its_column_undone_and_kept_in_the_session(toys, tmp_path):
+    window = toys.window
+    toys.change("choose route", route="t2d2")
+    box = window.columns["touch_depth"]._method
+    assert [box.itemData(i) for i in range(box.count())] == ["membrane", "reading"]
+    box.setCurrentIndex(1)
+    box.activated.emit(1)
+    assert wait_until_shown(toys, LIMIT_S)
+    assert toys.latest.results["touch_depth"].method.name == "reading"
+    assert toys.session.methods == {"touch_depth": "reading"}
+    save_session(toys.session, tmp_path / "a.touch.json")
+    assert load_session(tmp_path / "a.touch.json", TOYS).methods == {"touch_depth": "reading"}
+    toys.undo.undo()
+    assert wait_until_shown(toys, LIMIT_S)
+    assert toys.latest.results["touch_depth"].method.name == "membrane"
+    assert box.currentData() == "membrane"

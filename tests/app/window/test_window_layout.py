@@ -1,0 +1,139 @@
+"""How the window shares its room: the pictures get it, drawers wait behind their rail."""
+
+from __future__ import annotations
+
+import pytest
+from PyQt6.QtCore import QSize, Qt
+
+from app.window.main_window import MIN_STRIP_PX
+from app.window.tour import wait_until_shown
+
+# Width and height in pixels that every picture has at least, by the window's size.
+ROOMS = {(1600, 950): (215, 160), (1366, 768): (180, 135)}
+
+
+def _shown_px(view) -> tuple[float, float]:
+    width = min(view.canvas_size_px.width(), view.canvas_size_px.height() / view.tall)
+    return width, width * view.tall
+
+
+@pytest.mark.parametrize("size", ROOMS)
+def test_every_picture_has_its_room(bubble_window, qtbot, size):
+    window = bubble_window.window
+    window.resize(*size)
+    # The width a column has, and no more height than that asks for.
+    least = ROOMS[size]
+
+    def roomy() -> bool:
+        return window.size() == QSize(*size) and all(
+            shown[0] >= least[0] - 1 and shown[1] >= min(least[1], least[0] * column.view.tall) - 1
+            for column in window.columns.values()
+            if (shown := _shown_px(column.view))
+        )
+
+    qtbot.waitUntil(roomy, timeout=3000)
+
+
+def test_a_drawer_below_leaves_the_pictures_of_a_small_window_nearly_their_room(bubble_window, qtbot):
+    window = bubble_window.window
+    window.resize(1366, 768)
+    window.drawers.reading.toggleViewAction().trigger()
+    least_px = 162  # wide; 130 while states had a line of their own
+
+    def roomy() -> bool:
+        shown = [_shown_px(column.view) for column in window.columns.values()]
+        return window.size() == QSize(1366, 768) and all(
+            wide >= least_px and high >= 0.75 * least_px for wide, high in shown
+        )
+
+    qtbot.waitUntil(roomy, timeout=3000)
+    assert all(column._sign.isVisible() and not column._word.isVisible() for column in window.columns.values())
+    assert all(column.state in column._sign.toolTip() for column in window.columns.values())
+    window.drawers.reading.toggleViewAction().trigger()
+    qtbot.waitUntil(lambda: all(column._word.isVisible() for column in window.columns.values()), timeout=3000)
+
+
+def test_captions_under_3d_views_are_told_as_fully_as_there_is_room(bubble_window, qtbot):
+    window = bubble_window.window
+    caption = window.cells["depth"].caption
+    window.resize(1900, 1000)
+    qtbot.waitUntil(lambda: "frame" in caption.text(), timeout=3000)
+    window.resize(1366, 768)
+    for drawer in window.drawers.all:
+        drawer.toggleViewAction().trigger()
+    qtbot.waitUntil(lambda: all(c.caption.sizeHint().width() <= c.width() for c in window.cells.values()), timeout=3000)
+    assert "frame" not in caption.text()
+    assert "frame" in caption.toolTip()
+
+
+def test_the_row_is_no_higher_than_its_neediest_column(bubble_window, qtbot):
+    """All pictures fill their width, and one of them its height too: a note under it takes room of its own."""
+    bubble_window.window.resize(1600, 950)
+
+    def snug() -> bool:
+        views = [column.view for column in bubble_window.window.columns.values()]
+        spare = [view.canvas_size_px.height() - view.tall * view.canvas_size_px.width() for view in views]
+        return -3 < min(spare) < 3
+
+    qtbot.waitUntil(snug, timeout=3000)
+
+
+def test_drawers_are_closed_at_first_and_open_by_rail_and_key(bubble_window, qtbot):
+    window = bubble_window.window
+    drawers = window.drawers
+    assert not any(drawer.isVisible() for drawer in drawers.all)
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow, timeout=3000)
+    qtbot.keyClick(window, Qt.Key.Key_F3)
+    qtbot.waitUntil(drawers.parameters.isVisible, timeout=3000)
+    drawers.alignment.toggleViewAction().trigger()
+    # In front of what shares its place.
+    qtbot.waitUntil(lambda: not drawers.alignment.visibleRegion().isEmpty(), timeout=3000)
+    drawers.alignment.toggleViewAction().trigger()
+    assert not drawers.alignment.isVisible()
+    assert {action.text() for action in drawers.rail.actions()} == {d.windowTitle() for d in drawers.all}
+
+
+def test_a_window_that_fills_a_small_screen_does_not_grow_with_its_drawers(bubble_window, qtbot):
+    window = bubble_window.window
+    small = QSize(1366, 768)
+    window.resize(small)
+    qtbot.waitUntil(lambda: window.size() == small, timeout=3000)
+    for drawer in window.drawers.all:
+        drawer.toggleViewAction().trigger()
+        qtbot.wait(150)
+        assert window.size() == small, drawer.objectName()
+
+
+def test_a_dragged_handle_stays_where_it_was_put(bubble_window):
+    rows = bubble_window.window.rows
+    rows.fit()
+    before = rows.sizes()[0]
+    rows.moveSplitter(before + 60, 1)
+    rows.fit()
+    assert rows.sizes()[0] > before + 20
+
+
+def test_the_window_is_no_larger_than_its_screen(open_window):
+    window = open_window().window
+    available = window.screen().availableSize()
+    assert window.width() <= available.width()
+    assert window.height() <= available.height()
+
+
+def test_the_trace_is_told_with_every_drawer_closed(bubble_window, qtbot):
+    window = bubble_window.window
+    window.columns["depth"].pixel_hovered.emit("depth", 5, 5)
+    qtbot.waitUntil(lambda: bool(window.trace.text), timeout=3000)
+    assert window.trace.isVisible()
+    assert wait_until_shown(bubble_window, 60)
+
+
+@pytest.mark.parametrize("height", [768, 950, 1440])
+def test_errors_take_no_more_than_an_eighth_of_the_window(bubble_window, qtbot, height):
+    window = bubble_window.window
+    window.show()
+    window.resize(round(16 / 9 * height), height)
+    qtbot.waitUntil(lambda: window.height() == height)
+    window.rows.spare_height_changed.emit(2000)
+    assert MIN_STRIP_PX < window.timeline.errors.high_px <= height / 8 + 1

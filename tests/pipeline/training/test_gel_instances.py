@@ -1,0 +1,110 @@
+"""Readings of usual units, and a network that learns how deep all of a touch is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from pipeline.networks.gel_depth import GelDepthPrediction
+from pipeline.networks.network_factory import build_network
+from pipeline.stages.depth import gel_network_input, illumination_channels
+from pipeline.training import instance_samples
+from pipeline.training.gel_depth import mirror_example
+from pipeline.training.gel_instances import GelInstancesTask
+from pipeline.training.gel_loss import compute_absolute_loss
+from pipeline.training.recipe import load_recipe
+
+TASK = GelInstancesTask(n_frames=4)
+
+
+def network_of(recipe):
+    """The recipe's network, narrower."""
+    config = {name: value for name, value in recipe.network.items() if name != "kind"}
+    return build_network(recipe.network["kind"], {**config, "first": 8, "widest": 16})
+
+
+@pytest.fixture(scope="module")
+def readings():
+    return [instance_samples.simulate_instance_sample(3, index) for index in range(4)]
+
+
+def test_a_reading_depends_on_its_number_alone_and_a_folder_keeps_it(readings, tmp_path):
+    instance_samples._press.cache_clear()
+    kept = instance_samples.simulate_instance_sample(3, 1, str(tmp_path))
+    again = instance_samples.simulate_instance_sample(3, 1, str(tmp_path))
+    assert len(list(tmp_path.iterdir())) == 1
+    assert np.array_equal(kept.fields, readings[1].fields)
+    np.testing.assert_allclose(again.fields, kept.fields, rtol=1e-3, atol=1e-3)
+    assert not np.array_equal(readings[0].fields, readings[1].fields)
+
+
+def test_readings_of_one_press_have_one_contact_and_other_depths(readings):
+    deepest = [float(one.indentation.max() * one.depth_mm) for one in readings[:3]]
+    assert np.array_equal(readings[0].contact, readings[1].contact)
+    assert np.array_equal(readings[0].contact, readings[2].contact)
+    assert len({round(depth, 4) for depth in deepest}) == 3
+    for one in readings:
+        assert np.isfinite(one.fields).all()
+        assert one.contact.any()
+        assert one.indentation[one.contact].mean() > one.indentation[~one.contact].mean()
+
+
+def test_a_mirror_turns_slopes_and_nothing_else_of_the_light(readings):
+    one = {"fields": readings[0].fields, "contact": readings[0].contact.astype(np.uint8)}
+    for seed in range(6):
+        found = mirror_example(np.random.default_rng(seed), {k: v.copy() for k, v in one.items()})
+        np.testing.assert_allclose(found["fields"][19:], one["fields"][19:])
+        np.testing.assert_allclose(
+            np.abs(found["fields"][:14]).sum((1, 2)), np.abs(one["fields"][:14]).sum((1, 2)), rtol=1e-4
+        )
+        place = found["fields"][gel_network_input.POSITION_CHANNEL : gel_network_input.POSITION_CHANNEL + 2]
+        np.testing.assert_allclose(
+            place, one["fields"][gel_network_input.POSITION_CHANNEL : gel_network_input.POSITION_CHANNEL + 2], atol=1e-6
+        )
+
+
+def read(surface, log_scale):
+    like = torch.zeros_like(surface)
+    return GelDepthPrediction(surface=surface, correction=like, contact_logit=like, contact_logit_correction=like, log_error_scale=like,
+                   log_depth_factor=log_scale)  # fmt: skip
+
+
+def test_the_loss_asks_for_the_true_scale():
+    truth = torch.rand(2, 12, 16) + 0.5
+    touched = torch.ones(2, 12, 16)
+    factor = torch.tensor([0.8, 1.3])
+    seen = truth / factor[:, None, None]
+    right, _ = compute_absolute_loss(read(seen, factor.log()), truth, touched)
+    wrong, parts = compute_absolute_loss(read(seen, torch.zeros(2)), truth, touched)
+    assert float(right) < float(wrong) - 0.1
+    assert set(parts) == {"surface", "slopes", "contact", "overlap", "spread"}
+
+
+def test_figures_tell_how_far_off_and_how_far_physics_is():
+    network = network_of(load_recipe("gel_units")).eval()
+    found = TASK.evaluate(
+        network, [TASK.make_validation_example("unseen_tools", 2), TASK.make_validation_example("unseen_grasps", 1)]
+    )
+    assert found["error in contact, um"] == pytest.approx(found["physics error in contact, um"], rel=0.02)
+    assert 0.5 < found["contact IoU"] == pytest.approx(found["physics contact IoU"], abs=0.02)
+
+
+def test_the_recipe_learns_the_scale_of_a_touch(readings):
+    torch.manual_seed(0)
+    recipe = load_recipe("gel_units")
+    assert recipe.network["inputs"] == illumination_channels.N_ALL_CHANNELS
+    network = network_of(recipe)
+    optimiser = torch.optim.Adam(network.parameters(), lr=3e-3)
+    fields = torch.from_numpy(np.stack([one.fields for one in readings]))
+    truth = torch.from_numpy(np.stack([1.4 * one.indentation for one in readings]))
+    touched = torch.from_numpy(np.stack([one.contact for one in readings]))
+    losses = []
+    for _ in range(12):
+        loss, _ = TASK.compute_loss(network, {"fields": fields, "indentation": truth, "contact": touched})
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        losses.append(float(loss.detach()))
+    assert losses[-1] < losses[0] - 0.1
+    assert float(network(fields).log_scale.detach().mean()) > 0.02

@@ -1,0 +1,134 @@
+"""Own recordings among the examples: touches with truth, presses of a ball, and what cannot be learned from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from pipeline.base.errors import FileProblem, SettingProblem
+from pipeline.physics import gel, optics
+from pipeline.sensors.spec import load_sensor
+from pipeline.training import gel_samples, recipe, recorded_touches
+from pipeline.training.depth_anything import DepthAnythingTask
+from pipeline.training.examples import make_batch
+from pipeline.training.gel_depth import GelDepthTask, make_example
+from pipeline.training.recorded_touches import LabelledTouch, MixedTask, RecordingSource, mix_recordings
+from tests.pipeline.training import toy
+
+ROOT = Path(__file__).parents[3]
+SAMPLE = RecordingSource(path=str(ROOT / "sample_data" / "recordings" / "first_touch.h5"), sensor="digit")
+MINI = load_sensor("gelsight_mini")
+BALL_MM = 6.31
+DEEP_MM = 0.5
+MOST_OFF = 0.06  # of the depth: what the look-up and the picture's noise leave
+
+
+@pytest.fixture(scope="module")
+def balls(tmp_path_factory):
+    """Pictures of a ball pressed into a Mini's gel as the layer's mechanics have it, and the surfaces themselves."""
+    folder, rng, surfaces = tmp_path_factory.mktemp("balls"), np.random.default_rng(3), []
+    shape = MINI.camera.shape
+    cv2.imwrite(str(folder / "background.png"), optics.render(MINI, np.zeros(shape, np.float32), seed=50)[..., ::-1])
+    for k in range(6):
+        x, y = float(rng.uniform(90, shape[1] - 90)), float(rng.uniform(80, shape[0] - 80))
+        r_mm = MINI.pixel_mm * np.hypot(np.arange(shape[1]) - x, (np.arange(shape[0]) - y)[:, None])
+        overlap = DEEP_MM - BALL_MM / 2 + np.sqrt(np.maximum((BALL_MM / 2) ** 2 - r_mm**2, 0.0))
+        pressed = gel.press_gel(MINI.gel, MINI.pixel_mm, overlap)
+        surfaces.append(pressed)
+        cv2.imwrite(str(folder / f"{k}.png"), optics.render(MINI, pressed.indentation_mm, seed=k)[..., ::-1])
+    return folder, surfaces
+
+
+def test_presses_of_a_ball_are_known_by_the_mechanics_of_the_layer(balls):
+    folder, surfaces = balls
+    mine = RecordingSource(path=str(folder), sensor="gelsight_mini", diameter_mm=BALL_MM)
+    assert recorded_touches.count_touches(mine) == len(surfaces)
+    for index in range(recorded_touches.count_touches(mine)):
+        known = recorded_touches.load_touch(mine, index)
+        truth = surfaces[int(Path(known.frame.origin).stem)]
+        assert known.indentation_mm.max() == pytest.approx(DEEP_MM, rel=MOST_OFF)
+        both, either = (known.contact & truth.contact).sum(), (known.contact | truth.contact).sum()
+        assert both / either > 0.92
+        off = np.abs(known.indentation_mm - truth.indentation_mm)
+        assert off[truth.contact].mean() < MOST_OFF * DEEP_MM
+
+
+@pytest.mark.parametrize(
+    "task", [GelDepthTask(n_presses=2, n_images=4), DepthAnythingTask(sensor="digit", side=56)], ids=["gel", "dav2"]
+)
+def test_a_recorded_touch_makes_the_same_arrays_as_a_simulated_one(task):
+    simulated, known = (
+        task.sample(np.random.default_rng(0)),
+        recorded_touches.load_touch(SAMPLE, recorded_touches.count_touches(SAMPLE) // 2),
+    )
+    made = task.of_touch(known, np.random.default_rng(1))
+    assert {name: (a.shape, a.dtype) for name, a in made.items()} == {
+        name: (a.shape, a.dtype) for name, a in simulated.items()
+    }
+    assert (made["contact"] > 0).mean() > 0.5 * known.contact.mean()
+
+
+def test_a_gels_example_is_told_in_depths_of_its_own_and_these_in_pixels_of_its_fields():
+    known = max(
+        (recorded_touches.load_touch(SAMPLE, k) for k in range(recorded_touches.count_touches(SAMPLE))),
+        key=lambda k: k.indentation_mm.max(),
+    )
+    made = make_example(gel_samples.make_gel_sample(known.frame, known.source, known.indentation_mm, known.contact))
+    rows, cols = known.contact.shape
+    pixel_mm = known.source.pixel_mm * max(rows, cols) / 160
+    deepest_mm = made["indentation"].max() * made["depth"] * pixel_mm
+    assert deepest_mm == pytest.approx(known.indentation_mm.max(), rel=0.03)
+    assert (made["contact"] > 0).mean() == pytest.approx(known.contact.mean(), abs=0.02)
+
+
+class Learns(toy.Discs):
+    def of_touch(self, known: LabelledTouch, rng):
+        return {"picture": np.full((1, 16, 16), 5.0, np.float32), "disc": np.zeros((1, 16, 16), np.float32)}
+
+
+def test_a_share_of_the_examples_is_recorded_and_the_stream_stays_the_same():
+    task = mix_recordings(Learns(), (SAMPLE,), 0.3)
+    assert isinstance(task, MixedTask)
+    pictures = make_batch(task, 4, 0, 200)["picture"]
+    recorded = (pictures == 5.0).all(axis=(1, 2, 3))
+    assert 0.2 < recorded.mean() < 0.4
+    assert np.array_equal(make_batch(task, 4, 150, 20)["picture"], pictures[150:170])
+    assert np.array_equal(
+        task.make_validation_example("unseen_tools", 1)["disc"], toy.Discs().held_out("unseen_tools", 1)["disc"]
+    )
+    plain = toy.Discs()
+    assert mix_recordings(plain, (), 0.3) is plain
+
+
+def test_what_cannot_be_learned_from_is_one_sentence(tmp_path):
+    with pytest.raises(SettingProblem, match="Discs learns from simulated touches alone"):
+        mix_recordings(toy.Discs(), (SAMPLE,), 0.3)
+    with pytest.raises(FileProblem):
+        mix_recordings(Learns(), (RecordingSource(path=str(tmp_path / "missing.h5"), sensor="digit"),), 0.3)
+    picture = np.full((20, 30, 3), 80, np.uint8)
+    for name in ("background.png", "a.png"):
+        cv2.imwrite(str(tmp_path / name), picture)
+    with pytest.raises(FileProblem, match="no frame of this recording has a truth"):
+        mix_recordings(Learns(), (RecordingSource(path=str(tmp_path), sensor="digit"),), 0.3)
+
+
+def test_a_recipe_names_recordings_from_its_own_folder(tmp_path):
+    text = toy.RECIPE + '\n[data]\nshare = 0.4\n[[data.recordings]]\npath = "a/b.h5"\nsensor = "digit"\n'
+    (tmp_path / "r.toml").write_text(text)
+    made = recipe.load_recipe(str(tmp_path / "r.toml"))
+    assert (made.recorded_share, made.recordings) == (
+        0.4,
+        (RecordingSource(path=str(tmp_path / "a" / "b.h5"), sensor="digit"),),
+    )
+    assert made.plain_values["data"]["share"] == 0.4
+    for old, new, sentence in (
+        ('path = "a/b.h5"', "", r"must name its path"), ("sensor", "sensr", r"\[\[data.recordings\]\] no parameter"),
+        ("share = 0.4", "shar = 0.4", r"\[data\] no parameter 'shar'"), ("share = 0.4", "share = 4", "share must lie"),
+        ("[[data.recordings]]", "[data.recordings]", "must be tables"),
+    ):  # fmt: skip
+        (tmp_path / "r.toml").write_text(text.replace(old, new))
+        with pytest.raises(FileProblem, match=sentence):
+            recipe.load_recipe(str(tmp_path / "r.toml"))

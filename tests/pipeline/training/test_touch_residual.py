@@ -1,0 +1,192 @@
+"""What the compact diffusion learns from: own touches and no pair for touch to depth to touch, pairs for touch to touch."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from pipeline.base.arrays import freeze
+from pipeline.geometry import rigid
+from pipeline.networks.network_factory import build_network
+from pipeline.simulation import shapes
+from pipeline.stages.touch.depth_condition import CONDITION_CHANNELS
+from pipeline.training import denoising, target_touches, touch_pairs
+from pipeline.training.denoising import RESIDUAL_SCALE_MM
+from pipeline.training.recipe import list_shipped_recipes, load_recipe
+from pipeline.training.target_touches import simulate_target_touch
+from pipeline.training.touch_residual import TouchResidualTask
+from pipeline.training.touch_to_touch import TouchToTouchTask
+
+SPLITS = ("unseen_grasps", "unseen_tools")
+MIRROR_MM = 0.02  # what solvers on a lattice leave between an object and its mirror
+NOISE_GREY = 3.0  # two pictures of one surface, each with a camera's noise
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return str(tmp_path_factory.mktemp("touches"))
+
+
+@pytest.fixture(scope="module")
+def task(folder):
+    return TouchResidualTask(target="gelslim", n_presses=2, folder=folder)
+
+
+def test_no_recipe_of_touch_to_depth_to_touch_reads_a_pair(monkeypatch):
+    pressed = []
+
+    def press(thing, pose, sensor, **how):
+        pressed.append(sensor.name)
+        raise StopIteration
+
+    monkeypatch.setattr(target_touches, "press", press)
+    monkeypatch.setattr(touch_pairs, "press", press)
+    names = list_shipped_recipes("t2d2")
+    assert len(names) >= 2
+    for name in names:
+        task = load_recipe(name, "t2d2").settings
+        for make in (lambda t: t.sample(np.random.default_rng(1)), lambda t: t.held_out(SPLITS[0], 987_654)):
+            pressed.clear()
+            with pytest.raises(StopIteration):
+                make(replace(task, folder="", press_seed=987_654))
+            assert pressed == [task.target], "a second sensor took part"
+
+
+def test_a_touch_is_the_same_whether_it_was_kept_or_not(folder, monkeypatch):
+    first = simulate_target_touch("gelslim", "unseen_tools", 7, 0, folder)
+    for again in range(2):
+        monkeypatch.setattr(target_touches, "_in_memory", target_touches.Memo(8))
+        found = simulate_target_touch("gelslim", "unseen_tools", 7, 0, folder if again else "")
+        for name in ("told_mm", "touch_depth", "known", "physical_mm", "physical_contact", "truth_mm", "contact"):
+            assert np.array_equal(getattr(first, name), getattr(found, name)), name
+
+
+def test_physics_is_right_where_all_is_told_and_the_residual_is_what_it_misses(task):
+    touches = {index: simulate_target_touch("gelslim", "unseen_tools", 7, index, task.folder) for index in range(4)}
+    told = {index: touch for index, touch in touches.items() if touch is not None}  # of some a source tells nothing
+    assert told
+    for index, touch in told.items():
+        example = task.held_out("unseen_tools", index)
+        assert example["condition"].shape == (CONDITION_CHANNELS, *touch.target_contact.shape)
+        whole = touch.physical_mm + RESIDUAL_SCALE_MM["gel"] * example["residual"][0]
+        assert np.allclose(whole, touch.target_mm, atol=1e-4)
+        change = touch.physical_contact.astype(float) + example["residual"][1]
+        assert np.array_equal(change > 0.5, touch.target_contact)
+        assert touch.observed[~touch.in_view].sum() == 0
+
+
+def test_an_example_depends_on_its_number_alone(task):
+    a, b = (task.sample(np.random.default_rng([1, 5])) for _ in range(2))
+    assert all(np.array_equal(a[name], b[name]) for name in a)
+    assert {name: array.dtype for name, array in a.items()} == dict.fromkeys(a, np.dtype(np.float32))
+
+
+def test_a_network_comes_nearer_to_a_touch_and_the_figures_begin_with_physics(task):
+    import torch
+
+    example = task.held_out("unseen_tools", 0)
+    batch = {k: torch.tensor(v)[None].repeat(4, 1, 1, 1) for k, v in example.items()}
+    config = {"inputs": CONDITION_CHANNELS, "unit_mm": 0.2, "first": 8, "levels": 2, "widest": 16}
+    torch.manual_seed(0)
+    net = build_network("residual_denoiser", config)
+    before = task.figures(net.eval(), [example])
+    for what in ("in contact, mm", "over all, mm", "contact, IoU"):
+        assert before[what] == pytest.approx(before[f"none of it {what}"])
+    optimiser, losses = torch.optim.Adam(net.train().parameters(), lr=5e-3), []
+    for _ in range(25):
+        optimiser.zero_grad()
+        loss, parts = task.loss(net, batch)
+        loss.backward()
+        optimiser.step()
+        losses.append(float(loss.detach()))
+    assert np.mean(losses[-5:]) < 0.8 * np.mean(losses[:5])
+    assert set(parts) == {"residual", "contact", "spread"}
+
+
+@pytest.mark.parametrize(("target", "channels"), [("soft_bubble", 13), ("gelslim", 3)])
+def test_a_pair_gives_the_source_s_reading_and_all_of_the_target_s_touch(folder, target, channels):
+    task = TouchToTouchTask(target=target, n_presses=2, folder=folder)
+    example = task.make_validation_example("unseen_tools", 0)
+    pair = touch_pairs.simulate_touch_pair("unseen_tools", 7, 0, folder)
+    truth = pair.bubble_mm if target == "soft_bubble" else pair.gel_mm
+    assert example["condition"].shape == (channels, *truth.shape)
+    unit = RESIDUAL_SCALE_MM["bubble" if target == "soft_bubble" else "gel"]
+    assert np.allclose(unit * example["residual"][0], truth, atol=1e-4)
+    assert not example["contact"][1].any()
+    assert load_recipe(f"t2t_{'bubble' if channels == 13 else 'gelslim'}", "t2t").network["inputs"] == channels
+
+
+def test_a_mirrored_pair_is_what_the_mirrored_object_gives(monkeypatch):
+    """Pressed by units as described, so that nothing but the mirror differs; both ways at once."""
+    over = np.diag([-1.0, -1.0, 1.0])
+    monkeypatch.setattr(touch_pairs.variation, "varied", lambda unit, seed, strength=1.0: unit)
+    thing, pose = shapes.make_shape("letters").mesh, rigid.translation(1.0, -2.0, -0.6)
+    monkeypatch.setattr(touch_pairs, "thing_of", lambda *_: thing)
+    monkeypatch.setattr(touch_pairs.poses, "single", lambda *_: pose)
+    pair = touch_pairs._simulate_pair("unseen_tools", np.random.default_rng(0), 0)
+    turned = replace(thing, vertices_mm=freeze(rigid.apply(pose, thing.vertices_mm) @ over))
+    monkeypatch.setattr(touch_pairs, "thing_of", lambda *_: turned)
+    monkeypatch.setattr(touch_pairs.poses, "single", lambda *_: np.eye(4))
+    true = touch_pairs._simulate_pair("unseen_tools", np.random.default_rng(0), 0)
+
+    class Both:
+        """Draws that ask for both mirrors."""
+
+        def integers(self, high):
+            return 3 if high == 4 else 0
+
+    found = touch_pairs.mirror_pair(pair, Both())
+    assert pair.gel_contact.any()
+    assert np.abs(true.bubble_mm - pair.bubble_mm).max() > 1.0, "the press says nothing of mirrors"
+    assert np.abs(found.bubble_mm - true.bubble_mm).max() < MIRROR_MM
+    assert np.abs(found.gel_mm - true.gel_mm).max() < MIRROR_MM
+    assert np.abs(found.change_grey - true.change_grey).mean() < NOISE_GREY
+    assert (found.bubble_contact != true.bubble_contact).mean() < 0.01
+
+
+def test_doubt_is_learned_alone_and_by_the_error(task):
+    """All but the last layer held still, as recipes do: what is told of the touch stays, of its error it moves."""
+    example = task.held_out("unseen_tools", 0)
+    batch = {name: torch.from_numpy(np.stack([a, a])) for name, a in example.items()}
+    net = build_network(
+        "residual_denoiser", {"inputs": CONDITION_CHANNELS, "unit_mm": 0.2, "first": 8, "levels": 2, "widest": 8}
+    )
+    alone = replace(task, uncertainty_only=True)
+    sigma, none = torch.full((2,), net.most), torch.zeros(2, 2, *example["residual"].shape[1:])
+    with torch.no_grad():
+        before = net.eval()(none, sigma, batch["condition"])
+    optimiser = torch.optim.Adam(net.finish.parameters(), lr=3e-2)
+    losses = []
+    for _ in range(60):
+        optimiser.zero_grad()
+        loss, _parts = alone.loss(net.train(), batch)
+        loss.backward()
+        optimiser.step()
+        losses.append(float(loss.detach()))
+    with torch.no_grad():
+        after = net.eval()(none, sigma, batch["condition"])
+    assert torch.equal(before[:, :2], after[:, :2])
+    assert losses[-1] < losses[0] - 0.1
+    off = (after[:, 0] - batch["residual"][:, 0]).abs()
+    assert after[:, 2][off > 0.5].mean() > after[:, 2][off < 0.05].mean(), "where it errs more it doubts more"
+
+
+def test_what_differs_from_pixel_to_pixel_counts_where_it_is_asked_to():
+    """An even error costs no slopes, as large an uneven one does."""
+    net = build_network(
+        "residual_denoiser", {"inputs": CONDITION_CHANNELS, "unit_mm": 0.2, "first": 8, "levels": 2, "widest": 8}
+    )
+    even, uneven = torch.full((1, 2, 16, 16), 0.1), torch.full((1, 2, 16, 16), 0.1)
+    uneven[..., ::2] *= -1.0
+    for clean, costs in ((even, 0.0), (uneven, 0.2**2)):
+        batch = {
+            "condition": torch.zeros(1, CONDITION_CHANNELS, 16, 16),
+            "residual": clean,
+            "contact": torch.zeros(1, 2, 16, 16),
+        }
+        totals = []
+        for slopes in (0.0, 10.0):
+            torch.manual_seed(0)
+            totals.append(float(denoising.compute_denoising_loss(net, batch, 0.0, slopes)[0].detach()))
+        assert totals[1] - totals[0] == pytest.approx(10.0 * costs, abs=1e-5), "a fresh network adds nothing"

@@ -1,0 +1,221 @@
+"""A colour bar with its limits and unit, how the values at hand are spread over it, and how many lie beyond it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QImage, QPainter, QPaintEvent
+from PyQt6.QtWidgets import QSizePolicy, QWidget
+
+from pipeline.base.arrays import Doubles, Floats
+from pipeline.previews.colours import ColourScale, get_colour_table
+from widgets.styling import make_single_shot_timer, shrink_font
+from widgets.theme import get_theme_colours, to_qcolor
+
+_STRIP_PX, _BARS_PX, _EDGE_PX = 8, 22, 2
+_N_BARS = 64
+_HOW = {False: "absolute", True: "fitted"}
+_EVERY = 2  # pixel along each side is counted: the shape of a spread is the same, for a quarter of the time
+_NEAR_PX = 12.0  # of an end of the strip: there it can be dragged
+_THROTTLE_MS = 33
+_BELOW, _ABOVE = "\N{BLACK LEFT-POINTING SMALL TRIANGLE} {}", "{} \N{BLACK RIGHT-POINTING SMALL TRIANGLE}"
+_OUTSIDE = 1.0  # per cent of the values on either side of limits that are fitted to them
+_TOLD = 0.001  # a smaller share beyond a limit is not worth a mark
+_NOISE = 0.01  # of the range: as little below the lowest colour is noise about zero, not something unseen
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ValueHistogram:
+    """How values lie on a scale."""
+
+    counts: Doubles  # (n,) of values in equal steps from the lowest to the highest colour
+    share_below: float  # share of all that are known, beyond the lowest colour
+    share_above: float  # and beyond the highest
+
+
+def compute_histogram(values: Floats, scale: ColourScale) -> ValueHistogram:
+    """How `values` lie on `scale`; NaN is not counted."""
+    seen = values[::_EVERY, ::_EVERY] if values.ndim == 2 else values
+    known = seen[np.isfinite(seen)]
+    counts, _ = np.histogram(known, bins=_N_BARS, range=(scale.low, scale.high))
+    n, noise = max(1, known.size), _NOISE * (scale.high - scale.low)
+    below, above = np.count_nonzero(known < scale.low - noise), np.count_nonzero(known > scale.high)
+    return ValueHistogram(counts=counts.astype(np.float64), share_below=below / n, share_above=above / n)
+
+
+def fit_limits(values: Floats, scale: ColourScale) -> dict[str, float]:
+    """Setting -> value of the limits between which all but a hundredth at either end of the values lie.
+
+    Empty where no setting stands for a limit, or where the values do not differ.
+    """
+    known = values[np.isfinite(values)]
+    low, high = (float(v) for v in np.percentile(known, (_OUTSIDE, 100 - _OUTSIDE))) if known.size else (0.0, 0.0)
+    if scale.low_setting == scale.high_setting:
+        low, high = 0.0, max(abs(low), abs(high))
+    limits = {scale.low_setting: low, scale.high_setting: high}
+    return {name: value for name, value in limits.items() if name} if high > low else {}
+
+
+class ColourBar(QWidget):
+    """Bars over a strip of colours over its numbers; empty for pictures in true colour.
+
+    An end that a setting of the display stands for can be dragged: `limit_dragged` carries setting and value, at most
+    thirty times a second. A double click fits the limits to what is shown: `limits_fitted` carries setting -> value.
+    """
+
+    limit_dragged = pyqtSignal(str, float)
+    limits_fitted = pyqtSignal(object)
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setObjectName("levels")
+        self._scale: ColourScale | None = None
+        self._values: Floats | None = None
+        self._strip: QImage | None = None
+        self._spread: ValueHistogram | None = None
+        self._held: tuple[str, ColourScale, float] | None = None  # setting, scale and side as it was taken hold of
+        self._wanted = math.nan
+        self._soon = make_single_shot_timer(self, _THROTTLE_MS, self._tell)
+        shrink_font(self)
+        self.setMouseTracking(True)
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """Room for the bars, the strip and one line of numbers."""
+        return QSize(120, _BARS_PX + _STRIP_PX + self.fontMetrics().height() + 3)
+
+    def show_scale(self, scale: ColourScale | None, values: Floats | None = None) -> None:
+        """The colours and limits of `scale`, nothing for None, and how `values` lie on it."""
+        if scale == self._scale and values is self._values:
+            return
+        if scale is not None and (self._scale is None or scale.colour_map != self._scale.colour_map):
+            colours = get_colour_table(scale.colour_map)
+            self._strip = QImage(colours.tobytes(), 256, 1, 3 * 256, QImage.Format.Format_RGB888).copy()
+        self._scale, self._values, self._spread = scale, values, None
+        self.update()
+
+    @property
+    def histogram(self) -> ValueHistogram | None:
+        """How the values lie on the scale; counted when somebody sees it."""
+        if self._spread is None and self._scale is not None and self._values is not None:
+            self._spread = compute_histogram(self._values, self._scale)
+            self.setToolTip(self._words(self._scale, self._spread))
+        return self._spread
+
+    def _words(self, scale: ColourScale, spread: ValueHistogram) -> str:
+        lines = [f"{scale.quantity}, {scale.low:g} to {scale.high:g} {scale.unit} ({_HOW[scale.is_fitted]} limits)"]
+        for share, where in (
+            (spread.share_below, f"below {scale.low:g}"),
+            (spread.share_above, f"above {scale.high:g}"),
+        ):
+            if share >= _TOLD:
+                lines.append(f"{100 * share:.1f} % of the values lie {where} {scale.unit}, in the colour of that end")
+        can = "drag an end to move the limit; a double click fits both to 98 % of these values, from then on"
+        lines.append(can if scale.high_setting else "these limits follow from another scale")
+        return "\n".join(lines)
+
+    def paintEvent(self, a0: QPaintEvent | None) -> None:  # noqa: N802
+        """Bars, strip and numbers."""
+        del a0
+        if self._scale is None or self._strip is None:
+            return
+        scale, painter, palette = self._scale, QPainter(self), self.palette()
+        strip = self._room
+        if self.histogram is not None:
+            self._draw_bars(painter, strip, self.histogram)
+        painter.drawImage(strip, self._strip)
+        painter.setPen(palette.mid().color())
+        painter.drawRect(strip)
+        painter.setPen(palette.text().color())
+        row = QRectF(2, strip.bottom() + 1, self.width() - 4, self.fontMetrics().height() + 2)
+        low, middle, high = f"{scale.low:g}", f"{0.5 * (scale.low + scale.high):g}", f"{scale.high:g} {scale.unit}"
+        painter.drawText(row, int(Qt.AlignmentFlag.AlignLeft), low)
+        painter.drawText(row, int(Qt.AlignmentFlag.AlignRight), high)
+        wide = self.fontMetrics().horizontalAdvance
+        if 0.5 * wide(middle) + max(wide(low), wide(high)) + _EDGE_PX < 0.5 * row.width():  # where there is room for it
+            painter.drawText(row, int(Qt.AlignmentFlag.AlignHCenter), middle)
+
+    @property
+    def _room(self) -> QRectF:
+        return QRectF(_EDGE_PX, _BARS_PX, self.width() - 2 * _EDGE_PX, _STRIP_PX)
+
+    def _draw_bars(self, painter: QPainter, strip: QRectF, spread: ValueHistogram) -> None:
+        """Heights as logarithms: what is touched is a small part of a picture."""
+        ink = get_theme_colours(self.palette())
+        tall = np.log1p(spread.counts) * ((_BARS_PX - 2) / max(1e-9, float(np.log1p(spread.counts).max(initial=0.0))))
+        wide = strip.width() / _N_BARS
+        for i, high in enumerate(tall):
+            if high > 0:
+                bar = QRectF(strip.left() + i * wide, strip.top() - high, max(1.0, wide - 0.5), high)
+                painter.fillRect(bar, to_qcolor(ink.secondary_text, 150))
+        painter.setPen(to_qcolor(ink.warning_mark))
+        line = QRectF(strip.left() + 4, 0, strip.width() - 8, self.fontMetrics().height())
+        for share, x, text, place in (
+            (spread.share_below, strip.left(), "\N{BLACK LEFT-POINTING SMALL TRIANGLE} {}", Qt.AlignmentFlag.AlignLeft),
+            (
+                spread.share_above,
+                strip.right() - 3,
+                "{} \N{BLACK RIGHT-POINTING SMALL TRIANGLE}",
+                Qt.AlignmentFlag.AlignRight,
+            ),
+        ):
+            if share >= _TOLD:
+                painter.fillRect(QRectF(x, 0, 3, strip.top()), to_qcolor(ink.warning_mark))
+                told = text.format(_percent(share))
+                words = painter.boundingRect(line, int(place), told)
+                painter.fillRect(words.adjusted(-1, 0, 1, 0), self.palette().window())
+                painter.drawText(line, int(place), told)
+
+    def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
+        """Take hold of an end."""
+        self._held = self._end_at(a0.position())
+
+    def mouseMoveEvent(self, a0: Any) -> None:  # noqa: N802
+        """Drag it, on the scale as it was; without a button show where it can be."""
+        if self._held is None:
+            near = self._end_at(a0.position()) is not None
+            self.setCursor(Qt.CursorShape.SizeHorCursor if near else Qt.CursorShape.ArrowCursor)
+            return
+        _, scale, side = self._held
+        room = self._room
+        value = scale.low + (a0.position().x() - room.left()) / room.width() * (scale.high - scale.low)
+        mirrored = scale.low_setting == scale.high_setting
+        self._wanted = max(side * value, 0.0) if mirrored else value
+        if not self._soon.isActive():
+            self._soon.start()
+
+    def mouseReleaseEvent(self, a0: Any) -> None:  # noqa: N802
+        """The last place counts."""
+        del a0
+        if self._soon.isActive():
+            self._soon.stop()
+            self._tell()
+        self._held = None
+
+    def mouseDoubleClickEvent(self, a0: Any) -> None:  # noqa: N802
+        """Fit the limits to nearly all of the values at hand; they are as absolute then as any."""
+        del a0
+        self._held = None
+        if self._scale is not None and self._values is not None and (fitted := fit_limits(self._values, self._scale)):
+            self.limits_fitted.emit(fitted)
+
+    def _tell(self) -> None:
+        if self._held is not None and math.isfinite(self._wanted):
+            self.limit_dragged.emit(self._held[0], self._wanted)
+
+    def _end_at(self, at: QPointF) -> tuple[str, ColourScale, float] | None:
+        scale, room = self._scale, self._room
+        if scale is None:
+            return None
+        for setting, x, side in ((scale.low_setting, room.left(), -1.0), (scale.high_setting, room.right(), 1.0)):
+            if setting and abs(at.x() - x) <= _NEAR_PX:
+                return setting, scale, side
+        return None
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %" if share >= 0.01 else f"{100 * share:.1f} %"

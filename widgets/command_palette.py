@@ -1,0 +1,107 @@
+"""The command palette: every command of the window by a few letters of its name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from PyQt6.QtCore import QEvent, QObject, Qt
+from PyQt6.QtGui import QAction, QKeyEvent
+from PyQt6.QtWidgets import QDialog, QLabel, QLineEdit, QListWidget, QListWidgetItem, QVBoxLayout, QWidget
+
+from widgets.styling import set_spacing, shrink_font
+
+_WIDTH_PX, _MOST_SHOWN = 560, 200
+_KEYS = (Qt.Key.Key_Up, Qt.Key.Key_Down, Qt.Key.Key_PageUp, Qt.Key.Key_PageDown)
+
+
+class CommandPalette(QDialog):
+    """Type, choose with the arrows, Enter runs; Esc goes back."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Commands")
+        self.setObjectName("palette")
+        self._actions: Sequence[QAction] = ()
+        self.line, self.results, self._tip = QLineEdit(), QListWidget(), QLabel()
+        self.line.setPlaceholderText("type a few letters of a command")
+        self.line.setAccessibleName("command")
+        self.results.setObjectName("palette_found")
+        self._tip.setWordWrap(True)
+        shrink_font(self._tip, 0.5)
+        layout = set_spacing(QVBoxLayout(self), 4, (8, 8, 8, 8))
+        for widget in (self.line, self.results, self._tip):
+            layout.addWidget(widget)
+        self.resize(_WIDTH_PX, 380)
+        self.line.installEventFilter(self)
+        self.line.textChanged.connect(self._filter)
+        self.line.returnPressed.connect(self.run_selected)
+        self.results.itemActivated.connect(self.run_selected)
+        self.results.currentItemChanged.connect(self._tell)
+
+    def show_commands(self, actions: Sequence[QAction]) -> None:
+        """Offer these commands, those that can be run now first."""
+        self._actions = sorted(actions, key=lambda action: not action.isEnabled())
+        self.line.clear()
+        self._filter()
+        self.show()
+        self.raise_()
+        self.line.setFocus()
+
+    def run_selected(self) -> None:
+        """Do what is chosen."""
+        item = self.results.currentItem()
+        action: QAction | None = None if item is None else item.data(Qt.ItemDataRole.UserRole)
+        if action is not None and action.isEnabled():
+            self.accept()
+            action.trigger()
+
+    def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
+        """The arrows move through the list while letters are typed."""
+        if isinstance(a1, QKeyEvent) and a1.type() == QEvent.Type.KeyPress and a1.key() in _KEYS:
+            self.results.keyPressEvent(a1)
+            return True
+        return super().eventFilter(a0, a1)
+
+    def _filter(self) -> None:
+        text = self.line.text()
+        ranked = sorted(
+            (
+                (score, i)
+                for i, action in enumerate(self._actions)
+                if (score := _score(text, get_command_name(action))) >= 0
+            ),
+        )
+        self.results.clear()
+        for _, i in ranked[:_MOST_SHOWN]:
+            action = self._actions[i]
+            key = action.shortcut().toString()
+            item = QListWidgetItem(f"{get_command_name(action)}    {key}" if key else get_command_name(action))
+            item.setIcon(action.icon())
+            item.setData(Qt.ItemDataRole.UserRole, action)
+            if not action.isEnabled():
+                item.setFlags(item.flags() & ~Qt.ItemFlag.ItemIsEnabled)
+            self.results.addItem(item)
+        self.results.setCurrentRow(0)
+
+    def _tell(self) -> None:
+        item = self.results.currentItem()
+        self._tip.setText("" if item is None else item.data(Qt.ItemDataRole.UserRole).toolTip())
+
+
+def get_command_name(action: QAction) -> str:
+    """What a command is called."""
+    return action.text().replace("&", "")
+
+
+def _score(text: str, name: str) -> int:
+    """How far apart the letters of `text` lie in `name`, in their order; -1 where they are not all there."""
+    at, score, low = -1, 0, name.lower()
+    if text.lower() in low:
+        return low.index(text.lower())
+    for letter in text.lower().replace(" ", ""):
+        found = low.find(letter, at + 1)
+        if found < 0:
+            return -1
+        score += found - at
+        at = found
+    return score + len(name)

@@ -1,0 +1,136 @@
+"""An error as a sum: a bar for each part, each beginning where the one before it ended."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from PyQt6.QtCore import QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QPainter, QPaintEvent, QPalette
+from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
+
+from widgets.styling import make_bold, set_spacing
+from widgets.theme import get_theme_colours, to_qcolor
+
+_BAR_SHARE = 0.62  # of a row's height
+_TITLE_SHARE, _VALUE_SHARE = 0.26, 0.12  # of the width
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WaterfallBar:
+    """One row: from where to where on the error's axis."""
+
+    title: str
+    begin: float
+    end: float
+    is_total: bool = False  # a sum, drawn from 0
+
+    @property
+    def change(self) -> float:
+        """What the row adds to the error that is left, negative where it takes away."""
+        return self.end - self.begin
+
+
+def make_bars(total: float, parts: Sequence[tuple[str, float]], rest: float) -> tuple[WaterfallBar, ...]:
+    """The rows of (title, share) parts between the whole error and what is left."""
+    rows = [WaterfallBar(title="this frame's error", begin=0.0, end=total, is_total=True)]
+    left = total
+    for title, share in parts:
+        rows.append(WaterfallBar(title=title, begin=left, end=left - share))
+        left -= share
+    rows.append(WaterfallBar(title="the rest", begin=0.0, end=rest, is_total=True))
+    return tuple(rows)
+
+
+class Waterfall(QWidget):
+    """Draws `bars` in equal rows."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.bars: tuple[WaterfallBar, ...] = ()
+        self._unit = ""
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
+
+    def show_bars(self, shown: tuple[WaterfallBar, ...], unit: str) -> None:
+        """Draw these instead."""
+        self.bars, self._unit = shown, unit
+        self.update()
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """Room for its rows."""
+        return QSize(420, 18 * max(5, len(self.bars)))
+
+    def paintEvent(self, a0: QPaintEvent | None) -> None:  # noqa: N802
+        """Titles at the left, values at the right, bars between them on one axis."""
+        del a0
+        if not self.bars:
+            return
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        low = min(0.0, *(min(bar.begin, bar.end) for bar in self.bars))
+        high = max(1e-9, *(max(bar.begin, bar.end) for bar in self.bars))
+        left, right = _TITLE_SHARE * self.width(), (1.0 - _VALUE_SHARE) * self.width()
+        per_unit = (right - left) / (high - low)
+        tall, ink = self.height() / len(self.bars), get_theme_colours(self.palette())
+        for row, bar in enumerate(self.bars):
+            top = row * tall
+            painter.setPen(self.palette().color(QPalette.ColorRole.WindowText))
+            align = Qt.AlignmentFlag.AlignVCenter
+            painter.drawText(QRectF(4, top, left - 10, tall), align | Qt.AlignmentFlag.AlignRight, bar.title)
+            value = f"{bar.end:.3f} {self._unit}" if bar.is_total else f"{bar.change:+.3f}"
+            painter.drawText(QRectF(right + 6, top, self.width() - right - 8, tall), align, value)
+            ends = sorted((bar.begin, bar.end))
+            colour = ink.neutral if bar.is_total else ink.accent if bar.change <= 0 else ink.worse
+            painter.fillRect(
+                QRectF(
+                    left + (ends[0] - low) * per_unit, top + 0.5 * (1 - _BAR_SHARE) * tall,
+                    max(1.0, (ends[1] - ends[0]) * per_unit), _BAR_SHARE * tall,
+                ),
+                to_qcolor(colour),
+            )  # fmt: skip
+
+
+class ErrorAttributionPanel(QWidget):
+    """Which figure, its sentence, its waterfall; `figure_chosen` says which error is to be taken apart."""
+
+    metric_chosen = pyqtSignal(str)
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.metric_box, self._sentence, self.waterfall = QComboBox(), QLabel(), Waterfall()
+        self.metric_box.setObjectName("blame_figure")
+        self.metric_box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
+        self.metric_box.setAccessibleName("figure that is taken apart")
+        self.metric_box.activated.connect(lambda: self.metric_chosen.emit(self.metric_box.currentText()))
+        self._sentence.setWordWrap(True)
+        make_bold(self._sentence)
+        head = set_spacing(QHBoxLayout(), 8)
+        head.addWidget(self.metric_box)
+        head.addWidget(self._sentence, 1)
+        layout = set_spacing(QVBoxLayout(self), 4, (6, 4, 6, 4))
+        layout.addLayout(head)
+        layout.addWidget(self.waterfall, 1)
+        self.show_empty("")
+
+    @property
+    def sentence(self) -> str:
+        """What is said of the frame."""
+        return self._sentence.text()
+
+    def offer_metrics(self, names: Sequence[str], chosen: str) -> None:
+        """The figures that this frame knows; says nothing to anybody."""
+        if [self.metric_box.itemText(i) for i in range(self.metric_box.count())] != list(names):
+            self.metric_box.clear()
+            self.metric_box.addItems(names)
+        self.metric_box.setCurrentText(chosen)
+        self.metric_box.setEnabled(bool(names))
+
+    def show_empty(self, why: str) -> None:
+        """No error to take apart, and why."""
+        self._sentence.setText(why)
+        self.waterfall.show_bars((), "")
+
+    def show_attribution(self, sentence: str, shown: tuple[WaterfallBar, ...], unit: str) -> None:
+        """An error and its parts."""
+        self._sentence.setText(sentence)
+        self.waterfall.show_bars(shown, unit)

@@ -1,0 +1,85 @@
+"""A strip with a sentence and what can be done about it, never a box that must be clicked away."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from PyQt6.QtCore import QSize, Qt
+from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QProgressBar, QPushButton, QSizePolicy, QToolButton, QWidget
+
+from widgets.styling import make_single_shot_timer
+
+_BAR_PX, _READ_AFTER_MS = 160, 10_000
+
+
+class NotificationBar(QFrame):
+    """Hidden until `show_offer`; each button does its work once and takes the strip away.
+
+    What offers nothing goes by itself once it can have been read.
+    """
+
+    def __init__(self, name: str, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setObjectName(name)
+        self.setFrameShape(QFrame.Shape.StyledPanel)
+        self.setAutoFillBackground(True)
+        self._text, self._bar, self._away = QLabel(), QProgressBar(), QToolButton()
+        self._text.setTextFormat(Qt.TextFormat.PlainText)  # names of files are no markup
+        self._text.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
+        self._text.setWordWrap(True)
+        self._bar.setRange(0, 1000)
+        self._bar.setFixedWidth(_BAR_PX)
+        self._bar.setTextVisible(False)
+        self._away.setText("\N{MULTIPLICATION SIGN}")
+        self._away.setAutoRaise(True)
+        self._away.setToolTip("Dismiss")
+        self._away.setAccessibleName("Dismiss")
+        self._away.clicked.connect(self.hide)
+        self._row = QHBoxLayout(self)
+        self._row.setContentsMargins(8, 3, 8, 3)
+        self._row.addWidget(self._text, 1)
+        self._row.addWidget(self._bar)
+        self._row.addWidget(self._away)
+        self.buttons: list[QPushButton] = []
+        self._read = make_single_shot_timer(self, _READ_AFTER_MS, self.hide)
+        self.hide()
+
+    @property
+    def text(self) -> str:
+        """The sentence shown."""
+        return self._text.text()
+
+    def show_notification(self, sentence: str, choices: Sequence[tuple[str, Callable[[], object]]] = ()) -> None:
+        """Show one sentence and a button for each of `choices` (what it says, what it does)."""
+        for button in self.buttons:
+            self._row.removeWidget(button)
+            button.deleteLater()
+        self.buttons = [self._button(words, then) for words, then in choices]
+        for i, button in enumerate(self.buttons):
+            self._row.insertWidget(2 + i, button)
+        self._text.setText(sentence[:1].upper() + sentence[1:])
+        self._bar.hide()
+        self.show()
+        if choices:
+            self._read.stop()
+        else:
+            self._read.start()
+
+    def show_progress(self, fraction: float) -> None:
+        """How far the work is that the sentence tells of."""
+        self._bar.show()
+        self._bar.setValue(round(1000 * fraction))
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """No wider than what stands around it: the sentence takes as many lines as it needs."""
+        return QSize(200, super().sizeHint().height())
+
+    def _button(self, words: str, then: Callable[[], object]) -> QPushButton:
+        def act() -> None:
+            self.hide()
+            then()
+
+        button = QPushButton(words)
+        button.setObjectName(f"offer_{words.split(maxsplit=1)[0].lower()}")
+        button.clicked.connect(act)
+        return button

@@ -1,0 +1,267 @@
+"""The contents of the 3D views: layers, cameras, lights and axes, drawn off screen one view at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pyvista as pv
+import vtkmodules.vtkRenderingOpenGL2  # pyright: ignore[reportUnusedImport]  # noqa: F401 - registers what draws
+from vtkmodules.util.numpy_support import vtk_to_numpy
+from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
+from vtkmodules.vtkRenderingCore import (
+    vtkActor,
+    vtkCamera,
+    vtkLight,
+    vtkPolyDataMapper,
+    vtkRenderer,
+    vtkRenderWindow,
+)
+
+from pipeline.base.arrays import Doubles, Image
+from pipeline.previews.colours import Rgb
+from pipeline.previews.layers import Layer, ViewBounds
+from widgets.theme import ThemeColours
+
+_LINE_PX = 1.5
+_BEHIND = 4.0, 4.0  # slopes and units of the depth buffer
+
+
+class OffscreenRenderer:
+    """Draws one view after the other into one window; points are written in place, actors are never rebuilt."""
+
+    def __init__(self, columns: int, samples: int) -> None:
+        self.window = vtkRenderWindow()
+        self.window.SetOffScreenRendering(True)
+        self.window.SetMultiSamples(samples)
+        self.renderers = [_view() for _ in range(columns)]
+        for renderer in self.renderers:
+            renderer.SetDraw(False)
+            renderer.SetInteractive(False)
+            self.window.AddRenderer(renderer)
+        self._kept: list[dict[str, tuple[Layer, Any, Any]]] = [{} for _ in range(columns)]
+        self._axes = [[_arrow(renderer, axis) for axis in range(3)] for renderer in self.renderers]
+
+    def render_pixels(self, column: int, width_px: int, height_px: int, ink: ThemeColours) -> Image:
+        """One view drawn at this size in the theme's colours, (rows, cols, 3)."""
+        self.activate_view(column, width_px, height_px)
+        self.renderers[column].SetBackground(*_shares(ink.backdrop))
+        for arrow, colour in zip(self._axes[column], ink.axes, strict=True):
+            arrow.GetProperty().SetColor(*_shares(colour))
+        self.window.Render()
+        drawn = vtkUnsignedCharArray()
+        self.window.GetPixelData(0, 0, width_px - 1, height_px - 1, 0, drawn, 0)
+        return np.ascontiguousarray(vtk_to_numpy(drawn).reshape(height_px, width_px, 3)[::-1])
+
+    def activate_view(self, column: int, width_px: int, height_px: int) -> None:
+        """From now on the window is this view's: for drawing, and for the mouse.
+
+        The view angle holds for the shorter side, so that the same sphere fits tall and wide views.
+        """
+        for other, renderer in enumerate(self.renderers):
+            renderer.SetDraw(other == column)
+            renderer.SetInteractive(other == column)
+        if tuple(self.window.GetSize()) != (width_px, height_px):
+            self.window.SetSize(width_px, height_px)
+        self.renderers[column].GetActiveCamera().SetUseHorizontalViewAngle(width_px < height_px)
+
+    def close(self) -> None:
+        """Let go of everything OpenGL."""
+        self.window.Finalize()
+
+    def show_layers(self, column: int, layers: Sequence[Layer], placed: Mapping[str, Doubles]) -> None:
+        """Exactly these layers, some of them moved as a whole."""
+        kept = self._kept[column]
+        layers = [layer for layer in layers if len(layer.points_mm)]  # VTK takes no empty arrays
+        wanted = {layer.name for layer in layers}
+        for name, (_, _, actor) in kept.items():
+            actor.SetVisibility(name in wanted)
+        for layer in layers:
+            old = kept.get(layer.name)
+            if old is None:
+                mesh = pv.PolyData()
+                _write(mesh, layer, None)
+                actor = _added(self.renderers[column], mesh, layer)
+            else:
+                mesh, actor = old[1], old[2]
+                if old[0] is not layer:
+                    _write(mesh, layer, old[0])
+            at = placed.get(layer.name, layer.view_from_layer)
+            actor.SetUserMatrix(None if at is None else pv.vtkmatrix_from_array(at))
+            kept[layer.name] = (layer, mesh, actor)
+
+    def get_camera(self, column: int) -> tuple[float, ...]:
+        """Where a view looks from and to: equal for equal views."""
+        camera = self.renderers[column].GetActiveCamera()
+        return (*camera.GetPosition(), *camera.GetFocalPoint(), *camera.GetViewUp(), camera.GetViewAngle())
+
+    def set_camera(self, column: int, numbers: tuple[float, ...]) -> None:
+        """As `camera_of` tells one."""
+        camera = self.renderers[column].GetActiveCamera()
+        camera.SetPosition(*numbers[:3])
+        camera.SetFocalPoint(*numbers[3:6])
+        camera.SetViewUp(*numbers[6:9])
+        camera.SetViewAngle(numbers[9])
+
+    def find_linked_views(self, column: int) -> list[int]:
+        """The views that share a camera with this one, itself first."""
+        own = self.renderers[column].GetActiveCamera()
+        others = [i for i, r in enumerate(self.renderers) if i != column and r.GetActiveCamera() is own]
+        return [column, *others]
+
+    def project_point(
+        self, column: int, place_mm: tuple[float, float, float], aspect: float
+    ) -> tuple[float, float] | None:
+        """Where a point is in a view, in shares of its width and height from the upper left; None if it is not."""
+        camera = self.renderers[column].GetActiveCamera()
+        camera.SetUseHorizontalViewAngle(aspect < 1.0)
+        matrix = pv.array_from_vtkmatrix(camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0))
+        x, y, _, w = matrix @ (*place_mm, 1.0)
+        if w <= 0 or max(abs(x), abs(y)) > w:
+            return None
+        return 0.5 + 0.5 * float(x / w), 0.5 - 0.5 * float(y / w)
+
+    def project_points(self, column: int, points_mm: Doubles, aspect: float) -> tuple[Doubles, Doubles]:
+        """Where points (n, 3) are in a view, in shares (n, 2), and how far away (n,) in shares of the nearest one's."""
+        camera = self.renderers[column].GetActiveCamera()
+        camera.SetUseHorizontalViewAngle(aspect < 1.0)
+        matrix = pv.array_from_vtkmatrix(camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0))
+        seen = points_mm @ matrix[:, :3].T + matrix[:, 3]
+        w = np.where(seen[:, 3] > 0, seen[:, 3], np.nan)
+        shares = np.stack([0.5 + 0.5 * seen[:, 0] / w, 0.5 - 0.5 * seen[:, 1] / w], axis=-1)
+        return np.nan_to_num(shares, nan=-9.0), np.nan_to_num(w / np.nanmin(w), nan=np.inf)
+
+    def fit_cameras(self, bounds: Mapping[int, ViewBounds], linked: bool) -> None:
+        """Cameras seen from the sensor's side, so that what is pushed in bulges toward the viewer."""
+        shared: dict[str, Any] = {}
+        for column, sight in bounds.items():
+            camera = shared.get(sight.frame) if linked else None
+            if camera is None:
+                camera = shared[sight.frame] = _camera(sight)
+            self.renderers[column].SetActiveCamera(camera)
+            corner = np.array(sight.centre_mm) + sight.radius_mm * np.array([-0.62, 0.66, 0.0])
+            for actor in self._axes[column]:
+                actor.SetPosition(*corner)
+                actor.SetScale(0.25 * sight.radius_mm)
+                actor.SetVisibility(True)
+
+
+def _view() -> Any:
+    """An empty sub-view; a lamp at the viewer lets colours read true, one from the upper left lets dents cast shade."""
+    renderer: Any = vtkRenderer()
+    renderer.SetAutomaticLightCreation(False)
+    lamp, side = vtkLight(), vtkLight()
+    lamp.SetLightTypeToHeadlight()
+    lamp.SetIntensity(0.55)
+    side.SetLightTypeToCameraLight()
+    side.SetIntensity(0.6)
+    side.SetPosition(-1.0, 1.0, 0.6)
+    for light in (lamp, side):
+        renderer.AddLight(light)
+    # A camera may be shared, and layers come after it was set: every view is cut to its own, as it is drawn.
+    renderer.AddObserver("StartEvent", _cut_to_its_own)
+    return renderer
+
+
+def _cut_to_its_own(renderer: Any, _: str) -> None:
+    renderer.ResetCameraClippingRange()
+
+
+def _camera(sight: ViewBounds) -> Any:
+    """Looking along the sensor's own view, somewhat from below, so far away that the sphere fills the width."""
+    camera = vtkCamera()
+    direction = np.array([0.0, 0.6, -1.0]) / np.linalg.norm([0.0, 0.6, -1.0])
+    camera.SetFocalPoint(*sight.centre_mm)
+    camera.SetPosition(*(np.array(sight.centre_mm) + 3.7 * sight.radius_mm * direction))
+    camera.SetViewUp(0.0, -1.0, 0.0)
+    camera.SetViewAngle(28.0)
+    return camera
+
+
+def _actor(renderer: Any, mesh: Any, *, own_colours: bool = True) -> Any:
+    """A mesh in a sub-view, in the colours of its points or in one that is told later."""
+    mapper, actor = vtkPolyDataMapper(), vtkActor()
+    mapper.SetInputData(mesh)
+    if own_colours:
+        mapper.SetScalarModeToUsePointFieldData()
+        mapper.SelectColorArray("rgb")
+    else:
+        mapper.ScalarVisibilityOff()
+    actor.SetMapper(mapper)
+    renderer.AddActor(actor)
+    return actor
+
+
+def _arrow(renderer: Any, axis: int) -> Any:
+    """A unit arrow along x, y or z of the frame; hidden until it is known where it belongs."""
+    tip = np.zeros(3)
+    tip[axis] = 1.0
+    actor = _actor(renderer, pv.Line((0.0, 0.0, 0.0), tip), own_colours=False)
+    actor.GetProperty().SetLineWidth(3)
+    actor.GetProperty().LightingOff()
+    actor.SetVisibility(False)
+    return actor
+
+
+def _added(renderer: Any, mesh: Any, layer: Layer) -> Any:
+    actor = _actor(renderer, mesh)
+    look = actor.GetProperty()
+    look.SetOpacity(layer.opacity)
+    if layer.opacity < 1.0:  # behind what lies in the very same place, or the two would show in stripes
+        actor.GetMapper().SetResolveCoincidentTopologyToPolygonOffset()
+        actor.GetMapper().SetRelativeCoincidentTopologyPolygonOffsetParameters(*_BEHIND)
+    look.SetPointSize(layer.point_px)
+    if layer.segments is not None:
+        look.SetLineWidth(_LINE_PX)
+        look.LightingOff()
+    elif layer.triangles is None:
+        look.SetRepresentationToPoints()
+        look.LightingOff()
+    else:
+        look.SetInterpolationToGouraud()
+        look.SetAmbient(0.3)
+    return actor
+
+
+def _shares(colour: Rgb) -> tuple[float, float, float]:
+    red, green, blue = (c / 255 for c in colour)
+    return red, green, blue
+
+
+def _write(mesh: Any, layer: Layer, old: Layer | None) -> None:
+    """Put a layer's arrays into its mesh: copied in place while the counts stay, set anew when they change."""
+    same = old is not None and len(old.points_mm) == len(layer.points_mm)
+    if same:
+        mesh.points[:] = layer.points_mm
+        mesh.GetPoints().Modified()
+    else:
+        mesh.points = np.array(layer.points_mm, dtype=np.float32)
+    if not same or old is None or old.triangles is not layer.triangles or old.segments is not layer.segments:
+        _write_cells(mesh, layer)
+    if same:
+        mesh.point_data["rgb"][:] = layer.rgb
+        mesh.GetPointData().GetArray("rgb").Modified()
+    else:
+        mesh.point_data["rgb"] = np.array(layer.rgb)
+    if layer.normals is not None:
+        mesh.point_data.active_normals = np.array(layer.normals, dtype=np.float32)
+    mesh.Modified()
+
+
+def _write_cells(mesh: Any, layer: Layer) -> None:
+    if layer.triangles is not None:
+        mesh.verts = np.zeros(0, dtype=np.int64)
+        faces = np.empty((len(layer.triangles), 4), dtype=np.int64)
+        faces[:, 0], faces[:, 1:] = 3, layer.triangles
+        mesh.faces = faces.ravel()
+        return
+    if layer.segments is not None:
+        mesh.verts = np.zeros(0, dtype=np.int64)
+        lines = np.empty((len(layer.segments), 3), dtype=np.int64)
+        lines[:, 0], lines[:, 1:] = 2, layer.segments
+        mesh.lines = lines.ravel()
+        return
+    verts = np.empty((len(layer.points_mm), 2), dtype=np.int64)
+    verts[:, 0], verts[:, 1] = 1, np.arange(len(layer.points_mm))
+    mesh.verts = verts.ravel()

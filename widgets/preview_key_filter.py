@@ -1,0 +1,88 @@
+"""A picture worked by keys: the pixel that is pointed at, the second picture's handle, zoom, and the next picture."""
+
+from __future__ import annotations
+
+import numpy as np
+from PyQt6.QtCore import QEvent, QObject, QPointF, Qt, pyqtSignal
+from PyQt6.QtGui import QKeyEvent
+
+from widgets.preview_view import PreviewView
+
+Key = Qt.Key
+ARROW_STEPS = {Key.Key_Left: (-1, 0), Key.Key_Right: (1, 0), Key.Key_Up: (0, -1), Key.Key_Down: (0, 1)}
+SHIFT_STEP_PX = 10  # pixels at once with Shift
+_ENTER = (Key.Key_Return, Key.Key_Enter)
+_TABS = {Key.Key_Tab: 1, Key.Key_Backtab: -1}
+_ZOOMS = {Key.Key_Plus: 1.25, Key.Key_Equal: 1.25, Key.Key_Minus: 0.8}
+_HANDLE = {Key.Key_Comma: -0.05, Key.Key_Period: 0.05}  # shares of the picture's width
+_KNOWN = frozenset((*ARROW_STEPS, *_ENTER, *_TABS, *_ZOOMS, *_HANDLE))
+
+
+def get_arrow_step_px(event: QKeyEvent) -> tuple[int, int]:
+    """How far right and down an arrow key goes, in pixels; (0, 0) of any other key."""
+    x, y = ARROW_STEPS.get(Key(event.key()), (0, 0))
+    far = SHIFT_STEP_PX if event.modifiers() & Qt.KeyboardModifier.ShiftModifier else 1
+    return far * x, far * y
+
+
+class PreviewKeyFilter(QObject):
+    """Listens to a picture that has the keyboard; keys that it knows are not the window's meanwhile.
+
+    A picture is given the keyboard, it does not take it: a click leaves the window its keys, and Tab from control to
+    control passes it by.
+    """
+
+    pixel_pointed = pyqtSignal(int, int)  # row, col
+    pixel_pinned = pyqtSignal(int, int)
+    focus_passed = pyqtSignal(int)  # the keyboard on to the next picture, or back to the one before
+
+    def __init__(self, view: PreviewView) -> None:
+        super().__init__(view)
+        self._view, self._canvas = view, view.canvas
+        self._canvas.installEventFilter(self)
+
+    def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
+        """Keys come here before the window's commands."""
+        if not isinstance(a1, QKeyEvent) or a1.key() not in _KNOWN:
+            return super().eventFilter(a0, a1)
+        if a1.type() == QEvent.Type.ShortcutOverride:
+            a1.accept()
+            return True
+        return a1.type() == QEvent.Type.KeyPress and self._press(a1)
+
+    def _press(self, event: QKeyEvent) -> bool:
+        key, picture = Key(event.key()), self._view.preview
+        if key in _TABS:
+            self.focus_passed.emit(_TABS[key])
+        elif picture is None:
+            return False
+        elif key in _ZOOMS:
+            self._canvas.set_view(self._middle(), self._canvas.scale * _ZOOMS[key])
+            self._canvas.view_changed.emit()
+        elif key in _HANDLE:
+            if self._canvas.handle_share is not None:
+                self._view.overlay.move_handle(self._view.overlay.share + _HANDLE[key])
+        else:
+            rows, cols = picture.pixels.shape[:2]
+            at = self._middle()
+            right, down = (
+                get_arrow_step_px(event) if self._canvas.crosshair is not None else (0, 0)
+            )  # at first it only appears
+            row, col = int(at.y()) + down, int(at.x()) + right
+            told = self.pixel_pinned if key in _ENTER else self.pixel_pointed
+            told.emit(min(max(row, 0), rows - 1), min(max(col, 0), cols - 1))
+        return True
+
+    def _middle(self) -> QPointF:
+        """The pixel pointed at, else the highest value in the contact, else what is in the middle."""
+        if self._canvas.crosshair is not None:
+            return QPointF(self._canvas.crosshair[1] + 0.5, self._canvas.crosshair[0] + 0.5)
+        box, picture = self._view.find_contact_box_px(), self._view.preview
+        if box is None or picture is None:
+            return self._canvas.centre
+        left, top, right, below = (max(0, round(side)) for side in box)
+        part = None if picture.values is None else picture.values[top:below, left:right]
+        if part is None or not np.isfinite(part).any():
+            return QPointF(0.5 * (left + right), 0.5 * (top + below))
+        row, col = divmod(int(np.nanargmax(part)), part.shape[1])
+        return QPointF(left + col + 0.5, top + row + 0.5)

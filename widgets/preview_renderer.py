@@ -1,0 +1,189 @@
+"""A picture as it lies on the screen: fitted or zoomed, with outlines, a scale bar and a second picture over it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PyQt6.QtCore import QPointF, QRect, QRectF, QSize, QSizeF, Qt
+from PyQt6.QtGui import QColor, QFont, QImage, QPainter, QPalette, QPen, QPixmap, QPolygonF
+
+from pipeline.base.arrays import Floats, Image
+from pipeline.previews.colours import NO_VALUE_COLOUR, Rgb
+from pipeline.previews.preview import Preview
+from widgets.theme import CASING_COLOUR, CONTACT_COLOUR, OBSERVED_CONTACT_COLOUR, get_theme_colours, to_qcolor
+
+MAX_ZOOM, MIN_ZOOM = 60.0, 0.02
+_BAR_LENGTHS_MM = (50.0, 20.0, 10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1)
+_DIMMED = 0.45
+_LETTERS_PT = 7.5
+
+
+class PreviewRenderer:
+    """Which part of a picture is seen at which size, and the drawing of it; pictures are of one size at a time."""
+
+    def __init__(self) -> None:
+        self.preview: Preview | None = None
+        self.image: QImage | None = None
+        self.overlay: tuple[QImage, float] | None = None  # and the share of the width that is left to the first
+        self.no_value_colour: Rgb = NO_VALUE_COLOUR  # what pixels without a value look like here
+        self._beside: Image | None = None  # the second's pixels
+        self.is_dimmed = False
+        self.centre, self.scale = QPointF(), 0.0  # picture pixel in the middle; screen pixels a picture pixel
+        self.size = QSize()
+
+    def set_preview(self, picture: Preview) -> bool:
+        """Draw another picture from now on; whether it has another size."""
+        old, self.preview = self.preview, picture
+        self.image = make_qimage(self._grounded(picture.pixels))
+        return old is None or old.pixels.shape[:2] != picture.pixels.shape[:2]
+
+    def set_overlay(self, pixels: Image | None, share: float) -> None:
+        """Lay pixels of the same size over it from this share of the width on; None takes them away."""
+        self._beside = pixels
+        self.overlay = None if pixels is None else (make_qimage(self._grounded(pixels)), share)
+
+    def set_no_value_colour(self, no_value: Rgb) -> None:
+        """Show pixels without a value in another colour from now on."""
+        if no_value == self.no_value_colour:
+            return
+        self.no_value_colour = no_value
+        if self.preview is not None:
+            self.set_preview(self.preview)
+        if self.overlay is not None:
+            self.set_overlay(self._beside, self.overlay[1])
+
+    def _grounded(self, pixels: Image) -> Image:
+        coloured = self.preview is not None and self.preview.scale is None
+        return pixels if coloured else recolour_no_value(pixels, self.no_value_colour)
+
+    def fit_view(self) -> None:
+        """The whole picture, as large as there is room."""
+        if self.image is not None:
+            cols, rows = self.image.width(), self.image.height()
+            self.scale = max(1e-3, min(self.size.width() / cols, self.size.height() / rows))
+            self.centre = QPointF(0.5 * cols, 0.5 * rows)
+
+    def to_screen(self, at: QPointF) -> QPointF:
+        """Where a point of the picture, in its pixels, is drawn."""
+        return (at - self.centre) * self.scale + self._middle
+
+    def to_image(self, at: QPointF) -> QPointF:
+        """The point of the picture that is drawn here."""
+        return (at - self._middle) / self.scale + self.centre if self.scale > 0 else QPointF(-1.0, -1.0)
+
+    @property
+    def _middle(self) -> QPointF:
+        return QPointF(0.5 * self.size.width(), 0.5 * self.size.height())
+
+    def render(self, dense: float, behind: QColor, font: QFont) -> QPixmap:
+        """All of it, at `dense` pixels of the screen's for each of ours."""
+        pixmap = QPixmap(max(1, round(dense * self.size.width())), max(1, round(dense * self.size.height())))
+        pixmap.setDevicePixelRatio(dense)
+        pixmap.fill(behind)
+        if self.image is None or self.preview is None:
+            return pixmap
+        painter = QPainter(pixmap)
+        painter.setOpacity(_DIMMED if self.is_dimmed else 1.0)
+        self._draw_image(painter, self.image, 0.0, dense)
+        if self.overlay is not None:
+            self._draw_image(painter, *self.overlay, dense)
+        painter.setOpacity(1.0)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        felt, own = self.preview.observed_outline_px, self.preview.outline_px
+        casing, inner, rim = (QPen(c, w) for c, w in (
+            (to_qcolor(CASING_COLOUR, 190), 3.4), (to_qcolor(OBSERVED_CONTACT_COLOUR), 1.6), (to_qcolor(CONTACT_COLOUR), 1.6)
+        ))  # fmt: skip
+        for border, pen in ((felt, casing), (felt, inner), (own, rim)):
+            self._draw_border(painter, border, pen)
+        self._draw_scale_bar(painter, self.preview, font)
+        painter.end()
+        return pixmap
+
+    def _draw_image(self, painter: QPainter, image: QImage, from_share: float, dense: float) -> None:
+        first = round(from_share * image.width())
+        ends = self.to_image(QPointF(0, 0)), self.to_image(QPointF(self.size.width(), self.size.height()))
+        left, top = max(first, math.floor(ends[0].x())), max(0, math.floor(ends[0].y()))
+        right, below = min(image.width(), math.ceil(ends[1].x())), min(image.height(), math.ceil(ends[1].y()))
+        if left >= right or top >= below:
+            return
+        part = QRect(left, top, right - left, below - top)
+        place = QRectF(self.to_screen(QPointF(left, top)), QSizeF(part.width(), part.height()) * self.scale)
+        drawn = image.copy(part)
+        if self.scale * dense < 1.0:  # the mean of what falls on a pixel, not one of it
+            size = QSize(max(1, round(dense * place.width())), max(1, round(dense * place.height())))
+            ratio, how = Qt.AspectRatioMode.IgnoreAspectRatio, Qt.TransformationMode.SmoothTransformation
+            drawn = drawn.scaled(size, ratio, how)
+        painter.drawImage(place, drawn)
+
+    def _draw_border(self, painter: QPainter, border_px: Floats | None, pen: QPen) -> None:
+        if border_px is None or not len(border_px):
+            return
+        painter.setPen(pen)
+        middle, centre = self._middle, self.centre
+        at = (border_px - (centre.x(), centre.y())) * self.scale + (middle.x(), middle.y())
+        step = max(1, math.floor(0.7 / self.scale))
+        gaps = np.flatnonzero(np.isnan(at[:, 0]))
+        for piece in np.split(at, gaps):
+            known = piece[~np.isnan(piece[:, 0])]
+            if len(known) > 1:
+                painter.drawPolyline(_polygon(np.concatenate([known[:-1:step], known[-1:]])))
+
+    def _draw_scale_bar(self, painter: QPainter, picture: Preview, font: QFont) -> None:
+        if not (math.isfinite(picture.pixel_mm) and picture.pixel_mm > 0):
+            return
+        rows, cols = picture.pixels.shape[:2]
+        low, high = self.to_screen(QPointF(0, 0)), self.to_screen(QPointF(cols, rows))
+        right, below = min(high.x(), self.size.width()), min(high.y(), self.size.height())
+        wide = right - max(0.0, low.x())
+        px_of_mm = self.scale / picture.pixel_mm
+        length_mm = next((n for n in _BAR_LENGTHS_MM if n * px_of_mm <= 0.3 * wide), 0.0)
+        if not length_mm or wide < 60:
+            return
+        end, y = right - 0.05 * wide, below - 8.0
+        dark = self._grounded(picture.pixels[-(rows // 6) :: 3, -(cols // 3) :: 3]).mean() < 130
+        ink = QColor(255, 255, 255) if dark else QColor(30, 32, 36)
+        painter.setPen(QPen(ink, 3))
+        painter.drawLine(QPointF(end - length_mm * px_of_mm, y), QPointF(end, y))
+        small = QFont(font)
+        small.setPointSizeF(_LETTERS_PT)
+        painter.setFont(small)
+        room = QRectF(end - length_mm * px_of_mm - 40, y - 18, length_mm * px_of_mm + 80, 15)
+        painter.drawText(room, Qt.AlignmentFlag.AlignCenter, f"{length_mm:g} mm")
+
+
+def _polygon(points: NDArray[np.floating]) -> QPolygonF:
+    """Points (n, 2) for Qt, copied as a whole: one by one they cost more than drawing them."""
+    polygon = QPolygonF()
+    polygon.resize(len(points))
+    held: Any = polygon.data()
+    held.setsize(len(points) * 2 * 8)
+    np.frombuffer(held, np.float64).reshape(-1, 2)[:] = points
+    return polygon
+
+
+def make_qimage(pixels: Image) -> QImage:
+    """Pixels (rows, cols, 3) uint8 as Qt draws them fastest."""
+    rows, cols = pixels.shape[:2]
+    held = pixels.tobytes()
+    return QImage(held, cols, rows, 3 * cols, QImage.Format.Format_RGB888).convertToFormat(QImage.Format.Format_RGB32)
+
+
+def recolour_no_value(pixels: Image, no_value: Rgb) -> Image:
+    """The same with another colour where there is no value: that grey is in no map."""
+    if no_value == NO_VALUE_COLOUR:
+        return pixels
+    out = pixels.copy()
+    out[(pixels == NO_VALUE_COLOUR).all(axis=-1)] = no_value
+    return out
+
+
+def make_themed_qimage(palette: QPalette, picture: Preview) -> QImage:
+    """A picture by itself, on the ground of a palette."""
+    return make_qimage(
+        picture.pixels
+        if picture.scale is None
+        else recolour_no_value(picture.pixels, get_theme_colours(palette).no_value)
+    )

@@ -1,0 +1,184 @@
+"""One stage's picture: pixels, contact outline, scale bar, colour bar, crosshair and what a pixel reads."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from PyQt6.QtCore import QPointF, QSize, Qt, pyqtSignal
+from PyQt6.QtWidgets import QBoxLayout, QLabel, QVBoxLayout, QWidget
+
+from pipeline.previews.preview import Preview
+from widgets.canvas import Canvas
+from widgets.colour_bar import ColourBar
+from widgets.comparison_overlay import ComparisonOverlay
+from widgets.fixed_size_label import FixedSizeLabel
+from widgets.styling import set_spacing, shrink_font
+
+SIDE_TEXT_PX = 170  # wide are words beside a picture
+_AROUND = 1.3  # times the contact that is fitted
+_NO_LIMIT = 16_777_215  # of a widget's width, as Qt has it
+
+
+class PreviewView(QWidget):
+    """Shows a `Picture`; says which pixel the mouse is over and which was clicked."""
+
+    pixel_hovered = pyqtSignal(int, int)  # row, col; (-1, -1) once the mouse has left
+    pixel_clicked = pyqtSignal(int, int)
+    shape_changed = pyqtSignal()  # a picture of another size
+    scale_changed = pyqtSignal()  # one with a scale after one without, or the other way
+    view_changed = pyqtSignal()  # panned or zoomed by hand
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.preview: Preview | None = None  # what is shown
+        self._shape: tuple[int, int] | None = None
+        self.canvas = Canvas()
+        self.overlay = ComparisonOverlay(self.canvas)
+        self.colour_bar = ColourBar()
+        self._caption = FixedSizeLabel()
+        self._caption.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)
+        self._message = QLabel(self.canvas)
+        self._message.setWordWrap(True)
+        self._message.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self._message.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+        self._message.setAutoFillBackground(True)
+        self._message.hide()
+        self.text_area = QWidget()  # all that is told of the picture
+        told = set_spacing(QVBoxLayout(self.text_area), 2)
+        told.addWidget(self.colour_bar)
+        told.addWidget(self._caption)
+        told.addStretch(1)
+        self._both = set_spacing(QBoxLayout(QBoxLayout.Direction.TopToBottom, self), 2)
+        self._both.addWidget(self.canvas, 1)
+        self._both.addWidget(self.text_area)
+        shrink_font(self._caption)
+        self.set_caption_lines(2)
+        self.canvas.mouse_moved.connect(self._report_hover)
+        self.canvas.mouse_left.connect(lambda: self.pixel_hovered.emit(-1, -1))
+        self.canvas.clicked.connect(self._report_click)
+        self.canvas.view_changed.connect(self.view_changed)
+
+    def place_text(self, *, at_side: bool) -> None:
+        """Put what is told to the right of the picture, or under it."""
+        way = QBoxLayout.Direction.LeftToRight if at_side else QBoxLayout.Direction.TopToBottom
+        if way != self._both.direction():
+            self._both.setDirection(way)
+            self.text_area.setFixedWidth(SIDE_TEXT_PX) if at_side else self.text_area.setMaximumWidth(_NO_LIMIT)
+            self.text_area.setMinimumWidth(SIDE_TEXT_PX if at_side else 0)
+
+    def set_caption_lines(self, lines: int) -> None:
+        """How many lines the caption has."""
+        self._caption.set_lines(lines)
+
+    @property
+    def message(self) -> str:
+        """The sentence over the picture."""
+        return self._message.text()
+
+    @property
+    def crosshair(self) -> tuple[int, int] | None:
+        """Where the trace's crosshair is, (row, col)."""
+        return self.canvas.crosshair
+
+    def show_preview(self, picture: Preview) -> None:
+        """Show a picture; the view moves only when the number of pixels changed."""
+        if picture is self.preview:
+            return
+        other = self.has_colour_scale != (picture.scale is not None)
+        self.preview = picture
+        self.canvas.show_preview(picture)
+        self.colour_bar.show_scale(picture.scale, picture.values)
+        self._caption.setText(picture.caption)
+        self._caption.setToolTip(picture.caption)
+        shape = (picture.pixels.shape[0], picture.pixels.shape[1])
+        if shape != self._shape:
+            self._shape = shape
+            self.shape_changed.emit()
+        if other:
+            self.scale_changed.emit()
+
+    @property
+    def has_colour_scale(self) -> bool:
+        """Whether the picture has a scale of colours."""
+        return self.preview is not None and self.preview.scale is not None
+
+    def show_message(self, text: str) -> None:
+        """Lay a sentence over the picture (why it was skipped, or that it is out of date); "" removes it."""
+        if text == self._message.text():
+            return
+        self._message.setText(text)
+        self._message.setVisible(bool(text))
+        self._place_message()
+
+    def set_dimmed(self, dimmed: bool) -> None:
+        """Fade the picture while a newer one is being made."""
+        self.canvas.set_dimmed(dimmed)
+
+    def show_crosshair(self, pixel: tuple[int, int] | None, tag: str = "") -> None:
+        """Put the trace's crosshair on (row, col) with what is read there, or take it away."""
+        self.canvas.show_crosshair(pixel, tag)
+
+    @property
+    def canvas_size_px(self) -> QSize:
+        """What the picture itself has of the widget."""
+        return self.canvas.size()
+
+    @property
+    def height_over_width(self) -> float:
+        """Rows over columns of the picture, that of a camera's usual picture while there is none."""
+        return self._shape[0] / self._shape[1] if self._shape is not None else 0.75
+
+    def reset_view(self) -> None:
+        """Fit the whole picture."""
+        self.canvas.fit_view()
+
+    def fit_to_box(self, box_px: tuple[float, float, float, float]) -> None:
+        """Fit a part of the picture, given by its left, top, right and lower end in pixels, with some room around."""
+        left, top, right, below = box_px
+        room = self.canvas.size()
+        wide, high = max(right - left, 4.0) * _AROUND, max(below - top, 4.0) * _AROUND
+        scale = min(room.width() / wide, room.height() / high)
+        self.canvas.set_view(QPointF(0.5 * (left + right), 0.5 * (top + below)), scale)
+
+    def find_contact_box_px(self) -> tuple[float, float, float, float] | None:
+        """Left, top, right and lower end of the contact's outline; None without one."""
+        border = None if self.preview is None else self.preview.outline_px
+        if border is None or not np.isfinite(border).any():
+            return None
+        (left, top), (right, below) = np.nanmin(border, axis=0), np.nanmax(border, axis=0)
+        return float(left), float(top), float(right), float(below)
+
+    def resizeEvent(self, a0: Any) -> None:  # noqa: N802
+        """Keep the message in the middle."""
+        super().resizeEvent(a0)
+        self._place_message()
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """A column's share of a laptop screen."""
+        return QSize(200, 220)
+
+    def _place_message(self) -> None:
+        if self._message.isHidden():
+            return
+        room = self.canvas.size()
+        width = max(60, room.width() - 12)
+        height = min(room.height() - 8, max(20, self._message.heightForWidth(width) + 4))
+        self._message.setGeometry((room.width() - width) // 2, (room.height() - height) // 2, width, height)
+
+    def _pixel_at(self, place: QPointF) -> tuple[int, int] | None:
+        point = self.canvas.to_image(place)
+        row, col = math.floor(point.y()), math.floor(point.x())
+        if self._shape is None or not (0 <= row < self._shape[0] and 0 <= col < self._shape[1]):
+            return None
+        return row, col
+
+    def _report_hover(self, place: QPointF) -> None:
+        row, col = self._pixel_at(place) or (-1, -1)
+        self.pixel_hovered.emit(row, col)
+
+    def _report_click(self, place: QPointF) -> None:
+        pixel = self._pixel_at(place)
+        if pixel is not None:
+            self.pixel_clicked.emit(*pixel)

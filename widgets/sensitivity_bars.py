@@ -1,0 +1,120 @@
+"""Which axis matters: how much each figure of the score changes per 0.1 mm or 0.1 degrees."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from PyQt6.QtCore import QRectF, QSize, Qt
+from PyQt6.QtGui import QPainter, QPaintEvent
+from PyQt6.QtWidgets import QSizePolicy, QWidget
+
+from pipeline.alignment.sensitivity import UNIT_STEP, AlignmentChange, Sensitivity
+from widgets.styling import shrink_font
+from widgets.theme import get_theme_colours, to_qcolor
+
+# title, unit, digits, whether more is better
+_FIGURES = (("depth", "mm", 3, False), ("edge", "px", 2, False), ("IoU", "", 3, True))
+_FULL_IOU = 0.02
+_NEARER, _FARTHER = "\N{BLACK UP-POINTING TRIANGLE}", "\N{BLACK DOWN-POINTING TRIANGLE}"
+_CELL_ROOM_PX = 10  # of a cell, beside its number
+_TIP = (
+    "change of the score per {step:g} mm or {step:g}° along each axis, mean of either side; the triangle says whether "
+    "raising or lowering the axis makes it better, none where the best is here; bars are full at {full}"
+)
+
+
+class SensitivityBars(QWidget):
+    """A row per axis, a column per figure; each a bar with its number and the way that is better."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.axes: tuple[Sensitivity, ...] = ()  # what is shown
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+        shrink_font(self, 0.5, least_pt=7.5)
+        self.setAccessibleName("which axis matters")
+        self._full = (UNIT_STEP, 1.0, _FULL_IOU)
+        wide = self.fontMetrics().horizontalAdvance
+        widest = max(wide(f"{_NEARER} 0.000"), wide("depth mm")) + _CELL_ROOM_PX
+        self.setMinimumWidth(self._left_px() + len(_FIGURES) * widest)
+        self.set_pixel_size(UNIT_STEP)
+
+    def set_pixel_size(self, pixel_mm: float) -> None:
+        """Set the limits: bars are full where depth or outlines follow a motion in full, on pixels of this width."""
+        self._full = (UNIT_STEP, UNIT_STEP / pixel_mm, _FULL_IOU)
+        names = zip(_FIGURES, self._full, strict=True)
+        full = ", ".join(f"{name} {limit:.2g} {unit}".strip() for (name, unit, *_), limit in names)
+        self.setToolTip(_TIP.format(step=UNIT_STEP, full=full))
+
+    def show_sensitivities(self, axes: Sequence[Sensitivity]) -> None:
+        """Show these axes; none leaves the table empty."""
+        self.axes = tuple(axes)
+        rows = [f"{s.axis}: " + ", ".join(_told(c, i) for i, c in enumerate(_changes(s))) for s in self.axes]
+        self.setAccessibleDescription("; ".join(rows))
+        self.update()
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """A heading and six rows."""
+        return QSize(200, 7 * self._row_px())
+
+    def paintEvent(self, a0: QPaintEvent | None) -> None:  # noqa: N802
+        """Draw heading and rows."""
+        del a0
+        painter, row = QPainter(self), self._row_px()
+        left = self._left_px()
+        width = (self.width() - left) / len(_FIGURES)
+        soft, ink = self.palette().placeholderText().color(), self.palette().text().color()
+        painter.setPen(soft)
+        middle = int(Qt.AlignmentFlag.AlignVCenter)
+        painter.drawText(QRectF(0, 0, left, row), middle, "per")
+        for i, (name, unit, *_) in enumerate(_FIGURES):
+            cell = QRectF(left + i * width, 0, width - 4, row)
+            painter.drawText(cell, middle | int(Qt.AlignmentFlag.AlignRight), f"{name} {unit}".strip())
+        for n, axis in enumerate(self.axes):
+            top = (n + 1) * row
+            painter.setPen(ink)
+            painter.drawText(QRectF(0, top, left, row), middle, axis.axis)
+            painter.setPen(soft)
+            unit = "°" if axis.unit == "deg" else " mm"
+            painter.drawText(QRectF(self.fontMetrics().horizontalAdvance("rx  "), top, left, row), middle,
+                             f"{UNIT_STEP:g}{unit}")  # fmt: skip
+            for i, change in enumerate(_changes(axis)):
+                painter.setPen(ink)
+                self._draw_cell(painter, QRectF(left + i * width, top + 1, width - 4, row - 2), change, i)
+
+    def _draw_cell(self, painter: QPainter, cell: QRectF, change: AlignmentChange, figure: int) -> None:
+        painter.fillRect(cell, to_qcolor(get_theme_colours(self.palette()).gauge_background))
+        if change.size is not None:
+            share = min(1.0, change.size / self._full[figure])
+            painter.fillRect(
+                QRectF(cell.left(), cell.top(), share * cell.width(), cell.height()),
+                to_qcolor(get_theme_colours(self.palette()).sensitivity),
+            )
+        right = int(Qt.AlignmentFlag.AlignVCenter | Qt.AlignmentFlag.AlignRight)
+        painter.drawText(cell.adjusted(2, 0, -3, 0), right, _told(change, figure))
+
+    def _left_px(self) -> int:
+        """The room of an axis' name and step."""
+        return self.fontMetrics().horizontalAdvance(f"rx  {UNIT_STEP:g} mm") + 8
+
+    def _row_px(self) -> int:
+        return self.fontMetrics().height() + 4
+
+
+def _changes(axis: Sensitivity) -> tuple[AlignmentChange, AlignmentChange, AlignmentChange]:
+    return axis.depth_mm, axis.edge_px, axis.iou
+
+
+def _told(change: AlignmentChange, figure: int) -> str:
+    if change.size is None:
+        return "-"
+    *_, digits, more_is_better = _FIGURES[figure]
+    number = f"{change.size:.{digits}f}"
+    return f"{_better_way(change, more_is_better)} {number}".strip() if float(number) else number
+
+
+def _better_way(change: AlignmentChange, more_is_better: bool) -> str:
+    """Whether raising or lowering the axis helps; none where either side is about as bad."""
+    if change.slope is None or change.size is None or abs(change.slope) < 0.5 * change.size:
+        return ""
+    raising_helps = (change.slope > 0) == more_is_better
+    return _NEARER if raising_helps else _FARTHER

@@ -1,0 +1,109 @@
+"""Pictures over 3D views: both rows are as high as what they show needs at the width it has."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from PyQt6.QtCore import QEvent, QObject, Qt, pyqtSignal
+from PyQt6.QtGui import QResizeEvent
+from PyQt6.QtWidgets import QHBoxLayout, QSplitter, QWidget
+
+from widgets.stage_column import StageColumn
+from widgets.styling import make_single_shot_timer, set_spacing
+from widgets.view_3d_panel import View3DPanel
+
+_SHORT_PX = 420  # a lower row spends one line on a caption, not two, and none on the state
+_LEAST_BELOW = 0.3  # of the height that is left to what stands below
+_TALL_BELOW = 1.15  # a 3D view's height in widths: in a taller one there is only ground above and below
+
+
+class StageRows(QSplitter):
+    """A row of columns over a row of cells; follows the pictures until somebody drags the handle.
+
+    `spare_found` says how much higher than needed it is, in pixels; lower than needed is less than 0.
+    """
+
+    spare_height_changed = pyqtSignal(int)
+
+    def __init__(self) -> None:
+        super().__init__(Qt.Orientation.Vertical)
+        self._columns: tuple[StageColumn, ...] = ()
+        self._cells: tuple[View3DPanel, ...] = ()
+        self._watched: set[QObject] = set()
+        self._told = False, False, True  # captions short, states beside titles, room for scales
+        self.setObjectName("split_rows")
+        self.is_user_sized = False  # from then on the rows keep their share
+        self._above, self.lower_row = QWidget(), QWidget()
+        self._upper, self._lower = set_spacing(QHBoxLayout(self._above), 2), set_spacing(QHBoxLayout(self.lower_row), 2)
+        self.addWidget(self._above)
+        self.addWidget(self.lower_row)
+        self.setChildrenCollapsible(False)
+        self._soon = make_single_shot_timer(self, 0, self.fit_sizes)
+        self.splitterMoved.connect(self._keep)
+
+    def set_columns(self, pairs: Sequence[tuple[StageColumn, View3DPanel]], *, wide: bool = False) -> None:
+        """Hold these, in this order, from now on; whether they can be seen is theirs to say.
+
+        `wide` where few are seen, so that each has room beside its title.
+        """
+        self._columns, self._cells = tuple(column for column, _ in pairs), tuple(cell for _, cell in pairs)
+        for column, cell in pairs:
+            column.set_wide(wide)
+            self._upper.addWidget(column, 1)
+            self._lower.addWidget(cell, 1)
+            for seen in (column, column.view):  # the latter also where a note takes room from it
+                if seen not in self._watched:
+                    self._watched.add(seen)
+                    seen.installEventFilter(self)
+                    if seen is column.view:
+                        column.view.shape_changed.connect(self._fit_soon)
+                        column.view.scale_changed.connect(self._fit_soon)
+        self._fit_soon()
+
+    def fit_sizes(self) -> None:
+        """Share the height out by what the pictures need, where nobody chose another share."""
+        here = [column for column in self._columns if column.parentWidget() is self._above]
+        shown = [column for column in here if column.isVisibleTo(self)]
+        some = any(column.view.has_colour_scale or column.view.preview is None for column in shown)
+        short = self.height() < _SHORT_PX
+        joined = short and all(column.has_room_for_state for column in shown)
+        for column in shown:  # the scales' room is all of theirs, so that pictures stand in one line, or nobody's
+            column.view.colour_bar.setVisible(some)
+            column.set_compact(short, joined=joined)
+        if (short, joined, some) != self._told:
+            self._told = short, joined, some
+            self._fit_soon()  # once more, when it is laid out
+        if self.is_user_sized or not shown or self.lower_row.isHidden():
+            return
+        room = self.height() - self.handleWidth()
+        wanted = max(column.compute_preferred_height_px() for column in shown)
+        above = min(wanted, round((1.0 - _LEAST_BELOW) * room))
+        if abs(self.sizes()[0] - above) > 1:
+            self.setSizes([above, room - above])
+        below = [cell.compute_height_px(_TALL_BELOW) for cell in self._cells if cell.isVisibleTo(self)]
+        self.spare_height_changed.emit(room - wanted - max(below, default=0))
+
+    def resizeEvent(self, a0: QResizeEvent | None) -> None:  # noqa: N802
+        """Other widths need other heights."""
+        super().resizeEvent(a0)
+        self._fit_soon()
+
+    def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
+        """A column that comes, goes or gets another width changes what all need."""
+        if a1 is not None and a1.type() in (QEvent.Type.Show, QEvent.Type.Hide, QEvent.Type.Resize):
+            self._fit_soon()
+        return super().eventFilter(a0, a1)
+
+    def _fit_soon(self) -> None:
+        self._soon.start()
+
+    def restore_sizes(self, sizes: Sequence[int]) -> None:
+        """Stand as somebody dragged it once; without sizes, follow the pictures again."""
+        self.is_user_sized = len(sizes) == self.count()
+        if self.is_user_sized:
+            self.setSizes(list(sizes))
+        else:
+            self._fit_soon()
+
+    def _keep(self) -> None:
+        self.is_user_sized = True

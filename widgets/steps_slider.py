@@ -1,0 +1,80 @@
+"""A slider over the kept states of a slot: iterations of a registration, steps of a sampler."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QSlider, QToolButton, QWidget
+
+from pipeline.values.results import PoseStep, TouchStep
+from widgets.styling import set_spacing, shrink_font
+
+AnyStep = PoseStep | TouchStep
+
+
+class StepsSlider(QWidget):
+    """Which state of a slot is shown, and how good it was; `step_chosen` carries the slot, the state and its number."""
+
+    step_chosen = pyqtSignal(str, object, int)
+    keep_steps_requested = pyqtSignal(str)
+
+    def __init__(self, stage: str = "pose", parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._slot = stage
+        self._steps: tuple[AnyStep, ...] = ()
+        self.slider = QSlider(Qt.Orientation.Horizontal)
+        self.slider.setObjectName(f"{stage}_steps")
+        self.slider.setAccessibleName(f"state of the {stage}")
+        self.slider.setToolTip(f"States on the way to the {stage}")
+        self._text, self.keep_button = QLabel(), QToolButton()
+        self.keep_button.setText("Step through")
+        self.keep_button.setObjectName(f"{stage}_keep")
+        self.keep_button.setToolTip("Keep the states on the way, which changes no answer, and look at them one by one")
+        self.keep_button.setAutoRaise(True)
+        self.keep_button.clicked.connect(lambda: self.keep_steps_requested.emit(self._slot))
+        self._keeps = False
+        self.slider.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        for widget in (self._text, self.keep_button):
+            shrink_font(widget)
+            widget.setFixedHeight(widget.fontMetrics().height() + 1)  # as high as the legends beside it
+        layout = set_spacing(QHBoxLayout(self), 4)
+        layout.addWidget(self.slider, 1)
+        layout.addWidget(self._text, 0)
+        layout.addWidget(self.keep_button, 0)
+        self.slider.valueChanged.connect(self._chosen)
+        self.show_steps(())
+
+    def show_steps(self, steps: tuple[AnyStep, ...]) -> None:
+        """Offer these states and stand on the last."""
+        self._steps = steps
+        with QSignalBlocker(self.slider):
+            self.slider.setRange(0, max(0, len(steps) - 1))
+            self.slider.setValue(len(steps) - 1)
+        self.slider.setEnabled(len(steps) > 1)
+        self._tell(len(steps) - 1)
+        self.set_can_keep_steps(can_keep=self._keeps)
+
+    def set_can_keep_steps(self, *, can_keep: bool) -> None:
+        """Whether the method can keep states: where none are kept yet, a button asks for them."""
+        self._keeps = can_keep
+        asks = can_keep and not self._steps
+        self.keep_button.setVisible(asks)
+        self._text.setVisible(not asks)
+
+    def _chosen(self, at: int) -> None:
+        if 0 <= at < len(self._steps):
+            self._tell(at)
+            self.step_chosen.emit(self._slot, self._steps[at], at)
+
+    def _tell(self, at: int) -> None:
+        if not 0 <= at < len(self._steps):
+            self._text.setText("no states kept")
+            self._text.setToolTip("a method keeps them where its parameters say so")
+            return
+        step, place = self._steps[at], f"{at + 1}/{len(self._steps)}"
+        if isinstance(step, TouchStep):
+            self._text.setText(f"{place}: noise {step.sigma:.2g}")
+            self._text.setToolTip(f"state {at + 1} of {len(self._steps)}, seen through noise of {step.sigma:.3g} units")
+            return
+        self._text.setText(f"{place}: {step.rmse_mm:.2f} mm")
+        matched = f"{100 * step.fitness:.0f} % of the points matched"
+        self._text.setToolTip(f"iteration {at + 1} of {len(self._steps)}: rms {step.rmse_mm:.3f} mm, {matched}")

@@ -1,0 +1,123 @@
+"""Colours of the window itself; those of quantities are `pipeline.previews.colours`.
+
+What lies over a picture (outlines, crosshair) is the same in every theme. What is read against the window's own ground
+is an `Inks`: one set for a light ground, one for a dark one, words and signs at 4.5 to 1 or better on either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from PyQt6.QtGui import QColor, QPalette
+
+from pipeline.previews.colours import NO_VALUE_COLOUR, Rgb
+
+CONTACT_COLOUR: Rgb = (230, 85, 13)  # outline of the contact mask
+OBSERVED_CONTACT_COLOUR: Rgb = (
+    255,
+    255,
+    255,
+)  # outline of what the target really felt, dark on both sides: seen on every colour
+CASING_COLOUR: Rgb = (20, 24, 30)
+CROSSHAIR_COLOUR: Rgb = (230, 0, 115)  # crosshair of the traced pixel
+SECTION_COLOUR: Rgb = (240, 228, 66)  # the section line, dark on both sides as `FELT`
+CATEGORY_COLOURS: tuple[Rgb, ...] = (  # of a registration, Okabe-Ito: the pose itself, then the others best first
+    (0, 114, 178), (230, 159, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (213, 94, 0), (240, 228, 66),
+    (90, 90, 100),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ThemeColours:
+    """What is drawn and written on one ground."""
+
+    backdrop: Rgb  # behind pictures and 3D views
+    no_value: Rgb  # of a picture's pixels that hold none
+    icon: Rgb
+    secondary_text: Rgb  # words that say what the words beside them are
+    warning_text: Rgb  # words of warning
+    warning_mark: Rgb
+    neutral: Rgb  # of an error taken apart: a sum,
+    accent: Rgb  # what goes with the truth (Okabe-Ito blue),
+    worse: Rgb  # and what comes with it (vermilion)
+    gauge: Rgb  # a figure of the score,
+    gauge_background: Rgb  # what it may come to,
+    ghost: Rgb  # where it stood when a drag began,
+    sensitivity: Rgb  # and how much an axis changes it
+    axes: tuple[Rgb, Rgb, Rgb]  # x, y, z
+    states: Mapping[str, Rgb]
+
+
+_LIGHT = ThemeColours(
+    backdrop=(250, 250, 252), no_value=NO_VALUE_COLOUR, icon=(60, 66, 76), secondary_text=(92, 98, 110), warning_text=(150, 64, 31),
+    warning_mark=(160, 82, 0), neutral=(100, 108, 120), accent=(0, 114, 178), worse=(205, 85, 0), gauge=(70, 125, 180),
+    gauge_background=(226, 229, 234), ghost=(40, 44, 52), sensitivity=(240, 190, 120),
+    axes=((190, 45, 45), (28, 118, 48), (50, 90, 200)),
+    states={
+        "computed": (0, 115, 86), "read": (0, 115, 86), "cached": (40, 105, 180), "unchanged": (40, 105, 180),
+        "doubtful": (160, 82, 0), "skipped": (96, 101, 111), "running": (146, 90, 0), "preview": (146, 90, 0),
+        "draft": (146, 90, 0),
+        "failed": (190, 40, 40), "stale": (125, 90, 20), "waiting": (96, 102, 110),
+    },
+)  # fmt: skip
+_DARK = ThemeColours(
+    backdrop=(24, 26, 30), no_value=(58, 61, 68), icon=(205, 210, 218), secondary_text=(160, 168, 180), warning_text=(245, 165, 120),
+    warning_mark=(245, 175, 80), neutral=(150, 158, 170), accent=(86, 180, 233), worse=(240, 140, 70), gauge=(110, 165, 215),
+    gauge_background=(62, 66, 74), ghost=(225, 228, 232), sensitivity=(150, 105, 45),
+    axes=((248, 125, 118), (115, 208, 130), (135, 170, 255)),
+    states={
+        "computed": (85, 203, 165), "read": (85, 203, 165), "cached": (125, 182, 245), "unchanged": (125, 182, 245),
+        "doubtful": (245, 175, 80), "skipped": (165, 170, 180), "running": (240, 195, 95), "preview": (240, 195, 95),
+        "draft": (240, 195, 95),
+        "failed": (255, 138, 128), "stale": (216, 188, 115), "waiting": (162, 168, 177),
+    },
+)  # fmt: skip
+
+
+def to_qcolor(colour: Rgb, alpha: int = 255) -> QColor:
+    """The Qt colour of a triple."""
+    return QColor(*colour, alpha)
+
+
+def to_hex(colour: Rgb) -> str:
+    """A triple as rich text and style sheets write it."""
+    return "#{:02x}{:02x}{:02x}".format(*colour)
+
+
+def is_dark(palette: QPalette) -> bool:
+    """Whether light letters stand on a dark ground."""
+    return palette.color(QPalette.ColorRole.Base).lightness() < 128
+
+
+def get_theme_colours(palette: QPalette) -> ThemeColours:
+    """What is drawn and written with under this palette."""
+    return _DARK if is_dark(palette) else _LIGHT
+
+
+def get_backdrop(palette: QPalette) -> QColor:
+    """What lies behind pictures and 3D views."""
+    return to_qcolor(get_theme_colours(palette).backdrop)
+
+
+def make_palette(*, dark: bool) -> QPalette:
+    """The window's palette, set by hand: without a desktop theme Qt does not know which one to take."""
+    palette = QPalette()
+    role, group = QPalette.ColorRole, QPalette.ColorGroup
+    table = (  # role, light, dark
+        (role.Window, (243, 244, 247), (38, 41, 47)), (role.WindowText, (28, 30, 34), (226, 229, 234)),
+        (role.Base, (255, 255, 255), (26, 28, 33)), (role.AlternateBase, (247, 248, 250), (33, 36, 41)),
+        (role.Text, (28, 30, 34), (226, 229, 234)), (role.Button, (238, 240, 244), (52, 56, 63)),
+        (role.ButtonText, (28, 30, 34), (226, 229, 234)), (role.BrightText, (190, 40, 40), (255, 138, 128)),
+        (role.ToolTipBase, (255, 255, 240), (58, 62, 70)), (role.ToolTipText, (28, 30, 34), (236, 238, 242)),
+        (role.Highlight, (45, 110, 190), (48, 106, 184)), (role.HighlightedText, (255, 255, 255), (255, 255, 255)),
+        (role.Link, (30, 95, 180), (125, 182, 245)), (role.PlaceholderText, (96, 102, 110), (160, 166, 175)),
+        (role.Light, (255, 255, 255), (66, 71, 80)), (role.Midlight, (226, 229, 234), (62, 66, 74)),
+        (role.Mid, (200, 204, 210), (84, 90, 100)), (role.Dark, (160, 165, 173), (18, 20, 24)),
+        (role.Shadow, (110, 115, 124), (8, 9, 11)),
+    )  # fmt: skip
+    for which, light, night in table:
+        palette.setColor(which, to_qcolor(night if dark else light))
+    for which in (role.WindowText, role.Text, role.ButtonText):
+        palette.setColor(group.Disabled, which, to_qcolor((116, 122, 132) if dark else (150, 154, 160)))
+    return palette

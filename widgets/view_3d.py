@@ -1,0 +1,122 @@
+"""One 3D view as a plain widget: the last picture of it, a dot over that, and the mouse for whoever draws it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from PyQt6.QtCore import QEvent, QPointF, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QImage, QPainter, QPen
+from PyQt6.QtWidgets import QSizePolicy, QWidget
+
+from widgets.theme import CROSSHAIR_COLOUR, get_backdrop, to_qcolor
+
+_DOT_PX = 5.0
+_MARGIN_PX = 12
+_A_CLICK_PX = 4.0  # a release nearer to its press than this turned nothing
+
+
+class View3D(QWidget):
+    """Shows what it is given; `wanted` says that a picture of the present size is needed."""
+
+    image_requested = pyqtSignal()
+    hovered = pyqtSignal(QPointF)  # the mouse is here, no button down
+    clicked = pyqtSignal(QPointF)  # a click, not the end of a turn
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setMinimumSize(60, 60)
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored)  # the picture follows the room
+        self.image: QImage | None = None
+        self.notice = ""  # in place of a picture
+        self.marker: QPointF | None = None  # shares of width and height
+        self._pressed: QPointF | None = None
+        self.setMouseTracking(True)
+        self.mouse_handler: Callable[[Any, str], None] | None = None  # (event, press, release, move or wheel)
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of the picture that belongs here, in pixels of the screen."""
+        dense = self.devicePixelRatioF()
+        return max(1, round(dense * self.width())), max(1, round(dense * self.height()))
+
+    def show_image(self, image: QImage) -> None:
+        """Show another picture."""
+        if image is not self.image:
+            self.image = image
+            self.update()
+
+    def show_dot(self, dot: QPointF | None) -> None:
+        """Where the traced pixel is, in shares of width and height."""
+        if dot != self.marker:
+            self.marker = dot
+            self.update()
+
+    def show_notice(self, text: str) -> None:
+        """Say why there is no picture."""
+        self.notice = text
+        self.update()
+
+    def sizeHint(self) -> QSize:  # noqa: N802
+        """A column's share of a laptop screen."""
+        return QSize(200, 160)
+
+    def paintEvent(self, a0: Any) -> None:  # noqa: N802
+        """The last picture, or the backdrop until there is one."""
+        del a0
+        painter = QPainter(self)
+        if self.image is None:
+            painter.fillRect(self.rect(), get_backdrop(self.palette()))
+            room = self.rect().adjusted(_MARGIN_PX, 0, -_MARGIN_PX, 0)
+            painter.drawText(room, Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap, self.notice)
+            return
+        painter.drawImage(QRectF(self.rect()), self.image)
+        if self.marker is not None:
+            painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+            painter.setPen(QPen(Qt.GlobalColor.white, 1.5))
+            painter.setBrush(to_qcolor(CROSSHAIR_COLOUR))
+            at = QPointF(self.marker.x() * self.width(), self.marker.y() * self.height())
+            painter.drawEllipse(at, _DOT_PX, _DOT_PX)
+
+    def resizeEvent(self, a0: Any) -> None:  # noqa: N802
+        """Another size is another picture."""
+        super().resizeEvent(a0)
+        self.image_requested.emit()
+
+    def showEvent(self, a0: Any) -> None:  # noqa: N802
+        """What was not drawn while nobody saw it is due."""
+        super().showEvent(a0)
+        self.image_requested.emit()
+
+    def changeEvent(self, a0: QEvent | None) -> None:  # noqa: N802
+        """Another theme has another backdrop."""
+        super().changeEvent(a0)
+        if a0 is not None and a0.type() == QEvent.Type.PaletteChange:
+            self.image_requested.emit()
+
+    def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
+        """Take hold of the view."""
+        self._pressed = a0.position() if a0.button() == Qt.MouseButton.LeftButton else None
+        self._pass_on(a0, "press")
+
+    def mouseReleaseEvent(self, a0: Any) -> None:  # noqa: N802
+        """Let go of it; where it was not turned meanwhile, that was a click."""
+        self._pass_on(a0, "release")
+        if self._pressed is not None and (a0.position() - self._pressed).manhattanLength() < _A_CLICK_PX:
+            self.clicked.emit(a0.position())
+        self._pressed = None
+
+    def mouseMoveEvent(self, a0: Any) -> None:  # noqa: N802
+        """Turn, shift or near it while a button is down; else say where the mouse is."""
+        if a0.buttons() == Qt.MouseButton.NoButton:
+            self.hovered.emit(a0.position())
+        else:
+            self._pass_on(a0, "move")
+
+    def wheelEvent(self, a0: Any) -> None:  # noqa: N802
+        """Go nearer or farther."""
+        self._pass_on(a0, "wheel")
+
+    def _pass_on(self, event: Any, what: str) -> None:
+        if self.mouse_handler is not None:
+            self.mouse_handler(event, what)

@@ -1,0 +1,234 @@
+"""The 3D views: each is drawn off screen when it is seen and has changed, and pictures of what was seen are kept."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PyQt6.QtCore import QPointF, Qt
+from PyQt6.QtGui import QImage
+from vtkmodules.vtkInteractionStyle import vtkInteractorStyleTrackballCamera
+from vtkmodules.vtkRenderingUI import vtkGenericRenderWindowInteractor
+
+from pipeline.base.arrays import Doubles
+from pipeline.base.memo import Memo, size_bytes
+from pipeline.previews.layers import Layer, ViewBounds
+from widgets.offscreen_renderer import OffscreenRenderer
+from widgets.scene_renderer import CameraState, Point3, SceneRenderer
+from widgets.styling import make_single_shot_timer
+from widgets.theme import get_theme_colours
+from widgets.view_3d import View3D
+
+_TOGETHER_MS = 10  # what changes together within this is drawn once
+_KEPT_BYTES = 42 * 1024 * 1024
+_NEAR_PX, _ONE_SURFACE = 6.0, 0.02  # of a place in a view; share of the distance that a surface is thick
+_ONE_TURN = 120  # eighths of a degree, as Qt counts what a wheel goes on by
+_BUTTONS = {
+    Qt.MouseButton.LeftButton: "LeftButton",  # turns
+    Qt.MouseButton.MiddleButton: "MiddleButton",  # shifts
+    Qt.MouseButton.RightButton: "RightButton",  # nears
+}
+_ENDS = {"press": "PressEvent", "release": "ReleaseEvent"}
+
+CachedImage = tuple[QImage, tuple[Layer, ...]]  # layers are held so that none takes another's identity
+
+
+class VtkSceneRenderer(SceneRenderer):
+    """All views, turned with the mouse; one is drawn a turn of the event loop, so that the window stays awake.
+
+    An OpenGL widget would make Qt build the whole window anew once it comes, and compose every later repaint in
+    OpenGL, which costs most where there is no graphics card; reading a picture back costs less than a millisecond.
+    """
+
+    def __init__(self, views: Sequence[View3D]) -> None:
+        super().__init__(views)
+        self._stage = OffscreenRenderer(len(self.views), _samples())
+        self.renderers: Sequence[Any] = self._stage.renderers
+        self._mouse: Any = vtkGenericRenderWindowInteractor()
+        self._mouse.SetRenderWindow(self._stage.window)
+        self._mouse.SetInteractorStyle(vtkInteractorStyleTrackballCamera())
+        self._mouse.EnableRenderOff()  # drawn together with everything else
+        self._mouse.Initialize()
+        self._layers: dict[int, tuple[Layer, ...]] = {}
+        self._placed: dict[int, dict[str, Doubles]] = {}
+        self._marks: dict[int, Point3] = {}
+        self._due: list[int] = []
+        self._kept: Memo[object, CachedImage] = Memo(most_bytes=_KEPT_BYTES, weigh=_bytes)
+        self._finished, self._turned = False, 0
+        self.n_renders = 0  # pictures made by OpenGL,
+        self.render_time_s = 0.0  # and the processor's time that they took
+        self._soon = make_single_shot_timer(self, _TOGETHER_MS, self._draw_one)
+        for column, view in enumerate(self.views):
+            view.image_requested.connect(partial(self._draw_soon, column))
+            view.mouse_handler = partial(self._tell, column)
+
+    def show_layers(self, column: int, layers: Sequence[Layer]) -> None:
+        """Show exactly these layers in a view."""
+        shown = tuple(layers)
+        old = self._layers.get(column, ())
+        if self._placed.pop(column, None) or [id(layer) for layer in old] != [id(layer) for layer in shown]:
+            self._layers[column] = shown
+            self._draw_soon(column)
+
+    def move_layer(self, column: int, name: str, view_from_layer: Doubles) -> None:
+        """Move one layer as a whole, until its layers are shown anew."""
+        self._placed.setdefault(column, {})[name] = view_from_layer
+        self._draw_soon(column)
+
+    def fit_cameras(self, bounds: Mapping[int, ViewBounds], *, linked: bool) -> None:
+        """Set the cameras; views of one frame share theirs when `linked`."""
+        self._stage.fit_cameras(bounds, linked)
+        for column in range(len(self.views)):
+            self._draw_soon(column)
+
+    def clear_cache(self) -> None:
+        """Let go of pictures of what will not be shown again."""
+        self._kept.clear()
+
+    def get_cameras(self) -> dict[int, CameraState]:
+        """Where each view looks from and to."""
+        return {column: self._stage.get_camera(column) for column in range(len(self.views))}
+
+    def set_cameras(self, cameras: Mapping[int, CameraState]) -> None:
+        """Look so; other views stay as they are."""
+        for column, camera in cameras.items():
+            self._stage.set_camera(column, camera)
+            self._draw_soon(column)
+
+    def mark_point(self, column: int, place_mm: Point3 | None) -> None:
+        """Put the traced pixel's dot over a view, or take it away; nothing is drawn anew for it."""
+        if place_mm is None:
+            self._marks.pop(column, None)
+        else:
+            self._marks[column] = place_mm
+        self._show_dot(column)
+
+    def find_nearest_point(self, column: int, at: QPointF, points_mm: Doubles) -> int:
+        """The foremost of the points (n, 3) that are drawn within a few pixels of a place; -1 for none."""
+        view = self.views[column]
+        shares, depth = self._stage.project_points(column, points_mm, view.width() / max(1, view.height()))
+        off_px = np.hypot(shares[:, 0] * view.width() - at.x(), shares[:, 1] * view.height() - at.y())
+        near = np.flatnonzero(off_px < _NEAR_PX)
+        # Of what lies behind one another the foremost is seen; of neighbours on one surface the nearest is meant.
+        front = near[depth[near] <= depth[near].min() + _ONE_SURFACE] if near.size else near
+        return int(front[np.argmin(off_px[front])]) if front.size else -1
+
+    def draw_pending(self) -> None:
+        """Draw now what was going to be drawn soon."""
+        while self._due:
+            self._draw_one()
+
+    @property
+    def has_pending_views(self) -> bool:
+        """Whether a view that is seen has still to be drawn."""
+        return any(self.views[column].isVisible() for column in self._due)
+
+    def close(self) -> None:
+        """Let go of everything OpenGL; the last pictures stay."""
+        self._soon.stop()
+        self._finished = True  # a late change of size would open OpenGL again
+        self._due.clear()
+        self._stage.close()
+
+    def _draw_soon(self, column: int) -> None:
+        if self._finished:
+            return
+        if column not in self._due:
+            self._due.append(column)
+        if not self._soon.isActive():
+            self._soon.start()
+
+    def _draw_one(self) -> None:
+        """Kept pictures are shown at once; of those to be drawn one, the others in later turns."""
+        made = False
+        waiting = [column for column in self._due if self.views[column].isVisible()]
+        self._due.clear()  # a view that is not seen asks for its picture when it is shown
+        while waiting and not made:
+            made = self._show(waiting.pop(0))
+        self._due.extend(waiting)
+        if waiting:
+            self._soon.start(0)
+            self._soon.setInterval(_TOGETHER_MS)
+
+    def _show(self, column: int) -> bool:
+        """Whether a picture had to be drawn."""
+        view, layers = self.views[column], self._layers.get(column, ())
+        ink = get_theme_colours(view.palette())
+        placed = self._placed.get(column, {})
+        key = (
+            column, view.size_px, ink.backdrop, tuple(id(layer) for layer in layers), self._stage.get_camera(column),
+            tuple((name, at.tobytes()) for name, at in placed.items()),
+        )  # fmt: skip
+        kept = self._kept.get(key)
+        if kept is None:
+            begun_s = time.thread_time()
+            self._stage.show_layers(column, layers, placed)
+            pixels = self._stage.render_pixels(column, *view.size_px, ink)
+            rows, cols = pixels.shape[:2]
+            image = QImage(pixels.tobytes(), cols, rows, 3 * cols, QImage.Format.Format_RGB888)
+            image = image.convertToFormat(QImage.Format.Format_RGB32)
+            self._kept.put(key, (image, layers))
+            self.n_renders += 1
+            self.render_time_s += time.thread_time() - begun_s
+            view.show_image(image)
+        else:
+            view.show_image(kept[0])
+        self._show_dot(column)
+        return kept is None
+
+    def _show_dot(self, column: int) -> None:
+        place = self._marks.get(column)
+        view = self.views[column]
+        at = None if place is None else self._stage.project_point(column, place, view.width() / max(1, view.height()))
+        view.show_dot(None if at is None else QPointF(*at))
+
+    def _tell(self, column: int, event: Any, what: str) -> None:
+        """Pass on to VTK, in the pixels of its picture; a touch pad tells of many small turns that make up one."""
+        if self._finished:
+            return
+        name = {"move": "MouseMoveEvent"}.get(what, "")
+        if what in _ENDS and event.button() in _BUTTONS:
+            name = _BUTTONS[event.button()] + _ENDS[what]
+        elif what == "wheel":
+            self._turned += event.angleDelta().y()
+            if abs(self._turned) >= _ONE_TURN:
+                name = f"MouseWheel{'Forward' if self._turned > 0 else 'Backward'}Event"
+                self._turned = 0
+        if not name:
+            return
+        view = self.views[column]
+        place, dense, keys = event.position(), view.devicePixelRatioF(), Qt.KeyboardModifier
+        control, shift = (bool(event.modifiers() & key) for key in (keys.ControlModifier, keys.ShiftModifier))
+        self._stage.activate_view(column, *view.size_px)
+        self._mouse.SetSize(*view.size_px)
+        x, y = round(place.x() * dense), round(place.y() * dense)
+        self._mouse.SetEventInformationFlipY(x, y, control, shift, chr(0), 0, None)
+        before = self._stage.get_camera(column)
+        self._mouse.InvokeEvent(name)
+        if self._stage.get_camera(column) != before:
+            for other in self._stage.find_linked_views(column):
+                self._draw_soon(other)
+
+
+def _bytes(picture: CachedImage) -> int:
+    image, layers = picture
+    return image.sizeInBytes() + sum(size_bytes(layer.points_mm) + size_bytes(layer.rgb) for layer in layers)
+
+
+def _samples() -> int:
+    """Samples a pixel: smoothing doubles the time of a picture where a processor draws it."""
+    devices = [*Path("/dev").glob("dri/*"), *Path("/dev").glob("nvidia*")]
+    return 0 if sys.platform == "linux" and not devices else 4
+
+
+def create_scene_renderer(views: Sequence[View3D]) -> SceneRenderer:
+    """A live scene, or a notice where nothing can be drawn in 3D."""
+    try:
+        return VtkSceneRenderer(views)
+    except Exception as error:  # noqa: BLE001 - drivers fail in their own ways; the rest of the window must work
+        return SceneRenderer(views, f"3D needs OpenGL, which this machine does not offer ({error})")
