@@ -1,6 +1,6 @@
 """How well is the way two sensors stand to each other found from a few pairs, without an alignment to begin with?
 
-    python benchmarks/align_fit.py [DATA_FOLDER]
+    python -m benchmarks.align_fit [DATA_FOLDER]
 
 Tiles of touch2touch (`t2t_pairs`): ten of the training split are fitted to, drawn three times; the others are scored.
 The figure is 1 less the partial correlation of expected and real imprint at 128 x 128 px: the mean imprint of the ten
@@ -22,10 +22,10 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.data_folder import recorded_data
-from benchmarks.timing import Requirement, build_measurement, summarize_times
+from benchmarks.harness.results import BenchmarkResult, Measurement
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
+from benchmarks.scenes.data_folder import recorded_data
 from pipeline.alignment.fit.agreement import compute_correlation
 from pipeline.alignment.fit.difference_tiles import ridges
 from pipeline.alignment.fit.fitting import fit_pairs, score_fit
@@ -35,8 +35,6 @@ from pipeline.alignment.fit.rigid_start import align_rigidly
 from pipeline.alignment.fit.transfer import TransferModel
 from pipeline.alignment.refine import refine
 from pipeline.alignment.touches import load_paired_touches
-from pipeline.racing.results import BenchmarkResult, Measurement
-from pipeline.racing.text_report import print_result
 from pipeline.recordings import image_files
 from pipeline.sensors.spec import load_sensor
 from pipeline.translation.translate import Request, open_translation

@@ -1,6 +1,6 @@
 """Does the alignment answer while a handle is dragged, and how near does refining come to the exact transform?
 
-    python benchmarks/alignment.py
+    python -m benchmarks.alignment
 
 A drag is one small edit, adapt, project and score, on the sample recording with its exact depth; the target's side is
 made ready once a frame. Quarter is every fourth pixel of both images. The error of a drag is the median difference in
@@ -11,23 +11,20 @@ worst of them, at the contact. "Exact" uses the simulator's depth and contact, "
 from __future__ import annotations
 
 import itertools
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.timing import Requirement, Timing, build_measurement, summarize_times, time_in_turns
+from benchmarks.harness.results import BenchmarkResult, Measurement, PlotPoint
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, Timing, build_measurement, summarize_times, time_in_turns
 from pipeline.alignment.nudge import nudge
 from pipeline.alignment.refine import refine
 from pipeline.alignment.score import score_preview
 from pipeline.alignment.target_observation import PREVIEW, observe_target
 from pipeline.alignment.touches import AlignmentTouch, find_pivot, load_paired_touches
 from pipeline.geometry import rigid
-from pipeline.racing.results import BenchmarkResult, Measurement, PlotPoint
-from pipeline.racing.text_report import print_result
 from pipeline.sensors.alignment import Alignment, correct_alignment
 from pipeline.sensors.offsets import AXES, compose_motion
 from pipeline.translation.translate import Request, Translation, open_translation

@@ -1,6 +1,6 @@
 """Does a bad value cost time: NaN, infinite, denormal or enormous, in one place or in all?
 
-python benchmarks/bad_values.py. Each stage, on a small touch, against the same stage on the clean one in turns; a row
+python -m benchmarks.bad_values. Each stage, on a small touch, against the same stage on the clean one in turns; a row
 is the value and the share of places that took longest. Peer of a poison that leaves holes: the same holes in NaN, since
 scattered points are harder to lie on than a ball.
 """
@@ -8,17 +8,13 @@ scattered points are harder to lie on than a ball.
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.timing import Requirement, build_measurement, time_in_turns
-from pipeline.racing.results import BenchmarkResult
-from pipeline.racing.text_report import print_result
+from benchmarks.harness.results import BenchmarkResult
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, build_measurement, time_in_turns
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth
 from pipeline.stages.target_depth.surface_projection import SurfaceProjectionParams, project_cloud

@@ -1,6 +1,6 @@
 """How fast is a bubble's contact at equal accuracy? Projected multigrid beside an active set with a sparse solver.
 
-    python benchmarks/bubble_contact.py
+    python -m benchmarks.bubble_contact
 
 A ball of 20 mm radius reaches 6 mm into the soft bubble, the pressure inside held. The peer is the primal-dual active
 set method (Hintermueller, Ito and Kunisch 2003): solve the free nodes with scipy's sparse solver, move the boundary of
@@ -9,20 +9,15 @@ the contact, until nothing changes. It is exact on the grid, so its answer is th
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 from scipy import sparse
 from scipy.sparse import linalg
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.timing import Requirement, build_measurement, time_in_turns
+from benchmarks.harness.results import BenchmarkResult, PlotPoint
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, build_measurement, time_in_turns
 from pipeline.physics import bubble, multigrid
 from pipeline.physics.lattice import Lattice
-from pipeline.racing.results import BenchmarkResult, PlotPoint
-from pipeline.racing.text_report import print_result
 from pipeline.sensors.spec import load_sensor
 
 _BUBBLE = load_sensor("soft_bubble").bubble

@@ -1,6 +1,6 @@
 """How well does a bubble tell what a GelSlim would feel? Its reading by a network beside the load on its membrane.
 
-    python benchmarks/bubble_network.py
+    python -m benchmarks.bubble_network
 
 Objects that the network was taught on, held as it has never seen, and tools that nothing was chosen by are pressed on a
 bubble (apex pushed in by 13 mm, as in data sets) and on a GelSlim, each on other units than those described (`varied`,
@@ -14,7 +14,6 @@ the reading. Untouched frames of a real bubble (Punyo), where they are at hand, 
 from __future__ import annotations
 
 import os
-import sys
 import time
 from dataclasses import replace
 from functools import partial
@@ -22,15 +21,13 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.depth_helpers import build_reader
-from benchmarks.timing import Requirement, build_measurement, summarize_times, time_in_turns
+from benchmarks.harness.results import BenchmarkResult
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, build_measurement, summarize_times, time_in_turns
+from benchmarks.scenes.depth_helpers import build_reader
 from pipeline.geometry import rigid
 from pipeline.metrics.stage_metrics import iou, mean_abs_mm
 from pipeline.physics import lattice
-from pipeline.racing.results import BenchmarkResult
-from pipeline.racing.text_report import print_result
 from pipeline.recordings import open_recording
 from pipeline.sensors import alignment
 from pipeline.sensors.spec import load_sensor

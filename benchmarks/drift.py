@@ -1,6 +1,6 @@
 """Does drifted light or a shifted camera look like a touch? Untouched pictures that drifted, for every gel sensor.
 
-    python benchmarks/drift.py [METHOD]
+    python -m benchmarks.drift [METHOD]
 
 METHOD fills the slot *depth* ("network" unless named). Alone: 3 % more light and less; light that rises by 12 grey
 levels from one border to the other, along x and along y; the camera 2 pixels aside, along each axis and both. Then
@@ -15,22 +15,19 @@ from __future__ import annotations
 
 import sys
 import time
-from pathlib import Path
 
 import cv2
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.data_folder import recorded_data
-from benchmarks.depth_helpers import build_reader, picture
-from benchmarks.timing import Requirement, build_measurement, summarize_times
+from benchmarks.harness.results import BenchmarkResult
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
+from benchmarks.scenes.data_folder import recorded_data
+from benchmarks.scenes.depth_helpers import build_reader, picture
 from pipeline.base.errors import FileProblem
 from pipeline.geometry import rigid
 from pipeline.metrics.stage_metrics import iou
 from pipeline.physics import optics
-from pipeline.racing.results import BenchmarkResult
-from pipeline.racing.text_report import print_result
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.press import simulate_press

@@ -1,6 +1,6 @@
 """How good is a look-up from four, eight, sixteen or all presses of a ball, and does it know? Real Mini and GelSlim 3.
 
-    python benchmarks/few_presses.py [DATA_FOLDER]
+    python -m benchmarks.few_presses [DATA_FOLDER]
 
 Ten draws of each number. A draw's error is the median over the presses judged; the worst draw is held to the bar. The
 Mini's presses of one ball are drawn from and the other's are judged; of the GelSlim's one ball, those not drawn.
@@ -17,20 +17,17 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
 from benchmarks.ball_calibration import list_numbered_files, read, sphere
-from benchmarks.data_folder import recorded_data
-from benchmarks.timing import Requirement, build_measurement, summarize_times
+from benchmarks.harness.results import BenchmarkResult
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
+from benchmarks.scenes.data_folder import recorded_data
 from pipeline.calibration.balls import calibrate_balls
 from pipeline.calibration.calibration_table import make_built_in
 from pipeline.physics.slopes import compute_slopes
-from pipeline.racing.results import BenchmarkResult
-from pipeline.racing.text_report import print_result
 from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.ball_calibration import fit_contact_limit
 from pipeline.stages.depth.photometric import DepthParams, estimate_depth

@@ -1,6 +1,6 @@
 """How long is the first use: compiling with nothing kept, the first touch of a new process, the window, the help?
 
-python benchmarks/first_use.py. Every figure is of new processes whose caches (numba's, and the user's) are a folder of
+python -m benchmarks.first_use. Every figure is of new processes whose caches (numba's, and the user's) are a folder of
 this run alone: empty for `tactoscope prepare`, as that leaves it for the rest. The window opens on a display of its own
 (Xvfb: drawn without a GPU). Compiling is CPU time. The rest is time on the clock, which a busy machine lengthens: the
 CPU time of the same processes stands in a row without a bar.
@@ -22,11 +22,9 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.timing import Requirement, build_measurement, summarize_times
-from pipeline.racing.results import BenchmarkResult, Measurement
-from pipeline.racing.text_report import print_result
+from benchmarks.harness.results import BenchmarkResult, Measurement
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
 
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPT = Path(sys.executable).with_name("tactoscope")

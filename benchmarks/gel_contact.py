@@ -1,6 +1,6 @@
 """How exact and how fast is a gel's contact? Ours beside geometric overlap and a pyramid of blurs, against Hertz.
 
-    python benchmarks/gel_contact.py
+    python -m benchmarks.gel_contact
 
 A ball of 4 mm radius reaches 0.5 mm into a half-space 18.6 mm wide, 320 x 427 pixels; Hertz gives surface, contact and
 force exactly. The pyramid is our own writing of the published recipe: the overlap is blurred six times with Gaussian
@@ -11,18 +11,14 @@ the overlap is more than 0.4 of its depth. Peers answer for no force.
 from __future__ import annotations
 
 import math
-import sys
-from pathlib import Path
 
 import cv2
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.timing import Requirement, build_measurement, time_in_turns
+from benchmarks.harness.results import BenchmarkResult, PlotPoint
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, build_measurement, time_in_turns
 from pipeline.physics import gel
-from pipeline.racing.results import BenchmarkResult, PlotPoint
-from pipeline.racing.text_report import print_result
 from pipeline.sensors.parts import Gel
 
 _OURS, _LAYER = "ours, half-space", "ours, 2 mm bonded layer"

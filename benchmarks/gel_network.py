@@ -1,6 +1,6 @@
 """What does reading a gel by network cost, and does even strong drift look like a touch to it?
 
-    python benchmarks/gel_network.py [WEIGHTS]
+    python -m benchmarks.gel_network [WEIGHTS]
 
 What the network adds to the physical answer of a touched frame of every gel sensor, resizing and notes included;
 the peer is a U-Net as large as the lab's published one (31 million numbers) on the change of colour at 160 x 213, with
@@ -23,17 +23,15 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.depth_helpers import build_reader
 from benchmarks.drift import apply_drift, measure_after_drift
-from benchmarks.timing import Requirement, Timing, build_measurement, summarize_times, time_in_turns
+from benchmarks.harness.results import BenchmarkResult
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, Timing, build_measurement, summarize_times, time_in_turns
+from benchmarks.scenes.depth_helpers import build_reader
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
 from pipeline.networks import network_factory
 from pipeline.physics import optics
-from pipeline.racing.results import BenchmarkResult
-from pipeline.racing.text_report import print_result
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.press import simulate_press

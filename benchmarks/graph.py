@@ -1,6 +1,6 @@
 """What does a frame cost that needs no work: one seen before, one that nobody touched?
 
-    python benchmarks/graph.py [RECORDING] [TARGET]
+    python -m benchmarks.graph [RECORDING] [TARGET]
 
 Peer: a touched frame through all stages with an empty cache. Every frame is a new object, as read from a camera;
 sensors, mesh and reference are known, as in a stream. Errors count the stages whose output or course is not as it must
@@ -16,12 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.timing import Requirement, build_measurement, summarize_times, time_in_turns
+from benchmarks.harness.results import BenchmarkResult
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, build_measurement, summarize_times, time_in_turns
 from pipeline.engine.graph import Graph
-from pipeline.racing.results import BenchmarkResult
-from pipeline.racing.text_report import print_result
 from pipeline.translation.catalogue import BUILT_IN, default_params
 from pipeline.translation.translate import Request, open_translation
 

@@ -1,6 +1,6 @@
 """How quick and how right is the membrane test? Ours beside Open3D's signed distance to the membrane's mesh.
 
-    python benchmarks/membrane.py
+    python -m benchmarks.membrane
 
 38,000 points lie around the soft bubble's dome, and around a level pad. An error is a point whose side is not that of
 the exact height field (the mesh's own bilinear surface), counted where it lies more than a micrometre off the surface.
@@ -9,19 +9,14 @@ Open3D's mesh splits each cell into two triangles, which is up to 0.2 um off the
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.rest_mesh import rest_mesh
-from benchmarks.timing import Requirement, build_measurement, time_in_turns
+from benchmarks.harness.results import BenchmarkResult, Measurement, PlotPoint
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, build_measurement, time_in_turns
+from benchmarks.scenes.rest_mesh import rest_mesh
 from pipeline.geometry import membrane
 from pipeline.geometry.membrane import Membrane
-from pipeline.racing.results import BenchmarkResult, Measurement, PlotPoint
-from pipeline.racing.text_report import print_result
 
 _N, _BAND_MM, _SPREAD_MM = 38_000, 1e-3, 1.0
 

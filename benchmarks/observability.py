@@ -1,6 +1,6 @@
 """Does a contact's answer say which motions it does not know? Ours beside Open3D's ICP, which says nothing.
 
-    python benchmarks/observability.py
+    python -m benchmarks.observability
 
 Patches of rods, planes, spheres, pegs, edges, cones and of a tool that is fully determined, of random size and pose,
 with 300 to 3000 points and 0 to 0.05 mm of noise. Normals are off by 0 to 2 degrees in each of two directions: in every
@@ -12,20 +12,16 @@ also for the band that is left out.
 from __future__ import annotations
 
 import math
-import sys
-from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks import observability_score
-from benchmarks.observability_patches import KINDS, Patch, draw_patch
-from benchmarks.observability_score import ObservabilityScore
-from benchmarks.timing import Requirement, Timing, build_measurement, time_in_turns
+from benchmarks.harness.results import BenchmarkResult, Measurement
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, Timing, build_measurement, time_in_turns
+from benchmarks.scenes import observability_score
+from benchmarks.scenes.observability_patches import KINDS, Patch, draw_patch
+from benchmarks.scenes.observability_score import ObservabilityScore
 from pipeline.geometry import rigid
-from pipeline.racing.results import BenchmarkResult, Measurement
-from pipeline.racing.text_report import print_result
 from pipeline.registration.observability import Observability, Tolerances, assess_observability
 
 PATCHES = 250  # of each kind

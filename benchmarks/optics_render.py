@@ -1,6 +1,6 @@
 """How fast is a gel's picture? Ours beside the published table look-up, written in torch as quick as we could.
 
-    python benchmarks/optics_render.py
+    python -m benchmarks.optics_render
 
 Every method starts from the same deformed surface of 320 x 427 pixels (320 x 240 with shadows) and ends in 8 bits;
 markers, lens blur and noise are off. The peer is the published recipe: slope magnitude and direction, floor to
@@ -13,18 +13,14 @@ from each pixel around the contact, four rays mark the darkest value that a tabl
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import torch
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.timing import Requirement, Timing, build_measurement, time_in_turns
+from benchmarks.harness.results import BenchmarkResult, Measurement, PlotPoint
+from benchmarks.harness.timing import Requirement, Timing, build_measurement, time_in_turns
 from pipeline.physics import gel, optics
-from pipeline.racing.results import BenchmarkResult, Measurement, PlotPoint
 from pipeline.sensors.spec import SensorSpec, load_sensor
 
 _BINS = 125
@@ -217,6 +213,6 @@ def _rms(picture, truth) -> float:
 
 
 if __name__ == "__main__":
-    from pipeline.racing.text_report import print_result
+    from benchmarks.harness.text_report import print_result
 
     print_result(measure())

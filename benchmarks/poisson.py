@@ -1,6 +1,6 @@
 """How exact and how fast is the integration of slopes? Ours beside a public integrator's algorithm and a sparse solve.
 
-    python benchmarks/poisson.py
+    python -m benchmarks.poisson
 
 The public integrator (GelSight's own, in its Python package) is written again here in its own steps: frequencies
 counted from 1, double precision, one axis at a time, the sines of every pixel on every call. That it leaves out the
@@ -11,18 +11,13 @@ that is drawn. Errors are in pixels after removing the mean.
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 from scipy import fft, fftpack, sparse
 from scipy.sparse import linalg
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.timing import Requirement, build_measurement, time_in_turns
-from pipeline.racing.results import BenchmarkResult, PlotPoint
-from pipeline.racing.text_report import print_result
+from benchmarks.harness.results import BenchmarkResult, PlotPoint
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, build_measurement, time_in_turns
 from pipeline.stages.depth.poisson import integrate_slopes
 
 _SHAPES = ((140, 175), (240, 320), (320, 427), (480, 640))

@@ -1,6 +1,6 @@
 """How exact and how fast is the pose of a tool from a clean contact? Ours beside Open3D and small_gicp, and the bound.
 
-    python benchmarks/pose.py
+    python -m benchmarks.pose
 
 A tool (a cylinder with round caps, 8 mm thick, and a chamfered cross-bar) is felt from one side: 4,000 points of its
 outer surface within 2 mm of the outermost, 0.03 mm of noise along the normal, first guesses off by 5 degrees about a
@@ -16,23 +16,19 @@ The bound is Cramer and Rao's: sigma^2 (J^T J)^-1 of the true normals.
 from __future__ import annotations
 
 import math
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.timing import Requirement, Timing, build_measurement, time_in_turns
+from benchmarks.harness.results import BenchmarkResult, PlotPoint
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, Timing, build_measurement, time_in_turns
 from pipeline.base.errors import CalibrationError
 from pipeline.geometry import rigid
 from pipeline.geometry.distance_grid import DistanceGrid, build_grid
 from pipeline.geometry.meshes import Mesh, sample_surface
-from pipeline.racing.results import BenchmarkResult, PlotPoint
-from pipeline.racing.text_report import print_result
 from pipeline.registration.gauss_newton import FitOptions, PoseFit, register_points
 from pipeline.simulation.shapes import prisms, solids
 

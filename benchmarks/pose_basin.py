@@ -1,6 +1,6 @@
 """How many poses are found from bad first guesses? Our registration, and the stage as it runs, beside Open3D.
 
-    python benchmarks/pose_basin.py
+    python -m benchmarks.pose_basin
 
 The tool of the question "pose". First guesses are off by an angle of 20 degrees (standard deviation) about a random
 axis and by 2.5 mm (standard deviation) along each axis. Found means within 0.1 mm and 0.5 degrees of the contact's
@@ -12,20 +12,16 @@ it is of the same touches and guesses.
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
 from benchmarks import pose
-from benchmarks.timing import Requirement, Timing, build_measurement, time_in_turns
+from benchmarks.harness.results import BenchmarkResult, PlotPoint
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, Timing, build_measurement, time_in_turns
 from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
-from pipeline.racing.results import BenchmarkResult, PlotPoint
-from pipeline.racing.text_report import print_result
 from pipeline.stages.pose.signed_distances import PoseParams, track_pose
 from pipeline.values.results import DepthMap
 

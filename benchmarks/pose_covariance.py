@@ -1,6 +1,6 @@
 """Are poses as far off as their covariance says? On depth as it is measured, and on exact depth with modelled noise.
 
-    python benchmarks/pose_covariance.py [PART OF A SENSOR'S NAME [WAY [PRESSES]]]
+    python -m benchmarks.pose_covariance [PART OF A SENSOR'S NAME [WAY [PRESSES]]]
 
 WAY is one of those below, with every sensor's name if the first is ""; PRESSES of each object, 6 unless said.
 
@@ -23,22 +23,19 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.stats import chi2
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.depth_helpers import build_reader
-from benchmarks.timing import Requirement, build_measurement, summarize_times
+from benchmarks.harness.results import BenchmarkResult
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
+from benchmarks.scenes.depth_helpers import build_reader
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.params import NoParams
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
-from pipeline.racing.results import BenchmarkResult
-from pipeline.racing.text_report import print_result
 from pipeline.sensors.alignment import resolve_alignment
 from pipeline.sensors.spec import SensorSpec, list_sensor_names, load_sensor
 from pipeline.simulation import shapes

@@ -1,6 +1,6 @@
 """How long does the pose of a usual touch take, searched anew and followed from the touch before? Beside Open3D's ICP.
 
-    python benchmarks/pose_stage.py
+    python -m benchmarks.pose_stage
 
 The touches of the sample recording, translated from DIGIT to GelSlim; the object's grid is cached, as it is from the
 second touch on. `icp` is the same stage with that method.
@@ -9,17 +9,14 @@ Errors are the largest displacement of a vertex of the object (MSSD), medians ov
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.timing import Requirement, Timing, build_measurement, time_in_turns
+from benchmarks.harness.results import BenchmarkResult, PlotPoint
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, Timing, build_measurement, time_in_turns
 from pipeline.metrics.symmetric_pose_error import compute_symmetric_error
-from pipeline.racing.results import BenchmarkResult, PlotPoint
-from pipeline.racing.text_report import print_result
 from pipeline.stages.pose.signed_distances import PoseParams, estimate_pose, estimate_pose_icp, track_pose
 from pipeline.translation.translate import Request, open_translation
 from pipeline.values.results import DepthMap, ObjectPose

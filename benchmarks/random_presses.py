@@ -1,6 +1,6 @@
 """Does any press break the simulator? Random shapes, poses and depths on every sensor, counted by what went wrong.
 
-    python benchmarks/random_presses.py --n 10000 --seed 1
+    python -m benchmarks.random_presses --n 10000 --seed 1
 
 Pictures are an eighth to a third of each sensor's own size, so that ten thousand take minutes. A press fails when it
 raises anything but a TouchError, returns a value that is not finite, contradicts itself, or ends short of its tolerance
@@ -12,23 +12,19 @@ from __future__ import annotations
 import argparse
 import math
 import platform
-import sys
 import time
 from collections import Counter
 from dataclasses import replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.timing import Requirement
+from benchmarks.harness.results import BenchmarkResult, Measurement
+from benchmarks.harness.timing import Requirement
 from pipeline.base.arrays import freeze
 from pipeline.base.errors import TouchError
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
-from pipeline.racing.results import BenchmarkResult, Measurement
 from pipeline.sensors.spec import SensorSpec, list_sensor_names, load_sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.press import SimulatedPress, simulate_press

@@ -1,6 +1,6 @@
 """What does an uncalibrated unit measure? Balls on a real GelSight Mini, GelSlim 3.0 and DIGIT; clips of a GelSlim 4.0.
 
-    python benchmarks/real_depth.py [METHOD [DATA_FOLDER]]
+    python -m benchmarks.real_depth [METHOD [DATA_FOLDER]]
 
 METHOD fills the slot *depth* ("network" unless named) and is told nothing of the unit but its untouched picture. A
 sphere is fitted to the surface inside the largest part of the contact: the error of its diameter is the median over
@@ -32,11 +32,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks import panel_registration
-from benchmarks.data_folder import recorded_data
-from benchmarks.depth_helpers import (
+from benchmarks.harness.results import BenchmarkResult
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
+from benchmarks.scenes import panel_registration
+from benchmarks.scenes.data_folder import recorded_data
+from benchmarks.scenes.depth_helpers import (
     DepthReader,
     at_scale,
     build_reader,
@@ -46,9 +47,6 @@ from benchmarks.depth_helpers import (
     picture,
     sphere,
 )
-from benchmarks.timing import Requirement, build_measurement, summarize_times
-from pipeline.racing.results import BenchmarkResult
-from pipeline.racing.text_report import print_result
 from pipeline.recordings.reference_denoising import denoise_reference
 from pipeline.sensors.spec import load_sensor
 from pipeline.values.frames import TactileFrame

@@ -1,6 +1,6 @@
 """Everyday things on a real GelSight Mini: is their contact in one piece where the eye sees one, without blobs?
 
-    python benchmarks/real_things.py [SHEET.png [METHOD [DATA_FOLDER]]]
+    python -m benchmarks.real_things [SHEET.png [METHOD [DATA_FOLDER]]]
 
 METHOD fills the slot *depth* ("network" unless named) and is told nothing of the unit but its untouched picture. There
 is no truth: counted is what the eye would complain of. A *crumb* is a part of the contact smaller than a thousandth of
@@ -14,18 +14,15 @@ from __future__ import annotations
 
 import sys
 import time
-from pathlib import Path
 
 import cv2
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.data_folder import recorded_data
-from benchmarks.depth_helpers import build_reader, list_numbered_files, picture
-from benchmarks.timing import Requirement, build_measurement, summarize_times
-from pipeline.racing.results import BenchmarkResult
-from pipeline.racing.text_report import print_result
+from benchmarks.harness.results import BenchmarkResult
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
+from benchmarks.scenes.data_folder import recorded_data
+from benchmarks.scenes.depth_helpers import build_reader, list_numbered_files, picture
 from pipeline.sensors.spec import load_sensor
 from pipeline.values.frames import TactileFrame
 

@@ -1,6 +1,6 @@
 """How exact and how fast is the touch in the other camera? Ours, both modes, against Open3D, on a sphere.
 
-    python benchmarks/reprojection.py
+    python -m benchmarks.reprojection
 
 A source camera looks at a sphere of 15 mm radius 40 mm away; a target camera looks at the same sphere from 0, 20 and 45
 degrees aside. The exact depth of every target pixel is the ray-sphere intersection; errors are means over what the
@@ -11,18 +11,13 @@ membrane, where each pixel came from, where each point went and what is known, h
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 from scipy import ndimage
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.sphere_scene import open3d_splat, scene
-from benchmarks.timing import Requirement, build_measurement, time_in_turns
-from pipeline.racing.results import BenchmarkResult, Measurement, PlotPoint
-from pipeline.racing.text_report import print_result
+from benchmarks.harness.results import BenchmarkResult, Measurement, PlotPoint
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, build_measurement, time_in_turns
+from benchmarks.scenes.sphere_scene import open3d_splat, scene
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth

@@ -1,6 +1,6 @@
 """How few denoising steps do? The corrected solver beside DDIM and DPM-Solver++ 2M, on data whose denoiser is known.
 
-    python benchmarks/sampling.py
+    python -m benchmarks.sampling
 
 24 points in 32 dimensions with a spread around each, three of them picked by the condition (tests' `mixtures`). The
 error is that of the end of the path, relative to a thousand fine steps on the same noise. A pass of a network costs far
@@ -10,17 +10,13 @@ more than the solver's own sums, so at the same number of steps the peer of each
 from __future__ import annotations
 
 import math
-import sys
-from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.timing import Requirement, build_measurement, time_in_turns
+from benchmarks.harness.results import BenchmarkResult, Measurement, PlotPoint
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, build_measurement, time_in_turns
 from pipeline.networks.samplers import Solver, make_sigma_schedule, sample
-from pipeline.racing.results import BenchmarkResult, Measurement, PlotPoint
-from pipeline.racing.text_report import print_result
 from tests.pipeline.networks.mixtures import PICKED, denoiser, modes
 
 STEPS = (5, 8, 10, 16, 25, 50)

@@ -1,6 +1,6 @@
 """What is measured of presses whose truth is known? Unseen tools on other units, flat faces, and very light presses.
 
-    python benchmarks/simulated_depth.py [METHOD]
+    python -m benchmarks.simulated_depth [METHOD]
 
 METHOD fills the slot *depth* ("network" unless named). Tools that no number was chosen by are pressed by 0.15, 0.4 and
 0.8 mm at random places and turns, each on another unit (`varied`, strength 1) than the one that depth is told of. The
@@ -19,19 +19,16 @@ from __future__ import annotations
 import sys
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.depth_helpers import build_reader
-from benchmarks.timing import Requirement, build_measurement, summarize_times
+from benchmarks.harness.results import BenchmarkResult
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
+from benchmarks.scenes.depth_helpers import build_reader
 from pipeline.geometry import rigid
 from pipeline.metrics.stage_metrics import iou, mean_abs_mm
 from pipeline.physics import optics
-from pipeline.racing.results import BenchmarkResult
-from pipeline.racing.text_report import print_result
 from pipeline.sensors.spec import load_sensor
 from pipeline.simulation import shapes
 from pipeline.simulation.press import simulate_press

@@ -1,6 +1,6 @@
 """How fast are data sets made: moments a second on disk, with one process and with two?
 
-Run: python benchmarks/simulator_throughput.py [POSES]. Each row simulates and writes POSES (6) grasps of each of three
+Run: python -m benchmarks.simulator_throughput [POSES]. Each row simulates and writes POSES (6) grasps of each of three
 training objects, noise and truth included; a moment is one reading of every sensor named. Warm: each worker has made
 a moment before. The bar is ours: 12 objects x 60 grasps x 3 sensors within ten minutes.
 """
@@ -14,11 +14,9 @@ import tempfile
 import time
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.timing import Requirement, build_measurement, summarize_times
-from pipeline.racing.results import BenchmarkResult
-from pipeline.racing.text_report import print_result
+from benchmarks.harness.results import BenchmarkResult
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, build_measurement, summarize_times
 from pipeline.simulation import datasets, shapes
 from pipeline.simulation.datasets import SimulationPlan
 from pipeline.simulation.recorder import make_worker_pool, record_plan

@@ -1,6 +1,6 @@
 """How long does one event keep the window's thread busy: drawers opened, sliders dragged, frames played?
 
-Run under a display: python benchmarks/window_events.py. Time is the processor's of the GUI thread, per event of Qt;
+Run under a display: python -m benchmarks.window_events. Time is the processor's of the GUI thread, per event of Qt;
 what OpenGL draws, which a processor does where there is no graphics card, is taken out and told apart. The promise:
 16 ms for 99 of 100, 33 ms for every one; a frame seen before is whole in 60 ms; 10 frames a second play at speed 1.
 """
@@ -14,18 +14,15 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"  # as the window sets it, which is before numpy loads
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.timing import Requirement, Timing, build_measurement
-from pipeline.racing.results import BenchmarkResult, Measurement
-from pipeline.racing.text_report import print_result
+from benchmarks.harness.results import BenchmarkResult, Measurement
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, Timing, build_measurement
 
 NEEDS = "a display"
 STEPS, HOVERS, PLAYED_S = 60, 200, 10.0

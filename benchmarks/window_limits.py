@@ -1,6 +1,6 @@
 """How soon the window answers and what it takes at rest: first pane, preview, cancel, idle, memory.
 
-Run under a display: python benchmarks/window_limits.py [FRAME CHANGES]. Waiting is told by the wall clock, and as the
+Run under a display: python -m benchmarks.window_limits [FRAME CHANGES]. Waiting is told by the wall clock, and as the
 processor's time of the whole process meanwhile, which a busy machine does not lengthen; the bars are on the latter.
 Memory is the process's largest resident size over frame changes in twenty-eight openings: each sample both ways, and
 all of that once more. What is loaded once, and stores that fill up to their bounds, come in the first fourteen, whose
@@ -22,12 +22,10 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"  # as the window sets it, which is befo
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.timing import Requirement, Timing, build_measurement
+from benchmarks.harness.results import BenchmarkResult, Measurement
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, Timing, build_measurement
 from benchmarks.window_events import rest, spin
-from pipeline.racing.results import BenchmarkResult, Measurement
-from pipeline.racing.text_report import print_result
 
 NEEDS = "a display"
 CHANGES, PASSES, NEW_FRAMES, DRAGS, CANCELS, IDLE_S = 1000, 2, 8, 8, 6, 10.0

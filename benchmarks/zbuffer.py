@@ -1,6 +1,6 @@
 """How quick is the z-buffer of a contact cloud? Ours beside Open3D's tensor projection, and beside numpy.
 
-    python benchmarks/zbuffer.py
+    python -m benchmarks.zbuffer
 
 38,000 points of a sphere are given; the target image is 140x175 and smaller or larger. The values are compared pixel
 by pixel first; the error is the largest difference from a float64 reference by sorting. Open3D works out the pixel in
@@ -9,18 +9,13 @@ float32, so a point within some 1e-5 px of the border of a pixel may go to its n
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from benchmarks.sphere_scene import open3d_splat, scene
-from benchmarks.timing import Requirement, build_measurement, time_in_turns
+from benchmarks.harness.results import BenchmarkResult, Measurement, PlotPoint
+from benchmarks.harness.text_report import print_result
+from benchmarks.harness.timing import Requirement, build_measurement, time_in_turns
+from benchmarks.scenes.sphere_scene import open3d_splat, scene
 from pipeline.geometry.camera import Camera
-from pipeline.racing.results import BenchmarkResult, Measurement, PlotPoint
-from pipeline.racing.text_report import print_result
 from pipeline.stages.cloud.back_projection import BackProjectionParams, back_project_depth
 from pipeline.stages.target_depth.rasterisation import assign_pixels, compute_zbuffer
 from pipeline.stages.target_depth.surface_projection import PointSplatParams, project_cloud

@@ -12,6 +12,7 @@ from rich.table import Table as Shown
 
 from pipeline.base.cluster import count_workers
 from pipeline.base.files import prepare_folder, prepare_folder_for, write_json
+from pipeline.base.machine import describe_machine, format_machine
 from pipeline.base.progress import Progress, Share
 from pipeline.cli.interrupts import InterruptibleProgress, interruptible_progress
 from pipeline.cli.terminal import ProgressBar, create_progress_bar, print_line
@@ -22,7 +23,6 @@ from pipeline.evaluation.table_rows import TableRow
 from pipeline.evaluation.time_error_sweep import SweepPoint, check_sweep_parameters, draw_sweep_plots, sweep_parameters
 from pipeline.evaluation.touch_metrics import TOUCH_METRICS
 from pipeline.metrics.stage_metrics import Metric
-from pipeline.racing.machine import describe_machine, format_machine
 from pipeline.sensors.spec import load_sensor
 
 _POSES = {"signed_distances": "registration", "network": "network"}

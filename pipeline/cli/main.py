@@ -230,26 +230,28 @@ def bench(
     plots: Path | None = None,
     against: Path | None = None,
     strict: Flag = False,
-    list_questions: Annotated[bool, Parameter(name="--list", negative="")] = False,
+    list_only: Annotated[bool, Parameter(name="--list", negative="")] = False,
 ) -> int:
-    """Race our stages against what one can install: run time against error, on this machine.
+    """Measure run time against error, ours and baselines that can be installed, on this machine.
 
     Parameters
     ----------
     names
-        Questions to answer; all that need neither recorded data nor a display if none is given.
+        Benchmarks to run; by default all that need neither recorded data nor a display.
     json
         File for the results, one row per claim.
     plots
-        Folder for a picture of run time against error for each question.
+        Folder for a plot of run time against error for each benchmark.
     against
-        Results of an earlier run; rows that are worse by more than a tenth, or no longer hold, are listed.
+        Results of an earlier run; rows that are worse by more than a tenth, or no longer meet their requirement, are listed.
     strict
-        Exit with 1 if a bar does not hold or a question has no answer; with --against, if a row got worse.
-    list_questions
-        Only list the questions.
+        Exit with 1 if a requirement is not met or a benchmark fails; with --against, if a row got worse.
+    list_only
+        Only list the benchmarks.
     """
-    from pipeline.cli.bench import print_benchmarks as show
-    from pipeline.cli.bench import run_benchmarks as ask
+    from pipeline.cli.bench import load_bench_command
 
-    return show() if list_questions else ask(names, json, plots, against=against, strict=strict)
+    command = load_bench_command()
+    if list_only:
+        return command.print_benchmarks()
+    return command.run_benchmarks(names, json, plots, against=against, strict=strict)

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.rest_mesh import rest_mesh
+from benchmarks.scenes.rest_mesh import rest_mesh
 from pipeline.geometry import membrane
 from pipeline.geometry.camera import Camera
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.rest_mesh import rest_mesh
+from benchmarks.scenes.rest_mesh import rest_mesh
 from pipeline.base.errors import CalibrationError, MeshProblem
 from pipeline.geometry import membrane
 from pipeline.geometry.mesh_membrane import MOST_ERROR_MM, from_mesh, load_membrane, usual_error_mm

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks import observability_score
-from benchmarks.observability_patches import KINDS, draw_patch
+from benchmarks.scenes import observability_score
+from benchmarks.scenes.observability_patches import KINDS, draw_patch
 from pipeline.geometry import rigid
 from pipeline.registration.observability import (
     MIN_NOISE_MM,

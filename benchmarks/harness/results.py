@@ -1,6 +1,6 @@
-"""Run time against error, ours beside a peer: what a question comes to.
+"""Run time against error, ours against a baseline: the values a benchmark returns.
 
-A question is a module of `benchmarks/` with a function `answer() -> Answer`. `tactoscope bench` runs each question in a
+A benchmark is a module of `benchmarks/` with a function `measure() -> BenchmarkResult`. `tactoscope bench` runs each benchmark in a
 process of its own with a fixed number of threads, collects its rows as JSON and draws time against error.
 """
 
@@ -27,7 +27,7 @@ class Measurement:
     holds: bool
     ours_p95_ms: float = math.nan
     peer_p95_ms: float = math.nan
-    limit_ms: float = math.nan  # the most time and error that clear the bar; NaN = not asked
+    limit_ms: float = math.nan  # the most time and error that clear the bar; NaN = no requirement
     limit_error: float = math.nan
 
     def as_json(self) -> dict[str, Any]:
@@ -47,7 +47,7 @@ class PlotPoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BenchmarkResult:
-    """What a question of `benchmarks/` comes to."""
+    """The measurements, plot points and notes of one benchmark."""
 
     title: str
     unit: str  # of the plotted errors

@@ -1,4 +1,4 @@
-"""Labels beside the points of a plot, none upon another."""
+"""Place labels next to the points of a plot without overlap."""
 
 from __future__ import annotations
 

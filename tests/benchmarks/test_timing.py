@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.timing import Requirement, Timing, build_measurement, time_in_turns
-from pipeline.racing.plot import collect_points, plot_result
-from pipeline.racing.results import BenchmarkResult, PlotPoint
-from pipeline.racing.text_report import format_number, format_result, print_result
+from benchmarks.harness.plot import collect_points, plot_result
+from benchmarks.harness.results import BenchmarkResult, PlotPoint
+from benchmarks.harness.text_report import format_number, format_result, print_result
+from benchmarks.harness.timing import Requirement, Timing, build_measurement, time_in_turns
 
 OURS, PEER = Timing(median_ms=2.0, p95_ms=3.0), Timing(median_ms=20.0, p95_ms=25.0)
 POSITIVE = st.floats(1e-6, 1e6)
@@ -73,10 +73,10 @@ def test_methods_take_turns_forward_and_backward():
     assert all(0 <= t.median_ms <= t.p95_ms for t in times.values())
 
 
-def test_an_answer_is_printed_with_its_verdicts_its_points_and_the_machine(capsys):
-    answer = BenchmarkResult(title="A title", unit="um", rows=(claim(Requirement(min_speedup=2)), claim(Requirement(max_error=0.1))),
+def test_a_result_is_printed_with_its_verdicts_its_points_and_the_machine(capsys):
+    result = BenchmarkResult(title="A title", unit="um", rows=(claim(Requirement(min_speedup=2)), claim(Requirement(max_error=0.1))),
                     points=(PlotPoint(method="a peer", ms=1.0, error=0.0),), notes=("a note",))  # fmt: skip
-    print_result(answer)
+    print_result(result)
     printed = capsys.readouterr().out
     for words in ("A title", "2x faster", "holds", "MISSED", "a peer", "a note", "cores", "numpy"):
         assert words in printed
@@ -95,7 +95,7 @@ def test_numbers_have_three_digits_that_matter(value, words):
     assert format_number(value) == words
 
 
-def test_points_come_from_the_rows_where_an_answer_has_none():
+def test_points_come_from_the_rows_where_a_result_has_none():
     other = build_measurement("in other units", ours=OURS, ours_error=1.0, unit="deg", bar=Requirement())
     points = collect_points(
         BenchmarkResult(title="t", unit="um", rows=(claim(Requirement()), claim(Requirement()), other))

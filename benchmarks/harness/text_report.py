@@ -1,4 +1,4 @@
-"""An answer in words: its rows as a table, its points, its notes, and the machine they come from."""
+"""A result in words: its rows as a table, its points, its notes, and the machine they come from."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ import math
 import sys
 from collections.abc import Sequence
 
-from pipeline.racing.machine import describe_machine, format_machine
-from pipeline.racing.results import BenchmarkResult, Measurement, PlotPoint
+from benchmarks.harness.results import BenchmarkResult, Measurement, PlotPoint
+from pipeline.base.machine import describe_machine, format_machine
 
 _HEADS = ("question", "peer", "ours ms (p95)", "peer ms (p95)", "ratio", "our error", "peer error", "unit", "bar", "")
 _WORDS = frozenset({0, 1, 7, 8, 9})  # columns that are words: to the left
 
 
-def print_result(answer: BenchmarkResult) -> None:
-    """Print the answer and the machine."""
-    sys.stdout.write(format_result(answer) + "\n" + format_machine(describe_machine()) + "\n")
+def print_result(result: BenchmarkResult) -> None:
+    """Print the result and the machine."""
+    sys.stdout.write(format_result(result) + "\n" + format_machine(describe_machine()) + "\n")
 
 
-def format_result(answer: BenchmarkResult) -> str:
-    """The answer as lines of text, without the machine."""
-    parts = [answer.title, _table([_HEADS, *(_cells(row) for row in answer.rows)])] if answer.rows else [answer.title]
-    if answer.points:
-        parts.append(_table([("method", "ms", "error"), *(_point(p, answer.unit) for p in answer.points)], {0}))
-    return "\n".join([*parts, *(f"  - {note}" for note in answer.notes)])
+def format_result(result: BenchmarkResult) -> str:
+    """The result as lines of text, without the machine."""
+    parts = [result.title, _table([_HEADS, *(_cells(row) for row in result.rows)])] if result.rows else [result.title]
+    if result.points:
+        parts.append(_table([("method", "ms", "error"), *(_point(p, result.unit) for p in result.points)], {0}))
+    return "\n".join([*parts, *(f"  - {note}" for note in result.notes)])
 
 
 def format_number(value: float) -> str:

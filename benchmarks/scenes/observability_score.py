@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.observability_patches import BAND, SAME_DEG, Patch
+from benchmarks.scenes.observability_patches import BAND, SAME_DEG, Patch
 from pipeline.base.arrays import Doubles
 from pipeline.registration.observability import Tolerances
 

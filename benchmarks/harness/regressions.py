@@ -1,4 +1,4 @@
-"""A run of the bench beside an earlier one: which claims got worse, and which no longer hold."""
+"""Compare a benchmark run with an earlier one: which claims got worse, and which no longer hold."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from benchmarks.harness.results import Measurement
+from benchmarks.harness.runner import BenchmarkRun
+from benchmarks.harness.text_report import format_number
 from pipeline.base.errors import FileProblem
-from pipeline.racing.results import Measurement
-from pipeline.racing.runner import BenchmarkRun
-from pipeline.racing.text_report import format_number
 
 REGRESSION_FACTOR = 1.1  # times as slow, or as far off: repeated runs on an idle machine differ by less
 
@@ -19,23 +19,23 @@ REGRESSION_FACTOR = 1.1  # times as slow, or as far off: repeated runs on an idl
 class MeasurementKey(NamedTuple):
     """What makes a row the same row in two runs."""
 
-    benchmark: str  # name of the question
+    benchmark: str  # name of the benchmark
     claim: str
     baseline: str
     unit: str
 
 
 def collect_measurements(done: Sequence[BenchmarkRun]) -> dict[MeasurementKey, Measurement]:
-    """The rows of questions just answered."""
+    """The rows of benchmarks just measured."""
     return {_claim(each.benchmark.name, row): row for each in done if each.result for row in each.result.rows}
 
 
 def read_measurements(path: Path) -> dict[MeasurementKey, Measurement]:
     """The rows that `tactoscope bench --json` left at `path`; raises FileProblem for any other file."""
     try:
-        said = json.loads(path.read_text(encoding="utf-8"))
-        names = [question["name"] for question in said["questions"] for _ in range(question["n_rows"])]
-        return {_claim(name, row): row for name, row in zip(names, map(_row, said["rows"]), strict=True)}
+        report = json.loads(path.read_text(encoding="utf-8"))
+        names = [benchmark["name"] for benchmark in report["questions"] for _ in range(benchmark["n_rows"])]
+        return {_claim(name, row): row for name, row in zip(names, map(_row, report["rows"]), strict=True)}
     except OSError as error:
         raise FileProblem(f"cannot read the earlier run ({error.strerror})", path) from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -43,16 +43,16 @@ def read_measurements(path: Path) -> dict[MeasurementKey, Measurement]:
 
 
 def find_regressions(
-    before: Mapping[MeasurementKey, Measurement], now: Mapping[MeasurementKey, Measurement], asked: Collection[str]
+    before: Mapping[MeasurementKey, Measurement], now: Mapping[MeasurementKey, Measurement], names: Collection[str]
 ) -> list[str]:
-    """One sentence for each row of the questions `asked` that is gone, no longer holds, or is worse by over a tenth."""
-    told: list[str] = []
+    """One sentence for each row of the benchmarks in `names` that is missing, no longer holds, or is worse by over a tenth."""
+    sentences: list[str] = []
     for claim, old in before.items():
-        if claim.benchmark in asked:
+        if claim.benchmark in names:
             worse = _worse(old, now[claim]) if claim in now else ["there is no such row any more"]
-            beside = f" beside {claim.baseline}" if claim.baseline else ""
-            told += [f"{claim.benchmark}: {claim.claim}{beside}: {', '.join(worse)}"] if worse else []
-    return told
+            against = f" against {claim.baseline}" if claim.baseline else ""
+            sentences += [f"{claim.benchmark}: {claim.claim}{against}: {', '.join(worse)}"] if worse else []
+    return sentences
 
 
 def _worse(old: Measurement, new: Measurement) -> list[str]:
@@ -68,10 +68,10 @@ def _worse(old: Measurement, new: Measurement) -> list[str]:
     return parts
 
 
-def _row(said: dict[str, Any]) -> Measurement:
-    values: dict[str, Any] = {name: math.nan if value is None else value for name, value in said.items()}
+def _row(record: dict[str, Any]) -> Measurement:
+    values: dict[str, Any] = {name: math.nan if value is None else value for name, value in record.items()}
     return Measurement(**values)
 
 
-def _claim(asked: str, row: Measurement) -> MeasurementKey:
-    return MeasurementKey(benchmark=asked, claim=row.question, baseline=row.peer, unit=row.unit)
+def _claim(benchmark: str, row: Measurement) -> MeasurementKey:
+    return MeasurementKey(benchmark=benchmark, claim=row.question, baseline=row.peer, unit=row.unit)

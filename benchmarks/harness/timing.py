@@ -1,4 +1,4 @@
-"""Ours and a peer on the same inputs, in turns, in one process; and what must hold of them. Not a question itself."""
+"""Time methods in turns on the same inputs in one process, and check requirements on the result."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.racing.results import Measurement
+from benchmarks.harness.results import Measurement
 
 N_RUNS = 15
 _WARM_UP = 2  # the first calls compile, load libraries and fill caches
@@ -17,7 +17,7 @@ _WARM_UP = 2  # the first calls compile, load libraries and fill caches
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Timing:
-    """How long one method took, over runs that took turns with the others'."""
+    """Run time of one method over repeated runs."""
 
     median_ms: float
     p95_ms: float
@@ -25,7 +25,7 @@ class Timing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Requirement:
-    """What must hold for a claim to be made; what is None is not asked."""
+    """What must hold for a claim to be made; None means no requirement."""
 
     min_speedup: float | None = None  # at least this many times the peer's speed
     max_ms: float | None = None  # at most this long
@@ -43,7 +43,7 @@ class Requirement:
         return ", ".join(part for part in parts if part)
 
     def compute_limits(self, peer: tuple[float, float]) -> tuple[float, float]:
-        """The most (ms, error) of ours that clear the bar against the peer's; NaN where nothing is asked."""
+        """The most (ms, error) of ours that clear the bar against the peer's; NaN where there is no requirement."""
         return _least(self.max_ms, self.min_speedup, peer[0]), _least(self.max_error, self.min_error_ratio, peer[1])
 
     def is_met(self, ours: tuple[float, float], peer: tuple[float, float]) -> bool:
@@ -78,7 +78,7 @@ def time_in_turns(methods: Mapping[str, Callable[[], object]], runs: int = N_RUN
 
 
 def summarize_times(taken_ms: Sequence[float]) -> Timing:
-    """Of times that were taken in another way than by `race`."""
+    """Summarise run times (ms) that were measured by other means."""
     return Timing(median_ms=float(np.median(taken_ms)), p95_ms=float(np.percentile(taken_ms, 95)))
 
 
@@ -93,7 +93,7 @@ def build_measurement(
     peer_timing: Timing | None = None,
     peer_error: float = math.nan,
 ) -> Measurement:
-    """The row of one claim; without a peer only `Bar.ms` and `Bar.error` can hold."""
+    """Build the row of one claim; without a baseline only `max_ms` and `max_error` can be met."""
     other = peer_timing or Timing(median_ms=math.nan, p95_ms=math.nan)
     limit_ms, limit_error = bar.compute_limits((other.median_ms, peer_error))
     return Measurement(

@@ -1,4 +1,4 @@
-"""One question as a picture: run time across, error up, both logarithmic, every method labelled where it stands."""
+"""Plot a benchmark: run time against error, both logarithmic, each method labelled."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from benchmarks.harness.plot_labels import place_labels
+from benchmarks.harness.results import BenchmarkResult, Measurement, PlotPoint
 from pipeline.base.files import whole_file
-from pipeline.racing.plot_labels import place_labels
-from pipeline.racing.results import BenchmarkResult, Measurement, PlotPoint
 
 _OURS, _PEER, _BAR = "#0b6e99", "#8a4b12", "#6b7280"
 _INCHES, _DPI = (8.4, 5.2), 120
 _MARGIN = 3.0  # factor of empty space around the points
 
 
-def plot_result(answer: BenchmarkResult, path: Path) -> bool:
-    """Draw the answer as a PNG; False, and no file, where no method has both a time and an error.
+def plot_result(result: BenchmarkResult, path: Path) -> bool:
+    """Draw the result as a PNG; False, and no file, where no method has both a time and an error.
 
-    The points are the answer's own, or else those of its rows in its unit. Shaded is where a point clears a row's bar.
+    The points are the result's own, or else those of its rows in its unit. Shaded is where a point clears a row's bar.
     An error of exactly zero has no place on a logarithmic axis: it stands on the lowest line, which says so.
     Raises FileProblem where the picture cannot be written.
     """
-    points = [p for p in answer.points or collect_points(answer) if _drawable(p)]
+    points = [p for p in result.points or collect_points(result) if _drawable(p)]
     if not points:
         return False
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -33,8 +33,8 @@ def plot_result(answer: BenchmarkResult, path: Path) -> bool:
     canvas = FigureCanvasAgg(figure)
     axes: Any = figure.add_subplot()
     floor = _floor([p.error for p in points])
-    bars = [row for row in answer.rows if _shown(row, points)]
-    _axes(axes, answer, points, bars, floor)
+    bars = [row for row in result.rows if _shown(row, points)]
+    _axes(axes, result, points, bars, floor)
     _bars(axes, bars, floor)
     heights = [p.error if p.error > 0 else floor for p in points]
     for point, height in zip(points, heights, strict=True):
@@ -52,11 +52,11 @@ def plot_result(answer: BenchmarkResult, path: Path) -> bool:
     return True
 
 
-def collect_points(answer: BenchmarkResult) -> tuple[PlotPoint, ...]:
-    """The methods of an answer's rows whose errors are in its unit: each peer once, ours once per question."""
+def collect_points(result: BenchmarkResult) -> tuple[PlotPoint, ...]:
+    """The methods of a result's rows whose errors are in its unit: each peer once, ours once per benchmark."""
     found: dict[tuple[str, float, float], PlotPoint] = {}
-    for row in answer.rows:
-        if row.unit != answer.unit:
+    for row in result.rows:
+        if row.unit != result.unit:
             continue
         ours = PlotPoint(method=f"ours: {row.question}", ms=row.ours_ms, error=row.ours_error, ours=True)
         found.setdefault((ours.method, 0.0, 0.0), ours)
@@ -85,7 +85,7 @@ def _floor(errors: Sequence[float]) -> float:
 
 
 def _axes(
-    axes: Any, answer: BenchmarkResult, points: Sequence[PlotPoint], bars: Sequence[Measurement], floor: float
+    axes: Any, result: BenchmarkResult, points: Sequence[PlotPoint], bars: Sequence[Measurement], floor: float
 ) -> None:
     errors = [p.error for p in points if p.error > 0] or [10 * floor]
     errors += [row.limit_error for row in bars if row.limit_error > 0]
@@ -94,9 +94,9 @@ def _axes(
     axes.set(
         xscale="log",
         yscale="log",
-        title=answer.title,
+        title=result.title,
         xlabel="run time [ms], median",
-        ylabel=f"error [{answer.unit}]" if answer.unit else "error",
+        ylabel=f"error [{result.unit}]" if result.unit else "error",
         xlim=(min(times) / _MARGIN, max(times) * _MARGIN**2),
         ylim=(floor / 2 if zero else min(errors) / _MARGIN, max(errors) * _MARGIN),
     )
@@ -117,7 +117,7 @@ def _bars(axes: Any, rows: Sequence[Measurement], floor: float) -> None:
     for claims in held.values():
         ms = min((row.limit_ms for row in claims if math.isfinite(row.limit_ms)), default=right)
         error = min((row.limit_error for row in claims if math.isfinite(row.limit_error)), default=top)
-        # An error of exactly zero is asked for: the line where such errors stand clears it.
+        # A required error of exactly zero is met on the line where errors of zero are drawn.
         drawn[ms, error or 1.5 * floor] = " and ".join(dict.fromkeys(row.bar for row in claims))
     for k, ((ms, error), words) in enumerate(drawn.items()):
         axes.fill_between([left, ms], low, error, color=_BAR, alpha=0.10, lw=0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from benchmarks import panel_registration
+from benchmarks.scenes import panel_registration
 
 SHAPE = (68, 90)
 
@@ -18,7 +18,7 @@ def clip(lay, seed):
         x, y, wide, tall = (int(v) for v in rng.integers((22, 18, 12, 10), (50, 40, 30, 22)))
         cv2.rectangle(depth, (x, y), (x + wide, y + tall), 80.0, -1)
         depth = cv2.GaussianBlur(depth, (0, 0), 1.5)
-        there, _ = lay.laid(depth)
+        there, _ = lay.warp(depth)
         change = np.hypot(*np.gradient(there))[..., None] * (1.0, 0.6, 0.3)
         pictures.append((100 + change + rng.normal(0, 1, (*SHAPE, 3))).astype(np.float32))
         depths.append(depth)
