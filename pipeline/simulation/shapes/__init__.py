@@ -10,9 +10,9 @@ __all__ = [
     "GROUPS",
     "Shape",
     "Symmetry",
-    "make_chamfered_prism",
-    "load_mesh_shape",
-    "list_shapes",
-    "make_shape",
     "list_labelled_shapes",
+    "list_shapes",
+    "load_mesh_shape",
+    "make_chamfered_prism",
+    "make_shape",
 ]

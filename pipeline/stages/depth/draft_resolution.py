@@ -30,7 +30,7 @@ def downsample_frame(whole: TactileFrame, camera: Camera, by: int) -> TactileFra
     """A gel's frame, which `camera` took, with `by` times fewer pixels along each side."""
     seen = camera.resize(*_size(camera, by))
     image, reference = (_averaged(cast("Image", picture), seen) for picture in (whole.image, whole.reference))
-    return replace(whole, image=image, reference=reference, camera=seen, beside=())
+    return replace(whole, image=image, reference=reference, camera=seen, context_frames=())
 
 
 def downsample_calibration(calibration: Calibration | None, by: int) -> Calibration | None:
@@ -54,7 +54,7 @@ def upsample_depth(found: DepthMap, source: SensorSpec, by: int) -> DepthMap:
         camera=source.camera,
         source_index=make_pixel_index(shape),
         notes=(note, *found.notes),
-        spread_mm=None if found.expected_error_mm is None else freeze(_grown(found.expected_error_mm, shape)),
+        expected_error_mm=None if found.expected_error_mm is None else freeze(_grown(found.expected_error_mm, shape)),
     )
 
 

@@ -80,7 +80,7 @@ def _seen(changed: ChangedImage) -> tuple[ImagePatch, ImagePatch]:
 
 def _integrates(changed: ChangedImage, progress: Progress) -> adaptive_illumination.IntegratorFactory:
     def make_integrator(cells: ImagePatch) -> Integrator:
-        window = replace(changed.window, moved=cells.changed)
+        window = replace(changed.window, changed=cells.changed)
 
         def integrate_patch(gx: Floats, gy: Floats) -> Floats:
             progress.step(0.4, "integrating slopes")

@@ -61,7 +61,7 @@ def _mirrored_window(window: ImageWindow, how: MirrorDirection, shape: tuple[int
         return slice(n - part.stop, n - part.start)
 
     moved_part, share = (mirror_image(a, how) for a in (window.changed, window.blend_weight))
-    turned = replace(window, moved=np.asarray(moved_part, np.bool_), share=np.asarray(share, np.float32))
+    turned = replace(window, changed=np.asarray(moved_part, np.bool_), blend_weight=np.asarray(share, np.float32))
     if how == "left to right":
         return replace(turned, cols=mirror_slice(window.cols, shape[1]))
     return replace(turned, rows=mirror_slice(window.rows, shape[0]))

@@ -50,7 +50,7 @@ def fit_recording_leds(
             )
             if window is not None:
                 there = replace(
-                    like, image=image, still=still, window=window, smoothing_px=_SMOOTHING_PX, boundary="flat"
+                    like, image=image, reference=still, window=window, smoothing_px=_SMOOTHING_PX, boundary="flat"
                 )
                 found.append(gel_surface.estimate_led_observation(there, progress))
         return _StoredOptics.from_optics(

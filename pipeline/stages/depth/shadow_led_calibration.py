@@ -81,9 +81,9 @@ def _moved(base: LedArray, steps: Doubles) -> LedArray:
     n = len(base.azimuth_rad)
     return replace(
         base,
-        azimuth=base.azimuth_rad + steps[:n],
-        elevation=np.arctan(np.tan(base.elevation_rad) * np.exp(steps[n : 2 * n])),
-        share=np.clip(base.colour_share + steps[2 * n :].reshape(3, n), *_SHARES),
+        azimuth_rad=base.azimuth_rad + steps[:n],
+        elevation_rad=np.arctan(np.tan(base.elevation_rad) * np.exp(steps[n : 2 * n])),
+        colour_share=np.clip(base.colour_share + steps[2 * n :].reshape(3, n), *_SHARES),
     )
 
 

@@ -35,8 +35,8 @@ def ball():
     told = shadow_model.make_described_leds(source)
     lamps = replace(
         told,
-        azimuth=told.azimuth_rad + np.radians(AZIMUTH_DEG),
-        share=told.colour_share + BRIGHTER * (told.colour_share > 0.3),
+        azimuth_rad=told.azimuth_rad + np.radians(AZIMUTH_DEG),
+        colour_share=told.colour_share + BRIGHTER * (told.colour_share > 0.3),
     )
     still = optics.render_reference(source)
     rng = np.random.default_rng(0)
@@ -94,7 +94,7 @@ def test_a_touch_that_a_usual_units_lamps_explain_asks_for_no_others(unit, monke
     thing = shapes.make_shape("star").mesh
     felt = simulate_press(thing, translation(0.3, -0.4, -0.6 - thing.vertices_mm[:, 2].min()), source, seed=2)
     frame = TactileFrame(sensor="digit", image=felt.image, reference=optics.render_reference(source))
-    monkeypatch.setattr(shadow_led_calibration, "fitted", None)
+    monkeypatch.setattr(shadow_led_calibration, "fit_shadow_leds", None)
     _, measured = estimate_gel_depth(frame, load_sensor("digit"), None, PARAMS)
     assert adaptive_illumination.is_trusted(measured.light)
 
@@ -104,7 +104,7 @@ def test_lamps_that_explain_nothing_are_refused(monkeypatch):
     monkeypatch.setattr(shadow_led_calibration, "_LEFT", 1e-3)
     found, measured = estimate_gel_depth(frame, load_sensor("digit"), None, PARAMS)
     assert measured.light == "even"
-    monkeypatch.setattr(shadow_led_calibration, "fitted", lambda *_: None)
+    monkeypatch.setattr(shadow_led_calibration, "fit_shadow_leds", lambda *_: None)
     np.testing.assert_array_equal(
         estimate_gel_depth(frame, load_sensor("digit"), None, PARAMS)[0].indentation_mm, found.indentation_mm
     )

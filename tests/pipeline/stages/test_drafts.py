@@ -51,7 +51,7 @@ def test_a_draft_of_a_gels_depth_is_near_the_full_answer_on_the_same_pixels(fram
     assert any("draft at 1/2 of the resolution" in note for note in draft.notes)
     assert not any("draft" in note for note in whole.notes)
     if method is NETWORK:
-        assert draft.spread_mm.shape == whole.spread_mm.shape == gel.camera.shape
+        assert draft.expected_error_mm.shape == whole.expected_error_mm.shape == gel.camera.shape
 
 
 @pytest.mark.parametrize("index", [3, 8, 9, 13])
@@ -76,9 +76,9 @@ def test_settings_of_physics_count_where_the_network_corrects_it(frame):
 def test_a_draft_looks_for_no_light_where_the_whole_answer_has_found_one(frame, monkeypatch):
     gel, looked, lit = load_sensor("gelslim"), [], []
     fitted, read_by = led_calibration.fit_leds, adaptive_illumination.refine_in_light
-    monkeypatch.setattr(led_calibration, "fitted", lambda *given: looked.append(1) or fitted(*given))
+    monkeypatch.setattr(led_calibration, "fit_leds", lambda *given: looked.append(1) or fitted(*given))
     monkeypatch.setattr(
-        adaptive_illumination, "read_by", lambda *given, **also: lit.append(given[0]) or read_by(*given, **also)
+        adaptive_illumination, "refine_in_light", lambda *given, **also: lit.append(given[0]) or read_by(*given, **also)
     )
     image = frame.image.copy()
     image[0, 0] ^= 1  # a picture that nobody has read

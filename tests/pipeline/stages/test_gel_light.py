@@ -139,7 +139,7 @@ def test_lamps_of_another_unit_are_told_by_its_touch():
 def test_touches_of_one_unit_are_read_in_one_light_whoever_asks_first():
     frames, truths, _ = on_another_gelslim()
     source, beside = load_sensor("gelslim"), tuple(frame.image for frame in frames)
-    found = [estimate_gel_depth(replace(frame, beside=beside), source, None, PARAMS) for frame in frames]
+    found = [estimate_gel_depth(replace(frame, context_frames=beside), source, None, PARAMS) for frame in frames]
     lights = [measured.light for _, measured in found]
     assert all("fitted to 2 touches of the recording" in " ".join(depth_map.notes) for depth_map, _ in found)
     assert lights[0] == lights[1] == led_calibration.fit_leds(source, list(touches(frames, source)))
@@ -163,7 +163,7 @@ def touches(frames, source):
 def test_one_touch_beside_tells_no_more_than_the_frame_itself():
     (frame, _), _, _ = on_another_gelslim()
     alone, _ = estimate_gel_depth(frame, load_sensor("gelslim"), None, PARAMS)
-    beside, _ = estimate_gel_depth(replace(frame, beside=(frame.image,)), load_sensor("gelslim"), None, PARAMS)
+    beside, _ = estimate_gel_depth(replace(frame, context_frames=(frame.image,)), load_sensor("gelslim"), None, PARAMS)
     assert alone.indentation_mm.tobytes() == beside.indentation_mm.tobytes()
 
 
@@ -277,10 +277,10 @@ def test_the_light_that_explains_the_picture_is_taken(near, monkeypatch):
     corrected, taken = adaptive_illumination.refine_in_field, []
 
     def watched(surface_mm, picture, *rest):
-        taken.append(picture.by)
+        taken.append(picture.downsampling)
         return corrected(surface_mm, picture, *rest)
 
-    monkeypatch.setattr(adaptive_illumination, "corrected", watched)
+    monkeypatch.setattr(adaptive_illumination, "refine_in_field", watched)
     found = estimate_depth(frame, load_sensor("gelsight_mini"), None, PARAMS)
     assert (taken[-1:] == [1]) == near  # the picture's own pixels are looked at in the light that was taken
     # Lamps that none of the usual units has: how deep a touch in their light is, it does not tell exactly.
@@ -290,7 +290,7 @@ def test_the_light_that_explains_the_picture_is_taken(near, monkeypatch):
 def test_a_touch_tells_how_its_own_lamps_light_it(monkeypatch):
     frame, truth = pressed_mini(near=True)
     own = estimate_depth(frame, load_sensor("gelsight_mini"), None, PARAMS)
-    monkeypatch.setattr(adaptive_illumination, "adapted", lambda *_: None)
+    monkeypatch.setattr(adaptive_illumination, "adapt_field", lambda *_: None)
     described = estimate_depth(frame, load_sensor("gelsight_mini"), None, PARAMS)
     assert error_mm(own, truth) < 0.7 * error_mm(described, truth)
 
@@ -319,7 +319,7 @@ def test_a_touch_where_lamps_tell_little_is_doubted(monkeypatch):
     assert not surface_refinement.has_weak_shading(np.zeros_like(touched), still, source)
     frame, _ = pressed_mini(near=True)
     assert not any("hardly tell" in note for note in estimate_depth(frame, source, None, PARAMS).notes)
-    monkeypatch.setattr(surface_refinement, "hardly_told", lambda *_: True)
+    monkeypatch.setattr(surface_refinement, "has_weak_shading", lambda *_: True)
     assert any("hardly tell" in note for note in estimate_depth(frame, source, None, PARAMS).notes)
 
 

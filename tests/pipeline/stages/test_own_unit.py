@@ -22,7 +22,7 @@ GELS = ("gelsight_mini", "gelslim", "digit")
 
 
 def of_unit(name, still):
-    return replace(make_built_in(load_sensor(name)), still=reference_thumbnail.make_thumbnail(still))
+    return replace(make_built_in(load_sensor(name)), reference_thumbnail=reference_thumbnail.make_thumbnail(still))
 
 
 def told_apart(name, still, now):

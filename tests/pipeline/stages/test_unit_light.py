@@ -26,13 +26,13 @@ def fits(tmp_path, monkeypatch):
             asked.append(len(touches))
         return fit(source, touches, *more)
 
-    monkeypatch.setattr(led_calibration, "fitted", counted)
+    monkeypatch.setattr(led_calibration, "fit_leds", counted)
     yield asked
     recording_led_calibration._cache.clear()
 
 
 def read(frame, beside):
-    found, measured = estimate_gel_depth(replace(frame, beside=beside), load_sensor("gelslim"), None, PARAMS)
+    found, measured = estimate_gel_depth(replace(frame, context_frames=beside), load_sensor("gelslim"), None, PARAMS)
     return found.indentation_mm.tobytes(), found.notes, measured.light
 
 
