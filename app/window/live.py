@@ -183,7 +183,7 @@ class LiveController(QObject):
         recorder = self.recorder
         if recorder is not None:
             rates += f" · {recorder.n_written} recorded"
-            rates += f", {recorder.n_left_out} left out" if recorder.n_left_out else ""
+            rates += f", {recorder.n_dropped} left out" if recorder.n_dropped else ""
         wrong = status.message or (recorder.problem if recorder is not None else "")
         if (rates + wrong) != self._said:
             self._said = rates + wrong

@@ -72,7 +72,7 @@ def _result(reader: LiveReader, recorder: LiveRecorder | None) -> int:
     if recorder is None:
         return 0
     if recorder.n_written:
-        print_line(f"{recorder.n_written} frames in {os.fspath(recorder.path)}, {recorder.n_left_out} left out")
+        print_line(f"{recorder.n_written} frames in {os.fspath(recorder.path)}, {recorder.n_dropped} left out")
     elif not recorder.problem:
         print_line(
             f"nothing was recorded and no file is left: the first {reference_capture.AUTO_CAPTURE_FRAMES} readings are taken as untouched, "

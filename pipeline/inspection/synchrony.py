@@ -108,7 +108,7 @@ def compare_streams(one: Stream, other: Stream) -> SynchronyResult | None:
         except TouchError:
             continue
     order = compare_signatures([a for a, _ in found], [b for _, b in found])
-    return order if order is None else replace(order, lag=round(order.lag_frames * max(1.0, n / _MOST)))
+    return order if order is None else replace(order, lag_frames=round(order.lag_frames * max(1.0, n / _MOST)))
 
 
 def compare_signatures(one: Sequence[ContactSignature], other: Sequence[ContactSignature]) -> SynchronyResult | None:
@@ -124,7 +124,7 @@ def compare_signatures(one: Sequence[ContactSignature], other: Sequence[ContactS
     clear, best, lag = max(agree, default=(0.0, 1.0, 0))
     # What rises and falls slowly agrees with itself at many lags.
     alone = all(abs(other - lag) <= 1 or clear > _CLEARER * less for less, _, other in agree)
-    return replace(found, lag=lag if alone and best * len(lags) <= _SURELY else 0)
+    return replace(found, lag_frames=lag if alone and best * len(lags) <= _SURELY else 0)
 
 
 def _by_chance(a: Doubles, b: Doubles) -> SynchronyResult | None:

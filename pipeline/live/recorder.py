@@ -22,7 +22,7 @@ class LiveRecorder:
         self.path = path
         self._writer = LiveRecordingWriter(path, notes=(f"recorded live: {about}",), coding="row differences")
         self._waiting: queue.Queue[_Item] = queue.Queue(_MOST_WAITING)
-        self.n_written = self.n_left_out = 0
+        self.n_written = self.n_dropped = 0
         self.problem = ""  # why nothing is written any more
         self._thread = threading.Thread(target=self._loop, name="recorder", daemon=True)
         self._thread.start()
@@ -34,7 +34,7 @@ class LiveRecorder:
         try:
             self._waiting.put_nowait((frame, truth))
         except queue.Full:
-            self.n_left_out += 1
+            self.n_dropped += 1
 
     def close(self, timeout_s: float = 10.0) -> bool:
         """Write what waits and close the file; whether that was done in time."""
@@ -52,4 +52,4 @@ class LiveRecorder:
         except (TouchError, OSError) as error:
             self.problem = str(error)
             while self._waiting.get() is not None:
-                self.n_left_out += 1
+                self.n_dropped += 1

@@ -92,9 +92,9 @@ class UsbCameraSource:
         *,
         sensor: str = "",
         by_id: Path = CAMERAS_BY_ID,
-        opened: Callable[[Path, UsbCameraProfile], Any] = open_capture,
+        opener: Callable[[Path, UsbCameraProfile], Any] = open_capture,
     ) -> None:
-        self._wanted, self._said, self._by_id, self._open = wanted, sensor, by_id, opened
+        self._wanted, self._said, self._by_id, self._open = wanted, sensor, by_id, opener
         self._kind = _kind(wanted) if not sensor else next((k for k in USB_CAMERA_PROFILES if k.sensor == sensor), _ANY)
         self._capture: Any = None
         self._made: GelImageConverter | None = None

@@ -17,7 +17,7 @@ from pipeline.base.errors import FileProblem
 from pipeline.base.text import escape_text
 from pipeline.recordings import image_files, video
 
-ContentKind = Literal["pictures", "samples", "clouds", "file"]
+ContentKind = Literal["images", "samples", "point_clouds", "file"]
 
 _FRAMES = ("frames", "tactile_images", "expand")  # folders whose pictures or clouds are a sensor's, whatever is beside
 _NO_FRAMES = frozenset({"webcam_frames", "gt_contactmasks", "gt_heightmaps", "obj_models", "bgs"})
@@ -60,7 +60,7 @@ def find_recording(folder: Path) -> FolderContent:
         if here.pictures:
             return _pictures(folder, here.pictures, untouched + _beside(at), notes)
         if here.clouds:
-            return FolderContent(kind="clouds", path=at, notes=tuple(notes))
+            return FolderContent(kind="point_clouds", path=at, notes=tuple(notes))
         if here.samples:
             return FolderContent(kind="samples", path=at, notes=tuple(notes))
         if here.files:
@@ -102,7 +102,7 @@ def _entries(folder: Path) -> list[Path]:
 
 def _pictures(folder: Path, files: list[Path], untouched: list[Path], notes: list[str]) -> FolderContent:
     return FolderContent(
-        kind="pictures", path=folder, images=tuple(files), references=tuple(untouched), notes=tuple(notes)
+        kind="images", path=folder, images=tuple(files), references=tuple(untouched), notes=tuple(notes)
     )
 
 

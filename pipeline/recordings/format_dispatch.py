@@ -64,11 +64,11 @@ def open_recording(
 
 def _read(path: Path, found: FolderContent, sensor: str, reference: Path | None, unit: DepthUnit) -> Recording:
     match found.kind:
-        case "pictures" if _is_depth(found.images):
+        case "images" if _is_depth(found.images):
             return depth_arrays.read_image_folder(path, found, sensor=sensor, reference=reference, unit=unit)
-        case "pictures":
+        case "images":
             return image_folder.read(path, found, sensor=sensor, reference=reference)
-        case "clouds":
+        case "point_clouds":
             recording = point_clouds.read(found.path, sensor=sensor)
         case "samples":
             recording = touch2touch.read_folder(found.path)
@@ -140,7 +140,7 @@ def _is_depth(files: Sequence[Path]) -> bool:
 def _file(path: Path) -> FolderContent:
     """A picture is a folder of one."""
     if _file_kind(path) == "images":
-        return FolderContent(kind="pictures", path=path, images=(path,))
+        return FolderContent(kind="images", path=path, images=(path,))
     return FolderContent(kind="file", path=path)
 
 

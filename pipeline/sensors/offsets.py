@@ -16,7 +16,7 @@ Axis = Literal["x", "y", "z", "rx", "ry", "rz"]
 AXES: tuple[Axis, ...] = ("x", "y", "z", "rx", "ry", "rz")
 Triple = tuple[float, float, float]
 ZERO_TRIPLE: Triple = (0.0, 0.0, 0.0)
-_MOST = {"shift_mm": rigid.FARTHEST_MM, "turn_deg": 360.0, "pivot_mm": rigid.FARTHEST_MM}
+_MOST = {"translation_mm": rigid.FARTHEST_MM, "rotation_deg": 360.0, "pivot_mm": rigid.FARTHEST_MM}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +54,7 @@ class Offsets:
         """The same with another number for one axis, mm or degrees."""
         values = list(self.values)
         values[AXES.index(axis)] = value
-        return replace(self, shift_mm=_triple(values[:3]), turn_deg=_triple(values[3:]))
+        return replace(self, translation_mm=_triple(values[:3]), rotation_deg=_triple(values[3:]))
 
     def with_pivot(self, pivot_mm: Sequence[float] | Doubles) -> Offsets:
         """The very same motion, told about another point."""
@@ -82,7 +82,7 @@ def decompose_motion(motion: Doubles, pivot_mm: Sequence[float] | Doubles) -> Of
 def parse_offsets(data: object) -> Offsets:
     """Of what a session file or a command line says; raises ValueError that says which entry is wrong."""
     if not isinstance(data, dict):
-        raise ValueError("must be a table of shift_mm, turn_deg and pivot_mm")
+        raise ValueError("must be a table of translation_mm, rotation_deg and pivot_mm")
     table = cast("Mapping[str, Any]", data)
     return Offsets(**{name: _three(table, name) for name in _MOST})
 

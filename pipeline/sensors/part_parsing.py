@@ -24,7 +24,7 @@ def parse_numbers(kind: type[Any], s: DescriptionSection) -> dict[str, float]:
     """The numbers of a part that its section gives, each as its field's `told` says."""
     found: dict[str, float] = {}
     for f in fields(kind):
-        told: NumberRange | None = f.metadata.get("told")
+        told: NumberRange | None = f.metadata.get("number")
         if told is not None:
             key = told.key or f.name.removesuffix(f"_{told.unit.lower().replace('^', '')}")
             if f.default is MISSING or s.has(key):
@@ -37,7 +37,7 @@ def parse_limits(s: DescriptionSection, touch_unit: str) -> SensorLimits:
     found = parse_numbers(SensorLimits, s)
     if "depth_rms_mm" in found:
         found["depth_correlation_mm"] = s.read_number("depth_correlation", "mm", 1e-3, 100.0)
-    return SensorLimits(**found, no_contact_change=s.read_number("no_touch", touch_unit, 0.0, 255.0))
+    return SensorLimits(**found, no_contact_change=s.read_number("no_contact_change", touch_unit, 0.0, 255.0))
 
 
 def parse_optics(s: DescriptionSection, data: dict[str, Any], path: Path) -> Optics:

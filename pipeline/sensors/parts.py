@@ -17,7 +17,7 @@ class NumberRange(NamedTuple):
 
 def declare_number(unit: str, low: float, high: float, otherwise: float | None = None, *, key: str = "") -> Any:
     """A field that is a number of a description; `otherwise` where it may be left out."""
-    metadata = {"told": NumberRange(unit, low, high, key)}
+    metadata = {"number": NumberRange(unit, low, high, key)}
     return field(default=MISSING if otherwise is None else otherwise, metadata=metadata)
 
 

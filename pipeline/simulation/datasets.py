@@ -104,7 +104,7 @@ def make_plans(tools: tuple[str, ...], like: SimulationPlan) -> tuple[Simulation
     wanted = tuple(dict.fromkeys(name for tool in tools for name in _names(tool)))
     if not wanted:
         raise SettingProblem("--tools must name at least one object")
-    made = tuple(replace(like, tool=name) for name in wanted)
+    made = tuple(replace(like, object_source=name) for name in wanted)
     for plan in made:
         load_object_mesh(plan)
     stems = [plan.object_name for plan in made]

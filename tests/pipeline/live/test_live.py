@@ -44,7 +44,7 @@ def until(met: Callable[[], bool]) -> None:
 class Counted:
     """A sensor whose pictures are their numbers; it can be pulled out."""
 
-    title, sensor, touched = "counted", "digit", None
+    title, sensor, touching_object = "counted", "digit", None
 
     def __init__(self, *, every_s: float = 0.002, skip: int = 0) -> None:
         self.plugged, self._every_s, self._skip, self._n = True, every_s, skip, 0
@@ -99,12 +99,12 @@ def test_a_simulated_sensor_gives_touches_with_their_truth_and_an_untouched_zero
     status = watched.status()
     assert status.state == "running"
     assert status.rate_hz > 0
-    deepest = [float(watched.truth(i).indentation_mm.max()) for i in range(watched.first, watched.n_frames)]
+    deepest = [float(watched.truth(i).indentation_mm.max()) for i in range(watched.first_index, watched.n_frames)]
     assert deepest[0] == 0.0
     assert max(deepest) > 0.1
     last = watched.frame(watched.n_frames - 1)
     assert last.image.shape == last.reference.shape == (*DIGIT.camera.shape, 3)
-    recording = watched.recording(Path("live:/a"))
+    recording = watched.make_recording(Path("live:/a"))
     assert recording.object_mesh.name
     assert recording.symmetry is not None
     still = watched.frame(watched.first)
@@ -120,12 +120,12 @@ def test_an_unplugged_sensor_is_told_and_taken_up_again(running, monkeypatch):
     until(lambda: watched.status().state == "lost")
     before = watched.n_frames
     assert watched.status().rate_hz == 0.0
-    assert "not there" in watched.status().sentence or "gone" in watched.status().sentence
+    assert "not there" in watched.status().message or "gone" in watched.status().message
     assert watched.frame(before - 1).index == before - 1  # what came can still be looked at
     source.plugged = True
     until(lambda: watched.n_frames > before + 5)
     assert watched.status().state == "running"
-    assert watched.status().sentence == ""
+    assert watched.status().message == ""
 
 
 def test_lost_frames_are_counted_and_a_drivers_own_errors_end_nothing(running, monkeypatch):
@@ -137,7 +137,7 @@ def test_lost_frames_are_counted_and_a_drivers_own_errors_end_nothing(running, m
     right = source.read
     source.read = lambda: 1 / 0
     until(lambda: watched.status().state == "lost")
-    assert "ZeroDivisionError" in watched.status().sentence
+    assert "ZeroDivisionError" in watched.status().message
     source.read = right
     until(lambda: watched.status().state == "running")
 
@@ -146,7 +146,7 @@ def test_memory_is_bounded_and_old_frames_say_that_they_are_gone(running):
     size = 3 * DIGIT.camera.rows * DIGIT.camera.cols
     watched = running(Counted(every_s=0.0005), most_bytes=30 * size)
     until(lambda: watched.n_frames > 60)
-    assert 0 < watched.n_frames - watched.first <= 31
+    assert 0 < watched.n_frames - watched.first_index <= 31
     with pytest.raises(FileProblem, match="frame 0 is not held any more"):
         watched.frame(0)
 
@@ -171,16 +171,16 @@ def test_zero_with_something_on_the_gel_is_noticed(running):
     source = Shown(plain)
     watched = running(source)
     until(lambda: watched.has_reference)
-    assert watched.status().sentence == ""
+    assert watched.status().message == ""
     source.image = touched
     n = watched.n_frames
     until(lambda: watched.n_frames > n + 2 * reference_capture.MAX_FRAMES)
     for _ in range(2):  # asking twice does not make it right
-        assert "as where something touches" in watched.set_zero()
+        assert "as where something touches" in watched.capture_reference()
     source.image = plain + 30  # the light of the room is no touch
     n = watched.n_frames
     until(lambda: watched.n_frames > n + 2 * reference_capture.MAX_FRAMES)
-    assert watched.set_zero() == ""
+    assert watched.capture_reference() == ""
 
 
 def test_a_device_that_gives_another_size_midway_is_said_and_zeroed_anew(running, tmp_path):
@@ -252,7 +252,7 @@ def test_a_camera_is_found_by_name_and_serial_and_not_by_its_second_node(tmp_pat
         asked.append((node.name, kind.sensor, kind.size_px))
         return _Stream(np.zeros((240, 320, 3), np.uint8))
 
-    source = UsbCameraSource("d20123", by_id=tmp_path, opened=opened)
+    source = UsbCameraSource("d20123", by_id=tmp_path, opener=opened)
     source.open()
     assert asked == [("usb-Facebook_DIGIT_D20123-video-index0", "digit", (320, 240))]
     with pytest.raises(LiveSourceLost, match="there are: "):
@@ -279,7 +279,7 @@ def test_a_digits_stream_is_turned_as_its_own_driver_turns_it_and_its_end_is_a_l
     bgr = np.zeros((240, 320, 3), np.uint8)
     bgr[0, 0] = (255, 0, 0)  # blue, above left of the raw picture
     stream = _Stream(bgr)
-    source = UsbCameraSource("DIGIT", by_id=_node(tmp_path), opened=lambda node, kind: stream)
+    source = UsbCameraSource("DIGIT", by_id=_node(tmp_path), opener=lambda node, kind: stream)
     source.open()
     image = source.read().image
     assert image.shape == (320, 240, 3)
@@ -291,7 +291,7 @@ def test_a_digits_stream_is_turned_as_its_own_driver_turns_it_and_its_end_is_a_l
 
 def test_a_gelsight_minis_whole_camera_is_cut_and_made_smaller(tmp_path):
     stream = _Stream(np.full((2464, 3280, 3), 90, np.uint8))
-    source = UsbCameraSource("GelSight", by_id=_node(tmp_path, "GelSight_Mini_R0B"), opened=lambda node, kind: stream)
+    source = UsbCameraSource("GelSight", by_id=_node(tmp_path, "GelSight_Mini_R0B"), opener=lambda node, kind: stream)
     source.open()
     assert source.read().image.shape == (*load_sensor("gelsight_mini").camera.shape, 3)
     assert source.sensor == "gelsight_mini"
@@ -317,7 +317,7 @@ def test_a_recorded_stream_goes_through_the_cameras_own_code(tmp_path, running, 
 def test_what_is_watched_opens_as_a_recording_that_grows(running):
     watched, path = running(Counted()), Path("live:/counted")
     until(lambda: watched.n_frames > 20)
-    mounts.mount(path, lambda: watched.recording(path))
+    mounts.mount(path, lambda: watched.make_recording(path))
     try:
         recording = open_recording(path)
         n = recording.streams[0].n_frames
@@ -348,7 +348,9 @@ def test_a_recording_can_be_read_while_it_grows_and_holds_what_was_watched(tmp_p
     assert not any(hdf5.NOT_CLOSED_NOTE in note for note in whole.notes)
     first = stream.frame(0)
     held = next(
-        watched.frame(i) for i in range(watched.first, watched.n_frames) if watched.frame(i).time_s == first.time_s
+        watched.frame(i)
+        for i in range(watched.first_index, watched.n_frames)
+        if watched.frame(i).time_s == first.time_s
     )
     assert np.array_equal(first.image, held.image)
     assert np.array_equal(first.reference, held.reference)

@@ -54,8 +54,8 @@ def test_a_found_motion_is_told_in_degrees_about_the_point_asked_for():
 
 @pytest.mark.parametrize(
     "plain",
-    [None, {}, {"shift_mm": [1, 2]}, {"shift_mm": [1, 2, "3"], "turn_deg": [0] * 3, "pivot_mm": [0] * 3},
-     {"shift_mm": [1, 2, float("nan")], "turn_deg": [0] * 3, "pivot_mm": [0] * 3}],
+    [None, {}, {"translation_mm": [1, 2]}, {"translation_mm": [1, 2, "3"], "rotation_deg": [0] * 3, "pivot_mm": [0] * 3},
+     {"translation_mm": [1, 2, float("nan")], "rotation_deg": [0] * 3, "pivot_mm": [0] * 3}],
 )  # fmt: skip
 def test_what_is_no_offsets_is_refused(plain):
     with pytest.raises(ValueError, match="must be"):
