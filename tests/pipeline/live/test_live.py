@@ -107,7 +107,7 @@ def test_a_simulated_sensor_gives_touches_with_their_truth_and_an_untouched_zero
     recording = watched.make_recording(Path("live:/a"))
     assert recording.object_mesh.name
     assert recording.symmetry is not None
-    still = watched.frame(watched.first)
+    still = watched.frame(watched.first_index)
     assert np.abs(still.image.astype(float) - last.reference).mean() < 3.0  # noise alone
 
 
