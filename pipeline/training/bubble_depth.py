@@ -47,9 +47,9 @@ class BubbleDepthTask:
         if rng.random() < _UNTOUCHED:
             nothing = np.zeros_like(found.indentation_mm)
             found = replace(
-                found, moved_mm=nothing, contact=np.zeros_like(found.contact),
+                found, indentation_mm=nothing, contact=np.zeros_like(found.contact),
                 gap_mm=np.full_like(nothing, bubble_presses.MAX_GAP_MM),
-                cosine=bubble_camera.compute_rest_cosine(found.sensor).astype(np.float32),
+                incidence_cosine=bubble_camera.compute_rest_cosine(found.sensor).astype(np.float32),
             )  # fmt: skip
         whole = _example(found, rng, plain=False)
         rows, cols = found.indentation_mm.shape

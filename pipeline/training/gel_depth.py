@@ -69,7 +69,7 @@ class GelDepthTask:
         for one in held_out:
             reading = network(torch.from_numpy(one["fields"])[None])
             physical = one["fields"][gel_network_input.SURFACE_CHANNEL]
-            found, surface = reading.contact[0].numpy() > 0, reading.surface[0].numpy()
+            found, surface = reading.contact_logit[0].numpy() > 0, reading.surface[0].numpy()
             alone = one["fields"][gel_network_input.CONTACT_CHANNEL] > 0.5
             for name, value in {
                 **_figures(one, found, surface * _factor(surface, physical, found)),

@@ -62,11 +62,11 @@ class GelInstancesTask:
             with torch.inference_mode():
                 reading = network(torch.from_numpy(one["fields"])[None])
             truth, touched = one["indentation"], one["contact"] > 0
-            if reading.log_scale is None or not touched.any():
+            if reading.log_depth_factor is None or not touched.any():
                 continue
-            surface = reading.surface[0].numpy() * float(reading.log_scale[0].exp())
+            surface = reading.surface[0].numpy() * float(reading.log_depth_factor[0].exp())
             physical, um = one["fields"][gel_network_input.SURFACE_CHANNEL], _UM_PER_MM * float(one["depth_mm"])
-            found, alone = reading.contact[0].numpy() > 0, one["fields"][gel_network_input.CONTACT_CHANNEL] > 0.5
+            found, alone = reading.contact_logit[0].numpy() > 0, one["fields"][gel_network_input.CONTACT_CHANNEL] > 0.5
             rows.append((
                 um * float(np.abs(surface - truth)[touched].mean()),
                 um * float(np.abs(physical - truth)[touched].mean()),

@@ -73,10 +73,10 @@ class LatentTask:
         noises = torch.randn(2, n, _LATENT, small, small).to(device)
         found = network(batch["target"], batch["source"], time, told, noises, self.trained_part)
         parts: dict[str, Tensor] = {}
-        if found.noise is not None:
-            parts["noise"] = (found.noise - found.true_noise).abs().mean()
-        if found.rebuilt is not None:
-            parts["rebuilt"] = (found.rebuilt - batch["target"]).abs().mean()
+        if found.predicted_noise is not None:
+            parts["noise"] = (found.predicted_noise - found.true_noise).abs().mean()
+        if found.reconstruction is not None:
+            parts["rebuilt"] = (found.reconstruction - batch["target"]).abs().mean()
             parts["spread"] = 0.5 * (found.mean**2 + found.log_variance.exp() - 1.0 - found.log_variance).mean()
         weights = {"noise": 1.0, "rebuilt": self.reconstruction_weight, "spread": self.kl_weight}
         loss = torch.stack([weights[name] * value for name, value in parts.items()]).sum()
@@ -95,8 +95,8 @@ class LatentTask:
                 noises = batch["noises"].transpose(0, 1)
                 told = torch.ones(1)
                 found = network(batch["target"], batch["source"], batch["time"][:, 0].long(), told, noises)
-            rebuilt, truth = (decode_image(a, kind) for a in (found.rebuilt[0].numpy(), one["target"]))
-            off = (found.noise - found.true_noise).abs().mean()
+            rebuilt, truth = (decode_image(a, kind) for a in (found.reconstruction[0].numpy(), one["target"]))
+            off = (found.predicted_noise - found.true_noise).abs().mean()
             rows.append((times * float(np.abs(rebuilt - truth).mean()), float(off)))
         names = (f"rebuilt, {unit}", "noise")
         return dict(zip(names, np.mean(rows, axis=0).tolist(), strict=True))

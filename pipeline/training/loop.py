@@ -200,7 +200,7 @@ class _Training:
                 self._keep()
                 raise NotConverged(
                     f"the loss has been no number for {MAX_SKIPPED_STEPS} steps up to {now.step}; try a lower learning_rate "
-                    f"or clip in the recipe (the last good state is kept in {str(self._run.folder)!r})"
+                    f"or max_gradient_norm in the recipe (the last good state is kept in {str(self._run.folder)!r})"
                 )
             return
         now.n_skipped_in_a_row = 0

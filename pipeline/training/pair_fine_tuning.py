@@ -137,4 +137,4 @@ def mix_colours(one: TrainingPair, rng: np.random.Generator, most: float) -> Tra
     colours = one.condition[:n].reshape(3, -1)
     how = np.eye(3) + rng.uniform(-most, most, (3, 3))
     shown = np.concatenate([(how.astype(np.float32) @ colours).reshape(one.condition[:n].shape), one.condition[n:]])
-    return replace(one, shown=freeze(shown))
+    return replace(one, condition=freeze(shown))

@@ -83,13 +83,13 @@ class Recipe:
     @property
     def plain_values(self) -> dict[str, Any]:
         """All of it in plain values, for files and cards; equal ones give equal runs."""
-        parts = {"pace": self.training, "optimiser": self.optimiser, "settings": self.settings}
+        parts = {"training": self.training, "optimiser": self.optimiser, "settings": self.settings}
         plain = {name: {key: value for key, (value, _) in list_settings(part).items()} for name, part in parts.items()}
         if not self.training.n_cached_examples:
-            del plain["pace"]["kept"]  # runs begun before there was such a thing go on
+            del plain["training"]["n_cached_examples"]  # runs begun before there was such a thing go on
         own = [{key: value for key, (value, _) in list_settings(one).items()} for one in self.recordings]
-        told = {"task": self.task, "network": dict(self.network), "factors": dict(self.rate_factors), **plain}
-        return told | ({"data": {"share": self.recorded_share, "recordings": own}} if own else {})
+        told = {"task": self.task, "network": dict(self.network), "rate_factors": dict(self.rate_factors), **plain}
+        return told | ({"data": {"recorded_share": self.recorded_share, "recordings": own}} if own else {})
 
 
 def list_shipped_recipes(what: str = "") -> tuple[str, ...]:
@@ -131,12 +131,12 @@ def _recipe(name: str, data: Mapping[str, Any], folder: Path) -> Recipe:
         raise SettingProblem(f"it must name its task, one of {', '.join(TASKS)}")
     if not isinstance(tables["network"].get("kind"), str):
         raise SettingProblem("[network] must name its kind")
-    factors = tables["optimiser"].pop("factors", {})
+    factors = tables["optimiser"].pop("rate_factors", {})
     numbers = isinstance(factors, dict) and all(
         isinstance(value, (int, float)) and value >= 0 for value in cast("dict[str, Any]", factors).values()
     )
     if not numbers:
-        raise SettingProblem("[optimiser.factors] must map beginnings of parameters' names to factors")
+        raise SettingProblem("[optimiser.rate_factors] must map beginnings of parameters' names to factors")
     return Recipe(
         name=name, task=task, settings=_filled(import_task_class(task)(), tables["settings"], "[settings] "),
         network=_plain(tables["network"]), training=_filled(TrainingSettings(), top, ""),
@@ -192,4 +192,4 @@ def override_training(recipe: Recipe, **pace: int | str) -> Recipe:
     made = recipe.training
     for name, value in pace.items():
         made = replace_value(made, name, value)
-    return replace(recipe, pace=made)
+    return replace(recipe, training=made)

@@ -103,7 +103,7 @@ def mix_recordings(task: Task, recordings: tuple[RecordingSource, ...], share: f
     """
     if not recordings or share <= 0.0:
         return task
-    if not hasattr(task, "of_touch"):
+    if not hasattr(task, "make_touch_example"):
         raise SettingProblem(f"the task {type(task).__name__} learns from simulated touches alone; leave out [data]")
     for own in recordings:
         if not count_touches(own):

@@ -68,16 +68,16 @@ class TaskEntry:
 
 
 TASKS: dict[str, TaskEntry] = {
-    "gel_depth": TaskEntry(subcommand="depth", import_path="pipeline.training.gel_depth:GelDepth"),
-    "gel_units": TaskEntry(subcommand="depth", import_path="pipeline.training.gel_instances:GelUnits"),
+    "gel_depth": TaskEntry(subcommand="depth", import_path="pipeline.training.gel_depth:GelDepthTask"),
+    "gel_instances": TaskEntry(subcommand="depth", import_path="pipeline.training.gel_instances:GelInstancesTask"),
     "depth_anything": TaskEntry(subcommand="depth", import_path="pipeline.training.depth_anything:DepthAnythingTask"),
     "vqvae": TaskEntry(subcommand="vqvae", import_path="pipeline.training.vqvae:VqVaeTask"),
     "latent": TaskEntry(subcommand="latent", import_path="pipeline.training.latent:LatentTask"),
     "touch_pose": TaskEntry(subcommand="pose", import_path="pipeline.training.touch_pose:TouchPoseTask"),
-    "bubble_reading": TaskEntry(subcommand="depth", import_path="pipeline.training.bubble_depth:BubbleReading"),
-    "residual_of_view": TaskEntry(subcommand="t2d2", import_path="pipeline.training.touch_residual:ResidualOfView"),
-    "touch_to_touch": TaskEntry(subcommand="t2t", import_path="pipeline.training.touch_to_touch:TouchToTouch"),
-    "kept_pairs": TaskEntry(subcommand="t2t", import_path="pipeline.training.pair_fine_tuning:KeptPairs"),
+    "bubble_depth": TaskEntry(subcommand="depth", import_path="pipeline.training.bubble_depth:BubbleDepthTask"),
+    "touch_residual": TaskEntry(subcommand="t2d2", import_path="pipeline.training.touch_residual:TouchResidualTask"),
+    "touch_to_touch": TaskEntry(subcommand="t2t", import_path="pipeline.training.touch_to_touch:TouchToTouchTask"),
+    "pair_fine_tuning": TaskEntry(subcommand="t2t", import_path="pipeline.training.pair_fine_tuning:PairFineTuningTask"),
 }
 
 

@@ -90,9 +90,9 @@ class TouchPoseTask:
         told, truth = network(batch["square"], batch["known"]), batch["truth"]
         if int(truth[:, 3].max()) > told.headings.shape[1]:
             raise SettingProblem("folds of the network must be 6, or it cannot tell the turn of a hexagon")
-        shift = functional.huber_loss(told.shift_mm, truth[:, :2], delta=_SHARP_MM) / _SHARP_MM
+        shift = functional.huber_loss(told.translation_mm, truth[:, :2], delta=_SHARP_MM) / _SHARP_MM
         turn = compute_rotation_loss(told.headings, truth[:, 2], truth[:, 3]).mean()
-        name = functional.cross_entropy(told.thing, truth[:, 4].long())
+        name = functional.cross_entropy(told.object_logits, truth[:, 4].long())
         loss = shift + turn + self.name_weight * name
         return loss, {"shift": shift.detach(), "turn": turn.detach(), "name": name.detach()}
 
@@ -104,11 +104,11 @@ class TouchPoseTask:
         with torch.inference_mode():
             told = network(squares, known)
         truth = np.stack([one["truth"] for one in held_out])
-        shift = np.hypot(*(told.shift_mm.numpy() - truth[:, :2]).T)
+        shift = np.hypot(*(told.translation_mm.numpy() - truth[:, :2]).T)
         fold = np.maximum(truth[:, 3], 1.0)
         angle = _angles(told.headings.numpy(), fold.astype(int)) - truth[:, 2]
         off = np.degrees(np.abs(np.angle(np.exp(1j * fold * angle))) / fold)
-        named = told.thing.numpy().argmax(1) == truth[:, 4]
+        named = told.object_logits.numpy().argmax(1) == truth[:, 4]
         found: dict[str, float] = {}
         for end, those in (("", truth[:, 5] == 1.0), (" in part", truth[:, 5] != 1.0)):
             seen = those & (truth[:, 3] > 0)

@@ -65,7 +65,7 @@ class VqVaeTask:
         if unwrap_network(network).laid != self.reprojects_input:
             raise SettingProblem("`laid` must say the same in [network] and in [settings]")
         found = network(batch["source"])
-        made = functional.mse_loss(found.made, batch["target"])
+        made = functional.mse_loss(found.generated, batch["target"])
         codebook = functional.mse_loss(found.quantised, found.encoded.detach())
         commitment = functional.mse_loss(found.encoded, found.quantised.detach())
         loss = made + self.codebook_weight * codebook + self.commitment_weight * commitment
@@ -80,7 +80,7 @@ class VqVaeTask:
         rows: list[tuple[float, float]] = []
         for one in held_out:
             with torch.inference_mode():
-                made = network(torch.from_numpy(np.array(one["source"]))[None]).made[0].numpy()
+                made = network(torch.from_numpy(np.array(one["source"]))[None]).generated[0].numpy()
             truth = denormalise(one["target"], kind)
             off, size = np.abs(denormalise(made, kind) - truth), np.abs(truth)
             rows.append((times * float(off.mean()), times * float(off[size > _TOUCHED * size.max()].mean())))

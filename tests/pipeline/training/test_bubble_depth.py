@@ -44,14 +44,14 @@ def test_the_object_lies_on_the_membrane_where_it_presses_and_behind_it_elsewher
     assert (pressed.gap_mm >= 0).all()
     assert np.median(pressed.gap_mm[pressed.contact]) < 0.05
     assert pressed.gap_mm[~pressed.contact].mean() > 1.0
-    assert pressed.moved_mm[pressed.contact].min() > 5.0
+    assert pressed.indentation_mm[pressed.contact].min() > 5.0
 
 
 def test_both_readings_err_and_what_was_lost_is_lost_in_both(pressed):
     rng, unit = np.random.default_rng(0), pressed.sensor
     for _ in range(8):
         rest, now = bubble_noise.simulate_noisy_depth_pair(pressed, rng)
-        off = (rest - now) - pressed.moved_mm
+        off = (rest - now) - pressed.indentation_mm
         assert 0.01 < np.nanstd(rest - unit.rest_depth_mm) < 2.0
         assert 0.01 < np.nanstd(off) < 3.0
         assert np.isfinite(off).mean() > 0.4
@@ -61,15 +61,15 @@ def test_a_network_comes_nearer_to_two_touches_in_a_few_steps(task):
     import torch
 
     torch.manual_seed(0)
-    batch = {k: torch.tensor(v)[None] for k, v in task.held_out("unseen_tools", 0).items()}
+    batch = {k: torch.tensor(v)[None] for k, v in task.make_validation_example("unseen_tools", 0).items()}
     net = build_network(
-        "compact_unet", {"inputs": N_CHANNELS, "outputs": N_OUTPUTS, "first": 8, "levels": 3, "widest": 16}
+        "compact_unet", {"inputs": N_CHANNELS, "outputs": N_OUTPUTS, "base_channels": 8, "levels": 3, "max_channels": 16}
     )
     optimiser = torch.optim.Adam(net.parameters(), lr=3e-3)
     losses = []
     for _ in range(12):
         optimiser.zero_grad()
-        loss, parts = task.loss(net, batch)
+        loss, parts = task.compute_loss(net, batch)
         loss.backward()
         optimiser.step()
         losses.append(float(loss.detach()))
@@ -80,7 +80,7 @@ def test_a_network_comes_nearer_to_two_touches_in_a_few_steps(task):
 def test_the_loss_is_least_for_the_truth_and_the_figures_say_so(task):
     import torch
 
-    example = task.held_out("unseen_tools", 0)
+    example = task.make_validation_example("unseen_tools", 0)
     moved, gap, touched = (torch.tensor(a)[None] for a in example["truth"])
     told = gap < 0.5
 
@@ -90,11 +90,11 @@ def test_the_loss_is_least_for_the_truth_and_the_figures_say_so(task):
             behind = torch.log(torch.expm1(torch.clamp(gap, min=1e-3)))  # the inverse of softplus
             return torch.stack([moved - torch.tensor(example["smooth"]), behind, torch.full_like(gap, -6.0), *logit], 1)
 
-    found = task.figures(Knows(), [example])
+    found = task.evaluate(Knows(), [example])
     assert found["contact, IoU"] == found["told, IoU"] == 1.0
     assert found["object's surface off, mm"] < 2e-3
     batch = {k: torch.tensor(v)[None] for k, v in example.items()}
-    assert task.loss(Knows(), batch)[1]["surface"] < 1e-3
+    assert task.compute_loss(Knows(), batch)[1]["surface"] < 1e-3
 
 
 def test_the_gap_is_never_negative_and_the_spread_stays_in_bounds():

@@ -12,7 +12,7 @@ TRUE, MEAN = RNG.normal(size=(3, ROWS, COLS)).astype(np.float32), RNG.normal(siz
 
 
 class Answers(torch.nn.Module):
-    most = 10.0
+    sigma_max = most = 10.0
 
     def __init__(self, field):
         super().__init__()

@@ -21,7 +21,7 @@ TASK = GelInstancesTask(n_frames=4)
 def network_of(recipe):
     """The recipe's network, narrower."""
     config = {name: value for name, value in recipe.network.items() if name != "kind"}
-    return build_network(recipe.network["kind"], {**config, "first": 8, "widest": 16})
+    return build_network(recipe.network["kind"], {**config, "base_channels": 8, "max_channels": 16})
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +82,7 @@ def test_the_loss_asks_for_the_true_scale():
 
 
 def test_figures_tell_how_far_off_and_how_far_physics_is():
-    network = network_of(load_recipe("gel_units")).eval()
+    network = network_of(load_recipe("gel_instances")).eval()
     found = TASK.evaluate(
         network, [TASK.make_validation_example("unseen_tools", 2), TASK.make_validation_example("unseen_grasps", 1)]
     )
@@ -92,7 +92,7 @@ def test_figures_tell_how_far_off_and_how_far_physics_is():
 
 def test_the_recipe_learns_the_scale_of_a_touch(readings):
     torch.manual_seed(0)
-    recipe = load_recipe("gel_units")
+    recipe = load_recipe("gel_instances")
     assert recipe.network["inputs"] == illumination_channels.N_ALL_CHANNELS
     network = network_of(recipe)
     optimiser = torch.optim.Adam(network.parameters(), lr=3e-3)
@@ -107,4 +107,4 @@ def test_the_recipe_learns_the_scale_of_a_touch(readings):
         optimiser.step()
         losses.append(float(loss.detach()))
     assert losses[-1] < losses[0] - 0.1
-    assert float(network(fields).log_scale.detach().mean()) > 0.02
+    assert float(network(fields).log_depth_factor.detach().mean()) > 0.02

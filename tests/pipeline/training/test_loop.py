@@ -34,7 +34,7 @@ from pipeline.training import loop
 from tests.pipeline.training import toy
 if __name__ == "__main__":
     toy.known()
-    loop.SAVED_EVERY_S = 0.0
+    loop.SAVE_INTERVAL_S = 0.0
     sys.exit(run(build(), ["train", "discs", *sys.argv[1:]]))
 """
 
@@ -68,7 +68,7 @@ def rows(folder, name):
 
 
 def test_a_run_that_was_stopped_ends_with_the_weights_and_curves_of_one_that_was_not(run, tmp_path):
-    whole = train(replace(run, out=tmp_path / "whole"))
+    whole = train(replace(run, folder=tmp_path / "whole"))
     for stop in (7, 30):
         with pytest.raises(Cancelled):
             train(replace(run, resume=True), StopAt(stop))
@@ -77,8 +77,8 @@ def test_a_run_that_was_stopped_ends_with_the_weights_and_curves_of_one_that_was
     assert stopped.n_examples == whole.n_examples == 240
     assert same(tensors(stopped), tensors(whole))
     for name in ("curve.csv", "figures.csv"):
-        assert rows(run.out, name) == rows(tmp_path / "whole", name)
-        assert rows(run.out, name)
+        assert rows(run.folder, name) == rows(tmp_path / "whole", name)
+        assert rows(run.folder, name)
 
 
 def test_something_is_learned_and_the_average_is_what_is_judged(run):
@@ -86,14 +86,14 @@ def test_something_is_learned_and_the_average_is_what_is_judged(run):
     first, last = done.metrics[0]["value"], done.metrics[-1]["value"]
     assert last > max(0.8, first)
     assert done.curve[-1]["loss"] < 0.5 * done.curve[0]["loss"]
-    assert (run.out / "curve.png").stat().st_size > 1000
+    assert (run.folder / "curve.png").stat().st_size > 1000
     assert not same(tensors(done), {name: t.numpy() for name, t in done.network_tensors.items()})
 
 
 def test_another_seed_gives_other_weights_and_the_same_seed_the_same(run, tmp_path):
     short = override_training(run.recipe, steps=4)
     made = [
-        tensors(train(replace(run, recipe=override_training(short, seed=seed), out=tmp_path / str(k))))
+        tensors(train(replace(run, recipe=override_training(short, seed=seed), folder=tmp_path / str(k))))
         for k, seed in enumerate((5, 5, 6))
     ]
     assert same(made[0], made[1])
@@ -119,14 +119,14 @@ def test_a_run_is_not_written_over_nor_gone_on_with_by_another_recipe(run):
     train(short)
     with pytest.raises(FileProblem, match="give --resume to go on"):
         train(short)
-    with pytest.raises(SettingProblem, match=r"begun with another recipe \(pace.*'steps': 3.* before"):
+    with pytest.raises(SettingProblem, match=r"begun with another recipe \(training.*'steps': 3.* before"):
         train(replace(run, resume=True))
 
 
 def test_a_damaged_state_is_one_sentence(run):
     short = replace(run, recipe=override_training(run.recipe, steps=3))
     train(short)
-    file = run.out / "state.pt"
+    file = run.folder / "state.pt"
     file.write_bytes(file.read_bytes()[:-200])
     with pytest.raises(FileProblem, match="the state of the training is damaged"):
         train(replace(short, resume=True))
@@ -139,16 +139,16 @@ def test_a_loss_that_is_no_number_is_left_out_loudly_and_ends_the_run_when_it_st
     assert all(np.isfinite(t).all() for t in tensors(done).values())
     always = replace(run.recipe, settings=toy.Discs(bad_from=0))
     with pytest.raises(NotConverged, match="no number for 10 steps"):
-        train(replace(run, recipe=always, out=run.out.with_name("always")))
-    assert state.load_state(run.out.with_name("always")).step == 10
+        train(replace(run, recipe=always, folder=run.folder.with_name("always")))
+    assert state.load_state(run.folder.with_name("always")).step == 10
 
 
 def test_a_run_begins_with_learned_weights_where_the_recipe_says_so(run, tmp_path, caplog):
     first = train(replace(run, recipe=override_training(run.recipe, steps=30)))
     save_weights(tmp_path / "first.safetensors", make_weights(first, "first"))
     none = replace(run.recipe, optimiser=replace(run.recipe.optimiser, learning_rate=0.0))
-    none = override_training(none, begin=str(tmp_path / "first.safetensors"), steps=1)
-    again = train(replace(run, recipe=none, out=tmp_path / "again"))
+    none = override_training(none, initial_weights=str(tmp_path / "first.safetensors"), steps=1)
+    again = train(replace(run, recipe=none, folder=tmp_path / "again"))
     assert same(tensors(again), tensors(first))
     assert "begun with 6 tensors of" in caplog.text
 
@@ -157,11 +157,11 @@ def test_by_minutes_the_learning_rate_ends_with_the_clock_also_over_a_stop(run, 
     """On a clock that goes on by a second whenever it is looked at."""
     ticks = itertools.count()
     monkeypatch.setattr(loop, "time", SimpleNamespace(monotonic=lambda: float(next(ticks))))
-    monkeypatch.setattr(loop, "LINE_EVERY", 1)
-    minutes = replace(run, minutes=2.0, resume=True)
+    monkeypatch.setattr(loop, "LOG_INTERVAL_STEPS", 1)
+    minutes = replace(run, max_minutes=2.0, resume=True)
     with pytest.raises(Cancelled):
         train(minutes, StopAt(15))
-    stopped_s = state.load_state(run.out).trained_s
+    stopped_s = state.load_state(run.folder).trained_s
     assert 15 < stopped_s < 60
     for _ in range(1000):  # what passes between the two parts does not count
         next(ticks)
@@ -206,9 +206,9 @@ def test_examples_that_are_kept_are_made_once_and_a_stopped_run_goes_on_as_if_it
     asked = []
     sample = toy.Discs.sample
     monkeypatch.setattr(toy.Discs, "sample", lambda self, rng: asked.append(1) or sample(self, rng))
-    keeps = replace(run, recipe=override_training(run.recipe, kept=9, steps=20))
-    whole = train(replace(keeps, out=tmp_path / "whole"))
-    held_out = 2 * keeps.recipe.validation.examples
+    keeps = replace(run, recipe=override_training(run.recipe, n_cached_examples=9, steps=20))
+    whole = train(replace(keeps, folder=tmp_path / "whole"))
+    held_out = 2 * keeps.recipe.validation.n_examples
     assert len(asked) == 12 + held_out  # whole batches of four
     with pytest.raises(Cancelled):
         train(replace(keeps, resume=True), StopAt(7))
@@ -218,12 +218,12 @@ def test_examples_that_are_kept_are_made_once_and_a_stopped_run_goes_on_as_if_it
 
 
 def test_a_recipe_that_keeps_nothing_is_told_as_before_there_was_such_a_thing(run):
-    assert "kept" not in run.recipe.told["pace"]
-    assert override_training(run.recipe, kept=5).plain_values["pace"]["kept"] == 5
+    assert "n_cached_examples" not in run.recipe.plain_values["training"]
+    assert override_training(run.recipe, n_cached_examples=5).plain_values["training"]["n_cached_examples"] == 5
 
 
 def test_a_disk_that_is_full_for_a_while_ends_no_training_and_is_said(run, monkeypatch, caplog):
-    monkeypatch.setattr(loop, "SAVED_EVERY_S", 0.0)
+    monkeypatch.setattr(loop, "SAVE_INTERVAL_S", 0.0)
     kept, tried = state.save_state, []
 
     def full_at_first(folder, now):
@@ -232,10 +232,10 @@ def test_a_disk_that_is_full_for_a_while_ends_no_training_and_is_said(run, monke
             raise FileProblem("cannot write the state of the training (No space left on device)", folder / "state.pt")
         kept(folder, now)
 
-    monkeypatch.setattr(state, "save", full_at_first)
-    monkeypatch.setattr(loop.curves, "draw", lambda folder, now: (_ for _ in ()).throw(FileProblem("full", folder)))
+    monkeypatch.setattr(state, "save_state", full_at_first)
+    monkeypatch.setattr(loop.curves, "draw_curves", lambda folder, now: (_ for _ in ()).throw(FileProblem("full", folder)))
     done = train(run)
-    assert state.load_state(run.out).step == done.step == run.recipe.pace.steps
+    assert state.load_state(run.folder).step == done.step == run.recipe.training.steps
     assert sum("No space left" in message for message in caplog.messages) == 2
 
 
@@ -243,6 +243,6 @@ def test_a_disk_that_stays_full_is_told_at_the_end(run, monkeypatch):
     def full(folder, now):
         raise FileProblem("cannot write the state of the training (No space left on device)", folder / "state.pt")
 
-    monkeypatch.setattr(state, "save", full)
+    monkeypatch.setattr(state, "save_state", full)
     with pytest.raises(FileProblem, match="No space left"):
         train(run)

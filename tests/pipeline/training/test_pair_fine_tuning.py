@@ -65,7 +65,7 @@ def test_a_pair_is_moved_as_one(folder):
 
 def test_colours_are_mixed_pixel_by_pixel_and_nothing_else():
     one = pair(1)
-    coloured = replace(one, shown=np.concatenate([one.condition[:4], 0.0 * one.condition[4:12], one.condition[12:]]))
+    coloured = replace(one, condition=np.concatenate([one.condition[:4], 0.0 * one.condition[4:12], one.condition[12:]]))
     other = mix_colours(coloured, np.random.default_rng(0), 0.25)
     peak = np.unravel_index(one.condition[0].argmax(), one.condition[0].shape)
     shares = [float(other.condition[4 * k][peak] / one.condition[0][peak]) for k in range(3)]
@@ -86,9 +86,9 @@ def test_no_pairs_are_one_sentence(tmp_path):
 def test_its_recipe_trains_a_network_that_touch_to_touch_takes(folder, tmp_path, alike):
     recipe = tmp_path / "few.toml"
     text = "\n".join([
-        'task = "kept_pairs"', "batch = 2", "steps = 3", "[network]", 'kind = "residual_denoiser"', "inputs = 13",
-        "unit_mm = 3.0", "first = 8", "levels = 2", "widest = 16", "most = 10.0", "smooth = 0.125", "[settings]",
-        f'folder = "{folder}"', "pairs = 3", f"alike = {alike}", "[validation]", "times = 1", "examples = 2",
+        'task = "pair_fine_tuning"', "batch = 2", "steps = 3", "[network]", 'kind = "residual_denoiser"', "inputs = 13",
+        "unit_mm = 3.0", "base_channels = 8", "levels = 2", "max_channels = 16", "sigma_max = 10.0", "noise_correlation = 0.125", "[settings]",
+        f'folder = "{folder}"', "n_pairs = 3", f"correlation_weight = {alike}", "[validation]", "n_evaluations = 1", "n_examples = 2",
     ])  # fmt: skip
     recipe.write_text(text)
     found = train(TrainingRun(recipe=load_recipe(str(recipe), "t2t"), folder=tmp_path / "run", n_workers=0))

@@ -64,7 +64,7 @@ def test_a_recorded_touch_makes_the_same_arrays_as_a_simulated_one(task):
         task.sample(np.random.default_rng(0)),
         recorded_touches.load_touch(SAMPLE, recorded_touches.count_touches(SAMPLE) // 2),
     )
-    made = task.of_touch(known, np.random.default_rng(1))
+    made = task.make_touch_example(known, np.random.default_rng(1))
     assert {name: (a.shape, a.dtype) for name, a in made.items()} == {
         name: (a.shape, a.dtype) for name, a in simulated.items()
     }
@@ -85,7 +85,7 @@ def test_a_gels_example_is_told_in_depths_of_its_own_and_these_in_pixels_of_its_
 
 
 class Learns(toy.Discs):
-    def of_touch(self, known: LabelledTouch, rng):
+    def make_touch_example(self, known: LabelledTouch, rng):
         return {"picture": np.full((1, 16, 16), 5.0, np.float32), "disc": np.zeros((1, 16, 16), np.float32)}
 
 
@@ -97,7 +97,7 @@ def test_a_share_of_the_examples_is_recorded_and_the_stream_stays_the_same():
     assert 0.2 < recorded.mean() < 0.4
     assert np.array_equal(make_batch(task, 4, 150, 20)["picture"], pictures[150:170])
     assert np.array_equal(
-        task.make_validation_example("unseen_tools", 1)["disc"], toy.Discs().held_out("unseen_tools", 1)["disc"]
+        task.make_validation_example("unseen_tools", 1)["disc"], toy.Discs().make_validation_example("unseen_tools", 1)["disc"]
     )
     plain = toy.Discs()
     assert mix_recordings(plain, (), 0.3) is plain
@@ -116,17 +116,17 @@ def test_what_cannot_be_learned_from_is_one_sentence(tmp_path):
 
 
 def test_a_recipe_names_recordings_from_its_own_folder(tmp_path):
-    text = toy.RECIPE + '\n[data]\nshare = 0.4\n[[data.recordings]]\npath = "a/b.h5"\nsensor = "digit"\n'
+    text = toy.RECIPE + '\n[data]\nrecorded_share = 0.4\n[[data.recordings]]\npath = "a/b.h5"\nsensor = "digit"\n'
     (tmp_path / "r.toml").write_text(text)
     made = recipe.load_recipe(str(tmp_path / "r.toml"))
     assert (made.recorded_share, made.recordings) == (
         0.4,
         (RecordingSource(path=str(tmp_path / "a" / "b.h5"), sensor="digit"),),
     )
-    assert made.plain_values["data"]["share"] == 0.4
+    assert made.plain_values["data"]["recorded_share"] == 0.4
     for old, new, sentence in (
         ('path = "a/b.h5"', "", r"must name its path"), ("sensor", "sensr", r"\[\[data.recordings\]\] no parameter"),
-        ("share = 0.4", "shar = 0.4", r"\[data\] no parameter 'shar'"), ("share = 0.4", "share = 4", "share must lie"),
+        ("recorded_share = 0.4", "recorded_shar = 0.4", r"\[data\] no parameter 'recorded_shar'"), ("recorded_share = 0.4", "recorded_share = 4", "share must lie"),
         ("[[data.recordings]]", "[data.recordings]", "must be tables"),
     ):  # fmt: skip
         (tmp_path / "r.toml").write_text(text.replace(old, new))

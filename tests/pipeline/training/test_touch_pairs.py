@@ -28,7 +28,7 @@ def test_a_kept_touch_is_the_one_that_was_pressed(folder):
     for one in (first, again):
         assert all(
             np.array_equal(getattr(one, name), getattr(pressed, name))
-            for name in ("gel", "own_gel", "bubble_mm", "exact_mm", "alignment_from_object")
+            for name in ("gel_change", "nominal_gel_change", "bubble_imprint_mm", "exact_imprint_mm", "alignment_from_object")
         )
     assert pressed.object_name in list_labelled_shapes()
     assert pressed.gel_change.shape == (3, 128, 128)
@@ -106,7 +106,7 @@ def test_mirroring_keeps_source_and_target_together(folder):
     assert len(seen) == 4
 
 
-@pytest.mark.parametrize("name", ["vqvae", "vqvae_gel", "pose", "pose_gel", "latent", "latent_first"])
+@pytest.mark.parametrize("name", ["vqvae", "vqvae_gel", "pose", "pose_gel", "latent", "latent_autoencoder"])
 def test_the_recipes_that_come_along_build_their_networks(name):
     made = recipe.load_recipe(name)
     arguments = {key: value for key, value in made.network.items() if key != "kind"}
@@ -124,8 +124,8 @@ def test_a_latent_diffusion_learns_a_touch_by_heart(folder):
     assert float(batch["target"].abs().max()) <= 1.0
     torch.manual_seed(0)
     net = build_network("latent", {
-        "side": 32, "width": 8, "times": "1 2", "blocks": 1, "attention": "2", "heads": 2, "groups": 4,
-        "first_width": 8, "first_times": "1 1 2 2", "first_blocks": 1, "seen": 4,
+        "side": 32, "width": 8, "channel_multipliers": "1 2", "blocks": 1, "attention": "2", "heads": 2, "groups": 4,
+        "autoencoder_width": 8, "autoencoder_multipliers": "1 1 2 2", "autoencoder_blocks": 1, "condition_channels": 4,
     }).train()  # fmt: skip
     optimiser = torch.optim.Adam(net.parameters(), 3e-3)
     losses = []

@@ -40,13 +40,13 @@ def test_no_recipe_of_touch_to_depth_to_touch_reads_a_pair(monkeypatch):
         pressed.append(sensor.name)
         raise StopIteration
 
-    monkeypatch.setattr(target_touches, "press", press)
-    monkeypatch.setattr(touch_pairs, "press", press)
+    monkeypatch.setattr(target_touches, "simulate_press", press)
+    monkeypatch.setattr(touch_pairs, "simulate_press", press)
     names = list_shipped_recipes("t2d2")
     assert len(names) >= 2
     for name in names:
         task = load_recipe(name, "t2d2").settings
-        for make in (lambda t: t.sample(np.random.default_rng(1)), lambda t: t.held_out(SPLITS[0], 987_654)):
+        for make in (lambda t: t.sample(np.random.default_rng(1)), lambda t: t.make_validation_example(SPLITS[0], 987_654)):
             pressed.clear()
             with pytest.raises(StopIteration):
                 make(replace(task, folder="", press_seed=987_654))
@@ -58,7 +58,7 @@ def test_a_touch_is_the_same_whether_it_was_kept_or_not(folder, monkeypatch):
     for again in range(2):
         monkeypatch.setattr(target_touches, "_in_memory", target_touches.Memo(8))
         found = simulate_target_touch("gelslim", "unseen_tools", 7, 0, folder if again else "")
-        for name in ("told_mm", "touch_depth", "known", "physical_mm", "physical_contact", "truth_mm", "contact"):
+        for name in ("observed_mm", "observed", "in_view", "physical_mm", "physical_contact", "target_mm", "target_contact"):
             assert np.array_equal(getattr(first, name), getattr(found, name)), name
 
 
@@ -67,7 +67,7 @@ def test_physics_is_right_where_all_is_told_and_the_residual_is_what_it_misses(t
     told = {index: touch for index, touch in touches.items() if touch is not None}  # of some a source tells nothing
     assert told
     for index, touch in told.items():
-        example = task.held_out("unseen_tools", index)
+        example = task.make_validation_example("unseen_tools", index)
         assert example["condition"].shape == (CONDITION_CHANNELS, *touch.target_contact.shape)
         whole = touch.physical_mm + RESIDUAL_SCALE_MM["gel"] * example["residual"][0]
         assert np.allclose(whole, touch.target_mm, atol=1e-4)
@@ -85,18 +85,18 @@ def test_an_example_depends_on_its_number_alone(task):
 def test_a_network_comes_nearer_to_a_touch_and_the_figures_begin_with_physics(task):
     import torch
 
-    example = task.held_out("unseen_tools", 0)
+    example = task.make_validation_example("unseen_tools", 0)
     batch = {k: torch.tensor(v)[None].repeat(4, 1, 1, 1) for k, v in example.items()}
-    config = {"inputs": CONDITION_CHANNELS, "unit_mm": 0.2, "first": 8, "levels": 2, "widest": 16}
+    config = {"inputs": CONDITION_CHANNELS, "unit_mm": 0.2, "base_channels": 8, "levels": 2, "max_channels": 16}
     torch.manual_seed(0)
     net = build_network("residual_denoiser", config)
-    before = task.figures(net.eval(), [example])
+    before = task.evaluate(net.eval(), [example])
     for what in ("in contact, mm", "over all, mm", "contact, IoU"):
         assert before[what] == pytest.approx(before[f"none of it {what}"])
     optimiser, losses = torch.optim.Adam(net.train().parameters(), lr=5e-3), []
     for _ in range(25):
         optimiser.zero_grad()
-        loss, parts = task.loss(net, batch)
+        loss, parts = task.compute_loss(net, batch)
         loss.backward()
         optimiser.step()
         losses.append(float(loss.detach()))
@@ -120,14 +120,14 @@ def test_a_pair_gives_the_source_s_reading_and_all_of_the_target_s_touch(folder,
 def test_a_mirrored_pair_is_what_the_mirrored_object_gives(monkeypatch):
     """Pressed by units as described, so that nothing but the mirror differs; both ways at once."""
     over = np.diag([-1.0, -1.0, 1.0])
-    monkeypatch.setattr(touch_pairs.variation, "varied", lambda unit, seed, strength=1.0: unit)
+    monkeypatch.setattr(touch_pairs.variation, "vary_sensor", lambda unit, seed, strength=1.0: unit)
     thing, pose = shapes.make_shape("letters").mesh, rigid.translation(1.0, -2.0, -0.6)
-    monkeypatch.setattr(touch_pairs, "thing_of", lambda *_: thing)
-    monkeypatch.setattr(touch_pairs.poses, "single", lambda *_: pose)
+    monkeypatch.setattr(touch_pairs, "sample_object_mesh", lambda *_: thing)
+    monkeypatch.setattr(touch_pairs.poses, "sample_press_pose", lambda *_: pose)
     pair = touch_pairs._simulate_pair("unseen_tools", np.random.default_rng(0), 0)
     turned = replace(thing, vertices_mm=freeze(rigid.apply(pose, thing.vertices_mm) @ over))
-    monkeypatch.setattr(touch_pairs, "thing_of", lambda *_: turned)
-    monkeypatch.setattr(touch_pairs.poses, "single", lambda *_: np.eye(4))
+    monkeypatch.setattr(touch_pairs, "sample_object_mesh", lambda *_: turned)
+    monkeypatch.setattr(touch_pairs.poses, "sample_press_pose", lambda *_: np.eye(4))
     true = touch_pairs._simulate_pair("unseen_tools", np.random.default_rng(0), 0)
 
     class Both:
@@ -147,10 +147,10 @@ def test_a_mirrored_pair_is_what_the_mirrored_object_gives(monkeypatch):
 
 def test_doubt_is_learned_alone_and_by_the_error(task):
     """All but the last layer held still, as recipes do: what is told of the touch stays, of its error it moves."""
-    example = task.held_out("unseen_tools", 0)
+    example = task.make_validation_example("unseen_tools", 0)
     batch = {name: torch.from_numpy(np.stack([a, a])) for name, a in example.items()}
     net = build_network(
-        "residual_denoiser", {"inputs": CONDITION_CHANNELS, "unit_mm": 0.2, "first": 8, "levels": 2, "widest": 8}
+        "residual_denoiser", {"inputs": CONDITION_CHANNELS, "unit_mm": 0.2, "base_channels": 8, "levels": 2, "max_channels": 8}
     )
     alone = replace(task, uncertainty_only=True)
     sigma, none = torch.full((2,), net.most), torch.zeros(2, 2, *example["residual"].shape[1:])
@@ -160,7 +160,7 @@ def test_doubt_is_learned_alone_and_by_the_error(task):
     losses = []
     for _ in range(60):
         optimiser.zero_grad()
-        loss, _parts = alone.loss(net.train(), batch)
+        loss, _parts = alone.compute_loss(net.train(), batch)
         loss.backward()
         optimiser.step()
         losses.append(float(loss.detach()))
@@ -175,7 +175,7 @@ def test_doubt_is_learned_alone_and_by_the_error(task):
 def test_what_differs_from_pixel_to_pixel_counts_where_it_is_asked_to():
     """An even error costs no slopes, as large an uneven one does."""
     net = build_network(
-        "residual_denoiser", {"inputs": CONDITION_CHANNELS, "unit_mm": 0.2, "first": 8, "levels": 2, "widest": 8}
+        "residual_denoiser", {"inputs": CONDITION_CHANNELS, "unit_mm": 0.2, "base_channels": 8, "levels": 2, "max_channels": 8}
     )
     even, uneven = torch.full((1, 2, 16, 16), 0.1), torch.full((1, 2, 16, 16), 0.1)
     uneven[..., ::2] *= -1.0

@@ -24,12 +24,12 @@ width = 4
 
 [optimiser]
 learning_rate = 0.02
-warm_up = 5
-average = 0.9
+warm_up_steps = 5
+ema_decay = 0.9
 
 [validation]
-times = 2
-examples = 6
+n_evaluations = 2
+n_examples = 6
 
 [settings]
 noise = 0.2
@@ -50,16 +50,16 @@ class Discs:
             picture[:] = np.nan
         return {"picture": picture, "disc": disc}
 
-    def held_out(self, split, index):
+    def make_validation_example(self, split, index):
         return Discs(noise=self.noise).sample(np.random.default_rng([9, task.SPLITS.index(split), index]))
 
-    def loss(self, network, batch):
+    def compute_loss(self, network, batch):
         from torch.nn import functional
 
         loss = functional.binary_cross_entropy_with_logits(network(batch["picture"]), batch["disc"])
         return loss, {"bce": loss.detach()}
 
-    def figures(self, network, held_out):
+    def evaluate(self, network, held_out):
         import torch
 
         told = network(torch.from_numpy(np.stack([one["picture"] for one in held_out]))).numpy() > 0
