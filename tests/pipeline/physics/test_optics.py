@@ -90,7 +90,7 @@ def test_noise_has_the_stated_strength():
 
 def test_markers_are_dark_dots_that_move_outward_as_they_come_nearer():
     spec = load_sensor("gelslim")
-    spec = replace(spec, markers=replace(spec.markers, jitter_mm=0.0, bend=0.0))
+    spec = replace(spec, markers=replace(spec.markers, jitter_mm=0.0, distortion=0.0))
     plain = optics.render_reference(load_sensor("gelslim_dotless")).astype(int)
     lift_mm = 1.0
     lifted = optics.render(spec, np.full(spec.camera.shape, lift_mm, np.float32), seed=None)

@@ -78,7 +78,7 @@ def test_the_transform_of_a_pair_is_exactly_that_of_the_true_poses():
 
 
 def test_without_noise_only_the_touch_differs_from_the_reference():
-    plan = replace(PLAN, noise=False, sensors=("soft_bubble",), poses=1)
+    plan = replace(PLAN, noise=False, sensors=("soft_bubble",), n_poses=1)
     ((frame, truth),) = datasets.simulate_moment(plan, 0).frames
     assert truth.contact.any()
     assert np.allclose(frame.reference - frame.image, truth.indentation_mm, atol=1e-4)  # float32 at 80 mm
@@ -95,7 +95,7 @@ def test_varied_specimens_change_the_untouched_sensor_and_keep_the_true_poses():
 
 
 def test_a_drag_shears_gels_alone_and_the_truth_says_with_what_force():
-    plan = replace(PLAN, sensors=("digit", "gelslim", "soft_bubble"), poses=1, noise=False)
+    plan = replace(PLAN, sensors=("digit", "gelslim", "soft_bubble"), n_poses=1, noise=False)
     still, dragged = (datasets.simulate_moment(p, 0).frames for p in (plan, replace(plan, drag_mm=0.3)))
     for (frame, truth), (dragged_frame, dragged_truth) in zip(still, dragged, strict=True):
         gel = frame.sensor != "soft_bubble"
@@ -111,7 +111,7 @@ def test_a_drag_shears_gels_alone_and_the_truth_says_with_what_force():
 
 
 def test_a_recording_keeps_the_force(tmp_path):
-    plan = replace(PLAN, sensors=("gelslim",), poses=1, drag_mm=0.3)
+    plan = replace(PLAN, sensors=("gelslim",), n_poses=1, drag_mm=0.3)
     recorder.record_plan(plan, tmp_path / "dragged.h5")
     recording = hdf5.read(tmp_path / "dragged.h5")
     try:
@@ -130,7 +130,7 @@ def test_a_group_stands_for_its_objects_each_once():
 @pytest.mark.parametrize(
     ("change", "tools", "told"),
     [
-        ({"poses": 0}, (TOOL,), "--poses"),
+        ({"n_poses": 0}, (TOOL,), "--poses"),
         ({"seed": -1}, (TOOL,), "--seed"),
         ({"vary": 9.0}, (TOOL,), "--vary"),
         ({"drag_mm": 9.0}, (TOOL,), "--drag-mm"),
@@ -168,7 +168,7 @@ def test_two_processes_write_what_one_writes(tmp_path):
 
 
 def test_what_is_finished_is_in_place_before_the_rest_is(tmp_path, monkeypatch):
-    monkeypatch.setattr(recorder, "PUBLISHED_EVERY_S", 0.0)
+    monkeypatch.setattr(recorder, "PUBLISH_INTERVAL_S", 0.0)
     path, seen = tmp_path / "a.h5", []
 
     class Looks:
@@ -219,7 +219,7 @@ def test_a_damaged_recording_is_mended_by_the_next_run(tmp_path, damage):
 
 def test_what_is_in_the_way_stays_as_it_is(tmp_path):
     mine, foreign = tmp_path / "mine.h5", tmp_path / "notes.h5"
-    recorder.record_plan(replace(PLAN, sensors=("digit",), poses=1), mine)
+    recorder.record_plan(replace(PLAN, sensors=("digit",), n_poses=1), mine)
     foreign.write_text("lab notes")
     kept = mine.read_bytes()
     for plan, path in ((PLAN, mine), (PLAN, foreign)):

@@ -22,18 +22,18 @@ LONG_S = 120  # beyond any machine: only a process that hangs takes so long
 
 SIMULATE = """
 import resource, sys
-from pipeline.cli.main import build, run
+from pipeline.cli.main import build_app, run_app
 from pipeline.simulation import recorder
-limit, recorder.PUBLISHED_EVERY_S = int(sys.argv[1]), 0.0
+limit, recorder.PUBLISH_INTERVAL_S = int(sys.argv[1]), 0.0
 if limit:
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
-sys.exit(run(build(), ["simulate", *sys.argv[2:]]))
+sys.exit(run_app(build_app(), ["simulate", *sys.argv[2:]]))
 """
 WORKER = """
 import os, sys
-from pipeline.simulation.recorder import workers
+from pipeline.simulation.recorder import make_worker_pool
 if __name__ == "__main__":
-    pool = workers(1)
+    pool = make_worker_pool(1)
     pool.submit(os.getpid).result()
     print("working", flush=True)
     sys.stdin.read()
@@ -103,5 +103,5 @@ def test_what_a_killed_process_left_beside_is_taken_away_by_the_next(tmp_path):
     gone.wait()
     left = tmp_path / f".tactoscope-{gone.pid}-0.part"
     left.write_bytes(b"half a recording")
-    recorder.record_plan(replace(PLAN, poses=1), tmp_path / "a.h5")
+    recorder.record_plan(replace(PLAN, n_poses=1), tmp_path / "a.h5")
     assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]

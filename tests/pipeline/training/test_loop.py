@@ -29,13 +29,13 @@ ROOT = Path(__file__).parents[3]
 LONG_S = 280  # beyond any machine at rest, and most that are busy
 PROGRAM = """
 import sys
-from pipeline.cli.main import build, run
+from pipeline.cli.main import build_app, run_app
 from pipeline.training import loop
 from tests.pipeline.training import toy
 if __name__ == "__main__":
     toy.known()
     loop.SAVE_INTERVAL_S = 0.0
-    sys.exit(run(build(), ["train", "discs", *sys.argv[1:]]))
+    sys.exit(run_app(build_app(), ["train", "discs", *sys.argv[1:]]))
 """
 
 

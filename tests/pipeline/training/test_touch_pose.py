@@ -108,4 +108,4 @@ def test_a_pose_network_learns_where_things_are(sensor, folder):
     after = task.evaluate(net, examples)
     assert after["shift, mm"] < 0.5 * before["shift, mm"]
     assert after["named"] == 1.0
-    assert net.features(batch["square"]).shape == (8, 32)
+    assert net.compute_features(batch["square"]).shape == (8, 32)
