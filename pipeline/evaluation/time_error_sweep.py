@@ -47,7 +47,7 @@ def sweep_parameters(
     is not swept.
     """
     check_sweep_parameters(parameters)
-    plain = replace(wanted, poses=(), contenders=wanted.candidates or ("mean", *_methods()))
+    plain = replace(wanted, poses=(), candidates=wanted.candidates or ("mean", *_methods()))
     rounds = list(_rounds(plain, parameters))
     points: list[SweepPoint] = []
     for index, (name, value, one) in enumerate(rounds):
@@ -80,7 +80,7 @@ def _rounds(plain: EvaluationRequest, parameters: Sequence[str]) -> Sequence[tup
             those = tuple(method for method, span in able.items() if span.low <= value <= span.high)
             if those:
                 told = (*_AT.get(name, ()), *plain.settings, f"touch.{name}={value:g}")
-                rounds.append((name, value, replace(plain, contenders=those, settings=told)))
+                rounds.append((name, value, replace(plain, candidates=those, settings=told)))
     return rounds
 
 

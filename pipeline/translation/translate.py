@@ -100,7 +100,7 @@ class Translation:
         own = self.recording.stream_of_sensor(self.target.name)
         assert own is not None
         telling = _telling(self.request, self.recording, own, self.target)
-        return replace(self, stream=own, source=self.target, target=self.source, telling=telling)
+        return replace(self, stream=own, source=self.target, target=self.source, load_context_images=telling)
 
     def build_graph(self, like: Graph | None = None) -> Graph:
         """What evaluates the route; one that remembers what `like` has worked out, where that is given."""
@@ -116,7 +116,7 @@ class Translation:
     def build_inputs(self, frame: TactileFrame, previous: ObjectPose | None = None) -> Mapping[str, object]:
         """What the graph reads for a frame at hand."""
         return {
-            "frame": replace(frame, beside=self.load_context_images()),
+            "frame": replace(frame, context_frames=self.load_context_images()),
             "source": self.source,
             "target": self.target,
             "calibration": self.calibration,
