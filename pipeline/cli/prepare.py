@@ -1,7 +1,8 @@
-"""`tactoscope prepare`: every kernel compiled once, so that the first touch of a new process is quick."""
+"""`tactoscope prepare`: compile all kernels once, so that the first touch of a new process is fast."""
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -20,44 +21,46 @@ if TYPE_CHECKING:
 
 SAMPLE_RECORDING = Path(__file__).parents[2] / "sample_data" / "recordings" / "first_touch.h5"
 _FRAME = 5  # a firm touch
-_WAYS = (("gelslim", "soft_bubble"), ("soft_bubble", "digit"), ("digit", "gelslim"))
-_PRESSED = ("soft_bubble", "digit")
-_ODDLY_LIT = ("gelsight_mini", "digit")
+_DIRECTIONS = (("gelslim", "soft_bubble"), ("soft_bubble", "digit"), ("digit", "gelslim"))
+_PRESS_SENSORS = ("soft_bubble", "digit")
+_ADAPTIVE_SENSORS = ("gelsight_mini", "digit")
 _TOOL = "notched_elbow"
+_MARKER = "prepared"  # file in the cache folder: nomesh is left to compile
 
 
 def compile_kernels() -> int:
-    """Put the chain and the simulator to work until no kernel is left to compile; says nothing was to do if so."""
-    waiting = len(compiling.list_uncompiled())
-    if waiting:
+    """Run the chain and the simulator once, so that all their kernels are compiled and cached; 0."""
+    folder = compiling.kernel_folder()
+    marker = folder / _MARKER
+    if not marker.exists():
         before_s = time.process_time()
-        with Console(stderr=True).status("compiling, once") as status, compiling.report_compiling(status.update):
+        with Console(stderr=True).status("compiling kernels") as status, compiling.report_compiling(status.update):
             for task in _tasks():
                 task()
-        print_line(f"{waiting} kernels compiled in {time.process_time() - before_s:.0f} s of computing")
-    left = compiling.list_uncompiled()
-    for name in left:
-        print_line(f"not needed by the sample, compiled when it is: {name}")
-    print_line(
-        f"{len(compiling.list_kernels()) - len(left)} kernels are ready in {compiling.kernel_folder(Path(__file__)).parent}"
-    )
+        n = compiling.count_compiled()
+        print_line(f"{n} kernels compiled in {time.process_time() - before_s:.0f} s of processor time")
+        with contextlib.suppress(OSError):
+            marker.touch()
+    print_line(f"all kernels are compiled, cached in {folder}")
     return 0
 
 
 def _tasks() -> Iterator[Callable[[], object]]:
-    """Work that calls every kernel, what the sample needs first."""
+    """Yield tasks that together call every kernel; those that the sample needs come first."""
     from pipeline.translation.catalogue import BUILT_IN, default_params, with_setting
 
     params = default_params(BUILT_IN.methods("t2d2"))
-    for source, target in _WAYS:
-        yield partial(_translated, source, target, params)
+    for source, target in _DIRECTIONS:
+        yield partial(_translate_sample, source, target, params)
     # Points: the paper's, and those too sparse for a surface.
-    yield partial(_translated, *_WAYS[0], params, (("target_depth", "paper"),))
-    yield partial(_translated, *_WAYS[0], with_setting(params, "cloud.stride=16"))
-    yield from (_surveyed, _pressed, _oddly_lit)
+    yield partial(_translate_sample, *_DIRECTIONS[0], params, (("target_depth", "paper"),))
+    yield partial(_translate_sample, *_DIRECTIONS[0], with_setting(params, "cloud.stride=16"))
+    yield from (_build_geometry, _simulate_presses, _estimate_adaptive_depth)
 
 
-def _translated(source: str, target: str, params: dict[str, object], methods: tuple[tuple[str, str], ...] = ()) -> None:
+def _translate_sample(
+    source: str, target: str, params: dict[str, object], methods: tuple[tuple[str, str], ...] = ()
+) -> None:
     from pipeline.translation.translate import Request, open_translation
 
     with closing(
@@ -66,8 +69,8 @@ def _translated(source: str, target: str, params: dict[str, object], methods: tu
         it.build_graph().evaluate(it.stages, it.read_inputs(_FRAME), params)
 
 
-def _surveyed() -> None:
-    """A mesh's distances, a rest surface read off a mesh, and distances from rest surfaces of both kinds."""
+def _build_geometry() -> None:
+    """Build the distance grid of a mesh, a rest surface from a mesh, and distances from both kinds of rest surface."""
     from pipeline.geometry import distance_grid, mesh_membrane
     from pipeline.geometry.meshes import Mesh
     from pipeline.sensors.spec import load_sensor
@@ -78,25 +81,25 @@ def _surveyed() -> None:
     mesh_membrane.from_mesh(sheet)
     for mesh in (shapes.make_shape(_TOOL).mesh, sheet):
         distance_grid.build_grid(mesh)
-    for name in _PRESSED:
+    for name in _PRESS_SENSORS:
         load_sensor(name).membrane.signed_distance_mm(np.full((100_000, 3), 10.0, np.float32))
 
 
-def _pressed() -> None:
-    """The same press, felt by a bubble and by a gel that prints no markers."""
+def _simulate_presses() -> None:
+    """Simulate one press with a bubble and with a gel without markers."""
     from pipeline.sensors.spec import load_sensor
     from pipeline.simulation import shapes
     from pipeline.simulation.poses import make_paper_grid
     from pipeline.simulation.press import simulate_press
 
-    thing = shapes.make_shape(_TOOL).mesh
-    pose = make_paper_grid(thing, n=1, seed=0)[0]
-    for name in _PRESSED:
-        simulate_press(thing, pose, load_sensor(name), seed=0)
+    mesh = shapes.make_shape(_TOOL).mesh
+    pose = make_paper_grid(mesh, n=1, seed=0)[0]
+    for name in _PRESS_SENSORS:
+        simulate_press(mesh, pose, load_sensor(name), seed=0)
 
 
-def _oddly_lit() -> None:
-    """Touches in colours that no unit's lamps explain, without shadows and with: lights of their own are tried."""
+def _estimate_adaptive_depth() -> None:
+    """Estimate depth with swapped colours, so that adaptive illumination is tried with and without shadows."""
     from pipeline.physics import optics
     from pipeline.sensors.spec import load_sensor
     from pipeline.simulation import shapes
@@ -105,9 +108,9 @@ def _oddly_lit() -> None:
     from pipeline.stages.depth.photometric import DepthParams, estimate_depth
     from pipeline.values.frames import TactileFrame
 
-    thing = shapes.make_shape(_TOOL).mesh
-    for gel in map(load_sensor, _ODDLY_LIT):
-        image = cast("Image", simulate_press(thing, make_paper_grid(thing, n=1, seed=0)[0], gel, seed=0).image)
+    mesh = shapes.make_shape(_TOOL).mesh
+    for gel in map(load_sensor, _ADAPTIVE_SENSORS):
+        image = cast("Image", simulate_press(mesh, make_paper_grid(mesh, n=1, seed=0)[0], gel, seed=0).image)
         swapped = np.ascontiguousarray(image[..., ::-1])
-        untouched = np.ascontiguousarray(optics.render_reference(gel)[..., ::-1])
-        estimate_depth(TactileFrame(sensor=gel.name, image=swapped, reference=untouched), gel, None, DepthParams())
+        reference = np.ascontiguousarray(optics.render_reference(gel)[..., ::-1])
+        estimate_depth(TactileFrame(sensor=gel.name, image=swapped, reference=reference), gel, None, DepthParams())

@@ -117,7 +117,7 @@ def test_building_can_be_cancelled(block):
 def test_a_kept_grid_equals_a_fresh_one_and_is_not_built_again(block, grid, tmp_path, monkeypatch):
     assert same(load_distance_grid(block, folder=tmp_path), grid)
     assert [p.suffix for p in tmp_path.iterdir()] == [".npz"]
-    monkeypatch.setattr(distance_grid_store, "built", lambda *_: pytest.fail("it was kept"))
+    monkeypatch.setattr(distance_grid_store, "build_grid", lambda *_: pytest.fail("it was kept"))
     assert same(load_distance_grid(block, folder=tmp_path), grid)
 
 
