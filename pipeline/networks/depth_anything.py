@@ -24,7 +24,7 @@ class DepthAnything(nn.Module):
     """Indentation and contact from a picture of whole patches; see `forward`.
 
     `answer` is what its depth head ends in: "metric" is a share of `largest_mm`, "relative" any number from 0, which
-    has no unit. `side` is the shorter side in pixels of the pictures it was taught on, `shows` what was on them.
+    has no unit. `side` is the shorter side in pixels of the pictures it was taught on, `image_content` what was on them.
     """
 
     def __init__(
@@ -35,16 +35,16 @@ class DepthAnything(nn.Module):
         answer: Literal["metric", "relative"] = "metric",
         largest_mm: float = 0.0,
         side: int = 518,
-        shows: Literal["picture", "difference"] = "picture",
+        image_content: Literal["image", "difference"] = "image",
     ) -> None:
         super().__init__()
         if (
             encoder not in ENCODER_SIZES
             or answer not in ("metric", "relative")
-            or shows not in ("picture", "difference")
+            or image_content not in ("image", "difference")
         ):
-            raise ValueError(f"no encoder {encoder!r}, answer {answer!r} or picture {shows!r}")
-        self.answer, self.largest_mm, self.side, self.shows = answer, float(largest_mm), int(side), shows
+            raise ValueError(f"no encoder {encoder!r}, answer {answer!r} or image content {image_content!r}")
+        self.answer, self.largest_mm, self.side, self.image_content = answer, float(largest_mm), int(side), image_content
         self.pretrained = DinoV2Encoder(ENCODER_SIZES[encoder])
         self.depth_head = _DepthHead(
             ENCODER_SIZES[encoder].width, DECODER_CHANNELS[encoder], PROJECTED_CHANNELS[encoder]

@@ -40,7 +40,7 @@ class DinoV2Encoder(nn.Module):
 
     def __init__(self, size: EncoderSize) -> None:
         super().__init__()
-        self.taken = size.output_blocks
+        self.output_blocks = size.output_blocks
         self.cls_token = nn.Parameter(torch.zeros(1, 1, size.width))
         self.pos_embed = nn.Parameter(torch.zeros(1, _TAUGHT_PATCHES**2 + 1, size.width))
         self.mask_token = nn.Parameter(torch.zeros(1, size.width))  # of its own training; nothing reads it here
@@ -65,7 +65,7 @@ class DinoV2Encoder(nn.Module):
         found: list[Tensor] = []
         for index, block in enumerate(self.blocks):
             tokens = block(tokens)
-            if index in self.taken:
+            if index in self.output_blocks:
                 found.append(self.norm(tokens)[:, 1:])
         return found
 

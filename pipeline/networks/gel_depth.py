@@ -71,7 +71,7 @@ class GelDepthNetwork(nn.Module):
         by (`stages.depth.light_fields`).
         """
         super().__init__()
-        self.physical, self.calibrated, self.scaled = physics_channel, calibrated, predicts_depth_factor
+        self.physics_channel, self.calibrated, self.predicts_depth_factor = physics_channel, calibrated, predicts_depth_factor
         self.body = CompactUnet(
             inputs=inputs,
             outputs=light.OUTPUTS + predicts_depth_factor,
@@ -89,7 +89,7 @@ class GelDepthNetwork(nn.Module):
         fields = fields.contiguous(memory_format=torch.channels_last)  # a third of the time less
         told = self.body(fields).float()
         rough, more_x, more_y, factor, more_contact, log_spread = told[:, : light.OUTPUTS].unbind(1)
-        slope_x, slope_y, deep, pressed = fields[:, self.physical : self.physical + 4].unbind(1)
+        slope_x, slope_y, deep, pressed = fields[:, self.physics_channel : self.physics_channel + 4].unbind(1)
         share = torch.expm1(light.LOG_SHARE_SCALE * factor.clamp(light.LOG_SHARE_MIN, light.LOG_SHARE_MAX))
         with torch.autocast(fields.device.type, enabled=False):
             wanted = integrate_slopes(
@@ -102,7 +102,7 @@ class GelDepthNetwork(nn.Module):
             surface=deep + correction, correction=correction,
             contact_logit=PHYSICS_CONTACT_LOGIT * (2.0 * pressed - 1.0) + more_contact, contact_logit_correction=more_contact,
             log_error_scale=log_spread.clamp(light.LOG_ERROR_MIN, light.LOG_ERROR_MAX),
-            log_depth_factor=_over(pressed, told[:, light.OUTPUTS]) if self.scaled else None,
+            log_depth_factor=_over(pressed, told[:, light.OUTPUTS]) if self.predicts_depth_factor else None,
         )  # fmt: skip
 
 

@@ -60,14 +60,14 @@ class GelDepthNetworkOpenCv:
             replace(weights, tensors=body), inputs=inputs, outputs=OUTPUTS + predicts_depth_factor, base_channels=base_channels, levels=levels,
             max_channels=max_channels,
         )  # fmt: skip
-        self.inputs, self.physical, self.reach_px = inputs, physics_channel, reach_px
-        self.calibrated, self.scaled = calibrated, predicts_depth_factor
+        self.inputs, self.physics_channel, self.reach_px = inputs, physics_channel, reach_px
+        self.calibrated, self.predicts_depth_factor = calibrated, predicts_depth_factor
 
     def __call__(self, fields: Floats) -> GelDepthCorrection:
         """As `GelReading` answers for one picture."""
         told = self._body(fields)
         rough, more_x, more_y, factor, more_contact, log_spread = told[:OUTPUTS]
-        slope_x, slope_y, deep, pressed = fields[self.physical : self.physical + 4]
+        slope_x, slope_y, deep, pressed = fields[self.physics_channel : self.physics_channel + 4]
         share = np.expm1(np.float32(LOG_SHARE_SCALE) * np.clip(factor, LOG_SHARE_MIN, LOG_SHARE_MAX))
         wanted = _integrated(
             (share * slope_x + more_x) / np.float32(SLOPE_UNIT_PX), (share * slope_y + more_y) / np.float32(SLOPE_UNIT_PX),
@@ -77,7 +77,7 @@ class GelDepthNetworkOpenCv:
         return GelDepthCorrection(
             correction=most * np.tanh(wanted / most), contact_logit_correction=more_contact,
             log_error_scale=np.clip(log_spread, LOG_ERROR_MIN, LOG_ERROR_MAX),
-            log_depth_factor=_over(pressed, told[OUTPUTS]) if self.scaled else None,
+            log_depth_factor=_over(pressed, told[OUTPUTS]) if self.predicts_depth_factor else None,
         )  # fmt: skip
 
 

@@ -57,7 +57,7 @@ class LatentDiffusion(nn.Module):
     ) -> None:  # fmt: skip
         super().__init__()
         self.side, self.raw_condition, self.half_turn = side, bool(raw_condition), bool(half_turn)
-        self.made, self.true = (generated_mean_mm, generated_std_mm), (true_mean_mm, true_std_mm)
+        self.generated_stats, self.true_stats = (generated_mean_mm, generated_std_mm), (true_mean_mm, true_std_mm)
         self.first_stage_model = AutoencoderKl(
             width=autoencoder_width, times=_numbers(autoencoder_multipliers), blocks=autoencoder_blocks, groups=groups
         )
@@ -67,7 +67,7 @@ class LatentDiffusion(nn.Module):
             heads=heads, groups=groups,
         )})  # fmt: skip
         self.register_buffer("scale_factor", torch.tensor(1.0))
-        self.register_buffer("left", torch.tensor(compute_alphas_cumprod().tolist()), persistent=False)
+        self.register_buffer("alphas_cumprod", torch.tensor(compute_alphas_cumprod().tolist()), persistent=False)
 
     def forward(
         self,

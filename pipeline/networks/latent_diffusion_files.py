@@ -34,7 +34,7 @@ def read_weights(path: Path) -> Weights:
         )
     unet, first, seen = (held[name].shape[0] for name in _WANTED)
     config: dict[str, Value] = {
-        "side": 256, "width": unet, "first_width": first, "seen": seen, "raw_condition": True, "half_turn": True,
+        "side": 256, "width": unet, "autoencoder_width": first, "condition_channels": seen, "raw_condition": True, "half_turn": True,
     }  # fmt: skip
     tensors = {name: _averaged(held, name) for name in held if _is_used(name)}
     tensors["scale_factor"] = np.asarray(held.get("scale_factor", np.float32(1.0)), np.float32).reshape(())

@@ -18,14 +18,14 @@ NETWORK_CLASSES: dict[str, str] = {  # kind -> module:class; torch loads with th
     "compact_unet": "pipeline.networks.compact_unet:CompactUnet",
     "depth_anything": "pipeline.networks.depth_anything:DepthAnything",
     "residual_denoiser": "pipeline.networks.residual_denoiser:ResidualDenoiser",
-    "gel_reading": "pipeline.networks.gel_depth:GelReading",
+    "gel_depth": "pipeline.networks.gel_depth:GelDepthNetwork",
     "latent": "pipeline.networks.latent_diffusion:LatentDiffusion",
     "touch_pose": "pipeline.networks.touch_pose:TouchPose",
     "vqvae": "pipeline.networks.vqvae:VqVae",
 }
 TORCH_FREE_CLASSES: dict[str, str] = {  # the same for kinds that need no torch to answer
-    "compact_unet": "pipeline.networks.compact_unet_opencv:CompactUnetByOpenCv",
-    "gel_reading": "pipeline.networks.gel_depth_opencv:GelReadingByOpenCv",
+    "compact_unet": "pipeline.networks.compact_unet_opencv:CompactUnetOpenCv",
+    "gel_depth": "pipeline.networks.gel_depth_opencv:GelDepthNetworkOpenCv",
 }
 _MOST_BYTES = 2 << 30  # of networks kept ready: a large one takes 1.3 GB
 _loaded_networks: Memo[str, nn.Module] = Memo(

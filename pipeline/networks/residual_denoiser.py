@@ -40,12 +40,12 @@ class ResidualDenoiser(nn.Module):
         super().__init__()
         if prediction not in ("clean", "v", "noise"):
             raise ValueError(f"prediction must be clean, v or noise, got {prediction!r}")
-        self.unit_mm, self.most, self.least, self.prediction = unit_mm, sigma_max, sigma_min, prediction
-        self.inputs, self.fold, self.reach, self.smooth = inputs, fold, FIELD_LIMIT, noise_correlation
-        self.doubts, self.doubt_power = (error_factor_in_view, error_factor_outside), error_exponent
-        self.blur_px, self.reach_px = blur_px, contact_margin_px
+        self.unit_mm, self.sigma_max, self.sigma_min, self.prediction = unit_mm, sigma_max, sigma_min, prediction
+        self.inputs, self.fold, self.field_limit, self.noise_correlation = inputs, fold, FIELD_LIMIT, noise_correlation
+        self.error_factors, self.error_exponent = (error_factor_in_view, error_factor_outside), error_exponent
+        self.blur_px, self.contact_margin_px = blur_px, contact_margin_px
         widths = [min(base_channels * 2**level, max_channels) for level in range(levels)]
-        self.hears = nn.Sequential(nn.Linear(2 * _WAVES, _HEARD), nn.SiLU(), nn.Linear(_HEARD, _HEARD), nn.SiLU())
+        self.noise_embedding = nn.Sequential(nn.Linear(2 * _WAVES, _HEARD), nn.SiLU(), nn.Linear(_HEARD, _HEARD), nn.SiLU())
         self.start = _Block((inputs + FIELD_CHANNELS) * fold * fold, widths[0])
         self.down = nn.ModuleList(_Pair(narrow, wide) for narrow, wide in pairwise(widths))
         self.thin = nn.ModuleList(nn.Conv2d(wide, narrow, 1) for narrow, wide in pairwise(widths))
@@ -57,8 +57,8 @@ class ResidualDenoiser(nn.Module):
     def forward(self, noisy: Tensor, sigma: Tensor, condition: Tensor) -> Tensor:
         """Of a batch: noisy (n, STATES, rows, cols), sigma (n,), condition (n, inputs, rows, cols)."""
         level = sigma.reshape(-1, 1, 1, 1)
-        seen = torch.where(level < self.most, noisy / torch.sqrt(1.0 + level**2), torch.zeros_like(noisy))
-        answer = self._network(torch.cat([seen, condition], 1), self.hears(_waves(sigma))).float()
+        seen = torch.where(level < self.sigma_max, noisy / torch.sqrt(1.0 + level**2), torch.zeros_like(noisy))
+        answer = self._network(torch.cat([seen, condition], 1), self.noise_embedding(_waves(sigma))).float()
         said = answer[:, :FIELD_CHANNELS]
         if self.prediction == "noise":
             said = noisy - level * said
@@ -86,12 +86,12 @@ class _Block(nn.Module):
         super().__init__()
         self.filter = nn.Conv2d(inputs, outputs, 3, padding=1, bias=False)
         self.norm = nn.BatchNorm2d(outputs)
-        self.tune = nn.Linear(_HEARD, 2 * outputs)
-        nn.init.zeros_(self.tune.weight)
-        nn.init.zeros_(self.tune.bias)
+        self.modulation = nn.Linear(_HEARD, 2 * outputs)
+        nn.init.zeros_(self.modulation.weight)
+        nn.init.zeros_(self.modulation.bias)
 
     def forward(self, field: Tensor, heard: Tensor) -> Tensor:
-        scale, shift = self.tune(heard).chunk(2, 1)
+        scale, shift = self.modulation(heard).chunk(2, 1)
         if not self.training and len(field) == 1:
             return self._at_once(field, 1.0 + scale[0], shift[0])
         normed = self.norm(self.filter(field))

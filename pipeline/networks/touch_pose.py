@@ -50,10 +50,10 @@ class TouchPose(nn.Module):
         side = SIDE >> levels
         # Where in the picture things lie is all that matters: nothing is pooled.
         self.thin = nn.Conv2d(widths[-1], 32, 1)
-        self.gather = nn.Linear(32 * side * side, 128)
-        self.look = nn.Linear(128, embedding_size)
-        self.name, self.things, self.folds = nn.Linear(embedding_size, n_objects), n_objects, n_folds
-        self.think = nn.Linear(128 + embedding_size + n_objects, hidden_size) if hidden_size else None
+        self.fc1 = nn.Linear(32 * side * side, 128)
+        self.embed = nn.Linear(128, embedding_size)
+        self.classifier, self.n_objects, self.n_folds = nn.Linear(embedding_size, n_objects), n_objects, n_folds
+        self.fc2 = nn.Linear(128 + embedding_size + n_objects, hidden_size) if hidden_size else None
         self.pose = nn.Linear(hidden_size or 128 + embedding_size, 2 + 2 * n_folds)
 
     def compute_embedding(self, squares: Tensor) -> Tensor:
@@ -64,16 +64,16 @@ class TouchPose(nn.Module):
         """Shift, headings and name of what touches; `known` (n, things) has a 1 for what it is known to be."""
         gathered, seen = self._looked(squares)
         seen = torch.relu(seen)
-        name = self.name(seen)
+        name = self.classifier(seen)
         told = torch.cat([gathered, seen], dim=1)
-        if self.think is not None:
+        if self.fc2 is not None:
             said = torch.zeros_like(name) if known_object is None else known_object.to(name.dtype)
-            told = torch.relu(self.think(torch.cat([told, said], dim=1)))
+            told = torch.relu(self.fc2(torch.cat([told, said], dim=1)))
         pose = self.pose(told)
-        headings = pose[:, 2:].reshape(len(pose), self.folds, 2)
+        headings = pose[:, 2:].reshape(len(pose), self.n_folds, 2)
         return PosePrediction(translation_mm=TRANSLATION_UNIT_MM * pose[:, :2], headings=headings, object_logits=name)
 
     def _looked(self, squares: Tensor) -> tuple[Tensor, Tensor]:
         thin = torch.relu(self.thin(self.body(squares)))
-        gathered = torch.relu(self.gather(thin.flatten(1)))
-        return gathered, self.look(gathered)
+        gathered = torch.relu(self.fc1(thin.flatten(1)))
+        return gathered, self.embed(gathered)

@@ -45,7 +45,7 @@ class VqVae(nn.Module):
         reprojects_input: bool = False, dilation: int = 1, has_position_bias: bool = False,
     ) -> None:  # fmt: skip
         super().__init__()
-        self.inputs, self.outputs, self.half_turn, self.laid = inputs, outputs, bool(half_turn), bool(reprojects_input)
+        self.inputs, self.outputs, self.half_turn, self.reprojects_input = inputs, outputs, bool(half_turn), bool(reprojects_input)
         self.encoder = nn.Sequential(
             nn.Conv2d(inputs, width, 4, 2, 1), nn.ReLU(inplace=True), nn.Conv2d(width, width, 4, 2, 1),
             ResidualBlock(width), ResidualBlock(width, dilation),
@@ -55,14 +55,14 @@ class VqVae(nn.Module):
             ResidualBlock(width, dilation), ResidualBlock(width), nn.ReLU(inplace=True), nn.ConvTranspose2d(width, width, 4, 2, 1),
             nn.ReLU(inplace=True), nn.ConvTranspose2d(width, outputs, 4, 2, 1),
         )  # fmt: skip
-        self.place = nn.Parameter(torch.zeros(1, width, SIDE // 4, SIDE // 4)) if has_position_bias else None
+        self.position_bias = nn.Parameter(torch.zeros(1, width, SIDE // 4, SIDE // 4)) if has_position_bias else None
 
     def forward(self, squares: Tensor) -> VqVaeOutput:
         """Gradients pass the codebook as if it were not there."""
         encoded = self.encoder(squares)
         quantised = self.codebook(encoded)
         seen = encoded + (quantised - encoded).detach()
-        made = self.decoder(seen if self.place is None else seen + self.place)
+        made = self.decoder(seen if self.position_bias is None else seen + self.position_bias)
         return VqVaeOutput(generated=made, encoded=encoded, quantised=quantised)
 
 

@@ -43,7 +43,7 @@ class Weights:
         """Freeze the tensors and work out their digest, once."""
         for tensor in self.tensors.values():
             freeze(tensor)
-        object.__setattr__(self, "content", compute_digest((self.kind, dict(self.config), dict(self.tensors))))
+        object.__setattr__(self, "content_digest", compute_digest((self.kind, dict(self.config), dict(self.tensors))))
 
     @property
     def n_parameters(self) -> int:

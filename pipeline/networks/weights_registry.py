@@ -33,7 +33,7 @@ def load_shipped(name: str) -> Weights | NoWeights:
 def select_reader(kind: str) -> Callable[[Path], Weights]:
     """What reads files of weights for that kind of network; it raises FileProblem."""
     files = (depth_anything_files, latent_diffusion_files, vqvae_files)
-    return {of.KIND: of.read for of in files}.get(kind, load_weights)
+    return {of.KIND: of.read_weights for of in files}.get(kind, load_weights)
 
 
 def load_file(path: Path, read: Callable[[Path], Weights] = load_weights) -> Weights | NoWeights:

@@ -30,7 +30,7 @@ def compute_correlation_loss(
 
     net = unwrap_network(network)
     true, condition = batch["residual"], batch["condition"]
-    sigma = torch.full((len(true),), float(net.most), device=true.device)
+    sigma = torch.full((len(true),), float(net.sigma_max), device=true.device)
     said = network(torch.zeros_like(true), sigma, condition)[:, 0]
     common = torch.from_numpy(np.array(mean, np.float32)).to(true.device)
     common = common - common.mean()

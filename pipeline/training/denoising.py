@@ -85,11 +85,11 @@ def compute_denoising_loss(
     net = unwrap_network(network)
     clean, condition = batch["residual"], batch["condition"]
     n = len(clean)
-    level = torch.exp(torch.empty(n).normal_(*_USUAL)).clamp(net.least, 0.999 * net.most)
+    level = torch.exp(torch.empty(n).normal_(*_USUAL)).clamp(net.sigma_min, 0.999 * net.sigma_max)
     hidden = torch.rand(n) < _AT_MOST
-    sigma = torch.where(hidden, torch.full((n,), float(net.most)), level).to(clean.device)
+    sigma = torch.where(hidden, torch.full((n,), float(net.sigma_max)), level).to(clean.device)
     kept = (torch.rand(n) >= _DROPPED).to(clean.device).float().reshape(-1, 1, 1, 1)
-    noisy = clean + sigma.reshape(-1, 1, 1, 1) * correlate_noise(torch.randn_like(clean), net.smooth)
+    noisy = clean + sigma.reshape(-1, 1, 1, 1) * correlate_noise(torch.randn_like(clean), net.noise_correlation)
     said = network(noisy, sigma, condition * kept)
     off, wrong = said[:, 0] - clean[:, 0], said[:, 1] - clean[:, 1]
     weight = 1.0 + near * batch["contact"][:, 0]
@@ -117,7 +117,7 @@ def compute_uncertainty_loss(network: nn.Module, batch: Mapping[str, Tensor]) ->
     net = unwrap_network(network)
     net.eval()  # norms stay as they were learned
     clean = batch["residual"]
-    sigma = torch.full((len(clean),), float(net.most), device=clean.device)
+    sigma = torch.full((len(clean),), float(net.sigma_max), device=clean.device)
     said = network(torch.zeros_like(clean), sigma, batch["condition"])
     spread = _unlikely(said, said[:, 0] - clean[:, 0])
     return spread, {"spread": spread.detach()}
@@ -145,15 +145,15 @@ def evaluate_denoiser(network: nn.Module, held_out: Sequence[Example], unit_mm: 
         condition = torch.from_numpy(np.array(example["condition"]))[None]
         rng = torch.Generator().manual_seed(k)
         noises = [
-            correlate_noise(torch.randn((1, *example["residual"].shape), generator=rng), net.smooth) for _ in range(2)
+            correlate_noise(torch.randn((1, *example["residual"].shape), generator=rng), net.noise_correlation) for _ in range(2)
         ]
 
         def denoise(noisy: Tensor, sigma: float, condition: Tensor = condition) -> Tensor:
             return network(noisy, torch.full((1,), sigma), condition)[:, :2]
 
         with torch.inference_mode():
-            first = network(noises[0] * net.most, torch.full((1,), float(net.most)), condition)[0].numpy()
-            levels = make_sigma_schedule(_FEW, sigma_max=net.most, sigma_min=net.least)
+            first = network(noises[0] * net.sigma_max, torch.full((1,), float(net.sigma_max)), condition)[0].numpy()
+            levels = make_sigma_schedule(_FEW, sigma_max=net.sigma_max, sigma_min=net.sigma_min)
             drawn, other = (sample(denoise, noise, levels).clean[0].numpy() for noise in noises)
         held = first[0] * compute_wiener_gain(first[0], np.exp(np.clip(first[2], *LOG_ERROR_RANGE)))
         mm, touched = unit_mm * example["residual"][0], example["contact"][0] > 0

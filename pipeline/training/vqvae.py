@@ -62,7 +62,7 @@ class VqVaeTask:
         """Mean squares: of what comes out, of codes from the encoder, and of the encoder from its codes."""
         from torch.nn import functional
 
-        if unwrap_network(network).laid != self.reprojects_input:
+        if unwrap_network(network).reprojects_input != self.reprojects_input:
             raise SettingProblem("`laid` must say the same in [network] and in [settings]")
         found = network(batch["source"])
         made = functional.mse_loss(found.generated, batch["target"])

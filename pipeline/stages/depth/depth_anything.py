@@ -81,7 +81,7 @@ def estimate_depth(
     progress.step(0.5, "asking the network")
     assert frame.reference is not None  # the physical reading has it
     picture = resize_to_patches(
-        prepare_image(frame.image, frame.reference, network.shows), params.shorter_side_px or network.side
+        prepare_image(frame.image, frame.reference, network.image_content), params.shorter_side_px or network.side
     )
     shape = (picture.shape[0] // PATCH_PX, picture.shape[1] // PATCH_PX)
     window = _box(physical.contact, shape) if params.crop_to_contact else (0, 0, *shape)

@@ -112,7 +112,7 @@ def _by_both(
         return physical
     progress.step(0.9, "correcting physics")
     seen_by = match_pixel_size(source if frame.camera is None else source.with_camera(frame.camera), calibration)
-    why = illumination_channels.explain_exclusion(seen_by, measured.light) if network.scaled else ""
+    why = illumination_channels.explain_exclusion(seen_by, measured.light) if network.predicts_depth_factor else ""
     if why:
         return replace(physical, notes=(*physical.notes, why))
     return correct_depth(
@@ -172,7 +172,7 @@ def correct_depth(
         contact=freeze(touched),
         notes=(*(note for note in physical.notes if note not in notes), *notes),
         error=_error(
-            spread * np.float32(_MIDDLE if network.scaled else 1.0),
+            spread * np.float32(_MIDDLE if network.predicts_depth_factor else 1.0),
             at.resample_to_grid(touched.astype(np.float32)) > np.float32(0.5),
             float(pixel_mm),
         ),
@@ -218,11 +218,11 @@ def _read(
 
     And the logarithm of the factor that makes the corrected surface true, of a network that tells one.
     """
-    box = gel_network_input.FULL_BOX if network.scaled else gel_network_input.compute_contact_box(seen)
+    box = gel_network_input.FULL_BOX if network.predicts_depth_factor else gel_network_input.compute_contact_box(seen)
     deep = np.float32(gel_network_input.compute_depth_px(seen))
     shown = (
         illumination_channels.compute_all_channels(seen, source, light)
-        if network.scaled
+        if network.predicts_depth_factor
         else gel_network_input.compute_channels(seen, box)
     )
     told = network(shown)

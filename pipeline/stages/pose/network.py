@@ -74,8 +74,8 @@ def _told(network: nn.Module, shown: Floats, mesh: Mesh) -> tuple[float, float, 
     import torch
 
     net, label, names = cast("Any", network), _label(mesh), shapes.list_labelled_shapes()
-    said = torch.zeros(1, net.things)
-    if label is not None and label < net.things:
+    said = torch.zeros(1, net.n_objects)
+    if label is not None and label < net.n_objects:
         said[0, label] = 1.0
     with torch.inference_mode():
         told = net(torch.from_numpy(np.array(shown)[None]), said)

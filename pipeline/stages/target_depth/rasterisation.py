@@ -113,7 +113,7 @@ def _in_turn(cloud: Cloud, camera: Camera, membrane: Membrane, *, jump_mm: float
     order = np.argsort(cloud.source_index, kind="stable").astype(np.int32)
     in_turn = replace(cloud, points_mm=cloud.points_mm[order], source_index=cloud.source_index[order])
     drawing = rasterise_surface(in_turn, camera, membrane, jump_mm=jump_mm, grazing_deg=grazing_deg)
-    return replace(drawing, source=np.where(drawing.point_index >= 0, order[drawing.point_index], np.int32(-1)))
+    return replace(drawing, point_index=np.where(drawing.point_index >= 0, order[drawing.point_index], np.int32(-1)))
 
 
 def flatten_read_only(array: NDArray[Any], kind: type = np.float32) -> NDArray[Any]:

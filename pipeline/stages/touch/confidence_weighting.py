@@ -44,9 +44,9 @@ class ErrorCalibration:
 
 def read_error_calibration(network: Any) -> ErrorCalibration:
     """As the weights of a `residual_denoiser` have it."""
-    felt, beyond = network.doubts
+    felt, beyond = network.error_factors
     return ErrorCalibration(
-        factor_in_view=felt, factor_outside=beyond, exponent=network.doubt_power, unit_mm=network.unit_mm
+        factor_in_view=felt, factor_outside=beyond, exponent=network.error_exponent, unit_mm=network.unit_mm
     )
 
 
@@ -75,11 +75,11 @@ def shrink_to_prior(
     def shrink_state(state: DenoisingState) -> DenoisingState:
         residual = (share * state.residual_mm).astype(np.float32)
         return replace(
-            state, residual_mm=freeze(residual), contact=freeze((of_contact * state.contact_correction).astype(np.float32))
+            state, residual_mm=freeze(residual), contact_correction=freeze((of_contact * state.contact_correction).astype(np.float32))
         )  # fmt: skip
 
     return replace(
-        sample, last=shrink_state(sample.final), states=tuple(shrink_state(state) for state in sample.states)
+        sample, final=shrink_state(sample.final), states=tuple(shrink_state(state) for state in sample.states)
     )
 
 
@@ -109,9 +109,9 @@ def express_as_correction(sample: ResidualSample, first: DepthMap) -> ResidualSa
 
     def subtract_first(state: DenoisingState) -> DenoisingState:
         return replace(
-            state, residual_mm=freeze(state.residual_mm - deep), contact=freeze(state.contact_correction - touched)
+            state, residual_mm=freeze(state.residual_mm - deep), contact_correction=freeze(state.contact_correction - touched)
         )  # fmt: skip
 
     return replace(
-        sample, last=subtract_first(sample.final), states=tuple(subtract_first(state) for state in sample.states)
+        sample, final=subtract_first(sample.final), states=tuple(subtract_first(state) for state in sample.states)
     )

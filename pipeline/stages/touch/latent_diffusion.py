@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from torch import Tensor, nn
 
 _DRAFTED = 4
-RawCondition = Literal["as taught", "yes", "no"]
+RawCondition = Literal["as trained", "yes", "no"]
 NOTE = "a picture alone, sampled from the source's picture alone: no depth, no alignment and no membrane is behind it"
 
 
@@ -71,7 +71,7 @@ class LatentParams:
         source="the paper, touch to touch: from pictures back to mm",
     )  # fmt: skip
     raw_condition: RawCondition = setting(
-        "as taught", "Condition in greys", choices=RawCondition,
+        "as trained", "Condition in greys", choices=RawCondition,
         help="the published weights were taught on changes of 0..255 with the spread of 0..1",
         source="the released code and weights",
     )  # fmt: skip
@@ -112,13 +112,13 @@ def generate_touch(
         return Skipped(output=physical_render.make_reference_touch(target), why=physical_render.NO_CONTACT)
     net: Any = network
     changed = resize_to_square(compute_change(source.kind, frame.image, frame.reference), net.side)
-    if params.raw_condition == "yes" or (params.raw_condition == "as taught" and net.raw_condition):
+    if params.raw_condition == "yes" or (params.raw_condition == "as trained" and net.raw_condition):
         changed = changed * np.float32(255.0 if source.kind == "gel" else 1.0)
     shown = normalise(changed, source.kind)
     found, notes = sample_image(net, np.broadcast_to(shown, (3, *shown.shape[1:])), params, progress)
     made = decode_image(found, target.kind, map_twice=params.double_mapping)
     if target.kind == "bubble" and params.renormalise_depth:
-        made = _renormalise_depth(made, net.made, net.true)
+        made = _renormalise_depth(made, net.generated_stats, net.true_stats)
     if net.half_turn:
         made = made[:, ::-1, ::-1]
     touch = make_touch_from_change(target, resize_from_square(np.ascontiguousarray(made), target.camera.shape))
@@ -145,7 +145,7 @@ def sample_image(
         def denoise(noisy: Tensor, sigma: float) -> Tensor:
             n = len(embedding)
             at = noisy / (1.0 + sigma * sigma) ** 0.5  # the network was taught on noise that keeps the spread
-            return noisy - sigma * net.noise(at.expand(n, -1, -1, -1), torch.full((n,), time_of[sigma]), embedding)
+            return noisy - sigma * net.predict_noise(at.expand(n, -1, -1, -1), torch.full((n,), time_of[sigma]), embedding)
 
         return denoise
 
@@ -163,7 +163,7 @@ def sample_image(
             lambda noisy, sigma: both(noisy, sigma).split(1),
         )
         found = sample(guided, noise, levels, solver=params.sampler, max_degree=how.max_degree, progress=progress)
-        return net.pictures(found.clean)[0].numpy(), (how.note,) if how.note else ()
+        return net.decode_images(found.clean)[0].numpy(), (how.note,) if how.note else ()
 
 
 def _renormalise_depth(made_mm: Floats, made: tuple[float, float], true: tuple[float, float]) -> Floats:

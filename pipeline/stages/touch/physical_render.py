@@ -88,7 +88,7 @@ def skip_without_contact(view: TargetDepth, target: SensorSpec, params: Physical
         )
     if view.contact.any():
         return None
-    return replace(make_reference_touch(target), known=view.in_view)
+    return replace(make_reference_touch(target), in_view=view.in_view)
 
 
 def make_reference_touch(target: SensorSpec) -> GeneratedTouch:

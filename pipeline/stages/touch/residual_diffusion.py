@@ -131,25 +131,25 @@ def sample_residual(
 
         return denoise
 
-    how = plan_guidance(params.guidance, params.steps, net.reach)
-    denoise = GuidedDenoiser(make_denoiser(shown), make_denoiser(torch.zeros_like(shown)), how, net.reach)
+    how = plan_guidance(params.guidance, params.steps, net.field_limit)
+    denoise = GuidedDenoiser(make_denoiser(shown), make_denoiser(torch.zeros_like(shown)), how, net.field_limit)
     with torch.inference_mode():
         rng = torch.Generator().manual_seed(params.seed)
         noise = torch.zeros((1, 2, *shown.shape[2:]))  # of one step nothing is seen through it
         if params.steps > 1:
-            noise = correlate_noise(torch.randn(noise.shape, generator=rng), net.smooth)
-        levels = make_sigma_schedule(params.steps, sigma_max=net.most, sigma_min=net.least)
+            noise = correlate_noise(torch.randn(noise.shape, generator=rng), net.noise_correlation)
+        levels = make_sigma_schedule(params.steps, sigma_max=net.sigma_max, sigma_min=net.sigma_min)
         found = sample(
             denoise, noise, levels, solver=params.sampler, max_degree=how.max_degree, keep_steps=params.keep_states,
             progress=between,
         )  # fmt: skip
         if not first:  # never asked with its condition: guidance 0
-            first.append(net(noise * net.most, torch.full((1,), net.most), shown))
+            first.append(net(noise * net.sigma_max, torch.full((1,), net.sigma_max), shown))
         told, clean = first[0][0, 2].clamp(*LOG_ERROR_RANGE).exp(), found.clean
         if draw_last_noise and params.steps > 1:
-            clean, fresh = clean.clone(), correlate_noise(torch.randn(told.shape, generator=rng), net.smooth)
+            clean, fresh = clean.clone(), correlate_noise(torch.randn(told.shape, generator=rng), net.noise_correlation)
             clean[0, 0] = sample_below_sigma_min(clean[0, 0], told, float(levels[-2]), fresh).clip(
-                -net.reach, net.reach
+                -net.field_limit, net.field_limit
             )
     spread = net.unit_mm * told.numpy()
 

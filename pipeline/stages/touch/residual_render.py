@@ -51,8 +51,8 @@ def render_correction(
     return replace(
         first,
         image=image,
-        membrane=replace(told, spread_mm=spread),
-        known=freeze(np.ones(target.camera.shape, np.bool_)),
+        membrane=replace(told, expected_error_mm=spread),
+        in_view=freeze(np.ones(target.camera.shape, np.bool_)),
         notes=(*first.notes, *sample.notes),
         steps=tuple(steps),
     )
@@ -70,7 +70,7 @@ def _touch(
     contact: Mask = before.astype(np.float32) + _sized(state.contact_correction, shape) > _HALF
     depth: Floats = (target.rest_depth_mm - surface).astype(np.float32)
     told = replace(
-        first, indentation_mm=freeze(surface), depth_mm=freeze(depth), contact=freeze(contact), generated=True
+        first, indentation_mm=freeze(surface), depth_mm=freeze(depth), contact=freeze(contact), is_generated=True
     )
     if target.kind == "gel":
         return optics.render(target, surface, seed=seed), told

@@ -39,7 +39,7 @@ _HALF = 0.5
 
 def select_weights(source: SensorSpec, target: SensorSpec, file: Path | None) -> Weights | NoWeights:  # noqa: ARG001 - any source
     """The weights of a target; whatever the source: none was ever learned from."""
-    found = weights_registry.load_for_task("residual_of_view", SHIPPED_WEIGHTS[target.kind], file)
+    found = weights_registry.load_for_task("touch_residual", SHIPPED_WEIGHTS[target.kind], file)
     return (
         found
         if file is not None
@@ -87,7 +87,7 @@ def generate_touch(
         felt = np.where(
             resample_to_grid(view.contact, make_working_sensor(target).camera.shape) > _HALF, 1.0, 0.0
         ).astype(np.float32)
-        found = replace(found, last=replace(found.final, contact=np.maximum(found.final.contact_correction, felt)))
+        found = replace(found, final=replace(found.final, contact_correction=np.maximum(found.final.contact_correction, felt)))
     beyond = found.expected_error_mm[resample_to_grid(view.in_view, found.expected_error_mm.shape) < _HALF]
     told = float((beyond if beyond.size else found.expected_error_mm).mean())
     where = "beyond what the source felt" if beyond.size else "all over"
@@ -100,7 +100,7 @@ def generate_touch(
         wide_mm = _told_mm(view, target)
     note = f"{where} the touch is learned, and expected to be off by {told:.2g} mm"
     found = replace(found, notes=(*found.notes, note))
-    blur_px, reach_px = cast("float", network.blur_px), cast("float", network.reach_px)
+    blur_px, reach_px = cast("float", network.blur_px), cast("float", network.contact_margin_px)
     unsure = EdgeUncertainty(blur_mm=wide_mm * blur_px, contact_margin_mm=wide_mm * reach_px)
     return render_correction(physical, target, found, params.seed if params.add_noise else None, unsure)
 

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from torch import nn
 
 SHIPPED_WEIGHTS = {("gelslim", "bubble"): "t2t_bubble", ("soft_bubble", "gel"): "t2t_gelslim"}
-TASKS = "touch_to_touch", "kept_pairs"  # tasks: pairs that were simulated, and real ones on top
+TASKS = "touch_to_touch", "pair_fine_tuning"  # tasks: pairs that were simulated, and real ones on top
 _CONTRADICTED = 3.0  # times; of 70 touches that were not learned from five come to as much
 NETWORK_ONLY_WARNING = "no contact is read from the picture: what touches here is what the network alone makes of it"
 READS = ("frame", "source", "calibration", "alignment", "target")
@@ -118,7 +118,7 @@ def generate_touch(
 def _unsure(source: SensorSpec, target: SensorSpec, network: nn.Module) -> EdgeUncertainty:
     """Where edges may be that a source told whose pixels are wider than the working grid's."""
     wide_mm = source.pixel_mm if source.pixel_mm > t2d2.WORKING_GRID_FACTOR[target.kind] * target.pixel_mm else 0.0
-    blur_px, reach_px = cast("float", network.blur_px), cast("float", network.reach_px)
+    blur_px, reach_px = cast("float", network.blur_px), cast("float", network.contact_margin_px)
     return EdgeUncertainty(blur_mm=wide_mm * blur_px, contact_margin_mm=wide_mm * reach_px)
 
 

@@ -71,7 +71,7 @@ def generate_touch(
     if depth.skip_without_contact(frame, source, calibration, depth.DepthParams()) is not None:
         return Skipped(output=physical_render.make_reference_touch(target), why=physical_render.NO_CONTACT)
     changed = resize_to_square(compute_change(source.kind, frame.image, frame.reference))
-    drawn = getattr(network, "laid", False)
+    drawn = getattr(network, "reprojects_input", False)
     shown = reproject_square(changed, source, target, alignment) if drawn else normalise(changed, source.kind)
     made = denormalise(_run_network(network, shown), target.kind)
     if getattr(network, "half_turn", False):
@@ -92,4 +92,4 @@ def _run_network(network: nn.Module, shown: Any) -> Any:
     import torch
 
     with torch.inference_mode():
-        return network(torch.from_numpy(np.array(shown)[None])).made[0].numpy()
+        return network(torch.from_numpy(np.array(shown)[None])).generated[0].numpy()

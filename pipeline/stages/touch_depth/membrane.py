@@ -33,14 +33,14 @@ def use_membrane(
     """The membrane that the touch was made with; where its method knows only the picture, that is read."""
     if touch.membrane is None:
         return Fallback(answer=estimate_from_image(touch, target, DepthParams(), progress), why=NO_MEMBRANE)
-    return replace(touch.membrane, known=touch.in_view)
+    return replace(touch.membrane, in_view=touch.in_view)
 
 
 def skip_without_contact(touch: GeneratedTouch, target: SensorSpec, params: object) -> DepthMap | None:  # noqa: ARG001 - as above
     """The membrane at rest where the touch is known to be none, else None; same inputs as the two methods."""
     if touch.membrane is None or touch.membrane.contact.any():
         return None
-    return replace(touch.membrane, known=touch.in_view, notes=(NO_CONTACT,))
+    return replace(touch.membrane, in_view=touch.in_view, notes=(NO_CONTACT,))
 
 
 def estimate_from_image(
@@ -51,7 +51,7 @@ def estimate_from_image(
     felt = depth.skip_without_contact(frame, target, None, params) or depth.estimate_depth(
         frame, target, None, params, progress
     )
-    return replace(felt, known=touch.in_view)
+    return replace(felt, in_view=touch.in_view)
 
 
 def _as_recorded(touch: GeneratedTouch, target: SensorSpec) -> TactileFrame:

@@ -12,7 +12,7 @@ from pipeline.base.errors import ModelMissing
 from pipeline.networks.network_factory import NETWORK_CLASSES, build_network, load_network
 from pipeline.networks.weights import NoWeights, Weights
 
-CONFIG = {"inputs": 2, "outputs": 3, "first": 4, "levels": 2}
+CONFIG = {"inputs": 2, "outputs": 3, "base_channels": 4, "levels": 2}
 
 
 @pytest.fixture

@@ -16,7 +16,7 @@ from pipeline.networks.network_factory import build_network
 from pipeline.networks.weights import Weights
 from pipeline.stages.depth.bubble_network_output import N_OUTPUTS, decode_prediction, decode_tensors
 
-CONFIG = {"inputs": 2, "outputs": 3, "first": 8, "levels": 3, "widest": 12}
+CONFIG = {"inputs": 2, "outputs": 3, "base_channels": 8, "levels": 3, "max_channels": 12}
 
 
 def learned(config=CONFIG):
@@ -73,12 +73,12 @@ def test_reading_a_bubble_loads_no_torch():
     code = """
 import sys
 import numpy as np
-from pipeline.sensors.spec import sensor
+from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.stage import NETWORK
 from pipeline.values.frames import TactileFrame
-bubble = sensor("soft_bubble")
+bubble = load_sensor("soft_bubble")
 rest = bubble.rest_depth_mm.astype(np.float32)
-weights = NETWORK.weights(bubble, sensor("gelslim"), None)
+weights = NETWORK.weights(bubble, load_sensor("gelslim"), None)
 frame = TactileFrame(sensor="soft_bubble", image=rest - 2, reference=rest)
 class Silent:
     def step(self, fraction, text): pass

@@ -55,11 +55,11 @@ def test_what_has_learned_nothing_answers_physics():
     fields = torch.randn(2, 16, 24, 32)
     with torch.inference_mode():
         reading = network().eval()(fields)
-    assert reading.log_scale is None
+    assert reading.log_depth_factor is None
     assert {tuple(field.shape) for field in reading[:-1]} == {(2, 24, 32)}
     assert all(field.dtype is torch.float32 for field in reading[:-1])
     assert torch.equal(reading.surface, fields[:, 10])
-    assert torch.equal(reading.contact > 0, fields[:, 11] > 0.5)
+    assert torch.equal(reading.contact_logit > 0, fields[:, 11] > 0.5)
     assert not reading.correction.any()
     assert not reading.contact_logit_correction.any()
 
@@ -90,10 +90,10 @@ def test_the_scale_is_what_the_contact_makes_of_it_and_begins_at_nothing():
     fields[0, 11, 5:9, 10:20] = 1.0
     fields[1, 11, 15:, :8] = 1.0
     with torch.inference_mode():
-        assert scaled(fields).log_scale.tolist() == [0.0, 0.0]
+        assert scaled(fields).log_depth_factor.tolist() == [0.0, 0.0]
         torch.nn.init.normal_(scaled.body.finish.weight, std=2.0)
         told = scaled.body(fields)[:, 6]
-        found = scaled(fields).log_scale
+        found = scaled(fields).log_depth_factor
         by_hand = [0.3 * float(told[k][fields[k, 11] > 0].mean()) for k in range(2)]
     assert found.tolist() == pytest.approx(by_hand, rel=0.1, abs=0.01)
     assert float(found[0]) != pytest.approx(float(found[1]), abs=1e-3)

@@ -26,7 +26,7 @@ def seen(inputs, rows=120, cols=160):
 
 
 @pytest.mark.parametrize(
-    ("name", "size"), [("gel_units", (120, 160)), ("gel_depth", (120, 160)), ("gel_depth", (48, 56))]
+    ("name", "size"), [("gel_instances", (120, 160)), ("gel_depth", (120, 160)), ("gel_depth", (48, 56))]
 )
 def test_it_answers_as_by_torch(name, size):
     weights = weights_registry.load_shipped(name)
@@ -38,12 +38,12 @@ def test_it_answers_as_by_torch(name, size):
         wanted = net(torch.from_numpy(fields)[None])
     found = light(fields)
     for here, there in ((found.correction, wanted.correction), (found.contact_logit_correction, wanted.contact_logit_correction),
-                        (found.log_error_scale, wanted.log_spread)):  # fmt: skip
+                        (found.log_error_scale, wanted.log_error_scale)):  # fmt: skip
         assert here.dtype == np.float32
         assert np.abs(here - there[0].numpy()).max() < 2e-5 * max(1.0, float(there.abs().max()))
-    assert (found.log_depth_factor is None) == (wanted.log_scale is None) == (not light.scaled)
+    assert (found.log_depth_factor is None) == (wanted.log_depth_factor is None) == (not light.predicts_depth_factor)
     if found.log_depth_factor is not None:
-        assert found.log_depth_factor == pytest.approx(float(wanted.log_scale[0]), abs=1e-5)
+        assert found.log_depth_factor == pytest.approx(float(wanted.log_depth_factor[0]), abs=1e-5)
 
 
 def test_weights_that_do_not_fit_are_one_sentence():
@@ -52,7 +52,7 @@ def test_weights_that_do_not_fit_are_one_sentence():
     less = {name: t for name, t in whole.tensors.items() if name != "body.finish.bias"}
     for tensors in (less, {**whole.tensors, "head": np.zeros(3, np.float32)}):
         bad = Weights(name="w", kind=whole.kind, config=whole.config, tensors=tensors)
-        with pytest.raises(ModelMissing, match=r"the weights 'w' do not fit the network 'gel_reading': 1 tensors"):
+        with pytest.raises(ModelMissing, match=r"the weights 'w' do not fit the network 'gel_depth': 1 tensors"):
             network_factory.load_predictor(bad)
 
 
@@ -62,14 +62,14 @@ def test_reading_a_gel_loads_no_torch():
 import sys
 import numpy as np
 from pipeline.physics import gel, optics
-from pipeline.sensors.spec import sensor
+from pipeline.sensors.spec import load_sensor
 from pipeline.stages.depth.stage import NETWORK
 from pipeline.values.frames import TactileFrame
-mini = sensor("gelsight_mini")
+mini = load_sensor("gelsight_mini")
 rows, cols = mini.camera.shape
 y, x = np.ogrid[:rows, :cols]
 ball = 0.6 - mini.pixel_mm ** 2 * ((x - cols / 2) ** 2 + (y - rows / 2) ** 2) / 8
-pressed = gel.press(mini.gel, mini.pixel_mm, ball.astype(np.float32))
+pressed = gel.simulate_press(mini.gel, mini.pixel_mm, ball.astype(np.float32))
 frame = TactileFrame(sensor=mini.name, image=optics.render(mini, pressed.indentation_mm, seed=1),
                      reference=optics.untouched(mini))
 class Silent:

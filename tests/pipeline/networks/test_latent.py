@@ -11,8 +11,8 @@ from pipeline.networks.latent_diffusion import LatentDiffusion, compute_alphas_c
 from pipeline.networks.network_factory import build_network, load_network
 
 SMALL = {
-    "side": 32, "width": 8, "times": "1 2", "blocks": 1, "attention": "2", "heads": 2, "groups": 4, "first_width": 8,
-    "first_times": "1 1 2 2", "first_blocks": 1, "seen": 4,
+    "side": 32, "width": 8, "channel_multipliers": "1 2", "blocks": 1, "attention": "2", "heads": 2, "groups": 4, "autoencoder_width": 8,
+    "autoencoder_multipliers": "1 1 2 2", "autoencoder_blocks": 1, "condition_channels": 4,
 }  # fmt: skip
 
 
@@ -25,7 +25,7 @@ def batch(n=2, side=32):
     torch.manual_seed(1)
     return {
         "target": torch.tanh(torch.randn(n, 3, side, side)), "source": torch.randn(n, 3, side, side),
-        "time": torch.tensor([10, 900][:n]), "told": torch.ones(n), "noises": torch.randn(2, n, 4, side // 8, side // 8),
+        "time": torch.tensor([10, 900][:n]), "has_condition": torch.ones(n), "noises": torch.randn(2, n, 4, side // 8, side // 8),
     }  # fmt: skip
 
 
@@ -71,7 +71,7 @@ def test_pictures_become_latents_of_an_eighth_and_come_back():
 def test_the_denoiser_does_not_teach_the_autoencoder():
     net = small().train()
     found = net(**batch())
-    (found.noise - found.true_noise).abs().mean().backward()
+    (found.predicted_noise - found.true_noise).abs().mean().backward()
     assert all(p.grad is None for p in net.first_stage_model.parameters())
     assert any(p.grad is not None for p in net.cond_stage_model.parameters())
 
@@ -79,14 +79,14 @@ def test_the_denoiser_does_not_teach_the_autoencoder():
 def test_its_parts_may_learn_one_after_the_other():
     net = small().train()
     found = net(**batch(), part="autoencoder")
-    assert found.noise is None
-    found.rebuilt.mean().backward()
+    assert found.predicted_noise is None
+    found.reconstruction.mean().backward()
     assert all(p.grad is None for p in net.model.parameters())
     net.zero_grad()
     scale = net.scale_factor.clone()
     found = net(**batch(), part="denoiser")
-    assert found.rebuilt is None
-    found.noise.abs().mean().backward()
+    assert found.reconstruction is None
+    found.predicted_noise.abs().mean().backward()
     assert all(p.grad is None for p in net.first_stage_model.parameters())
     assert torch.equal(net.scale_factor, scale)
 
@@ -96,10 +96,10 @@ def test_an_untold_example_is_not_shown_its_source():
     one = batch()
     with torch.no_grad():
         net.model["diffusion_model"].out[2].weight.normal_()
-        told = net(**one).noise
-        other = net(**{**one, "source": one["source"].flip(0)}).noise
-        untold = net(**{**one, "told": torch.zeros(2)}).noise
-        untold_other = net(**{**one, "told": torch.zeros(2), "source": one["source"].flip(0)}).noise
+        told = net(**one).predicted_noise
+        other = net(**{**one, "source": one["source"].flip(0)}).predicted_noise
+        untold = net(**{**one, "has_condition": torch.zeros(2)}).predicted_noise
+        untold_other = net(**{**one, "has_condition": torch.zeros(2), "source": one["source"].flip(0)}).predicted_noise
     assert not torch.allclose(told, other)
     assert torch.equal(untold, untold_other)
 
@@ -128,13 +128,13 @@ def released(net, changed=None):
 
 def test_a_released_checkpoint_is_known_and_its_average_is_taken(tmp_path):
     like = {
-        "side": 256, "times": "1 2 2 4 4", "blocks": 2, "attention": "1 2 4 8", "heads": 8, "groups": 32,
-        "first_times": "1 2 4 4", "first_blocks": 2,
+        "side": 256, "channel_multipliers": "1 2 2 4 4", "blocks": 2, "attention": "1 2 4 8", "heads": 8, "groups": 32,
+        "autoencoder_multipliers": "1 2 4 4", "autoencoder_blocks": 2,
     }  # fmt: skip
-    net = small(**like, width=32, autoencoder_width=32, seen=2)
+    net = small(**like, width=32, autoencoder_width=32, condition_channels=2)
     torch.save(released(net, 0.5), tmp_path / "model.ckpt")
     found = latent_diffusion_files.read_weights(tmp_path / "model.ckpt")
-    assert (found.config["width"], found.config["first_width"], found.config["seen"]) == (32, 32, 2)
+    assert (found.config["width"], found.config["autoencoder_width"], found.config["condition_channels"]) == (32, 32, 2)
     assert found.config["raw_condition"]
     ready = load_network(found)  # every tensor fits
     name = "model.diffusion_model.time_embed.0.bias"
@@ -160,7 +160,7 @@ def test_the_papers_width_learns_a_few_steps():
     losses = []
     for _ in range(3):
         found = net(**one)
-        loss = (found.noise - found.true_noise).abs().mean() + (found.rebuilt - one["target"]).abs().mean()
+        loss = (found.predicted_noise - found.true_noise).abs().mean() + (found.reconstruction - one["target"]).abs().mean()
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()

@@ -47,7 +47,7 @@ def test_every_place_becomes_its_nearest_code_and_gradients_pass_by():
     gaps = (found.encoded[:, :, None] - net.codebook.embedding.weight.T[None, :, :, None, None]).pow(2).sum(1)
     told = net.codebook.embedding.weight[gaps.argmin(1)].permute(0, 3, 1, 2)
     assert torch.allclose(found.quantised, told)
-    found.made.sum().backward()
+    found.generated.sum().backward()
     assert x.grad.abs().sum() > 0
 
 
@@ -78,11 +78,11 @@ def test_entries_that_are_nearest_nowhere_begin_anew_and_the_others_stay():
 def test_what_is_told_its_place_can_answer_with_a_picture_that_its_source_does_not_hold():
     """A source without anything in it looks alike everywhere; published ones answer it alike everywhere."""
     still = torch.zeros(1, 3, 128, 128)
-    plain, placed = small(), small(placed=True)
+    plain, placed = small(), small(has_position_bias=True)
     with torch.no_grad():
-        placed.place.normal_()
+        placed.position_bias.normal_()
     inner = slice(40, 88)
-    answers = [net.eval()(still).made[0, 0, inner, inner] for net in (plain, placed)]
+    answers = [net.eval()(still).generated[0, 0, inner, inner] for net in (plain, placed)]
     assert answers[0][:, ::4].std(dim=1).max() < 1e-5 < answers[1][:, ::4].std(dim=1).max()
 
 
@@ -93,7 +93,7 @@ def test_reach_widens_what_a_place_depends_on():
         return int((x.grad[0].abs().sum(dim=(0, 1)) > 0).sum())
 
     assert seen(small()) < 64
-    assert seen(small(reach=4)) > 90
+    assert seen(small(dilation=4)) > 90
 
 
 def test_a_state_of_the_released_network_is_known_by_its_tensors(tmp_path):
@@ -102,7 +102,7 @@ def test_a_state_of_the_released_network_is_known_by_its_tensors(tmp_path):
     found = vqvae_files.read_weights(tmp_path / "best.pt")
     assert dict(found.config) == {"inputs": 3, "outputs": 1, "width": 8, "codes": 33, "half_turn": True}
     x = torch.randn(1, 3, 16, 16)
-    assert torch.allclose(load_network(found)(x).made, net.eval()(x).made, atol=1e-6)
+    assert torch.allclose(load_network(found)(x).generated, net.eval()(x).generated, atol=1e-6)
 
 
 def test_something_else_is_no_vqvae(tmp_path):
@@ -122,7 +122,7 @@ def test_the_papers_width_learns_a_few_steps():
     losses = []
     for _ in range(4):
         found = net(x)
-        loss = (found.made - target).pow(2).mean() + (found.quantised - found.encoded.detach()).pow(2).mean()
+        loss = (found.generated - target).pow(2).mean() + (found.quantised - found.encoded.detach()).pow(2).mean()
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()

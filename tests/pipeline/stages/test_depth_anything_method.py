@@ -23,7 +23,7 @@ TOUCH = 5
 class Told:
     """Answers by what a function says of the picture; keeps what it was shown."""
 
-    answer, largest_mm, side, shows = "metric", 1.6, 56, "picture"
+    answer, largest_mm, side, image_content = "metric", 1.6, 56, "image"
 
     def __init__(self, says, contact=None):
         self._says, self._contact, self.shown = says, contact, []

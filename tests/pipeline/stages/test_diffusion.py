@@ -17,13 +17,13 @@ CONDITION = np.random.default_rng(0).normal(size=(3, 12, 16)).astype(np.float32)
 
 def taking_all(**how):
     """Parameters that hold nothing back, unless told to."""
-    return DiffusionParams(**{"caution": 0.0, **how})
+    return DiffusionParams(**{"confidence_weighting": 0.0, **how})
 
 
 class Counts(torch.nn.Module):
     """A denoiser of a known field that counts its passes and those without a condition."""
 
-    unit_mm, most, least, reach, smooth = 2.0, 8.0, 0.02, 8.0, 0.0
+    unit_mm, sigma_max, sigma_min, field_limit, noise_correlation = 2.0, 8.0, 0.02, 8.0, 0.0
 
     def __init__(self, spread=0.5):
         super().__init__()
@@ -106,6 +106,6 @@ def test_every_number_of_steps_guidance_and_sampler_stays_finite_and_within_reac
         found = sample_residual(net, tiny, taking_all(steps=steps, guidance=guidance, sampler=sampler))
         told = prediction, steps, guidance, sampler
         assert np.isfinite(found.final.residual_mm).all(), told
-        assert np.abs(found.final.residual_mm).max() <= net.reach * net.unit_mm + 1e-5, told
+        assert np.abs(found.final.residual_mm).max() <= net.field_limit * net.unit_mm + 1e-5, told
         assert np.isfinite(found.final.contact_correction).all(), told
         assert np.isfinite(found.expected_error_mm).all(), told

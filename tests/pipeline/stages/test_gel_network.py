@@ -245,7 +245,7 @@ def of_unit(name, index, depth_mm):
 
 
 def test_the_network_that_comes_along_is_nearer_on_units_that_differ_as_a_labs_do():
-    taught, off, told = load_predictor(weights_registry.load_shipped("gel_units")), [], []
+    taught, off, told = load_predictor(weights_registry.load_shipped("gel_instances")), [], []
     for name in ("gelslim", "gelsight_mini", "digit"):
         for index in range(3):
             touched, truth = of_unit(name, index, 0.7)
@@ -276,7 +276,7 @@ def test_the_scale_is_the_networks_where_that_is_more_and_between_both_where_it_
 
 def test_in_another_light_the_scaled_network_is_not_asked(monkeypatch):
     monkeypatch.setattr(gel_network.light_fields, "why_not", lambda source, light: "physics' answer stands")
-    taught = load_predictor(weights_registry.load_shipped("gel_units"))
+    taught = load_predictor(weights_registry.load_shipped("gel_instances"))
     found = estimate_depth(frame(), load_sensor("gelsight_mini"), None, taught, NetworkParams())
     assert np.array_equal(found.indentation_mm, physics().indentation_mm)
     assert any("physics' answer stands" in note for note in found.notes)

@@ -31,8 +31,8 @@ def net():
 
 def counted(net, monkeypatch):
     calls = []
-    plain = type(net).noise
-    monkeypatch.setattr(type(net), "noise", lambda self, *a: calls.extend(a[2]) or plain(self, *a))
+    plain = type(net).predict_noise
+    monkeypatch.setattr(type(net), "predict_noise", lambda self, *a: calls.extend(a[2]) or plain(self, *a))
     return calls
 
 
@@ -90,7 +90,7 @@ def test_bias_of_generated_imprints_is_taken_out():
 
 
 @pytest.mark.parametrize(("asked", "taught", "times"), [
-    ("as taught", False, 1.0), ("as taught", True, 255.0), ("yes", False, 255.0), ("no", True, 1.0),
+    ("as trained", False, 1.0), ("as trained", True, 255.0), ("yes", False, 255.0), ("no", True, 1.0),
 ])  # fmt: skip
 def test_the_condition_is_scaled_as_the_weights_were_taught(monkeypatch, asked, taught, times):
     from pipeline.physics import optics
@@ -105,10 +105,10 @@ def test_the_condition_is_scaled_as_the_weights_were_taught(monkeypatch, asked, 
     seen = []
     monkeypatch.setattr(
         latent_diffusion,
-        "sampled",
+        "sample_image",
         lambda _net, shown, *_: (seen.append(shown) or np.zeros((3, 32, 32), np.float32), ()),
     )
-    network = SimpleNamespace(side=32, raw_condition=taught, half_turn=False, made=(0.0, 0.0), true=(0.0, 0.0))
+    network = SimpleNamespace(side=32, raw_condition=taught, half_turn=False, generated_stats=(0.0, 0.0), true_stats=(0.0, 0.0))
     frame = TactileFrame(sensor="gelslim", image=image, reference=rest)
     params = LatentParams(raw_condition=asked)
     latent_diffusion.generate_touch(frame, gel, None, alignment.resolve_alignment(gel, bubble), bubble, network, params)

@@ -36,14 +36,14 @@ GEL, BUBBLE = load_sensor("gelslim"), load_sensor("soft_bubble")
 
 def taking_all(**how):
     """Parameters that hold nothing back, unless told to."""
-    return DiffusionParams(**{"caution": 0.0, **how})
+    return DiffusionParams(**{"confidence_weighting": 0.0, **how})
 
 
 class Says(torch.nn.Module):
     """A denoiser that answers one number everywhere, and remembers what it was shown."""
 
-    unit_mm, most, least, reach, smooth, blur_px, reach_px = 1.0, 8.0, 0.02, 8.0, 0.0, 0.0, 0.0
-    doubts, doubt_power = (1.0, 1.0), 1.0
+    unit_mm, sigma_max, sigma_min, field_limit, noise_correlation, blur_px, contact_margin_px = 1.0, 8.0, 0.02, 8.0, 0.0, 0.0, 0.0
+    error_factors, error_exponent = (1.0, 1.0), 1.0
 
     def __init__(self, residual, contact=0.0, spread=0.1):
         super().__init__()
@@ -73,7 +73,7 @@ def view_of(target, deep_mm=3.0):
 def test_no_step_is_physics_to_the_byte_and_asks_no_network(target):
     view, net = view_of(target, 0.5), Says(1.0)
     physics = physical_render.render_touch(view, target, physical_render.PhysicalRenderParams(add_noise=True, seed=3))
-    touch = t2d2.generate_touch(view, target, net, taking_all(steps=0, noise=True, seed=3))
+    touch = t2d2.generate_touch(view, target, net, taking_all(steps=0, add_noise=True, seed=3))
     assert touch.image.tobytes() == physics.image.tobytes()
     assert touch.membrane.indentation_mm.tobytes() == physics.membrane.indentation_mm.tobytes()
     assert not net.shown
@@ -104,7 +104,7 @@ def test_samples_differ_where_the_network_is_unsure_by_what_the_least_noise_hide
                 for s in range(4)]  # fmt: skip
         return float(np.stack([touch.membrane.indentation_mm for touch in made]).std(0, ddof=1).mean())
 
-    assert 0.6 * Says.least < spread(BUBBLE, 1.0) < 1.2 * Says.least
+    assert 0.6 * Says.sigma_min < spread(BUBBLE, 1.0) < 1.2 * Says.sigma_min
     assert 0.004 < spread(BUBBLE, 0.007) < 0.012, "no more than is open"
     assert spread(GEL, 1.0) < 1e-6
 
@@ -131,7 +131,7 @@ def test_an_edge_is_drawn_and_contact_reaches_as_far_as_a_coarse_source_is_unsur
 
     def made(pixels, blur_px, reach_px, steps=1):
         net = Says(0.0)
-        net.blur_px, net.reach_px = blur_px, reach_px
+        net.blur_px, net.contact_margin_px = blur_px, reach_px
         return t2d2.generate_touch(told_by(view, pixels), GEL, net, taking_all(steps=steps)).membrane
 
     def steepest(membrane):
@@ -244,16 +244,16 @@ def test_touch_to_touch_falls_back_to_physics_where_it_is_unsure_and_at_no_step(
     physics = made(Says(1.0), steps=0)
     assert physics.membrane.indentation_mm.max() > 2.0
     doubtful = Says(1.0, contact=1.0)
-    doubtful.doubts = 1e3, 1e3
+    doubtful.error_factors = 1e3, 1e3
     trusted = Says(1.0, contact=1.0, spread=4.0)
-    trusted.doubts = 0.0, 0.0
+    trusted.error_factors = 0.0, 0.0
     doubtful.said, trusted.said = (trusted.said,) * 2
     unsure, sure = made(doubtful), made(trusted)
     assert np.abs(unsure.membrane.indentation_mm - physics.membrane.indentation_mm).max() < 0.1
     assert np.abs(sure.membrane.indentation_mm - 1.0).max() < 0.05
     assert sure.membrane.contact.all()
     sample = made(doubtful, steps=2)
-    assert np.abs(sample.membrane.indentation_mm - 1.0).max() < 5 * Says.least, "a sample is one of many, and all of it"
+    assert np.abs(sample.membrane.indentation_mm - 1.0).max() < 5 * Says.sigma_min, "a sample is one of many, and all of it"
 
 
 def test_touch_to_touch_is_given_up_where_it_contradicts_what_was_felt(felt):
@@ -316,4 +316,4 @@ def test_what_touch_to_touch_falls_back_to_is_a_bubble_read_as_all_bubbles_are(f
         view = project_cloud(back_project_depth(seen, between, BackProjectionParams()), GEL, SurfaceProjectionParams())
         expected = physical_render.render_touch(view, GEL, physical_render.PhysicalRenderParams()).membrane
         assert np.array_equal(t2t.render_from_frame(*reads).membrane.contact, expected.contact)
-        monkeypatch.setattr(depth_network, "weights", lambda *_: NoWeights(why="none are there"))
+        monkeypatch.setattr(depth_network, "select_weights", lambda *_: NoWeights(why="none are there"))

@@ -365,9 +365,9 @@ def test_a_generated_touch_speaks_against_a_pose_by_no_more_than_it_tells_of_its
         scene = extract_scene(felt_touch, 1500, 0)
         return make_judge(scene, wedge.grid, wedge.model, 750, 15_000, 2.0).misfit_mm([truth])[0]
 
-    silent, told = misfit_mm(wrong), misfit_mm(replace(wrong, spread_mm=unsure))
+    silent, told = misfit_mm(wrong), misfit_mm(replace(wrong, expected_error_mm=unsure))
     assert told < 0.6 * silent
-    recorded = replace(wrong, generated=False, spread_mm=unsure)
+    recorded = replace(wrong, is_generated=False, expected_error_mm=unsure)
     assert misfit_mm(recorded) == silent, "a recording has an error of its own"
 
 

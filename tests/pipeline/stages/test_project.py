@@ -165,7 +165,7 @@ def test_what_is_laid_out_in_strips_is_drawn_as_if_at_once(monkeypatch, stride):
     cloud = replace(cloud, points_mm=cloud.points_mm[holed], source_index=cloud.source_index[holed])
     views = []
     for cells in (1, 1 << 20):
-        monkeypatch.setattr(rasterisation, "_STRIP", cells)
+        monkeypatch.setattr(rasterisation, "_CELLS_PER_STRIP", cells)
         views.append(project_cloud(cloud, target, SURFACE))
     for name in ("depth_mm", "contact", "source_index", "pixel_of_point"):
         np.testing.assert_array_equal(getattr(views[0], name), getattr(views[1], name))

@@ -36,7 +36,7 @@ def weights_of(kind, task, **config):
     if kind == "touch_pose":
         with torch.no_grad():
             net.pose.weight.zero_()
-            net.pose.bias.copy_(torch.tensor([0.4, -0.2, *(1.0, 0.0) * net.folds]))
+            net.pose.bias.copy_(torch.tensor([0.4, -0.2, *(1.0, 0.0) * net.n_folds]))
     tensors = {name: tensor.numpy() for name, tensor in net.state_dict().items()}
     return Weights(name="test", kind=kind, config=config, tensors=tensors, card={"task": task})
 
@@ -90,7 +90,7 @@ def test_what_speaks_against_the_source_speaks_against_a_touch_that_no_depth_sta
 def test_an_untouched_frame_costs_no_look_of_the_network(touched, monkeypatch):
     still = replace(touched, image=touched.reference)
     weights = weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8)
-    monkeypatch.setattr(vqvae, "_answer", lambda *_: pytest.fail("the network was asked"))
+    monkeypatch.setattr(vqvae, "_run_network", lambda *_: pytest.fail("the network was asked"))
     found = run(still, weights)["touch"]
     assert found.state == "skipped"
     assert np.array_equal(found.output.image, make_reference_touch(BUBBLE).image)
@@ -138,9 +138,9 @@ def test_a_source_is_drawn_where_the_target_looks():
 
 def test_weights_taught_on_drawn_sources_are_shown_such_and_others_are_not(touched, monkeypatch):
     seen = []
-    monkeypatch.setattr(vqvae, "_answer", lambda _net, shown: seen.append(shown) or np.zeros((1, SIDE, SIDE)))
+    monkeypatch.setattr(vqvae, "_run_network", lambda _net, shown: seen.append(shown) or np.zeros((1, SIDE, SIDE)))
     for drawn in (False, True):
-        run(touched, weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8, laid=drawn))
+        run(touched, weights_of("vqvae", "vqvae", inputs=3, outputs=1, width=4, codes=8, reprojects_input=drawn))
     plain = resize_to_square(compute_change("gel", touched.image, touched.reference))
     assert np.array_equal(seen[0], normalise(plain, "gel"))
     assert np.array_equal(seen[1], reproject_square(plain, GEL, BUBBLE, alignment.resolve_alignment(GEL, BUBBLE)))
@@ -161,7 +161,7 @@ def test_a_pose_by_network_is_the_told_one_on_the_felt_surface(touched):
     from pipeline.simulation import shapes
 
     mesh = shapes.make_shape("star").mesh
-    weights = weights_of("touch_pose", "touch_pose", inputs=1, things=2, first=4)
+    weights = weights_of("touch_pose", "touch_pose", inputs=1, n_objects=2, base_channels=4)
     graph = Graph(BUILT_IN.methods("t2d2", {"pose": "network"}))
     found = graph.evaluate(["pose"], inputs(touched, mesh=mesh, pose_weights=weights), {})
     pose, felt = found["pose"].output, found["touch_depth"].output
@@ -176,11 +176,11 @@ def test_a_pose_by_network_is_the_told_one_on_the_felt_surface(touched):
 def test_a_pose_by_network_is_told_for_the_symmetry_of_the_object(name, turn_deg):
     """Cosine and sine of so many times the turn, and the network is said which object it is."""
     network = build_network(
-        "touch_pose", {"inputs": 1, "things": len(list_labelled_shapes()), "first": 4, "folds": 6, "think": 8}
+        "touch_pose", {"inputs": 1, "n_objects": len(list_labelled_shapes()), "base_channels": 4, "n_folds": 6, "hidden_size": 8}
     ).eval()
     angles = np.radians([20.0, 40.0, 60.0, 80.0, 100.0, 120.0])
     said = []
-    network.think.register_forward_pre_hook(
+    network.fc2.register_forward_pre_hook(
         lambda _, given: said.append(given[0][0, -len(list_labelled_shapes()) :].numpy())
     )
     with torch.no_grad():

@@ -153,7 +153,7 @@ def test_doubt_is_learned_alone_and_by_the_error(task):
         "residual_denoiser", {"inputs": CONDITION_CHANNELS, "unit_mm": 0.2, "base_channels": 8, "levels": 2, "max_channels": 8}
     )
     alone = replace(task, uncertainty_only=True)
-    sigma, none = torch.full((2,), net.most), torch.zeros(2, 2, *example["residual"].shape[1:])
+    sigma, none = torch.full((2,), net.sigma_max), torch.zeros(2, 2, *example["residual"].shape[1:])
     with torch.no_grad():
         before = net.eval()(none, sigma, batch["condition"])
     optimiser = torch.optim.Adam(net.finish.parameters(), lr=3e-2)
