@@ -35,8 +35,8 @@ def sound(result) -> None:
     {
         "DepthMap": _depth_map,
         "Cloud": _cloud,
-        "TargetView": _view,
-        "Touch": _touch,
+        "TargetDepth": _view,
+        "GeneratedTouch": _touch,
         "ObjectPose": _pose,
     }[type(result).__name__](result)
     assert all(isinstance(note, str) and "nan" not in note.lower().split() for note in result.notes)
@@ -68,7 +68,7 @@ def _cloud(c) -> None:
 def _view(v) -> None:
     shape = v.camera.shape
     assert (
-        v.depth_mm.shape == v.contact.shape == v.indentation_mm.shape == v.source_index.shape == v.known.shape == shape
+        v.depth_mm.shape == v.contact.shape == v.indentation_mm.shape == v.source_index.shape == v.in_view.shape == shape
     )
     assert v.depth_mm.dtype == v.indentation_mm.dtype == np.float32
     seen = v.source_index >= 0
@@ -83,7 +83,7 @@ def _view(v) -> None:
 
 def _touch(t) -> None:
     shape, m = t.camera.shape, t.membrane
-    assert t.image.shape[:2] == m.indentation_mm.shape == m.depth_mm.shape == m.contact.shape == t.known.shape == shape
+    assert t.image.shape[:2] == m.indentation_mm.shape == m.depth_mm.shape == m.contact.shape == t.in_view.shape == shape
     assert np.isfinite(m.indentation_mm).all(), "a membrane without a place"
     assert np.isfinite(m.depth_mm).all()
     assert t.image.dtype == np.uint8 if t.image.ndim == 3 else not np.isinf(t.image).any()

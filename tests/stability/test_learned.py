@@ -85,9 +85,9 @@ def sound_touch(result, spec) -> None:
     assert moved.max() <= most + 1e-4
     assert moved.min() >= -most - 1e-4, "farther out than it can be pressed in"
     assert (found.membrane.depth_mm > 0).all(), "behind its camera"
-    if found.membrane.spread_mm is not None:
-        assert np.isfinite(found.membrane.spread_mm).all()
-        assert (found.membrane.spread_mm >= 0).all()
+    if found.membrane.expected_error_mm is not None:
+        assert np.isfinite(found.membrane.expected_error_mm).all()
+        assert (found.membrane.expected_error_mm >= 0).all()
     for step in found.steps:
         assert np.isfinite(step.membrane.indentation_mm).all()
 
@@ -95,7 +95,7 @@ def sound_touch(result, spec) -> None:
 params = st.builds(
     DiffusionParams,
     steps=st.sampled_from(STEPS), guidance=st.sampled_from(GUIDANCE), sampler=st.sampled_from(SOLVERS),
-    caution=st.floats(0.0, 1.0), seed=st.integers(0, 2**31 - 1), keep_states=st.booleans(), noise=st.booleans(),
+    confidence_weighting=st.floats(0.0, 1.0), seed=st.integers(0, 2**31 - 1), keep_states=st.booleans(), add_noise=st.booleans(),
 )  # fmt: skip
 
 
@@ -134,7 +134,7 @@ def test_a_touch_that_the_network_alone_sees_is_not_said_to_be_none():
     assert not depth_stage.estimate_depth(frame, source, None, depth_stage.DepthParams()).contact.any()
     found = answered(t2t.generate_touch(frame, *asked, shipped("t2t_bubble"), DiffusionParams()))
     assert t2t.NETWORK_ONLY_WARNING in found.notes
-    assert t2d2.stage.NO_CONTACT not in found.notes
+    assert t2d2.physical_render.NO_CONTACT not in found.notes
 
 
 @row("12,3", "VQ-VAE: any picture, either way", share=0.13, refused=0.25)
@@ -151,7 +151,7 @@ def test_vqvae(way, picture, seed):
 @row("12,4", "latent diffusion: any steps, guidance and solver on any picture", share=0.1, refused=0.25)
 @given(
     st.sampled_from(PICTURES), st.sampled_from(STEPS[1:]), st.sampled_from(GUIDANCE), st.sampled_from(SOLVERS),
-    st.booleans(), st.sampled_from(["yes", "no", "as taught"]), seeds,
+    st.booleans(), st.sampled_from(["yes", "no", "as trained"]), seeds,
 )  # fmt: skip
 def test_latent(picture, steps, guidance, sampler, twice, raw, seed):
     source, target = small(GEL), small(BUBBLE)
@@ -199,7 +199,7 @@ def test_pose(name, picture, kind, known, seed):
     if not known:
         thing = replace(thing, vertices_mm=1e3 * thing.vertices_mm)
     felt = touch(spec, indentation_mm(spec, kind, np.random.default_rng(seed)))
-    made = replace(t2d2.stage.make_reference_touch(spec), image=reading(spec, picture, seed).image, membrane=felt)
+    made = replace(t2d2.physical_render.make_reference_touch(spec), image=reading(spec, picture, seed).image, membrane=felt)
     result, _ = outcome(
         pose_network.predict_pose, made, felt, spec, thing, shipped(f"pose_{name}"), PoseParams(max_points=50)
     )  # fmt: skip

@@ -176,7 +176,7 @@ def correct_depth(
             at.resample_to_grid(touched.astype(np.float32)) > np.float32(0.5),
             float(pixel_mm),
         ),
-        spread_mm=freeze(np.maximum(at.resample_to_image(spread), 0.0) * pixel_mm),
+        expected_error_mm=freeze(np.maximum(at.resample_to_image(spread), 0.0) * pixel_mm),
     )
 
 

@@ -79,8 +79,8 @@ def _told(network: nn.Module, shown: Floats, mesh: Mesh) -> tuple[float, float, 
         said[0, label] = 1.0
     with torch.inference_mode():
         told = net(torch.from_numpy(np.array(shown)[None]), said)
-    label = int(told.thing[0].argmax()) if label is None else label
-    (x, y), headings = told.shift_mm[0].tolist(), told.headings[0].tolist()
+    label = int(told.object_logits[0].argmax()) if label is None else label
+    (x, y), headings = told.translation_mm[0].tolist(), told.headings[0].tolist()
     fold = max(1, shapes.make_shape(names[label]).symmetry.fold)
     times = fold if fold <= len(headings) else 1
     cosine, sine = headings[times - 1]

@@ -356,7 +356,7 @@ def test_a_generated_touch_speaks_against_a_pose_by_no_more_than_it_tells_of_its
     beside = ~touch.contact & (np.arange(touch.contact.shape[1]) > touch.contact.shape[1] // 2)
     wrong = replace(
         touch, depth_mm=touch.depth_mm + np.where(beside, np.float32(0.4), np.float32(0.0)),
-        contact=touch.contact, known=np.ones_like(touch.contact), generated=True,
+        contact=touch.contact, in_view=np.ones_like(touch.contact), is_generated=True,
     )  # fmt: skip
     unsure = np.where(beside, np.float32(0.2), np.float32(0.001))
     wedge = prepare_object(notched_wedge().mesh, 0)
