@@ -43,7 +43,7 @@ def assert_same_in_any_order(points, target, mode, rng):
     order = rng.permutation(len(points.points_mm))
     shuffled = replace(points, points_mm=points.points_mm[order], source_index=points.source_index[order])
     a, b = (project_cloud(p, target, projection(mode)) for p in (points, shuffled))
-    for name in ("depth_mm", "contact", "indentation_mm", "known"):
+    for name in ("depth_mm", "contact", "indentation_mm", "in_view"):
         assert getattr(a, name).tobytes() == getattr(b, name).tobytes(), name
     assert a.notes == b.notes
     seen = a.source_index >= 0
