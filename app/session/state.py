@@ -18,7 +18,7 @@ from pipeline.base.files import read_json, write_json
 from pipeline.base.params import list_settings, replace_value
 from pipeline.engine.graph import Method
 from pipeline.previews.display_params import DisplayParams
-from pipeline.recordings.depth_arrays import DepthUnit
+from pipeline.recordings.formats import DepthUnit
 from pipeline.sensors.offsets import Offsets, parse_offsets
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 from pipeline.translation.cross_section import SectionLine

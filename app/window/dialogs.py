@@ -10,6 +10,7 @@ from PyQt6.QtWidgets import QFileDialog, QInputDialog, QWidget
 
 from app.session.state import SESSION_SUFFIX
 from pipeline.geometry.meshes import UnitProblem
+from pipeline.recordings.formats import make_dialog_filter
 
 ALIGNMENT_SUFFIX = ".toml"
 WEIGHTS_SUFFIX = ".safetensors"
@@ -22,12 +23,10 @@ _UNITS = {
     "in": "Meshes in inches",
 }
 
+_RECORDINGS = "recordings"  # stands for the file kinds of all formats
 OPEN_DIALOGS: Mapping[str, tuple[str, str]] = {  # command -> title and kinds of files, none for a folder
-    "open_recording": ("Open recording", "Recordings (*.h5 *.hdf5 *.pt *.npz *.mp4 *.avi *.mov *.mkv);;All files (*)"),
-    "hold_recording": (
-        "Beside another recording",
-        "Recordings (*.h5 *.hdf5 *.pt *.npz *.mp4 *.avi *.mov *.mkv);;All files (*)",
-    ),
+    "open_recording": ("Open recording", _RECORDINGS),
+    "hold_recording": ("Compare with recording", _RECORDINGS),
     "open_folder": ("Open folder of images", ""),
     "open_calibration": ("Open calibration", "Calibrations (*.npz);;All files (*)"),
     "open_weights": ("Open weights", "Weights of a network (*.safetensors *.pth *.pt);;All files (*)"),
@@ -47,6 +46,7 @@ _SAVERS = {  # command -> title, kind of file and its suffix
 def ask_open_path(parent: QWidget, command: str, folder: str = "") -> Path | None:
     """Ask for what a command opens, beginning in `folder`."""
     title, kinds = OPEN_DIALOGS[command]
+    kinds = make_dialog_filter() if kinds == _RECORDINGS else kinds
     if kinds:
         chosen, _ = QFileDialog.getOpenFileName(parent, title, folder, kinds)
     else:

@@ -18,7 +18,7 @@ from pipeline.inspection import synchrony
 from pipeline.inspection.object_checks import check_mesh, measure_contact_offset_mm
 from pipeline.inspection.stream_checks import Check
 from pipeline.recordings import open_recording
-from pipeline.recordings.depth_arrays import DepthUnit
+from pipeline.recordings.formats import DepthUnit
 from pipeline.sensors.spec import SensorSpec, list_sensor_names
 from pipeline.sensors.spec import load_sensor as sensor_spec
 from pipeline.values.frames import Recording, Stream, TactileFrame, Truth

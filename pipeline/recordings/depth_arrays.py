@@ -1,6 +1,6 @@
-"""Depth images of a bubble as arrays: `.npz` of Punyo and the like, `.npy`, or a folder of 16-bit images.
+"""Depth images of a bubble: `.npz` of Punyo and the like, `.npy`, or a folder of 16-bit images.
 
-The unit must be told by the key (or the file's name): depth_mm, depth_m, depth_um, depth_u16_0p1mm. Nothing is guessed.
+The name of the array (or file) states the unit: depth_mm, depth_m, depth_um, depth_u16_0p1mm. No unit is guessed.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,99 +19,102 @@ from pipeline.base.files import read_arrays
 from pipeline.base.text import escape_text
 from pipeline.geometry.camera import Camera, make_camera
 from pipeline.recordings import image_files, resampling
-from pipeline.recordings.folder_contents import FolderContent
+from pipeline.recordings.formats import DepthUnit, ReadOptions, RecordingFiles
 from pipeline.recordings.index_check import with_index_check
 from pipeline.recordings.sensor_guess import resolve_sensor_name
-from pipeline.sensors.spec import load_sensor as sensor_spec
+from pipeline.sensors.spec import load_sensor
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
-DepthUnit = Literal["auto", "mm", "m", "0.1mm", "um"]
 _MM_PER_UNIT: Mapping[str, float] = {"mm": 1.0, "m": 1000.0, "0.1mm": 0.1, "um": 0.001}
-_TOLD = re.compile(r"_(?P<unit>0p1mm|mm|um|m)$", re.IGNORECASE)
-_PLAUSIBLE_MM = (5.0, 2000.0)  # a tactile depth camera looks at a membrane some centimetres away
-_N_UNTOUCHED = 5  # first frames whose median is taken as untouched: a fifth of the noise of one
+_UNIT_SUFFIX = re.compile(r"_(?P<unit>0p1mm|mm|um|m)$", re.IGNORECASE)
+_PLAUSIBLE_MM = (5.0, 2000.0)  # range of a median depth: the camera is some centimetres from the membrane
+_N_REFERENCE_FRAMES = 5  # first frames whose median is the reference: its noise is half of that of one frame
+_TIME_KEYS = ("timestamps_s", "time_s", "t_s")
 
 
-def read(
-    path: Path,
-    arrays: Mapping[str, NDArray[Any]],
-    *,
-    sensor: str = "",
-    reference: Path | None = None,
-    unit: DepthUnit = "auto",
-) -> Recording:
-    """One stream of float32 depth in mm, NaN where there is no reading (0, negative, 65535, not finite).
-
-    Without `reference` (another depth file) the median of the first frames is taken as untouched, and noted. Raises
-    FileProblem when the array cannot be read or its unit is not told.
-    """  # fmt: skip
-    return _recording(path, _arrays(path, arrays, unit), sensor, reference, unit)
+def are_depth_images(files: RecordingFiles) -> bool:
+    """Whether the first image that can be read has one channel of 16 bits."""
+    for file in files.images:
+        try:
+            pixels = image_files.read_raw_pixels(file)
+        except FileProblem:
+            continue
+        return pixels.dtype == np.uint16 and pixels.ndim == 2
+    return False
 
 
-def read_image_folder(
-    path: Path, found: FolderContent, *, sensor: str = "", reference: Path | None = None, unit: DepthUnit = "auto"
-) -> Recording:
-    """The same of 16-bit images; one that is named as untouched is the reference where none is given."""
-    files = [p for p in found.images if p != reference]
-    if not files:
+def read(files: RecordingFiles, options: ReadOptions) -> Recording:
+    """One stream of float32 depth in mm; NaN where the value is 0, negative, 65535 or not finite.
+
+    The reference is `options.reference` (another depth file), else the median of the first frames, with a note.
+    Raises FileProblem for an array that cannot be read or whose unit is not stated.
+    """
+    arrays = read_arrays(files.path, "the recording")
+    return _make_recording(files, _stack_arrays(files.path, arrays, options.depth_unit), options)
+
+
+def read_image_folder(files: RecordingFiles, options: ReadOptions) -> Recording:
+    """As `read`, from 16-bit images; an image whose name says so is the reference where none is given."""
+    path, unit = files.path, options.depth_unit
+    images = [p for p in files.images if p != options.reference]
+    if not images:
         raise FileProblem("the only depth image is the reference", path)
-    named = path.stem if path.is_file() else path.name
-    if unit == "auto" and _TOLD.search(named) is None and _TOLD.search(files[0].stem) is not None:
-        named = files[0].stem
-    told = _unit_of(named, unit, path)
-    loaded = _Loaded(named, told, len(files), lambda i: _sixteen_bit(files[i]), path)
-    loaded.notes = found.notes
-    reference = reference or (found.references[0] if found.references else None)
-    return _recording(path, loaded, sensor, reference, cast("DepthUnit", told))
+    name = path.stem if path.is_file() else path.name
+    if unit == "auto" and _UNIT_SUFFIX.search(name) is None and _UNIT_SUFFIX.search(images[0].stem) is not None:
+        name = images[0].stem
+    unit = _resolve_unit(name, unit, path)
+    stack = _DepthStack(name, unit, len(images), lambda i: _read_16_bit(images[i]), path)
+    reference = options.reference or (files.references[0] if files.references else None)
+    options = ReadOptions(sensor=options.sensor, reference=reference, depth_unit=cast("DepthUnit", unit))
+    return _make_recording(files, stack, options)
 
 
-def _recording(path: Path, loaded: _Loaded, sensor: str, reference: Path | None, unit: DepthUnit) -> Recording:
-    n, first = loaded.n_frames, loaded.depth_mm(0)
+def _make_recording(files: RecordingFiles, stack: _DepthStack, options: ReadOptions) -> Recording:
+    path, n, first = files.path, stack.n_frames, stack.depth_mm(0)
     shape = cast("tuple[int, int]", first.shape)
-    name, notes = resolve_sensor_name(sensor, shape, is_depth=True)
-    camera = loaded.camera
+    name, notes = resolve_sensor_name(options.sensor, shape, is_depth=True)
+    camera = stack.camera
     if camera is None:
-        camera, about_camera = resampling.infer_depth_camera(sensor_spec(sensor or name), shape)
-        notes += about_camera
-    untouched: Floats | None = None
-    if reference is not None:
-        untouched, about = read_depth_image(reference, unit), f"{reference.name} shows the untouched sensor"
+        camera, camera_notes = resampling.infer_depth_camera(load_sensor(options.sensor or name), shape)
+        notes += camera_notes
+    reference: Floats | None = None
+    if options.reference is not None:
+        reference = read_depth_image(options.reference, options.depth_unit)
+        about = f"{options.reference.name} is the reference"
+        if reference.shape != shape:
+            raise FileProblem(f"the reference has shape {reference.shape}, the frames {shape}", options.reference)
     elif n > 1:
-        n_first = min(_N_UNTOUCHED, max(1, n // 6))
-        untouched = compute_median_depth(np.stack([loaded.depth_mm(i) for i in range(n_first)]))
-        about = describe_first_frames(n_first)
+        reference, about = estimate_reference(stack.depth_mm, n)
     else:
-        about = "one picture alone has nothing to be compared to; name one of the untouched sensor with --reference"
-    if untouched is not None and untouched.shape != shape:
-        assert reference is not None
-        raise FileProblem(f"the reference has shape {untouched.shape}, the frames {first.shape}", reference)
+        about = "one depth image has no reference; name one with --reference"
 
     def frame(index: int) -> TactileFrame:
-        return TactileFrame(sensor=name, image=loaded.depth_mm(index), reference=untouched, index=index,
-                            time_s=float(loaded.times_s[index]), origin=f"{path} [{loaded.key} {index}]",
+        return TactileFrame(sensor=name, image=stack.depth_mm(index), reference=reference, index=index,
+                            time_s=float(stack.times_s[index]), origin=f"{path} [{stack.key} {index}]",
                             camera=camera)  # fmt: skip
 
     stream = Stream(name=name, sensor=name, n_frames=n, frame=with_index_check(frame, n, path))
-    notes = (*notes, escape_text(f"{loaded.key} is taken as {loaded.unit}"), about, *loaded.notes)
+    notes = (*files.notes, *notes, escape_text(f"{stack.key} is taken as {stack.unit}"), about, *stack.notes)
     return Recording(path=path, format="depth arrays", streams=(stream,), notes=notes)
 
 
-def describe_first_frames(n: int) -> str:
-    """What is said of a reference that is the median of the first `n` frames."""
-    first = "the first frame" if n == 1 else f"the median of the first {n} frames"
-    return f"{first} is taken as the untouched sensor"
+def estimate_reference(depth_mm: Callable[[int], Floats], n_frames: int) -> tuple[Floats, str]:
+    """(median depth (rows, cols) in mm of the first frames, note that says so), for a recording without reference."""
+    n = min(_N_REFERENCE_FRAMES, max(1, n_frames // 6))
+    which = "the first frame" if n == 1 else f"the median of the first {n} frames"
+    return compute_median_depth(np.stack([depth_mm(i) for i in range(n)])), f"{which} is taken as the reference"
 
 
 def read_depth_image(path: Path, unit: DepthUnit = "auto") -> Floats:
-    """One depth image in mm: the median over all images of an array file, or one 16-bit picture."""
+    """One depth image in mm: the median over all images of an array file, or one 16-bit image."""
     if image_files.is_image_file(path):
-        return _in_mm(_sixteen_bit(path), _unit_of(path.stem, unit, path), path.name, path)
-    loaded = _arrays(path, read_arrays(path, "the depth images"), unit)
-    return compute_median_depth(np.stack([loaded.depth_mm(i) for i in range(loaded.n_frames)]))
+        return _convert_to_mm(_read_16_bit(path), _resolve_unit(path.stem, unit, path), path.name, path)
+    stack = _stack_arrays(path, read_arrays(path, "the depth images"), unit)
+    return compute_median_depth(np.stack([stack.depth_mm(i) for i in range(stack.n_frames)]))
 
 
-class _Loaded:
-    """Depth images behind one face, wherever they come from."""
+class _DepthStack:
+    """Depth images of one file or folder, read on demand."""
 
     def __init__(self, key: str, unit: str, n_frames: int, read_raw: Callable[[int], NDArray[Any]], path: Path) -> None:
         self.key, self.unit, self.n_frames, self._read_raw, self._path = key, unit, n_frames, read_raw, path
@@ -120,54 +123,54 @@ class _Loaded:
         self.notes: tuple[str, ...] = ()
 
     def depth_mm(self, index: int) -> Floats:
-        return _in_mm(self._read_raw(index), self.unit, f"{self.key} of frame {index}", self._path)
+        return _convert_to_mm(self._read_raw(index), self.unit, f"{self.key} of frame {index}", self._path)
 
 
-def _arrays(path: Path, arrays: Mapping[str, NDArray[Any]], unit: DepthUnit) -> _Loaded:
-    key = _depth_key(arrays, path)
-    told, stack = _unit_of(key, unit, path), arrays[key]
-    stack = stack[None] if stack.ndim == 2 else stack
-    stack = stack[..., 0] if stack.ndim == 4 and stack.shape[-1] == 1 else stack
-    if stack.dtype.kind not in "fiu" or stack.dtype.itemsize > 8:
-        raise FileProblem(f"{key} must hold real numbers, got {stack.dtype}", path, field=key)
-    if stack.ndim != 3 or not stack.size:
+def _stack_arrays(path: Path, arrays: Mapping[str, NDArray[Any]], unit: DepthUnit) -> _DepthStack:
+    key = _find_depth_key(arrays, path)
+    stated_unit, images = _resolve_unit(key, unit, path), arrays[key]
+    images = images[None] if images.ndim == 2 else images
+    images = images[..., 0] if images.ndim == 4 and images.shape[-1] == 1 else images
+    if images.dtype.kind not in "fiu" or images.dtype.itemsize > 8:
+        raise FileProblem(f"{key} must hold real numbers, got {images.dtype}", path, field=key)
+    if images.ndim != 3 or not images.size:
         raise FileProblem(f"{key} must have shape (frames, rows, cols), got {arrays[key].shape}", path, field=key)
-    loaded = _Loaded(key, told, len(stack), lambda i: stack[i], path)  # pyright: ignore[reportUnknownLambdaType]
+    stack = _DepthStack(key, stated_unit, len(images), lambda i: images[i], path)  # pyright: ignore[reportUnknownLambdaType]
     if "K" in arrays:
         if arrays["K"].dtype.kind not in "fiu":
             raise FileProblem(f"K must hold real numbers, got {arrays['K'].dtype}", path, field="K")
         try:
-            loaded.camera = make_camera(arrays["K"], stack.shape[1], stack.shape[2], what="K")
+            stack.camera = make_camera(arrays["K"], images.shape[1], images.shape[2], what="K")
         except CalibrationError as error:
             raise CalibrationError(f"{error}: '{path}'") from error
-    for name in ("timestamps_s", "time_s", "t_s"):
-        if name in arrays and arrays[name].shape == (len(stack),) and arrays[name].dtype.kind in "fiu":
-            loaded.times_s = arrays[name]
-    left = sorted(arrays.keys() - {key, "K", "timestamps_s", "time_s", "t_s", "frame"})
-    loaded.notes = (f"also in the file and left out: {escape_text(', '.join(left))}",) if left else ()
-    return loaded
+    for name in _TIME_KEYS:
+        if name in arrays and arrays[name].shape == (len(images),) and arrays[name].dtype.kind in "fiu":
+            stack.times_s = arrays[name]
+    unused = sorted(arrays.keys() - {key, "K", "frame", *_TIME_KEYS})
+    stack.notes = (f"other arrays of the file are left out: {escape_text(', '.join(unused))}",) if unused else ()
+    return stack
 
 
-def _sixteen_bit(file: Path) -> NDArray[Any]:
+def _read_16_bit(file: Path) -> NDArray[Any]:
     pixels = image_files.read_raw_pixels(file)
     if pixels.ndim != 2 or pixels.dtype != np.uint16:
         raise FileProblem("a depth image must have one channel of 16 bits", file)
     return pixels
 
 
-def _depth_key(arrays: Mapping[str, NDArray[Any]], path: Path) -> str:
+def _find_depth_key(arrays: Mapping[str, NDArray[Any]], path: Path) -> str:
     candidates = [k for k, a in arrays.items() if a.ndim >= 2 and a.shape != (3, 3) and k != "K"]
-    named = [k for k in candidates if "depth" in k.lower()] or candidates
-    if len(named) != 1:
-        seen = ", ".join(f"{k} {a.shape}" for k, a in arrays.items()) or "nothing"
-        raise FileProblem(f"cannot tell which array is the depth, looked at {seen}; name one depth_mm or depth_m", path)
-    return named[0]
+    candidates = [k for k in candidates if "depth" in k.lower()] or candidates
+    if len(candidates) != 1:
+        shapes = ", ".join(f"{k} {a.shape}" for k, a in arrays.items()) or "none"
+        raise FileProblem(f"cannot tell which array is the depth ({shapes}); name one depth_mm or depth_m", path)
+    return candidates[0]
 
 
-def _unit_of(key: str, said: DepthUnit, path: Path) -> str:
-    if said != "auto":
-        return said
-    match = _TOLD.search(key)
+def _resolve_unit(key: str, stated: DepthUnit, path: Path) -> str:
+    if stated != "auto":
+        return stated
+    match = _UNIT_SUFFIX.search(key)
     if match is None:
         raise FileProblem(
             f"cannot tell the unit of {key!r}; name it {key}_mm or {key}_m, or give --depth-unit", path, field=key
@@ -175,21 +178,23 @@ def _unit_of(key: str, said: DepthUnit, path: Path) -> str:
     return match["unit"].lower().replace("0p1mm", "0.1mm")
 
 
-def _in_mm(raw: NDArray[Any], unit: str, what: str, path: Path) -> Floats:
-    values = raw.astype(np.float32) * np.float32(_MM_PER_UNIT[unit])
-    gaps = ~np.isfinite(values) | (raw <= 0) | ((raw == 65535) if raw.dtype == np.uint16 else False)
-    values[gaps] = np.nan
+def _convert_to_mm(raw: NDArray[Any], unit: str, what: str, path: Path) -> Floats:
+    """Depth in mm, NaN where `raw` has no value; raises FileProblem for a median beyond `_PLAUSIBLE_MM`."""
+    depth_mm = raw.astype(np.float32) * np.float32(_MM_PER_UNIT[unit])
+    gaps = ~np.isfinite(depth_mm) | (raw <= 0) | ((raw == 65535) if raw.dtype == np.uint16 else False)
+    depth_mm[gaps] = np.nan
     if not gaps.all():
-        typical = float(np.median(values[~gaps]))
-        if not _PLAUSIBLE_MM[0] <= typical <= _PLAUSIBLE_MM[1]:
-            raise FileProblem(f"{what} would have a median of {typical:.3g} mm when read in {unit}; is that its unit?",
-                              path, field=what)  # fmt: skip
-    return freeze(values)
+        median = float(np.median(depth_mm[~gaps]))
+        if not _PLAUSIBLE_MM[0] <= median <= _PLAUSIBLE_MM[1]:
+            raise FileProblem(
+                f"{what} has a median of {median:.3g} mm when read in {unit}; check the unit", path, field=what
+            )
+    return freeze(depth_mm)
 
 
 def compute_median_depth(stack: NDArray[Any]) -> Floats:
-    """Of depth images (frames, rows, cols), NaN only where no frame has a reading."""
-    seen = np.isfinite(stack).any(axis=0)
+    """The median (rows, cols) of depth images (frames, rows, cols); NaN only where no frame has a value."""
+    known = np.isfinite(stack).any(axis=0)
     median = np.full(stack.shape[1:], np.nan, np.float32)
-    median[seen] = np.nanmedian(stack[:, seen], axis=0)
+    median[known] = np.nanmedian(stack[:, known], axis=0)
     return freeze(median)

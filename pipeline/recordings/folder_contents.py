@@ -1,173 +1,144 @@
-"""What lies in a folder, or deeper in a data set's own tree, that can be read as one recording.
+"""Find the recording in a folder, or deeper in the tree of a data set.
 
-Trees that are known by how they are laid out: frames in a folder of their own (YCB-Slide, with films and drawings
-beside them), every press in a folder of its own (the calibrations of gs_sdk and gelslam), untouched pictures in `bgs`
-(Sparsh), point clouds in `expand` (Punyo). Nothing is unpickled on the way.
+Known trees: frames in a folder of their own (YCB-Slide, next to films and drawings), each press in a folder of its own
+(calibrations of gs_sdk and gelslam), reference images in `bgs` (Sparsh), point clouds in `expand` (Punyo). Nothing is
+unpickled.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 from pipeline.base.errors import FileProblem
 from pipeline.base.text import escape_text
-from pipeline.recordings import image_files, video
+from pipeline.recordings.formats import RecordingFiles, list_formats, list_suffixes
+from pipeline.recordings.image_files import is_image_file, is_reference_file, natural_sort_key
 
-ContentKind = Literal["images", "samples", "point_clouds", "file"]
-
-_FRAMES = ("frames", "tactile_images", "expand")  # folders whose pictures or clouds are a sensor's, whatever is beside
-_NO_FRAMES = frozenset({"webcam_frames", "gt_contactmasks", "gt_heightmaps", "obj_models", "bgs"})
+PICKLE_SUFFIXES = frozenset({".pkl", ".pickle"})
+PICKLE_REFUSAL = (
+    "a pickle can run code when it is loaded and is refused: in the program that made it, save the images as PNG "
+    "files, or the arrays with numpy.savez"
+)
+_FRAME_FOLDERS = ("frames", "tactile_images", "expand")  # hold a sensor's images or clouds, whatever lies next to them
+_OTHER_FOLDERS = frozenset({"webcam_frames", "gt_contactmasks", "gt_heightmaps", "obj_models", "bgs"})  # no sensor's
 _COMPANIONS = re.compile(r"^(tactile_data.*\.png|alignment\.npy|digit_data\.npy|synced_data\.npy)$")  # of YCB-Slide
-_CLOUD = re.compile(r"^pc_\d+\.npy$")  # of Punyo's force estimation
-_SAMPLE = re.compile(r"^(.+_)?data_\d+$")  # of touch2touch
-_UNTOUCHED = "bgs"
-_ARRAYS = frozenset({".h5", ".hdf5", ".npz", ".npy", ".pt", ".pth"})
-_PICKLES = frozenset({".pkl", ".pickle"})
-_DEEPEST = 6  # folders below the one that was named
-_MOST_NAMED = 3
+_REFERENCE_FOLDER = "bgs"
+_MAX_LEVELS = 6  # folders below the one that was given
+_MAX_NAMES = 3  # in a note
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FolderContent:
-    """What to read, and what to say of it."""
-
-    kind: ContentKind
-    path: Path  # a folder, or the one file
-    images: tuple[Path, ...] = ()  # in order
-    references: tuple[Path, ...] = ()  # pictures of the untouched sensor that lie with them
-    notes: tuple[str, ...] = field(default=())
-
-
-def is_point_cloud_file(path: Path) -> bool:
-    """Whether the name is that of one point cloud of a recording."""
-    return _CLOUD.match(path.name) is not None
-
-
-def find_recording(folder: Path) -> FolderContent:
-    """The recording that a folder holds; raises FileProblem where there is none, and OSError."""
-    at, notes, untouched = folder, list[str](), list[Path]()
-    for _ in range(_DEEPEST):
+def find_recording(folder: Path) -> RecordingFiles:
+    """The files of the recording in `folder`; raises FileProblem where there is none, and OSError."""
+    at, notes, references = folder, list[str](), list[Path]()
+    for _ in range(_MAX_LEVELS):
         here = _Contents(at)
-        untouched += here.untouched
-        if here.frames is not None:
-            at = here.frames
-            notes.append(f"the frames are those of {_below(at, folder)}; what lies beside them is left out")
+        references += here.references
+        if here.frame_folder is not None:
+            at = here.frame_folder
+            notes.append(f"the frames are those of {_relative_name(at, folder)}; other files there are left out")
             continue
-        if here.pictures:
-            return _pictures(folder, here.pictures, untouched + _beside(at), notes)
-        if here.clouds:
-            return FolderContent(kind="point_clouds", path=at, notes=tuple(notes))
-        if here.samples:
-            return FolderContent(kind="samples", path=at, notes=tuple(notes))
+        if here.images:
+            return _image_files(folder, here.images, references + _nearby_references(at), notes)
+        folder_format = next((f.key for f in list_formats() if f.matches_folder(at)), "")
+        if folder_format:
+            return RecordingFiles(path=at, format=folder_format, notes=tuple(notes))
         if here.files:
-            return FolderContent(kind="file", path=here.files[0], notes=(*notes, *_first_of(here.files, folder)))
-        presses = _one_each(here.folders)
+            return RecordingFiles(path=here.files[0], notes=(*notes, *_note_choice(here.files, folder)))
+        presses = _single_images(here.folders)
         if presses:
-            notes.append(f"{len(presses)} folders of one picture each are taken as one recording")
-            return _pictures(folder, presses, untouched + _beside(at), notes)
-        inside = [f for f in here.folders if _holds_something(f)]
-        if not inside:
+            notes.append(f"{len(presses)} folders of one image each are taken as one recording")
+            return _image_files(folder, presses, references + _nearby_references(at), notes)
+        inner = [f for f in here.folders if _holds_recording(f)]
+        if not inner:
             break
-        if len(inside) > 1:
-            notes += _first_of(inside, folder)
-        at = inside[0]
-    raise _nothing(folder)
+        if len(inner) > 1:
+            notes += _note_choice(inner, folder)
+        at = inner[0]
+    raise _make_problem(folder)
 
 
 class _Contents:
-    """One folder, sorted by what its entries are; hidden ones and known companions are passed over."""
+    """The entries of one folder by what they are."""
 
     def __init__(self, folder: Path) -> None:
-        every = _entries(folder)
-        named = {p.name: p for p in every if p.is_dir()}
-        self.frames = next((named[n] for n in _FRAMES if n in named and _holds_something(named[n])), None)
-        self.folders = [p for n, p in named.items() if n not in _NO_FRAMES]
-        shown = [p for p in every if p.name not in named and image_files.is_image_file(p)]
-        self.untouched = [p for p in shown if image_files.is_reference_file(p)]
-        self.pictures = [p for p in shown if not image_files.is_reference_file(p)]
-        self.clouds = [p for p in every if is_point_cloud_file(p)]
-        self.samples = any(_SAMPLE.match(p.stem) for p in folder.rglob("*.pt"))
-        self.files = [p for p in every if p.name not in named and p.suffix.lower() in _ARRAYS | video.VIDEO_SUFFIXES]
+        entries = _list_entries(folder)
+        folders = {p.name: p for p in entries if p.is_dir()}
+        files = [p for p in entries if p.name not in folders]
+        frame_folders = (folders[n] for n in _FRAME_FOLDERS if n in folders)
+        self.frame_folder = next((f for f in frame_folders if _holds_recording(f)), None)
+        self.folders = [p for n, p in folders.items() if n not in _OTHER_FOLDERS]
+        images = [p for p in files if is_image_file(p)]
+        self.references = [p for p in images if is_reference_file(p)]
+        self.images = [p for p in images if not is_reference_file(p)]
+        self.files = [p for p in files if p.suffix.lower() in list_suffixes()]
 
 
-def _entries(folder: Path) -> list[Path]:
-    """In natural order; hidden ones and a data set's companions are passed over."""
-    every = [p for p in folder.iterdir() if not p.name.startswith(".") and not _COMPANIONS.match(p.name)]
-    return sorted(every, key=image_files.natural_sort_key)
+def _list_entries(folder: Path) -> list[Path]:
+    """The entries in natural order, without hidden ones and companions of a data set."""
+    entries = [p for p in folder.iterdir() if not p.name.startswith(".") and not _COMPANIONS.match(p.name)]
+    return sorted(entries, key=natural_sort_key)
 
 
-def _pictures(folder: Path, files: list[Path], untouched: list[Path], notes: list[str]) -> FolderContent:
-    return FolderContent(
-        kind="images", path=folder, images=tuple(files), references=tuple(untouched), notes=tuple(notes)
-    )
+def _image_files(folder: Path, images: list[Path], references: list[Path], notes: list[str]) -> RecordingFiles:
+    return RecordingFiles(path=folder, images=tuple(images), references=tuple(references), notes=tuple(notes))
 
 
-def _beside(folder: Path) -> list[Path]:
-    """Untouched pictures in the `bgs` of this folder or the one above, and of presses' parent folder."""
+def _nearby_references(folder: Path) -> list[Path]:
+    """Reference images in the `bgs` of this folder or its parent, else in the parent of a folder of presses."""
     found: list[Path] = []
-    for place in (folder / _UNTOUCHED, folder.parent / _UNTOUCHED):
+    for place in (folder / _REFERENCE_FOLDER, folder.parent / _REFERENCE_FOLDER):
         if place.is_dir():
-            found += sorted(filter(image_files.is_image_file, place.iterdir()), key=image_files.natural_sort_key)
+            found += sorted(filter(is_image_file, place.iterdir()), key=natural_sort_key)
     if not found and any(p.is_dir() for p in folder.iterdir()):
-        found = [
-            p for p in folder.parent.iterdir() if image_files.is_image_file(p) and image_files.is_reference_file(p)
-        ]
+        found = [p for p in folder.parent.iterdir() if is_image_file(p) and is_reference_file(p)]
     return found
 
 
-def _one_each(folders: Iterable[Path]) -> list[Path]:
-    """The only pictures of folders, or of folders in them, that hold exactly one each; none where one does not."""
+def _single_images(folders: Iterable[Path]) -> list[Path]:
+    """The only image of each folder, or of folders in it; [] unless every folder holds exactly one."""
     out: list[Path] = []
     for folder in folders:
-        every = _entries(folder)
-        shown = [p for p in every if image_files.is_image_file(p) and not image_files.is_reference_file(p)]
-        if len(shown) > 1 or folder.name in _FRAMES:
+        entries = _list_entries(folder)
+        images = [p for p in entries if is_image_file(p) and not is_reference_file(p)]
+        if len(images) > 1 or folder.name in _FRAME_FOLDERS:
             return []
-        more = shown or _one_each([p for p in every if p.is_dir() and p.name not in _NO_FRAMES])
-        if not more:
+        images = images or _single_images([p for p in entries if p.is_dir() and p.name not in _OTHER_FOLDERS])
+        if not images:
             return []
-        out += more
+        out += images
     return out if len(out) > 1 else []
 
 
-def _holds_something(folder: Path) -> bool:
-    """Whether anything that can be read lies in a folder or below, a few folders deep."""
-    level = [folder]
-    for _ in range(_DEEPEST):
+def _holds_recording(folder: Path) -> bool:
+    """Whether a file that can be read lies in the folder or at most `_MAX_LEVELS` below."""
+    level, suffixes = [folder], list_suffixes()
+    for _ in range(_MAX_LEVELS):
         entries = [p for f in level for p in f.iterdir() if not p.name.startswith(".")]
-        if any(p.suffix.lower() in _ARRAYS | video.VIDEO_SUFFIXES or image_files.is_image_file(p) for p in entries):
+        if any(p.suffix.lower() in suffixes or is_image_file(p) for p in entries):
             return True
-        level = [p for p in entries if p.is_dir() and p.name not in _NO_FRAMES and not p.is_symlink()]
+        level = [p for p in entries if p.is_dir() and p.name not in _OTHER_FOLDERS and not p.is_symlink()]
     return False
 
 
-def _first_of(several: list[Path], folder: Path) -> tuple[str, ...]:
-    if len(several) == 1:
-        return (f"the folder's one recording is {_below(several[0], folder)}",)
-    others = ", ".join(p.name for p in several[1 : 1 + _MOST_NAMED]) + (
-        " ..." if len(several) > 1 + _MOST_NAMED else ""
+def _note_choice(paths: list[Path], folder: Path) -> tuple[str, ...]:
+    name = _relative_name(paths[0], folder)
+    if len(paths) == 1:
+        return (f"the folder's one recording is {name}",)
+    others = ", ".join(p.name for p in paths[1 : 1 + _MAX_NAMES]) + (" ..." if len(paths) > 1 + _MAX_NAMES else "")
+    return (
+        escape_text(f"the folder holds {len(paths)} recordings; {name} is opened; open the others ({others}) by name"),
     )
-    return (escape_text(f"the folder holds {len(several)} recordings; {_below(several[0], folder)} is opened, "
-                  f"the others ({others}) by their own names"),)  # fmt: skip
 
 
-def _below(path: Path, folder: Path) -> str:
+def _relative_name(path: Path, folder: Path) -> str:
     return escape_text(str(path.relative_to(folder)))
 
 
-def _nothing(folder: Path) -> FileProblem:
+def _make_problem(folder: Path) -> FileProblem:
     if not any(folder.iterdir()):
         return FileProblem("the folder is empty", folder)
-    if any(p.suffix.lower() in _PICKLES for p in folder.rglob("*")):
-        return FileProblem(f"all that the folder holds are pickles; {PICKLE_REFUSAL}", folder)
-    return FileProblem("the folder has no images to show, and no recording of another kind", folder)
-
-
-PICKLE_REFUSAL = (
-    "a pickle can run code when it is loaded and is refused: in the program that made it, save the pictures as PNG "
-    "files, or the arrays with numpy.savez"
-)
+    if any(p.suffix.lower() in PICKLE_SUFFIXES for p in folder.rglob("*")):
+        return FileProblem(f"the folder holds only pickles; {PICKLE_REFUSAL}", folder)
+    return FileProblem("the folder has no images and no recording of another kind", folder)

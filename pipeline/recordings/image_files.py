@@ -1,4 +1,4 @@
-"""Single image files as arrays: always RGB, never turned by their EXIF tag, refused when cut short."""
+"""Read single image files as RGB arrays; EXIF rotation is ignored, truncated files are refused."""
 
 from __future__ import annotations
 
@@ -12,35 +12,36 @@ from numpy.typing import NDArray
 from pipeline.base.arrays import Image, freeze
 from pipeline.base.errors import FileProblem
 from pipeline.base.files import read_bytes
+from pipeline.recordings.formats import IMAGE_SUFFIXES
 
-IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"})
-_REFERENCE = re.compile(r"^(background|bg|ref|reference|untouched|undeformed)([\W_\d].*)?$", re.IGNORECASE)
-_UNTOUCHED_ARRAY = re.compile(r"(^|_)(background|bg|ref|reference|untouched|undeformed|base)(_|$)", re.IGNORECASE)
-_TAIL_BYTES = 4096  # editors may write a little after the end mark
+NO_REFERENCE_NOTE = "no reference image was found; name one with --reference"
+_REFERENCE_STEM = re.compile(r"^(background|bg|ref|reference|untouched|undeformed)([\W_\d].*)?$", re.IGNORECASE)
+_REFERENCE_KEY = re.compile(r"(^|_)(background|bg|ref|reference|untouched|undeformed|base)(_|$)", re.IGNORECASE)
+_TAIL_BYTES = 4096  # at the end of a file in which the end mark is searched: editors append a little
 
 
 def is_image_file(path: Path) -> bool:
-    """Whether the name says that this is an image file."""
+    """Whether the suffix is that of an image and the file is not hidden."""
     return path.suffix.lower() in IMAGE_SUFFIXES and not path.name.startswith(".")
 
 
 def is_reference_file(path: Path) -> bool:
-    """Whether the name says that this picture shows the untouched sensor."""
-    return _REFERENCE.match(path.stem) is not None
+    """Whether the name is that of a reference image."""
+    return _REFERENCE_STEM.match(path.stem) is not None
 
 
 def is_reference_key(key: str) -> bool:
-    """Whether an array of this name shows the untouched sensor."""
-    return _UNTOUCHED_ARRAY.search(key) is not None
+    """Whether the name is that of a reference array."""
+    return _REFERENCE_KEY.search(key) is not None
 
 
 def natural_sort_key(path: Path) -> tuple[object, ...]:
-    """Sorts frame_2 before frame_10."""
+    """Sort key that puts frame_2 before frame_10."""
     return tuple((0, int(p), "") if p.isdecimal() else (1, 0, p.lower()) for p in re.split(r"(\d+)", path.stem) if p)
 
 
 def read_raw_pixels(path: Path) -> NDArray[np.generic]:
-    """The pixels as stored, colours in the decoder's order; raises FileProblem when they cannot be read whole."""
+    """The pixels as stored, colours as BGR(A); raises FileProblem for a damaged or truncated file."""
     import cv2
 
     data = read_bytes(path, "the image")
@@ -56,17 +57,17 @@ def read_raw_pixels(path: Path) -> NDArray[np.generic]:
 
 
 def read_rgb(path: Path) -> Image:
-    """(rows, cols, 3) uint8 RGB of an image file; raises FileProblem when it is damaged or has not 8 bits."""
+    """(rows, cols, 3) uint8 RGB of an image file; raises FileProblem for a damaged file or other than 8 bits."""
     pixels = read_raw_pixels(path)
     if pixels.dtype != np.uint8:
         raise FileProblem(f"a colour image must have 8 bits per channel, this one is {pixels.dtype}", path)
     if pixels.ndim == 2:
         return freeze(np.repeat(cast("Image", pixels)[:, :, None], 3, axis=2))
-    return freeze(np.ascontiguousarray(cast("Image", pixels)[:, :, 2::-1]))  # the decoder gives BGR or BGRA
+    return freeze(np.ascontiguousarray(cast("Image", pixels)[:, :, 2::-1]))  # from BGR or BGRA
 
 
 def _is_whole(data: bytes) -> bool:
-    """Decoders fill what is missing with grey; the end marks of PNG and JPEG tell."""
+    """Whether PNG or JPEG data has its end mark; decoders fill missing rows with grey."""
     if data.startswith(b"\x89PNG"):
         return b"IEND" in data[-_TAIL_BYTES:]
     if data.startswith(b"\xff\xd8"):

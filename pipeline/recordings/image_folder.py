@@ -1,65 +1,69 @@
-"""Images with a picture of the untouched sensor beside them: a folder, one image, or a data set's own tree."""
+"""Read gel images with a reference image among them: a folder, one image, or the tree of a data set."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from pipeline.base.arrays import Image
 from pipeline.base.errors import FileProblem
 from pipeline.recordings import image_files
-from pipeline.recordings.folder_contents import FolderContent
+from pipeline.recordings.formats import ReadOptions, RecordingFiles
 from pipeline.recordings.gel_images import make_gel_converter
 from pipeline.recordings.index_check import with_index_check
 from pipeline.recordings.reference_denoising import denoise_reference
 from pipeline.values.frames import Recording, Stream, TactileFrame
 
-_LOOKED_AT = 3  # images whose size is compared with the reference's
+_N_COMPARED = 3  # images whose size is compared with the reference's
 
 
-def read(path: Path, found: FolderContent, *, sensor: str = "", reference: Path | None = None) -> Recording:
-    """The images of a folder (or one image) as one stream of RGB frames, in the order found.
+def read(files: RecordingFiles, options: ReadOptions) -> Recording:
+    """The images as one stream of RGB frames, in order.
 
-    The reference is the file given, else the first one named background*, bg*, ref*, reference*, untouched* or
-    undeformed*, or its median with the first frames where they show the same; differences from it imply it; without
-    any the frames have none, and the notes say so. Pictures of the right sensor at another size are resampled.
-    Raises FileProblem or SettingProblem.
+    The reference is the stated file, else the first image named background*, bg*, ref*, reference*, untouched* or
+    undeformed*, as the median with the first frames where they are alike. Differences imply it; without any the frames
+    have none, with a note. Images of the sensor at another size are resampled. Raises FileProblem or SettingProblem.
     """
-    chosen = reference or (found.references[0] if found.references else None)
-    left_out = {os.path.realpath(p) for p in (*found.references, *((chosen,) if chosen else ()))}
-    files = [p for p in found.images if os.path.realpath(p) not in left_out]
-    if not files:
+    path = files.path
+    reference_file = options.reference or (files.references[0] if files.references else None)
+    references = (*files.references, *((reference_file,) if reference_file else ()))
+    excluded = {os.path.realpath(p) for p in references}
+    images = [p for p in files.images if os.path.realpath(p) not in excluded]
+    if not images:
         raise FileProblem(
             "the folder has no images to show" if path.is_dir() else "the only image is the reference", path
         )
-    untouched = None if chosen is None else image_files.read_rgb(chosen)
-    shape = (_first(files) if untouched is None else untouched).shape
-    if chosen is not None and not _any_of_shape(files, shape):
-        other = _first(files).shape
-        raise FileProblem(f"the picture of the untouched sensor is {shape[1]} x {shape[0]} px, the others are "
-                          f"{other[1]} x {other[0]} px; give one of that size as --reference", chosen)  # fmt: skip
-    steadier = 0
-    if untouched is not None and reference is None:
-        untouched, steadier = denoise_reference(untouched, _readable(files))
-    made = make_gel_converter(sensor, (shape[0], shape[1]), untouched, lambda: _first(files))
+    reference = None if reference_file is None else image_files.read_rgb(reference_file)
+    shape = (_read_first(images) if reference is None else reference).shape
+    if reference_file is not None and not _has_shape(images[:_N_COMPARED], shape):
+        other = _read_first(images).shape
+        raise FileProblem(
+            f"the reference image is {shape[1]} x {shape[0]} px, the others are {other[1]} x {other[0]} px; give one "
+            "of that size as --reference",
+            reference_file,
+        )
+    n_averaged = 0
+    if reference is not None and options.reference is None:
+        reference, n_averaged = denoise_reference(reference, _read_all(images))
+    converter = make_gel_converter(options.sensor, (shape[0], shape[1]), reference, lambda: _read_first(images))
 
     def frame(index: int) -> TactileFrame:
-        image = made.convert_image(_of_shape(files[index], shape, index))
-        return TactileFrame(sensor=made.sensor, image=image, reference=made.reference, index=index,
-                            origin=str(files[index]))  # fmt: skip
+        image = converter.convert_image(_read_of_shape(images[index], shape, index))
+        return TactileFrame(sensor=converter.sensor, image=image, reference=converter.reference, index=index,
+                            origin=str(images[index]))  # fmt: skip
 
-    stream = Stream(name=made.sensor or "images", sensor=made.sensor, n_frames=len(files),
-                    frame=with_index_check(frame, len(files), path))  # fmt: skip
-    about = () if made.implied_reference is not None else _about(chosen, found.references, steadier)
+    stream = Stream(name=converter.sensor or "images", sensor=converter.sensor, n_frames=len(images),
+                    frame=with_index_check(frame, len(images), path))  # fmt: skip
+    about = () if converter.implied_reference is not None else _describe_reference(reference_file, files, n_averaged)
     return Recording(path=path, format="folder of images" if path.is_dir() else "image",
-                     streams=(stream,), notes=found.notes + made.notes + about)  # fmt: skip
+                     streams=(stream,), notes=(*files.notes, *converter.notes, *about))  # fmt: skip
 
 
-def _first(files: list[Path]) -> Image:
+def _read_first(images: list[Path]) -> Image:
     """The first image that can be read, so that one damaged file does not hide the others."""
     problem: FileProblem | None = None
-    for file in files:
+    for file in images:
         try:
             return image_files.read_rgb(file)
         except FileProblem as error:
@@ -68,17 +72,13 @@ def _first(files: list[Path]) -> Image:
     raise problem
 
 
-def _any_of_shape(files: list[Path], shape: tuple[int, ...]) -> bool:
-    """Whether one of the first images that can be read has this shape; true where none of them can."""
-    other = False
-    for image in _readable(files[:_LOOKED_AT]):
-        if image.shape == shape:
-            return True
-        other = True
-    return not other
+def _has_shape(images: list[Path], shape: tuple[int, ...]) -> bool:
+    """Whether one of the images has this shape; True if none can be read."""
+    shapes = [image.shape for image in _read_all(images)]
+    return not shapes or shape in shapes
 
 
-def _of_shape(file: Path, shape: tuple[int, ...], index: int) -> Image:
+def _read_of_shape(file: Path, shape: tuple[int, ...], index: int) -> Image:
     try:
         image = image_files.read_rgb(file)
     except FileProblem as error:
@@ -93,19 +93,19 @@ def _of_shape(file: Path, shape: tuple[int, ...], index: int) -> Image:
     return image
 
 
-def _readable(files: list[Path]) -> Iterator[Image]:
+def _read_all(images: Sequence[Path]) -> Iterator[Image]:
     """The images up to the first that cannot be read."""
     try:
-        for file in files:
+        for file in images:
             yield image_files.read_rgb(file)
     except FileProblem:
         return
 
 
-def _about(chosen: Path | None, named: tuple[Path, ...], steadier: int) -> tuple[str, ...]:
-    if chosen is None:
-        return ("no picture of the untouched sensor was found; name one with --reference",)
-    unused = [p.name for p in named if p != chosen]
-    more = (f"other pictures of the untouched sensor are left out: {', '.join(unused)}",) if unused else ()
-    alike = f", as do the first {steadier} frames: their median is the reference" if steadier else ""
-    return (f"{chosen.name} shows the untouched sensor{alike}", *more)
+def _describe_reference(reference: Path | None, files: RecordingFiles, n_averaged: int) -> tuple[str, ...]:
+    if reference is None:
+        return (image_files.NO_REFERENCE_NOTE,)
+    unused = [p.name for p in files.references if p != reference]
+    more = (f"other reference images are left out: {', '.join(unused)}",) if unused else ()
+    alike = f", as the median with the first {n_averaged} frames" if n_averaged else ""
+    return (f"{reference.name} is the reference{alike}", *more)

@@ -1,4 +1,4 @@
-"""Frame numbers that are checked before any reader sees them."""
+"""Check of frame numbers before a reader is called."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 def with_index_check(read: Callable[[int], T], n_frames: int, path: Path) -> Callable[[int], T]:
-    """`read`, but a number outside 0..n_frames-1 is a FileProblem that says which frames there are."""
+    """`read` that raises FileProblem for a number outside 0..n_frames-1."""
 
     def read_checked(index: int) -> T:
         if not 0 <= index < n_frames:

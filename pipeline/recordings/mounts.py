@@ -1,4 +1,4 @@
-"""Recordings that are no files: what is watched now is opened by a name, as a file is."""
+"""Recordings without a file: a live stream is opened by a name, as a file is."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ from pathlib import Path
 from pipeline.values.frames import Recording
 
 _lock = threading.Lock()
-_held: dict[str, Callable[[], Recording]] = {}
+_mounted: dict[str, Callable[[], Recording]] = {}
 
 
 def mount(path: Path, make: Callable[[], Recording]) -> None:
-    """From now on `open_recording(path)` gives what `make` does."""
+    """Let `open_recording(path)` return `make()`."""
     with _lock:
-        _held[str(path)] = make
+        _mounted[str(path)] = make
 
 
 def unmount(path: Path) -> None:
-    """The name means nothing any more."""
+    """Forget the recording at `path`, if any."""
     with _lock:
-        _held.pop(str(path), None)
+        _mounted.pop(str(path), None)
 
 
 def is_mounted(path: Path) -> bool:
-    """Whether something is held under a name."""
+    """Whether a recording is mounted at `path`."""
     with _lock:
-        return str(path) in _held
+        return str(path) in _mounted
 
 
 def open_mounted(path: Path) -> Recording | None:
-    """What is held under a name; None for a path like any other."""
+    """The recording mounted at `path`; None where there is none."""
     with _lock:
-        make = _held.get(str(path))
+        make = _mounted.get(str(path))
     return None if make is None else make()

@@ -1,7 +1,7 @@
-"""Whether a recording begins with a touch, and which later frame shows the sensor as it is when nothing touches.
+"""A later frame as reference for a recording that begins with a touch.
 
-A touch adds light and shade to the untouched picture, in one place: there the picture is less smooth. Where two frames
-differ, the smoother one is the less touched. Drift and another exposure change as much of both.
+A touch adds light and shade in one place, so that the image is less smooth there. Where two frames differ, the smoother
+one has less contact. Drift and exposure change the smoothness of both alike.
 """
 
 from __future__ import annotations
@@ -11,45 +11,39 @@ from collections.abc import Iterable
 import numpy as np
 
 from pipeline.base.arrays import Floats, Image
+from pipeline.recordings.block_means import compute_block_means
 
-_BLOCKS_ALONG = 24  # the longer side: markers and noise average out, a touch does not
-_DIFFERS_GREY = 8.0  # of a block's mean: a touch, not noise
-_LEAST_GREY = 1.0  # by which blocks of a touch depart from their neighbours, at least
-_SMOOTHER = 0.6  # at most as much light and shade as the first frame has, where they differ
+_BLOCKS_ALONG = 24  # along the longer side: markers and noise average out, a touch does not
+_DIFFERS_GREY = 8.0  # grey levels: change of a block's mean by a touch, not noise
+_MIN_RELIEF_GREY = 1.0  # grey levels: least relief of a touch
+_MAX_RELIEF_RATIO = 0.6  # of a reference to the first frame, where they differ
 
 
 def select_reference_frame(first: Image, later: Iterable[tuple[int, Image]]) -> tuple[int, Image] | None:
-    """The (index, picture) of the frame that is touched least, where `first` is clearly touched more; else None."""
-    found: tuple[int, Image] | None = None
-    begins = now = _blocks(first)
+    """(index, image) of the frame with least contact; None unless `first` clearly has more contact."""
+    best: tuple[int, Image] | None = None
+    first_blocks = best_blocks = compute_block_means(first, _BLOCKS_ALONG)
     for index, image in later:
         if image.shape != first.shape:
             continue
-        other = _blocks(image)
-        if _share(other, begins) <= _SMOOTHER and (found is None or _share(other, now) < 1.0):
-            found, now = (index, image), other
-    return found
+        blocks = compute_block_means(image, _BLOCKS_ALONG)
+        is_smooth = _compute_relief_ratio(blocks, first_blocks) <= _MAX_RELIEF_RATIO
+        if is_smooth and (best is None or _compute_relief_ratio(blocks, best_blocks) < 1.0):
+            best, best_blocks = (index, image), blocks
+    return best
 
 
-def _share(other: Floats, one: Floats) -> float:
-    """How much light and shade a picture's blocks have beside another's, where the two differ; infinite elsewhere."""
+def _compute_relief_ratio(other: Floats, one: Floats) -> float:
+    """Relief of the blocks `other` over that of `one`, where the two differ; infinite if they do not."""
     differs = np.abs(other - one).max(axis=2) > _DIFFERS_GREY
     if not differs.any():
         return np.inf
-    here, there = (float(_relief(blocks)[differs].mean()) for blocks in (other, one))
-    return here / there if there > _LEAST_GREY else np.inf
+    here, there = (float(_compute_relief(blocks)[differs].mean()) for blocks in (other, one))
+    return here / there if there > _MIN_RELIEF_GREY else np.inf
 
 
-def _relief(blocks: Floats) -> Floats:
-    """By how much each block (rows, cols) departs from its neighbours' mean, in grey levels."""
+def _compute_relief(blocks: Floats) -> Floats:
+    """Difference of each block (rows, cols) from the mean of its neighbours, in grey levels."""
     import cv2
 
     return np.abs(np.asarray(cv2.Laplacian(blocks, cv2.CV_32F, borderType=cv2.BORDER_REPLICATE))).max(axis=2)
-
-
-def _blocks(image: Image) -> Floats:
-    import cv2
-
-    rows, cols = image.shape[:2]
-    size = tuple(max(1, round(_BLOCKS_ALONG * n / max(rows, cols))) for n in (cols, rows))
-    return np.asarray(cv2.resize(image.astype(np.float32), size, interpolation=cv2.INTER_AREA), np.float32)

@@ -1,24 +1,24 @@
-"""Which sensor a picture comes from, when the file does not say: by its size."""
+"""The sensor of an image, guessed from its size where the file does not name it."""
 
 from __future__ import annotations
 
-from pipeline.sensors.spec import load_sensor as sensor_spec
+from pipeline.sensors.spec import load_sensor
 
-# Sizes that only one of the described sensors has. A DIGIT held sideways looks like a Mini; its own driver turns it.
+# (rows, cols) of only one described sensor. A DIGIT on its side looks like a Mini; its driver rotates the image.
 _BY_SIZE = {
     (320, 427): "gelslim", (320, 240): "digit", (240, 320): "gelsight_mini",
-    (640, 480): "digit", (2464, 3280): "gelsight_mini",  # VGA as DIGIT's driver turns it; the Mini's whole camera
+    (640, 480): "digit", (2464, 3280): "gelsight_mini",  # VGA as DIGIT's driver rotates it; the Mini's full image
 }  # fmt: skip
-_ONE_OF = {(480, 640): "gelsight_mini, or digit on its side"}
+_AMBIGUOUS = {(480, 640): "gelsight_mini, or digit on its side"}
 
 
-def resolve_sensor_name(said: str, shape: tuple[int, int], *, is_depth: bool) -> tuple[str, tuple[str, ...]]:
-    """(sensor, notes): `said` when it is a known sensor, else a guess from the image size, "" when nothing fits.
+def resolve_sensor_name(sensor: str, shape: tuple[int, int], *, is_depth: bool) -> tuple[str, tuple[str, ...]]:
+    """(sensor, notes): `sensor` if stated, else a guess from the image size (rows, cols), "" where none fits.
 
-    Raises SettingProblem when `said` is not a sensor.
+    Raises SettingProblem for an unknown sensor.
     """
-    if said:
-        return sensor_spec(said).name, ()
+    if sensor:
+        return load_sensor(sensor).name, ()
     rows, cols = shape
     if is_depth:
         why = "only the soft bubble records depth" if shape != (140, 175) else f"depth of {cols} x {rows} px"
@@ -26,5 +26,5 @@ def resolve_sensor_name(said: str, shape: tuple[int, int], *, is_depth: bool) ->
     guess = _BY_SIZE.get(shape, "")
     if guess:
         return guess, (f"the file does not name its sensor; taken to be {guess} by its size of {cols} x {rows} px",)
-    fits = f"may be {_ONE_OF[shape]}" if shape in _ONE_OF else "fits none"
+    fits = f"may be {_AMBIGUOUS[shape]}" if shape in _AMBIGUOUS else "fits none"
     return "", (f"the file does not name its sensor, and {cols} x {rows} px {fits}; say which with --sensor",)

@@ -1,7 +1,8 @@
-"""PyTorch files, loaded without running anything that they contain."""
+"""Load PyTorch files without running code that they contain."""
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -13,12 +14,28 @@ from pipeline.base.arrays import Image, freeze
 from pipeline.base.errors import FileProblem
 from pipeline.base.files import describe_os_error, require_file
 from pipeline.base.text import is_text
+from pipeline.recordings.formats import RecordingFiles
+
+_ZIP_SIGNATURE, _PICKLE_SIGNATURE = b"PK\x03\x04", b"\x80"  # first bytes; the second is a pickle's protocol mark
+
+
+def is_torch_file(files: RecordingFiles) -> bool:
+    """Whether the file is a PyTorch archive, or a pickle named `.pt` or `.pth`."""
+    with files.path.open("rb") as file:
+        head = file.read(4)
+    if not head.startswith(_ZIP_SIGNATURE):
+        return head[:1] == _PICKLE_SIGNATURE and files.path.suffix.lower() in (".pt", ".pth")
+    try:
+        with zipfile.ZipFile(files.path) as archive:
+            return any(name.endswith("/data.pkl") for name in archive.namelist())
+    except zipfile.BadZipFile:
+        return False
 
 
 def load_tensors(path: Path) -> Mapping[str, Any]:
-    """The dictionary of tensors in a `.pt` file, mapped rather than read where the file allows it.
+    """The dictionary of tensors in a `.pt` file, memory-mapped where the file allows it.
 
-    Raises FileProblem when it is no such file, or holds objects that only unpickling could restore.
+    Raises FileProblem for another kind of file, or one with objects that only unpickling restores.
     """
     import torch
 
@@ -28,64 +45,64 @@ def load_tensors(path: Path) -> Mapping[str, Any]:
             head = file.read(4)
     except OSError as error:
         raise FileProblem(f"cannot read the tensors ({describe_os_error(error)})", path) from error
-    if head != b"PK\x03\x04" and head[:1] != b"\x80":  # every binary pickle names its protocol first
+    if head != _ZIP_SIGNATURE and head[:1] != _PICKLE_SIGNATURE:
         raise FileProblem("this is not a PyTorch file, or it is cut short", path)
-    mapped = head[:1] == b"P" and is_text(str(path))
+    is_mapped = head == _ZIP_SIGNATURE and is_text(str(path))
     try:
-        found = torch.load(path, map_location="cpu", weights_only=True, mmap=mapped)
-    except Exception as error:  # torch raises half a dozen unrelated kinds for damaged files
+        tensors = torch.load(path, map_location="cpu", weights_only=True, mmap=is_mapped)
+    except Exception as error:  # torch raises many unrelated classes for damaged files
         if "weights_only" in str(error) or "Unsupported" in str(error):
             raise FileProblem(
-                "the file holds more than tensors and loading it could run code; it is refused, save plain tensors",
+                "the file holds more than tensors and loading it could run code; save plain tensors",
                 path,
             ) from error
         raise FileProblem("this is not a PyTorch file, or it is cut short", path) from error
-    if not isinstance(found, dict):
-        raise FileProblem(f"the file must hold a dictionary of tensors, it holds a {type(found).__name__}", path)
-    return cast("Mapping[str, Any]", found)
+    if not isinstance(tensors, dict):
+        raise FileProblem(f"the file must hold a dictionary of tensors, it holds a {type(tensors).__name__}", path)
+    return cast("Mapping[str, Any]", tensors)
 
 
-def require_tensor(found: Mapping[str, Any], key: str, path: Path, shape: tuple[int | None, ...]) -> Any:
-    """The tensor of `key`, of real numbers in memory and of this shape (None = any length, but some).
+def require_tensor(tensors: Mapping[str, Any], key: str, path: Path, shape: tuple[int | None, ...]) -> Any:
+    """The tensor of `key`, which must hold real numbers and have this shape (None = any length above 0).
 
     Raises FileProblem naming the key.
     """
-    value = _plain_tensor(found, key, path)
-    seen = tuple(value.shape)
-    if len(seen) != len(shape) or 0 in seen or any(n not in (None, m) for n, m in zip(shape, seen, strict=True)):
+    value = _get_plain_tensor(tensors, key, path)
+    got = tuple(value.shape)
+    if len(got) != len(shape) or 0 in got or any(n not in (None, m) for n, m in zip(shape, got, strict=True)):
         wanted = ", ".join("any" if n is None else str(n) for n in shape)
-        raise FileProblem(f"{key} must have shape ({wanted}), got {seen}", path, field=key)
+        raise FileProblem(f"{key} must have shape ({wanted}), got {got}", path, field=key)
     return value
 
 
-def require_tensor_rows(found: Mapping[str, Any], key: str, path: Path, tail: tuple[int, ...]) -> Any:
-    """The tensor of `key` as at least one row (n, *tail), in however many dimensions they are kept."""
-    value = _plain_tensor(found, key, path)
-    seen = tuple(value.shape)
-    if seen[-len(tail) :] != tail or 0 in seen:
-        raise FileProblem(f"{key} must end in shape {tail}, got {seen}", path, field=key)
+def require_tensor_rows(tensors: Mapping[str, Any], key: str, path: Path, tail: tuple[int, ...]) -> Any:
+    """The tensor of `key` reshaped to (n, *tail), n > 0."""
+    value = _get_plain_tensor(tensors, key, path)
+    got = tuple(value.shape)
+    if got[-len(tail) :] != tail or 0 in got:
+        raise FileProblem(f"{key} must end in shape {tail}, got {got}", path, field=key)
     return value.reshape(-1, *tail)
 
 
-def _plain_tensor(found: Mapping[str, Any], key: str, path: Path) -> Any:
+def _get_plain_tensor(tensors: Mapping[str, Any], key: str, path: Path) -> Any:
     import torch
 
-    if key not in found:
+    if key not in tensors:
         raise FileProblem(
-            f"the key {key!r} is missing; there are {', '.join(sorted(map(str, found)))}", path, field=key
+            f"the key {key!r} is missing; there are {', '.join(sorted(map(str, tensors)))}", path, field=key
         )
-    value = found[key]
+    value = tensors[key]
     if not isinstance(value, torch.Tensor):
         raise FileProblem(f"{key} must be a tensor, it is a {type(value).__name__}", path, field=key)
-    odd = value.layout != torch.strided or value.device.type != "cpu"
-    if odd or value.dtype not in (torch.uint8, torch.int16, torch.int32, torch.int64, torch.float16, torch.bfloat16,
-                                  torch.float32, torch.float64):  # fmt: skip
+    is_unusual = value.layout != torch.strided or value.device.type != "cpu"
+    known = (torch.uint8, torch.int16, torch.int32, torch.int64, torch.float16, torch.bfloat16)
+    if is_unusual or value.dtype not in (*known, torch.float32, torch.float64):
         raise FileProblem(f"{key} must hold plain real numbers, it is {value.dtype} on {value.device}", path, field=key)
     return value.detach()
 
 
 def convert_to_rgb(channels_first: Any, key: str, path: Path) -> Image:
-    """(rows, cols, 3) uint8 of a tensor (3, rows, cols) that holds 0..255."""
+    """The image (rows, cols, 3) uint8 of a tensor (3, rows, cols) with values 0..255; raises FileProblem."""
     values = cast("NDArray[np.float32]", channels_first.float().numpy())
     low, high = float(values.min()), float(values.max())
     if not (low >= -0.5 and high <= 255.5):

@@ -18,7 +18,7 @@ from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.graph import Graph, Method, StageResult
 from pipeline.geometry.meshes import Mesh, load_mesh
 from pipeline.recordings import open_recording
-from pipeline.recordings.depth_arrays import DepthUnit
+from pipeline.recordings.formats import DepthUnit
 from pipeline.sensors import alignment as alignments
 from pipeline.sensors.alignment import Alignment, shift_alignment_along_z
 from pipeline.sensors.alignment_files import load_alignment as load_alignment

@@ -346,7 +346,7 @@ def test_what_a_refusal_advises_the_command_knows(tmp_path, said, capsys):
     cv2.imwrite(str(depth), np.full((140, 175), 770, np.uint16))
     assert "give --depth-unit" in said("inspect", depth)
     assert run_app(build_app(), ["inspect", str(depth), "--depth-unit", "0.1mm"]) in (0, 1)
-    assert "name one of the untouched sensor with --reference" in capsys.readouterr().out
+    assert "name one with --reference" in capsys.readouterr().out
     for command in ("inspect", "translate"):
         run_app(build_app(), [command, "--help"])
         shown = capsys.readouterr().out

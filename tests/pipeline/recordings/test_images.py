@@ -35,7 +35,7 @@ def test_frames_come_in_natural_order_with_the_background_as_reference(folder: P
     assert [int(stream.frame(i).image[0, 0, 0]) for i in range(stream.n_frames)] == [101, 102, 110]
     assert stream.frame(0).reference[0, 0].tolist() == [1, 30, 10]  # red first
     assert stream.sensor == "gelsight_mini"
-    assert "background.png shows the untouched sensor" in recording.notes
+    assert "background.png is the reference" in recording.notes
 
 
 @pytest.mark.parametrize(
@@ -71,11 +71,11 @@ def test_without_a_reference_the_notes_say_so(tmp_path: Path):
     save(tmp_path / "press.png")
     recording = open_recording(tmp_path)
     assert recording.streams[0].frame(0).reference is None
-    assert any("no picture of the untouched sensor" in note for note in recording.notes)
+    assert any("no reference image" in note for note in recording.notes)
 
 
 def test_a_reference_that_is_not_there_is_named(folder: Path):
-    with pytest.raises(FileProblem, match=r"cannot read the picture of the untouched sensor.*nowhere\.png"):
+    with pytest.raises(FileProblem, match=r"cannot read the reference image.*nowhere\.png"):
         open_recording(folder, reference=folder / "nowhere.png")
 
 
@@ -127,10 +127,10 @@ def test_an_empty_folder_and_one_without_images_are_refused(tmp_path: Path):
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("a.h5", b"nothing of the kind", "not an HDF5 file"),
+        ("a.h5", b"nothing of the kind", "HDF5 file cannot be opened"),
         ("a.h5", b"", "the file is empty"),
         ("a.pkl", b"\x80\x04.", "a pickle can run code"),
-        ("a.xyz", b"hello", "no kind of recording"),
+        ("a.xyz", b"hello", "unknown kind of recording"),
         ("a.mp4", b"hello", "the video cannot be opened"),
     ],
 )
@@ -172,7 +172,7 @@ def test_a_video_is_read_in_any_order_with_its_first_frame_as_reference(film: Pa
         np.testing.assert_allclose(frame.image[100, 100], [40 * index, 30, 10], atol=VIDEO_GREY)
         assert frame.time_s == pytest.approx(index / 20.0)
     np.testing.assert_array_equal(stream.frame(3).reference, stream.frame(0).image)
-    assert any("first frame is taken as the untouched sensor" in note for note in recording.notes)
+    assert any("first frame is taken as the reference" in note for note in recording.notes)
     recording.close()
 
 
@@ -193,7 +193,7 @@ def test_real_folders_open_with_their_reference(real_data: Path, name: str, n_fr
 
 def test_a_reference_of_another_size_is_what_is_said_to_be_wrong(folder: Path):
     save(folder / "background.png", shape=(480, 640))
-    with pytest.raises(FileProblem, match=r"untouched sensor is 640 x 480 px, the others are 320 x 240 px.*background"):
+    with pytest.raises(FileProblem, match=r"reference image is 640 x 480 px, the others are 320 x 240 px.*background"):
         open_recording(folder)
     save(folder / "press_1.png", shape=(480, 640))
     assert open_recording(folder).streams[0].frame(0).image.shape == (480, 640, 3), "then one frame fits, others do not"

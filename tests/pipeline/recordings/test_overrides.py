@@ -30,13 +30,13 @@ def told(recording):
 def test_the_only_stream_takes_the_sensor_that_is_asked_for_and_says_so(tmp_path):
     changed = with_sensor(recording(tmp_path, a="digit"), "gelslim")
     assert told(changed) == [("gelslim", "gelslim")]
-    assert changed.notes[-1] == "the file says digit; taken as gelslim as asked"
+    assert changed.notes[-1] == "the file names the sensor digit; gelslim is used instead"
 
 
 def test_of_several_streams_those_that_name_their_sensor_keep_it(tmp_path):
     changed = with_sensor(recording(tmp_path, a="digit", b=""), "gelslim")
     assert told(changed) == [("digit", "digit"), ("gelslim", "gelslim")]
-    assert not any("as asked" in note for note in changed.notes)
+    assert not any("is used instead" in note for note in changed.notes)
 
 
 @pytest.mark.parametrize("asked", ["", "digit"])

@@ -64,7 +64,7 @@ def test_the_tree_of_ycb_slide_opens_at_any_height(slide: Path, below: str):
     recording = open_recording(slide / below)
     assert recording.streams[0].sensor == "digit"
     np.testing.assert_allclose(reds(recording), [100, 120, 140], atol=2)
-    assert any("what lies beside them is left out" in note for note in recording.notes)
+    assert any("other files there are left out" in note for note in recording.notes)
 
 
 def test_a_simulated_slide_opens_its_tactile_images(tmp_path: Path):
@@ -118,14 +118,14 @@ def test_the_point_clouds_of_punyo_are_depth_with_their_camera(tmp_path: Path):
 def test_points_in_another_order_are_refused(tmp_path: Path):
     points = np.random.default_rng(0).uniform(0.05, 0.1, (171 * 224, 3)).astype(np.float32)
     np.save(tmp_path / "pc_0.npy", points)
-    with pytest.raises(FileProblem, match="not lie in the order of a picture's pixels"):
+    with pytest.raises(FileProblem, match="order of an image's pixels"):
         open_recording(tmp_path)
 
 
 def test_a_folder_of_pickles_says_what_to_export(tmp_path: Path):
     (tmp_path / "dataset_0.pkl").write_bytes(pickle.dumps([b"jpeg"]))
     for place in (tmp_path, tmp_path / "dataset_0.pkl"):
-        with pytest.raises(FileProblem, match=r"can run code.*refused.*save the pictures as PNG.*numpy\.savez"):
+        with pytest.raises(FileProblem, match=r"can run code.*refused.*save the images as PNG.*numpy\.savez"):
             open_recording(place)
 
 
