@@ -10,13 +10,14 @@ from cyclopts import Parameter
 
 from pipeline.base.errors import SettingProblem
 from pipeline.base.units import MeshUnit
+from pipeline.recordings.formats import describe_formats
 
 if TYPE_CHECKING:
     from pipeline.sensors.offsets import Offsets
     from pipeline.translation.translate import Request
 
 Vector3 = Annotated[tuple[float, float, float], Parameter(negative="")]
-RecordingPath = Annotated[Path, Parameter(help="File or folder of any known format.")]
+RecordingPath = Annotated[Path, Parameter(help=f"File or folder: {describe_formats()}.")]
 TargetName = Annotated[str, Parameter(help="Sensor to translate to.")]
 StageSettings = Annotated[
     tuple[str, ...], Parameter(name="--set", negative="", help="`slot.parameter=value`, as often as needed.")

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from pipeline.base.entry_points import load_entry_points, load_reference
-from pipeline.values.frames import Recording
+
+if TYPE_CHECKING:
+    from pipeline.values.frames import Recording
 
 DepthUnit = Literal["auto", "mm", "m", "0.1mm", "um"]
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")

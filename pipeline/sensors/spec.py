@@ -19,7 +19,7 @@ from pipeline.engine.digests import UNDIGESTED, content
 from pipeline.geometry import membrane, rigid
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.membrane import Membrane
-from pipeline.sensors.descriptions import DESCRIPTIONS_FOLDER, DescriptionSection, read_description
+from pipeline.sensors.descriptions import DescriptionSection, find_descriptions, read_description
 from pipeline.sensors.part_parsing import parse_limits, parse_optics, parse_part
 from pipeline.sensors.parts import Bubble, DepthCamera, Gel, Markers, Optics, SensorLimits
 from pipeline.sensors.rest_mesh import load_rest_membrane
@@ -71,23 +71,23 @@ _read: Memo[tuple[Path, str, str], SensorSpec] = Memo(32)
 
 
 def list_sensor_names() -> tuple[str, ...]:
-    """The sensors that come with the project, sorted."""
-    return tuple(sorted(p.stem for p in DESCRIPTIONS_FOLDER.glob("*.toml")))
+    """The names of all described sensors, sorted."""
+    return tuple(sorted(find_descriptions()))
 
 
 def load_sensor(name_or_file: str) -> SensorSpec:
-    """The sensor of this name, or described by this TOML file as it is now; the same value while it stays the same.
+    """The sensor of this name or TOML file; the same object until the file changes.
 
-    Raises SettingProblem for a name that is not known, CalibrationError, FileProblem or MeshProblem for a description
-    that cannot be used.
+    Raises SettingProblem for an unknown name, CalibrationError, FileProblem or MeshProblem for an invalid description.
     """
     path = Path(name_or_file)
     if path.suffix != ".toml":
-        path = DESCRIPTIONS_FOLDER / f"{name_or_file}.toml"
-        if not path.is_file():
+        known = find_descriptions()
+        if name_or_file not in known:
             raise SettingProblem(
-                f"unknown sensor {name_or_file!r}; known are {', '.join(list_sensor_names())}, or give a .toml file of your own"
+                f"unknown sensor {name_or_file!r}; known are {', '.join(sorted(known))}; or give a .toml file"
             )
+        path = known[name_or_file]
     data = read_description(path)
     surface = load_rest_membrane(data, path)
     return _read.of((path, repr(data), content(surface)), lambda: _build(path.stem, data, path, surface))

@@ -77,7 +77,9 @@ TASKS: dict[str, TaskEntry] = {
     "bubble_depth": TaskEntry(subcommand="depth", import_path="pipeline.training.bubble_depth:BubbleDepthTask"),
     "touch_residual": TaskEntry(subcommand="t2d2", import_path="pipeline.training.touch_residual:TouchResidualTask"),
     "touch_to_touch": TaskEntry(subcommand="t2t", import_path="pipeline.training.touch_to_touch:TouchToTouchTask"),
-    "pair_fine_tuning": TaskEntry(subcommand="t2t", import_path="pipeline.training.pair_fine_tuning:PairFineTuningTask"),
+    "pair_fine_tuning": TaskEntry(
+        subcommand="t2t", import_path="pipeline.training.pair_fine_tuning:PairFineTuningTask"
+    ),
 }
 
 
