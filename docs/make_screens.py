@@ -113,7 +113,7 @@ def compare(instrument: SessionController) -> None:
 def two(instrument: SessionController) -> None:
     """Two settings on one frame."""
     comparing = next(child for child in instrument.children() if isinstance(child, ComparisonController))
-    tour.command(instrument, "hold_settings")
+    tour.command(instrument, "set_variant_settings")
     instrument.choose_method("target_depth", "paper")
     tour.wait_for_views(instrument)
     box = instrument.window.comparison.stage_box

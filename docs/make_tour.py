@@ -131,7 +131,7 @@ def compare(instrument: SessionController, path: Path) -> None:
 def two(instrument: SessionController, path: Path) -> None:
     """Two ways to the target's view on one frame and view."""
     comparing = _compared(instrument)
-    command(instrument, "hold_settings")
+    command(instrument, "set_variant_settings")
     instrument.choose_method("target_depth", "paper")
     wait_for_views(instrument)
     box = instrument.window.comparison.stage_box

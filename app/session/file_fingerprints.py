@@ -10,7 +10,7 @@ from app.session.state import PATH_FIELDS, Session
 from pipeline.base.files import read_json
 from pipeline.base.fingerprints import compute_fingerprint
 
-_HELD = "held."  # before what the held session opens
+_VARIANT = "variant."  # prefix of the files that the variant opens
 
 
 def list_files(session: Session) -> Mapping[str, Path]:
@@ -19,7 +19,7 @@ def list_files(session: Session) -> Mapping[str, Path]:
     opened = {name: path for name, path in named.items() if path is not None}
     opened |= {f"weights.{slot}": path for slot, path in session.weights.items()}
     if session.variant is not None:
-        opened |= {f"{_HELD}{name}": path for name, path in list_files(session.variant).items()}
+        opened |= {f"{_VARIANT}{name}": path for name, path in list_files(session.variant).items()}
     return opened
 
 
@@ -36,7 +36,7 @@ def describe_changed_files(path: Path, session: Session) -> tuple[str, ...]:
     for name, file in list_files(session).items():
         now = compute_fingerprint(file)
         if name in kept and kept[name] != now:
-            what = name.removeprefix(_HELD).replace("_", " ").partition(".")[0]
+            what = name.removeprefix(_VARIANT).replace("_", " ").partition(".")[0]
             sentences.append(
                 f"the {what} has changed since the session was saved: '{file}'"
                 if now

@@ -83,7 +83,7 @@ class Layout:
         own = self.arrangement
         if own is not None:
             splits = {key: list(sizes) for key, sizes in own.splitter_sizes_px.items()}
-            data["own"] = {"name": own.name, "alone": own.only_stage, "docks": own.dock_state, "splits": splits}
+            data["arrangement"] = {"name": own.name, "only_stage": own.only_stage, "dock_state": own.dock_state, "splitter_sizes_px": splits}
         return data
 
 
@@ -101,17 +101,17 @@ def from_plain(data: object) -> Layout:
             raise ValueError(f"panes must be pairs of a slot and 2D, 3D or both, got {pair!r}")
     if not 1 <= len(pairs) <= _MOST_PANES:
         raise ValueError(f"there must be one to {_MOST_PANES} panes, got {len(pairs)}")
-    return Layout(name=name, panes=tuple((str(slot), dims) for slot, dims in pairs), arrangement=_own(table.get("own")))
+    return Layout(name=name, panes=tuple((str(slot), dims) for slot, dims in pairs), arrangement=_own(table.get("arrangement")))
 
 
 def _own(data: object) -> Arrangement | None:
     if data is None:
         return None
     table = cast("Mapping[str, Any]", data) if isinstance(data, dict) else {}
-    words = {key: table.get(key, "") for key in ("name", "alone", "docks")}
+    words = {key: table.get(key, "") for key in ("name", "only_stage", "dock_state")}
     if not words["name"] or not all(isinstance(word, str) for word in words.values()):
         raise ValueError(f"an arrangement of one's own needs a name, and texts for alone and docks, got {data!r}")
-    splits = table.get("splits", {})
+    splits = table.get("splitter_sizes_px", {})
     if not isinstance(splits, dict):
         raise ValueError(f"splits must map handles to whole numbers of pixels, got {splits!r}")
     known = {str(key): _sizes(sizes) for key, sizes in cast("Mapping[Any, Any]", splits).items()}

@@ -104,7 +104,7 @@ class Session:
     def settings(self) -> Session:
         """What figures rest on besides the frame: those of sessions with equal settings may stand side by side."""
         return replace(
-            self, frame=0, linked=True, layout=Layout(), notes={}, compared=ComparisonSettings(), held=None,
+            self, frame=0, cameras_linked=True, layout=Layout(), notes={}, comparison=ComparisonSettings(), variant=None,
             params={**self.params, "display": DisplayParams()},
         )  # fmt: skip
 
@@ -129,7 +129,7 @@ def _plain(session: Session, folder: Path) -> dict[str, Any]:
     data: dict[str, Any] = {
         "tactoscope session": _VERSION,
         "frame": max(0, session.frame),
-        "linked": session.cameras_linked,
+        "cameras_linked": session.cameras_linked,
     }
     data |= {name: getattr(session, name) for name in (*_WORDS, "depth_unit")}
     for name in PATH_FIELDS:
@@ -143,9 +143,9 @@ def _plain(session: Session, folder: Path) -> dict[str, Any]:
         for key, params in session.params.items()
     }
     data["notes"] = {str(frame): text for frame, text in sorted(session.notes.items())}
-    data["compared"], data["cameras"] = session.comparison.plain, {n: list(c) for n, c in session.cameras.items()}
+    data["comparison"], data["cameras"] = session.comparison.plain, {n: list(c) for n, c in session.cameras.items()}
     data["section"] = None if session.section is None else session.section.plain
-    data["held"] = None if session.variant is None else _plain(replace(session.variant, held=None), folder)
+    data["variant"] = None if session.variant is None else _plain(replace(session.variant, variant=None), folder)
     return data
 
 
@@ -181,13 +181,13 @@ def _loaded(data: object, path: Path, catalogue: Catalogue) -> Session:
         frame=frame,
         offsets=_offsets(known, path),
         layout=_layout(known, path),
-        cameras_linked=_typed(known, "linked", bool, path),
+        cameras_linked=_typed(known, "cameras_linked", bool, path),
         methods=methods,
         weights=_weights(known, path),
         params=_params(known.get("params", {}), path, catalogue, former=version == 1),
         notes=_notes(known, path),
         comparison=_compared(known, path),
-        variant=None if known.get("held") is None else _loaded(known["held"], path, catalogue),
+        variant=None if known.get("variant") is None else _loaded(known["variant"], path, catalogue),
         cameras=parse_cameras(known, path),
         section=parse_section_line(known, path),
     )
@@ -265,9 +265,9 @@ def _layout(data: Mapping[str, Any], path: Path) -> Layout:
 
 def _compared(data: Mapping[str, Any], path: Path) -> ComparisonSettings:
     try:
-        return compared_from_plain(data.get("compared"))
+        return compared_from_plain(data.get("comparison"))
     except ValueError as error:
-        raise FileProblem(f"what the session compared cannot be used ({error})", path, field="compared") from error
+        raise FileProblem(f"what the session compared cannot be used ({error})", path, field="comparison") from error
 
 
 def _params(data: object, path: Path, catalogue: Catalogue, *, former: bool) -> Mapping[str, object]:

@@ -71,14 +71,14 @@ FILE_COMMANDS = (
     Command(
         "copy_command", "Copy as command", "Copy the command line that makes what is on screen", key="Ctrl+Shift+C"
     ),
-    Command("make_case", "Make a case…", "Put this frame and all that it was made of into a folder that can be sent"),
+    Command("export_bundle", "Make a case…", "Put this frame and all that it was made of into a folder that can be sent"),
     Command(
-        "copy_picture",
+        "copy_image",
         "Copy picture",
         "Put a picture of the pane in front, or of the window, on the clipboard",
         key="Ctrl+C",
     ),
-    Command("save_picture", "Save picture…", "Save a picture of the window", key="Ctrl+Shift+E"),
+    Command("save_screenshot", "Save picture…", "Save a picture of the window", key="Ctrl+Shift+E"),
     Command("quit", "Quit", "Close the window", icon="close", key="Ctrl+Q"),
 )
 EDIT_COMMANDS = (
@@ -93,12 +93,12 @@ PLAYBACK_COMMANDS = (
     Command("play", "Play", "Play or pause", icon="play", key="Space", checkable=True),
     Command("next", "Next frame", "Go one frame on", icon="next", key="Right"),
     Command("last", "Last frame", "Go to the last frame", icon="last", key="End"),
-    Command("ten_back", "Ten frames back", "Go ten frames back", key="Shift+Left"),
-    Command("ten_on", "Ten frames on", "Go ten frames on", key="Shift+Right"),
-    Command("worse", "Worse frame", "The next worse frame by the figure of the frames' table", key="J"),
-    Command("worst", "Worst frame", "Go to the frame with the largest error that is known", icon="worst",
+    Command("back_10", "Ten frames back", "Go ten frames back", key="Shift+Left"),
+    Command("forward_10", "Ten frames on", "Go ten frames on", key="Shift+Right"),
+    Command("worse_frame", "Worse frame", "The next worse frame by the figure of the frames' table", key="J"),
+    Command("worst_frame", "Worst frame", "Go to the frame with the largest error that is known", icon="worst",
             key="Shift+J"),
-    Command("better", "Better frame", "The next better frame by the figure of the frames' table", key="K"),
+    Command("better_frame", "Better frame", "The next better frame by the figure of the frames' table", key="K"),
     Command("loop", "Loop", "Begin again after the last frame", icon="loop", key="Ctrl+L", checkable=True),
     Command("loop_from", "Loop from here", "Playing loops from this frame on", key="["),
     Command("loop_to", "Loop to here", "Playing loops up to this frame", key="]"),
@@ -111,16 +111,16 @@ VIEW_COMMANDS = (
     Command("reset_view", "Reset view", "Fit every picture and 3D view", icon="reset", key="R"),
     Command("fit_contact", "Fit contact", "Zoom every picture to the contact, or back to the sensor", icon="fit",
             key="Z", checkable=True),
-    Command("link_pictures", "Link pictures", "Pan and zoom all pictures together, in millimetres", icon="link",
+    Command("link_previews", "Link pictures", "Pan and zoom all pictures together, in millimetres", icon="link",
             key="Shift+L", checkable=True),
     Command(
-        "freeze_trace", "Freeze trace", "Keep the traced pixel where it is", icon="target", key="F", checkable=True
+        "pin_probe", "Freeze trace", "Keep the traced pixel where it is", icon="target", key="F", checkable=True
     ),
     Command("magnify", "Magnify", "The values of the pixels around the pointer, large in a corner of the picture",
             icon="fit", key="M", checkable=True),
     Command("full_screen", "Full screen", "Fill the screen, for a demonstration, or come back", key="F11",
             checkable=True),
-    Command("point", "Point by keys", "Arrow keys move the traced pixel, or the section line; Enter pins, Tab goes "
+    Command("probe_by_keys", "Point by keys", "Arrow keys move the traced pixel, or the section line; Enter pins, Tab goes "
             "to the next picture, Esc ends", icon="target", key="P"),
     Command("section_line", "Section line", "A line through all pictures, and what each has for a height along it",
             icon="section", key="X", checkable=True),
@@ -136,9 +136,9 @@ COMPARISON_MODE_COMMANDS = (
             checkable=True),
 )  # fmt: skip
 LAYOUT_COMMANDS = (
-    Command("type_alignment", "Type the alignment", "Open the alignment's drawer with the keyboard in its first number",
+    Command("edit_alignment", "Type the alignment", "Open the alignment's drawer with the keyboard in its first number",
             icon="axes", key="A"),
-    Command("inspect_or_stages", "Inspect or stages", "Change between a few large panes and all stages", icon="panes",
+    Command("toggle_inspect", "Inspect or stages", "Change between a few large panes and all stages", icon="panes",
             key="I"),
     Command("layout_stages", "Stages", "Every slot side by side, pictures over 3D views", key="Ctrl+1", checkable=True),
     Command("layout_inspect", "Inspect", "Large panes under a filmstrip of all slots", key="Ctrl+2", checkable=True),
@@ -148,17 +148,17 @@ LAYOUT_COMMANDS = (
     Command("layout_demo", "Demo", "Source, generated touch and truth, large", key="Ctrl+5", checkable=True),
     Command("layout_compare", "Compare", "One frame several ways: by every method, by other settings, by other seeds",
             key="Ctrl+6", checkable=True),
-    Command("keep_arrangement", "Keep this arrangement…", "Keep panes, drawers and handles as they stand, under a name",
+    Command("save_arrangement", "Keep this arrangement…", "Keep panes, drawers and handles as they stand, under a name",
             icon="panes", key="Ctrl+Shift+A"),
     Command("rename_arrangement", "Rename the arrangement…", "Give the arrangement that is on another name"),
     Command("delete_arrangement", "Delete the arrangement", "Forget the arrangement that is on; the window stays so"),
-    Command("hold_settings", "Hold these settings", "These settings stay as B beside what is set from now on",
+    Command("set_variant_settings", "Hold these settings", "These settings stay as B beside what is set from now on",
             icon="link", key="Ctrl+H"),
-    Command("hold_recording", "Beside another recording…", "Another recording as B, with these settings",
+    Command("set_variant_recording", "Beside another recording…", "Another recording as B, with these settings",
             icon="open"),
     Command("step_through", "Step through", "Keep the steps on the way to the pose and look at them", icon="axes"),
     Command("map_basins", "Map basins", "Register this touch from a grid of starts: how safe its pose is", icon="axes"),
-    Command("let_go", "Let B go", "Compare with nothing", icon="minus"),
+    Command("clear_variant", "Let B go", "Compare with nothing", icon="minus"),
 )  # fmt: skip
 THEME_COMMANDS = (
     Command("theme_light", "Light theme", "Dark letters on a light ground", icon="sun", checkable=True),

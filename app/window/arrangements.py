@@ -35,7 +35,7 @@ class ArrangementController(QObject):
             self.arrangements = arrangement_file.load_arrangements(self._path)
         except TouchError as error:
             instrument.show_problem(error)
-        self._window.connect_command("keep_arrangement", self._keep)
+        self._window.connect_command("save_arrangement", self._keep)
         self._window.connect_command("rename_arrangement", self._rename)
         self._window.connect_command("delete_arrangement", self._delete)
         instrument.session_shown.connect(self._show_session)
@@ -50,7 +50,7 @@ class ArrangementController(QObject):
 
     def save_arrangement(self, name: str) -> None:
         """Keep the window as it stands under this name; one that had the name before is replaced."""
-        now = replace(self._instrument.session.layout, own=self._window.capture_arrangement(name))
+        now = replace(self._instrument.session.layout, arrangement=self._window.capture_arrangement(name))
         place = next((i for i, one in enumerate(self.arrangements) if _name(one) == name), len(self.arrangements))
         self._write((*self.arrangements[:place], now, *self.arrangements[place + 1 :]))
         self._instrument.change(f"keep the arrangement {name}", layout=now)
@@ -72,7 +72,7 @@ class ArrangementController(QObject):
     def _delete(self) -> None:
         old = self._own
         self._write(tuple(one for one in self.arrangements if _name(one) != old))
-        self._instrument.change("delete the arrangement", layout=replace(self._instrument.session.layout, own=None))
+        self._instrument.change("delete the arrangement", layout=replace(self._instrument.session.layout, arrangement=None))
 
     @property
     def _own(self) -> str:
@@ -124,5 +124,5 @@ def _name(layout: Layout) -> str:
 
 def _named(layout: Layout, name: str) -> Layout:
     return replace(
-        layout, own=Arrangement(name) if layout.arrangement is None else replace(layout.arrangement, name=name)
+        layout, arrangement=Arrangement(name) if layout.arrangement is None else replace(layout.arrangement, name=name)
     )

@@ -40,7 +40,7 @@ class AutosaveController(QObject):
         self._job = LatestJob("keeping", self)
         self._soon = make_single_shot_timer(self, AUTOSAVE_DELAY_MS, self.autosave_now)
         self._left: Session | None = None  # what the next window is to offer
-        self.notification = NotificationBar("recovery_offer")
+        self.notification = NotificationBar("recovery_notification")
         self.window.add_strip(self.notification)
         self.recent_menu = QMenu("Open recent", self.window)
         self.recent_menu.aboutToShow.connect(self._list_recent)

@@ -68,9 +68,9 @@ class ComparisonController(QObject):
         instrument.closing.connect(self._close)
         window.connect_command("cancel", job.cancel)
         window.connect_command("reset_view", self._fit)
-        window.connect_command("hold_settings", self.set_variant_settings)
-        window.connect_command("let_go", self.clear_variant)
-        window.actions_by_name["let_go"].setEnabled(False)
+        window.connect_command("set_variant_settings", self.set_variant_settings)
+        window.connect_command("clear_variant", self.clear_variant)
+        window.actions_by_name["clear_variant"].setEnabled(False)
 
     @property
     def is_busy(self) -> bool:
@@ -110,7 +110,7 @@ class ComparisonController(QObject):
             stage=slot,
             seeds=page.seed_count_box.value(),
         )
-        self._instrument.change("choose in Compare", key="seeds" if new.seeds != old.seeds else "", compared=new)
+        self._instrument.change("choose in Compare", key="seeds" if new.seeds != old.seeds else "", comparison=new)
 
     def clear_variant(self) -> None:
         """There is no B any more."""
@@ -119,10 +119,10 @@ class ComparisonController(QObject):
     def _hold(self, session: Session | None) -> None:
         now = self._instrument.session
         if session is None:
-            self._instrument.change("let B go", held=None)
+            self._instrument.change("let B go", variant=None)
         elif now.recording is not None:
             self._instrument.change(
-                "hold B", held=replace(session, held=None), compared=replace(now.comparison, tab="two"),
+                "hold B", variant=replace(session, variant=None), comparison=replace(now.comparison, tab="two"),
                 layout=replace(now.layout, name="compare"),
             )  # fmt: skip
 
@@ -197,7 +197,7 @@ class ComparisonController(QObject):
     def _show_choices(self, session: Session) -> None:
         chosen = session.comparison
         self._page.show_choices(chosen.tab, chosen.order, chosen.stage, chosen.seeds)
-        self._instrument.window.actions_by_name["let_go"].setEnabled(session.variant is not None)
+        self._instrument.window.actions_by_name["clear_variant"].setEnabled(session.variant is not None)
 
     def _ask(self) -> None:
         """Work the tab in front out, unless that is what it shows."""
@@ -211,7 +211,7 @@ class ComparisonController(QObject):
             tab.grid.set_comparison_mode(instrument.views.comparison_mode)
         asked = (
             *self._choices(),
-            session.with_updates(layout=Layout(), linked=True, compared=ComparisonSettings(), held=None),
+            session.with_updates(layout=Layout(), cameras_linked=True, comparison=ComparisonSettings(), variant=None),
         )
         if asked == self._asked:
             return

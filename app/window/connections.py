@@ -143,14 +143,14 @@ def _connect_files(
 
     own = {
         "open_reference": instrument.open_reference, "open_weights": instrument.open_weights,
-        "hold_recording": comparing.set_variant_recording,
+        "set_variant_recording": comparing.set_variant_recording,
     }  # fmt: skip
     for command in dialogs.OPEN_DIALOGS:
         connect_dialog(command, dialogs.ask_open_path, own.get(command, instrument.open_path))
     connect_dialog("save_alignment", dialogs.ask_save_path, aligning.save_alignment)
     connect_dialog("save_session_as", dialogs.ask_save_path, instrument.save_session)
     window.connect_command("save_session", keeping.save_session)
-    connect_dialog("save_picture", dialogs.ask_save_path, instrument.save_screenshot)
+    connect_dialog("save_screenshot", dialogs.ask_save_path, instrument.save_screenshot)
     connect_dialog("open_mesh", dialogs.ask_mesh, lambda asked: instrument.open_mesh(*asked))
     window.connect_command("close_mesh", lambda: instrument.open_mesh(None))
     window.connect_command("close_weights", lambda: instrument.open_weights(None))
@@ -175,8 +175,8 @@ def _connect_play(instrument: SessionController) -> None:
     window.connect_command("last", line.step_to_last)
     window.connect_command("previous", lambda: line.step_by(-1))
     window.connect_command("next", lambda: line.step_by(1))
-    window.connect_command("ten_back", lambda: line.step_by(-10))
-    window.connect_command("ten_on", lambda: line.step_by(10))
+    window.connect_command("back_10", lambda: line.step_by(-10))
+    window.connect_command("forward_10", lambda: line.step_by(10))
     loop = window.actions_by_name["loop"]
     loop.toggled.connect(line.set_looping)
 
@@ -191,12 +191,12 @@ def _connect_play(instrument: SessionController) -> None:
 
 def _connect_view(instrument: SessionController, layouts: LayoutController) -> None:
     window, tracer = instrument.window, instrument.probe
-    freeze = window.actions_by_name["freeze_trace"]
+    freeze = window.actions_by_name["pin_probe"]
     freeze.toggled.connect(tracer.set_frozen)
     tracer.pin_changed.connect(freeze.setChecked)
     link = window.actions_by_name["link_cameras"]
     link.setChecked(instrument.session.cameras_linked)
-    window.connect_command("link_cameras", lambda: instrument.change("link cameras", linked=link.isChecked()))
+    window.connect_command("link_cameras", lambda: instrument.change("link cameras", cameras_linked=link.isChecked()))
     PanZoomController(instrument)
     ColourLimitController(instrument)
     window.connect_command("reset_view", instrument.reset_view)

@@ -26,7 +26,7 @@ _UNITS = {
 _RECORDINGS = "recordings"  # stands for the file kinds of all formats
 OPEN_DIALOGS: Mapping[str, tuple[str, str]] = {  # command -> title and kinds of files, none for a folder
     "open_recording": ("Open recording", _RECORDINGS),
-    "hold_recording": ("Compare with recording", _RECORDINGS),
+    "set_variant_recording": ("Compare with recording", _RECORDINGS),
     "open_folder": ("Open folder of images", ""),
     "open_calibration": ("Open calibration", "Calibrations (*.npz);;All files (*)"),
     "open_weights": ("Open weights", "Weights of a network (*.safetensors *.pth *.pt);;All files (*)"),
@@ -38,8 +38,8 @@ _SAVERS = {  # command -> title, kind of file and its suffix
     "save_alignment": ("Save alignment", "Alignments", ALIGNMENT_SUFFIX),
     "save_session": ("Save session", "Sessions", SESSION_SUFFIX),
     "save_session_as": ("Save session as", "Sessions", SESSION_SUFFIX),
-    "save_picture": ("Save picture", "Pictures", ".png"),
-    "make_case": ("Make a case", "Cases", ".case"),
+    "save_screenshot": ("Save picture", "Pictures", ".png"),
+    "export_bundle": ("Make a case", "Cases", ".bundle"),
 }
 
 

@@ -37,7 +37,7 @@ class ExportController(QObject):
         super().__init__(instrument)
         self._instrument, self._keeping, self._window = instrument, keeping, instrument.window
         self._sweeping = sweeping
-        self.notification, self.dialog = NotificationBar("handing_offer"), ExportDialog(self._window)
+        self.notification, self.dialog = NotificationBar("export_notification"), ExportDialog(self._window)
         self._window.add_strip(self.notification)
         self.job = LatestJob("handing", self)
         self._then: Callable[[], None] = lambda: None
@@ -49,7 +49,7 @@ class ExportController(QObject):
         self._window.connect_command("export", self.show_export_dialog)
         self._window.connect_command("copy_command", self.copy_view_command)
         self._window.section_panel.command_requested.connect(self.copy_section_command)
-        self._window.connect_command("make_case", self.ask_bundle)
+        self._window.connect_command("export_bundle", self.ask_bundle)
         self.dialog.export_requested.connect(self._ask_where)
         self.dialog.command_requested.connect(self._copy_chosen)
         for name, column in self._window.columns.items():
@@ -90,7 +90,7 @@ class ExportController(QObject):
         self._begin(
             "making a case of this frame",
             lambda report: write_bundle(asked.request, asked.settings, asked.frame, folder, note=note, progress=report),
-            folder, f"tactoscope case {dialogs.quote_path(folder)}",
+            folder, f"tactoscope replay {dialogs.quote_path(folder)}",
         )  # fmt: skip
 
     def copy_export_command(self, pane: str, shown: str = "", suffix: str = ".png", frames: str = "") -> None:
@@ -159,7 +159,7 @@ class ExportController(QObject):
         note, said = QInputDialog.getText(self._window, "Make a case", "What is to be seen in it")
         if (
             said
-            and (folder := dialogs.ask_save_path(self._window, "make_case", self._keeping.dialog_folder)) is not None
+            and (folder := dialogs.ask_save_path(self._window, "export_bundle", self._keeping.dialog_folder)) is not None
         ):
             self.start_bundle(folder, note)
 

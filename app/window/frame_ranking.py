@@ -37,9 +37,9 @@ class FrameRankingController(QObject):
         self._told = make_single_shot_timer(self, _TOGETHER_MS, self._tell)
         self._panel.model.note_edited.connect(self._note)
         instrument.session_shown.connect(self._show_notes)
-        window.connect_command("worst", self._go_to_worst)
-        window.connect_command("worse", lambda: self._step(-1))
-        window.connect_command("better", lambda: self._step(1))
+        window.connect_command("worst_frame", self._go_to_worst)
+        window.connect_command("worse_frame", lambda: self._step(-1))
+        window.connect_command("better_frame", lambda: self._step(1))
 
     def _choose(self, figure: str) -> None:
         self._figure = figure

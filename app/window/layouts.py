@@ -27,7 +27,7 @@ class LayoutController(QObject):
         window, panes = self._window, self._window.panes
         for name in LAYOUT_NAMES:
             window.connect_command(f"layout_{name}", partial(self.choose_layout, name))
-        window.connect_command("inspect_or_stages", self._change_between)
+        window.connect_command("toggle_inspect", self._change_between)
         panes.stage_chosen.connect(self._choose_slot)
         panes.dims_chosen.connect(self._choose_dims)
         panes.count_chosen.connect(self._choose_count)
@@ -42,7 +42,7 @@ class LayoutController(QObject):
 
     def choose_layout(self, name: LayoutName) -> None:
         """Arrange the window so."""
-        layout = replace(self._instrument.session.layout, name=name, own=None)
+        layout = replace(self._instrument.session.layout, name=name, arrangement=None)
         self._instrument.change(f"show {name}", layout=layout)
         self._window.show_layout(self._instrument.session.layout)  # the command's tick, if it was chosen already
 

@@ -176,7 +176,7 @@ class MainWindow(QMainWindow):
         for name in ("open_alignment", "save_alignment"):
             self.alignment.add_command(self.actions_by_name[name])
         self.tabs = QTabWidget()
-        self.tabs.setObjectName("reading_tabs")
+        self.tabs.setObjectName("diagnostic_tabs")
         self.tabs.setDocumentMode(True)
         tabs = (
             (self.error_attribution, "Blame"),
@@ -188,7 +188,7 @@ class MainWindow(QMainWindow):
         )
         for widget, title in tabs:
             self.tabs.addTab(widget, title)
-        for name in ("hold_settings", "hold_recording", "let_go"):
+        for name in ("set_variant_settings", "set_variant_recording", "clear_variant"):
             self.comparison.add_command(self.actions_by_name[name])
         self.drawers = Drawers(
             self, frames=self.frames, parameters=self.parameters, alignment=self.alignment, reading=self.tabs

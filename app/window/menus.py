@@ -31,7 +31,7 @@ _TOOLS = (
     "",
     "link_cameras",
     "reset_view",
-    "freeze_trace",
+    "pin_probe",
     "section_line",
     "",
     "show_truth",
@@ -40,9 +40,9 @@ _TOOLS = (
     "show_blink",
 )
 _FIRST_OF_THEIR_KIND = frozenset(
-    ("open_mesh", "save_session", "export", "quit", "reset_all", "ten_back", "show_truth", "only_1")
+    ("open_mesh", "save_session", "export", "quit", "reset_all", "back_10", "show_truth", "only_1")
 )
-_NAMED = ("open_recording", "open_mesh", "freeze_trace")
+_NAMED = ("open_recording", "open_mesh", "pin_probe")
 
 
 def build_menus(

@@ -24,7 +24,7 @@ class PanZoomController(QObject):
         super().__init__(instrument)
         self._instrument, self._window = instrument, instrument.window
         self._views = {name: column.view for name, column in self._window.columns.items()}
-        self._fit, self._link = (self._window.actions_by_name[name] for name in ("fit_contact", "link_pictures"))
+        self._fit, self._link = (self._window.actions_by_name[name] for name in ("fit_contact", "link_previews"))
         for name, view in self._views.items():
             view.view_changed.connect(partial(self._moved, name))
         self._fit.toggled.connect(self._fit_all)

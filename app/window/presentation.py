@@ -19,7 +19,7 @@ class PresentationController(QObject):
         self._whole, self._large = (self._window.actions_by_name[name] for name in ("full_screen", "magnify"))
         self.magnifier = Magnifier(self._window)
         self._window.connect_command("full_screen", self._fill)
-        self._window.connect_command("copy_picture", self.copy_image)
+        self._window.connect_command("copy_image", self.copy_image)
         self._window.connect_command("magnify", self._magnify)
         for column in self._window.columns.values():
             column.pixel_hovered.connect(self._point)

@@ -27,9 +27,9 @@ class KeyboardController(QObject):
             keys.pixel_pointed.connect(partial(self._tracer.move_to_pixel, name))
             keys.pixel_pinned.connect(partial(self._tracer.toggle_pin, name))
             keys.focus_passed.connect(partial(self._pass, name))
-        self._window.connect_command("point", self._change)
+        self._window.connect_command("probe_by_keys", self._change)
         self._window.connect_command("cancel", self._end)
-        self._window.connect_command("type_alignment", self._type_alignment)
+        self._window.connect_command("edit_alignment", self._type_alignment)
         self._box, self._waits = self._window.alignment.rows["x"].box, False
         self._box.installEventFilter(self)
 

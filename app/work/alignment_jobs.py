@@ -83,7 +83,7 @@ def draw_before_and_after(
             picture = picture if gap is None else gap
         # One outline would lie over both sides of the handle; what was felt is the same on either.
         return replace(
-            picture, outline_px=None, felt_px=frame.observed_outline_px, caption="left: as it is; right: as refined"
+            picture, outline_px=None, observed_outline_px=frame.observed_outline_px, caption="left: as it is; right: as refined"
         )
 
     return BeforeAfter(before=draw_preview(session.offsets), after=draw_preview(refined_to))
@@ -120,7 +120,7 @@ def assess_alignment(evaluator: Evaluator, session: Session, report: JobReporter
     )  # fmt: skip
     report.deliver(first)
     return replace(
-        first, axes=frame.compute_sensitivities(alignment, params, frame.compute_pivot_mm(alignment), report)
+        first, sensitivities=frame.compute_sensitivities(alignment, params, frame.compute_pivot_mm(alignment), report)
     )
 
 

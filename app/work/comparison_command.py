@@ -23,8 +23,8 @@ def format_compare_command(session: Session, last_stage: str, target: str, out: 
     elif chosen.tab == "seeds":
         words += ["--seeds", str(chosen.seeds)]
     elif session.variant is not None:
-        words += ["--slot", last_stage if chosen.stage == LAST_STAGE else chosen.stage or "all"]
-        words += ["--beside", shlex.join(list_opening_arguments(session.variant, target))]
+        words += ["--stage", last_stage if chosen.stage == LAST_STAGE else chosen.stage or "all"]
+        words += ["--variant", shlex.join(list_opening_arguments(session.variant, target))]
     display = [word for line in format_settings({"display": session.display}) for word in ("--set", line)]
     return shlex.join([*words, *display, "--out", os.fspath(out.absolute())])
 

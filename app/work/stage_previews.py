@@ -155,10 +155,10 @@ def _with_others(
     """With what the target felt itself, where that is compared, else with the truth."""
     if other is not None and other.paired_touch is not None:
         felt = build_observation_view(shown.preview, other.paired_touch.target, translation.target, session.display)
-        return replace(shown, picture=add_observed_outline(shown.preview, other.observed_outline_px), beside=felt)
+        return replace(shown, preview=add_observed_outline(shown.preview, other.observed_outline_px), truth_view=felt)
     if truths is None:
         return shown
-    return replace(shown, beside=beside_truth(stage, shown.preview, truths, _seen(results, translation, session)))
+    return replace(shown, truth_view=beside_truth(stage, shown.preview, truths, _seen(results, translation, session)))
 
 
 def _seen(results: Mapping[str, StageResult], translation: Translation, session: Session) -> PreviewContext:

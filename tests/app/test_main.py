@@ -16,12 +16,12 @@ def test_a_recording_opens_on_a_touched_frame_whatever_comes_first(open_window, 
     """The sample begins untouched; so does what is opened later."""
     instrument = open_window(SAMPLE_RECORDING, frame=AUTO_FRAME)
     assert wait_until_shown(instrument, 60), instrument.window.banner.text
-    assert instrument.latest.results["depth"].output.contact.any()
-    assert instrument.window.timeline.frame == instrument.session.frame == instrument.latest.index > 0
+    assert instrument.latest_frame.results["depth"].output.contact.any()
+    assert instrument.window.timeline.frame == instrument.session.frame == instrument.latest_frame.index > 0
     instrument.open_path(touch_file)
     assert wait_until_shown(instrument, 60), instrument.window.banner.text
     assert instrument.session.frame == 2  # pressed deepest
-    assert instrument.latest.results["depth"].output.contact.any()
+    assert instrument.latest_frame.results["depth"].output.contact.any()
 
 
 _QUITS = """

@@ -54,7 +54,7 @@ def show_window(*args, **kwargs):
     instrument = shown(*args, with_scene=False, **kwargs)
 
     def work():
-        if instrument.screen.opened is None or not instrument.idle:
+        if instrument.views.opened is None or not instrument.idle:
             return
         every.stop()
         instrument.window.actions_by_name["section_line"].trigger()

@@ -28,7 +28,7 @@ def a_session(folder: Path) -> Session:
     display = replace_value(DisplayParams(), "gel_stretch", 5.0)
     other = Session(recording=folder / "b.h5", target="gelslim", frame=7, methods={"target_depth": "paper"})
     session = session.with_updates(
-        held=other, compared=ComparisonSettings(tab="two", order="in order", stage="target_depth", seeds=5)
+        held=other, comparison=ComparisonSettings(tab="two", order="in order", stage="target_depth", seeds=5)
     )
     return session.with_updates(params={**session.params, "display": display})
 

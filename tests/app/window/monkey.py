@@ -33,8 +33,8 @@ from app.window.session_controller import SessionController
 from tests.app.window.window_checks import Watched
 
 _LEFT_ALONE = frozenset(  # those that ask for a file by a box of the system's, close the window or show a box
-    ("open_recording", "hold_recording", "open_folder", "open_mesh", "open_calibration", "open_weights", "open_reference",
-     "open_alignment", "save_alignment", "open_session", "save_session", "save_session_as", "save_picture", "make_case",
+    ("open_recording", "set_variant_recording", "open_folder", "open_mesh", "open_calibration", "open_weights", "open_reference",
+     "open_alignment", "save_alignment", "open_session", "save_session", "save_session_as", "save_screenshot", "export_bundle",
      "quit", "keys")
 )  # fmt: skip
 _NO_BUTTONS = ("record", "browse", "write", "folder")  # parts of names of buttons that ask for a file

@@ -48,11 +48,11 @@ def aligned(open_window, qtbot) -> SessionController:
 def _window_with_dock(open_window, qtbot, recording: Path, **session) -> SessionController:
     gl = bool(session.pop("gl", False))
     instrument = open_window(gl=gl)
-    instrument.screen.show_only("target_depth")
+    instrument.views.show_only("target_depth")
     instrument.window.drawers.alignment.show()
     instrument.show_session(Session(recording=recording, **session))
     panel = instrument.window.alignment
-    qtbot.waitUntil(lambda: bool(panel.reason) or bool(panel.bars.axes), timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: bool(panel.no_score_reason) or bool(panel.bars.axes), timeout=WAIT_MS)
     return instrument
 
 
@@ -72,23 +72,23 @@ def _let_go(instrument: SessionController, axis: str) -> None:
 
 def test_a_drag_changes_the_view_and_the_gauges_before_it_ends(aligned, qtbot):
     panel, column = aligned.window.alignment, aligned.window.columns["target_depth"]
-    before, gauge = column.view.picture, panel.gauges["iou"]
+    before, gauge = column.view.preview, panel.gauges["iou"]
     good = gauge.value
-    assert before.felt_px.size > 0
+    assert before.observed_outline_px.size > 0
     _drag(aligned, "x", 2.0, qtbot)
     qtbot.waitUntil(lambda: column.state == "preview" and gauge.value < good - 0.1, timeout=WAIT_MS)
-    assert column.view.picture.pixels.shape == before.pixels.shape
-    assert np.mean(column.view.picture.pixels != before.pixels) > 0.01
-    assert column.view.picture.felt_px.shape == before.felt_px.shape
+    assert column.view.preview.pixels.shape == before.pixels.shape
+    assert np.mean(column.view.preview.pixels != before.pixels) > 0.01
+    assert column.view.preview.observed_outline_px.shape == before.observed_outline_px.shape
     assert gauge.ghost == good
     assert panel.gauges["edge_px"].value > panel.gauges["edge_px"].ghost
-    assert aligned.session.offsets.none
+    assert aligned.session.offsets.is_zero
 
 
 def test_gauges_say_the_same_while_dragging_and_at_rest(aligned, qtbot, settled):
     panel = aligned.window.alignment
     _drag(aligned, "x", 1.0, qtbot)
-    qtbot.waitUntil(lambda: not aligned.job.busy, timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: not aligned.job.is_busy, timeout=WAIT_MS)
     qtbot.wait(50)
     assert panel.dragging
     dragging = {name: gauge.value for name, gauge in panel.gauges.items()}
@@ -109,71 +109,71 @@ def test_stages_that_a_drag_drops_are_not_called_running_and_come_when_it_ends(a
             time.sleep(0.001)
 
     with monkeypatch.context() as patched:
-        patched.setattr(evaluator, "show", for_ever)
-        aligned.screen.show_only(None)
+        patched.setattr(evaluator, "evaluate_frame", for_ever)
+        aligned.views.show_only(None)
         aligned.choose_frame(TOUCHED + 1)
         qtbot.waitUntil(lambda: begun.is_set() and columns["source"].state == "running", timeout=WAIT_MS)
         _drag(aligned, "x", 1.0, qtbot)
-        qtbot.waitUntil(lambda: not aligned.job.busy and columns["target_depth"].state == "preview", timeout=WAIT_MS)
+        qtbot.waitUntil(lambda: not aligned.job.is_busy and columns["target_depth"].state == "preview", timeout=WAIT_MS)
         assert columns["source"].state == "stale", "nothing runs"
         assert not aligned.is_idle, "the new frame has not come"
-    aligned.screen.show_only("target_depth")
+    aligned.views.show_only("target_depth")
     _let_go(aligned, "x")
     settled(aligned)
-    assert aligned.latest.index == TOUCHED + 1
+    assert aligned.latest_frame.index == TOUCHED + 1
     assert columns["target_depth"].state in ("computed", "doubtful", "skipped")
 
 
 def test_a_drag_is_one_undo_step_and_ends_at_full_size(aligned, qtbot, settled):
-    panel, steps = aligned.window.alignment, aligned.undo.count()
+    panel, steps = aligned.window.alignment, aligned.undo_stack.count()
     good = panel.gauges["iou"].value
     _drag(aligned, "x", 1.0, qtbot)
     _let_go(aligned, "x")
     settled(aligned)
-    assert aligned.undo.count() == steps + 1
-    assert "x" in aligned.undo.undoText()
+    assert aligned.undo_stack.count() == steps + 1
+    assert "x" in aligned.undo_stack.undoText()
     assert aligned.session.offsets.values == (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    assert aligned.latest.results["target_depth"].state == "computed"
+    assert aligned.latest_frame.results["target_depth"].state == "computed"
     assert panel.gauges["iou"].value < good
     assert "moved" in panel.origin
-    aligned.undo.undo()
+    aligned.undo_stack.undo()
     settled(aligned)
-    assert aligned.session.offsets.none
+    assert aligned.session.offsets.is_zero
     assert panel.rows["x"].box.value() == 0.0
     assert panel.gauges["iou"].value == good
 
 
 def test_turns_are_about_the_middle_of_the_contact(aligned, qtbot, settled):
-    depth = aligned.latest.results["depth"].output
+    depth = aligned.latest_frame.results["depth"].output
     middle = depth.camera.back_project(depth.depth_mm)[depth.contact].mean(axis=0)
-    opened = aligned.screen.opened.alignment
+    opened = aligned.views.translation.alignment
     before = rigid.apply(opened.target_from_source, middle)
     _drag(aligned, "rz", 5.0, qtbot)
     _let_go(aligned, "rz")
     settled(aligned)
     offsets = aligned.session.offsets
-    assert offsets.turn_deg == (0.0, 0.0, 5.0)
-    assert np.allclose(rigid.apply(offsets.applied(opened).target_from_source, middle), before, atol=ROUNDING_MM)
+    assert offsets.rotation_deg == (0.0, 0.0, 5.0)
+    assert np.allclose(rigid.apply(offsets.apply_to(opened).target_from_source, middle), before, atol=ROUNDING_MM)
     assert np.hypot(*offsets.pivot_mm[:2]) > 1.0  # so that turning about the camera's axis would have moved it
 
 
 def test_typing_a_number_is_one_change_once_it_is_still(aligned, settled):
-    box, steps = aligned.window.alignment.rows["z"].box, aligned.undo.count()
+    box, steps = aligned.window.alignment.rows["z"].box, aligned.undo_stack.count()
     box.stepUp()
     box.stepUp()
     settled(aligned)
-    assert aligned.undo.count() == steps + 1
-    assert aligned.session.offsets.shift_mm == (0.0, 0.0, 0.1)
+    assert aligned.undo_stack.count() == steps + 1
+    assert aligned.session.offsets.translation_mm == (0.0, 0.0, 0.1)
 
 
 def test_a_drag_that_comes_back_leaves_no_trace(aligned, qtbot, settled):
-    steps = aligned.undo.count()
+    steps = aligned.undo_stack.count()
     _drag(aligned, "y", 1.0, qtbot)
     aligned.window.alignment.rows["y"].slider.setValue(0)
     _let_go(aligned, "y")
     settled(aligned)
-    assert aligned.undo.count() == steps
-    assert aligned.latest.results["target_depth"].state == "cached"
+    assert aligned.undo_stack.count() == steps
+    assert aligned.latest_frame.results["target_depth"].state == "cached"
 
 
 def test_offsets_are_in_the_session_file_and_old_files_have_none(aligned, open_window, tmp_path, settled):
@@ -192,41 +192,41 @@ def test_offsets_are_in_the_session_file_and_old_files_have_none(aligned, open_w
     del data["offsets"]
     path.write_text(json.dumps(data))
     other.open_path(path)
-    assert other.session.offsets.none
+    assert other.session.offsets.is_zero
 
 
 def test_refining_shows_before_and_after_and_accepting_is_one_step(aligned, qtbot, settled):
     panel = aligned.window.alignment
-    refining = aligned.findChild(AlignmentController).refining
+    refining = aligned.findChild(AlignmentController).refinement
     panel.rows["x"].box.setValue(1.0)
     settled(aligned)
-    steps, bad = aligned.undo.count(), panel.gauges["iou"].value
+    steps, bad = aligned.undo_stack.count(), panel.gauges["iou"].value
     panel.refine.button.click()
     assert panel.refine.cancel.isVisible()
-    qtbot.waitUntil(lambda: refining.answer is not None, timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: refining.proposal is not None, timeout=WAIT_MS)
     assert "→" in panel.refine.text
     assert "surface mm" in panel.refine.text
-    before, after = refining.answer.answer.used
+    before, after = refining.proposal.refinement.used
     assert after.outline_mm < before.outline_mm
-    assert aligned.undo.count() == steps
+    assert aligned.undo_stack.count() == steps
     panel.refine.accept.click()
     settled(aligned)
-    assert aligned.undo.count() == steps + 1
-    assert abs(aligned.session.offsets.shift_mm[0]) < TRUE_TO_MM
+    assert aligned.undo_stack.count() == steps + 1
+    assert abs(aligned.session.offsets.translation_mm[0]) < TRUE_TO_MM
     assert panel.gauges["iou"].value > bad
     assert not panel.refine.accept.isVisible()
 
 
 def test_a_refinement_is_seen_beside_what_is_until_it_is_taken(aligned, qtbot, settled):
     """Before left of a handle, after right of it, on whichever frame one goes to."""
-    refining, view = aligned.findChild(AlignmentController).refining, aligned.window.columns["target_depth"].view
+    refining, view = aligned.findChild(AlignmentController).refinement, aligned.window.columns["target_depth"].view
     aligned.window.alignment.rows["x"].box.setValue(1.0)
     settled(aligned)
-    plain = view.picture
+    plain = view.preview
     aligned.window.alignment.refine.button.click()
-    qtbot.waitUntil(lambda: refining.answer is not None and view.overlay.shown, timeout=WAIT_MS)
+    qtbot.waitUntil(lambda: refining.proposal is not None and view.overlay.is_visible, timeout=WAIT_MS)
     settled(aligned)
-    before, after = view.picture, view.overlay._picture
+    before, after = view.preview, view.overlay._picture
     assert before.values.shape == after.values.shape
     gaps = [float(np.nanmean(np.abs(picture.values))) for picture in (before, after)]
     assert gaps[1] < gaps[0]  # of what is carried over less what was felt
@@ -234,21 +234,21 @@ def test_a_refinement_is_seen_beside_what_is_until_it_is_taken(aligned, qtbot, s
     settled(aligned)
     aligned.choose_frame(TOUCHED)
     settled(aligned)
-    assert view.overlay.shown
+    assert view.overlay.is_visible
     aligned.window.alignment.refine.discard.click()
     settled(aligned)
-    assert not view.overlay.shown
-    assert view.picture is plain
+    assert not view.overlay.is_visible
+    assert view.preview is plain
 
 
 def test_refining_can_be_cancelled_and_changes_nothing(aligned, qtbot):
-    refining = aligned.findChild(AlignmentController).refining
+    refining = aligned.findChild(AlignmentController).refinement
     aligned.window.alignment.refine.button.click()
     aligned.window.alignment.refine.cancel.click()
     qtbot.waitUntil(aligned.window.alignment.refine.button.isVisible, timeout=WAIT_MS)
-    assert refining.answer is None
+    assert refining.proposal is None
     assert "cancelled" in aligned.window.alignment.refine.text
-    assert aligned.session.offsets.none
+    assert aligned.session.offsets.is_zero
 
 
 def test_a_recording_without_the_targets_touch_says_so_and_still_previews(open_window, touch_file, qtbot):
@@ -269,17 +269,17 @@ def test_a_recording_without_the_targets_touch_says_so_and_still_previews(open_w
 def test_a_saved_alignment_opens_again_as_it_was_seen(aligned, tmp_path, settled):
     aligned.window.alignment.rows["x"].box.setValue(0.5)
     settled(aligned)
-    opened = aligned.screen.opened.alignment
-    expected = aligned.session.offsets.applied(opened).target_from_source
+    opened = aligned.views.translation.alignment
+    expected = aligned.session.offsets.apply_to(opened).target_from_source
     path = tmp_path / "mine.toml"
-    aligned.findChild(AlignmentController).save(path)
+    aligned.findChild(AlignmentController).save_alignment(path)
     kept = load_alignment(path, source="digit", target="gelslim").alignment
     assert np.allclose(kept.target_from_source, expected, rtol=0, atol=1e-9)
     aligned.open_path(path)
     settled(aligned)
-    assert aligned.session.offsets.none
+    assert aligned.session.offsets.is_zero
     assert "mine.toml" in aligned.window.alignment.origin
-    assert np.allclose(aligned.screen.opened.alignment.target_from_source, expected, rtol=0, atol=1e-9)
+    assert np.allclose(aligned.views.translation.alignment.target_from_source, expected, rtol=0, atol=1e-9)
 
 
 def test_an_alignment_of_other_sensors_ends_in_the_banner_and_is_taken_back(aligned, qtbot):
@@ -295,9 +295,9 @@ def test_nothing_is_judged_while_the_dock_is_hidden(open_window, qtbot):
     instrument.show_session(Session(recording=PAIRED, source="digit", target="gelslim", frame=TOUCHED))
     assert wait_until_shown(instrument, LIMIT_S)
     qtbot.wait(200)
-    assert not instrument.job.busy
+    assert not instrument.job.is_busy
     assert instrument.window.alignment.bars.axes == ()
-    assert instrument.window.columns["target_depth"].view.picture.felt_px is None
+    assert instrument.window.columns["target_depth"].view.preview.observed_outline_px is None
 
 
 def test_who_goes_back_has_what_was_felt_at_once(aligned, settled, monkeypatch):
@@ -311,11 +311,11 @@ def test_who_goes_back_has_what_was_felt_at_once(aligned, settled, monkeypatch):
         return comparison_of(translation, index, *rest)
 
     comparison_of = evaluator.build_target_comparison
-    monkeypatch.setattr(evaluator, "comparison_of", counted)
+    monkeypatch.setattr(evaluator, "build_target_comparison", counted)
     for frame in (TOUCHED + 1, TOUCHED, TOUCHED + 1, TOUCHED):
         aligned.choose_frame(frame)
         settled(aligned)
-    assert aligned.screen.shown("target_depth").picture.felt_px is not None
+    assert aligned.views.get_shown_stage("target_depth").preview.observed_outline_px is not None
     assert asked == [TOUCHED + 1]
 
 
@@ -323,9 +323,9 @@ def test_offsets_go_with_the_sensors_they_were_made_for(aligned, settled):
     aligned.window.alignment.rows["x"].box.setValue(0.5)
     settled(aligned)
     aligned.change("choose target", target="soft_bubble")
-    assert aligned.session.offsets.none
-    aligned.undo.undo()
-    assert aligned.session.offsets.shift_mm[0] == 0.5
+    assert aligned.session.offsets.is_zero
+    aligned.undo_stack.undo()
+    assert aligned.session.offsets.translation_mm[0] == 0.5
 
 
 @pytest.mark.gl

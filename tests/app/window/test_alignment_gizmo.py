@@ -36,20 +36,20 @@ def _drag(qtbot, gizmo, begin: QPointF, end: QPointF):
 
 def test_an_arrow_shifts_along_its_axis_as_far_as_it_is_dragged_and_is_one_step(grasped, qtbot):
     instrument, aligning, gizmo = grasped
-    canvas, picture = gizmo.parent(), instrument.window.columns["target_depth"].view.picture
+    canvas, picture = gizmo.parent(), instrument.window.columns["target_depth"].view.preview
     middle = canvas.to_screen(gizmo._at)
-    steps, centre = instrument.undo.count(), canvas.centre
+    steps, centre = instrument.undo_stack.count(), canvas.centre
     grip = middle + QPointF(30, 0)
     _drag(qtbot, gizmo, grip, grip + QPointF(25, 14))
     qtbot.waitUntil(lambda: instrument.is_idle and aligning.is_idle, timeout=LIMIT_MS)
     x, y, z = instrument.session.offsets.shift_mm
     assert x == pytest.approx(25.0 / canvas.scale * picture.pixel_mm, rel=0.1)
     assert (y, z) == (0.0, 0.0)
-    assert instrument.undo.count() == steps + 1
+    assert instrument.undo_stack.count() == steps + 1
     assert canvas.centre == centre  # the picture itself was not dragged
     moved = canvas.to_screen(gizmo._at)
     assert moved.x() - middle.x() == pytest.approx(25.0, abs=2.0)  # it stays under the pointer
-    instrument.undo.undo()
+    instrument.undo_stack.undo()
     qtbot.waitUntil(lambda: instrument.is_idle and aligning.is_idle, timeout=LIMIT_MS)
     assert canvas.to_screen(gizmo._at).x() == pytest.approx(middle.x(), abs=1.0)
 
@@ -68,7 +68,7 @@ def test_the_middle_shifts_freely_and_the_ring_turns(grasped, qtbot):
     _drag(qtbot, gizmo, begin, end)
     qtbot.waitUntil(lambda: instrument.is_idle and aligning.is_idle, timeout=LIMIT_MS)
     assert instrument.session.offsets.turn_deg[2] == pytest.approx(20.0, abs=1.5)  # clockwise on screen: from x to y
-    assert instrument.session.offsets.shift_mm[:2] == pytest.approx((x, y), abs=1e-6)
+    assert instrument.session.offsets.translation_mm[:2] == pytest.approx((x, y), abs=1e-6)
 
 
 def test_it_is_there_in_align_alone(grasped, qtbot):

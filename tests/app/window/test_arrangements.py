@@ -21,7 +21,7 @@ LIMIT_S = 60.0
 def called(monkeypatch):
     """Answers the question for a name."""
     said = {"name": ""}
-    monkeypatch.setattr(dialogs, "name_of", lambda *_: said["name"])
+    monkeypatch.setattr(dialogs, "ask_name", lambda *_: said["name"])
     return said
 
 
@@ -35,10 +35,10 @@ def test_an_arrangement_comes_back_as_it_was_kept(bubble_window, called, qtbot):
     window.panes.dims_chosen.emit(0, "2D")
     window.drawers.frames.show()
     called["name"] = "mine"
-    act["keep_arrangement"].trigger()
+    act["save_arrangement"].trigger()
     act["layout_stages"].trigger()
     window.drawers.frames.hide()
-    assert instrument.session.layout.own is None
+    assert instrument.session.layout.arrangement is None
     chosen = next(a for a in window.actions() if a.text() == "Arrangement mine")
     assert chosen.shortcut().toString() == "Ctrl+Alt+1"
     chosen.trigger()
@@ -46,7 +46,7 @@ def test_an_arrangement_comes_back_as_it_was_kept(bubble_window, called, qtbot):
     assert instrument.session.layout.panes[0][1] == "2D"
     assert not window.drawers.frames.isHidden()
     assert chosen.isChecked()
-    instrument.undo.undo()
+    instrument.undo_stack.undo()
     assert instrument.session.layout.name == "stages"
 
 
@@ -59,7 +59,7 @@ def test_a_dragged_handle_is_part_of_it(bubble_window, called, qtbot):
     qtbot.wait(50)
     kept = rows.sizes()
     called["name"] = "low"
-    window.actions_by_name["keep_arrangement"].trigger()
+    window.actions_by_name["save_arrangement"].trigger()
     rows.restore_sizes(())
     qtbot.waitUntil(lambda: abs(rows.sizes()[0] - kept[0]) > 10)
     window.actions_by_name["layout_stages"].trigger()
@@ -71,17 +71,17 @@ def test_arrangements_outlive_the_window_and_can_be_renamed_and_deleted(open_win
     first = open_window()
     for name in ("one", "two"):
         called["name"] = name
-        first.window.actions_by_name["keep_arrangement"].trigger()
+        first.window.actions_by_name["save_arrangement"].trigger()
     second = open_window()
     own, act = second.findChild(ArrangementController), second.window.actions_by_name
-    assert [layout.own.name for layout in own.known] == ["one", "two"]
+    assert [layout.arrangement.name for layout in own.arrangements] == ["one", "two"]
     assert not act["delete_arrangement"].isEnabled()
-    own.choose(own.known[1])
+    own.apply_arrangement(own.arrangements[1])
     called["name"] = "three"
     act["rename_arrangement"].trigger()
-    assert [layout.own.name for layout in own.known] == ["one", "three"]
+    assert [layout.arrangement.name for layout in own.arrangements] == ["one", "three"]
     act["delete_arrangement"].trigger()
-    assert [layout.own.name for layout in open_window().findChild(ArrangementController).known] == ["one"]
+    assert [layout.arrangement.name for layout in open_window().findChild(ArrangementController).arrangements] == ["one"]
 
 
 @pytest.mark.parametrize(
@@ -95,14 +95,14 @@ def test_a_file_that_cannot_be_read_is_one_sentence_and_is_not_lost(open_window,
     instrument = open_window()
     assert "arrangements" in instrument.window.banner.text
     called["name"] = "new"
-    instrument.window.actions_by_name["keep_arrangement"].trigger()
+    instrument.window.actions_by_name["save_arrangement"].trigger()
     assert _file().with_name(ARRANGEMENTS_FILE + ".unread").read_text() == text
     assert len(json.loads(_file().read_text())["arrangements"]) == 1
 
 
 def test_drawers_of_another_version_are_one_sentence(bubble_window):
     layout = Layout(arrangement=Arrangement("old", dock_state="AAAA"))
-    bubble_window.findChild(ArrangementController).choose(layout)
+    bubble_window.findChild(ArrangementController).apply_arrangement(layout)
     assert "'old'" in bubble_window.window.banner.text
 
 

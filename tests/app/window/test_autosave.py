@@ -108,7 +108,7 @@ def test_closing_asks_nothing_where_nothing_would_be_lost(bubble_window, monkeyp
     monkeypatch.setattr(QMessageBox, "question", lambda *_args: pytest.fail("asked"))
     bubble_window.choose_frame(1)
     move(bubble_window)
-    bubble_window.undo.undo()
+    bubble_window.undo_stack.undo()
     assert bubble_window.window.close()
 
 
@@ -117,7 +117,7 @@ def test_notes_are_work_and_so_is_taking_back_what_was_saved(bubble_window, tmp_
     assert bubble_window.window.isWindowModified()
     bubble_window.save_session(tmp_path / "a.touch.json")
     assert not bubble_window.window.isWindowModified()
-    bubble_window.undo.undo()
+    bubble_window.undo_stack.undo()
     assert bubble_window.window.isWindowModified(), "the file still has the note"
 
 

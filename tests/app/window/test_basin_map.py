@@ -37,7 +37,7 @@ def test_a_click_goes_to_what_a_start_ended_in(window, qtbot):
     window.window.actions_by_name["map_basins"].trigger()
     qtbot.waitUntil(lambda: tab.result is not None, timeout=LIMIT_MS)
     assert panel.isVisible()
-    assert "12 starts" in panel.told
+    assert "12 starts" in panel.message
     of, view = tab.result.basins, window.window.columns["pose"].view
     assert [len(row) for row in panel.map.cells] == [4, 4, 4]
     own = view.picture
@@ -46,7 +46,7 @@ def test_a_click_goes_to_what_a_start_ended_in(window, qtbot):
     qtbot.mouseClick(panel.map, Qt.MouseButton.LeftButton, pos=at)
     qtbot.waitUntil(lambda: view.picture is not own, timeout=LIMIT_MS)
     assert f"rms {of.rmse_mm[row, col]:.2f} mm" in view.picture.caption
-    placed = window.screen.scene._placed[list(window.window.columns).index("pose")]["object"]
+    placed = window.views.scene._placed[list(window.window.columns).index("pose")]["object"]
     assert placed == pytest.approx(of.poses[row, col])
     window.choose_frame(5)  # what was found is of another frame
     assert tab.result is None
@@ -60,8 +60,8 @@ def test_it_can_be_stopped_and_says_why_there_is_nothing_to_map(window, qtbot, m
     assert panel.go.text() == "Cancel"
     panel.go.click()
     qtbot.waitUntil(lambda: panel.go.text() == "Map basins", timeout=LIMIT_MS)
-    assert panel.told == "stopped" or tab.result is not None
+    assert panel.message == "stopped" or tab.result is not None
     window.choose_frame(0)
     assert wait_until_shown(window, LIMIT_S)
     panel.go.click()
-    qtbot.waitUntil(lambda: "no pose to look around" in panel.told, timeout=LIMIT_MS)
+    qtbot.waitUntil(lambda: "no pose to look around" in panel.message, timeout=LIMIT_MS)

@@ -14,26 +14,26 @@ from pipeline.previews.preview import DEVIATION_LABEL
 
 def test_a_dragged_limit_is_the_panels_and_every_panes(bubble_window, qtbot):
     window = bubble_window.window
-    before = window.columns["depth"].view.picture
-    window.columns["depth"].view.levels.limit_dragged.emit("bubble_limit_mm", 4.237)
-    window.columns["depth"].view.levels.limit_dragged.emit("bubble_floor_mm", 1.0)
+    before = window.columns["depth"].view.preview
+    window.columns["depth"].view.colour_bar.limit_dragged.emit("bubble_limit_mm", 4.237)
+    window.columns["depth"].view.colour_bar.limit_dragged.emit("bubble_floor_mm", 1.0)
     assert wait_until_shown(bubble_window, 60)
     assert bubble_window.session.display.bubble_limit_mm == pytest.approx(4.24)
-    scale = window.columns["depth"].view.picture.scale
+    scale = window.columns["depth"].view.preview.scale
     assert (scale.low, scale.high) == (1.0, pytest.approx(4.24))
     assert before.scale.high != scale.high
-    bubble_window.undo.undo()
+    bubble_window.undo_stack.undo()
     assert bubble_window.session.display.bubble_limit_mm == 10.0
 
 
 def test_a_limit_goes_no_farther_than_its_setting_and_never_past_the_other(bubble_window):
-    levels = bubble_window.window.columns["depth"].view.levels
+    levels = bubble_window.window.columns["depth"].view.colour_bar
     levels.limit_dragged.emit("bubble_limit_mm", 1e6)
     assert bubble_window.session.display.bubble_limit_mm == 25.0
     levels.limit_dragged.emit("bubble_limit_mm", -3.0)
     levels.limit_dragged.emit("bubble_floor_mm", 20.0)
     assert wait_until_shown(bubble_window, 60)
-    scale = bubble_window.window.columns["depth"].view.picture.scale
+    scale = bubble_window.window.columns["depth"].view.preview.scale
     assert scale.low < scale.high
 
 
@@ -42,31 +42,31 @@ def test_a_double_click_fits_the_limits_of_what_is_shown_in_one_step(bubble_wind
     source = columns["source"].view
     bubble_window.choose_params(DISPLAY_KEY, DisplayParams(bubble_quantity="distance"))
     assert wait_until_shown(bubble_window, 60)
-    built = source.picture.scale
+    built = source.preview.scale
     assert (built.low_setting, built.high_setting) == ("bubble_near_mm", "bubble_far_mm")
-    qtbot.mouseDClick(source.levels, Qt.MouseButton.LeftButton)
+    qtbot.mouseDClick(source.colour_bar, Qt.MouseButton.LeftButton)
     assert wait_until_shown(bubble_window, 60)
-    fitted, values = source.picture.scale, source.picture.values
+    fitted, values = source.preview.scale, source.preview.values
     inside = values[np.isfinite(values)]
     np.testing.assert_allclose((fitted.low, fitted.high), np.percentile(inside, (1, 99)), atol=0.006)
     bubble_window.choose_frame(1)  # the limits are absolute: another frame keeps them
     assert wait_until_shown(bubble_window, 60)
-    assert source.picture.scale == fitted
-    bubble_window.undo.undo()
-    bubble_window.undo.undo()
+    assert source.preview.scale == fitted
+    bubble_window.undo_stack.undo()
+    bubble_window.undo_stack.undo()
     assert wait_until_shown(bubble_window, 60)
-    assert source.picture.scale == built
+    assert source.preview.scale == built
 
 
 def test_a_bubbles_deviation_from_rest_has_the_limit_of_all_indentations_either_way(bubble_window):
     columns = bubble_window.window.columns
-    assert columns["source"].view.picture.scale.quantity == DEVIATION_LABEL
-    columns["source"].view.levels.limit_dragged.emit("bubble_limit_mm", 6.0)
+    assert columns["source"].view.preview.scale.quantity == DEVIATION_LABEL
+    columns["source"].view.colour_bar.limit_dragged.emit("bubble_limit_mm", 6.0)
     assert wait_until_shown(bubble_window, 60)
-    scale, depth = (columns[name].view.picture.scale for name in ("source", "depth"))
+    scale, depth = (columns[name].view.preview.scale for name in ("source", "depth"))
     assert (scale.low, scale.high, depth.high) == (-6.0, 6.0, 6.0)
-    bubble_window.tracer.hover("source", 70, 80)
-    said = bubble_window.window.probe.text()
+    bubble_window.probe.probe_pixel("source", 70, 80)
+    said = bubble_window.window.readout.text()
     assert "deviation from rest" in said
     assert "distance" in said
 
@@ -74,18 +74,18 @@ def test_a_bubbles_deviation_from_rest_has_the_limit_of_all_indentations_either_
 def test_the_distance_to_the_posed_object_has_a_limit_of_its_own(bubble_window):
     pose = bubble_window.window.columns["pose"].view
     before = _limits(pose)
-    pose.levels.limit_dragged.emit("residual_limit_mm", 0.123)
+    pose.colour_bar.limit_dragged.emit("residual_limit_mm", 0.123)
     assert wait_until_shown(bubble_window, 60)
     assert _limits(pose) == (-0.12, 0.12) != before
 
 
 def test_a_pixel_that_was_pinned_in_a_larger_picture_is_let_go(bubble_window):
     instrument = bubble_window
-    instrument.tracer.click("target_depth", 100, 400)
-    assert instrument.window.columns["target_depth"].view.cross == (100, 400)
+    instrument.probe.toggle_pin("target_depth", 100, 400)
+    assert instrument.window.columns["target_depth"].view.crosshair == (100, 400)
     instrument.change("another target", target="digit")  # 240 pixels wide
     assert wait_until_shown(instrument, 60)
-    assert instrument.window.columns["target_depth"].view.cross is None
+    assert instrument.window.columns["target_depth"].view.crosshair is None
     assert "pinned" not in instrument.window.trace.text
 
 

@@ -35,7 +35,7 @@ def compared(open_window, qtbot, tmp_path, monkeypatch):
 
 
 def _tiles(instrument):
-    return instrument.window.compare.tab.grid.tiles
+    return instrument.window.comparison.current_tab.grid.tiles
 
 
 def _settled(qtbot, instrument, comparing, tiles):
@@ -48,10 +48,10 @@ def test_every_way_stands_beside_the_truth_worst_first(compared, qtbot):
     instrument, comparing = compared
     page, tiles = instrument.window.compare, _tiles(instrument)
     assert [tile.title for tile in tiles] == ["truth", VQVAE.title, PHYSICS.title]
-    assert all("contact" in tile.told and "dB" in tile.told and "ms" in tile.told for tile in tiles[1:])
-    assert "left out: T2D2" in page.tab.told.text()
-    assert len({tile.picture.scale for tile in tiles}) == 1  # one colour scale
-    assert instrument.latest.results == {}  # nothing is worked out for columns that nobody sees
+    assert all("contact" in tile.message and "dB" in tile.message and "ms" in tile.message for tile in tiles[1:])
+    assert "left out: T2D2" in page.tab.message.text()
+    assert len({tile.preview.scale for tile in tiles}) == 1  # one colour scale
+    assert instrument.latest_frame.results == {}  # nothing is worked out for columns that nobody sees
     page.order.setCurrentText("in order")
     page.choice_changed.emit()
     _settled(qtbot, instrument, comparing, tiles)
@@ -85,17 +85,17 @@ def test_who_goes_elsewhere_for_long_leaves_no_answers_and_no_networks_behind(co
 
 def test_one_key_shows_the_difference_and_all_look_at_one_place(compared):
     instrument, _ = compared
-    views = instrument.window.compare.tab.grid.views
+    views = instrument.window.comparison.current_tab.grid.views
     instrument.window.actions_by_name["show_difference"].trigger()
     assert wait_until_shown(instrument, LIMIT_S)
-    assert all(v.view.picture is v.tile.gap for v in views[1:])
-    assert views[0].view.picture is views[0].tile.picture
+    assert all(v.view.preview is v.tile.gap for v in views[1:])
+    assert views[0].view.preview is views[0].tile.picture
     views[1].view.canvas.look(QPointF(100.0, 60.0), 2.0)
     views[1].view.view_changed.emit()
     assert {(v.view.canvas.centre.x(), v.view.canvas.centre.y(), v.view.canvas.scale) for v in views} == {(100, 60, 2)}
     views[2].view.pixel_hovered.emit(60, 100)
     assert all(v.view.cross == (60, 100) for v in views)
-    assert PHYSICS.title in instrument.window.probe.text()
+    assert PHYSICS.title in instrument.window.readout.text()
 
 
 def test_another_frame_is_followed_and_a_hidden_page_works_nothing_out(compared, qtbot):
@@ -103,7 +103,7 @@ def test_another_frame_is_followed_and_a_hidden_page_works_nothing_out(compared,
     tiles = _tiles(instrument)
     instrument.choose_frame(6)
     _settled(qtbot, instrument, comparing, tiles)
-    assert "frame 6" in instrument.window.compare.tab.told.text()
+    assert "frame 6" in instrument.window.comparison.current_tab.message.text()
     instrument.window.actions_by_name["layout_stages"].trigger()
     assert wait_until_shown(instrument, LIMIT_S)
     tiles = _tiles(instrument)

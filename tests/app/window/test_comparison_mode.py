@@ -34,14 +34,14 @@ def test_truth_takes_the_place_and_gives_it_back(window):
     views = {name: column.view for name, column in window.window.columns.items()}
     made = {name: view.picture for name, view in views.items()}
     _choose(window, "truth")
-    truths = window.screen.opened.truths(5)
+    truths = window.views.opened.truths(5)
     assert set(truths) == {"depth", "target_depth", "touch", "touch_depth", "pose"}
     for name in truths:
         assert views[name].picture.caption.startswith("truth: "), name
     np.testing.assert_array_equal(views["depth"].picture.values, truths["depth"].indentation_mm)
     np.testing.assert_array_equal(views["cloud"].picture.pixels, made["cloud"].pixels)  # of which no truth is known
     _choose(window, "truth")
-    assert window.screen.versus == ""
+    assert window.views.comparison_mode == ""
     np.testing.assert_array_equal(views["depth"].picture.pixels, made["depth"].pixels)
 
 
@@ -49,10 +49,10 @@ def test_a_difference_is_what_was_worked_out_less_the_truth(window):
     view = window.window.columns["touch_depth"].view
     made = view.picture.values.copy()
     _choose(window, "difference")
-    true = window.screen.opened.truths(5)["touch_depth"].indentation_mm
+    true = window.views.opened.truths(5)["touch_depth"].indentation_mm
     np.testing.assert_allclose(view.picture.values, made - true, atol=1e-6)
     assert view.picture.scale.low == -view.picture.scale.high
-    pose = window.window.columns["pose"].view.picture
+    pose = window.window.columns["pose"].view.preview
     assert pose.caption.startswith("distance to object")  # a signed distance has no difference
 
 
@@ -62,15 +62,15 @@ def test_one_way_at_a_time(window):
     _choose(window, "difference")
     assert actions["show_difference"].isChecked()
     assert not actions["show_wipe"].isChecked()
-    assert not window.window.columns["touch_depth"].view.overlay.shown
+    assert not window.window.columns["touch_depth"].view.overlay.is_visible
 
 
 def test_the_truth_lies_right_of_the_wipe_handle(window):
     _choose(window, "wipe")
     view = window.window.columns["touch_depth"].view
     overlay = view.overlay
-    assert overlay.shown
-    assert not window.window.columns["source"].view.overlay.shown
+    assert overlay.is_visible
+    assert not window.window.columns["source"].view.overlay.is_visible
     seen = {}
     for share in (1.0, 0.0, 0.25):
         overlay.move_handle(share)
@@ -82,7 +82,7 @@ def test_the_truth_lies_right_of_the_wipe_handle(window):
         assert off < 0.2 * otherwise  # a part is brought to size by itself, which moves a colour by a level or two
     overlay.move_handle(2.0)  # no farther than the picture
     assert overlay.share == 1.0
-    assert not overlay.shown
+    assert not overlay.is_visible
     window.choose_frame(6)  # the handle stays where it was put
     assert wait_until_shown(window, LIMIT_S)
     assert overlay.share == 1.0
@@ -92,17 +92,17 @@ def test_blinking_shows_both_in_turns_until_it_is_switched_off(window, qtbot):
     _choose(window, "blink")
     overlay = window.window.columns["depth"].view.overlay
     seen = set()
-    qtbot.waitUntil(lambda: len(seen.union({overlay.shown}) and (seen.add(overlay.shown) or seen)) == 2, timeout=5000)
+    qtbot.waitUntil(lambda: len(seen.union({overlay.is_visible}) and (seen.add(overlay.is_visible) or seen)) == 2, timeout=5000)
     _choose(window, "blink")
-    assert not overlay.shown
+    assert not overlay.is_visible
     assert not overlay.is_blinking
 
 
 def test_no_truth_is_worked_out_while_nobody_asks(window, monkeypatch):
-    translation = type(window.screen.opened)
+    translation = type(window.views.opened)
     asked = []
     honest = translation.truths
-    monkeypatch.setattr(translation, "truths", lambda self, index: asked.append(index) or honest(self, index))
+    monkeypatch.setattr(translation, "read_true_outputs", lambda self, index: asked.append(index) or honest(self, index))
     window.choose_frame(7)
     assert wait_until_shown(window, LIMIT_S)
     assert not asked
@@ -111,9 +111,9 @@ def test_no_truth_is_worked_out_while_nobody_asks(window, monkeypatch):
 
 
 def test_a_recording_without_truth_shows_what_was_worked_out(bubble_window):
-    made = bubble_window.window.columns["depth"].view.picture
+    made = bubble_window.window.columns["depth"].view.preview
     _choose(bubble_window, "truth")
-    shown = bubble_window.window.columns["depth"].view.picture
+    shown = bubble_window.window.columns["depth"].view.preview
     assert shown.caption == made.caption
     np.testing.assert_array_equal(shown.pixels, made.pixels)
     told = [label.text() for label in bubble_window.window.timeline.findChildren(QLabel)]

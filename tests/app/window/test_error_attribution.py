@@ -20,9 +20,9 @@ def window(open_window, qtbot):
 
 
 def test_the_frame_at_hand_is_taken_apart(window, qtbot):
-    panel = window.window.blame
+    panel = window.window.error_attribution
     assert not panel.waterfall.bars  # nothing is worked out while nobody looks
-    window.window.drawers.reading.show()
+    window.window.drawers.diagnostics.show()
     window.window.tabs.setCurrentWidget(panel)
     qtbot.waitUntil(lambda: bool(panel.waterfall.bars), timeout=LIMIT_MS)
     assert OUTSIDE_VIEW in panel.sentence
@@ -37,11 +37,11 @@ def test_the_frame_at_hand_is_taken_apart(window, qtbot):
 
 
 def test_a_frame_without_truth_says_so(bubble_window, qtbot):
-    panel = bubble_window.window.blame
-    bubble_window.window.drawers.reading.show()
+    panel = bubble_window.window.error_attribution
+    bubble_window.window.drawers.diagnostics.show()
     bubble_window.window.tabs.setCurrentWidget(panel)
     qtbot.waitUntil(lambda: "does not hold" in panel.sentence, timeout=LIMIT_MS)
-    assert not panel.figure.isEnabled()
+    assert not panel.metric_box.isEnabled()
 
 
 def test_each_bar_begins_where_the_one_before_it_ended():

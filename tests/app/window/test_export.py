@@ -99,11 +99,11 @@ def test_an_export_and_its_command_leave_the_same_bytes(edited, tmp_path, pane, 
 @pytest.mark.parametrize("layout", ["stages", "demo"])
 def test_the_command_of_a_section_writes_the_table_that_is_copied(edited, tmp_path, monkeypatch, qtbot, layout):
     monkeypatch.chdir(tmp_path)
-    window, panel = edited.window, edited.window.section_tab
+    window, panel = edited.window, edited.window.section_panel
     window.actions_by_name[f"layout_{layout}"].trigger()
     assert wait_until_shown(edited, LIMIT_S)
     edited.set_section(SectionLine(begin_mm=(-3.25, 1.5), end_mm=(4.0, -0.01)))
-    window.drawers.reading.show()
+    window.drawers.diagnostics.show()
     window.tabs.setCurrentWidget(panel)
     qtbot.waitUntil(panel.command.isEnabled, timeout=3000)
     assert wait_until_shown(edited, LIMIT_S)
@@ -150,7 +150,7 @@ def test_exported_arrays_are_those_on_screen(edited, tmp_path):
     wait(handing)
     with np.load(tmp_path / "a.npz") as arrays:
         for slot, field in (("depth", "indentation_mm"), ("target_depth", "depth_mm"), ("touch", "image")):
-            on_screen = getattr(edited.latest.results[slot].output, field)
+            on_screen = getattr(edited.latest_frame.results[slot].output, field)
             assert np.array_equal(arrays[f"{slot}.{field}"], on_screen, equal_nan=True)
 
 
@@ -161,7 +161,7 @@ def test_a_case_plays_again_and_tells_when_something_changed(edited, tmp_path, c
     assert run_app(build_app(), ["case", str(folder)]) == 0
     assert "the gel saw a part of it" in capsys.readouterr().out
     expected = dict(np.load(folder / "expected.npz"))
-    on_screen = edited.latest.results["target_depth"].output
+    on_screen = edited.latest_frame.results["target_depth"].output
     assert np.allclose(expected["target_depth.indentation_mm"], on_screen.indentation_mm, atol=1e-6)
     moved = tmp_path / "moved"
     folder.rename(moved)

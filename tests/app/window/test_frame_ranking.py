@@ -28,31 +28,31 @@ def window(open_window):
 
 def test_every_frame_of_known_truth_is_worked_out_and_the_worst_is_a_key_away(window, qtbot):
     panel = window.window.frames
-    known = panel.known
+    known = panel.model
     qtbot.waitUntil(lambda: known.find_unknown_frame(5) < 0, timeout=LIMIT_MS)
     assert window.session.frame == 5
-    figures = {f: known.known(f).figures.get("touch_depth.contact_mae_mm", math.nan) for f in range(known.rowCount())}
+    figures = {f: known.get_summary(f).metrics.get("touch_depth.contact_mae_mm", math.nan) for f in range(known.rowCount())}
     ranked = sorted((f for f, v in figures.items() if math.isfinite(v)), key=figures.__getitem__, reverse=True)
     line = window.window.timeline.errors
     qtbot.waitUntil(lambda: line.worst_frame == ranked[0], timeout=LIMIT_MS)  # nobody opened the table
     assert "felt: error in contact, mm" in [label.text() for label in window.window.timeline.findChildren(QLabel)]
     np.testing.assert_array_equal(line.values, [figures[f] for f in range(known.rowCount())])
     assert set(line.doubts) == {f for f in range(known.rowCount()) if known.get_specific_warnings(f)} != set()
-    window.window.actions_by_name["worst"].trigger()
+    window.window.actions_by_name["worst_frame"].trigger()
     assert window.session.frame == ranked[0]
     window.choose_frame(0)  # untouched: it has no error, so the worst of all comes first
     assert wait_until_shown(window, 60)
-    window.window.actions_by_name["worse"].trigger()
+    window.window.actions_by_name["worse_frame"].trigger()
     assert window.session.frame == ranked[0]
-    window.window.actions_by_name["better"].trigger()
+    window.window.actions_by_name["better_frame"].trigger()
     assert window.session.frame == ranked[1]
     assert wait_until_shown(window, 60)
-    assert window.latest.index == ranked[1]
+    assert window.latest_frame.index == ranked[1]
 
 
 def test_a_click_in_the_timeline_goes_there(window, qtbot):
     line = window.window.timeline.errors
-    n = window.screen.opened.n_frames
+    n = window.views.opened.n_frames
     qtbot.waitUntil(lambda: len(line.values) == n, timeout=LIMIT_MS)
     places = [line.frame_at(x) for x in range(line.width())]
     assert sorted(set(places)) == list(range(n))
@@ -61,7 +61,7 @@ def test_a_click_in_the_timeline_goes_there(window, qtbot):
 
 
 def test_without_truth_nothing_is_worked_out_that_nobody_sees(bubble_window, qtbot):
-    known = bubble_window.window.frames.known
+    known = bubble_window.window.frames.model
     qtbot.wait(700)
     assert known.find_unknown_frame(2) == 1
     bubble_window.window.drawers.frames.show()
@@ -90,7 +90,7 @@ def test_a_figure_chosen_is_the_one_that_ranks(qtbot):
 
 def test_notes_are_kept_in_the_session_and_frames_are_filtered_by_what_is_known(bubble_window, qtbot, tmp_path):
     panel = bubble_window.window.frames
-    known = panel.known
+    known = panel.model
     known.show_metric("touch_depth.contact_mae_mm", "error")
     for frame, error in ((0, None), (1, 0.2), (2, 0.5)):
         figures = {} if error is None else {"touch_depth.contact_mae_mm": error}
@@ -101,22 +101,22 @@ def test_notes_are_kept_in_the_session_and_frames_are_filtered_by_what_is_known(
     assert known.setData(index, " slipped, look again ")
     assert bubble_window.session.notes == {1: "slipped, look again"}
     assert known.data(index) == "slipped, look again"
-    assert known.known(2) is not None  # figures do not rest on notes
+    assert known.get_summary(2) is not None  # figures do not rest on notes
     for words, listed in (
         ("", [0, 1, 2]), (">0.3", [2]), ("<0.3", [1]), ("touched", [1, 2]), ("untouched", [0]), ("noted", [1]),
         ("slip", [1]), ("touched >0.1 again", [1]), ("nothing-of-the-kind", []),
     ):  # fmt: skip
-        panel.wanted.setText(words)
+        panel.filter_line.setText(words)
         assert sorted(panel._frame_of(row) for row in range(panel._sorted.rowCount())) == listed, words
-    panel.wanted.setText("noted")
+    panel.filter_line.setText("noted")
     assert "1 listed" in panel._told.text()
-    panel.step(1, sort_order=_DOWN)
+    panel.step_by_metric(1, sort_order=_DOWN)
     assert bubble_window.session.frame == 1
     bubble_window.save_session(tmp_path / "noted.touch.json")
     assert load_session(tmp_path / "noted.touch.json").notes == {1: "slipped, look again"}
-    bubble_window.undo.undo()  # the step to frame 1,
-    bubble_window.undo.undo()  # and the note
-    assert known.note(1) == ""
+    bubble_window.undo_stack.undo()  # the step to frame 1,
+    bubble_window.undo_stack.undo()  # and the note
+    assert known.get_note(1) == ""
     assert wait_until_shown(bubble_window, 60)
 
 

@@ -54,7 +54,7 @@ def test_every_command_is_in_a_menu_and_in_the_palette(bubble_window):
     window.actions_by_name["palette"].trigger()
     palette = window.findChild(CommandPalette)
     assert palette.isVisible()
-    assert palette.found.count() >= len(window.actions_by_name) - 1
+    assert palette.results.count() >= len(window.actions_by_name) - 1
     assert {"Ctrl+K", "Ctrl+Shift+P"} == {k.toString() for k in window.actions_by_name["palette"].shortcuts()}
 
 
@@ -63,7 +63,7 @@ def test_the_palette_runs_what_a_few_letters_name(bubble_window):
     bubble_window.window.actions_by_name["palette"].trigger()
     palette = bubble_window.window.findChild(CommandPalette)
     QTest.keyClicks(palette.line, "lst fr")
-    assert palette.found.currentItem().text().startswith("Last frame")
+    assert palette.results.currentItem().text().startswith("Last frame")
     QTest.keyClick(palette.line, Qt.Key.Key_Return)
     assert not palette.isVisible()
     assert bubble_window.session.frame == 2

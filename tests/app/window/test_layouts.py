@@ -38,14 +38,14 @@ def test_panes_have_room_with_any_drawer_open(bubble_window, qtbot):
     _arrange(window, "inspect")
     views = [window.window.columns[name].view for name, _ in window.session.layout.panes]
     for size, (wide, high) in PANE_PX.items():
-        for drawer in window.window.drawers.all:
+        for drawer in window.window.drawers.all_drawers:
             window.window.resize(*size)
             drawer.toggleViewAction().trigger()
 
             def roomy(size=size, wide=wide, high=high) -> bool:
-                shown = [min(v.canvas_size_px.width(), v.canvas_size_px.height() / v.tall) for v in views]
+                shown = [min(v.canvas_size_px.width(), v.canvas_size_px.height() / v.height_over_width) for v in views]
                 return window.window.size() == QSize(*size) and all(
-                    s >= wide and s * v.tall >= min(high, wide * v.tall) for s, v in zip(shown, views, strict=True)
+                    s >= wide and s * v.height_over_width >= min(high, wide * v.height_over_width) for s, v in zip(shown, views, strict=True)
                 )
 
             qtbot.waitUntil(roomy, timeout=3000)
@@ -59,21 +59,21 @@ def test_a_low_page_folds_its_filmstrip_and_a_dragged_handle_stays(bubble_window
     page = window.window.panes
     strip = page.filmstrip
     qtbot.waitUntil(lambda: strip.height() > 70, timeout=3000)
-    window.window.drawers.reading.toggleViewAction().trigger()
+    window.window.drawers.diagnostics.toggleViewAction().trigger()
     qtbot.waitUntil(lambda: strip.height() < 40, timeout=3000)
     both = page.panes[0].findChild(PaneSplitter)
     assert both.orientation() == Qt.Orientation.Horizontal
     both.moveSplitter(both.sizes()[0] + 60, 1)
     kept = both.sizes()
-    both.fit()
+    both.fit_sizes()
     assert both.sizes() == kept
-    window.window.drawers.reading.toggleViewAction().trigger()
+    window.window.drawers.diagnostics.toggleViewAction().trigger()
     qtbot.waitUntil(lambda: strip.height() > 70, timeout=3000)
 
 
 def test_a_click_puts_a_slot_into_the_active_pane_and_one_key_changes_back(window, qtbot):
     whole = _large(window)
-    window.window.actions_by_name["inspect_or_stages"].trigger()
+    window.window.actions_by_name["toggle_inspect"].trigger()
     assert wait_until_shown(window, LIMIT_S)
     page = window.window.panes
     assert _large(window) == ["depth", "touch_depth"]
@@ -85,13 +85,13 @@ def test_a_click_puts_a_slot_into_the_active_pane_and_one_key_changes_back(windo
     window.window.actions_by_name["only_2"].trigger()  # a slot in another pane changes places
     assert [slot for slot, _ in window.session.layout.panes] == ["touch", "depth"]
     page.dims_chosen.emit(1, "2D")
-    assert not window.window.cells["depth"].isVisible()
+    assert not window.window.view_panels["depth"].isVisible()
     assert window.window.columns["depth"].isVisible()
     page.count_chosen.emit(3)
     assert len(_large(window)) == 3
-    window.window.actions_by_name["inspect_or_stages"].trigger()
+    window.window.actions_by_name["toggle_inspect"].trigger()
     assert _large(window) == whole
-    window.undo.undo()
+    window.undo_stack.undo()
     assert len(_large(window)) == 3
 
 
@@ -110,14 +110,14 @@ def test_what_is_doubted_is_shown_in_header_line_and_strip(window):
 def test_a_demonstration_shows_the_truth_beside_the_touch(window):
     _arrange(window, "demo")
     assert _large(window) == ["source", "touch"]
-    truth = window.screen.opened.truths(5)["touch"]
-    shown = window.window.truth.view.picture
+    truth = window.views.opened.truths(5)["touch"]
+    shown = window.window.truth.view.preview
     assert window.window.truth.isVisible()
     assert shown.caption.startswith("truth: ")
     np.testing.assert_array_equal(shown.distance_mm, truth.image)
     np.testing.assert_allclose(shown.values, truth.reference - truth.image, atol=1e-5)
-    assert set(window.latest.results) == {"depth", "cloud", "target_depth", "touch"}  # nothing that nobody sees
-    known = window.window.frames.known.known(5)
+    assert set(window.latest_frame.results) == {"depth", "cloud", "target_depth", "touch"}  # nothing that nobody sees
+    known = window.window.frames.model.get_summary(5)
     assert known.figures  # what was known of the whole frame is not forgotten
     _arrange(window, "stages")
     assert not window.window.truth.isVisible()
@@ -128,11 +128,11 @@ def test_align_shows_what_is_carried_over_less_what_was_felt(window):
     assert _large(window) == ["target_depth"]
     assert window.window.drawers.alignment.isVisible()
     assert wait_until_shown(window, LIMIT_S)
-    shown = window.window.columns["target_depth"].view.picture
+    shown = window.window.columns["target_depth"].view.preview
     assert shown.caption.startswith("carried over less felt")
     _arrange(window, "demo")
-    assert window.screen.versus == ""
-    assert not any(drawer.isVisible() for drawer in window.window.drawers.all)
+    assert window.views.comparison_mode == ""
+    assert not any(drawer.isVisible() for drawer in window.window.drawers.all_drawers)
 
 
 def test_a_session_keeps_the_layout(window, open_window, tmp_path):

@@ -39,16 +39,16 @@ def watching(open_window, monkeypatch):
     instrument = open_window(target="gelslim")
     living = living_of(instrument)
     living.watch_source(SimulatedSource(sensor="digit", rate_hz=30.0))
-    until(lambda: living.is_on_screen and instrument.latest is not None)
+    until(lambda: living.is_on_screen and instrument.latest_frame is not None)
     return instrument, living
 
 
 def test_the_newest_frame_follows_and_looking_back_stays(watching):
     instrument, living = watching
-    first = instrument.latest.index
-    until(lambda: instrument.latest.index > first + 3)
+    first = instrument.latest_frame.index
+    until(lambda: instrument.latest_frame.index > first + 3)
     assert "Hz" in living.bar.text
-    assert instrument.window.timeline.slider.maximum() >= instrument.latest.index
+    assert instrument.window.timeline.slider.maximum() >= instrument.latest_frame.index
     instrument.window.timeline.frame_chosen.emit(first)
     instrument.window.timeline.step_to(first)
     assert not living.following
@@ -58,7 +58,7 @@ def test_the_newest_frame_follows_and_looking_back_stays(watching):
     assert instrument.session.frame == first
     assert instrument.window.timeline.slider.maximum() >= n
     living.bar.follow.click()
-    until(lambda: instrument.latest.index > n)
+    until(lambda: instrument.latest_frame.index > n)
 
 
 def test_an_unplugged_sensor_is_told_and_followed_again(watching):
@@ -68,7 +68,7 @@ def test_an_unplugged_sensor_is_told_and_followed_again(watching):
     assert not instrument.window.banner.isVisible()
     before = living.reader.n_frames
     living.reader.source.plug()
-    until(lambda: instrument.latest.index > before)
+    until(lambda: instrument.latest_frame.index > before)
 
 
 def test_recording_while_watching_leaves_a_whole_file(watching, tmp_path):
@@ -118,7 +118,7 @@ def test_the_window_waits_for_no_camera(open_window):
     instrument, source = open_window(target="gelslim"), _Hangs()
     living = living_of(instrument)
     living.watch_source(source)
-    until(lambda: living.is_on_screen and instrument.latest is not None)
+    until(lambda: living.is_on_screen and instrument.latest_frame is not None)
     source.hang = True
     time.sleep(0.1)
     begun = time.monotonic()

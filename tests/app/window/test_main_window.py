@@ -34,12 +34,12 @@ def test_all_six_columns_show_content(bubble_window):
     window = bubble_window.window
     assert list(window.columns) == ["source", "depth", "cloud", "target_depth", "touch", "touch_depth", "pose"]
     for name, column in window.columns.items():
-        picture = column.view.picture
+        picture = column.view.preview
         assert picture is not None, name
         assert picture.frame_name.endswith("frame")
         assert picture.pixel_mm > 0
     assert {c.state for n, c in window.columns.items() if n != "pose"} <= {"read", "computed", "cached", "doubtful"}
-    assert window.columns["depth"].view.picture.outline_px.size > 0
+    assert window.columns["depth"].view.preview.outline_px.size > 0
 
 
 def test_a_skipped_column_says_why(bubble_window, qtbot):
@@ -51,10 +51,10 @@ def test_a_skipped_column_says_why(bubble_window, qtbot):
 def test_an_untouched_frame_skips_and_a_seen_frame_is_cached(bubble_window):
     bubble_window.choose_frame(0)
     assert wait_until_shown(bubble_window, LIMIT_S)
-    assert bubble_window.latest.results["touch"].state == "skipped"
+    assert bubble_window.latest_frame.results["touch"].state == "skipped"
     bubble_window.choose_frame(2)
     assert wait_until_shown(bubble_window, LIMIT_S)
-    assert bubble_window.latest.results["depth"].state == "cached"
+    assert bubble_window.latest_frame.results["depth"].state == "cached"
     assert bubble_window.window.columns["depth"].state in ("cached", "doubtful")
 
 
@@ -70,7 +70,7 @@ def test_a_missing_file_ends_in_the_banner_and_what_was_open_stays(bubble_window
     bubble_window.choose_frame(1)
     bubble_window.window.banner.hide()
     assert wait_until_shown(bubble_window, LIMIT_S)
-    assert bubble_window.latest.index == 1
+    assert bubble_window.latest_frame.index == 1
 
 
 def test_a_file_that_is_no_recording_is_told_in_one_sentence(open_window, tmp_path):
@@ -94,7 +94,7 @@ def test_a_bad_mesh_opened_while_the_frame_changes_is_taken_back(bubble_window, 
     assert bubble_window.session.frame == 1
     bubble_window.window.banner.hide()
     assert wait_until_shown(bubble_window, LIMIT_S)
-    assert bubble_window.latest.index == 1
+    assert bubble_window.latest_frame.index == 1
     bubble_window.choose_frame(2)
     assert wait_until_shown(bubble_window, LIMIT_S)
 
@@ -109,7 +109,7 @@ def test_a_request_that_was_never_begun_says_nothing_about_the_one_after_it(bubb
     finally:
         go_on.set()
     assert wait_until_shown(bubble_window, LIMIT_S)
-    assert bubble_window.latest.index == 1
+    assert bubble_window.latest_frame.index == 1
 
 
 def test_a_stage_that_fails_on_what_was_open_before_takes_nothing_more_back(bubble_window, tmp_path, monkeypatch):
@@ -131,17 +131,17 @@ def test_a_mesh_can_be_closed_and_goes_with_its_recording(bubble_window, ball_fi
     assert not close.isEnabled()
     bubble_window.open_path(ball_file)
     assert wait_until_shown(bubble_window, LIMIT_S)
-    assert bubble_window.latest.results["pose"].state == "computed"
+    assert bubble_window.latest_frame.results["pose"].state == "computed"
     close.trigger()
     assert wait_until_shown(bubble_window, LIMIT_S)
-    assert bubble_window.latest.results["pose"].state == "skipped"
-    bubble_window.undo.undo()
+    assert bubble_window.latest_frame.results["pose"].state == "skipped"
+    bubble_window.undo_stack.undo()
     other = tmp_path / "other.h5"
     shutil.copy(touch_file, other)
     bubble_window.open_path(other)
     assert wait_until_shown(bubble_window, LIMIT_S)
     assert bubble_window.session.mesh is None
-    assert bubble_window.screen.opened.mesh is None
+    assert bubble_window.views.translation.mesh is None
 
 
 def test_a_damaged_frame_after_a_route_there_and_back_fails_by_itself(open_window, tmp_path):
@@ -165,13 +165,13 @@ def test_a_damaged_frame_after_a_route_there_and_back_fails_by_itself(open_windo
 def test_a_part_that_comes_too_late_leaves_its_column_waiting_for_its_own(bubble_window, monkeypatch):
     """The order is forced: a part of the frame before comes between the request for another one and its failure."""
     window, over = bubble_window, threading.Event()
-    part, error = window.screen.shown("source"), FileProblem("this frame is damaged", SAMPLE_RECORDING)
+    part, error = window.views.get_shown_stage("source"), FileProblem("this frame is damaged", SAMPLE_RECORDING)
 
     def fails(*_args, **_kwargs):
         over.wait(LIMIT_S)
         raise error
 
-    monkeypatch.setattr(window.evaluator, "show", fails)
+    monkeypatch.setattr(window.evaluator, "evaluate_frame", fails)
     window.choose_frame(1)
     before = window._ticket
     window.choose_frame(0)
@@ -189,15 +189,15 @@ def test_what_nothing_before_it_can_take_back_comes_to_rest(bubble_window, tmp_p
     def fails(*_args, **_kwargs):
         raise FileProblem("the file is empty", empty)
 
-    bubble_window.change("keep a step below", linked=False)
-    monkeypatch.setattr(bubble_window.evaluator, "show", fails)
+    bubble_window.change("keep a step below", cameras_linked=False)
+    monkeypatch.setattr(bubble_window.evaluator, "evaluate_frame", fails)
     bubble_window._open = set()
     bubble_window.change("open", recording=empty)
     wait_until_shown(bubble_window, LIMIT_S)
-    qtbot.waitUntil(lambda: bubble_window.is_idle and not bubble_window.job.busy, timeout=20_000)
-    before = bubble_window.job.newest
+    qtbot.waitUntil(lambda: bubble_window.is_idle and not bubble_window.job.is_busy, timeout=20_000)
+    before = bubble_window.job.newest_ticket
     qtbot.wait(300)
-    assert bubble_window.job.newest == before
+    assert bubble_window.job.newest_ticket == before
     assert "empty" in bubble_window.window.banner.text
 
 
@@ -208,12 +208,12 @@ def test_what_fails_after_a_step_back_ends_at_the_step_before_it(bubble_window, 
     first = bubble_window.session.recording
     bubble_window.open_path(SAMPLE_RECORDING)
     assert wait_until_shown(bubble_window, LIMIT_S)
-    bubble_window.undo.undo()
+    bubble_window.undo_stack.undo()
     bubble_window.open_path(empty)
     wait_until_shown(bubble_window, LIMIT_S)
     assert "empty" in bubble_window.window.banner.text
     assert bubble_window.session.recording == first
-    assert bubble_window.screen.opened.request.recording == first
+    assert bubble_window.views.translation.request.recording == first
     assert bubble_window.window.columns["depth"].state in ("computed", "cached", "unchanged", "doubtful")
 
 
@@ -221,13 +221,13 @@ def test_taking_back_asks_for_nothing_that_lies_between(bubble_window, tmp_path)
     """Hours of steps lie under one failure, and none of them is worked out on the way; what failed is not tried twice."""
     empty = tmp_path / "empty.h5"
     empty.touch()
-    bubble_window.undo.undo()  # what is open is cut off: the one step back is all there is to go to
+    bubble_window.undo_stack.undo()  # what is open is cut off: the one step back is all there is to go to
     bubble_window.open_path(empty)
     for k in range(12):
         bubble_window.change(f"note {k}", notes={0: str(k)})
-    before = bubble_window.job.newest
+    before = bubble_window.job.newest_ticket
     wait_until_shown(bubble_window, LIMIT_S)
-    assert bubble_window.job.newest <= before + 2
+    assert bubble_window.job.newest_ticket <= before + 2
     assert "empty" in bubble_window.window.banner.text
     assert bubble_window.session.recording != empty
 
@@ -259,7 +259,7 @@ def test_columns_that_a_route_brings_are_filled(layout, open_window, touch_file)
     window.choose_frame(1)  # asked for before the route has told of its columns
     assert wait_until_shown(window, LIMIT_S)
     assert "target_depth" in window.window.visible_columns()
-    assert window.window.columns["target_depth"].view.picture is not None
+    assert window.window.columns["target_depth"].view.preview is not None
     states = {window.window.columns[name].state for name in window.window.visible_columns()}
     assert states <= {"read", "computed", "cached", "doubtful", "unchanged", "skipped"}
 
@@ -280,7 +280,7 @@ def test_weights_are_opened_closed_and_undone(bubble_window, tmp_path, caplog):
     assert "the weights 'own.safetensors' count for nothing" in caplog.text  # no method of the route reads any now
     close.trigger()
     assert bubble_window.session.weights == {}
-    bubble_window.undo.undo()
+    bubble_window.undo_stack.undo()
     assert bubble_window.session.weights == {"": file}
     assert wait_until_shown(bubble_window, LIMIT_S)
 
@@ -341,7 +341,7 @@ def test_an_error_of_our_own_is_told_briefly_with_the_traceback_behind_it(bubble
     assert "\n" not in banner.text
     assert "Traceback" in banner.details
     assert bubble_window.window.columns["depth"].state == "failed"
-    assert bubble_window.window.columns["depth"].view.picture is not None
+    assert bubble_window.window.columns["depth"].view.preview is not None
 
 
 def test_parameters_recompute_from_their_stage_on_and_can_be_undone(bubble_window):
@@ -349,18 +349,18 @@ def test_parameters_recompute_from_their_stage_on_and_can_be_undone(bubble_windo
     params = replace_value(BackProjectionParams(), "stride", 2)
     bubble_window.choose_params("cloud/back_projection", params)
     assert wait_until_shown(bubble_window, LIMIT_S)
-    results = bubble_window.latest.results
+    results = bubble_window.latest_frame.results
     assert results["depth"].state == "cached"
     assert results["cloud"].state == "computed"
-    bubble_window.undo.undo()
+    bubble_window.undo_stack.undo()
     assert wait_until_shown(bubble_window, LIMIT_S)
     assert bubble_window.session == before
-    assert bubble_window.latest.results["cloud"].state == "cached"
+    assert bubble_window.latest_frame.results["cloud"].state == "cached"
 
 
 def _rows(instrument) -> dict[int, tuple[str, ...]]:
     """What the table of frames says of those it knows."""
-    model = instrument.window.frames.known
+    model = instrument.window.frames.model
     rows = {f: tuple(str(model.data(model.index(f, c))) for c in (1, 2, 3)) for f in range(model.rowCount())}
     return {f: cells for f, cells in rows.items() if any(cells)}
 
@@ -382,36 +382,36 @@ def test_the_error_of_a_frame_is_that_of_the_generated_touch_or_none(open_window
     """The sample knows the truth of its source; of a sensor that took no part in it nothing is known."""
     instrument = open_window(SAMPLE_RECORDING, source="gelslim", target="gelsight_mini", frame=6)
     assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
-    assert "depth.contact_mae_mm" in instrument.latest.metrics
+    assert "depth.contact_mae_mm" in instrument.latest_frame.metrics
     assert _rows(instrument)[6][2] == "-"
 
 
 def test_another_target_is_one_change(bubble_window):
     bubble_window.change("choose target", target="digit")
     assert wait_until_shown(bubble_window, LIMIT_S)
-    assert bubble_window.screen.opened.target.name == "digit"
-    rows, cols = bubble_window.window.columns["touch"].view.picture.pixels.shape[:2]
-    assert (rows, cols) == bubble_window.screen.opened.target.camera.shape
+    assert bubble_window.views.translation.target.name == "digit"
+    rows, cols = bubble_window.window.columns["touch"].view.preview.pixels.shape[:2]
+    assert (rows, cols) == bubble_window.views.translation.target.camera.shape
 
 
 def test_hovering_a_pixel_marks_it_everywhere_and_reads_its_value(bubble_window):
-    depth = bubble_window.latest.results["depth"].output
+    depth = bubble_window.latest_frame.results["depth"].output
     row, col = (int(i) for i in divmod(int(depth.indentation_mm.argmax()), depth.contact.shape[1]))
-    bubble_window.tracer.hover("depth", row, col)
-    assert "mm in soft_bubble frame" in bubble_window.window.probe.text()
-    assert f"({col}, {row})" in bubble_window.window.probe.text()
+    bubble_window.probe.probe_pixel("depth", row, col)
+    assert "mm in soft_bubble frame" in bubble_window.window.readout.text()
+    assert f"({col}, {row})" in bubble_window.window.readout.text()
     assert bubble_window.window.trace.text.startswith(f"({col}, {row})")
     assert " → " in bubble_window.window.trace.text
-    assert bubble_window.window.columns["source"].view.cross == (row, col)
-    assert bubble_window.window.columns["target_depth"].view.cross is not None
-    bubble_window.tracer.clear()
-    assert bubble_window.window.columns["source"].view.cross is None
+    assert bubble_window.window.columns["source"].view.crosshair == (row, col)
+    assert bubble_window.window.columns["target_depth"].view.crosshair is not None
+    bubble_window.probe.clear_trace()
+    assert bubble_window.window.columns["source"].view.crosshair is None
 
 
 def test_a_pinned_pixel_stays_while_the_mouse_moves_on(bubble_window):
-    bubble_window.tracer.click("depth", 70, 86)
-    bubble_window.tracer.hover("depth", 10, 10)
-    assert bubble_window.window.columns["depth"].view.cross == (70, 86)
+    bubble_window.probe.toggle_pin("depth", 70, 86)
+    bubble_window.probe.probe_pixel("depth", 10, 10)
+    assert bubble_window.window.columns["depth"].view.crosshair == (70, 86)
 
 
 def test_a_trace_never_speaks_of_another_frame_than_the_picture(bubble_window, qtbot, monkeypatch):
@@ -419,7 +419,7 @@ def test_a_trace_never_speaks_of_another_frame_than_the_picture(bubble_window, q
     row, col = 70, 86
     bubble_window.choose_frame(1)
     assert wait_until_shown(bubble_window, LIMIT_S)
-    bubble_window.tracer.click("depth", row, col)
+    bubble_window.probe.toggle_pin("depth", row, col)
     shallow = bubble_window.window.trace.text
     seen, go_on = threading.Event(), threading.Event()
 
@@ -439,11 +439,11 @@ def test_a_trace_never_speaks_of_another_frame_than_the_picture(bubble_window, q
         bubble_window.choose_frame(2)
         qtbot.waitUntil(seen.is_set, timeout=10_000)
         qtbot.wait(100)
-        depth = bubble_window.window.columns["depth"].view.picture
+        depth = bubble_window.window.columns["depth"].view.preview
         assert f"{depth.values[row, col]:.3f} mm" in bubble_window.window.trace.text
         assert "generated" in shallow
         assert "generated" not in bubble_window.window.trace.text
-        bubble_window.tracer.click("touch", row, col)
+        bubble_window.probe.toggle_pin("touch", row, col)
         assert "not worked out yet" in bubble_window.window.trace.findChild(QLabel).text()
     finally:
         go_on.set()
@@ -473,10 +473,10 @@ def test_a_session_file_brings_everything_back(bubble_window, open_window, tmp_p
 def test_one_stage_alone_works_out_no_more_than_it_needs(bubble_window):
     bubble_window.show_only("depth")
     assert wait_until_shown(bubble_window, LIMIT_S)
-    assert set(bubble_window.latest.results) == {"depth"}
+    assert set(bubble_window.latest_frame.results) == {"depth"}
     bubble_window.show_only("depth")
     assert wait_until_shown(bubble_window, LIMIT_S)
-    assert set(bubble_window.latest.results) >= {"depth", "pose"}
+    assert set(bubble_window.latest_frame.results) >= {"depth", "pose"}
 
 
 def test_playing_goes_on_to_the_last_frame_and_stops(bubble_window):
@@ -487,7 +487,7 @@ def test_playing_goes_on_to_the_last_frame_and_stops(bubble_window):
     bubble_window.window.timeline.speed.setCurrentIndex(4)
     bubble_window.window.timeline.play(on=True)
     end_s = time.monotonic() + LIMIT_S
-    while bubble_window.window.timeline.playing and time.monotonic() < end_s:
+    while bubble_window.window.timeline.is_playing and time.monotonic() < end_s:
         wait_until_shown(bubble_window, 1)
     assert wait_until_shown(bubble_window, LIMIT_S)
     assert seen[-1] == 2
@@ -517,8 +517,8 @@ def test_the_window_is_not_built_anew_when_3d_comes(open_window, qtbot):
     """A window that takes up an OpenGL widget while it is shown goes black for that time."""
     instrument = open_window(gl=True)
     handle, number = instrument.window.windowHandle(), int(instrument.window.winId())
-    qtbot.waitUntil(lambda: type(instrument.screen.scene) is not SceneRenderer, timeout=LIMIT_S * 1000)
-    view = instrument.window.solids[0]
+    qtbot.waitUntil(lambda: type(instrument.views.scene) is not SceneRenderer, timeout=LIMIT_S * 1000)
+    view = instrument.window.views_3d[0]
     assert handle.surfaceType() == QSurface.SurfaceType.RasterSurface
     assert int(instrument.window.winId()) == number
     assert view.grab().toImage().pixelColor(5, 5).getRgb()[:3] == get_theme_colours(view.palette()).backdrop
@@ -529,7 +529,7 @@ def test_3d_views_are_in_the_windows_picture(open_window, touch_file, tmp_path):
     instrument = open_window(touch_file, gl=True, target="gelslim", frame=2)
     assert wait_until_shown(instrument, LIMIT_S)
     save_window_screenshot(instrument, tmp_path / "w.png")
-    view = instrument.window.cells["depth"].view
+    view = instrument.window.view_panels["depth"].view
     corner = view.mapTo(instrument.window, QPoint(0, 0))
     image = instrument.window.grab().toImage()
     colours = {
@@ -554,8 +554,8 @@ def test_opening_needs_no_gl(open_window, touch_file):
 def test_real_touches_go_through_all_columns(open_window, real_data, folder, source, target):
     instrument = open_window(real_data / folder, source=source, target=target, frame=4)
     assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
-    assert all(column.view.picture is not None for column in instrument.window.columns.values())
-    assert instrument.latest.results["depth"].output.contact.any()
+    assert all(column.view.preview is not None for column in instrument.window.columns.values())
+    assert instrument.latest_frame.results["depth"].output.contact.any()
 
 
 def test_a_loop_begins_and_ends_where_one_says(bubble_window):
@@ -563,10 +563,10 @@ def test_a_loop_begins_and_ends_where_one_says(bubble_window):
     for frame, command in ((1, "loop_from"), (2, "loop_to")):
         window.timeline.step_to(frame)
         window.actions_by_name[command].trigger()
-    assert window.timeline.span == (1, 2)
+    assert window.timeline.loop_range == (1, 2)
     assert window.actions_by_name["loop"].isChecked()
     window.actions_by_name["loop_all"].trigger()
-    assert window.timeline.span == (0, 2)
+    assert window.timeline.loop_range == (0, 2)
     assert wait_until_shown(bubble_window, LIMIT_S)
 
 
@@ -574,5 +574,5 @@ def test_a_recording_of_another_kind_of_sensor_is_shown_and_refused_in_words(ope
     instrument = open_window(touch_file, source="gelslim", target="soft_bubble", frame=1)
     assert not wait_until_shown(instrument, LIMIT_S)
     assert "choose the right sensor" in instrument.window.banner.text
-    assert instrument.window.columns["source"].view.picture is not None
+    assert instrument.window.columns["source"].view.preview is not None
     assert instrument.window.columns["depth"].state == "failed"

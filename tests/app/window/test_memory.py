@@ -15,7 +15,7 @@ from tests.app.window.window_checks import kept_bytes
 
 
 def test_steps_that_can_be_taken_back_end_somewhere(open_window):
-    stack, shown = open_window().undo, deque[Session](maxlen=1)
+    stack, shown = open_window().undo_stack, deque[Session](maxlen=1)
     session = Session()
     for frame in range(1, MAX_STEPS + 201):
         new = Session(frame=frame)

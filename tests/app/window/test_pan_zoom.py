@@ -35,12 +35,12 @@ def test_one_key_fits_the_contact_and_the_sensor(window):
 
 
 def test_linked_pictures_look_at_the_same_place_as_large_in_millimetres(window):
-    window.window.actions_by_name["link_pictures"].trigger()
+    window.window.actions_by_name["link_previews"].trigger()
     depth, view = (window.window.columns[name].view for name in ("depth", "target_depth"))
-    made = window.latest.results["target_depth"].output
+    made = window.latest_frame.results["target_depth"].output
     row, col = divmod(int(np.where(made.contact, made.indentation_mm, -1.0).argmax()), made.camera.cols)
     point = int(made.source_index[row, col])
-    pixel = int(window.latest.results["cloud"].output.source_index[point])
+    pixel = int(window.latest_frame.results["cloud"].output.source_index[point])
     at = divmod(pixel, depth.picture.pixels.shape[1])
     depth.canvas.look(QPointF(at[1] + 0.5, at[0] + 0.5), 2.0)
     depth.canvas.view_changed.emit()
@@ -52,22 +52,22 @@ def test_linked_pictures_look_at_the_same_place_as_large_in_millimetres(window):
 
 
 def test_every_slot_is_read_at_the_traced_place_with_the_truth_at_the_end(window):
-    made = window.latest.results["target_depth"].output
+    made = window.latest_frame.results["target_depth"].output
     row, col = divmod(int(made.indentation_mm.argmax()), made.camera.cols)
-    window.tracer.hover("target_depth", row, col)
+    window.probe.probe_pixel("target_depth", row, col)
     for name in ("source", "depth", "target_depth", "touch_depth"):
         canvas = _canvas(window, name)
-        assert canvas.tag == window.window.columns[name].view.picture.reads(*canvas.cross), name
-    true = window.screen.opened.facts(5).target.indentation_mm
-    at = _canvas(window, "touch_depth").cross
+        assert canvas.crosshair_text == window.window.columns[name].view.preview.reads(*canvas.crosshair), name
+    true = window.views.opened.facts(5).target.indentation_mm
+    at = _canvas(window, "touch_depth").crosshair
     assert window.window.trace.text.rpartition(" → ")[2].startswith(f"{true[at]:.3f} mm")
-    assert f"truth {true[row, col]:.3f} mm" in window.window.probe.text()
+    assert f"truth {true[row, col]:.3f} mm" in window.window.readout.text()
 
 
 def test_where_nothing_came_the_truth_is_told_all_the_same(window):
-    true = window.screen.opened.facts(5).target
-    made = window.latest.results["target_depth"].output
+    true = window.views.opened.facts(5).target
+    made = window.latest_frame.results["target_depth"].output
     missed = true.contact & (made.source_index < 0)
     row, col = (int(i) for i in np.argwhere(missed)[0])
-    window.tracer.hover("touch_depth", row, col)
+    window.probe.probe_pixel("touch_depth", row, col)
     assert window.window.trace.text.endswith(f"{true.indentation_mm[row, col]:.3f} mm")

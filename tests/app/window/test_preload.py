@@ -29,7 +29,7 @@ def test_a_recording_that_is_opened_comes_first(monkeypatch, qtbot, open_window)
         while True:
             report.step(0.5, "waiting")
 
-    monkeypatch.setattr(preload, "read_a_touch", waits)
+    monkeypatch.setattr(preload, "preload_depth", waits)
     instrument = open_window()
     own = PreloadController(instrument)
     own.start_timer.setInterval(0)

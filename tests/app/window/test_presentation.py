@@ -25,15 +25,15 @@ def test_the_magnifier_reads_what_the_probe_reads_and_stays_clear_of_the_pixel(b
         depth.pixel_hovered.emit("depth", row, col)
         assert magnifier.isVisible()
         assert magnifier.parentWidget() is depth.view.canvas
-        assert magnifier.value(row, col) == f"{depth.view.picture.values[row, col]:.2f}"
+        assert magnifier.format_value(row, col) == f"{depth.view.preview.values[row, col]:.2f}"
         magnifier.grab()  # it can be painted at the picture's border too
-        rows = depth.view.picture.pixels.shape[0]
+        rows = depth.view.preview.pixels.shape[0]
         assert (magnifier.geometry().center().y() > depth.view.canvas.height() / 2) == (row < rows / 2)
-    assert magnifier.value(-1, 0) == ""
-    assert 1 <= magnifier.reach < MAX_RADIUS_PX  # a small picture
+    assert magnifier.format_value(-1, 0) == ""
+    assert 1 <= magnifier.radius_px < MAX_RADIUS_PX  # a small picture
     depth.pixel_hovered.emit("depth", -1, -1)
     assert not magnifier.isVisible()
-    bubble_window.tracer.move("target_depth", 40, 50)  # by keys
+    bubble_window.probe.move_to_pixel("target_depth", 40, 50)  # by keys
     assert magnifier.parentWidget() is window.columns["target_depth"].view.canvas
     window.actions_by_name["magnify"].trigger()
     assert not magnifier.isVisible()
@@ -44,12 +44,12 @@ def test_what_is_in_front_is_copied(bubble_window, layout):
     window = bubble_window.window
     window.actions_by_name[f"layout_{layout}"].trigger()
     assert wait_until_shown(bubble_window, LIMIT_S)
-    window.actions_by_name["copy_picture"].trigger()
+    window.actions_by_name["copy_image"].trigger()
     copied = QGuiApplication.clipboard().pixmap()
     whole = window.size()
     assert (copied.width() == whole.width()) == (layout == "stages")
     assert 100 < copied.width() <= whole.width()
-    assert f"{copied.width()} x {copied.height()}" in window.probe.text()
+    assert f"{copied.width()} x {copied.height()}" in window.readout.text()
 
 
 def test_the_window_fills_the_screen_and_comes_back(bubble_window, qtbot):

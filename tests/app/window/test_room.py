@@ -56,7 +56,7 @@ def test_nothing_is_cut_off_or_out_of_place(bubble_window, qtbot, layout):
     window.actions_by_name[f"layout_{layout}"].trigger()
     assert wait_until_shown(bubble_window, LIMIT_S)
     for size in SIZES:
-        for drawers in ((), (window.drawers.reading,), tuple(window.drawers.all)):
+        for drawers in ((), (window.drawers.diagnostics,), tuple(window.drawers.all_drawers)):
             for drawer in drawers:
                 drawer.show()
             window.resize(*size)
@@ -85,4 +85,4 @@ def test_pictures_of_colours_alone_leave_no_band_for_scales(open_window, qtbot):
     qtbot.waitUntil(lambda: seen() == 0, timeout=3000)
     window.actions_by_name["layout_inspect"].trigger()
     assert wait_until_shown(instrument, LIMIT_S)
-    assert all(window.columns[name].view.levels.isVisible() for name, _ in instrument.session.layout.panes)
+    assert all(window.columns[name].view.colour_bar.isVisible() for name, _ in instrument.session.layout.panes)

@@ -65,9 +65,9 @@ def test_a_held_slider_shows_a_draft_and_letting_go_the_whole(sampling):
     assert not window.steps["touch"].slider.isEnabled(), "a draft keeps no states"
     assert [window.columns[name].state for name in ("touch", "touch_depth")] == ["draft", "draft"]
     assert window.columns["depth"].state == "cached", "what stands above it is as it was"
-    draft = window.columns["touch"].view.picture.pixels
+    draft = window.columns["touch"].view.preview.pixels
     slider.sliderReleased.emit()
     assert wait_until_shown(sampling, LIMIT_S)
     assert window.steps["touch"].slider.maximum() == 7
     assert window.columns["touch"].state in ("computed", "doubtful")
-    assert not np.array_equal(window.columns["touch"].view.picture.pixels, draft)
+    assert not np.array_equal(window.columns["touch"].view.preview.pixels, draft)

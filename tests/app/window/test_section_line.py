@@ -53,21 +53,21 @@ def counted(monkeypatch):
 
 def _on(instrument, qtbot):
     instrument.window.actions_by_name["section_line"].trigger()
-    qtbot.waitUntil(lambda: instrument.window.section_tab.plot.section is not None, timeout=3000)
+    qtbot.waitUntil(lambda: instrument.window.section_panel.plot.section is not None, timeout=3000)
     views = [column.view for column in instrument.window.columns.values()]
     rooms = None
     while rooms != (
         rooms := [view.canvas_size_px for view in views]
     ):  # the drawer that opens takes room from the pictures
         qtbot.wait(50)
-    return instrument.window.section_tab
+    return instrument.window.section_panel
 
 
 def test_how_the_line_is_laid_is_told_in_full_in_a_small_window(bubble_window, qtbot):
     bubble_window.window.resize(1366, 768)
     tab = _on(bubble_window, qtbot)
     bubble_window.set_section(SectionLine(begin_mm=(-60.0, 0.0), end_mm=(60.0, 0.0)))
-    told = tab.told
+    told = tab.message
 
     def whole() -> bool:
         return "120.00 mm" in told.text() and told.fontMetrics().horizontalAdvance(told.text()) <= told.width()
@@ -84,7 +84,7 @@ def test_off_it_costs_nothing_and_on_only_what_is_seen(bubble_window, counted, q
     _on(bubble_window, qtbot)
     window.repaint()
     assert all(counted.values())
-    window.drawers.reading.hide()
+    window.drawers.diagnostics.hide()
     bubble_window.choose_frame(1)
     assert wait_until_shown(bubble_window, LIMIT_S)
     cut = counted["cut"]
@@ -105,7 +105,7 @@ def test_every_slot_with_a_height_has_a_curve_that_is_what_its_pixels_read(windo
     assert {p.name for p in shown.profiles} == {
         "depth", "cloud", "target_depth", "touch", "touch_depth", "true_source", "true_target"
     }  # fmt: skip
-    depth = window.latest.results["depth"].output
+    depth = window.latest_frame.results["depth"].output
     (profile,) = (p for p in shown.profiles if p.name == "depth")
     deepest = np.nanmax(np.where(depth.contact, depth.indentation_mm, np.nan))
     assert np.nanmax(profile.heights_mm) == pytest.approx(deepest, abs=0.02)  # the first line goes through it
@@ -113,8 +113,8 @@ def test_every_slot_with_a_height_has_a_curve_that_is_what_its_pixels_read(windo
     assert shown.along_mm[-1] == pytest.approx(shown.line.length_mm)
     for name, column in window.window.columns.items():
         assert column.view.canvas.line is not None, name
-    panel.place.setCurrentIndex(panel.place.findData("source"))
-    assert {p.name for p in panel.plot.known} == {"depth", "true_source"}  # on their own scale
+    panel.sensor_box.setCurrentIndex(panel.sensor_box.findData("source"))
+    assert {p.name for p in panel.plot.visible_profiles} == {"depth", "true_source"}  # on their own scale
     panel.copy.click()
     rows = list(csv.DictReader(io.StringIO(QApplication.clipboard().text())))
     at = int(np.nanargmax(profile.heights_mm))
@@ -123,18 +123,18 @@ def test_every_slot_with_a_height_has_a_curve_that_is_what_its_pixels_read(windo
 
 def test_the_same_place_of_the_touch_lies_under_the_line_in_both_sensors(window, qtbot):
     """Where the cloud's point comes from a pixel under an end, the target's view has it under that end."""
-    made = window.latest.results["target_depth"].output
-    depth, cloud = (window.latest.results[name].output for name in ("depth", "cloud"))
+    made = window.latest_frame.results["target_depth"].output
+    depth, cloud = (window.latest_frame.results[name].output for name in ("depth", "cloud"))
     row, col = divmod(int(np.where(made.contact, made.indentation_mm, -1.0).argmax()), made.camera.cols)
     pixel = divmod(int(cloud.source_index[int(made.source_index[row, col])]), depth.camera.cols)
-    sheet = cross_section.build_plane(window.screen.opened, "source", depth.camera)
+    sheet = cross_section.build_plane(window.views.opened, "source", depth.camera)
     window.set_section(SectionLine(begin_mm=sheet.backproject_to_mm(pixel[1], pixel[0]), end_mm=(0.0, 0.0)))
     canvas = window.window.columns["target_depth"].view.canvas
     qtbot.waitUntil(lambda: canvas.line is not None, timeout=3000)
     begin = canvas.line[0]
     off_mm = (
         np.hypot(begin.x() - col - 0.5, begin.y() - row - 0.5)
-        * window.window.columns["target_depth"].view.picture.pixel_mm
+        * window.window.columns["target_depth"].view.preview.pixel_mm
     )
     assert off_mm < 0.5  # the touch is that deep, and seen aslant
 
@@ -162,12 +162,12 @@ def test_a_drag_lays_it_and_moves_an_end_while_other_drags_move_the_picture(wind
     qtbot.mouseRelease(canvas, _Left, pos=places[2])
     qtbot.waitUntil(lambda: ends_at(places[0], places[2]), timeout=3000)
     assert canvas.centre == centre
-    index, line = window.undo.index(), window.section
+    index, line = window.undo_stack.index(), window.section
     qtbot.mousePress(canvas, _Left, pos=QPoint(5, 5))
     qtbot.mouseMove(canvas, QPoint(30, 30))
     qtbot.mouseRelease(canvas, _Left, pos=QPoint(30, 30))
     assert canvas.centre != centre
-    assert (window.undo.index(), window.section) == (index, line)  # no step of undo
+    assert (window.undo_stack.index(), window.section) == (index, line)  # no step of undo
 
 
 def test_numbers_lay_it_and_a_session_keeps_it_but_undo_does_not(window, qtbot, tmp_path):
@@ -177,7 +177,7 @@ def test_numbers_lay_it_and_a_session_keeps_it_but_undo_does_not(window, qtbot, 
     wanted = SectionLine(begin_mm=(-2.0, 1.5), end_mm=(3.25, -1.0))
     assert window.section == wanted
     window.change("choose another", frame=4)
-    window.undo.undo()
+    window.undo_stack.undo()
     assert window.section == wanted
     path = tmp_path / "kept.touch.json"
     window.save_session(path)

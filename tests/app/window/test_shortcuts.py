@@ -35,16 +35,16 @@ def test_arrow_keys_move_the_traced_pixel_from_picture_to_picture(bubble_window,
     source = window.columns["source"].view
     assert source.canvas.hasFocus()
     press(_Key.Key_Right)
-    row, col = source.canvas.cross
+    row, col = source.canvas.crosshair
     press(_Key.Key_Right, times=3)
     press(_Key.Key_Down, _How.ShiftModifier)
-    assert source.canvas.cross == (row + 10, col + 3)
+    assert source.canvas.crosshair == (row + 10, col + 3)
     assert f"({col + 3}, {row + 10})" in window.trace.text
     press(_Key.Key_Return)
-    assert window.actions_by_name["freeze_trace"].isChecked()
+    assert window.actions_by_name["pin_probe"].isChecked()
     press(_Key.Key_Left)  # what is pinned goes along
-    assert source.canvas.cross == (row + 10, col + 2)
-    assert window.actions_by_name["freeze_trace"].isChecked()
+    assert source.canvas.crosshair == (row + 10, col + 2)
+    assert window.actions_by_name["pin_probe"].isChecked()
     press(_Key.Key_Tab)
     assert window.columns["depth"].view.canvas.hasFocus()
     press(_Key.Key_Backtab)
@@ -54,7 +54,7 @@ def test_arrow_keys_move_the_traced_pixel_from_picture_to_picture(bubble_window,
     assert source.canvas.scale > scale
     assert bubble_window.session.frame == frame
     press(_Key.Key_Escape)
-    assert source.canvas.cross is None
+    assert source.canvas.crosshair is None
     press(_Key.Key_Left)
     assert wait_until_shown(bubble_window, LIMIT_S)
     assert bubble_window.session.frame == frame - 1
@@ -111,7 +111,7 @@ def test_tab_reaches_every_control_and_tabs_keep_their_keys(bubble_window, press
     window = bubble_window.window
     window.actions_by_name["layout_align"].trigger()
     assert wait_until_shown(bubble_window, LIMIT_S)
-    window.drawers.reading.show()
+    window.drawers.diagnostics.show()
     qtbot.waitUntil(window.alignment.rows["rz"].box.isEnabled, timeout=5000)
     seen = []
     for _ in range(150):
@@ -139,7 +139,7 @@ def test_the_wipe_goes_by_keys_and_the_alignment_is_typed(bubble_window, press, 
     window = bubble_window.window
     view = window.columns["source"].view
     press(_Key.Key_P)
-    view.overlay.show_wipe(view.picture)
+    view.overlay.show_wipe(view.preview)
     share = view.overlay.share
     press(_Key.Key_Comma, times=2)
     assert view.overlay.share == pytest.approx(share - 0.1)
@@ -150,6 +150,6 @@ def test_the_wipe_goes_by_keys_and_the_alignment_is_typed(bubble_window, press, 
     qtbot.waitUntil(box.hasFocus, timeout=3000)
     for key in (_Key.Key_1, _Key.Key_Period, _Key.Key_5, _Key.Key_Return):
         press(key)
-    qtbot.waitUntil(lambda: bubble_window.session.offsets.shift_mm[0] == pytest.approx(1.5), timeout=3000)
+    qtbot.waitUntil(lambda: bubble_window.session.offsets.translation_mm[0] == pytest.approx(1.5), timeout=3000)
     qtbot.waitUntil(lambda: not box.hasFocus(), timeout=3000)
     assert wait_until_shown(bubble_window, LIMIT_S)

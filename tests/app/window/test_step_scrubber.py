@@ -21,22 +21,22 @@ def posed(open_window, touch_file, ball_file):
 
 
 def test_the_steps_are_asked_for_and_each_of_them_is_shown_everywhere(posed, qtbot):
-    window, tab = posed.window, posed.window.step_tab
+    window, tab = posed.window, posed.window.steps_panel
     slider, view = window.steps["pose"], window.columns["pose"].view
-    before = posed.screen.shown("pose")
+    before = posed.views.get_shown_stage("pose")
     assert (before.states, before.way) == ((), None), "nothing is worked out that nobody asked for"
     assert slider.keep.isVisibleTo(window)
     slider.keep.click()
     assert wait_until_shown(posed, LIMIT_S)
-    part = posed.screen.shown("pose")
+    part = posed.views.get_shown_stage("pose")
     assert part.result.digest == before.result.digest, "the answer is the same"
     n = len(part.result.output.steps)
     assert n == len(part.states) == len(part.state_layers) == tab.plot.count > 3
-    assert "settled: " in tab.told
+    assert "settled: " in tab.message
     assert window.tabs.currentWidget() is tab
     assert tab.slot == "pose"
     drawn = []
-    posed.screen.scene.show_layers = lambda _, layers: drawn.append(layers)
+    posed.views.scene.show_layers = lambda _, layers: drawn.append(layers)
     tab.plot.setFocus()
     qtbot.keyClick(tab.plot, Qt.Key.Key_Home)
     assert slider.slider.value() == tab.plot.at == 0
@@ -52,6 +52,6 @@ def test_the_steps_are_asked_for_and_each_of_them_is_shown_everywhere(posed, qtb
     tab.keep.click()  # they are let go, and that is undone like any setting
     assert wait_until_shown(posed, LIMIT_S)
     assert not tab.plot.count
-    posed.undo.undo()
+    posed.undo_stack.undo()
     assert wait_until_shown(posed, LIMIT_S)
     assert tab.plot.count

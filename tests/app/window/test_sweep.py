@@ -41,18 +41,18 @@ def swept(bubble_window, qtbot):
 
 def test_all_pairs_are_tried_and_a_click_uses_one(swept, qtbot):
     instrument, page = swept
-    assert instrument.latest.results == {}  # nothing that nobody sees
+    assert instrument.latest_frame.results == {}  # nothing that nobody sees
     page.go.click()
     qtbot.waitUntil(lambda: len(page.grid.tried) == 4, timeout=LIMIT_MS)
     qtbot.waitUntil(lambda: page.go.text() == "Sweep", timeout=LIMIT_MS)
     assert all(t.picture is not None and t.ms > 0 and math.isnan(t.error) for t in page.grid.tried.values())
     assert (page.grid.tried[0, 0].picture.pixels != page.grid.tried[0, 1].picture.pixels).any()  # other points
-    steps = instrument.undo.count()
+    steps = instrument.undo_stack.count()
     page.grid.chosen.emit(1, 1)
     params = instrument.session.params
     assert params["cloud/back_projection"].stride == 4
     assert params["target_depth/surface"].jump_mm == 2.0
-    assert instrument.undo.count() == steps + 1
+    assert instrument.undo_stack.count() == steps + 1
     assert page.grid.used == page.plot.used == (1, 1)
 
 
@@ -107,12 +107,12 @@ def test_values_that_cannot_be_are_told_and_nothing_begins(swept):
     for values, told in (("1, none", "stride must be a whole number"), ("0", "must lie within"), ("", "give one to")):
         page.values[0].setText(values)
         page.go.click()
-        assert told in page.told.text()
+        assert told in page.message.text()
         assert page.go.text() == "Sweep"
     page.axes[0].setCurrentText("target_depth.jump_mm")
     page.values[0].setText("1, 2")
     page.go.click()
-    assert "same parameter" in page.told.text()
+    assert "same parameter" in page.message.text()
 
 
 def test_corners_come_first_and_every_cell_once():

@@ -52,26 +52,26 @@ def test_the_systems_theme_is_followed(qapp, monkeypatch, scheme):
 
 def test_captions_and_trace_change_their_inks(bubble_window, qtbot):
     window = bubble_window.window
-    bubble_window.tracer.click("target_depth", 60, 80)
-    bubble_window.tracer.settle()
-    before = bubble_window.screen.scene
+    bubble_window.probe.toggle_pin("target_depth", 60, 80)
+    bubble_window.probe.draw_pending()
+    before = bubble_window.views.scene
     window.actions_by_name["theme_dark"].trigger()
     ink = get_theme_colours(make_palette(dark=True))
-    assert to_hex(ink.axes[0]) in window.cells["touch"].caption.text()
+    assert to_hex(ink.axes[0]) in window.view_panels["touch"].caption.text()
     qtbot.waitUntil(lambda: to_hex(ink.secondary_text) in window.trace.findChild(QLabel).text())
-    assert bubble_window.screen.scene is before
+    assert bubble_window.views.scene is before
 
 
 @pytest.mark.gl
 def test_3d_views_stand_on_the_ground_of_the_theme(open_window, touch_file, qtbot):
     instrument = open_window(touch_file, gl=True, target="gelslim", frame=2)
     assert wait_until_shown(instrument, LIMIT_S)
-    scene = instrument.screen
+    scene = instrument.views
     qtbot.waitUntil(lambda: hasattr(scene.scene, "drawn"), timeout=LIMIT_S * 1000)
     for name in ("dark", "light"):
         instrument.window.actions_by_name[f"theme_{name}"].trigger()
         ground = get_theme_colours(make_palette(dark=name == "dark")).backdrop
-        view = instrument.window.cells["cloud"].view
+        view = instrument.window.view_panels["cloud"].view
         qtbot.waitUntil(lambda: view.image.pixelColor(2, 2).getRgb()[:3] == ground, timeout=5000)  # noqa: B023
 
 
@@ -86,17 +86,17 @@ def test_pictures_get_the_room(open_window, touch_file, qtbot, size, least):
 
     def settled() -> bool:
         strip, rows = window.timeline.errors, window.rows
-        return strip.height() == strip.high_px and abs(rows.sizes()[0] - window.columns["depth"].height()) < 4
+        return strip.height() == strip.height_px and abs(rows.sizes()[0] - window.columns["depth"].height()) < 4
 
     qtbot.waitUntil(settled, timeout=5000)
-    shown = [name for name in window.visible_columns() if window.columns[name].view.picture is not None]
+    shown = [name for name in window.visible_columns() if window.columns[name].view.preview is not None]
     assert len(shown) >= 6
     for name in shown:
         canvas = window.columns[name].view.canvas
-        picture = window.columns[name].view.picture
+        picture = window.columns[name].view.preview
         wide, high = canvas.scale * picture.pixels.shape[1], canvas.scale * picture.pixels.shape[0]
         assert canvas.width() >= least[0]
         assert canvas.height() >= least[1]
         assert wide >= least[0] or high >= least[1], (name, wide, high)
-        view = window.cells[name].view
+        view = window.view_panels[name].view
         assert view.height() < 1.35 * view.width()

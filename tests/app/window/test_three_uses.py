@@ -38,11 +38,11 @@ def test_a_new_user_finds_out_mends_keeps_and_hands_on(hands, qtbot, tmp_path, m
     qtbot.mouseClick(page.buttons[0], _LEFT)  # Open the sample
     assert wait_until_shown(instrument, LIMIT_S), window.banner.text
     assert page.isHidden()
-    assert instrument.latest.results["depth"].output.contact.any(), "it opens on a touched frame"
+    assert instrument.latest_frame.results["depth"].output.contact.any(), "it opens on a touched frame"
 
     # Why did it fail? The worst frame, truth under the wipe handle, a pixel's whole way with truth at its end.
-    known = window.frames.known
-    qtbot.waitUntil(lambda: sum(known.known(i) is not None for i in range(known.rowCount())) > 3, timeout=LIMIT_MS)
+    known = window.frames.model
+    qtbot.waitUntil(lambda: sum(known.get_summary(i) is not None for i in range(known.rowCount())) > 3, timeout=LIMIT_MS)
     press(_KEY.Key_J, Qt.KeyboardModifier.ShiftModifier)
     worst = instrument.session.frame
     press(_KEY.Key_W)
@@ -53,11 +53,11 @@ def test_a_new_user_finds_out_mends_keeps_and_hands_on(hands, qtbot, tmp_path, m
     qtbot.mouseMove(view.canvas, at + QPoint(-20, 0))
     qtbot.mouseRelease(view.canvas, _LEFT, pos=at + QPoint(-20, 0))
     assert view.overlay.share < 0.5
-    touched = instrument.latest.results["touch_depth"].output.contact.nonzero()
+    touched = instrument.latest_frame.results["touch_depth"].output.contact.nonzero()
     middle = len(touched[0]) // 2
     spot = view.canvas.to_screen(QPointF(float(touched[1][middle]), float(touched[0][middle]))).toPoint()
     qtbot.mouseClick(view.canvas, _LEFT, pos=spot)
-    instrument.tracer.settle()
+    instrument.probe.draw_pending()
     assert window.trace.text.count("→") == len(window.columns), "every slot, and truth at the end"
 
     # A demonstration, and back.
@@ -72,7 +72,7 @@ def test_a_new_user_finds_out_mends_keeps_and_hands_on(hands, qtbot, tmp_path, m
     row.box.selectAll()
     qtbot.keyClicks(row.box, "0.5")
     qtbot.keyClick(row.box, _KEY.Key_Return)
-    qtbot.waitUntil(lambda: instrument.session.offsets.shift_mm[0] == pytest.approx(0.5), timeout=LIMIT_MS)
+    qtbot.waitUntil(lambda: instrument.session.offsets.translation_mm[0] == pytest.approx(0.5), timeout=LIMIT_MS)
     assert wait_until_shown(instrument, LIMIT_S), window.banner.text
     assert instrument.session.frame == worst
 
@@ -89,7 +89,7 @@ def test_a_new_user_finds_out_mends_keeps_and_hands_on(hands, qtbot, tmp_path, m
     handing.dialog.close()
     for _ in range(2):  # the layout, and the number that was typed
         press(_KEY.Key_Z, Qt.KeyboardModifier.ControlModifier)
-    assert instrument.session.offsets.shift_mm[0] == 0.0
+    assert instrument.session.offsets.translation_mm[0] == 0.0
     asked = []
     monkeypatch.setattr(QMessageBox, "question", lambda *_args: asked.append(1) or QMessageBox.StandardButton.Cancel)
     qtbot.keyClick(window, _KEY.Key_Q, Qt.KeyboardModifier.ControlModifier)

@@ -33,8 +33,8 @@ def shown(window) -> list[str]:
 def test_the_window_shows_a_toy_route_and_goes_back(toys):
     window = toys.window
     assert shown(window) == ["source", "brightness", "touch", "touch_depth", "pose"]
-    assert np.ptp(window.columns["brightness"].view.picture.pixels) > 0
-    assert window.columns["brightness"].view.picture.caption == "toy brightness"
+    assert np.ptp(window.columns["brightness"].view.preview.pixels) > 0
+    assert window.columns["brightness"].view.preview.caption == "toy brightness"
     assert window.parameters.findChild(object, "touch/melt.gain").isVisibleTo(window.parameters)
     assert [window.route.itemData(i) for i in range(window.route.count())] == ["t2d2", "t2t", "toy"]
     toys.change("choose route", route="t2d2")
@@ -50,11 +50,11 @@ def test_a_method_is_chosen_in_its_column_undone_and_kept_in_the_session(toys, t
     box.setCurrentIndex(1)
     box.activated.emit(1)
     assert wait_until_shown(toys, LIMIT_S)
-    assert toys.latest.results["touch_depth"].method.name == "reading"
+    assert toys.latest_frame.results["touch_depth"].method.name == "reading"
     assert toys.session.methods == {"touch_depth": "reading"}
     save_session(toys.session, tmp_path / "a.touch.json")
     assert load_session(tmp_path / "a.touch.json", TOYS).methods == {"touch_depth": "reading"}
-    toys.undo.undo()
+    toys.undo_stack.undo()
     assert wait_until_shown(toys, LIMIT_S)
-    assert toys.latest.results["touch_depth"].method.name == "membrane"
+    assert toys.latest_frame.results["touch_depth"].method.name == "membrane"
     assert box.currentData() == "membrane"

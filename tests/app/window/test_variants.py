@@ -23,7 +23,7 @@ def held(open_window, qtbot, touch_file):
     instrument = open_window(touch_file, gl=True, target="gelslim", frame=2)
     assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
     comparing = next(child for child in instrument.children() if isinstance(child, ComparisonController))
-    instrument.window.actions_by_name["hold_settings"].trigger()
+    instrument.window.actions_by_name["set_variant_settings"].trigger()
     _settle(qtbot, instrument, comparing)
     return instrument, comparing
 
@@ -39,11 +39,11 @@ def _settle(qtbot, instrument, comparing):
 
 
 def _grid(instrument):
-    return instrument.window.compare.tab.grid
+    return instrument.window.comparison.current_tab.grid
 
 
 def _choose_slot(qtbot, instrument, comparing, name):
-    box = instrument.window.compare.slot
+    box = instrument.window.comparison.stage_box
     box.setCurrentIndex(box.findData(name))
     box.activated.emit(box.currentIndex())
     _settle(qtbot, instrument, comparing)
@@ -52,28 +52,28 @@ def _choose_slot(qtbot, instrument, comparing, name):
 def test_what_is_set_now_stands_beside_what_was_held(held, qtbot):
     instrument, comparing = held
     assert instrument.session.layout.name == "compare"
-    assert "no setting differs" in instrument.window.compare.tab.told.text()
+    assert "no setting differs" in instrument.window.comparison.current_tab.message.text()
     method = instrument.catalogue.method("cloud", "back_projection")
     instrument.choose_params(method.key, replace(method.params(), stride=4))
     assert wait_until_shown(instrument, LIMIT_S)
     _choose_slot(qtbot, instrument, comparing, "target_depth")
     a, b, less = _grid(instrument).tiles
-    assert "cloud.stride: 4 | 1" in instrument.window.compare.tab.told.text()
+    assert "cloud.stride: 4 | 1" in instrument.window.comparison.current_tab.message.text()
     assert (a.title, b.title) == ("A · Target view", "B · Target view")
-    assert less.gap is not None
-    assert _grid(instrument).views[2].view.picture is less.gap  # the difference, without asking
-    own = [instrument.screen.scene._stage.camera_of(len(instrument.window.columns) + 1 + k) for k in (0, 1)]
+    assert less.difference_to_truth is not None
+    assert _grid(instrument).views[2].view.preview is less.difference_to_truth  # the difference, without asking
+    own = [instrument.views.scene._stage.camera_of(len(instrument.window.columns) + 1 + k) for k in (0, 1)]
     assert own[0] == own[1]  # one view
-    assert all(cell.view.image is not None for cell in instrument.window.compare.solids)
+    assert all(cell.view.image is not None for cell in instrument.window.comparison.views_3d)
     for x_mm in (0.5, 1.0):  # both stay in view while the alignment is moved
         instrument.change("move the alignment", offsets=replace(instrument.session.offsets, shift_mm=(x_mm, 0.0, 0.0)))
         _settle(qtbot, instrument, comparing)
     assert instrument.window.banner.isHidden(), instrument.window.banner.text
-    assert own[0] == instrument.screen.scene._stage.camera_of(len(instrument.window.columns) + 1)
+    assert own[0] == instrument.views.scene._stage.camera_of(len(instrument.window.columns) + 1)
     _choose_slot(qtbot, instrument, comparing, "")
     tiles = _grid(instrument).tiles
     assert len(tiles) == 2 * len(instrument.window.columns)
-    assert [t.apart for t in tiles].count(True) == 2
+    assert [t.starts_row for t in tiles].count(True) == 2
 
 
 def test_the_copied_command_makes_the_same_pictures_and_figures(held, qtbot, tmp_path, monkeypatch):
@@ -87,21 +87,21 @@ def test_the_copied_command_makes_the_same_pictures_and_figures(held, qtbot, tmp
     kept = load_session(tmp_path / "a.touch.json")
     assert kept.comparison == ComparisonSettings(tab="two", stage="target_depth")
     assert kept.variant.recording.resolve() == instrument.session.recording.resolve()
-    instrument.undo.undo()
+    instrument.undo_stack.undo()
     _settle(qtbot, instrument, comparing)
-    assert instrument.window.compare.slot.currentIndex() == instrument.window.compare.slot.count() - 1
-    instrument.undo.undo()
-    instrument.undo.undo()
+    assert instrument.window.comparison.slot.currentIndex() == instrument.window.comparison.slot.count() - 1
+    instrument.undo_stack.undo()
+    instrument.undo_stack.undo()
     assert instrument.session.held is None
     assert instrument.session.layout.name == "stages"
-    instrument.undo.redo()
+    instrument.undo_stack.redo()
     assert instrument.session.held is not None
-    assert instrument.window.compare.name == "two"
+    assert instrument.window.comparison.name == "two"
 
 
 def test_where_the_views_look_comes_back_with_the_session(held, tmp_path):
     instrument, _ = held
-    scene = instrument.screen.scene
+    scene = instrument.views.scene
     turned = (10.0, 20.0, -90.0, 0.0, 1.0, 20.0, 0.0, -1.0, 0.0, 30.0)
     scene.turn({1: turned})
     instrument.save_session(tmp_path / "a.touch.json")
@@ -117,10 +117,10 @@ def test_both_follow_the_frame_and_b_can_go(held, qtbot):
     instrument.choose_frame(1)
     assert wait_until_shown(instrument, LIMIT_S)
     _settle(qtbot, instrument, comparing)
-    assert "on frame 1" in instrument.window.compare.tab.told.text()
-    instrument.window.actions_by_name["let_go"].trigger()
+    assert "on frame 1" in instrument.window.comparison.current_tab.message.text()
+    instrument.window.actions_by_name["clear_variant"].trigger()
     assert _grid(instrument).tiles == ()
-    assert not instrument.window.actions_by_name["let_go"].isEnabled()
+    assert not instrument.window.actions_by_name["clear_variant"].isEnabled()
 
 
 def test_what_is_wrong_with_the_other_stands_in_its_place(held, qtbot, tmp_path):
@@ -128,11 +128,11 @@ def test_what_is_wrong_with_the_other_stands_in_its_place(held, qtbot, tmp_path)
     comparing.set_variant_recording(tmp_path / "gone.h5")
     _settle(qtbot, instrument, comparing)
     tiles = _grid(instrument).tiles
-    assert tiles[0].picture is not None
+    assert tiles[0].preview is not None
     assert "gone.h5" in tiles[1].problem
     comparing.set_variant_recording(SAMPLE_RECORDING)
     _settle(qtbot, instrument, comparing)
-    assert "recording: pressed.h5 | first_touch.h5" in instrument.window.compare.tab.told.text()
+    assert "recording: pressed.h5 | first_touch.h5" in instrument.window.comparison.current_tab.message.text()
 
 
 def test_seeds_are_drawn_on_request_and_their_spread_is_told(open_window, qtbot, tmp_path, monkeypatch):
@@ -141,25 +141,25 @@ def test_seeds_are_drawn_on_request_and_their_spread_is_told(open_window, qtbot,
         SAMPLE_RECORDING, source="gelslim", target="soft_bubble", frame=5, methods={"touch": "t2d2"}
     )
     comparing = next(child for child in instrument.children() if isinstance(child, ComparisonController))
-    page = instrument.window.compare
+    page = instrument.window.comparison
     instrument.window.actions_by_name["layout_compare"].trigger()
     page.show_tab("seeds")
     assert wait_until_shown(instrument, LIMIT_S), instrument.window.banner.text
     assert _grid(instrument).tiles == ()  # on request alone
-    page.count.setValue(2)
-    page.draw.click()
+    page.seed_count_box.setValue(2)
+    page.sample_button.click()
     _settle(qtbot, instrument, comparing)
-    assert "every seed gives the very same touch" in page.tab.told.text()
+    assert "every seed gives the very same touch" in page.current_tab.message.text()
     t2d2 = instrument.catalogue.method("touch", "t2d2")
     instrument.choose_params(t2d2.key, replace(t2d2.params(), steps=2))
     assert wait_until_shown(instrument, LIMIT_S)
-    page.draw.click()
+    page.sample_button.click()
     _settle(qtbot, instrument, comparing)
     tiles = {tile.title: tile for tile in _grid(instrument).tiles}
     assert list(tiles) == ["mean of 2 seeds", "spread", "error", "one of them", "truth"]
-    assert np.nanmax(tiles["spread"].picture.values) > 0.0
-    assert tiles["spread"].picture.scale.unit == "mm"
-    assert tiles["spread"].picture.scale.high == tiles["error"].picture.scale.high
+    assert np.nanmax(tiles["spread"].preview.values) > 0.0
+    assert tiles["spread"].preview.scale.unit == "mm"
+    assert tiles["spread"].preview.scale.high == tiles["error"].preview.scale.high
     assert page.plot.points
-    assert "2 samples spreads by" in page.tab.told.text()
+    assert "2 samples spreads by" in page.current_tab.message.text()
     same_as_typed(instrument, tmp_path, monkeypatch)

@@ -26,7 +26,7 @@ def test_every_picture_has_its_room(bubble_window, qtbot, size):
 
     def roomy() -> bool:
         return window.size() == QSize(*size) and all(
-            shown[0] >= least[0] - 1 and shown[1] >= min(least[1], least[0] * column.view.tall) - 1
+            shown[0] >= least[0] - 1 and shown[1] >= min(least[1], least[0] * column.view.height_over_width) - 1
             for column in window.columns.values()
             if (shown := _shown_px(column.view))
         )
@@ -37,7 +37,7 @@ def test_every_picture_has_its_room(bubble_window, qtbot, size):
 def test_a_drawer_below_leaves_the_pictures_of_a_small_window_nearly_their_room(bubble_window, qtbot):
     window = bubble_window.window
     window.resize(1366, 768)
-    window.drawers.reading.toggleViewAction().trigger()
+    window.drawers.diagnostics.toggleViewAction().trigger()
     least_px = 162  # wide; 130 while states had a line of their own
 
     def roomy() -> bool:
@@ -49,19 +49,19 @@ def test_a_drawer_below_leaves_the_pictures_of_a_small_window_nearly_their_room(
     qtbot.waitUntil(roomy, timeout=3000)
     assert all(column._sign.isVisible() and not column._word.isVisible() for column in window.columns.values())
     assert all(column.state in column._sign.toolTip() for column in window.columns.values())
-    window.drawers.reading.toggleViewAction().trigger()
+    window.drawers.diagnostics.toggleViewAction().trigger()
     qtbot.waitUntil(lambda: all(column._word.isVisible() for column in window.columns.values()), timeout=3000)
 
 
 def test_captions_under_3d_views_are_told_as_fully_as_there_is_room(bubble_window, qtbot):
     window = bubble_window.window
-    caption = window.cells["depth"].caption
+    caption = window.view_panels["depth"].caption
     window.resize(1900, 1000)
     qtbot.waitUntil(lambda: "frame" in caption.text(), timeout=3000)
     window.resize(1366, 768)
-    for drawer in window.drawers.all:
+    for drawer in window.drawers.all_drawers:
         drawer.toggleViewAction().trigger()
-    qtbot.waitUntil(lambda: all(c.caption.sizeHint().width() <= c.width() for c in window.cells.values()), timeout=3000)
+    qtbot.waitUntil(lambda: all(c.caption.sizeHint().width() <= c.width() for c in window.view_panels.values()), timeout=3000)
     assert "frame" not in caption.text()
     assert "frame" in caption.toolTip()
 
@@ -72,7 +72,7 @@ def test_the_row_is_no_higher_than_its_neediest_column(bubble_window, qtbot):
 
     def snug() -> bool:
         views = [column.view for column in bubble_window.window.columns.values()]
-        spare = [view.canvas_size_px.height() - view.tall * view.canvas_size_px.width() for view in views]
+        spare = [view.canvas_size_px.height() - view.height_over_width * view.canvas_size_px.width() for view in views]
         return -3 < min(spare) < 3
 
     qtbot.waitUntil(snug, timeout=3000)
@@ -81,7 +81,7 @@ def test_the_row_is_no_higher_than_its_neediest_column(bubble_window, qtbot):
 def test_drawers_are_closed_at_first_and_open_by_rail_and_key(bubble_window, qtbot):
     window = bubble_window.window
     drawers = window.drawers
-    assert not any(drawer.isVisible() for drawer in drawers.all)
+    assert not any(drawer.isVisible() for drawer in drawers.all_drawers)
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow, timeout=3000)
     qtbot.keyClick(window, Qt.Key.Key_F3)
@@ -91,7 +91,7 @@ def test_drawers_are_closed_at_first_and_open_by_rail_and_key(bubble_window, qtb
     qtbot.waitUntil(lambda: not drawers.alignment.visibleRegion().isEmpty(), timeout=3000)
     drawers.alignment.toggleViewAction().trigger()
     assert not drawers.alignment.isVisible()
-    assert {action.text() for action in drawers.rail.actions()} == {d.windowTitle() for d in drawers.all}
+    assert {action.text() for action in drawers.rail.actions()} == {d.windowTitle() for d in drawers.all_drawers}
 
 
 def test_a_window_that_fills_a_small_screen_does_not_grow_with_its_drawers(bubble_window, qtbot):
@@ -99,7 +99,7 @@ def test_a_window_that_fills_a_small_screen_does_not_grow_with_its_drawers(bubbl
     small = QSize(1366, 768)
     window.resize(small)
     qtbot.waitUntil(lambda: window.size() == small, timeout=3000)
-    for drawer in window.drawers.all:
+    for drawer in window.drawers.all_drawers:
         drawer.toggleViewAction().trigger()
         qtbot.wait(150)
         assert window.size() == small, drawer.objectName()
@@ -107,10 +107,10 @@ def test_a_window_that_fills_a_small_screen_does_not_grow_with_its_drawers(bubbl
 
 def test_a_dragged_handle_stays_where_it_was_put(bubble_window):
     rows = bubble_window.window.rows
-    rows.fit()
+    rows.fit_sizes()
     before = rows.sizes()[0]
     rows.moveSplitter(before + 60, 1)
-    rows.fit()
+    rows.fit_sizes()
     assert rows.sizes()[0] > before + 20
 
 
@@ -136,4 +136,4 @@ def test_errors_take_no_more_than_an_eighth_of_the_window(bubble_window, qtbot, 
     window.resize(round(16 / 9 * height), height)
     qtbot.waitUntil(lambda: window.height() == height)
     window.rows.spare_height_changed.emit(2000)
-    assert MIN_STRIP_PX < window.timeline.errors.high_px <= height / 8 + 1
+    assert MIN_STRIP_PX < window.timeline.errors.height_px <= height / 8 + 1
