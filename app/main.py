@@ -49,30 +49,30 @@ def open_window(request: Request | None, *, frame: int | None = None, tour: Path
         asked = {name: getattr(request, name) for name in REQUEST_FIELDS}
         methods, weights = dict(request.methods), dict(request.weights)
         session = Session(**asked, offsets=request.offsets, methods=methods, weights=weights, frame=first)
-    instrument = show_window(session, remembers=tour is None)
-    ending = ShutdownHandler(instrument)
+    controller = show_window(session, remembers=tour is None)
+    ending = ShutdownHandler(controller)
     if tour is None:
-        PreloadController(instrument)
+        PreloadController(controller)
     try:
         if tour is None:
             code = application.exec()
         else:
             from app.window.tour import run_tour
 
-            code = run_tour(instrument, tour, show_frame=frame)
+            code = run_tour(controller, tour, show_frame=frame)
         return ending.code or code
     finally:
         ending.restore_signal_handlers()
-        close_window(instrument)
+        close_window(controller)
 
 
-def close_window(instrument: SessionController) -> None:
+def close_window(controller: SessionController) -> None:
     """Close the window and destroy it: one that outlives its application ends the process with a crash."""
     from PyQt6 import sip
 
-    instrument.close()
-    if not sip.isdeleted(instrument.window):
-        sip.delete(instrument.window)
+    controller.close()
+    if not sip.isdeleted(controller.window):
+        sip.delete(controller.window)
 
 
 def prepare_environment() -> None:
@@ -122,22 +122,22 @@ def show_window(
     catalogue = catalogue or BUILT_IN
     scrubbed = frozenset(slot.name for slot in catalogue.stages if slot.has_steps)
     window = MainWindow([("source", "Source"), *((slot.name, slot.title) for slot in catalogue.stages)], scrubbed)
-    instrument = SessionController(window, catalogue)
-    keeping = connect(instrument, theme)
+    controller = SessionController(window, catalogue)
+    keeping = connect(controller, theme)
     if remembers:
         keeping.restore_geometry()
-    instrument.relay.catch_uncaught()
+    controller.relay.catch_uncaught()
     window.show()
     _wait_until_seen(window)
     if with_scene:
-        QTimer.singleShot(0, lambda: _add_scene(instrument))
+        QTimer.singleShot(0, lambda: _add_scene(controller))
     if session.recording is not None:
-        instrument.show_session(session)
-        instrument.saved_session = session
+        controller.show_session(session)
+        controller.saved_session = session
     if remembers:
         keeping.offer_recovery()
     logging.getLogger("tactoscope").info("Tactoscope is ready")
-    return instrument
+    return controller
 
 
 def _wait_until_seen(window: MainWindow) -> None:
@@ -152,7 +152,7 @@ def _wait_until_seen(window: MainWindow) -> None:
     QApplication.processEvents()
 
 
-def _add_scene(instrument: SessionController) -> None:
+def _add_scene(controller: SessionController) -> None:
     from widgets.vtk_scene_renderer import create_scene_renderer
 
-    instrument.views.set_scene(create_scene_renderer(instrument.window.views_3d), instrument.session)
+    controller.views.set_scene(create_scene_renderer(controller.window.views_3d), controller.session)

@@ -48,9 +48,9 @@ class ShutdownHandler(QObject):
     Nobody can be asked then: what no file holds is kept and offered by the next window. A second signal is not caught.
     """
 
-    def __init__(self, instrument: SessionController) -> None:
-        super().__init__(instrument)
-        self._instrument = instrument
+    def __init__(self, controller: SessionController) -> None:
+        super().__init__(controller)
+        self._controller = controller
         self.code = 0  # of the process, once a signal ends it
         # Qt waits outside Python, which runs a handler only once it is called: a byte in a socket has Qt call it.
         self._heard, self._told = socket.socketpair()
@@ -84,8 +84,8 @@ class ShutdownHandler(QObject):
         if not self.code:
             return
         self.restore_signal_handlers()
-        window = self._instrument.window
-        self._instrument.termination_requested.emit()
+        window = self._controller.window
+        self._controller.termination_requested.emit()
         window.may_close = lambda: True
         window.close()
         QApplication.exit(self.code)  # of every loop: a dialog may wait for an answer

@@ -1,4 +1,4 @@
-"""What the program remembers between two starts, for all sessions: where windows were and what was opened last."""
+"""Preferences of the program between two starts: recent files, last folder, theme, window geometry."""
 
 from __future__ import annotations
 
@@ -9,78 +9,78 @@ from typing import Literal, cast, get_args
 from PyQt6.QtCore import QByteArray, QSettings
 
 Theme = Literal["light", "dark", "system"]
-_MOST_RECENT = 12
-_LAYOUT = 2  # counts up when docks or tool bars change their names, so that an old arrangement is not forced on them
+_MAX_RECENT = 12
+_STATE_VERSION = 3  # raise it when docks or tool bars change their object names: old window states then do not apply
 
 
 class Preferences:
-    """The program's own settings file; nothing scientific is in it."""
+    """The program's settings file; nothing in it changes a result."""
 
     def __init__(self) -> None:
         kind, scope = QSettings.Format.IniFormat, QSettings.Scope.UserScope
-        self._kept = QSettings(kind, scope, "Tactoscope", "Tactoscope")
+        self._settings = QSettings(kind, scope, "Tactoscope", "Tactoscope")
 
     @property
     def recent_files(self) -> tuple[Path, ...]:
-        """What was opened, the latest first, as far as it is still there."""
-        said: object = self._kept.value("recent", [])
-        names = cast("Sequence[object]", [said] if isinstance(said, str) else said or [])
+        """Files opened last, newest first; missing files are left out."""
+        value: object = self._settings.value("recent", [])
+        names = cast("Sequence[object]", [value] if isinstance(value, str) else value or [])
         paths = [Path(name) for name in names if isinstance(name, str)]
-        return tuple(path for path in paths if _is_there(path))
+        return tuple(path for path in paths if _exists(path))
 
     def add_recent(self, path: Path) -> None:
-        """Put `path` first among the recent ones, and remember its folder."""
+        """Put `path` first in the list of recent files, and remember its folder."""
         path = path.absolute()
         others = [str(old) for old in self.recent_files if old != path]
-        self._kept.setValue("recent", [str(path), *others][:_MOST_RECENT])
+        self._settings.setValue("recent", [str(path), *others][:_MAX_RECENT])
         self.last_folder = path.parent
 
     def clear_recent(self) -> None:
-        """Empty the list."""
-        self._kept.remove("recent")
+        """Empty the list of recent files."""
+        self._settings.remove("recent")
 
     @property
     def last_folder(self) -> Path | None:
-        """Where a file was chosen last; None if that is gone."""
-        path = Path(str(self._kept.value("folder", "")))
-        return path if path.name and _is_there(path) else None
+        """Folder of the last chosen file; None if it is missing."""
+        path = Path(str(self._settings.value("folder", "")))
+        return path if path.name and _exists(path) else None
 
     @last_folder.setter
     def last_folder(self, path: Path) -> None:
-        self._kept.setValue("folder", str(path))
+        self._settings.setValue("folder", str(path))
 
     @property
     def window_geometry(self) -> tuple[QByteArray, QByteArray] | None:
-        """(geometry, arrangement) of the last window, as Qt tells them; None where there is none of this layout."""
-        geometry, state = (self._kept.value(f"window{_LAYOUT}/{key}") for key in ("geometry", "state"))
+        """(geometry, state) of the last window, as Qt saves them; None if there is none of this version."""
+        geometry, state = (self._settings.value(f"window{_STATE_VERSION}/{key}") for key in ("geometry", "state"))
         return (geometry, state) if isinstance(geometry, QByteArray) and isinstance(state, QByteArray) else None
 
     @window_geometry.setter
-    def window_geometry(self, place: tuple[QByteArray, QByteArray]) -> None:
-        for key, value in zip(("geometry", "state"), place, strict=True):
-            self._kept.setValue(f"window{_LAYOUT}/{key}", value)
+    def window_geometry(self, pair: tuple[QByteArray, QByteArray]) -> None:
+        for key, value in zip(("geometry", "state"), pair, strict=True):
+            self._settings.setValue(f"window{_STATE_VERSION}/{key}", value)
 
     @property
     def settings_folder(self) -> Path:
-        """Where the settings lie, for what is too large to be one of them."""
-        return Path(self._kept.fileName()).parent
+        """Folder of the settings file, for data too large to be a setting."""
+        return Path(self._settings.fileName()).parent
 
     @property
     def theme(self) -> Theme:
-        """How the window is coloured; the system's where nothing was chosen."""
-        said: object = self._kept.value("theme", "system")
-        return next((theme for theme in get_args(Theme) if theme == said), "system")
+        """Colour theme; "system" unless chosen."""
+        value: object = self._settings.value("theme", "system")
+        return next((theme for theme in get_args(Theme) if theme == value), "system")
 
     @theme.setter
     def theme(self, theme: Theme) -> None:
-        self._kept.setValue("theme", theme)
+        self._settings.setValue("theme", theme)
 
     def write(self) -> None:
-        """Bring it to disk now."""
-        self._kept.sync()
+        """Write the settings to disk now."""
+        self._settings.sync()
 
 
-def _is_there(path: Path) -> bool:
+def _exists(path: Path) -> bool:
     try:
         return path.exists()
     except OSError:

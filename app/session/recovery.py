@@ -1,4 +1,4 @@
-"""Sessions kept for the case that the program is ended from outside: one file a window, gone when it closes well."""
+"""Recovery files: one autosaved session per window, removed when the window closes normally."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from pipeline.base.errors import TouchError
 from pipeline.base.files import open_lock
 from pipeline.translation.catalogue import BUILT_IN, Catalogue
 
-_LOCK = ".lock"
+_LOCK_SUFFIX = ".lock"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecoverableSession:
-    """What a window that was ended from outside left behind."""
+    """The autosaved session of a window that did not close normally."""
 
     path: Path
     session: Session
@@ -29,14 +29,14 @@ class RecoverableSession:
 
 
 def get_recovery_folder() -> Path:
-    """Where windows keep their sessions while they are open."""
+    """Folder of the recovery files."""
     import platformdirs
 
     return Path(platformdirs.user_state_dir("tactoscope", appauthor=False)) / "recovery"
 
 
 class RecoveryFile:
-    """One window's session on disk; a lock that dies with the process tells others that it is in use."""
+    """The recovery file of one window; a lock held by the process marks it as in use."""
 
     def __init__(self, folder: Path) -> None:
         self._name = f"session-{os.getpid()}-{time.time_ns()}"
@@ -45,14 +45,14 @@ class RecoveryFile:
         self._lock: IO[bytes] | None = None
 
     def write(self, session: Session) -> None:
-        """Put `session` in the place of what was kept; raises FileProblem."""
+        """Write `session` in place of the older one; raises FileProblem."""
         if self._lock is None:
-            self._lock = open_lock(self._folder / f"{self._name}{_LOCK}")
+            self._lock = open_lock(self._folder / f"{self._name}{_LOCK_SUFFIX}")
         save_session(session, self.path, fingerprint_files(session))
 
     def remove(self) -> None:
-        """The window closes well: there is nothing to recover."""
-        for path in (self.path, self._folder / f"{self._name}{_LOCK}"):
+        """Remove the file and its lock: there is nothing to recover."""
+        for path in (self.path, self._folder / f"{self._name}{_LOCK_SUFFIX}"):
             path.unlink(missing_ok=True)
         if self._lock is not None:
             self._lock.close()
@@ -60,28 +60,28 @@ class RecoveryFile:
 
 
 def find_recoverable_sessions(folder: Path, catalogue: Catalogue = BUILT_IN) -> tuple[RecoverableSession, ...]:
-    """The sessions whose windows are gone, the newest first; those that cannot be read are left out."""
-    found: list[RecoverableSession] = []
+    """List the sessions that no running window holds, newest first; unreadable files are left out."""
+    sessions: list[RecoverableSession] = []
     for path in folder.glob(f"session-*{SESSION_SUFFIX}"):
         with contextlib.suppress(OSError, TouchError):
-            if not _in_use(_lock_of(path)):
+            if not _is_locked(_get_lock_path(path)):
                 age_s = time.time() - path.stat().st_mtime
-                found.append(RecoverableSession(path=path, session=load_session(path, catalogue), age_s=age_s))
-    return tuple(sorted(found, key=lambda left: left.age_s))
+                sessions.append(RecoverableSession(path=path, session=load_session(path, catalogue), age_s=age_s))
+    return tuple(sorted(sessions, key=lambda recoverable: recoverable.age_s))
 
 
-def discard_session(left: RecoverableSession) -> None:
-    """It is not wanted, or has been taken up."""
-    for path in (left.path, _lock_of(left.path)):
+def discard_session(recoverable: RecoverableSession) -> None:
+    """Remove the recovery file of a session that was recovered or discarded."""
+    for path in (recoverable.path, _get_lock_path(recoverable.path)):
         with contextlib.suppress(OSError):
             path.unlink(missing_ok=True)
 
 
-def _lock_of(path: Path) -> Path:
-    return path.with_name(path.name.removesuffix(SESSION_SUFFIX) + _LOCK)
+def _get_lock_path(path: Path) -> Path:
+    return path.with_name(path.name.removesuffix(SESSION_SUFFIX) + _LOCK_SUFFIX)
 
 
-def _in_use(lock: Path) -> bool:
+def _is_locked(lock: Path) -> bool:
     if not lock.exists():
         return False
     with lock.open("rb") as file:

@@ -1,4 +1,4 @@
-"""The recording that comes along."""
+"""The sample recording of the distribution."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Undo: one command class for every change of the session."""
+"""Undo: one command class for every session change."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from PyQt6.QtGui import QUndoCommand, QUndoStack
 
 from app.session.state import Session
 
-MAX_STEPS = 1000  # that can be taken back: each holds a session, and who works all day makes thousands
+MAX_UNDO_STEPS = 1000  # each step holds a session
 
 
 class SessionChange(QUndoCommand):
-    """From one session to another; changes of the same `key` that follow each other, as in a drag, are one step."""
+    """Change from one session to another; consecutive changes with the same `key`, as in a drag, are one step."""
 
     def __init__(self, *, old: Session, new: Session, text: str, key: str, show: Callable[[Session], None]) -> None:
         super().__init__(text)
         self.old, self.new, self._key, self._show = old, new, key, show
 
     def id(self) -> int:
-        """Equal for changes that may be joined."""
+        """Return equal ids for changes that may merge, -1 for one that may not."""
         return crc32(self._key.encode()) & 0x7FFFFFFF if self._key else -1
 
     def mergeWith(self, other: QUndoCommand | None) -> bool:  # noqa: N802
-        """Take a following change of the same key into this one."""
+        """Merge a following change with the same key into this one."""
         if not isinstance(other, SessionChange) or other.id() != self.id():
             return False
         self.new = other.new
@@ -40,6 +40,6 @@ class SessionChange(QUndoCommand):
 
 
 def list_sessions(stack: QUndoStack) -> list[Session]:
-    """The session at every place of the stack, place 0 being before its first step; none where it has no step."""
+    """List the session at every index of the stack; index 0 is before the first step. [] for an empty stack."""
     steps = [step for step in map(stack.command, range(stack.count())) if isinstance(step, SessionChange)]
     return [*(step.old for step in steps), *(step.new for step in steps[-1:])]

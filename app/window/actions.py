@@ -71,7 +71,9 @@ FILE_COMMANDS = (
     Command(
         "copy_command", "Copy as command", "Copy the command line that makes what is on screen", key="Ctrl+Shift+C"
     ),
-    Command("export_bundle", "Make a case…", "Put this frame and all that it was made of into a folder that can be sent"),
+    Command(
+        "export_bundle", "Make a case…", "Put this frame and all that it was made of into a folder that can be sent"
+    ),
     Command(
         "copy_image",
         "Copy picture",

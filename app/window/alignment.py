@@ -8,11 +8,11 @@ from pathlib import Path
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from app.session.state import Session
+from app.window.alignment_refinement import RefinementController
 from app.window.logs import log
 from app.window.session_controller import SessionController
 from app.work import alignment_jobs
 from app.work.alignment_jobs import AlignmentAssessment, BeforeAfter, DragPreview
-from app.work.alignment_refinement import RefinementController
 from app.work.jobs import JobReporter
 from pipeline.alignment.score import AlignmentScore
 from pipeline.base.arrays import Doubles
@@ -29,14 +29,14 @@ _SAME_PLACE_MM = 1e-6
 
 
 class AlignmentController(QObject):
-    """Between the dock and the instrument: nothing runs while nobody sees the dock. `placed` when the touch moved."""
+    """Between the dock and the controller: nothing runs while nobody sees the dock. `placed` when the touch moved."""
 
     contact_moved = pyqtSignal()
 
-    def __init__(self, instrument: SessionController) -> None:
-        super().__init__(instrument)
-        self._instrument, self._panel = instrument, instrument.window.alignment
-        self.refinement = RefinementController(instrument)
+    def __init__(self, controller: SessionController) -> None:
+        super().__init__(controller)
+        self._controller, self._panel = controller, controller.window.alignment
+        self.refinement = RefinementController(controller)
         self._offsets = Offsets()  # as the handles stand
         self._axis = ""
         self._judged: AlignmentAssessment | None = None
@@ -47,22 +47,22 @@ class AlignmentController(QObject):
         self._connect()
 
     def _connect(self) -> None:
-        instrument, panel = self._instrument, self._panel
-        instrument.session_shown.connect(self.show_session)
-        instrument.frame_shown.connect(self._frame_shown)
-        instrument.closing.connect(self._rest.stop)
+        controller, panel = self._controller, self._panel
+        controller.session_shown.connect(self.show_session)
+        controller.frame_shown.connect(self._frame_shown)
+        controller.closing.connect(self._rest.stop)
         self.refinement.proposal_changed.connect(self._answered)
-        instrument.job.delivered.connect(self._take)
-        instrument.job.finished.connect(self._take_last)
-        instrument.job.failed.connect(self._not_judged)
-        instrument.job.cancelled.connect(self._not_judged)
+        controller.job.delivered.connect(self._take)
+        controller.job.finished.connect(self._take_last)
+        controller.job.failed.connect(self._not_judged)
+        controller.job.cancelled.connect(self._not_judged)
         panel.drag_started.connect(self._begin)
         panel.offset_changed.connect(self._move)
         panel.drag_ended.connect(self._end)
-        panel.reset_requested.connect(lambda: instrument.change("reset the alignment", offsets=Offsets()))
+        panel.reset_requested.connect(lambda: controller.change("reset the alignment", offsets=Offsets()))
         panel.pivot_requested.connect(self._turn_about_this_touch)
-        panel.original_requested.connect(lambda: instrument.change("go back to the recorded alignment", alignment=None))
-        instrument.window.drawers.alignment.visibilityChanged.connect(self._show_seen)
+        panel.original_requested.connect(lambda: controller.change("go back to the recorded alignment", alignment=None))
+        controller.window.drawers.alignment.visibilityChanged.connect(self._show_seen)
 
     @property
     def is_idle(self) -> bool:
@@ -89,7 +89,7 @@ class AlignmentController(QObject):
 
     def save_alignment(self, path: Path) -> None:
         """Write the alignment with its offsets as TOML; errors end in the banner."""
-        opened, session = self._instrument.views.translation, self._instrument.session
+        opened, session = self._controller.views.translation, self._controller.session
         try:
             if opened is None:
                 raise SettingProblem("there is no alignment to save; open a recording first")
@@ -101,11 +101,11 @@ class AlignmentController(QObject):
             save_alignment(path, kept)
             log.info("alignment saved: '%s'", path)
         except TouchError as error:
-            self._instrument.show_problem(error)
+            self._controller.show_problem(error)
 
     def _show_seen(self, seen: bool) -> None:
         self._seen = seen
-        self._instrument.set_observation_outline(seen)
+        self._controller.set_observation_outline(seen)
         if not seen:
             self._rest.stop()
 
@@ -114,10 +114,10 @@ class AlignmentController(QObject):
             self._rest.start()
 
     def _judge(self) -> None:
-        instrument = self._instrument
-        if not self._seen or instrument.window.timeline.is_playing or not instrument.is_idle:
+        controller = self._controller
+        if not self._seen or controller.window.timeline.is_playing or not controller.is_idle:
             return
-        session, evaluator = instrument.session, instrument.evaluator
+        session, evaluator = controller.session, controller.evaluator
         answer = self.refinement.proposal
 
         def work(report: JobReporter) -> AlignmentAssessment:
@@ -125,20 +125,20 @@ class AlignmentController(QObject):
                 report.deliver(alignment_jobs.draw_before_and_after(evaluator, session, answer.offsets, report))
             return alignment_jobs.assess_alignment(evaluator, session, report)
 
-        self._judging = instrument.submit_priority(work)
+        self._judging = controller.submit_priority(work)
 
     def _answered(self) -> None:
         """A refinement is looked at beside what is, on every frame until it is taken or not."""
         if self.refinement.proposal is not None:
             self._frame_shown(0)
-        elif not self._instrument.is_closed:
-            self._instrument.refresh()
+        elif not self._controller.is_closed:
+            self._controller.refresh()
 
     def _begin(self) -> None:
         self._rest.stop()
-        self._instrument.window.timeline.play(on=False)
+        self._controller.window.timeline.play(on=False)
         self._panel.mark_ghosts(self._score)
-        offsets = self._instrument.session.offsets
+        offsets = self._controller.session.offsets
         if self._judged is not None and not any(offsets.rotation_deg):
             x, y, z = (float(v) for v in self._judged.pivot_mm)
             offsets = replace(offsets, pivot_mm=(x, y, z))  # of a mere shift it may be anywhere
@@ -147,26 +147,26 @@ class AlignmentController(QObject):
         self._show_place()
 
     def _move(self, axis: str, value: float) -> None:
-        instrument = self._instrument
+        controller = self._controller
         known: Axis = next(a for a in AXES if a == axis)
         self._axis = known if self._axis in ("", known) else "axes"
         self._offsets = self._offsets.with_axis_value(known, value)
         self._show_place()
-        session, evaluator = replace(instrument.session, offsets=self._offsets), instrument.evaluator
-        instrument.submit_priority(lambda report: alignment_jobs.preview_drag(evaluator, session, report))
+        session, evaluator = replace(controller.session, offsets=self._offsets), controller.evaluator
+        controller.submit_priority(lambda report: alignment_jobs.preview_drag(evaluator, session, report))
 
     def _end(self) -> None:
         """The whole drag is one change; the stages run again even if it ended where it began."""
-        instrument = self._instrument
-        if self._offsets.values == instrument.session.offsets.values:
-            instrument.refresh()
+        controller = self._controller
+        if self._offsets.values == controller.session.offsets.values:
+            controller.refresh()
             return
-        instrument.change(f"move the alignment ({self._axis})", offsets=self._offsets)
+        controller.change(f"move the alignment ({self._axis})", offsets=self._offsets)
 
     def _turn_about_this_touch(self) -> None:
         if self._judged is not None:
-            offsets = self._instrument.session.offsets.with_pivot(self._judged.pivot_mm)
-            self._instrument.change("turn about this touch", offsets=offsets)
+            offsets = self._controller.session.offsets.with_pivot(self._judged.pivot_mm)
+            self._controller.change("turn about this touch", offsets=offsets)
 
     def _take_last(self, ticket: int, part: object) -> None:
         self._take(ticket, part)
@@ -182,16 +182,16 @@ class AlignmentController(QObject):
             self._judged = self._score = None
             self._panel.show_empty()
         elif isinstance(part, BeforeAfter) and ticket == self._judging and self.refinement.proposal is not None:
-            self._instrument.views.show_wipe(part.before, part.after)
+            self._controller.views.show_wipe(part.before, part.after)
         elif isinstance(part, DragPreview) and self._panel.dragging:
-            self._instrument.views.show_drag_preview(part.preview, part.observation_view, part.layers)
+            self._controller.views.show_drag_preview(part.preview, part.observation_view, part.layers)
             self._show_score(part.score)
         elif isinstance(part, AlignmentAssessment) and ticket == self._judging and not self._panel.dragging:
             self._show_judged(part)
 
     def _show_judged(self, judged: AlignmentAssessment) -> None:
         self._judged = judged
-        opened = self._instrument.views.translation
+        opened = self._controller.views.translation
         if opened is not None:
             target = opened.target
             self._panel.show_ready(target.name, _DEPTH_FULL_MM[target.kind], target.pixel_mm)
@@ -207,7 +207,7 @@ class AlignmentController(QObject):
 
     def _show_place(self) -> None:
         """Whose alignment it is, and where turns are about."""
-        opened, judged, offsets = self._instrument.views.translation, self._judged, self._offsets
+        opened, judged, offsets = self._controller.views.translation, self._judged, self._offsets
         self.contact_moved.emit()
         if opened is None or judged is None:
             return
@@ -215,5 +215,5 @@ class AlignmentController(QObject):
         about = offsets.pivot_mm if any(offsets.rotation_deg) else here
         elsewhere = max(abs(a - b) for a, b in zip(about, here, strict=True)) > _SAME_PLACE_MM
         self._panel.show_pivot(about, opened.target.name, elsewhere=elsewhere)
-        file = self._instrument.session.alignment
+        file = self._controller.session.alignment
         self._panel.show_origin(judged.origin, edited=not offsets.is_zero, from_file=file is not None)

@@ -15,14 +15,14 @@ _WHERE = "target_depth"  # the slot that alignments are judged by
 class AlignmentGizmoController(QObject):
     """Stands on the middle of the contact, wherever it was moved to."""
 
-    def __init__(self, instrument: SessionController, aligning: AlignmentController) -> None:
-        super().__init__(instrument)
-        self._instrument, self._aligning, self._panel = instrument, aligning, instrument.window.alignment
-        self._view = instrument.window.columns[_WHERE].view
+    def __init__(self, controller: SessionController, aligning: AlignmentController) -> None:
+        super().__init__(controller)
+        self._controller, self._aligning, self._panel = controller, aligning, controller.window.alignment
+        self._view = controller.window.columns[_WHERE].view
         self.gizmo = Gizmo(self._view.canvas)
         self._begun, self._mm_of_px = aligning.offsets, 0.0
         aligning.contact_moved.connect(self._place)
-        instrument.session_shown.connect(self._session_shown)
+        controller.session_shown.connect(self._session_shown)
         self.gizmo.grabbed.connect(self._grab)
         self.gizmo.dragged.connect(self._drag)
         self.gizmo.released.connect(self._panel.end_drag)
@@ -32,11 +32,11 @@ class AlignmentGizmoController(QObject):
 
     def _place(self) -> None:
         opened, middle, picture = (
-            self._instrument.views.translation,
+            self._controller.views.translation,
             self._aligning.contact_centre_mm,
             self._view.preview,
         )
-        if self._instrument.session.layout.name != "align" or opened is None or middle is None or picture is None:
+        if self._controller.session.layout.name != "align" or opened is None or middle is None or picture is None:
             self.gizmo.show_at(None)
             return
         camera = opened.target.camera

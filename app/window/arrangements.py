@@ -23,9 +23,9 @@ _KEYS = 9  # the first ones have Ctrl+Alt+1 to 9
 class ArrangementController(QObject):
     """Between the file of arrangements, the Layout menu, and the session."""
 
-    def __init__(self, instrument: SessionController, keeping: AutosaveController) -> None:
-        super().__init__(instrument)
-        self._instrument, self._window = instrument, instrument.window
+    def __init__(self, controller: SessionController, keeping: AutosaveController) -> None:
+        super().__init__(controller)
+        self._controller, self._window = controller, controller.window
         self._path = keeping.preferences.settings_folder / arrangement_file.ARRANGEMENTS_FILE
         self._menu = QMenu("Own arrangements", self._window)
         self._window.menus["Layout"].addMenu(self._menu)
@@ -34,26 +34,26 @@ class ArrangementController(QObject):
         try:
             self.arrangements = arrangement_file.load_arrangements(self._path)
         except TouchError as error:
-            instrument.show_problem(error)
+            controller.show_problem(error)
         self._window.connect_command("save_arrangement", self._keep)
         self._window.connect_command("rename_arrangement", self._rename)
         self._window.connect_command("delete_arrangement", self._delete)
-        instrument.session_shown.connect(self._show_session)
+        controller.session_shown.connect(self._show_session)
         self._list()
-        self._show_session(instrument.session)
+        self._show_session(controller.session)
 
     def apply_arrangement(self, layout: Layout) -> None:
         """Arrange the window so, even if it was chosen already and moved since."""
         assert layout.arrangement is not None
-        self._instrument.change(f"arrange as {layout.arrangement.name}", layout=layout)
+        self._controller.change(f"arrange as {layout.arrangement.name}", layout=layout)
         self._window.show_layout(layout, anew=True)
 
     def save_arrangement(self, name: str) -> None:
         """Keep the window as it stands under this name; one that had the name before is replaced."""
-        now = replace(self._instrument.session.layout, arrangement=self._window.capture_arrangement(name))
+        now = replace(self._controller.session.layout, arrangement=self._window.capture_arrangement(name))
         place = next((i for i, one in enumerate(self.arrangements) if _name(one) == name), len(self.arrangements))
         self._write((*self.arrangements[:place], now, *self.arrangements[place + 1 :]))
-        self._instrument.change(f"keep the arrangement {name}", layout=now)
+        self._controller.change(f"keep the arrangement {name}", layout=now)
 
     def _keep(self) -> None:
         name = dialogs.ask_name(self._window, "Keep this arrangement", self._own or "")
@@ -67,22 +67,24 @@ class ArrangementController(QObject):
             return
         new = [_named(one, name) if _name(one) == old else one for one in self.arrangements if _name(one) != name]
         self._write(tuple(new))
-        self._instrument.change("rename the arrangement", layout=_named(self._instrument.session.layout, name))
+        self._controller.change("rename the arrangement", layout=_named(self._controller.session.layout, name))
 
     def _delete(self) -> None:
         old = self._own
         self._write(tuple(one for one in self.arrangements if _name(one) != old))
-        self._instrument.change("delete the arrangement", layout=replace(self._instrument.session.layout, arrangement=None))
+        self._controller.change(
+            "delete the arrangement", layout=replace(self._controller.session.layout, arrangement=None)
+        )
 
     @property
     def _own(self) -> str:
-        return _name(self._instrument.session.layout)
+        return _name(self._controller.session.layout)
 
     def _write(self, layouts: tuple[Layout, ...]) -> None:
         try:
             arrangement_file.save_arrangements(self._path, layouts)
         except (TouchError, OSError) as error:
-            self._instrument.show_problem(error)
+            self._controller.show_problem(error)
             return
         self.arrangements = layouts
         self._list()
@@ -97,7 +99,7 @@ class ArrangementController(QObject):
         self._window.addActions(self._actions)
         self._menu.addActions(self._actions)
         self._menu.setEnabled(bool(self._actions))
-        self._show_session(self._instrument.session)
+        self._show_session(self._controller.session)
 
     def _action(self, place: int, layout: Layout) -> QAction:
         action = QAction(f"Arrangement {_name(layout)}", self)

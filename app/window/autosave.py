@@ -30,11 +30,11 @@ _MINUTE_S = 60.0
 
 
 class AutosaveController(QObject):
-    """Between the instrument and what outlives it: kept sessions, recent files, the window's place."""
+    """Between the controller and what outlives it: kept sessions, recent files, the window's place."""
 
-    def __init__(self, instrument: SessionController) -> None:
-        super().__init__(instrument)
-        self._instrument, self.window = instrument, instrument.window
+    def __init__(self, controller: SessionController) -> None:
+        super().__init__(controller)
+        self._controller, self.window = controller, controller.window
         self.preferences = Preferences()
         self.recovery_file = RecoveryFile(recovery.get_recovery_folder())
         self._job = LatestJob("keeping", self)
@@ -47,10 +47,10 @@ class AutosaveController(QObject):
         self.window.add_menu("File", self.recent_menu, before="open_mesh")
         self._remembers_place = False
         self.window.may_close = self.may_close
-        instrument.session_shown.connect(self._session_shown)
-        instrument.job.delivered.connect(self._opened)
-        instrument.closing.connect(self._close)
-        instrument.termination_requested.connect(self._leave_behind)
+        controller.session_shown.connect(self._session_shown)
+        controller.job.delivered.connect(self._opened)
+        controller.closing.connect(self._close)
+        controller.termination_requested.connect(self._leave_behind)
         self._job.failed.connect(self._not_kept)
 
     @property
@@ -61,8 +61,8 @@ class AutosaveController(QObject):
     @property
     def has_unsaved_changes(self) -> bool:
         """Whether there is work in the session that no file holds: parameters, methods, notes, a moved alignment."""
-        now, saved = _work(self._instrument.session), _work(self._instrument.saved_session)
-        nothing = now == _work(Session()) and self._instrument.session_file is None  # a file that is kept may differ
+        now, saved = _work(self._controller.session), _work(self._controller.saved_session)
+        nothing = now == _work(Session()) and self._controller.session_file is None  # a file that is kept may differ
         return now != saved and not nothing
 
     def autosave_now(self) -> None:
@@ -72,7 +72,7 @@ class AutosaveController(QObject):
         self._job.submit(lambda _report: self.recovery_file.write(session), interrupt=False)
 
     def _to_keep(self) -> Session:
-        session = self._instrument.session_to_save
+        session = self._controller.session_to_save
         session = replace(session, frame=max(0, session.frame))  # one that is not open yet has no frame
         if session.recording is not None and is_mounted(session.recording):
             session = replace(session, recording=None)  # a sensor that is watched is not there after a crash
@@ -95,7 +95,7 @@ class AutosaveController(QObject):
 
     def may_close(self) -> bool:
         """Whether the window may go: asks where work would be lost."""
-        if self._instrument.is_closed or not self.has_unsaved_changes:
+        if self._controller.is_closed or not self.has_unsaved_changes:
             return True
         answer = self.ask_to_save()
         if answer == _Answer.Save:
@@ -112,15 +112,15 @@ class AutosaveController(QObject):
 
     def save_session(self) -> None:
         """Save where the session came from or was saved before, else ask where."""
-        path = self._instrument.session_file or dialogs.ask_save_path(self.window, "save_session", self.dialog_folder)
+        path = self._controller.session_file or dialogs.ask_save_path(self.window, "save_session", self.dialog_folder)
         if path is not None:
-            self._instrument.save_session(path)
+            self._controller.save_session(path)
 
     def _offer(self, left: RecoverableSession) -> None:
         def recover() -> None:
-            self._instrument.push_session(left.session, "recover the session")
-            self._instrument.set_cameras(left.session.cameras)
-            self._instrument.set_section(left.session.section)
+            self._controller.push_session(left.session, "recover the session")
+            self._controller.set_cameras(left.session.cameras)
+            self._controller.set_section(left.session.section)
             recovery.discard_session(left)
             self.autosave_now()
 
@@ -149,7 +149,7 @@ class AutosaveController(QObject):
         for path in self.preferences.recent_files:
             action = QAction(escape_text(path.name), self.recent_menu)
             action.setToolTip(escape_text(str(path)))
-            action.triggered.connect(lambda _checked=False, path=path: self._instrument.open_path(path))
+            action.triggered.connect(lambda _checked=False, path=path: self._controller.open_path(path))
             self.recent_menu.addAction(action)
         if self.recent_menu.isEmpty():
             nothing = self.recent_menu.addAction("nothing yet")

@@ -23,11 +23,11 @@ _HINT = (
 
 
 class BasinMapController(QObject):
-    """Between the tab and the instrument; a map of another frame or of other settings goes."""
+    """Between the tab and the controller; a map of another frame or of other settings goes."""
 
-    def __init__(self, instrument: SessionController) -> None:
-        super().__init__(instrument)
-        self._instrument, self._panel = instrument, instrument.window.basins
+    def __init__(self, controller: SessionController) -> None:
+        super().__init__(controller)
+        self._controller, self._panel = controller, controller.window.basins
         self._job = LatestJob("basins", self)
         self._ticket = 0
         self._begun: Session | None = None
@@ -39,10 +39,10 @@ class BasinMapController(QObject):
         self._job.finished.connect(self._finished)
         self._job.failed.connect(self._failed)
         self._job.cancelled.connect(self._cancelled)
-        instrument.session_shown.connect(self._session_shown)
-        instrument.window.connect_command("cancel", self._job.cancel)
-        instrument.window.connect_command("map_basins", self.open_and_start)
-        instrument.closing.connect(self._job.close)
+        controller.session_shown.connect(self._session_shown)
+        controller.window.connect_command("cancel", self._job.cancel)
+        controller.window.connect_command("map_basins", self.open_and_start)
+        controller.closing.connect(self._job.close)
         self._panel.show_message(_HINT)
 
     @property
@@ -52,16 +52,16 @@ class BasinMapController(QObject):
 
     def open_and_start(self) -> None:
         """Bring the tab to the front and begin."""
-        window = self._instrument.window
+        window = self._controller.window
         window.drawers.diagnostics.show()
         window.drawers.diagnostics.raise_()
         window.tabs.setCurrentWidget(self._panel)
         self._start(self._panel.axis_box.currentText())
 
     def _start(self, along: str) -> None:
-        instrument = self._instrument
-        opened, latest, session = instrument.views.translation, instrument.latest_frame, instrument.session
-        if opened is None or latest is None or latest.index != session.frame or not instrument.is_idle:
+        controller = self._controller
+        opened, latest, session = controller.views.translation, controller.latest_frame, controller.session
+        if opened is None or latest is None or latest.index != session.frame or not controller.is_idle:
             self._panel.show_message("there is no finished frame to map; open a recording, or wait for this one")
             return
         method = next((m for m in opened.methods if m.stage == "pose"), None)
@@ -94,7 +94,7 @@ class BasinMapController(QObject):
         if ticket != self._ticket or self._begun is None:
             return
         if isinstance(found, BasinPosePreview) and self.result is not None:
-            self._instrument.views.show_pose(self.result.basins.poses[found.row, found.col], found.preview)
+            self._controller.views.show_pose(self.result.basins.poses[found.row, found.col], found.preview)
         if not isinstance(found, BasinMapResult):
             return
         self.result, of = found, found.basins
@@ -121,7 +121,7 @@ class BasinMapController(QObject):
         found = self.result
         if found is None:
             return
-        self._instrument.views.show_pose(found.basins.poses[row, col], None)
+        self._controller.views.show_pose(found.basins.poses[row, col], None)
         self._ticket = self._job.submit(
             lambda _: BasinPosePreview(row=row, col=col, preview=found.make_preview(row, col))
         )
@@ -134,7 +134,7 @@ class BasinMapController(QObject):
         self._panel.show_progress(None)
         self._panel.show_message(str(error))
         if not isinstance(error, TouchError):
-            self._instrument.show_problem(error)
+            self._controller.show_problem(error)
 
     def _cancelled(self, ticket: int) -> None:
         if ticket == self._ticket and self._begun is not None:

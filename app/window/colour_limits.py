@@ -17,10 +17,10 @@ _DIGITS = 2  # of a millimetre
 class ColourLimitController(QObject):
     """Between the colour bars and the session."""
 
-    def __init__(self, instrument: SessionController) -> None:
-        super().__init__(instrument)
-        self._instrument = instrument
-        window = instrument.window
+    def __init__(self, controller: SessionController) -> None:
+        super().__init__(controller)
+        self._controller = controller
+        window = controller.window
         bars = [column.view.colour_bar for column in (*window.columns.values(), window.truth_column)]
         for source in (*bars, *(tab.grid for tab in window.comparison.tabs.values())):
             source.limit_dragged.connect(self.set_limit)
@@ -28,14 +28,14 @@ class ColourLimitController(QObject):
 
     def set_limit(self, name: str, value: float) -> None:
         """Set a limit, as far as it may go; a drag is one undo step."""
-        self._instrument.choose_params(DISPLAY_KEY, _limited(self._instrument.session.display, name, value))
+        self._controller.choose_params(DISPLAY_KEY, _limited(self._controller.session.display, name, value))
 
     def set_limits(self, limits: Mapping[str, float]) -> None:
         """Set limits by what is shown, as one undo step."""
-        display = self._instrument.session.display
+        display = self._controller.session.display
         for name, value in limits.items():
             display = _limited(display, name, value)
-        self._instrument.change("fit colour limits", params={**self._instrument.session.params, DISPLAY_KEY: display})
+        self._controller.change("fit colour limits", params={**self._controller.session.params, DISPLAY_KEY: display})
 
 
 def _limited(display: DisplayParams, name: str, value: float) -> DisplayParams:

@@ -47,63 +47,63 @@ from widgets.keyboard_focus_filter import KeyboardFocusFilter
 T = TypeVar("T")
 
 
-def connect(instrument: SessionController, theme: Theme = "light") -> AutosaveController:
+def connect(controller: SessionController, theme: Theme = "light") -> AutosaveController:
     """Fill the window's choices and connect everything; returns what outlives the window.
 
     `theme` is the one that is on.
     """
-    window, job, tracer = instrument.window, instrument.job, instrument.probe
-    _fill(window, instrument.catalogue)
+    window, job, tracer = controller.window, controller.job, controller.probe
+    _fill(window, controller.catalogue)
 
-    job.delivered.connect(instrument.handle_part)
-    job.finished.connect(instrument.handle_frame)
-    job.failed.connect(instrument.handle_failure)
-    job.cancelled.connect(instrument.handle_cancellation)
-    job.progressed.connect(instrument.handle_progress)
+    job.delivered.connect(controller.handle_part)
+    job.finished.connect(controller.handle_frame)
+    job.failed.connect(controller.handle_failure)
+    job.cancelled.connect(controller.handle_cancellation)
+    job.progressed.connect(controller.handle_progress)
 
-    instrument.relay.line_logged.connect(window.log.show_line)
-    instrument.relay.error_uncaught.connect(instrument.show_problem)
+    controller.relay.line_logged.connect(window.log.show_line)
+    controller.relay.error_uncaught.connect(controller.show_problem)
 
-    window.timeline.frame_chosen.connect(instrument.choose_frame)
-    window.frames.frame_chosen.connect(instrument.choose_frame)
-    window.parameters.params_edited.connect(instrument.choose_params)
+    window.timeline.frame_chosen.connect(controller.choose_frame)
+    window.frames.frame_chosen.connect(controller.choose_frame)
+    window.parameters.params_edited.connect(controller.choose_params)
     for slider in window.steps.values():
-        slider.step_chosen.connect(instrument.views.show_step)
-    window.parameters.drag_ended.connect(instrument.refresh)
+        slider.step_chosen.connect(controller.views.show_step)
+    window.parameters.drag_ended.connect(controller.refresh)
     for column in window.columns.values():
         column.pixel_hovered.connect(tracer.probe_pixel)
         column.pixel_clicked.connect(tracer.toggle_pin)
-        column.method_chosen.connect(instrument.choose_method)
-    window.paths_dropped.connect(instrument.open_paths)
+        column.method_chosen.connect(controller.choose_method)
+    window.paths_dropped.connect(controller.open_paths)
     window.cancel_button.clicked.connect(job.cancel)
-    window.closing.connect(instrument.close)
+    window.closing.connect(controller.close)
 
-    change = instrument.change
+    change = controller.change
     window.source.activated.connect(lambda: change("choose source", source=window.source.currentData(), stream=""))
     window.target.activated.connect(lambda: change("choose target", target=window.target.currentData()))
     window.route.activated.connect(lambda: change("choose route", route=window.route.currentData()))
-    ErrorAttributionController(instrument)
-    BasinMapController(instrument)
-    StepScrubberController(instrument)
-    Probe3DController(instrument)
-    KeyboardController(instrument)
-    SectionLineController(instrument)
-    PresentationController(instrument)
-    FrameRankingController(instrument)
-    sweeping = SweepController(instrument)
-    comparing = ComparisonController(instrument)
-    keeping = AutosaveController(instrument)
-    WelcomeController(instrument, keeping)
-    ThemeController(instrument, keeping, theme)
-    ArrangementController(instrument, keeping)
-    ExportController(instrument, keeping, sweeping)
-    LiveController(instrument, keeping)
-    aligning = AlignmentController(instrument)
-    AlignmentGizmoController(instrument, aligning)
-    _connect_files(instrument, aligning, keeping, comparing)
-    _connect_play(instrument)
-    _connect_view(instrument, LayoutController(instrument))
-    _connect_undo(instrument)
+    ErrorAttributionController(controller)
+    BasinMapController(controller)
+    StepScrubberController(controller)
+    Probe3DController(controller)
+    KeyboardController(controller)
+    SectionLineController(controller)
+    PresentationController(controller)
+    FrameRankingController(controller)
+    sweeping = SweepController(controller)
+    comparing = ComparisonController(controller)
+    keeping = AutosaveController(controller)
+    WelcomeController(controller, keeping)
+    ThemeController(controller, keeping, theme)
+    ArrangementController(controller, keeping)
+    ExportController(controller, keeping, sweeping)
+    LiveController(controller, keeping)
+    aligning = AlignmentController(controller)
+    AlignmentGizmoController(controller, aligning)
+    _connect_files(controller, aligning, keeping, comparing)
+    _connect_play(controller)
+    _connect_view(controller, LayoutController(controller))
+    _connect_undo(controller)
     _connect_hands(window)
     return keeping
 
@@ -126,12 +126,12 @@ def _fill(window: MainWindow, catalogue: Catalogue) -> None:
 
 
 def _connect_files(
-    instrument: SessionController,
+    controller: SessionController,
     aligning: AlignmentController,
     keeping: AutosaveController,
     comparing: ComparisonController,
 ) -> None:
-    window = instrument.window
+    window = controller.window
 
     def connect_dialog(command: str, ask: Callable[[QWidget, str, str], T | None], then: Callable[[T], object]) -> None:
         def ask_and_apply() -> None:
@@ -142,26 +142,26 @@ def _connect_files(
         window.connect_command(command, ask_and_apply)
 
     own = {
-        "open_reference": instrument.open_reference, "open_weights": instrument.open_weights,
+        "open_reference": controller.open_reference, "open_weights": controller.open_weights,
         "set_variant_recording": comparing.set_variant_recording,
     }  # fmt: skip
     for command in dialogs.OPEN_DIALOGS:
-        connect_dialog(command, dialogs.ask_open_path, own.get(command, instrument.open_path))
+        connect_dialog(command, dialogs.ask_open_path, own.get(command, controller.open_path))
     connect_dialog("save_alignment", dialogs.ask_save_path, aligning.save_alignment)
-    connect_dialog("save_session_as", dialogs.ask_save_path, instrument.save_session)
+    connect_dialog("save_session_as", dialogs.ask_save_path, controller.save_session)
     window.connect_command("save_session", keeping.save_session)
-    connect_dialog("save_screenshot", dialogs.ask_save_path, instrument.save_screenshot)
-    connect_dialog("open_mesh", dialogs.ask_mesh, lambda asked: instrument.open_mesh(*asked))
-    window.connect_command("close_mesh", lambda: instrument.open_mesh(None))
-    window.connect_command("close_weights", lambda: instrument.open_weights(None))
+    connect_dialog("save_screenshot", dialogs.ask_save_path, controller.save_screenshot)
+    connect_dialog("open_mesh", dialogs.ask_mesh, lambda asked: controller.open_mesh(*asked))
+    window.connect_command("close_mesh", lambda: controller.open_mesh(None))
+    window.connect_command("close_weights", lambda: controller.open_weights(None))
     window.connect_command("quit", window.close)
     window.connect_command(
         "keys", lambda: QMessageBox.information(window, "Keys", format_shortcut_table(window.actions_by_name))
     )
 
 
-def _connect_play(instrument: SessionController) -> None:
-    window, line = instrument.window, instrument.window.timeline
+def _connect_play(controller: SessionController) -> None:
+    window, line = controller.window, controller.window.timeline
     play = window.actions_by_name["play"]
 
     def show_playing(playing: bool) -> None:
@@ -189,35 +189,35 @@ def _connect_play(instrument: SessionController) -> None:
     window.connect_command("loop_all", lambda: set_loop_range(0, line.slider.maximum()))
 
 
-def _connect_view(instrument: SessionController, layouts: LayoutController) -> None:
-    window, tracer = instrument.window, instrument.probe
+def _connect_view(controller: SessionController, layouts: LayoutController) -> None:
+    window, tracer = controller.window, controller.probe
     freeze = window.actions_by_name["pin_probe"]
     freeze.toggled.connect(tracer.set_frozen)
     tracer.pin_changed.connect(freeze.setChecked)
     link = window.actions_by_name["link_cameras"]
-    link.setChecked(instrument.session.cameras_linked)
-    window.connect_command("link_cameras", lambda: instrument.change("link cameras", cameras_linked=link.isChecked()))
-    PanZoomController(instrument)
-    ColourLimitController(instrument)
-    window.connect_command("reset_view", instrument.reset_view)
+    link.setChecked(controller.session.cameras_linked)
+    window.connect_command("link_cameras", lambda: controller.change("link cameras", cameras_linked=link.isChecked()))
+    PanZoomController(controller)
+    ColourLimitController(controller)
+    window.connect_command("reset_view", controller.reset_view)
     for versus in get_args(ComparisonMode)[1:]:
-        window.connect_command(f"show_{versus}", lambda versus=versus: _choose_versus(instrument, versus))
-    window.connect_command("cancel", instrument.cancel)
+        window.connect_command(f"show_{versus}", lambda versus=versus: _choose_versus(controller, versus))
+    window.connect_command("cancel", controller.cancel)
     for i, name in enumerate(window.columns):
-        window.connect_command(f"only_{i + 1}", lambda name=name: _choose_column(instrument, layouts, name))
+        window.connect_command(f"only_{i + 1}", lambda name=name: _choose_column(controller, layouts, name))
 
 
-def _choose_column(instrument: SessionController, layouts: LayoutController, name: str) -> None:
+def _choose_column(controller: SessionController, layouts: LayoutController, name: str) -> None:
     """Alone among the stages, else into the active pane."""
-    if instrument.session.layout.name == "inspect":
+    if controller.session.layout.name == "inspect":
         layouts.show_stage(name)
     else:
-        instrument.show_only(name)
+        controller.show_only(name)
 
 
-def _choose_versus(instrument: SessionController, versus: ComparisonMode) -> None:
+def _choose_versus(controller: SessionController, versus: ComparisonMode) -> None:
     """One of them at a time; a second time goes back to what was worked out."""
-    instrument.set_comparison_mode("" if instrument.views.comparison_mode == versus else versus)
+    controller.set_comparison_mode("" if controller.views.comparison_mode == versus else versus)
 
 
 def _connect_hands(window: MainWindow) -> None:
@@ -230,8 +230,8 @@ def _connect_hands(window: MainWindow) -> None:
     KeyboardFocusFilter(window)
 
 
-def _connect_undo(instrument: SessionController) -> None:
-    stack, actions = instrument.undo_stack, instrument.window.actions_by_name
+def _connect_undo(controller: SessionController) -> None:
+    stack, actions = controller.undo_stack, controller.window.actions_by_name
 
     def make_text_setter(action: QAction, word: str) -> Callable[[str], None]:
         return lambda text: action.setText(f"{word} {text}".strip())
@@ -243,6 +243,6 @@ def _connect_undo(instrument: SessionController) -> None:
         actions[name].setEnabled(False)
         offered.connect(actions[name].setEnabled)
         told.connect(make_text_setter(actions[name], word))
-    instrument.window.connect_command("undo", stack.undo)
-    instrument.window.connect_command("redo", stack.redo)
-    instrument.window.connect_command("reset_all", lambda: instrument.change("reset all parameters", params={}))
+    controller.window.connect_command("undo", stack.undo)
+    controller.window.connect_command("redo", stack.redo)
+    controller.window.connect_command("reset_all", lambda: controller.change("reset all parameters", params={}))

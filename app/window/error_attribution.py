@@ -15,11 +15,11 @@ _NO_TRUTH = "no error is known of this frame: the recording does not hold what t
 
 
 class ErrorAttributionController(QObject):
-    """Between the tab and the instrument."""
+    """Between the tab and the controller."""
 
-    def __init__(self, instrument: SessionController) -> None:
-        super().__init__(instrument)
-        self._instrument, self._panel = instrument, instrument.window.error_attribution
+    def __init__(self, controller: SessionController) -> None:
+        super().__init__(controller)
+        self._controller, self._panel = controller, controller.window.error_attribution
         self._figure, self._ticket = DEFAULT_METRIC, 0
         self._rest = QTimer(self)
         self._rest.setSingleShot(True)
@@ -27,10 +27,10 @@ class ErrorAttributionController(QObject):
         self._rest.timeout.connect(self._ask)
         self._panel.installEventFilter(self)
         self._panel.metric_chosen.connect(self._choose)
-        instrument.frame_shown.connect(self._frame_shown)
-        instrument.closing.connect(self._rest.stop)
-        instrument.job.delivered.connect(self._opened)
-        instrument.job.finished.connect(self._take)
+        controller.frame_shown.connect(self._frame_shown)
+        controller.closing.connect(self._rest.stop)
+        controller.job.delivered.connect(self._opened)
+        controller.job.finished.connect(self._take)
 
     def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
         """The tab comes to the front, or goes."""
@@ -50,12 +50,12 @@ class ErrorAttributionController(QObject):
             self._rest.start()
 
     def _ask(self) -> None:
-        instrument, latest = self._instrument, self._instrument.latest_frame
+        controller, latest = self._controller, self._controller.latest_frame
         if (
             latest is None
             or not self._panel.isVisible()
-            or instrument.window.timeline.is_playing
-            or not instrument.is_idle
+            or controller.window.timeline.is_playing
+            or not controller.is_idle
         ):
             return
         known = [name for name in latest.metrics if METRICS[name.partition(".")[2]].better == "lower"]
@@ -64,9 +64,9 @@ class ErrorAttributionController(QObject):
         if not figure:
             self._panel.show_empty(_NO_TRUTH)
             return
-        session, evaluator = instrument.session, instrument.evaluator
+        session, evaluator = controller.session, controller.evaluator
         self._panel.show_empty("putting the truth in place of one slot after the other…")
-        self._ticket = instrument.submit_priority(
+        self._ticket = controller.submit_priority(
             lambda report: evaluator.attribute_frame_error(session, figure, report)
         )
 

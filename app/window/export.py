@@ -33,9 +33,9 @@ _BUSY = "something is being written already; wait for it, or cancel it"
 class ExportController(QObject):
     """Between the commands and the pipeline's exports."""
 
-    def __init__(self, instrument: SessionController, keeping: AutosaveController, sweeping: SweepController) -> None:
-        super().__init__(instrument)
-        self._instrument, self._keeping, self._window = instrument, keeping, instrument.window
+    def __init__(self, controller: SessionController, keeping: AutosaveController, sweeping: SweepController) -> None:
+        super().__init__(controller)
+        self._controller, self._keeping, self._window = controller, keeping, controller.window
         self._sweeping = sweeping
         self.notification, self.dialog = NotificationBar("export_notification"), ExportDialog(self._window)
         self._window.add_strip(self.notification)
@@ -45,7 +45,7 @@ class ExportController(QObject):
         self.job.finished.connect(self._finished)
         self.job.cancelled.connect(self._cancelled)
         self.job.failed.connect(self._failed)
-        instrument.closing.connect(self.job.close)
+        controller.closing.connect(self.job.close)
         self._window.connect_command("export", self.show_export_dialog)
         self._window.connect_command("copy_command", self.copy_view_command)
         self._window.section_panel.command_requested.connect(self.copy_section_command)
@@ -60,7 +60,7 @@ class ExportController(QObject):
         self, path: Path, pane: str = SHEET, shown: str = "computed", frames: str = ""
     ) -> ExportRequest:
         """What is on screen, asked for as one file."""
-        session, opened = self._instrument.session, self._instrument.views.translation
+        session, opened = self._controller.session, self._controller.views.translation
         assert opened is not None
         params = {method.stage: session.get_params(method) for method in opened.methods}
         return ExportRequest(
@@ -96,7 +96,7 @@ class ExportController(QObject):
     def copy_export_command(self, pane: str, shown: str = "", suffix: str = ".png", frames: str = "") -> None:
         """Put the command that makes this file on the clipboard."""
         clipboard = QGuiApplication.clipboard()
-        if clipboard is None or self._instrument.views.translation is None:
+        if clipboard is None or self._controller.views.translation is None:
             self.notification.show_notification(_NOTHING)
             return
         text = format_command(
@@ -108,7 +108,7 @@ class ExportController(QObject):
     def copy_view_command(self) -> None:
         """The command that makes what is on screen: of *Compare* all its tiles, of *Sweep* all its cells."""
         session, opened, clipboard = (
-            self._instrument.session, self._instrument.views.translation, QGuiApplication.clipboard(),
+            self._controller.session, self._controller.views.translation, QGuiApplication.clipboard(),
         )  # fmt: skip
         if session.layout.name not in ("compare", "sweep") or opened is None or clipboard is None:
             self.copy_export_command(self._pane_on_screen())
@@ -129,8 +129,8 @@ class ExportController(QObject):
 
     def copy_section_command(self) -> None:
         """The command that writes the section's curves."""
-        line, clipboard = self._instrument.section, QGuiApplication.clipboard()
-        if line is None or clipboard is None or self._instrument.views.translation is None:
+        line, clipboard = self._controller.section, QGuiApplication.clipboard()
+        if line is None or clipboard is None or self._controller.views.translation is None:
             return
         shown = self._window.visible_columns()
         pane = SHEET if set(shown) == set(self._window.route_columns) else ",".join(shown)
@@ -140,7 +140,7 @@ class ExportController(QObject):
 
     def show_export_dialog(self, pane: str = "") -> None:
         """Ask what to export."""
-        opened = self._instrument.views.translation
+        opened = self._controller.views.translation
         if opened is None:
             self.notification.show_notification(_NOTHING)
             return
@@ -153,13 +153,14 @@ class ExportController(QObject):
 
     def ask_bundle(self) -> None:
         """Ask for a note and a folder's name."""
-        if self._instrument.views.translation is None:
+        if self._controller.views.translation is None:
             self.notification.show_notification(_NOTHING)
             return
         note, said = QInputDialog.getText(self._window, "Make a case", "What is to be seen in it")
         if (
             said
-            and (folder := dialogs.ask_save_path(self._window, "export_bundle", self._keeping.dialog_folder)) is not None
+            and (folder := dialogs.ask_save_path(self._window, "export_bundle", self._keeping.dialog_folder))
+            is not None
         ):
             self.start_bundle(folder, note)
 
@@ -173,7 +174,7 @@ class ExportController(QObject):
         self.copy_export_command(pane, shown, suffix, frames)
 
     def _may(self) -> bool:
-        if self._instrument.views.translation is None or self.job.is_busy:
+        if self._controller.views.translation is None or self.job.is_busy:
             self.notification.show_notification(_BUSY if self.job.is_busy else _NOTHING)
             return False
         return True
@@ -208,16 +209,16 @@ class ExportController(QObject):
     def _failed(self, _: int, error: object) -> None:
         self.notification.hide()
         if isinstance(error, BaseException):
-            self._instrument.show_problem(error)
+            self._controller.show_problem(error)
 
     def _pane_on_screen(self) -> str:
-        shown, layout = self._window.visible_columns(), self._instrument.session.layout
+        shown, layout = self._window.visible_columns(), self._controller.session.layout
         if layout.name == "inspect" and (panes := layout.resolve_panes(self._window.route_columns)):
             return panes[min(self._window.panes.active_pane, len(panes) - 1)][0]
         return shown[0] if len(shown) == 1 else SHEET
 
     def _shown_on_screen(self, pane: str) -> str:
-        versus = self._instrument.views.comparison_mode
+        versus = self._controller.views.comparison_mode
         return versus if pane not in (SHEET, SOURCE) and versus in ("truth", "difference") else "computed"
 
     def _menu(self, name: str, at: QPoint) -> None:

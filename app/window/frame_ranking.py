@@ -19,24 +19,24 @@ _AT_REST_MS = 400  # who looks for a frame, or has its error taken apart, comes 
 class FrameRankingController(QObject):
     """Asks for the unknown frame nearest to the one on screen, one after the other; anything else goes before it."""
 
-    def __init__(self, instrument: SessionController) -> None:
-        super().__init__(instrument)
-        self._instrument, self._panel = instrument, instrument.window.frames
+    def __init__(self, controller: SessionController) -> None:
+        super().__init__(controller)
+        self._controller, self._panel = controller, controller.window.frames
         self._figure, self._ticket = FIRST_CHOICE, 0
         self._rest = QTimer(self)
         self._rest.setSingleShot(True)
         self._rest.timeout.connect(self._ask)
-        instrument.window.drawers.frames.visibilityChanged.connect(self._seen)
-        instrument.frame_shown.connect(self._frame_shown)
-        instrument.closing.connect(self._rest.stop)
-        instrument.job.finished.connect(self._take)
+        controller.window.drawers.frames.visibilityChanged.connect(self._seen)
+        controller.frame_shown.connect(self._frame_shown)
+        controller.closing.connect(self._rest.stop)
+        controller.job.finished.connect(self._take)
         self._panel.metric_chosen.connect(self._choose)
-        window = instrument.window
+        window = controller.window
         self._panel.model.dataChanged.connect(self._tell_soon)
         self._panel.model.modelReset.connect(self._tell_soon)
         self._told = make_single_shot_timer(self, _TOGETHER_MS, self._tell)
         self._panel.model.note_edited.connect(self._note)
-        instrument.session_shown.connect(self._show_notes)
+        controller.session_shown.connect(self._show_notes)
         window.connect_command("worst_frame", self._go_to_worst)
         window.connect_command("worse_frame", lambda: self._step(-1))
         window.connect_command("better_frame", lambda: self._step(1))
@@ -47,14 +47,14 @@ class FrameRankingController(QObject):
         self._tell()
 
     def _go_to_worst(self) -> None:
-        worst = self._instrument.window.timeline.errors.worst_frame
+        worst = self._controller.window.timeline.errors.worst_frame
         if worst >= 0:
-            self._instrument.choose_frame(worst)
+            self._controller.choose_frame(worst)
 
     def _note(self, frame: int, text: str) -> None:
         """Keep what somebody wrote of a frame in the session."""
-        others = {at: kept for at, kept in self._instrument.session.notes.items() if at != frame}
-        self._instrument.change(f"note frame {frame}", notes={**others, frame: text} if text else others)
+        others = {at: kept for at, kept in self._controller.session.notes.items() if at != frame}
+        self._controller.change(f"note frame {frame}", notes={**others, frame: text} if text else others)
 
     def _show_notes(self, session: Session) -> None:
         self._panel.model.show_notes(session.notes)
@@ -68,15 +68,15 @@ class FrameRankingController(QObject):
         known = self._panel.model
         doubts = {i: own for i in range(known.rowCount()) if (own := known.get_specific_warnings(i))}
         values = known.get_values(self._figure) if known.rowCount() > 1 else ()
-        opened = self._instrument.views.translation
+        opened = self._controller.views.translation
         without = "no error known" if opened is None or opened.stream.has_truth else _NO_TRUTH
-        self._instrument.window.timeline.show_errors(describe_metric(self._figure), values, doubts, without)
+        self._controller.window.timeline.show_errors(describe_metric(self._figure), values, doubts, without)
 
     @property
     def _wanted(self) -> bool:
         """Whether somebody sees the table, or errors can be known, which the timeline shows."""
-        opened = self._instrument.views.translation
-        return self._instrument.window.drawers.frames.isVisible() or (opened is not None and opened.stream.has_truth)
+        opened = self._controller.views.translation
+        return self._controller.window.drawers.frames.isVisible() or (opened is not None and opened.stream.has_truth)
 
     def _step(self, by: int) -> None:
         self._panel.step_by_metric(by, sort_order=_worst_first(self._figure))
@@ -94,18 +94,18 @@ class FrameRankingController(QObject):
             self._rest.start(ms)
 
     def _ask(self) -> None:
-        instrument = self._instrument
-        frame = self._panel.model.find_unknown_frame(instrument.session.frame)
-        if frame < 0 or instrument.window.timeline.is_playing or not instrument.is_idle:
+        controller = self._controller
+        frame = self._panel.model.find_unknown_frame(controller.session.frame)
+        if frame < 0 or controller.window.timeline.is_playing or not controller.is_idle:
             return
-        session, evaluator = instrument.session, instrument.evaluator
-        self._ticket = instrument.submit_background(
+        session, evaluator = controller.session, controller.evaluator
+        self._ticket = controller.submit_background(
             lambda report: evaluator.evaluate_in_background(session, frame, report)
         )
 
     def _take(self, ticket: int, found: object) -> None:
         if ticket == self._ticket and isinstance(found, SummarisedFrame):
-            if found.settings == self._instrument.session.settings:
+            if found.settings == self._controller.session.settings:
                 self._panel.model.show_summary(found.index, found.summary)
             self._soon(0)
         elif self._wanted and not self._rest.isActive():

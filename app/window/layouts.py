@@ -18,9 +18,9 @@ _OF_PANES = "panes"  # changes of panes that follow each other are one undo step
 class LayoutController(QObject):
     """Between the session's layout and the window's."""
 
-    def __init__(self, instrument: SessionController) -> None:
-        super().__init__(instrument)
-        self._instrument, self._window = instrument, instrument.window
+    def __init__(self, controller: SessionController) -> None:
+        super().__init__(controller)
+        self._controller, self._window = controller, controller.window
         self._before: ComparisonMode | None = None  # what was shown before *Align*
         self._opened = False  # whether its drawer came with it
         self._shown: LayoutName = "stages"
@@ -31,30 +31,30 @@ class LayoutController(QObject):
         panes.stage_chosen.connect(self._choose_slot)
         panes.dims_chosen.connect(self._choose_dims)
         panes.count_chosen.connect(self._choose_count)
-        instrument.session_shown.connect(self._show_session)
-        window.show_layout(instrument.session.layout)
+        controller.session_shown.connect(self._show_session)
+        window.show_layout(controller.session.layout)
 
     @property
     def _now(self) -> Layout:
         """The layout with its panes as they stand, those of slots that the route lacks filled by others."""
-        layout = self._instrument.session.layout
+        layout = self._controller.session.layout
         return replace(layout, panes=layout.resolve_panes(self._window.route_columns) or layout.panes)
 
     def choose_layout(self, name: LayoutName) -> None:
         """Arrange the window so."""
-        layout = replace(self._instrument.session.layout, name=name, arrangement=None)
-        self._instrument.change(f"show {name}", layout=layout)
-        self._window.show_layout(self._instrument.session.layout)  # the command's tick, if it was chosen already
+        layout = replace(self._controller.session.layout, name=name, arrangement=None)
+        self._controller.change(f"show {name}", layout=layout)
+        self._window.show_layout(self._controller.session.layout)  # the command's tick, if it was chosen already
 
     def show_stage(self, stage: str) -> None:
         """Put a slot into the active pane."""
         self._arrange(self._now.with_stage(self._window.panes.active_pane, stage))
 
     def _change_between(self) -> None:
-        self.choose_layout("stages" if self._instrument.session.layout.name == "inspect" else "inspect")
+        self.choose_layout("stages" if self._controller.session.layout.name == "inspect" else "inspect")
 
     def _arrange(self, layout: Layout) -> None:
-        self._instrument.change("arrange the panes", key=_OF_PANES, layout=layout)
+        self._controller.change("arrange the panes", key=_OF_PANES, layout=layout)
 
     def _choose_slot(self, pane: int, stage: str) -> None:
         self._arrange(self._now.with_stage(pane, stage))
@@ -75,12 +75,12 @@ class LayoutController(QObject):
                 other.hide()
         self._shown = name
         if aligned and self._before is None:
-            self._before, self._opened = self._instrument.views.comparison_mode, drawer.isHidden()
+            self._before, self._opened = self._controller.views.comparison_mode, drawer.isHidden()
             drawer.show()
             drawer.raise_()
-            self._instrument.set_comparison_mode(self._before or "difference")
+            self._controller.set_comparison_mode(self._before or "difference")
         elif not aligned and self._before is not None:
             before, self._before = self._before, None
             if self._opened:
                 drawer.hide()
-            self._instrument.set_comparison_mode(before)
+            self._controller.set_comparison_mode(before)

@@ -28,11 +28,11 @@ _CLOSE_S = 5.0  # for a recording's last frames to be written when the window go
 
 
 class LiveController(QObject):
-    """Between a reader and the instrument; nothing here waits for a sensor or a disk."""
+    """Between a reader and the controller; nothing here waits for a sensor or a disk."""
 
-    def __init__(self, instrument: SessionController, keeping: AutosaveController) -> None:
-        super().__init__(instrument)
-        self._instrument, self._keeping, self._window = instrument, keeping, instrument.window
+    def __init__(self, controller: SessionController, keeping: AutosaveController) -> None:
+        super().__init__(controller)
+        self._controller, self._keeping, self._window = controller, keeping, controller.window
         self.live_bar, self.dialog = LiveBar(), LiveDialog(self._window)
         self._window.add_strip(self.live_bar)
         self.dialog.show_choices(list_sensor_names(), shapes.list_shapes())
@@ -52,12 +52,12 @@ class LiveController(QObject):
         self.live_bar.follow_toggled.connect(self.set_following)
         self.live_bar.stop_requested.connect(self.stop_watching)
         self._window.timeline.frame_chosen.connect(self._looked_back)
-        instrument.closing.connect(self._close)
+        controller.closing.connect(self._close)
 
     @property
     def is_on_screen(self) -> bool:
         """Whether what is watched is what is open."""
-        return self.reader is not None and self._instrument.session.recording == self._path
+        return self.reader is not None and self._controller.session.recording == self._path
 
     def show_dialog(self) -> None:
         """Ask which sensor."""
@@ -105,7 +105,7 @@ class LiveController(QObject):
         try:
             self.recorder = LiveRecorder(path, self.reader.source.title)
         except TouchError as error:
-            self._instrument.show_problem(error)
+            self._controller.show_problem(error)
         else:
             self.reader.set_listener(self.recorder.offer)
         self.live_bar.show_state(following=self.is_following, recording=self.recorder is not None)
@@ -125,7 +125,7 @@ class LiveController(QObject):
         try:
             self.watch_source(parse_source(words, sensor=sensor, tool=tool, rate_hz=rate_hz))
         except TouchError as error:
-            self._instrument.show_problem(error)
+            self._controller.show_problem(error)
 
     def _list_cameras(self) -> None:
         cameras = [
@@ -163,20 +163,20 @@ class LiveController(QObject):
     def _open(self, reader: LiveReader) -> None:
         mount(self._path, lambda path=self._path: reader.make_recording(path))
         self._opened = self._path
-        self._instrument.change(
+        self._controller.change(
             "watch a sensor", recording=self._path, frame=reader.n_frames - 1, source="", stream="", reference=None,
             calibration=None, mesh=None, mesh_unit="auto", depth_unit="auto",
         )  # fmt: skip
 
     def _grow(self, n_frames: int) -> None:
-        instrument, opened = self._instrument, self._instrument.views.translation
-        if opened is None or opened.request.recording != self._path or not instrument.is_idle:
+        controller, opened = self._controller, self._controller.views.translation
+        if opened is None or opened.request.recording != self._path or not controller.is_idle:
             return
         if not self._window.timeline.slider.isSliderDown():
             self._window.timeline.show_frames(n_frames)
             self._window.frames.model.grow_to(n_frames)
-        if self.is_following and instrument.session.frame != n_frames - 1:
-            instrument.choose_frame(n_frames - 1)
+        if self.is_following and controller.session.frame != n_frames - 1:
+            controller.choose_frame(n_frames - 1)
 
     def _say(self, status: ReaderStatus) -> None:
         rates = f"{status.state} · {status.rate_hz:.1f} Hz · {status.n_frames} frames · {status.n_lost} lost"

@@ -20,9 +20,9 @@ _SHOWS = {SOURCE: "depth", "cloud": "target_depth"}  # whose contact is fitted i
 class PanZoomController(QObject):
     """Pans and zooms the pictures of all columns."""
 
-    def __init__(self, instrument: SessionController) -> None:
-        super().__init__(instrument)
-        self._instrument, self._window = instrument, instrument.window
+    def __init__(self, controller: SessionController) -> None:
+        super().__init__(controller)
+        self._controller, self._window = controller, controller.window
         self._views = {name: column.view for name, column in self._window.columns.items()}
         self._fit, self._link = (self._window.actions_by_name[name] for name in ("fit_contact", "link_previews"))
         for name, view in self._views.items():
@@ -30,7 +30,7 @@ class PanZoomController(QObject):
         self._fit.toggled.connect(self._fit_all)
         self._link.toggled.connect(partial(self._moved, "depth"))
         self._window.connect_command("reset_view", self._reset)
-        instrument.frame_shown.connect(self._frame_shown)
+        controller.frame_shown.connect(self._frame_shown)
 
     def _reset(self) -> None:
         self._fit.setChecked(False)
@@ -62,7 +62,7 @@ class PanZoomController(QObject):
 
     def _moved(self, name: str, *_: object) -> None:
         """What one picture looks at, the others look at, as large."""
-        opened, view = self._instrument.views.translation, self._views.get(name)
+        opened, view = self._controller.views.translation, self._views.get(name)
         if not self._link.isChecked() or opened is None or view is None or view.preview is None:
             return
         own = view.preview

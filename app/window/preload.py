@@ -16,13 +16,13 @@ _AFTER_MS = 700  # the window, its 3D views among it, comes first
 class PreloadController(QObject):
     """Works once, on a thread of its own; what is opened meanwhile loads the same, and goes first."""
 
-    def __init__(self, instrument: SessionController) -> None:
-        super().__init__(instrument)
+    def __init__(self, controller: SessionController) -> None:
+        super().__init__(controller)
         self.job = LatestJob("warming", self)
         self.start_timer = make_single_shot_timer(self, _AFTER_MS, lambda: self.job.submit(preload_depth))
-        instrument.session_shown.connect(self._stop)
-        instrument.closing.connect(self._close)
-        if instrument.session.recording is None:
+        controller.session_shown.connect(self._stop)
+        controller.closing.connect(self._close)
+        if controller.session.recording is None:
             self.start_timer.start()
 
     def _stop(self, session: Session) -> None:

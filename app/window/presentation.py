@@ -13,9 +13,9 @@ from widgets.magnifier import Magnifier
 class PresentationController(QObject):
     """Between the commands and the window; a picture's values are looked up only while the magnifier is on."""
 
-    def __init__(self, instrument: SessionController) -> None:
-        super().__init__(instrument)
-        self._instrument, self._window = instrument, instrument.window
+    def __init__(self, controller: SessionController) -> None:
+        super().__init__(controller)
+        self._controller, self._window = controller, controller.window
         self._whole, self._large = (self._window.actions_by_name[name] for name in ("full_screen", "magnify"))
         self.magnifier = Magnifier(self._window)
         self._window.connect_command("full_screen", self._fill)
@@ -23,7 +23,7 @@ class PresentationController(QObject):
         self._window.connect_command("magnify", self._magnify)
         for column in self._window.columns.values():
             column.pixel_hovered.connect(self._point)
-        instrument.probe.pixel_moved.connect(self._point)
+        controller.probe.pixel_moved.connect(self._point)
 
     def copy_image(self) -> None:
         """The pane in front, or the window where several are, on the clipboard."""

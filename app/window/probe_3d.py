@@ -32,9 +32,9 @@ class _Surface:
 class Probe3DController(QObject):
     """Listens to the 3D views of the columns: what the pointer is over is traced, a click pins it."""
 
-    def __init__(self, instrument: SessionController) -> None:
-        super().__init__(instrument)
-        self._instrument, self._window = instrument, instrument.window
+    def __init__(self, controller: SessionController) -> None:
+        super().__init__(controller)
+        self._controller, self._window = controller, controller.window
         self._at: tuple[str, QPointF] | None = None
         self._surfaces: dict[str, _Surface] = {}
         self._soon = make_single_shot_timer(self, _AFTER_MS, self._hover)
@@ -48,16 +48,16 @@ class Probe3DController(QObject):
             self._soon.start()
 
     def _hover(self) -> None:
-        if self._at is None or self._instrument.is_closed:
+        if self._at is None or self._controller.is_closed:
             return
         found = self._pixel(*self._at)
         if found is not None:
-            self._instrument.probe.probe_pixel(self._at[0], *found)
+            self._controller.probe.probe_pixel(self._at[0], *found)
 
     def _clicked(self, name: str, at: QPointF) -> None:
         found = self._pixel(name, at)
         if found is not None:
-            self._instrument.probe.toggle_pin(name, *found)
+            self._controller.probe.toggle_pin(name, *found)
 
     def _pixel(self, name: str, at: QPointF) -> tuple[int, int] | None:
         """(row, col) of the picture that is seen at a place of its 3D view; None where none is near."""
@@ -65,16 +65,16 @@ class Probe3DController(QObject):
         if surface is None or not len(surface.points_mm):
             return None
         column = list(self._window.columns).index(name)
-        index = self._instrument.views.scene.find_nearest_point(column, at, surface.points_mm)
+        index = self._controller.views.scene.find_nearest_point(column, at, surface.points_mm)
         return None if index < 0 else (int(surface.pixel_row_col[index, 0]), int(surface.pixel_row_col[index, 1]))
 
     def _surface(self, name: str) -> _Surface | None:
-        opened, picture = self._instrument.views.translation, self._window.columns[name].view.preview
+        opened, picture = self._controller.views.translation, self._window.columns[name].view.preview
         if opened is None or picture is None:
             return None
         slot = None if name == SOURCE else opened.catalogue.stage(name)
         sensor = opened.source if slot is None or slot.sensor_role == "source" else opened.target
-        display = self._instrument.session.display
+        display = self._controller.session.display
         times = display.get_depth_stretch(sensor) if slot is not None and slot.exaggerates_indentation else 1.0
         kept = self._surfaces.get(name)
         if kept is not None and kept.preview is picture and kept.depth_stretch == times:

@@ -26,11 +26,11 @@ _TRUTH = "truth"  # the column that demonstrations have besides
 
 
 class SectionLineController(QObject):
-    """Between the pictures, the tab, the command and the line of the instrument."""
+    """Between the pictures, the tab, the command and the line of the controller."""
 
-    def __init__(self, instrument: SessionController) -> None:
-        super().__init__(instrument)
-        self._instrument, self._window = instrument, instrument.window
+    def __init__(self, controller: SessionController) -> None:
+        super().__init__(controller)
+        self._controller, self._window = controller, controller.window
         self._panel, self._action = self._window.section_panel, self._window.actions_by_name["section_line"]
         self._last: SectionLine | None = None  # that was laid before it was taken away
         self._views = {name: column.view for name, column in self._window.columns.items()}
@@ -43,14 +43,14 @@ class SectionLineController(QObject):
             make_single_shot_timer(self, _AFTER_MS, self._show),
             make_single_shot_timer(self, _AFTER_MS, self._cut),
         )
-        self._panel.line_typed.connect(instrument.set_section)
+        self._panel.line_typed.connect(controller.set_section)
         self._panel.add_command(self._action)
         self._panel.installEventFilter(self)
         self._window.connect_command("section_line", self._toggle)
-        instrument.section_changed.connect(self._moved)
-        instrument.job.delivered.connect(self._delivered)
-        instrument.frame_shown.connect(self._delivered)
-        instrument.closing.connect(self._close)
+        controller.section_changed.connect(self._moved)
+        controller.job.delivered.connect(self._delivered)
+        controller.frame_shown.connect(self._delivered)
+        controller.closing.connect(self._close)
 
     def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
         """Nothing is cut while nobody sees the tab."""
@@ -59,25 +59,25 @@ class SectionLineController(QObject):
         return super().eventFilter(a0, a1)
 
     def _toggle(self) -> None:
-        instrument, window = self._instrument, self._window
-        if instrument.section is not None:
-            instrument.set_section(None)
+        controller, window = self._controller, self._window
+        if controller.section is not None:
+            controller.set_section(None)
             return
         line = self._last or self._first()
         if line is None:  # nothing is open
             self._action.setChecked(False)
             return
-        instrument.set_section(line)
+        controller.set_section(line)
         window.drawers.diagnostics.show()
         window.drawers.diagnostics.raise_()
         window.tabs.setCurrentWidget(self._panel)
 
     def _first(self) -> SectionLine | None:
         """Across the source, through where it is pushed in deepest."""
-        opened = self._instrument.views.translation
+        opened = self._controller.views.translation
         if opened is None:
             return None
-        camera, part = opened.source.camera, self._instrument.views.get_shown_stage("depth")
+        camera, part = opened.source.camera, self._controller.views.get_shown_stage("depth")
         x_px, y_px = 0.5 * (camera.cols - 1), 0.5 * (camera.rows - 1)
         depth = part.result.output if isinstance(part, StagePreview) else None
         if isinstance(depth, DepthMap) and depth.contact.any():
@@ -100,7 +100,7 @@ class SectionLineController(QObject):
         if sheet is not None:
             line = _line(*(sheet.backproject_to_mm(at.x() - 0.5, at.y() - 0.5) for at in (begin, end)))
             if line is not None:
-                self._instrument.set_section(line)
+                self._controller.set_section(line)
 
     def _moved(self, line: SectionLine | None) -> None:
         self._last = line or self._last
@@ -114,13 +114,13 @@ class SectionLineController(QObject):
             self._delivered()
 
     def _delivered(self, *_: object) -> None:
-        if self._instrument.section is not None and not self._soon.isActive():
+        if self._controller.section is not None and not self._soon.isActive():
             self._soon.start()
 
     def _show(self) -> None:
         """The line in every picture."""
-        line = self._instrument.section
-        if line is None or self._instrument.is_closed:
+        line = self._controller.section
+        if line is None or self._controller.is_closed:
             return
         for name, hand in self._hands.items():
             sheet = self._sheet(name)
@@ -132,14 +132,14 @@ class SectionLineController(QObject):
 
     def _cut(self) -> None:
         """The curves along the line, where somebody sees them."""
-        line = self._instrument.section
+        line = self._controller.section
         if line is not None and self._panel.isVisible():
             fields = self._fields()
             self._panel.show_section(cross_section.cut_section(line, fields) if fields else None)
 
     def _fields(self) -> tuple[HeightMap, ...]:
         """What is true, then whatever is worked out and has heights, in the order of the columns."""
-        opened, screen = self._instrument.views.translation, self._instrument.views
+        opened, screen = self._controller.views.translation, self._controller.views
         if opened is None:
             return ()
         source = screen.get_shown_stage(SOURCE)
@@ -152,16 +152,16 @@ class SectionLineController(QObject):
             for name, part in parts.items()
             if part is not None and self._window.columns[name].state not in _OLD
         ]
-        return cross_section.collect_height_maps(opened, facts, shown, self._instrument.session.offsets)
+        return cross_section.collect_height_maps(opened, facts, shown, self._controller.session.offsets)
 
     def _sheet(self, name: str) -> SectionPlane | None:
         """The plane of the line as a column's picture has it."""
-        opened, picture = self._instrument.views.translation, self._views[name].preview
+        opened, picture = self._controller.views.translation, self._views[name].preview
         if opened is None or picture is None:
             return None
         place = "target" if name == _TRUTH else _place(opened, name)
         camera = cross_section.find_image_camera(picture, opened.source if place == "source" else opened.target)
-        return cross_section.build_plane(opened, place, camera, self._instrument.session.offsets)
+        return cross_section.build_plane(opened, place, camera, self._controller.session.offsets)
 
 
 def _place(opened: Translation, name: str) -> SensorRole:

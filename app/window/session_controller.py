@@ -9,13 +9,13 @@ from typing import get_args
 
 from PyQt6.QtCore import pyqtSignal
 
-from app.session.session_document import SessionDocument
 from app.session.state import Session
 from app.session.undo import list_sessions
 from app.window.controls import show_controls
 from app.window.logs import LogRelay
 from app.window.main_window import MainWindow
 from app.window.pixel_trace import PixelProbe
+from app.window.session_document import SessionDocument
 from app.window.stage_views import StageViews
 from app.work.evaluator import EvaluatedFrame, Evaluator, InitialFrame
 from app.work.jobs import JobFunction, LatestJob
@@ -130,7 +130,7 @@ class SessionController(SessionDocument):
         return self._ticket
 
     def submit_background(self, work: JobFunction) -> int:
-        """As `ahead`, for what anything else goes before: the instrument counts as idle meanwhile."""
+        """As `ahead`, for what anything else goes before: the controller counts as idle meanwhile."""
         self._background = self.submit_priority(work)
         return self._background
 

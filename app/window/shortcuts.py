@@ -18,10 +18,10 @@ _HOW = (
 class KeyboardController(QObject):
     """Gives pictures the keyboard and takes it back."""
 
-    def __init__(self, instrument: SessionController) -> None:
-        super().__init__(instrument)
-        self._window, self._tracer = instrument.window, instrument.probe
-        self._opened = lambda: instrument.views.translation is not None
+    def __init__(self, controller: SessionController) -> None:
+        super().__init__(controller)
+        self._window, self._tracer = controller.window, controller.probe
+        self._opened = lambda: controller.views.translation is not None
         for name, column in self._window.columns.items():
             keys = PreviewKeyFilter(column.view)
             keys.pixel_pointed.connect(partial(self._tracer.move_to_pixel, name))

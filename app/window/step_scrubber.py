@@ -21,29 +21,29 @@ _ON_ITS_WAY, _NONE_HERE = "steps are kept from the next answer on", "this answer
 class StepScrubberController(QObject):
     """Between the tab, the sliders under the 3D views and the session; steps are kept only where somebody asks."""
 
-    def __init__(self, instrument: SessionController) -> None:
-        super().__init__(instrument)
-        self._instrument, self._panel = instrument, instrument.window.steps_panel
-        window, panel = instrument.window, self._panel
+    def __init__(self, controller: SessionController) -> None:
+        super().__init__(controller)
+        self._controller, self._panel = controller, controller.window.steps_panel
+        window, panel = controller.window, self._panel
         panel.stage_chosen.connect(self._show)
         panel.keep_steps_requested.connect(self.set_keep_steps)
         panel.step_chosen.connect(self._choose)
         for slot, slider in window.steps.items():
             slider.keep_steps_requested.connect(self.show_steps_of)
             slider.slider.valueChanged.connect(partial(self._at, slot))
-        instrument.frame_shown.connect(self._show)
-        instrument.session_shown.connect(self._show)
+        controller.frame_shown.connect(self._show)
+        controller.session_shown.connect(self._show)
         window.connect_command("step_through", lambda: self.show_steps_of(self._panel.stage or _USUAL))
 
     def show_steps_of(self, stage: str) -> None:
         """Bring the tab to the front, and keep the steps of a slot from now on."""
-        window, layout = self._instrument.window, self._instrument.session.layout
+        window, layout = self._controller.window, self._controller.session.layout
         window.drawers.diagnostics.show()
         window.drawers.diagnostics.raise_()
         window.tabs.setCurrentWidget(self._panel)
         self._panel.choose_stage(stage)
         if stage in window.route_columns and stage not in window.visible_columns():
-            self._instrument.change("show stages", layout=Layout(panes=layout.panes))
+            self._controller.change("show stages", layout=Layout(panes=layout.panes))
         self.set_keep_steps(stage, keep=True)
         self._show()
 
@@ -51,33 +51,33 @@ class StepScrubberController(QObject):
         """Whether the steps of a slot are kept."""
         method = self._method(stage)
         if method is not None and (name := _keeps(method)):
-            session = self._instrument.session
+            session = self._controller.session
             params = {**session.params, method.key: replace_value(session.get_params(method), name, keep)}
-            self._instrument.change("keep steps" if keep else "keep no steps", params=params)
+            self._controller.change("keep steps" if keep else "keep no steps", params=params)
 
     def _method(self, stage: str) -> Method | None:
-        opened = self._instrument.views.translation
+        opened = self._controller.views.translation
         return None if opened is None else next((m for m in opened.methods if m.stage == stage), None)
 
     def _show(self, *_: object) -> None:
-        instrument, window, panel = self._instrument, self._instrument.window, self._panel
-        titles = {slot: instrument.catalogue.stage(slot).title for slot in window.route_columns if slot in window.steps}
+        controller, window, panel = self._controller, self._controller.window, self._panel
+        titles = {slot: controller.catalogue.stage(slot).title for slot in window.route_columns if slot in window.steps}
         panel.offer_stages(titles)
         for slot, slider in window.steps.items():
             slider.set_can_keep_steps(can_keep=(method := self._method(slot)) is not None and bool(_keeps(method)))
-        method, part = self._method(panel.stage), instrument.views.get_shown_stage(panel.stage)
+        method, part = self._method(panel.stage), controller.views.get_shown_stage(panel.stage)
         name = "" if method is None else _keeps(method)
-        kept = bool(name) and method is not None and bool(list_settings(instrument.session.get_params(method))[name][0])
+        kept = bool(name) and method is not None and bool(list_settings(controller.session.get_params(method))[name][0])
         way = part.step_history if isinstance(part, StagePreview) else None
         why_not = _CANNOT.format(titles.get(panel.stage, "this slot")) if method is not None and not name else ""
         if kept and way is None:
-            why_not = _NONE_HERE if instrument.is_idle else _ON_ITS_WAY
+            why_not = _NONE_HERE if controller.is_idle else _ON_ITS_WAY
         panel.show_history(way, keeps_steps=kept, can_keep_steps=bool(name), why_not=why_not)
         if way is not None:
             panel.show_step(window.steps[panel.stage].slider.value())
 
     def _choose(self, stage: str, at: int) -> None:
-        self._instrument.window.steps[stage].slider.setValue(at)
+        self._controller.window.steps[stage].slider.setValue(at)
 
     def _at(self, stage: str, at: int) -> None:
         if stage == self._panel.stage:

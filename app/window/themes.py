@@ -28,13 +28,13 @@ def apply_theme(theme: Theme) -> None:
 class ThemeController(QObject):
     """Between the commands and the palette."""
 
-    def __init__(self, instrument: SessionController, keeping: AutosaveController, theme: Theme) -> None:
-        super().__init__(instrument)
-        self._instrument, self._keeping = instrument, keeping
+    def __init__(self, controller: SessionController, keeping: AutosaveController, theme: Theme) -> None:
+        super().__init__(controller)
+        self._controller, self._keeping = controller, keeping
         self.theme: Theme = theme
         group = QActionGroup(self)
         for name in get_args(Theme):
-            action = instrument.window.actions_by_name[f"theme_{name}"]
+            action = controller.window.actions_by_name[f"theme_{name}"]
             group.addAction(action)
             action.setChecked(name == theme)
             action.triggered.connect(partial(self.choose_theme, name))
@@ -50,4 +50,4 @@ class ThemeController(QObject):
 
     def _follow(self) -> None:
         apply_theme(self.theme)
-        self._instrument.views.update_captions(self._instrument.session)
+        self._controller.views.update_captions(self._controller.session)

@@ -14,25 +14,25 @@ _COMMANDS = ("open_sample", "open_recording", "open_folder", "live")
 
 
 class WelcomeController(QObject):
-    """Between the page and the instrument."""
+    """Between the page and the controller."""
 
-    def __init__(self, instrument: SessionController, keeping: AutosaveController) -> None:
-        super().__init__(instrument)
-        self._instrument, self._keeping, window = instrument, keeping, instrument.window
+    def __init__(self, controller: SessionController, keeping: AutosaveController) -> None:
+        super().__init__(controller)
+        self._controller, self._keeping, window = controller, keeping, controller.window
         centre = window.centralWidget()
         assert centre is not None
         actions = window.actions_by_name
         self.page = WelcomePage(centre, window.pages, [actions[name] for name in _COMMANDS])
-        self.page.recent_chosen.connect(instrument.open_path)
+        self.page.recent_chosen.connect(controller.open_path)
         self.page.hide()
         actions["open_sample"].setEnabled(SAMPLE_RECORDING.exists())
         window.connect_command("open_sample", self.open_sample)
-        instrument.session_shown.connect(self.show_session)
-        self.show_session(instrument.session)
+        controller.session_shown.connect(self.show_session)
+        self.show_session(controller.session)
 
     def open_sample(self) -> None:
         """Open the recording that comes along."""
-        self._instrument.open_path(SAMPLE_RECORDING)
+        self._controller.open_path(SAMPLE_RECORDING)
 
     def show_session(self, session: Session) -> None:
         """Show the page while nothing is open."""

@@ -83,7 +83,10 @@ def draw_before_and_after(
             picture = picture if gap is None else gap
         # One outline would lie over both sides of the handle; what was felt is the same on either.
         return replace(
-            picture, outline_px=None, observed_outline_px=frame.observed_outline_px, caption="left: as it is; right: as refined"
+            picture,
+            outline_px=None,
+            observed_outline_px=frame.observed_outline_px,
+            caption="left: as it is; right: as refined",
         )
 
     return BeforeAfter(before=draw_preview(session.offsets), after=draw_preview(refined_to))

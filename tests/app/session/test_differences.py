@@ -14,14 +14,14 @@ from pipeline.translation.catalogue import BUILT_IN
 ONE = Session(recording=Path("a/one.h5"), target="gelslim", frame=3)
 
 
-def test_all_that_results_rest_on_is_told_and_nothing_else():
+def test_only_what_results_depend_on_is_listed():
     method = CLOUD.methods[0]
     other = replace(
         ONE, recording=Path("b/two.h5"), frame=4, methods={"target_depth": "paper"}, offsets=Offsets(translation_mm=(1.0, 0.0, 0.0)),
         params={method.key: replace(method.params(), stride=4)}, cameras_linked=False,
     )  # fmt: skip
     assert describe_differences(ONE, other, BUILT_IN) == (
-        "recording: one.h5 | two.h5", "the alignment is moved otherwise", "cloud.stride: 1 | 4", "target_depth: Surface | Paper",
+        "recording: one.h5 | two.h5", "alignment offsets differ", "cloud.stride: 1 | 4", "target_depth: Surface | Paper",
     )  # fmt: skip
 
 

@@ -16,7 +16,6 @@ from pipeline.base.errors import FileProblem
 from pipeline.base.params import replace_value
 from pipeline.previews.display_params import DisplayParams
 from pipeline.sensors.offsets import Offsets
-from pipeline.translation.catalogue import BUILT_IN
 
 
 def a_session(folder: Path) -> Session:
@@ -28,26 +27,26 @@ def a_session(folder: Path) -> Session:
     display = replace_value(DisplayParams(), "gel_stretch", 5.0)
     other = Session(recording=folder / "b.h5", target="gelslim", frame=7, methods={"target_depth": "paper"})
     session = session.with_updates(
-        held=other, comparison=ComparisonSettings(tab="two", order="in order", stage="target_depth", seeds=5)
+        variant=other, comparison=ComparisonSettings(tab="two", order="in order", stage="target_depth", seeds=5)
     )
     return session.with_updates(params={**session.params, "display": display})
 
 
-def test_a_session_comes_back_as_it_was_saved(tmp_path):
+def test_a_saved_session_loads_unchanged(tmp_path):
     session = a_session(tmp_path)
     save_session(session, tmp_path / "s.touch.json")
     assert load_session(tmp_path / "s.touch.json") == session
 
 
-def test_where_the_3d_views_look_is_kept_but_is_no_change(tmp_path):
-    looked = {"depth": tuple(float(n) for n in range(10))}
-    session = replace(a_session(tmp_path), cameras=looked)
+def test_cameras_are_saved_but_are_no_change(tmp_path):
+    cameras = {"depth": tuple(float(n) for n in range(10))}
+    session = replace(a_session(tmp_path), cameras=cameras)
     assert session == a_session(tmp_path)
     save_session(session, tmp_path / "s.touch.json")
-    assert load_session(tmp_path / "s.touch.json").cameras == looked
+    assert load_session(tmp_path / "s.touch.json").cameras == cameras
 
 
-def test_paths_are_kept_relative_so_that_a_folder_can_be_moved(tmp_path):
+def test_paths_are_relative_to_the_session_file(tmp_path):
     old, new = tmp_path / "old", tmp_path / "new"
     old.mkdir()
     save_session(a_session(old), old / "s.touch.json")
@@ -60,15 +59,15 @@ def test_paths_are_kept_relative_so_that_a_folder_can_be_moved(tmp_path):
     ("change", "field"),
     [
         ({"frame": "three"}, "frame"),
-        ({"compared": {"tab": "sideways"}}, "compared"),
-        ({"compared": {"seeds": "three"}}, "compared"),
+        ({"comparison": {"tab": "sideways"}}, "comparison"),
+        ({"comparison": {"seeds": "three"}}, "comparison"),
         ({"cameras": {"depth": [1.0, 2.0]}}, "cameras"),
-        ({"held": {"tactoscope session": 2}}, "source"),
+        ({"variant": {"tactoscope session": 3}}, "source"),
         ({"frame": -1}, "frame"),
         ({"route": "sideways"}, "route"),
         ({"target": 4}, "target"),
         ({"params": {"display": {"gel_stretch": 1000.0}}}, "params.display.gel_stretch"),
-        ({"params": {"unheard": {}}}, "params.unheard"),
+        ({"params": {"unknown": {}}}, "params.unknown"),
         ({"offsets": {"shift_mm": [0, 0]}}, "offsets"),
         ({"weights": ["a.safetensors"]}, "weights"),
         ({"weights": {"depth": 3}}, "weights"),
@@ -83,15 +82,6 @@ def test_a_damaged_session_names_the_field(tmp_path, change, field):
     assert caught.value.field == field
 
 
-def test_a_session_from_before_alignments_could_be_moved_still_opens(tmp_path):
-    path = tmp_path / "s.touch.json"
-    save_session(a_session(tmp_path), path)
-    data = json.loads(path.read_text())
-    del data["offsets"]
-    path.write_text(json.dumps(data))
-    assert load_session(path) == replace(a_session(tmp_path), offsets=Offsets())
-
-
 def test_offsets_stay_only_with_the_alignment_they_were_made_from(tmp_path):
     session = a_session(tmp_path)
     assert session.with_updates(frame=3).offsets == session.offsets
@@ -102,7 +92,7 @@ def test_offsets_stay_only_with_the_alignment_they_were_made_from(tmp_path):
     assert from_file.with_updates(alignment=None).offsets.is_zero
 
 
-def test_a_file_that_is_no_session_says_so(tmp_path):
+def test_a_file_that_is_no_session_is_refused(tmp_path):
     path = tmp_path / "s.touch.json"
     path.write_text("{}")
     with pytest.raises(FileProblem, match="not a session"):
@@ -127,33 +117,14 @@ def test_a_drag_is_one_undo_step(qapp):
     assert shown[-1].frame == 49
 
 
-def test_changes_of_different_kinds_stay_apart(qapp):
+def test_changes_with_different_keys_do_not_merge(qapp):
     stack = QUndoStack()
     for key in ("frame", "params depth", ""):
         stack.push(SessionChange(old=Session(), new=Session(frame=1), text=key, key=key, show=lambda _s: None))
     assert stack.count() == 3
 
 
-def test_a_session_of_before_is_read_with_what_has_become_a_method(tmp_path):
-    path = tmp_path / "old.touch.json"
-    words = {"source": "", "target": "gelslim", "stream": "", "route": "t2d2", "mesh_unit": "auto"}
-    params = {
-        "adapt": {"stride": 3},
-        "project": {"mode": "paper", "jump_mm": 2.0},
-        "pose": {"method": "surface", "seed": 4},
-        "display": {"gel_stretch": 5.0},
-    }
-    path.write_text(json.dumps({"tactoscope session": 1, "frame": 2, "linked": True, **words, "params": params}))
-    session = load_session(path)
-    assert session.methods == {"target_depth": "paper"}
-    given = {method.stage: session.get_params(method) for method in BUILT_IN.methods("t2d2")}
-    assert (given["cloud"].stride, given["target_depth"].jump_mm, given["pose"].seed) == (3, 2.0, 4)
-    assert session.display.gel_stretch == 5.0
-    save_session(session, path)
-    assert load_session(path) == session
-
-
-def test_the_unit_of_depth_is_kept_and_an_unknown_one_is_named(tmp_path):
+def test_the_depth_unit_is_saved_and_an_unknown_one_is_refused(tmp_path):
     path = tmp_path / "s.touch.json"
     save_session(Session(target="gelslim", depth_unit="0.1mm"), path)
     assert load_session(path).depth_unit == "0.1mm"

@@ -81,7 +81,9 @@ def test_arrangements_outlive_the_window_and_can_be_renamed_and_deleted(open_win
     act["rename_arrangement"].trigger()
     assert [layout.arrangement.name for layout in own.arrangements] == ["one", "three"]
     act["delete_arrangement"].trigger()
-    assert [layout.arrangement.name for layout in open_window().findChild(ArrangementController).arrangements] == ["one"]
+    assert [layout.arrangement.name for layout in open_window().findChild(ArrangementController).arrangements] == [
+        "one"
+    ]
 
 
 @pytest.mark.parametrize(

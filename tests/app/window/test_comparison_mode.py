@@ -92,7 +92,9 @@ def test_blinking_shows_both_in_turns_until_it_is_switched_off(window, qtbot):
     _choose(window, "blink")
     overlay = window.window.columns["depth"].view.overlay
     seen = set()
-    qtbot.waitUntil(lambda: len(seen.union({overlay.is_visible}) and (seen.add(overlay.is_visible) or seen)) == 2, timeout=5000)
+    qtbot.waitUntil(
+        lambda: len(seen.union({overlay.is_visible}) and (seen.add(overlay.is_visible) or seen)) == 2, timeout=5000
+    )
     _choose(window, "blink")
     assert not overlay.is_visible
     assert not overlay.is_blinking
@@ -102,7 +104,9 @@ def test_no_truth_is_worked_out_while_nobody_asks(window, monkeypatch):
     translation = type(window.views.opened)
     asked = []
     honest = translation.truths
-    monkeypatch.setattr(translation, "read_true_outputs", lambda self, index: asked.append(index) or honest(self, index))
+    monkeypatch.setattr(
+        translation, "read_true_outputs", lambda self, index: asked.append(index) or honest(self, index)
+    )
     window.choose_frame(7)
     assert wait_until_shown(window, LIMIT_S)
     assert not asked

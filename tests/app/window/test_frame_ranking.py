@@ -31,7 +31,9 @@ def test_every_frame_of_known_truth_is_worked_out_and_the_worst_is_a_key_away(wi
     known = panel.model
     qtbot.waitUntil(lambda: known.find_unknown_frame(5) < 0, timeout=LIMIT_MS)
     assert window.session.frame == 5
-    figures = {f: known.get_summary(f).metrics.get("touch_depth.contact_mae_mm", math.nan) for f in range(known.rowCount())}
+    figures = {
+        f: known.get_summary(f).metrics.get("touch_depth.contact_mae_mm", math.nan) for f in range(known.rowCount())
+    }
     ranked = sorted((f for f, v in figures.items() if math.isfinite(v)), key=figures.__getitem__, reverse=True)
     line = window.window.timeline.errors
     qtbot.waitUntil(lambda: line.worst_frame == ranked[0], timeout=LIMIT_MS)  # nobody opened the table

@@ -45,7 +45,8 @@ def test_panes_have_room_with_any_drawer_open(bubble_window, qtbot):
             def roomy(size=size, wide=wide, high=high) -> bool:
                 shown = [min(v.canvas_size_px.width(), v.canvas_size_px.height() / v.height_over_width) for v in views]
                 return window.window.size() == QSize(*size) and all(
-                    s >= wide and s * v.height_over_width >= min(high, wide * v.height_over_width) for s, v in zip(shown, views, strict=True)
+                    s >= wide and s * v.height_over_width >= min(high, wide * v.height_over_width)
+                    for s, v in zip(shown, views, strict=True)
                 )
 
             qtbot.waitUntil(roomy, timeout=3000)

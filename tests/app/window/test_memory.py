@@ -9,7 +9,7 @@ import numpy as np
 from PyQt6.QtGui import QImage
 
 from app.session.state import Session
-from app.session.undo import MAX_STEPS, SessionChange
+from app.session.undo import MAX_UNDO_STEPS, SessionChange
 from pipeline.base.memo import Memo
 from tests.app.window.window_checks import kept_bytes
 
@@ -17,16 +17,16 @@ from tests.app.window.window_checks import kept_bytes
 def test_steps_that_can_be_taken_back_end_somewhere(open_window):
     stack, shown = open_window().undo_stack, deque[Session](maxlen=1)
     session = Session()
-    for frame in range(1, MAX_STEPS + 201):
+    for frame in range(1, MAX_UNDO_STEPS + 201):
         new = Session(frame=frame)
         stack.push(SessionChange(old=session, new=new, text="go", key="", show=shown.append))
         session = new
     del new
-    assert stack.count() == MAX_STEPS
+    assert stack.count() == MAX_UNDO_STEPS
     gc.collect()
-    assert sum(type(thing) is Session for thing in gc.get_objects()) < MAX_STEPS + 50
+    assert sum(type(thing) is Session for thing in gc.get_objects()) < MAX_UNDO_STEPS + 50
     stack.undo()
-    assert shown[0].frame == MAX_STEPS + 199
+    assert shown[0].frame == MAX_UNDO_STEPS + 199
     stack.clear()
 
 

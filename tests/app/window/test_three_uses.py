@@ -42,7 +42,9 @@ def test_a_new_user_finds_out_mends_keeps_and_hands_on(hands, qtbot, tmp_path, m
 
     # Why did it fail? The worst frame, truth under the wipe handle, a pixel's whole way with truth at its end.
     known = window.frames.model
-    qtbot.waitUntil(lambda: sum(known.get_summary(i) is not None for i in range(known.rowCount())) > 3, timeout=LIMIT_MS)
+    qtbot.waitUntil(
+        lambda: sum(known.get_summary(i) is not None for i in range(known.rowCount())) > 3, timeout=LIMIT_MS
+    )
     press(_KEY.Key_J, Qt.KeyboardModifier.ShiftModifier)
     worst = instrument.session.frame
     press(_KEY.Key_W)

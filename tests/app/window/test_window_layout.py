@@ -61,7 +61,9 @@ def test_captions_under_3d_views_are_told_as_fully_as_there_is_room(bubble_windo
     window.resize(1366, 768)
     for drawer in window.drawers.all_drawers:
         drawer.toggleViewAction().trigger()
-    qtbot.waitUntil(lambda: all(c.caption.sizeHint().width() <= c.width() for c in window.view_panels.values()), timeout=3000)
+    qtbot.waitUntil(
+        lambda: all(c.caption.sizeHint().width() <= c.width() for c in window.view_panels.values()), timeout=3000
+    )
     assert "frame" not in caption.text()
     assert "frame" in caption.toolTip()
 

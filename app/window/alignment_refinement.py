@@ -17,9 +17,9 @@ class RefinementController(QObject):
 
     proposal_changed = pyqtSignal()  # there is an answer to be looked at, or none any more
 
-    def __init__(self, instrument: SessionController) -> None:
-        super().__init__(instrument)
-        self._instrument, self._box = instrument, instrument.window.alignment.refine
+    def __init__(self, controller: SessionController) -> None:
+        super().__init__(controller)
+        self._controller, self._box = controller, controller.window.alignment.refine
         self._job = LatestJob("refine", self)
         self._begun: Session | None = None
         self._ticket = 0
@@ -32,7 +32,7 @@ class RefinementController(QObject):
         self._box.cancel_requested.connect(self._job.cancel)
         self._box.accepted.connect(self.accept)
         self._box.discarded.connect(self.discard)
-        instrument.closing.connect(self._job.close)
+        controller.closing.connect(self._job.close)
 
     @property
     def is_busy(self) -> bool:
@@ -41,7 +41,7 @@ class RefinementController(QObject):
 
     def start(self) -> None:
         """Refine what is open."""
-        opened, session = self._instrument.views.translation, self._instrument.session
+        opened, session = self._controller.views.translation, self._controller.session
         if opened is None:
             return
         self._begun, self.proposal = session, None
@@ -53,7 +53,7 @@ class RefinementController(QObject):
         answer = self.proposal
         self.discard()
         if answer is not None:
-            self._instrument.change("refine the alignment", offsets=answer.offsets)
+            self._controller.change("refine the alignment", offsets=answer.offsets)
 
     def discard(self) -> None:
         """Forget the answer."""
@@ -76,14 +76,14 @@ class RefinementController(QObject):
         if ticket != self._ticket or self._begun is None or not isinstance(answer, RefinementProposal):
             return
         self.proposal = answer
-        opened = self._instrument.views.translation
+        opened = self._controller.views.translation
         self._box.show_result(answer.refinement, "" if opened is None else opened.target.name)
         self.proposal_changed.emit()
 
     def _failed(self, ticket: int, error: object) -> None:
         if ticket == self._ticket and isinstance(error, BaseException):
             self.discard()
-            self._instrument.show_problem(error)
+            self._controller.show_problem(error)
 
     def _cancelled(self, ticket: int) -> None:
         if ticket == self._ticket and self._begun is not None:
