@@ -47,13 +47,7 @@ class Layout:
 
     def list_columns(self, available: Sequence[str], only_stage: str = "") -> list[str]:
         """List the columns that the layout shows large (all layouts but Inspect)."""
-        columns: Mapping[str, Sequence[str]] = {
-            "align": _ALIGN_COLUMNS,
-            "demo": _DEMO_COLUMNS,
-            "sweep": (),
-            "compare": (),
-        }
-        shown = [name for name in columns.get(self.name, available) if name in available]
+        shown = [name for name in _LARGE_COLUMNS.get(self.name, available) if name in available]
         return [only_stage] if self.name == "stages" and only_stage in available else shown
 
     def with_stage(self, pane: int, stage: str) -> Layout:
