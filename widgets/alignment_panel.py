@@ -1,4 +1,4 @@
-"""The Alignment dock: six numbers to drag, gauges that answer, bars that say which axis matters, and refining."""
+"""Alignment dock: six offsets to drag, gauges of the agreement, sensitivity bars, and refinement."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ from widgets.styling import (
     shrink_font,
 )
 
-SETTLE_MS = 350  # without a turn of the wheel or a key, a change made by them is over
+SETTLE_MS = 350  # a change by wheel or keys ends after this pause
 
 _IOU = GaugeScale(
     name="mask IoU", unit="", full_value=1.0, digits=3, higher_is_better=True,
-    help="contact carried over and contact felt: intersection over union",
+    help="transferred and observed contact: intersection over union",
 )  # fmt: skip
 _EDGE = GaugeScale(
     name="edge", unit="px", full_value=20.0, digits=2, higher_is_better=False,
@@ -46,7 +46,7 @@ _EDGE = GaugeScale(
 
 
 def make_depth_gauge_scale(full_mm: float) -> GaugeScale:
-    """The gauge of depth for a sensor: a bubble gives way ten times as far as a gel."""
+    """Return the range of the depth gauge of a sensor; a bubble deforms ten times as far as a gel."""
     return GaugeScale(
         name="depth", unit="mm", full_value=full_mm, digits=3, higher_is_better=False,
         help="median absolute difference of depth where both are in contact",
@@ -54,7 +54,7 @@ def make_depth_gauge_scale(full_mm: float) -> GaugeScale:
 
 
 class AlignmentPanel(QScrollArea):
-    """Values in, signals out: `moved` follows every motion of a handle, between `drag_begun` and `drag_ended`."""
+    """Emits `moved` for every motion of a handle, between `drag_begun` and `drag_ended`."""
 
     drag_started = pyqtSignal()
     offset_changed = pyqtSignal(str, float)  # axis, offset in mm or degrees
@@ -72,7 +72,7 @@ class AlignmentPanel(QScrollArea):
         self.rows = {axis: AxisRow(axis, self) for axis in AXES}
         self.gauges = {"iou": Gauge(_IOU), "edge_px": Gauge(_EDGE), "depth_mm": Gauge(make_depth_gauge_scale(1.0))}
         self.bars, self.refine = SensitivityBars(), RefineBox()
-        self.dragging = False  # whether a handle is being moved
+        self.dragging = False  # whether a handle is being dragged
         self._still = make_single_shot_timer(self, SETTLE_MS, self._end)
         self._origin, self._pivot, self._reason = QLabel(), QLabel(), ThemedLabel(lambda inks: inks.warning_text)
         self._lay_out()
@@ -93,12 +93,12 @@ class AlignmentPanel(QScrollArea):
                 grid.addWidget(widget, n, column)
         layout.addWidget(self._handles)
         layout.addLayout(self._foot())
-        layout.addWidget(_title("Agreement with what was felt"))
+        layout.addWidget(_title("Agreement"))
         self._reason.setWordWrap(True)
         layout.addWidget(self._reason)
         for gauge in self.gauges.values():
             layout.addWidget(gauge)
-        layout.addWidget(_title("Which axis matters"))
+        layout.addWidget(_title("Sensitivity"))
         layout.addWidget(self.bars)
         layout.addWidget(_title("Refine"))
         layout.addWidget(self.refine)
@@ -109,9 +109,7 @@ class AlignmentPanel(QScrollArea):
 
     def _head(self) -> QHBoxLayout:
         self._origin.setWordWrap(True)
-        self._original = make_icon_button(
-            "reset", "alignment_original", "Back to the alignment that comes with the recording"
-        )
+        self._original = make_icon_button("reset", "alignment_original", "Return to the alignment of the recording")
         self._original.clicked.connect(self.original_requested)
         self._files = set_spacing(QHBoxLayout(), 1)
         head = QHBoxLayout()
@@ -124,10 +122,10 @@ class AlignmentPanel(QScrollArea):
         self._pivot.setWordWrap(True)
         shrink_font(self._pivot, 1.0, least_pt=7.5)
         self._here = make_icon_button(
-            "target", "alignment_pivot", "Tell the same motion about the middle of this frame's contact"
+            "target", "alignment_pivot", "Express the same motion about the centre of this frame's contact"
         )
         self._here.clicked.connect(self.pivot_requested)
-        self._reset = make_icon_button("reset", "alignment_reset", "Take all six offsets back to zero")
+        self._reset = make_icon_button("reset", "alignment_reset", "Reset all six offsets to zero")
         self._reset.clicked.connect(self.reset_requested)
         foot = QHBoxLayout()
         foot.addWidget(self._pivot, 1)
@@ -136,28 +134,28 @@ class AlignmentPanel(QScrollArea):
         return foot
 
     def add_command(self, action: QAction) -> None:
-        """Give a command a button at the top."""
+        """Add a button for a command at the top."""
         self._files.addWidget(make_command_button(action))
 
     @property
     def no_score_reason(self) -> str:
-        """Why there is no score, "" if there is one."""
+        """Return why there is no score; "" if there is one."""
         return self._reason.text()
 
     @property
     def origin(self) -> str:
-        """Whose alignment is open and whether it was moved."""
+        """Return the name of the open alignment and whether it was edited."""
         return self._origin.text()
 
     def show_empty(self) -> None:
-        """No frame is judged yet: there is nothing to move."""
+        """Disable the handles while no frame is scored."""
         self._handles.setEnabled(False)
         self.show_score(None, "")
         self.mark_ghosts(None)
         self.bars.show_sensitivities(())
 
     def show_ready(self, frame: str, depth_mm: float, pixel_mm: float) -> None:
-        """Handles work now, along the axes of `frame`; `depth_mm` is where the gauge of depth is full."""
+        """Enable the handles along the axes of `frame`; `depth_mm` is the full value of the depth gauge."""
         self._handles.setEnabled(True)
         self.bars.set_pixel_size(pixel_mm)
         self.gauges["depth_mm"].show_scale(make_depth_gauge_scale(depth_mm))
@@ -165,58 +163,58 @@ class AlignmentPanel(QScrollArea):
             row.show_frame_name(frame)
 
     def show_origin(self, origin: str, *, edited: bool, from_file: bool) -> None:
-        """Name the opened alignment, and whether it was moved."""
+        """Show the name of the open alignment, and whether it was edited."""
         self._origin.setText(f"<b>{origin}</b>" + (", moved by" if edited else ""))
         self._original.setVisible(from_file)
         self._reset.setEnabled(edited)
 
     def show_values(self, values: Sequence[float]) -> None:
-        """Show the six offsets without saying so to anybody."""
+        """Show the six offsets without emitting a signal."""
         for row, value in zip(self.rows.values(), values, strict=True):
             row.show_value(value)
 
     def show_pivot(self, pivot_mm: Sequence[float], frame: str, *, elsewhere: bool) -> None:
-        """Where turns are about; `elsewhere` than this frame's contact offers to move it."""
+        """Show the pivot of rotations (mm); `elsewhere` offers to move it to this frame's contact."""
         at = ", ".join(f"{v:.1f}" for v in pivot_mm)
-        whose = "another frame's contact" if elsewhere else "the contact's middle"
-        self._pivot.setText(f"offsets in the {frame} frame; turns about {whose}, ({at}) mm")
+        whose = "another frame's contact" if elsewhere else "the contact's centre"
+        self._pivot.setText(f"offsets in the {frame} frame; rotations about {whose}, ({at}) mm")
         self._here.setVisible(elsewhere)
 
     def show_score(self, score: AlignmentScore | None, reason: str) -> None:
-        """Show how well it agrees, or why that cannot be told."""
+        """Show the agreement, or the reason why there is none."""
         self._reason.setText(reason)
         self._reason.setVisible(bool(reason))
         for name, gauge in self.gauges.items():
             gauge.show_value(None if score is None else getattr(score, name))
 
     def mark_ghosts(self, score: AlignmentScore | None) -> None:
-        """Put the ticks at the figures of this score."""
+        """Set the ghost ticks of the gauges to this score."""
         for name, gauge in self.gauges.items():
             gauge.mark_ghost(None if score is None else getattr(score, name))
 
     def show_sensitivities(self, axes: Sequence[Sensitivity]) -> None:
-        """Show which axis matters."""
+        """Show how sensitive the score is to each axis."""
         self.bars.setEnabled(True)
         self.bars.show_sensitivities(axes)
 
     def begin_drag(self) -> None:
-        """Somebody takes hold of the touch elsewhere than here."""
+        """Begin a drag that another widget controls."""
         self._begin()
 
     def drag_axis(self, axis: Axis, value: float) -> None:
-        """It is being moved there: the handles follow."""
+        """Show the value of an axis that another widget drags."""
         self._begin()
         self.rows[axis].show_value(value)
         self.offset_changed.emit(axis, value)
 
     def end_drag(self) -> None:
-        """That is over."""
+        """End a drag that another widget controls."""
         self._end()
 
     def _begin(self) -> None:
         if not self.dragging:
             self.dragging = True
-            self.bars.setEnabled(False)  # they tell of the place that is being left
+            self.bars.setEnabled(False)  # the bars belong to the alignment before the move
             self.drag_started.emit()
 
     def _move(self, axis: str, value: float) -> None:

@@ -1,4 +1,4 @@
-"""One axis of an alignment: a slider to drag and a box to type into."""
+"""One axis of an alignment: a slider and a spin box."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from pipeline.alignment.nudge import axis_unit
 from pipeline.sensors.offsets import Axis
 from widgets.styling import ThemedLabel, make_bold
 
-_PER_UNIT = {"mm": 20, "deg": 10}  # slider positions: 0.05 mm, 0.1 deg
-_REACH = {"mm": 5, "deg": 10}  # of the slider to either side
-_FARTHEST = {"mm": 200.0, "deg": 179.0}  # of the box
+_PER_UNIT = {"mm": 20, "deg": 10}  # slider steps per unit: 0.05 mm, 0.1 deg
+_REACH = {"mm": 5, "deg": 10}  # range of the slider to either side
+_FARTHEST = {"mm": 200.0, "deg": 179.0}  # range of the spin box
 _STEP = {"mm": 0.05, "deg": 0.1}
 _DIGITS = {"mm": 3, "deg": 2}
 _SIGN = {"mm": " mm", "deg": "°"}
 
 
 class AxisRow(QObject):
-    """Label, slider and box of one axis, showing the same number."""
+    """Label, slider and spin box of one axis, which show the same number."""
 
-    grabbed = pyqtSignal()  # the slider was taken hold of
+    grabbed = pyqtSignal()  # a drag of the slider began
     released = pyqtSignal()
     value_changed = pyqtSignal(str, float)  # axis, mm or degrees
 
@@ -47,33 +47,33 @@ class AxisRow(QObject):
         self.slider.sliderPressed.connect(self.grabbed)
         self.slider.sliderReleased.connect(self.released)
         self.slider.valueChanged.connect(self._slid)
-        self.box.valueChanged.connect(self._typed)
+        self.box.valueChanged.connect(self._apply_typed)
 
     def _explain(self, axis: Axis, unit: str) -> None:
         along = axis[-1]
-        what = f"shift along {along}" if unit == "mm" else f"turn about {along}"
+        what = f"translation along {along}" if unit == "mm" else f"rotation about {along}"
         self.show_frame_name("target")
         for widget, kind in ((self.slider, "slider"), (self.box, "box")):
             widget.setObjectName(f"align_{axis}_{kind}")
             widget.setAccessibleName(f"{what}, {'millimetres' if unit == 'mm' else 'degrees'}")
 
     def show_frame_name(self, frame: str) -> None:
-        """Name the frame whose axes these are."""
+        """Show the name of the frame that the axes belong to."""
         along = self.axis[-1]
         if axis_unit(self.axis) == "mm":
-            tip = f"Shift the touch along {along} of the {frame} frame, mm"
+            tip = f"Translate the touch along {along} of the {frame} frame, mm"
         else:
             tip = (
-                f"Turn the touch about {along} of the {frame} frame, degrees, through the middle of the contact, "
-                f"which stays where it is; together the three are a rotation vector"
+                f"Rotate the touch about {along} of the {frame} frame, degrees, about the centre "
+                f"of the contact; the three form a rotation vector"
             )
-        tip += f"; an offset from the opened alignment. Wheel and arrow keys go by {_STEP[axis_unit(self.axis)]:g}"
+        tip += f"; offset from the open alignment. Wheel and arrow keys: steps of {_STEP[axis_unit(self.axis)]:g}"
         tip += _SIGN[axis_unit(self.axis)]
         for widget in (self.label, self.slider, self.box):
             widget.setToolTip(tip)
 
     def show_value(self, value: float) -> None:
-        """Show a number without saying so to anybody."""
+        """Show a number without emitting a signal."""
         with QSignalBlocker(self.slider), QSignalBlocker(self.box):
             if not self.slider.isSliderDown():
                 self.slider.setValue(round(value * self._per_unit))
@@ -85,7 +85,7 @@ class AxisRow(QObject):
             self.box.setValue(value)
         self.value_changed.emit(self.axis, value)
 
-    def _typed(self, value: float) -> None:
+    def _apply_typed(self, value: float) -> None:
         with QSignalBlocker(self.slider):
             self.slider.setValue(round(value * self._per_unit))
         self.value_changed.emit(self.axis, value)

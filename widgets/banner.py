@@ -1,4 +1,4 @@
-"""A strip for what went wrong: a sentence, details on demand, never a box that must be clicked away."""
+"""A strip for errors: one sentence and details on demand; never modal."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Banner(QFrame):
         self._sign, self._text = StateIcon(20), QLabel()
         self._sign.show_state("failed")
         self._text.setWordWrap(True)
-        self._text.setTextFormat(Qt.TextFormat.PlainText)  # names of files are no markup
+        self._text.setTextFormat(Qt.TextFormat.PlainText)  # file names are no markup
         self._text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self._more, self._copy, self._away = QPushButton("Details"), QPushButton("Copy report"), QToolButton()
         self._more.setCheckable(True)
@@ -58,7 +58,7 @@ class Banner(QFrame):
         self.hide()
 
     def changeEvent(self, a0: QEvent | None) -> None:  # noqa: N802
-        """Another theme has another red."""
+        """Use the error colour of the new theme."""
         super().changeEvent(a0)
         if a0 is not None and a0.type() == QEvent.Type.PaletteChange:
             self._take_colours()
@@ -71,16 +71,16 @@ class Banner(QFrame):
 
     @property
     def text(self) -> str:
-        """The sentence shown."""
+        """The sentence on display."""
         return self._text.text()
 
     @property
     def details(self) -> str:
-        """What `Details` shows."""
+        """The text behind `Details`."""
         return self._details.toPlainText()
 
     def show_problem(self, sentence: str, details: str = "") -> None:
-        """Show one sentence, and what stands behind it on demand."""
+        """Show one sentence, with details on demand."""
         self._text.setText(sentence[:1].upper() + sentence[1:])
         self._details.setPlainText(details)
         self._more.setVisible(bool(details))
@@ -88,7 +88,7 @@ class Banner(QFrame):
         self.show()
 
     def copy_report(self) -> None:
-        """Put sentence and details on the clipboard."""
+        """Copy sentence and details to the clipboard."""
         clipboard = QGuiApplication.clipboard()
         if clipboard is not None:
             clipboard.setText(f"{self.text}\n\n{self.details}".strip() + "\n")

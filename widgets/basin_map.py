@@ -1,4 +1,4 @@
-"""Where a registration ends from each start of a grid: a colour and a letter an answer; a click goes to it."""
+"""Map of where a registration ends for a grid of starts: one colour and letter per pose; a click shows that pose."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from widgets.theme import CATEGORY_COLOURS, to_qcolor
 
 CellIndex = tuple[int, int]  # row, col
 _LEFT_PX, _GAP_PX = 62.0, 1.0
-_OTHER = (170, 174, 182)  # answers beyond those that have a colour of their own
-_NARROW_PX = 26.0  # a cell narrower than this has no number
+_OTHER = (170, 174, 182)  # colour of poses without a colour of their own
+_NARROW_PX = 26.0  # narrower cells have no number
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BasinCell:
-    """One start: which answer it ended in (-1 = none), and how well that fits."""
+    """One start: the index of the pose it ended in (-1 = none), and how well that fits."""
 
     pose_index: int
     rmse_mm: float
@@ -40,7 +40,7 @@ class BasinCell:
 
 
 class BasinMap(QWidget):
-    """Rows are shifts, columns turns; the start in the middle of the map is the pose itself."""
+    """Rows are translations, columns rotations; the start at the centre is the pose itself."""
 
     cell_chosen = pyqtSignal(int, int)  # row, col
 
@@ -49,37 +49,37 @@ class BasinMap(QWidget):
         self.setObjectName("basin_map")
         self.setMouseTracking(True)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        self.setAccessibleName("where the registration ends from each start; arrows choose one")
+        self.setAccessibleName("result of the registration from each start; arrow keys select one")
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         shrink_font(self, 1.0)
         self.cells: tuple[tuple[BasinCell, ...], ...] = ()
         self._columns: Sequence[str] = ()
         self._rows: Sequence[str] = ()
         self._corner = ""
-        self.selected_cell: CellIndex = (-1, -1)  # chosen
+        self.selected_cell: CellIndex = (-1, -1)  # row, col
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """Room for its rows."""
+        """Return a size with room for all rows."""
         return QSize(640, 170)
 
     def show_map(
         self, cells: Sequence[Sequence[BasinCell]], rows: Sequence[str], columns: Sequence[str], corner: str
     ) -> None:
-        """Show these in place of what was shown; nothing for no cells."""
+        """Show these cells, row and column labels; clear the map for no cells."""
         self.cells = tuple(tuple(row) for row in cells)
         self._rows, self._columns, self._corner = tuple(rows), tuple(columns), corner
         self.selected_cell = (-1, -1)
         self.update()
 
     def choose_cell(self, row: int, col: int) -> None:
-        """Go to what a start ended in."""
+        """Select a start and show the pose it ended in."""
         if 0 <= row < len(self.cells) and 0 <= col < len(self.cells[row]) and self.cells[row][col].pose_index >= 0:
             self.selected_cell = (row, col)
             self.update()
             self.cell_chosen.emit(row, col)
 
     def cell_at(self, at: QPointF) -> CellIndex:
-        """The start that lies there; (-1, -1) = none."""
+        """Return (row, col) of the start at a point; (-1, -1) = none."""
         for row, cells in enumerate(self.cells):
             for col in range(len(cells)):
                 if self._room(row, col).contains(at):
@@ -93,16 +93,16 @@ class BasinMap(QWidget):
         return QRectF(_LEFT_PX + col * wide, line + row * high, wide - _GAP_PX, high - _GAP_PX)
 
     def mouseMoveEvent(self, a0: Any) -> None:  # noqa: N802
-        """Say what the start under the mouse became."""
+        """Show the result of the start under the mouse."""
         row, col = self.cell_at(a0.position())
         QToolTip.showText(a0.globalPosition().toPoint(), self.cells[row][col].tooltip if row >= 0 else "", self)
 
     def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
-        """Go to what it became."""
+        """Select the start under the mouse."""
         self.choose_cell(*self.cell_at(a0.position()))
 
     def keyPressEvent(self, a0: Any) -> None:  # noqa: N802
-        """Arrows go to the next start."""
+        """Move the selection with the arrow keys."""
         steps = {Qt.Key.Key_Left: (0, -1), Qt.Key.Key_Right: (0, 1), Qt.Key.Key_Up: (-1, 0), Qt.Key.Key_Down: (1, 0)}
         if a0.key() not in steps or not self.cells:
             super().keyPressEvent(a0)
@@ -112,7 +112,7 @@ class BasinMap(QWidget):
         self.choose_cell(min(max(row + down, 0), len(self._rows) - 1), (col + right) % len(self._columns))
 
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
-        """Cells in the colours of their answers, with letter and rmse."""
+        """Paint the cells in the colours of their poses, with letter and rmse."""
         del a0
         if not self.cells:
             return
@@ -128,9 +128,9 @@ class BasinMap(QWidget):
                 painter.drawText(QRectF(room.left() - 12, 0, room.width() + 24, line), middle, word)
         for row, cells in enumerate(self.cells):
             room = self._room(row, 0)
-            beside = Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
+            at_left = Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
             painter.setPen(text)
-            painter.drawText(QRectF(0, room.top(), _LEFT_PX - 6, room.height()), beside, self._rows[row])
+            painter.drawText(QRectF(0, room.top(), _LEFT_PX - 6, room.height()), at_left, self._rows[row])
             for col, cell in enumerate(cells):
                 self._draw(painter, row, col, cell)
 
@@ -151,17 +151,17 @@ class BasinMap(QWidget):
 
 
 def get_pose_letter(answer: int) -> str:
-    """Of the first few answers a letter each; a dot for the rest."""
+    """Return the letter of one of the first poses; a dot for the others."""
     return chr(ord("A") + answer) if 0 <= answer < len(CATEGORY_COLOURS) else "·"
 
 
 def get_pose_colour(answer: int) -> QColor:
-    """The same in colour."""
+    """Return the colour of one of the first poses; grey for the others."""
     return to_qcolor(CATEGORY_COLOURS[answer] if 0 <= answer < len(CATEGORY_COLOURS) else _OTHER)
 
 
 class BasinPanel(QWidget):
-    """A button, a sentence and the map; `wanted(axis)` asks for it, `chosen(row, col)` goes to an answer."""
+    """Button, message and map; `wanted(axis)` requests a map, `chosen(row, col)` selects a pose."""
 
     map_requested = pyqtSignal(str)
     cancel_requested = pyqtSignal()
@@ -173,9 +173,9 @@ class BasinPanel(QWidget):
             QPushButton("Map basins"), QComboBox(), QProgressBar(), QLabel(), BasinMap(),
         )  # fmt: skip
         self.start_button.setObjectName("basins_go")
-        self.start_button.setToolTip("Register this touch from 216 starts around the pose, and see where each ends")
+        self.start_button.setToolTip("Register this touch from 216 starts around the pose and map the results")
         self.axis_box.setObjectName("basins_along")
-        self.axis_box.setAccessibleName("axis that starts are shifted along")
+        self.axis_box.setAccessibleName("translation axis of the starts")
         self.axis_box.addItems(["x", "y"])
         self.bar.setRange(0, 1000)
         self.bar.setTextVisible(False)
@@ -183,7 +183,7 @@ class BasinPanel(QWidget):
         self._told.setWordWrap(True)
         self._busy = False
         head = set_spacing(QHBoxLayout(), 8)
-        for widget in (self.start_button, QLabel("shifted along"), self.axis_box):
+        for widget in (self.start_button, QLabel("translated along"), self.axis_box):
             head.addWidget(widget)
         head.addWidget(self._told, 1)
         head.addWidget(self.bar)
@@ -196,15 +196,15 @@ class BasinPanel(QWidget):
 
     @property
     def message(self) -> str:
-        """What is said of the map."""
+        """The message above the map."""
         return self._told.text()
 
     def show_message(self, text: str) -> None:
-        """Say something of it."""
+        """Show a message above the map."""
         self._told.setText(text)
 
     def show_progress(self, fraction: float | None) -> None:
-        """How far it is, None when it rests."""
+        """Show progress from 0 to 1; None hides the bar."""
         self._busy = fraction is not None
         self.start_button.setText("Cancel" if self._busy else "Map basins")
         self.bar.setVisible(self._busy)

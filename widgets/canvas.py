@@ -1,6 +1,6 @@
-"""Where a picture is looked at: panned, zoomed, with a crosshair over it.
+"""Canvas of an image: pan, zoom and a crosshair.
 
-The picture as it lies on the screen is kept, so that a crosshair that follows the mouse costs a copy and two lines.
+The rendered image is cached, so that moving the crosshair costs one copy and two lines.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from pipeline.previews.preview import Preview
 from widgets.preview_renderer import MAX_ZOOM, MIN_ZOOM, PreviewRenderer
 from widgets.theme import CASING_COLOUR, CROSSHAIR_COLOUR, SECTION_COLOUR, get_backdrop, get_theme_colours, to_qcolor
 
-_A_CLICK_PX = 4.0  # a release nearer to its press than this ends no drag
+_A_CLICK_PX = 4.0  # a release closer to its press than this is a click
 _ZOOM_STEP = 1.25
-_PER_NOTCH = 120.0  # as Qt counts a wheel's turn
+_PER_NOTCH = 120.0  # Qt's units per wheel notch
 _NEAR_PX, _END_PX = 6.0, 6.5
 
 
 class Canvas(QWidget):
-    """Draws one `Picture`; tells where the mouse is, a click from the end of a drag, and that somebody moved it."""
+    """Draws one `Preview`; emits the position of the mouse, clicks, and changes of the view."""
 
     mouse_moved = pyqtSignal(QPointF)
     mouse_left = pyqtSignal()
     clicked = pyqtSignal(QPointF)
-    view_changed = pyqtSignal()  # by hand
+    view_changed = pyqtSignal()  # by the user
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -38,95 +38,93 @@ class Canvas(QWidget):
         self.setMouseTracking(True)
         self._plate = PreviewRenderer()
         self._plate.set_no_value_colour(get_theme_colours(self.palette()).no_value)
-        self.is_fitted = True  # the whole picture is in view, whatever room there is
+        self.is_fitted = True  # the whole image is in view at any size
         self._kept: QPixmap | None = None
         self.crosshair: tuple[int, int] | None = None  # row, col
-        self.crosshair_text = ""  # what is read at the crosshair
-        self.line: tuple[QPointF, QPointF] | None = None  # of a section, in pixels of the picture
-        self.handle_share: float | None = (
-            None  # share of the width at which the second picture begins, None = no handle
-        )
+        self.crosshair_text = ""  # value shown at the crosshair
+        self.line: tuple[QPointF, QPointF] | None = None  # section line, in image pixels
+        self.handle_share: float | None = None  # share of the width where the overlay begins, None = no handle
         self._pressed: QPointF | None = None
         self._dragged: QPointF | None = None
-        self.n_renders = 0  # how often the picture was put together anew
+        self.n_renders = 0  # number of times the image was rendered
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """A column's share of a laptop screen."""
+        """Return a column's share of a laptop screen."""
         return QSize(200, 160)
 
     def show_preview(self, picture: Preview) -> None:
-        """Draw another picture; one of the same size stays where it is."""
+        """Show another image; an image of the same size keeps the view."""
         if self._plate.set_preview(picture):
             self.fit_view()
         self.invalidate()
 
     def show_overlay(self, pixels: Image | None, share: float = 0.0) -> None:
-        """A picture of the same size over the first, from this share of the width on; None takes it away."""
+        """Show an image of the same size over the first, from `share` of the width on; None removes it."""
         self._plate.set_overlay(pixels, share)
         self.invalidate()
 
     def move_overlay(self, share: float) -> None:
-        """Where the second picture begins."""
+        """Set the share of the width where the overlay begins."""
         if self._plate.overlay is not None:
             self._plate.overlay = (self._plate.overlay[0], share)
             self.invalidate()
 
     def set_dimmed(self, dimmed: bool) -> None:
-        """Fade what is shown, or bring it back."""
+        """Fade the image, or restore it."""
         if dimmed != self._plate.is_dimmed:
             self._plate.is_dimmed = dimmed
             self.invalidate()
 
     def show_crosshair(self, pixel: tuple[int, int] | None, tag: str = "") -> None:
-        """The crosshair on (row, col) and what is read there."""
+        """Show the crosshair at (row, col) with a value; None hides it."""
         if (pixel, tag) != (self.crosshair, self.crosshair_text):
             self.crosshair, self.crosshair_text = pixel, tag
             self.update()
 
     def show_line(self, ends: tuple[QPointF, QPointF] | None) -> None:
-        """A line from A to B, in pixels of the picture; None takes it away."""
+        """Show a line from A to B, in image pixels; None removes it."""
         if ends != self.line:
             self.line = ends
             self.update()
 
     def fit_view(self) -> None:
-        """Bring the whole picture into view."""
+        """Fit the whole image into the view."""
         self.is_fitted = True
         self._plate.size = self.size()
         self._plate.fit_view()
         self.invalidate()
 
     def set_view(self, centre: QPointF, scale: float) -> None:
-        """Put a picture pixel into the middle, at so many screen pixels a picture pixel."""
+        """Centre the view on an image pixel, with `scale` screen pixels per image pixel."""
         self.is_fitted = False
         self._plate.centre, self._plate.scale = centre, min(max(scale, MIN_ZOOM), MAX_ZOOM)
         self.invalidate()
 
     @property
     def centre(self) -> QPointF:
-        """The picture pixel in the middle."""
+        """The image pixel at the centre of the view."""
         return QPointF(self._plate.centre)
 
     @property
     def scale(self) -> float:
-        """Screen pixels a picture pixel; 0 without a picture."""
+        """Screen pixels per image pixel; 0 without an image."""
         return self._plate.scale
 
     def to_screen(self, at: QPointF) -> QPointF:
-        """Where a point of the picture, in its pixels, is drawn."""
+        """Return the screen position of a point in image pixels."""
         return self._plate.to_screen(at)
 
     def to_image(self, at: QPointF) -> QPointF:
-        """The point of the picture that is drawn here."""
+        """Return the point in image pixels at a screen position."""
         return self._plate.to_image(at)
 
     def invalidate(self) -> None:
-        """What is kept is old."""
+        """Drop the cached rendering."""
         self._kept = None
         self.update()
 
     def render_now(self) -> None:
-        """Put the picture together now, so that the next painting of the whole window need not."""
+        """Render the image now, so that the next paint event of the window is cheap."""
         if self.isVisible():
             self._put_together()
 
@@ -138,7 +136,7 @@ class Canvas(QWidget):
         return self._kept
 
     def resizeEvent(self, a0: Any) -> None:  # noqa: N802
-        """More room shows the fitted picture larger, and more of one that was zoomed."""
+        """Fit a fitted image to the new size; show more of a zoomed one."""
         super().resizeEvent(a0)
         self._plate.size = self.size()
         if self.is_fitted:
@@ -146,14 +144,14 @@ class Canvas(QWidget):
         self.invalidate()
 
     def changeEvent(self, a0: Any) -> None:  # noqa: N802
-        """Another theme has another ground."""
+        """Use the background of the new theme."""
         super().changeEvent(a0)
         if a0.type() == QEvent.Type.PaletteChange:
             self._plate.set_no_value_colour(get_theme_colours(self.palette()).no_value)
             self.invalidate()
 
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
-        """The kept picture, and what moves over it."""
+        """Paint the cached rendering and the crosshair, line and handle over it."""
         del a0
         kept = self._put_together()
         painter = QPainter(self)
@@ -180,7 +178,7 @@ class Canvas(QWidget):
             painter.setPen(QPen(to_qcolor(colour), wide))
             painter.drawLine(one, other)
         long_px = math.hypot(other.x() - one.x(), other.y() - one.y())
-        named = long_px > 6 * _END_PX  # in a small picture letters would hide what is cut
+        named = long_px > 6 * _END_PX  # in a small image letters would hide the section
         for at, name in ((one, "A"), (other, "B")):
             painter.setPen(QPen(to_qcolor(CASING_COLOUR), 1.2))
             painter.setBrush(to_qcolor(SECTION_COLOUR if named or name == "A" else CASING_COLOUR))
@@ -210,13 +208,13 @@ class Canvas(QWidget):
         painter.drawText(box, Qt.AlignmentFlag.AlignCenter, self.crosshair_text)
 
     def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
-        """Remember where a click or a drag began."""
+        """Record where a click or drag begins."""
         left = a0.button() == Qt.MouseButton.LeftButton
         self._pressed = a0.position() if left else None
         self._dragged = a0.position() if left or a0.button() == Qt.MouseButton.MiddleButton else None
 
     def mouseMoveEvent(self, a0: Any) -> None:  # noqa: N802
-        """Drag the handle of the second picture, else the picture; without a button, tell where the mouse is."""
+        """Drag the overlay's handle, else pan; without a button, emit the position."""
         at: QPointF = a0.position()
         if self._dragged is None:
             self.setCursor(Qt.CursorShape.SplitHCursor if self.is_near_handle(at) else Qt.CursorShape.ArrowCursor)
@@ -227,13 +225,13 @@ class Canvas(QWidget):
             self.view_changed.emit()
 
     def mouseReleaseEvent(self, a0: Any) -> None:  # noqa: N802
-        """A release near the press is a click, one far from it the end of a drag."""
+        """Emit a click for a release close to its press, else end the drag."""
         if self._pressed is not None and (a0.position() - self._pressed).manhattanLength() < _A_CLICK_PX:
             self.clicked.emit(a0.position())
         self._pressed = self._dragged = None
 
     def mouseDoubleClickEvent(self, a0: Any) -> None:  # noqa: N802
-        """Bring the whole picture back."""
+        """Fit the whole image."""
         del a0
         self.fit_view()
         self.view_changed.emit()
@@ -250,12 +248,12 @@ class Canvas(QWidget):
         self.view_changed.emit()
 
     def leaveEvent(self, a0: Any) -> None:  # noqa: N802
-        """Tell that the mouse is elsewhere."""
+        """Emit that the mouse left."""
         super().leaveEvent(a0)
         self.mouse_left.emit()
 
     def is_near_handle(self, at: QPointF) -> bool:
-        """Whether the handle of the second picture is here."""
+        """Return whether the overlay's handle is at a screen position."""
         return self.handle_share is not None and abs(self._handle_x() - at.x()) < _NEAR_PX
 
     def _handle_x(self) -> float:

@@ -1,4 +1,4 @@
-"""A colour bar with its limits and unit, how the values at hand are spread over it, and how many lie beyond it."""
+"""Colour bar with limits and unit, a histogram of the values, and the share beyond the limits."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from widgets.theme import get_theme_colours, to_qcolor
 _STRIP_PX, _BARS_PX, _EDGE_PX = 8, 22, 2
 _N_BARS = 64
 _HOW = {False: "absolute", True: "fitted"}
-_EVERY = 2  # pixel along each side is counted: the shape of a spread is the same, for a quarter of the time
-_NEAR_PX = 12.0  # of an end of the strip: there it can be dragged
+_EVERY = 2  # stride of the pixels that are counted: the same histogram for a quarter of the time
+_NEAR_PX = 12.0  # distance to an end of the bar within which it can be dragged
 _THROTTLE_MS = 33
 _BELOW, _ABOVE = "\N{BLACK LEFT-POINTING SMALL TRIANGLE} {}", "{} \N{BLACK RIGHT-POINTING SMALL TRIANGLE}"
-_OUTSIDE = 1.0  # per cent of the values on either side of limits that are fitted to them
-_TOLD = 0.001  # a smaller share beyond a limit is not worth a mark
-_NOISE = 0.01  # of the range: as little below the lowest colour is noise about zero, not something unseen
+_OUTSIDE = 1.0  # per cent of the values that fitted limits leave out on either side
+_MIN_SHARE = 0.001  # a smaller share beyond a limit gets no mark
+_NOISE = 0.01  # share of the range: values this little below the lowest colour are noise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ValueHistogram:
-    """How values lie on a scale."""
+    """Distribution of values on a colour scale."""
 
-    counts: Doubles  # (n,) of values in equal steps from the lowest to the highest colour
-    share_below: float  # share of all that are known, beyond the lowest colour
-    share_above: float  # and beyond the highest
+    counts: Doubles  # (n,) values in equal bins from the lowest to the highest colour
+    share_below: float  # share of finite values below the lowest colour
+    share_above: float  # share above the highest colour
 
 
 def compute_histogram(values: Floats, scale: ColourScale) -> ValueHistogram:
-    """How `values` lie on `scale`; NaN is not counted."""
+    """Return the histogram of `values` on `scale`; NaN is not counted."""
     seen = values[::_EVERY, ::_EVERY] if values.ndim == 2 else values
     known = seen[np.isfinite(seen)]
     counts, _ = np.histogram(known, bins=_N_BARS, range=(scale.low, scale.high))
@@ -48,9 +48,9 @@ def compute_histogram(values: Floats, scale: ColourScale) -> ValueHistogram:
 
 
 def fit_limits(values: Floats, scale: ColourScale) -> dict[str, float]:
-    """Setting -> value of the limits between which all but a hundredth at either end of the values lie.
+    """Return setting -> value of limits that leave out one per cent of the values at either end.
 
-    Empty where no setting stands for a limit, or where the values do not differ.
+    Empty where no setting controls a limit, or where all values are equal.
     """
     known = values[np.isfinite(values)]
     low, high = (float(v) for v in np.percentile(known, (_OUTSIDE, 100 - _OUTSIDE))) if known.size else (0.0, 0.0)
@@ -61,10 +61,10 @@ def fit_limits(values: Floats, scale: ColourScale) -> dict[str, float]:
 
 
 class ColourBar(QWidget):
-    """Bars over a strip of colours over its numbers; empty for pictures in true colour.
+    """Histogram over a colour strip over its numbers; empty for images in true colour.
 
-    An end that a setting of the display stands for can be dragged: `limit_dragged` carries setting and value, at most
-    thirty times a second. A double click fits the limits to what is shown: `limits_fitted` carries setting -> value.
+    An end with a setting can be dragged: `limit_dragged` carries setting and value, at most thirty times a second. A
+    double click fits the limits: `limits_fitted` carries setting -> value.
     """
 
     limit_dragged = pyqtSignal(str, float)
@@ -77,7 +77,7 @@ class ColourBar(QWidget):
         self._values: Floats | None = None
         self._strip: QImage | None = None
         self._spread: ValueHistogram | None = None
-        self._held: tuple[str, ColourScale, float] | None = None  # setting, scale and side as it was taken hold of
+        self._held: tuple[str, ColourScale, float] | None = None  # setting, scale and side of the drag
         self._wanted = math.nan
         self._soon = make_single_shot_timer(self, _THROTTLE_MS, self._tell)
         shrink_font(self)
@@ -85,11 +85,11 @@ class ColourBar(QWidget):
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """Room for the bars, the strip and one line of numbers."""
+        """Return room for the bars, the strip and one line of numbers."""
         return QSize(120, _BARS_PX + _STRIP_PX + self.fontMetrics().height() + 3)
 
     def show_scale(self, scale: ColourScale | None, values: Floats | None = None) -> None:
-        """The colours and limits of `scale`, nothing for None, and how `values` lie on it."""
+        """Show the colours and limits of `scale` and the histogram of `values`; None clears the bar."""
         if scale == self._scale and values is self._values:
             return
         if scale is not None and (self._scale is None or scale.colour_map != self._scale.colour_map):
@@ -100,7 +100,7 @@ class ColourBar(QWidget):
 
     @property
     def histogram(self) -> ValueHistogram | None:
-        """How the values lie on the scale; counted when somebody sees it."""
+        """The histogram of the values; computed when it is painted."""
         if self._spread is None and self._scale is not None and self._values is not None:
             self._spread = compute_histogram(self._values, self._scale)
             self.setToolTip(self._words(self._scale, self._spread))
@@ -112,14 +112,14 @@ class ColourBar(QWidget):
             (spread.share_below, f"below {scale.low:g}"),
             (spread.share_above, f"above {scale.high:g}"),
         ):
-            if share >= _TOLD:
+            if share >= _MIN_SHARE:
                 lines.append(f"{100 * share:.1f} % of the values lie {where} {scale.unit}, in the colour of that end")
-        can = "drag an end to move the limit; a double click fits both to 98 % of these values, from then on"
-        lines.append(can if scale.high_setting else "these limits follow from another scale")
+        can = "drag an end to set the limit; double-click to fit both to 98 % of the values"
+        lines.append(can if scale.high_setting else "these limits follow another scale")
         return "\n".join(lines)
 
     def paintEvent(self, a0: QPaintEvent | None) -> None:  # noqa: N802
-        """Bars, strip and numbers."""
+        """Paint bars, strip and numbers."""
         del a0
         if self._scale is None or self._strip is None:
             return
@@ -136,7 +136,7 @@ class ColourBar(QWidget):
         painter.drawText(row, int(Qt.AlignmentFlag.AlignLeft), low)
         painter.drawText(row, int(Qt.AlignmentFlag.AlignRight), high)
         wide = self.fontMetrics().horizontalAdvance
-        if 0.5 * wide(middle) + max(wide(low), wide(high)) + _EDGE_PX < 0.5 * row.width():  # where there is room for it
+        if 0.5 * wide(middle) + max(wide(low), wide(high)) + _EDGE_PX < 0.5 * row.width():  # only where there is room
             painter.drawText(row, int(Qt.AlignmentFlag.AlignHCenter), middle)
 
     @property
@@ -144,7 +144,7 @@ class ColourBar(QWidget):
         return QRectF(_EDGE_PX, _BARS_PX, self.width() - 2 * _EDGE_PX, _STRIP_PX)
 
     def _draw_bars(self, painter: QPainter, strip: QRectF, spread: ValueHistogram) -> None:
-        """Heights as logarithms: what is touched is a small part of a picture."""
+        """Paint bars with logarithmic heights: the contact is a small part of an image."""
         ink = get_theme_colours(self.palette())
         tall = np.log1p(spread.counts) * ((_BARS_PX - 2) / max(1e-9, float(np.log1p(spread.counts).max(initial=0.0))))
         wide = strip.width() / _N_BARS
@@ -163,19 +163,19 @@ class ColourBar(QWidget):
                 Qt.AlignmentFlag.AlignRight,
             ),
         ):
-            if share >= _TOLD:
+            if share >= _MIN_SHARE:
                 painter.fillRect(QRectF(x, 0, 3, strip.top()), to_qcolor(ink.warning_mark))
-                told = text.format(_percent(share))
-                words = painter.boundingRect(line, int(place), told)
+                label = text.format(_percent(share))
+                words = painter.boundingRect(line, int(place), label)
                 painter.fillRect(words.adjusted(-1, 0, 1, 0), self.palette().window())
-                painter.drawText(line, int(place), told)
+                painter.drawText(line, int(place), label)
 
     def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
-        """Take hold of an end."""
+        """Begin to drag an end."""
         self._held = self._end_at(a0.position())
 
     def mouseMoveEvent(self, a0: Any) -> None:  # noqa: N802
-        """Drag it, on the scale as it was; without a button show where it can be."""
+        """Drag an end on the scale of the press; without a button show where one can be dragged."""
         if self._held is None:
             near = self._end_at(a0.position()) is not None
             self.setCursor(Qt.CursorShape.SizeHorCursor if near else Qt.CursorShape.ArrowCursor)
@@ -189,7 +189,7 @@ class ColourBar(QWidget):
             self._soon.start()
 
     def mouseReleaseEvent(self, a0: Any) -> None:  # noqa: N802
-        """The last place counts."""
+        """Emit the final limit."""
         del a0
         if self._soon.isActive():
             self._soon.stop()
@@ -197,7 +197,7 @@ class ColourBar(QWidget):
         self._held = None
 
     def mouseDoubleClickEvent(self, a0: Any) -> None:  # noqa: N802
-        """Fit the limits to nearly all of the values at hand; they are as absolute then as any."""
+        """Fit the limits to nearly all values."""
         del a0
         self._held = None
         if self._scale is not None and self._values is not None and (fitted := fit_limits(self._values, self._scale)):

@@ -1,4 +1,4 @@
-"""The command palette: every command of the window by a few letters of its name."""
+"""Command palette: find every command of the window by a few letters of its name."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _KEYS = (Qt.Key.Key_Up, Qt.Key.Key_Down, Qt.Key.Key_PageUp, Qt.Key.Key_PageDown)
 
 
 class CommandPalette(QDialog):
-    """Type, choose with the arrows, Enter runs; Esc goes back."""
+    """Type to filter, select with the arrows, Enter runs, Esc closes."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -39,7 +39,7 @@ class CommandPalette(QDialog):
         self.results.currentItemChanged.connect(self._tell)
 
     def show_commands(self, actions: Sequence[QAction]) -> None:
-        """Offer these commands, those that can be run now first."""
+        """List these commands, enabled ones first."""
         self._actions = sorted(actions, key=lambda action: not action.isEnabled())
         self.line.clear()
         self._filter()
@@ -48,7 +48,7 @@ class CommandPalette(QDialog):
         self.line.setFocus()
 
     def run_selected(self) -> None:
-        """Do what is chosen."""
+        """Run the selected command."""
         item = self.results.currentItem()
         action: QAction | None = None if item is None else item.data(Qt.ItemDataRole.UserRole)
         if action is not None and action.isEnabled():
@@ -56,7 +56,7 @@ class CommandPalette(QDialog):
             action.trigger()
 
     def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
-        """The arrows move through the list while letters are typed."""
+        """Move through the list with the arrow keys while typing."""
         if isinstance(a1, QKeyEvent) and a1.type() == QEvent.Type.KeyPress and a1.key() in _KEYS:
             self.results.keyPressEvent(a1)
             return True
@@ -89,12 +89,12 @@ class CommandPalette(QDialog):
 
 
 def get_command_name(action: QAction) -> str:
-    """What a command is called."""
+    """Return the name of a command."""
     return action.text().replace("&", "")
 
 
 def _score(text: str, name: str) -> int:
-    """How far apart the letters of `text` lie in `name`, in their order; -1 where they are not all there."""
+    """Return how far apart the letters of `text` lie in `name`, in order; -1 if one is missing."""
     at, score, low = -1, 0, name.lower()
     if text.lower() in low:
         return low.index(text.lower())

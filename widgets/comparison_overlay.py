@@ -1,4 +1,4 @@
-"""A second picture over a column's own: up to a handle that is dragged, or in turns with it."""
+"""Overlay of a second image on a column's own: wipe with a handle, or blink."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from PyQt6.QtGui import QMouseEvent
 from pipeline.previews.preview import Preview
 from widgets.canvas import Canvas
 
-_BLINK_MS = 500  # two pictures a second
+_BLINK_MS = 500  # two images per second
 
 
 class ComparisonOverlay(QObject):
-    """Lies in a picture's canvas; shows nothing until it is given a picture of the same size."""
+    """Lives in a canvas; shows nothing until it gets an image of the same size."""
 
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
         self._canvas = canvas
         self._picture: Preview | None = None
-        self.share = 0.5  # of the width that is left to the picture below
-        self.is_visible = False  # whether any of the second picture can be seen now
-        self._held = False  # the handle, by the mouse
+        self.share = 0.5  # share of the width that shows the lower image
+        self.is_visible = False  # whether any part of the overlay is visible
+        self._held = False  # the handle is being dragged
         self._blink = QTimer(self)
         self._blink.setInterval(_BLINK_MS)
         self._blink.timeout.connect(self._turn)
@@ -28,11 +28,11 @@ class ComparisonOverlay(QObject):
 
     @property
     def is_blinking(self) -> bool:
-        """Whether the two pictures come in turns."""
+        """Whether the two images alternate."""
         return self._blink.isActive()
 
     def clear(self) -> None:
-        """Take the second picture away."""
+        """Remove the overlay."""
         if self._picture is None:
             return
         self._picture, self._canvas.handle_share, self.is_visible = None, None, False
@@ -40,7 +40,7 @@ class ComparisonOverlay(QObject):
         self._canvas.show_overlay(None)
 
     def show_wipe(self, picture: Preview) -> None:
-        """The second picture right of the handle, which stays where it was dragged to."""
+        """Show the overlay right of the handle, which keeps its position."""
         self._blink.stop()
         if picture is not self._picture or not self.is_visible:
             self._picture = picture
@@ -48,21 +48,21 @@ class ComparisonOverlay(QObject):
         self.move_handle(self.share)
 
     def show_blink(self, picture: Preview) -> None:
-        """The second picture in turns with the one below."""
+        """Alternate the overlay with the image below."""
         self._picture, self._canvas.handle_share = picture, None
         self._place(shown=True)
         if not self._blink.isActive():
             self._blink.start()
 
     def move_handle(self, share: float) -> None:
-        """Put the handle at this share of the width, no farther than the picture."""
+        """Move the handle to a share of the width, clipped to the image."""
         self.share = min(max(share, 0.0), 1.0)
         self._canvas.handle_share = self.share
         self._canvas.move_overlay(self.share)
         self.is_visible = self._picture is not None and self.share < 1.0
 
     def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
-        """The handle is dragged before the picture is."""
+        """Let the handle take the drag before the canvas pans."""
         if self._canvas.handle_share is None or self._picture is None or not isinstance(a1, QMouseEvent):
             return super().eventFilter(a0, a1)
         if a1.type() == QEvent.Type.MouseButtonPress and self._canvas.is_near_handle(a1.position()):

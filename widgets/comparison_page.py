@@ -1,4 +1,4 @@
-"""The page that shows one frame several ways: tabs with a row of controls, a sentence, and tiles."""
+"""Page that shows variants of one frame: tabs with controls, a message, and tiles."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ MAX_SEEDS = 64
 
 
 class ComparisonTab(QWidget):
-    """Controls and a bar over a sentence over tiles."""
+    """Controls and progress bar over a message over tiles."""
 
     cancel_requested = pyqtSignal()
 
@@ -65,7 +65,7 @@ class ComparisonTab(QWidget):
         self.show_progress(None)
 
     def show_progress(self, fraction: float | None) -> None:
-        """How far it is, None when it rests."""
+        """Show progress from 0 to 1; None hides the bar."""
         for widget in (self._bar, self._stop):
             widget.setVisible(fraction is not None)
         if fraction is not None:
@@ -73,7 +73,7 @@ class ComparisonTab(QWidget):
 
 
 class ComparisonPage(QWidget):
-    """Tabs by name; `tab_chosen` and `choice_changed` ask for what they show."""
+    """Tabs by name; `tab_chosen` and `choice_changed` request their content."""
 
     tab_chosen = pyqtSignal()
     choice_changed = pyqtSignal()
@@ -107,7 +107,7 @@ class ComparisonPage(QWidget):
         row = set_spacing(QHBoxLayout(self._below), 4)
         for cell in self.views_3d:
             row.addWidget(cell, 1)
-        row.addStretch(1)  # under the difference, which has no 3D
+        row.addStretch(1)  # under the difference, which has no 3D view
         row.setStretch(2, 1)
         self.variants.stack.addWidget(self._below, 2)
         self._below.hide()
@@ -123,17 +123,17 @@ class ComparisonPage(QWidget):
 
     @property
     def tabs(self) -> Mapping[str, ComparisonTab]:
-        """All of them by name."""
+        """All tabs by name."""
         return self._names
 
     @property
     def current_name(self) -> str:
-        """Of the tab in front."""
+        """Name of the current tab."""
         return next(name for name, tab in self._names.items() if tab is self._tabs.currentWidget())
 
     @property
     def current_tab(self) -> ComparisonTab:
-        """The one in front."""
+        """The current tab."""
         return self._names[self.current_name]
 
     def _changed(self, *_: object) -> None:
@@ -143,14 +143,14 @@ class ComparisonPage(QWidget):
         self.tab_chosen.emit()
 
     def add_command(self, action: QAction) -> None:
-        """Give a command of the tab with two a button."""
+        """Add a button for a command to the tab of two variants."""
         button = make_command_button(action)
         button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
         self.variants.head.insertWidget(2 + self._commands, button)
         self._commands += 1
 
     def offer_stages(self, stages: Mapping[str, str]) -> None:
-        """Name -> title of the slots that can be compared, all of them first; says nothing to anybody."""
+        """Offer name -> title of stages to compare, all stages first; emits no signal."""
         names = ["", *stages]
         if [self.stage_box.itemData(i) for i in range(self.stage_box.count())] == names:
             return
@@ -176,7 +176,7 @@ class ComparisonPage(QWidget):
             self.seed_count_box.setValue(seeds)
 
     def show_3d_views(self, shown: bool) -> None:
-        """Whether the two have 3D views under them."""
+        """Show or hide the 3D views under the two variants."""
         self._below.setVisible(shown)
 
     def show_tab(self, name: str) -> None:

@@ -1,4 +1,4 @@
-"""An error as a sum: a bar for each part, each beginning where the one before it ended."""
+"""Error attribution as a waterfall: each bar begins where the one before it ends."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _TITLE_SHARE, _VALUE_SHARE = 0.26, 0.12  # of the width
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WaterfallBar:
-    """One row: from where to where on the error's axis."""
+    """One row of the waterfall: start and end on the error axis."""
 
     title: str
     begin: float
@@ -27,12 +27,12 @@ class WaterfallBar:
 
     @property
     def change(self) -> float:
-        """What the row adds to the error that is left, negative where it takes away."""
+        """Change of the remaining error; negative where it decreases."""
         return self.end - self.begin
 
 
 def make_bars(total: float, parts: Sequence[tuple[str, float]], rest: float) -> tuple[WaterfallBar, ...]:
-    """The rows of (title, share) parts between the whole error and what is left."""
+    """Return the rows of (title, share) parts between the total error and the remainder."""
     rows = [WaterfallBar(title="this frame's error", begin=0.0, end=total, is_total=True)]
     left = total
     for title, share in parts:
@@ -43,7 +43,7 @@ def make_bars(total: float, parts: Sequence[tuple[str, float]], rest: float) -> 
 
 
 class Waterfall(QWidget):
-    """Draws `bars` in equal rows."""
+    """Paints `bars` in rows of equal height."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -52,16 +52,16 @@ class Waterfall(QWidget):
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
 
     def show_bars(self, shown: tuple[WaterfallBar, ...], unit: str) -> None:
-        """Draw these instead."""
+        """Show these rows."""
         self.bars, self._unit = shown, unit
         self.update()
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """Room for its rows."""
+        """Return room for all rows."""
         return QSize(420, 18 * max(5, len(self.bars)))
 
     def paintEvent(self, a0: QPaintEvent | None) -> None:  # noqa: N802
-        """Titles at the left, values at the right, bars between them on one axis."""
+        """Paint titles at the left, values at the right, bars between them on one axis."""
         del a0
         if not self.bars:
             return
@@ -91,7 +91,7 @@ class Waterfall(QWidget):
 
 
 class ErrorAttributionPanel(QWidget):
-    """Which figure, its sentence, its waterfall; `figure_chosen` says which error is to be taken apart."""
+    """Metric chooser, sentence and waterfall; `metric_chosen` names the error to attribute."""
 
     metric_chosen = pyqtSignal(str)
 
@@ -100,7 +100,7 @@ class ErrorAttributionPanel(QWidget):
         self.metric_box, self._sentence, self.waterfall = QComboBox(), QLabel(), Waterfall()
         self.metric_box.setObjectName("blame_figure")
         self.metric_box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
-        self.metric_box.setAccessibleName("figure that is taken apart")
+        self.metric_box.setAccessibleName("metric to attribute")
         self.metric_box.activated.connect(lambda: self.metric_chosen.emit(self.metric_box.currentText()))
         self._sentence.setWordWrap(True)
         make_bold(self._sentence)
@@ -114,11 +114,11 @@ class ErrorAttributionPanel(QWidget):
 
     @property
     def sentence(self) -> str:
-        """What is said of the frame."""
+        """The sentence about the frame."""
         return self._sentence.text()
 
     def offer_metrics(self, names: Sequence[str], chosen: str) -> None:
-        """The figures that this frame knows; says nothing to anybody."""
+        """Offer the metrics that this frame has; emits no signal."""
         if [self.metric_box.itemText(i) for i in range(self.metric_box.count())] != list(names):
             self.metric_box.clear()
             self.metric_box.addItems(names)
@@ -126,11 +126,11 @@ class ErrorAttributionPanel(QWidget):
         self.metric_box.setEnabled(bool(names))
 
     def show_empty(self, why: str) -> None:
-        """No error to take apart, and why."""
+        """Show why there is no error to attribute."""
         self._sentence.setText(why)
         self.waterfall.show_bars((), "")
 
     def show_attribution(self, sentence: str, shown: tuple[WaterfallBar, ...], unit: str) -> None:
-        """An error and its parts."""
+        """Show an error and its parts."""
         self._sentence.setText(sentence)
         self.waterfall.show_bars(shown, unit)

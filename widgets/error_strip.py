@@ -1,4 +1,4 @@
-"""The error of every frame under the slider: which frames are bad, which are doubted, and where we are."""
+"""Error of every frame under the timeline slider: bad frames, frames with warnings, the current frame."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from widgets.theme import get_theme_colours, to_qcolor
 _INSET_PX = 6  # half the slider's handle
 _MARK_PX = 7.0
 _WIDEST_PX = 26.0
-_LEAST_PX = 24  # high
-_TOP_PX, _BASE_PX = _MARK_PX + 2.0, 2.0  # of the worst bar, from above; of all bars, from below
-_TICK_PX, _FIGURES_PT = 3.0, 2.5  # long is a tick of the scale; so much smaller are its figures
+_LEAST_PX = 24  # minimum height
+_TOP_PX, _BASE_PX = _MARK_PX + 2.0, 2.0  # of the highest bar, from the top; of all bars, from the bottom
+_TICK_PX, _FIGURES_PT = 3.0, 2.5  # length of a tick; how much smaller its numbers are
 
 
 class ErrorStrip(QWidget):
-    """A bar a frame, a mark over what is doubted; `frame_chosen` by click and drag."""
+    """One bar per frame, a mark for warnings; `frame_chosen` by click and drag."""
 
     frame_chosen = pyqtSignal(int)
 
@@ -31,63 +31,63 @@ class ErrorStrip(QWidget):
         self.setObjectName("error_strip")
         self.setAccessibleName("error of every frame")
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Maximum)
-        self.values: tuple[float, ...] = ()  # NaN = not known
+        self.values: tuple[float, ...] = ()  # NaN = unknown
         self.warnings: Mapping[int, Sequence[str]] = {}
-        self.loop_range: tuple[int, int] | None = None  # that playing loops over
+        self.loop_range: tuple[int, int] | None = None  # range of a looped playback
         self.frame, self._unit, self.height_px = 0, "", 28
 
     @property
     def worst_frame(self) -> int:
-        """The frame with the largest value, -1 while none is known."""
+        """The frame with the largest value; -1 while none is known."""
         known = [i for i, value in enumerate(self.values) if math.isfinite(value)]
         return max(known, key=self.values.__getitem__, default=-1)
 
     @property
     def max_value(self) -> float:
-        """What the highest bar stands for; 0 while nothing is known."""
+        """The value of the highest bar; 0 while none is known."""
         return max((value for value in self.values if math.isfinite(value)), default=0.0)
 
     def show_values(self, values: Sequence[float], unit: str, warnings: Mapping[int, Sequence[str]]) -> None:
-        """A value for every frame, NaN where it is not known, and what is doubted of which."""
+        """Show a value for every frame (NaN = unknown) and the warnings of each."""
         self.values, self._unit, self.warnings = tuple(values), unit, warnings
         self.update()
 
     def show_frame(self, frame: int) -> None:
-        """Mark where we are."""
+        """Mark the current frame."""
         if frame != self.frame:
             self.frame = frame
             self.update()
 
     def show_loop_range(self, span: tuple[int, int] | None) -> None:
-        """Mark the frames that are looped over, None where all are."""
+        """Mark the loop range; None for all frames."""
         if span != self.loop_range:
             self.loop_range = span
             self.update()
 
     def set_height_px(self, high_px: int) -> None:
-        """How high it stands."""
+        """Set the height."""
         if high_px != self.height_px:
             self.height_px = high_px
             self.updateGeometry()
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """As wide as the slider over it."""
+        """Return the width of the slider above."""
         return QSize(200, self.height_px)
 
     def minimumSizeHint(self) -> QSize:  # noqa: N802
-        """Lower where a small screen asks for it: a window does not outgrow it for the bars' sake."""
+        """Return a height that fits small screens."""
         return QSize(60, min(self.height_px, _LEAST_PX))
 
     def describe_frame(self, frame: int) -> str:
-        """What is known of a frame, in words."""
+        """Return what is known of a frame as a sentence."""
         if not 0 <= frame < len(self.values):
             return ""
         value = self.values[frame]
-        text = f"frame {frame}: " + (f"{value:.3g} {self._unit}" if math.isfinite(value) else "no error known")
+        text = f"frame {frame}: " + (f"{value:.3g} {self._unit}" if math.isfinite(value) else "error unknown")
         return "\n".join((text, *self.warnings.get(frame, ())))
 
     def frame_at(self, x: float) -> int:
-        """The frame under a place."""
+        """Return the frame at a horizontal position."""
         n = len(self.values)
         if n < 2:
             return 0
@@ -95,7 +95,7 @@ class ErrorStrip(QWidget):
         return min(max(round(share * (n - 1)), 0), n - 1)
 
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
-        """Bars on one line, marks over them."""
+        """Paint bars on one line and marks above them."""
         del a0
         painter, n = QPainter(self), len(self.values)
         if not n:
@@ -135,15 +135,15 @@ class ErrorStrip(QWidget):
         painter.restore()
 
     def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
-        """Go there."""
+        """Choose the frame under the mouse."""
         self._choose(a0)
 
     def mouseMoveEvent(self, a0: Any) -> None:  # noqa: N802
-        """Go along."""
+        """Choose frames while dragging."""
         self._choose(a0)
 
     def event(self, a0: Any) -> bool:
-        """Tell of the frame under the mouse."""
+        """Show a tooltip for the frame under the mouse."""
         if isinstance(a0, QHelpEvent):
             QToolTip.showText(a0.globalPos(), self.describe_frame(self.frame_at(a0.pos().x())), self)
             return True
@@ -155,24 +155,24 @@ class ErrorStrip(QWidget):
 
 
 class ErrorScale(QWidget):
-    """What the bars' upper and lower end stand for: the worst value and 0, in the unit that is named beside it."""
+    """Scale of the bars: the largest value and 0, with the unit."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         shrink_font(self, _FIGURES_PT, least_pt=6.0)
         self.setFixedWidth(self.fontMetrics().horizontalAdvance("0.0000") + round(_TICK_PX) + 2)
         self.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Ignored)
-        self.max_text = ""  # at the upper end
+        self.max_text = ""  # label at the upper end
 
     def show_max(self, most: float) -> None:
-        """The bars go from 0 to this; nothing is told of bars that are not there."""
-        told = f"{most:.3g}" if most > 0 else ""
-        if told != self.max_text:
-            self.max_text = told
+        """Show the value of the highest bar; nothing if there are no bars."""
+        text = f"{most:.3g}" if most > 0 else ""
+        if text != self.max_text:
+            self.max_text = text
             self.update()
 
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
-        """Two figures at two ticks on a line."""
+        """Paint two numbers at two ticks on a line."""
         del a0
         if not self.max_text:
             return
@@ -181,8 +181,8 @@ class ErrorScale(QWidget):
         painter.setPen(QPen(self.palette().color(QPalette.ColorRole.Mid), 1))
         painter.drawLine(QPointF(right, top), QPointF(right, base))
         painter.setPen(self.palette().color(QPalette.ColorRole.WindowText))
-        for told, y in ((self.max_text, top), ("0", base)):
+        for text, y in ((self.max_text, top), ("0", base)):
             painter.drawLine(QPointF(right - _TICK_PX, y), QPointF(right, y))
             under = min(y + 0.4 * letters, high - 1.0)
-            wide = painter.fontMetrics().horizontalAdvance(told)
-            painter.drawText(QPointF(right - _TICK_PX - 2.0 - wide, under), told)
+            wide = painter.fontMetrics().horizontalAdvance(text)
+            painter.drawText(QPointF(right - _TICK_PX - 2.0 - wide, under), text)

@@ -1,4 +1,4 @@
-"""What to export, and as what: a small dialog that stays open beside the window until it is answered."""
+"""Export dialog: what to export and in which format; non-modal."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from collections.abc import Sequence
 from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtWidgets import QComboBox, QDialog, QFormLayout, QHBoxLayout, QLabel, QLineEdit, QPushButton, QWidget
 
-FORMATS = (  # suffix, words, what it can be of
-    (".png", "picture, PNG", "every"),
-    (".pdf", "picture, PDF", "every"),
+FORMATS = (  # suffix, title, content it can hold
+    (".png", "image, PNG", "every"),
+    (".pdf", "image, PDF", "every"),
     (".ply", "points in mm, PLY", "pane"),
     (".npz", "arrays, NPZ", "every"),
-    (".csv", "figures of all frames, CSV", "frames"),
-    (".mp4", "video through the frames, MP4", "frames"),
-    (".avi", "video through the frames, AVI", "frames"),
+    (".csv", "metrics of all frames, CSV", "frames"),
+    (".mp4", "video of the frames, MP4", "frames"),
+    (".avi", "video of the frames, AVI", "frames"),
 )
 SHEET = "sheet"
 
 
 class ExportDialog(QDialog):
-    """`export_wanted` and `command_wanted` carry pane, what is shown, suffix and frames."""
+    """Emits `export_wanted` and `command_wanted` with pane, content, suffix and frames."""
 
     export_requested = pyqtSignal(str, str, str, str)
     command_requested = pyqtSignal(str, str, str, str)
@@ -39,7 +39,7 @@ class ExportDialog(QDialog):
             self.content_box.addItem(word, word)
         for suffix, words, _ in FORMATS:
             self.format_box.addItem(words, suffix)
-        self.frames.setPlaceholderText("all, or such as 0,3-7")
+        self.frames.setPlaceholderText("all, or for example 0,3-7")
         self.frames.setToolTip("frames of a table or a video, by number")
         form = QFormLayout(self)
         for label, widget in (
@@ -68,13 +68,13 @@ class ExportDialog(QDialog):
 
     @property
     def selection(self) -> tuple[str, str, str, str]:
-        """Pane, what it shows, suffix, frames."""
+        """Pane, content, suffix, frames."""
         shown = self.content_box.currentData() if self.content_box.isEnabled() else "computed"
         frames = self.frames.text().strip() if self.frames.isEnabled() else ""
         return self.pane_box.currentData(), shown, self.format_box.currentData(), frames
 
     def show_panes(self, panes: Sequence[tuple[str, str]], chosen: str, shown: str) -> None:
-        """Offer these panes (name, title), one of them chosen, showing this."""
+        """Offer these panes (name, title) and select one of them with its content."""
         self.pane_box.clear()
         for name, title in panes:
             self.pane_box.addItem(title, name)
@@ -83,13 +83,13 @@ class ExportDialog(QDialog):
         self._fit()
 
     def _fit(self) -> None:
-        """Ask only what matters for the pane and the kind."""
+        """Enable only the options of the selected pane and format."""
         pane = self.pane_box.currentData()
         of = next((of for suffix, _, of in FORMATS if suffix == self.format_box.currentData()), "every")
         self.content_box.setEnabled(pane not in (SHEET, "source", None))
         self.frames.setEnabled(of == "frames")
         wrong = of == "pane" and pane == SHEET
-        self._told.setText("a sheet is no cloud of points; choose one pane" if wrong else "")
+        self._told.setText("a sheet has no points; select one pane" if wrong else "")
         for button in (self.copy, self.write):
             button.setEnabled(not wrong)
 

@@ -1,4 +1,4 @@
-"""All slots as small pictures with their state and what is doubted; a click chooses one."""
+"""All stages as thumbnails with their state and warnings; a click selects one."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from widgets.theme import get_theme_colours
 
 _PICTURE_PX = QSize(132, 62)
 _SIGN_PX, _EDGE_PX = 16, 4
-_FEW, _AROUND = 0.3, 1.25  # share of pixels with a value under which those are shown alone, with this room around
+_FEW, _AROUND = 0.3, 1.25  # below this share of pixels with a value, only those are shown, with this margin
 
 
 class Thumbnail(QAbstractButton):
-    """One slot: its picture, title, state, and the sign of a doubt."""
+    """One stage: its preview, title, state and warning sign."""
 
     def __init__(self, title: str, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -38,39 +38,39 @@ class Thumbnail(QAbstractButton):
         self._pixmap: QPixmap | None = None
 
     def show_preview(self, picture: Preview) -> None:
-        """Take another picture; it is made small when somebody sees it."""
+        """Take another preview; the thumbnail is rendered when it is painted."""
         if picture is not self._picture:
             self._picture, self._pixmap = picture, None
             self.update()
 
     def show_state(self, state: str, warnings: tuple[str, ...]) -> None:
-        """Where the slot stands, and what is doubted of it."""
+        """Show the state and warnings of the stage."""
         if (state, warnings) != (self.state, self.warnings):
             self.state, self.warnings = state, warnings
             self.setToolTip("\n".join((f"{self.text()}: {state}", *warnings)))
             self.update()
 
     def set_collapsed(self, folded: bool) -> None:
-        """Show sign and title alone."""
+        """Show sign and title only."""
         self.is_collapsed = folded
         self.updateGeometry()
 
     def show_pane_state(self, *, shown: bool, active: bool) -> None:
-        """Whether it stands in a pane, and whether that is the one that a click fills."""
+        """Show whether the stage is in a pane, and whether a click replaces that pane."""
         self.is_in_pane, self.is_active = shown, active
         self.update()
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """The picture under a line of letters, or the line alone."""
+        """Return room for the thumbnail under a line of text, or the line alone."""
         high = 0 if self.is_collapsed else _PICTURE_PX.height()
         return QSize(_PICTURE_PX.width() + 2 * _EDGE_PX, high + self._line_px() + 2 * _EDGE_PX)
 
     def minimumSizeHint(self) -> QSize:  # noqa: N802
-        """Narrower where there are many."""
+        """Return a narrower width where there are many."""
         return QSize(74, self.sizeHint().height())
 
     def paintEvent(self, e: Any) -> None:  # noqa: N802
-        """Sign and title over the picture, a frame around what is in a pane."""
+        """Paint sign and title over the thumbnail, with a frame if it is in a pane."""
         del e
         painter, palette = QPainter(self), self.palette()
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
@@ -96,12 +96,12 @@ class Thumbnail(QAbstractButton):
         painter.drawPixmap(_EDGE_PX, _EDGE_PX + line, self._pixmap)
 
     def resizeEvent(self, a0: Any) -> None:  # noqa: N802
-        """Another width is another picture."""
+        """Render the thumbnail at the new width."""
         super().resizeEvent(a0)
         self._pixmap = None
 
     def changeEvent(self, e: Any) -> None:  # noqa: N802
-        """Another theme is another one too."""
+        """Render the thumbnail in the new theme."""
         super().changeEvent(e)
         if e.type() == QEvent.Type.PaletteChange:
             self._pixmap = None
@@ -117,7 +117,7 @@ class Thumbnail(QAbstractButton):
 
 
 def render_thumbnail(picture: Preview, size: QSize, dense: float, palette: QPalette) -> QPixmap:
-    """A picture with its contact's outline on the theme's ground; one with few pixels that say anything shows those."""
+    """Render a preview with its contact outline on the theme's background, cropped to its values if they are few."""
     plate = PreviewRenderer()
     plate.set_no_value_colour(get_theme_colours(palette).no_value)
     plate.set_preview(replace(picture, pixel_mm=math.nan, felt_px=None))  # without a scale bar
@@ -134,7 +134,7 @@ def render_thumbnail(picture: Preview, size: QSize, dense: float, palette: QPale
 
 
 class Filmstrip(QWidget):
-    """Thumbnails in the order of the slots; `chosen` carries a slot's name."""
+    """Thumbnails in the order of the stages; `chosen` carries a stage's name."""
 
     stage_chosen = pyqtSignal(str)
 
@@ -148,21 +148,21 @@ class Filmstrip(QWidget):
             self._row.addWidget(thumbnail, 1)
 
     def set_collapsed(self, folded: bool) -> None:
-        """Leave the pictures out, or show them again."""
+        """Hide or show the thumbnails."""
         for thumbnail in self.thumbnails.values():
             if thumbnail.is_collapsed != folded:
                 thumbnail.set_collapsed(folded)
 
     def add_control(self, widget: QWidget) -> None:
-        """Put a control at the end."""
+        """Add a control at the end."""
         self._row.addWidget(widget)
 
     def hide_stages(self, names: Collection[str]) -> None:
-        """Hide what the route does not have."""
+        """Hide the stages that the route does not have."""
         for name, thumbnail in self.thumbnails.items():
             thumbnail.setVisible(name not in names)
 
     def show_pane_stages(self, shown: Collection[str], active: str) -> None:
-        """Which slots stand in panes, and which of them a click would replace."""
+        """Show which stages are in panes, and which of them a click replaces."""
         for name, thumbnail in self.thumbnails.items():
             thumbnail.show_pane_state(shown=name in shown, active=name == active)

@@ -1,4 +1,4 @@
-"""Words that change often and lay nothing out anew: `QLabel` has the whole window arranged again for each of them."""
+"""Label for text that changes often: unlike `QLabel`, a new text does not lay out the window again."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _UNDER_PX = 2
 
 
 class FixedSizeLabel(QLabel):
-    """Plain words in the room that there is: one line ends in dots where it is too long, several break at words."""
+    """Plain text in the available room: one line is elided, several lines wrap."""
 
     def __init__(self, text: str = "", parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -21,17 +21,17 @@ class FixedSizeLabel(QLabel):
         self.setTextFormat(Qt.TextFormat.PlainText)
 
     def text(self) -> str:
-        """What it says, all of it."""
+        """The whole text."""
         return self._said
 
     def setText(self, a0: str | None) -> None:  # noqa: N802
-        """Say something else."""
+        """Show another text."""
         if (a0 or "") != self._said:
             self._said = a0 or ""
             self.update()
 
     def set_lines(self, lines: int) -> None:
-        """Have room for so many lines, whether they are needed or not; one has to do where there is no more."""
+        """Reserve room for this many lines, needed or not; shrinks to one if there is no room."""
         if lines != self._lines:
             self._lines = lines
             self.setWordWrap(lines > 1)
@@ -40,15 +40,15 @@ class FixedSizeLabel(QLabel):
             self.updateGeometry()
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """The lines of letters, however wide."""
+        """Return the height of the lines at any width."""
         return QSize(0, self._lines * self.fontMetrics().lineSpacing() + _UNDER_PX)
 
     def minimumSizeHint(self) -> QSize:  # noqa: N802
-        """One line of them."""
+        """Return the height of one line."""
         return QSize(0, self.fontMetrics().lineSpacing() + _UNDER_PX)
 
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
-        """The words."""
+        """Paint the text."""
         del a0
         painter, room, how = QPainter(self), self.contentsRect(), self.alignment()
         painter.setPen(self.palette().color(self.foregroundRole()))

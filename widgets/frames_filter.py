@@ -1,4 +1,4 @@
-"""Which frames are listed: those of which every word of a filter holds."""
+"""Filter of the frames table: frames for which every term holds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _LIMIT = re.compile(r"([<>])=?(-?\d+(?:\.\d*)?|-?\.\d+)$")
 
 
 class FramesFilter(QSortFilterProxyModel):
-    """Sorts as the table says; lists what `show_only` says."""
+    """Sorts by the table's sort role; lists what `set_filter` matches."""
 
     def __init__(self, parent: object = None) -> None:
         super().__init__(parent)  # type: ignore[arg-type]
@@ -20,34 +20,34 @@ class FramesFilter(QSortFilterProxyModel):
         self.setSortRole(SORT_ROLE)
 
     def set_filter(self, words: str) -> None:
-        """Frames of which all of these hold; all frames for none."""
+        """List the frames for which all terms hold; all frames for no term."""
         wanted = tuple(words.lower().split())
         if wanted != self._words:
             self._words = wanted
             self.invalidateFilter()
 
     def filterAcceptsRow(self, source_row: int, source_parent: QModelIndex) -> bool:  # noqa: N802
-        """Whether a frame is listed."""
+        """Return whether a frame is listed."""
         model = self.sourceModel()
         assert isinstance(model, FramesModel)
         return not source_parent.isValid() and all(matches_term(model, source_row, word) for word in self._words)
 
 
 def matches_term(model: FramesModel, frame: int, word: str) -> bool:
-    """Whether a word of a filter holds of a frame; what is not known of it does not."""
+    """Return whether a filter term holds for a frame; unknown values never match."""
     summary, limit = model.get_summary(frame), _LIMIT.match(word)
     if limit is not None:
         value = float(str(model.data(model.index(frame, METRIC), SORT_ROLE)))
         bound = float(limit.group(2))
         return value > bound if limit.group(1) == ">" else -float("inf") < value < bound
     own = {
-        "touched": summary is not None and summary.contact_area_mm2 > 0,
-        "untouched": summary is not None and not summary.problem and summary.contact_area_mm2 <= 0,
-        "doubted": bool(model.get_specific_warnings(frame)),
+        "contact": summary is not None and summary.contact_area_mm2 > 0,
+        "no-contact": summary is not None and not summary.problem and summary.contact_area_mm2 <= 0,
+        "warned": bool(model.get_specific_warnings(frame)),
         "noted": bool(model.get_note(frame)),
         "failed": summary is not None and bool(summary.problem),
     }
     if word in own:
         return own[word]
-    told = (model.get_note(frame), *(() if summary is None else (*summary.warnings, summary.problem)))
-    return any(word in text.lower() for text in told)
+    texts = (model.get_note(frame), *(() if summary is None else (*summary.warnings, summary.problem)))
+    return any(word in text.lower() for text in texts)

@@ -1,4 +1,4 @@
-"""What is known of each frame so far, as rows that can be sorted by any figure."""
+"""Table model of the frames: what is known of each, sortable by any metric."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from PyQt6.QtWidgets import QWidget
 
 from widgets.icons import make_state_icon
 
-SORT_ROLE = Qt.ItemDataRole.UserRole  # a number, so that 10 comes after 9; what is not known comes last
+SORT_ROLE = Qt.ItemDataRole.UserRole  # a number, so that 10 comes after 9; unknown values come last
 FRAME, DEPTH, CONTACT, METRIC, NOTE = range(5)
 _TITLES = ("frame", "depth\nmm", "area\nmm²")
 _TIPS = (
-    "number of the frame",
+    "frame number",
     "largest indentation of the source sensor, mm",
     "contact area on the source sensor, mm²",
 )
@@ -23,16 +23,16 @@ _TIPS = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameSummary:
-    """What one frame turned out to be."""
+    """Summary of one frame."""
 
     max_indentation_mm: float = 0.0
     contact_area_mm2: float = 0.0
-    metrics: Mapping[str, float] = field(default_factory=dict[str, float])  # "slot.name" -> value
-    problem: str = ""  # why there is nothing else to say
-    warnings: tuple[str, ...] = ()  # "slot: sentence"
+    metrics: Mapping[str, float] = field(default_factory=dict[str, float])  # "stage.metric" -> value
+    problem: str = ""  # why the frame has no result
+    warnings: tuple[str, ...] = ()  # "stage: sentence"
 
     def get_value(self, column: int, figure: str) -> float:
-        """The number of a cell; NaN where there is none."""
+        """Return the number of a cell; NaN if unknown."""
         if self.problem or (column != CONTACT and self.contact_area_mm2 <= 0):
             return math.nan
         return {DEPTH: self.max_indentation_mm, CONTACT: self.contact_area_mm2}.get(
@@ -41,9 +41,9 @@ class FrameSummary:
 
 
 class FramesModel(QAbstractTableModel):
-    """Frame numbers, their summaries and notes; a frame nobody has looked at costs nothing.
+    """Frame numbers, summaries and notes; a frame that nobody looked at costs nothing.
 
-    `noted(frame, text)` when somebody has written a note.
+    Emits `noted(frame, text)` when a note is written.
     """
 
     note_edited = pyqtSignal(int, str)
@@ -53,107 +53,107 @@ class FramesModel(QAbstractTableModel):
         self._n_frames, self._figure, self._title = 0, "", "error"
         self._known: dict[int, FrameSummary] = {}
         self._notes: Mapping[int, str] = {}
-        self._common: frozenset[str] | None = None  # None = to be worked out
+        self._common: frozenset[str] | None = None  # None = not computed yet
 
     @property
     def metrics(self) -> tuple[str, ...]:
-        """The figures that any known frame has, in order of their first appearance."""
+        """All metrics of the known frames, in order of first appearance."""
         return tuple(dict.fromkeys(name for known in self._known.values() for name in known.metrics))
 
     def get_summary(self, frame: int) -> FrameSummary | None:
-        """What is known of a frame."""
+        """Return the summary of a frame; None if unknown."""
         return self._known.get(frame)
 
     def find_unknown_frame(self, frame: int) -> int:
-        """The unknown frame nearest to `frame`, later ones first; -1 when all are known."""
+        """Return the unknown frame closest to `frame`, later ones first; -1 when all are known."""
         waiting = [i for i in range(self._n_frames) if i not in self._known]
         return min(waiting, key=lambda i: (abs(i - frame), -i), default=-1)
 
     @property
     def common_warnings(self) -> frozenset[str]:
-        """Those of every touched frame that is known: they tell no frame from another."""
+        """Return the warnings that all known frames with contact share."""
         if self._common is None:
-            told = [set(known.warnings) for known in self._known.values() if known.contact_area_mm2 > 0]
-            self._common = frozenset[str]() if len(told) < 2 else frozenset(set.intersection(*told))
+            warnings = [set(known.warnings) for known in self._known.values() if known.contact_area_mm2 > 0]
+            self._common = frozenset[str]() if len(warnings) < 2 else frozenset(set.intersection(*warnings))
         return self._common
 
     def get_specific_warnings(self, frame: int) -> tuple[str, ...]:
-        """A frame's doubts less the common ones."""
+        """Return the warnings of a frame that are not common to all frames."""
         known = self._known.get(frame)
         return () if known is None else tuple(doubt for doubt in known.warnings if doubt not in self.common_warnings)
 
     def get_values(self, figure: str) -> tuple[float, ...]:
-        """A figure of every frame, NaN where it is not known."""
+        """Return a metric of every frame, NaN where unknown."""
         unknown = FrameSummary()
         return tuple(self._known.get(i, unknown).get_value(METRIC, figure) for i in range(self._n_frames))
 
     def reset_frames(self, n_frames: int) -> None:
-        """Start over with this many frames of which nothing is known."""
+        """Start over with this many unknown frames."""
         self.beginResetModel()
         self._n_frames = n_frames
         self._known, self._common = {}, None
         self.endResetModel()
 
     def grow_to(self, n_frames: int) -> None:
-        """Add rows for frames that have come since."""
+        """Add rows for new frames."""
         if n_frames > self._n_frames:
             self.beginInsertRows(QModelIndex(), self._n_frames, n_frames - 1)
             self._n_frames = n_frames
             self.endInsertRows()
 
     def clear_summaries(self) -> None:
-        """Empty every row: what was known was worked out otherwise than what follows."""
+        """Clear all summaries, because the settings changed."""
         if self._known:
             self._known, self._common = {}, None
-            self._changed(0, self._n_frames - 1)
+            self._emit_changed(0, self._n_frames - 1)
 
     def show_metric(self, name: str, title: str) -> None:
-        """Which figure the last column shows, and its heading."""
+        """Set the metric and title of the last column."""
         if (name, title) != (self._figure, self._title):
             self._figure, self._title = name, title
             self.headerDataChanged.emit(Qt.Orientation.Horizontal, METRIC, METRIC)
-            self._changed(0, self._n_frames - 1)
+            self._emit_changed(0, self._n_frames - 1)
 
     def show_summary(self, frame: int, summary: FrameSummary) -> None:
         """Fill one row."""
         if self._known.get(frame) == summary or not 0 <= frame < self._n_frames:
             return
         self._known[frame], self._common = summary, None
-        self._changed(frame, frame)
+        self._emit_changed(frame, frame)
 
     def show_notes(self, notes: Mapping[int, str]) -> None:
-        """What somebody wrote of which frames."""
+        """Show the notes of frames."""
         if notes != self._notes:
             self._notes = notes
             if self._n_frames:
                 self.dataChanged.emit(self.index(0, NOTE), self.index(self._n_frames - 1, NOTE))
 
     def get_note(self, frame: int) -> str:
-        """What somebody wrote of a frame."""
+        """Return the note of a frame."""
         return self._notes.get(frame, "")
 
     def flags(self, index: QModelIndex) -> Qt.ItemFlag:
-        """Notes are written here."""
+        """Make the note column editable."""
         usual = super().flags(index)
         return usual | Qt.ItemFlag.ItemIsEditable if index.column() == NOTE else usual
 
     def setData(self, index: QModelIndex, value: object, role: int = Qt.ItemDataRole.EditRole) -> bool:  # noqa: N802
-        """Somebody wrote a note: who keeps the notes is told, and shows them."""
+        """Emit an edited note; its owner stores and shows it."""
         if not index.isValid() or index.column() != NOTE or role != Qt.ItemDataRole.EditRole:
             return False
         self.note_edited.emit(index.row(), str(value).strip())
         return True
 
     def rowCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
-        """One row a frame."""
+        """Return one row per frame."""
         return 0 if parent.isValid() else self._n_frames
 
     def columnCount(self, parent: QModelIndex = QModelIndex()) -> int:  # noqa: N802, B008 - Qt's own default
-        """Frame, depth, contact, figure, note."""
+        """Return the number of columns: frame, depth, contact, metric, note."""
         return 0 if parent.isValid() else NOTE + 1
 
     def data(self, index: QModelIndex, role: int = Qt.ItemDataRole.DisplayRole) -> object:
-        """The text of a cell, or the number that it is sorted by."""
+        """Return the text of a cell, or its sort value."""
         if not index.isValid():
             return None
         if index.column() == NOTE and role != SORT_ROLE:
@@ -169,13 +169,13 @@ class FramesModel(QAbstractTableModel):
         return self._text(index.row(), index.column()) if role == Qt.ItemDataRole.DisplayRole else None
 
     def _remark(self, frame: int, column: int, role: Qt.ItemDataRole) -> object:
-        """Why a frame failed or is doubted; the sign of a doubt stands beside its number."""
+        """Return why a frame failed or has warnings, or the warning sign next to its number."""
         summary = self._known.get(frame)
         if summary is None:
             return None
         if role == Qt.ItemDataRole.ToolTipRole:
             return summary.problem or "\n".join(summary.warnings) or None
-        return make_state_icon("doubtful") if column == FRAME and self.get_specific_warnings(frame) else None
+        return make_state_icon("warning") if column == FRAME and self.get_specific_warnings(frame) else None
 
     def _number(self, frame: int, column: int) -> float:
         if column == FRAME:
@@ -200,17 +200,17 @@ class FramesModel(QAbstractTableModel):
     def headerData(  # noqa: N802
         self, section: int, orientation: Qt.Orientation, role: int = Qt.ItemDataRole.DisplayRole
     ) -> object:
-        """Column titles and their explanations."""
+        """Return column titles and their tooltips."""
         if orientation == Qt.Orientation.Horizontal and section == NOTE:
-            shown = {Qt.ItemDataRole.DisplayRole: "note", Qt.ItemDataRole.ToolTipRole: "what you write of a frame"}
+            shown = {Qt.ItemDataRole.DisplayRole: "note", Qt.ItemDataRole.ToolTipRole: "your note on the frame"}
             return shown.get(Qt.ItemDataRole(role))
         if orientation == Qt.Orientation.Horizontal and 0 <= section <= METRIC:
             if role == Qt.ItemDataRole.DisplayRole:
                 return self._title if section == METRIC else _TITLES[section]
             if role == Qt.ItemDataRole.ToolTipRole:
-                return f"{self._figure}; - where it is not known" if section == METRIC else _TIPS[section]
+                return f"{self._figure}; - where unknown" if section == METRIC else _TIPS[section]
         return None
 
-    def _changed(self, first: int, last: int) -> None:
+    def _emit_changed(self, first: int, last: int) -> None:
         if last >= first:
             self.dataChanged.emit(self.index(first, DEPTH), self.index(last, METRIC))

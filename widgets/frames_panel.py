@@ -1,4 +1,4 @@
-"""The table of frames: what is known of each, sorted by any of it, the worst one key away."""
+"""Table of frames, sortable and filterable, with keys for the worst frames."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from widgets.styling import set_spacing, shrink_font
 
 
 class FramesPanel(QWidget):
-    """Shows its `known` frames; `frame_chosen` says which row was picked, `figure_chosen` what the last column is."""
+    """Shows the frames `model`; `frame_chosen` carries the selected frame, `metric_chosen` the last column's metric."""
 
     frame_chosen = pyqtSignal(int)
     metric_chosen = pyqtSignal(str)
@@ -36,14 +36,14 @@ class FramesPanel(QWidget):
         self._frame = 0
         self.metric_box, self._told, self.filter_line = QComboBox(), QLabel(), QLineEdit()
         self.filter_line.setObjectName("frames_filter")
-        self.filter_line.setAccessibleName("which frames are listed")
-        self.filter_line.setPlaceholderText("filter: >0.3, <2, touched, doubted, noted, a word")
-        self.filter_line.setToolTip("Frames of which all of these hold: a limit of the figure, touched, doubted, noted, "
-                               "or a word of a note or a doubt")  # fmt: skip
+        self.filter_line.setAccessibleName("filter of the frames")
+        self.filter_line.setPlaceholderText("filter: >0.3, <2, contact, warned, noted, a word")
+        self.filter_line.setToolTip("Frames that match all terms: a limit of the metric, contact, warned, "
+                               "noted, or a word of a note or a warning")  # fmt: skip
         self.filter_line.setClearButtonEnabled(True)
         self.filter_line.textChanged.connect(self._filter)
         self.metric_box.setObjectName("frames_figure")
-        self.metric_box.setAccessibleName("figure of the frames")
+        self.metric_box.setAccessibleName("metric of the frames")
         self.metric_box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self.metric_box.activated.connect(lambda: self.metric_chosen.emit(self.metric_box.currentText()))
         shrink_font(self._told, 1.0)
@@ -51,19 +51,19 @@ class FramesPanel(QWidget):
         layout = set_spacing(QVBoxLayout(self), 3, (2, 2, 2, 2))
         for widget in (self.metric_box, self.filter_line, self.table, self._told):
             layout.addWidget(widget)
-        self.table.clicked.connect(self._picked)  # a double click writes a note
-        self.table.activated.connect(self._picked)
+        self.table.clicked.connect(self._choose_picked)  # a double click edits the note
+        self.table.activated.connect(self._choose_picked)
         for signal in (self.model.dataChanged, self.model.modelReset):
             signal.connect(self._tell)
         self._tell()
 
     def show_frame(self, frame: int) -> None:
-        """Mark the frame that is on screen."""
+        """Select the frame on screen."""
         self._frame = frame
         if not 0 <= frame < self.model.rowCount():
             return
         row = self._sorted.mapFromSource(self.model.index(frame, 0))
-        if not row.isValid():  # not among those that are listed
+        if not row.isValid():  # not listed
             self.table.clearSelection()
             return
         if self.table.currentIndex().row() != row.row():
@@ -71,7 +71,7 @@ class FramesPanel(QWidget):
         self.table.scrollTo(row)
 
     def offer_metrics(self, names: tuple[str, ...], chosen: str, title: str) -> None:
-        """The figures to choose from, and the one that the last column shows; says nothing to anybody."""
+        """Offer the metrics and the title of the selected one; emits no signal."""
         with QSignalBlocker(self.metric_box):
             if tuple(self.metric_box.itemText(i) for i in range(self.metric_box.count())) != names:
                 self.metric_box.clear()
@@ -81,9 +81,9 @@ class FramesPanel(QWidget):
         self.model.show_metric(chosen, title)
 
     def step_by_metric(self, by: int, *, sort_order: Qt.SortOrder) -> None:
-        """Go `by` rows along the frames in order of the figure, those without one left out; no further than the ends.
+        """Move by `by` frames in the order of the metric, without frames that lack it; stops at the ends.
 
-        The table takes that order; from a frame that has no figure, the first of the order comes.
+        The table takes that order. From a frame without the metric, the first one of the order is chosen.
         """
         self.table.sortByColumn(METRIC, sort_order)
         frames = [self._frame_of(row) for row in range(self._sorted.rowCount())]
@@ -108,7 +108,7 @@ class FramesPanel(QWidget):
         self._tell()
         self.show_frame(self._frame)
 
-    def _picked(self, index: QModelIndex) -> None:
+    def _choose_picked(self, index: QModelIndex) -> None:
         self.frame_chosen.emit(self._frame_of(index.row()))
 
 

@@ -1,4 +1,4 @@
-"""One figure as a bar with fixed limits, and a tick where it stood when a drag began."""
+"""One metric as a bar with fixed limits, and a tick at its value before a drag."""
 
 from __future__ import annotations
 
@@ -16,63 +16,63 @@ _BAR_PX = 9
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GaugeScale:
-    """What a gauge shows; the limits are absolute."""
+    """Range and unit of a gauge; the limits are absolute."""
 
     name: str
-    unit: str  # "" of a share
-    full_value: float  # the bar is full here and beyond
+    unit: str  # "" for a share
+    full_value: float  # the bar is full at this value and beyond
     digits: int
     higher_is_better: bool
     help: str
 
 
 class Gauge(QWidget):
-    """Name, bar from 0 to the scale's full value, number with unit, and the ghost tick."""
+    """Name, bar from 0 to the full value, number with unit, and ghost tick."""
 
     def __init__(self, scale: GaugeScale, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._scale = scale
-        self.value: float | None = None  # the figure shown, None where there is none
-        self.ghost: float | None = None  # where the tick stands
+        self.value: float | None = None  # None = no value
+        self.ghost: float | None = None  # position of the ghost tick
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.setAccessibleName(scale.name)
         better = "higher is better" if scale.higher_is_better else "lower is better"
         self.setToolTip(
             f"{scale.help}; {better}; the bar is full at {scale.full_value:g}{self._unit()}; "
-            f"the tick stays where the last drag began"
+            f"the tick marks the value before the last drag"
         )
 
     @property
     def text(self) -> str:
-        """The figure with its unit."""
+        """The value with its unit."""
         known = self.value is not None and math.isfinite(self.value)
         return f"{self.value:.{self._scale.digits}f}{self._unit()}" if known else "-"
 
     def show_value(self, value: float | None) -> None:
-        """Show a figure, None for none."""
+        """Show a value; None for none."""
         if value != self.value:
             self.value = value
             self.setAccessibleDescription(self.text)
             self.update()
 
     def show_scale(self, scale: GaugeScale) -> None:
-        """The same figure on other limits."""
+        """Change the limits."""
         if scale != self._scale:
             self._scale = scale
             self.update()
 
     def mark_ghost(self, value: float | None) -> None:
-        """Put the tick at a figure, or take it away."""
+        """Set the ghost tick; None removes it."""
         if value != self.ghost:
             self.ghost = value
             self.update()
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """One line."""
+        """Return the size of one line."""
         return QSize(180, self.fontMetrics().height() + 4)
 
     def paintEvent(self, a0: QPaintEvent | None) -> None:  # noqa: N802
-        """Draw name, bar, tick and number."""
+        """Paint name, bar, tick and number."""
         del a0
         painter, metrics = QPainter(self), self.fontMetrics()
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)

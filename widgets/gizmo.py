@@ -1,4 +1,4 @@
-"""A gizmo over a picture: arrows that shift along x and y, a middle that shifts freely, a ring that turns."""
+"""Gizmo over an image: arrows translate along x and y, the centre translates freely, the ring rotates."""
 
 from __future__ import annotations
 
@@ -19,19 +19,21 @@ _NEAR_PX, _TIP_PX = 7.0, 7.0
 
 
 class Gizmo(QWidget):
-    """Lies in a picture's canvas; its parts are dragged before the picture is."""
+    """Lives in a canvas; its parts take a drag before the canvas pans."""
 
     grabbed = pyqtSignal()
-    dragged = pyqtSignal(str, float, float, float)  # part; how far in the picture's pixels x and y; turned, degrees
+    dragged = pyqtSignal(str, float, float, float)  # part, translation x and y in image pixels, rotation in degrees
     released = pyqtSignal()
 
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
         self.setObjectName("gizmo")
-        self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)  # the canvas is watched instead
+        self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)  # the canvas' events are filtered instead
         self._canvas = canvas
-        self._at: QPointF | None = None  # pixel of the picture
-        self._held: tuple[GizmoPart, QPointF, QPointF] | None = None  # part, press, and the middle then, on the screen
+        self._at: QPointF | None = None  # image pixel
+        self._held: tuple[GizmoPart, QPointF, QPointF] | None = (
+            None  # part, press position and centre at that time, on the screen
+        )
         self._under: GizmoPart | None = None
         canvas.installEventFilter(self)
         self.hide()
@@ -42,7 +44,7 @@ class Gizmo(QWidget):
         return self._held is not None
 
     def show_at(self, pixel: QPointF | None) -> None:
-        """Put its middle on a pixel of the picture, or take it away."""
+        """Put the centre on an image pixel; None hides the gizmo."""
         self._at = pixel
         self.setGeometry(self._canvas.rect())
         self.setVisible(pixel is not None)
@@ -51,7 +53,7 @@ class Gizmo(QWidget):
         self.update()
 
     def part_at(self, at: QPointF) -> GizmoPart | None:
-        """What of it lies at a place of the canvas."""
+        """Return the part at a position of the canvas."""
         if self._at is None:
             return None
         off = at - self._canvas.to_screen(self._at)
@@ -65,7 +67,7 @@ class Gizmo(QWidget):
         return "rz" if abs(far - _RING_PX) < _NEAR_PX else None
 
     def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
-        """Take what is meant for it."""
+        """Handle the drags of its parts."""
         if a1 is not None and a1.type() == QEvent.Type.Resize:
             self.setGeometry(self._canvas.rect())
         if self.isHidden() or not isinstance(a1, QMouseEvent):
@@ -108,7 +110,7 @@ class Gizmo(QWidget):
         self.dragged.emit(part, 0.0, 0.0, (turned + 180.0) % 360.0 - 180.0)
 
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
-        """Ring, arrows and middle, each with a casing that is seen on every picture."""
+        """Paint ring, arrows and centre with a casing that is visible on any image."""
         del a0
         if self._at is None:
             return

@@ -1,4 +1,4 @@
-"""What the icons look like: lines on a canvas of 32 pixels, without a colour."""
+"""Line drawings of the icons on a canvas of 32 pixels, without colour."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ CANVAS_PX = 32
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IconDrawing:
-    """Lines of a drawing, in pixels of the canvas."""
+    """Lines of one icon, in pixels of the canvas."""
 
-    strokes: tuple[str, ...] = ()  # the corners of each: "x,y x,y ..."
-    arcs: tuple[tuple[int, int, int, int, int, int], ...] = ()  # x, y, width, height, from and by how many degrees
-    boxes: tuple[tuple[int, int, int, int, int], ...] = ()  # x, y, width, height, radius of the corners
-    filled: tuple[str, ...] = ()  # the corners of each, as of strokes
+    strokes: tuple[str, ...] = ()  # corners of each: "x,y x,y ..."
+    arcs: tuple[tuple[int, int, int, int, int, int], ...] = ()  # x, y, width, height, start and span in degrees
+    boxes: tuple[tuple[int, int, int, int, int], ...] = ()  # x, y, width, height, corner radius
+    filled: tuple[str, ...] = ()  # corners of each, as in `strokes`
 
 
 _TICK = IconDrawing(strokes=("9,17 14,22 23,11",))
@@ -31,7 +31,7 @@ STATE_DRAWINGS: Mapping[str, IconDrawing] = {  # of states, inside a circle
     "running": IconDrawing(arcs=((10, 10, 12, 12, 90, -250),)),
     "preview": _STACK,
     "draft": _STACK,
-    "doubtful": IconDrawing(strokes=("16,8 16,18", "16,23 16.01,23")),
+    "warning": IconDrawing(strokes=("16,8 16,18", "16,23 16.01,23")),
     "failed": IconDrawing(strokes=("11,11 21,21", "21,11 11,21")),
     "stale": IconDrawing(strokes=("16,9 16,16 21,19",)),
     "waiting": IconDrawing(strokes=("16,16 16.01,16",)),  # a dot

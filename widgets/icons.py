@@ -1,4 +1,4 @@
-"""Small drawn icons, in the ink of the palette that is on: signs for states of a stage, and commands."""
+"""Icons drawn in the colours of the current palette: stage states and commands."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from PyQt6.QtWidgets import QWidget
 from widgets.icon_drawings import CANVAS_PX, COMMAND_DRAWINGS, STATE_DRAWINGS, IconDrawing
 from widgets.theme import get_theme_colours, to_qcolor
 
-_LINE_PX, _MARK_PX = 2.4, 3.0  # of the drawings' canvas
-_FAINT = 90  # of 255: a command that cannot be run now
+_LINE_PX, _MARK_PX = 2.4, 3.0  # in pixels of the drawings' canvas
+_FAINT = 90  # of 255: a disabled command
 
 
 def make_command_icon(name: str) -> QIcon:
-    """The drawn icon of a command."""
+    """Return the icon of a command."""
     return QIcon(_Engine(COMMAND_DRAWINGS[name], state=""))
 
 
 def make_state_icon(state: str) -> QIcon:
-    """The sign of a state, for tables."""
+    """Return the sign of a state, for tables."""
     return QIcon(_Engine(STATE_DRAWINGS[state], state=state))
 
 
 def paint_state(painter: QPainter, room: QRectF, state: str, palette: QPalette) -> None:
-    """A round sign for the state of a stage: told apart by its mark, not by its colour alone."""
+    """Paint the round sign of a stage's state; states differ by their mark, not by colour alone."""
     ink = to_qcolor(get_theme_colours(palette).states[state])
     with _Canvas(painter, room):
         painter.setPen(QPen(ink, 2))
@@ -34,7 +34,7 @@ def paint_state(painter: QPainter, room: QRectF, state: str, palette: QPalette) 
 
 
 class StateIcon(QWidget):
-    """The sign of a state by itself; takes its room even while there is none."""
+    """The sign of a state; keeps its room while there is none."""
 
     def __init__(self, size_px: int = 16, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -42,21 +42,21 @@ class StateIcon(QWidget):
         self.setFixedSize(size_px, size_px)
 
     def show_state(self, state: str) -> None:
-        """Another sign, "" for none."""
+        """Show another sign; "" for none."""
         if state != self.state:
             self.state = state
             self.setAccessibleName(state)
             self.update()
 
     def paintEvent(self, a0: object) -> None:  # noqa: N802
-        """Draw it."""
+        """Paint the sign."""
         del a0
         if self.state:
             paint_state(QPainter(self), QRectF(self.rect()), self.state, self.palette())
 
 
 class _Engine(QIconEngine):
-    """Draws whenever it is asked, so that an icon follows theme and density of its screen by itself."""
+    """Icon engine that paints on request, so that an icon follows theme and screen density."""
 
     def __init__(self, drawing: IconDrawing, *, state: str) -> None:
         super().__init__()
@@ -87,7 +87,7 @@ class _Engine(QIconEngine):
 
 
 class _Canvas:
-    """The canvas of the drawings, laid over a room."""
+    """The canvas of the drawings, mapped to a rectangle."""
 
     def __init__(self, painter: QPainter, room: QRectF) -> None:
         self._painter, self._room = painter, room

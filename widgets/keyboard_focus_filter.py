@@ -1,4 +1,4 @@
-"""How controls answer to wheel and keys: a wheel scrolls the panel, Enter gives the focus back, Tab gives them keys."""
+"""Keyboard and wheel of controls: the wheel scrolls the panel, Enter returns the focus, Tab enters controls."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
 _TYPED = (QAbstractSpinBox, QLineEdit)
 _Key, _Why = Qt.Key, Qt.FocusReason
 _ALONG = frozenset((_Key.Key_Left, _Key.Key_Right, _Key.Key_Home, _Key.Key_End))
-_OWN = {  # keys of controls that are commands of the window too
+_OWN = {  # keys that are commands of the window as well
     QAbstractButton: frozenset((_Key.Key_Space, *_ENTER)),
     QComboBox: frozenset((_Key.Key_Space, _Key.Key_Home, _Key.Key_End)),
     QAbstractSlider: _ALONG,
@@ -33,13 +33,13 @@ _BY_KEYS = frozenset((_Why.TabFocusReason, _Why.BacktabFocusReason, _Why.Shortcu
 
 
 class KeyboardFocusFilter(QObject):
-    """Watches the controls of a window; give it those that come later too."""
+    """Filters the events of a window's controls; register controls that are added later."""
 
     def __init__(self, window: QWidget) -> None:
         super().__init__(window)
         self._window = window
         self._soon = make_single_shot_timer(self, 0, self._back)
-        self._held: QWidget | None = None  # that was come to by keys: a click leaves the window its own
+        self._held: QWidget | None = None  # focused by key: a click leaves the window its shortcuts
         self.watch_controls(window)
 
     def watch_controls(self, part: QWidget) -> None:
@@ -53,7 +53,7 @@ class KeyboardFocusFilter(QObject):
                 control.installEventFilter(self)
 
     def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
-        """A wheel over a control that nobody works with goes on to what it stands in; Enter ends typing."""
+        """Pass the wheel of an unfocused control to its parent; let Enter end typing."""
         if a1 is None or not isinstance(a0, QWidget):
             return False
         if isinstance(a1, QFocusEvent):
@@ -70,11 +70,11 @@ class KeyboardFocusFilter(QObject):
             return True
         typed = isinstance(a0, _TYPED) and a0.window() is self._window
         if typed and a1.type() == QEvent.Type.KeyPress and isinstance(a1, QKeyEvent) and a1.key() in _ENTER:
-            self._soon.start()  # once the number is taken
+            self._soon.start()  # after the spin box has taken the number
         return False
 
     def _back(self) -> None:
-        """Keys are the window's again."""
+        """Return the focus to the window."""
         focused = self._window.focusWidget()
         if focused is not None:
             focused.clearFocus()
@@ -82,5 +82,5 @@ class KeyboardFocusFilter(QObject):
 
 
 def _knows(control: QWidget, key: int) -> bool:
-    """Whether a control does something of its own with a key."""
+    """Return whether a control uses a key itself."""
     return any(isinstance(control, kind) and key in keys for kind, keys in _OWN.items())

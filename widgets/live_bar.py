@@ -1,4 +1,4 @@
-"""A strip over the stages while a sensor is watched: what arrives, what is wrong, zero, recording, back to now."""
+"""Live strip over the stages: rate, problems, set reference, record, back to the newest frame."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from widgets.styling import make_bold
 
 
 class LiveBar(QFrame):
-    """Hidden while nothing is watched."""
+    """Hidden while no sensor is live."""
 
     zero_requested = pyqtSignal()
     record_toggled = pyqtSignal(bool)
@@ -23,15 +23,15 @@ class LiveBar(QFrame):
         self._title, self._rates, self._wrong = QLabel(), QLabel(), QLabel()
         make_bold(self._title)
         make_bold(self._wrong)
-        self._rates.setToolTip("readings a second that arrive, over the last two seconds; lost: counted by the sensor")
+        self._rates.setToolTip("frames per second over the last two seconds; lost: counted by the sensor")
         self._wrong.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
         self.follow, self.zero = QPushButton("Follow"), QPushButton("Set zero")
         self.record, self.stop = QPushButton("Record…"), QPushButton("Stop")
         for button, tip in (
-            (self.follow, "Show the newest reading; off while you look back"),
-            (self.zero, "Take the last readings as the untouched sensor: nothing may touch it"),
-            (self.record, "Write every reading to a file that can be opened at any moment"),
-            (self.stop, "Let go of the sensor; what is held stays on screen"),
+            (self.follow, "Follow the newest frame"),
+            (self.zero, "Use the last frames as the reference image; nothing may touch the sensor"),
+            (self.record, "Record every frame to a file that can be opened at any time"),
+            (self.stop, "Disconnect the sensor; the frames stay on screen"),
         ):
             button.setToolTip(tip)
             button.setObjectName(f"live_{button.text().split(maxsplit=1)[0].strip('…').lower()}")
@@ -52,23 +52,23 @@ class LiveBar(QFrame):
 
     @property
     def text(self) -> str:
-        """All that it says."""
+        """All visible text."""
         return " ".join(label.text() for label in (self._title, self._rates, self._wrong))
 
     def show_source(self, title: str) -> None:
-        """Which sensor is watched."""
+        """Show the name of the live sensor."""
         self._title.setText(title)
-        self.show_rates("looking for it")
+        self.show_rates("connecting")
         self.show()
 
     def show_rates(self, rates: str, wrong: str = "") -> None:
-        """What arrives, and what is wrong with it."""
+        """Show the frame rate and what is wrong with it."""
         self._rates.setText(rates)
         self._wrong.setText(wrong)
         self._wrong.setToolTip(wrong)
 
     def show_state(self, *, following: bool, recording: bool) -> None:
-        """Whether the newest reading is shown, and whether all are written."""
+        """Show whether the newest frame is followed, and whether frames are recorded."""
         self.follow.setChecked(following)
         self.record.setChecked(recording)
         self.record.setText("Stop recording" if recording else "Record…")

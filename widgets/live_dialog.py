@@ -1,4 +1,4 @@
-"""Which sensor to watch: a simulated one, a camera that is plugged in, or a folder that grows."""
+"""Dialog to choose a live sensor: simulated, a connected camera, or a growing folder."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from PyQt6.QtWidgets import (
 
 
 class LiveDialog(QDialog):
-    """`watch_wanted` carries the words of the source, the sensor, the object and the rate in Hz."""
+    """Emits `watch_requested` with source, sensor, object and rate in Hz."""
 
     watch_requested = pyqtSignal(list, str, str, float)
     folder_requested = pyqtSignal()
@@ -31,12 +31,12 @@ class LiveDialog(QDialog):
         self.setObjectName("live_dialog")
         self.source, self.sensor, self.object_box = QComboBox(), QComboBox(), QComboBox()
         self.rate, self.folder = QDoubleSpinBox(), QLineEdit()
-        browse, look = QPushButton("Choose…"), QPushButton("Look again")
+        browse, look = QPushButton("Choose…"), QPushButton("Search again")
         self.rate.setRange(0.5, 120.0)
         self.rate.setSuffix(" Hz")
         self.rate.setValue(15.0)
-        self.rate.setToolTip("readings a second of a simulated sensor, Hz")
-        self.folder.setToolTip("a folder that another program writes pictures into")
+        self.rate.setToolTip("frame rate of a simulated sensor, Hz")
+        self.folder.setToolTip("a folder that another program writes images into")
         form = QFormLayout(self)
         first, second = QHBoxLayout(), QHBoxLayout()
         first.addWidget(self.source, 1)
@@ -61,8 +61,8 @@ class LiveDialog(QDialog):
         self.folder.textChanged.connect(self._fit)
 
     def show_choices(self, sensors: Sequence[str], tools: Sequence[str]) -> None:
-        """The sensors and the objects there are."""
-        self.sensor.addItem("as its name or pictures tell", "")
+        """Offer these sensors and objects."""
+        self.sensor.addItem("detect from name or images", "")
         for name in sensors:
             self.sensor.addItem(name, name)
         for name in tools:
@@ -70,17 +70,17 @@ class LiveDialog(QDialog):
         self.object_box.setCurrentIndex(max(0, self.object_box.findData("sphere")))
 
     def show_cameras(self, cameras: Sequence[tuple[str, str]]) -> None:
-        """(name, words) of what is plugged in."""
+        """Offer the connected cameras as (name, source)."""
         self.source.clear()
         self.source.addItem("simulated sensor", ["simulated"])
         for name, words in cameras:
             self.source.addItem(words, ["device", name])
-        self.source.addItem("folder that grows", ["folder"])
-        self._told.setText("" if cameras else "no camera is plugged in")
+        self.source.addItem("growing folder", ["folder"])
+        self._told.setText("" if cameras else "no camera is connected")
         self._fit()
 
     def show_folder(self, folder: str) -> None:
-        """The folder that was chosen."""
+        """Show the selected folder."""
         self.folder.setText(folder)
         self.source.setCurrentIndex(self.source.count() - 1)
 

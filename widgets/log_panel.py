@@ -1,4 +1,4 @@
-"""The log, with a filter by level."""
+"""Log panel with a filter by level."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _LEVELS = {"everything": logging.DEBUG, "info": logging.INFO, "warnings": loggin
 
 
 class LogPanel(QWidget):
-    """Keeps the newest lines and shows those at or above the chosen level."""
+    """Keeps the newest lines and shows those at or above the selected level."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -41,7 +41,7 @@ class LogPanel(QWidget):
 
     @property
     def text(self) -> str:
-        """The lines shown."""
+        """The visible lines."""
         return self._text.toPlainText()
 
     def show_line(self, level: int, text: str) -> None:
@@ -51,7 +51,7 @@ class LogPanel(QWidget):
             self._text.appendPlainText(text)
 
     def clear(self) -> None:
-        """Forget all lines."""
+        """Remove all lines."""
         self._lines.clear()
         self._text.clear()
 

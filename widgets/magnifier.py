@@ -1,4 +1,4 @@
-"""The pixels around one that is pointed at, large and with their values, in a corner of its picture."""
+"""Magnifier: the pixels around the cursor, enlarged and with their values, in a corner of the image."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from widgets.canvas import Canvas
 from widgets.styling import shrink_font
 from widgets.theme import CROSSHAIR_COLOUR, to_qcolor
 
-MAX_RADIUS_PX = 3  # pixels on either side, fewer in a small picture
-_SHARE = 0.5  # of the picture that is covered either way
-_CELL_PX, _LINE_PX = (31, 17), 3  # width of a value, and what is between the patch and the picture's edge
-_DARK = 140  # of 255: letters on a darker pixel are light
+MAX_RADIUS_PX = 3  # pixels on either side, fewer in a small image
+_SHARE = 0.5  # share of the image that may be covered
+_CELL_PX, _LINE_PX = (31, 17), 3  # size of a cell with a value; margin to the image's edge
+_DARK = 140  # of 255: text on darker pixels is light
 
 
 class Magnifier(QWidget):
-    """Shows a patch of one picture after the other; the mouse goes through it."""
+    """Shows a patch of one image at a time; transparent for the mouse."""
 
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
@@ -30,11 +30,11 @@ class Magnifier(QWidget):
         shrink_font(self, 2.5, least_pt=6.5)
         self.radius_px = MAX_RADIUS_PX
         self.preview: Preview | None = None
-        self.centre_pixel = 0, 0  # row, col in the middle
+        self.centre_pixel = 0, 0  # row, col of the central pixel
         self.hide()
 
     def show_pixel(self, canvas: Canvas, picture: Preview, row: int, col: int) -> None:
-        """The surroundings of a pixel, in the corner of its canvas that is farthest from it."""
+        """Show the surroundings of a pixel in the corner of its canvas that is farthest from it."""
         self.preview, self.centre_pixel = picture, (row, col)
         if self.parentWidget() is not canvas:
             self.setParent(canvas)
@@ -52,7 +52,7 @@ class Magnifier(QWidget):
         self.update()
 
     def format_value(self, row: int, col: int) -> str:
-        """What a pixel reads, short: mm to a hundredth, of a colour its mean level; "" outside or without a value."""
+        """Return the value of a pixel as text: mm with two digits, or the mean grey level; "" if there is none."""
         picture = self.preview
         if picture is None or not (0 <= row < picture.pixels.shape[0] and 0 <= col < picture.pixels.shape[1]):
             return ""
@@ -62,7 +62,7 @@ class Magnifier(QWidget):
         return f"{value:.2f}" if math.isfinite(value) else "\N{MIDDLE DOT}"
 
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
-        """A cell a pixel, the one pointed at with a rim."""
+        """Paint one cell per pixel, with a frame around the central one."""
         del a0
         if self.preview is None:
             return

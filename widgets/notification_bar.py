@@ -1,4 +1,4 @@
-"""A strip with a sentence and what can be done about it, never a box that must be clicked away."""
+"""Notification strip: a sentence and buttons; never modal."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ _BAR_PX, _READ_AFTER_MS = 160, 10_000
 
 
 class NotificationBar(QFrame):
-    """Hidden until `show_offer`; each button does its work once and takes the strip away.
+    """Hidden until `show_notification`; each button acts once and hides the strip.
 
-    What offers nothing goes by itself once it can have been read.
+    A notification without buttons hides after a time to read it.
     """
 
     def __init__(self, name: str, parent: QWidget | None = None) -> None:
@@ -24,7 +24,7 @@ class NotificationBar(QFrame):
         self.setFrameShape(QFrame.Shape.StyledPanel)
         self.setAutoFillBackground(True)
         self._text, self._bar, self._away = QLabel(), QProgressBar(), QToolButton()
-        self._text.setTextFormat(Qt.TextFormat.PlainText)  # names of files are no markup
+        self._text.setTextFormat(Qt.TextFormat.PlainText)  # file names are no markup
         self._text.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
         self._text.setWordWrap(True)
         self._bar.setRange(0, 1000)
@@ -46,11 +46,11 @@ class NotificationBar(QFrame):
 
     @property
     def text(self) -> str:
-        """The sentence shown."""
+        """The sentence on display."""
         return self._text.text()
 
     def show_notification(self, sentence: str, choices: Sequence[tuple[str, Callable[[], object]]] = ()) -> None:
-        """Show one sentence and a button for each of `choices` (what it says, what it does)."""
+        """Show one sentence and a button for each of `choices` (label, action)."""
         for button in self.buttons:
             self._row.removeWidget(button)
             button.deleteLater()
@@ -66,12 +66,12 @@ class NotificationBar(QFrame):
             self._read.start()
 
     def show_progress(self, fraction: float) -> None:
-        """How far the work is that the sentence tells of."""
+        """Show the progress of the work that the sentence is about."""
         self._bar.show()
         self._bar.setValue(round(1000 * fraction))
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """No wider than what stands around it: the sentence takes as many lines as it needs."""
+        """Return a narrow width: the sentence wraps."""
         return QSize(200, super().sizeHint().height())
 
     def _button(self, words: str, then: Callable[[], object]) -> QPushButton:

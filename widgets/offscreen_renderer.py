@@ -1,4 +1,4 @@
-"""The contents of the 3D views: layers, cameras, lights and axes, drawn off screen one view at a time."""
+"""Off-screen renderer of the 3D views: layers, cameras, lights and axes, one view at a time."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from pipeline.previews.layers import Layer, ViewBounds
 from widgets.theme import ThemeColours
 
 _LINE_PX = 1.5
-_BEHIND = 4.0, 4.0  # slopes and units of the depth buffer
+_BEHIND = 4.0, 4.0  # polygon offset: slope factor and units of the depth buffer
 
 
 class OffscreenRenderer:
-    """Draws one view after the other into one window; points are written in place, actors are never rebuilt."""
+    """Renders one view after the other into one window; points are updated in place, actors are never rebuilt."""
 
     def __init__(self, columns: int, samples: int) -> None:
         self.window = vtkRenderWindow()
@@ -44,7 +44,7 @@ class OffscreenRenderer:
         self._axes = [[_arrow(renderer, axis) for axis in range(3)] for renderer in self.renderers]
 
     def render_pixels(self, column: int, width_px: int, height_px: int, ink: ThemeColours) -> Image:
-        """One view drawn at this size in the theme's colours, (rows, cols, 3)."""
+        """Return one view rendered at this size in the theme's colours, (rows, cols, 3)."""
         self.activate_view(column, width_px, height_px)
         self.renderers[column].SetBackground(*_shares(ink.backdrop))
         for arrow, colour in zip(self._axes[column], ink.axes, strict=True):
@@ -55,9 +55,9 @@ class OffscreenRenderer:
         return np.ascontiguousarray(vtk_to_numpy(drawn).reshape(height_px, width_px, 3)[::-1])
 
     def activate_view(self, column: int, width_px: int, height_px: int) -> None:
-        """From now on the window is this view's: for drawing, and for the mouse.
+        """Make this view the window's only view, for rendering and for the mouse.
 
-        The view angle holds for the shorter side, so that the same sphere fits tall and wide views.
+        The view angle applies to the shorter side, so that a sphere fits tall and wide views alike.
         """
         for other, renderer in enumerate(self.renderers):
             renderer.SetDraw(other == column)
@@ -67,13 +67,13 @@ class OffscreenRenderer:
         self.renderers[column].GetActiveCamera().SetUseHorizontalViewAngle(width_px < height_px)
 
     def close(self) -> None:
-        """Let go of everything OpenGL."""
+        """Release all OpenGL resources."""
         self.window.Finalize()
 
     def show_layers(self, column: int, layers: Sequence[Layer], placed: Mapping[str, Doubles]) -> None:
-        """Exactly these layers, some of them moved as a whole."""
+        """Show exactly these layers, with rigid motions of some of them."""
         kept = self._kept[column]
-        layers = [layer for layer in layers if len(layer.points_mm)]  # VTK takes no empty arrays
+        layers = [layer for layer in layers if len(layer.points_mm)]  # VTK accepts no empty arrays
         wanted = {layer.name for layer in layers}
         for name, (_, _, actor) in kept.items():
             actor.SetVisibility(name in wanted)
@@ -82,7 +82,7 @@ class OffscreenRenderer:
             if old is None:
                 mesh = pv.PolyData()
                 _write(mesh, layer, None)
-                actor = _added(self.renderers[column], mesh, layer)
+                actor = _add_layer(self.renderers[column], mesh, layer)
             else:
                 mesh, actor = old[1], old[2]
                 if old[0] is not layer:
@@ -92,12 +92,12 @@ class OffscreenRenderer:
             kept[layer.name] = (layer, mesh, actor)
 
     def get_camera(self, column: int) -> tuple[float, ...]:
-        """Where a view looks from and to: equal for equal views."""
+        """Return the camera of a view; equal for equal views."""
         camera = self.renderers[column].GetActiveCamera()
         return (*camera.GetPosition(), *camera.GetFocalPoint(), *camera.GetViewUp(), camera.GetViewAngle())
 
     def set_camera(self, column: int, numbers: tuple[float, ...]) -> None:
-        """As `camera_of` tells one."""
+        """Set the camera of a view as `get_camera` returns it."""
         camera = self.renderers[column].GetActiveCamera()
         camera.SetPosition(*numbers[:3])
         camera.SetFocalPoint(*numbers[3:6])
@@ -105,7 +105,7 @@ class OffscreenRenderer:
         camera.SetViewAngle(numbers[9])
 
     def find_linked_views(self, column: int) -> list[int]:
-        """The views that share a camera with this one, itself first."""
+        """Return the views that share this view's camera, itself first."""
         own = self.renderers[column].GetActiveCamera()
         others = [i for i, r in enumerate(self.renderers) if i != column and r.GetActiveCamera() is own]
         return [column, *others]
@@ -113,7 +113,7 @@ class OffscreenRenderer:
     def project_point(
         self, column: int, place_mm: tuple[float, float, float], aspect: float
     ) -> tuple[float, float] | None:
-        """Where a point is in a view, in shares of its width and height from the upper left; None if it is not."""
+        """Return a point's position as shares of width and height from the upper left; None if it is not visible."""
         camera = self.renderers[column].GetActiveCamera()
         camera.SetUseHorizontalViewAngle(aspect < 1.0)
         matrix = pv.array_from_vtkmatrix(camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0))
@@ -123,7 +123,7 @@ class OffscreenRenderer:
         return 0.5 + 0.5 * float(x / w), 0.5 - 0.5 * float(y / w)
 
     def project_points(self, column: int, points_mm: Doubles, aspect: float) -> tuple[Doubles, Doubles]:
-        """Where points (n, 3) are in a view, in shares (n, 2), and how far away (n,) in shares of the nearest one's."""
+        """Return the positions (n, 2) of points (n, 3) as shares, and their distances (n,) relative to the nearest."""
         camera = self.renderers[column].GetActiveCamera()
         camera.SetUseHorizontalViewAngle(aspect < 1.0)
         matrix = pv.array_from_vtkmatrix(camera.GetCompositeProjectionTransformMatrix(aspect, -1.0, 1.0))
@@ -133,7 +133,7 @@ class OffscreenRenderer:
         return np.nan_to_num(shares, nan=-9.0), np.nan_to_num(w / np.nanmin(w), nan=np.inf)
 
     def fit_cameras(self, bounds: Mapping[int, ViewBounds], linked: bool) -> None:
-        """Cameras seen from the sensor's side, so that what is pushed in bulges toward the viewer."""
+        """Set cameras on the sensor's side, so that indentation bulges toward the viewer."""
         shared: dict[str, Any] = {}
         for column, sight in bounds.items():
             camera = shared.get(sight.frame) if linked else None
@@ -148,7 +148,7 @@ class OffscreenRenderer:
 
 
 def _view() -> Any:
-    """An empty sub-view; a lamp at the viewer lets colours read true, one from the upper left lets dents cast shade."""
+    """Return an empty sub-view with a headlight for true colours and a light from the upper left for relief."""
     renderer: Any = vtkRenderer()
     renderer.SetAutomaticLightCreation(False)
     lamp, side = vtkLight(), vtkLight()
@@ -159,7 +159,7 @@ def _view() -> Any:
     side.SetPosition(-1.0, 1.0, 0.6)
     for light in (lamp, side):
         renderer.AddLight(light)
-    # A camera may be shared, and layers come after it was set: every view is cut to its own, as it is drawn.
+    # Cameras may be shared and layers may come later: every view sets its clipping range when it is rendered.
     renderer.AddObserver("StartEvent", _cut_to_its_own)
     return renderer
 
@@ -169,7 +169,7 @@ def _cut_to_its_own(renderer: Any, _: str) -> None:
 
 
 def _camera(sight: ViewBounds) -> Any:
-    """Looking along the sensor's own view, somewhat from below, so far away that the sphere fills the width."""
+    """Return a camera along the sensor's view, slightly from below, so far that the sphere fills the width."""
     camera = vtkCamera()
     direction = np.array([0.0, 0.6, -1.0]) / np.linalg.norm([0.0, 0.6, -1.0])
     camera.SetFocalPoint(*sight.centre_mm)
@@ -180,7 +180,7 @@ def _camera(sight: ViewBounds) -> Any:
 
 
 def _actor(renderer: Any, mesh: Any, *, own_colours: bool = True) -> Any:
-    """A mesh in a sub-view, in the colours of its points or in one that is told later."""
+    """Return an actor of a mesh, coloured by its points or by one colour that is set later."""
     mapper, actor = vtkPolyDataMapper(), vtkActor()
     mapper.SetInputData(mesh)
     if own_colours:
@@ -194,7 +194,7 @@ def _actor(renderer: Any, mesh: Any, *, own_colours: bool = True) -> Any:
 
 
 def _arrow(renderer: Any, axis: int) -> Any:
-    """A unit arrow along x, y or z of the frame; hidden until it is known where it belongs."""
+    """Return a unit arrow along x, y or z of the frame; hidden until its place is known."""
     tip = np.zeros(3)
     tip[axis] = 1.0
     actor = _actor(renderer, pv.Line((0.0, 0.0, 0.0), tip), own_colours=False)
@@ -204,11 +204,11 @@ def _arrow(renderer: Any, axis: int) -> Any:
     return actor
 
 
-def _added(renderer: Any, mesh: Any, layer: Layer) -> Any:
+def _add_layer(renderer: Any, mesh: Any, layer: Layer) -> Any:
     actor = _actor(renderer, mesh)
     look = actor.GetProperty()
     look.SetOpacity(layer.opacity)
-    if layer.opacity < 1.0:  # behind what lies in the very same place, or the two would show in stripes
+    if layer.opacity < 1.0:  # behind coincident surfaces, which would flicker otherwise
         actor.GetMapper().SetResolveCoincidentTopologyToPolygonOffset()
         actor.GetMapper().SetRelativeCoincidentTopologyPolygonOffsetParameters(*_BEHIND)
     look.SetPointSize(layer.point_px)
@@ -230,7 +230,7 @@ def _shares(colour: Rgb) -> tuple[float, float, float]:
 
 
 def _write(mesh: Any, layer: Layer, old: Layer | None) -> None:
-    """Put a layer's arrays into its mesh: copied in place while the counts stay, set anew when they change."""
+    """Write a layer's arrays into its mesh: in place while the counts stay, replaced when they change."""
     same = old is not None and len(old.points_mm) == len(layer.points_mm)
     if same:
         mesh.points[:] = layer.points_mm

@@ -1,4 +1,4 @@
-"""Two or three large panes under a filmstrip of all slots."""
+"""Two or three large panes under a filmstrip of all stages."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from widgets.view_3d_panel import View3DPanel
 
 MAX_PANES = 3
 DIMS = ("2D", "3D", "both")
-_FOLDED_BELOW_PX = 550  # a lower page has its height for the panes, and names alone in its strip
+_FOLDED_BELOW_PX = 550  # a lower page collapses the filmstrip to names
 
 
 class Pane(QFrame):
-    """A column and its 3D view, one over the other or alone; `activated` by a click anywhere in it."""
+    """A column and its 3D view, together or alone; `activated` by a click anywhere in it."""
 
     activated = pyqtSignal()
     dims_chosen = pyqtSignal(str)
@@ -46,7 +46,7 @@ class Pane(QFrame):
             button.setAutoRaise(True)
             shrink_font(button, 1.0)
             button.setObjectName(f"pane_{number}_{dims.lower()}")
-            button.setToolTip(f"Show {'the picture and the 3D view' if dims == 'both' else dims} in this pane")
+            button.setToolTip(f"Show {'the image and the 3D view' if dims == 'both' else dims} in this pane")
             button.clicked.connect(partial(self.dims_chosen.emit, dims))
             head.addWidget(button)
         self._both = PaneSplitter()
@@ -58,7 +58,7 @@ class Pane(QFrame):
         self._held: tuple[QWidget, ...] = ()
 
     def set_contents(self, column: StageColumn, cell: View3DPanel, dims: str) -> None:
-        """Show these; what was held before must have been taken elsewhere."""
+        """Show these widgets; the previous ones must have been released."""
         if self._held != (column, cell):
             self._both.release_contents()
             self._both.set_contents(column, cell)
@@ -73,31 +73,31 @@ class Pane(QFrame):
             button.setChecked(name == dims)
 
     def release_contents(self) -> None:
-        """What is held is about to be taken elsewhere."""
+        """Release the widgets before they move to another parent."""
         self._both.release_contents()
         self._held = ()
 
     def set_active(self, active: bool) -> None:
-        """Whether a click in the filmstrip fills this pane."""
+        """Set whether a click in the filmstrip fills this pane."""
         palette = self.palette()
         self._rim.setPalette(palette)
         role = palette.ColorRole.Highlight if active else palette.ColorRole.Midlight
         self._rim.setBackgroundRole(role)
 
     def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
-        """A press on anything in it."""
+        """Activate the pane on a press in any child."""
         if a1 is not None and a1.type() == QEvent.Type.MouseButtonPress and self._held:
             self.activated.emit()
         return super().eventFilter(a0, a1)
 
     def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
-        """A press beside what it holds."""
+        """Activate the pane on a press outside its children."""
         super().mousePressEvent(a0)
         self.activated.emit()
 
 
 class PanesPage(QWidget):
-    """The filmstrip over the panes. `slot_chosen(pane, slot)`, `dims_chosen(pane, dims)` and `count_chosen(n)`."""
+    """Filmstrip over panes; emits `stage_chosen(pane, stage)`, `dims_chosen(pane, dims)` and `count_chosen(n)`."""
 
     stage_chosen = pyqtSignal(int, str)
     dims_chosen = pyqtSignal(int, str)
@@ -126,18 +126,18 @@ class PanesPage(QWidget):
 
     @property
     def active_stage(self) -> str:
-        """What stands in the pane that a click in the filmstrip fills; "" where nothing does."""
+        """The stage in the active pane; "" where there is none."""
         return self._slots[self.active_pane] if self._slots else ""
 
     def activate_pane(self, number: int) -> None:
-        """Let a click in the filmstrip fill this pane."""
+        """Make this pane the one that a click in the filmstrip fills."""
         self.active_pane = min(number, max(0, len(self._slots) - 1))
         for other, pane in enumerate(self.panes):
             pane.set_active(other == self.active_pane)
         self.filmstrip.show_pane_stages(self._slots, self.active_stage)
 
     def show_panes(self, held: Sequence[tuple[str, StageColumn, View3DPanel, str]]) -> None:
-        """Show (slot, column, cell, dims) in a pane each."""
+        """Show (stage, column, cell, dims) in one pane each."""
         self._slots = tuple(slot for slot, *_ in held)
         for number, pane in enumerate(self.panes):
             pane.setVisible(number < len(held))
@@ -146,11 +146,11 @@ class PanesPage(QWidget):
                 pane.set_contents(column, cell, dims)
         more = len(held) < MAX_PANES
         self._count.setText("+" if more else "\N{MINUS SIGN}")
-        self._count.setToolTip("Add a third pane" if more else "Take the third pane away")
+        self._count.setToolTip("Add a third pane" if more else "Remove the third pane")
         self.activate_pane(self.active_pane)
 
     def resizeEvent(self, a0: QResizeEvent | None) -> None:  # noqa: N802
-        """Where there is little height, the panes get it."""
+        """Give the panes the height of a low page."""
         super().resizeEvent(a0)
         self.filmstrip.set_collapsed(self.height() < _FOLDED_BELOW_PX)
 
@@ -158,17 +158,17 @@ class PanesPage(QWidget):
         self.stage_chosen.emit(self.active_pane, stage)
 
     def release_contents(self) -> None:
-        """Its columns are about to be taken elsewhere."""
+        """Release the columns before they move to another parent."""
         for pane in self.panes:
             pane.release_contents()
 
     def hide_stages(self, names: Collection[str]) -> None:
-        """Hide what the route does not have."""
+        """Hide the stages that the route does not have."""
         self.filmstrip.hide_stages(names)
 
 
 def _watch(widget: QWidget, by: QObject) -> None:
-    """Let `by` see what happens to a widget and all in it."""
+    """Install an event filter on a widget and its children."""
     for one in (widget, *widget.findChildren(QWidget)):
         one.removeEventFilter(by)
         one.installEventFilter(by)

@@ -1,4 +1,4 @@
-"""Labelled controls for the parameters of every method, derived from the parameter types themselves."""
+"""Labelled controls for the parameters of all methods, derived from the parameter types."""
 
 from __future__ import annotations
 
@@ -30,20 +30,24 @@ from pipeline.base.params import Setting, Value, list_settings, replace_value
 from widgets.styling import make_bold, make_icon_button, set_spacing
 
 _SLIDER_STEPS = 400
-_MANY, _TOO_MANY, _BEND = 200, 10_000, 3.0  # whole numbers of such a range have a slider, the small ones the most room
+_MANY, _TOO_MANY, _BEND = (
+    200,
+    10_000,
+    3.0,
+)  # integer ranges up to the first have a linear slider, up to the second one that favours small values
 _WIDEST = 1e9  # stands for "no limit" in a spin box
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Control:
-    """One parameter on screen: the widget and how a value gets into it."""
+    """One parameter on screen: its widget and a setter for its value."""
 
     widget: QWidget
     show: Callable[[Value], None]
 
 
 class ParametersPanel(QScrollArea):
-    """One group per method; `params_edited(key, params)` carries the whole new parameter value."""
+    """One group per method; `params_edited(key, params)` carries the complete new parameters."""
 
     params_edited = pyqtSignal(str, object)
     drag_ended = pyqtSignal()
@@ -58,14 +62,14 @@ class ParametersPanel(QScrollArea):
         self._layout.setContentsMargins(6, 4, 6, 4)
         self._layout.addStretch(1)
         self.setWidget(self._body)
-        self.dragged_key = ""  # the key of the slider that is held: what is edited then will soon be something else
+        self.dragged_key = ""  # key of the slider that is held: its values are drafts
         self._params: dict[str, object] = {}
         self._controls: dict[str, dict[str, _Control]] = {}
         self._groups: dict[str, QWidget] = {}
-        self._only: list[tuple[str, QFormLayout, QWidget, Setting]] = []  # rows that speak of one kind of sensor
+        self._only: list[tuple[str, QFormLayout, QWidget, Setting]] = []  # rows of one kind of sensor only
 
     def add_group(self, key: str, title: str, params: object, tip: str = "") -> None:
-        """Add the controls of a method, `tip` saying what it does; nothing is shown for one without parameters."""
+        """Add the controls of a method with a tooltip; nothing for a method without parameters."""
         self._params[key] = params
         group, form = self._group(key, title, tip)
         self._controls[key] = {}
@@ -74,7 +78,7 @@ class ParametersPanel(QScrollArea):
             self._controls[key][name] = control
             label = QLabel(_label(told))
             label.setWordWrap(True)
-            called = f"{key.partition('/')[0]}.{name}"  # by the command line
+            called = f"{key.partition('/')[0]}.{name}"  # its name on the command line
             tip = f"{told.help or told.label} ({called}{_range(told)})"
             tip += f"\nsource: {told.source}" if told.source else ""
             label.setToolTip(tip)
@@ -92,7 +96,7 @@ class ParametersPanel(QScrollArea):
         self._layout.insertWidget(self._layout.count() - 1, group)
 
     def show_params(self, key: str, params: object) -> None:
-        """Show these values without saying so to anybody."""
+        """Show these values without emitting a signal."""
         if key not in self._controls or params == self._params.get(key):
             return
         self._params[key] = params
@@ -100,9 +104,9 @@ class ParametersPanel(QScrollArea):
             self._controls[key][name].show(value)
 
     def show_groups(self, kinds: Mapping[str, str]) -> None:
-        """Show the groups of these methods only: those that fill the slots of the route.
+        """Show the groups of the methods of the route only.
 
-        `kinds`: a method's key -> the kind of sensor that it looks at, "" = not known; what speaks of others is hidden.
+        `kinds` maps a method's key to the kind of its sensor ("" = unknown); settings of other kinds are hidden.
         """
         for key, form, control, told in self._only:
             form.setRowVisible(control, told.says(kinds.get(key, "")))
@@ -110,7 +114,7 @@ class ParametersPanel(QScrollArea):
             group.setVisible(key in kinds and bool(self._controls[key]))
 
     def reset(self, key: str) -> None:
-        """Put a method back to its defaults."""
+        """Reset a method to its defaults."""
         params = type(self._params[key])()
         if params != self._params[key]:
             self.show_params(key, params)
@@ -147,7 +151,7 @@ class ParametersPanel(QScrollArea):
         if not key:
             self.drag_ended.emit()
 
-    def _edited(self, key: str, name: str, value: Value) -> None:
+    def _emit_edited(self, key: str, name: str, value: Value) -> None:
         params = replace_value(self._params[key], name, value)
         if params != self._params[key]:
             self._params[key] = params
@@ -155,7 +159,7 @@ class ParametersPanel(QScrollArea):
 
     def _control(self, key: str, name: str, value: Value, setting: Setting) -> _Control:
         def apply_edit(new: Value) -> None:
-            self._edited(key, name, new)
+            self._emit_edited(key, name, new)
 
         if isinstance(value, bool):
             return _switch(value, apply_edit)
@@ -169,7 +173,7 @@ class ParametersPanel(QScrollArea):
 
 
 def _label(setting: Setting) -> str:
-    """With its unit, unless that is a word of it."""
+    """Return the label with its unit."""
     return (
         f"{setting.label}, {setting.unit}"
         if setting.unit and setting.unit not in setting.label.lower()
@@ -178,7 +182,7 @@ def _label(setting: Setting) -> str:
 
 
 def _range(setting: Setting) -> str:
-    """The numbers that it may be, with their unit."""
+    """Return the allowed range with its unit."""
     unit = f" {setting.unit}" if setting.unit else ""
     if setting.choices:
         return f", {', '.join(setting.choices)}"
@@ -188,7 +192,7 @@ def _range(setting: Setting) -> str:
 
 
 def _quiet(box: QWidget, put: Callable[[Any], object]) -> _Control:
-    """A control whose widget takes a value by `put`, without saying so to anybody."""
+    """Return a control whose setter emits no signal."""
 
     def show(new: Value) -> None:
         with QSignalBlocker(box):
@@ -266,7 +270,7 @@ def _side_by_side(slider: QSlider | None, box: QWidget) -> QWidget:
 
 
 def _number(value: float, setting: Setting, edited: Callable[[Value], None]) -> _Control:
-    """A spin box, with a slider beside it where the range has two ends."""
+    """Return a spin box, with a slider where the range has two ends."""
     box = QDoubleSpinBox()
     low, high = max(setting.low, -_WIDEST), min(setting.high, _WIDEST)
     bounded = math.isfinite(setting.low) and math.isfinite(setting.high)

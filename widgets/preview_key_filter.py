@@ -1,4 +1,4 @@
-"""A picture worked by keys: the pixel that is pointed at, the second picture's handle, zoom, and the next picture."""
+"""Keyboard control of a preview: cursor pixel, overlay handle, zoom, and the next preview."""
 
 from __future__ import annotations
 
@@ -10,31 +10,30 @@ from widgets.preview_view import PreviewView
 
 Key = Qt.Key
 ARROW_STEPS = {Key.Key_Left: (-1, 0), Key.Key_Right: (1, 0), Key.Key_Up: (0, -1), Key.Key_Down: (0, 1)}
-SHIFT_STEP_PX = 10  # pixels at once with Shift
+SHIFT_STEP_PX = 10  # step with Shift
 _ENTER = (Key.Key_Return, Key.Key_Enter)
 _TABS = {Key.Key_Tab: 1, Key.Key_Backtab: -1}
 _ZOOMS = {Key.Key_Plus: 1.25, Key.Key_Equal: 1.25, Key.Key_Minus: 0.8}
-_HANDLE = {Key.Key_Comma: -0.05, Key.Key_Period: 0.05}  # shares of the picture's width
+_HANDLE = {Key.Key_Comma: -0.05, Key.Key_Period: 0.05}  # steps as shares of the image width
 _KNOWN = frozenset((*ARROW_STEPS, *_ENTER, *_TABS, *_ZOOMS, *_HANDLE))
 
 
 def get_arrow_step_px(event: QKeyEvent) -> tuple[int, int]:
-    """How far right and down an arrow key goes, in pixels; (0, 0) of any other key."""
+    """Return the step right and down of an arrow key in pixels; (0, 0) for other keys."""
     x, y = ARROW_STEPS.get(Key(event.key()), (0, 0))
     far = SHIFT_STEP_PX if event.modifiers() & Qt.KeyboardModifier.ShiftModifier else 1
     return far * x, far * y
 
 
 class PreviewKeyFilter(QObject):
-    """Listens to a picture that has the keyboard; keys that it knows are not the window's meanwhile.
+    """Handles the keys of a focused preview before they become shortcuts of the window.
 
-    A picture is given the keyboard, it does not take it: a click leaves the window its keys, and Tab from control to
-    control passes it by.
+    A preview does not take the focus by itself: a click leaves the window its shortcuts, and Tab skips it.
     """
 
     pixel_pointed = pyqtSignal(int, int)  # row, col
     pixel_pinned = pyqtSignal(int, int)
-    focus_passed = pyqtSignal(int)  # the keyboard on to the next picture, or back to the one before
+    focus_passed = pyqtSignal(int)  # focus to the next or previous preview
 
     def __init__(self, view: PreviewView) -> None:
         super().__init__(view)
@@ -42,7 +41,7 @@ class PreviewKeyFilter(QObject):
         self._canvas.installEventFilter(self)
 
     def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
-        """Keys come here before the window's commands."""
+        """Handle keys before the window's shortcuts."""
         if not isinstance(a1, QKeyEvent) or a1.key() not in _KNOWN:
             return super().eventFilter(a0, a1)
         if a1.type() == QEvent.Type.ShortcutOverride:
@@ -67,14 +66,14 @@ class PreviewKeyFilter(QObject):
             at = self._middle()
             right, down = (
                 get_arrow_step_px(event) if self._canvas.crosshair is not None else (0, 0)
-            )  # at first it only appears
+            )  # the first key shows the cursor only
             row, col = int(at.y()) + down, int(at.x()) + right
-            told = self.pixel_pinned if key in _ENTER else self.pixel_pointed
-            told.emit(min(max(row, 0), rows - 1), min(max(col, 0), cols - 1))
+            text = self.pixel_pinned if key in _ENTER else self.pixel_pointed
+            text.emit(min(max(row, 0), rows - 1), min(max(col, 0), cols - 1))
         return True
 
     def _middle(self) -> QPointF:
-        """The pixel pointed at, else the highest value in the contact, else what is in the middle."""
+        """Return the cursor pixel, else the highest value in contact, else the centre."""
         if self._canvas.crosshair is not None:
             return QPointF(self._canvas.crosshair[1] + 0.5, self._canvas.crosshair[0] + 0.5)
         box, picture = self._view.find_contact_box_px(), self._view.preview

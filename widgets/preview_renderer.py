@@ -1,4 +1,4 @@
-"""A picture as it lies on the screen: fitted or zoomed, with outlines, a scale bar and a second picture over it."""
+"""Renders a preview for the screen: fit or zoom, outlines, scale bar, and an overlay."""
 
 from __future__ import annotations
 
@@ -22,56 +22,56 @@ _LETTERS_PT = 7.5
 
 
 class PreviewRenderer:
-    """Which part of a picture is seen at which size, and the drawing of it; pictures are of one size at a time."""
+    """Which part of an image is visible at which scale, and its rendering."""
 
     def __init__(self) -> None:
         self.preview: Preview | None = None
         self.image: QImage | None = None
-        self.overlay: tuple[QImage, float] | None = None  # and the share of the width that is left to the first
-        self.no_value_colour: Rgb = NO_VALUE_COLOUR  # what pixels without a value look like here
-        self._beside: Image | None = None  # the second's pixels
+        self.overlay: tuple[QImage, float] | None = None  # and the share of the width that shows the lower image
+        self.no_value_colour: Rgb = NO_VALUE_COLOUR  # colour of pixels without a value
+        self._overlay_pixels: Image | None = None  # pixels of the overlay
         self.is_dimmed = False
-        self.centre, self.scale = QPointF(), 0.0  # picture pixel in the middle; screen pixels a picture pixel
+        self.centre, self.scale = QPointF(), 0.0  # image pixel at the centre; screen pixels per image pixel
         self.size = QSize()
 
     def set_preview(self, picture: Preview) -> bool:
-        """Draw another picture from now on; whether it has another size."""
+        """Set another image and return whether its size differs."""
         old, self.preview = self.preview, picture
-        self.image = make_qimage(self._grounded(picture.pixels))
+        self.image = make_qimage(self._recolour(picture.pixels))
         return old is None or old.pixels.shape[:2] != picture.pixels.shape[:2]
 
     def set_overlay(self, pixels: Image | None, share: float) -> None:
-        """Lay pixels of the same size over it from this share of the width on; None takes them away."""
-        self._beside = pixels
-        self.overlay = None if pixels is None else (make_qimage(self._grounded(pixels)), share)
+        """Overlay pixels of the same size from this share of the width on; None removes them."""
+        self._overlay_pixels = pixels
+        self.overlay = None if pixels is None else (make_qimage(self._recolour(pixels)), share)
 
     def set_no_value_colour(self, no_value: Rgb) -> None:
-        """Show pixels without a value in another colour from now on."""
+        """Set the colour of pixels without a value."""
         if no_value == self.no_value_colour:
             return
         self.no_value_colour = no_value
         if self.preview is not None:
             self.set_preview(self.preview)
         if self.overlay is not None:
-            self.set_overlay(self._beside, self.overlay[1])
+            self.set_overlay(self._overlay_pixels, self.overlay[1])
 
-    def _grounded(self, pixels: Image) -> Image:
+    def _recolour(self, pixels: Image) -> Image:
         coloured = self.preview is not None and self.preview.scale is None
         return pixels if coloured else recolour_no_value(pixels, self.no_value_colour)
 
     def fit_view(self) -> None:
-        """The whole picture, as large as there is room."""
+        """Fit the whole image into the view."""
         if self.image is not None:
             cols, rows = self.image.width(), self.image.height()
             self.scale = max(1e-3, min(self.size.width() / cols, self.size.height() / rows))
             self.centre = QPointF(0.5 * cols, 0.5 * rows)
 
     def to_screen(self, at: QPointF) -> QPointF:
-        """Where a point of the picture, in its pixels, is drawn."""
+        """Return the screen position of a point in image pixels."""
         return (at - self.centre) * self.scale + self._middle
 
     def to_image(self, at: QPointF) -> QPointF:
-        """The point of the picture that is drawn here."""
+        """Return the point in image pixels at a screen position."""
         return (at - self._middle) / self.scale + self.centre if self.scale > 0 else QPointF(-1.0, -1.0)
 
     @property
@@ -79,7 +79,7 @@ class PreviewRenderer:
         return QPointF(0.5 * self.size.width(), 0.5 * self.size.height())
 
     def render(self, dense: float, behind: QColor, font: QFont) -> QPixmap:
-        """All of it, at `dense` pixels of the screen's for each of ours."""
+        """Return the rendering at `dense` physical pixels per logical pixel."""
         pixmap = QPixmap(max(1, round(dense * self.size.width())), max(1, round(dense * self.size.height())))
         pixmap.setDevicePixelRatio(dense)
         pixmap.fill(behind)
@@ -112,7 +112,7 @@ class PreviewRenderer:
         part = QRect(left, top, right - left, below - top)
         place = QRectF(self.to_screen(QPointF(left, top)), QSizeF(part.width(), part.height()) * self.scale)
         drawn = image.copy(part)
-        if self.scale * dense < 1.0:  # the mean of what falls on a pixel, not one of it
+        if self.scale * dense < 1.0:  # average the image pixels that fall on a screen pixel
             size = QSize(max(1, round(dense * place.width())), max(1, round(dense * place.height())))
             ratio, how = Qt.AspectRatioMode.IgnoreAspectRatio, Qt.TransformationMode.SmoothTransformation
             drawn = drawn.scaled(size, ratio, how)
@@ -143,7 +143,7 @@ class PreviewRenderer:
         if not length_mm or wide < 60:
             return
         end, y = right - 0.05 * wide, below - 8.0
-        dark = self._grounded(picture.pixels[-(rows // 6) :: 3, -(cols // 3) :: 3]).mean() < 130
+        dark = self._recolour(picture.pixels[-(rows // 6) :: 3, -(cols // 3) :: 3]).mean() < 130
         ink = QColor(255, 255, 255) if dark else QColor(30, 32, 36)
         painter.setPen(QPen(ink, 3))
         painter.drawLine(QPointF(end - length_mm * px_of_mm, y), QPointF(end, y))
@@ -155,7 +155,7 @@ class PreviewRenderer:
 
 
 def _polygon(points: NDArray[np.floating]) -> QPolygonF:
-    """Points (n, 2) for Qt, copied as a whole: one by one they cost more than drawing them."""
+    """Convert points (n, 2) to a polygon in one copy; one by one they cost more than painting."""
     polygon = QPolygonF()
     polygon.resize(len(points))
     held: Any = polygon.data()
@@ -165,14 +165,14 @@ def _polygon(points: NDArray[np.floating]) -> QPolygonF:
 
 
 def make_qimage(pixels: Image) -> QImage:
-    """Pixels (rows, cols, 3) uint8 as Qt draws them fastest."""
+    """Convert pixels (rows, cols, 3) uint8 to the image format that Qt paints fastest."""
     rows, cols = pixels.shape[:2]
     held = pixels.tobytes()
     return QImage(held, cols, rows, 3 * cols, QImage.Format.Format_RGB888).convertToFormat(QImage.Format.Format_RGB32)
 
 
 def recolour_no_value(pixels: Image, no_value: Rgb) -> Image:
-    """The same with another colour where there is no value: that grey is in no map."""
+    """Return the pixels with another colour where there is no value: that grey is in no colour map."""
     if no_value == NO_VALUE_COLOUR:
         return pixels
     out = pixels.copy()
@@ -181,7 +181,7 @@ def recolour_no_value(pixels: Image, no_value: Rgb) -> Image:
 
 
 def make_themed_qimage(palette: QPalette, picture: Preview) -> QImage:
-    """A picture by itself, on the ground of a palette."""
+    """Return a preview as an image on the background of a palette."""
     return make_qimage(
         picture.pixels
         if picture.scale is None

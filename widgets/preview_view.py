@@ -1,4 +1,4 @@
-"""One stage's picture: pixels, contact outline, scale bar, colour bar, crosshair and what a pixel reads."""
+"""A stage's preview: pixels, contact outline, scale bar, colour bar, crosshair and pixel value."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from widgets.comparison_overlay import ComparisonOverlay
 from widgets.fixed_size_label import FixedSizeLabel
 from widgets.styling import set_spacing, shrink_font
 
-SIDE_TEXT_PX = 170  # wide are words beside a picture
-_AROUND = 1.3  # times the contact that is fitted
-_NO_LIMIT = 16_777_215  # of a widget's width, as Qt has it
+SIDE_TEXT_PX = 170  # width of text next to an image
+_AROUND = 1.3  # margin around a fitted contact, as a factor
+_NO_LIMIT = 16_777_215  # Qt's maximum widget width
 
 
 class PreviewView(QWidget):
-    """Shows a `Picture`; says which pixel the mouse is over and which was clicked."""
+    """Shows a `Preview`; emits the pixel under the mouse and clicks."""
 
-    pixel_hovered = pyqtSignal(int, int)  # row, col; (-1, -1) once the mouse has left
+    pixel_hovered = pyqtSignal(int, int)  # row, col; (-1, -1) after the mouse has left
     pixel_clicked = pyqtSignal(int, int)
-    shape_changed = pyqtSignal()  # a picture of another size
-    scale_changed = pyqtSignal()  # one with a scale after one without, or the other way
-    view_changed = pyqtSignal()  # panned or zoomed by hand
+    shape_changed = pyqtSignal()  # an image of another size
+    scale_changed = pyqtSignal()  # a colour scale appeared or disappeared
+    view_changed = pyqtSignal()  # panned or zoomed by the user
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -45,11 +45,11 @@ class PreviewView(QWidget):
         self._message.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self._message.setAutoFillBackground(True)
         self._message.hide()
-        self.text_area = QWidget()  # all that is told of the picture
-        told = set_spacing(QVBoxLayout(self.text_area), 2)
-        told.addWidget(self.colour_bar)
-        told.addWidget(self._caption)
-        told.addStretch(1)
+        self.text_area = QWidget()  # all text about the image
+        column = set_spacing(QVBoxLayout(self.text_area), 2)
+        column.addWidget(self.colour_bar)
+        column.addWidget(self._caption)
+        column.addStretch(1)
         self._both = set_spacing(QBoxLayout(QBoxLayout.Direction.TopToBottom, self), 2)
         self._both.addWidget(self.canvas, 1)
         self._both.addWidget(self.text_area)
@@ -61,7 +61,7 @@ class PreviewView(QWidget):
         self.canvas.view_changed.connect(self.view_changed)
 
     def place_text(self, *, at_side: bool) -> None:
-        """Put what is told to the right of the picture, or under it."""
+        """Place the text to the right of the image, or under it."""
         way = QBoxLayout.Direction.LeftToRight if at_side else QBoxLayout.Direction.TopToBottom
         if way != self._both.direction():
             self._both.setDirection(way)
@@ -69,21 +69,21 @@ class PreviewView(QWidget):
             self.text_area.setMinimumWidth(SIDE_TEXT_PX if at_side else 0)
 
     def set_caption_lines(self, lines: int) -> None:
-        """How many lines the caption has."""
+        """Set the number of caption lines."""
         self._caption.set_lines(lines)
 
     @property
     def message(self) -> str:
-        """The sentence over the picture."""
+        """The message over the image."""
         return self._message.text()
 
     @property
     def crosshair(self) -> tuple[int, int] | None:
-        """Where the trace's crosshair is, (row, col)."""
+        """The probe's crosshair, (row, col)."""
         return self.canvas.crosshair
 
     def show_preview(self, picture: Preview) -> None:
-        """Show a picture; the view moves only when the number of pixels changed."""
+        """Show a preview; the view changes only with the number of pixels."""
         if picture is self.preview:
             return
         other = self.has_colour_scale != (picture.scale is not None)
@@ -101,11 +101,11 @@ class PreviewView(QWidget):
 
     @property
     def has_colour_scale(self) -> bool:
-        """Whether the picture has a scale of colours."""
+        """Whether the preview has a colour scale."""
         return self.preview is not None and self.preview.scale is not None
 
     def show_message(self, text: str) -> None:
-        """Lay a sentence over the picture (why it was skipped, or that it is out of date); "" removes it."""
+        """Show a message over the image (why it was skipped, or that it is out of date); "" removes it."""
         if text == self._message.text():
             return
         self._message.setText(text)
@@ -113,29 +113,29 @@ class PreviewView(QWidget):
         self._place_message()
 
     def set_dimmed(self, dimmed: bool) -> None:
-        """Fade the picture while a newer one is being made."""
+        """Fade the image while a newer one is computed."""
         self.canvas.set_dimmed(dimmed)
 
     def show_crosshair(self, pixel: tuple[int, int] | None, tag: str = "") -> None:
-        """Put the trace's crosshair on (row, col) with what is read there, or take it away."""
+        """Show the probe's crosshair at (row, col) with its value; None hides it."""
         self.canvas.show_crosshair(pixel, tag)
 
     @property
     def canvas_size_px(self) -> QSize:
-        """What the picture itself has of the widget."""
+        """Size of the image area."""
         return self.canvas.size()
 
     @property
     def height_over_width(self) -> float:
-        """Rows over columns of the picture, that of a camera's usual picture while there is none."""
+        """Rows over columns of the image, or of a typical camera while there is none."""
         return self._shape[0] / self._shape[1] if self._shape is not None else 0.75
 
     def reset_view(self) -> None:
-        """Fit the whole picture."""
+        """Fit the whole image."""
         self.canvas.fit_view()
 
     def fit_to_box(self, box_px: tuple[float, float, float, float]) -> None:
-        """Fit a part of the picture, given by its left, top, right and lower end in pixels, with some room around."""
+        """Fit a part of the image, given by left, top, right and bottom in pixels, with a margin."""
         left, top, right, below = box_px
         room = self.canvas.size()
         wide, high = max(right - left, 4.0) * _AROUND, max(below - top, 4.0) * _AROUND
@@ -143,7 +143,7 @@ class PreviewView(QWidget):
         self.canvas.set_view(QPointF(0.5 * (left + right), 0.5 * (top + below)), scale)
 
     def find_contact_box_px(self) -> tuple[float, float, float, float] | None:
-        """Left, top, right and lower end of the contact's outline; None without one."""
+        """Return left, top, right and bottom of the contact outline; None without one."""
         border = None if self.preview is None else self.preview.outline_px
         if border is None or not np.isfinite(border).any():
             return None
@@ -151,12 +151,12 @@ class PreviewView(QWidget):
         return float(left), float(top), float(right), float(below)
 
     def resizeEvent(self, a0: Any) -> None:  # noqa: N802
-        """Keep the message in the middle."""
+        """Keep the message centred."""
         super().resizeEvent(a0)
         self._place_message()
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """A column's share of a laptop screen."""
+        """Return a column's share of a laptop screen."""
         return QSize(200, 220)
 
     def _place_message(self) -> None:

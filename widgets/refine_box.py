@@ -1,4 +1,4 @@
-"""Refining an alignment: the button, how far it is, what came of it, and whether to take it."""
+"""Refinement of an alignment: button, progress, result, and accept or reject."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from pipeline.previews.colours import Rgb
 from widgets.styling import set_spacing
 from widgets.theme import ThemeColours, get_theme_colours, to_hex
 
-_IDLE = "least squares over all frames that both sensors feel; a quarter of them only judges"
+_IDLE = "least squares over all frames with contact on both sensors; a quarter is held out"
 
 
 class RefineBox(QWidget):
-    """Signals what is wanted; shows what it is told."""
+    """Emits requests; shows state and result."""
 
     refine_requested = pyqtSignal()
     cancel_requested = pyqtSignal()
@@ -29,7 +29,7 @@ class RefineBox(QWidget):
         super().__init__(parent)
         self.button, self.cancel = _button("Refine on all frames", "refine"), _button("Cancel", "refine_cancel")
         self.accept, self.discard = _button("Accept", "refine_accept"), _button("Discard", "refine_discard")
-        self.accept.setToolTip("Take the refined alignment; one undo step")
+        self.accept.setToolTip("Use the refined alignment (one undo step)")
         self.discard.setToolTip("Keep the alignment as it is")
         self.button.setToolTip(_IDLE[0].upper() + _IDLE[1:])
         self.bar, self._text = QProgressBar(), QLabel()
@@ -56,33 +56,33 @@ class RefineBox(QWidget):
 
     @property
     def text(self) -> str:
-        """What is said, as rich text."""
+        """The message as rich text."""
         return self._text.text()
 
     def show_idle(self, note: str = _IDLE) -> None:
-        """Ready to begin."""
+        """Show that refinement can start."""
         self._show(running=False, done=False)
         self._say(lambda ink: _in(ink.secondary_text, note))
 
     def show_progress(self, fraction: float, text: str) -> None:
-        """On its way."""
+        """Show progress."""
         self._show(running=True, done=False)
         self.bar.setValue(round(1000 * fraction))
         self._say(lambda ink: _in(ink.secondary_text, text))
 
     def show_result(self, answer: Refinement, target: str) -> None:
-        """Before and after, what is not observable, and the choice."""
+        """Show agreement before and after, unobservable directions, and the choice."""
         self._show(running=False, done=True)
         self._say(lambda ink: _table(answer, ink) + _words(answer, target, ink))
 
     def changeEvent(self, a0: QEvent | None) -> None:  # noqa: N802
-        """The same in the inks of another theme."""
+        """Use the colours of the new theme."""
         super().changeEvent(a0)
         if a0 is not None and a0.type() == QEvent.Type.PaletteChange:
-            self._say(self._told)
+            self._say(self._format_mm)
 
     def _say(self, make_text: Callable[[ThemeColours], str]) -> None:
-        self._told = make_text
+        self._format_mm = make_text
         self._text.setText(make_text(get_theme_colours(self.palette())))
 
     def _show(self, *, running: bool, done: bool) -> None:
@@ -120,35 +120,35 @@ def _table(answer: Refinement, ink: ThemeColours) -> str:
 
 
 def _cell(before: float, after: float) -> str:
-    return f"<td align='right'>{_told(before)} → <b>{_told(after)}</b></td>"
+    return f"<td align='right'>{_format_mm(before)} → <b>{_format_mm(after)}</b></td>"
 
 
-def _told(value: float) -> str:
+def _format_mm(value: float) -> str:
     return f"{value:.3f}" if math.isfinite(value) else "-"
 
 
 def _words(answer: Refinement, target: str, ink: ThemeColours) -> str:
     turn, shift = answer.spread[:3], answer.spread[3:]
-    said = [
-        f"predicted spread of what is observable, {target} frame: "
-        f"{_named(('x', 'y', 'z'), shift, 3)} mm; {_named(('rx', 'ry', 'rz'), turn, 2)}°",
-        *(_in(ink.warning_text, f"not observable: {words}; left as it was") for words in answer.weak),
+    lines = [
+        f"predicted standard deviation of observable directions, {target} frame: "
+        f"{_format_axes(('x', 'y', 'z'), shift, 3)} mm; {_format_axes(('rx', 'ry', 'rz'), turn, 2)}°",
+        *(_in(ink.warning_text, f"not observable: {words}; unchanged") for words in answer.weak),
         *(_in(ink.warning_text, note) for note in answer.notes),
     ]
     worse = _worse(answer.held_out)
     if worse:
-        said.append(_in(ink.warning_text, worse))
-    return "<br>".join(said)
+        lines.append(_in(ink.warning_text, worse))
+    return "<br>".join(lines)
 
 
 def _worse(held_out: tuple[AlignmentFit, AlignmentFit] | None) -> str:
-    """A warning where touches that took no part fit less well than before."""
+    """Return a warning where held-out touches fit worse than before."""
     if held_out is None:
-        return "no touch was left to be held out"
+        return "no touch was left to hold out"
     before, after = held_out
     worse = [n for n in ("surface_mm", "outline_mm") if getattr(after, n) > 1.1 * getattr(before, n) + 0.01]
-    return f"held-out touches fit less well than before ({worse[0].removesuffix('_mm')})" if worse else ""
+    return f"held-out touches fit worse than before ({worse[0].removesuffix('_mm')})" if worse else ""
 
 
-def _named(names: tuple[str, str, str], values: Doubles, digits: int) -> str:
+def _format_axes(names: tuple[str, str, str], values: Doubles, digits: int) -> str:
     return ", ".join(f"{name} {value:.{digits}f}" for name, value in zip(names, values, strict=True))

@@ -1,4 +1,4 @@
-"""What the window asks of whatever shows layers in 3D."""
+"""Interface of the renderer of 3D layers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CameraState = tuple[float, ...]
 
 
 class SceneRenderer(QObject):
-    """What the window asks of 3D; by itself it stands in until OpenGL is there, or says why there is none."""
+    """Interface of a 3D renderer; itself a placeholder until OpenGL is there, or with a notice why it is not."""
 
     def __init__(self, views: Sequence[View3D], notice: str = "") -> None:
         super().__init__()
@@ -27,31 +27,31 @@ class SceneRenderer(QObject):
         """Show exactly these layers in a view."""
 
     def move_layer(self, column: int, name: str, view_from_layer: Doubles) -> None:
-        """Move one layer as a whole, until its layers are shown anew."""
+        """Move one layer rigidly until its layers are shown again."""
 
     def fit_cameras(self, bounds: Mapping[int, ViewBounds], *, linked: bool) -> None:
         """Set the cameras; views of one frame share theirs when `linked`."""
 
     def clear_cache(self) -> None:
-        """Let go of pictures of what will not be shown again."""
+        """Drop cached images that will not be shown again."""
 
     def get_cameras(self) -> dict[int, CameraState]:
-        """Where each view looks from and to: position, place looked at, upwards (each x, y, z), and the angle."""
+        """Return the camera of each view: position, focal point, up vector (x, y, z each), and view angle."""
         return {}
 
     def set_cameras(self, cameras: Mapping[int, CameraState]) -> None:
-        """Look so; other views stay as they are."""
+        """Set these cameras; other views keep theirs."""
 
     def mark_point(self, column: int, place_mm: Point3 | None) -> None:
-        """Put the traced pixel's dot into a view, or take it away."""
+        """Show the probe's marker in a view; None hides it."""
 
     def find_nearest_point(self, column: int, at: QPointF, points_mm: Doubles) -> int:
-        """Which of the points (n, 3) is seen at a place of a view, the foremost of those near; -1 for none."""
+        """Return the index of the point (n, 3) at a position of a view, the foremost of those near; -1 for none."""
         del column, at, points_mm
         return -1
 
     def draw_pending(self) -> None:
-        """Draw now what was going to be drawn soon."""
+        """Render pending views now."""
 
     def close(self) -> None:
-        """Let go of everything OpenGL."""
+        """Release all OpenGL resources."""

@@ -1,4 +1,4 @@
-"""A line that is laid into a picture by the mouse: with Shift anew, or one of its ends; and moved by arrow keys."""
+"""Section line drawn by mouse on an image: Shift draws a new one; ends can be dragged and moved by arrow keys."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ _Ends = tuple[QPointF, QPointF]
 
 
 class SectionLineTool(QObject):
-    """Draws the line over a canvas and takes the drags that are about it; without a line it does not even listen."""
+    """Paints the line on a canvas and takes the drags of it; listens only while there is a line."""
 
-    line_moved = pyqtSignal(QPointF, QPointF)  # beginning and end, in pixels of the picture
+    line_moved = pyqtSignal(QPointF, QPointF)  # start and end, in image pixels
 
     def __init__(self, canvas: Canvas) -> None:
         super().__init__(canvas)
         self._canvas = canvas
-        self._fixed: QPointF | None = None  # the end that stays, while the other is dragged
+        self._fixed: QPointF | None = None  # the fixed end during a drag
         self._begins = False  # whether the dragged end is the first
 
     def show_line(self, ends: _Ends | None) -> None:
-        """Draw the line there, in pixels of the picture; None takes it away."""
+        """Show the line, in image pixels; None removes it."""
         if (ends is None) != (self._canvas.line is None):
             if ends is None:
                 self._canvas.removeEventFilter(self)
@@ -35,7 +35,7 @@ class SectionLineTool(QObject):
         self._canvas.show_line(ends)
 
     def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
-        """Drags of the line come before those of the picture, and so do arrow keys."""
+        """Handle drags and arrow keys of the line before those of the canvas."""
         taken = False
         if self._canvas.line is None:
             pass

@@ -1,4 +1,4 @@
-"""The section's tab: its plot, where its line begins and ends as numbers, and its curves as a table."""
+"""Section tab: plot, end points as numbers, and a table of the curves."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _NAMES = ("A, mm", "", "B, mm", "")
 _TIPS = ("across", "down", "across", "down")
 _PLACES = (("both sensors", ""), ("source", "source"), ("target", "target"))
 _REACH_MM, _STEP_MM, _DIGITS = 999.0, 0.1, 2
-_HOW = "{:.2f} mm; Shift and drag lays it anew, A and B can be dragged, P and arrow keys move it"
-_OFF = "no line is laid"
+_HOW = "{:.2f} mm; Shift and drag draws a new line, drag A or B, P and arrow keys move it"
+_OFF = "no line"
 
 
 class SectionPanel(QWidget):
-    """Shows a `Section`; tells where somebody typed that the line lies."""
+    """Shows a `CrossSection`; emits line positions that the user types."""
 
     line_typed = pyqtSignal(object)  # Line
     command_requested = pyqtSignal()
@@ -43,7 +43,7 @@ class SectionPanel(QWidget):
         self.command.setToolTip("Copy the command line that writes this table")
         self.command.clicked.connect(self.command_requested)
         self.copy.setObjectName("section_copy")
-        self.copy.setToolTip("Copy the curves as a table: mm along the line, and mm of indentation for every slot")
+        self.copy.setToolTip("Copy the curves as a table: mm along the line, and mm of indentation for every stage")
         self._head = set_spacing(QHBoxLayout(), 5)
         self.ends: list[QDoubleSpinBox] = []
         for k, (name, tip) in enumerate(zip(_NAMES, _TIPS, strict=True)):
@@ -55,15 +55,15 @@ class SectionPanel(QWidget):
             box.setSingleStep(_STEP_MM)
             box.setToolTip(f"How far {tip} from the source camera's axis the line's end {end} lies, on the gel")
             box.setKeyboardTracking(False)
-            box.valueChanged.connect(self._typed)
+            box.valueChanged.connect(self._emit_typed)
             if name:
                 self._head.addWidget(QLabel(name))
             self._head.addWidget(box)
             self.ends.append(box)
         self.sensor_box = QComboBox()
         self.sensor_box.setObjectName("section_place")
-        self.sensor_box.setAccessibleName("whose curves are drawn")
-        self.sensor_box.setToolTip("Whose curves are drawn: a gel is pushed in less far than a bubble")
+        self.sensor_box.setAccessibleName("sensor of the curves")
+        self.sensor_box.setToolTip("Sensor of the curves; a gel is indented less than a bubble")
         for title, place in _PLACES:
             self.sensor_box.addItem(title, place)
         self.sensor_box.currentIndexChanged.connect(self._place_chosen)
@@ -78,11 +78,11 @@ class SectionPanel(QWidget):
         self.show_line(None)
 
     def add_command(self, action: QAction) -> None:
-        """A button before the numbers."""
+        """Add a button before the numbers."""
         self._head.insertWidget(0, make_command_button(action))
 
     def show_line(self, line: SectionLine | None) -> None:
-        """Where the line lies; says so to nobody."""
+        """Show the end points without emitting a signal."""
         self.line = line
         for box, value in zip(self.ends, (0.0,) * 4 if line is None else line.plain, strict=True):
             with QSignalBlocker(box):
@@ -94,7 +94,7 @@ class SectionPanel(QWidget):
             self.show_section(None)
 
     def show_section(self, section: CrossSection | None) -> None:
-        """The curves along it."""
+        """Show the curves along the line."""
         self.plot.show_section(section)
         for button in (self.copy, self.command):
             button.setEnabled(section is not None)
@@ -102,7 +102,7 @@ class SectionPanel(QWidget):
     def _place_chosen(self, _: int) -> None:
         self.plot.show_sensor_role(str(self.sensor_box.currentData()))
 
-    def _typed(self) -> None:
+    def _emit_typed(self) -> None:
         x0, y0, x1, y1 = (box.value() for box in self.ends)
         self.line_typed.emit(SectionLine(begin_mm=(x0, y0), end_mm=(x1, y1)))
 

@@ -1,4 +1,4 @@
-"""The heights of all slots along one line: one curve each over the same millimetres."""
+"""Plot of the heights of all stages along one line, over the same millimetres."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from widgets.theme import CATEGORY_COLOURS, get_theme_colours, to_qcolor
 _LEFT_PX, _BELOW_PX, _ROOM_PX, _LEGEND_PX, _KEY_PX, _EDGE_PX = 60.0, 32.0, 8.0, 150.0, 26.0, 9.0
 _STEPS = (1.0, 2.0, 5.0)
 _SOLID, _DASH, _DOT, _DASH_DOT = "1", "1110", "10", "1111010"
-_UNIT_PX = 4.0  # of a pattern
-_HEIGHTS = ("indentation, mm", "indented, mm", "mm")  # the first that has room
+_UNIT_PX = 4.0  # length of a dash pattern's unit
+_HEIGHTS = ("indentation, mm", "depth, mm", "mm")  # axis labels; the first that fits
 _LEAST_TICKS = 2  # one number is no scale
 
 
 @dataclass(frozen=True, slots=True)
 class CurveStyle:
-    """How a curve is drawn: colours alone tell nobody apart where two curves lie on each other."""
+    """How a curve is drawn: colour, dash pattern and width, since colours alone do not separate overlapping curves."""
 
     colour: Callable[[QPalette], QColor]
     pattern: str = _SOLID
@@ -66,43 +66,43 @@ _OTHER = CurveStyle(_calm, _DASH)
 
 
 class SectionPlot(QWidget):
-    """Draws a `Section`: mm along the line across, mm of indentation upwards, gaps where nothing is known."""
+    """Plots a `CrossSection`: mm along the line against mm of indentation, with gaps where nothing is known."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         shrink_font(self)
         self.section: CrossSection | None = None
-        self.sensor_role = ""  # whose curves are drawn, "" = both sensors'
+        self.sensor_role = ""  # sensor whose curves are drawn, "" = both
         self.setMinimumSize(280, 110)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self.setAccessibleName("indentation along the section line")
         self.setToolTip(
-            "Indentation of every slot along the line, + toward the camera; strokes at the foot: where its contact "
-            "begins and ends. Points of the cloud: square to the target's rest surface"
+            "Indentation of every stage along the line, + toward the camera; marks at the bottom: start and "
+            "end of its contact. Cloud points: perpendicular to the target's rest surface"
         )
 
     def show_section(self, section: CrossSection | None) -> None:
-        """Draw this instead."""
+        """Draw this section."""
         self.section = section
         self.update()
 
     def show_sensor_role(self, place: str) -> None:
-        """Draw the curves of the source or of the target alone, on a scale of their own; "" draws both."""
+        """Draw the curves of the source or of the target alone; "" draws both."""
         self.sensor_role = place
         self.update()
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """Room for axes and legend."""
+        """Return room for axes and legend."""
         return QSize(640, 180)
 
     @property
     def visible_profiles(self) -> tuple[HeightProfile, ...]:
-        """The curves that are drawn: those that have a value anywhere."""
+        """The curves that have a value anywhere."""
         profiles = () if self.section is None else self.section.profiles
         return tuple(p for p in profiles if self.sensor_role in ("", p.place) and np.isfinite(p.heights_mm).any())
 
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
-        """Axes, curves, edges of contact, legend."""
+        """Paint axes, curves, contact edges and legend."""
         del a0
         known, section = self.visible_profiles, self.section
         if section is None or not known or not section.line.length_mm > 0:
@@ -115,9 +115,11 @@ class SectionPlot(QWidget):
         span = 1.06 * (high - low)
         low = low - 0.03 * (high - low)
         self._draw_axes(painter, room, section.line.length_mm, (low, low + span))
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing)  # not of the grid: it would cost as much as a curve
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)  # not for the grid: it would cost as much as a curve
         x = room.left() + room.width() * section.along_mm / section.line.length_mm
-        for profile in sorted(known, key=lambda p: -_STROKES.get(p.name, _OTHER).width_px):  # none hides another
+        for profile in sorted(
+            known, key=lambda p: -_STROKES.get(p.name, _OTHER).width_px
+        ):  # wide ones first, so that none is hidden
             painter.setPen(self._pen(profile.name))
             y = room.bottom() - room.height() * (profile.heights_mm - low) / span
             draw_lines(painter, compute_segments(x, y, _STROKES.get(profile.name, _OTHER).pattern))
@@ -175,10 +177,10 @@ class SectionPlot(QWidget):
 def compute_segments(
     x_px: NDArray[np.floating], y_px: NDArray[np.floating], pattern: str = "1"
 ) -> NDArray[np.floating]:
-    """The curve from sample to sample, (n, 4) x, y of the beginning and of the end.
+    """Return the line segments (n, 4) of a curve as x, y of start and end.
 
-    Nothing where either is NaN, nor where the pattern, repeated, has a 0. Qt draws these in a tenth of the time of one
-    line with as many corners, and a dashed one in a twentieth.
+    Segments with a NaN and those at a 0 of the repeated dash pattern are left out. Qt paints segments in a tenth of the
+    time of one polyline, dashed ones in a twentieth.
     """
     mean_px = float(np.ptp(x_px)) / max(1, len(x_px) - 1)
     unit = max(1, round(_UNIT_PX / mean_px)) if mean_px > 0 else 1
@@ -189,7 +191,7 @@ def compute_segments(
 
 
 def draw_lines(painter: QPainter, lines: NDArray[np.floating]) -> None:
-    """All of them at once, with the painter's pen; copied as a whole: one by one they cost more than drawing them."""
+    """Paint all segments with the painter's pen in one copy; one by one they cost more than painting."""
     if len(lines):
         made: Any = sip.array
         held = made(QLineF, len(lines))
@@ -199,9 +201,9 @@ def draw_lines(painter: QPainter, lines: NDArray[np.floating]) -> None:
 
 
 def compute_ticks(low: float, high: float, max_count: int) -> list[float]:
-    """Round numbers from `low` to `high` in steps of 1, 2 or 5 times a power of ten.
+    """Return round numbers from `low` to `high` in steps of 1, 2 or 5 times a power of ten.
 
-    `most` of them or fewer, but two where a smaller step is what it takes.
+    At most `max_count`, but at least two.
     """
     found: list[float] = []
     while high > low and len(found) < _LEAST_TICKS:

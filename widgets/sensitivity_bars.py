@@ -1,4 +1,4 @@
-"""Which axis matters: how much each figure of the score changes per 0.1 mm or 0.1 degrees."""
+"""Sensitivity bars: how much each metric of the score changes per 0.1 mm or 0.1 degrees of each axis."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from pipeline.alignment.sensitivity import UNIT_STEP, AlignmentChange, Sensitivi
 from widgets.styling import shrink_font
 from widgets.theme import get_theme_colours, to_qcolor
 
-# title, unit, digits, whether more is better
+# title, unit, digits, whether larger is better
 _FIGURES = (("depth", "mm", 3, False), ("edge", "px", 2, False), ("IoU", "", 3, True))
 _FULL_IOU = 0.02
 _NEARER, _FARTHER = "\N{BLACK UP-POINTING TRIANGLE}", "\N{BLACK DOWN-POINTING TRIANGLE}"
-_CELL_ROOM_PX = 10  # of a cell, beside its number
+_CELL_ROOM_PX = 10  # padding of a cell
 _TIP = (
-    "change of the score per {step:g} mm or {step:g}° along each axis, mean of either side; the triangle says whether "
-    "raising or lowering the axis makes it better, none where the best is here; bars are full at {full}"
+    "change of the score per {step:g} mm or {step:g}° along each axis, mean of either side; the triangle shows "
+    "whether raising or lowering the axis improves it, none at the optimum; bars are full at {full}"
 )
 
 
 class SensitivityBars(QWidget):
-    """A row per axis, a column per figure; each a bar with its number and the way that is better."""
+    """One row per axis, one column per metric: a bar, its number and the direction that improves it."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.axes: tuple[Sensitivity, ...] = ()  # what is shown
+        self.axes: tuple[Sensitivity, ...] = ()  # the axes on display
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         shrink_font(self, 0.5, least_pt=7.5)
-        self.setAccessibleName("which axis matters")
+        self.setAccessibleName("sensitivity of the axes")
         self._full = (UNIT_STEP, 1.0, _FULL_IOU)
         wide = self.fontMetrics().horizontalAdvance
         widest = max(wide(f"{_NEARER} 0.000"), wide("depth mm")) + _CELL_ROOM_PX
@@ -39,25 +39,25 @@ class SensitivityBars(QWidget):
         self.set_pixel_size(UNIT_STEP)
 
     def set_pixel_size(self, pixel_mm: float) -> None:
-        """Set the limits: bars are full where depth or outlines follow a motion in full, on pixels of this width."""
+        """Set full scale: bars are full where depth or outline follow a motion completely, at this pixel width."""
         self._full = (UNIT_STEP, UNIT_STEP / pixel_mm, _FULL_IOU)
         names = zip(_FIGURES, self._full, strict=True)
         full = ", ".join(f"{name} {limit:.2g} {unit}".strip() for (name, unit, *_), limit in names)
         self.setToolTip(_TIP.format(step=UNIT_STEP, full=full))
 
     def show_sensitivities(self, axes: Sequence[Sensitivity]) -> None:
-        """Show these axes; none leaves the table empty."""
+        """Show these axes; none clears the table."""
         self.axes = tuple(axes)
-        rows = [f"{s.axis}: " + ", ".join(_told(c, i) for i, c in enumerate(_changes(s))) for s in self.axes]
+        rows = [f"{s.axis}: " + ", ".join(_format_change(c, i) for i, c in enumerate(_changes(s))) for s in self.axes]
         self.setAccessibleDescription("; ".join(rows))
         self.update()
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """A heading and six rows."""
+        """Return room for a header and six rows."""
         return QSize(200, 7 * self._row_px())
 
     def paintEvent(self, a0: QPaintEvent | None) -> None:  # noqa: N802
-        """Draw heading and rows."""
+        """Paint header and rows."""
         del a0
         painter, row = QPainter(self), self._row_px()
         left = self._left_px()
@@ -90,10 +90,10 @@ class SensitivityBars(QWidget):
                 to_qcolor(get_theme_colours(self.palette()).sensitivity),
             )
         right = int(Qt.AlignmentFlag.AlignVCenter | Qt.AlignmentFlag.AlignRight)
-        painter.drawText(cell.adjusted(2, 0, -3, 0), right, _told(change, figure))
+        painter.drawText(cell.adjusted(2, 0, -3, 0), right, _format_change(change, figure))
 
     def _left_px(self) -> int:
-        """The room of an axis' name and step."""
+        """Return the width of an axis' name and step."""
         return self.fontMetrics().horizontalAdvance(f"rx  {UNIT_STEP:g} mm") + 8
 
     def _row_px(self) -> int:
@@ -104,7 +104,7 @@ def _changes(axis: Sensitivity) -> tuple[AlignmentChange, AlignmentChange, Align
     return axis.depth_mm, axis.edge_px, axis.iou
 
 
-def _told(change: AlignmentChange, figure: int) -> str:
+def _format_change(change: AlignmentChange, figure: int) -> str:
     if change.size is None:
         return "-"
     *_, digits, more_is_better = _FIGURES[figure]
@@ -113,7 +113,7 @@ def _told(change: AlignmentChange, figure: int) -> str:
 
 
 def _better_way(change: AlignmentChange, more_is_better: bool) -> str:
-    """Whether raising or lowering the axis helps; none where either side is about as bad."""
+    """Return whether raising or lowering the axis improves the metric; "" where both are about as bad."""
     if change.slope is None or change.size is None or abs(change.slope) < 0.5 * change.size:
         return ""
     raising_helps = (change.slope > 0) == more_is_better

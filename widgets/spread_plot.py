@@ -1,4 +1,4 @@
-"""How far pixels are off against how far they spread: on the diagonal a sampler knows what it does not know."""
+"""Plot of error against spread over seeds; on the diagonal the sampler knows its uncertainty."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _LEFT_PX, _BELOW_PX, _ROOM_PX, _DOT_PX = 46.0, 34.0, 14.0, 4.0
 
 
 class SpreadPlot(QWidget):
-    """Points (spread, error) in mm, both axes from zero and as long, with the diagonal; nothing without points."""
+    """Points (spread, error) in mm on equal axes from zero, with the diagonal."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -28,17 +28,17 @@ class SpreadPlot(QWidget):
         self.setToolTip("Pixels with about as much spread each: their mean spread, and the rms error of the mean")
 
     def show_points(self, points: Sequence[tuple[float, float]]) -> None:
-        """Show these instead."""
+        """Show these points."""
         self.points = tuple(points)
         self.setVisible(bool(self.points))
         self.update()
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """A square with room for its words."""
+        """Return a square with room for its labels."""
         return QSize(280, 280)
 
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
-        """Axes, diagonal and dots."""
+        """Paint axes, diagonal and dots."""
         del a0
         if not self.points:
             return

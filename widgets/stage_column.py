@@ -1,4 +1,4 @@
-"""A slot's column: header with title, method, state and time, and its picture below."""
+"""Column of a stage: header with title, method, state and time, and the preview below."""
 
 from __future__ import annotations
 
@@ -16,19 +16,21 @@ from widgets.icons import StateIcon
 from widgets.preview_view import PreviewView
 from widgets.styling import make_bold, set_spacing, shrink_font
 
-_BETWEEN_PX = 40  # sign, word and time of a state, with the frame around them
-_SIGN_PX = 10  # between a title and the state's sign beside it, and around them
-_TITLE_PX = 120  # of a title beside other words that are not cut off, as far as it has them
-_METHOD_PX = 88  # wide is the choice of a method at least, where it stands beside the title
-_AN_END = re.compile(r"[:;]|,(?!\d|[^(]*\))")  # of the first part of a sentence; a vector is one word, and so is 2,571
+_BETWEEN_PX = 40  # sign, text and time of a state, with margins
+_SIGN_PX = 10  # between a title and the state's sign
+_TITLE_PX = 120  # minimum width of a title next to other text
+_METHOD_PX = 88  # minimum width of the method chooser next to the title
+_AN_END = re.compile(
+    r"[:;]|,(?!\d|[^(]*\))"
+)  # end of the first part of a sentence; vectors and numbers such as 2,571 are one word
 
 
 class StageColumn(QFrame):
-    """Title, state (sign and word), milliseconds, picture; the pixel under the mouse comes out."""
+    """Title, state (sign and text), milliseconds, preview; emits the pixel under the mouse."""
 
     pixel_hovered = pyqtSignal(str, int, int)  # stage, row, col; -1, -1 = none
     pixel_clicked = pyqtSignal(str, int, int)
-    method_chosen = pyqtSignal(str, str)  # slot, method
+    method_chosen = pyqtSignal(str, str)  # stage, method
 
     def __init__(self, name: str, title: str, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -52,7 +54,7 @@ class StageColumn(QFrame):
         self._method.setAccessibleName(f"method of {title}")
         self._method.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
         self._method.activated.connect(lambda: self.method_chosen.emit(name, self._method.currentData()))
-        self._only = QLabel()  # in its place where there is one way only
+        self._only = QLabel()  # in place of the chooser where there is one method only
         for widget in (self._word, self._ms, self._method, self._only):
             shrink_font(widget, 1.0)
         self._only.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
@@ -81,7 +83,7 @@ class StageColumn(QFrame):
         self.show_state("waiting")
 
     def set_wide(self, wide: bool) -> None:
-        """Title, method and state beside each other where there is width, below each other in a narrow column."""
+        """Place title, method and state in one row if wide, else in several."""
         way = QBoxLayout.Direction
         self._head.setDirection(way.LeftToRight if wide else way.TopToBottom)
         self._head.setSpacing(10 if wide else 2)
@@ -94,9 +96,9 @@ class StageColumn(QFrame):
         self._fit_time()
 
     def set_compact(self, short: bool, *, joined: bool = False) -> None:
-        """Caption and note have one line, not two, where there is little height, or where a line is long.
+        """Give caption and note one line instead of two.
 
-        `joined` to have the state beside the title, in its line.
+        `joined` puts the state into the title's line.
         """
         self._show_lines(1 if short or self._wide else 2)
         joined = joined and not self._wide
@@ -107,7 +109,7 @@ class StageColumn(QFrame):
 
     @property
     def has_room_for_state(self) -> bool:
-        """Whether the state's sign has room beside the whole title."""
+        """Return whether the state's sign fits next to the whole title."""
         return self.width() >= self._title_px + self._sign.sizeHint().width() + _SIGN_PX
 
     @property
@@ -115,24 +117,24 @@ class StageColumn(QFrame):
         return self._title.fontMetrics().horizontalAdvance(self._title.text())
 
     def _show_lines(self, lines: int) -> None:
-        """The room of caption and note, theirs whether they say something or not: pictures stand in one line."""
+        """Reserve the lines of caption and note whether they are used or not: previews stay aligned."""
         self.view.set_caption_lines(lines)
         self._note.set_lines(lines)
 
     def resizeEvent(self, a0: Any) -> None:  # noqa: N802
-        """The time gives way where there is no room for it, and beside title or method the state's word does."""
+        """Hide the time where there is no room, and the state's text next to title or method."""
         super().resizeEvent(a0)
         self._fit_time()
 
     def _fit_time(self) -> None:
-        beside = self._head.direction() == QBoxLayout.Direction.LeftToRight
-        before = self._title.minimumWidth() + _METHOD_PX if beside else 0
+        at_side = self._head.direction() == QBoxLayout.Direction.LeftToRight
+        before = self._title.minimumWidth() + _METHOD_PX if at_side else 0
         if self._joined:
             before = self._title_px
         words = before + (0 if self._joined else self._word.sizeHint().width())
         room = self.width() - self._sign.sizeHint().width() - _BETWEEN_PX
         self._ms.setHidden(room < words + self._ms.sizeHint().width())
-        self._word.setHidden(self._joined or (beside and room < words))
+        self._word.setHidden(self._joined or (at_side and room < words))
         hidden = self._ms.isHidden() or self._word.isHidden()
         timed = [f"{self.state}, {self._ms.text()}" if self._ms.text() else self.state] if hidden else []
         tip = "\n".join([*timed, *self._notes])
@@ -140,7 +142,7 @@ class StageColumn(QFrame):
             label.setToolTip(tip)
 
     def offer_methods(self, methods: Sequence[tuple[str, str, str]]) -> None:
-        """(name, title, help) of the ways to fill this slot; one alone is only named."""
+        """Offer (name, title, help) of the methods of this stage; a single one is a label."""
         self._method.clear()
         for i, (name, title, tip) in enumerate(methods):
             self._method.addItem(title, name)
@@ -152,17 +154,17 @@ class StageColumn(QFrame):
         self._only.setToolTip("" if several or not methods else methods[0][2])
 
     def show_method(self, name: str) -> None:
-        """Which way the slot is filled; says nothing to anybody."""
+        """Show the selected method without emitting a signal."""
         index = self._method.findData(name)
         with QSignalBlocker(self._method):
             self._method.setCurrentIndex(index)
         self._method.setToolTip(str(self._method.itemData(index, Qt.ItemDataRole.ToolTipRole) or ""))
 
     def show_state(self, state: str, ms: float | None = None, notes: tuple[str, ...] = (), fallback: str = "") -> None:
-        """Show where the stage stands; notes become the tool tip, and the reason over a skipped picture.
+        """Show the state of the stage; notes become the tooltip, and the reason over a skipped preview.
 
-        The first is read out below the picture, up to its first colon or comma. `instead` is why another method than
-        the chosen one answered, and lies over the picture.
+        The first note is shown below the preview, up to its first colon or comma. `fallback` says why another method
+        answered, and is shown over the preview.
         """
         if state != self.state:
             self.state = state
@@ -181,13 +183,13 @@ class StageColumn(QFrame):
     def show_result(
         self, state: str, ms: float, notes: tuple[str, ...], warnings: tuple[str, ...], fallback: str = ""
     ) -> None:
-        """As `show_state`; doubts come before other notes, and make the state doubtful, unless it is a draft."""
+        """Show a result; warnings come before other notes and set the state, unless it is a draft."""
         plain = tuple(note for note in notes if note not in warnings)
         self.warnings = warnings
-        self.show_state("doubtful" if warnings and state != "draft" else state, ms, (*warnings, *plain), fallback)
+        self.show_state("warning" if warnings and state != "draft" else state, ms, (*warnings, *plain), fallback)
 
     def compute_preferred_height_px(self) -> int:
-        """The height at which the picture fills the width that the column has."""
+        """Return the height at which the preview fills the column's width."""
         room = self.view.canvas_size_px
         return self.height() - room.height() + math.ceil(room.width() * self.view.height_over_width)
 

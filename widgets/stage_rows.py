@@ -1,4 +1,4 @@
-"""Pictures over 3D views: both rows are as high as what they show needs at the width it has."""
+"""Row of previews over a row of 3D views; both are as high as their content needs at its width."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from widgets.stage_column import StageColumn
 from widgets.styling import make_single_shot_timer, set_spacing
 from widgets.view_3d_panel import View3DPanel
 
-_SHORT_PX = 420  # a lower row spends one line on a caption, not two, and none on the state
-_LEAST_BELOW = 0.3  # of the height that is left to what stands below
-_TALL_BELOW = 1.15  # a 3D view's height in widths: in a taller one there is only ground above and below
+_SHORT_PX = 420  # a lower row gives a caption one line, and the state none
+_LEAST_BELOW = 0.3  # minimum share of the remaining height for the lower row
+_TALL_BELOW = 1.15  # maximum height of a 3D view in widths: beyond it there is only background
 
 
 class StageRows(QSplitter):
-    """A row of columns over a row of cells; follows the pictures until somebody drags the handle.
+    """A row of columns over a row of cells; fits the previews until the user drags the handle.
 
-    `spare_found` says how much higher than needed it is, in pixels; lower than needed is less than 0.
+    `spare_height_changed` carries the height in pixels beyond what is needed; negative if there is too little.
     """
 
     spare_height_changed = pyqtSignal(int)
@@ -30,9 +30,9 @@ class StageRows(QSplitter):
         self._columns: tuple[StageColumn, ...] = ()
         self._cells: tuple[View3DPanel, ...] = ()
         self._watched: set[QObject] = set()
-        self._told = False, False, True  # captions short, states beside titles, room for scales
+        self._told = False, False, True  # compact captions, states next to titles, room for scales
         self.setObjectName("split_rows")
-        self.is_user_sized = False  # from then on the rows keep their share
+        self.is_user_sized = False  # afterwards the rows keep their share
         self._above, self.lower_row = QWidget(), QWidget()
         self._upper, self._lower = set_spacing(QHBoxLayout(self._above), 2), set_spacing(QHBoxLayout(self.lower_row), 2)
         self.addWidget(self._above)
@@ -42,16 +42,16 @@ class StageRows(QSplitter):
         self.splitterMoved.connect(self._keep)
 
     def set_columns(self, pairs: Sequence[tuple[StageColumn, View3DPanel]], *, wide: bool = False) -> None:
-        """Hold these, in this order, from now on; whether they can be seen is theirs to say.
+        """Show these columns and cells in this order; their own visibility decides which are seen.
 
-        `wide` where few are seen, so that each has room beside its title.
+        `wide` where few are visible, so that each has room next to its title.
         """
         self._columns, self._cells = tuple(column for column, _ in pairs), tuple(cell for _, cell in pairs)
         for column, cell in pairs:
             column.set_wide(wide)
             self._upper.addWidget(column, 1)
             self._lower.addWidget(cell, 1)
-            for seen in (column, column.view):  # the latter also where a note takes room from it
+            for seen in (column, column.view):  # the view too, because a note takes room from it
                 if seen not in self._watched:
                     self._watched.add(seen)
                     seen.installEventFilter(self)
@@ -61,18 +61,18 @@ class StageRows(QSplitter):
         self._fit_soon()
 
     def fit_sizes(self) -> None:
-        """Share the height out by what the pictures need, where nobody chose another share."""
+        """Share the height by what the previews need, unless the user set it."""
         here = [column for column in self._columns if column.parentWidget() is self._above]
         shown = [column for column in here if column.isVisibleTo(self)]
         some = any(column.view.has_colour_scale or column.view.preview is None for column in shown)
         short = self.height() < _SHORT_PX
         joined = short and all(column.has_room_for_state for column in shown)
-        for column in shown:  # the scales' room is all of theirs, so that pictures stand in one line, or nobody's
+        for column in shown:  # all columns reserve room for scales, or none: previews stay aligned
             column.view.colour_bar.setVisible(some)
             column.set_compact(short, joined=joined)
         if (short, joined, some) != self._told:
             self._told = short, joined, some
-            self._fit_soon()  # once more, when it is laid out
+            self._fit_soon()  # again after the layout
         if self.is_user_sized or not shown or self.lower_row.isHidden():
             return
         room = self.height() - self.handleWidth()
@@ -84,12 +84,12 @@ class StageRows(QSplitter):
         self.spare_height_changed.emit(room - wanted - max(below, default=0))
 
     def resizeEvent(self, a0: QResizeEvent | None) -> None:  # noqa: N802
-        """Other widths need other heights."""
+        """Fit to the new widths."""
         super().resizeEvent(a0)
         self._fit_soon()
 
     def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
-        """A column that comes, goes or gets another width changes what all need."""
+        """Fit again when a column appears, disappears or changes width."""
         if a1 is not None and a1.type() in (QEvent.Type.Show, QEvent.Type.Hide, QEvent.Type.Resize):
             self._fit_soon()
         return super().eventFilter(a0, a1)
@@ -98,7 +98,7 @@ class StageRows(QSplitter):
         self._soon.start()
 
     def restore_sizes(self, sizes: Sequence[int]) -> None:
-        """Stand as somebody dragged it once; without sizes, follow the pictures again."""
+        """Restore user sizes; without sizes, fit the previews again."""
         self.is_user_sized = len(sizes) == self.count()
         if self.is_user_sized:
             self.setSizes(list(sizes))

@@ -1,4 +1,4 @@
-"""The way to a slot's value: curves over its kept steps, why it ended where it did, and any step to be looked at."""
+"""Steps panel: curves over the kept steps of a stage, why it stopped, and any step on display."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from widgets.styling import set_spacing, shrink_font
 from widgets.theme import get_theme_colours, to_qcolor
 
 _LEFT_PX, _RIGHT_PX, _GAP_PX, _DOT_PX = 128.0, 14.0, 10.0, 2.5
-_NOTHING = "Step through keeps the steps, which changes no answer, and shows them one by one"
-KEEP_STEPS, DISCARD_STEPS = "Step through", "Keep no steps"
+_NOTHING = "Step through keeps the steps and shows them one by one; the result stays the same"
+KEEP_STEPS, DISCARD_STEPS = "Step through", "Discard steps"
 
 
 class StepsPlot(QWidget):
-    """One strip a curve over the same steps; a click, a drag or the arrow keys choose a step."""
+    """One strip per curve over the same steps; click, drag or arrow keys choose a step."""
 
     step_chosen = pyqtSignal(int)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setObjectName("steps_plot")
-        self.setAccessibleName("figures of every step")
+        self.setAccessibleName("metrics of every step")
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         shrink_font(self)
@@ -37,7 +37,7 @@ class StepsPlot(QWidget):
         self.current_step = -1
 
     def show_curves(self, curves: Sequence[StepCurve], turns: Sequence[int]) -> None:
-        """These curves, with a line before each of the `turns`."""
+        """Show these curves, with a line before each of the `turns`."""
         self._curves, self._turns = tuple(curves), tuple(turns)
         self.update()
 
@@ -49,20 +49,20 @@ class StepsPlot(QWidget):
 
     @property
     def n_steps(self) -> int:
-        """Of the steps."""
+        """Number of steps."""
         return len(self._curves[0].values) if self._curves else 0
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """Room for three strips."""
+        """Return room for three strips."""
         return QSize(400, 130)
 
     def compute_step_x_px(self, at: int) -> float:
-        """Where a step is across."""
+        """Return the horizontal position of a step."""
         wide = self.width() - _LEFT_PX - _RIGHT_PX
         return _LEFT_PX + wide * at / max(1, self.n_steps - 1)
 
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
-        """Strips, marks and the step that is shown."""
+        """Paint strips, marks and the current step."""
         del a0
         if not self.n_steps:
             return
@@ -113,16 +113,16 @@ class StepsPlot(QWidget):
             self.step_chosen.emit(at)
 
     def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
-        """Go to the step at this place."""
+        """Choose the step at this position."""
         wide = max(1.0, self.width() - _LEFT_PX - _RIGHT_PX)
         self._choose(round((a0.position().x() - _LEFT_PX) / wide * max(1, self.n_steps - 1)))
 
     def mouseMoveEvent(self, a0: Any) -> None:  # noqa: N802
-        """The same with a button held: Qt tells of no other motions here."""
+        """Choose steps while dragging."""
         self.mousePressEvent(a0)
 
     def keyPressEvent(self, a0: Any) -> None:  # noqa: N802
-        """One step on or back, or to an end."""
+        """Choose the next, previous, first or last step."""
         ways = {Qt.Key.Key_Left: self.current_step - 1, Qt.Key.Key_Right: self.current_step + 1, Qt.Key.Key_Home: 0,
                 Qt.Key.Key_End: self.n_steps - 1}  # fmt: skip
         if a0.key() in ways:
@@ -132,7 +132,7 @@ class StepsPlot(QWidget):
 
 
 class StepsPanel(QWidget):
-    """A chooser of the slot, a button that asks for its steps, a sentence, the plot, and the step in words."""
+    """Stage chooser, button that requests the steps, message, plot, and the current step as text."""
 
     stage_chosen = pyqtSignal()
     step_chosen = pyqtSignal(str, int)
@@ -145,7 +145,7 @@ class StepsPanel(QWidget):
         self._way: StepHistory | None = None
         self._kept = False
         self.stage_box.setObjectName("steps_slot")
-        self.stage_box.setAccessibleName("slot that is stepped through")
+        self.stage_box.setAccessibleName("stage to step through")
         self.stage_box.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToContents)
         self.keep_button.setObjectName("steps_keep")
         self._told.setWordWrap(True)
@@ -157,33 +157,33 @@ class StepsPanel(QWidget):
         layout.addLayout(head)
         layout.addWidget(self.plot, 1)
         layout.addWidget(self._step)
-        self.stage_box.activated.connect(self._slot_chosen)
+        self.stage_box.activated.connect(self._choose_from_box)
         self.keep_button.clicked.connect(lambda: self.keep_steps_requested.emit(self.stage, not self._kept))
         self.plot.step_chosen.connect(self._step_chosen)
 
     @property
     def stage(self) -> str:
-        """The one that is chosen, "" for none."""
+        """The selected stage; "" for none."""
         return str(self.stage_box.currentData() or "")
 
     @property
     def message(self) -> str:
-        """Why it ended, or what may be done."""
+        """Why the method stopped, or what can be done."""
         return self._told.text()
 
     @property
     def step_text(self) -> str:
-        """The step that is shown, in words."""
+        """The current step as text."""
         return self._step.text()
 
-    def _slot_chosen(self, _: int) -> None:
+    def _choose_from_box(self, _: int) -> None:
         self.stage_chosen.emit()
 
     def _step_chosen(self, at: int) -> None:
         self.step_chosen.emit(self.stage, at)
 
     def offer_stages(self, stages: Mapping[str, str]) -> None:
-        """Name -> title of those whose way can be looked at."""
+        """Offer name -> title of stages with steps."""
         names = list(stages)
         if [self.stage_box.itemData(i) for i in range(self.stage_box.count())] == names:
             return
@@ -195,14 +195,14 @@ class StepsPanel(QWidget):
             self.stage_box.setCurrentIndex(names.index(chosen) if chosen in names else len(names) - 1)
 
     def choose_stage(self, stage: str) -> None:
-        """Choose a slot without saying so to anybody."""
+        """Select a stage without emitting a signal."""
         with QSignalBlocker(self.stage_box):
             self.stage_box.setCurrentIndex(max(0, self.stage_box.findData(stage)))
 
     def show_history(
         self, history: StepHistory | None, *, keeps_steps: bool, can_keep_steps: bool, why_not: str = ""
     ) -> None:
-        """A slot's way, whether its steps are `kept` as things are set, and whether its method `can` keep some."""
+        """Show the step history of a stage, whether steps are kept now, and whether the method can keep them."""
         self._way, self._kept = history, keeps_steps
         self.keep_button.setText(DISCARD_STEPS if keeps_steps else KEEP_STEPS)
         self.keep_button.setEnabled(can_keep_steps)
@@ -213,7 +213,7 @@ class StepsPanel(QWidget):
         self.show_step(-1 if history is None else len(history.descriptions) - 1)
 
     def show_step(self, at: int) -> None:
-        """Mark a step, and say what is known of it."""
+        """Mark a step and show its text."""
         self.plot.show_step(at)
         steps = () if self._way is None else self._way.descriptions
         self._step.setText(f"step {at + 1} of {len(steps)}: {steps[at]}" if 0 <= at < len(steps) else "")

@@ -1,4 +1,4 @@
-"""A slider over the kept states of a slot: iterations of a registration, steps of a sampler."""
+"""Slider over the kept steps of a stage: iterations of a registration, steps of a sampler."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ AnyStep = PoseStep | TouchStep
 
 
 class StepsSlider(QWidget):
-    """Which state of a slot is shown, and how good it was; `step_chosen` carries the slot, the state and its number."""
+    """Selects a kept step and shows its quality; `step_chosen` carries stage, step and its number."""
 
     step_chosen = pyqtSignal(str, object, int)
     keep_steps_requested = pyqtSignal(str)
@@ -23,28 +23,28 @@ class StepsSlider(QWidget):
         self._steps: tuple[AnyStep, ...] = ()
         self.slider = QSlider(Qt.Orientation.Horizontal)
         self.slider.setObjectName(f"{stage}_steps")
-        self.slider.setAccessibleName(f"state of the {stage}")
-        self.slider.setToolTip(f"States on the way to the {stage}")
+        self.slider.setAccessibleName(f"step of the {stage}")
+        self.slider.setToolTip(f"Steps of the {stage}")
         self._text, self.keep_button = QLabel(), QToolButton()
         self.keep_button.setText("Step through")
         self.keep_button.setObjectName(f"{stage}_keep")
-        self.keep_button.setToolTip("Keep the states on the way, which changes no answer, and look at them one by one")
+        self.keep_button.setToolTip("Keep the steps and show them one by one; the result stays the same")
         self.keep_button.setAutoRaise(True)
         self.keep_button.clicked.connect(lambda: self.keep_steps_requested.emit(self._slot))
         self._keeps = False
         self.slider.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         for widget in (self._text, self.keep_button):
             shrink_font(widget)
-            widget.setFixedHeight(widget.fontMetrics().height() + 1)  # as high as the legends beside it
+            widget.setFixedHeight(widget.fontMetrics().height() + 1)  # the height of the legends next to it
         layout = set_spacing(QHBoxLayout(self), 4)
         layout.addWidget(self.slider, 1)
         layout.addWidget(self._text, 0)
         layout.addWidget(self.keep_button, 0)
-        self.slider.valueChanged.connect(self._chosen)
+        self.slider.valueChanged.connect(self._choose_step)
         self.show_steps(())
 
     def show_steps(self, steps: tuple[AnyStep, ...]) -> None:
-        """Offer these states and stand on the last."""
+        """Offer these steps and select the last."""
         self._steps = steps
         with QSignalBlocker(self.slider):
             self.slider.setRange(0, max(0, len(steps) - 1))
@@ -54,26 +54,26 @@ class StepsSlider(QWidget):
         self.set_can_keep_steps(can_keep=self._keeps)
 
     def set_can_keep_steps(self, *, can_keep: bool) -> None:
-        """Whether the method can keep states: where none are kept yet, a button asks for them."""
+        """Set whether the method can keep steps; a button requests them where none are kept."""
         self._keeps = can_keep
         asks = can_keep and not self._steps
         self.keep_button.setVisible(asks)
         self._text.setVisible(not asks)
 
-    def _chosen(self, at: int) -> None:
+    def _choose_step(self, at: int) -> None:
         if 0 <= at < len(self._steps):
             self._tell(at)
             self.step_chosen.emit(self._slot, self._steps[at], at)
 
     def _tell(self, at: int) -> None:
         if not 0 <= at < len(self._steps):
-            self._text.setText("no states kept")
-            self._text.setToolTip("a method keeps them where its parameters say so")
+            self._text.setText("no steps kept")
+            self._text.setToolTip("enable them in the method's parameters")
             return
         step, place = self._steps[at], f"{at + 1}/{len(self._steps)}"
         if isinstance(step, TouchStep):
             self._text.setText(f"{place}: noise {step.sigma:.2g}")
-            self._text.setToolTip(f"state {at + 1} of {len(self._steps)}, seen through noise of {step.sigma:.3g} units")
+            self._text.setToolTip(f"state {at + 1} of {len(self._steps)}, at noise level {step.sigma:.3g} units")
             return
         self._text.setText(f"{place}: {step.rmse_mm:.2f} mm")
         matched = f"{100 * step.fitness:.0f} % of the points matched"

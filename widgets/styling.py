@@ -1,4 +1,4 @@
-"""What many widgets have in common: letters, the room in a layout, and buttons for commands."""
+"""Shared styling: fonts, layout spacing, and buttons for commands."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ _Layout = TypeVar("_Layout", bound=QLayout)
 
 
 def set_spacing(layout: _Layout, between_px: int, around_px: tuple[int, int, int, int] = (0, 0, 0, 0)) -> _Layout:
-    """The layout with this room between what it holds, and around it (left, top, right, bottom)."""
+    """Return the layout with this spacing between its items and margins (left, top, right, bottom)."""
     layout.setSpacing(between_px)
     layout.setContentsMargins(*around_px)
     return layout
 
 
 def shrink_font(widget: QWidget, by_pt: float = 1.5, *, least_pt: float = 7.0) -> None:
-    """Give a widget smaller letters than the window's, but no smaller than can be read."""
+    """Make a widget's font smaller than the window's, but at least `least_pt`."""
     font = widget.font()
     font.setPointSizeF(max(least_pt, font.pointSizeF() - by_pt))
     widget.setFont(font)
 
 
 def make_bold(widget: QWidget) -> None:
-    """Give a widget bold letters."""
+    """Make a widget's font bold."""
     font = widget.font()
     font.setBold(True)
     widget.setFont(font)
 
 
 def make_single_shot_timer(parent: QObject, after_ms: int, then: Callable[[], object]) -> QTimer:
-    """A timer that, each time it is started, calls `then` that much later, counted from its last start."""
+    """Return a timer that calls `then` once, `after_ms` after its last start."""
     timer = QTimer(parent)
     timer.setSingleShot(True)
     timer.setInterval(after_ms)
@@ -47,7 +47,7 @@ def make_single_shot_timer(parent: QObject, after_ms: int, then: Callable[[], ob
 
 
 def make_command_button(action: QAction) -> QToolButton:
-    """A flat button for a command of the window."""
+    """Return a flat button for a command."""
     button = QToolButton()
     button.setDefaultAction(action)
     button.setAutoRaise(True)
@@ -55,7 +55,7 @@ def make_command_button(action: QAction) -> QToolButton:
 
 
 def make_icon_button(icon: str, name: str, tip: str) -> QToolButton:
-    """A flat button with a drawn icon, found by its object name, that tells what it does."""
+    """Return a flat button with an icon, an object name and a tooltip."""
     button = QToolButton()
     button.setIcon(make_command_icon(icon))
     button.setAutoRaise(True)
@@ -66,7 +66,7 @@ def make_icon_button(icon: str, name: str, tip: str) -> QToolButton:
 
 
 class ThemedLabel(QLabel):
-    """Words in one of the inks of the theme that is on."""
+    """Label in one of the theme's text colours."""
 
     def __init__(self, ink: Callable[[ThemeColours], Rgb], text: str = "", parent: QWidget | None = None) -> None:
         super().__init__(text, parent)
@@ -74,7 +74,7 @@ class ThemedLabel(QLabel):
         self._take_ink()
 
     def changeEvent(self, a0: QEvent | None) -> None:  # noqa: N802
-        """Another theme has another ink."""
+        """Use the colour of the new theme."""
         super().changeEvent(a0)
         if a0 is not None and a0.type() == QEvent.Type.PaletteChange:
             self._take_ink()

@@ -1,7 +1,7 @@
-"""Colours of the window itself; those of quantities are `pipeline.previews.colours`.
+"""Colours of the window; those of quantities are in `pipeline.previews.colours`.
 
-What lies over a picture (outlines, crosshair) is the same in every theme. What is read against the window's own ground
-is an `Inks`: one set for a light ground, one for a dark one, words and signs at 4.5 to 1 or better on either.
+Overlays on images (outlines, crosshair) are the same in every theme. Text and signs on the window's background come
+from a `ThemeColours`, one for light and one for dark, with a contrast of at least 4.5 to 1.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ OBSERVED_CONTACT_COLOUR: Rgb = (
     255,
     255,
     255,
-)  # outline of what the target really felt, dark on both sides: seen on every colour
+)  # outline of what the target observed, with a dark casing: visible on every colour
 CASING_COLOUR: Rgb = (20, 24, 30)
-CROSSHAIR_COLOUR: Rgb = (230, 0, 115)  # crosshair of the traced pixel
-SECTION_COLOUR: Rgb = (240, 228, 66)  # the section line, dark on both sides as `FELT`
-CATEGORY_COLOURS: tuple[Rgb, ...] = (  # of a registration, Okabe-Ito: the pose itself, then the others best first
+CROSSHAIR_COLOUR: Rgb = (230, 0, 115)  # crosshair of the probe
+SECTION_COLOUR: Rgb = (240, 228, 66)  # the section line, with a dark casing
+CATEGORY_COLOURS: tuple[Rgb, ...] = (  # poses of a registration, Okabe-Ito: the result first, then the others, best first
     (0, 114, 178), (230, 159, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (213, 94, 0), (240, 228, 66),
     (90, 90, 100),
 )  # fmt: skip
@@ -30,21 +30,21 @@ CATEGORY_COLOURS: tuple[Rgb, ...] = (  # of a registration, Okabe-Ito: the pose 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ThemeColours:
-    """What is drawn and written on one ground."""
+    """Colours on one background."""
 
-    backdrop: Rgb  # behind pictures and 3D views
-    no_value: Rgb  # of a picture's pixels that hold none
+    backdrop: Rgb  # behind images and 3D views
+    no_value: Rgb  # pixels without a value
     icon: Rgb
-    secondary_text: Rgb  # words that say what the words beside them are
-    warning_text: Rgb  # words of warning
+    secondary_text: Rgb  # labels of other text
+    warning_text: Rgb  # warnings
     warning_mark: Rgb
-    neutral: Rgb  # of an error taken apart: a sum,
-    accent: Rgb  # what goes with the truth (Okabe-Ito blue),
-    worse: Rgb  # and what comes with it (vermilion)
-    gauge: Rgb  # a figure of the score,
-    gauge_background: Rgb  # what it may come to,
-    ghost: Rgb  # where it stood when a drag began,
-    sensitivity: Rgb  # and how much an axis changes it
+    neutral: Rgb  # error attribution: a sum
+    accent: Rgb  # a share that the truth removes (Okabe-Ito blue)
+    worse: Rgb  # a share that the truth adds (vermilion)
+    gauge: Rgb  # gauge: value
+    gauge_background: Rgb  # gauge: range
+    ghost: Rgb  # gauge: value before a drag
+    sensitivity: Rgb  # gauge: sensitivity to an axis
     axes: tuple[Rgb, Rgb, Rgb]  # x, y, z
     states: Mapping[str, Rgb]
 
@@ -56,7 +56,7 @@ _LIGHT = ThemeColours(
     axes=((190, 45, 45), (28, 118, 48), (50, 90, 200)),
     states={
         "computed": (0, 115, 86), "read": (0, 115, 86), "cached": (40, 105, 180), "unchanged": (40, 105, 180),
-        "doubtful": (160, 82, 0), "skipped": (96, 101, 111), "running": (146, 90, 0), "preview": (146, 90, 0),
+        "warning": (160, 82, 0), "skipped": (96, 101, 111), "running": (146, 90, 0), "preview": (146, 90, 0),
         "draft": (146, 90, 0),
         "failed": (190, 40, 40), "stale": (125, 90, 20), "waiting": (96, 102, 110),
     },
@@ -68,7 +68,7 @@ _DARK = ThemeColours(
     axes=((248, 125, 118), (115, 208, 130), (135, 170, 255)),
     states={
         "computed": (85, 203, 165), "read": (85, 203, 165), "cached": (125, 182, 245), "unchanged": (125, 182, 245),
-        "doubtful": (245, 175, 80), "skipped": (165, 170, 180), "running": (240, 195, 95), "preview": (240, 195, 95),
+        "warning": (245, 175, 80), "skipped": (165, 170, 180), "running": (240, 195, 95), "preview": (240, 195, 95),
         "draft": (240, 195, 95),
         "failed": (255, 138, 128), "stale": (216, 188, 115), "waiting": (162, 168, 177),
     },
@@ -76,32 +76,32 @@ _DARK = ThemeColours(
 
 
 def to_qcolor(colour: Rgb, alpha: int = 255) -> QColor:
-    """The Qt colour of a triple."""
+    """Convert an RGB triple to a Qt colour."""
     return QColor(*colour, alpha)
 
 
 def to_hex(colour: Rgb) -> str:
-    """A triple as rich text and style sheets write it."""
+    """Convert an RGB triple to a hex string for rich text and style sheets."""
     return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
 def is_dark(palette: QPalette) -> bool:
-    """Whether light letters stand on a dark ground."""
+    """Return whether a palette has light text on a dark background."""
     return palette.color(QPalette.ColorRole.Base).lightness() < 128
 
 
 def get_theme_colours(palette: QPalette) -> ThemeColours:
-    """What is drawn and written with under this palette."""
+    """Return the theme colours of a palette."""
     return _DARK if is_dark(palette) else _LIGHT
 
 
 def get_backdrop(palette: QPalette) -> QColor:
-    """What lies behind pictures and 3D views."""
+    """Return the colour behind images and 3D views."""
     return to_qcolor(get_theme_colours(palette).backdrop)
 
 
 def make_palette(*, dark: bool) -> QPalette:
-    """The window's palette, set by hand: without a desktop theme Qt does not know which one to take."""
+    """Return the window's palette, set explicitly: without a desktop theme Qt does not know which to take."""
     palette = QPalette()
     role, group = QPalette.ColorRole, QPalette.ColorGroup
     table = (  # role, light, dark

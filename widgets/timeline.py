@@ -1,4 +1,4 @@
-"""The timeline: which frame, and playing through them."""
+"""Timeline: the current frame, and playback."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from widgets.error_strip import ErrorScale, ErrorStrip
 from widgets.styling import make_command_button, set_spacing, shrink_font
 
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0)
-FRAMES_PER_SECOND = 10.0  # at speed 1, when the recording keeps no times
-_LATE_MS = 10  # after which a frame that is due is looked for again
-_STEPS_TOLD = 8
+FRAMES_PER_SECOND = 10.0  # at speed 1, when the recording has no timestamps
+_LATE_MS = 10  # interval to check for an overdue frame again
+_STEPS_SHOWN = 8
 _ROUNDING = 1e-6  # of a frame
-_MOST_DUE = 4.0  # frames: who has waited longer goes on from there instead of catching up
+_MOST_DUE = 4.0  # frames: after a longer wait playback continues without catching up
 
 
 class Timeline(QWidget):
-    """Slider, frame number and play; `frame_chosen` says which frame is wanted."""
+    """Slider, frame number and playback; `frame_chosen` carries the requested frame."""
 
     frame_chosen = pyqtSignal(int)
     play_toggled = pyqtSignal(bool)
@@ -31,8 +31,8 @@ class Timeline(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._n_frames, self._ready = 0, True
-        self.frame = 0  # the chosen one
-        self._due = self._ticked_s = 0.0  # share of the next frame that playing has waited for, and until when
+        self.frame = 0  # the current frame
+        self._due = self._ticked_s = 0.0  # fraction of the next frame that playback has waited for, and until when
         self._clock = QTimer(self)
         self._clock.setTimerType(Qt.TimerType.PreciseTimer)
         self._clock.timeout.connect(self._tick)
@@ -45,17 +45,17 @@ class Timeline(QWidget):
         self.errors, self.scale, self._figure, self._worst = ErrorStrip(), ErrorScale(), QLabel(), QLabel()
         self._of, self._time, self._left_out = QLabel(), QLabel(), QLabel()
         self._left_out.setObjectName("left_out")
-        self._left_out.setToolTip("a frame takes longer to work out than it is shown: those between are left out")
-        self._steps: deque[int] = deque(maxlen=_STEPS_TOLD)  # by how many frames playing went on, of late
+        self._left_out.setToolTip("computing a frame takes longer than its display time: frames in between are skipped")
+        self._steps: deque[int] = deque(maxlen=_STEPS_SHOWN)  # frames advanced in recent playback steps
         self._time.setMinimumWidth(self.fontMetrics().horizontalAdvance("t = 0000.00 s"))
         self.speed = QComboBox()
         for value in SPEEDS:
             self.speed.addItem(f"{value:g}\N{MULTIPLICATION SIGN}", value)
         self.speed.setCurrentIndex(SPEEDS.index(1.0))
         self.speed.setToolTip(
-            f"playing speed; 1\N{MULTIPLICATION SIGN} shows {FRAMES_PER_SECOND:g} frames a second at most"
+            f"playback speed; 1\N{MULTIPLICATION SIGN} shows {FRAMES_PER_SECOND:g} frames per second at most"
         )
-        self._looping, self.loop_range = False, (0, 0)  # first and last frame of a loop
+        self._looping, self.loop_range = False, (0, 0)  # first and last frame of the loop
         self._buttons = QHBoxLayout()
         self._lay_out()
         self.slider.valueChanged.connect(self._choose)
@@ -84,15 +84,15 @@ class Timeline(QWidget):
             layout.addWidget(widget, 1, column)
         for label in (self._figure, self._worst):
             shrink_font(label, 1.0)
-            label.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)  # beside the bars' upper end
+            label.setAlignment(Qt.AlignmentFlag.AlignTop | Qt.AlignmentFlag.AlignLeft)  # at the upper end of the bars
 
     def add_command(self, action: QAction) -> None:
-        """Give a command a button at the left of the slider."""
+        """Add a button for a command at the left of the slider."""
         self._buttons.addWidget(make_command_button(action))
 
     @property
     def is_playing(self) -> bool:
-        """Whether frames follow each other by themselves."""
+        """Whether playback is running."""
         return self._clock.isActive()
 
     def show_frames(self, n_frames: int) -> None:
@@ -116,7 +116,7 @@ class Timeline(QWidget):
             self.play(on=False)
 
     def show_frame(self, frame: int, time_s: float = math.nan) -> None:
-        """Show where we are; says nothing to anybody."""
+        """Show the current frame without emitting a signal."""
         self.frame = frame
         with QSignalBlocker(self.slider), QSignalBlocker(self.number):
             self.slider.setValue(frame)
@@ -129,11 +129,11 @@ class Timeline(QWidget):
         metric: str,
         values: Sequence[float],
         warnings: Mapping[int, Sequence[str]],
-        no_value_text: str = "no error known",
+        no_value_text: str = "error unknown",
     ) -> None:
-        """An error of every frame under the slider, NaN where it is not known, and what is doubted of which.
+        """Show the error of every frame under the slider (NaN = unknown), and the warnings of each.
 
-        `figure` is its name and, behind a comma, its unit; `without` is said where no frame has one.
+        `metric` is its name and, after a comma, its unit; `no_value_text` is shown where no frame has one.
         """
         unit = metric.partition(", ")[2]
         self.errors.show_values(values, unit, warnings)
@@ -141,17 +141,17 @@ class Timeline(QWidget):
         self.scale.show_max(self.errors.max_value)
         known = sum(math.isfinite(value) for value in values)
         self._figure.setText(metric if known else no_value_text if values else "")
-        told = f"worst: frame {worst}, {values[worst]:.3g} {unit}" if worst >= 0 else ""
-        self._worst.setText(told)
+        text = f"worst: frame {worst}, {values[worst]:.3g} {unit}" if worst >= 0 else ""
+        self._worst.setText(text)
 
     def show_ready(self, *, ready: bool) -> None:
-        """Whether the chosen frame is on screen: playing waits for it instead of running ahead."""
+        """Set whether the current frame is on screen: playback waits for it."""
         self._ready = ready
         if ready and self._due >= 1.0 and self.is_playing:
-            self._clock.start(0)  # it is late: not at the next look, but not from within what shows this frame either
+            self._clock.start(0)  # overdue: advance soon, but not from within the call that shows this frame
 
     def play(self, *, on: bool) -> None:
-        """Start or stop playing."""
+        """Start or stop playback."""
         on = on and self._n_frames > 1
         if on == self._clock.isActive():
             return
@@ -167,22 +167,22 @@ class Timeline(QWidget):
         self.play_toggled.emit(on)
 
     def set_looping(self, looping: bool) -> None:
-        """Whether playing begins again after the last frame."""
+        """Set whether playback starts again after the last frame."""
         self._looping = looping
 
     def set_loop_range(self, first: int, last: int) -> None:
-        """Loop over these frames; whoever names them the wrong way round means the same."""
+        """Set the loop range, in either order."""
         most = max(0, self._n_frames - 1)
         first, last = sorted((min(max(first, 0), most), min(max(last, 0), most)))
         self.loop_range = (first, last)
         self.errors.show_loop_range(None if self.loop_range == (0, most) else self.loop_range)
 
     def step_by(self, by: int) -> None:
-        """Go `by` frames on, no further than the ends."""
+        """Advance by `by` frames, clipped to the ends."""
         self.step_to(self.frame + by)
 
     def step_to(self, frame: int) -> None:
-        """Go to a frame, no further than the ends."""
+        """Go to a frame, clipped to the ends."""
         self._choose(min(max(frame, 0), max(0, self._n_frames - 1)))
 
     def step_to_last(self) -> None:
@@ -196,7 +196,9 @@ class Timeline(QWidget):
         self.frame_chosen.emit(frame)
 
     def _tick(self) -> None:
-        now_s = time.monotonic()  # ticks come late where there is work: the clock tells what is due, not their number
+        now_s = (
+            time.monotonic()
+        )  # ticks are late on a busy machine: the clock tells what is due, not the number of ticks
         waited_s, self._ticked_s = now_s - self._ticked_s, now_s
         self._due = min(self._due + waited_s * self._rate, _MOST_DUE)
         by = int(self._due + _ROUNDING)
@@ -209,11 +211,11 @@ class Timeline(QWidget):
 
     @property
     def _rate(self) -> float:
-        """Frames a second."""
+        """Return the frames per second."""
         return FRAMES_PER_SECOND * float(self.speed.currentData())
 
     def _until_due_ms(self) -> int:
-        """When the next frame is due, to the millisecond: a look every so often would be late by half of that."""
+        """Return the time until the next frame is due, in ms; polling would be late by half of its interval."""
         return max(1, math.ceil(1e3 * (1.0 - self._due) / self._rate)) if self._due < 1.0 else _LATE_MS
 
     def _tell_left_out(self, by: int) -> None:

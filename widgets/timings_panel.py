@@ -1,4 +1,4 @@
-"""What each stage took, and why it took no longer."""
+"""Table of stage times and the reason where a stage took no time."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class TimingRow:
 
 
 class TimingsPanel(QTableWidget):
-    """A row per stage and one for their sum."""
+    """One row per stage and one for the sum."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(0, len(_HEADER), parent)
@@ -45,7 +45,7 @@ class TimingsPanel(QTableWidget):
         columns.setStretchLastSection(True)
 
     def show_rows(self, timings: tuple[TimingRow, ...]) -> None:
-        """Show these stages and their sum; only cells whose text changed are touched."""
+        """Show these stages and their sum; only changed cells are updated."""
         self.setRowCount(len(timings) + 1)
         for at, row in enumerate(timings):
             self._cells(at, (row.title, row.state, f"{row.time_ms:.2f}", " · ".join(row.notes)), row.state)

@@ -1,4 +1,4 @@
-"""One pixel through every stage, read like a sentence."""
+"""Trace of one pixel through all stages, as a sentence."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from PyQt6.QtWidgets import QFrame, QLabel, QScrollArea, QVBoxLayout, QWidget
 from widgets.theme import get_theme_colours, to_hex
 
 _INVITATION = (
-    "Move the mouse over a picture to follow that pixel through every stage. "
-    "A click pins it (again, or <b>F</b>, to let go); <b>Esc</b> takes the crosshairs away."
+    "Move the mouse over an image to follow that pixel through every stage. "
+    "A click pins it (again, or <b>F</b>, to release); <b>Esc</b> hides the crosshairs."
 )
 
-_LINES = 2  # more of them scroll
+_LINES = 2  # more lines scroll
 
 
 class TracePanel(QScrollArea):
-    """Shows what `pipeline.trace` says, one titled step after the other."""
+    """Shows a pixel trace, one titled step after the other."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -41,7 +41,7 @@ class TracePanel(QScrollArea):
         self._shown: tuple[Sequence[tuple[str, str]], bool, str, bool] = ((), False, "", False)
 
     def changeEvent(self, a0: QEvent | None) -> None:  # noqa: N802
-        """The same in the inks of another theme."""
+        """Use the colours of the new theme."""
         super().changeEvent(a0)
         if a0 is not None and a0.type() == QEvent.Type.PaletteChange:
             steps, pinned, ending, waits = self._shown
@@ -50,7 +50,7 @@ class TracePanel(QScrollArea):
     def show_steps(
         self, steps: Sequence[tuple[str, str]], *, pinned: bool = False, ending: str = "", is_waiting: bool = False
     ) -> None:
-        """Show (stage title, what is there) pairs in order, and why the trace ends: in plain ink where it `waits`."""
+        """Show (stage title, text) pairs in order, and why the trace ends; in plain colour while `is_waiting`."""
         self._shown = steps, pinned, ending, is_waiting
         self.text = " → ".join(text for _, text in steps)
         if not steps:

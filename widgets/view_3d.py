@@ -1,4 +1,4 @@
-"""One 3D view as a plain widget: the last picture of it, a dot over that, and the mouse for whoever draws it."""
+"""One 3D view as a plain widget: the last rendering, a marker, and mouse events for the renderer."""
 
 from __future__ import annotations
 
@@ -13,22 +13,24 @@ from widgets.theme import CROSSHAIR_COLOUR, get_backdrop, to_qcolor
 
 _DOT_PX = 5.0
 _MARGIN_PX = 12
-_A_CLICK_PX = 4.0  # a release nearer to its press than this turned nothing
+_A_CLICK_PX = 4.0  # a release closer to its press than this is a click
 
 
 class View3D(QWidget):
-    """Shows what it is given; `wanted` says that a picture of the present size is needed."""
+    """Shows an image; `wanted` requests one of the current size."""
 
     image_requested = pyqtSignal()
-    hovered = pyqtSignal(QPointF)  # the mouse is here, no button down
-    clicked = pyqtSignal(QPointF)  # a click, not the end of a turn
+    hovered = pyqtSignal(QPointF)  # mouse position, no button down
+    clicked = pyqtSignal(QPointF)  # a click, not the end of a rotation
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setMinimumSize(60, 60)
-        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored)  # the picture follows the room
+        self.setSizePolicy(
+            QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Ignored
+        )  # the image follows the widget's size
         self.image: QImage | None = None
-        self.notice = ""  # in place of a picture
+        self.notice = ""  # shown in place of an image
         self.marker: QPointF | None = None  # shares of width and height
         self._pressed: QPointF | None = None
         self.setMouseTracking(True)
@@ -36,33 +38,33 @@ class View3D(QWidget):
 
     @property
     def size_px(self) -> tuple[int, int]:
-        """Width and height of the picture that belongs here, in pixels of the screen."""
+        """Return width and height of the image in physical pixels."""
         dense = self.devicePixelRatioF()
         return max(1, round(dense * self.width())), max(1, round(dense * self.height()))
 
     def show_image(self, image: QImage) -> None:
-        """Show another picture."""
+        """Show another image."""
         if image is not self.image:
             self.image = image
             self.update()
 
     def show_dot(self, dot: QPointF | None) -> None:
-        """Where the traced pixel is, in shares of width and height."""
+        """Show the probe's marker, in shares of width and height; None hides it."""
         if dot != self.marker:
             self.marker = dot
             self.update()
 
     def show_notice(self, text: str) -> None:
-        """Say why there is no picture."""
+        """Show why there is no image."""
         self.notice = text
         self.update()
 
     def sizeHint(self) -> QSize:  # noqa: N802
-        """A column's share of a laptop screen."""
+        """Return a column's share of a laptop screen."""
         return QSize(200, 160)
 
     def paintEvent(self, a0: Any) -> None:  # noqa: N802
-        """The last picture, or the backdrop until there is one."""
+        """Paint the last image, or the backdrop until there is one."""
         del a0
         painter = QPainter(self)
         if self.image is None:
@@ -79,42 +81,42 @@ class View3D(QWidget):
             painter.drawEllipse(at, _DOT_PX, _DOT_PX)
 
     def resizeEvent(self, a0: Any) -> None:  # noqa: N802
-        """Another size is another picture."""
+        """Request an image of the new size."""
         super().resizeEvent(a0)
         self.image_requested.emit()
 
     def showEvent(self, a0: Any) -> None:  # noqa: N802
-        """What was not drawn while nobody saw it is due."""
+        """Request what was not rendered while the view was hidden."""
         super().showEvent(a0)
         self.image_requested.emit()
 
     def changeEvent(self, a0: QEvent | None) -> None:  # noqa: N802
-        """Another theme has another backdrop."""
+        """Use the backdrop of the new theme."""
         super().changeEvent(a0)
         if a0 is not None and a0.type() == QEvent.Type.PaletteChange:
             self.image_requested.emit()
 
     def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
-        """Take hold of the view."""
+        """Begin to move the camera."""
         self._pressed = a0.position() if a0.button() == Qt.MouseButton.LeftButton else None
         self._pass_on(a0, "press")
 
     def mouseReleaseEvent(self, a0: Any) -> None:  # noqa: N802
-        """Let go of it; where it was not turned meanwhile, that was a click."""
+        """Stop moving the camera; without a motion, emit a click."""
         self._pass_on(a0, "release")
         if self._pressed is not None and (a0.position() - self._pressed).manhattanLength() < _A_CLICK_PX:
             self.clicked.emit(a0.position())
         self._pressed = None
 
     def mouseMoveEvent(self, a0: Any) -> None:  # noqa: N802
-        """Turn, shift or near it while a button is down; else say where the mouse is."""
+        """Move the camera while a button is down; else emit the position."""
         if a0.buttons() == Qt.MouseButton.NoButton:
             self.hovered.emit(a0.position())
         else:
             self._pass_on(a0, "move")
 
     def wheelEvent(self, a0: Any) -> None:  # noqa: N802
-        """Go nearer or farther."""
+        """Zoom."""
         self._pass_on(a0, "wheel")
 
     def _pass_on(self, event: Any, what: str) -> None:

@@ -1,4 +1,4 @@
-"""A 3D view with what belongs under it: a legend or the slider of kept states, and whose frame it is drawn in."""
+"""A 3D view with a legend or a step slider, and the name of its frame."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ class View3DPanel(QWidget):
             layout.addWidget(widget)
 
     def compute_height_px(self, tall: float) -> int:
-        """How high it is with a view of this height in widths."""
+        """Return the height with a view of `tall` widths."""
         return self.height() - self.view.height() + round(tall * self.view.width())
 
 
 class FittingLabel(QLabel):
-    """One line of rich text: the longest of several tellings of the same for which there is room."""
+    """One line of rich text: the longest of several versions that fits."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -42,7 +42,7 @@ class FittingLabel(QLabel):
         self._widths: list[int] = []
 
     def set_texts(self, *tellings: str) -> None:
-        """These from now on, the longest first; that one is its tip."""
+        """Set the versions, the longest first; that one is the tooltip."""
         if tellings != self._tellings:
             self._tellings = tellings
             self._widths = [self._width(telling) for telling in tellings]
@@ -50,7 +50,7 @@ class FittingLabel(QLabel):
             self._fit()
 
     def resizeEvent(self, a0: Any) -> None:  # noqa: N802
-        """Other room, another telling."""
+        """Choose the version that fits the new width."""
         super().resizeEvent(a0)
         self._fit()
 

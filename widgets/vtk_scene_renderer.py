@@ -1,4 +1,4 @@
-"""The 3D views: each is drawn off screen when it is seen and has changed, and pictures of what was seen are kept."""
+"""3D views by VTK: each is rendered off screen when it is visible and has changed; images are cached."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from widgets.styling import make_single_shot_timer
 from widgets.theme import get_theme_colours
 from widgets.view_3d import View3D
 
-_TOGETHER_MS = 10  # what changes together within this is drawn once
+_TOGETHER_MS = 10  # changes within this time are rendered once
 _KEPT_BYTES = 42 * 1024 * 1024
-_NEAR_PX, _ONE_SURFACE = 6.0, 0.02  # of a place in a view; share of the distance that a surface is thick
-_ONE_TURN = 120  # eighths of a degree, as Qt counts what a wheel goes on by
+_NEAR_PX, _ONE_SURFACE = 6.0, 0.02  # search radius; thickness of a surface as a share of its distance
+_ONE_TURN = 120  # Qt's wheel units of one notch
 _BUTTONS = {
-    Qt.MouseButton.LeftButton: "LeftButton",  # turns
-    Qt.MouseButton.MiddleButton: "MiddleButton",  # shifts
-    Qt.MouseButton.RightButton: "RightButton",  # nears
+    Qt.MouseButton.LeftButton: "LeftButton",  # rotate
+    Qt.MouseButton.MiddleButton: "MiddleButton",  # translate
+    Qt.MouseButton.RightButton: "RightButton",  # zoom
 }
 _ENDS = {"press": "PressEvent", "release": "ReleaseEvent"}
 
@@ -39,10 +39,10 @@ CachedImage = tuple[QImage, tuple[Layer, ...]]  # layers are held so that none t
 
 
 class VtkSceneRenderer(SceneRenderer):
-    """All views, turned with the mouse; one is drawn a turn of the event loop, so that the window stays awake.
+    """All 3D views, controlled by mouse; one view is rendered per turn of the event loop, so that the window responds.
 
-    An OpenGL widget would make Qt build the whole window anew once it comes, and compose every later repaint in
-    OpenGL, which costs most where there is no graphics card; reading a picture back costs less than a millisecond.
+    An OpenGL widget would make Qt rebuild the window and compose every repaint in OpenGL, which is slow without a
+    graphics card; reading an image back takes less than a millisecond.
     """
 
     def __init__(self, views: Sequence[View3D]) -> None:
@@ -52,7 +52,7 @@ class VtkSceneRenderer(SceneRenderer):
         self._mouse: Any = vtkGenericRenderWindowInteractor()
         self._mouse.SetRenderWindow(self._stage.window)
         self._mouse.SetInteractorStyle(vtkInteractorStyleTrackballCamera())
-        self._mouse.EnableRenderOff()  # drawn together with everything else
+        self._mouse.EnableRenderOff()  # rendered together with everything else
         self._mouse.Initialize()
         self._layers: dict[int, tuple[Layer, ...]] = {}
         self._placed: dict[int, dict[str, Doubles]] = {}
@@ -60,8 +60,8 @@ class VtkSceneRenderer(SceneRenderer):
         self._due: list[int] = []
         self._kept: Memo[object, CachedImage] = Memo(most_bytes=_KEPT_BYTES, weigh=_bytes)
         self._finished, self._turned = False, 0
-        self.n_renders = 0  # pictures made by OpenGL,
-        self.render_time_s = 0.0  # and the processor's time that they took
+        self.n_renders = 0  # images rendered by OpenGL
+        self.render_time_s = 0.0  # and their processor time
         self._soon = make_single_shot_timer(self, _TOGETHER_MS, self._draw_one)
         for column, view in enumerate(self.views):
             view.image_requested.connect(partial(self._draw_soon, column))
@@ -76,7 +76,7 @@ class VtkSceneRenderer(SceneRenderer):
             self._draw_soon(column)
 
     def move_layer(self, column: int, name: str, view_from_layer: Doubles) -> None:
-        """Move one layer as a whole, until its layers are shown anew."""
+        """Move one layer rigidly until its layers are shown again."""
         self._placed.setdefault(column, {})[name] = view_from_layer
         self._draw_soon(column)
 
@@ -87,21 +87,21 @@ class VtkSceneRenderer(SceneRenderer):
             self._draw_soon(column)
 
     def clear_cache(self) -> None:
-        """Let go of pictures of what will not be shown again."""
+        """Drop cached images that will not be shown again."""
         self._kept.clear()
 
     def get_cameras(self) -> dict[int, CameraState]:
-        """Where each view looks from and to."""
+        """Return the camera of each view."""
         return {column: self._stage.get_camera(column) for column in range(len(self.views))}
 
     def set_cameras(self, cameras: Mapping[int, CameraState]) -> None:
-        """Look so; other views stay as they are."""
+        """Set these cameras; other views keep theirs."""
         for column, camera in cameras.items():
             self._stage.set_camera(column, camera)
             self._draw_soon(column)
 
     def mark_point(self, column: int, place_mm: Point3 | None) -> None:
-        """Put the traced pixel's dot over a view, or take it away; nothing is drawn anew for it."""
+        """Show the probe's marker over a view; None hides it. Nothing is rendered for it."""
         if place_mm is None:
             self._marks.pop(column, None)
         else:
@@ -109,29 +109,29 @@ class VtkSceneRenderer(SceneRenderer):
         self._show_dot(column)
 
     def find_nearest_point(self, column: int, at: QPointF, points_mm: Doubles) -> int:
-        """The foremost of the points (n, 3) that are drawn within a few pixels of a place; -1 for none."""
+        """Return the foremost of the points (n, 3) drawn within a few pixels of a position; -1 for none."""
         view = self.views[column]
         shares, depth = self._stage.project_points(column, points_mm, view.width() / max(1, view.height()))
         off_px = np.hypot(shares[:, 0] * view.width() - at.x(), shares[:, 1] * view.height() - at.y())
         near = np.flatnonzero(off_px < _NEAR_PX)
-        # Of what lies behind one another the foremost is seen; of neighbours on one surface the nearest is meant.
+        # Of points behind each other the foremost counts; of neighbours on one surface the nearest.
         front = near[depth[near] <= depth[near].min() + _ONE_SURFACE] if near.size else near
         return int(front[np.argmin(off_px[front])]) if front.size else -1
 
     def draw_pending(self) -> None:
-        """Draw now what was going to be drawn soon."""
+        """Render pending views now."""
         while self._due:
             self._draw_one()
 
     @property
     def has_pending_views(self) -> bool:
-        """Whether a view that is seen has still to be drawn."""
+        """Whether a visible view is not rendered yet."""
         return any(self.views[column].isVisible() for column in self._due)
 
     def close(self) -> None:
-        """Let go of everything OpenGL; the last pictures stay."""
+        """Release all OpenGL resources; the last images stay."""
         self._soon.stop()
-        self._finished = True  # a late change of size would open OpenGL again
+        self._finished = True  # a late resize would open OpenGL again
         self._due.clear()
         self._stage.close()
 
@@ -144,10 +144,10 @@ class VtkSceneRenderer(SceneRenderer):
             self._soon.start()
 
     def _draw_one(self) -> None:
-        """Kept pictures are shown at once; of those to be drawn one, the others in later turns."""
+        """Show cached images at once; render one of the others, the rest in later turns."""
         made = False
         waiting = [column for column in self._due if self.views[column].isVisible()]
-        self._due.clear()  # a view that is not seen asks for its picture when it is shown
+        self._due.clear()  # an invisible view requests its image when it is shown
         while waiting and not made:
             made = self._show(waiting.pop(0))
         self._due.extend(waiting)
@@ -156,7 +156,7 @@ class VtkSceneRenderer(SceneRenderer):
             self._soon.setInterval(_TOGETHER_MS)
 
     def _show(self, column: int) -> bool:
-        """Whether a picture had to be drawn."""
+        """Show a view and return whether it had to be rendered."""
         view, layers = self.views[column], self._layers.get(column, ())
         ink = get_theme_colours(view.palette())
         placed = self._placed.get(column, {})
@@ -188,7 +188,7 @@ class VtkSceneRenderer(SceneRenderer):
         view.show_dot(None if at is None else QPointF(*at))
 
     def _tell(self, column: int, event: Any, what: str) -> None:
-        """Pass on to VTK, in the pixels of its picture; a touch pad tells of many small turns that make up one."""
+        """Pass a mouse event to VTK in pixels of its image; small touch pad turns are accumulated."""
         if self._finished:
             return
         name = {"move": "MouseMoveEvent"}.get(what, "")
@@ -221,14 +221,14 @@ def _bytes(picture: CachedImage) -> int:
 
 
 def _samples() -> int:
-    """Samples a pixel: smoothing doubles the time of a picture where a processor draws it."""
+    """Return the samples per pixel: smoothing doubles the time of a software renderer."""
     devices = [*Path("/dev").glob("dri/*"), *Path("/dev").glob("nvidia*")]
     return 0 if sys.platform == "linux" and not devices else 4
 
 
 def create_scene_renderer(views: Sequence[View3D]) -> SceneRenderer:
-    """A live scene, or a notice where nothing can be drawn in 3D."""
+    """Return a VTK renderer, or a notice where nothing can be rendered in 3D."""
     try:
         return VtkSceneRenderer(views)
     except Exception as error:  # noqa: BLE001 - drivers fail in their own ways; the rest of the window must work
-        return SceneRenderer(views, f"3D needs OpenGL, which this machine does not offer ({error})")
+        return SceneRenderer(views, f"3D needs OpenGL, which is not available here ({error})")

@@ -1,4 +1,4 @@
-"""One line for what is doubted of the frame on screen; empty while nothing is."""
+"""One line for the warnings of the frame on screen; empty without any."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from widgets.icons import StateIcon
 from widgets.styling import set_spacing
 
 _BETWEEN = "   ·   "
-_A_REASON = re.compile("[:;]")  # what follows one says why, or what to do
+_A_REASON = re.compile("[:;]")  # what follows is the reason or the remedy
 
 
 class WarningLine(QWidget):
-    """The doubts of every slot in one line; all of them in whole in the tool tip, which a click shows at once."""
+    """The warnings of all stages in one line; the tooltip, also shown by a click, has them in full."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setObjectName("warning_line")
-        self.text = ""  # all of it, however much there is room for
-        self._told: tuple[str, ...] = ()
+        self.text = ""  # all of it, whatever fits
+        self._sentences: tuple[str, ...] = ()
         self._sign, self._label = StateIcon(), FixedSizeLabel()
         layout = set_spacing(QHBoxLayout(self), 5, (6, 0, 6, 0))
         layout.addWidget(self._sign)
@@ -32,25 +32,25 @@ class WarningLine(QWidget):
 
     @property
     def visible_text(self) -> str:
-        """What there is room for."""
+        """The part that fits."""
         return self._label.text()
 
     def show_warnings(self, warnings: Sequence[tuple[str, str]]) -> None:
-        """(title of a slot, what is doubted of it), the most telling first."""
-        told = tuple(f"{title}: {doubt}" for title, doubt in warnings)
-        if told != self._told:
-            self._told, self.text = told, _BETWEEN.join(told)
-            self.setToolTip("\n".join(told))
-            self._sign.show_state("doubtful" if told else "")
+        """Show (stage title, warning) pairs, the most important first."""
+        sentences = tuple(f"{title}: {warning}" for title, warning in warnings)
+        if sentences != self._sentences:
+            self._sentences, self.text = sentences, _BETWEEN.join(sentences)
+            self.setToolTip("\n".join(sentences))
+            self._sign.show_state("warning" if sentences else "")
             self._fit()
 
     def resizeEvent(self, a0: Any) -> None:  # noqa: N802
-        """As much as there is room for."""
+        """Fit the text to the new width."""
         super().resizeEvent(a0)
         self._fit()
 
     def mousePressEvent(self, a0: Any) -> None:  # noqa: N802
-        """All of it, now."""
+        """Show the full text as a tooltip."""
         QToolTip.showText(a0.globalPosition().toPoint(), self.toolTip(), self)
 
     def _fit(self) -> None:
@@ -58,29 +58,29 @@ class WarningLine(QWidget):
         assert layout is not None
         around = layout.contentsMargins()
         room = max(60, self.width() - self._sign.width() - layout.spacing() - around.left() - around.right())
-        text = fit_sentences(self._told, lambda words: metrics.horizontalAdvance(words) <= room)
+        text = fit_sentences(self._sentences, lambda words: metrics.horizontalAdvance(words) <= room)
         self._label.setText(metrics.elidedText(text, Qt.TextElideMode.ElideRight, room))
 
 
 def fit_sentences(sentences: Sequence[str], fits: Callable[[str], bool]) -> str:
-    """As many of these sentences as fit, none of them cut: first what is doubted, then why, as far as there is room."""
+    """Return as many sentences as fit, none cut: first what is wrong, then the reasons as far as there is room."""
     brief = [_without_reason(sentence) for sentence in sentences]
     count = next(
-        (n for n in range(len(sentences), 1, -1) if fits(_joined(brief[:n], len(sentences)))), min(1, len(sentences))
+        (n for n in range(len(sentences), 1, -1) if fits(_join(brief[:n], len(sentences)))), min(1, len(sentences))
     )
     shown = brief[:count]
     for i in range(count):
         whole = [*shown[:i], sentences[i], *shown[i + 1 :]]
-        if fits(_joined(whole, len(sentences))):
+        if fits(_join(whole, len(sentences))):
             shown = whole
-    return _joined(shown, len(sentences))
+    return _join(shown, len(sentences))
 
 
 def _without_reason(sentence: str) -> str:
-    title, _, doubt = sentence.partition(": ")
-    return f"{title}: {_A_REASON.split(doubt, maxsplit=1)[0]}"
+    title, _, warning = sentence.partition(": ")
+    return f"{title}: {_A_REASON.split(warning, maxsplit=1)[0]}"
 
 
-def _joined(shown: Sequence[str], n_all: int) -> str:
+def _join(shown: Sequence[str], n_all: int) -> str:
     more = [f"and {n_all - len(shown)} more"] if n_all > len(shown) else []
     return _BETWEEN.join([*shown, *more])

@@ -1,4 +1,4 @@
-"""What an empty window shows: the sample, what was open lately, and that files can be dropped."""
+"""Welcome page of an empty window: sample, recent files, and a drop area."""
 
 from __future__ import annotations
 
@@ -15,19 +15,17 @@ from widgets.theme import get_theme_colours, to_qcolor
 
 _WIDTH_PX, _ROW_PX = 620, 24
 _PURPOSE = (
-    "See how one tactile sensor's touch becomes another's: every stage side by side, measured against the truth where "
-    "the recording knows it."
+    "Translate the touch of one tactile sensor into another's: every stage side by side, compared with the truth "
+    "where it is recorded."
 )
-_DROP = (
-    "Drop a recording here: .h5 of ours, a folder of images, a video, depth arrays, .pt of touch2touch or gelslim_depth"
-)
+_DROP = "Drop a recording here: .h5, a folder of images, a video, depth arrays, or .pt of touch2touch or gelslim_depth"
 
 
 class DropArea(QLabel):
-    """Words in a dashed frame that is seen in every theme."""
+    """Text in a dashed frame that is visible in every theme."""
 
     def paintEvent(self, a0: QPaintEvent | None) -> None:  # noqa: N802
-        """The words, then the frame around them."""
+        """Paint the text, then the frame."""
         super().paintEvent(a0)
         painter = QPainter(self)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
@@ -36,7 +34,7 @@ class DropArea(QLabel):
 
 
 class WelcomePage(QWidget):
-    """Lies over `first` and all below it in its parent until something is open; `recent_chosen` says which file."""
+    """Covers `first` and everything below it until a recording is open; `recent_chosen` carries a file."""
 
     recent_chosen = pyqtSignal(object)  # Path
 
@@ -63,8 +61,8 @@ class WelcomePage(QWidget):
         self.recent = QListWidget()
         self.recent.setObjectName("recent")
         self.recent.setAccessibleName("recent recordings")
-        self.recent.itemActivated.connect(self._chosen)
-        self.recent.itemClicked.connect(self._chosen)
+        self.recent.itemActivated.connect(self._open_recent)
+        self.recent.itemClicked.connect(self._open_recent)
         self._sheet = QWidget()
         self._sheet.setMaximumWidth(_WIDTH_PX)
         column = set_spacing(QVBoxLayout(self._sheet), 12)
@@ -86,7 +84,7 @@ class WelcomePage(QWidget):
         self._cover()
 
     def show_recent(self, paths: Sequence[Path]) -> None:
-        """What was open lately, the latest first."""
+        """Show recent files, the latest first."""
         self.recent.clear()
         for path in paths:
             item = QListWidgetItem(f"{escape_text(path.name)}    {escape_text(str(path.parent))}")
@@ -99,7 +97,7 @@ class WelcomePage(QWidget):
         self.recent.setFixedHeight(min(len(paths), 8) * _ROW_PX + 6)
 
     def eventFilter(self, a0: QObject | None, a1: QEvent | None) -> bool:  # noqa: N802
-        """Stay as large as what it lies over, and on top of it."""
+        """Keep the size of the widgets below, on top of them."""
         if a1 is not None and a1.type() in (QEvent.Type.Resize, QEvent.Type.Move):
             self._cover()
         return super().eventFilter(a0, a1)
@@ -111,7 +109,7 @@ class WelcomePage(QWidget):
             self.setGeometry(0, top, over.width(), over.height() - top)
             self.raise_()
 
-    def _chosen(self, item: QListWidgetItem) -> None:
+    def _open_recent(self, item: QListWidgetItem) -> None:
         self.recent_chosen.emit(item.data(Qt.ItemDataRole.UserRole))
 
 

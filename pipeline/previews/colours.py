@@ -1,6 +1,6 @@
-"""Colours of quantities, so that one looks the same in pictures, in 3D, in sheets and in colour bars.
+"""Colours of quantities: the same in previews, 3D, sheets and colour bars.
 
-Depth is viridis, signed differences are a diverging map with a neutral middle, categories are Okabe-Ito. No rainbow.
+Depth is viridis, signed differences use a diverging map with a neutral centre, categories are Okabe-Ito. No rainbow.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Rgb = tuple[int, int, int]
 
 NO_VALUE_COLOUR: Rgb = (224, 226, 230)  # NaN: a grey that no map contains
 REGISTERED_POINT_COLOUR: Rgb = (213, 94, 0)  # registered points, Okabe-Ito vermilion
-UNMATCHED_POINT_COLOUR: Rgb = (128, 130, 136)  # such a point that is too far from the object to count
+UNMATCHED_POINT_COLOUR: Rgb = (128, 130, 136)  # such a point beyond the distance limit
 OBJECT_COLOUR: Rgb = (86, 140, 190)
 MEMBRANE_COLOUR: Rgb = (150, 160, 175)
 
@@ -33,22 +33,22 @@ _DIVERGING = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColourScale:
-    """Which values become which colours; the limits are absolute, the picture's own only where that is said."""
+    """Maps values to colours; limits are absolute unless `is_fitted`."""
 
     colour_map: ColourMapName
     low: float
     high: float
     unit: str
     quantity: str  # what is shown and its sign, such as "indentation, + toward camera"
-    low_setting: str = ""  # the setting of the display that the lowest is, "" = none;
-    high_setting: str = ""  # and the highest; one for both is the larger of two equal sides
-    is_subtractable: bool = True  # whether one such value less another means anything
-    is_fitted: bool = False  # to the picture at hand
+    low_setting: str = ""  # display setting of the lower limit, "" = none
+    high_setting: str = ""  # display setting of the upper limit; the same name for both means symmetric limits
+    is_subtractable: bool = True  # whether the difference of two such values has a meaning
+    is_fitted: bool = False  # limits fitted to this image
 
 
 @lru_cache(maxsize=2)
 def get_colour_table(name: ColourMapName) -> Image:
-    """The 256 colours (256, 3) uint8 of a map, from low to high."""
+    """Return the 256 colours (256, 3) uint8 of a map, from low to high."""
     import cv2
 
     levels = np.arange(256, dtype=np.uint8)
@@ -61,7 +61,7 @@ def get_colour_table(name: ColourMapName) -> Image:
 
 
 def apply_colour_map(values: Floats, scale: ColourScale) -> Image:
-    """Colours (..., 3) uint8 of values (...); NaN becomes `NO_VALUE`, what is beyond a limit takes its colour."""
+    """Return the colours (..., 3) uint8 of values (...), clipped to the limits; NaN becomes `NO_VALUE_COLOUR`."""
     known = np.isfinite(values)
     share = (np.where(known, values, scale.low) - scale.low) * (255.0 / (scale.high - scale.low))
     out = get_colour_table(scale.colour_map)[np.clip(share, 0.0, 255.0).astype(np.uint8)]
@@ -70,5 +70,5 @@ def apply_colour_map(values: Floats, scale: ColourScale) -> Image:
 
 
 def repeat_colour(colour: Rgb, count: int) -> NDArray[np.uint8]:
-    """The same colour for `count` points, (count, 3)."""
+    """Return the same colour for `count` points, (count, 3)."""
     return freeze(np.broadcast_to(np.array(colour, dtype=np.uint8), (count, 3)).copy())

@@ -1,4 +1,4 @@
-"""A value as points and surfaces in 3D: plain arrays, made headless."""
+"""3D layers of a value: points and surfaces as plain arrays, headless."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pipeline.previews.colours import MEMBRANE_COLOUR, OBJECT_COLOUR, repeat_col
 from pipeline.previews.preview import compute_rest_depth_mm
 from pipeline.sensors.spec import SensorSpec
 
-MAX_POINTS = 16_000  # of one surface: beyond it nothing more is seen in a view this small, but drawing slows down
+MAX_POINTS = 16_000  # of one surface: more are not visible in a view this small and slow rendering down
 _MEMBRANE_COLS = 64.0  # a faint smooth surface needs no more
 _membranes: Memo[str, Layer] = Memo(8)
 _meshes: Memo[str, tuple[Floats, Indices, Floats]] = Memo(2)
@@ -27,22 +27,22 @@ _meshes: Memo[str, tuple[Floats, Indices, Floats]] = Memo(2)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layer:
-    """Points or a surface in one sub-view; everything that costs time was done where it was made."""
+    """Points or a surface in one sub-view."""
 
     name: str  # unique in its sub-view: the same name is updated in place
     points_mm: Floats  # (n, 3)
     rgb: NDArray[np.uint8]  # (n, 3)
-    triangles: Indices | None = None  # (m, 3); None = a point cloud,
+    triangles: Indices | None = None  # (m, 3); None = a point cloud
     segments: Indices | None = None  # or lines (m, 2)
     normals: Floats | None = None  # (n, 3) for smooth shading
     opacity: float = 1.0
     point_px: float = 3.0
-    view_from_layer: Doubles | None = None  # (4, 4) view_from_layer, moved without touching the points
+    view_from_layer: Doubles | None = None  # (4, 4) rigid motion of the layer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ViewBounds:
-    """Where a sub-view looks from: `centre` with a sphere of `radius_mm` around it fills the view."""
+    """What a sub-view shows: a sphere of `radius_mm` around `centre` fills the view."""
 
     centre_mm: tuple[float, float, float]
     radius_mm: float
@@ -52,25 +52,25 @@ class ViewBounds:
 def make_surface_layer(
     name: str, depth_mm: Floats, indentation_mm: Floats, camera: Camera, pixels: Image, times: float
 ) -> Layer:
-    """A membrane (rows, cols) wearing its picture, its indentation stretched."""
+    """Return a membrane (rows, cols) textured with its preview, its indentation stretched."""
     return make_grid_layer(name, camera.back_project(depth_mm + (1.0 - times) * indentation_mm), pixels)
 
 
 def make_frame_layer(name: str, image: Image | Floats, camera: Camera, pixels: Image, sensor: SensorSpec) -> Layer:
-    """A reading laid on the untouched surface, or the measured membrane of a bubble."""
+    """Return a frame on the rest surface, or the measured membrane of a bubble."""
     depth = np.asarray(image, dtype=np.float32) if image.ndim == 2 else compute_rest_depth_mm(sensor, camera)
     return make_grid_layer(name, camera.back_project(depth), pixels)
 
 
 def make_cloud_layer(name: str, points_mm: Floats, colours: NDArray[np.uint8], point_px: float) -> Layer:
-    """Points, thinned to what can be seen."""
+    """Return points, thinned to what is visible."""
     keep = slice(None, None, max(1, math.ceil(len(points_mm) / MAX_POINTS)))
     points = freeze(np.asarray(points_mm[keep], dtype=np.float32))
     return Layer(name=name, points_mm=points, rgb=colours[keep], point_px=point_px)
 
 
 def make_lines_layer(name: str, ends_mm: Floats, colours: NDArray[np.uint8]) -> Layer:
-    """Straight lines between pairs of points (n, 2, 3), each of one colour (n, 3)."""
+    """Return lines between pairs of points (n, 2, 3), each in one colour (n, 3)."""
     points = freeze(np.ascontiguousarray(ends_mm, dtype=np.float32).reshape(-1, 3))
     return Layer(name=name, points_mm=points, rgb=freeze(np.repeat(colours, 2, axis=0)), segments=_pairs(len(ends_mm)))
 
@@ -81,7 +81,7 @@ def _pairs(count: int) -> Indices:
 
 
 def make_membrane_layer(sensor: SensorSpec) -> Layer:
-    """The rest surface within the picture, faint; the very same layer every time, so that it is drawn once."""
+    """Return the rest surface within the image, faint; cached, so that it is rendered once."""
     return _membranes.of(content(sensor), lambda: _membrane(sensor))
 
 
@@ -95,7 +95,7 @@ def _membrane(sensor: SensorSpec) -> Layer:
 
 
 def make_object_layer(mesh: Mesh, sensor_from_object: Doubles) -> Layer:
-    """The object where it was found."""
+    """Return the object at its estimated pose."""
     points, triangles, normals = _meshes.of(content(mesh), lambda: _mesh_arrays(mesh))
     return Layer(
         name="object", points_mm=points, rgb=repeat_colour(OBJECT_COLOUR, len(points)), triangles=triangles, normals=normals,
@@ -104,7 +104,7 @@ def make_object_layer(mesh: Mesh, sensor_from_object: Doubles) -> Layer:
 
 
 def stretch_depth(points_mm: Floats, sensor: SensorSpec, times: float) -> Doubles:
-    """Points (n, 3) with their distance past the rest surface drawn `times` as long."""
+    """Return points (n, 3) with their distance from the rest surface multiplied by `times`."""
     points = np.array(points_mm, dtype=np.float64)
     if len(points):
         rest = sensor.membrane.depth_at(points[:, 0], points[:, 1])
@@ -113,7 +113,7 @@ def stretch_depth(points_mm: Floats, sensor: SensorSpec, times: float) -> Double
 
 
 def make_grid_layer(name: str, points: NDArray[np.floating], pixels: Image) -> Layer:
-    """A grid of points (rows, cols, 3) as a surface that wears `pixels`, thinned to what can be seen."""
+    """Return a grid of points (rows, cols, 3) as a surface textured with `pixels`, thinned to what is visible."""
     here = _seen_part(points)
     points, pixels = points[here], pixels[here]
     rows, cols = points.shape[:2]
@@ -124,7 +124,7 @@ def make_grid_layer(name: str, points: NDArray[np.floating], pixels: Image) -> L
 
 
 def _mesh_arrays(mesh: Mesh) -> tuple[Floats, NDArray[np.int32], Floats]:
-    """The mesh with corners of its own for every triangle, so that edges stay sharp."""
+    """Return the mesh with separate corners for every triangle, so that edges stay sharp."""
     corners = mesh.vertices_mm[mesh.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
@@ -136,7 +136,7 @@ def _mesh_arrays(mesh: Mesh) -> tuple[Floats, NDArray[np.int32], Floats]:
 
 
 def _seen_part(points: NDArray[np.floating]) -> tuple[slice, slice]:
-    """The box of rows and columns with a point: a small touch is not thinned because its picture is large."""
+    """Return the box of rows and columns that have a point: a small touch in a large image is not thinned."""
     seen = np.isfinite(points[..., 2])
     row, col = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
     if row.size < 2 or col.size < 2:
@@ -145,14 +145,14 @@ def _seen_part(points: NDArray[np.floating]) -> tuple[slice, slice]:
 
 
 def _surface(points: NDArray[np.floating], stride: int) -> tuple[Floats, NDArray[np.int32], Floats]:
-    """Points (n, 3), triangles, normals of every `stride`-th point; triangles with a NaN corner are left out."""
+    """Return points (n, 3), triangles and normals of every `stride`-th point, without triangles with a NaN corner."""
     grid = np.asarray(points[::stride, ::stride], dtype=np.float32)
     rows, cols = grid.shape[:2]
     finite: Mask = np.asarray(np.isfinite(grid).all(axis=-1), dtype=np.bool_)
     triangles = _grid_triangles(rows, cols)
     across = compute_area_vectors(grid)
     length = np.linalg.norm(across, axis=-1, keepdims=True)
-    # A point without neighbours across or along faces the camera, which looks along +z.
+    # A point without neighbours in a row or column faces the camera, which looks along +z.
     normals = np.where(length > 0, across / np.maximum(length, 1e-12), (0.0, 0.0, -1.0))
     if not finite.all():
         triangles = freeze(triangles[finite.ravel()[triangles].all(axis=1)])
@@ -164,7 +164,7 @@ def _surface(points: NDArray[np.floating], stride: int) -> tuple[Floats, NDArray
 @lru_cache(maxsize=16)
 def _grid_triangles(rows: int, cols: int) -> NDArray[np.int32]:
     first = (np.arange(rows - 1)[:, None] * cols + np.arange(cols - 1)[None, :]).ravel()
-    # Wound so that front faces look at the camera: OpenGL turns normals of back faces around.
+    # Front faces are wound toward the camera: OpenGL flips normals of back faces.
     upper = np.stack([first, first + cols, first + 1], axis=-1)
     lower = np.stack([first + 1, first + cols, first + cols + 1], axis=-1)
     return freeze(np.concatenate([upper, lower]).astype(np.int32))

@@ -1,4 +1,4 @@
-"""A value as a finished picture: plain arrays, made headless, shown by the window and by the sheet alike."""
+"""Preview of a value: pixels with values, positions and outlines as plain arrays, headless."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from pipeline.sensors.spec import SensorSpec
 
 INDENTATION_LABEL = "indentation, + toward camera"
 DEVIATION_LABEL = "deviation from rest, + toward camera"
-_SHORTEST_PIECE = 6  # border pixels; a shorter piece of an outline is a speck that would hide its own pixel
+_SHORTEST_PIECE = 6  # border pixels; a shorter outline would hide its own pixel
 
 
 class PixelPositions(NamedTuple):
-    """Where pixels lie: along the rays of a camera. Worked out when it is asked for: all of it is half a picture."""
+    """Positions of pixels along the rays of a camera, computed on demand: all of them cost half a preview."""
 
     camera: Camera
-    depth_mm: Floats  # (rows, cols), NaN = nowhere
+    depth_mm: Floats  # (rows, cols), NaN = no value
 
     def compute_all_mm(self) -> Floats:
-        """Each pixel's place (rows, cols, 3) in the camera's frame, NaN = none."""
+        """Return the position (rows, cols, 3) of each pixel in the camera frame, NaN = none."""
         return freeze(self.camera.back_project(self.depth_mm).astype(np.float32))
 
     def compute_point_mm(self, row: int, col: int) -> tuple[float, float, float]:
-        """One pixel's place."""
+        """Return the position of one pixel."""
         z = float(self.depth_mm[row, col])
         x, y = self.camera.rays()
         return float(x[col]) * z, float(y[row]) * z, z
@@ -39,25 +39,25 @@ class PixelPositions(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Preview:
-    """Pixels and what they mean; everything that costs time was done where it was made."""
+    """Pixels and their meaning."""
 
-    pixels: Image  # (rows, cols, 3) uint8 as shown
-    frame_name: str  # whose coordinates `positions_mm` are in
-    values: Floats | None = None  # (rows, cols) what the probe reads; None = the colour itself
-    distance_mm: Floats | None = None  # (rows, cols) from the camera, as measured, where `values` follow from it
+    pixels: Image  # (rows, cols, 3) uint8
+    frame_name: str  # frame of `positions_mm`
+    values: Floats | None = None  # (rows, cols) shown by the probe; None = the colour itself
+    distance_mm: Floats | None = None  # (rows, cols) measured distance from the camera, where `values` follow from it
     scale: ColourScale | None = None  # None = true colours
-    positions_mm: PixelPositions | Floats | None = None  # of each pixel; given one by one (rows, cols, 3), NaN = none
-    outline_px: Floats | None = None  # (n, 2) x, y of the contact's border, NaN between pieces
-    observed_outline_px: Floats | None = None  # (n, 2) border of another contact to compare with, as `outline_px`
+    positions_mm: PixelPositions | Floats | None = None  # of each pixel; as an array (rows, cols, 3), NaN = none
+    outline_px: Floats | None = None  # (n, 2) x, y of the contact outline, NaN between pieces
+    observed_outline_px: Floats | None = None  # (n, 2) outline of another contact to compare with
     pixel_mm: float = math.nan  # width of a pixel on the surface
     caption: str = ""
     element_index: Indices | None = (
-        None  # (rows, cols) which element of the value is shown, -1 = none; None = the pixel's own
+        None  # (rows, cols) index of the element on display, -1 = none; None = the pixel's own
     )
-    camera: Camera | None = None  # that sees this picture, where it is not one pixel for each element
+    camera: Camera | None = None  # camera of this image, where it is not one pixel per element
 
     def format_value(self, row: int, col: int) -> str:
-        """The value of one pixel with its unit, or its colour; "" outside the picture."""
+        """Return the value of a pixel with its unit, or its colour; "" outside the image."""
         rows, cols = self.pixels.shape[:2]
         if not (0 <= row < rows and 0 <= col < cols):
             return ""
@@ -67,7 +67,7 @@ class Preview:
         return f"{value:.3f} {self.scale.unit}" if math.isfinite(value) else "none"
 
     def describe_pixel(self, row: int, col: int) -> str:
-        """What one pixel says: (x, y) in pixels, value with unit, position with frame; "" outside the picture."""
+        """Return (x, y) in pixels, value with unit, position with frame; "" outside the image."""
         rows, cols = self.pixels.shape[:2]
         if not (0 <= row < rows and 0 <= col < cols):
             return ""
@@ -92,7 +92,7 @@ class Preview:
         return " · ".join(parts)
 
     def compute_positions_mm(self) -> Floats | None:
-        """Each pixel's place (rows, cols, 3), NaN = none; None where no place is known."""
+        """Return the position (rows, cols, 3) of each pixel, NaN = none; None where no position is known."""
         return (
             self.positions_mm.compute_all_mm() if isinstance(self.positions_mm, PixelPositions) else self.positions_mm
         )
@@ -107,7 +107,7 @@ def make_indentation_preview(
     display: DisplayParams,
     caption: str = INDENTATION_LABEL,
 ) -> Preview:
-    """Indentation (rows, cols) on its absolute scale, with the contact's outline."""
+    """Return the preview of indentation (rows, cols) on its absolute scale, with the contact outline."""
     scale = make_indentation_scale(sensor, display)
     return Preview(
         pixels=apply_colour_map(heights_mm, scale), values=heights_mm, scale=scale, frame_name=f"{sensor.name} frame",
@@ -129,7 +129,7 @@ def make_frame_preview(
 ) -> Preview:
     """A reading: true colours of a gel, how far a bubble's membrane is from its rest, or its distance if so displayed.
 
-    `depth_mm` is where the membrane lies, if that is known beside a gel's picture. The rest is the untouched
+    `depth_mm` is where the membrane lies, if that is known in addition to a gel's image. The rest is the untouched
     `reference` of the very unit, where there is one, else the described shape, which a reading that was `recorded`
     need not have had.
     """
@@ -156,14 +156,18 @@ def make_frame_preview(
 
 
 def add_observed_outline(picture: Preview, observed_outline_px: Floats | None) -> Preview:
-    """A view with the border of what the target really felt."""
+    """Return the preview with the outline of the contact that the target observed."""
     if observed_outline_px is None:
         return picture
-    return replace(picture, felt_px=observed_outline_px, caption=f"{INDENTATION_LABEL}; orange: mask, white: felt")
+    return replace(
+        picture,
+        felt_px=observed_outline_px,
+        caption=f"{INDENTATION_LABEL}; orange: mask, white: observed by the target",
+    )
 
 
 def enlarge_preview(picture: Preview, shape: tuple[int, int]) -> Preview:
-    """A coarse picture on as many pixels as the full one has, so that the view stays where it is."""
+    """Return a coarse preview on as many pixels as the full one has, so that the view stays."""
     import cv2
 
     rows, cols = shape
@@ -186,7 +190,7 @@ def enlarge_preview(picture: Preview, shape: tuple[int, int]) -> Preview:
 
 
 def make_indentation_scale(sensor: SensorSpec, display: DisplayParams) -> ColourScale:
-    """The fixed scale of indentations of this kind of sensor."""
+    """Return the fixed scale of indentations of this kind of sensor."""
     return ColourScale(
         colour_map="viridis", low=display.get_floor_mm(sensor), high=display.get_limit_mm(sensor), unit="mm", quantity=INDENTATION_LABEL,
         low_setting=f"{sensor.kind}_floor_mm", high_setting=f"{sensor.kind}_limit_mm",
@@ -204,10 +208,12 @@ def make_deviation_scale(sensor: SensorSpec, display: DisplayParams) -> ColourSc
 def _rest_of(
     sensor: SensorSpec, camera: Camera, reference: NDArray[np.generic] | None, shape: tuple[int, ...], *, recorded: bool
 ) -> tuple[NDArray[np.floating], str]:
-    """The untouched surface (rows, cols) that a depth image is compared to, and in words if that is not its own."""
+    """Return the rest surface (rows, cols) of a depth image, and its name if it is not the image's own reference."""
     if reference is not None and reference.shape == shape:
         return np.asarray(reference, dtype=np.float32), ""
-    return sensor.with_camera(camera).rest_depth_mm, "; rest: as described, none was recorded" if recorded else ""
+    return sensor.with_camera(
+        camera
+    ).rest_depth_mm, "; rest: described shape, no reference recorded" if recorded else ""
 
 
 def make_distance_scale(
@@ -226,7 +232,7 @@ def make_distance_scale(
 
 
 def trace_outline(mask: Mask) -> Floats:
-    """Border of a mask as x, y (n, 2) in picture coordinates, NaN between its pieces."""
+    """Return the outline of a mask as x, y (n, 2) in image coordinates, NaN between its pieces."""
     import cv2
 
     pieces, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
@@ -241,19 +247,19 @@ def trace_outline(mask: Mask) -> Floats:
 
 
 def compute_pixel_mm(camera: Camera, sensor: SensorSpec) -> float:
-    """Width of a pixel on the sensor's surface."""
+    """Return the width of a pixel on the sensor's surface."""
     return float(np.median(sensor.rest_depth_mm) / camera.fx_px)
 
 
 def compute_rest_depth_mm(sensor: SensorSpec, camera: Camera) -> NDArray[np.float64]:
-    """The untouched surface (rows, cols) as `camera` sees it."""
+    """Return the rest surface (rows, cols) as `camera` sees it."""
     return sensor.rest_depth_mm if camera == sensor.camera else sensor.membrane.rest_depth_mm(camera)
 
 
 def match_camera(camera: Camera, shape: tuple[int, ...]) -> Camera:
-    """The camera, brought to the size of an image that was taken at another resolution.
+    """Return the camera scaled to the size of an image of another resolution.
 
-    One of another height, which no such camera takes, is shown too: the method that reads it says what is wrong.
+    An image of another aspect ratio is shown as well: the method that reads it reports the problem.
     """
     if camera.shape == shape[:2]:
         return camera
