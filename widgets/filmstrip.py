@@ -120,7 +120,7 @@ def render_thumbnail(picture: Preview, size: QSize, dense: float, palette: QPale
     """Render a preview with its contact outline on the theme's background, cropped to its values if they are few."""
     plate = PreviewRenderer()
     plate.set_no_value_colour(get_theme_colours(palette).no_value)
-    plate.set_preview(replace(picture, pixel_mm=math.nan, felt_px=None))  # without a scale bar
+    plate.set_preview(replace(picture, pixel_mm=math.nan, observed_outline_px=None))  # without a scale bar
     plate.size = size
     plate.fit_view()
     known = None if picture.values is None else np.isfinite(picture.values)

@@ -48,7 +48,9 @@ COMMAND_DRAWINGS: Mapping[str, IconDrawing] = {
         boxes=((4, 7, 24, 18, 2),), strokes=("5,23 12,15 17,20 21,16 27,22",), arcs=((19, 10, 3, 3, 0, 360),)
     ),
     "table": IconDrawing(boxes=((5, 6, 22, 20, 2),), strokes=("5,13 27,13", "5,19 27,19", "13,6 13,26")),
-    "sliders": IconDrawing(strokes=("5,9 27,9", "5,16 27,16", "5,23 27,23", "11,6 11,12", "21,13 21,19", "14,20 14,26")),
+    "sliders": IconDrawing(
+        strokes=("5,9 27,9", "5,16 27,16", "5,23 27,23", "11,6 11,12", "21,13 21,19", "14,20 14,26")
+    ),
     "axes": IconDrawing(strokes=("12,20 12,4", "12,20 28,20", "12,20 4,28", "9,8 12,4 15,8", "24,17 28,20 24,23")),
     "lines": IconDrawing(strokes=("5,8 27,8", "5,14 22,14", "5,20 27,20", "5,26 17,26")),
     "tick": IconDrawing(strokes=("6,17 13,24 26,8",)),
@@ -75,8 +77,16 @@ COMMAND_DRAWINGS: Mapping[str, IconDrawing] = {
     "help": IconDrawing(arcs=((10, 5, 12, 12, -60, 240),), strokes=("19,16 16,19 16,22", "16,27 16.01,27")),
     "sun": IconDrawing(
         arcs=((10, 10, 12, 12, 0, 360),),
-        strokes=("16,2 16,6", "16,26 16,30", "2,16 6,16", "26,16 30,16", "6,6 9,9", "23,23 26,26", "26,6 23,9",
-                 "9,23 6,26"),
+        strokes=(
+            "16,2 16,6",
+            "16,26 16,30",
+            "2,16 6,16",
+            "26,16 30,16",
+            "6,6 9,9",
+            "23,23 26,26",
+            "26,6 23,9",
+            "9,23 6,26",
+        ),
     ),
     "moon": IconDrawing(arcs=((5, 5, 22, 22, 60, 300), (12, 3, 17, 17, 110, 190))),
     "first": IconDrawing(filled=("16,16 26,8 26,24", "8,16 16,8 16,24"), strokes=("6,8 6,24",)),
@@ -85,4 +95,4 @@ COMMAND_DRAWINGS: Mapping[str, IconDrawing] = {
     "next": IconDrawing(filled=("27,16 17,8 17,24", "16,16 6,8 6,24")),
     "play": IconDrawing(filled=("9,5 26,16 9,27",)),
     "pause": IconDrawing(filled=("8,6 13,6 13,26 8,26", "19,6 24,6 24,26 19,26")),
-}  # fmt: skip
+}

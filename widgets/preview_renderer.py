@@ -92,11 +92,16 @@ class PreviewRenderer:
             self._draw_image(painter, *self.overlay, dense)
         painter.setOpacity(1.0)
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        felt, own = self.preview.observed_outline_px, self.preview.outline_px
-        casing, inner, rim = (QPen(c, w) for c, w in (
-            (to_qcolor(CASING_COLOUR, 190), 3.4), (to_qcolor(OBSERVED_CONTACT_COLOUR), 1.6), (to_qcolor(CONTACT_COLOUR), 1.6)
-        ))  # fmt: skip
-        for border, pen in ((felt, casing), (felt, inner), (own, rim)):
+        observed, own = self.preview.observed_outline_px, self.preview.outline_px
+        casing, inner, rim = (
+            QPen(c, w)
+            for c, w in (
+                (to_qcolor(CASING_COLOUR, 190), 3.4),
+                (to_qcolor(OBSERVED_CONTACT_COLOUR), 1.6),
+                (to_qcolor(CONTACT_COLOUR), 1.6),
+            )
+        )
+        for border, pen in ((observed, casing), (observed, inner), (own, rim)):
             self._draw_border(painter, border, pen)
         self._draw_scale_bar(painter, self.preview, font)
         painter.end()

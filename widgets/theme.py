@@ -22,10 +22,18 @@ OBSERVED_CONTACT_COLOUR: Rgb = (
 CASING_COLOUR: Rgb = (20, 24, 30)
 CROSSHAIR_COLOUR: Rgb = (230, 0, 115)  # crosshair of the probe
 SECTION_COLOUR: Rgb = (240, 228, 66)  # the section line, with a dark casing
-CATEGORY_COLOURS: tuple[Rgb, ...] = (  # poses of a registration, Okabe-Ito: the result first, then the others, best first
-    (0, 114, 178), (230, 159, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (213, 94, 0), (240, 228, 66),
+CATEGORY_COLOURS: tuple[
+    Rgb, ...
+] = (  # poses of a registration, Okabe-Ito: the result first, then the others, best first
+    (0, 114, 178),
+    (230, 159, 0),
+    (0, 158, 115),
+    (204, 121, 167),
+    (86, 180, 233),
+    (213, 94, 0),
+    (240, 228, 66),
     (90, 90, 100),
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,29 +58,65 @@ class ThemeColours:
 
 
 _LIGHT = ThemeColours(
-    backdrop=(250, 250, 252), no_value=NO_VALUE_COLOUR, icon=(60, 66, 76), secondary_text=(92, 98, 110), warning_text=(150, 64, 31),
-    warning_mark=(160, 82, 0), neutral=(100, 108, 120), accent=(0, 114, 178), worse=(205, 85, 0), gauge=(70, 125, 180),
-    gauge_background=(226, 229, 234), ghost=(40, 44, 52), sensitivity=(240, 190, 120),
+    backdrop=(250, 250, 252),
+    no_value=NO_VALUE_COLOUR,
+    icon=(60, 66, 76),
+    secondary_text=(92, 98, 110),
+    warning_text=(150, 64, 31),
+    warning_mark=(160, 82, 0),
+    neutral=(100, 108, 120),
+    accent=(0, 114, 178),
+    worse=(205, 85, 0),
+    gauge=(70, 125, 180),
+    gauge_background=(226, 229, 234),
+    ghost=(40, 44, 52),
+    sensitivity=(240, 190, 120),
     axes=((190, 45, 45), (28, 118, 48), (50, 90, 200)),
     states={
-        "computed": (0, 115, 86), "read": (0, 115, 86), "cached": (40, 105, 180), "unchanged": (40, 105, 180),
-        "warning": (160, 82, 0), "skipped": (96, 101, 111), "running": (146, 90, 0), "preview": (146, 90, 0),
+        "computed": (0, 115, 86),
+        "read": (0, 115, 86),
+        "cached": (40, 105, 180),
+        "unchanged": (40, 105, 180),
+        "warning": (160, 82, 0),
+        "skipped": (96, 101, 111),
+        "running": (146, 90, 0),
+        "preview": (146, 90, 0),
         "draft": (146, 90, 0),
-        "failed": (190, 40, 40), "stale": (125, 90, 20), "waiting": (96, 102, 110),
+        "failed": (190, 40, 40),
+        "stale": (125, 90, 20),
+        "waiting": (96, 102, 110),
     },
-)  # fmt: skip
+)
 _DARK = ThemeColours(
-    backdrop=(24, 26, 30), no_value=(58, 61, 68), icon=(205, 210, 218), secondary_text=(160, 168, 180), warning_text=(245, 165, 120),
-    warning_mark=(245, 175, 80), neutral=(150, 158, 170), accent=(86, 180, 233), worse=(240, 140, 70), gauge=(110, 165, 215),
-    gauge_background=(62, 66, 74), ghost=(225, 228, 232), sensitivity=(150, 105, 45),
+    backdrop=(24, 26, 30),
+    no_value=(58, 61, 68),
+    icon=(205, 210, 218),
+    secondary_text=(160, 168, 180),
+    warning_text=(245, 165, 120),
+    warning_mark=(245, 175, 80),
+    neutral=(150, 158, 170),
+    accent=(86, 180, 233),
+    worse=(240, 140, 70),
+    gauge=(110, 165, 215),
+    gauge_background=(62, 66, 74),
+    ghost=(225, 228, 232),
+    sensitivity=(150, 105, 45),
     axes=((248, 125, 118), (115, 208, 130), (135, 170, 255)),
     states={
-        "computed": (85, 203, 165), "read": (85, 203, 165), "cached": (125, 182, 245), "unchanged": (125, 182, 245),
-        "warning": (245, 175, 80), "skipped": (165, 170, 180), "running": (240, 195, 95), "preview": (240, 195, 95),
+        "computed": (85, 203, 165),
+        "read": (85, 203, 165),
+        "cached": (125, 182, 245),
+        "unchanged": (125, 182, 245),
+        "warning": (245, 175, 80),
+        "skipped": (165, 170, 180),
+        "running": (240, 195, 95),
+        "preview": (240, 195, 95),
         "draft": (240, 195, 95),
-        "failed": (255, 138, 128), "stale": (216, 188, 115), "waiting": (162, 168, 177),
+        "failed": (255, 138, 128),
+        "stale": (216, 188, 115),
+        "waiting": (162, 168, 177),
     },
-)  # fmt: skip
+)
 
 
 def to_qcolor(colour: Rgb, alpha: int = 255) -> QColor:

@@ -61,6 +61,6 @@ def _make_preview(
     mean = float(np.abs(known).mean()) if known.size else 0.0
     caption = f"{words}: mean {mean:.3g} {unit}" if known.size else "no pixel has both a value and a truth"
     return replace(
-        made, pixels=apply_colour_map(gap, scale), values=freeze(gap), scale=scale, felt_px=true.outline_px,
+        made, pixels=apply_colour_map(gap, scale), values=freeze(gap), scale=scale, observed_outline_px=true.outline_px,
         caption=f"{caption}; white: the other's contact" if true.outline_px is not None and known.size else caption,
     )  # fmt: skip

@@ -89,18 +89,27 @@ def _membrane(sensor: SensorSpec) -> Layer:
     camera = sensor.camera.scale(min(1.0, _MEMBRANE_COLS / sensor.camera.cols))
     points, triangles, normals = _surface(camera.back_project(compute_rest_depth_mm(sensor, camera)), 1)
     return Layer(
-        name="membrane", points_mm=points, rgb=repeat_colour(MEMBRANE_COLOUR, len(points)), triangles=triangles, normals=normals,
+        name="membrane",
+        points_mm=points,
+        rgb=repeat_colour(MEMBRANE_COLOUR, len(points)),
+        triangles=triangles,
+        normals=normals,
         opacity=0.22,
-    )  # fmt: skip
+    )
 
 
 def make_object_layer(mesh: Mesh, sensor_from_object: Doubles) -> Layer:
     """Return the object at its estimated pose."""
     points, triangles, normals = _meshes.of(content(mesh), lambda: _mesh_arrays(mesh))
     return Layer(
-        name="object", points_mm=points, rgb=repeat_colour(OBJECT_COLOUR, len(points)), triangles=triangles, normals=normals,
-        opacity=0.55, view_from_layer=sensor_from_object,
-    )  # fmt: skip
+        name="object",
+        points_mm=points,
+        rgb=repeat_colour(OBJECT_COLOUR, len(points)),
+        triangles=triangles,
+        normals=normals,
+        opacity=0.55,
+        view_from_layer=sensor_from_object,
+    )
 
 
 def stretch_depth(points_mm: Floats, sensor: SensorSpec, times: float) -> Doubles:

@@ -110,10 +110,15 @@ def make_indentation_preview(
     """Return the preview of indentation (rows, cols) on its absolute scale, with the contact outline."""
     scale = make_indentation_scale(sensor, display)
     return Preview(
-        pixels=apply_colour_map(heights_mm, scale), values=heights_mm, scale=scale, frame_name=f"{sensor.name} frame",
-        positions_mm=PixelPositions(camera, depth_mm), outline_px=trace_outline(contact), pixel_mm=compute_pixel_mm(camera, sensor),
+        pixels=apply_colour_map(heights_mm, scale),
+        values=heights_mm,
+        scale=scale,
+        frame_name=f"{sensor.name} frame",
+        positions_mm=PixelPositions(camera, depth_mm),
+        outline_px=trace_outline(contact),
+        pixel_mm=compute_pixel_mm(camera, sensor),
         caption=caption,
-    )  # fmt: skip
+    )
 
 
 def make_frame_preview(
@@ -192,17 +197,28 @@ def enlarge_preview(picture: Preview, shape: tuple[int, int]) -> Preview:
 def make_indentation_scale(sensor: SensorSpec, display: DisplayParams) -> ColourScale:
     """Return the fixed scale of indentations of this kind of sensor."""
     return ColourScale(
-        colour_map="viridis", low=display.get_floor_mm(sensor), high=display.get_limit_mm(sensor), unit="mm", quantity=INDENTATION_LABEL,
-        low_setting=f"{sensor.kind}_floor_mm", high_setting=f"{sensor.kind}_limit_mm",
-    )  # fmt: skip
+        colour_map="viridis",
+        low=display.get_floor_mm(sensor),
+        high=display.get_limit_mm(sensor),
+        unit="mm",
+        quantity=INDENTATION_LABEL,
+        low_setting=f"{sensor.kind}_floor_mm",
+        high_setting=f"{sensor.kind}_limit_mm",
+    )
 
 
 def make_deviation_scale(sensor: SensorSpec, display: DisplayParams) -> ColourScale:
     """The scale of a reading's deviation from rest: either way as far as indentations of this kind of sensor go."""
     limit, sets = display.get_limit_mm(sensor), f"{sensor.kind}_limit_mm"
     return ColourScale(
-        colour_map="diverging", low=-limit, high=limit, unit="mm", quantity=DEVIATION_LABEL, low_setting=sets, high_setting=sets
-    )  # fmt: skip
+        colour_map="diverging",
+        low=-limit,
+        high=limit,
+        unit="mm",
+        quantity=DEVIATION_LABEL,
+        low_setting=sets,
+        high_setting=sets,
+    )
 
 
 def _rest_of(
@@ -226,9 +242,14 @@ def make_distance_scale(
         farthest = max(farthest, float(np.nanpercentile(reference.astype(np.float64), 99.0)))
     low, high = display.get_distance_limits_mm((low, 10.0 * math.ceil(farthest / 10.0)))
     return ColourScale(
-        colour_map="viridis", low=low, high=high, unit="mm", quantity="distance z from camera", low_setting="bubble_near_mm",
+        colour_map="viridis",
+        low=low,
+        high=high,
+        unit="mm",
+        quantity="distance z from camera",
+        low_setting="bubble_near_mm",
         high_setting="bubble_far_mm",
-    )  # fmt: skip
+    )
 
 
 def trace_outline(mask: Mask) -> Floats:

@@ -63,7 +63,7 @@ def test_every_handle_says_what_it_moves_in_which_frame_and_unit(panel):
         assert row.box.suffix().strip() in ("mm", "°")
         assert "gelslim frame" in row.box.toolTip()
         assert row.box.accessibleName() == row.slider.accessibleName() != ""
-        assert ("middle of the contact" in row.box.toolTip()) == axis.startswith("r")
+        assert ("centre of the contact" in row.box.toolTip()) == axis.startswith("r")
 
 
 def test_gauges_keep_a_tick_where_the_drag_began(panel):
@@ -72,7 +72,7 @@ def test_gauges_keep_a_tick_where_the_drag_began(panel):
     panel.show_score(None, "there is nothing to compare with")
     assert panel.gauges["iou"].ghost == 0.8
     assert [g.text for g in panel.gauges.values()] == ["-", "-", "-"]
-    assert panel.reason == "there is nothing to compare with"
+    assert panel.no_score_reason == "there is nothing to compare with"
 
 
 def test_gauges_have_units_and_survive_figures_beyond_their_limits(panel):
@@ -90,7 +90,7 @@ def test_bars_say_which_way_is_better(panel):
     axis = Sensitivity(
         axis="x", unit="mm", step=0.1, iou=one(-0.02, 0.02), edge_px=one(-0.5, 0.5), depth_mm=one(None, None)
     )
-    panel.show_axes((axis,))
+    panel.show_sensitivities((axis,))
     told = panel.bars.accessibleDescription()
     assert told == "x: -, \N{BLACK UP-POINTING TRIANGLE} 0.50, \N{BLACK DOWN-POINTING TRIANGLE} 0.020"
     panel.grab()

@@ -40,7 +40,7 @@ def test_clipping_is_told_and_drawn(levels, qtbot):
     values = np.linspace(0.0, 4.0, 10_000, dtype=np.float32).reshape(100, 100)
     levels.show_scale(_scale(), values)
     clipped = levels.grab().toImage()
-    assert levels.spread.share_above == pytest.approx(0.5, abs=0.02)
+    assert levels.histogram.share_above == pytest.approx(0.5, abs=0.02)
     assert "above 2 mm" in levels.toolTip()
     levels.show_scale(_scale(high=5.0), values)
     assert levels.grab().toImage() != clipped

@@ -109,10 +109,10 @@ def test_a_whole_number_of_a_wide_range_has_a_slider_with_the_most_room_for_smal
 def test_a_held_slider_is_a_drag_until_it_is_let_go(panel, qtbot):
     slider = panel.findChild(QSlider)
     slider.sliderPressed.emit()
-    assert panel.dragging
+    assert panel.is_dragging
     with qtbot.waitSignal(panel.drag_ended):
         slider.sliderReleased.emit()
-    assert not panel.dragging
+    assert not panel.is_dragging
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -81,21 +81,21 @@ def test_another_size_of_picture_is_fitted_and_the_same_size_keeps_the_zoom(view
     view.show_preview(a_picture())
     assert (view.canvas.centre, view.canvas.scale) == zoomed
     view.show_preview(a_picture(60, 80))
-    assert view.canvas.fitted
+    assert view.canvas.is_fitted
 
 
 def test_a_crosshair_that_moves_draws_no_picture_anew(view, qtbot):
     view.show_preview(a_picture())
     qtbot.wait(50)
     view.canvas.repaint()
-    before = view.canvas.drawn
+    before = view.canvas.n_renders
     for row in range(5):
         view.show_crosshair((row, row), f"{row} mm")
         view.canvas.repaint()
-    assert view.canvas.drawn == before
+    assert view.canvas.n_renders == before
     view.set_dimmed(True)
     view.canvas.repaint()
-    assert view.canvas.drawn == before + 1
+    assert view.canvas.n_renders == before + 1
 
 
 def test_the_wheel_zooms_about_the_pixel_under_it(view):

@@ -35,7 +35,7 @@ def test_six_low_pictures_stand_in_two_rows_with_their_words_beside(grid, qtbot)
     grid.show_tiles(_tiles(6))
     qtbot.waitUntil(lambda: grid.views[3].y() > grid.views[0].y())
     view = grid.views[0].view
-    qtbot.waitUntil(lambda: view.words.x() > view.canvas.x())
+    qtbot.waitUntil(lambda: view.text_area.x() > view.canvas.x())
     room = view.canvas.size()
     assert min(room.width() / 175, room.height() / 140) * 175 > 240  # a row of six had 208
 
@@ -44,15 +44,15 @@ def test_words_come_under_the_picture_again_where_that_is_larger(grid, qtbot):
     grid.show_tiles(_tiles(6))
     grid.show_tiles(_tiles(2))
     view = grid.views[0].view
-    qtbot.waitUntil(lambda: view.words.y() > view.canvas.y())
+    qtbot.waitUntil(lambda: view.text_area.y() > view.canvas.y())
     assert grid.views[0].y() == grid.views[1].y()
 
 
 def test_colours_that_mean_no_number_take_no_room_for_a_bar(grid):
     grid.show_tiles(_tiles(2, scaled=False))
-    assert all(tile.view.levels.isHidden() for tile in grid.views)
+    assert all(tile.view.colour_bar.isHidden() for tile in grid.views)
     grid.show_tiles(_tiles(2))
-    assert not any(tile.view.levels.isHidden() for tile in grid.views)
+    assert not any(tile.view.colour_bar.isHidden() for tile in grid.views)
 
 
 def test_how_tiles_stand_does_not_change_the_room_they_ask_for(grid, qtbot):
@@ -70,6 +70,6 @@ def test_figures_that_fill_many_lines_are_all_seen_and_scales_stay_level(grid, q
     grid.resize(1322, 600)
     grid.show_tiles(tiles)
     first, second = grid.views[:2]
-    qtbot.waitUntil(lambda: first.view.words.x() > first.view.canvas.x())
+    qtbot.waitUntil(lambda: first.view.text_area.x() > first.view.canvas.x())
     qtbot.waitUntil(lambda: first._told.height() >= first._told.heightForWidth(first._told.width()))
-    assert first.view.levels.y() == second.view.levels.y()
+    assert first.view.colour_bar.y() == second.view.colour_bar.y()

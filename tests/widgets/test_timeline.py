@@ -32,9 +32,9 @@ def test_showing_a_frame_says_nothing(line, qtbot):
 
 
 def test_steps_stop_at_both_ends(line):
-    line.step(-3)
+    line.step_by(-3)
     assert line.frame == 0
-    line.step(100)
+    line.step_by(100)
     assert line.frame == 9
 
 
@@ -86,7 +86,7 @@ def test_the_next_look_is_when_a_frame_is_due(line, monkeypatch, speed):
     line.speed.setCurrentIndex(SPEEDS.index(speed))
     line.frame_chosen.connect(lambda _: chosen_s.append(now[0]))
     line.play(on=True)
-    while line.playing:
+    while line.is_playing:
         now[0] += line._clock.interval() * 1e-3
         line._tick()
     gaps = np.diff(chosen_s)
@@ -140,20 +140,20 @@ def test_a_loop_begins_again(line, qtbot):
     line._clock.start()
     qtbot.waitUntil(lambda: bool(seen), timeout=3000)
     assert seen[0] < 9
-    assert line.playing
+    assert line.is_playing
 
 
 def test_one_frame_cannot_be_played(line):
     line.show_frames(1)
     line.play(on=True)
-    assert not line.playing
+    assert not line.is_playing
 
 
 def test_a_loop_stays_within_its_frames(line, qtbot):
     seen: list[int] = []
     line.set_looping(True)
     line.set_loop_range(5, 3)  # the wrong way round means the same
-    assert line.errors.span == (3, 5)
+    assert line.errors.loop_range == (3, 5)
     line.frame_chosen.connect(seen.append)
     line.speed.setCurrentIndex(SPEEDS.index(4.0))
     line.play(on=True)
@@ -163,18 +163,18 @@ def test_a_loop_stays_within_its_frames(line, qtbot):
     assert set(seen) <= {3, 4, 5}
     assert seen.count(3) > 1
     line.show_frames(12)  # a recording that grows keeps it
-    assert line.span == (3, 5)
+    assert line.loop_range == (3, 5)
     line.show_frames(4)
-    assert line.span == (0, 3)
-    assert line.errors.span is None
+    assert line.loop_range == (0, 3)
+    assert line.errors.loop_range is None
 
 
 def test_the_bars_have_a_scale_from_nothing_to_the_worst(line):
     line.show_errors("felt: error in contact, mm", [0.1, np.nan, 0.3987], {})
     line.show()
     line.resize(900, 60)
-    assert line.scale.told == "0.399"
+    assert line.scale.max_text == "0.399"
     pixels = line.scale.grab().toImage()
     assert len({pixels.pixel(x, y) for x in range(pixels.width()) for y in range(pixels.height())}) > 2
     line.show_errors("felt: error in contact, mm", [np.nan, np.nan, np.nan], {})
-    assert line.scale.told == ""
+    assert line.scale.max_text == ""

@@ -52,30 +52,30 @@ def scene(qtbot):
 
 def test_nothing_is_rebuilt_while_the_count_stays(scene):
     scene.show_layers(0, [points(50)])
-    scene.settle()
+    scene.draw_pending()
     actors = scene.renderers[0].GetActors().GetNumberOfItems()
     scene.show_layers(0, [points(50, z=12.0)])
-    scene.settle()
+    scene.draw_pending()
     scene.show_layers(0, [points(70)])
-    scene.settle()
+    scene.draw_pending()
     assert scene.renderers[0].GetActors().GetNumberOfItems() == actors
 
 
 def test_points_are_those_of_the_newest_layer(scene):
     newest = points(70, z=12.0)
     scene.show_layers(0, [points(50)])
-    scene.settle()
+    scene.draw_pending()
     scene.show_layers(0, [newest])
-    scene.settle()
+    scene.draw_pending()
     mesh = scene._stage._kept[0]["cloud"][1]
     np.testing.assert_array_equal(np.asarray(mesh.points), newest.points_mm)
 
 
 def test_a_layer_that_is_no_longer_wanted_is_hidden(scene):
     scene.show_layers(0, [points(50), surface(10.0)])
-    scene.settle()
+    scene.draw_pending()
     scene.show_layers(0, [surface(10.0)])
-    scene.settle()
+    scene.draw_pending()
     assert not scene._stage._kept[0]["cloud"][2].GetVisibility()
     assert scene._stage._kept[0]["sheet"][2].GetVisibility()
 
@@ -83,20 +83,20 @@ def test_a_layer_that_is_no_longer_wanted_is_hidden(scene):
 def test_an_empty_layer_is_no_error(scene):
     for n in (0, 5, 0):
         scene.show_layers(0, [points(n)])
-        scene.settle()
+        scene.draw_pending()
 
 
 def test_linked_views_share_a_camera_and_others_do_not(scene):
-    scene.look(SIGHTS, linked=True)
+    scene.fit_cameras(SIGHTS, linked=True)
     assert scene.renderers[0].GetActiveCamera() is scene.renderers[1].GetActiveCamera()
-    scene.look(SIGHTS, linked=False)
+    scene.fit_cameras(SIGHTS, linked=False)
     assert scene.renderers[0].GetActiveCamera() is not scene.renderers[1].GetActiveCamera()
 
 
 def test_a_surface_seen_from_the_sensor_is_lit(scene, qtbot):
-    scene.look(SIGHTS, linked=True)
+    scene.fit_cameras(SIGHTS, linked=True)
     scene.show_layers(0, [surface(10.0)])
-    scene.settle()
+    scene.draw_pending()
     image = scene.views[0].image
     middle = image.pixelColor(image.width() // 2, image.height() // 2)
     assert middle.green() > 90  # the colour given is (40, 160, 60); an unlit back face has a third of it
@@ -104,7 +104,7 @@ def test_a_surface_seen_from_the_sensor_is_lit(scene, qtbot):
 
 def ink(scene) -> list[int]:
     """How many pixels of each view are green, as the sheet is."""
-    scene.settle()
+    scene.draw_pending()
     images = [view.image for view in scene.views]
     seen = [[i.pixelColor(x, y) for x in range(i.width()) for y in range(i.height())] for i in images]
     return [sum(c.green() > c.red() + 30 for c in view) for view in seen]
@@ -113,20 +113,20 @@ def ink(scene) -> list[int]:
 @pytest.mark.parametrize("linked", [True, False])
 def test_layers_that_come_after_the_cameras_were_set_anew_are_drawn_whole(scene, qtbot, linked):
     """A gel's camera looks from 20 mm, a bubble's from 100 mm: neither hides what the other shows."""
-    scene.look(SIGHTS, linked=linked)
+    scene.fit_cameras(SIGHTS, linked=linked)
     for column in SIGHTS:
         scene.show_layers(column, [surface(10.0)])
     whole = ink(scene)
     assert min(whole) > 500
-    scene.look({i: replace(sight, centre_mm=(0, 0, 110)) for i, sight in SIGHTS.items()}, linked=linked)
-    scene.settle()
+    scene.fit_cameras({i: replace(sight, centre_mm=(0, 0, 110)) for i, sight in SIGHTS.items()}, linked=linked)
+    scene.draw_pending()
     scene.show_layers(0, [surface(110.0)])
     scene.show_layers(1, [surface(110.0)])
     assert ink(scene) == pytest.approx(whole, rel=0.05)
 
 
 def test_the_mouse_turns_the_view_under_it_and_those_that_share_its_camera(scene, qtbot):
-    scene.look(SIGHTS, linked=True)
+    scene.fit_cameras(SIGHTS, linked=True)
     scene.show_layers(0, [surface(10.0)])
     scene.show_layers(1, [surface(10.0)])
     before = ink(scene)
@@ -140,66 +140,66 @@ def test_the_mouse_turns_the_view_under_it_and_those_that_share_its_camera(scene
 
 
 def test_what_comes_together_is_drawn_once_and_what_has_not_changed_not_at_all(scene, qtbot):
-    scene.look(SIGHTS, linked=False)
-    scene.settle()
-    before = scene.drawn
+    scene.fit_cameras(SIGHTS, linked=False)
+    scene.draw_pending()
+    before = scene.n_renders
     for z in (10.0, 11.0, 12.0):
         scene.show_layers(0, [surface(z)])
-    qtbot.waitUntil(lambda: scene.drawn > before)
+    qtbot.waitUntil(lambda: scene.n_renders > before)
     qtbot.wait(50)
-    assert scene.drawn == before + 1
+    assert scene.n_renders == before + 1
 
 
 def test_a_view_that_nobody_sees_is_not_drawn_until_it_is_shown(scene, qtbot):
-    scene.look(SIGHTS, linked=True)
-    scene.settle()
+    scene.fit_cameras(SIGHTS, linked=True)
+    scene.draw_pending()
     scene.views[1].hide()
-    before = scene.drawn
+    before = scene.n_renders
     for z in (10.0, 11.0, 12.0):
         scene.show_layers(1, [surface(z)])
-        scene.settle()
+        scene.draw_pending()
         qtbot.wait(30)
-    assert scene.drawn == before
+    assert scene.n_renders == before
     scene.views[1].show()
-    qtbot.waitUntil(lambda: scene.drawn == before + 1)
+    qtbot.waitUntil(lambda: scene.n_renders == before + 1)
 
 
 def test_a_view_seen_before_is_not_drawn_again(scene):
-    scene.look(SIGHTS, linked=True)
+    scene.fit_cameras(SIGHTS, linked=True)
     frames = [[surface(10.0)], [surface(11.0)]]
     for layers in frames:
         scene.show_layers(0, layers)
-        scene.settle()
-    before, newest = scene.drawn, scene.views[0].image
+        scene.draw_pending()
+    before, newest = scene.n_renders, scene.views[0].image
     scene.show_layers(0, frames[0])
-    scene.settle()
-    assert scene.drawn == before
+    scene.draw_pending()
+    assert scene.n_renders == before
     assert scene.views[0].image is not newest
-    scene.place(0, "sheet", np.diag([0.5, 0.5, 0.5, 1.0]))  # moved as a whole: another picture
-    scene.settle()
-    assert scene.drawn == before + 1
+    scene.move_layer(0, "sheet", np.diag([0.5, 0.5, 0.5, 1.0]))  # moved as a whole: another picture
+    scene.draw_pending()
+    assert scene.n_renders == before + 1
 
 
 def test_the_traced_dot_lies_where_its_point_is_drawn_and_costs_no_drawing(scene):
-    scene.look(SIGHTS, linked=True)
-    scene.settle()
-    before = scene.drawn
-    scene.mark(0, (0.0, 0.0, 10.0))  # what the camera looks at
-    dot = scene.views[0].dot
+    scene.fit_cameras(SIGHTS, linked=True)
+    scene.draw_pending()
+    before = scene.n_renders
+    scene.mark_point(0, (0.0, 0.0, 10.0))  # what the camera looks at
+    dot = scene.views[0].marker
     assert (dot.x(), dot.y()) == pytest.approx((0.5, 0.5), abs=1e-6)
-    scene.mark(0, (1.0, 0.0, 10.0))
-    assert scene.views[0].dot.x() != pytest.approx(0.5, abs=0.05)
-    scene.mark(0, None)
-    assert scene.views[0].dot is None
-    scene.settle()
-    assert scene.drawn == before
+    scene.mark_point(0, (1.0, 0.0, 10.0))
+    assert scene.views[0].marker.x() != pytest.approx(0.5, abs=0.05)
+    scene.mark_point(0, None)
+    assert scene.views[0].marker is None
+    scene.draw_pending()
+    assert scene.n_renders == before
 
 
 def test_a_driver_that_fails_leaves_a_window_that_works(qtbot, monkeypatch):
     def fails(*args, **kwargs):
         raise RuntimeError("no OpenGL here")
 
-    monkeypatch.setattr("widgets.vtk_scene_renderer.LiveScene", fails)
+    monkeypatch.setattr("widgets.vtk_scene_renderer.VtkSceneRenderer", fails)
     view = View3D()
     qtbot.addWidget(view)
     scene = create_scene_renderer([view])
@@ -209,7 +209,7 @@ def test_a_driver_that_fails_leaves_a_window_that_works(qtbot, monkeypatch):
 
 
 def test_a_faint_surface_does_not_shine_through_one_in_the_same_place(scene):
-    scene.look(SIGHTS, linked=True)
+    scene.fit_cameras(SIGHTS, linked=True)
     sheet = surface(10.0)
     finer = np.linspace(-1, 1, 40, dtype=np.float32)
     rounding = np.random.default_rng(0).normal(scale=1e-5, size=(40, 40))
@@ -220,6 +220,6 @@ def test_a_faint_surface_does_not_shine_through_one_in_the_same_place(scene):
     faint = Layer(name="membrane", points_mm=xyz, rgb=repeat_colour((200, 200, 255), 1600), triangles=triangles,
                   normals=np.tile(np.array([0, 0, -1], np.float32), (1600, 1)), opacity=0.22)  # fmt: skip
     scene.show_layers(0, [sheet, faint])
-    scene.settle()
+    scene.draw_pending()
     with_it = np.array([scene.views[0].image.pixelColor(x, 75).blue() for x in range(60, 90)])
     assert with_it.std() < 2.0, "stripes of the faint one"

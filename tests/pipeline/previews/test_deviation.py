@@ -41,7 +41,7 @@ def test_a_press_is_above_zero_and_what_bulges_below(bubble, pressed):
     assert (shown.scale.low, shown.scale.high, shown.scale.unit) == (-10.0, 10.0, "mm")
     np.testing.assert_allclose(shown.values[[40, 60, 0], [50, 70, 0]], (3.0, -1.0, 0.0), atol=1e-4)
     assert np.isnan(shown.values[5, 5])
-    assert "as described" in shown.caption
+    assert "no reference recorded" in shown.caption
 
 
 def test_the_probe_tells_deviation_and_distance(bubble, pressed):
