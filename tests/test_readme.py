@@ -1,4 +1,4 @@
-"""What the README says can be typed, installed and found is so."""
+"""Commands, parameters, sizes and links of the README are right."""
 
 from __future__ import annotations
 
@@ -17,39 +17,38 @@ from pipeline.translation.catalogue import BUILT_IN
 ROOT = Path(__file__).resolve().parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
-TYPED = [line.partition("#")[0] for line in README.splitlines() if line.startswith("tactoscope ")]
+COMMANDS = [line.partition("#")[0] for line in README.splitlines() if line.startswith("tactoscope ")]
 
 
-@pytest.mark.parametrize("line", TYPED)
-def test_every_command_of_the_list_can_be_typed(line):
+@pytest.mark.parametrize("line", COMMANDS)
+def test_every_listed_command_parses(line):
     app = build_app()
     app.command(view)
     app.parse_args(shlex.split(line)[1:], exit_on_error=False, print_error=False)
 
 
-def test_methods_and_parameters_that_it_names_are_there():
-    for slot, method in re.findall(r"--method (\w+)=(\w+)", README):
-        if slot != "slot":
-            assert method in [m.name for m in BUILT_IN.stage(slot).methods]
+def test_named_methods_and_parameters_exist():
+    for stage, method in re.findall(r"--method (\w+)=(\w+)", README):
+        assert method in [m.name for m in BUILT_IN.stage(stage).methods]
     named = re.findall(r"`(?:--set )?(\w+)\.(\w+)[`=]", README)
-    slots = {slot.name: slot for slot in BUILT_IN.stages}
-    for slot, parameter in named:
-        if slot in slots and slot != "slot":
-            assert any(parameter in fields_of(m) for m in slots[slot].methods), f"{slot}.{parameter}"
-    assert ("touch", "caution") in named
+    stages = {stage.name: stage for stage in BUILT_IN.stages}
+    for stage, parameter in named:
+        if stage in stages:
+            assert any(parameter in list_fields(m) for m in stages[stage].methods), f"{stage}.{parameter}"
+    assert ("touch", "confidence_weighting") in named
 
 
-def fields_of(method):
+def list_fields(method):
     return [field.name for field in fields(method.params)]
 
 
-def test_sizes_of_the_setup_are_those_that_it_tells():
+def test_set_up_sizes_agree_with_the_makefile():
     for size in ("1.2 GB", "3.9 GB", "2.5 GB"):
         assert size in README
         assert size in MAKEFILE
 
 
-def test_versions_of_python_are_those_that_the_package_states():
+def test_python_versions_agree_with_the_package():
     about = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     stated = [c.rpartition(" ")[2] for c in about["classifiers"] if "Python :: 3." in c]
     assert about["requires-python"] == f">={stated[0]}"
@@ -57,6 +56,10 @@ def test_versions_of_python_are_those_that_the_package_states():
     assert all(version in README for version in stated)
 
 
-def test_every_file_that_it_points_to_is_there():
+def test_every_linked_file_exists():
     for name in re.findall(r"\]\(([^)#]+)\)", README):
         assert (ROOT / name).exists(), name
+
+
+def test_it_is_short():
+    assert len(README.split()) <= 700
