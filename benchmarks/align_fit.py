@@ -1,11 +1,11 @@
-"""How well is the way two sensors stand to each other found from a few pairs, without an alignment to begin with?
+"""How accurate is an alignment fitted to a few pairs, without an initial alignment?
 
     python -m benchmarks.align_fit [DATA_FOLDER]
 
 Tiles of touch2touch (`t2t_pairs`): ten of the training split are fitted to, drawn three times; the others are scored.
 The figure is 1 less the partial correlation of expected and real imprint at 128 x 128 px: the mean imprint of the ten
 tiles, laid as the gel tile's colours say, is regressed out of both. No tile is scored by what it was fitted to, and no
-number of the method was chosen by the split it is quoted on alone: all were looked at while it was made. Peers: the
+number of the method was chosen by the split it is quoted on alone: all were looked at while it was made. Baselines: the
 mean imprint's own plain correlation, and the published VQ-VAE, which was trained on thousands of pairs.
 The round trip carries simulated strokes by known numbers, with noise; errors are the largest of six fits.
 The recording is a sample's exact depth of two touches; errors are those of the alignment written.
@@ -72,11 +72,18 @@ def tiles(folder: Path) -> tuple[list[Measurement], list[str]]:
     taken = summarize_times([1e3 * s for s in seconds])
     notes = [f"{name}: the mean imprint alone correlates by {np.mean(mean[name]):.2f}" for name in ours if ours[name]]
     return [
-        build_measurement(f"touch2touch tiles, {name}: imprint beyond the mean one", ours=taken, ours_error=1 - np.mean(ours[name]),
-            peer="published VQ-VAE", peer_error=1 - np.mean(vqvae[name]), unit="1 - partial correlation",
-            bar=Requirement(max_error=0.45))
-        for name in ours if ours[name]
-    ], notes  # fmt: skip
+        build_measurement(
+            f"touch2touch tiles, {name}: imprint beyond the mean one",
+            ours=taken,
+            ours_error=1 - np.mean(ours[name]),
+            peer="published VQ-VAE",
+            peer_error=1 - np.mean(vqvae[name]),
+            unit="1 - partial correlation",
+            bar=Requirement(max_error=0.45),
+        )
+        for name in ours
+        if ours[name]
+    ], notes
 
 
 def _peer(folder: Path, name: str, spec) -> np.ndarray:
@@ -104,8 +111,16 @@ def round_trip() -> tuple[list[Measurement], str]:
     bars = {"turn": 1.0, "scale": 0.03, "shift": 0.01, "tilt": 0.05}
     note = f"round trip: {np.mean(in_spread):.0%} of the numbers lie within two of the spreads told"
     taken = summarize_times([1e3 * s for s in seconds])
-    return [build_measurement(f"round trip of known pairs, {name}", ours=taken, ours_error=max(off[name]), unit=units[name],
-                bar=Requirement(max_error=bars[name])) for name in off], note  # fmt: skip
+    return [
+        build_measurement(
+            f"round trip of known pairs, {name}",
+            ours=taken,
+            ours_error=max(off[name]),
+            unit=units[name],
+            bar=Requirement(max_error=bars[name]),
+        )
+        for name in off
+    ], note
 
 
 def recording() -> list[Measurement]:
@@ -120,8 +135,10 @@ def recording() -> list[Measurement]:
     shift = float(np.linalg.norm(found[:3, 3] - exact[:3, 3]))
     translation.close()
     asked = "alignment of two touches from nothing, exact depth"
-    return [build_measurement(f"{asked}, shift", ours=taken, ours_error=shift, unit="mm", bar=Requirement(max_error=0.3)),
-            build_measurement(f"{asked}, turn", ours=taken, ours_error=turn, unit="deg", bar=Requirement(max_error=1.0))]  # fmt: skip
+    return [
+        build_measurement(f"{asked}, shift", ours=taken, ours_error=shift, unit="mm", bar=Requirement(max_error=0.3)),
+        build_measurement(f"{asked}, turn", ours=taken, ours_error=turn, unit="deg", bar=Requirement(max_error=1.0)),
+    ]
 
 
 def measure(data: str = "") -> BenchmarkResult:

@@ -1,4 +1,4 @@
-"""How well does a look-up from presses of one ball measure others? Real GelSight Mini, DIGIT and GelSlim 3.0 pictures.
+"""How accurate is a calibration from presses of one ball on others? Real GelSight Mini, DIGIT and GelSlim 3.0 images.
 
     python benchmarks/ball_calibration.py [DATA_FOLDER]
 
@@ -50,7 +50,7 @@ def sphere(indentation_mm, contact, pixel_mm):
 
 
 def measure_presses(label, pictures, still, source, look_up, diameter_mm, bars=_NO_BARS):
-    """(row of the diameter's error, row of the rms, note) of presses measured with a look-up."""
+    """(row of the diameter's error, row of the rms, note) of presses measured with a calibration table."""
     fits, far, ms, missing = [], [], [], 0
     for index, picture in enumerate(pictures):
         frame = TactileFrame(sensor=source.name, image=picture, reference=still, index=index)

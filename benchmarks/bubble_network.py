@@ -1,14 +1,14 @@
-"""How well does a bubble tell what a GelSlim would feel? Its reading by a network beside the load on its membrane.
+"""How well does a bubble's depth predict a GelSlim's touch? The depth network against the load on the membrane.
 
     python -m benchmarks.bubble_network
 
-Objects that the network was taught on, held as it has never seen, and tools that nothing was chosen by are pressed on a
-bubble (apex pushed in by 13 mm, as in data sets) and on a GelSlim, each on other units than those described (`varied`,
-strength 1), with the bubble's noise in the touched and in the untouched reading. What is read goes the whole way, depth
-to cloud to view to the GelSlim's gel pressed onto it; errors are those of that gel against the gel that was really
-pressed: 1 - intersection over union of contact, and the mean absolute difference of indentation in the true contact.
-Beside it what is left when the exact membrane, or the exact surface of the object close behind it, takes the place of
-the reading. Untouched frames of a real bubble (Punyo), where they are at hand, must show no contact.
+Objects that the network was trained on, held as it has never seen, and tools that nothing was chosen by are pressed on
+a bubble (apex pushed in by 13 mm, as in data sets) and on a GelSlim, each on other sensor instances than those
+described (`varied`, strength 1), with the bubble's noise in the touched and in the untouched reading. What is read goes
+the whole way, depth to cloud to view to the GelSlim's gel pressed onto it; errors are those of that gel against the gel
+that was really pressed: 1 - intersection over union of contact, and the mean absolute difference of indentation in the
+true contact. Next to it what is left when the exact membrane, or the exact surface of the object close behind it, takes
+the place of the reading. Untouched frames of a real bubble (Punyo), where they are at hand, must show no contact.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from pipeline.values.results import DepthMap
 
 _BARS = {"unseen grasps": (0.20, 0.10), "unseen tools": (0.35, 0.15)}
 _GRASPS = {"unseen grasps": 1, "unseen tools": 2}  # of each object
-_NEAR_MM = 0.5  # behind the membrane: where the exact surface is told
+_NEAR_MM = 0.5  # behind the membrane: where the exact surface is reported
 _PEER = "load on the membrane"
 _PUNYO = Path(os.environ.get("TACTILE_DATA", "../shared/data")) / "punyo_bubble" / "depth_sequence.npz"
 _PUNYO_UNTOUCHED = range(1, 5)  # frames; the first is the reference
@@ -57,11 +57,18 @@ def measure() -> BenchmarkResult:
         for kind in ("soft_bubble", "soft_bubble_stereo"):
             found = {name: _through(read, touches, kind) for name, read in methods.items()}
             for k, (what, unit) in enumerate((("contact", "1 - IoU"), ("indentation in contact", "mm"))):
-                rows.append(build_measurement(
-                    f"{kind} to GelSlim, {split}: {what}", ours=summarize_times(found["ours"][1]), peer=_PEER, unit=unit,
-                    peer_timing=summarize_times(found[_PEER][1]), ours_error=found["ours"][0][k],
-                    peer_error=found[_PEER][0][k], bar=Requirement(max_error=bars[k]),
-                ))  # fmt: skip
+                rows.append(
+                    build_measurement(
+                        f"{kind} to GelSlim, {split}: {what}",
+                        ours=summarize_times(found["ours"][1]),
+                        peer=_PEER,
+                        unit=unit,
+                        peer_timing=summarize_times(found[_PEER][1]),
+                        ours_error=found["ours"][0][k],
+                        peer_error=found[_PEER][0][k],
+                        bar=Requirement(max_error=bars[k]),
+                    )
+                )
         for name, exact in (("membrane", _membrane), ("surface of the object", _object)):
             left = np.nanmean([_felt(exact(touch), touch) for touch in touches], axis=0)
             notes.append(f"{split}, exact {name} in place of a reading: {left[0]:.3f} 1 - IoU, {left[1]:.3f} mm")
@@ -73,7 +80,7 @@ def measure() -> BenchmarkResult:
 
 
 class _Touch:
-    """One press, felt by another unit of the bubble and of the GelSlim."""
+    """One press, observed by another sensor instance of the bubble and of the GelSlim."""
 
     def __init__(self, name: str, k: int) -> None:
         thing = shapes.make_shape(name).mesh
@@ -141,14 +148,21 @@ def _object(touch: _Touch) -> DepthMap:
 
 
 def _untouched(methods):
-    """Contact pixels, in thousandths of the frame, on untouched frames of a real bubble."""
+    """Contact pixels, in thousandths of the frame, on frames without contact of a real bubble."""
     stream = open_recording(_PUNYO, sensor="soft_bubble_stereo").stream()
     source, frames = load_sensor("soft_bubble_stereo"), [stream.frame(k) for k in _PUNYO_UNTOUCHED]
     wrong = {name: 1e3 * np.mean([read(f, source).contact.mean() for f in frames]) for name, read in methods.items()}
     times = time_in_turns({name: partial(read, frames[0], source) for name, read in methods.items()}, runs=5)
-    yield build_measurement("untouched frames of a real bubble: contact", unit="of 1000",
-              ours=times["ours"], ours_error=wrong["ours"],
-              peer=_PEER, peer_timing=times[_PEER], peer_error=wrong[_PEER], bar=Requirement(max_error=0.0))  # fmt: skip
+    yield build_measurement(
+        "untouched frames of a real bubble: contact",
+        unit="of 1000",
+        ours=times["ours"],
+        ours_error=wrong["ours"],
+        peer=_PEER,
+        peer_timing=times[_PEER],
+        peer_error=wrong[_PEER],
+        bar=Requirement(max_error=0.0),
+    )
 
 
 if __name__ == "__main__":

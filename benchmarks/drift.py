@@ -1,14 +1,14 @@
-"""Does drifted light or a shifted camera look like a touch? Untouched pictures that drifted, for every gel sensor.
+"""Does drifted light or a shifted camera look like a touch? Drifted reference images of every gel sensor.
 
     python -m benchmarks.drift [METHOD]
 
-METHOD fills the slot *depth* ("network" unless named). Alone: 3 % more light and less; light that rises by 12 grey
+METHOD is a method of the stage *depth* (default "network"). Alone: 3 % more light and less; light that rises by 12 grey
 levels from one border to the other, along x and along y; the camera 2 pixels aside, along each axis and both. Then
 random mixtures of them: every colour's gain within 3 %, a ramp of up to 12 grey levels in any direction, of any
-colour, a shift of up to 2 pixels in any direction. Pictures are the simulated sensor's, and the untouched ones of a
+colour, a shift of up to 2 pixels in any direction. Images are the simulated sensor's, and the untouched ones of a
 real Mini, DIGIT and GelSlim 3.0 where they are at hand, each with fresh noise. The error is the number of frames in
 which any pixel counts as contact. Last, objects are pressed under the same mixtures, so that nobody reads "never a
-contact": the error is 1 - intersection over union with the true contact, the peer the same presses without drift.
+contact": the error is 1 - intersection over union with the true contact, the baseline the same presses without drift.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _LEVEL = (0.0, 0.0)
 
 
 def apply_drift(image, *, gain=(1.0, 1.0, 1.0), ramp=_LEVEL, tint=(1.0, 1.0, 1.0), shift=_LEVEL):
-    """The picture (rows, cols, 3) with light times `gain` plus `ramp` grey levels across x and y, moved by `shift`."""
+    """The image (rows, cols, 3) with light times `gain` plus `ramp` grey levels across x and y, moved by `shift`."""
     rows, cols = image.shape[:2]
     by = np.array([[1, 0, shift[0]], [0, 1, shift[1]]], np.float64)
     moved = cv2.warpAffine(image.astype(np.float32), by, (cols, rows), flags=cv2.INTER_CUBIC,
@@ -78,7 +78,7 @@ def mixture(rng):
 
 
 def render_reference_images():
-    """(label, sensor, untouched picture)."""
+    """(label, sensor, reference image)."""
     for name in _SENSORS:
         yield name, load_sensor(name), optics.render_reference(load_sensor(name))
     try:
@@ -90,7 +90,7 @@ def render_reference_images():
 
 
 def measure_after_drift(read, source, still, light, seed):
-    """(depth map, ms) of a picture made of `light`."""
+    """(depth map, ms) of a image made of `light`."""
     frame = TactileFrame(
         sensor=source.name, image=add_camera_noise(light, source.optics.noise_grey, seed), reference=still
     )
@@ -103,14 +103,19 @@ def false_contacts(read, label, source, still, drifts):
     found = [measure_after_drift(read, source, still, apply_drift(still, **how), k) for k, how in enumerate(drifts)]
     pixels = np.array([answer.contact.sum() for answer, _ in found])
     deepest = max(float(answer.indentation_mm.max()) for answer, _ in found)
-    found_row = build_measurement(f"untouched, {label}", ours=summarize_times([ms for _, ms in found]), ours_error=float((pixels > 0).sum()),
-                    unit="frames", bar=Requirement(max_error=0))  # fmt: skip
+    found_row = build_measurement(
+        f"untouched, {label}",
+        ours=summarize_times([ms for _, ms in found]),
+        ours_error=float((pixels > 0).sum()),
+        unit="frames",
+        bar=Requirement(max_error=0),
+    )
     return found_row, (f"{label}: {len(found)} frames, at most {pixels.max()} pixels of contact, "
                        f"deepest {deepest:.3f} mm")  # fmt: skip
 
 
 def through_drift(read, rng):
-    """Rows of presses under mixtures, beside the same without."""
+    """Rows of presses under mixtures, next to the same without."""
     for name in _SENSORS:
         source, found = load_sensor(name), []
         still = optics.render_reference(source)
@@ -122,9 +127,16 @@ def through_drift(read, rng):
             answer, ms = measure_after_drift(read, source, still, apply_drift(felt.image, **mixture(rng)), seed)
             found.append((1 - iou(answer.contact, felt.truth.contact), 1 - iou(plain.contact, felt.truth.contact), ms))
         ours, plain, ms = np.array(found).T
-        yield build_measurement(f"pressed by {_PRESS_MM:g} mm, {name}", peer="without drift", ours=summarize_times(ms), peer_timing=summarize_times(ms),
-                  ours_error=float(ours.mean()), peer_error=float(plain.mean()), unit="1 - IoU",
-                  bar=Requirement(min_error_ratio=0.8))  # fmt: skip
+        yield build_measurement(
+            f"pressed by {_PRESS_MM:g} mm, {name}",
+            peer="without drift",
+            ours=summarize_times(ms),
+            peer_timing=summarize_times(ms),
+            ours_error=float(ours.mean()),
+            peer_error=float(plain.mean()),
+            unit="1 - IoU",
+            bar=Requirement(min_error_ratio=0.8),
+        )
 
 
 def measure(method: str = "network") -> BenchmarkResult:

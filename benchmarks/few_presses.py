@@ -1,4 +1,4 @@
-"""How good is a look-up from four, eight, sixteen or all presses of a ball, and does it know? Real Mini and GelSlim 3.
+"""How accurate is a calibration from 4, 8, 16 or all presses of a ball, and does it know? Real Mini and GelSlim 3.
 
     python -m benchmarks.few_presses [DATA_FOLDER]
 
@@ -78,7 +78,7 @@ class _Ball:
         return sphere(found.indentation_mm, found.contact, self.plain.pixel_mm)[0] / self.diameter_mm - 1
 
     def fit_lookup(self, drawn):
-        """The look-up of some of the presses, as `tactoscope calibrate balls` makes it."""
+        """The calibration table of some of the presses, as `tactoscope calibrate balls` makes it."""
         pictures = [self.pictures[i] for i in drawn]
         found = calibrate_balls(
             pictures, self.still, self.source, self.diameter_mm, pixel_mm=self.plain.pixel_mm,
@@ -140,7 +140,7 @@ def _none(ball: _Ball, judged: _Ball) -> Iterator[tuple[object, str]]:
 
 
 def _of_number(ball: _Ball, judged: _Ball, n: int) -> Iterator[tuple[object, str]]:
-    """(row, note) of look-ups from `n` of the presses: how wrong the worst is, and how many are worse than none."""
+    """(row, note) of calibrations from `n` presses: error of the worst, and how many are worse than none."""
     label, everything = _label(ball, judged), range(len(judged.pictures))
     without = np.abs(judged.errors(everything, judged.plain))
     errors, nones, expected, high, ms, kept, harmed = [], [], [], [], [], 0, 0
@@ -175,8 +175,16 @@ def _of_number(ball: _Ball, judged: _Ball, n: int) -> Iterator[tuple[object, str
         ),
         note,
     )
-    yield build_measurement(f"draws worse than none, {what}", ours=summarize_times(ms), ours_error=float(harmed), unit="draws",
-              bar=Requirement(max_error=0.0)), ""  # fmt: skip
+    yield (
+        build_measurement(
+            f"draws worse than none, {what}",
+            ours=summarize_times(ms),
+            ours_error=float(harmed),
+            unit="draws",
+            bar=Requirement(max_error=0.0),
+        ),
+        "",
+    )
 
 
 def _listed(values) -> str:

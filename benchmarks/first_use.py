@@ -1,4 +1,4 @@
-"""How long is the first use: compiling with nothing kept, the first touch of a new process, the window, the help?
+"""How long is the first use: compiling kernels, the first touch of a new process, the window, the help?
 
 python -m benchmarks.first_use. Every figure is of new processes whose caches (numba's, and the user's) are a folder of
 this run alone: empty for `tactoscope prepare`, as that leaves it for the rest. The window opens on a display of its own

@@ -1,11 +1,11 @@
-"""How exact and how fast is a gel's contact? Ours beside geometric overlap and a pyramid of blurs, against Hertz.
+"""How exact and how fast is a gel's contact? Ours against geometric overlap and a pyramid of blurs, against Hertz.
 
     python -m benchmarks.gel_contact
 
 A ball of 4 mm radius reaches 0.5 mm into a half-space 18.6 mm wide, 320 x 427 pixels; Hertz gives surface, contact and
 force exactly. The pyramid is our own writing of the published recipe: the overlap is blurred six times with Gaussian
-kernels of 201, 101, 51, 21, 11 and 5 pixels (of a 480 x 640 picture, scaled to this one) and put back after each where
-the overlap is more than 0.4 of its depth. Peers answer for no force.
+kernels of 201, 101, 51, 21, 11 and 5 pixels (of a 480 x 640 image, scaled to this one) and put back after each where
+the overlap is more than 0.4 of its depth. Baselines answer for no force.
 """
 
 from __future__ import annotations
@@ -48,12 +48,27 @@ def measure() -> BenchmarkResult:
             notes.append(f"{name}: mask IoU {iou:.3f}, largest error {1e3 * np.abs(surface - exact).max():.3g} um")
     times = time_in_turns(methods, runs=25)
     rows = [
-        build_measurement("surface of a pressed half-space", peer=peer, ours=times[_OURS], ours_error=errors[_OURS], unit="um",
-            peer_timing=times[peer], peer_error=errors[peer], bar=Requirement(max_ms=20, min_error_ratio=100))
+        build_measurement(
+            "surface of a pressed half-space",
+            peer=peer,
+            ours=times[_OURS],
+            ours_error=errors[_OURS],
+            unit="um",
+            peer_timing=times[peer],
+            peer_error=errors[peer],
+            bar=Requirement(max_ms=20, min_error_ratio=100),
+        )
         for peer in ("geometric overlap", "pyramid of blurs")
-    ]  # fmt: skip
-    rows.append(build_measurement("surface of a bonded layer of 2 mm", ours=times[_LAYER], ours_error=math.nan, unit="um",
-                    bar=Requirement(max_ms=20)))  # fmt: skip
+    ]
+    rows.append(
+        build_measurement(
+            "surface of a bonded layer of 2 mm",
+            ours=times[_LAYER],
+            ours_error=math.nan,
+            unit="um",
+            bar=Requirement(max_ms=20),
+        )
+    )
     return BenchmarkResult(
         title=f"Contact of a ball with a gel, {_SHAPE[0]} x {_SHAPE[1]} pixels, against Hertz",
         unit="um",
@@ -103,8 +118,8 @@ def _pyramid(overlap):
     contact = overlap > 0.4 * held.max()
     surface = held
     for size in (201, 101, 51, 21, 11, 5):
-        size = 2 * round(size * _SHAPE[1] / 640 / 2) + 1  # noqa: PLW2901 (the kernel at this picture's size)
-        surface = cv2.GaussianBlur(surface, (size, size), 0)
+        width = 2 * round(size * _SHAPE[1] / 640 / 2) + 1
+        surface = cv2.GaussianBlur(surface, (width, width), 0)
         surface = np.where(contact, held, surface)
     return cv2.GaussianBlur(surface, (5, 5), 0), contact
 

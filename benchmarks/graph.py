@@ -1,8 +1,8 @@
-"""What does a frame cost that needs no work: one seen before, one that nobody touched?
+"""What does a frame cost that needs no work: one seen before, one without contact?
 
     python -m benchmarks.graph [RECORDING] [TARGET]
 
-Peer: a touched frame through all stages with an empty cache. Every frame is a new object, as read from a camera;
+Baseline: a touched frame through all stages with an empty cache. Every frame is a new object, as read from a camera;
 sensors, mesh and reference are known, as in a stream. Errors count the stages whose output or course is not as it must
 be: equal to a run with an empty cache, and nothing but the pose recomputed when a setting of the pose changes.
 """
@@ -43,11 +43,18 @@ def measure(path: Path = _SAMPLE, target: str = "soft_bubble") -> BenchmarkResul
         return fresh.evaluate(_STAGES, next(new), _PARAMS)
 
     raced = {
-        "frame seen before": (lambda: graph.evaluate(_STAGES, next(again), _PARAMS), seen, Requirement(max_ms=0.2, max_error=0)),
+        "frame seen before": (
+            lambda: graph.evaluate(_STAGES, next(again), _PARAMS),
+            seen,
+            Requirement(max_ms=0.2, max_error=0),
+        ),
         "new untouched frame of a stream": (
-            lambda: graph.evaluate(_STAGES, next(new), _PARAMS), still, Requirement(max_ms=0.5, max_error=0)),
+            lambda: graph.evaluate(_STAGES, next(new), _PARAMS),
+            still,
+            Requirement(max_ms=0.5, max_error=0),
+        ),
         "first untouched frame, empty cache": (first_of_all, still, Requirement(max_ms=0.5, max_error=0)),
-    }  # fmt: skip
+    }
     errors = {name: differing(run(), wanted) for name, (run, wanted, _) in raced.items()}
     times = time_in_turns({name: run for name, (run, _, _) in raced.items()}, runs=_RUNS)
     peer = time_in_turns({_PEER: lambda: Graph(_METHODS).evaluate(_STAGES, touched, _PARAMS)}, runs=7)[_PEER]
@@ -77,7 +84,7 @@ def first_frames(translation):
 
 
 def copies(inputs, *, vary: bool):
-    """The inputs with the frame's picture copied, and with `vary` never the same twice, without end."""
+    """The inputs with the frame's image copied, and with `vary` never the same twice, without end."""
     frame = inputs["frame"]
     pictures = [frame.image.copy() for _ in range(8)]
     for count in itertools.count():

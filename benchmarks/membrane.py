@@ -1,4 +1,4 @@
-"""How quick and how right is the membrane test? Ours beside Open3D's signed distance to the membrane's mesh.
+"""How quick and how right is the membrane test? Ours against Open3D's signed distance to the membrane's mesh.
 
     python -m benchmarks.membrane
 

@@ -1,4 +1,4 @@
-"""Does a contact's answer say which motions it does not know? Ours beside Open3D's ICP, which says nothing.
+"""Does registration report the motions that a contact does not determine? Ours against Open3D's ICP, which reports none.
 
     python -m benchmarks.observability
 
@@ -86,7 +86,7 @@ def score_patches(kind: str, seed: int) -> ObservabilityScore:
 
 
 def measure_rod() -> tuple[Patch, np.ndarray, np.ndarray]:
-    """(felt patch of a rod, points of the whole rod, their normals), the rod's frame being the sensor's."""
+    """(observed patch of a rod, points of the whole rod, their normals), the rod's frame being the sensor's."""
     rng = np.random.default_rng(0)
     angle, along = rng.uniform(-0.8, 0.8, 3000), rng.uniform(-4.0, 4.0, 3000)
     normals = np.stack([np.zeros(3000), np.sin(angle), np.cos(angle)], axis=1)

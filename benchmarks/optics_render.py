@@ -1,12 +1,12 @@
-"""How fast is a gel's picture? Ours beside the published table look-up, written in torch as quick as we could.
+"""How fast is the gel render? Ours against the published calibration table, written in torch as fast as we could.
 
     python -m benchmarks.optics_render
 
 Every method starts from the same deformed surface of 320 x 427 pixels (320 x 240 with shadows) and ends in 8 bits;
-markers, lens blur and noise are off. The peer is the published recipe: slope magnitude and direction, floor to
+markers, lens blur and noise are off. The baseline is the published recipe: slope magnitude and direction, floor to
 125 x 125 bins, a polynomial of second degree in x and y for each bin and colour, plus the background; one row is its
 plain writing (whole tables, fancy indices), the others a quicker one of the same result. It is filled with our own
-optics, so that its picture can be compared: what is left is what its bins cost. Its shadow step is the published fan:
+optics, so that its image can be compared: what is left is what its bins cost. Its shadow step is the published fan:
 from each pixel around the contact, four rays mark the darkest value that a table knows at that distance.
 """
 
@@ -37,7 +37,7 @@ _NOTES = (
 
 
 def measure() -> BenchmarkResult:
-    """Rows: a small, a usual and an image-wide deformation, the plain writing of the peer, and shadows."""
+    """Rows: a small, a usual and an image-wide deformation, the plain writing of the baseline, and shadows."""
     spec = _bare(load_sensor("gelslim_dotless"))
     table = Table(spec)
     rows = [_row(question, spec, surface, table) for question, surface in _surfaces(spec).items()]
@@ -161,7 +161,7 @@ class Table:
 
 
 def _filled(spec: SensorSpec):
-    """The table (3, bins, bins, 6), fitted to our own optics on few pixels: light varies slowly over the picture."""
+    """The table (3, bins, bins, 6), fitted to our own optics on few pixels: light varies slowly over the image."""
     small = spec.camera.scale(1 / 24)
     few = replace(spec, camera=small, rest_depth_mm=spec.membrane.rest_depth_mm(small))
     fit, one = np.linalg.pinv(_powers(*small.shape)), np.ones(small.shape, np.float32)

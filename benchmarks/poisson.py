@@ -1,4 +1,4 @@
-"""How exact and how fast is the integration of slopes? Ours beside a public integrator's algorithm and a sparse solve.
+"""How exact and how fast is the integration of slopes? Ours against a public integrator's algorithm and a sparse solve.
 
     python -m benchmarks.poisson
 

@@ -1,16 +1,16 @@
-"""How exact and how fast is the pose of a tool from a clean contact? Ours beside Open3D and small_gicp, and the bound.
+"""How exact and how fast is the pose of a tool from a clean contact? Ours against Open3D and small_gicp, and the bound.
 
     python -m benchmarks.pose
 
-A tool (a cylinder with round caps, 8 mm thick, and a chamfered cross-bar) is felt from one side: 4,000 points of its
-outer surface within 2 mm of the outermost, 0.03 mm of noise along the normal, first guesses off by 5 degrees about a
-random axis and 0.7 mm in a random direction. Peers get 20,000 points of the tool's outer surface, what they can prepare
-beforehand is prepared, and their options are those that gave them the lowest error here: Open3D the exact normals and
-no early end; small_gicp, which cannot be given normals, those of the number of neighbours among 5, 8, 10, 15 and 20
-that errs least, on one and on two threads: claims are against the faster. Making the source cloud is part of each
-peer's time, as centring is of ours; what preparing the target takes is told. All search within 2 mm. Errors are at the
-middle of the contact, medians over 96 trials; times are medians of calls in turns.
-The bound is Cramer and Rao's: sigma^2 (J^T J)^-1 of the true normals.
+A tool (a cylinder with round caps, 8 mm thick, and a chamfered cross-bar) is observed from one side: 4,000 points of
+its outer surface within 2 mm of the outermost, 0.03 mm of noise along the normal, first guesses off by 5 degrees about
+a random axis and 0.7 mm in a random direction. Baselines get 20,000 points of the tool's outer surface, what they can
+prepare beforehand is prepared, and their options are those that gave them the lowest error here: Open3D the exact
+normals and no early end; small_gicp, which cannot be given normals, those of the number of neighbours among 5, 8, 10,
+15 and 20 that errs least, on one and on two threads: claims are against the faster. Making the source cloud is part of
+each baseline's time, as centring is of ours; what preparing the target takes is reported. All search within 2 mm.
+Errors are at the middle of the contact, medians over 96 trials; times are medians of calls in turns. The bound is
+Cramer and Rao's: sigma^2 (J^T J)^-1 of the true normals.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _NEIGHBOURS = (5, 8, 10, 15, 20)  # that small_gicp may take its normals from
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tool:
-    """The tool as the peers know it and as ours does, and the side of it that is felt."""
+    """The tool as the baselines know it and as ours does, and the side of it that is observed."""
 
     mesh: Mesh
     grid: DistanceGrid
@@ -164,7 +164,7 @@ def open3d_icp(of: Tool) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SmallGicp:
-    """The peer with its target prepared."""
+    """The baseline with its target prepared."""
 
     target: object
     tree: object
@@ -195,7 +195,7 @@ class SmallGicp:
 
 
 def best_small_gicp(it: Tool, trials: list[Trial]) -> tuple[SmallGicp, str]:
-    """The peer at the number of neighbours with the least median error, and what each of them gave."""
+    """The baseline at the number of neighbours with the least median error, and what each of them gave."""
     tried = [SmallGicp.prepare(it, neighbours) for neighbours in _NEIGHBOURS]
     mm = [float(np.median([error(peer(t.points, t.start, 1), t)[0] for t in trials])) for peer in tried]
     told = ", ".join(f"{peer.neighbours}: {e:.4f}" for peer, e in zip(tried, mm, strict=True))
@@ -223,10 +223,18 @@ def measure() -> BenchmarkResult:
     rows = []
     for peer, faster in (("Open3D point-to-plane", 5.0), (gicp, 1.5)):
         for what, unit, found in (("place", "mm", mm), ("turn", "deg", deg)):
-            rows.append(build_measurement(
-                f"pose, {what}", ours=times["ours"], ours_error=found["ours"], unit=unit, peer=peer,
-                peer_timing=times[peer], peer_error=found[peer], bar=Requirement(min_speedup=faster, min_error_ratio=1.0),
-            ))  # fmt: skip
+            rows.append(
+                build_measurement(
+                    f"pose, {what}",
+                    ours=times["ours"],
+                    ours_error=found["ours"],
+                    unit=unit,
+                    peer=peer,
+                    peer_timing=times[peer],
+                    peer_error=found[peer],
+                    bar=Requirement(min_speedup=faster, min_error_ratio=1.0),
+                )
+            )
     rms = {name: np.sqrt((e**2).mean(axis=0)) for name, e in errors.items()}
     for k, (what, unit) in enumerate((("place", "mm"), ("turn", "deg"))):
         rows.append(build_measurement(

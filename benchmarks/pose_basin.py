@@ -1,4 +1,4 @@
-"""How many poses are found from bad first guesses? Our registration, and the stage as it runs, beside Open3D.
+"""How many poses are found from bad initial guesses? Our registration and the stage as it runs, against Open3D.
 
     python -m benchmarks.pose_basin
 
@@ -6,7 +6,7 @@ The tool of the question "pose". First guesses are off by an angle of 20 degrees
 axis and by 2.5 mm (standard deviation) along each axis. Found means within 0.1 mm and 0.5 degrees of the contact's
 middle. Errors are the shares, in percent, that were not found. The registration from one start and Open3D's get the
 4,000 points of that question; the stage gets what a gel of 160 x 120 pixels feels of the tool, pressed in by 1.2 mm
-under up to 4 degrees, with 0.03 mm of noise, and the first guess as the pose of the touch before. Open3D's row beside
+under up to 4 degrees, with 0.03 mm of noise, and the first guess as the pose of the touch before. Open3D's row next to
 it is of the same touches and guesses.
 """
 
@@ -66,7 +66,7 @@ def simulate_trial(of: pose.Tool, seed: int) -> PoseTrial:
 
 
 def _seen(of: pose.Tool, truth: np.ndarray) -> np.ndarray:
-    """Depth of the tool in each pixel, infinity beside it."""
+    """Depth of the tool in each pixel, infinity next to it."""
     import open3d
 
     scene, core = open3d.t.geometry.RaycastingScene(), open3d.core

@@ -4,16 +4,16 @@
 
 WAY is one of those below, with every sensor's name if the first is ""; PRESSES of each object, 6 unless said.
 
-Catalogue objects are pressed into every simulated sensor. *Measured* is what the slot *depth* makes of the sensor's
-picture, by physics and by network; *modelled* is the true membrane with white noise of 0.01 mm and
-the error that the sensor's description states, drawn as a smooth field; *translated* is the touch that physics makes
-of what another sensor measured of the same press, which takes that sensor's error along. A pose begins at the truth,
-so that its error is that of the measurement and no other minimum's. Told is its chi-square under its covariance, in
-the directions that it calls determined, as the median over touches over what a right covariance's median would be:
-above 1 poses are farther off than they say; its standard error is that of a median of draws from these touches. The
-error of a row is how many times that is too much or too little; the peer is the same without the sensor's measured
-error. Beside them stands the error of measured depth and the length over which it hangs together, median and mean
-over the touches: what sensors are described with lies between the two.
+Catalogue objects are pressed into every simulated sensor. *Measured* is what the stage *depth* estimates from the
+sensor's image, by physics and by network; *modelled* is the true membrane with white noise of 0.01 mm and the error
+that the sensor's description states, drawn as a smooth field; *translated* is the touch that physics makes of what
+another sensor measured of the same press, which takes that sensor's error along. A pose begins at the truth, so that
+its error is that of the measurement and no other minimum's. Told is its chi-square under its covariance, in the
+directions that it calls determined, as the median over touches over what a right covariance's median would be: above 1
+poses are farther off than they say; its standard error is that of a median of draws from these touches. The error of a
+row is how many times that is too much or too little; the baseline is the same without the sensor's measured error. Next
+to them stands the error of measured depth and the length over which it hangs together, median and mean over the
+touches: what sensors are described with lies between the two.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ def _pressed(spec: SensorSpec, presses: int) -> Iterator[tuple[SimulatedPress, M
 
 
 def measure_depth(made: SimulatedPress, spec: SensorSpec, method: str) -> DepthMap:
-    """What the slot makes of the picture."""
+    """What the stage makes of the image."""
     rest = np.zeros(spec.camera.shape, np.float32)
     untouched = render_sensor_image(spec, rest, spec.rest_depth_mm, 100)
     return build_reader(method)(TactileFrame(sensor=spec.name, image=made.image, reference=untouched), spec)
@@ -180,7 +180,7 @@ def score_sensor(spec: SensorSpec, how: str, presses: int = PRESSES) -> Covarian
 
 
 def error_of_depth(spec: SensorSpec, how: str, presses: int) -> str:
-    """Over touches: rms in contact, the length at which the error's correlation is exp(-1/2), and what is told."""
+    """Over touches: rms in contact, the length at which the error's correlation is exp(-1/2), and what is reported."""
     found: list[tuple[float, float, float]] = []
     for made, _mesh, _at in touches(spec.name, presses):
         told = measure_depth(made, spec, how)

@@ -1,25 +1,25 @@
-"""What does an uncalibrated unit measure? Balls on a real GelSight Mini, GelSlim 3.0 and DIGIT; clips of a GelSlim 4.0.
+"""How accurate is an uncalibrated sensor? Balls on a real GelSight Mini, GelSlim 3.0 and DIGIT; clips of a GelSlim 4.0.
 
     python -m benchmarks.real_depth [METHOD [DATA_FOLDER]]
 
-METHOD fills the slot *depth* ("network" unless named) and is told nothing of the unit but its untouched picture. A
-sphere is fitted to the surface inside the largest part of the contact: the error of its diameter is the median over
-all presses of |diameter / true - 1|, a press without a contact of 20 pixels counting as 100 %; the residual is the
+METHOD is a method of the stage *depth* (default "network") and knows nothing of the sensor instance but its reference
+image. A sphere is fitted to the surface inside the largest part of the contact: the error of its diameter is the median
+over all presses of |diameter / true - 1|, a press without a contact of 20 pixels counting as 100 %; the residual is the
 median of the fits' rms. A patch is stray when it is any part of the contact but the largest. GelSlim 3.0's width of a
-pixel is not certain: once it is given (0.07 mm, about what its pictures fit best), once fitted, one width for all
-presses that makes the median diameter of a third of them right, so that only the scatter of diameters is left. Nobody
-knows the size of DIGIT's balls.
+pixel is not certain: once it is given (0.07 mm, about what its images fit best), once fitted, one width for all presses
+that makes the median diameter of a third of them right, so that only the scatter of diameters is left. Nobody knows the
+size of DIGIT's balls.
 
-In the clips, a frame is told right when a contact is found where the lab's own network sees one and none where it
-sees none: more than half a percent of its picture darker by 25 grey than the median. Every second frame is looked at.
+In the clips, a frame is reported right when a contact is found where the lab's own network sees one and none where it
+sees none: more than half a percent of its image darker by 25 grey than the median. Every second frame is looked at.
 The correlation is Pearson's between the indentation and the lab's depth over the panel, median over the frames with
 contact. The reference is once the first frame, once the median of the first frames that show the same, as when a
-recording is opened. Panels are enlarged to the sensor's own pixels first. The lab's depth is a peer, not truth.
+recording is opened. Panels are enlarged to the sensor's own pixels first. The lab's depth is a baseline, not truth.
 
-It lies in another frame than its picture (`benchmarks/panel_registration.py`), so the correlation stands once more with the
-lab's depth laid on the touch first: by one transform for all clips, fitted to the edges in two of them and scored on
-the other two, and the other way round. Each two are of both fingers and of both things. Beside it, as the peer, how
-much the lab's own depth, so laid, is like itself as it was: an exact depth would score about that in the row above.
+It lies in another frame than its image (`benchmarks/panel_registration.py`), so the correlation stands once more with
+the lab's depth laid on the touch first: by one transform for all clips, fitted to the edges in two of them and scored
+on the other two, and the other way round. Each two are of both fingers and of both things. Next to it, as the baseline,
+how much the lab's own depth, so laid, is like itself as it was: an exact depth would score about that in the row above.
 """
 
 from __future__ import annotations
@@ -185,13 +185,31 @@ def clips(read: DepthReader, data: Path):
         right, alike = right_and_alike(every)
         ms = summarize_times([frame.ms for frame in every])
         ours, itself, laid_notes = compare_registered_depth(looked, edges)
-        rows = [build_measurement(f"GelSlim 4 clips, {label}: frames told wrong", ours=ms, ours_error=1 - right, unit="share",
-                    bar=Requirement(max_error=0.07)),
-                build_measurement(f"GelSlim 4 clips, {label}: 1 - correlation with the lab's depth", ours=ms, ours_error=1 - alike,
-                    unit="", bar=Requirement(max_error=0.25)),
-                build_measurement(f"GelSlim 4 clips, {label}: 1 - correlation, the lab's depth laid on the touch first", ours=ms,
-                    ours_error=1 - ours, peer="the lab's own, as it was", peer_error=1 - itself, unit="",
-                    bar=Requirement())]  # fmt: skip
+        rows = [
+            build_measurement(
+                f"GelSlim 4 clips, {label}: frames told wrong",
+                ours=ms,
+                ours_error=1 - right,
+                unit="share",
+                bar=Requirement(max_error=0.07),
+            ),
+            build_measurement(
+                f"GelSlim 4 clips, {label}: 1 - correlation with the lab's depth",
+                ours=ms,
+                ours_error=1 - alike,
+                unit="",
+                bar=Requirement(max_error=0.25),
+            ),
+            build_measurement(
+                f"GelSlim 4 clips, {label}: 1 - correlation, the lab's depth laid on the touch first",
+                ours=ms,
+                ours_error=1 - ours,
+                peer="the lab's own, as it was",
+                peer_error=1 - itself,
+                unit="",
+                bar=Requirement(),
+            ),
+        ]
         yield rows, f"{label}: " + "; ".join(notes) + "; laid on the touch: " + "; ".join(laid_notes)
 
 

@@ -1,13 +1,13 @@
-"""Everyday things on a real GelSight Mini: is their contact in one piece where the eye sees one, without blobs?
+"""Is the contact of everyday objects on a real GelSight Mini in one piece, without specks?
 
     python -m benchmarks.real_things [SHEET.png [METHOD [DATA_FOLDER]]]
 
-METHOD fills the slot *depth* ("network" unless named) and is told nothing of the unit but its untouched picture. There
-is no truth: counted is what the eye would complain of. A *crumb* is a part of the contact smaller than a thousandth of
-the picture; a *corner blob* a part that lies whole in a corner of an eighth of the picture's sides; a *stair* a run of
-8 straight pixels or more in the contact's outline, along a row or a column and inside the picture: the share of the
-outline in such runs, less that which an exact circle of the same area has. Times are of a picture.
-SHEET.png shows every frame: its picture, its depth (black 0 to white 1 mm) with the contact's outline.
+METHOD is a method of the stage *depth* (default "network") and knows nothing of the sensor instance but its reference
+image. There is no truth: counted is what the eye would complain of. A *crumb* is a part of the contact smaller than a
+thousandth of the image; a *corner blob* a part that lies whole in a corner of an eighth of the image's sides; a *stair*
+a run of 8 straight pixels or more in the contact's outline, along a row or a column and inside the image: the share of
+the outline in such runs, less that which an exact circle of the same area has. Times are of a image. SHEET.png shows
+every frame: its image, its depth (black 0 to white 1 mm) with the contact's outline.
 """
 
 from __future__ import annotations
@@ -97,8 +97,11 @@ def measure(sheet: str = "", method: str = "network", data: str = "") -> Benchma
             line.append(draw_depth(frame.image, found))
         shown.append(np.hstack(line))
         told = f"{thing.name} ({', '.join(map(str, pieces))} parts)"
-        figures = (("crumbs", crumbs, "parts", Requirement(max_error=0)), ("corner blobs", blobs, "parts", Requirement(max_error=0)),
-                   ("stairs", float(np.mean(stairs)) if stairs else 0.0, "share", Requirement(max_error=0.1)))  # fmt: skip
+        figures = (
+            ("crumbs", crumbs, "parts", Requirement(max_error=0)),
+            ("corner blobs", blobs, "parts", Requirement(max_error=0)),
+            ("stairs", float(np.mean(stairs)) if stairs else 0.0, "share", Requirement(max_error=0.1)),
+        )
         own = _OWN_LOOK.get(thing.name.split("_")[0], ())
         for what, value, unit, bar in figures:
             kept = Requirement() if what in own else bar

@@ -54,11 +54,18 @@ def measure() -> BenchmarkResult:
             f"reprojected sphere, {size}", peer="Open3D project_to_depth_image", ours=times["surface"], unit="mm",
             ours_error=error["surface"], peer_timing=times["Open3D splat"], peer_error=error["Open3D splat"], bar=bar,
         ))  # fmt: skip
-        rows.append(build_measurement(
-            f"the same with mask, notes and index maps, {size}", peer="Open3D project_to_depth_image", unit="mm",
-            ours=times["surface, whole stage"], ours_error=error["surface, whole stage"],
-            peer_timing=times["Open3D splat"], peer_error=error["Open3D splat"], bar=Requirement(min_error_ratio=bar.min_error_ratio),
-        ))  # fmt: skip
+        rows.append(
+            build_measurement(
+                f"the same with mask, notes and index maps, {size}",
+                peer="Open3D project_to_depth_image",
+                unit="mm",
+                ours=times["surface, whole stage"],
+                ours_error=error["surface, whole stage"],
+                peer_timing=times["Open3D splat"],
+                peer_error=error["Open3D splat"],
+                bar=Requirement(min_error_ratio=bar.min_error_ratio),
+            )
+        )
         points += [
             PlotPoint(
                 method=f"{name}, {size}", ms=times[name].median_ms, error=error[name], ours=name != "Open3D splat"
@@ -68,8 +75,13 @@ def measure() -> BenchmarkResult:
         holes = {name: int((fill_holes(found["surface"]) & ~(np.nan_to_num(d) > 0)).sum()) for name, d in found.items()}
         notes.append(f"{size}: holes {holes['surface']} in the surface, {holes['Open3D splat']} in Open3D's splat")
     rows.append(_preview())
-    return BenchmarkResult(title="reprojection onto a sphere seen from aside", unit="mm", rows=tuple(rows), points=tuple(points),
-                  notes=tuple(notes))  # fmt: skip
+    return BenchmarkResult(
+        title="reprojection onto a sphere seen from aside",
+        unit="mm",
+        rows=tuple(rows),
+        points=tuple(points),
+        notes=tuple(notes),
+    )
 
 
 def reproject(depth: DepthMap, alignment: Alignment, target: SensorSpec, stride: int = 1) -> TargetDepth:
@@ -94,8 +106,13 @@ def _preview() -> Measurement:
         return reproject(depth_map, alignment, small, stride=4).depth_mm
 
     depth = run()
-    return build_measurement("quarter-resolution preview of adapt and project", ours=time_in_turns({"ours": run})["ours"], unit="mm",
-               ours_error=_error(depth, exact, erode(np.isfinite(depth))), bar=Requirement(max_ms=2.0, max_error=1e-3))  # fmt: skip
+    return build_measurement(
+        "quarter-resolution preview of adapt and project",
+        ours=time_in_turns({"ours": run})["ours"],
+        unit="mm",
+        ours_error=_error(depth, exact, erode(np.isfinite(depth))),
+        bar=Requirement(max_ms=2.0, max_error=1e-3),
+    )
 
 
 def _error(depth_mm: np.ndarray, exact_mm: np.ndarray, inside: np.ndarray) -> float:

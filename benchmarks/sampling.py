@@ -1,10 +1,10 @@
-"""How few denoising steps do? The corrected solver beside DDIM and DPM-Solver++ 2M, on data whose denoiser is known.
+"""How few denoising steps do? The corrected solver next to DDIM and DPM-Solver++ 2M, on data whose denoiser is known.
 
     python -m benchmarks.sampling
 
 24 points in 32 dimensions with a spread around each, three of them picked by the condition (tests' `mixtures`). The
 error is that of the end of the path, relative to a thousand fine steps on the same noise. A pass of a network costs far
-more than the solver's own sums, so at the same number of steps the peer of each row is the better of the two.
+more than the solver's own sums, so at the same number of steps the baseline of each row is the better of the two.
 """
 
 from __future__ import annotations

@@ -1,17 +1,17 @@
-"""What is measured of presses whose truth is known? Unseen tools on other units, flat faces, and very light presses.
+"""How accurate is depth of simulated presses? Unseen tools on other sensor instances, flat faces, very light presses.
 
     python -m benchmarks.simulated_depth [METHOD]
 
-METHOD fills the slot *depth* ("network" unless named). Tools that no number was chosen by are pressed by 0.15, 0.4 and
-0.8 mm at random places and turns, each on another unit (`varied`, strength 1) than the one that depth is told of. The
-error of contact is 1 - intersection over union with the pixels under pressure; that of depth the mean absolute
-difference in the true contact. Boxes with a level face, 0.2 to 1.2 of the view's shorter side wide, are pressed by
-0.5 mm in the middle of the view, on the told unit and on another. Very light presses, 0.02 to 0.12 mm of tools and
-training objects on other units: Spearman's order of the measured volume (the sum of the indentation) against the force.
-Recordings: eight presses of all three depths on one unit, each read alone and by the light that four of them tell
-together, as when they are frames of one recording. Noted beside: the contact that the rule finds in exact depth, so
-that what is left is depth's, and the order that the true volume has: units differ in stiffness and thickness, which no
-volume tells.
+METHOD is a method of the stage *depth* (default "network"). Tools that no number was chosen by are pressed by 0.15, 0.4
+and 0.8 mm at random places and turns, each on another sensor instance (`varied`, strength 1) than the one that depth is
+reported of. The error of contact is 1 - intersection over union with the pixels under pressure; that of depth the mean
+absolute difference in the true contact. Boxes with a level face, 0.2 to 1.2 of the view's shorter side wide, are
+pressed by 0.5 mm in the middle of the view, on the described sensor and on another. Very light presses, 0.02 to 0.12 mm
+of tools and training objects on other sensor instances: Spearman's order of the measured volume (the sum of the
+indentation) against the force. Recordings: eight presses of all three depths on one unit, each read alone and by the
+light that four of them tell together, as when they are frames of one recording. Noted next to: the contact that the
+rule finds in exact depth, so that what is left is depth's, and the order that the true volume has: units differ in
+stiffness and thickness, which no volume tells.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _RECORDINGS, _FRAMES = 4, 8
 
 
 def measure_press(read, source, unit, thing, *, depth_mm, place, turn, seed):
-    """(answer, truth, force, ms) of a press whose foremost point goes in by `depth_mm`; None where it is not felt."""
+    """(result, truth, force, ms) of a press whose foremost point goes in by `depth_mm`; None without contact."""
     felt = press_foremost(unit, thing, depth_mm=depth_mm, place=place, turn=turn, seed=seed)
     if felt is None:
         return None
@@ -59,7 +59,7 @@ def measure_press(read, source, unit, thing, *, depth_mm, place, turn, seed):
 
 
 def press_foremost(unit, thing, *, depth_mm, place, turn, seed):
-    """A press whose foremost point goes in by `depth_mm`; None where it is not felt."""
+    """A press whose foremost point goes in by `depth_mm`; None where it is not observed."""
     pose = rigid.translation(*place, 0.0) @ rigid.rotation((0.0, 0.0, turn))
     pose[2, 3] = -depth_mm - rigid.apply(pose, thing.vertices_mm)[:, 2].min()
     felt = simulate_press(thing, pose, unit, seed=seed)
@@ -78,8 +78,16 @@ def tools(read, name: str):
     for depth_mm, most_um in _DEPTHS_UM.items():
         rng, found = np.random.default_rng(round(1000 * depth_mm)), []
         for index, tool in enumerate(shapes.list_shapes("unseen")):
-            felt = measure_press(read, source, vary_sensor(source, 100 + index), shapes.make_shape(tool).mesh, depth_mm=depth_mm,
-                           place=rng.uniform(-2.5, 2.5, 2), turn=rng.uniform(-3, 3), seed=index)  # fmt: skip
+            felt = measure_press(
+                read,
+                source,
+                vary_sensor(source, 100 + index),
+                shapes.make_shape(tool).mesh,
+                depth_mm=depth_mm,
+                place=rng.uniform(-2.5, 2.5, 2),
+                turn=rng.uniform(-3, 3),
+                seed=index,
+            )
             if felt is not None:
                 answer, truth, _, ms = felt
                 inside = truth.contact
@@ -91,11 +99,27 @@ def tools(read, name: str):
         label = f"{name}, unseen tools, {depth_mm:g} mm"
         note = f"{label}: IoU of each {_listed(1 - wrong)}; by the rule in exact depth {_listed(exact)}"
         yield (
-            build_measurement(f"{label}: contact", ours=summarize_times(ms), ours_error=wrong.mean(), unit="1 - IoU", bar=Requirement(max_error=0.10)),
-            build_measurement(f"{label}: depth in contact", ours=summarize_times(ms), ours_error=inside_um.mean(), unit="um",
-                bar=Requirement(max_error=most_um)),
-        ), (f"{note}; beside the contact {outside_um.mean():.1f} um; in it, were each touch's scale known, "
-            f"{shape_um.mean():.1f} um")  # fmt: skip
+            (
+                build_measurement(
+                    f"{label}: contact",
+                    ours=summarize_times(ms),
+                    ours_error=wrong.mean(),
+                    unit="1 - IoU",
+                    bar=Requirement(max_error=0.10),
+                ),
+                build_measurement(
+                    f"{label}: depth in contact",
+                    ours=summarize_times(ms),
+                    ours_error=inside_um.mean(),
+                    unit="um",
+                    bar=Requirement(max_error=most_um),
+                ),
+            ),
+            (
+                f"{note}; beside the contact {outside_um.mean():.1f} um; in it, were each touch's scale known, "
+                f"{shape_um.mean():.1f} um"
+            ),
+        )
 
 
 def scale_to_truth(answer, truth):
@@ -105,15 +129,21 @@ def scale_to_truth(answer, truth):
 
 
 def recordings(read, name: str):
-    """Errors of depth with the light pooled over a recording, beside that of each frame by itself."""
+    """Errors of depth with the light pooled over a recording, next to that of each frame by itself."""
     source, tools_, rng = load_sensor(name), shapes.list_shapes("unseen"), np.random.default_rng(11)
     alone, pooled, taken = {d: [] for d in _DEPTHS_UM}, {d: [] for d in _DEPTHS_UM}, []
     for number in range(_RECORDINGS):
         unit, felt = vary_sensor(source, 300 + number), []
         for index in range(_FRAMES):
             depth_mm = tuple(_DEPTHS_UM)[(index + number) % len(_DEPTHS_UM)]
-            found = press_foremost(unit, shapes.make_shape(tools_[(index + number) % len(tools_)]).mesh, depth_mm=depth_mm,
-                               place=rng.uniform(-2.5, 2.5, 2), turn=rng.uniform(-3, 3), seed=index)  # fmt: skip
+            found = press_foremost(
+                unit,
+                shapes.make_shape(tools_[(index + number) % len(tools_)]).mesh,
+                depth_mm=depth_mm,
+                place=rng.uniform(-2.5, 2.5, 2),
+                turn=rng.uniform(-3, 3),
+                seed=index,
+            )
             if found is not None:
                 felt.append((depth_mm, found))
         frames = [TactileFrame(sensor=name, image=one.image, reference=optics.render_reference(unit), index=index)
@@ -151,8 +181,13 @@ def faces(read, name: str):
             overlap.append(iou(answer.contact, truth.contact))
             off.append(1e3 * mean_abs_mm(answer.indentation_mm, truth.indentation_mm, truth.contact))
             taken.append(ms)
-    found = build_measurement(f"{name}, flat faces: contact", ours=summarize_times(taken), ours_error=1 - float(np.mean(overlap)),
-                unit="1 - IoU", bar=Requirement(max_error=0.07))  # fmt: skip
+    found = build_measurement(
+        f"{name}, flat faces: contact",
+        ours=summarize_times(taken),
+        ours_error=1 - float(np.mean(overlap)),
+        unit="1 - IoU",
+        bar=Requirement(max_error=0.07),
+    )
     return (found,), (f"{name}, flat faces of {', '.join(f'{s:g}' for s in _FACES)} of the view: IoU on the told unit "
                       f"{_listed(overlap[::2])}, on another {_listed(overlap[1::2])}; depth in contact off by "
                       f"{np.mean(off):.0f} um")  # fmt: skip
@@ -165,9 +200,16 @@ def light(read, name: str):
     things = (*shapes.list_shapes("unseen"), *shapes.list_shapes("training"))
     volume, true_volume, force, taken = [], [], [], []
     for index in range(_LIGHT_PRESSES):
-        felt = measure_press(read, source, vary_sensor(source, index), shapes.make_shape(things[index % len(things)]).mesh,
-                       depth_mm=rng.uniform(*_LIGHT_MM), place=rng.uniform(-2, 2, 2), turn=rng.uniform(-3, 3),
-                       seed=index)  # fmt: skip
+        felt = measure_press(
+            read,
+            source,
+            vary_sensor(source, index),
+            shapes.make_shape(things[index % len(things)]).mesh,
+            depth_mm=rng.uniform(*_LIGHT_MM),
+            place=rng.uniform(-2, 2, 2),
+            turn=rng.uniform(-3, 3),
+            seed=index,
+        )
         if felt is not None:
             answer, truth, newton, ms = felt
             true_volume.append(float(truth.indentation_mm.sum(dtype=np.float64)))
@@ -175,8 +217,13 @@ def light(read, name: str):
             force.append(newton)
             taken.append(ms)
     order = float(stats.spearmanr(volume, force).statistic)
-    found = build_measurement(f"{name}, very light presses: 1 - order of volume against force", ours=summarize_times(taken),
-                ours_error=1 - order, unit="", bar=Requirement(max_error=0.05))  # fmt: skip
+    found = build_measurement(
+        f"{name}, very light presses: 1 - order of volume against force",
+        ours=summarize_times(taken),
+        ours_error=1 - order,
+        unit="",
+        bar=Requirement(max_error=0.05),
+    )
     exact = float(stats.spearmanr(true_volume, force).statistic)
     return (found,), f"{name}, very light presses: order of the true volume {exact:.3f}"
 

@@ -1,8 +1,9 @@
-"""How long does one event keep the window's thread busy: drawers opened, sliders dragged, frames played?
+"""How long does one event keep the window's thread busy: docks, sliders, playback?
 
 Run under a display: python -m benchmarks.window_events. Time is the processor's of the GUI thread, per event of Qt;
-what OpenGL draws, which a processor does where there is no graphics card, is taken out and told apart. The promise:
-16 ms for 99 of 100, 33 ms for every one; a frame seen before is whole in 60 ms; 10 frames a second play at speed 1.
+what OpenGL draws, which a processor does where there is no graphics card, is taken out and reported separately. The
+promise: 16 ms for 99 of 100, 33 ms for every one; a frame seen before is whole in 60 ms; 10 frames a second play at
+speed 1.
 """
 
 from __future__ import annotations
@@ -191,7 +192,7 @@ def _hover(application: Any, canvas: Any, n: int) -> None:
 
 
 def _line(n: int) -> Any:
-    """One that a hand drags over the gel, with its curves beside it."""
+    """One that a hand drags over the gel, with its curves next to it."""
     from pipeline.translation.cross_section import SectionLine
 
     return SectionLine(begin_mm=(-6.0, 3.0), end_mm=(6.0 * math.sin(0.11 * n), 5.0 * math.cos(0.07 * n)))
@@ -204,8 +205,13 @@ def _row(name: str, clock: _Clock) -> Measurement:
          f"{max(clock.gl_ms):.1f} ms" if clock.gl_ms else "; OpenGL drew nothing"  # fmt: skip
     clock.told.append(f"{name}: {len(ms)} events, p99 {p99:.1f} ms, largest {most:.1f} ms{gl}")
     # The longest stands where a median would: the promise is about every single one.
-    return build_measurement(f"{name}, longest event", ours=Timing(median_ms=most, p95_ms=p99), ours_error=math.nan, unit="",
-               bar=Requirement(max_ms=MAX_MS))  # fmt: skip
+    return build_measurement(
+        f"{name}, longest event",
+        ours=Timing(median_ms=most, p95_ms=p99),
+        ours_error=math.nan,
+        unit="",
+        bar=Requirement(max_ms=MAX_MS),
+    )
 
 
 def _play(instrument: Any, application: Any) -> tuple[list[int], float]:

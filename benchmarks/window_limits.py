@@ -1,10 +1,10 @@
-"""How soon the window answers and what it takes at rest: first pane, preview, cancel, idle, memory.
+"""How soon does the window respond and what does it need at rest: first pane, draft, cancel, idle, memory?
 
-Run under a display: python -m benchmarks.window_limits [FRAME CHANGES]. Waiting is told by the wall clock, and as the
-processor's time of the whole process meanwhile, which a busy machine does not lengthen; the bars are on the latter.
+Run under a display: python -m benchmarks.window_limits [FRAME CHANGES]. Waiting is reported by the wall clock, and as
+the processor's time of the whole process meanwhile, which a busy machine does not lengthen; the bars are on the latter.
 Memory is the process's largest resident size over frame changes in twenty-eight openings: each sample both ways, and
 all of that once more. What is loaded once, and stores that fill up to their bounds, come in the first fourteen, whose
-own second half is told too; what grows after them, with the very same on screen, is a leak.
+own second half is reported too; what grows after them, with the very same on screen, is a leak.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ def _idle(instrument: Any, application: Any, notes: list[str]) -> Measurement:
     """The share of one core that an open window takes while nobody touches it."""
     from PyQt6.QtCore import QEventLoop, QTimer
 
-    rest(instrument, application)  # the errors of all frames are worked out as long as some are not known
+    rest(instrument, application)  # the errors of all frames are computed as long as some are not known
     loop = QEventLoop()
     QTimer.singleShot(round(1e3 * IDLE_S), loop.quit)
     begun_s = time.process_time()
@@ -177,7 +177,7 @@ def _memory(instrument: Any, application: Any, changes: int, notes: list[str]) -
         held_mb.append(_resident_mb())
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     once = len(held_mb) // PASSES
-    gained = np.array(held_mb[once:]) - held_mb[:once]  # each beside the time before: the same is on screen
+    gained = np.array(held_mb[once:]) - held_mb[:once]  # each next to the time before: the same is on screen
     growth = float(gained[once // 2 :].mean())  # those whose like came when all of a kind had been seen once
     notes.append(f"memory after each of {len(held_mb)} openings, {done} frame changes, MB: "
                 + " ".join(f"{mb:.0f}" for mb in held_mb))  # fmt: skip

@@ -1,4 +1,4 @@
-"""Plot a benchmark: run time against error, both logarithmic, each method labelled."""
+"""Plot a benchmark: run time against error, both logarithmic, one marker per method."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.harness.plot_labels import place_labels
 from benchmarks.harness.results import BenchmarkResult, Measurement, PlotPoint
 from pipeline.base.files import whole_file
 
-_OURS, _PEER, _BAR = "#0b6e99", "#8a4b12", "#6b7280"
+_OURS, _BAR = "#0b6e99", "#6b7280"
 _INCHES, _DPI = (8.4, 5.2), 120
 _MARGIN = 3.0  # factor of empty space around the points
 
@@ -21,39 +20,30 @@ def plot_result(result: BenchmarkResult, path: Path) -> bool:
 
     The points are the result's own, or else those of its rows in its unit. Shaded is where a point clears a row's bar.
     An error of exactly zero has no place on a logarithmic axis: it stands on the lowest line, which says so.
-    Raises FileProblem where the picture cannot be written.
+    Raises FileProblem where the image cannot be written.
     """
     points = [p for p in result.points or collect_points(result) if _drawable(p)]
     if not points:
         return False
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=_INCHES, dpi=_DPI, layout="constrained")
-    canvas = FigureCanvasAgg(figure)
     axes: Any = figure.add_subplot()
     floor = _floor([p.error for p in points])
     bars = [row for row in result.rows if _shown(row, points)]
     _axes(axes, result, points, bars, floor)
     _bars(axes, bars, floor)
-    heights = [p.error if p.error > 0 else floor for p in points]
-    for point, height in zip(points, heights, strict=True):
-        colour = _OURS if point.ours else _PEER
-        axes.plot(
-            point.ms, height, "o" if point.ours else "s", color=colour, ms=8 if point.ours else 7, mec="white", zorder=4
-        )
+    for point in points:
+        label = {"label": point.method, "color": _OURS if point.ours else None, "mec": "white", "ls": "", "zorder": 4}
+        axes.plot([point.ms], [point.error or floor], "o" if point.ours else "s", ms=8 if point.ours else 7, **label)
     _zero_line(axes, points, floor)
-    place_labels(
-        axes,
-        canvas,
-        [(p.ms, h, p.method, _OURS if p.ours else _PEER) for p, h in zip(points, heights, strict=True)],
-    )
+    figure.legend(loc="outside right upper", fontsize=8, frameon=False)
     _save(figure, path)
     return True
 
 
 def collect_points(result: BenchmarkResult) -> tuple[PlotPoint, ...]:
-    """The methods of a result's rows whose errors are in its unit: each peer once, ours once per benchmark."""
+    """The methods of a result's rows whose errors are in its unit: each baseline once, ours once per benchmark."""
     found: dict[tuple[str, float, float], PlotPoint] = {}
     for row in result.rows:
         if row.unit != result.unit:
@@ -74,7 +64,7 @@ def _drawable(point: PlotPoint) -> bool:
 
 
 def _shown(row: Measurement, points: Sequence[PlotPoint]) -> bool:
-    """Whether the row's own method is among the points; only then does its bar belong in the picture."""
+    """Whether the row's own method is among the points; only then does its bar belong in the image."""
     return any(p.ours and (p.ms, p.error) == (row.ours_ms, row.ours_error) for p in points)
 
 

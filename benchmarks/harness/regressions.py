@@ -45,7 +45,7 @@ def read_measurements(path: Path) -> dict[MeasurementKey, Measurement]:
 def find_regressions(
     before: Mapping[MeasurementKey, Measurement], now: Mapping[MeasurementKey, Measurement], names: Collection[str]
 ) -> list[str]:
-    """One sentence for each row of the benchmarks in `names` that is missing, no longer holds, or is worse by over a tenth."""
+    """One sentence per row of these benchmarks that is missing, no longer holds, or is over a tenth worse."""
     sentences: list[str] = []
     for claim, old in before.items():
         if claim.benchmark in names:
@@ -56,7 +56,7 @@ def find_regressions(
 
 
 def _worse(old: Measurement, new: Measurement) -> list[str]:
-    """Speed is judged against the peer of the same run where there is one: a busy machine slows both."""
+    """Speed is judged against the baseline of the same run where there is one: a busy machine slows both."""
     parts = [f"no longer holds ({new.bar})"] if old.bar and old.holds and not new.holds else []
     if math.isfinite(old.ratio) and math.isfinite(new.ratio):
         if new.ratio < old.ratio / REGRESSION_FACTOR:

@@ -1,7 +1,8 @@
 """Run time against error, ours against a baseline: the values a benchmark returns.
 
-A benchmark is a module of `benchmarks/` with a function `measure() -> BenchmarkResult`. `tactoscope bench` runs each benchmark in a
-process of its own with a fixed number of threads, collects its rows as JSON and draws time against error.
+A benchmark is a module of `benchmarks/` with a function `measure() -> BenchmarkResult`. `tactoscope bench` runs each
+benchmark in a process of its own with a fixed number of threads, collects its rows as JSON and draws time against
+error.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measurement:
-    """One claim: medians of both, ratio = peer over ours; NaN where there is no peer or no error to speak of."""
+    """One claim: medians of both, ratio = baseline over ours; NaN without a baseline or an error."""
 
     question: str
     peer: str

@@ -68,7 +68,7 @@ def select_benchmarks(names: Sequence[str], folder: Path = BENCHMARK_FOLDER) -> 
 
 
 def run_benchmark(benchmark: Benchmark, timeout_s: float = TIMEOUT_S) -> BenchmarkRun:
-    """Run the benchmark in a process of its own with fixed threads; a failure there is returned as `problem`, not raised."""
+    """Run the benchmark in a process of its own with fixed threads; a failure is returned as `problem`."""
     started = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "result.json"
@@ -82,7 +82,7 @@ def _run(benchmark: Benchmark, out: Path, timeout_s: float) -> str:
     """Why the process left no result in `out`; "" if it did."""
     command = [sys.executable, "-m", "benchmarks.harness.worker", str(benchmark.path), str(out)]
     try:
-        done = subprocess.run(  # noqa: S603 (our own interpreter and module)
+        done = subprocess.run(
             command,
             cwd=Path(__file__).parents[2],
             env={**os.environ, **THREAD_SETTINGS},

@@ -27,9 +27,9 @@ class Timing:
 class Requirement:
     """What must hold for a claim to be made; None means no requirement."""
 
-    min_speedup: float | None = None  # at least this many times the peer's speed
+    min_speedup: float | None = None  # at least this many times the baseline's speed
     max_ms: float | None = None  # at most this long
-    min_error_ratio: float | None = None  # the peer's error is at least this many times ours
+    min_error_ratio: float | None = None  # the baseline's error is at least this many times ours
     max_error: float | None = None  # at most this large, in the row's unit
 
     def describe(self, unit: str) -> str:
@@ -43,11 +43,11 @@ class Requirement:
         return ", ".join(part for part in parts if part)
 
     def compute_limits(self, peer: tuple[float, float]) -> tuple[float, float]:
-        """The most (ms, error) of ours that clear the bar against the peer's; NaN where there is no requirement."""
+        """The most (ms, error) of ours that clear the bar against the baseline's; NaN where there is no requirement."""
         return _least(self.max_ms, self.min_speedup, peer[0]), _least(self.max_error, self.min_error_ratio, peer[1])
 
     def is_met(self, ours: tuple[float, float], peer: tuple[float, float]) -> bool:
-        """Whether (ms, error) of ours clears the bar against (ms, error) of the peer; what is NaN clears nothing."""
+        """Whether (ms, error) of ours meets the requirement against the baseline; NaN meets nothing."""
         (ms, error), (peer_ms, peer_error) = ours, peer
         return all((
             self.min_speedup is None or peer_ms >= self.min_speedup * ms,

@@ -14,7 +14,7 @@ _BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
 def recorded_data(given: str = "") -> Path:
-    """The folder given, or that of TACTILE_DATA, or the one beside the project; raises FileProblem without any."""
+    """The folder given, or that of TACTILE_DATA, or the one next to the project; raises FileProblem without any."""
     folder = Path(given or os.environ.get("TACTILE_DATA", _BESIDE))
     if not folder.is_dir():
         raise FileProblem("there are no recorded data here; set TACTILE_DATA to their folder", folder)

@@ -1,4 +1,4 @@
-"""A depth method by its name, balls fitted to what it reads, and real pictures of them: for questions about depth.
+"""A depth method by its name, balls fitted to what it reads, and real images of them: for questions about depth.
 
 Not a question itself.
 """
@@ -27,7 +27,7 @@ _FEWEST_PX = 20  # of a contact that a sphere is fitted to
 
 
 def build_reader(method: str = "network") -> DepthReader:
-    """What fills the slot *depth* by this method, without a calibration: the sensor's description is all it is told.
+    """Return the stage *depth* by this method, uncalibrated: only the sensor's description is known.
 
     "network=FILE" gives weights in place of those that come along.
     """

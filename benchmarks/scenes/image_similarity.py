@@ -1,4 +1,4 @@
-"""How alike two pictures are, as one number: the map of the similarity without the border that no window fits into."""
+"""How alike two images are, as one number: the map of the similarity without the border that no window fits into."""
 
 from __future__ import annotations
 

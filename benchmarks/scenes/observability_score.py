@@ -21,8 +21,8 @@ class ObservabilityScore:
     """Directions of one or many patches."""
 
     n_weak: int = 0  # truly unobservable
-    n_named: int = 0  # of these, told as such
-    n_false: int = 0  # told as unobservable, and well determined
+    n_named: int = 0  # of these, stated as such
+    n_false: int = 0  # stated as unobservable, and well determined
     n_between: int = 0  # too close to the limit to be scored
 
     def __add__(self, other: ObservabilityScore) -> ObservabilityScore:
@@ -94,7 +94,7 @@ def _seen_and_along(arms: Doubles, normals: Doubles) -> tuple[Doubles, Doubles]:
 
 
 def score_named_motions(weak_motions: Doubles, about_mm: Doubles, truth: TrueMotions) -> ObservabilityScore:
-    """Score the motions (k, 6) of (rotation rad, translation mm at `about_mm`) that were told as unobservable."""
+    """Score the motions (k, 6) of (rotation rad, translation mm at `about_mm`) that were stated as unobservable."""
     told = weak_motions.copy()
     told[:, 3:] += np.cross(told[:, :3], truth.centroid_mm - about_mm)
     told[:, :3] *= truth.radius_mm

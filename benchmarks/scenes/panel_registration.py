@@ -1,4 +1,4 @@
-"""How a lab's pictures of depth lie on its pictures of touch: for the question about real depth.
+"""How a lab's images of depth lie on its images of touch: for the question about real depth.
 
 Not a question itself. In the clips of a GelSlim 4.0 the two are not of one frame: depth is shown larger and aside. One
 scale along each axis and one shift are looked for, for all clips together, that bring the edges of the depth onto what

@@ -1,4 +1,4 @@
-"""A rest surface as triangles, for peers and files that know nothing else. Not a question itself."""
+"""A rest surface as triangles, for baselines and files that know nothing else. Not a question itself."""
 
 from __future__ import annotations
 

@@ -68,7 +68,12 @@ def _cloud(c) -> None:
 def _view(v) -> None:
     shape = v.camera.shape
     assert (
-        v.depth_mm.shape == v.contact.shape == v.indentation_mm.shape == v.source_index.shape == v.in_view.shape == shape
+        v.depth_mm.shape
+        == v.contact.shape
+        == v.indentation_mm.shape
+        == v.source_index.shape
+        == v.in_view.shape
+        == shape
     )
     assert v.depth_mm.dtype == v.indentation_mm.dtype == np.float32
     seen = v.source_index >= 0
@@ -83,7 +88,9 @@ def _view(v) -> None:
 
 def _touch(t) -> None:
     shape, m = t.camera.shape, t.membrane
-    assert t.image.shape[:2] == m.indentation_mm.shape == m.depth_mm.shape == m.contact.shape == t.in_view.shape == shape
+    assert (
+        t.image.shape[:2] == m.indentation_mm.shape == m.depth_mm.shape == m.contact.shape == t.in_view.shape == shape
+    )
     assert np.isfinite(m.indentation_mm).all(), "a membrane without a place"
     assert np.isfinite(m.depth_mm).all()
     assert t.image.dtype == np.uint8 if t.image.ndim == 3 else not np.isinf(t.image).any()

@@ -199,7 +199,9 @@ def test_pose(name, picture, kind, known, seed):
     if not known:
         thing = replace(thing, vertices_mm=1e3 * thing.vertices_mm)
     felt = touch(spec, indentation_mm(spec, kind, np.random.default_rng(seed)))
-    made = replace(t2d2.physical_render.make_reference_touch(spec), image=reading(spec, picture, seed).image, membrane=felt)
+    made = replace(
+        t2d2.physical_render.make_reference_touch(spec), image=reading(spec, picture, seed).image, membrane=felt
+    )
     result, _ = outcome(
         pose_network.predict_pose, made, felt, spec, thing, shipped(f"pose_{name}"), PoseParams(max_points=50)
     )  # fmt: skip

@@ -1,7 +1,6 @@
 """NaN, infinite, zero, negative, denormal and enormous values in each input of each stage.
 
-The answer is masked or a typed error: never a NaN in an output that promises none, never another exception. That none
-takes longer than the clean case is measured by benchmarks/bad_values.py.
+The answer is masked or a typed error: never a NaN in an output that promises none, never another exception.
 """
 
 from __future__ import annotations

@@ -1,45 +1,33 @@
-"""Nothing that one can press breaks the simulator: the short form of benchmarks/random_presses.py."""
+"""Random presses do not break the simulator."""
 
-import importlib.util
-from pathlib import Path
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
-SCRIPT = Path(__file__).resolve().parents[2] / "benchmarks" / "random_presses.py"
+from tests.stability import random_presses as presses
 
 
-@pytest.fixture(scope="module")
-def presses():
-    spec = importlib.util.spec_from_file_location("random_presses", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def failures(presses, n, seed):
-    counts, _, _, told = presses.run(n, seed)
+def failures(n, seed):
+    counts, _, _, lines = presses.run(n, seed)
     assert sum(counts.values()) == n
-    return [line for line in told if "FAILED" in line]
+    return [line for line in lines if "FAILED" in line]
 
 
-def test_sixty_random_presses_break_nothing(presses):
-    assert failures(presses, 60, seed=2) == []
+def test_sixty_random_presses_break_nothing():
+    assert failures(60, seed=2) == []
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(3000)
-def test_ten_thousand_random_presses_break_nothing(presses):
-    assert failures(presses, 10_000, seed=3) == []
+def test_ten_thousand_random_presses_break_nothing():
+    assert failures(10_000, seed=3) == []
 
 
-def test_a_broken_answer_is_noticed(presses):
-    """The check itself: a truth with a NaN in it must be called a failure."""
-    from dataclasses import replace
-
-    import numpy as np
-
+def test_a_broken_answer_is_noticed():
+    """The check itself: a truth with a NaN in it is a failure."""
     spec = presses.small_sensor("digit", 0.125)
-    pressed = presses.press(presses.catalogue()[0], np.eye(4), spec, seed=1)
+    pressed = presses.simulate_press(presses.catalogue()[0], np.eye(4), spec, seed=1)
     assert presses.contradiction(pressed, spec) == ""
     moved = pressed.truth.indentation_mm.copy()
     moved[3, 3] = np.nan
