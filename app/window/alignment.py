@@ -194,7 +194,7 @@ class AlignmentController(QObject):
         opened = self._controller.views.translation
         if opened is not None:
             target = opened.target
-            self._panel.show_ready(target.name, _DEPTH_FULL_MM[target.kind], target.pixel_mm)
+            self._panel.show_ready(target.name, _DEPTH_FULL_MM[target.sensor_kind.display_group], target.pixel_mm)
         self._panel.show_score(judged.score, judged.no_score_reason)
         self._score = judged.score
         if judged.sensitivities or judged.score is None:

@@ -25,7 +25,7 @@ def compute_view_bounds(translation: Translation) -> dict[str, ViewBounds]:
     z, radius = float(np.median(source.rest_depth_mm)), _radius_mm(source)
     at_source = ViewBounds(centre_mm=(0.0, 0.0, z), radius_mm=radius, frame=source.name)
     centre = to_xyz(rigid.apply(translation.alignment.target_from_source, (0.0, 0.0, z)))
-    reach = min(_radius_mm(target), _ROOM * radius) if source.kind == "gel" else _radius_mm(target)
+    reach = min(_radius_mm(target), _ROOM * radius) if source.gel is not None else _radius_mm(target)
     at_target = ViewBounds(centre_mm=centre, radius_mm=reach, frame=f"target {target.name}")
     places = {
         slot.name: at_source if slot.sensor_role == "source" else at_target for slot in translation.catalogue.stages
@@ -48,7 +48,7 @@ def compute_trace_points(
         if (
             slot.sensor_role == "source"
         ):  # a gel's picture is drawn on its rest surface, a bubble's where it was measured
-            found[SOURCE] = _stretched(mark.point_mm, sensor, 0.0 if sensor.kind == "gel" else 1.0)
+            found[SOURCE] = _stretched(mark.point_mm, sensor, 1.0 if sensor.sensor_kind.is_depth else 0.0)
     return found
 
 

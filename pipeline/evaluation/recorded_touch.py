@@ -15,8 +15,7 @@ import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Mask
 from pipeline.base.errors import SettingProblem
-from pipeline.networks.square_images import SensorKind, compute_change
-from pipeline.physics import optics
+from pipeline.networks.square_images import compute_change
 from pipeline.sensors.spec import SensorSpec
 from pipeline.values.frames import TactileFrame, Truth
 from pipeline.values.results import GeneratedTouch
@@ -38,7 +37,7 @@ class RecordedTouch:
     reference: Doubles | None  # a gel's picture (rows, cols, 3) in grey
     indentation_mm: Floats
     contact: Mask
-    kind: SensorKind
+    kind: str
 
     @property
     def peak_value(self) -> float:
@@ -76,7 +75,7 @@ def build_without_truth(frame: TactileFrame) -> RecordedTouch:
     """The same of a touch of which nothing else is known: no indentation (NaN), no contact. Raises SettingProblem."""
     if frame.reference is None:
         raise SettingProblem(f"frame {frame.index} has no untouched reading to compare with; give --reference")
-    kind: SensorKind = "bubble" if frame.is_depth else "gel"
+    kind = "bubble" if frame.is_depth else "gel"
     changed = compute_change(kind, frame.image, frame.reference)
     untouched = None if frame.is_depth else frame.reference.astype(np.float64)
     picture = changed.astype(np.float64) if untouched is None else frame.image.astype(np.float64)
@@ -89,6 +88,5 @@ def build_without_truth(frame: TactileFrame) -> RecordedTouch:
 
 def compute_generated_change(touch: GeneratedTouch, target: SensorSpec) -> Floats:
     """The change (rows, cols, channels) that a generated touch is, from the described unit's untouched reading."""
-    if target.kind == "gel":
-        return compute_change("gel", touch.image, optics.render_reference(target))
-    return compute_change("bubble", touch.image, target.rest_depth_mm)
+    kind = "bubble" if target.sensor_kind.is_depth else "gel"
+    return compute_change(kind, touch.image, target.render_reference())

@@ -1,4 +1,4 @@
-"""What a sensor that is there now looks like to the program: it is opened, read, lost and found again."""
+"""Live sources: sensors that are opened, read, lost and opened again."""
 
 from __future__ import annotations
 
@@ -13,45 +13,45 @@ from pipeline.values.frames import Truth
 
 
 class LiveSourceLost(TouchError):
-    """The sensor is not there, or not there any more; it is tried again until somebody stops."""
+    """The sensor is not connected; the reader tries again until it is stopped."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveFrame:
-    """One picture as it came."""
+    """One image of a live source."""
 
-    image: Image | Floats  # of the sensor's own size
-    time_s: float  # monotonic clock, when it was taken
-    sequence_number: int = -1  # counted by the sensor, so that gaps are frames that were lost; -1 = it does not count
+    image: Image | Floats  # of the sensor's size
+    time_s: float  # of the monotonic clock, when taken
+    sequence_number: int = -1  # of the sensor, whose gaps are lost frames; -1 = not counted
     truth: Truth | None = None  # of a simulated touch
 
 
 class LiveSource(Protocol):
-    """A sensor; used by one thread at a time."""
+    """A live sensor; used by one thread at a time."""
 
     @property
     def title(self) -> str:
-        """What it is, in words."""
+        """Name for people."""
         ...
 
     @property
     def sensor(self) -> str:
-        """Its description's name."""
+        """Name of its description."""
         ...
 
     @property
     def touching_object(self) -> tuple[Mesh, Symmetry | None] | None:
-        """The object that touches it, where that is known: a simulated one's."""
+        """Mesh and symmetry of the object that touches it, known of simulated sensors; else None."""
         ...
 
     def open(self) -> None:
-        """Begin; raises SourceLost where it is not there."""
+        """Connect; raises LiveSourceLost."""
         ...
 
     def read(self) -> LiveFrame | None:
-        """The next picture, None if none came within a fifth of a second; raises SourceLost once it is gone."""
+        """The next image, None after a fifth of a second without one; raises LiveSourceLost."""
         ...
 
     def close(self) -> None:
-        """Let go of it; may be opened again."""
+        """Disconnect; may be opened again."""
         ...

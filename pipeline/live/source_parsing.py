@@ -1,4 +1,4 @@
-"""A source by the words that people give it."""
+"""Live sources by name."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from pipeline.live.folder_source import FolderSource
 from pipeline.live.simulated_source import SimulatedSource
 from pipeline.live.source import LiveSource
 from pipeline.live.usb_camera import UsbCameraSource
-from pipeline.sensors.spec import load_sensor as sensor_named
+from pipeline.sensors.spec import load_sensor
 
-DEFAULT_SENSOR = "gelslim"  # that is simulated where nobody says
+DEFAULT_SENSOR = "gelslim"  # of the simulated source
 
 
 def parse_source(words: Sequence[str], *, sensor: str = "", tool: str = "sphere", rate_hz: float = 15.0) -> LiveSource:
-    """`simulated`, `folder DIR` or `device NAME`, in quotes too; raises SettingProblem for anything else."""
+    """The source for `simulated`, `folder DIR` or `device NAME`, as words or one text; raises SettingProblem."""
     if sensor:
-        sensor = sensor if sensor.endswith(".toml") else sensor_named(sensor).name
+        sensor = sensor if sensor.endswith(".toml") else load_sensor(sensor).name
     match words[0].split(maxsplit=1) if len(words) == 1 else list(words):
         case ["simulated"]:
             return SimulatedSource(sensor=sensor or DEFAULT_SENSOR, tool=tool, rate_hz=rate_hz)

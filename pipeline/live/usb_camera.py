@@ -1,4 +1,4 @@
-"""Sensors that are USB cameras: DIGIT and GelSight Mini by name and serial, read as their own drivers read them."""
+"""Live source: USB cameras such as DIGIT and GelSight Mini, read as their own drivers read them."""
 
 from __future__ import annotations
 
@@ -17,151 +17,152 @@ from pipeline.live.source import LiveFrame, LiveSourceLost
 from pipeline.recordings.gel_images import GelImageConverter, make_gel_converter
 
 CAMERAS_BY_ID = Path("/dev/v4l/by-id")
-_NODE = re.compile(r"(?:usb-)?(?P<name>.+)-video-index0")  # the second node of a camera holds no pictures
+_NODE = re.compile(r"(?:usb-)?(?P<name>.+)-video-index0")  # index1 is a metadata node
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UsbCameraProfile:
-    """How a kind of camera is set."""
+    """Camera settings of one kind of sensor."""
 
     sensor: str
-    name_substring: str  # in its name
-    size_px: tuple[int, int]  # width, height as it is asked for
+    name_substring: str  # of the camera's name, lower case
+    size_px: tuple[int, int]  # requested width and height; 0 = as it is
     rate_hz: float
-    is_rotated: bool = False  # transposed and put upside down, as DIGIT's own driver does
-    led_setting: int = -1  # of CAP_PROP_ZOOM, which carries DIGIT's light of 0 to 15 a colour; -1 = as it is
+    is_rotated: bool = False  # transposed and flipped vertically, as DIGIT's driver does
+    led_setting: int = -1  # CAP_PROP_ZOOM, DIGIT's LED intensity of 0 to 15 per colour; -1 = as it is
 
 
-_FULL_LIGHT = 15 << 8 | 15 << 4 | 15
-USB_CAMERA_PROFILES = (  # digit-interface: QVGA at 60; gsrobotics: the whole camera at 25, a seventh cut off each side
+_FULL_INTENSITY = 15 << 8 | 15 << 4 | 15
+USB_CAMERA_PROFILES = (  # digit-interface: QVGA at 60 Hz; gsrobotics: full image at 25 Hz, cropped by a seventh
     UsbCameraProfile(
         sensor="digit",
         name_substring="digit",
         size_px=(320, 240),
         rate_hz=60.0,
         is_rotated=True,
-        led_setting=_FULL_LIGHT,
+        led_setting=_FULL_INTENSITY,
     ),
     UsbCameraProfile(sensor="gelsight_mini", name_substring="gelsight", size_px=(3280, 2464), rate_hz=25.0),
 )
-_ANY = UsbCameraProfile(sensor="", name_substring="", size_px=(0, 0), rate_hz=0.0)
+_UNKNOWN = UsbCameraProfile(sensor="", name_substring="", size_px=(0, 0), rate_hz=0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UsbCamera:
-    """A camera that is plugged in."""
+    """A connected camera."""
 
-    name: str  # with its serial number, as the system tells it
+    name: str  # with serial number, as the system lists it
     node: Path
     profile: UsbCameraProfile
 
 
 def list_usb_cameras(by_id: Path = CAMERAS_BY_ID) -> tuple[UsbCamera, ...]:
-    """The cameras of this machine, those of known sensors first."""
+    """The connected cameras, those of known sensors first."""
     cameras: list[UsbCamera] = []
     for node in sorted(by_id.glob("*")) if by_id.is_dir() else ():
-        told = _NODE.fullmatch(node.name)
-        if told is not None:
-            cameras.append(UsbCamera(name=told["name"], node=node, profile=_kind(told["name"])))
-    return tuple(sorted(cameras, key=lambda camera: camera.profile is _ANY))
+        match = _NODE.fullmatch(node.name)
+        if match is not None:
+            cameras.append(UsbCamera(name=match["name"], node=node, profile=_find_profile(match["name"])))
+    return tuple(sorted(cameras, key=lambda camera: camera.profile is _UNKNOWN))
 
 
-def open_capture(node: Path, kind: UsbCameraProfile) -> Any:
-    """OpenCV's reader of a camera, set as its kind wants it, or of a recorded stream."""
+def open_capture(node: Path, profile: UsbCameraProfile) -> Any:
+    """OpenCV's capture of a camera with the settings of `profile`, or of a recorded stream."""
     import cv2
 
     if not node.is_char_device():
         return cv2.VideoCapture(str(node))
-    taken: Any = cv2.VideoCapture(str(node.resolve()), cv2.CAP_V4L2)
-    taken.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # the newest picture, not one of a queue
-    if kind.size_px[0]:
-        taken.set(cv2.CAP_PROP_FRAME_WIDTH, kind.size_px[0])
-        taken.set(cv2.CAP_PROP_FRAME_HEIGHT, kind.size_px[1])
-        taken.set(cv2.CAP_PROP_FPS, kind.rate_hz)
-    if kind.led_setting >= 0:
-        taken.set(cv2.CAP_PROP_ZOOM, kind.led_setting)
-    return taken
+    capture: Any = cv2.VideoCapture(str(node.resolve()), cv2.CAP_V4L2)
+    capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # the newest image, not one of a queue
+    if profile.size_px[0]:
+        capture.set(cv2.CAP_PROP_FRAME_WIDTH, profile.size_px[0])
+        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, profile.size_px[1])
+        capture.set(cv2.CAP_PROP_FPS, profile.rate_hz)
+    if profile.led_setting >= 0:
+        capture.set(cv2.CAP_PROP_ZOOM, profile.led_setting)
+    return capture
 
 
 class UsbCameraSource:
-    """A camera by a part of its name or its serial, or by a path; found again wherever it is plugged in."""
+    """A camera by a part of its name or serial number, or by a path; after a loss it is searched on every port."""
 
     def __init__(
         self,
-        wanted: str,
+        name_or_path: str,
         *,
         sensor: str = "",
         by_id: Path = CAMERAS_BY_ID,
         opener: Callable[[Path, UsbCameraProfile], Any] = open_capture,
     ) -> None:
-        self._wanted, self._said, self._by_id, self._open = wanted, sensor, by_id, opener
-        self._kind = _kind(wanted) if not sensor else next((k for k in USB_CAMERA_PROFILES if k.sensor == sensor), _ANY)
+        self._name, self._sensor, self._by_id, self._open = name_or_path, sensor, by_id, opener
+        of_sensor = next((p for p in USB_CAMERA_PROFILES if p.sensor == sensor), _UNKNOWN)
+        self._profile = of_sensor if sensor else _find_profile(name_or_path)
         self._capture: Any = None
-        self._made: GelImageConverter | None = None
+        self._converter: GelImageConverter | None = None
         self._shape: tuple[int, ...] = ()
 
     @property
     def title(self) -> str:
-        """What it is, in words."""
-        return self._wanted
+        """Name for people."""
+        return self._name
 
     @property
     def sensor(self) -> str:
-        """The sensor that was said, that its name tells, or the size of its pictures."""
-        return self._said or self._kind.sensor or (self._made.sensor if self._made is not None else "")
+        """The sensor as stated, else by the camera's name, else by the image size."""
+        return self._sensor or self._profile.sensor or (self._converter.sensor if self._converter is not None else "")
 
     @property
     def touching_object(self) -> None:
-        """Nobody knows."""
+        """None: not known."""
 
     def open(self) -> None:
-        """Look for it by name and begin; raises SourceLost where it is not there or does not answer."""
-        node = self._node()
-        self._capture = self._open(node, self._kind)
+        """Find the camera and open it; raises LiveSourceLost."""
+        node = self._find_node()
+        self._capture = self._open(node, self._profile)
         if not self._capture.isOpened():
             self.close()
-            raise LiveSourceLost(f"{self._wanted!r} is there but cannot be opened; does another program use it?")
+            raise LiveSourceLost(f"{self._name!r} cannot be opened; close other programs that use it")
 
     def read(self) -> LiveFrame | None:
-        """The next picture as the sensor's own driver gives it; raises SourceLost where none comes any more."""
-        there, raw = self._capture.read()
-        if not there or raw is None:
-            raise LiveSourceLost(f"no picture comes from {self._wanted!r} any more; is it plugged in?")
-        return LiveFrame(image=self._picture(np.asarray(raw)), time_s=time.monotonic())
+        """The next image as the sensor's driver gives it; raises LiveSourceLost."""
+        ok, raw = self._capture.read()
+        if not ok or raw is None:
+            raise LiveSourceLost(f"no image comes from {self._name!r}; check the cable")
+        return LiveFrame(image=self._convert_image(np.asarray(raw)), time_s=time.monotonic())
 
     def close(self) -> None:
-        """Let go of the camera."""
+        """Release the camera."""
         if self._capture is not None:
             self._capture.release()
             self._capture = None
 
-    def _node(self) -> Path:
-        path = Path(self._wanted)
+    def _find_node(self) -> Path:
+        path = Path(self._name)
         if path.is_absolute() or path.exists():
             if not path.exists():
-                raise LiveSourceLost(f"there is no '{path}'; it is looked for again")
+                raise LiveSourceLost(f"there is no '{path}'; trying again")
             return path
         cameras = list_usb_cameras(self._by_id)
         for camera in cameras:
-            if self._wanted.lower() in camera.name.lower():
-                self._kind = self._kind if self._said else camera.profile
+            if self._name.lower() in camera.name.lower():
+                self._profile = self._profile if self._sensor else camera.profile
                 return camera.node
         known = ", ".join(camera.name for camera in cameras) or "none"
-        raise LiveSourceLost(f"no camera named {self._wanted!r} is plugged in; there are: {known}")
+        raise LiveSourceLost(f"no camera named {self._name!r} is connected; there are: {known}")
 
-    def _picture(self, bgr: np.ndarray) -> Image:
+    def _convert_image(self, bgr: np.ndarray) -> Image:
         rgb = bgr[:, :, ::-1] if bgr.ndim == 3 else np.repeat(bgr[:, :, None], 3, axis=2)
-        if self._kind.is_rotated:
+        if self._profile.is_rotated:
             rgb = np.flipud(np.swapaxes(rgb, 0, 1))
         rgb = np.ascontiguousarray(rgb)
-        if self._made is None or rgb.shape != self._shape:
-            self._made = make_gel_converter(self.sensor, (rgb.shape[0], rgb.shape[1]), rgb, lambda: rgb)
+        if self._converter is None or rgb.shape != self._shape:
+            self._converter = make_gel_converter(self.sensor, (rgb.shape[0], rgb.shape[1]), rgb, lambda: rgb)
             self._shape = rgb.shape
-            if not self._made.sensor:
+            if not self._converter.sensor:
                 size = f"{rgb.shape[1]} x {rgb.shape[0]} px"
-                raise SettingProblem(f"which sensor takes pictures of {size}? say it with --sensor")
-        return self._made.convert_image(rgb)
+                raise SettingProblem(f"no known sensor has images of {size}; give --sensor")
+        return self._converter.convert_image(rgb)
 
 
-def _kind(name: str) -> UsbCameraProfile:
-    return next((kind for kind in USB_CAMERA_PROFILES if kind.name_substring in name.lower()), _ANY)
+def _find_profile(name: str) -> UsbCameraProfile:
+    return next((p for p in USB_CAMERA_PROFILES if p.name_substring in name.lower()), _UNKNOWN)

@@ -6,22 +6,20 @@ camera. Both are brought to mean 0 and spread 1 by the published numbers of the 
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.arrays import Floats, freeze
 
-SensorKind = Literal["gel", "bubble"]
-
 SIDE = 128
-CHANNELS: dict[SensorKind, int] = {"gel": 3, "bubble": 1}
-MEANS: dict[SensorKind, tuple[float, ...]] = {"gel": (-0.0082, -0.0059, -0.0066), "bubble": (3.82,)}  # a bubble's in mm
-STDS: dict[SensorKind, tuple[float, ...]] = {"gel": (0.0989, 0.0746, 0.0731), "bubble": (4.24,)}
+CHANNELS: dict[str, int] = {"gel": 3, "bubble": 1}
+MEANS: dict[str, tuple[float, ...]] = {"gel": (-0.0082, -0.0059, -0.0066), "bubble": (3.82,)}  # a bubble's in mm
+STDS: dict[str, tuple[float, ...]] = {"gel": (0.0989, 0.0746, 0.0731), "bubble": (4.24,)}
 
 
-def compute_change(kind: SensorKind, image: NDArray[Any], reference: NDArray[Any]) -> Floats:
+def compute_change(kind: str, image: NDArray[Any], reference: NDArray[Any]) -> Floats:
     """(rows, cols, channels): a gel's change of brightness in -1..1, a bubble's imprint in mm; 0 without a reading."""
     if kind == "gel":
         return (image.astype(np.float32) - reference.astype(np.float32)) / np.float32(255.0)
@@ -49,19 +47,19 @@ def resize_from_square(square_change: Floats, shape: tuple[int, int]) -> Floats:
     return np.asarray(changed, np.float32).reshape(*shape, len(square_change))
 
 
-def normalise(square_change: Floats, kind: SensorKind) -> Floats:
+def normalise(square_change: Floats, kind: str) -> Floats:
     """Squares (..., channels, side, side) of mean 0 and spread 1 over the paper's data."""
     mean, spread = _numbers(kind)
     return ((square_change - mean) / spread).astype(np.float32)
 
 
-def denormalise(normalised: Floats, kind: SensorKind) -> Floats:
+def denormalise(normalised: Floats, kind: str) -> Floats:
     """The squares that `normal` made these of."""
     mean, spread = _numbers(kind)
     return (normalised * spread + mean).astype(np.float32)
 
 
-def _numbers(kind: SensorKind) -> tuple[Floats, Floats]:
+def _numbers(kind: str) -> tuple[Floats, Floats]:
     mean, spread = (np.asarray(v[kind], np.float32)[:, None, None] for v in (MEANS, STDS))
     return mean, spread
 
@@ -72,7 +70,7 @@ MIN_IMPRINT_MM, MAX_IMPRINT_MM = (
 )  # of the paper's bubble, between which pictures of latent diffusion tell an imprint
 
 
-def encode_image(square_change: Floats, kind: SensorKind) -> Floats:
+def encode_image(square_change: Floats, kind: str) -> Floats:
     """Three channels in -1..1, as latent diffusion pictures a change: an imprint is tiled."""
     if kind == "gel":
         return np.clip(square_change, -1.0, 1.0).astype(np.float32)
@@ -80,7 +78,7 @@ def encode_image(square_change: Floats, kind: SensorKind) -> Floats:
     return np.repeat(np.clip(2.0 * share - 1.0, -1.0, 1.0).astype(np.float32), 3, axis=-3)
 
 
-def decode_image(shown: Floats, kind: SensorKind, *, map_twice: bool = False) -> Floats:
+def decode_image(shown: Floats, kind: str, *, map_twice: bool = False) -> Floats:
     """The change that `picture` made this of; of an imprint the mean of its channels, then mm (paper, steps 1 and 2).
 
     `twice` maps an imprint to mm as the released scripts do, which take -1..1 to 0..1 two times: all of it comes out in

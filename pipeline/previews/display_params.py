@@ -52,15 +52,15 @@ class DisplayParams:
 
     def get_depth_stretch(self, sensor: SensorSpec) -> float:
         """Return how many times deeper indentation is drawn in 3D; 1 for bubbles."""
-        return self.gel_stretch if sensor.kind == "gel" else 1.0
+        return self.gel_stretch if sensor.sensor_kind.display_group == "gel" else 1.0
 
     def get_limit_mm(self, sensor: SensorSpec) -> float:
         """Return the upper colour limit of indentations of this kind of sensor."""
-        return self.gel_limit_mm if sensor.kind == "gel" else self.bubble_limit_mm
+        return getattr(self, f"{sensor.sensor_kind.display_group}_limit_mm")
 
     def get_floor_mm(self, sensor: SensorSpec) -> float:
         """Return the lower colour limit of indentations, always below the upper one."""
-        floor_mm = self.gel_floor_mm if sensor.kind == "gel" else self.bubble_floor_mm
+        floor_mm = getattr(self, f"{sensor.sensor_kind.display_group}_floor_mm")
         return min(floor_mm, _MOST_FLOOR * self.get_limit_mm(sensor))
 
     def get_distance_limits_mm(self, built: tuple[float, float]) -> tuple[float, float]:

@@ -196,20 +196,21 @@ def enlarge_preview(picture: Preview, shape: tuple[int, int]) -> Preview:
 
 def make_indentation_scale(sensor: SensorSpec, display: DisplayParams) -> ColourScale:
     """Return the fixed scale of indentations of this kind of sensor."""
+    group = sensor.sensor_kind.display_group
     return ColourScale(
         colour_map="viridis",
         low=display.get_floor_mm(sensor),
         high=display.get_limit_mm(sensor),
         unit="mm",
         quantity=INDENTATION_LABEL,
-        low_setting=f"{sensor.kind}_floor_mm",
-        high_setting=f"{sensor.kind}_limit_mm",
+        low_setting=f"{group}_floor_mm",
+        high_setting=f"{group}_limit_mm",
     )
 
 
 def make_deviation_scale(sensor: SensorSpec, display: DisplayParams) -> ColourScale:
     """The scale of a reading's deviation from rest: either way as far as indentations of this kind of sensor go."""
-    limit, sets = display.get_limit_mm(sensor), f"{sensor.kind}_limit_mm"
+    limit, sets = display.get_limit_mm(sensor), f"{sensor.sensor_kind.display_group}_limit_mm"
     return ColourScale(
         colour_map="diverging",
         low=-limit,

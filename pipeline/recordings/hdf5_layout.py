@@ -1,26 +1,26 @@
-"""How a tactoscope recording lies in an HDF5 file; the writer and the reader both follow this page.
+"""Layout of a tactoscope recording in an HDF5 file, for the writer and the reader.
 
     /                        format, format_version, notes
     /streams/<name>          sensor, order
         frames               (n, rows, cols, 3) uint8 "rgb", or (n, rows, cols) depth "mm"; one chunk per frame
-        references           (m, ...) the distinct untouched readings
+        references           (m, ...) the distinct reference images
         reference_index      (n,) row of `references`, -1 = none
         timestamps           (n,) "s", NaN = not known
-        camera_matrix        (3, 3) "px", only where the recording brings its own intrinsics
+        camera_matrix        (3, 3) "px", only where the recording has its own intrinsics
         truth/known          (n,) bits: 1 indentation, 2 contact, 4 pose, 8 force
         truth/indentation    (n, rows, cols) "mm"
         truth/contact        (n, rows, cols) 0 or 1
         truth/sensor_from_object  (n, 4, 4) "mm"
         truth/force          (n, 3) "N" on the sensor: right, down, away from the camera
     /object                  name; vertices (v, 3) "mm", triangles (t, 3)
-        symmetry/rotations   (n, 3, 3) turns about the object's origin that map it onto itself, the identity first
-        symmetry/axis        (3,) only where any turn about it does so too; no group `symmetry` = not known
+        symmetry/rotations   (n, 3, 3) rotations about the object's origin that map it onto itself, the identity first
+        symmetry/axis        (3,) only where every rotation about it does so; no group `symmetry` = not known
     /pairings/<k>            (4, 4) target_from_source "mm"; source, target
 
-Every dataset has the attribute `unit` and a Fletcher-32 checksum per chunk; pictures are compressed. Lengths may be
-kept as integers: value = integer * `step_mm`, and `nan_code` stands for "no value". `coding` = "row differences" means
-that each row but the first is its difference from the row above, modulo the integer's range; `numpy.cumsum` along
-rows in the same type undoes it. That takes a third off noisy pictures and loses nothing.
+Every dataset has the attribute `unit` and a Fletcher-32 checksum per chunk; images are compressed. Lengths may be
+stored as integers: value = integer * `step_mm`, and `nan_code` is "no value". `coding` = "row differences" means that
+each row but the first is its difference from the row above, modulo the integer's range; `numpy.cumsum` along rows in
+the same type restores it. This lossless coding makes noisy images a third smaller.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from pipeline.base.errors import FileProblem, ShapeError
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 FORMAT = "tactoscope recording"
 VERSION = 1
-METADATA_BYTES = 1 << 16  # set aside at the front, so that a file that is cut short keeps its table of contents
+METADATA_BYTES = 1 << 16  # reserved at the front, so that a truncated file keeps its table of contents
 
 Coding = Literal["plain", "row differences"]
 
@@ -51,13 +51,13 @@ UNITS: Mapping[str, str] = {
 
 
 class TruthField(NamedTuple):
-    """One field of `Truth`, and how it lies in a stream."""
+    """Storage of one field of `Truth` in a stream."""
 
     field: str
     key: str
     bit: int  # in truth/known
-    dtype: type  # of its values in memory
-    shape: tuple[int, ...] | None  # of one frame's; None = the picture's
+    dtype: type  # of values in memory
+    shape: tuple[int, ...] | None  # of one frame; None = the image's
 
 
 TRUTH_FIELDS = (
@@ -67,41 +67,41 @@ TRUTH_FIELDS = (
     TruthField("force_n", "truth/force", 8, np.float64, (3,)),
 )
 
-MAX_STEP_MM = 10.0  # a thousand times coarser than any depth camera
-# 0.1 um holds +-3.2 mm, more than any gel gives way; a bubble moves by centimetres and is read to 0.4 mm.
+MAX_STEP_MM = 10.0  # largest step of stored lengths, a thousand times that of a depth camera
+# Steps of int16 lengths: 0.1 um covers +-3.2 mm of a gel; 1 um covers +-32 mm of a bubble, whose noise is 0.4 mm.
 GEL_STEP_MM, BUBBLE_STEP_MM = 1e-4, 1e-3
 
 
 def require_unit(dataset: Any, want: str, path: Path) -> Any:
-    """`dataset` if its attribute `unit` is `want`; raises FileProblem naming it otherwise."""
+    """`dataset`, whose attribute `unit` must be `want`; raises FileProblem."""
     key = str(dataset.name).lstrip("/")
     unit = dataset.attrs.get("unit")
     if unit is None:
-        raise FileProblem(f"{key} does not say its unit, want {want!r}", path, field=key)
+        raise FileProblem(f"{key} has no unit, want {want!r}", path, field=key)
     if unit != want:
         raise FileProblem(f"{key} is given in {unit!r}, want {want!r}", path, field=key)
     return dataset
 
 
 def parse_file_size(head: bytes) -> int:
-    """How long the file is that begins so: superblocks 2 and 3, which this format has, keep it in bytes 28 to 35.
+    """The size in bytes of a file with this head: bytes 28 to 35 of superblocks 2 and 3, which this format has.
 
-    Raises ValueError for another superblock, struct.error where the file ends before.
+    Raises ValueError for another superblock, struct.error for a shorter head.
     """
-    whole: int = struct.unpack_from("<Q", head, 28)[0]
+    n_bytes: int = struct.unpack_from("<Q", head, 28)[0]
     if head[8] not in (2, 3):
         raise ValueError(f"unexpected superblock {head[8]}")
-    return whole
+    return n_bytes
 
 
 def truncate_to_size(file: BinaryIO) -> None:
-    """Give back the room behind the end of the recording that `file` holds, taken for what was not needed."""
+    """Cut off the reserved space after the end of the recording in `file`."""
     file.seek(0)
     file.truncate(parse_file_size(file.read(64)))
 
 
 def encode_frame(values: NDArray[Any], dataset: Any, what: str) -> NDArray[Any]:
-    """One frame of `values` as `dataset` keeps it; raises ShapeError when a length does not fit its integers."""
+    """One frame of `values` as `dataset` stores it; raises ShapeError for a length beyond its integers."""
     if "step_mm" in dataset.attrs:
         limits, nan_code = np.iinfo(dataset.dtype), int(dataset.attrs["nan_code"])
         counts = np.rint(np.asarray(values, np.float64) / float(dataset.attrs["step_mm"]))
@@ -120,7 +120,7 @@ def encode_frame(values: NDArray[Any], dataset: Any, what: str) -> NDArray[Any]:
 
 
 def decode_frame(stored: NDArray[Any], dataset: Any) -> NDArray[Any]:
-    """What `encoded` was given."""
+    """The values of one stored frame; inverse of `encode_frame`."""
     if dataset.attrs.get("coding") == "row differences":
         stored = np.cumsum(stored, axis=0, dtype=stored.dtype)
     if "step_mm" not in dataset.attrs:

@@ -1,7 +1,7 @@
-"""Recordings written while they are watched: readable at any moment, also after a kill.
+"""Write recordings of live sensors, which can be read at any moment, also after a kill.
 
-The library's single-writer-multiple-readers mode keeps the file in order on disk between any two writes. All datasets
-must be there before it begins, so that the first frame decides what the others may hold.
+HDF5's single-writer-multiple-readers mode keeps the file consistent on disk. All datasets must exist before it begins,
+so that the first frame decides what the others may hold.
 """
 
 from __future__ import annotations
@@ -18,41 +18,41 @@ from pipeline.recordings.hdf5_layout import Coding
 from pipeline.recordings.hdf5_writer import RecordingWriter
 from pipeline.values.frames import TactileFrame, Truth
 
-FLUSH_EVERY_S = 0.25  # what a kill may cost
+FLUSH_INTERVAL_S = 0.25  # largest loss by a kill
 
 
 class LiveRecordingWriter(RecordingWriter):
-    """A recording at its very place from the first frame on."""
+    """A recording written directly to its path."""
 
     def _begin(self, path: Path, coding: Coding, depth_step_mm: float) -> None:
         prepare_folder_for(path)
         if path.exists():
-            raise FileProblem("a file of this name is there already and is kept; choose another", path)
+            raise FileProblem("a file of this name exists; choose another name", path)
         super()._begin(path, coding, depth_step_mm)
         self._flushed_s = 0.0
 
-    def _place_of(self, path: Path) -> BinaryIO:
+    def _open_place(self, path: Path) -> BinaryIO:
         return self._place.enter_context(file_to_grow(path, "the recording"))
 
     def append(self, stream: str, frame: TactileFrame, truth: Truth | None = None) -> None:
-        """Add one frame to the one stream; raises ShapeError when it does not agree with the first."""
+        """Add one frame to the only stream; raises ShapeError where it differs in shape from the first."""
         super().append(stream, frame, truth)
         if not self._file.swmr_mode:
             self._file.swmr_mode = True
         now_s = time.monotonic()
-        if now_s - self._flushed_s > FLUSH_EVERY_S:
+        if now_s - self._flushed_s > FLUSH_INTERVAL_S:
             self._flushed_s = now_s
             self._file.flush()
 
     def __exit__(
         self, _kind: type[BaseException] | None, error: BaseException | None, _at: TracebackType | None
     ) -> None:
-        """What was recorded stays, whatever ended it; a file without a single frame goes."""
+        """Close the file and keep all frames, also after an error; delete a file without frames."""
         with self._place:
             empty = self._file is None or not len(self._file.get("streams", ()))
             if self._file is not None:
                 self._file.close()
-                layout.truncate_to_size(self._beside)
+                layout.truncate_to_size(self._temporary)
             if empty:
                 self._path.unlink(missing_ok=True)
             if error is not None:

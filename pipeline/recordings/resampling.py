@@ -46,7 +46,7 @@ class ResamplingFit:
 def fit_resampling(spec: SensorSpec, shape: tuple[int, int]) -> ResamplingFit | None:
     """The resampling of images of `shape` (rows, cols) to a gel sensor's size; None if not needed or not possible."""
     size = spec.camera.shape
-    if spec.kind != "gel" or shape == size:
+    if spec.sensor_kind.is_depth or shape == size:
         return None
     owner, cut = _FULL_CAMERA.get(shape, ("", 0.0))
     cut = cut if owner == spec.name else 0.0
@@ -70,7 +70,7 @@ def fit_resampling(spec: SensorSpec, shape: tuple[int, int]) -> ResamplingFit | 
 def infer_depth_camera(spec: SensorSpec, shape: tuple[int, int]) -> tuple[Camera | None, tuple[str, ...]]:
     """(camera, notes) for depth images of `shape` without one; None where the sensor's camera or none fits."""
     own = spec.camera
-    if spec.kind != "bubble" or shape == own.shape:
+    if not spec.sensor_kind.is_depth or shape == own.shape:
         return None, ()
     size, exact = f"{shape[1]} x {shape[0]} px", "a matrix K in the file would be exact"
     if own.shape == (140, 175) and shape == _TOF_SHAPE:

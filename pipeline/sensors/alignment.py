@@ -1,4 +1,4 @@
-"""How two sensors that feel the same touch stand to each other, by way of the alignment frame A."""
+"""The alignment of two sensors that record the same touch, through the alignment frame A."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from pipeline.base.arrays import Doubles, freeze
 from pipeline.geometry import rigid
 from pipeline.sensors.spec import SensorSpec
 
-AlignmentPart = Literal["alignment_from_source", "target_from_alignment"]  # which of the two transforms takes a change
+AlignmentPart = Literal["alignment_from_source", "target_from_alignment"]  # the transform that stores a change
 ALIGNMENT_PARTS: tuple[AlignmentPart, ...] = ("alignment_from_source", "target_from_alignment")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Alignment:
-    """The paper's T_S->A and T_A->T."""
+    """Rigid transforms from source to target: the paper's T_S->A and T_A->T."""
 
     alignment_from_source: Doubles  # (4, 4) mm
     target_from_alignment: Doubles  # (4, 4) mm
@@ -26,20 +26,23 @@ class Alignment:
         return self.target_from_alignment @ self.alignment_from_source
 
 
-def resolve_alignment(source: SensorSpec, target: SensorSpec, recorded: Doubles | None = None) -> Alignment:
-    """The alignment that the two sensor descriptions state, or that of a recording which knows T_S->T (4, 4), mm."""
+def resolve_alignment(
+    source: SensorSpec, target: SensorSpec, recorded_target_from_source: Doubles | None = None
+) -> Alignment:
+    """The alignment by the two sensor descriptions, or by the T_S->T (4, 4) in mm of a recording."""
     inward, onward = source.alignment_from_sensor, rigid.invert(target.alignment_from_sensor)
-    if recorded is not None:
-        onward = rigid.validate_rigid(recorded, "target_from_source of the recording") @ rigid.invert(inward)
+    if recorded_target_from_source is not None:
+        target_from_source = rigid.validate_rigid(recorded_target_from_source, "target_from_source of the recording")
+        onward = target_from_source @ rigid.invert(inward)
     return Alignment(alignment_from_source=inward, target_from_alignment=freeze(onward))
 
 
 def correct_alignment(
     alignment: Alignment, motion: Doubles, into: AlignmentPart = "target_from_alignment"
 ) -> Alignment:
-    """The alignment whose T_S->T is `motion` (4, 4; in the target frame, mm) after the old one.
+    """The alignment whose T_S->T is `motion` @ the old one; `motion` is (4, 4) in the target frame, mm.
 
-    The change is stored in one of the two transforms, `into`; the other stays as it is. Both come out orthonormal.
+    The transform `into` stores the change, the other stays. Both are orthonormal.
     """
     onward, inward = alignment.target_from_alignment, alignment.alignment_from_source
     if into == "target_from_alignment":
@@ -50,7 +53,7 @@ def correct_alignment(
 
 
 def shift_alignment_along_z(alignment: Alignment, *, source_shift_mm: float, target_shift_mm: float) -> Alignment:
-    """The alignment between two units whose own cameras read z smaller by these shifts than the descriptions say."""
+    """The alignment of two sensor instances whose cameras measure z smaller by these shifts than described."""
     if source_shift_mm == 0.0 and target_shift_mm == 0.0:
         return alignment
     inward = alignment.alignment_from_source @ rigid.translation(0.0, 0.0, source_shift_mm)

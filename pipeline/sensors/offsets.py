@@ -1,4 +1,4 @@
-"""How far an alignment is moved from the one that was opened: six numbers about a point."""
+"""Offsets of an alignment from the opened one: a rotation about a point and a translation."""
 
 from __future__ import annotations
 
@@ -16,15 +16,14 @@ Axis = Literal["x", "y", "z", "rx", "ry", "rz"]
 AXES: tuple[Axis, ...] = ("x", "y", "z", "rx", "ry", "rz")
 Triple = tuple[float, float, float]
 ZERO_TRIPLE: Triple = (0.0, 0.0, 0.0)
-_MOST = {"translation_mm": rigid.FARTHEST_MM, "rotation_deg": 360.0, "pivot_mm": rigid.FARTHEST_MM}
+_LIMITS = {"translation_mm": rigid.FARTHEST_MM, "rotation_deg": 360.0, "pivot_mm": rigid.FARTHEST_MM}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Offsets:
-    """A motion in the target frame, put after the opened T_S->T: a turn about a point, then a shift.
+    """A motion in the target frame after the opened T_S->T: a rotation about a pivot, then a translation.
 
-    The point is where the middle of the contact is under the opened alignment, so that turns are about the contact
-    wherever it has been shifted to.
+    The pivot is the centre of the contact under the opened alignment, so that rotations are about the contact.
     """
 
     translation_mm: Triple = ZERO_TRIPLE
@@ -38,61 +37,62 @@ class Offsets:
 
     @property
     def is_zero(self) -> bool:
-        """Whether the alignment is as it was opened."""
+        """Whether there is no motion."""
         return not any(self.values)
 
     def to_matrix(self) -> Doubles:
         """The motion (4, 4) in mm."""
-        pivot, turn, shift = (np.array(v) for v in (self.pivot_mm, np.deg2rad(self.rotation_deg), self.translation_mm))
-        return compose_motion(pivot, turn, shift)
+        pivot, rotation_rad, translation = (
+            np.array(v) for v in (self.pivot_mm, np.deg2rad(self.rotation_deg), self.translation_mm)
+        )
+        return compose_motion(pivot, rotation_rad, translation)
 
     def apply_to(self, opened: Alignment) -> Alignment:
         """The opened alignment with these offsets, stored in T_A->T."""
         return opened if self.is_zero else correct_alignment(opened, self.to_matrix())
 
     def with_axis_value(self, axis: Axis, value: float) -> Offsets:
-        """The same with another number for one axis, mm or degrees."""
+        """Copy with another value for one axis, mm or degrees."""
         values = list(self.values)
         values[AXES.index(axis)] = value
         return replace(self, translation_mm=_triple(values[:3]), rotation_deg=_triple(values[3:]))
 
     def with_pivot(self, pivot_mm: Sequence[float] | Doubles) -> Offsets:
-        """The very same motion, told about another point."""
+        """The same motion with another pivot (3,) mm."""
         return decompose_motion(self.to_matrix(), pivot_mm)
 
 
-def compose_motion(pivot_mm: Doubles, rotation_rad: Doubles, shift_mm: Doubles) -> Doubles:
-    """The motion (4, 4) that turns about a point by a rotation vector (3,) and then shifts."""
+def compose_motion(pivot_mm: Doubles, rotation_rad: Doubles, translation_mm: Doubles) -> Doubles:
+    """The motion (4, 4): a rotation vector (3,) about `pivot_mm` (3,), then a translation (3,)."""
     motion = rigid.rotation(rotation_rad)
-    motion[:3, 3] = pivot_mm - motion[:3, :3] @ pivot_mm + shift_mm
+    motion[:3, 3] = pivot_mm - motion[:3, :3] @ pivot_mm + translation_mm
     return motion
 
 
 def decompose_motion(motion: Doubles, pivot_mm: Sequence[float] | Doubles) -> Offsets:
-    """The offsets that make a motion (4, 4) in the target frame, told about a point (3,) mm."""
+    """The offsets of a motion (4, 4) in the target frame for a pivot (3,) mm."""
     pivot = np.asarray(pivot_mm, dtype=np.float64)
-    turn_deg = np.rad2deg(rigid.rotation_vector_rad(motion))
     return Offsets(
         translation_mm=_triple(rigid.apply(motion, pivot) - pivot),
-        rotation_deg=_triple(turn_deg),
+        rotation_deg=_triple(np.rad2deg(rigid.rotation_vector_rad(motion))),
         pivot_mm=_triple(pivot),
     )
 
 
 def parse_offsets(data: object) -> Offsets:
-    """Of what a session file or a command line says; raises ValueError that says which entry is wrong."""
+    """The offsets of a table in a session file; raises ValueError that names the wrong entry."""
     if not isinstance(data, dict):
         raise ValueError("must be a table of translation_mm, rotation_deg and pivot_mm")
     table = cast("Mapping[str, Any]", data)
-    return Offsets(**{name: _three(table, name) for name in _MOST})
+    return Offsets(**{name: _read_triple(table, name) for name in _LIMITS})
 
 
-def _three(table: Mapping[str, Any], name: str) -> Triple:
+def _read_triple(table: Mapping[str, Any], name: str) -> Triple:
     value: object = table.get(name)
     numbers = cast("list[object]", value) if isinstance(value, list) else []
     plain = [float(n) for n in numbers if isinstance(n, (int, float)) and not isinstance(n, bool)]
-    if len(plain) != 3 or len(numbers) != 3 or not all(abs(n) <= _MOST[name] for n in plain):  # NaN is within nothing
-        raise ValueError(f"{name} must be three finite numbers within {_MOST[name]:g}, got {value!r}")
+    if len(plain) != 3 or len(numbers) != 3 or not all(abs(n) <= _LIMITS[name] for n in plain):  # false for NaN
+        raise ValueError(f"{name} must be three finite numbers within {_LIMITS[name]:g}, got {value!r}")
     return _triple(plain)
 
 

@@ -1,4 +1,4 @@
-"""The parts of a sensor description, each read from its section of the TOML."""
+"""Parse the parts of a sensor description from sections of its TOML."""
 
 from __future__ import annotations
 
@@ -12,66 +12,66 @@ from pipeline.sensors.parts import Glow, Led, NumberRange, Optics, SensorLimits
 
 T = TypeVar("T")
 
-_LARGEST_OF_A_LIGHT = 1000.0  # degrees, halves of the image, or grey levels
+_MAX_LIGHT_NUMBER = 1000.0  # degrees, half image sizes, or grey levels
 
 
 def parse_part(kind: type[T], s: DescriptionSection) -> T:
-    """A part of a sensor that is all numbers."""
+    """A part that has only numbers; raises CalibrationError."""
     return kind(**parse_numbers(kind, s))
 
 
 def parse_numbers(kind: type[Any], s: DescriptionSection) -> dict[str, float]:
-    """The numbers of a part that its section gives, each as its field's `told` says."""
-    found: dict[str, float] = {}
+    """Field name -> value of the numbers in a section, checked by each field's `NumberRange`."""
+    values: dict[str, float] = {}
     for f in fields(kind):
-        told: NumberRange | None = f.metadata.get("number")
-        if told is not None:
-            key = told.key or f.name.removesuffix(f"_{told.unit.lower().replace('^', '')}")
+        number: NumberRange | None = f.metadata.get("number")
+        if number is not None:
+            key = number.key or f.name.removesuffix(f"_{number.unit.lower().replace('^', '')}")
             if f.default is MISSING or s.has(key):
-                found[f.name] = s.read_number(key, told.unit, told.low, told.high)
-    return found
+                values[f.name] = s.read_number(key, number.unit, number.low, number.high)
+    return values
 
 
-def parse_limits(s: DescriptionSection, touch_unit: str) -> SensorLimits:
-    """[limits]; `touch_unit` is that of no_touch: grey for a gel, mm for a bubble."""
-    found = parse_numbers(SensorLimits, s)
-    if "depth_rms_mm" in found:
-        found["depth_correlation_mm"] = s.read_number("depth_correlation", "mm", 1e-3, 100.0)
-    return SensorLimits(**found, no_contact_change=s.read_number("no_contact_change", touch_unit, 0.0, 255.0))
+def parse_limits(s: DescriptionSection, change_unit: str) -> SensorLimits:
+    """[limits]; `change_unit` is the unit of `no_contact_change`, grey or mm."""
+    values = parse_numbers(SensorLimits, s)
+    if "depth_rms_mm" in values:
+        values["depth_correlation_mm"] = s.read_number("depth_correlation", "mm", 1e-3, 100.0)
+    return SensorLimits(**values, no_contact_change=s.read_number("no_contact_change", change_unit, 0.0, 255.0))
 
 
 def parse_optics(s: DescriptionSection, data: dict[str, Any], path: Path) -> Optics:
-    """[optics] with its lists of LEDs and glows, which come from the whole description `data`."""
-    parsed = tuple(
+    """[optics] with the lists of LEDs and glows in the description `data`."""
+    leds = tuple(
         Led(azimuth_deg=v[0], elevation_deg=v[1], rgb=(v[2], v[3], v[4]))
-        for v in _lights(data, "leds", ("azimuth_deg", "elevation_deg"), path)
+        for v in _parse_lights(data, "leds", ("azimuth_deg", "elevation_deg"), path)
     )
-    if not parsed:
+    if not leds:
         raise CalibrationError(f"optics.leds must list at least one LED: '{path}'")
     glows = tuple(
         Glow(x=v[0], y=v[1], width=v[2], height=v[3], rgb=(v[4], v[5], v[6]))
-        for v in _lights(data, "glows", ("x", "y", "width", "height"), path)
+        for v in _parse_lights(data, "glows", ("x", "y", "width", "height"), path)
     )
     if any(g.width <= 0 or g.height <= 0 for g in glows):
         raise CalibrationError(f"optics.glows must have a positive width and height: '{path}'")
     base = s.read_vector("base", "rgb", 0.0, 255.0)
-    return Optics(base_rgb=base, leds=parsed, glows=glows, **parse_numbers(Optics, s))
+    return Optics(base_rgb=base, leds=leds, glows=glows, **parse_numbers(Optics, s))
 
 
-def _lights(data: dict[str, Any], key: str, numbers: tuple[str, ...], path: Path) -> list[tuple[float, ...]]:
-    """The list optics.`key`: of every entry its `numbers`, then r, g, b."""
+def _parse_lights(data: dict[str, Any], key: str, numbers: tuple[str, ...], path: Path) -> list[tuple[float, ...]]:
+    """The `numbers`, then r, g, b of every entry of the list optics.`key`; raises CalibrationError."""
     entries = data["optics"].get(key, [])
-    told = f"each of optics.{key} needs {', '.join(numbers)} and rgb"
+    requirement = f"each of optics.{key} needs {', '.join(numbers)} and rgb"
     if not isinstance(entries, list):
-        raise CalibrationError(f"{told}, got {entries!r}: '{path}'")
+        raise CalibrationError(f"{requirement}, got {entries!r}: '{path}'")
     values: list[tuple[float, ...]] = []
     for entry in cast("list[dict[str, Any]]", entries):
         try:
             r, g, b = (float(v) for v in entry["rgb"])
             value = (*(float(entry[name]) for name in numbers), r, g, b)
         except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise CalibrationError(f"{told}, got {entry!r}: '{path}'") from error
-        if not all(abs(v) <= _LARGEST_OF_A_LIGHT for v in value):  # NaN is within nothing
-            raise CalibrationError(f"{told} within {_LARGEST_OF_A_LIGHT:g}, got {entry!r}: '{path}'")
+            raise CalibrationError(f"{requirement}, got {entry!r}: '{path}'") from error
+        if not all(abs(v) <= _MAX_LIGHT_NUMBER for v in value):  # false for NaN
+            raise CalibrationError(f"{requirement} within {_MAX_LIGHT_NUMBER:g}, got {entry!r}: '{path}'")
         values.append(value)
     return values

@@ -1,4 +1,4 @@
-"""The light of an untouched gel, as its description gives it: what is known of a sensor's picture without one."""
+"""The light of a gel without contact, computed from its description."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pipeline.sensors.parts import Optics
 
 @memoise(32)
 def compute_reference_light(camera: Camera, optics: Optics) -> Floats:
-    """Grey levels (rows, cols, 3) float32 before markers and lens blur."""
+    """Grey levels (rows, cols, 3) float32 of a gel without contact, before markers and lens blur."""
     x = ((np.arange(camera.cols) + 0.5) / camera.cols * 2 - 1)[None, :]
     y = ((np.arange(camera.rows) + 0.5) / camera.rows * 2 - 1)[:, None]
     light = np.empty((*camera.shape, 3))

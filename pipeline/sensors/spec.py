@@ -1,26 +1,28 @@
 """Sensor descriptions: one TOML per sensor, read and checked once.
 
-Every number in a TOML is a table `{ value, unit, from }` with `assumed = true` where no source gives it, so that a
-reader of the file sees where each figure comes from. `extends = "other"` starts from another sensor's file.
+Every number in a TOML is a table `{ value, unit, from }` with `assumed = true` where no source gives it.
+`extends = "other"` starts from another sensor's file.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.base.arrays import Doubles, freeze
 from pipeline.base.errors import CalibrationError, SettingProblem
 from pipeline.base.memo import Memo
 from pipeline.engine.digests import UNDIGESTED, content
-from pipeline.geometry import membrane, rigid
+from pipeline.geometry import rigid
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.membrane import Membrane
 from pipeline.sensors.descriptions import DescriptionSection, find_descriptions, read_description
-from pipeline.sensors.part_parsing import parse_limits, parse_optics, parse_part
+from pipeline.sensors.kinds import SensorKind, get_kind, list_kinds
+from pipeline.sensors.part_parsing import parse_limits, parse_part
 from pipeline.sensors.parts import Bubble, DepthCamera, Gel, Markers, Optics, SensorLimits
 from pipeline.sensors.rest_mesh import load_rest_membrane
 
@@ -31,7 +33,7 @@ class SensorSpec:
 
     name: str
     title: str
-    kind: Literal["gel", "bubble"]
+    kind: str  # key of `sensor_kind`
     camera: Camera
     membrane: Membrane
     rest_depth_mm: Doubles  # (rows, cols) of `membrane` through `camera`
@@ -42,32 +44,41 @@ class SensorSpec:
     depth_camera: DepthCamera | None = None  # of a bubble
     optics: Optics | None = None
     markers: Markers | None = None
-    assumed_keys: tuple[str, ...] = ()  # keys whose numbers nobody has published
-    # Width of one pixel on the rest surface at the optical axis: asked for often, and a median of all pixels.
+    assumed_keys: tuple[str, ...] = ()  # keys of numbers without a published source
+    # Width of one pixel on the rest surface at the optical axis, by the median depth; computed once.
     pixel_mm: float = field(init=False, repr=False, compare=False, metadata=UNDIGESTED)
 
     def __post_init__(self) -> None:
-        """Work out how wide a pixel is, once."""
+        """Compute the pixel width."""
         object.__setattr__(self, "pixel_mm", float(np.median(self.rest_depth_mm)) / self.camera.fx_px)
 
-    def with_camera(self, camera: Camera) -> SensorSpec:
-        """The same sensor watched by another camera: membrane, frame and limits stay; the last few are kept.
+    @property
+    def sensor_kind(self) -> SensorKind:
+        """What the pipeline does differently for this kind of sensor."""
+        return get_kind(self.kind)
 
-        Raises CalibrationError for a camera whose rays do not meet the membrane.
+    def render_reference(self) -> NDArray[Any]:
+        """The image of this sensor without contact and noise: RGB (rows, cols, 3) uint8, or depth (rows, cols) mm."""
+        return self.sensor_kind.render_reference(self)
+
+    def with_camera(self, camera: Camera) -> SensorSpec:
+        """Copy with another camera; membrane, frame and limits stay. The last few are cached.
+
+        Raises CalibrationError for a camera whose rays miss the membrane.
         """
         if camera == self.camera:
             return self
-        return _views.of(
+        return _with_cameras.of(
             (content(self), camera),
             lambda: replace(self, camera=camera, rest_depth_mm=self.membrane.rest_depth_mm(camera)),
         )
 
 
-_SIDES_PX = (8, 10_000)  # of an image: below, no slope and no edge can be told
-_FOCAL_PX = 1e5  # a pixel that sees a hundredth of a millimetre a metre away
+_SIDES_PX = (8, 10_000)  # range of an image side; smaller images show no slope and no edge
+_FOCAL_PX = 1e5  # largest focal length: a pixel covers 0.01 mm at a metre
 
-_views: Memo[tuple[str, Camera], SensorSpec] = Memo(32)
-_read: Memo[tuple[Path, str, str], SensorSpec] = Memo(32)
+_with_cameras: Memo[tuple[str, Camera], SensorSpec] = Memo(32)
+_loaded: Memo[tuple[Path, str, str], SensorSpec] = Memo(32)
 
 
 def list_sensor_names() -> tuple[str, ...]:
@@ -90,7 +101,7 @@ def load_sensor(name_or_file: str) -> SensorSpec:
         path = known[name_or_file]
     data = read_description(path)
     surface = load_rest_membrane(data, path)
-    return _read.of((path, repr(data), content(surface)), lambda: _build(path.stem, data, path, surface))
+    return _loaded.of((path, repr(data), content(surface)), lambda: _build(path.stem, data, path, surface))
 
 
 def _build(name: str, data: dict[str, Any], path: Path, surface: Membrane | None) -> SensorSpec:
@@ -99,46 +110,30 @@ def _build(name: str, data: dict[str, Any], path: Path, surface: Membrane | None
     def section(key: str) -> DescriptionSection:
         return DescriptionSection(data, key, path, assumed)
 
-    kind = data.get("kind")
-    if kind not in ("gel", "bubble"):
-        raise CalibrationError(f"kind must be 'gel' or 'bubble', got {kind!r}: '{path}'")
+    kinds, key = list_kinds(), data.get("kind")
+    if not isinstance(key, str) or key not in kinds:
+        raise CalibrationError(f"kind must be {' or '.join(map(repr, sorted(kinds)))}, got {key!r}: '{path}'")
+    kind = kinds[key]
     image, lens, align = section("image"), section("camera"), section("alignment")
     rows, cols = (int(image.read_number(k, "px", *_SIDES_PX)) for k in ("rows", "cols"))
     fx_px, fy_px = (lens.read_number(k, "px", 1.0, _FOCAL_PX) for k in ("fx", "fy"))
     cx_px, cy_px = (lens.read_number(k, "px", -_FOCAL_PX, _FOCAL_PX) for k in ("cx", "cy"))
     camera = Camera(rows=rows, cols=cols, fx_px=fx_px, fy_px=fy_px, cx_px=cx_px, cy_px=cy_px)
-    gel, bubble, eye, optics = None, None, None, None
-    if kind == "gel":
-        gel = parse_part(Gel, section("gel"))
-        if surface is None:
-            z = section("rest").read_number("depth", "mm", 0.1, 1000.0)
-            surface = membrane.make_flat_membrane(z, camera.cols * z / camera.fx_px, camera.rows * z / camera.fy_px)
-        optics = parse_optics(section("optics"), data, path)
-    else:
-        bubble = parse_part(Bubble, section("bubble"))
-        eye = parse_part(DepthCamera, section("depth_camera")) if "depth_camera" in data else DepthCamera()
-        if surface is None:
-            surface = membrane.make_dome(
-                section("rest").read_number("rim_depth", "mm", 1.0, 1000.0),
-                bubble.height_mm,
-                bubble.half_width_mm,
-                bubble.half_height_mm,
-            )
+    parts = kind.parse_parts(section, data, path)
+    if surface is None:
+        surface = kind.parse_membrane(section, camera, parts)
     shift_mm = align.read_vector("translation", "mm", -rigid.FARTHEST_MM, rigid.FARTHEST_MM)
     pose = rigid.from_parts(shift_mm, align.read_vector("rotation_vector", "deg", -360.0, 360.0))
     return SensorSpec(
         name=name,
         title=str(data.get("title", name)),
-        kind=kind,
+        kind=kind.key,
         camera=camera,
         membrane=surface,
         rest_depth_mm=surface.rest_depth_mm(camera),
         alignment_from_sensor=freeze(pose),
-        limits=parse_limits(section("limits"), "grey" if kind == "gel" else "mm"),
-        gel=gel,
-        bubble=bubble,
-        depth_camera=eye,
-        optics=optics,
+        limits=parse_limits(section("limits"), kind.change_unit),
         markers=parse_part(Markers, section("markers")) if "markers" in data else None,
         assumed_keys=tuple(assumed),
+        **parts,
     )

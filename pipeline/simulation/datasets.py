@@ -216,7 +216,7 @@ def _specimen(plan: SimulationPlan, sensor: str, block: int) -> SensorSpec:
 def _described(plan: SimulationPlan, sensor: str) -> SensorSpec:
     """The sensor where the plan's gripper brings it; `pairings` say so exactly."""
     spec = sensor_named(sensor)
-    if spec.kind != "bubble" or not plan.bubble_deeper_mm:
+    if spec.bubble is None or not plan.bubble_deeper_mm:
         return spec
     nearer = rigid.translation(0.0, 0.0, plan.bubble_deeper_mm) @ spec.alignment_from_sensor
     return replace(spec, alignment_from_sensor=freeze(nearer))

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Image, Mask, freeze
+from pipeline.base.entry_points import load_reference
 from pipeline.base.errors import SettingProblem
 from pipeline.geometry import rigid
 from pipeline.geometry.meshes import Mesh
@@ -63,7 +64,7 @@ def simulate_press(
     pose = rigid.validate_rigid(alignment_from_object, "the object's pose")
     sensor_from_object = rigid.invert(sensor.alignment_from_sensor) @ pose
     vertices = rigid.apply(sensor_from_object, thing.vertices_mm)
-    felt = _gel(vertices, thing, sensor, load) if sensor.kind == "gel" else _bubble(vertices, thing, sensor)
+    felt = _press_membrane(vertices, thing, sensor, load)
     indentation: Floats = freeze((sensor.rest_depth_mm - felt.depth_mm).astype(np.float32))
     truth = Truth(
         indentation_mm=indentation, contact=felt.contact, sensor_from_object=freeze(sensor_from_object),
@@ -79,12 +80,33 @@ def render_sensor_image(
     sensor: SensorSpec, indentation_mm: Floats, depth_mm: Doubles, seed: int | None, *, shear_mm: Floats | None = None
 ) -> Image | Floats:
     """The sensor's reading of a membrane at `depth_mm`, `indentation_mm` from rest, with its noise if seeded."""
-    if sensor.kind == "gel":
-        return optics.render(sensor, indentation_mm, seed=seed, shear_mm=shear_mm)
+    simulate = load_reference(sensor.sensor_kind.image_simulator)
+    return simulate(sensor, indentation_mm, depth_mm, seed, shear_mm)
+
+
+def simulate_gel_image(
+    sensor: SensorSpec, indentation_mm: Floats, _depth_mm: Doubles, seed: int | None, shear_mm: Floats | None
+) -> Image:
+    """The image of a gel."""
+    return optics.render(sensor, indentation_mm, seed=seed, shear_mm=shear_mm)
+
+
+def simulate_bubble_image(
+    sensor: SensorSpec, _indentation_mm: Floats, depth_mm: Doubles, seed: int | None, _shear_mm: Floats | None
+) -> Floats:
+    """The depth image of a bubble."""
     return bubble_camera.simulate_depth_frame(sensor, depth_mm, seed)
 
 
-def _gel(vertices_mm: Doubles, thing: Mesh, sensor: SensorSpec, load: TangentialLoad | None) -> _Felt:
+def _press_membrane(vertices_mm: Doubles, thing: Mesh, sensor: SensorSpec, load: TangentialLoad | None) -> _Felt:
+    simulator = sensor.sensor_kind.press_simulator
+    if not simulator:
+        raise SettingProblem(f"sensors of kind {sensor.kind!r} such as {sensor.name} cannot be simulated")
+    return load_reference(simulator)(vertices_mm, thing, sensor, load)
+
+
+def simulate_gel_press(vertices_mm: Doubles, thing: Mesh, sensor: SensorSpec, load: TangentialLoad | None) -> _Felt:
+    """The surface of a gel pressed by a mesh at `vertices_mm` (n, 3) in the sensor frame."""
     if sensor.gel is None:
         raise SettingProblem(f"{sensor.name} has no gel to press; its description lacks [gel]")
     on = make_gel_lattice(sensor)
@@ -125,7 +147,8 @@ def make_gel_lattice(sensor: SensorSpec) -> Lattice:
     )
 
 
-def _bubble(vertices_mm: Doubles, thing: Mesh, sensor: SensorSpec) -> _Felt:
+def simulate_bubble_press(vertices_mm: Doubles, thing: Mesh, sensor: SensorSpec, _load: TangentialLoad | None) -> _Felt:
+    """The membrane of a bubble pressed by a mesh at `vertices_mm` (n, 3) in the sensor frame."""
     if sensor.bubble is None:
         raise SettingProblem(f"{sensor.name} has no membrane to press; its description lacks [bubble]")
     on = bubble.make_lattice(sensor.bubble)

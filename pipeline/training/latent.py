@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from pipeline.base.params import setting
-from pipeline.networks.square_images import SIDE, SensorKind, decode_image, encode_image, normalise
+from pipeline.networks.square_images import SIDE, decode_image, encode_image, normalise
 from pipeline.training.touch_squares import TouchSquares, simulate_touch_squares
 from pipeline.training.vqvae import Direction
 
@@ -86,7 +86,7 @@ class LatentTask:
         """How well pictures come through the autoencoder, and how well noise is told."""
         import torch
 
-        kind: SensorKind = "bubble" if self.direction == "gel_to_bubble" else "gel"
+        kind = "bubble" if self.direction == "gel_to_bubble" else "gel"
         unit, times = ("mm", 1.0) if kind == "bubble" else ("grey", 255.0)
         rows: list[tuple[float, float]] = []
         for one in held_out:

@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.base.arrays import Floats
 from pipeline.base.errors import SettingProblem
 from pipeline.base.params import setting
-from pipeline.networks.square_images import SensorKind, denormalise, normalise
+from pipeline.networks.square_images import denormalise, normalise
 from pipeline.sensors import alignment
 from pipeline.stages.touch.image_condition import reproject_square
 from pipeline.training.distributed import unwrap_network
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 Direction = Literal["gel_to_bubble", "bubble_to_gel"]
 _HELD_OUT_SEED = 7
 _TOUCHED = 0.05  # of the largest change: where a touch shows
-_UNITS: dict[SensorKind, tuple[str, float]] = {"gel": ("grey", 255.0), "bubble": ("mm", 1.0)}
+_UNITS: dict[str, tuple[str, float]] = {"gel": ("grey", 255.0), "bubble": ("mm", 1.0)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,7 +75,7 @@ class VqVaeTask:
         """Mean absolute error over all, and where the touch shows."""
         import torch
 
-        kind: SensorKind = "bubble" if self.direction == "gel_to_bubble" else "gel"
+        kind = "bubble" if self.direction == "gel_to_bubble" else "gel"
         unit, times = _UNITS[kind]
         rows: list[tuple[float, float]] = []
         for one in held_out:
@@ -90,7 +90,7 @@ class VqVaeTask:
 
     def _example(self, touch: TouchSquares) -> Example:
         """The source as any unit records it, the target as the described unit does; a bubble's without noise."""
-        kinds: tuple[SensorKind, SensorKind] = (
+        kinds: tuple[str, str] = (
             ("gel", "bubble") if self.direction == "gel_to_bubble" else ("bubble", "gel")
         )
         if kinds[0] == "gel":

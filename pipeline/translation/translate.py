@@ -230,7 +230,7 @@ def _telling(
 
     A calibration has the light in it. What grows has none that stay the same.
     """
-    if source.kind != "gel" or request.calibration is not None or recording.refresh is not None:
+    if source.optics is None or request.calibration is not None or recording.refresh is not None:
         return tuple
     return cache(lambda: select_context_images(stream))
 

@@ -28,6 +28,11 @@ _BULGE_MM, _BULGE_SHARE = 1.0, 0.5  # outward, and of what is pushed in: a press
 _MOST_BLOCKS = 0.99  # the block of which this share moves less; a few are wild
 
 
+def describe_if_no_contact(image: NDArray[Any], reference: NDArray[Any], limit_mm: float) -> tuple[str, ...] | None:
+    """The notes of a frame without contact; None where there may be contact."""
+    return ("nothing touches the sensor",) if compute_largest_change(image, reference) < limit_mm else None
+
+
 def compute_largest_change(image: NDArray[Any], reference: NDArray[Any]) -> float:
     """Largest mean absolute change of a block in mm over the pixels that have a reading; infinite if too few have."""
     import cv2

@@ -12,6 +12,7 @@ from typing import TypeVar, cast
 import numpy as np
 
 from pipeline.base.arrays import Image, freeze
+from pipeline.base.entry_points import load_reference
 from pipeline.base.errors import ShapeError
 from pipeline.base.memo import Memo
 from pipeline.base.params import setting
@@ -38,8 +39,6 @@ from pipeline.values.pixel_index import make_pixel_index
 from pipeline.values.results import DepthErrorModel, DepthMap
 
 _UNTOUCHED = "nothing touches the sensor"
-_BLACK_GREY = 2  # no lit gel is this dark everywhere
-_WHITE_GREY = 254  # nor this bright: noise of a grey level takes what is clipped down to here
 _LIGHTS = 1024  # pictures whose light is remembered: a few hundred bytes each
 
 
@@ -95,11 +94,24 @@ def estimate_depth(
     """
     progress.step(0.0, "comparing with the untouched frame")
     check_frame(frame, source)
+    return load_reference(source.sensor_kind.depth_estimator)(frame, source, calibration, params, progress)
+
+
+def estimate_bubble_frame(
+    frame: TactileFrame, source: SensorSpec, _calibration: Calibration | None, params: DepthParams, _progress: Progress
+) -> DepthMap:
+    """`estimate_depth` of a bubble's frame that has been checked."""
     seen_by = source if frame.camera is None else source.with_camera(frame.camera)
-    if frame.is_depth:
-        least_mm = params.contact_limit * source.limits.contact_min_mm
-        found = bubble_depth.estimate_depth(frame, seen_by, smoothing_px=params.smoothing_px, least_mm=least_mm)
-        return replace(found, error=make_bubble_error(source))
+    least_mm = params.contact_limit * source.limits.contact_min_mm
+    found = bubble_depth.estimate_depth(frame, seen_by, smoothing_px=params.smoothing_px, least_mm=least_mm)
+    return replace(found, error=make_bubble_error(source))
+
+
+def estimate_gel_frame(
+    frame: TactileFrame, source: SensorSpec, calibration: Calibration | None, params: DepthParams, progress: Progress
+) -> DepthMap:
+    """`estimate_depth` of a gel's frame that has been checked; drafts have fewer pixels."""
+    seen_by = source if frame.camera is None else source.with_camera(frame.camera)
     by = compute_downsampling(frame, source, params)
     if by == 1:
         return estimate_gel_depth(frame, source, calibration, params, progress)[0]
@@ -175,7 +187,7 @@ def estimate_depth_with_notes(
 ) -> DepthMap:
     """`depth` of a frame that a real unit has taken: the first note says what its look-up is worth."""
     found = estimate_depth(frame, source, calibration, params, progress)
-    return found if source.kind == "bubble" else add_calibration_notes(found, frame, source, calibration)
+    return found if source.optics is None else add_calibration_notes(found, frame, source, calibration)
 
 
 def add_calibration_notes(
@@ -219,14 +231,11 @@ def skip_without_contact(
     reference, image = frame.reference, frame.image
     if reference is None or reference.shape != image.shape or reference.dtype != image.dtype:
         return None
-    number = np.floating if frame.is_depth else np.uint8  # anything else is for `depth` to refuse in words
-    if frame.is_depth != (source.kind == "bubble") or not np.issubdtype(image.dtype, number):
+    kind, number = source.sensor_kind, np.floating if frame.is_depth else np.uint8
+    if frame.is_depth != kind.is_depth or not np.issubdtype(image.dtype, number):  # `check_frame` refuses it
         return None
     limit = source.limits.no_contact_change / params.sensitivity
-    if frame.is_depth:
-        notes = (_UNTOUCHED,) if bubble_depth.compute_largest_change(image, reference) < limit else None
-    else:
-        notes = gel_depth.describe_if_no_contact(cast("Image", image), cast("Image", reference), limit)
+    notes = load_reference(kind.contact_checker)(image, reference, limit)
     if notes is None:
         return None
     seen_by = source if frame.camera is None else source.with_camera(frame.camera)
@@ -245,29 +254,16 @@ def check_frame(frame: TactileFrame, source: SensorSpec) -> None:
             f"no reference image for {where}; record one untouched frame, or name a picture of it as the reference"
         )
     camera = frame.camera or source.camera
-    wanted = camera.shape if source.kind == "bubble" else (*camera.shape, 3)
+    kind = source.sensor_kind
+    wanted = camera.shape if kind.is_depth else (*camera.shape, 3)
     for what, array in (("image", image), ("reference", reference)):
         if array.shape != wanted:
             raise ShapeError(
                 f"the {what} of {where} must have shape {wanted}, got {array.shape}; choose the right sensor"
             )
-        if source.kind == "gel" and array.dtype != np.uint8:
-            bad = np.issubdtype(array.dtype, np.floating) and not np.isfinite(array).all()
-            told = "holds values that are not numbers (NaN)" if bad else f"is {array.dtype}"
-            raise ShapeError(f"the {what} of {where} {told}; a gel's picture is RGB of 8 bits")
-        if source.kind == "bubble" and not np.issubdtype(array.dtype, np.floating):
-            raise ShapeError(f"the {what} of {where} is {array.dtype}; a bubble's depth is float32 in millimetres")
-        if source.kind == "bubble" and not (array > 0).any():
-            raise ShapeError(
-                f"the {what} of {where} holds no depth at all (NaN or zero everywhere); leave this frame out"
-            )
-        if source.kind == "gel" and int(array.max()) <= _BLACK_GREY:
-            raise ShapeError(f"the {what} of {where} is black; check the light and the camera, or leave this frame out")
-        if source.kind == "gel" and int(array.min()) >= _WHITE_GREY:
-            raise ShapeError(
-                f"every pixel of the {what} of {where} is clipped, so that nothing is seen of the gel; "
-                "expose less, or leave this frame out"
-            )
+        problem = load_reference(kind.image_checker)(array)
+        if problem:
+            raise ShapeError(f"the {what} of {where} {problem}")
 
 
 def _at_rest(frame: TactileFrame, source: SensorSpec) -> DepthMap:

@@ -21,7 +21,6 @@ from pipeline.geometry.meshes import Mesh
 from pipeline.networks import weights_registry
 from pipeline.networks.square_images import compute_change, normalise, resize_to_square
 from pipeline.networks.weights import NoWeights, Weights
-from pipeline.physics import optics
 from pipeline.sensors.spec import SensorSpec
 from pipeline.simulation import shapes
 from pipeline.stages.pose import signed_distances
@@ -55,7 +54,7 @@ def predict_pose(
     if nothing is not None or mesh is None:
         assert nothing is not None
         return Skipped(output=nothing, why=nothing.notes[0])
-    untouched = optics.render_reference(target) if target.kind == "gel" else target.rest_depth_mm
+    untouched = target.render_reference()
     shown = normalise(resize_to_square(compute_change(target.kind, touch.image, untouched)), target.kind)
     x, y, turn = _told(network, shown, mesh)
     level = rigid.translation(x, y, 0.0) @ rigid.rotation((0.0, 0.0, turn))

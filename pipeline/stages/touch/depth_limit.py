@@ -24,7 +24,7 @@ def check_depth_limit(
     touch: GeneratedTouch, source: SensorSpec, target: SensorSpec, alignment: Alignment
 ) -> tuple[StageWarning, ...]:
     """A doubt where a bubble's touch lies nearer to its camera than anything felt can; none of a gel's picture."""
-    if target.kind != "bubble":
+    if not target.sensor_kind.is_depth:
         return ()
     nearest = np.array(source.rest_depth_mm, np.float64) - source.limits.indentation_max_mm
     points = source.camera.back_project(nearest)[::_STRIDE, ::_STRIDE].reshape(-1, 3)

@@ -113,7 +113,7 @@ def generate_touch(
     net: Any = network
     changed = resize_to_square(compute_change(source.kind, frame.image, frame.reference), net.side)
     if params.raw_condition == "yes" or (params.raw_condition == "as trained" and net.raw_condition):
-        changed = changed * np.float32(255.0 if source.kind == "gel" else 1.0)
+        changed = changed * np.float32(source.sensor_kind.full_change)
     shown = normalise(changed, source.kind)
     found, notes = sample_image(net, np.broadcast_to(shown, (3, *shown.shape[1:])), params, progress)
     made = decode_image(found, target.kind, map_twice=params.double_mapping)
@@ -145,7 +145,9 @@ def sample_image(
         def denoise(noisy: Tensor, sigma: float) -> Tensor:
             n = len(embedding)
             at = noisy / (1.0 + sigma * sigma) ** 0.5  # the network was taught on noise that keeps the spread
-            return noisy - sigma * net.predict_noise(at.expand(n, -1, -1, -1), torch.full((n,), time_of[sigma]), embedding)
+            return noisy - sigma * net.predict_noise(
+                at.expand(n, -1, -1, -1), torch.full((n,), time_of[sigma]), embedding
+            )
 
         return denoise
 

@@ -13,6 +13,7 @@ from typing import Literal, assert_never
 import numpy as np
 
 from pipeline.base.arrays import Doubles, Floats, Image, Indices, Mask, freeze
+from pipeline.base.entry_points import load_reference
 from pipeline.base.errors import SettingProblem, ShapeError
 from pipeline.base.memo import Memo
 from pipeline.base.params import setting
@@ -74,8 +75,12 @@ def render_touch(
         return replace(exact, notes=(*left_out, *exact.notes))
     progress.step(0.0, "pressing the target's membrane")
     depth_limited, cut = _within_limits(view, target)
-    make = _gel_touch if target.kind == "gel" else _bubble_touch
-    touch = make(view, depth_limited, target, params, [*left_out, *cut])
+    renderer = target.sensor_kind.touch_renderer
+    if not renderer:
+        raise SettingProblem(
+            f"the physical render has no model of sensors of kind {target.kind!r} such as {target.name}"
+        )
+    touch = load_reference(renderer)(view, depth_limited, target, params, [*left_out, *cut])
     progress.step(1.0, "pressed")
     return touch
 
@@ -103,7 +108,7 @@ def _untouched(target: SensorSpec) -> GeneratedTouch:
     shape = target.camera.shape
     at_rest = _membrane(target, np.zeros(shape, np.float32), np.zeros(shape, np.bool_))
     return GeneratedTouch(
-        image=optics.render_reference(target) if target.kind == "gel" else at_rest.depth_mm,
+        image=target.render_reference(),
         camera=target.camera,
         source_index=freeze(np.full(shape, -1, np.int32)),
         in_view=freeze(np.ones(shape, np.bool_)),
@@ -139,9 +144,10 @@ def _within_limits(view: TargetDepth, target: SensorSpec) -> tuple[Floats, list[
     return np.minimum(view.indentation_mm, np.float32(limit)), [note]
 
 
-def _gel_touch(
+def render_gel_touch(
     view: TargetDepth, indentation_mm: Floats, target: SensorSpec, params: PhysicalRenderParams, notes: list[str]
 ) -> GeneratedTouch:
+    """The image of a gel pressed by the view, and its surface."""
     if target.gel is None:
         raise SettingProblem(f"{target.name} has no gel to press; its description lacks [gel]")
     # Where the object leaves the picture it goes on beyond it: the pad does not end at the camera's view.
@@ -173,9 +179,10 @@ def _gel_touch(
     return _touch(view, target, image, surface, contact, notes)
 
 
-def _bubble_touch(
+def render_bubble_touch(
     view: TargetDepth, indentation_mm: Floats, target: SensorSpec, params: PhysicalRenderParams, notes: list[str]
 ) -> GeneratedTouch:
+    """The depth image of a bubble pressed by the view, and its membrane."""
     if target.bubble is None:
         raise SettingProblem(f"{target.name} has no membrane to press; its description lacks [bubble]")
     on = bubble.make_lattice(target.bubble)

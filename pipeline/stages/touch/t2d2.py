@@ -87,7 +87,9 @@ def generate_touch(
         felt = np.where(
             resample_to_grid(view.contact, make_working_sensor(target).camera.shape) > _HALF, 1.0, 0.0
         ).astype(np.float32)
-        found = replace(found, final=replace(found.final, contact_correction=np.maximum(found.final.contact_correction, felt)))
+        found = replace(
+            found, final=replace(found.final, contact_correction=np.maximum(found.final.contact_correction, felt))
+        )
     beyond = found.expected_error_mm[resample_to_grid(view.in_view, found.expected_error_mm.shape) < _HALF]
     told = float((beyond if beyond.size else found.expected_error_mm).mean())
     where = "beyond what the source felt" if beyond.size else "all over"

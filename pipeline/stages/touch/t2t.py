@@ -11,8 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-import numpy as np
-
 from pipeline.base.arrays import Floats
 from pipeline.base.errors import ShapeError
 from pipeline.base.memo import Memo
@@ -23,7 +21,6 @@ from pipeline.engine.digests import content
 from pipeline.engine.graph import Method, Skipped
 from pipeline.networks import network_factory, weights_registry
 from pipeline.networks.weights import NoWeights, Weights
-from pipeline.physics import optics
 from pipeline.sensors.alignment import Alignment
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.cloud import back_projection as adaptation
@@ -151,11 +148,10 @@ def build_condition(frame: TactileFrame, source: SensorSpec, alignment: Alignmen
     eye = source.camera if frame.camera is None else frame.camera
     reference: Any = frame.reference
     if reference is None:
-        reference = optics.render_reference(source.with_camera(eye)) if source.kind == "gel" else source.rest_depth_mm
+        reference = source.with_camera(eye).render_reference()
     if reference.shape != frame.image.shape:
         raise ShapeError(f"the untouched reading must have the shape {frame.image.shape}, got {reference.shape}")
-    now, still = frame.image.astype(np.float32), reference.astype(np.float32)
-    change = now - still if source.kind == "gel" else still - now
+    change = source.sensor_kind.compute_change(frame.image, reference)
     return build_image_condition(change, eye, source, make_working_sensor(target), alignment)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.base.arrays import Floats, freeze
-from pipeline.physics import optics
 from pipeline.sensors.spec import SensorSpec
 from pipeline.values.results import GeneratedTouch
 
@@ -16,11 +15,9 @@ def make_touch_from_change(target: SensorSpec, changed: Floats, notes: tuple[str
     It is laid onto the described unit's untouched reading; where a pixel comes from is not told.
     """
     shape = target.camera.shape
-    if target.kind == "gel":
-        grey = optics.render_reference(target) + np.float32(255.0) * changed
-        image = np.clip(np.rint(grey), 0, 255).astype(np.uint8)
-    else:
-        image = (target.rest_depth_mm - changed[..., 0]).astype(np.float32)
+    kind = target.sensor_kind
+    change = np.float32(kind.full_change) * (changed[..., 0] if kind.is_depth else changed)
+    image = kind.apply_change(target.render_reference(), change)
     return GeneratedTouch(
         image=freeze(image), camera=target.camera, source_index=freeze(np.full(shape, -1, np.int32)),
         in_view=freeze(np.ones(shape, np.bool_)), notes=notes,

@@ -8,12 +8,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from pipeline.base.params import NoParams
 from pipeline.base.progress import SILENT, Progress
 from pipeline.engine.graph import Fallback
-from pipeline.physics import optics
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import photometric as depth
 from pipeline.stages.depth.photometric import DepthParams
@@ -55,5 +52,5 @@ def estimate_from_image(
 
 
 def _as_recorded(touch: GeneratedTouch, target: SensorSpec) -> TactileFrame:
-    reference = optics.render_reference(target) if target.kind == "gel" else target.rest_depth_mm.astype(np.float32)
+    reference = target.render_reference()
     return TactileFrame(sensor=target.name, image=touch.image, reference=reference, origin="generated touch")

@@ -321,7 +321,7 @@ def test_no_flipped_byte_changes_a_picture_unseen(tmp_path: Path):
         ),
         (
             lambda f: f["streams/gelslim/truth/indentation"].attrs.__delitem__("unit"),
-            "streams/gelslim/truth/indentation does not say its unit",
+            "streams/gelslim/truth/indentation has no unit",
         ),
         (lambda f: f["streams/bubble/camera_matrix"].__setitem__((0, 0), 0.0), "camera_matrix is singular"),
     ],

@@ -200,13 +200,13 @@ def test_chunks_beyond_all_size_are_refused(tmp_path: Path, small: Path):
     def declare(file: h5py.File) -> None:
         file[STREAM].create_dataset("more", (1, 1 << 15, 1 << 15), "f4", chunks=(1, 1 << 15, 1 << 14))
 
-    assert "chunks beyond all size" in refusal(edited(small, tmp_path, declare))
+    assert "chunks that are too large" in refusal(edited(small, tmp_path, declare))
 
 
 @pytest.mark.parametrize("named", ["/etc/own.toml", "../gelslim", "digit.toml", "dig it", "\x1b[31m"])
 def test_a_recording_names_a_sensor_and_no_file(tmp_path: Path, small: Path, named: str):
     path = edited(small, tmp_path, lambda file: file[STREAM].attrs.__setitem__("sensor", named))
-    assert "is no name of the catalogue" in refusal(path)
+    assert "is no sensor name" in refusal(path)
 
 
 def test_a_group_that_holds_itself_is_refused(tmp_path: Path, small: Path):
@@ -216,7 +216,7 @@ def test_a_group_that_holds_itself_is_refused(tmp_path: Path, small: Path):
 
 def test_truth_that_is_said_to_be_known_and_is_not_there_is_refused(tmp_path: Path, small: Path):
     path = edited(small, tmp_path, lambda file: file.__delitem__(f"{STREAM}/truth/contact"))
-    assert "truth/contact is known, but does not hold it" in refusal(path)
+    assert "truth/contact" in refusal(path)
 
 
 def test_a_mesh_of_corners_that_are_not_there_is_refused(tmp_path: Path, small: Path):

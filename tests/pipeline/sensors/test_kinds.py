@@ -1,0 +1,171 @@
+"""A third kind of sensor comes from a module of its own and goes through depth, target depth and preview."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.base import entry_points
+from pipeline.base.arrays import freeze
+from pipeline.base.errors import CalibrationError, SettingProblem, ShapeError
+from pipeline.geometry import membrane
+from pipeline.previews.display_params import DisplayParams
+from pipeline.previews.preview import make_frame_preview, make_indentation_scale
+from pipeline.sensors import kinds
+from pipeline.sensors.kinds import SensorKind, register_kind
+from pipeline.sensors.spec import SensorSpec, load_sensor
+from pipeline.simulation.press import simulate_press
+from pipeline.stages.depth import photometric
+from pipeline.stages.depth.photometric import DepthParams
+from pipeline.values.frames import TactileFrame
+from pipeline.values.pixel_index import make_pixel_index
+from pipeline.values.results import DepthMap
+
+TOML = """kind = "taxels"
+title = "Taxel array"
+[image]
+rows = { value = 12, unit = "px", from = "test" }
+cols = { value = 16, unit = "px", from = "test" }
+[camera]
+fx = { value = 20.0, unit = "px", from = "test" }
+fy = { value = 20.0, unit = "px", from = "test" }
+cx = { value = 7.5, unit = "px", from = "test" }
+cy = { value = 5.5, unit = "px", from = "test" }
+[rest]
+depth = { value = 20.0, unit = "mm", from = "test" }
+[limits]
+contact_min = { value = 0.1, unit = "mm", from = "test" }
+indentation_max = { value = 3.0, unit = "mm", from = "test" }
+no_contact_change = { value = 0.2, unit = "mm", from = "test" }
+[alignment]
+translation = { value = [0.0, 0.0, -20.0], unit = "mm", from = "test" }
+rotation_vector = { value = [0.0, 0.0, 0.0], unit = "deg", from = "test" }
+"""
+
+
+def parse_parts(_section, _data, _path):
+    return {}
+
+
+def parse_membrane(section, camera, _parts):
+    z = section("rest").read_number("depth", "mm", 0.1, 1000.0)
+    return membrane.make_flat_membrane(z, camera.cols * z / camera.fx_px, camera.rows * z / camera.fy_px)
+
+
+def render_reference(sensor: SensorSpec):
+    return freeze(np.zeros(sensor.camera.shape, np.float32))  # taxels read their own indentation
+
+
+def find_image_problem(image):
+    return "has negative taxels" if (image < -1.0).any() else ""
+
+
+def describe_if_no_contact(image, reference, limit):
+    return ("no taxel is pressed",) if float(np.abs(image - reference).max()) < limit else None
+
+
+def estimate_depth(frame, sensor, _calibration, params, _progress):
+    pressed = sensor.sensor_kind.compute_change(frame.image, frame.reference)
+    return DepthMap(
+        indentation_mm=freeze(pressed), depth_mm=freeze((sensor.rest_depth_mm - pressed).astype(np.float32)),
+        contact=freeze(pressed > params.contact_limit * sensor.limits.contact_min_mm), camera=sensor.camera,
+        source_index=make_pixel_index(sensor.camera.shape),
+    )  # fmt: skip
+
+
+TAXELS = SensorKind(
+    key="taxels", is_depth=True, change_sign=1.0, full_change=1.0, display_group="gel", still_change=0.1,
+    drift_change=None, part_parser=f"{__name__}:parse_parts", membrane_parser=f"{__name__}:parse_membrane",
+    reference_renderer=f"{__name__}:render_reference", image_checker=f"{__name__}:find_image_problem",
+    contact_checker=f"{__name__}:describe_if_no_contact", depth_estimator=f"{__name__}:estimate_depth",
+)  # fmt: skip
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    (tmp_path / "array.toml").write_text(TOML)
+    return tmp_path / "array.toml"
+
+
+@pytest.fixture
+def sensor(path: Path, monkeypatch) -> SensorSpec:
+    monkeypatch.setattr(kinds, "_registered", {})
+    register_kind(TAXELS)
+    return load_sensor(str(path))
+
+
+def make_frame(sensor: SensorSpec, pressed_mm: float) -> TactileFrame:
+    image = np.zeros(sensor.camera.shape, np.float32)
+    image[4:7, 6:10] = pressed_mm
+    return TactileFrame(sensor=sensor.name, image=image, reference=sensor.render_reference())
+
+
+def test_an_unknown_kind_is_refused_with_those_that_are_known(path: Path):
+    with pytest.raises(CalibrationError, match=r"'bubble' or 'gel', got 'taxels'"):
+        load_sensor(str(path))
+
+
+def test_another_package_adds_a_kind_by_an_entry_point(path: Path, monkeypatch):
+    entry = importlib.metadata.EntryPoint(name="lab", value=f"{__name__}:TAXELS", group="tactoscope.sensor_kinds")
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [entry] if group == entry.group else [])
+    entry_points.load_entry_points.cache_clear()
+    try:
+        assert load_sensor(str(path)).sensor_kind is TAXELS
+    finally:
+        entry_points.load_entry_points.cache_clear()
+
+
+def test_a_frame_of_the_third_kind_goes_through_depth(sensor: SensorSpec):
+    depth = photometric.estimate_depth_with_notes(make_frame(sensor, 0.8), sensor, None, DepthParams())
+    assert depth.contact.sum() == 12
+    assert depth.indentation_mm.max() == pytest.approx(0.8)
+    assert depth.depth_mm.min() == pytest.approx(19.2)
+
+
+def test_a_frame_without_contact_needs_no_estimate(sensor: SensorSpec):
+    depth = photometric.skip_without_contact(make_frame(sensor, 0.05), sensor, None, DepthParams())
+    assert depth is not None
+    assert depth.notes == ("no taxel is pressed",)
+    assert not depth.contact.any()
+    assert photometric.skip_without_contact(make_frame(sensor, 0.8), sensor, None, DepthParams()) is None
+
+
+def test_the_kind_checks_its_frames(sensor: SensorSpec):
+    with pytest.raises(ShapeError, match="negative taxels"):
+        photometric.check_frame(make_frame(sensor, -2.0), sensor)
+
+
+def test_the_third_kind_has_a_preview_with_its_scale(sensor: SensorSpec):
+    display = DisplayParams(gel_limit_mm=2.0)
+    preview = make_frame_preview(make_frame(sensor, 0.8).image, sensor.camera, sensor, display)
+    assert preview.pixels.shape == (12, 16, 3)
+    assert make_indentation_scale(sensor, display).high == 2.0
+
+
+def test_what_a_kind_does_not_offer_is_refused_in_words(sensor: SensorSpec):
+    from pipeline.simulation import shapes
+
+    with pytest.raises(SettingProblem, match="taxels"):
+        simulate_press(shapes.make_shape("sphere").mesh, np.eye(4), sensor, seed=None)
+
+
+@pytest.mark.parametrize("name", ["digit", "soft_bubble"])
+def test_a_change_restores_the_image(name: str):
+    sensor = load_sensor(name)
+    kind, reference = sensor.sensor_kind, sensor.render_reference()
+    change = np.full(reference.shape, 2.0, np.float32)
+    image = kind.apply_change(reference, change)
+    assert image.dtype == reference.dtype
+    np.testing.assert_allclose(kind.compute_change(image, reference)[3:-3, 3:-3], 2.0, atol=1e-4)
+
+
+@pytest.mark.parametrize("key", ["gel", "bubble"])
+def test_every_function_that_a_kind_names_exists(key: str):
+    kind = kinds.get_kind(key)
+    for field in kind.__dataclass_fields__:
+        value = getattr(kind, field)
+        if isinstance(value, str) and ":" in value:
+            assert callable(entry_points.load_reference(value))
