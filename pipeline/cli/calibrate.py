@@ -16,7 +16,6 @@ from pipeline.calibration.calibration_file import save
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.calibration.quality_notes import format_calibration
 from pipeline.cli.terminal import ProgressBar, create_progress_bar, print_line
-from pipeline.networks.weights import SUFFIX
 from pipeline.recordings import open_recording
 from pipeline.sensors.spec import SensorSpec
 from pipeline.sensors.spec import load_sensor as sensor_named
@@ -40,8 +39,6 @@ class BallCalibrationRequest:
     pixel_mm: float | None
     pattern: str
     seed: int
-    network: Path | None  # weights to write
-    even_if_worse: bool
 
 
 def run_ball_calibration(asked: BallCalibrationRequest) -> int:
@@ -66,12 +63,6 @@ def run_ball_calibration(asked: BallCalibrationRequest) -> int:
             f"of {spec.name}; if it is not this unit's, measure it and give --pixel-mm: all sizes and depths go with it"
         )
     print_line(f"look-up written to {asked.out}; use it with --calibration")
-    if asked.network is not None:
-        from pipeline.cli.calibrate_network import train_network
-        from pipeline.training.instance_network import split_presses
-
-        presses = split_presses(images, untouched, spec, asked.diameter_mm, fitted, asked.seed)
-        train_network(presses, asked.network, asked.out, seed=asked.seed, even_if_worse=asked.even_if_worse)
     return 0
 
 
@@ -86,14 +77,7 @@ def _check(asked: BallCalibrationRequest) -> None:
         raise SettingProblem(f"--seed must be 0 or more, got {asked.seed}")
     if not asked.pattern:
         raise SettingProblem("--pattern is empty; '*' takes every picture")
-    if asked.network is None:
-        if asked.even_if_worse:
-            raise SettingProblem("--even-if-worse says when weights are written; name their file with --network")
-    elif asked.network.suffix != SUFFIX:
-        raise SettingProblem(f"--network names weights, which are kept in a {SUFFIX} file, got {asked.network.name!r}")
-    for path in (asked.out, asked.network):
-        if path is not None:
-            prepare_folder_for(path)
+    prepare_folder_for(asked.out)
 
 
 def _pictures(folder: Path, spec: SensorSpec, reference: Path, pattern: str) -> list[TactileFrame]:

@@ -83,8 +83,6 @@ def balls(
     pixel_mm: float | None = None,
     pattern: str = "*",
     seed: int = 0,
-    network: Path | None = None,
-    even_if_worse: Flag = False,
 ) -> int:
     """Fit a sensor's colour-to-slope look-up to presses of a ball, and report how well it fits.
 
@@ -106,16 +104,11 @@ def balls(
         Which file names of the folder to use, such as `ball_6.310mm_*`.
     seed
         Seed of the fit; the same seed gives the same look-up.
-    network
-        Weights to write (.safetensors): the compact network is taught on the presses, too, what the look-up leaves. It
-        is judged on a third of them, held out, and written only where it is nearer to the ball than the look-up.
-    even_if_worse
-        Write these weights whatever was measured.
     """
     from pipeline.cli.calibrate import BallCalibrationRequest, run_ball_calibration
 
     asked = BallCalibrationRequest(
         presses=presses, sensor=sensor, diameter_mm=diameter_mm, reference=reference, out=out, pixel_mm=pixel_mm,
-        pattern=pattern, seed=seed, network=network, even_if_worse=even_if_worse,
+        pattern=pattern, seed=seed,
     )  # fmt: skip
     return run_ball_calibration(asked)

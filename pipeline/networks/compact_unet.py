@@ -1,8 +1,8 @@
-"""A compact U-Net for pictures of any size: fields of the same size come out.
+"""A compact U-Net for images of any size; the output has the size of the input.
 
-The pixels of a patch of `fold` x `fold` become channels at the entrance and pixels again at the exit: nothing is
-thrown away, and no convolution runs at the full size, where most of the time would go. Encoder and decoder meet at
-every level, by a sum; a level halves the picture (rounded up) and widens it. Some 0.3 to 1 million parameters.
+Each patch of `fold` x `fold` pixels becomes channels at the input and pixels again at the output: nothing is lost, and
+no convolution runs at full resolution, where most of the time would go. Encoder and decoder are joined by a sum at
+every level; a level halves the image (rounded up) and widens the channels. 0.3 to 1 million parameters.
 """
 
 from __future__ import annotations
@@ -10,52 +10,55 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import cast
 
+import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 
 class CompactUnet(nn.Module):
-    """Fields (n, outputs, rows, cols) from a picture (n, inputs, rows, cols); plain numbers, no activation at the end.
+    """Fields (n, outputs, rows, cols) of an image (n, inputs, rows, cols); no activation at the end.
 
-    `first` channels behind the fold, twice as many at every further of the `levels`, `widest` at most.
+    `base_channels` after the fold, doubled at each further of the `levels`, at most `max_channels`.
     """
 
+    onnx_size = None  # (rows, cols) for which it is exported; None: one file serves any size that `fold` divides
+
     def __init__(
-        self,
-        *,
-        inputs: int,
-        outputs: int,
-        base_channels: int = 32,
-        levels: int = 4,
-        max_channels: int = 120,
+        self, *, inputs: int, outputs: int, base_channels: int = 32, levels: int = 4, max_channels: int = 120,
         fold: int = 2,
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__()
         widths = [min(base_channels * 2**level, max_channels) for level in range(levels)]
-        self.fold = fold
+        self.fold, self.inputs = fold, inputs
+        # Pixels to channels as a convolution: OpenCV runs it for any size, which it does not for torch's own export.
+        kernel = torch.eye(fold * fold).reshape(fold * fold, 1, fold, fold).repeat(inputs, 1, 1, 1)
+        self.register_buffer("fold_kernel", kernel, persistent=False)
         self.start = _block(inputs * fold * fold, widths[0])
         self.down = nn.ModuleList(
             nn.Sequential(_block(narrow, wide), _block(wide, wide)) for narrow, wide in pairwise(widths)
         )
-        # What comes up is thinned out before it is enlarged: a 1 x 1 convolution costs a quarter there.
+        # Channels are reduced before the image is enlarged: a 1 x 1 convolution costs a quarter there.
         self.thin = nn.ModuleList(nn.Conv2d(wide, narrow, 1) for narrow, wide in pairwise(widths))
         self.merge = nn.ModuleList(nn.Sequential(_block(width, width), _block(width, width)) for width in widths[:-1])
         self.finish = nn.Conv2d(widths[0], outputs * fold * fold, 3, padding=1)
 
-    def forward(self, picture: Tensor) -> Tensor:
-        """The fields (n, outputs, rows, cols) of a batch of pictures."""
-        rows, cols = picture.shape[-2:]
-        beyond = (0, -cols % self.fold, 0, -rows % self.fold)
-        whole = functional.pad(picture, beyond, mode="replicate") if any(beyond) else picture
-        seen = [cast("Tensor", self.start(functional.pixel_unshuffle(whole, self.fold)))]
+    def forward(self, image: Tensor) -> Tensor:
+        """The fields (n, outputs, rows, cols) of a batch of images."""
+        rows, cols = (int(n) for n in image.shape[-2:])
+        padding = (0, -cols % self.fold, 0, -rows % self.fold)
+        if any(padding):
+            image = functional.pad(image, padding, mode="replicate")
+        folded = functional.conv2d(image, cast("Tensor", self.fold_kernel), stride=self.fold, groups=self.inputs)
+        skips = [cast("Tensor", self.start(folded))]
         for down in self.down:
-            seen.append(down(functional.max_pool2d(seen[-1], 2, ceil_mode=True)))
-        field = seen.pop()
+            skips.append(down(functional.max_pool2d(skips[-1], 2, ceil_mode=True)))
+        field = skips.pop()
         for thin, merge in zip(reversed(self.thin), reversed(self.merge), strict=True):
-            beside = seen.pop()
-            field = functional.interpolate(thin(field), size=beside.shape[-2:], mode="bilinear", align_corners=False)
-            field = merge(beside + field)
-        return functional.pixel_shuffle(self.finish(field), self.fold)[..., :rows, :cols]
+            skip = skips.pop()
+            field = functional.interpolate(thin(field), size=skip.shape[-2:], mode="bilinear", align_corners=False)
+            field = merge(skip + field)
+        fields = functional.pixel_shuffle(self.finish(field), self.fold)
+        return fields[..., :rows, :cols] if any(padding) else fields
 
 
 def _block(inputs: int, outputs: int) -> nn.Sequential:

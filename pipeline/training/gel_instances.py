@@ -14,7 +14,6 @@ import numpy as np
 from pipeline.base.params import setting
 from pipeline.stages.depth import gel_network_input
 from pipeline.training import instance_samples
-from pipeline.training.gel_depth import mirror_example
 from pipeline.training.instance_samples import InstanceSample
 
 if TYPE_CHECKING:
@@ -51,7 +50,7 @@ class GelInstancesTask:
         """The loss of a batch and its parts."""
         from pipeline.training import gel_loss
 
-        return gel_loss.compute_absolute_loss(network(batch["fields"]), batch["indentation"], batch["contact"])
+        return gel_loss.compute_loss(network(batch["fields"]), batch["indentation"], batch["contact"])
 
     def evaluate(self, network: nn.Module, held_out: Sequence[Example]) -> dict[str, float]:
         """How far off depth and contact are, and how far physics is alone."""
@@ -81,3 +80,15 @@ def _example(of: InstanceSample) -> Example:
         "fields": of.fields, "indentation": of.indentation, "contact": of.contact.astype(np.uint8),
         "depth_mm": np.asarray(of.depth_mm, np.float32),
     }  # fmt: skip
+
+
+def mirror_example(rng: np.random.Generator, example: Example) -> Example:
+    """The example mirrored left to right, top to bottom, both or neither; each with probability 1/2.
+
+    Slopes and positions along a mirrored axis change sign.
+    """
+    for number, (axis, slopes) in enumerate(zip((-1, -2), gel_network_input.SLOPE_CHANNELS, strict=True)):
+        if rng.random() < 0.5:
+            example = {k: np.ascontiguousarray(np.flip(v, axis)) if v.ndim else v for k, v in example.items()}
+            example["fields"][[*slopes, gel_network_input.POSITION_CHANNEL + number]] *= -1.0
+    return example

@@ -68,7 +68,6 @@ class TaskEntry:
 
 
 TASKS: dict[str, TaskEntry] = {
-    "gel_depth": TaskEntry(subcommand="depth", import_path="pipeline.training.gel_depth:GelDepthTask"),
     "gel_instances": TaskEntry(subcommand="depth", import_path="pipeline.training.gel_instances:GelInstancesTask"),
     "depth_anything": TaskEntry(subcommand="depth", import_path="pipeline.training.depth_anything:DepthAnythingTask"),
     "vqvae": TaskEntry(subcommand="vqvae", import_path="pipeline.training.vqvae:VqVaeTask"),

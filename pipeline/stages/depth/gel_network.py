@@ -1,19 +1,19 @@
-"""Depth of a gel by physics, corrected by the network that has learned where it errs on units that nobody calibrated.
+"""Depth of a gel: the photometric depth, corrected by a network trained on sensor instances that nobody calibrated.
 
-The network looks at 120 x 160 pixels whatever the sensor has (`network_input`), so that its time does not depend on the
-picture; what it adds is smooth, and what physics tells more finely stays. Where physics finds no contact, and for a
-unit that is calibrated, its answer stands: neither was learned from.
+The network sees 120 x 160 pixels whatever the sensor has (`gel_network_input`), so its time does not depend on the
+image; its correction is smooth, and finer detail stays that of the photometric depth. Three cases are left to physics,
+since the network was not trained on them: no physical contact, a calibrated sensor instance, and a light that physics
+cannot explain by the instance's LEDs.
 
-The network that comes along (`training.gel_units`) has learned from units that differ as a lab's do, and tells how deep
-all of a touch is as well: it answers where physics explains the light by a unit's lamps, and is believed where it says
-more than physics, which loses steep walls, and not quite as far where it says less. Others have seen units of any light
-and leave the scale to physics; weights that were taught on a unit's own presses (`training.own_unit`) correct its
-look-up, and nothing else.
+The network was trained on instances that differ as those of a lab do (`training.gel_instances`) and predicts the depth
+of the whole touch as well. Physics underestimates steep walls, so the network's factor is taken fully where it is
+larger than that of physics and in part where it is smaller.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import cast
 
@@ -26,7 +26,7 @@ from pipeline.base.progress import SILENT, Progress
 from pipeline.base.stage_warnings import AT_BORDER, StageWarning
 from pipeline.calibration.calibration_table import Calibration
 from pipeline.engine.digests import content
-from pipeline.networks.gel_depth_opencv import GelDepthNetworkOpenCv
+from pipeline.networks.gel_depth_prediction import PHYSICS_CONTACT_LOGIT, GelDepthPrediction
 from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import (
     adaptive_illumination,
@@ -41,33 +41,30 @@ from pipeline.stages.depth.gel_depth import MeasuredSurface
 from pipeline.values.frames import TactileFrame
 from pipeline.values.results import DepthErrorModel, DepthMap
 
+GelNetwork = Callable[[Floats], tuple[Floats, ...]]  # channels (28, 120, 160) -> `GelDepthPrediction` without batch axis
 _SPECK_MM2 = 0.15  # smaller contacts are camera noise
-_CORRELATION_PX = 8.0  # of the network's pixels: its errors go together over about what it integrates over
-# The network's say in the scale, where that is more than physics' and where it is less: of 385 random presses on units
-# that nothing was learned from, least squares give 1.0 to 2.0 for the one and 0.5 to 0.65 for the other. Where other
-# touches of a recording tell the lamps as well, it is 1.1 and 0.24 (141 touches of six units).
-_BELIEVED_MORE, _BELIEVED_LESS, _WEIGHT_BELOW_WITH_CONTEXT = 1.0, 0.6, 0.3
-# Of what a network that tells the scale expects to be off by: what it was taught are means, which a few touches far off
-# make. Of 163 such presses the logarithm's mean is that of 0.68; physics' error is told likewise (`depth_error`).
-_MIDDLE = 0.68
-_SURE = 2.0  # logit of what physics holds for contact, as the network has learned
-_PUSHED_IN = (
-    0.3  # of the nearest contact's depth, at its edge: half of it on a deep gel, less on a thin one (`contact`)
-)
+_CORRELATION_PX = 8.0  # correlation length of the network's errors: about the length over which it integrates
+# Weight of the network's log depth factor relative to physics, where it is larger and where it is smaller. Least squares
+# over 385 random presses on instances outside the training data give 1.0 to 2.0 and 0.5 to 0.65; over 141 touches of
+# six instances whose LEDs other frames of the recording constrain, 1.1 and 0.24.
+_WEIGHT_ABOVE, _WEIGHT_BELOW, _WEIGHT_BELOW_WITH_CONTEXT = 1.0, 0.6, 0.3
+# Median of the measured over the predicted error (log mean over 163 of those presses): the prediction is a mean, which a
+# few touches with large errors raise. `depth_error` states physics' error as a median, too.
+_MEDIAN_ERROR_SHARE = 0.68
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NetworkParams(photometric.DepthParams):
-    """How physics looks at a gel's frame, and how the network's answer is taken."""
+    """Parameters of the photometric depth, and the contact threshold of the network."""
 
     smoothing_px: float = setting(
-        1.0, "Smoothing", unit="px", low=0.0, high=5.0, step=0.25, help="blur of the colour change that physics reads",
-        source="a Gaussian's standard deviation; how much is our own", only="gel",
+        1.0, "Smoothing", unit="px", low=0.0, high=5.0, step=0.25, help="blur of the colour change before slopes are computed",
+        source="a Gaussian's standard deviation; its size is our choice", only="gel",
     )  # fmt: skip
     certainty: float = setting(
-        0.4, "Certainty of contact", unit="share", low=0.05, high=0.95, step=0.05,
-        help="contact is where the network holds it for likelier than this",
-source="measured: of 0.3, 0.4 and 0.5 the best overlap on simulated tools, which a limit of half of it makes largest",
+        0.4, "Contact probability", unit="share", low=0.05, high=0.95, step=0.05,
+        help="pixels that the network holds for contact with a higher probability are contact",
+        source="measured: best overlap on simulated tools of 0.3, 0.4 and 0.5",
     )  # fmt: skip
 
 
@@ -75,64 +72,52 @@ def estimate_depth(
     frame: TactileFrame,
     source: SensorSpec,
     calibration: Calibration | None,
-    network: GelDepthNetworkOpenCv,
+    network: GelNetwork,
     params: NetworkParams,
     progress: Progress = SILENT,
 ) -> DepthMap:
-    """Indentation, depth and contact of a gel's frame, with the error that the network itself expects.
+    """Indentation, depth and contact of a gel's frame, with the error that the network predicts.
 
-    Raises what physics raises.
+    Raises what the photometric depth raises.
     """
-    why = _not_for(calibration, for_units=network.calibrated)
-    if why:
+    if calibration is not None and not calibration.is_built_in:
         found = photometric.estimate_depth_with_notes(frame, source, calibration, params, progress)
-        return replace(found, notes=(*found.notes, why))
+        return replace(found, notes=(*found.notes, "this sensor is calibrated: the depth is photometric, without network"))
     photometric.check_frame(frame, source)
-    by = photometric.compute_downsampling(frame, source, params)
-    if by == 1:
-        found = _by_both(frame, source, calibration, network, params, progress)
+    factor = photometric.compute_downsampling(frame, source, params)
+    if factor == 1:
+        depth = _estimate(frame, source, calibration, network, params, progress)
     else:
         seen_by = source if frame.camera is None else source.with_camera(frame.camera)
-        small, less = draft_resolution.downsample_frame(frame, seen_by.camera, by), photometric.scale_params(params, by)
-        light = photometric.get_cached_light(frame, source)
-        found = _by_both(
-            small, source, draft_resolution.downsample_calibration(calibration, by), network, less, progress, light
-        )
-        found = draft_resolution.upsample_depth(found, seen_by, by)
-    return photometric.add_calibration_notes(found, frame, source, calibration)
+        small = draft_resolution.downsample_frame(frame, seen_by.camera, factor)
+        depth = _estimate(
+            small, source, draft_resolution.downsample_calibration(calibration, factor), network,
+            photometric.scale_params(params, factor), progress, photometric.get_cached_light(frame, source),
+        )  # fmt: skip
+        depth = draft_resolution.upsample_depth(depth, seen_by, factor)
+    return photometric.add_calibration_notes(depth, frame, source, calibration)
 
 
-def _by_both(
-    frame: TactileFrame, source: SensorSpec, calibration: Calibration | None, network: GelDepthNetworkOpenCv,
+def _estimate(
+    frame: TactileFrame, source: SensorSpec, calibration: Calibration | None, network: GelNetwork,
     params: NetworkParams, progress: Progress, light: adaptive_illumination.Illumination | None = None,
 ) -> DepthMap:  # fmt: skip
-    """Physics' answer, corrected where the network has something to say."""
-    physical, measured, seen = estimate_physical_depth(frame, source, progress, calibration, params, light)
+    """The photometric depth, corrected where the network applies."""
+    physical, measured, inputs = estimate_physical_depth(frame, source, progress, calibration, params, light)
     if measured is None or not physical.contact.any():
         return physical
-    progress.step(0.9, "correcting physics")
+    progress.step(0.9, "correcting by the network")
     seen_by = match_pixel_size(source if frame.camera is None else source.with_camera(frame.camera), calibration)
-    why = illumination_channels.explain_exclusion(seen_by, measured.light) if network.predicts_depth_factor else ""
-    if why:
-        return replace(physical, notes=(*physical.notes, why))
+    reason = illumination_channels.explain_exclusion(seen_by, measured.light)
+    if reason:
+        return replace(physical, notes=(*physical.notes, reason))
     return correct_depth(
-        physical, measured, seen, seen_by, network, params, has_context_frames=bool(frame.context_frames)
+        physical, measured, inputs, seen_by, network, params, has_context_frames=bool(frame.context_frames)
     )
 
 
-def _not_for(calibration: Calibration | None, *, for_units: bool) -> str:
-    """Why a network has nothing to correct of what a look-up reads; "" where it has."""
-    if for_units and calibration is None:
-        return StageWarning(
-            "these weights correct the look-up of the unit that they were taught on: give it as --calibration"
-        )
-    if not for_units and calibration is not None and not calibration.is_built_in:
-        return "the unit is calibrated: the network has nothing to correct"
-    return ""
-
-
 def match_pixel_size(source: SensorSpec, calibration: Calibration | None) -> SensorSpec:
-    """The sensor with pixels as wide as a look-up has them."""
+    """The sensor with the pixel width of a calibration."""
     if calibration is None or calibration.pixel_mm == source.pixel_mm:
         return source
     camera, share = source.camera, source.pixel_mm / calibration.pixel_mm
@@ -140,43 +125,42 @@ def match_pixel_size(source: SensorSpec, calibration: Calibration | None) -> Sen
 
 
 def correct_depth(
-    physical: DepthMap, measured: MeasuredSurface, seen: gel_network_input.NetworkInput, source: SensorSpec, network: GelDepthNetworkOpenCv,
-    params: NetworkParams, *, has_context_frames: bool = False,
+    physical: DepthMap, measured: MeasuredSurface, inputs: gel_network_input.NetworkInput, source: SensorSpec,
+    network: GelNetwork, params: NetworkParams, *, has_context_frames: bool = False,
 ) -> DepthMap:  # fmt: skip
-    """The physical answer with what the network makes of it; `source` as it is seen through the frame's camera.
+    """The photometric depth with the network's correction; `source` with the frame's own camera.
 
-    `lamps_told`: by other touches of the recording as well.
+    `has_context_frames`: other frames of the recording constrain the LEDs as well.
     """
-    at = gel_network_input.make_grid(source.camera.shape)
-    pixel_mm = np.float32(source.pixel_mm * at.pixels_per_cell)
-    correction, more, spread, log_scale = _read(network, seen, source, measured.light)
-    limit, told = math.log(params.certainty / (1.0 - params.certainty)), at.resample_to_image(more)
-    likely = np.where(physical.contact, told > np.float32(limit - _SURE), told > np.float32(limit + _SURE))
-    if log_scale is None:  # of any light, which may throw shadows beside a touch
-        may = at.resample_to_image(_may_touch(measured.expand_to_frame(), seen, at).astype(np.float32)) > np.float32(
-            0.5
-        )
-        likely &= physical.contact | may
+    grid = gel_network_input.make_grid(source.camera.shape)
+    cell_mm = np.float32(source.pixel_mm * grid.pixels_per_cell)
+    unit_px = np.float32(gel_network_input.compute_depth_px(inputs))  # unit of the network's lengths
+    channels = illumination_channels.compute_all_channels(inputs, source, measured.light)
+    prediction = GelDepthPrediction(*network(channels))
+    limit = math.log(params.certainty / (1.0 - params.certainty))
+    logit = grid.resample_to_image(prediction.contact_logit_correction)
+    likely = logit > np.float32(limit) + np.where(
+        physical.contact, np.float32(-PHYSICS_CONTACT_LOGIT), np.float32(PHYSICS_CONTACT_LOGIT)
+    )
     touched = contact.remove_specks(likely, max(4, round(_SPECK_MM2 / source.pixel_mm**2)))
-    by_physics = measured.relax_outside_contact(touched)
-    indentation = np.asarray(by_physics + at.resample_to_image(correction) * pixel_mm, np.float32)
-    less = _WEIGHT_BELOW_WITH_CONTEXT if has_context_frames else _BELIEVED_LESS
-    indentation *= _compute_depth_scale(indentation, by_physics, touched, log_scale, less)
-    notes = _limited(indentation, touched, source)
+    relaxed = measured.relax_outside_contact(touched)
+    correction = grid.resample_to_image(unit_px * prediction.correction)
+    indentation = np.asarray(relaxed + correction * cell_mm, np.float32)
+    below = _WEIGHT_BELOW_WITH_CONTEXT if has_context_frames else _WEIGHT_BELOW
+    indentation *= _compute_depth_scale(indentation, relaxed, touched, float(prediction.log_depth_factor), below)
+    notes = _limit_indentation(indentation, touched, source)
     if not touched.any():
-        notes.append("the network holds what has changed for no contact: nothing touches the sensor")
+        notes.append("nothing touches the sensor: the network finds no contact where the image changed")
+    error_px = unit_px * np.exp(prediction.log_error_scale)
+    in_contact = grid.resample_to_grid(touched.astype(np.float32)) > np.float32(0.5)
     return replace(
         physical,
         indentation_mm=freeze(indentation),
         depth_mm=freeze((source.rest_depth_mm - indentation).astype(np.float32)),
         contact=freeze(touched),
         notes=(*(note for note in physical.notes if note not in notes), *notes),
-        error=_error(
-            spread * np.float32(_MIDDLE if network.predicts_depth_factor else 1.0),
-            at.resample_to_grid(touched.astype(np.float32)) > np.float32(0.5),
-            float(pixel_mm),
-        ),
-        expected_error_mm=freeze(np.maximum(at.resample_to_image(spread), 0.0) * pixel_mm),
+        error=_build_error_model(error_px[in_contact] * np.float32(_MEDIAN_ERROR_SHARE), float(cell_mm)),
+        expected_error_mm=freeze(np.maximum(grid.resample_to_image(error_px), 0.0) * cell_mm),
     )
 
 
@@ -188,104 +172,59 @@ def estimate_physical_depth(
     params: photometric.DepthParams | None = None,
     light: adaptive_illumination.Illumination | None = None,
 ) -> tuple[DepthMap, MeasuredSurface | None, gel_network_input.NetworkInput]:
-    """The physical answer of a frame and what it was made of, and what the network sees of both.
+    """The photometric depth of a frame, the surface it was made of, and the network's input from both.
 
-    A `light` that is known to explain the picture is not looked for.
+    A `light` that is given is used instead of an estimate.
     """
     params = params or photometric.DepthParams()
     physical, measured = photometric.estimate_gel_depth(frame, source, calibration, params, progress, light)
     seen_by = match_pixel_size(source if frame.camera is None else source.with_camera(frame.camera), calibration)
     image, reference = cast("Image", frame.image), cast("Image", frame.reference)
-    still = drift.apply_estimated_drift(image, reference).image
-    lamps = _lights.of(content(seen_by), lambda: gel_network_input.describe_light(seen_by))
-    return (
-        physical,
-        measured,
-        gel_network_input.prepare_input(image, still, physical.indentation_mm, physical.contact, seen_by, lamps),
+    reference = drift.apply_estimated_drift(image, reference).image
+    described = _described_lights.of(content(seen_by), lambda: gel_network_input.describe_light(seen_by))
+    inputs = gel_network_input.prepare_input(
+        image, reference, physical.indentation_mm, physical.contact, seen_by, described
     )
+    return physical, measured, inputs
 
 
-_lights: Memo[str, gel_network_input.DescribedLight] = Memo(16)
-
-
-def _read(
-    network: GelDepthNetworkOpenCv,
-    seen: gel_network_input.NetworkInput,
-    source: SensorSpec,
-    light: adaptive_illumination.Illumination | None,
-) -> tuple[Floats, Floats, Floats, float | None]:
-    """(correction in pixels, logit of contact beside physics', Laplace scale in pixels), each (120, 160).
-
-    And the logarithm of the factor that makes the corrected surface true, of a network that tells one.
-    """
-    box = gel_network_input.FULL_BOX if network.predicts_depth_factor else gel_network_input.compute_contact_box(seen)
-    deep = np.float32(gel_network_input.compute_depth_px(seen))
-    shown = (
-        illumination_channels.compute_all_channels(seen, source, light)
-        if network.predicts_depth_factor
-        else gel_network_input.compute_channels(seen, box)
-    )
-    told = network(shown)
-    found = np.zeros((3, gel_network_input.ROWS, gel_network_input.COLS), np.float32)
-    found[0][box] = deep * told.correction
-    found[1][box] = told.contact_logit_correction
-    found[2][box] = deep * np.exp(told.log_error_scale)
-    return found[0], found[1], found[2], told.log_depth_factor
-
-
-def _may_touch(surface_mm: Floats, seen: gel_network_input.NetworkInput, at: gel_network_input.InputGrid) -> Mask:
-    """Where (120, 160) a contact may be beside the physical one: where the surface is pushed in as an edge is.
-
-    Shadows and light that lamps throw beside a deep touch change the picture where the gel is hardly pushed in.
-    """
-    import cv2
-
-    pressed = gel_network_input.compute_contact_mask(seen)
-    deep = at.resample_to_grid(surface_mm)
-    _, found = cv2.distanceTransformWithLabels((~pressed).astype(np.uint8), cv2.DIST_L2, 5)  # a label to each contact
-    nearest = np.asarray(found, np.int32)
-    depth_of = np.zeros(int(nearest.max()) + 1, np.float32)
-    np.maximum.at(depth_of, nearest[pressed], deep[pressed])
-    return pressed | (deep > np.float32(_PUSHED_IN) * depth_of[nearest])
+_described_lights: Memo[str, gel_network_input.DescribedLight] = Memo(16)
 
 
 def _compute_depth_scale(
-    indentation: Floats, physical: Floats, touched: Mask, log_scale: float | None, less: float = _BELIEVED_LESS
+    indentation: Floats, physical: Floats, touched: Mask, log_factor: float, weight_below: float = _WEIGHT_BELOW
 ) -> np.float32:
-    """What brings a surface to its scale; 0 where no contact is left.
+    """The factor that brings a corrected surface to its depth; 0 where no contact is left.
 
-    That is physics', by least squares over the contact, where the network tells none: what one makes of it that was
-    shown units of any light is what those were like (a tenth to a fifth of the depth, another share for every kind of
-    sensor). Where it does, it lies between the two, nearer to the larger: they err by other things, physics by lamps
-    that one touch hardly tells and by walls too steep for light, which make a touch too shallow, a network by how much
-    its units are like this one. `less` is its say where it tells less than physics.
+    It lies between two estimates: that of physics (least squares to the physical surface in contact), which errs by
+    LEDs that one touch hardly constrains and by walls too steep for the light, and the network's, which errs by how
+    much this instance differs from those of the training data. `weight_below` weighs the network's where it is smaller.
     """
     own = indentation[touched].astype(np.float64)
-    # Sums, not products of vectors: whose threads go on waiting on the other core, which the next network needs.
-    as_physics = float(np.sum(own * physical[touched])) / max(float(np.sum(own * own)), 1e-9)
-    if log_scale is None or as_physics <= 0.0:
-        return np.float32(as_physics)
-    more = log_scale - math.log(as_physics)
-    return np.float32(as_physics * math.exp((_BELIEVED_MORE if more > 0.0 else less) * more))
+    # Sums instead of vector products: BLAS threads spin on the other core, which the next network needs.
+    of_physics = float(np.sum(own * physical[touched])) / max(float(np.sum(own * own)), 1e-9)
+    if of_physics <= 0.0:
+        return np.float32(of_physics)
+    log_ratio = log_factor - math.log(of_physics)
+    return np.float32(of_physics * math.exp((_WEIGHT_ABOVE if log_ratio > 0.0 else weight_below) * log_ratio))
 
 
-def _error(spread_px: Floats, touched: Mask, pixel_mm: float) -> DepthErrorModel | None:
-    """What the network expects to be off by where it is touched: a Laplace scale b is a deviation of sqrt(2) b."""
-    inside = spread_px[touched]
-    if not inside.size:
+def _build_error_model(error_px: Floats, cell_mm: float) -> DepthErrorModel | None:
+    """The error in contact from Laplace scales b there, each a standard deviation of sqrt(2) b; None without contact."""
+    if not error_px.size:
         return None
-    rms = math.sqrt(2.0 * float(np.mean(np.square(inside, dtype=np.float64)))) * pixel_mm
-    return DepthErrorModel(rms_mm=rms, correlation_mm=_CORRELATION_PX * pixel_mm)
+    rms = math.sqrt(2.0 * float(np.mean(np.square(error_px, dtype=np.float64)))) * cell_mm
+    return DepthErrorModel(rms_mm=rms, correlation_mm=_CORRELATION_PX * cell_mm)
 
 
-def _limited(indentation: Floats, touched: Mask, sensor: SensorSpec) -> list[str]:
-    """Cut what is deeper than the sensor, in place; what is to be said of it."""
+def _limit_indentation(indentation: Floats, touched: Mask, sensor: SensorSpec) -> list[str]:
+    """Clip indentation above the sensor's limit, in place; returns the notes."""
     notes: list[str] = []
-    most = sensor.limits.indentation_max_mm
-    beyond = int(np.count_nonzero(indentation > most))
+    limit_mm = sensor.limits.indentation_max_mm
+    beyond = int(np.count_nonzero(indentation > limit_mm))
     if beyond:
-        notes.append(StageWarning(f"{beyond} pixels were deeper than the sensor's {most:g} mm and were cut to that"))
-        np.minimum(indentation, np.float32(most), out=indentation)
+        notes.append(StageWarning(f"{beyond} pixels were deeper than the sensor's {limit_mm:g} mm and were clipped to it"))
+        np.minimum(indentation, np.float32(limit_mm), out=indentation)
     if touched[0].any() or touched[-1].any() or touched[:, 0].any() or touched[:, -1].any():
         notes.append(AT_BORDER)
     return notes

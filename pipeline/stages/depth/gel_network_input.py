@@ -1,17 +1,16 @@
-"""What the network that corrects physics looks at: 16 fields of 120 x 160, free of any unit of length or brightness.
+"""Input of the network that corrects the photometric depth of gels: 16 channels of 120 x 160, without units.
 
-    0-2    change of colour, each colour in its own largest of the touch
-    3-5    the untouched picture, each colour against its own mean
-    6, 7   slopes that the described lights would make of the change (linear and three turns on), in their own largest
-    8, 9   slopes of the physical answer, in its depth to 8 pixels: right and down, as the two before
-    10, 11 its indentation in its own depth, and where it is in contact, from 0 to 1
-    12     its pressure, in its own largest
-    13     logarithm of its depth in pixels: how steep it is
-    14, 15 place in the picture, from -1 to 1
+    0-2    change of colour, each colour in units of its largest value in contact
+    3-5    reference image, each colour relative to its own mean
+    6, 7   slopes (right, down) that explain the change under the described light, in units of the largest
+    8, 9   slopes (right, down) of the physical surface, in its depth per 8 pixels
+    10, 11 physical indentation in units of its depth; share in contact, 0 to 1
+    12     physical pressure in units of its largest value
+    13     log of the physical depth in pixels: how steep the touch is
+    14, 15 position in the image, -1 to 1
 
-A touch and one twice as deep, seen by lamps half as bright, look alike but for the light's own curvature, and so they
-do here. The untouched picture is the one that physics compares with, drift taken out. Only a box is looked at, the
-contact and what is around it (`box`).
+A touch twice as deep under LEDs half as bright looks the same except for saturation and the nonlinearity of the
+shading, and so it does in these channels. The reference is the one that physics compares with, drift removed.
 """
 
 from __future__ import annotations
@@ -33,85 +32,84 @@ from pipeline.sensors.spec import SensorSpec
 from pipeline.stages.depth import contact
 
 ROWS, COLS, N_CHANNELS = 120, 160, 16
-FULL_BOX = (slice(0, ROWS), slice(0, COLS))
-SLOPE_CHANNELS = (6, 8), (7, 9)  # to the right, down
+SLOPE_CHANNELS = (6, 8), (7, 9)  # right, down
 SURFACE_CHANNEL, CONTACT_CHANNEL, PRESSURE_CHANNEL, LOG_DEPTH_CHANNEL, POSITION_CHANNEL = 10, 11, 12, 13, 14
 SLOPE_SCALE_PX = 8.0
-_LARGEST = 95  # percentile of the values: what is the largest but for a few
-_LEAST_GREY, _LEAST_SLOPE, _LEAST_PX = 5.0, 0.02, 0.1  # what is less is noise, and stays small
-_STEEP_PX = 4.0
-_BLUR_PX = 0.7  # of the pressure
-_AROUND, _GRID = 24, 16  # pixels of the fields around a contact that are looked at: a gel's thickness; whole steps
-_SECANT = 0.2  # mm/mm: slopes at which the light's rates are taken
-_PULL = 600.0  # grey levels squared per unit slope squared: what no lamp tells stays level
-_STEEPEST = 1.5
-_TURNS = 4  # of the slopes by the described light, the first of them linear
+_LARGEST_PERCENT = 95  # percentile that counts as the largest value, so that a few outliers do not
+_CHANGE_MIN_GREY, _SLOPE_MIN, _DEPTH_MIN_PX, _PRESSURE_MIN = 5.0, 0.02, 0.1, 1e-3  # smaller units would amplify noise
+_CHANNEL_LIMIT, _REFERENCE_LIMIT = 3.0, 1.5
+_DEPTH_UNIT_PX = 4.0
+_PRESSURE_BLUR_PX = 0.7
+_SLOPE_STEP = 0.2  # mm/mm: slopes at which the derivative of the shading is taken
+_SLOPE_PRIOR = 600.0  # grey levels squared per unit slope squared: directions that no LED shows stay level
+_SLOPE_MAX = 1.5
+_SLOPE_ITERATIONS = 4  # the first is linear
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InputGrid:
-    """How a sensor's picture lies in the fields: as it is or mirrored at its diagonal, filled up to 4 : 3, resized."""
+    """How a sensor's image is mapped to 120 x 160: transposed if portrait, padded to 4 : 3, resized."""
 
-    image_shape: tuple[int, int]  # of the sensor's picture
-    is_transposed: bool  # a portrait picture is: the fields are landscape
+    image_shape: tuple[int, int]  # of the sensor's image
+    is_transposed: bool  # portrait
 
     @property
     def padded_shape(self) -> tuple[int, int]:
-        """Size (rows, cols), in the sensor's pixels, that is brought to 120 x 160; the picture is its upper left."""
+        """(rows, cols) in the sensor's pixels that is resized to 120 x 160; the image is its upper left."""
         rows, cols = self.image_shape[::-1] if self.is_transposed else self.image_shape
         return max(rows, math.ceil(cols * ROWS / COLS)), max(cols, math.ceil(rows * COLS / ROWS))
 
     @property
     def pixels_per_cell(self) -> float:
-        """Pixels of the sensor to one of the fields."""
+        """Pixels of the sensor along one pixel of the grid."""
         return self.padded_shape[1] / COLS
 
-    def resample_to_grid(self, picture: NDArray[Any]) -> Floats:
-        """A picture (rows, cols, 3) or a field (rows, cols) of the sensor on 120 x 160."""
+    def resample_to_grid(self, image: NDArray[Any]) -> Floats:
+        """An image (rows, cols, 3) or a field (rows, cols) of the sensor, on 120 x 160."""
         import cv2
 
-        turned = np.asarray(picture.swapaxes(0, 1) if self.is_transposed else picture, np.float32)
-        rows, cols = turned.shape[:2]
-        below, beside = self.padded_shape[0] - rows, self.padded_shape[1] - cols
-        if below or beside:
-            turned = cv2.copyMakeBorder(np.ascontiguousarray(turned), 0, below, 0, beside, cv2.BORDER_REPLICATE)
-        way = cv2.INTER_AREA if self.pixels_per_cell > 1.0 else cv2.INTER_LINEAR
-        return np.asarray(cv2.resize(np.ascontiguousarray(turned), (COLS, ROWS), interpolation=way), np.float32)
+        landscape = np.asarray(image.swapaxes(0, 1) if self.is_transposed else image, np.float32)
+        rows, cols = landscape.shape[:2]
+        bottom, right = self.padded_shape[0] - rows, self.padded_shape[1] - cols
+        if bottom or right:
+            landscape = cv2.copyMakeBorder(np.ascontiguousarray(landscape), 0, bottom, 0, right, cv2.BORDER_REPLICATE)
+        kind = cv2.INTER_AREA if self.pixels_per_cell > 1.0 else cv2.INTER_LINEAR
+        return np.asarray(cv2.resize(np.ascontiguousarray(landscape), (COLS, ROWS), interpolation=kind), np.float32)
 
     def resample_to_image(self, field: Floats) -> Floats:
         """A field (120, 160) on the sensor's own pixels (rows, cols)."""
         import cv2
 
         rows, cols = self.padded_shape
-        grown = np.asarray(cv2.resize(field, (cols, rows), interpolation=cv2.INTER_CUBIC), np.float32)
+        padded = np.asarray(cv2.resize(field, (cols, rows), interpolation=cv2.INTER_CUBIC), np.float32)
         rows, cols = self.image_shape[::-1] if self.is_transposed else self.image_shape
-        part = grown[:rows, :cols]
+        part = padded[:rows, :cols]
         return np.ascontiguousarray(part.T if self.is_transposed else part)
 
 
 def make_grid(shape: tuple[int, int]) -> InputGrid:
-    """Where the pictures (rows, cols) of a sensor go."""
+    """The grid of images (rows, cols) of a sensor."""
     return InputGrid(image_shape=shape, is_transposed=shape[0] > shape[1])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DescribedLight:
-    """A described light on the fields."""
+    """The light of a sensor's description on the grid."""
 
-    sensor: SensorSpec  # (120, 160)
-    inverse: Floats  # `inverse_light` of it
+    sensor: SensorSpec  # with a camera of 120 x 160
+    inverse: Floats  # (2, 3, 120, 160) `compute_inverse_light` of it
 
 
 def describe_light(sensor: SensorSpec) -> DescribedLight:
-    """The described light of any sensor."""
+    """The light of a sensor's description on its grid."""
     rows, cols = sensor.camera.shape
-    at, z_mm = make_grid((rows, cols)), float(np.median(sensor.rest_depth_mm))
-    focal = z_mm / (sensor.pixel_mm * at.pixels_per_cell)
+    grid, z_mm = make_grid((rows, cols)), float(np.median(sensor.rest_depth_mm))
+    focal = z_mm / (sensor.pixel_mm * grid.pixels_per_cell)
     camera = Camera(rows=ROWS, cols=COLS, fx_px=focal, fy_px=focal, cx_px=0.5 * (COLS - 1), cy_px=0.5 * (ROWS - 1))
     described = optics.require_optics(sensor)
-    lit = _swap_axes(described) if at.is_transposed else described
+    light = _swap_axes(described) if grid.is_transposed else described
     rest = freeze(np.full((ROWS, COLS), z_mm))
-    small = replace(sensor, camera=camera, rest_depth_mm=rest, optics=lit, markers=None)
+    small = replace(sensor, camera=camera, rest_depth_mm=rest, optics=light, markers=None)
     return DescribedLight(sensor=small, inverse=compute_inverse_light(small))
 
 
@@ -123,130 +121,119 @@ def _swap_axes(optics: Optics) -> Optics:
 
 
 def compute_inverse_light(sensor: SensorSpec) -> Floats:
-    """What makes slopes (right, down) of a change of colour by the described lights: (2, 3, rows, cols) per grey level.
+    """Slopes (right, down) per grey level of colour change under the described light, (2, 3, rows, cols).
 
-    Least squares of a light that is linear in the slopes, pulled toward level.
+    Least squares of a shading linear in the slopes, with a prior toward level.
     """
     level = np.zeros(sensor.camera.shape, np.float32)
-    slope = np.full(sensor.camera.shape, _SECANT, np.float32)
+    slope = np.full(sensor.camera.shape, _SLOPE_STEP, np.float32)
     by_x = optics.compute_colour_change(sensor, slope, level) - optics.compute_colour_change(sensor, -slope, level)
     by_y = optics.compute_colour_change(sensor, level, slope) - optics.compute_colour_change(sensor, level, -slope)
-    x, y = (np.ascontiguousarray(by.transpose(2, 0, 1)) / np.float32(2.0 * _SECANT) for by in (by_x, by_y))
+    x, y = (np.ascontiguousarray(by.transpose(2, 0, 1)) / np.float32(2.0 * _SLOPE_STEP) for by in (by_x, by_y))
     xx, yy, xy = (_sum_colours(a, b) for a, b in ((x, x), (y, y), (x, y)))
-    xx, yy = xx + np.float32(_PULL), yy + np.float32(_PULL)
+    xx, yy = xx + np.float32(_SLOPE_PRIOR), yy + np.float32(_SLOPE_PRIOR)
     per = 1.0 / (xx * yy - xy * xy)
     return freeze(np.stack([(yy * x - xy * y) * per, (xx * y - xy * x) * per]).astype(np.float32))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NetworkInput:
-    """A frame and its physical answer on 120 x 160 pixels: what the fields are made of."""
+    """A frame and its photometric depth on 120 x 160 pixels, from which the channels are computed."""
 
-    image: Floats  # (120, 160, 3) of 0 to 255
-    reference: Floats  # the same, in the light and at the place of `touched`
-    slopes: Floats  # (2, 120, 160) that the described lights would make of the change: right and down
-    physical_px: Floats  # (120, 160) indentation
+    image: Floats  # (120, 160, 3), 0 to 255
+    reference: Floats  # the same of the reference, with the image's drift applied
+    slopes: Floats  # (2, 120, 160) right and down, that explain the change under the described light
+    physical_px: Floats  # (120, 160) indentation in pixels of the grid
     physical_contact: Floats  # (120, 160) share in contact
 
 
 def prepare_input(
-    image: Image, still: Floats, physical_mm: Floats, touched: Mask, source: SensorSpec, light: DescribedLight
+    image: Image, reference: Floats, physical_mm: Floats, touched: Mask, source: SensorSpec, light: DescribedLight
 ) -> NetworkInput:
-    """A sensor's picture and its physical answer, each (rows, cols, ...) of the sensor; `light`: `light_of` it."""
-    at = make_grid(source.camera.shape)
-    shown, untouched = at.resample_to_grid(image), at.resample_to_grid(still)
+    """The network input of an image, its reference, photometric depth and contact, each (rows, cols, ...) of the sensor."""
+    grid = make_grid(source.camera.shape)
+    small, small_reference = grid.resample_to_grid(image), grid.resample_to_grid(reference)
     return NetworkInput(
-        image=shown, reference=untouched, slopes=_slopes(_split_colours(shown - untouched), light),
-        physical_px=at.resample_to_grid(physical_mm) / np.float32(source.pixel_mm * at.pixels_per_cell),
-        physical_contact=at.resample_to_grid(touched.astype(np.float32)),
+        image=small, reference=small_reference, slopes=_estimate_slopes(_split_colours(small - small_reference), light),
+        physical_px=grid.resample_to_grid(physical_mm) / np.float32(source.pixel_mm * grid.pixels_per_cell),
+        physical_contact=grid.resample_to_grid(touched.astype(np.float32)),
     )  # fmt: skip
 
 
-def compute_depth_px(of: NetworkInput) -> float:
-    """How deep the physical answer is in its contact, in pixels of the fields: what its surface is told in."""
-    pressed = compute_contact_mask(of)
-    return max(float(percentile(of.physical_px, _LARGEST, pressed)) if pressed.any() else 0.0, _LEAST_PX)
+def compute_depth_px(inputs: NetworkInput) -> float:
+    """Depth of the physical contact in pixels of the grid: the unit of the network's lengths."""
+    touched = compute_contact_mask(inputs)
+    largest = float(percentile(inputs.physical_px, _LARGEST_PERCENT, touched)) if touched.any() else 0.0
+    return max(largest, _DEPTH_MIN_PX)
 
 
-def compute_contact_box(of: NetworkInput) -> tuple[slice, slice]:
-    """The contact and a gel's thickness around it: rows and columns of the fields."""
-    pressed, found = compute_contact_mask(of), []
-    for axis, most in ((1, ROWS), (0, COLS)):
-        there = np.flatnonzero(pressed.any(axis=axis))
-        first, last = (int(there[0]), int(there[-1]) + 1) if there.size else (0, most)
-        first = max(0, first - _AROUND)
-        length = min(most, -(-(min(most, last + _AROUND) - first) // _GRID) * _GRID)
-        first = min(first, most - length)
-        found.append(slice(first, first + length))
-    return found[0], found[1]
-
-
-def compute_peak_slope(of: NetworkInput, at: tuple[slice, slice] = FULL_BOX) -> float:
-    """The largest slope in a box's contact that the described lights would make of the change, but for a few."""
+def compute_peak_slope(inputs: NetworkInput) -> float:
+    """The largest slope in contact under the described light."""
     import cv2
 
-    right, down = (np.ascontiguousarray(slope[at]) for slope in of.slopes)
-    return max(
-        _LEAST_SLOPE, compute_peak(np.asarray(cv2.magnitude(right, down), np.float32), compute_contact_mask(of)[at])
-    )
+    right, down = (np.ascontiguousarray(slope) for slope in inputs.slopes)
+    magnitude = np.asarray(cv2.magnitude(right, down), np.float32)
+    return max(_SLOPE_MIN, _compute_peak(magnitude, compute_contact_mask(inputs)))
 
 
-def compute_channels(of: NetworkInput, at: tuple[slice, slice] = FULL_BOX, peak_slope: float | None = None) -> Floats:
-    """The fields (16, rows, cols) of a box; `steep`: the box's `steepest`, if it is known."""
-    pressed, deep = compute_contact_mask(of)[at], compute_depth_px(of)
-    now, before = (
-        _split_colours(of.image[at]),
-        np.maximum(_split_colours(of.reference[at]), 0.0),
-    )  # drift may take all light away
-    out = np.zeros((N_CHANNELS, *now.shape[1:]), np.float32)
-    out[0:3] = [_in_own(change, pressed, _LEAST_GREY) for change in now - before]
-    mean = np.maximum(_split_colours(of.reference).mean(axis=(1, 2)), _LEAST_GREY)[:, None, None]
-    out[3:6] = np.clip(before / mean - 1.0, -1.5, 1.5)
-    peak_slope = compute_peak_slope(of, at) if peak_slope is None else peak_slope
-    out[6:8] = np.clip(of.slopes[:, at[0], at[1]] / np.float32(peak_slope), -3.0, 3.0)
-    surface = of.physical_px[at] / np.float32(deep)
+def compute_channels(inputs: NetworkInput, peak_slope: float | None = None) -> Floats:
+    """The channels (16, 120, 160); `peak_slope`: `compute_peak_slope`, if it is known already."""
+    touched, depth_px = compute_contact_mask(inputs), compute_depth_px(inputs)
+    image = _split_colours(inputs.image)
+    reference = np.maximum(_split_colours(inputs.reference), 0.0)  # drift may make it negative
+    out = np.zeros((N_CHANNELS, ROWS, COLS), np.float32)
+    out[0:3] = [_normalise(change, touched, _CHANGE_MIN_GREY) for change in image - reference]
+    mean = _split_colours(inputs.reference).mean(axis=(1, 2))
+    mean = np.maximum(mean, _CHANGE_MIN_GREY)[:, None, None]
+    out[3:6] = np.clip(reference / mean - 1.0, -_REFERENCE_LIMIT, _REFERENCE_LIMIT)
+    peak_slope = compute_peak_slope(inputs) if peak_slope is None else peak_slope
+    out[6:8] = np.clip(inputs.slopes / np.float32(peak_slope), -_CHANNEL_LIMIT, _CHANNEL_LIMIT)
+    surface = inputs.physical_px / np.float32(depth_px)
     out[8], out[9] = (np.float32(SLOPE_SCALE_PX) * slope for slope in compute_slopes(surface, 1.0))
     out[SURFACE_CHANNEL] = surface
-    out[CONTACT_CHANNEL] = of.physical_contact[at]
-    out[PRESSURE_CHANNEL] = _in_own(contact.compute_relative_pressure(surface, _BLUR_PX), pressed, 1e-3)
-    out[LOG_DEPTH_CHANNEL] = math.log(deep / _STEEP_PX)
-    out[14] = np.linspace(-1.0, 1.0, COLS, dtype=np.float32)[None, at[1]]
-    out[15] = np.linspace(-1.0, 1.0, ROWS, dtype=np.float32)[at[0], None]
+    out[CONTACT_CHANNEL] = inputs.physical_contact
+    out[PRESSURE_CHANNEL] = _normalise(
+        contact.compute_relative_pressure(surface, _PRESSURE_BLUR_PX), touched, _PRESSURE_MIN
+    )
+    out[LOG_DEPTH_CHANNEL] = math.log(depth_px / _DEPTH_UNIT_PX)
+    out[POSITION_CHANNEL] = np.linspace(-1.0, 1.0, COLS, dtype=np.float32)
+    out[POSITION_CHANNEL + 1] = np.linspace(-1.0, 1.0, ROWS, dtype=np.float32)[:, None]
     return out
 
 
-def compute_contact_mask(of: NetworkInput) -> Mask:
-    """The physical contact; what of it is nearest to one where it is smaller than a pixel."""
-    return np.asarray(of.physical_contact > min(0.5, 0.5 * float(of.physical_contact.max())), np.bool_)
+def compute_contact_mask(inputs: NetworkInput) -> Mask:
+    """The physical contact (120, 160); where it is smaller than one pixel, the pixels with the largest share."""
+    share = inputs.physical_contact
+    return np.asarray(share > min(0.5, 0.5 * float(share.max())), np.bool_)
 
 
-def _in_own(field: Floats, pressed: Mask, least: float) -> Floats:
-    return np.clip(field / np.float32(max(least, compute_peak(np.abs(field), pressed))), -3.0, 3.0)
+def _normalise(field: Floats, touched: Mask, least: float) -> Floats:
+    """A field in units of its largest magnitude in contact, at least `least`."""
+    unit = np.float32(max(least, _compute_peak(np.abs(field), touched)))
+    return np.clip(field / unit, -_CHANNEL_LIMIT, _CHANNEL_LIMIT)
 
 
-def compute_peak(field: Floats, pressed: Mask) -> float:
-    """What is the largest of a field (rows, cols) in the contact, but for a few."""
-    return float(percentile(field, _LARGEST, pressed)) if pressed.any() else float(field.max(initial=0.0))
+def _compute_peak(field: Floats, touched: Mask) -> float:
+    """The largest value of a field (rows, cols) in contact, except for a few outliers."""
+    return float(percentile(field, _LARGEST_PERCENT, touched)) if touched.any() else float(field.max(initial=0.0))
 
 
-def _split_colours(picture: Floats) -> Floats:
-    return np.ascontiguousarray(picture.transpose(2, 0, 1))
+def _split_colours(image: Floats) -> Floats:
+    """Channels first: (3, rows, cols)."""
+    return np.ascontiguousarray(image.transpose(2, 0, 1))
 
 
-def _slopes(change: Floats, light: DescribedLight) -> Floats:
-    """Slopes (2, rows, cols) whose colour is nearest to the change: light falls off where they are steep."""
-    found = np.zeros((2, ROWS, COLS), np.float32)
-    rest = change
-    for turn in range(_TURNS):
-        if turn:
-            seen = optics.compute_colour_change(
-                light.sensor, np.ascontiguousarray(found[0]), np.ascontiguousarray(found[1])
-            )
-            rest = change - seen.transpose(2, 0, 1)
-        found = np.clip(found + [_sum_colours(by, rest) for by in light.inverse], -_STEEPEST, _STEEPEST).astype(
-            np.float32
-        )
-    return found
+def _estimate_slopes(change: Floats, light: DescribedLight) -> Floats:
+    """Slopes (2, rows, cols) whose shading is nearest to a change (3, rows, cols), by Gauss-Newton iterations."""
+    slopes = np.zeros((2, ROWS, COLS), np.float32)
+    residual = change
+    for iteration in range(_SLOPE_ITERATIONS):
+        if iteration:
+            right, down = (np.ascontiguousarray(slope) for slope in slopes)
+            residual = change - optics.compute_colour_change(light.sensor, right, down).transpose(2, 0, 1)
+        step = [_sum_colours(by, residual) for by in light.inverse]
+        slopes = np.clip(slopes + step, -_SLOPE_MAX, _SLOPE_MAX).astype(np.float32)
+    return slopes
 
 
 def _sum_colours(a: Floats, b: Floats) -> Floats:

@@ -10,9 +10,8 @@ from pipeline.networks.gel_depth import GelDepthPrediction
 from pipeline.networks.network_factory import build_network
 from pipeline.stages.depth import gel_network_input, illumination_channels
 from pipeline.training import instance_samples
-from pipeline.training.gel_depth import mirror_example
-from pipeline.training.gel_instances import GelInstancesTask
-from pipeline.training.gel_loss import compute_absolute_loss
+from pipeline.training.gel_instances import GelInstancesTask, mirror_example
+from pipeline.training.gel_loss import compute_loss
 from pipeline.training.recipe import load_recipe
 
 TASK = GelInstancesTask(n_frames=4)
@@ -75,8 +74,8 @@ def test_the_loss_asks_for_the_true_scale():
     touched = torch.ones(2, 12, 16)
     factor = torch.tensor([0.8, 1.3])
     seen = truth / factor[:, None, None]
-    right, _ = compute_absolute_loss(read(seen, factor.log()), truth, touched)
-    wrong, parts = compute_absolute_loss(read(seen, torch.zeros(2)), truth, touched)
+    right, _ = compute_loss(read(seen, factor.log()), truth, touched)
+    wrong, parts = compute_loss(read(seen, torch.zeros(2)), truth, touched)
     assert float(right) < float(wrong) - 0.1
     assert set(parts) == {"surface", "slopes", "contact", "overlap", "spread"}
 

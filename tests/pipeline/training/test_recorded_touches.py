@@ -11,10 +11,9 @@ import pytest
 from pipeline.base.errors import FileProblem, SettingProblem
 from pipeline.physics import gel, optics
 from pipeline.sensors.spec import load_sensor
-from pipeline.training import gel_samples, recipe, recorded_touches
+from pipeline.training import recipe, recorded_touches
 from pipeline.training.depth_anything import DepthAnythingTask
 from pipeline.training.examples import make_batch
-from pipeline.training.gel_depth import GelDepthTask, make_example
 from pipeline.training.recorded_touches import LabelledTouch, MixedTask, RecordingSource, mix_recordings
 from tests.pipeline.training import toy
 
@@ -56,10 +55,8 @@ def test_presses_of_a_ball_are_known_by_the_mechanics_of_the_layer(balls):
         assert off[truth.contact].mean() < MOST_OFF * DEEP_MM
 
 
-@pytest.mark.parametrize(
-    "task", [GelDepthTask(n_presses=2, n_images=4), DepthAnythingTask(sensor="digit", side=56)], ids=["gel", "dav2"]
-)
-def test_a_recorded_touch_makes_the_same_arrays_as_a_simulated_one(task):
+def test_a_recorded_touch_makes_the_same_arrays_as_a_simulated_one():
+    task = DepthAnythingTask(sensor="digit", side=56)
     simulated, known = (
         task.sample(np.random.default_rng(0)),
         recorded_touches.load_touch(SAMPLE, recorded_touches.count_touches(SAMPLE) // 2),
@@ -69,19 +66,6 @@ def test_a_recorded_touch_makes_the_same_arrays_as_a_simulated_one(task):
         name: (a.shape, a.dtype) for name, a in simulated.items()
     }
     assert (made["contact"] > 0).mean() > 0.5 * known.contact.mean()
-
-
-def test_a_gels_example_is_told_in_depths_of_its_own_and_these_in_pixels_of_its_fields():
-    known = max(
-        (recorded_touches.load_touch(SAMPLE, k) for k in range(recorded_touches.count_touches(SAMPLE))),
-        key=lambda k: k.indentation_mm.max(),
-    )
-    made = make_example(gel_samples.make_gel_sample(known.frame, known.source, known.indentation_mm, known.contact))
-    rows, cols = known.contact.shape
-    pixel_mm = known.source.pixel_mm * max(rows, cols) / 160
-    deepest_mm = made["indentation"].max() * made["depth"] * pixel_mm
-    assert deepest_mm == pytest.approx(known.indentation_mm.max(), rel=0.03)
-    assert (made["contact"] > 0).mean() == pytest.approx(known.contact.mean(), abs=0.02)
 
 
 class Learns(toy.Discs):

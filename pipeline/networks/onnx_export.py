@@ -1,0 +1,36 @@
+"""Export of a torch network to an ONNX file, from which OpenCV answers without torch (`onnx_predictor`)."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from typing import Any
+
+from pipeline.networks.network_factory import load_network
+from pipeline.networks.weights import Weights
+
+_OPSET = 17  # ONNX operators that OpenCV 5 reads
+_EXAMPLE_SIZE = 96, 128  # (rows, cols) of the example that is traced where the exported file serves any size
+
+
+def export_onnx(weights: Weights) -> bytes:
+    """An ONNX file of the network with its weights; raises ModelMissing where they do not fit.
+
+    The input is (1, inputs, rows, cols); rows and cols are those of the network's `onnx_size`, or multiples of its
+    `fold` where that is None.
+    """
+    import torch
+
+    network: Any = load_network(weights)
+    size = network.onnx_size
+    image = torch.zeros(1, int(weights.config["inputs"]), *(size or _EXAMPLE_SIZE))
+    file = io.BytesIO()
+    with warnings.catch_warnings(), torch.no_grad():
+        outputs = network(image)
+        names = [f"output_{i}" for i in range(len(outputs) if isinstance(outputs, tuple) else 1)]
+        warnings.simplefilter("ignore")  # of the tracer: what it treats as constant is constant here
+        torch.onnx.export(
+            network, (image,), file, dynamo=False, opset_version=_OPSET, input_names=["image"],
+            output_names=names,             dynamic_axes=None if size else {"image": {2: "rows", 3: "cols"}},
+        )  # fmt: skip
+    return file.getvalue()
