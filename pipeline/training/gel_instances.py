@@ -61,7 +61,7 @@ class GelInstancesTask:
             with torch.inference_mode():
                 reading = network(torch.from_numpy(one["fields"])[None])
             truth, touched = one["indentation"], one["contact"] > 0
-            if reading.log_depth_factor is None or not touched.any():
+            if not touched.any():
                 continue
             surface = reading.surface[0].numpy() * float(reading.log_depth_factor[0].exp())
             physical, um = one["fields"][gel_network_input.SURFACE_CHANNEL], _UM_PER_MM * float(one["depth_mm"])

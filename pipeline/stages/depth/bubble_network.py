@@ -1,8 +1,8 @@
-"""A bubble's reading by a network: the object's own surface, where it touches, and how sure that is.
+"""Depth of a bubble by a network: the membrane, the object's own surface, contact, and their expected error.
 
-Physics finds the load behind a noisy membrane; a network has seen many objects and noises, and also tells how the
-object goes on beside the contact, where a membrane bridges what a stiffer sensor would feel. It reads pixels of about
-`WORK_MM`; finer and coarser depth images are brought there and back.
+The photometric counterpart (`bubble_contact`) finds the load behind a noisy membrane; the network was trained on many
+objects and noises, and also predicts the object's surface outside the contact, where a membrane bridges what a stiffer
+sensor would touch. It works on pixels of about `WORKING_PIXEL_MM`; other depth images are resampled there and back.
 """
 
 from __future__ import annotations
@@ -23,82 +23,80 @@ from pipeline.values.frames import TactileFrame
 from pipeline.values.pixel_index import make_pixel_index
 from pipeline.values.results import DepthMap
 
-BubbleNetwork = Callable[[Floats], Floats]  # from a picture (CHANNELS, rows, cols) to an answer (OUTPUTS, rows, cols)
-_AS_IT_IS = 1.4  # times finer or coarser than `WORK_MM` that the network was taught on
-_ISLAND_MM2 = 2.0  # smaller touches are noise
+BubbleNetwork = Callable[[Floats], tuple[Floats, ...]]  # (N_CHANNELS, rows, cols) -> one output (N_OUTPUTS, rows, cols)
+_SCALE_TOLERANCE = 1.4  # pixels up to this factor finer or coarser than `WORKING_PIXEL_MM` are in the training data
+_ISLAND_MM2 = 2.0  # smaller contacts are noise
 _HALF = 0.5
-_TOLD = 0.6  # likelihood from which the object's surface is told; 0.5 fills rings, 0.7 loses faint touches
+_IN_VIEW_MIN = 0.6  # probability above which the object's surface is stated; 0.5 fills rings, 0.7 loses faint touches
 
 
 def estimate_depth(
     frame: TactileFrame, source: SensorSpec, network: BubbleNetwork, *, certainty: float = _HALF, least_mm: float
 ) -> DepthMap:
-    """The depth of one bubble frame that has been checked, as a network of `BubbleReading` tells it.
+    """The depth of one checked bubble frame as the network predicts it.
 
-    Contact is where the network holds it for likelier than `certainty`, and the membrane moved by more than `least_mm`.
-    `object_mm` is the object's surface where it touches and close by, `spread_mm` the error to be expected of it and of
-    the membrane beside it.
+    Contact is where its probability is above `certainty` and the membrane moved by more than `least_mm`.
+    `object_depth_mm` is the object's surface in contact and connected to it, `expected_error_mm` the error of it and,
+    elsewhere, of the membrane.
     """
     if frame.reference is None:
         raise ShapeError("a bubble's depth needs a reference depth image")
     notes: list[str] = []
-    moved, rest, read, known = compute_displacement(
+    moved, rest, measured, known = compute_displacement(
         frame.reference, frame.image, source.limits.indentation_max_mm, notes
     )
-    said = _read(moved, rest, read, source.pixel_mm, network)
+    prediction = _predict(moved, rest, measured, source.pixel_mm, network)
     islands = max(4, round(_ISLAND_MM2 / source.pixel_mm**2))
-    touched = contact.remove_specks((said.contact > certainty) & known & (said.displacement_mm > least_mm), islands)
-    told = _reaching(touched, ((said.object_in_view > _TOLD) & known) | touched)
+    moves = prediction.displacement_mm > least_mm
+    touched = contact.remove_specks((prediction.contact > certainty) & known & moves, islands)
+    in_view = _select_touched_regions(touched, ((prediction.object_in_view > _IN_VIEW_MIN) & known) | touched)
     if not touched.any():
         notes.append("nothing touches the sensor")
     elif np.concatenate([touched[0], touched[-1], touched[:, 0], touched[:, -1]]).any():
         notes.append(AT_BORDER)
-    nothing, rest = (
-        np.float32(np.nan),
-        estimate_rest_surface(rest, read, source.pixel_mm),
-    )  # its noise is no part of the membrane
+    nothing = np.float32(np.nan)
+    rest = estimate_rest_surface(rest, measured, source.pixel_mm)  # without the reference's noise
     return DepthMap(
-        indentation_mm=freeze(np.where(known, said.displacement_mm, nothing)),
-        depth_mm=freeze(np.where(known, rest - said.displacement_mm, nothing)),
+        indentation_mm=freeze(np.where(known, prediction.displacement_mm, nothing)),
+        depth_mm=freeze(np.where(known, rest - prediction.displacement_mm, nothing)),
         contact=freeze(touched),
         camera=source.camera,
         source_index=make_pixel_index(moved.shape),
         notes=tuple(notes),
-        object_depth_mm=freeze(np.where(told, rest - said.object_displacement_mm, nothing)),
-        expected_error_mm=freeze(np.where(known, said.expected_error_mm, nothing)),
+        object_depth_mm=freeze(np.where(in_view, rest - prediction.object_displacement_mm, nothing)),
+        expected_error_mm=freeze(np.where(known, prediction.expected_error_mm, nothing)),
     )
 
 
-def _read(moved: Floats, rest: Floats, read: Mask, pixel_mm: float, network: BubbleNetwork) -> BubblePrediction:
-    """What the network says, on the grid of the frame."""
+def _predict(moved: Floats, rest: Floats, measured: Mask, pixel_mm: float, network: BubbleNetwork) -> BubblePrediction:
+    """The network's prediction on the pixels of the frame."""
     (rows, cols), scale = moved.shape, pixel_mm / WORKING_PIXEL_MM
-    size = (
-        (rows, cols)
-        if 1 / _AS_IT_IS < scale < _AS_IT_IS
-        else (max(8, round(rows * scale)), max(8, round(cols * scale)))
-    )
-    seen = _sized(read.astype(np.float32), size) > _HALF
-    looked_at = make_network_input(_sized(moved, size), _sized(rest, size), seen, pixel_mm * rows / size[0])
-    said = decode_prediction(network(looked_at.channels), looked_at.smooth_displacement_mm)
-    return BubblePrediction(*(_sized(field, (rows, cols)) for field in said))
+    size = rows, cols
+    if not 1 / _SCALE_TOLERANCE < scale < _SCALE_TOLERANCE:
+        size = max(8, round(rows * scale)), max(8, round(cols * scale))
+    small_measured = _resize(measured.astype(np.float32), size) > _HALF
+    inputs = make_network_input(_resize(moved, size), _resize(rest, size), small_measured, pixel_mm * rows / size[0])
+    (output,) = network(inputs.channels)
+    prediction = decode_prediction(output, inputs.smooth_displacement_mm)
+    return BubblePrediction(*(_resize(field, (rows, cols)) for field in prediction))
 
 
-def _sized(image: Floats, size: tuple[int, int]) -> Floats:
-    """An image (rows, cols) with another number of pixels over the same view."""
+def _resize(image: Floats, size: tuple[int, int]) -> Floats:
+    """An image (rows, cols) at another size."""
     import cv2
 
     if image.shape == size:
         return image
-    how = cv2.INTER_AREA if size[0] < image.shape[0] else cv2.INTER_CUBIC
-    return np.asarray(cv2.resize(image, size[::-1], interpolation=how), np.float32)
+    kind = cv2.INTER_AREA if size[0] < image.shape[0] else cv2.INTER_CUBIC
+    return np.asarray(cv2.resize(image, size[::-1], interpolation=kind), np.float32)
 
 
-def _reaching(touched: Mask, observed: Mask) -> Mask:
-    """The regions of `told` in which something touches."""
+def _select_touched_regions(touched: Mask, in_view: Mask) -> Mask:
+    """The connected regions of `in_view` that contain a contact."""
     import cv2
 
     if not touched.any():
         return touched
-    _, regions = cv2.connectedComponents(observed.astype(np.uint8), connectivity=8)
+    _, regions = cv2.connectedComponents(in_view.astype(np.uint8), connectivity=8)
     regions = np.asarray(regions, np.int32)
-    return observed & np.isin(regions, np.unique(regions[touched]))
+    return in_view & np.isin(regions, np.unique(regions[touched]))

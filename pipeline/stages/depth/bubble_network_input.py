@@ -1,8 +1,8 @@
-"""What the network of a bubble's reading is shown: a noisy move in parts that a network of few bits can tell apart.
+"""Input of the network that estimates a bubble's depth: the displacement in parts of comparable size.
 
-A move of ten millimetres and its noise of a tenth do not fit one number of eight bits, so that a smooth estimate is
-taken out: the network corrects it. Its curvature is what the air and the contact leave in it. The untouched reading's
-own roughness is shown as well: what of it is noise stands in the move a second time, with the other sign.
+A displacement of ten millimetres and its noise of a tenth do not fit one number of eight bits, so a smooth estimate is
+subtracted, which the network corrects. Its curvature shows what air and contact leave in it. The roughness of the
+reference is a channel as well: its noise is in the displacement a second time, with the opposite sign.
 """
 
 from __future__ import annotations
@@ -15,75 +15,79 @@ from pipeline.base.arrays import Floats, Mask, freeze
 from pipeline.stages.depth.bubble_contact import denoise_displacement
 
 N_CHANNELS = 5
-WORKING_PIXEL_MM = 0.406  # width of the pixels that the network was taught on, within a third either way
-_SMOOTHED_MM = 1.25
-_CALM_MM = 5.0  # of the mean that a reading of the untouched membrane is taken for
-_ROUGH_MM = 2.0  # what is rougher than this on an untouched membrane is the camera's
-_MOST_ROUGH_MM = 1.5
-_USUAL_CURVATURE_PER_MM = 0.027  # of an untouched bubble: pressure over tension
-_ORDER, _SPARSE, _FEWEST = 6, 4, 64  # of the dome's shape, and of the pixels that it is fitted to
+WORKING_PIXEL_MM = 0.406  # pixel width of the training data, within a third either way
+_SMOOTHING_MM = 1.25
+_REST_SMOOTHING_MM = 5.0  # standard deviation of the mean that estimates the reference membrane
+_ROUGHNESS_MM = 2.0  # shorter structure of a reference membrane is camera noise
+_ROUGHNESS_MAX_MM = 1.5
+_USUAL_CURVATURE_PER_MM = 0.027  # of a reference bubble: pressure over tension (soft_bubble.toml)
+_DOME_DEGREE, _DOME_STEP_PX, _DOME_PIXELS_MIN = 6, 4, 64  # of the polynomial dome, and of the pixels it is fitted to
 _COARSE_MM, _FINE_MM, _LOADS = 6.0, 0.5, 8.0  # units of the channels
+_CHANNEL_LIMIT = 4.0
+_WEIGHT_MIN = np.float32(0.05)  # of the measured pixels around one in a mean
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BubbleNetworkInput:
-    """A move and its reference as a network reads them."""
+    """A displacement and its reference as the network's channels."""
 
-    channels: Floats  # (CHANNELS, rows, cols)
-    smooth_displacement_mm: Floats  # (rows, cols) the estimate of the move that it corrects
+    channels: Floats  # (N_CHANNELS, rows, cols)
+    smooth_displacement_mm: Floats  # (rows, cols) the estimate that the network corrects
 
 
 def make_network_input(moved_mm: Floats, rest_mm: Floats, seen: Mask, pixel_mm: float) -> BubbleNetworkInput:
-    """The channels of a move `moved_mm` (rows, cols), 0 or filled in where nothing was `seen`, from `rest_mm`."""
-    smooth = denoise_displacement(moved_mm, _SMOOTHED_MM / pixel_mm)
-    read = seen.astype(np.float32)
-    fine = (moved_mm - smooth) * read
-    picture = np.stack([
-        np.clip(fine, -4.0, 4.0) / _FINE_MM, smooth / _COARSE_MM, _load(smooth, pixel_mm),
-        _roughness(rest_mm, read, pixel_mm) / _FINE_MM, read,
+    """The channels of a displacement (rows, cols) from `rest_mm`; 0 or filled in where not `seen`."""
+    smooth = denoise_displacement(moved_mm, _SMOOTHING_MM / pixel_mm)
+    measured = seen.astype(np.float32)
+    fine = (moved_mm - smooth) * measured
+    channels = np.stack([
+        np.clip(fine, -_CHANNEL_LIMIT, _CHANNEL_LIMIT) / _FINE_MM, smooth / _COARSE_MM, _compute_load(smooth, pixel_mm),
+        _compute_roughness(rest_mm, measured, pixel_mm) / _FINE_MM, measured,
     ]).astype(np.float32)  # fmt: skip
-    return BubbleNetworkInput(channels=freeze(picture), smooth_displacement_mm=freeze(smooth))
+    return BubbleNetworkInput(channels=freeze(channels), smooth_displacement_mm=freeze(smooth))
 
 
-def _load(smooth: Floats, pixel_mm: float) -> Floats:
-    """What bends the membrane (rows, cols), in parts of what the air bends it by."""
+def _compute_load(smooth: Floats, pixel_mm: float) -> Floats:
+    """The membrane's curvature (rows, cols) over that of a reference bubble, in units of `_LOADS`."""
     import cv2
 
-    bend = np.asarray(cv2.Laplacian(smooth, cv2.CV_32F, ksize=1, borderType=cv2.BORDER_REFLECT), np.float32)
-    loads = bend / np.float32(pixel_mm**2 * _USUAL_CURVATURE_PER_MM * _LOADS)
-    return np.clip(loads, -4.0, 4.0).astype(np.float32)
+    curvature = np.asarray(cv2.Laplacian(smooth, cv2.CV_32F, ksize=1, borderType=cv2.BORDER_REFLECT), np.float32)
+    loads = curvature / np.float32(pixel_mm**2 * _USUAL_CURVATURE_PER_MM * _LOADS)
+    return np.clip(loads, -_CHANNEL_LIMIT, _CHANNEL_LIMIT).astype(np.float32)
 
 
 def estimate_rest_surface(rest: Floats, seen: Mask, pixel_mm: float) -> Floats:
-    """The untouched membrane (rows, cols) behind a noisy reading of it: a dome, and what is wider than 10 mm on it."""
-    read = seen.astype(np.float32)
-    bowl = _bowl(rest, read)
-    return bowl + _mean(np.where(seen, rest - bowl, np.float32(0.0)).astype(np.float32), read, _CALM_MM / pixel_mm)
+    """The reference membrane (rows, cols) without its noise: a dome plus structure wider than 10 mm."""
+    measured = seen.astype(np.float32)
+    dome = _fit_dome(rest, measured)
+    level = np.where(seen, rest - dome, np.float32(0.0)).astype(np.float32)
+    return dome + _average(level, measured, _REST_SMOOTHING_MM / pixel_mm)
 
 
-def _roughness(rest: Floats, read: Floats, pixel_mm: float) -> Floats:
-    """What of an untouched reading (rows, cols) no membrane can be; 0 where nothing was read."""
-    level = np.where(read > 0, rest - _bowl(rest, read), np.float32(0.0)).astype(np.float32)
-    rough = (level - _mean(level, read, _ROUGH_MM / pixel_mm)) * read
-    return np.clip(rough, -_MOST_ROUGH_MM, _MOST_ROUGH_MM).astype(np.float32)
+def _compute_roughness(rest: Floats, measured: Floats, pixel_mm: float) -> Floats:
+    """Structure of a reference (rows, cols) too fine for a membrane; 0 where nothing was measured."""
+    level = np.where(measured > 0, rest - _fit_dome(rest, measured), np.float32(0.0)).astype(np.float32)
+    rough = (level - _average(level, measured, _ROUGHNESS_MM / pixel_mm)) * measured
+    return np.clip(rough, -_ROUGHNESS_MAX_MM, _ROUGHNESS_MAX_MM).astype(np.float32)
 
 
-def _mean(level: Floats, read: Floats, sigma_px: float) -> Floats:
-    """A Gaussian mean of what was read; `level` is 0 elsewhere."""
+def _average(level: Floats, measured: Floats, sigma_px: float) -> Floats:
+    """A Gaussian mean over the measured pixels; `level` is 0 elsewhere."""
     import cv2
 
-    mean, share = (np.asarray(cv2.GaussianBlur(a, (0, 0), sigma_px), np.float32) for a in (level, read))
-    return np.asarray(mean / np.maximum(share, np.float32(0.05)), np.float32)
+    mean, share = (np.asarray(cv2.GaussianBlur(a, (0, 0), sigma_px), np.float32) for a in (level, measured))
+    return np.asarray(mean / np.maximum(share, _WEIGHT_MIN), np.float32)
 
 
-def _bowl(rest: Floats, read: Floats) -> Floats:
-    """The surface of sixth order nearest to a reading: an untouched dome in perspective, to hundredths of a mm."""
-    powers = [(i, j) for i in range(_ORDER + 1) for j in range(_ORDER + 1 - i)]
-    y, x = (np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, n), _ORDER) for n in rest.shape)
-    some = read[::_SPARSE, ::_SPARSE] > 0
-    if np.count_nonzero(some) < _FEWEST:
+def _fit_dome(rest: Floats, measured: Floats) -> Floats:
+    """The polynomial of degree six nearest to a reference: an untouched dome in perspective, to hundredths of a mm."""
+    powers = [(i, j) for i in range(_DOME_DEGREE + 1) for j in range(_DOME_DEGREE + 1 - i)]
+    y, x = (np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, n), _DOME_DEGREE) for n in rest.shape)
+    sparse = slice(None, None, _DOME_STEP_PX)
+    used = measured[sparse, sparse] > 0
+    if np.count_nonzero(used) < _DOME_PIXELS_MIN:
         return np.zeros_like(rest)
-    terms = np.stack([(y[::_SPARSE, i][:, None] * x[::_SPARSE, j][None, :])[some] for i, j in powers], axis=-1)
-    shape = np.zeros((_ORDER + 1, _ORDER + 1))
-    shape[tuple(np.transpose(powers))] = np.linalg.lstsq(terms, rest[::_SPARSE, ::_SPARSE][some], rcond=None)[0]
+    terms = np.stack([(y[sparse, i][:, None] * x[sparse, j][None, :])[used] for i, j in powers], axis=-1)
+    shape = np.zeros((_DOME_DEGREE + 1, _DOME_DEGREE + 1))
+    shape[tuple(np.transpose(powers))] = np.linalg.lstsq(terms, rest[sparse, sparse][used], rcond=None)[0]
     return (y @ shape @ x.T).astype(np.float32)

@@ -1,4 +1,4 @@
-"""What a network's answer to a bubble's reading means: lengths in mm and masks, for its teacher and its user alike."""
+"""Decoding of the bubble network's outputs: lengths in mm, probabilities, masks; for training and for prediction."""
 
 from __future__ import annotations
 
@@ -12,57 +12,55 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 N_OUTPUTS = 5
-_LOG_SPREAD = (-6.0, 3.0)
+_LOG_ERROR_RANGE = (-6.0, 3.0)
 
 
 class BubbleOutputTensors(NamedTuple):
-    """What its teacher looks at: one value a pixel, each (n, rows, cols)."""
+    """Decoded outputs in training, each (n, rows, cols)."""
 
-    displacement_mm: Tensor  # how far the membrane has moved toward the camera
-    object_displacement_mm: (
-        Tensor  # how far in the object's own surface lies: as much where it touches, less where it does not
-    )
-    log_error: Tensor  # log of the mean error to be expected of `object_mm`, of `moved_mm` beside it; mm
+    displacement_mm: Tensor  # of the membrane, toward the camera
+    object_displacement_mm: Tensor  # of the object's surface: equal to it in contact, less elsewhere
+    log_error: Tensor  # log of the mean error in mm: of the object's surface in view, of the membrane elsewhere
     contact: Tensor  # logit
-    object_in_view: Tensor  # logit: the object is there, and near enough for its surface to be told
+    object_in_view: Tensor  # logit: the object is there, near enough for its surface to be predicted
 
 
-def decode_tensors(answer: Tensor, smooth_mm: Tensor) -> BubbleOutputTensors:
-    """The fields of a network's answer (n, OUTPUTS, rows, cols) over the estimates (n, 1, rows, cols) it corrects."""
+def decode_tensors(output: Tensor, smooth_mm: Tensor) -> BubbleOutputTensors:
+    """Decoded outputs (n, N_OUTPUTS, rows, cols), which correct smooth displacements (n, 1, rows, cols)."""
     from torch.nn import functional
 
-    moved = smooth_mm[:, 0] + answer[:, 0]
+    moved = smooth_mm[:, 0] + output[:, 0]
     return BubbleOutputTensors(
         displacement_mm=moved,
-        object_displacement_mm=moved - functional.softplus(answer[:, 1]),
-        log_error=answer[:, 2].clamp(*_LOG_SPREAD),
-        contact=answer[:, 3],
-        object_in_view=answer[:, 4],
+        object_displacement_mm=moved - functional.softplus(output[:, 1]),
+        log_error=output[:, 2].clamp(*_LOG_ERROR_RANGE),
+        contact=output[:, 3],
+        object_in_view=output[:, 4],
     )
 
 
 class BubblePrediction(NamedTuple):
-    """What its user looks at: one value a pixel, each (rows, cols)."""
+    """Decoded outputs of one frame, each (rows, cols); as `BubbleOutputTensors`, but with probabilities."""
 
     displacement_mm: Floats
     object_displacement_mm: Floats
-    expected_error_mm: Floats  # as `log_spread`
-    contact: Floats  # likelihood
-    object_in_view: Floats  # likelihood
+    expected_error_mm: Floats
+    contact: Floats  # probability
+    object_in_view: Floats  # probability
 
 
-def decode_prediction(answer: Floats, smooth_mm: Floats) -> BubblePrediction:
-    """As `fields`, of one answer (OUTPUTS, rows, cols) over the estimate (rows, cols) that it corrects."""
-    moved = smooth_mm + answer[0]
+def decode_prediction(output: Floats, smooth_mm: Floats) -> BubblePrediction:
+    """As `decode_tensors`, of one output (N_OUTPUTS, rows, cols) and its smooth displacement (rows, cols)."""
+    moved = smooth_mm + output[0]
     return BubblePrediction(
         displacement_mm=moved,
-        object_displacement_mm=moved - np.logaddexp(np.float32(0.0), answer[1]),
-        expected_error_mm=np.exp(np.clip(answer[2], *_LOG_SPREAD)),
-        contact=_likelihood(answer[3]),
-        object_in_view=_likelihood(answer[4]),
+        object_displacement_mm=moved - np.logaddexp(np.float32(0.0), output[1]),
+        expected_error_mm=np.exp(np.clip(output[2], *_LOG_ERROR_RANGE)),
+        contact=_compute_sigmoid(output[3]),
+        object_in_view=_compute_sigmoid(output[4]),
     )
 
 
-def _likelihood(logit: Floats) -> Floats:
-    """The sigmoid, which no logit makes overflow so."""
+def _compute_sigmoid(logit: Floats) -> Floats:
+    """The sigmoid by tanh, which does not overflow."""
     return np.float32(0.5) + np.float32(0.5) * np.tanh(np.float32(0.5) * logit)

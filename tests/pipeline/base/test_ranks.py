@@ -1,4 +1,4 @@
-"""Medians and percentiles beside numpy's."""
+"""Medians and percentiles against numpy."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from pipeline.base import ranks
 @given(
     n=st.integers(1, 300), seed=st.integers(0, 99), size=st.floats(-30, 30), rounds=st.booleans(), share=st.floats(0, 1)
 )  # fmt: skip
-def test_medians_are_numpys_to_the_bit_and_percentiles_to_rounding(n, seed, size, rounds, share):
+def test_medians_equal_numpys_and_percentiles_do_to_rounding(n, seed, size, rounds, share):
     rng = np.random.default_rng(seed)
     values = (rng.normal(size=n) * 10.0**size).astype(np.float32)
-    values = np.round(values) if rounds else values  # many alike, of either sign, and zeros
+    values = np.round(values) if rounds else values  # ties, both signs, zeros
     where = rng.random(n) < share
     where[rng.integers(n)] = True
     assert ranks.median(values, where) == np.median(values[where])
@@ -25,7 +25,7 @@ def test_medians_are_numpys_to_the_bit_and_percentiles_to_rounding(n, seed, size
     assert off <= 2e-7 * np.abs(values).max()
 
 
-def test_images_are_taken_pixel_by_pixel_whatever_their_order_in_memory():
+def test_order_in_memory_does_not_matter():
     image = np.arange(12, dtype=np.float32).reshape(3, 4)
     assert ranks.median(image.T) == np.median(image)
     assert ranks.median(image[:, ::2], np.ones((3, 2), np.bool_)) == np.median(image[:, ::2])
