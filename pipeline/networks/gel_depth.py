@@ -25,6 +25,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from pipeline.base.arrays import Doubles
 from pipeline.networks.compact_unet import CompactUnet
 from pipeline.networks.gel_depth_prediction import PHYSICS_CONTACT_LOGIT, GelDepthPrediction
 
@@ -109,11 +110,16 @@ def _compute_cosines(n: int) -> Tensor:
     k, i = np.arange(n)[:, None], np.arange(n)[None, :]
     table = np.cos(math.pi * (i + 0.5) * k / n) * math.sqrt(2.0 / n)
     table[0] *= math.sqrt(0.5)
-    return torch.from_numpy(table.astype(np.float32))
+    return _make_constant(table)
 
 
 @lru_cache(maxsize=16)
 def _compute_eigenvalues(rows: int, cols: int) -> Tensor:
     """Eigenvalues (rows, cols) of D'D."""
     ky, kx = (2.0 * np.sin(np.arange(n) * (0.5 * math.pi / n)) for n in (rows, cols))
-    return torch.from_numpy((ky[:, None] ** 2 + kx[None, :] ** 2).astype(np.float32))
+    return _make_constant(ky[:, None] ** 2 + kx[None, :] ** 2)
+
+
+def _make_constant(values: Doubles) -> Tensor:
+    with torch.inference_mode(False):  # the first caller may be in inference mode; gradients pass through it later
+        return torch.from_numpy(values.astype(np.float32))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from pipeline.base.errors import ModelMissing
 from pipeline.base.memo import Memo
 from pipeline.base.params import Value
+from pipeline.networks.onnx_predictor import OnnxPredictor
 from pipeline.networks.weights import NoWeights, Weights
 
 if TYPE_CHECKING:
@@ -23,15 +24,12 @@ NETWORK_CLASSES: dict[str, str] = {  # kind -> module:class; torch loads with th
     "touch_pose": "pipeline.networks.touch_pose:TouchPose",
     "vqvae": "pipeline.networks.vqvae:VqVae",
 }
-TORCH_FREE_CLASSES: dict[str, str] = {  # the same for kinds that need no torch to answer
-    "compact_unet": "pipeline.networks.compact_unet_opencv:CompactUnetOpenCv",
-    "gel_depth": "pipeline.networks.gel_depth_opencv:GelDepthNetworkOpenCv",
-}
+ONNX_KINDS = frozenset({"compact_unet", "gel_depth"})  # answered by OpenCV, without torch
 _MOST_BYTES = 2 << 30  # of networks kept ready: a large one takes 1.3 GB
 _loaded_networks: Memo[str, nn.Module] = Memo(
     4, most_bytes=_MOST_BYTES, weigh=lambda net: sum(p.numel() * p.element_size() for p in net.parameters())
 )
-_light: Memo[str, Callable[..., Any]] = Memo(4)
+_predictors: Memo[str, OnnxPredictor] = Memo(4)
 
 
 def build_network(kind: str, config: Mapping[str, Value]) -> nn.Module:
@@ -57,27 +55,28 @@ def load_network(weights: Weights | NoWeights) -> nn.Module:
 
 
 def load_predictor(weights: Weights | NoWeights) -> Callable[..., Any]:
-    """What answers for these weights: without torch where there is a way of ours, else the `network`; raises likewise.
+    """The network of these weights ready to predict: an `OnnxPredictor` for `ONNX_KINDS`, else `load_network`.
 
-    Those of `LIGHT` take and give one picture of numpy, the others batches of torch.
+    Raises ModelMissing likewise. Weights without an ONNX file are exported first, which loads torch.
     """
-    if isinstance(weights, NoWeights) or weights.kind not in TORCH_FREE_CLASSES:
+    if isinstance(weights, NoWeights) or weights.kind not in ONNX_KINDS:
         return load_network(weights)
-    return _light.of(weights.content_digest, lambda: _light_of(weights))
+    return _predictors.of(weights.content_digest, lambda: _load_predictor(weights))
 
 
 def release_networks(keep: Container[str] = ()) -> None:
     """Keep no network ready but those of weights with these contents; another is built when it is asked for."""
     _loaded_networks.keep_only(keep)
-    _light.keep_only(keep)
+    _predictors.keep_only(keep)
 
 
-def _light_of(weights: Weights) -> Callable[..., Any]:
-    module, _, name = TORCH_FREE_CLASSES[weights.kind].partition(":")
+def _load_predictor(weights: Weights) -> OnnxPredictor:
+    from pipeline.networks.onnx_export import export_onnx
+
     try:
-        return getattr(importlib.import_module(module), name)(weights, **weights.config)
-    except (TypeError, ValueError) as error:
-        raise ModelMissing(f"the weights {weights.name!r} do not fit the network {weights.kind!r}: {error}") from error
+        return OnnxPredictor(weights.onnx or export_onnx(weights), fold=int(weights.config.get("fold", 2)))
+    except ValueError as error:
+        raise ModelMissing(f"the weights {weights.name!r} cannot be run: {error}") from error
 
 
 def use_channels_last(net: nn.Module) -> nn.Module:

@@ -16,10 +16,18 @@ class OnnxPredictor:
     """The outputs of a network for one image; may be shared by threads."""
 
     def __init__(self, content: bytes, *, fold: int = 1) -> None:
-        """`content`: an ONNX file of `onnx_export`; `fold`: rows and cols of its input must be multiples of it."""
+        """`content`: an ONNX file of `onnx_export`; `fold`: rows and cols of its input must be multiples of it.
+
+        Raises ValueError for a file that OpenCV cannot read or that names other files.
+        """
         import cv2
 
-        self._net = cv2.dnn.readNetFromONNX(np.frombuffer(content, np.uint8), cv2.dnn.ENGINE_CLASSIC)
+        if b"location" in content:  # key of ONNX's external data
+            raise ValueError("their ONNX graph names other files")
+        try:
+            self._net = cv2.dnn.readNetFromONNX(np.frombuffer(content, np.uint8), cv2.dnn.ENGINE_CLASSIC)
+        except cv2.error as error:
+            raise ValueError("OpenCV cannot read their ONNX graph") from error
         self._names = sorted(self._net.getUnconnectedOutLayersNames())  # output_0, ...
         self._fold = fold
         self._lock = threading.Lock()  # the net holds its input

@@ -24,6 +24,7 @@ SUFFIX = ".safetensors"
 _WHAT = "the weights"
 _MARK = "tactoscope weights"  # key of the header, whose value is the version of what stands beside it
 _VERSION = "1"
+_ONNX = "onnx"  # name of the tensor of bytes that holds the ONNX file
 _FLOATS = {"F64": np.float64, "F32": np.float32, "F16": np.float16}
 _COUNTS = {"I64": np.int64, "I32": np.int32, "I16": np.int16, "I8": np.int8, "U8": np.uint8, "BOOL": np.bool_}
 
@@ -37,6 +38,7 @@ class Weights:
     config: Mapping[str, Value] = field(metadata=UNDIGESTED)  # arguments of the network's class
     tensors: Mapping[str, Floats] = field(metadata=UNDIGESTED)  # by their names in the network
     card: Mapping[str, str] = field(default_factory=dict, metadata=UNDIGESTED)  # how they came about, in words
+    onnx: bytes = field(default=b"", metadata=UNDIGESTED, repr=False)  # the network as an ONNX file; b"" if not exported
     content_digest: str = field(init=False)  # digest of kind, config and tensors: all that a result depends on
 
     def __post_init__(self) -> None:
@@ -60,7 +62,9 @@ class NoWeights:
 
 def load_weights(path: Path) -> Weights:
     """The weights in a file of ours, all as float32; raises FileProblem for what is missing, damaged or foreign."""
-    metadata, tensors = load_tensors(path)
+    metadata, entries = _read_entries(path)
+    onnx = bytes(entries.pop(_ONNX)["data"]) if _ONNX in entries else b""
+    tensors = _convert_entries(entries, path)
     if not is_tactoscope_file(metadata):
         raise FileProblem("these weights do not say which network they are for; give a file that Tactoscope made", path)
     try:
@@ -71,8 +75,8 @@ def load_weights(path: Path) -> Weights:
         raise FileProblem(f"{_WHAT} are damaged: their header cannot be read", path) from error
     if not plain:
         raise FileProblem(f"{_WHAT} are damaged: their header holds more than plain settings", path)
-    told = {str(key): str(value) for key, value in card.items()}
-    return Weights(name=path.stem, kind=kind, config=config, tensors=tensors, card=told)
+    card = {str(key): str(value) for key, value in card.items()}
+    return Weights(name=path.stem, kind=kind, config=config, tensors=tensors, onnx=onnx, card=card)
 
 
 def is_tactoscope_file(metadata: Mapping[str, str]) -> bool:
@@ -82,6 +86,12 @@ def is_tactoscope_file(metadata: Mapping[str, str]) -> bool:
 
 def load_tensors(path: Path) -> tuple[dict[str, str], dict[str, Floats]]:
     """Header and tensors of any safetensors file, halves of either sort as float32; raises FileProblem."""
+    metadata, entries = _read_entries(path)
+    return metadata, _convert_entries(entries, path)
+
+
+def _read_entries(path: Path) -> tuple[dict[str, str], dict[str, Mapping[str, Any]]]:
+    """Header and raw tensors of a safetensors file: name -> dtype, shape, data; raises FileProblem."""
     from safetensors import SafetensorError, deserialize
 
     content = read_bytes(path, _WHAT)
@@ -93,16 +103,21 @@ def load_tensors(path: Path) -> tuple[dict[str, str], dict[str, Floats]]:
         raise FileProblem(
             f"{_WHAT} cannot be read: the file is cut short or damaged, or no safetensors", path
         ) from error
+    metadata = cast("dict[str, Any]", header.get("__metadata__") or {})
+    return {str(k): str(v) for k, v in metadata.items()}, dict(entries)
+
+
+def _convert_entries(entries: Mapping[str, Mapping[str, Any]], path: Path) -> dict[str, Floats]:
+    """The tensors as float32; raises FileProblem for unknown types and values that are not finite."""
     tensors: dict[str, Floats] = {}
-    for name, entry in entries:
+    for name, entry in entries.items():
         tensor = _as_float(entry)
         if tensor is None:
             raise FileProblem(f"{_WHAT} hold {name!r} as {entry['dtype']}, which is not known here", path)
         if not np.isfinite(tensor).all():
             raise FileProblem(f"{_WHAT} hold values that are not numbers (in {name!r}); train or fetch them anew", path)
         tensors[name] = tensor
-    metadata = header.get("__metadata__")
-    return {str(k): str(v) for k, v in cast("dict[str, Any]", metadata or {}).items()}, tensors
+    return tensors
 
 
 def save_weights(path: Path, weights: Weights, *, use_float16: bool = False) -> None:
@@ -111,11 +126,13 @@ def save_weights(path: Path, weights: Weights, *, use_float16: bool = False) -> 
 
     with np.errstate(over="ignore"):  # what is too large for 16 bits is told below
         kind = np.float16 if use_float16 else np.float32
-        stored = {name: np.asarray(tensor, kind, order="C") for name, tensor in weights.tensors.items()}
+        stored: dict[str, NDArray[Any]] = {name: np.asarray(tensor, kind, order="C") for name, tensor in weights.tensors.items()}
     if not all(np.isfinite(tensor).all() for tensor in stored.values()):
         raise FileProblem(
             f"{_WHAT} hold values that no {16 if use_float16 else 32} bits can keep; nothing is written", path
         )
+    if weights.onnx:
+        stored[_ONNX] = np.frombuffer(weights.onnx, np.uint8)
     header = {
         _MARK: _VERSION, "kind": weights.kind,
         "config": json.dumps(dict(weights.config)), "card": json.dumps(dict(weights.card)),

@@ -20,7 +20,7 @@ from pipeline.values.results import DepthMap
 def select_weights(source: SensorSpec, _target: SensorSpec, file: Path | None) -> Weights | NoWeights:
     """The weights that read this source: one network for all gels, one for all bubbles."""
     if source.kind == "gel":
-        return weights_registry.load_for_task(("gel_instances", "gel_depth", "ball_depth"), "gel_instances", file)
+        return weights_registry.load_for_task("gel_instances", "gel_instances", file)
     return weights_registry.load_for_task("bubble_depth", "bubble_depth", file)
 
 

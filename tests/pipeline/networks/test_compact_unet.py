@@ -1,4 +1,4 @@
-"""The compact U-Net: size in, size out; a million parameters at most; what is far away is heard."""
+"""The compact U-Net: output of the input's size, at most a million parameters, a global receptive field."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pipeline.networks.compact_unet import CompactUnet
 
 
 @pytest.mark.parametrize("size", [(120, 160), (37, 53), (16, 16)])
-def test_fields_have_the_size_of_the_picture(size: tuple[int, int]) -> None:
+def test_fields_have_the_size_of_the_image(size: tuple[int, int]) -> None:
     network = CompactUnet(inputs=3, outputs=2, base_channels=8, max_channels=32).eval()
     with torch.inference_mode():
         assert network(torch.zeros(2, 3, *size)).shape == (2, 2, *size)
@@ -20,10 +20,10 @@ def test_it_is_compact() -> None:
     assert 3e5 < sum(p.numel() for p in network.parameters()) < 1e6
 
 
-def test_a_corner_hears_the_opposite_one() -> None:
+def test_a_corner_depends_on_the_opposite_one() -> None:
     torch.manual_seed(0)
     network = CompactUnet(inputs=1, outputs=1, base_channels=8, max_channels=32).eval()
-    picture = torch.rand(1, 1, 96, 96, requires_grad=True)
-    network(picture)[0, 0, 0, 0].backward()
-    assert picture.grad is not None
-    assert float(picture.grad[0, 0, -16:, -16:].abs().sum()) > 0
+    image = torch.rand(1, 1, 96, 96, requires_grad=True)
+    network(image)[0, 0, 0, 0].backward()
+    assert image.grad is not None
+    assert float(image.grad[0, 0, -16:, -16:].abs().sum()) > 0

@@ -42,7 +42,7 @@ class Says:
     def __call__(self, picture):
         self.pictures.append(picture)
         assert picture.shape[-2:] == self.answer.shape[-2:]
-        return self.answer
+        return (self.answer,)
 
 
 def frame(rest=REST, moved=BALL):
@@ -129,7 +129,7 @@ def test_physics_too_leaves_the_noise_of_the_untouched_reading_out_of_the_surfac
 @pytest.fixture(scope="module")
 def shipped():
     weights = network.select_weights(SPEC, load_sensor("gelslim"), None)
-    assert weights.card["task"] == "bubble_reading"
+    assert weights.card["task"] == "bubble_depth"
     return network_factory.load_predictor(weights)
 
 

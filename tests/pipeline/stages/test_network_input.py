@@ -122,35 +122,6 @@ def test_a_touch_twice_as_deep_in_half_the_light_looks_alike_but_for_how_steep_i
     np.testing.assert_allclose(np.delete(found[0], steep, 0), np.delete(found[1], steep, 0), atol=1e-4)
 
 
-@pytest.mark.parametrize(("row", "col", "radius"), [(60, 80, 9), (2, 158, 6), (60, 80, 90), (119, 0, 0.5)])
-def test_the_box_holds_the_contact_and_what_is_around_it(row, col, radius):
-    y, x = np.mgrid[:120, :160]
-    pressed = ((y - row) ** 2 + (x - col) ** 2 <= radius**2).astype(np.float32)
-    nothing = np.zeros((120, 160, 3), np.float32)
-    of = gel_network_input.NetworkInput(
-        image=nothing,
-        reference=nothing,
-        slopes=np.zeros((2, 120, 160), np.float32),
-        physical_px=pressed,
-        physical_contact=pressed,
-    )
-    rows, cols = gel_network_input.compute_contact_box(of)
-    for part, middle, most in ((rows, row, 120), (cols, col, 160)):
-        assert 0 <= part.start <= max(0, middle - radius - 24)
-        assert most >= part.stop >= min(most, middle + radius + 24)
-        assert (part.stop - part.start) % 16 == 0 or part.stop - part.start == most
-    fields = gel_network_input.compute_channels(of, (rows, cols))
-    whole = gel_network_input.compute_channels(of)[:, rows, cols]
-    at = [
-        gel_network_input.SURFACE_CHANNEL,
-        gel_network_input.CONTACT_CHANNEL,
-        gel_network_input.LOG_DEPTH_CHANNEL,
-        14,
-        15,
-    ]
-    np.testing.assert_array_equal(fields[at], whole[at])
-
-
 def test_drift_that_took_all_light_away_leaves_numbers():
     source = load_sensor("gelsight_mini")
     still = optics.render_reference(source)
